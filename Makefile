@@ -1,0 +1,40 @@
+# `make demo` and `make test` set up what they need in .venv and run it.
+
+PYTHON ?= python3
+ROBOT ?= config/stanford.urdf
+VENV := .venv
+BIN := $(VENV)/bin
+
+# A sourced ROS would have its libraries loaded in place of those in the environment made here.
+CLEAN := env -u PYTHONPATH -u LD_LIBRARY_PATH -u AMENT_PREFIX_PATH -u COLCON_PREFIX_PATH \
+    -u CMAKE_PREFIX_PATH -u RMW_IMPLEMENTATION -u ROS_DISTRO -u _ROS_WHEELS_BOOTSTRAP_COMPLETE \
+    ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
+
+.PHONY: demo test clean
+
+demo: $(VENV)/demo.done
+	$(CLEAN) $(BIN)/python -m inverse_dynamics_node.simulation.demo $(ROBOT) $(ARGS)
+
+test: $(VENV)/test.done
+	$(CLEAN) $(BIN)/ruff check .
+	$(CLEAN) $(BIN)/ruff format --check .
+	$(CLEAN) $(BIN)/mypy inverse_dynamics_node
+	$(CLEAN) $(BIN)/python -m pytest $(ARGS)
+
+$(VENV)/pip.done:
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))' || \
+	    { echo "$(PYTHON) is $$($(PYTHON) --version 2>&1), expected Python 3.10 to 3.13:" \
+	        "make PYTHON=python3.12 ..."; exit 1; }
+	$(CLEAN) $(PYTHON) -m venv $(VENV)
+	$(CLEAN) $(BIN)/pip install --quiet --upgrade 'pip>=23'
+	touch $@
+
+# The package itself is installed as links to this tree: a change counts at once.
+$(VENV)/%.done: $(VENV)/pip.done setup.py pyproject.toml
+	$(CLEAN) $(BIN)/pip install --quiet --editable '.[ros,demo$(if $(filter test,$*),$(comma)test)]'
+	touch $@
+
+comma := ,
+
+clean:
+	rm -rf $(VENV) build install log *.egg-info

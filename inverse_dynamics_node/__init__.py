@@ -1,0 +1,16 @@
+"""Joint efforts for the joint accelerations you ask for, from a URDF. No ROS is imported here."""
+
+from .dynamics import InverseDynamics
+from .errors import ConfigurationError, InverseDynamicsError, JointStateError, UrdfError
+from .model import RobotModel
+from .urdf import load_urdf
+
+__all__ = [
+    'ConfigurationError',
+    'InverseDynamics',
+    'InverseDynamicsError',
+    'JointStateError',
+    'RobotModel',
+    'UrdfError',
+    'load_urdf',
+]

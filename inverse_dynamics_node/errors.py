@@ -1,0 +1,42 @@
+"""One family of errors: what is wrong, where, what was expected, and the value found."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+
+class InverseDynamicsError(Exception):
+    """Root of every error this package raises on purpose."""
+
+
+class UrdfError(InverseDynamicsError):
+    """
+    A robot description that cannot be used.
+
+    Attributes
+    ----------
+    source : str
+        The file, or ``'URDF'`` where the description came as text.
+    problems : tuple of str
+        Everything that is wrong with it, in file order; never empty.
+
+    """
+
+    def __init__(self, problems: Iterable[str], source: str = 'URDF') -> None:
+        self.problems = tuple(problems)
+        self.source = source
+        super().__init__(source, self.problems)
+
+    def __str__(self) -> str:
+        if len(self.problems) == 1:
+            return f'{self.source}: {self.problems[0]}'
+        listed = '\n'.join(f'  - {problem}' for problem in self.problems)
+        return f'{self.source}: {len(self.problems)} problems\n{listed}'
+
+
+class JointStateError(InverseDynamicsError):
+    """A joint vector of the wrong size, or with a value that is not finite."""
+
+
+class ConfigurationError(InverseDynamicsError):
+    """A setting that cannot be used with this robot, or at all."""

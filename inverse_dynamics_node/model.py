@@ -1,0 +1,96 @@
+"""
+A robot as values: flat, read-only arrays, parents before children.
+
+Links that fixed joints hold together are one *body*. Body 0 is the base; every other body is moved
+by one joint, and its frame is the URDF frame of that joint: the origin on the joint's axis. Frames
+are written in monogram notation: ``R_PL`` takes coordinates from body L to its parent P, ``p_PL``
+is the position of L's origin in P.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Booleans = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class RobotModel:
+    """
+    A tree of rigid bodies joined by revolute and prismatic joints.
+
+    Arrays of ``n`` rows follow ``joint_names``; arrays of ``b`` rows follow the bodies, base
+    first. There are more moving bodies than joints where joints mimic others. All arrays are
+    read-only.
+
+    """
+
+    name: str
+    joint_names: tuple[str, ...]
+    """The n movable joints that mimic no other: depth first, in file order among siblings."""
+
+    lower: Floats
+    """Lower position limit, shape (n,) [rad or m]; -inf where there is none."""
+    upper: Floats
+    """Upper position limit, shape (n,) [rad or m]; inf where there is none."""
+    velocity_limits: Floats
+    """Largest speed, shape (n,) [rad/s or m/s]; inf where there is none."""
+    effort_limits: Floats
+    """Largest effort, shape (n,) [N m or N]; inf where there is none."""
+    damping: Floats
+    """Viscous friction, shape (n,) [N m s/rad or N s/m]; mimicking joints folded in."""
+    friction: Floats
+    """Coulomb friction, shape (n,) [N m or N]; mimicking joints folded in."""
+    is_continuous: Booleans
+    """Whether positions that differ by a whole turn are the same, shape (n,)."""
+
+    body_names: tuple[str, ...]
+    """The base link's name, then the name of the joint that moves each body; length b."""
+    parent: Integers
+    """Parent body, shape (b,); always smaller than the body's own index, -1 for the base."""
+    is_prismatic: Booleans
+    """Whether the body slides along its axis instead of turning about it, shape (b,)."""
+    joint_index: Integers
+    """Which entry of ``joint_names`` moves the body, shape (b,); -1 for the base."""
+    multiplier: Floats
+    """Body position is ``multiplier * q[joint_index] + offset``, shape (b,); 1 without mimic."""
+    offset: Floats
+    """See ``multiplier``, shape (b,) [rad or m]."""
+    R_PL: Floats
+    """Rotation from the body's frame to its parent's at position 0, shape (b, 3, 3)."""
+    p_PL: Floats
+    """Origin of the body in its parent's frame at position 0, shape (b, 3) [m]."""
+    axis: Floats
+    """Unit vector of the joint axis in the body's frame, shape (b, 3); zero for the base."""
+    mass: Floats
+    """Shape (b,) [kg]."""
+    com: Floats
+    """Centre of mass in the body's frame, shape (b, 3) [m]."""
+    inertia: Floats
+    """About the centre of mass, along the body's axes, shape (b, 3, 3) [kg m^2]."""
+
+    link_names: tuple[str, ...]
+    """Every URDF link, merged ones too, in file order; length k."""
+    link_body: Integers
+    """The body that a link is part of, shape (k,)."""
+    link_rotation: Floats
+    """Rotation from the link's frame to its body's, shape (k, 3, 3)."""
+    link_position: Floats
+    """Origin of the link in its body's frame, shape (k, 3) [m]."""
+
+    warnings: tuple[str, ...] = ()
+    """What loaded, but looks wrong."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
+
+    def __repr__(self) -> str:
+        return f'RobotModel({self.name!r}, joints={", ".join(self.joint_names)})'

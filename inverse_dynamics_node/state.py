@@ -1,0 +1,125 @@
+"""What is known of the joints: positions and velocities by name, and how old they are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from .errors import JointStateError
+from .model import Booleans, Floats
+
+
+class State(NamedTuple):
+    """The whole robot at one time."""
+
+    q: Floats
+    """Joint positions, shape (n,) [rad or m]."""
+    qd: Floats
+    """Joint velocities, shape (n,) [rad/s or m/s]."""
+    time: float
+    """When the joint heard from least recently was heard from [s]."""
+
+
+class JointStateCollector:
+    """
+    Collects joint states that arrive by name, in any order, of all joints or of some.
+
+    An arm's driver and a gripper's often publish on one topic, each its own joints: so every joint
+    has a time of its own.
+
+    Parameters
+    ----------
+    joint_names : sequence of str
+        The n joints to know; others are ignored.
+
+    """
+
+    def __init__(self, joint_names: Sequence[str]) -> None:
+        self.joint_names = tuple(joint_names)
+        self.q = np.zeros(len(self.joint_names))
+        self.qd = np.zeros(len(self.joint_names))
+        self.times = np.full(len(self.joint_names), -math.inf)
+        self._has_velocity = np.zeros(len(self.joint_names), dtype=bool)
+        self._index = {name: i for i, name in enumerate(self.joint_names)}
+        self._layouts: dict[tuple[str, ...], tuple[list[int], list[int]]] = {}
+
+    def update(
+        self,
+        now: float,
+        names: Sequence[str],
+        positions: Sequence[float],
+        velocities: Sequence[float],
+    ) -> None:
+        """
+        Take in one joint state, or nothing of it.
+
+        Parameters
+        ----------
+        now : float
+            The time of arrival [s].
+        names, positions, velocities : sequences of equal length
+            Velocities may be empty, or NaN for a joint that never had one: zero then.
+
+        Raises
+        ------
+        JointStateError
+            If the lengths differ, or a value that is needed is not finite; nothing has changed.
+
+        """
+        if len(positions) != len(names):
+            raise JointStateError(f'{len(names)} names, but {len(positions)} positions')
+        if len(velocities) not in (0, len(names)):
+            raise JointStateError(f'{len(names)} names, but {len(velocities)} velocities')
+        ours, theirs = self._layout(tuple(names))
+        q = np.asarray(positions, dtype=np.float64)[theirs]
+        self._check('position', q, np.isfinite(q), ours)
+        if len(velocities):
+            qd = np.asarray(velocities, dtype=np.float64)[theirs]
+            is_finite = np.isfinite(qd)
+            # Drivers fill in NaN for a velocity they do not measure. Where there has been one, a
+            # NaN is a fault.
+            self._check('velocity', qd, is_finite | ~self._has_velocity[ours], ours)
+            self._has_velocity[ours] |= is_finite
+            self.qd[ours] = np.where(is_finite, qd, 0.0)
+        self.q[ours] = q
+        self.times[ours] = now
+
+    def state(self) -> State | None:
+        """Return what is known, or None as long as a joint has not been heard from."""
+        time = float(self.times.min(initial=math.inf))
+        return None if time == -math.inf else State(self.q, self.qd, time)
+
+    def missing(self) -> list[str]:
+        """Name the joints never heard from."""
+        return [self.joint_names[i] for i in np.flatnonzero(self.times == -math.inf)]
+
+    def older_than(self, time: float) -> list[str]:
+        """Name the joints last heard from before a time [s]."""
+        return [self.joint_names[i] for i in np.flatnonzero(self.times < time)]
+
+    def without_velocity(self) -> list[str]:
+        """Name the joints that were heard from, but never with a velocity."""
+        heard = self.times != -math.inf
+        return [self.joint_names[i] for i in np.flatnonzero(heard & ~self._has_velocity)]
+
+    def _layout(self, names: tuple[str, ...]) -> tuple[list[int], list[int]]:
+        """Find which of our joints are named, and where; a publisher repeats its names forever."""
+        layout = self._layouts.get(names)
+        if layout is None:
+            theirs = [k for k, name in enumerate(names) if name in self._index]
+            ours = [self._index[names[k]] for k in theirs]
+            if len(set(ours)) != len(ours):
+                twice = next(name for name in names if names.count(name) > 1)
+                raise JointStateError(f"joint '{twice}' is named twice")
+            if len(self._layouts) >= 16:  # more publishers than that are no publishers
+                self._layouts.clear()
+            layout = self._layouts[names] = ours, theirs
+        return layout
+
+    def _check(self, what: str, values: Floats, is_good: Booleans, ours: list[int]) -> None:
+        if not is_good.all():
+            k = int(np.argmin(is_good))
+            raise JointStateError(f"{what} of joint '{self.joint_names[ours[k]]}' is {values[k]}")

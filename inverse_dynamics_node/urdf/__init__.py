@@ -1,0 +1,5 @@
+"""From a URDF to a `RobotModel`: read, parse, check, strip, evaluate, merge."""
+
+from .loader import load_urdf
+
+__all__ = ['load_urdf']

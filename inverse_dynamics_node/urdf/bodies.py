@@ -1,0 +1,223 @@
+"""
+Links and joints to bodies: what fixed joints hold together moves, and is computed, as one.
+
+The values come in the terms of URDF: a joint's frame is its child link's frame, given in the
+parent link's; a link's inertia is about its centre of mass, along the link's axes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ..model import Floats, RobotModel
+
+
+class Link(NamedTuple):
+    """A rigid part, by itself."""
+
+    name: str
+    mass: float
+    com: Floats
+    inertia: Floats
+
+
+class Mimic(NamedTuple):
+    """Position is ``multiplier * position of master + offset``."""
+
+    master: str
+    multiplier: float
+    offset: float
+
+
+class Joint(NamedTuple):
+    """A joint, by itself; the limits are infinite where there is none."""
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    rotation: Floats
+    position: Floats
+    axis: Floats
+    lower: float
+    upper: float
+    velocity: float
+    effort: float
+    damping: float
+    friction: float
+    mimic: Mimic | None
+
+
+class _Placement(NamedTuple):
+    """The body that a link is part of, and where in that body's frame."""
+
+    body: int
+    rotation: Floats
+    position: Floats
+
+
+class _Body(NamedTuple):
+    """A joint that moves, and where its frame is in the parent body's at position 0."""
+
+    joint: Joint
+    parent: int
+    rotation: Floats
+    position: Floats
+
+
+def build_model(
+    name: str, links: Sequence[Link], joints: Sequence[Joint], warnings: Iterable[str] = ()
+) -> RobotModel:
+    """
+    Merge links into bodies and resolve mimicking joints.
+
+    Parameters
+    ----------
+    name : str
+        Of the robot.
+    links, joints : sequence of Link, sequence of Joint
+        One tree, in file order.
+    warnings : iterable of str
+        What was odd so far; what is odd about the masses is added.
+
+    Returns
+    -------
+    robot : RobotModel
+
+    """
+    root, bodies, placements = _place(links, joints)
+    placed = [placements[link.name] for link in links]
+    mass, com, inertia = _merge(placed, links, 1 + len(bodies))
+    drives = resolve_mimics(joints)
+    masters = [body.joint for body in bodies if body.joint.mimic is None]
+    index = {joint.name: i for i, joint in enumerate(masters)}
+    moved = [drives[body.joint.name] for body in bodies]
+    parents = [-1, *(body.parent for body in bodies)]
+    damping, friction = _folded_friction(bodies, drives, index)
+    return RobotModel(
+        name=name,
+        joint_names=tuple(index),
+        lower=np.array([joint.lower for joint in masters], float),
+        upper=np.array([joint.upper for joint in masters], float),
+        velocity_limits=np.array([joint.velocity for joint in masters], float),
+        effort_limits=np.array([joint.effort for joint in masters], float),
+        damping=np.array(damping, float),
+        friction=np.array(friction, float),
+        is_continuous=np.array([joint.kind == 'continuous' for joint in masters], bool),
+        body_names=(root, *(body.joint.name for body in bodies)),
+        parent=np.array(parents, np.int64),
+        is_prismatic=np.array([False, *(b.joint.kind == 'prismatic' for b in bodies)], bool),
+        joint_index=np.array([-1, *(index[drive.master] for drive in moved)], np.int64),
+        multiplier=np.array([0.0, *(drive.multiplier for drive in moved)], float),
+        offset=np.array([0.0, *(drive.offset for drive in moved)], float),
+        R_PL=np.array([np.eye(3), *(body.rotation for body in bodies)]),
+        p_PL=np.array([np.zeros(3), *(body.position for body in bodies)]),
+        axis=np.array([np.zeros(3), *(body.joint.axis for body in bodies)]),
+        mass=mass,
+        com=com,
+        inertia=inertia,
+        link_names=tuple(link.name for link in links),
+        link_body=np.array([place.body for place in placed], np.int64),
+        link_rotation=np.array([place.rotation for place in placed]),
+        link_position=np.array([place.position for place in placed]),
+        warnings=(*warnings, *_massless(bodies, parents, mass)),
+    )
+
+
+def _place(
+    links: Sequence[Link], joints: Sequence[Joint]
+) -> tuple[str, list[_Body], dict[str, _Placement]]:
+    """Walk the tree depth first, children in file order: a body for every joint that moves."""
+    children: dict[str, list[Joint]] = {link.name: [] for link in links}
+    for joint in joints:
+        children[joint.parent].append(joint)
+    held = {joint.child for joint in joints}
+    root = next(link.name for link in links if link.name not in held)
+
+    bodies: list[_Body] = []
+    placements = {root: _Placement(0, np.eye(3), np.zeros(3))}
+    waiting = children[root][::-1]
+    while waiting:  # a stack of our own: a chain may be longer than Python's
+        joint = waiting.pop()
+        parent = placements[joint.parent]
+        rotation = parent.rotation @ joint.rotation
+        position = parent.position + parent.rotation @ joint.position
+        if joint.kind == 'fixed':
+            placements[joint.child] = _Placement(parent.body, rotation, position)
+        else:
+            bodies.append(_Body(joint, parent.body, rotation, position))
+            placements[joint.child] = _Placement(len(bodies), np.eye(3), np.zeros(3))
+        waiting += children[joint.child][::-1]
+    return root, bodies, placements
+
+
+def _merge(
+    placed: Sequence[_Placement], links: Sequence[Link], count: int
+) -> tuple[Floats, Floats, Floats]:
+    """Return mass, centre of mass and inertia of the bodies, in the bodies' frames."""
+    mass, com, inertia = np.zeros(count), np.zeros((count, 3)), np.zeros((count, 3, 3))
+    pairs = list(zip(placed, links, strict=True))
+    centres = [place.position + place.rotation @ link.com for place, link in pairs]
+    for (place, link), centre in zip(pairs, centres, strict=True):
+        mass[place.body] += link.mass
+        com[place.body] += link.mass * centre
+    heavy = mass > 0.0
+    com[heavy] /= mass[heavy, np.newaxis]
+    for (place, link), centre in zip(pairs, centres, strict=True):
+        # Parallel axes. A link without mass may still have inertia: a rotor, often.
+        arm = centre - com[place.body]
+        inertia[place.body] += place.rotation @ link.inertia @ place.rotation.T
+        inertia[place.body] += link.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    return mass, com, 0.5 * (inertia + inertia.transpose(0, 2, 1))
+
+
+def resolve_mimics(joints: Iterable[Joint]) -> dict[str, Mimic]:
+    """Express every joint's position by that of a joint that mimics no other."""
+    by_name = {joint.name: joint for joint in joints}
+    resolved: dict[str, Mimic] = {}
+    for start in by_name.values():
+        chain: list[tuple[str, Mimic]] = []
+        joint = start
+        while joint.name not in resolved and joint.mimic is not None:
+            chain.append((joint.name, joint.mimic))
+            joint = by_name[joint.mimic.master]
+        base = resolved.setdefault(joint.name, Mimic(joint.name, 1.0, 0.0))
+        for name, (_, multiplier, offset) in reversed(chain):
+            offset += multiplier * base.offset
+            base = Mimic(base.master, multiplier * base.multiplier, offset)
+            resolved[name] = base
+    return resolved
+
+
+def _folded_friction(
+    bodies: Sequence[_Body], drives: Mapping[str, Mimic], index: Mapping[str, int]
+) -> tuple[list[float], list[float]]:
+    """
+    Return damping and friction at the joints, those of mimicking joints seen through them.
+
+    A mimicking joint turns m times as fast and its effort counts m times: viscous friction
+    enters with m squared. Coulomb friction keeps its size and turns its sign with m: |m|.
+
+    """
+    damping, friction = [0.0] * len(index), [0.0] * len(index)
+    for body in bodies:
+        master, multiplier, _ = drives[body.joint.name]
+        damping[index[master]] += multiplier * multiplier * body.joint.damping
+        friction[index[master]] += abs(multiplier) * body.joint.friction
+    return damping, friction
+
+
+def _massless(bodies: Sequence[_Body], parents: Sequence[int], mass: Floats) -> list[str]:
+    """Warn of joints that move no mass: their gravity effort is zero in every position."""
+    if not bodies:
+        return ['no joint can move: there is no effort to compute']
+    carried = mass.tolist()
+    for body in range(len(bodies), 0, -1):
+        carried[parents[body]] += carried[body]
+    idle = [body.joint.name for i, body in enumerate(bodies, 1) if carried[i] == 0.0]
+    if len(idle) == len(bodies):
+        return ['no joint moves any mass: every gravity effort is zero; links lack <inertial>']
+    return [f"joint '{name}' moves no mass: its gravity effort is always zero" for name in idle]

@@ -1,0 +1,46 @@
+"""Metadata, for pip and for colcon."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+package_name = 'inverse_dynamics_node'
+
+ros = ['ros-jazzy-rclpy[fastrtps]==7.1.6', 'ros-jazzy-common-interfaces==5.3.6']
+demo = ['mujoco>=3.1']
+test = [
+    'colcon-common-extensions',
+    'example-robot-data>=6',
+    'hypothesis>=6',
+    'mypy>=1.14',
+    'pin>=3.5',
+    'pytest>=8',
+    'pytest-timeout>=2',
+    'ros-jazzy-domain-coordinator',
+    'ruff>=0.9',
+]
+
+setup(
+    name=package_name,
+    version='0.1.0',
+    packages=find_packages(exclude=['test', 'test.*']),
+    package_data={package_name: ['py.typed']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
+        (f'share/{package_name}', ['package.xml']),
+        (f'share/{package_name}/config', glob('config/*')),
+    ],
+    python_requires='>=3.10',
+    # ROS is no entry here: a sourced ROS must not be shadowed, and the core does without.
+    install_requires=['lxml', 'numba', 'numpy', 'yourdfpy'],
+    extras_require={'ros': ros, 'demo': demo, 'test': test},
+    zip_safe=True,
+    maintainer='inverse_dynamics_node maintainers',
+    maintainer_email='maintainers@inverse-dynamics-node.example',
+    description='Joint efforts for the joint accelerations you ask for: inverse dynamics, gravity '
+    'compensation and computed torque for any URDF, as a ROS 2 node',
+    license='Apache-2.0',
+    entry_points={
+        'console_scripts': [f'{package_name} = {package_name}.node.main:main'],
+    },
+)

@@ -1,0 +1,99 @@
+"""Pinocchio as the judge: on our robots, on real ones, and on long chains."""
+
+from inverse_dynamics_node import InverseDynamics, load_urdf, UrdfError
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+from random_trees import random_chain, urdf_of
+from robot_files import OUR_ROBOTS, real_robots
+
+pinocchio = pytest.importorskip('pinocchio')
+
+RELATIVE = 1e-10  # to the largest effort: both round, in another order
+GRAVITY = np.array([0.4, -1.2, -9.5])
+
+
+class Peer:
+    """The same robot in pinocchio; mimic joints are independent ones there, folded here."""
+
+    def __init__(self, robot, urdf):
+        self.robot = robot
+        self.model = pinocchio.buildModelFromXML(urdf)
+        self.model.gravity.linear = GRAVITY
+        self.data = self.model.createData()
+        self.bodies = [robot.body_names.index(name) for name in list(self.model.names)[1:]]
+        # d(its velocities) / d(ours)
+        self.fold = np.zeros((self.model.nv, len(robot.joint_names)))
+        for joint, body in zip(list(self.model.joints)[1:], self.bodies, strict=True):
+            self.fold[joint.idx_v, robot.joint_index[body]] = robot.multiplier[body]
+
+    def positions(self, q):
+        positions = np.empty(self.model.nq)
+        for joint, body in zip(list(self.model.joints)[1:], self.bodies, strict=True):
+            x = self.robot.multiplier[body] * q[self.robot.joint_index[body]]
+            x += self.robot.offset[body]
+            # It keeps the cosine and sine of a continuous joint.
+            positions[joint.idx_q : joint.idx_q + joint.nq] = (
+                (np.cos(x), np.sin(x)) if joint.nq == 2 else x
+            )
+        return positions
+
+    def efforts(self, q, qd, qdd):
+        arguments = self.positions(q), self.fold @ qd, self.fold @ qdd
+        return self.fold.T @ pinocchio.rnea(self.model, self.data, *arguments)
+
+    def mass_matrix(self, q):
+        upper = np.triu(pinocchio.crba(self.model, self.data, self.positions(q)))
+        matrix = upper + np.triu(upper, 1).T
+        return self.fold.T @ matrix @ self.fold
+
+
+def assert_equal_to_pinocchio(robot, urdf, relative=RELATIVE, states=5):
+    peer = Peer(robot, urdf)
+    dynamics = InverseDynamics(robot, GRAVITY)
+    rng = np.random.default_rng(1979)
+    for _ in range(states):
+        q, qd, qdd = rng.uniform(-2.0, 2.0, (3, len(robot.joint_names)))
+        expected = peer.efforts(q, qd, qdd)
+        assert np.abs(expected).max() > 0.0
+        tolerance = relative * np.abs(expected).max()
+        assert_allclose(dynamics.efforts(q, qd, qdd), expected, rtol=0, atol=tolerance)
+        expected = peer.mass_matrix(q)
+        assert np.abs(expected).max() > 0.0
+        tolerance = relative * np.abs(expected).max()
+        assert_allclose(dynamics.mass_matrix(q), expected, rtol=0, atol=tolerance)
+
+
+@pytest.mark.parametrize('path', OUR_ROBOTS, ids=lambda path: path.stem)
+def test_our_robots(path):
+    assert_equal_to_pinocchio(load_urdf(path), path.read_text())
+
+
+@pytest.mark.parametrize('path', real_robots(), ids=lambda path: path.stem)
+def test_real_robots(path):
+    try:
+        robot = load_urdf(path)
+    except UrdfError as error:
+        pytest.skip(f'not for us: {error.problems[0]}')
+    if not robot.joint_names:
+        pytest.skip('nothing moves')
+    if not robot.mass[1:].any():
+        pytest.skip('nothing that moves has a mass')
+    assert_equal_to_pinocchio(robot, path.read_text(), states=2)
+
+
+def test_most_real_robots_are_for_us():
+    """The skips above must stay exceptions."""
+    paths = real_robots()
+    if not paths:
+        pytest.skip('example-robot-data is not installed')
+    names = {path.stem for path in paths}
+    assert {'panda', 'ur5_robot', 'talos_full_v2', 'kinova', 'xarm7', 'tiago'} <= names
+
+
+@pytest.mark.parametrize(
+    ('count', 'relative'), [(1, 1e-10), (7, 1e-10), (30, 1e-10), (100, 1e-10), (400, 1e-9)]
+)
+def test_long_chains(count, relative):
+    urdf = urdf_of(random_chain(np.random.default_rng(count), count))
+    assert_equal_to_pinocchio(load_urdf(urdf), urdf, relative, states=2)

@@ -1,0 +1,113 @@
+"""Random robots for property tests: trees with every kind of joint, as URDF text."""
+
+from dataclasses import dataclass, replace
+
+from hypothesis import strategies as st
+import numpy as np
+
+KINDS = ('revolute', 'continuous', 'prismatic', 'fixed')
+
+
+@dataclass(frozen=True)
+class Link:
+    """A link, and the joint that holds it; the first link of a tree has no use for the joint."""
+
+    parent: int
+    kind: str
+    mimics: int  # the link whose joint this one's follows; -1 for none
+    xyz: tuple
+    rpy: tuple
+    axis: tuple
+    mass: float
+    com: tuple
+    com_rpy: tuple
+    box: tuple  # the sides of a solid box: its inertia is physical, whatever they are
+    multiplier: float = 1.0
+    offset: float = 0.0
+
+    def urdf(self, i):
+        a, b, c = (side * side for side in self.box)
+        ixx, iyy, izz = (self.mass / 12.0 * s for s in (b + c, c + a, a + b))
+        return (
+            f'<link name="link{i}"><inertial><origin xyz="{_text(self.com)}" '
+            f'rpy="{_text(self.com_rpy)}"/><mass value="{self.mass!r}"/>'
+            f'<inertia ixx="{ixx!r}" iyy="{iyy!r}" izz="{izz!r}" ixy="0" ixz="0" iyz="0"/>'
+            '</inertial></link>'
+        ) + (self._joint_urdf(i) if i else '')
+
+    def _joint_urdf(self, i):
+        mimic = (
+            f'<mimic joint="joint{self.mimics}" multiplier="{self.multiplier!r}" '
+            f'offset="{self.offset!r}"/>'
+            if self.mimics >= 0
+            else ''
+        )
+        return (
+            f'<joint name="joint{i}" type="{self.kind}"><parent link="link{self.parent}"/>'
+            f'<child link="link{i}"/><origin xyz="{_text(self.xyz)}" rpy="{_text(self.rpy)}"/>'
+            f'<axis xyz="{_text(self.axis)}"/>{mimic}'
+            '<limit lower="-9" upper="9" effort="1000" velocity="10"/></joint>'
+        )
+
+    def moved(self, **changes):
+        return replace(self, **changes)
+
+
+def urdf_of(links):
+    """Write a tree of links as URDF."""
+    return f'<robot name="tree">{"".join(link.urdf(i) for i, link in enumerate(links))}</robot>'
+
+
+@st.composite
+def trees(draw, max_links=8, kinds=KINDS, mimics=True):
+    """Draw a tree with at least one joint that moves; its shape shrinks, its numbers do not."""
+    count = draw(st.integers(2, max_links))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    links = [_link(rng, parent=-1, kind='fixed', mimics=-1)]
+    movers = []
+    for i in range(1, count):
+        kind = draw(st.sampled_from(kinds))
+        if i == count - 1 and not movers and kind == 'fixed':
+            kind = 'revolute'
+        master = -1
+        if mimics and kind != 'fixed' and movers and draw(st.integers(0, 3)) == 0:
+            master = draw(st.sampled_from(movers))
+        links.append(_link(rng, draw(st.integers(0, i - 1)), kind, master))
+        if kind != 'fixed' and master < 0:
+            movers.append(i)
+    return links
+
+
+@st.composite
+def states(draw, n, vectors=3):
+    """Draw vectors of n numbers of the size of joint positions, velocities, accelerations."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    return rng.uniform(-3.0, 3.0, size=(vectors, n))
+
+
+def _link(rng, parent, kind, mimics):
+    return Link(
+        parent=parent,
+        kind=kind,
+        mimics=mimics,
+        xyz=tuple(rng.uniform(-0.5, 0.5, 3)),
+        rpy=tuple(rng.uniform(-3.0, 3.0, 3)),
+        axis=tuple(rng.uniform(-1.0, 1.0, 3)),
+        mass=float(rng.uniform(0.1, 5.0)),
+        com=tuple(rng.uniform(-0.3, 0.3, 3)),
+        com_rpy=tuple(rng.uniform(-3.0, 3.0, 3)),
+        box=tuple(rng.uniform(0.05, 0.6, 3).tolist()),
+        multiplier=float(rng.choice([-1.5, -1.0, 0.5, 2.0])),
+        offset=float(rng.uniform(-0.5, 0.5)),
+    )
+
+
+def _text(numbers):
+    return ' '.join(repr(float(x)) for x in numbers)
+
+
+def random_chain(rng, count):
+    """Make a chain of a number of joints, every third of them sliding."""
+    kinds = ['prismatic' if i % 3 == 2 else 'revolute' for i in range(count)]
+    links = [_link(rng, -1, 'fixed', -1)]
+    return links + [_link(rng, i, kind, -1) for i, kind in enumerate(kinds)]

@@ -1,0 +1,80 @@
+"""Compiled where numba is, plain where it is not, and never an error because of a cache."""
+
+import os
+import subprocess
+import sys
+
+from inverse_dynamics_node import compilation
+import pytest
+from robot_files import ROOT, STANFORD
+
+needs_numba = pytest.mark.skipif(not compilation.IS_COMPILED, reason='numba is not in use')
+
+# Efforts of the Stanford arm, to be printed by another interpreter to the last bit.
+PRINT_EFFORTS = f"""
+import numpy as np
+from inverse_dynamics_node import compilation, InverseDynamics, load_urdf
+robot = load_urdf({str(STANFORD)!r})
+dynamics = InverseDynamics(robot)
+q, qd, qdd = np.random.default_rng(7).normal(size=(3, 6))
+efforts = [*dynamics.efforts(q, qd, qdd), *dynamics.mass_matrix(q).ravel()]
+efforts += [*dynamics.efforts(np.tile(q, (3, 1)), qd, qdd).ravel()]
+print(compilation.IS_COMPILED, *efforts)
+"""
+
+
+def run(code, **environment):
+    result = subprocess.run(
+        [sys.executable, '-c', code],
+        env={**os.environ, 'PYTHONPATH': str(ROOT), **environment},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert result.returncode == 0, result.stderr
+    return result
+
+
+@needs_numba
+def test_plain_python_gives_the_same_efforts():
+    compiled, *expected = run(PRINT_EFFORTS).stdout.split()
+    plain, *efforts = run(PRINT_EFFORTS, NUMBA_DISABLE_JIT='1').stdout.split()
+    assert (compiled, plain) == ('True', 'False')
+    assert [float(x) for x in efforts] == pytest.approx([float(x) for x in expected], rel=1e-12)
+
+
+@needs_numba
+def test_function_without_a_place_for_its_cache_is_a_warning():
+    namespace = {}
+    exec('def twice(x):\n    return 2.0 * x', namespace)  # from no file: nowhere to keep it
+    with pytest.warns(UserWarning, match='not kept between runs'):
+        twice = compilation.compiled(namespace['twice'])
+    compilation.compile_for(twice, '(f8,)')
+    assert twice(4.0) == 8.0
+
+
+@needs_numba
+def test_full_disk_is_a_warning(monkeypatch, tmp_path):
+    @compilation.compiled
+    def twice(x):
+        return 2.0 * x
+
+    def refuse(*_):
+        raise OSError('No space left on device')
+
+    monkeypatch.setattr(twice._cache, 'save_overload', refuse)
+    monkeypatch.setattr(twice._cache, 'load_overload', lambda *_: None)
+    with pytest.warns(UserWarning, match='No space left'):
+        compilation.compile_for(twice, '(f8,)')
+    assert twice(4.0) == 8.0
+
+
+@needs_numba
+def test_nothing_compiles_once_prepared():
+    @compilation.compiled
+    def twice(x):
+        return 2.0 * x
+
+    compilation.compile_for(twice, '(f8,)')
+    with pytest.raises(TypeError):
+        twice('a text')

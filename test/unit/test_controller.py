@@ -1,0 +1,201 @@
+"""Ramps, limits and lost inputs, with time as an argument."""
+
+import math
+
+from inverse_dynamics_node import ConfigurationError, InverseDynamics, load_urdf
+from inverse_dynamics_node.controller import Controller, Phase, Reference, Settings
+from inverse_dynamics_node.state import State
+import numpy as np
+import pytest
+
+# Two point-like masses on two sliding joints, one above the other: efforts are sums of weights.
+LIFT = """
+<robot name="lift">
+  <link name="base"/>
+  <link name="lower"><inertial><mass value="2"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0"
+    iyz="0"/></inertial></link>
+  <link name="upper"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0"
+    iyz="0"/></inertial></link>
+  <joint name="low" type="prismatic"><parent link="base"/><child link="lower"/><axis xyz="0 0 1"/>
+    <limit lower="-1" upper="1" effort="50" velocity="1"/></joint>
+  <joint name="high" type="prismatic"><parent link="lower"/><child link="upper"/>
+    <axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="15" velocity="1"/></joint>
+</robot>"""
+HOLD = np.array([30.0, 10.0])  # with gravity 10
+
+
+def controller(joints=(), **settings):
+    dynamics = InverseDynamics(load_urdf(LIFT), gravity=(0.0, 0.0, -10.0))
+    no_ramps = {'start_ramp': 0.0, 'stop_ramp': 0.0}
+    return Controller(dynamics, joints, Settings(**{**no_ramps, **settings}))
+
+
+def state(time):
+    return State(np.zeros(2), np.zeros(2), time)
+
+
+def reference(time, accelerations, efforts=(0.0, 0.0)):
+    return Reference(np.array(accelerations), np.array(efforts), time)
+
+
+def test_gives_no_command_before_the_first_state():
+    lift = controller()
+    assert lift.step(0.0, None, reference(0.0, [1.0, 1.0])) is None
+    assert lift.phase is Phase.WAITING
+
+
+def test_holds_gravity_without_a_reference():
+    lift = controller()
+    assert lift.step(0.0, state(0.0), None).efforts == pytest.approx(HOLD)
+    assert lift.phase is Phase.HOLDING
+
+
+def test_accelerates_as_asked_and_adds_the_efforts_asked_for():
+    lift = controller()
+    command = lift.step(0.0, state(0.0), reference(0.0, [1.0, 2.0], [0.5, 0.25]))
+    assert command.efforts == pytest.approx([30.0 + 3.0 + 2.0 + 0.5, 10.0 + 3.0 + 0.25])
+    assert lift.phase is Phase.RUNNING
+
+
+def test_commands_in_the_order_asked_for():
+    lift = controller(['high', 'low'])
+    command = lift.step(0.0, state(0.0), reference(0.0, [2.0, 1.0]))
+    assert command.efforts == pytest.approx([13.0, 35.0])
+
+
+def test_counts_joints_that_it_does_not_command():
+    assert controller(['low']).step(0.0, state(0.0), None).efforts == pytest.approx([30.0])
+
+
+def test_cuts_efforts_to_the_limits_of_the_urdf_and_says_so():
+    command = controller().step(0.0, state(0.0), reference(0.0, [-9.0, 60.0]))
+    assert command.efforts.tolist() == [50.0, 15.0]
+    assert command.is_saturated.tolist() == [True, True]
+    command = controller().step(0.0, state(0.0), reference(0.0, [-60.0, 0.0]))
+    assert command.efforts.tolist() == [-50.0, -15.0]
+    command = controller().step(0.0, state(0.0), None)
+    assert command.is_saturated.tolist() == [False, False]
+
+
+def test_leaves_efforts_uncut_when_told_to():
+    lift = controller(use_urdf_effort_limits=False)
+    command = lift.step(0.0, state(0.0), reference(0.0, [0.0, 90.0]))
+    assert command.efforts == pytest.approx([120.0, 100.0])
+    assert not command.is_saturated.any()
+
+
+def test_reference_that_is_lost_leaves_the_arm_floating():
+    lift = controller()
+    old = reference(0.0, [1.0, 0.0], [1.0, 1.0])
+    assert lift.step(0.5, state(0.5), old).efforts == pytest.approx([34.0, 12.0])
+    assert lift.step(0.51, state(0.51), old).efforts == pytest.approx(HOLD)
+    assert lift.phase is Phase.HOLDING
+
+
+def test_reference_can_hold_for_ever():
+    lift = controller(reference_timeout=0.0)
+    command = lift.step(1e6, state(1e6), reference(0.0, [1.0, 0.0]))
+    assert command.efforts == pytest.approx([33.0, 11.0])
+
+
+def test_efforts_rise_along_the_start_ramp():
+    lift = controller(start_ramp=0.4)
+    shares = [lift.step(t, state(t), None).efforts / HOLD for t in (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)]
+    assert np.array(shares) == pytest.approx(np.outer([0.0, 0.25, 0.5, 0.75, 1.0, 1.0], [1, 1]))
+
+
+def test_efforts_fall_to_zero_when_the_state_is_lost_and_rise_when_it_is_back():
+    lift = controller(start_ramp=0.2, stop_ramp=0.2)
+    for t in (0.0, 0.05, 0.1, 0.15, 0.2):
+        lift.step(t, state(t), None)
+    lift.step(0.29, state(0.2), None)
+    lost = [lift.step(t, state(0.2), None).efforts[0] for t in (0.34, 0.39, 0.44, 0.49)]
+    assert lost == pytest.approx([22.5, 15.0, 7.5, 0.0], abs=1e-12)
+    assert lift.phase is Phase.STATE_LOST
+    assert lift.step(0.5, state(0.2), None).efforts.tolist() == [0.0, 0.0]
+    assert lift.step(0.55, state(0.55), None).efforts == pytest.approx(HOLD / 4)
+
+
+def test_zeros_come_within_timeout_and_ramp_whatever_the_rate():
+    for period in (0.001, 0.007, 0.03):
+        lift = controller(start_ramp=0.0, stop_ramp=0.25)
+        lift.step(0.0, state(0.0), None)
+        time = 0.0
+        while lift.step(time, state(0.0), None).efforts.any():
+            time += period
+        assert time <= 0.1 + 0.25 + period
+
+
+def test_stop_ramps_to_zero_and_start_begins_at_zero():
+    lift = controller(start_ramp=0.1, stop_ramp=0.1)
+    for t in (0.0, 0.05, 0.1):
+        lift.step(t, state(t), None)
+    lift.stop()
+    assert lift.step(0.15, state(0.15), None).efforts == pytest.approx(HOLD / 2)
+    assert lift.step(0.2, state(0.2), None).efforts.tolist() == [0.0, 0.0]
+    assert lift.phase is Phase.STOPPED
+    lift.start()
+    assert lift.step(9.0, state(9.0), None).efforts.tolist() == [0.0, 0.0]
+    assert lift.step(9.05, state(9.05), None).efforts == pytest.approx(HOLD / 2)
+
+
+def test_stall_of_the_process_makes_no_jump():
+    lift = controller(start_ramp=0.0, stop_ramp=1.0)
+    lift.step(0.0, state(0.0), None)
+    assert lift.step(30.0, state(0.0), None).efforts == pytest.approx(0.9 * HOLD)
+
+
+def test_clock_that_jumps_back_is_a_lost_state_not_an_error():
+    lift = controller(stop_ramp=1.0)
+    lift.step(100.0, state(100.0), reference(100.0, [1.0, 1.0]))
+    command = lift.step(1.0, state(100.0), reference(100.0, [1.0, 1.0]))
+    assert lift.phase is Phase.STATE_LOST
+    assert np.isfinite(command.efforts).all()
+    lift.step(1.1, state(1.1), reference(100.0, [1.0, 1.0]))
+    assert lift.phase is Phase.HOLDING
+
+
+def test_absurd_numbers_lead_to_zero_not_to_infinity():
+    lift = controller(stop_ramp=0.1, use_urdf_effort_limits=False)
+    lift.step(0.0, state(0.0), None)
+    command = lift.step(0.05, state(0.05), reference(0.05, [1e308, 1e308]))
+    assert lift.phase is Phase.NO_SOLUTION
+    assert command.efforts == pytest.approx(HOLD / 2)
+
+
+@pytest.mark.parametrize('efforts', [[1e308, 0.0], [math.inf, 0.0], [math.nan, 0.0]])
+def test_never_passes_on_what_is_not_finite(efforts):
+    lift = controller(use_urdf_effort_limits=False)
+    lift.step(0.0, state(0.0), None)
+    accelerations = [5e307, 0.0]
+    command = lift.step(0.05, state(0.05), reference(0.05, accelerations, efforts))
+    assert np.isfinite(command.efforts).all()
+
+
+def test_same_inputs_give_the_same_commands():
+    def run():
+        lift = controller(start_ramp=0.3, stop_ramp=0.3)
+        return [
+            lift.step(t, state(min(t, 0.6)), reference(0.2, [1.0, 2.0])).efforts.tolist()
+            for t in np.arange(0.0, 1.2, 0.01)
+        ]
+
+    assert run() == run()
+
+
+@pytest.mark.parametrize(
+    ('joints', 'words'),
+    [
+        (['low', 'middle'], "'middle', which robot 'lift' does not have .* it has low, high"),
+        (['low', 'low'], 'names a joint twice: low, low'),
+    ],
+)
+def test_tells_which_joint_cannot_be_commanded(joints, words):
+    with pytest.raises(ConfigurationError, match=words):
+        controller(joints)
+
+
+def test_refuses_a_robot_without_joints():
+    stone = load_urdf('<robot name="stone"><link name="base"/></robot>')
+    with pytest.raises(ConfigurationError, match="'stone' has no movable joints"):
+        Controller(InverseDynamics(stone))

@@ -1,0 +1,207 @@
+"""Efforts that can be derived by hand, and what is said of arguments that do not fit."""
+
+from pathlib import Path
+
+from inverse_dynamics_node import ConfigurationError, InverseDynamics, JointStateError, load_urdf
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+G = 9.80665
+
+
+def body(name, mass, com, inertia):
+    return (
+        f'<link name="{name}"><inertial><origin xyz="{com}"/><mass value="{mass}"/>'
+        f'<inertia ixx="{inertia}" iyy="{inertia}" izz="{inertia}" ixy="0" ixz="0" iyz="0"/>'
+        '</inertial></link>'
+    )
+
+
+def joint(name, kind, parent, child, xyz, axis, extra=''):
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{xyz}"/><axis xyz="{axis}"/>{extra}'
+        '<limit lower="-9" upper="9" effort="99" velocity="9"/></joint>'
+    )
+
+
+def robot_of(*parts):
+    return load_urdf(f'<robot name="r"><link name="base"/>{"".join(parts)}</robot>')
+
+
+PENDULUM = robot_of(
+    body('rod', 2.0, '0.3 0 0', 0.05), joint('hinge', 'revolute', 'base', 'rod', '0 0 1', '0 1 0')
+)
+# In the x-z plane, gravity along -z, angles about -y: positive lifts.
+PLANAR = robot_of(
+    body('upper', 3.0, '0.2 0 0', 0.04),
+    body('lower', 2.0, '0.15 0 0', 0.02),
+    joint('shoulder', 'revolute', 'base', 'upper', '0 0 0', '0 -1 0'),
+    joint('elbow', 'revolute', 'upper', 'lower', '0.5 0 0', '0 -1 0'),
+)
+
+
+def test_pendulum():
+    q, qd, qdd = 0.7, 1.3, -0.4
+    # About y, gravity along -z, rod along x: tau = (I + m l^2) qdd - m g l cos q
+    expected = (0.05 + 2.0 * 0.3**2) * qdd - 2.0 * G * 0.3 * np.cos(q)
+    assert_allclose(InverseDynamics(PENDULUM).efforts([q], [qd], [qdd]), [expected], rtol=1e-14)
+
+
+def test_planar_two_links():
+    q1, q2 = q = np.array([0.4, -0.9])
+    w1, w2 = qd = np.array([1.1, -0.6])
+    qdd = np.array([0.5, 2.0])
+    m1, m2, a1, c1, c2, i1, i2 = 3.0, 2.0, 0.5, 0.2, 0.15, 0.04, 0.02
+    # The textbook's closed form: M(q), the velocity terms with h = -m2 a1 c2 sin q2, and gravity.
+    m_12 = i2 + m2 * (c2**2 + a1 * c2 * np.cos(q2))
+    m_11 = i1 + i2 + m1 * c1**2 + m2 * (a1**2 + c2**2 + 2 * a1 * c2 * np.cos(q2))
+    matrix = np.array([[m_11, m_12], [m_12, i2 + m2 * c2**2]])
+    h = -m2 * a1 * c2 * np.sin(q2)
+    velocity = np.array([2 * h * w1 * w2 + h * w2**2, -h * w1**2])
+    lower = m2 * c2 * G * np.cos(q1 + q2)
+    gravity = np.array([(m1 * c1 + m2 * a1) * G * np.cos(q1) + lower, lower])
+    dynamics = InverseDynamics(PLANAR)
+    assert_allclose(dynamics.gravity_efforts(q), gravity, rtol=1e-13)
+    assert_allclose(dynamics.mass_matrix(q), matrix, rtol=1e-13)
+    assert_allclose(dynamics.efforts(q, qd, qdd), matrix @ qdd + velocity + gravity, rtol=1e-12)
+
+
+def test_turntable_with_a_slide_feels_coriolis_and_centrifugal_effort():
+    robot = robot_of(
+        body('table', 1.0, '0 0 0', 0.1),
+        body('slide', 2.0, '0 0 0', 0.0),
+        joint('turn', 'revolute', 'base', 'table', '0 0 0', '0 0 1'),
+        joint('out', 'prismatic', 'table', 'slide', '0 0 0', '1 0 0'),
+    )
+    r, w, v = 0.4, 1.5, 0.7
+    # Coriolis moment 2 m r v w about the axis; centripetal force -m r w^2 along the slide.
+    expected = [2 * 2.0 * r * v * w, -2.0 * r * w**2]
+    dynamics = InverseDynamics(robot)
+    assert_allclose(dynamics.efforts([0.3, r], [w, v], [0.0, 0.0]), expected, rtol=1e-14)
+
+
+def test_lift_carries_its_weight():
+    robot = robot_of(
+        body('car', 4.0, '0.1 0.2 0.3', 0.1),
+        joint('lift', 'prismatic', 'base', 'car', '0 0 0', '0 0 3'),
+    )
+    assert InverseDynamics(robot).efforts([0.5], [2.0], [1.0]) == pytest.approx([4.0 * (G + 1.0)])
+
+
+def test_mimic_joint_adds_to_its_master():
+    mimic = '<mimic joint="left" multiplier="-2" offset="0.1"/>'
+    robot = robot_of(
+        body('a', 1.0, '0 0 0', 0.1),
+        body('b', 3.0, '0 0 0', 0.1),
+        joint('left', 'prismatic', 'base', 'a', '0 0 0', '0 0 1'),
+        joint('right', 'prismatic', 'base', 'b', '0 0 0', '0 0 1', mimic),
+    )
+    # The second body moves by -2 q: its weight lifts the first, its inertia counts four times.
+    expected = 1.0 * (G + 1.0) - 2.0 * 3.0 * (G - 2.0)
+    assert InverseDynamics(robot).efforts([0.0], [0.0], [1.0]) == pytest.approx([expected])
+
+
+def test_out_is_written_and_returned():
+    out = np.full(2, np.nan)
+    dynamics = InverseDynamics(PLANAR)
+    state = np.array([0.1, 0.2])
+    assert dynamics.efforts(state, state, state, out=out) is out
+    assert_allclose(out, dynamics.efforts(state, state, state))
+    batch = np.full((3, 2), np.nan)
+    assert dynamics.efforts(np.zeros((3, 2)), state, state, out=batch) is batch
+    assert_allclose(batch, np.tile(dynamics.efforts([0, 0], state, state), (3, 1)))
+
+
+def test_arguments_may_be_anything_like_an_array():
+    dynamics = InverseDynamics(PLANAR)
+    expected = dynamics.efforts(np.array([1.0, 2.0]), np.array([0.0, 1.0]), np.array([3.0, 0.0]))
+    frozen = np.array([1.0, 2.0])
+    frozen.setflags(write=False)
+    strided = np.array([0.0, 9.0, 1.0, 9.0])[::2]
+    assert (dynamics.efforts(frozen, strided, [3, 0]) == expected).all()
+    assert (dynamics.efforts((1, 2), np.array([0, 1]), np.float32([3, 0])) == expected).all()
+
+
+def test_batches_broadcast_and_may_be_empty():
+    dynamics = InverseDynamics(PLANAR)
+    q = np.linspace(-1.0, 1.0, 12).reshape(3, 2, 2)
+    batch = dynamics.efforts(q, np.zeros(2), np.ones((2, 2)))
+    assert batch.shape == (3, 2, 2)
+    assert_allclose(batch[1, 0], dynamics.efforts(q[1, 0], np.zeros(2), np.ones(2)))
+    assert dynamics.efforts(np.zeros((0, 2)), np.zeros(2), np.zeros(2)).shape == (0, 2)
+    assert dynamics.gravity_efforts(q).shape == (3, 2, 2)
+    assert dynamics.mass_matrix(q).shape == (3, 2, 2, 2)
+    assert_allclose(dynamics.mass_matrix(q)[2, 1], dynamics.mass_matrix(q[2, 1]))
+
+
+def test_robot_without_joints_has_no_efforts():
+    dynamics = InverseDynamics(robot_of())
+    assert dynamics.efforts([], [], []).shape == (0,)
+    assert dynamics.mass_matrix([]).shape == (0, 0)
+    assert dynamics.efforts(np.zeros((4, 0)), [], []).shape == (4, 0)
+
+
+def test_earlier_results_stay_as_they_were():
+    dynamics = InverseDynamics(PLANAR)
+    first = dynamics.efforts([0.0, 0.0], [0.0, 0.0], [1.0, 1.0])
+    copy = first.copy()
+    dynamics.mass_matrix([1.0, 1.0])
+    second = dynamics.efforts([1.0, 0.0], [0.0, 0.0], [1.0, 1.0])
+    assert (first == copy).all()
+    assert (first != second).any()
+    # The mass matrix sets gravity aside, and puts it back.
+    assert (dynamics.efforts([0.0, 0.0], [0.0, 0.0], [1.0, 1.0]) == copy).all()
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'words'),
+    [
+        (([0.0], [0.0, 0.0], [0.0, 0.0]), r'q has shape \(1,\), the robot has 2 joints'),
+        (([0.0, 0.0], np.zeros(3), [0.0, 0.0]), r'qd has shape \(3,\), the robot has 2 joints'),
+        ((np.zeros(3), np.zeros(3), np.zeros(3)), r'q has shape \(3,\), the robot has 2 joints'),
+        ((0.0, 0.0, 0.0), r'q has shape \(\), the robot has 2 joints'),
+        ((np.zeros((3, 2)), np.zeros((4, 2)), np.zeros(2)), r'\(3, 2\), \(4, 2\), \(2,\) do not'),
+        ((['a', 'b'], np.zeros(2), np.zeros(2)), 'q is no array of numbers'),
+        ((np.zeros(2), [0.0, np.nan], np.zeros(2)), "qd of joint 'elbow' is nan"),
+        ((np.array([np.inf, 0.0]), np.zeros(2), np.zeros(2)), "q of joint 'shoulder' is inf"),
+        ((np.zeros((2, 2)), np.zeros(2), [[0, 0], [0, np.inf]]), r"'elbow' is inf \(sample \(1,"),
+        ((np.zeros(2), np.array([1e200, 0.0]), np.zeros(2)), 'the efforts overflow'),
+    ],
+)
+def test_tells_which_argument_is_at_fault(arguments, words):
+    with pytest.raises(JointStateError, match=words):
+        InverseDynamics(PLANAR).efforts(*arguments)
+
+
+@pytest.mark.parametrize('shape', [(3,), (1, 2), (2, 2)])
+def test_tells_that_out_does_not_fit(shape):
+    with pytest.raises(JointStateError, match=r'out has shape .*, the result has'):
+        InverseDynamics(PLANAR).efforts(np.zeros(2), np.zeros(2), np.zeros(2), out=np.empty(shape))
+
+
+def test_nan_reaches_the_error_and_nothing_else():
+    dynamics = InverseDynamics(PLANAR)
+    good = dynamics.efforts([0.1, 0.2], [0.3, 0.4], [0.5, 0.6])
+    for k in range(3):
+        arguments = np.zeros((3, 2))
+        arguments[k, 0] = np.nan
+        with pytest.raises(JointStateError):
+            dynamics.efforts(*arguments)
+    with pytest.raises(JointStateError):
+        dynamics.mass_matrix([np.nan, 0.0])
+    assert (dynamics.efforts([0.1, 0.2], [0.3, 0.4], [0.5, 0.6]) == good).all()
+
+
+@pytest.mark.parametrize('gravity', [(0, 0), (0, 0, np.nan), 'down', None, [[0, 0, 1]]])
+def test_refuses_gravity_that_is_no_vector(gravity):
+    with pytest.raises(ConfigurationError, match='expected three finite numbers'):
+        InverseDynamics(PLANAR, gravity)
+
+
+def test_loads_what_its_documentation_says():
+    """The example in the README's words."""
+    robot = load_urdf(Path(__file__).parents[2] / 'config' / 'stanford.urdf')
+    assert robot.joint_names == tuple(f'joint_{k}' for k in range(1, 7))
+    assert InverseDynamics(robot).gravity.tolist() == [0.0, 0.0, -G]

@@ -1,0 +1,295 @@
+"""The values of a loaded robot, against numbers worked out by hand."""
+
+import dataclasses
+import math
+
+from inverse_dynamics_node.model import RobotModel
+from inverse_dynamics_node.urdf import load_urdf
+from inverse_dynamics_node.urdf.bodies import Joint, Mimic, resolve_mimics
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+from robot_files import ROOT
+
+ROUNDING = 1e-12
+"""Of a few products of numbers near one, with room to spare."""
+
+
+def robot(name):
+    return load_urdf(ROOT / 'test' / 'robots' / f'{name}.urdf')
+
+
+def arrays(model):
+    fields = {field.name: getattr(model, field.name) for field in dataclasses.fields(model)}
+    return {name: value for name, value in fields.items() if isinstance(value, np.ndarray)}
+
+
+def turn_z(angle):
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def turn_y(angle):
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+
+
+def turn_x(angle):
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+
+
+def rpy(roll, pitch, yaw):
+    """Turn about the fixed axes x, y, z, in this order."""
+    return turn_z(yaw) @ turn_y(pitch) @ turn_x(roll)
+
+
+def point_inertia(mass, arm):
+    x, y, z = arm
+    return mass * np.array(
+        [
+            [y * y + z * z, -x * y, -x * z],
+            [-x * y, x * x + z * z, -y * z],
+            [-x * z, -y * z, x * x + y * y],
+        ]
+    )
+
+
+# ---- Every robot ---------------------------------------------------------------------------
+
+
+def test_shapes_agree(urdf_path):
+    model = load_urdf(urdf_path)
+    n, b, k = len(model.joint_names), len(model.body_names), len(model.link_names)
+    rows = {
+        'lower upper velocity_limits effort_limits damping friction is_continuous': n,
+        'parent is_prismatic joint_index multiplier offset R_PL p_PL axis mass com inertia': b,
+        'link_body link_rotation link_position': k,
+    }
+    expected = {name: count for names, count in rows.items() for name in names.split()}
+    assert {name: len(value) for name, value in arrays(model).items()} == expected
+    assert model.R_PL.shape == model.inertia.shape == (b, 3, 3)
+    assert model.p_PL.shape == model.axis.shape == model.com.shape == (b, 3)
+    assert model.link_rotation.shape == (k, 3, 3)
+    assert model.link_position.shape == (k, 3)
+
+
+def test_arrays_are_read_only(urdf_path):
+    model = load_urdf(urdf_path)
+    for value in arrays(model).values():
+        with pytest.raises(ValueError, match='read-only'):
+            value[...] = 0
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        model.mass = None
+
+
+def test_base_comes_first_and_parents_before_children(urdf_path):
+    model = load_urdf(urdf_path)
+    assert (model.parent[0], model.joint_index[0], model.multiplier[0]) == (-1, -1, 0.0)
+    np.testing.assert_array_equal(model.axis[0], np.zeros(3))
+    np.testing.assert_array_equal(model.R_PL[0], np.eye(3))
+    np.testing.assert_array_equal(model.p_PL[0], np.zeros(3))
+    assert (model.parent[1:] < np.arange(1, len(model.parent))).all()
+    assert (model.joint_index[1:] >= 0).all()
+    assert sorted(set(model.joint_index[1:])) == list(range(len(model.joint_names)))
+
+
+def test_rotations_axes_and_inertias_are_what_they_are_called(urdf_path):
+    model = load_urdf(urdf_path)
+    for rotation in (*model.R_PL, *model.link_rotation):
+        assert_allclose(rotation @ rotation.T, np.eye(3), atol=ROUNDING)
+        assert np.linalg.det(rotation) > 0.0
+    assert_allclose(np.linalg.norm(model.axis[1:], axis=1), 1.0, rtol=ROUNDING)
+    np.testing.assert_array_equal(model.inertia, model.inertia.transpose(0, 2, 1))
+    assert (np.linalg.eigvalsh(model.inertia) >= -ROUNDING).all()
+
+
+# ---- One robot each ------------------------------------------------------------------------
+
+
+def test_pendulum():
+    model = robot('pendulum')
+    assert model.name == 'pendulum'
+    assert model.joint_names == ('swing',)
+    assert model.body_names == ('base', 'swing')
+    assert model.link_names == ('base', 'rod')
+    assert model.link_body.tolist() == [0, 1]
+    assert (model.lower[0], model.upper[0]) == (-3.0, 3.0)
+    assert (model.effort_limits[0], model.velocity_limits[0]) == (10.0, 6.0)
+    assert (model.damping[0], model.friction[0]) == (0.1, 0.05)
+    assert not model.is_continuous[0]
+    assert model.mass.tolist() == [0.0, 1.0]
+    assert model.com[1].tolist() == [0.0, 0.0, -0.5]
+    np.testing.assert_array_equal(model.inertia[1], np.diag([1 / 12, 1 / 12, 0.0002]))
+    assert model.axis[1].tolist() == [0.0, 1.0, 0.0]
+    assert repr(model) == "RobotModel('pendulum', joints=swing)"
+
+
+def test_sliding_joints():
+    model = robot('cartesian')
+    assert model.is_prismatic.tolist() == [False, True, True, True]
+    assert model.effort_limits.tolist() == [400.0, 250.0, 150.0]
+
+
+def test_depth_first_and_file_order_among_siblings():
+    model = robot('branched')
+    assert model.joint_names == ('waist', 'right_shoulder', 'right_elbow', 'neck', 'left_shoulder')
+    assert model.body_names == ('pelvis', *model.joint_names)
+    assert model.parent.tolist() == [-1, 0, 1, 2, 1, 1]
+    assert model.link_names[:3] == ('left_arm', 'pelvis', 'torso')
+    assert model.link_body.tolist() == [5, 0, 1, 4, 2, 3]
+
+
+def test_file_order_at_the_root():
+    text = (ROOT / 'test' / 'robots' / 'branched.urdf').read_text()
+    model = load_urdf(text.replace('<parent link="torso"/>', '<parent link="pelvis"/>'))
+    assert model.joint_names == ('waist', 'right_shoulder', 'right_elbow', 'neck', 'left_shoulder')
+    assert model.parent.tolist() == [-1, 0, 0, 2, 0, 0]
+
+
+def test_continuous_joints_have_no_position_limits():
+    model = robot('continuous')
+    assert model.is_continuous.tolist() == [True, True]
+    assert model.lower.tolist() == [-math.inf, -math.inf]
+    assert model.upper.tolist() == [math.inf, math.inf]
+    assert model.effort_limits.tolist() == [15.0, math.inf]
+    assert model.velocity_limits.tolist() == [6.0, math.inf]
+
+
+def test_origins_axes_and_turned_inertia():
+    model = robot('skew_axes')
+    assert_allclose(model.R_PL[1], rpy(0.4, -0.7, 1.1), atol=ROUNDING)
+    assert_allclose(model.p_PL[1], [0.1, 0.2, 0.3], atol=ROUNDING)
+    assert_allclose(model.axis[1], [1 / 3, 2 / 3, -2 / 3], atol=ROUNDING)
+    assert_allclose(model.axis[2], np.array([-3.0, 4.0, 12.0]) / 13.0, atol=ROUNDING)
+    assert model.is_prismatic.tolist() == [False, False, True, False]
+    turned = rpy(0.3, -0.4, 0.5)
+    written = [[0.021, 0.002, -0.001], [0.002, 0.017, 0.003], [-0.001, 0.003, 0.012]]
+    assert_allclose(model.inertia[1], turned @ written @ turned.T, atol=ROUNDING)
+
+
+def test_fixed_joints_merge_their_links():
+    model = robot('fixed_chain')
+    assert model.body_names == ('base', 'shoulder', 'wrist')
+    assert model.link_body.tolist() == [0, 1, 1, 1, 1, 1, 2]
+    assert_allclose(model.mass, [0.0, 2.0 + 0.3 + 0.15, 0.6], rtol=ROUNDING)
+
+    # Where the file puts the frames, in the frame of the arm.
+    bracket = rpy(0.7, 0, 0), np.array([0.1, 0, 0.06])
+    camera = bracket[0] @ rpy(0, -1.1, 0.6), bracket[1] + bracket[0] @ [0.05, 0.02, 0.04]
+    flange = rpy(0, math.pi / 2, 0), np.array([0.4, 0, 0])
+    rotor = flange[0] @ rpy(0, 0.9, 0), flange[1] + flange[0] @ [0, 0.03, 0]
+    for index, (rotation, position) in enumerate((bracket, camera, flange, rotor), 2):
+        assert_allclose(model.link_rotation[index], rotation, atol=ROUNDING)
+        assert_allclose(model.link_position[index], position, atol=ROUNDING)
+
+    arm = turn_z(0.3) @ [[0.004, 0.001, 0], [0.001, 0.03, 0], [0, 0, 0.031]] @ turn_z(-0.3)
+    parts = [  # mass, centre of mass, inertia: all in the frame of the arm
+        (2.0, np.array([0.2, 0.01, 0]), arm),
+        (
+            0.3,
+            bracket[1] + bracket[0] @ [0.02, 0, 0.03],
+            bracket[0] @ [[3e-4, 0, 2e-5], [0, 4e-4, 0], [2e-5, 0, 2e-4]] @ bracket[0].T,
+        ),
+        (
+            0.15,
+            camera[1] + camera[0] @ [0, 0.01, 0],
+            camera[0]
+            @ rpy(0.4, -0.2, 0.1)
+            @ np.diag([5e-5, 9e-5, 8e-5])
+            @ rpy(0.4, -0.2, 0.1).T
+            @ camera[0].T,
+        ),
+        (0.0, np.zeros(3), rotor[0] @ np.diag([2e-4, 2e-4, 4e-4]) @ rotor[0].T),
+    ]
+    # About the origin of the arm everything adds; then back to the centre of mass.
+    mass = sum(part for part, _, _ in parts)
+    com = sum(part * centre for part, centre, _ in parts) / mass
+    about_origin = sum(inertia + point_inertia(part, centre) for part, centre, inertia in parts)
+    assert_allclose(model.com[1], com, atol=ROUNDING)
+    assert_allclose(model.inertia[1], about_origin - point_inertia(mass, com), atol=ROUNDING)
+
+    # The wrist hangs on the flange, its frame is told in the frame of the arm.
+    assert model.parent.tolist() == [-1, 0, 1]
+    assert_allclose(model.p_PL[2], flange[1] + flange[0] @ [0, 0, 0.02], atol=ROUNDING)
+    assert_allclose(model.R_PL[2], flange[0] @ rpy(0.1, 0.2, 0.3), atol=ROUNDING)
+
+
+def test_root_link_keeps_its_mass():
+    model = robot('massive_root')
+    assert_allclose(model.mass, [50.0, 6.0], rtol=ROUNDING)
+    ballast = np.array([-0.4, 0, 0.1]) + turn_y(0.2) @ [0, 0, 0.05]
+    assert_allclose(model.com[0], (40 * np.array([0.1, 0, 0.2]) + 10 * ballast) / 50)
+    assert model.link_body.tolist() == [0, 0, 1]
+
+
+def test_mimicking_joints_follow_their_last_master():
+    model = robot('mimic_gripper')
+    assert model.joint_names == ('lift', 'right_finger')
+    assert model.body_names == ('base', 'lift', 'left_finger', 'left_tip', 'right_finger')
+    assert model.joint_index.tolist() == [-1, 0, 1, 1, 1]
+    # left_tip: -0.5 (-2 q + 0.01) + 0.02
+    assert_allclose(model.multiplier, [0.0, 1.0, -2.0, 1.0, 1.0])
+    assert_allclose(model.offset, [0.0, 0.0, 0.01, 0.015, 0.0])
+    assert model.effort_limits.tolist() == [50.0, 10.0]
+
+
+def test_friction_of_mimicking_joints_folds_into_the_master():
+    model = robot('mimic_gripper')
+    # Power at the master's speed w: d_m (m w)^2 = (m^2 d_m) w^2, and c_m |m w| = (|m| c_m) |w|.
+    assert_allclose(model.damping, [5.0, 0.04 + 4 * 0.02 + 1 * 0.01])
+    assert_allclose(model.friction, [2.0, 0.06 + 2 * 0.03 + 1 * 0.005])
+
+
+def test_seven_dof_arm():
+    model = robot('seven_dof')
+    assert len(model.joint_names) == 7
+    assert_allclose(model.mass.sum(), 4.1 + 4.3 + 3.2 + 3.0 + 2.1 + 1.7 + 0.5)
+    assert model.link_names[-1] == 'tool0'
+    assert model.link_body[-1] == 7
+    assert_allclose(model.link_position[-1], [0.0, 0.0, 0.06])
+
+
+def test_effort_limit_of_zero_is_not_known():
+    text = (ROOT / 'test' / 'robots' / 'pendulum.urdf').read_text()
+    model = load_urdf(text.replace('effort="10" velocity="6"', 'effort="0" velocity="0.0"'))
+    assert model.effort_limits.tolist() == [math.inf]
+    assert model.velocity_limits.tolist() == [math.inf]
+
+
+@pytest.mark.parametrize(
+    ('written', 'expected'),
+    [('', (0.0, 0.0)), ('upper="2"', (0.0, 2.0)), ('lower="-2"', (-2.0, 0.0))],
+)
+def test_position_limits_default_to_zero(written, expected):
+    text = (ROOT / 'test' / 'robots' / 'pendulum.urdf').read_text()
+    model = load_urdf(text.replace('lower="-3.0" upper="3.0"', written))
+    assert (model.lower[0], model.upper[0]) == expected
+
+
+def test_mimic_chains_resolve_in_any_order():
+    def joint(name, mimic):
+        nothing = np.zeros(3)
+        ends = (name, 'revolute', '', '', np.eye(3), nothing, nothing)
+        return Joint(*ends, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, mimic)
+
+    joints = [
+        joint('c', Mimic('b', 3.0, 1.0)),
+        joint('b', Mimic('a', 2.0, 0.5)),
+        joint('a', None),
+        joint('d', Mimic('c', -1.0, 0.0)),
+    ]
+    for order in (joints, joints[::-1]):
+        assert resolve_mimics(order) == {
+            'a': Mimic('a', 1.0, 0.0),
+            'b': Mimic('a', 2.0, 0.5),
+            'c': Mimic('a', 6.0, 2.5),
+            'd': Mimic('a', -6.0, -2.5),
+        }
+
+
+def test_models_are_told_apart_by_identity():
+    first, second = robot('pendulum'), robot('pendulum')
+    assert isinstance(first, RobotModel)
+    assert first != second
+    assert len({first, second}) == 2

@@ -1,0 +1,774 @@
+"""What each malformed description gets told, and what must load all the same."""
+
+import os
+from pathlib import Path
+import time
+
+from inverse_dynamics_node.errors import UrdfError
+from inverse_dynamics_node.urdf import load_urdf
+from inverse_dynamics_node.urdf import xml as urdf_xml
+import numpy as np
+import pytest
+from robot_files import OUR_ROBOTS
+
+# Loads without a warning; the tests below break it in one place each.
+GOOD = """\
+<?xml version="1.0"?>
+<robot name="good" xmlns:xacro="http://www.ros.org/wiki/xacro">
+  <link name="base"/>
+  <link name="l1">
+    <inertial>
+      <origin xyz="0 0 0.2" rpy="0 0 0"/>
+      <mass value="2.0"/>
+      <inertia ixx="0.02" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.01"/>
+    </inertial>
+  </link>
+  <link name="l2">
+    <inertial>
+      <mass value="1"/>
+      <inertia ixx="0.02" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.015"/>
+    </inertial>
+  </link>
+  <link name="l3"/>
+  <joint name="j1" type="revolute">
+    <parent link="base"/>
+    <child link="l1"/>
+    <axis xyz="0 1 0"/>
+    <limit lower="-1" upper="1" effort="10" velocity="3"/>
+  </joint>
+  <joint name="j2" type="prismatic">
+    <parent link="l1"/>
+    <child link="l2"/>
+    <origin xyz="0 0 0.4" rpy="0 0 0.5"/>
+    <axis xyz="0 0 1"/>
+    <limit lower="0" upper="0.5" effort="20" velocity="1"/>
+    <dynamics damping="0.5" friction="0.25"/>
+  </joint>
+  <joint name="jf" type="fixed">
+    <parent link="l2"/>
+    <child link="l3"/>
+  </joint>
+</robot>
+"""
+
+J2_ORIGIN = '<origin xyz="0 0 0.4" rpy="0 0 0.5"/>'
+J2_AXIS = '<axis xyz="0 0 1"/>'
+J2_LIMIT = '<limit lower="0" upper="0.5" effort="20" velocity="1"/>'
+J2_DYNAMICS = '<dynamics damping="0.5" friction="0.25"/>'
+L1_MASS = '<mass value="2.0"/>'
+L1_INERTIA = '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.01"/>'
+
+
+def edited(*edits, text=GOOD):
+    """Replace each old by its new; an old text that is not there once is a mistake in the test."""
+    for old, new in edits:
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    return text
+
+
+def problems_of(source):
+    with pytest.raises(UrdfError) as caught:
+        load_urdf(source)
+    assert caught.value.problems
+    return caught.value.problems
+
+
+def link(name, inertial=''):
+    return f'<link name="{name}">{inertial}</link>'
+
+
+def fixed(name, parent, child):
+    return (
+        f'<joint name="{name}" type="fixed">'
+        f'<parent link="{parent}"/><child link="{child}"/></joint>'
+    )
+
+
+def test_the_good_robot_loads_without_a_warning():
+    robot = load_urdf(GOOD)
+    assert robot.warnings == ()
+    assert robot.joint_names == ('j1', 'j2')
+
+
+# ---- Not a file, not XML, not a URDF -------------------------------------------------------
+
+
+def test_path_and_text_give_the_same(tmp_path):
+    path = tmp_path / 'good.urdf'
+    path.write_text(GOOD)
+    for source in (path, str(path), GOOD, f'\ufeff {GOOD}'):
+        assert load_urdf(source).joint_names == ('j1', 'j2')
+
+
+@pytest.mark.parametrize('make_path', [str, Path])
+def test_what_cannot_be_read(tmp_path, make_path):
+    missing = tmp_path / 'nope.urdf'
+    assert 'cannot be read: No such file' in problems_of(make_path(missing))[0]
+    assert 'is a directory' in problems_of(make_path(tmp_path))[0]
+    os.mkfifo(tmp_path / 'pipe')
+    assert 'is not a regular file' in problems_of(make_path(tmp_path / 'pipe'))[0]
+    with pytest.raises(UrdfError, match=r'nope\.urdf'):
+        load_urdf(make_path(missing))
+
+
+def test_unreadable_file_says_why(tmp_path, monkeypatch):
+    def refuse(*_):
+        raise PermissionError(13, 'Permission denied')
+
+    path = tmp_path / 'secret.urdf'
+    path.write_text(GOOD)
+    monkeypatch.setattr('builtins.open', refuse)
+    assert problems_of(path) == ('cannot be read: Permission denied',)
+
+
+@pytest.mark.parametrize(
+    ('text', 'words'),
+    [
+        ('', 'empty: expected a path or XML text'),
+        (' \n', 'empty: expected a path or XML text'),
+        ('{"a": 1}', "XML text would start with '<'"),
+        ('a' * 5000, "XML text would start with '<'"),
+        ('a\0b', 'cannot be read: '),
+    ],
+)
+def test_text_that_is_neither_xml_nor_a_path(text, words):
+    assert words in problems_of(text)[0]
+
+
+def test_what_is_no_text_at_all_is_a_type_error():
+    for source in (None, b'<robot/>', 3):
+        with pytest.raises(TypeError):
+            load_urdf(source)
+
+
+@pytest.mark.parametrize('data', [b'', b' \n\t', b'\xef\xbb\xbf'])
+def test_empty_file(tmp_path, data):
+    path = tmp_path / 'empty.urdf'
+    path.write_bytes(data)
+    assert problems_of(path) == ('file is empty',)
+
+
+@pytest.mark.parametrize(
+    ('data', 'words'),
+    [
+        (GOOD[:400], 'not well-formed XML: '),
+        (GOOD.removesuffix('</robot>\n'), 'not well-formed XML: Premature end of data'),
+        (edited(('</link>\n  <link name="l3"/>', '<link name="l3"/>')), 'Opening and ending tag'),
+        (edited(('value="2.0"', 'value=2.0')), 'not well-formed XML: AttValue'),
+        (edited(('value="2.0"', 'value="2.0" value="3"')), 'Attribute value redefined'),
+        (GOOD + '<robot/>', 'not well-formed XML: Extra content'),
+        (edited(('name="good"', 'name="a & b"')), 'not well-formed XML: xmlParseEntityRef'),
+        (edited(('name="good"', 'name="a &foo; b"')), "not well-formed XML: Entity 'foo'"),
+        (edited(('name="good"', 'name="a\0b"')), 'not well-formed XML: '),
+        (GOOD.replace('good', 'g\xe4').encode('latin-1'), 'encoding'),
+        (edited(('?>', ' encoding="nope"?>')), 'not well-formed XML: Unsupported encoding'),
+        (edited(('"1.0"?>', '"0.0" encoding="nope"?>')), "unknown encoding 'nope'"),
+        ('{"a": 1}', 'not well-formed XML: Start tag expected'),
+        ('base: 3\n', 'not well-formed XML: Start tag expected'),
+        (b'\x89PNG\r\n\x1a\n\0\0', 'not well-formed XML: Start tag expected'),
+        ('version https://git-lfs.github.com/spec/v1\noid sha256:0', 'Start tag expected'),
+        ('version https://git-lfs.github.com/spec/v1\noid sha256:0', 'run git lfs pull'),
+        ('<robot name="r">' + '<a>' * 300 + '</a>' * 300 + '</robot>', 'Excessive depth'),
+    ],
+)
+def test_not_well_formed(tmp_path, data, words):
+    path = tmp_path / 'broken.urdf'
+    path.write_bytes(data if isinstance(data, bytes) else data.encode())
+    (problem,) = problems_of(path)
+    assert problem.startswith('not well-formed XML: ')
+    assert words in problem
+    assert 'line ' in problem
+
+
+def test_syntax_error_gives_line_and_column():
+    (problem,) = problems_of(edited(('value="2.0"', 'value=2.0')))
+    assert 'line 7, column 19' in problem
+
+
+@pytest.mark.parametrize(
+    ('text', 'words'),
+    [
+        ('<sdf version="1.6"><model name="m"/></sdf>', 'is <sdf>, expected <robot> (this is SDF)'),
+        ('<mujoco/>', 'root element is <mujoco>, expected <robot> (this is MJCF)'),
+        ('<model name="m"/>', 'root element is <model>, expected <robot>'),
+        ('<html><p>404</p></html>', 'root element is <html>, expected <robot> (this is HTML)'),
+        ('<x:robot xmlns:x="y" name="r"/>', 'root element is <x:robot>, expected <robot>'),
+        ('<Robot name="r"/>', 'root element is <Robot>, expected <robot>'),
+    ],
+)
+def test_wrong_root_element(text, words):
+    assert words in problems_of(text)[0]
+
+
+LAUGHS = '<!ENTITY a0 "ha">' + ''.join(
+    f'<!ENTITY a{i} "{f"&a{i - 1};" * 10}">' for i in range(1, 10)
+)
+
+
+@pytest.mark.parametrize(
+    'doctype',
+    [
+        '<!DOCTYPE robot>',
+        '<!DOCTYPE robot SYSTEM "http://localhost:9/robot.dtd">',
+        '<!DOCTYPE robot [<!ENTITY secret SYSTEM "file:///etc/hostname">]>',
+        '<!DOCTYPE robot [<!ATTLIST mass value CDATA "99">]>',
+        '<!DOCTYPE robot [<!ENTITY e "3">]>',
+    ],
+)
+def test_doctype_is_refused(doctype):
+    for text in (
+        edited(('<robot name', f'{doctype}<robot name')),
+        edited(('<robot name', f'{doctype}<robot name')).replace('</robot>', ''),
+    ):
+        assert problems_of(text)[0] == 'DOCTYPE/DTD is not allowed in a URDF'
+
+
+def test_html_page_is_refused_for_its_doctype():
+    page = '<!doctype html>\n<html><p>Not found<br></html>'
+    assert problems_of(page)[0] == 'DOCTYPE/DTD is not allowed in a URDF'
+
+
+@pytest.mark.parametrize('body', ['<link name="&a9;"/>', '&a9;'])
+def test_billion_laughs_are_refused_quickly(body):
+    started = time.process_time()
+    problems = problems_of(f'<!DOCTYPE r [{LAUGHS}]><robot name="r">{body}</robot>')
+    assert any('DOCTYPE' in problem or 'amplification' in problem for problem in problems)
+    assert time.process_time() - started < 1.0
+
+
+def test_external_entity_is_not_read(tmp_path):
+    part = tmp_path / 'part.xml'
+    part.write_text('<link name="smuggled"/>')
+    text = edited(
+        ('<robot name', f'<!DOCTYPE r [<!ENTITY e SYSTEM "{part.as_uri()}">]><robot name'),
+        ('<link name="l3"/>', '<link name="l3"/>&e;'),
+    )
+    assert problems_of(text) == ('DOCTYPE/DTD is not allowed in a URDF',)
+
+
+def test_size_limit(tmp_path, monkeypatch):
+    monkeypatch.setattr(urdf_xml, 'MAX_BYTES', 2**20)
+    path = tmp_path / 'large.urdf'
+    padded = GOOD + ' ' * (2**20 - len(GOOD))
+    path.write_text(padded)
+    assert load_urdf(path).joint_names == ('j1', 'j2')
+    path.write_text(padded + ' ')
+    assert problems_of(path) == ('file is 2 MiB, limit is 1 MiB',)
+    assert problems_of(padded + ' ') == ('text is 2 MiB, limit is 1 MiB',)
+
+
+def test_size_limit_is_16_mib():
+    assert urdf_xml.MAX_BYTES == 16 * 1024 * 1024
+
+
+# ---- Well-formed, but no robot -------------------------------------------------------------
+
+ELEMENT_PROBLEMS = [
+    # xacro that nobody ran
+    (
+        [('<link name="base"/>', '<xacro:property name="h" value="1"/><link name="base"/>')],
+        'line 3: unprocessed xacro element <xacro:property>; run xacro first',
+    ),
+    ([('<inertial>\n      <origin', '<inertial><xacro:box/>\n      <origin')], '<xacro:box>'),
+    (
+        [('xyz="0 0 0.4"', 'xyz="${h}"')],
+        "line 27: joint 'j2' origin xyz: '${h}' looks like unprocessed xacro",
+    ),
+    ([(L1_MASS, '<mass value="$(arg m)"/>')], "mass: '$(arg m)' looks like unprocessed xacro"),
+    ([('name="l3"', 'name="${p}l3"')], "link name '${p}l3' looks like unprocessed xacro"),
+    ([('link="l2"/>\n    <o', 'link="${p}l2"/>\n    <o')], "'${p}l2' looks like unprocessed"),
+    # names
+    ([(' name="good"', '')], 'line 2: <robot> without a name'),
+    ([('<link name="base"/>', '<link name="base"/><link/>')], 'line 3: <link> without a name'),
+    ([('<link name="base"/>', '<link name="base"/><link name=""/>')], '<link> without a name'),
+    ([('<joint name="jf"', '<joint')], 'line 32: <joint> without a name'),
+    ([('"jf"', '"j2"')], "line 32: duplicate joint name 'j2'"),
+    ([('name="l3"', 'name="l2"')], "line 17: duplicate link name 'l2'"),
+    # references
+    (
+        [('<parent link="l1"/>', '<parent link="nope"/>')],
+        "line 25: joint 'j2': parent link 'nope' does not exist; links are base, l1, l2, l3",
+    ),
+    ([('<child link="l1"/>', '<child link="no"/>')], "joint 'j1': child link 'no' does not exist"),
+    ([('<parent link="l1"/>', '')], 'joint \'j2\': <parent link="..."/> is missing'),
+    ([('<child link="l1"/>', '<child/>')], 'joint \'j1\': <child link="..."/> is missing'),
+    (
+        [('<parent link="l1"/>', '<parent link="l2"/>')],
+        "joint 'j2': parent and child are the same link 'l2'",
+    ),
+    # the tree
+    (
+        [('</robot>', fixed('j4', 'base', 'l3') + '</robot>')],
+        "line 36: link 'l3' has two parent joints: 'jf' and 'j4'",
+    ),
+    ([('</robot>', link('island') + '</robot>')], "2 root links: 'base', 'island'; expected one"),
+    (
+        [('<parent link="base"/>', '<parent link="l3"/>'), ('<link name="base"/>', '')],
+        'no root link: the links form a cycle',
+    ),
+    (
+        [('<parent link="base"/>', '<parent link="l3"/>')],
+        "3 links are not connected to root 'base' (cycle): 'l1', 'l2', 'l3'",
+    ),
+    # types
+    ([('"prismatic"', '"hinge"')], "joint 'j2': type 'hinge' is not one of revolute, continuous"),
+    ([('"prismatic"', '" prismatic "')], "type ' prismatic ' is not one of"),
+    ([('"prismatic"', '"Prismatic"')], "type 'Prismatic' is not one of"),
+    ([('"prismatic"', '""')], "type '' is not one of"),
+    ([(' type="prismatic"', '')], "line 24: joint 'j2': type is not one of"),
+    (
+        [('"prismatic"', '"planar"')],
+        "joint type 'planar' is not supported; use two prismatic joints and a continuous one",
+    ),
+    ([('"prismatic"', '"floating"')], "joint type 'floating' is not supported; remove it"),
+    # mass
+    ([(L1_MASS, '')], 'line 5: link \'l1\' inertial: <mass value="..."/> is missing'),
+    ([(L1_MASS, '<mass/>')], 'link \'l1\' inertial: <mass value="..."/> is missing'),
+    ([(L1_MASS, '<mass>2</mass>')], 'link \'l1\' inertial: <mass value="..."/> is missing'),
+    *(
+        (
+            [(L1_MASS, f'<mass value="{bad}"/>')],
+            f"line 7: link 'l1' inertial mass: '{bad}' is not a finite decimal number",
+        )
+        for bad in (
+            '',
+            'heavy',
+            '2,5',
+            '2.0kg',
+            'nan',
+            'inf',
+            '-inf',
+            'infinity',
+            '1e400',
+            '1_000',
+            '0x10',
+            '1 2',
+            '\u0663',
+            '\uff12',
+            '2\xa0',
+            '1e',
+            '.',
+            '--2',
+        )
+    ),
+    ([(L1_MASS, '<mass value="-2"/>')], "link 'l1' inertial: mass -2 is negative"),
+    # inertia
+    ([(L1_INERTIA, '')], "link 'l1' inertial: <inertia> is missing"),
+    ([(L1_INERTIA, '<inertia/>')], '<inertia> lacks ixx, ixy, ixz, iyy, iyz, izz'),
+    (
+        [(L1_INERTIA, L1_INERTIA.replace('ixx="0.02" ', ''))],
+        "line 8: link 'l1' inertial: <inertia> lacks ixx",
+    ),
+    (
+        [(L1_INERTIA, L1_INERTIA.replace('0.01', 'nan'))],
+        "link 'l1' inertial inertia izz: 'nan' is not a finite decimal number",
+    ),
+    # vectors
+    (
+        [('xyz="0 0 0.4"', 'xyz="0,0,0.3"')],
+        "joint 'j2' origin xyz: expected 3 numbers, got 1 in '0,0,0.3' (use spaces, not commas)",
+    ),
+    ([('xyz="0 0 0.4"', 'xyz="0, 0, 0.3"')], "origin xyz: '0,' is not a finite decimal number"),
+    ([('xyz="0 0 0.4"', 'xyz="0.3"')], "origin xyz: expected 3 numbers, got 1 in '0.3'"),
+    ([('xyz="0 0 0.4"', 'xyz=""')], "origin xyz: expected 3 numbers, got 0 in ''"),
+    ([('rpy="0 0 0.5"', 'rpy="0 0 0 1"')], "joint 'j2' origin rpy: expected 3 numbers, got 4"),
+    ([('xyz="0 0 0.4"', 'xyz="0 0 nan"')], "origin xyz: 'nan' is not a finite decimal number"),
+    ([('xyz="0 0 0.2"', 'xyz="0 1"')], "link 'l1' inertial origin xyz: expected 3 numbers, got 2"),
+    ([(J2_ORIGIN, '<origin quat_xyzw="0 0 0 1"/>')], "'quat_xyzw' is not supported; write rpy"),
+    # axis
+    ([(J2_AXIS, '<axis xyz="0 0 0"/>')], "joint 'j2': axis has (near) zero length: '0 0 0'"),
+    ([(J2_AXIS, '<axis xyz="0 1e-9 0"/>')], "joint 'j2': axis has (near) zero length"),
+    ([(J2_AXIS, '<axis/>')], "joint 'j2': <axis> lacks 'xyz'"),
+    ([(J2_AXIS, '<axis rpy="0 0 1"/>')], "joint 'j2': <axis> lacks 'xyz'"),
+    ([(J2_AXIS, '<axis xyz="0 1"/>')], "joint 'j2' axis xyz: expected 3 numbers, got 2"),
+    ([(J2_AXIS, '<axis xyz="0,0,1"/>')], 'axis xyz: expected 3 numbers, got 1 in'),
+    ([(J2_AXIS, '<axis xyz="0 nan 1"/>')], "axis xyz: 'nan' is not a finite decimal number"),
+    # limits
+    ([(J2_LIMIT, '')], "line 24: joint 'j2': <limit> is required for prismatic joints"),
+    ([(J2_LIMIT, ''), ('"prismatic"', '"revolute"')], '<limit> is required for revolute joints'),
+    ([(' effort="20"', '')], "joint 'j2': <limit> lacks effort"),
+    ([(' effort="20" velocity="1"', '')], "joint 'j2': <limit> lacks effort, velocity"),
+    ([('lower="0" upper="0.5"', 'lower="1" upper="-1"')], 'limit lower 1 > upper -1'),
+    ([('lower="-1" upper="1"', 'upper="-1"')], 'limit lower 0 > upper -1; for a joint without'),
+    ([('upper="0.5"', 'upper="inf"')], "limit upper: 'inf' is not a finite decimal number"),
+    ([('upper="0.5"', 'upper="high"')], "limit upper: 'high' is not a finite decimal number"),
+    ([('velocity="1"', 'velocity="nan"')], "limit velocity: 'nan' is not a finite decimal number"),
+    ([('effort="20"', 'effort="-10"')], "joint 'j2': limit effort -10 is negative"),
+    ([('effort="20"', 'effort="-1"')], 'limit effort -1 is negative; for no limit write a large'),
+    ([('velocity="1"', 'velocity="-1"')], "joint 'j2': limit velocity -1 is negative"),
+    # dynamics
+    (
+        [('damping="0.5"', 'damping="lots"')],
+        "line 30: joint 'j2' dynamics damping: 'lots' is not a finite decimal number",
+    ),
+    ([('friction="0.25"', 'friction="nan"')], "dynamics friction: 'nan' is not a finite"),
+    ([('damping="0.5"', 'damping="-0.5"')], "joint 'j2': dynamics damping -0.5 is negative"),
+    ([('friction="0.25"', 'friction="-1"')], "joint 'j2': dynamics friction -1 is negative"),
+    # mimic
+    (
+        [(J2_AXIS, J2_AXIS + '<mimic joint="nope"/>')],
+        "line 28: joint 'j2' mimics unknown joint 'nope'; joints are j1, j2, jf",
+    ),
+    ([(J2_AXIS, J2_AXIS + '<mimic joint="j2"/>')], "joint 'j2' mimics itself"),
+    ([(J2_AXIS, J2_AXIS + '<mimic joint="jf"/>')], "joint 'j2' mimics 'jf' of type fixed"),
+    ([(J2_AXIS, J2_AXIS + '<mimic/>')], "joint 'j2': <mimic> lacks joint"),
+    (
+        [(J2_AXIS, J2_AXIS + '<mimic joint="j1" multiplier="nan"/>')],
+        "joint 'j2' mimic multiplier: 'nan' is not a finite decimal number",
+    ),
+    ([(J2_AXIS, J2_AXIS + '<mimic joint="j1" offset="a"/>')], "mimic offset: 'a' is not a finite"),
+    (
+        [
+            (J2_AXIS, J2_AXIS + '<mimic joint="j1"/>'),
+            ('<axis xyz="0 1 0"/>', '<axis xyz="0 1 0"/><mimic joint="j2"/>'),
+        ],
+        'line 18: mimic loop: j1 -> j2 -> j1',
+    ),
+    # the rest
+    (
+        [(J2_AXIS, J2_AXIS + '<safety_controller k_position="1"/>')],
+        "joint 'j2': <safety_controller> lacks k_velocity",
+    ),
+    (
+        [('<link name="l3"/>', link('l3', '<inertial/><inertial/>'))],
+        "line 17: link 'l3': 2 <inertial> elements, at most one allowed",
+    ),
+    ([(L1_MASS, L1_MASS * 3)], "link 'l1' inertial: 3 <mass> elements, at most one allowed"),
+    ([(J2_AXIS, J2_AXIS * 2)], "joint 'j2': 2 <axis> elements, at most one allowed"),
+    ([(J2_ORIGIN, J2_ORIGIN * 2)], "joint 'j2': 2 <origin> elements, at most one allowed"),
+    ([(L1_MASS, '<mass value="1e308"/>'), ('0 0 0.2', '0 0 1e9')], "com of 'j1' is not finite"),
+]
+
+
+@pytest.mark.parametrize(('edits', 'words'), ELEMENT_PROBLEMS)
+def test_problem_is_named(edits, words):
+    problems = problems_of(edited(*edits))
+    assert any(words in problem for problem in problems), problems
+
+
+ONE_MISTAKE_ONE_PROBLEM = [
+    [('<parent link="l1"/>', '<parent link="nope"/>')],
+    [('<child link="l1"/>', '<child link="nope"/>')],
+    [('<parent link="l1"/>', '<parent link="l2"/>')],
+    [('<parent link="l1"/>', '')],
+    [(L1_MASS, '<mass value="-2"/>')],
+    [(L1_MASS, L1_MASS * 2)],
+    [(J2_LIMIT, '')],
+    [(J2_AXIS, '<axis/>')],
+    [('"prismatic"', '"floating"')],
+    [(J2_AXIS, J2_AXIS + '<mimic joint="j2"/>')],
+    [
+        (J2_AXIS, J2_AXIS + '<mimic joint="j1"/>'),
+        ('<axis xyz="0 1 0"/>', '<axis xyz="0 1 0"/><mimic joint="j2"/>'),
+    ],
+]
+
+
+@pytest.mark.parametrize('edits', ONE_MISTAKE_ONE_PROBLEM)
+def test_one_mistake_gives_one_problem(edits):
+    assert len(problems_of(edited(*edits))) == 1
+
+
+def test_robot_without_links():
+    assert problems_of('<robot name="r"/>') == ('the robot has no links',)
+
+
+def test_all_problems_are_told_in_file_order():
+    text = edited(
+        ('</robot>', link('island') + '</robot>'),
+        (J2_LIMIT, '<limit lower="1" upper="-1" effort="-1" velocity="x"/>'),
+        (L1_MASS, '<mass value="two"/>'),
+        ('"jf"', '"j1"'),
+        ('<child link="l1"/>', '<child link="l1"/><child link="l2"/>'),
+    )
+    assert problems_of(text) == (
+        "line 7: link 'l1' inertial mass: 'two' is not a finite decimal number",
+        "line 20: joint 'j1': 2 <child> elements, at most one allowed",
+        "line 29: joint 'j2': limit effort -1 is negative; for no limit write a large number",
+        "line 29: joint 'j2' limit velocity: 'x' is not a finite decimal number",
+        "line 29: joint 'j2': limit lower 1 > upper -1",
+        "line 32: duplicate joint name 'j1'",
+        "2 root links: 'base', 'island'; expected one",
+    )
+
+
+def test_broken_references_stand_among_the_others():
+    text = edited(('<child link="l1"/>', '<child link="nope"/>'), ('"jf"', '"j1"'))
+    assert [problem.partition(':')[0] for problem in problems_of(text)] == ['line 20', 'line 32']
+
+
+def test_long_lists_and_long_values_are_cut():
+    text = edited(
+        ('<link name="l3"/>', '<link name="l3"/>' + ''.join(link(f'x{i}') for i in range(50))),
+        ('<parent link="l1"/>', '<parent link="nope"/>'),
+        (L1_MASS, f'<mass value="{"9" * 5000}"/>'),
+    )
+    problems = problems_of(text)
+    assert any('(54 in all)' in problem for problem in problems)
+    assert max(map(len, problems)) < 300
+
+
+def test_line_numbers_beyond_what_libxml2_counts_are_left_out():
+    text = edited((L1_MASS, '<mass value="-1"/>')).replace('<link name="l1">', '\n' * 70000, 1)
+    text = text.replace('<inertial>', '<link name="l1"><inertial>', 1)
+    assert problems_of(text) == ("link 'l1' inertial: mass -1 is negative",)
+
+
+# ---- What must load ------------------------------------------------------------------------
+
+VISUAL = '<link name="l3"><visual>{}</visual><collision>{}</collision></link>'
+STILL_LOADS = {
+    'missing geometry': ('<link name="l3"/>', VISUAL.format('', '')),
+    'bad geometry': (
+        '<link name="l3"/>',
+        VISUAL.format('<geometry><box size="a b"/></geometry>', '<geometry/>'),
+    ),
+    'capsule': (
+        '<link name="l3"/>',
+        VISUAL.format('<geometry><capsule radius="1" length="1"/></geometry>', '<geometry/>'),
+    ),
+    'bad colour': (
+        '<link name="l3"/>',
+        '<material name="m"><color rgba="red"/></material><link name="l3"/>',
+    ),
+    'meshes': (
+        '<link name="l3"/>',
+        VISUAL.format(
+            '<geometry><mesh filename="/nowhere/a.stl" scale="x"/></geometry>',
+            '<geometry><mesh filename="http://localhost:9/a.stl"/></geometry>',
+        ),
+    ),
+    'file mesh': (
+        '<link name="l3"/>',
+        VISUAL.format('<geometry><mesh filename="file:///nowhere/a.dae"/></geometry>', ''),
+    ),
+    'xacro left in a mesh name': (
+        '<link name="l3"/>',
+        VISUAL.format('<geometry><mesh filename="$(find x)/a.stl"/></geometry>', ''),
+    ),
+    'bad visual origin': ('<link name="l3"/>', VISUAL.format('<origin xyz="0 nan"/>', '')),
+    'bad calibration': (J2_AXIS, J2_AXIS + '<calibration rising="x"/>'),
+    'comments': (J2_AXIS, f'<!-- <axis xyz="bad"/> & <!DOCTYPE x> -->{J2_AXIS}'),
+    'CDATA': (J2_AXIS, f'<![CDATA[ <axis xyz="bad"/> & ]]>{J2_AXIS}'),
+    'instruction': (J2_AXIS, f'<?pi some & thing?>{J2_AXIS}'),
+    'tabs and newlines in xyz': ('xyz="0 0 0.4"', 'xyz="\t0\n0   0.4 "'),
+    'space around a number': (L1_MASS, '<mass value=" 2.0 "/>'),
+    'exponents and signs': (L1_MASS, '<mass value="+.2E+01"/>'),
+    'link and joint of one name': ('"jf"', '"l1"'),
+    'default namespace': ('name="good"', 'name="good" xmlns="http://www.ros.org"'),
+    'other elements': ('<link name="l3"/>', '<gazebo><a b="${c}"/></gazebo><link name="l3"/>'),
+    'transmission': (
+        '<link name="l3"/>',
+        '<transmission><joint name="j1"/><joint name="j1"/></transmission><link name="l3"/>',
+    ),
+    'limit attributes of makers': ('effort="20"', 'effort="20" jerk="a lot"'),
+    'axis of a fixed joint': ('<child link="l3"/>', '<child link="l3"/><axis xyz="0 0 0"/>'),
+    'limit of a fixed joint': ('<child link="l3"/>', '<child link="l3"/><limit lower="x"/>'),
+}
+
+
+@pytest.mark.parametrize('edit', STILL_LOADS.values(), ids=STILL_LOADS.keys())
+def test_still_loads(edit):
+    robot, good = load_urdf(edited(edit)), load_urdf(GOOD)
+    assert robot.warnings == ()
+    np.testing.assert_array_equal(robot.p_PL, good.p_PL)
+    np.testing.assert_array_equal(robot.mass, good.mass)
+
+
+@pytest.mark.parametrize(
+    'data',
+    [
+        b'\xef\xbb\xbf' + GOOD.encode(),
+        GOOD.encode('utf-16'),
+        GOOD.replace('?>', ' encoding="UTF-16"?>').encode('utf-16'),
+        GOOD.replace('?>', ' encoding="ISO-8859-1"?>').encode('latin-1'),
+        GOOD.removeprefix('<?xml version="1.0"?>').encode(),
+        GOOD.replace('\n', '\r\n').encode(),
+    ],
+    ids=['BOM', 'UTF-16', 'UTF-16 declared', 'Latin-1', 'no declaration', 'CRLF'],
+)
+def test_encodings(tmp_path, data):
+    path = tmp_path / 'encoded.urdf'
+    path.write_bytes(data)
+    robot = load_urdf(path)
+    assert robot.joint_names == ('j1', 'j2')
+    assert robot.warnings == ()
+
+
+@pytest.mark.parametrize('encoding', ['utf-8', 'iso-8859-1', 'utf-16'])
+def test_names_beyond_ascii(tmp_path, encoding):
+    text = edited(('?>', f' encoding="{encoding}"?>'), ('"j1"', '"pivô"'), ('"jf"', '"é &amp; à"'))
+    path = tmp_path / 'names.urdf'
+    path.write_bytes(text.encode(encoding))
+    for source in (path, text):
+        assert load_urdf(source).joint_names == ('pivô', 'j2')
+
+
+def chain(count):
+    body = (
+        '<inertial><origin xyz="0 0 0.05"/><mass value="0.1"/>'
+        '<inertia ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-5"/></inertial>'
+    )
+    links = ''.join(link(f'l{i}', body) for i in range(1, count + 1))
+    joints = ''.join(
+        f'<joint name="j{i}" type="revolute"><parent link="l{i - 1}"/><child link="l{i}"/>'
+        '<origin xyz="0 0 0.1" rpy="0.01 0 0"/><axis xyz="0 1 0"/>'
+        '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
+        f'<mimic joint="j{i + 1}"/></joint>'
+        for i in range(1, count + 1)
+    ).replace(f'<mimic joint="j{count + 1}"/>', '')
+    return f'<robot name="chain"><link name="l0"/>{links}{joints}</robot>'
+
+
+def test_chain_of_1500_joints_that_mimic_each_other():
+    load_urdf(GOOD)  # pays for the imports
+    started = time.process_time()
+    robot = load_urdf(chain(1500))
+    assert time.process_time() - started < 3.0  # 0.5 s on an idle machine
+    assert robot.joint_names == ('j1500',)
+    assert robot.parent.tolist() == list(range(-1, 1500))
+    assert set(robot.joint_index.tolist()) == {-1, 0}
+
+
+# ---- Warnings ------------------------------------------------------------------------------
+
+WARNINGS = [
+    ([('<?xml version="1.0"?>', '<?xml version="0.0" ?>')], 'line 1: odd XML declaration'),
+    ([('<?xml version="1.0"?>', '<?xml?>')], 'odd XML declaration <?xml?> ignored'),
+    ([('<?xml version="1.0"?>', '\n<?xml version="1.0"?>')], 'odd XML declaration'),
+    ([('<?xml version="1.0"?>', '<?xml encoding="utf-8"?>')], 'odd XML declaration'),
+    (
+        [(J2_AXIS, f'{J2_AXIS}<drake:rotor value="1"/>')],
+        'line 28: Namespace prefix drake on rotor is not defined; ignored',
+    ),
+    ([(J2_AXIS, '<axis xyz="0 0 1" my:unit="m"/>')], 'Namespace prefix my for unit on axis'),
+    (
+        [('<link name="l3"/>', link('l3', '<Inertial/>'))],
+        "line 17: link 'l3': <Inertial> ignored; URDF spells it <inertial>",
+    ),
+    ([('<link name="l3"/>', '<link name="l3"/><Joint/>')], 'robot: <Joint> ignored'),
+    ([(J2_ORIGIN, '<Origin xyz="0 0 1"/>')], "joint 'j2': <Origin> ignored; URDF spells it"),
+    (
+        [(J2_ORIGIN, '<origin xzy="0 0 1"/>')],
+        "line 27: joint 'j2' origin: attribute 'xzy' is unknown and ignored",
+    ),
+    (
+        [(L1_INERTIA, L1_INERTIA.replace('0.01"', '0.05"'))],
+        "line 5: link 'l1' inertial: no body has this inertia: of its principal moments "
+        '0.02, 0.02, 0.05 kg m^2',
+    ),
+    (
+        [(L1_INERTIA, L1_INERTIA.replace('ixy="0"', 'ixy="0.03"'))],
+        "link 'l1' inertial: inertia is not positive (principal moments -0.01, 0.01, 0.05 kg m^2)",
+    ),
+    (
+        [(L1_MASS, '<mass value="0"/>')],
+        "link 'l1' inertial: zero mass with inertia; the inertia is kept",
+    ),
+    (
+        [
+            (
+                '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.015"/>',
+                '<inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/>',
+            )
+        ],
+        "line 12: link 'l2' inertial: mass 1 kg with zero inertia",
+    ),
+    (
+        [
+            (
+                '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.015"/>',
+                '<inertia ixx="200" ixy="0" ixz="0" iyy="300" iyz="0" izz="150"/>',
+            )
+        ],
+        "link 'l2' inertial: radius of gyration is more than 10 m",
+    ),
+    ([('rpy="0 0 0.5"', 'rpy="0 0 90"')], "joint 'j2' origin rpy: '0 0 90' is more than a turn"),
+    ([('rpy="0 0 0"', 'rpy="-90 0 0"')], "link 'l1' inertial origin rpy: '-90 0 0' is more than"),
+    ([(J2_AXIS, '')], "line 24: joint 'j2': no <axis>; 1 0 0 is used"),
+    ([(J2_AXIS, '<axis xyz="0 3 4"/>')], "line 28: joint 'j2': axis '0 3 4' has length 5"),
+    ([('lower="-1" upper="1"', 'lower="-90" upper="90"')], 'angles are in radians'),
+    ([('lower="0" upper="0.5"', 'lower="0.5" upper="0.5"')], 'limit lower = upper = 0.5: it can'),
+    ([('lower="0" upper="0.5" ', '')], "joint 'j2': <limit> has no lower and no upper; 0 is used"),
+    ([('lower="0" upper="0.5"', 'upper="0.5"')], "joint 'j2': <limit> has no lower; 0 is used"),
+    (
+        [('effort="20"', 'effort="0"')],
+        "line 29: joint 'j2': limit effort is 0, taken as not known",
+    ),
+    ([('velocity="1"', 'velocity="0"')], "joint 'j2': limit velocity is 0, taken as not known"),
+]
+
+
+@pytest.mark.parametrize(('edits', 'words'), WARNINGS)
+def test_warning_is_told(edits, words):
+    robot = load_urdf(edited(*edits))
+    assert len(robot.warnings) == 1
+    assert words in robot.warnings[0]
+
+
+def test_rounded_inertia_of_a_plate_is_not_warned_of():
+    plate = L1_INERTIA.replace('0.01"', '0.040001"')  # 0.02 + 0.02, and a digit of rounding
+    assert load_urdf(edited((L1_INERTIA, plate))).warnings == ()
+
+
+def test_joint_that_moves_no_mass():
+    text = edited(
+        ('type="fixed"', 'type="continuous"'),
+        ('<child link="l3"/>', '<child link="l3"/><axis xyz="0 0 1"/>'),
+    )
+    assert load_urdf(text).warnings == (
+        "joint 'jf' moves no mass: its gravity effort is always zero",
+    )
+
+
+def test_robot_that_moves_no_mass():
+    text = '\n'.join(
+        [*GOOD.splitlines()[:4], '</link>', '<link name="l2"/>', *GOOD.splitlines()[16:]]
+    )
+    assert load_urdf(text).warnings == (
+        'no joint moves any mass: every gravity effort is zero; links lack <inertial>',
+    )
+
+
+def test_robot_that_cannot_move():
+    robot = load_urdf('<robot name="rock"><link name="rock"/></robot>')
+    assert robot.joint_names == ()
+    assert robot.warnings == ('no joint can move: there is no effort to compute',)
+
+
+def test_warnings_come_in_file_order():
+    text = edited((J2_AXIS, ''), (L1_MASS, '<mass value="0"/>'), ('upper="1"', 'upper="99"'))
+    lines = [warning.partition(':')[0] for warning in load_urdf(text).warnings]
+    assert lines == ['line 5', 'line 22', 'line 24']
+
+
+def test_odd_declaration_keeps_line_numbers():
+    text = edited(('<?xml version="1.0"?>', '\n\n<?xml?>'), (L1_MASS, '<mass value="-1"/>'))
+    assert problems_of(text) == ("line 9: link 'l1' inertial: mass -1 is negative",)
+
+
+def test_odd_declaration_keeps_its_encoding(tmp_path):
+    path = tmp_path / 'odd.urdf'
+    path.write_bytes(
+        edited(('"1.0"?>', '"0.0" encoding="iso-8859-1"?>'), ('"j1"', '"pivô"')).encode('latin-1')
+    )
+    assert load_urdf(path).joint_names == ('pivô', 'j2')
+
+
+def test_undeclared_prefix_beside_another_error_is_an_error():
+    text = edited((J2_AXIS, f'{J2_AXIS}<drake:rotor value=1/>'))
+    assert 'not well-formed XML' in problems_of(text)[0]
+
+
+def test_axis_too_large_for_its_square_is_normalised():
+    robot = load_urdf(edited((J2_AXIS, '<axis xyz="1e200 0 0"/>')))
+    np.testing.assert_array_equal(robot.axis[2], [1.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize('path', OUR_ROBOTS, ids=lambda path: path.stem)
+def test_our_robots_load_with_the_warnings_they_are_made_for(path):
+    words = {'fixed_chain': 'zero mass with inertia', 'skew_axes': 'normalised'}.get(path.stem)
+    robot = load_urdf(path)
+    assert bool(robot.warnings) == (words is not None)
+    assert all(words in warning for warning in robot.warnings)
