@@ -1,0 +1,310 @@
+"""The node as a process, on real ROS: what it must give, and what it must never give."""
+
+import math
+import signal
+
+from inverse_dynamics_node import InverseDynamics, load_urdf
+import numpy as np
+import pytest
+from robot_files import STANFORD
+
+MODEL = load_urdf(STANFORD)
+DYNAMICS = InverseDynamics(MODEL)
+NAMES = list(MODEL.joint_names)
+Q = np.array([0.3, 0.8, 0.5, -0.4, 0.6, 0.2])
+QD = np.array([0.1, -0.2, 0.05, 0.3, -0.1, 0.4])
+QDD = np.array([0.5, 0.4, -0.3, 0.2, 0.1, -0.6])
+HOLD = DYNAMICS.efforts(Q, QD, np.zeros(6))
+FAST = {'robot_description_file': STANFORD, 'start_ramp': 0.0, 'stop_ramp': 0.2}
+# With a time-out that a busy machine does not reach between two messages.
+PATIENT = {**FAST, 'state_timeout': 5.0, 'reference_timeout': 5.0}
+
+
+def publish_shuffled_state(robot):
+    """Publish the state as drivers do: in another order, with joints of no concern."""
+    order = [4, 0, 3, 5, 1, 2]
+    names = ['wheel', *(NAMES[k] for k in order), 'finger']
+    robot.publish_state(names, [9.0, *Q[order], 7.0], [math.nan, *QD[order], 0.0])
+
+
+def test_state_by_shuffled_names_gives_the_efforts_of_the_core(run_node, robot):
+    run_node(**PATIENT)
+    publish_shuffled_state(robot)
+    robot.wait_for_command(HOLD)
+    robot.publish_accelerations(QDD)
+    robot.wait_for_command(DYNAMICS.efforts(Q, QD, QDD))
+
+
+def test_reference_by_names_adds_its_effort(run_node, robot):
+    run_node(**PATIENT)
+    publish_shuffled_state(robot)
+    effort = np.arange(6.0)
+    robot.publish_reference(NAMES[::-1], QDD[::-1], effort[::-1])
+    robot.wait_for_command(DYNAMICS.efforts(Q, QD, QDD) + effort)
+
+
+def test_commands_some_joints_in_the_order_asked_for(run_node, robot):
+    joints = [NAMES[4], NAMES[1]]
+    run_node(**PATIENT, joints=f'[{",".join(joints)}]', gravity='[0, 0, -5]')
+    publish_shuffled_state(robot)
+    robot.publish_accelerations([1.0, 2.0])
+    qdd = np.array([0.0, 2.0, 0.0, 0.0, 1.0, 0.0])
+    tau = InverseDynamics(MODEL, (0.0, 0.0, -5.0)).efforts(Q, QD, qdd)
+    robot.wait_for_command([tau[4], tau[1]])
+
+
+def test_incomplete_state_gives_no_command_and_names_what_is_missing(run_node, robot):
+    node = run_node(**PATIENT)
+    robot.publish_state(NAMES[2:] + NAMES[:1], [0.1] * 5)
+    robot.wait_for_text(node, f'has not told the position of {NAMES[1]}\n')
+    assert robot.commands == []
+
+
+def test_state_may_come_in_parts(run_node, robot):
+    node = run_node(**{**PATIENT, 'state_timeout': 60.0})
+    robot.publish_state(NAMES[:2], Q[:2], QD[:2])
+    robot.wait_for_text(node, f'has not told the position of {", ".join(NAMES[2:])}\n')
+    robot.publish_state(NAMES[2:], Q[2:], QD[2:])
+    robot.wait_for_command(HOLD)
+
+
+def test_nan_is_never_passed_on(run_node, robot):
+    node = run_node(**PATIENT)
+    publish_shuffled_state(robot)
+    robot.wait_for_command(HOLD)
+    for bad in (math.nan, math.inf):
+        robot.publish_accelerations([*QDD[:5], bad])
+        robot.wait_for_text(node, f"acceleration of joint '{NAMES[5]}' is")
+        robot.publish_reference(NAMES, QDD, [bad] * 6)
+        robot.wait_for_text(node, f"effort of joint '{NAMES[0]}' is")
+    robot.publish_state(NAMES, [math.nan, *Q[1:]], QD)
+    robot.wait_for_text(node, f"position of joint '{NAMES[0]}' is nan")
+    robot.publish_state(NAMES, Q, [*QD[:5], math.nan])
+    count = len(robot.commands)
+    publish_shuffled_state(robot)
+    robot.wait_until(lambda: len(robot.commands) > count, 'another command')
+    assert np.isfinite(robot.commands).all()
+    assert {len(command) for command in robot.commands} == {6}
+
+
+@pytest.mark.parametrize(
+    ('accelerations', 'words'), [([1.0, 2.0], '2 accelerations, expected 6'), ([], '0 accel')]
+)
+def test_accelerations_of_wrong_length_are_dropped_with_words(
+    run_node, robot, accelerations, words
+):
+    node = run_node(**PATIENT)
+    publish_shuffled_state(robot)
+    robot.publish_accelerations(accelerations)
+    robot.wait_for_text(node, words)
+    robot.wait_for_command(HOLD)
+
+
+def test_reference_of_other_joints_is_dropped_with_words(run_node, robot):
+    node = run_node(**PATIENT)
+    publish_shuffled_state(robot)
+    robot.publish_reference([*NAMES[:5], 'nose'], QDD)
+    robot.wait_for_text(node, f'nose, expected {", ".join(NAMES)}')
+    robot.wait_for_command(HOLD)
+
+
+def test_reference_that_is_lost_leaves_the_arm_floating(run_node, robot):
+    run_node(**{**PATIENT, 'reference_timeout': 0.5})
+    publish_shuffled_state(robot)
+    robot.publish_accelerations(QDD)
+    robot.wait_for_command(DYNAMICS.efforts(Q, QD, QDD))
+    robot._always = []
+    robot.wait_for_command(HOLD)
+
+
+@pytest.mark.parametrize('update_rate', [0, 250])
+def test_lost_state_leads_to_zeros_and_publishing_goes_on(run_node, robot, update_rate):
+    node = run_node(**{**FAST, 'state_timeout': 0.5}, update_rate=update_rate)
+    publish_shuffled_state(robot)
+    robot.wait_for_command(HOLD)
+    robot.state = None
+    robot.wait_for_command(np.zeros(6), tolerance=0.0)
+    # From the last full command on: time-out and ramp, and what a busy machine adds.
+    full = [
+        time
+        for time, efforts in zip(robot.command_times, robot.commands, strict=True)
+        if efforts == pytest.approx(HOLD.tolist())
+    ]
+    assert robot.command_times[-1] - full[0] > 0.2
+    assert robot.command_times[-1] - full[-1] < 0.2 + 2.0
+    count = len(robot.commands)
+    robot.wait_until(lambda: len(robot.commands) > count + 20, 'zeros that go on')
+    assert not np.any(robot.commands[count:])
+    robot.wait_for_text(node, 'no joint state for more than 0.5 s of')
+    publish_shuffled_state(robot)
+    robot.wait_for_command(HOLD)
+
+
+def test_efforts_rise_along_the_start_ramp(run_node, robot):
+    run_node(**{**PATIENT, 'start_ramp': 0.5})
+    publish_shuffled_state(robot)
+    robot.wait_for_command(HOLD)
+    shares = np.array(robot.commands) @ HOLD / (HOLD @ HOLD)
+    assert shares[0] < 0.2
+    assert (np.diff(shares) >= 0.0).all()
+    assert ((shares > 0.1) & (shares < 0.9)).sum() > 3
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize('update_rate', [0, 1000])
+def test_signal_ends_with_zeros_and_code_0(run_node, robot, number, update_rate):
+    node = run_node(**PATIENT, update_rate=update_rate)
+    publish_shuffled_state(robot)
+    robot.wait_for_command(HOLD)
+    node.interrupt(number)
+    assert robot.wait_for_end(node) == 0
+    assert robot.commands[-1] == [0.0] * 6
+    assert 'Traceback' not in node.output
+
+
+def test_second_signal_skips_the_ramp_but_not_the_zeros(run_node, robot):
+    node = run_node(**{**PATIENT, 'stop_ramp': 60.0})
+    publish_shuffled_state(robot)
+    robot.wait_for_command(HOLD)
+    node.interrupt()
+    count = len(robot.commands)
+    robot.wait_until(lambda: len(robot.commands) > count + 10, 'ramp')
+    assert np.any(robot.commands[-1])
+    node.interrupt()
+    assert robot.wait_for_end(node) == 0
+    assert robot.commands[-1] == [0.0] * 6
+
+
+def test_signal_before_the_first_state_ends_with_code_0(run_node, robot):
+    node = run_node(**PATIENT)
+    robot.wait_for_text(node, 'no command yet')
+    node.interrupt()
+    assert robot.wait_for_end(node) == 0
+    assert not np.any(robot.commands)
+
+
+BAD_URDF = '<robot name="r"><link name="a"/><link name="a"/></robot>'
+
+
+@pytest.mark.parametrize(
+    ('parameters', 'words'),
+    [
+        ({'robot_description_file': '/nowhere.urdf'}, '/nowhere.urdf'),
+        ({'robot_description': f"'{BAD_URDF}'"}, "duplicate link name 'a'"),
+        ({'robot_description': 'arm.urdf'}, 'well-formed XML'),
+        ({**FAST, 'robot_description': f"'{BAD_URDF}'"}, 'are both set'),
+        ({**FAST, 'joints': '[nose]'}, "joints names 'nose'"),
+        ({**FAST, 'joints': '3'}, "parameter 'joints' is 3, expected a list of names"),
+        ({**FAST, 'update_rate': -1}, "parameter 'update_rate' is -1, expected 0 to 10000"),
+        ({**FAST, 'update_rate': -1.0}, 'update_rate out of range'),
+        ({**FAST, 'update_rate': '.nan'}, 'out of range'),
+        ({**FAST, 'state_timeout': 'soon'}, "'state_timeout' is 'soon', expected a finite number"),
+        ({**FAST, 'gravity': '[0.0, -9.8]'}, "'gravity' is [0.0, -9.8], expected three finite"),
+        ({**FAST, 'gravity': '[0.0, 0, -9.8]'}, 'Sequence should be of same type'),
+        ({**FAST, 'use_urdf_effort_limits': 1}, 'is 1, expected true or false'),
+    ],
+)
+def test_bad_start_ends_with_one_clear_message(run_node, parameters, words):
+    node = run_node(**parameters)
+    assert node.wait() != 0
+    assert words in node.output
+    assert 'Traceback' not in node.output
+    assert node.output.count(words) == 1
+
+
+def test_unknown_parameter_is_told(run_node, robot):
+    node = run_node(**PATIENT, staet_timeout=1.0)
+    robot.wait_for_text(node, "parameter 'staet_timeout' was set, but this node has none such")
+
+
+def test_robot_description_comes_by_topic_early_or_late(run_node, robot):
+    node = run_node(start_ramp=0.0, state_timeout=5.0)
+    publish_shuffled_state(robot)
+    robot.wait_for_text(node, 'waiting for a robot description on /robot_description')
+    assert robot.get_state() == 'unconfigured'
+    robot.publish_description(BAD_URDF)
+    robot.wait_for_text(node, "duplicate link name 'a'")
+    robot.publish_description(STANFORD.read_text())
+    robot.wait_for_command(HOLD)
+    node.interrupt()
+    robot.wait_for_end(node)
+    robot.commands.clear()
+    run_node(start_ramp=0.0, state_timeout=5.0)  # the description is there already
+    robot.wait_for_command(HOLD)
+
+
+def test_lifecycle_by_hand(run_node, robot):
+    node = run_node(**PATIENT, autostart=False)
+    publish_shuffled_state(robot)
+    assert robot.get_state() == 'unconfigured'
+    assert not robot.change_state('activate')  # not possible from here
+    assert robot.change_state('configure')
+    assert robot.get_state() == 'inactive'
+    assert robot.commands == []
+    assert robot.change_state('activate')
+    robot.wait_for_command(HOLD)
+    assert robot.change_state('deactivate')
+    robot.wait_for_command(np.zeros(6), tolerance=0.0)
+    assert robot.change_state('cleanup')
+    assert robot.set_parameter('gravity', [0.0, 0.0, 0.0]).successful
+    assert robot.change_state('configure')
+    assert robot.change_state('activate')
+    robot.wait_for_command(InverseDynamics(MODEL, (0.0, 0.0, 0.0)).efforts(Q, QD, 0.0 * Q))
+    assert robot.change_state('active_shutdown')
+    assert robot.wait_for_end(node) == 0
+    assert robot.commands[-1] == [0.0] * 6
+    assert 'Traceback' not in node.output
+
+
+def test_configure_without_a_description_fails_with_words(run_node, robot):
+    node = run_node(autostart=False)
+    assert not robot.change_state('configure')
+    robot.wait_for_text(node, 'no robot description')
+    assert robot.get_state() == 'unconfigured'
+
+
+def test_parameters_are_refused_while_configured_with_words(run_node, robot):
+    run_node(**PATIENT)
+    publish_shuffled_state(robot)
+    robot.wait_for_command(HOLD)
+    result = robot.set_parameter('start_ramp', 1.0)
+    assert not result.successful
+    assert 'deactivate and clean up first' in result.reason
+
+
+def test_joint_efforts_carry_names_and_nothing_but_efforts(run_node, robot):
+    run_node(**PATIENT)
+    publish_shuffled_state(robot)
+    robot.listen_to_joint_efforts()
+    robot.wait_until(lambda: robot.joint_efforts, 'joint efforts')
+    message = robot.joint_efforts[-1]
+    assert list(message.name) == NAMES
+    assert list(message.effort) == pytest.approx(HOLD.tolist())
+    assert len(message.position) == len(message.velocity) == 0
+    assert message.header.stamp.sec > 0
+
+
+def test_commands_come_at_the_update_rate(run_node, robot):
+    run_node(**PATIENT, update_rate=50)
+    publish_shuffled_state(robot)  # at 200 Hz
+    robot.wait_until(lambda: len(robot.commands) > 100, 'commands')
+    times = np.array(robot.command_times[10:])
+    assert 1.0 / np.median(np.diff(times)) == pytest.approx(50.0, rel=0.2)
+
+
+def test_names_can_be_remapped_and_pushed_into_a_namespace(run_node, robot):
+    node = run_node(
+        '-r',
+        '__ns:=/left',
+        '-r',
+        'joint_states:=/joint_states',
+        '-r',
+        '~/commands:=/inverse_dynamics/commands',
+        **PATIENT,
+    )
+    publish_shuffled_state(robot)
+    robot.wait_for_command(HOLD)
+    names = [name for name, _ in robot.node.get_topic_names_and_types()]
+    assert '/left/inverse_dynamics/desired_accelerations' in names
+    node.interrupt()
+    assert robot.wait_for_end(node) == 0
