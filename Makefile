@@ -19,7 +19,8 @@ test: $(VENV)/test.done
 	$(CLEAN) $(BIN)/ruff check .
 	$(CLEAN) $(BIN)/ruff format --check .
 	$(CLEAN) $(BIN)/mypy inverse_dynamics_node
-	$(CLEAN) $(BIN)/python -m pytest $(ARGS)
+	$(CLEAN) $(BIN)/python -m pytest --timeout 300 $(ARGS)
+	$(CLEAN) NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest --timeout 300 test/unit test/property test/parity
 
 $(VENV)/pip.done:
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))' || \

@@ -1,12 +1,13 @@
 """The node as a process, on real ROS: what it must give, and what it must never give."""
 
 import math
+import re
 import signal
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
 import numpy as np
 import pytest
-from robot_files import STANFORD
+from robot_files import ROOT, STANFORD
 
 MODEL = load_urdf(STANFORD)
 DYNAMICS = InverseDynamics(MODEL)
@@ -308,3 +309,27 @@ def test_names_can_be_remapped_and_pushed_into_a_namespace(run_node, robot):
     assert '/left/inverse_dynamics/desired_accelerations' in names
     node.interrupt()
     assert robot.wait_for_end(node) == 0
+
+
+def test_topics_are_those_of_the_readme(run_node, robot):
+    node = run_node(**PATIENT)
+    robot.wait_for_text(node, 'no command yet')
+    of_rclpy = {'/parameter_events', '/rosout', '/inverse_dynamics/transition_event'}
+    readme = (ROOT / 'README.md').read_text()
+    for title, list_topics in (
+        ('### Subscribed topics', robot.node.get_subscriber_names_and_types_by_node),
+        ('### Published topics', robot.node.get_publisher_names_and_types_by_node),
+    ):
+        table = readme.split(title)[1].split('###')[0]
+        rows = re.findall(r'^\| `([\w~/]+)` \| (\w+)/(\w+) \|', table, re.M)
+        expected = {
+            (f'/{name}'.replace('/~', '/inverse_dynamics'), f'{package}/msg/{kind}')
+            for name, package, kind in rows
+        }
+        assert expected
+
+        def topics(list_topics=list_topics):
+            pairs = list_topics('inverse_dynamics', '/')
+            return {(name, types[0]) for name, types in pairs if name not in of_rclpy}
+
+        robot.wait_until(lambda topics=topics, rows=expected: topics() == rows, title)

@@ -1,0 +1,46 @@
+"""What the README claims, held against the code."""
+
+import contextlib
+import io
+import os
+import re
+
+import pytest
+from robot_files import ROOT
+
+README = (ROOT / 'README.md').read_text()
+
+
+def test_python_example_prints_what_it_says(monkeypatch):
+    monkeypatch.chdir(ROOT)
+    code, expected = re.search(r'```python\n(.*?)```\n\n```\n(.*?)```', README, re.S).groups()
+    output = io.StringIO()
+    with contextlib.redirect_stdout(output):
+        exec(code, {})
+    assert output.getvalue() == expected
+
+
+def test_links_lead_somewhere():
+    links = re.findall(r'\]\(([^)#:]+)\)', README)
+    assert links
+    for link in links:
+        assert (ROOT / link).exists(), link
+
+
+def test_files_it_names_exist():
+    for path in re.findall(r'`((?:test|config|doc)/[\w./]+)`', README):
+        assert (ROOT / path).exists(), path
+
+
+def test_parameter_table_is_the_parameters_of_the_node():
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    pytest.importorskip('rclpy')
+    from inverse_dynamics_node.node.parameters import PARAMETERS
+
+    table = README.split('### Parameters')[1].split('###')[0]
+    rows = dict(re.findall(r'^\| `(\w+)` \| ([^|]*) \|', table, re.M))
+    assert list(rows) == list(PARAMETERS)
+    words = {'empty': '', 'all': [''], 'true': True}
+    for name, text in rows.items():
+        default = words[text] if text in words else eval(text)
+        assert default == PARAMETERS[name].default, name
