@@ -34,6 +34,18 @@ def compiled(function: Function) -> Function:
         return cast(Function, numba.njit(error_model='numpy')(function))
 
 
+def inlined(function: Function) -> Function:
+    """
+    Mark a function to become part of those that call it.
+
+    For the innermost one it saves a tenth of the whole: what it reads was just computed.
+
+    """
+    if not IS_COMPILED:
+        return function
+    return cast(Function, numba.njit(inline='always', error_model='numpy')(function))
+
+
 def compile_for(function: Any, signature: str) -> None:
     """
     Compile for one signature now, and for no other ever after: nothing compiles in a control loop.

@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from . import newton_euler
+from . import table as columns
+from .arguments import (
+    broadcast,
+    explain,
+    read_inertial,
+    read_joints,
+    read_vector,
+    read_vectors,
+    wrong_out,
+)
 from .compilation import compile_for, IS_COMPILED
-from .errors import ConfigurationError, JointStateError
+from .errors import ConfigurationError
 from .model import Floats, RobotModel
 from .newton_euler import OK
 
@@ -20,18 +29,52 @@ _V, _M = 'f8[::1]', 'f8[:,::1]'  # a vector and a table of float64, to numba
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
 """Free-fall acceleration in a base frame whose z points up [m/s^2]; ISO 80000-3."""
 
+FRICTION_WIDTH = 0.01
+"""Speed at which smoothed Coulomb friction has 76 % of its value [rad/s or m/s]."""
+
+
+class Terms(NamedTuple):
+    """What joint efforts are made of, each of shape (..., n) [N m or N]; they add up to them."""
+
+    inertial: Floats
+    """M(q) qdd, armature included."""
+    velocity: Floats
+    """C(q, qd) qd: Coriolis and centrifugal, and what a turning base adds to them."""
+    gravity: Floats
+    """g(q), and what accelerates or turns the base."""
+    friction: Floats
+    """Viscous and Coulomb friction."""
+    external: Floats
+    """Minus what the external wrenches do for the joints."""
+
+
+class JointWrenches(NamedTuple):
+    """
+    What holds every body, each of shape (..., b, 3), in the order of ``robot.body_names``.
+
+    A row is what the body's parent exerts on it, in the URDF frame of the joint between them,
+    about that frame's origin. The first row is what the mount exerts on the base.
+
+    """
+
+    force: Floats
+    """[N]."""
+    moment: Floats
+    """[N m]."""
+
 
 class InverseDynamics:
     r"""
     Inverse dynamics of one robot: accelerations in, joint efforts out.
 
     Evaluates :math:`\tau = M(q)\,\ddot q + C(q, \dot q)\,\dot q + g(q)` in one pass out along the
-    tree and one pass back, without forming M, C or g. Friction is left out.
+    tree and one pass back, without forming M, C or g. Armature, friction, payloads, external
+    wrenches and motion of the base count from when they are set.
 
     Parameters
     ----------
     robot : RobotModel
-        Tree of n joints, from `load_urdf`.
+        Tree of n joints and b bodies, from `load_urdf`.
     gravity : array_like, shape (3,)
         Free-fall acceleration in the base frame [m/s^2].
 
@@ -42,8 +85,8 @@ class InverseDynamics:
 
     Notes
     -----
-    The first object compiles for about a second; the machine code is kept on disk. An object
-    holds its own scratch space: threads need one each.
+    The first object compiles for seconds; the machine code is kept on disk. An object holds its
+    own scratch space: threads need one each.
 
     References
     ----------
@@ -54,13 +97,188 @@ class InverseDynamics:
 
     def __init__(self, robot: RobotModel, gravity: ArrayLike = STANDARD_GRAVITY) -> None:
         self.robot = robot
-        self.gravity = _checked_gravity(gravity)
         self._zeros = np.zeros(len(robot.joint_names))
-        table = newton_euler.robot_table(robot, self.gravity)
-        self._table: Any = table if IS_COMPILED else table.tolist()
         self._inverse_dynamics = _ready(newton_euler.inverse_dynamics, _V, _V, _V, _V, _M)
         self._batch = _ready(newton_euler.inverse_dynamics_batch, _M, _M, _M, _M, _M)
         self._mass_matrix = _ready(newton_euler.mass_matrix, _V, _V, _V, _M, _M)
+        self._joint_wrenches = _ready(newton_euler.joint_wrenches, _V, _V, _V, _V, _M, _M)
+        self._numbers = columns.robot_table(robot)
+        self._table = _runnable(self._numbers)
+        self._R_ZL = columns.rotations_to_z(robot)
+        self._payloads: dict[str, tuple[float, Floats, Floats]] = {}
+        self._wrenches: dict[str, tuple[Floats, Floats]] = {}
+        self._base_motion = np.zeros((3, 3))
+        self.set_gravity(gravity)
+
+    # What acts on the robot
+
+    def set_gravity(self, gravity: ArrayLike) -> None:
+        """
+        Let things fall another way.
+
+        Parameters
+        ----------
+        gravity : array_like, shape (3,)
+            Free-fall acceleration in the base frame [m/s^2].
+
+        Raises
+        ------
+        ConfigurationError
+            If gravity is not three finite numbers.
+
+        """
+        self.gravity = read_vector('gravity', gravity, 'm/s^2')
+        self.gravity.setflags(write=False)
+        self._write_base()
+
+    def set_base_motion(
+        self,
+        angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
+        angular_acceleration: ArrayLike = (0.0, 0.0, 0.0),
+        linear_acceleration: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> None:
+        """
+        Let the base move: omega_0, omega_dot_0 and v_dot_0 of LWP.
+
+        Parameters
+        ----------
+        angular_velocity, angular_acceleration, linear_acceleration : array_like, shape (3,)
+            Of the base frame and its origin, in the base frame [rad/s], [rad/s^2], [m/s^2].
+            Gravity is not part of the last; an accelerometer on the base reads the last minus
+            gravity.
+
+        Raises
+        ------
+        ConfigurationError
+            If one is not three finite numbers.
+
+        """
+        self._base_motion = np.array(
+            [
+                read_vector('angular_velocity', angular_velocity, 'rad/s'),
+                read_vector('angular_acceleration', angular_acceleration, 'rad/s^2'),
+                read_vector('linear_acceleration', linear_acceleration, 'm/s^2'),
+            ]
+        )
+        self._write_base()
+
+    def set_payload(
+        self,
+        link: str,
+        mass: float,
+        com: ArrayLike = (0.0, 0.0, 0.0),
+        inertia: ArrayLike = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+    ) -> None:
+        """
+        Fasten a rigid load to a link, in place of any that it had.
+
+        Parameters
+        ----------
+        link : str
+            Any link of the robot description.
+        mass : float
+            Mass of the load [kg]; 0 takes it off.
+        com : array_like, shape (3,)
+            Its centre of mass in the link's frame [m].
+        inertia : array_like, shape (3, 3)
+            About that, along the link's axes [kg m^2].
+
+        Raises
+        ------
+        ConfigurationError
+            If there is no such link, or no body has such a mass and inertia.
+
+        """
+        k = self._link(link)
+        self._payloads.pop(link, None)
+        load = read_inertial(mass, com, inertia)
+        if load[0] > 0.0:
+            rotation = self.robot.link_rotation[k]
+            centre = rotation @ load[1] + self.robot.link_position[k]
+            self._payloads[link] = load[0], centre, rotation @ load[2] @ rotation.T
+        self._write_inertial(int(self.robot.link_body[k]))
+
+    def set_external_wrench(
+        self,
+        link: str,
+        force: ArrayLike = (0.0, 0.0, 0.0),
+        moment: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> None:
+        """
+        Let the world push or pull a link, in place of what it did to this link before.
+
+        Parameters
+        ----------
+        link : str
+            Any link of the robot description.
+        force, moment : array_like, shape (3,)
+            What the world exerts on the robot, in the link's frame, about its origin [N], [N m].
+
+        Raises
+        ------
+        ConfigurationError
+            If there is no such link, or one is not three finite numbers.
+
+        """
+        k = self._link(link)
+        rotation = self.robot.link_rotation[k]
+        F = rotation @ read_vector('force', force, 'N')
+        N = rotation @ read_vector('moment', moment, 'N m')
+        self._wrenches[link] = F, N + np.cross(self.robot.link_position[k], F)
+        self._write_external(int(self.robot.link_body[k]))
+
+    def set_friction(
+        self,
+        damping: ArrayLike | None = None,
+        coulomb: ArrayLike | None = None,
+        width: ArrayLike = FRICTION_WIDTH,
+    ) -> None:
+        r"""
+        Overcome friction at the joints: :math:`d\,\dot q + c \tanh(\dot q / w)`.
+
+        Parameters
+        ----------
+        damping : array_like, shape (n,) or ()
+            Viscous friction d [N m s/rad or N s/m]; without it, that of the robot description.
+        coulomb : array_like, shape (n,) or ()
+            Coulomb friction c [N m or N]; without it, that of the robot description.
+        width : array_like, shape (n,) or ()
+            Speed w over which Coulomb friction is smoothed [rad/s or m/s].
+
+        Raises
+        ------
+        ConfigurationError
+            If a value is negative or not finite, or the width is zero.
+
+        """
+        n = len(self._zeros)
+        damping = self.robot.damping if damping is None else damping
+        coulomb = self.robot.friction if coulomb is None else coulomb
+        self._write_joints(columns.DAMPING, read_joints('damping', damping, n))
+        self._write_joints(columns.COULOMB, read_joints('coulomb', coulomb, n))
+        width = read_joints('width', width, n)
+        if not width.all():
+            raise ConfigurationError('width is 0, expected a speed above 0')
+        self._write_joints(columns.INVERSE_WIDTH, 1.0 / width)
+
+    def set_armature(self, armature: ArrayLike) -> None:
+        """
+        Count the inertia of rotors and gears, as it is felt at the joints.
+
+        Parameters
+        ----------
+        armature : array_like, shape (n,) or ()
+            Rotor inertia times the square of the gear ratio [kg m^2 or kg].
+
+        Raises
+        ------
+        ConfigurationError
+            If a value is negative or not finite.
+
+        """
+        self._write_joints(columns.ARMATURE, read_joints('armature', armature, len(self._zeros)))
+
+    # What it takes
 
     def efforts(
         self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: Floats | None = None
@@ -89,16 +307,17 @@ class InverseDynamics:
 
         Notes
         -----
-        Outward pass: LWP (36)-(44); inward pass: LWP (45)-(47).
+        Outward pass: LWP (36)-(44); inward pass: LWP (45)-(47). With arrays of float64 as
+        arguments and ``out``, nothing is allocated.
 
         """
         try:
             tau = np.empty_like(self._zeros) if out is None else out
             status = self._inverse_dynamics(q, qd, qdd, tau, self._table)
         except (TypeError, ValueError):  # lists, integers, batches, views with strides
-            return self._efforts_of_any(q, qd, qdd, out)
+            return self._efforts_of_any(self._table, q, qd, qdd, out)
         if status != OK:
-            raise self._error(out, q=q, qd=qd, qdd=qdd)
+            raise explain(self.robot.joint_names, out, q=q, qd=qd, qdd=qdd)
         return tau
 
     def gravity_efforts(self, q: ArrayLike) -> Floats:
@@ -113,7 +332,7 @@ class InverseDynamics:
         Returns
         -------
         tau : ndarray, shape (..., n)
-            Joint efforts [N m or N].
+            Joint efforts [N m or N]: `efforts` for velocities and accelerations of zero.
 
         Raises
         ------
@@ -122,6 +341,34 @@ class InverseDynamics:
 
         """
         return self.efforts(q, self._zeros, self._zeros)
+
+    def velocity_efforts(self, q: ArrayLike, qd: ArrayLike) -> Floats:
+        """
+        Compute C(q, qd) qd: the Coriolis and centrifugal efforts.
+
+        Parameters
+        ----------
+        q, qd : array_like, shape (..., n)
+            Joint positions [rad or m] and velocities [rad/s or m/s].
+
+        Returns
+        -------
+        tau : ndarray, shape (..., n)
+            Joint efforts [N m or N]; with what a turning base adds to them.
+
+        Raises
+        ------
+        JointStateError
+            If a shape does not fit the robot, or a value is not finite.
+
+        """
+        turning = self._without(
+            columns.OMEGA_DOT, columns.ACCEL, columns.EXTERNAL, columns.JOINT_TERMS
+        )
+        moving = self._efforts_of_any(turning, q, qd, self._zeros)
+        if not self._base_motion[0].any():
+            return moving
+        return moving - self._efforts_of_any(turning, q, self._zeros, self._zeros)
 
     def mass_matrix(self, q: ArrayLike) -> Floats:
         """
@@ -143,87 +390,177 @@ class InverseDynamics:
             If the shape does not fit the robot, or a value is not finite.
 
         """
-        positions = self._vectors('q', q)
+        positions = read_vectors('q', q, len(self._zeros))
         n = len(self._zeros)
         matrices = np.empty((*positions.shape, n))
         unit = np.zeros(n)
+        table = self._inertia_only()
         for index in np.ndindex(positions.shape[:-1]):
             arguments = (positions[index], self._zeros, unit, matrices[index])
-            if self._mass_matrix(*arguments, self._table) != OK:
-                raise self._error(q=q)
+            if self._mass_matrix(*arguments, table) != OK:
+                raise explain(self.robot.joint_names, q=q)
         return matrices
 
+    def terms(self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> Terms:
+        """
+        Compute what the joint efforts are made of.
+
+        Parameters
+        ----------
+        q, qd, qdd : array_like, shape (..., n)
+            As for `efforts`.
+
+        Returns
+        -------
+        terms : Terms
+            Named tuple of arrays of shape (..., n) [N m or N]; their sum is `efforts`.
+
+        Raises
+        ------
+        JointStateError
+            If a shape does not fit the robot, or a value is not finite.
+
+        """
+        _, shape = broadcast(len(self._zeros), q=q, qd=qd, qdd=qdd)
+        zeros = np.zeros(shape)
+        weight = self._without(columns.EXTERNAL, columns.JOINT_TERMS)
+        bodiless = (columns.MASS, columns.INERTIA, columns.BASE_MOTION)
+        friction = self._without(*bodiless, columns.EXTERNAL, columns.ARMATURE)
+        external = self._without(*bodiless, columns.JOINT_TERMS)
+        return Terms(
+            inertial=self._efforts_of_any(self._inertia_only(), q, zeros, qdd),
+            velocity=self.velocity_efforts(q, np.broadcast_to(qd, shape)),
+            gravity=self._efforts_of_any(weight, q, zeros, zeros),
+            friction=self._efforts_of_any(friction, q, qd, zeros),
+            external=self._efforts_of_any(external, q, zeros, zeros),
+        )
+
+    def joint_wrenches(self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> JointWrenches:
+        """
+        Compute the force and moment at every joint, the reaction of the mount first.
+
+        Parameters
+        ----------
+        q, qd, qdd : array_like, shape (..., n)
+            As for `efforts`.
+
+        Returns
+        -------
+        wrenches : JointWrenches
+            Named tuple of ``force`` [N] and ``moment`` [N m], each of shape (..., b, 3).
+
+        Raises
+        ------
+        JointStateError
+            If a shape does not fit the robot, or a value is not finite.
+
+        Notes
+        -----
+        LWP (45) and (46). A joint's moment (or force, where it slides) along its axis is its
+        effort, armature and friction apart: those act inside the joint.
+
+        """
+        rows, shape = broadcast(len(self._zeros), q=q, qd=qd, qdd=qdd)
+        b = len(self.robot.parent)
+        wrenches = np.empty((len(rows[0]), b, 6))
+        tau = np.empty_like(self._zeros)
+        for *state, wrench in zip(*rows, wrenches, strict=True):
+            if self._joint_wrenches(*state, tau, wrench, self._table) != OK:
+                raise explain(self.robot.joint_names, q=q, qd=qd, qdd=qdd)
+        R_LZ = self._R_ZL.transpose(0, 2, 1)
+        turned = np.einsum('bij,kbwj->wkbi', R_LZ, wrenches.reshape(-1, b, 2, 3))
+        force, moment = turned.reshape(2, *shape[:-1], b, 3)
+        return JointWrenches(force, moment)
+
+    # The table
+
+    def _without(self, *parts: int | slice) -> Any:
+        """Copy the robot's table, with nothing in some of its columns."""
+        numbers = self._numbers.copy()
+        for part in parts:
+            numbers[:, part] = 0.0
+        return _runnable(numbers)
+
+    def _inertia_only(self) -> Any:
+        return self._without(
+            columns.BASE_MOTION, columns.EXTERNAL, columns.DAMPING, columns.COULOMB
+        )
+
+    def _write_base(self) -> None:
+        self._numbers[0, columns.BASE_MOTION] = self._base_motion.ravel()
+        self._numbers[0, columns.ACCEL] -= self.gravity  # LWP (31)
+        self._update(0)
+
+    def _write_inertial(self, body: int) -> None:
+        """Make one body of a link and the loads on it."""
+        robot = self.robot
+        parts = [(robot.mass[body], robot.com[body], robot.inertia[body])]
+        for link, load in self._payloads.items():
+            if robot.link_body[robot.link_names.index(link)] == body:
+                parts.append(load)
+        mass = sum(part[0] for part in parts)
+        com = sum((part[0] * part[1] for part in parts), np.zeros(3)) / (mass or 1.0)
+        inertia = np.zeros((3, 3))
+        for part_mass, part_com, part_inertia in parts:
+            d = part_com - com
+            inertia += part_inertia + part_mass * (d @ d * np.eye(3) - np.outer(d, d))
+        row = self._numbers[body]
+        columns.write_inertial(row, self._R_ZL[body], mass, com, inertia)
+        self._update(body)
+
+    def _write_external(self, body: int) -> None:
+        robot = self.robot
+        on_body = [
+            wrench
+            for link, wrench in self._wrenches.items()
+            if robot.link_body[robot.link_names.index(link)] == body
+        ]
+        row, R_ZL = self._numbers[body], self._R_ZL[body]
+        row[columns.EXTERNAL_FORCE] = R_ZL @ sum((f for f, _ in on_body), np.zeros(3))
+        row[columns.EXTERNAL_MOMENT] = R_ZL @ sum((n for _, n in on_body), np.zeros(3))
+        self._update(body)
+
+    def _write_joints(self, column: int, values: Floats) -> None:
+        rows = self._numbers[1 : 1 + len(values)]
+        rows[:, column] = values
+        self._numbers[0, columns.HAS_JOINT_TERMS] = float(rows[:, columns.JOINT_TERMS].any())
+        for i in range(1 + len(values)):
+            self._update(i)
+
+    def _update(self, body: int) -> None:
+        if not IS_COMPILED:
+            self._table[body] = self._numbers[body].tolist()
+
+    def _link(self, name: str) -> int:
+        if name not in self.robot.link_names:
+            links = ', '.join(self.robot.link_names)
+            raise ConfigurationError(f"link '{name}' does not exist; links are {links}")
+        return self.robot.link_names.index(name)
+
     def _efforts_of_any(
-        self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: Floats | None
+        self,
+        table: Any,
+        q: ArrayLike,
+        qd: ArrayLike,
+        qdd: ArrayLike,
+        out: Floats | None = None,
     ) -> Floats:
         """Compute efforts of whatever numpy can read as rows of n numbers."""
-        vectors = [self._vectors(*pair) for pair in (('q', q), ('qd', qd), ('qdd', qdd))]
-        try:
-            shape = np.broadcast_shapes(*(vector.shape for vector in vectors))
-        except ValueError:
-            shapes = ', '.join(str(vector.shape) for vector in vectors)
-            raise JointStateError(f'q, qd, qdd of shapes {shapes} do not fit together') from None
-        rows = [_rows(vector, shape) for vector in vectors]
+        rows, shape = broadcast(len(self._zeros), q=q, qd=qd, qdd=qdd)
         tau = np.empty_like(rows[0])
-        if self._batch(*rows, tau, self._table) != OK:
-            raise self._error(q=q, qd=qd, qdd=qdd)
+        if self._batch(*rows, tau, table) != OK:
+            raise explain(self.robot.joint_names, q=q, qd=qd, qdd=qdd)
         if out is None:
             return tau.reshape(shape)
         if out.shape != shape:
-            raise _wrong_out(out, shape)
+            raise wrong_out(out, shape)
         out[...] = tau.reshape(shape)
         return out
 
-    def _vectors(self, name: str, values: ArrayLike) -> Floats:
-        """Read an argument as float64, its last dimension one number a joint."""
-        try:
-            # Writable, by a copy where need be: the compiled functions take no other.
-            vectors = np.require(values, np.float64, ['C', 'W'])
-        except (TypeError, ValueError) as error:
-            raise JointStateError(f'{name} is no array of numbers: {error}') from None
-        n = len(self._zeros)
-        if vectors.shape[-1:] != (n,):
-            raise JointStateError(f'{name} has shape {vectors.shape}, the robot has {n} joints')
-        return vectors
 
-    def _error(self, out: Floats | None = None, **arguments: ArrayLike) -> JointStateError:
-        """Say which argument is at fault: its shape, else its first value that is not finite."""
-        for name, values in arguments.items():
-            vectors = self._vectors(name, values)
-            bad = np.argwhere(~np.isfinite(vectors))
-            if len(bad):
-                where = tuple(int(index) for index in bad[0])
-                joint = self.robot.joint_names[where[-1]]
-                sample = f' (sample {where[:-1]})' if where[:-1] else ''
-                return JointStateError(f"{name} of joint '{joint}' is {vectors[where]}{sample}")
-        if out is not None and out.shape != self._zeros.shape:
-            return _wrong_out(out, self._zeros.shape)
-        return JointStateError(
-            'the efforts overflow: a position, velocity or acceleration is '
-            'finite, but beyond all reason'
-        )
-
-
-def _rows(vectors: Floats, shape: tuple[int, ...]) -> Floats:
-    """Broadcast to a shape, then make of it a list of vectors."""
-    if vectors.shape != shape:
-        vectors = np.array(np.broadcast_to(vectors, shape), order='C')
-    return vectors.reshape(math.prod(shape[:-1]), shape[-1])
-
-
-def _wrong_out(out: Floats, shape: tuple[int, ...]) -> JointStateError:
-    return JointStateError(f'out has shape {out.shape}, the result has {shape}')
-
-
-def _checked_gravity(gravity: ArrayLike) -> Floats:
-    try:
-        vector = np.array(gravity, dtype=np.float64)
-    except (TypeError, ValueError):
-        vector = np.empty(0)
-    if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise ConfigurationError(f'gravity is {gravity!r}, expected three finite numbers [m/s^2]')
-    vector.setflags(write=False)
-    return vector
+def _runnable(numbers: Floats) -> Any:
+    """Return a table as the functions of `newton_euler` want it here."""
+    return numbers if IS_COMPILED else numbers.tolist()
 
 
 def _ready(function: Callable[..., int], *kinds: str) -> Callable[..., int]:
