@@ -1,5 +1,5 @@
 """
-From state and reference to command: limits, ramps, and what happens when an input stops coming.
+From state and reference to command: modes, limits, ramps, and what to do when an input is lost.
 
 No ROS, and no clock: time comes in as an argument.
 """
@@ -7,7 +7,7 @@ No ROS, and no clock: time comes in as an argument.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 import enum
 import math
 from typing import NamedTuple
@@ -20,15 +20,39 @@ from .model import Booleans, Floats, RobotModel
 from .state import State
 
 
+class Mode(enum.Enum):
+    """What the efforts are for."""
+
+    INVERSE_DYNAMICS = 'inverse_dynamics'
+    """The accelerations of the reference."""
+    COMPUTED_TORQUE = 'computed_torque'
+    """Those, and back to the reference's positions and velocities where the arm strays."""
+    GRAVITY_COMPENSATION = 'gravity_compensation'
+    """To hold the arm where it is; the reference does not count."""
+
+
+class StalePolicy(enum.Enum):
+    """What becomes of the efforts when the joint state is lost."""
+
+    ZERO = 'zero'
+    """They go to zero, along the stop ramp."""
+    HOLD = 'hold'
+    """They stay what they were: for an arm that would fall, if its sensors can be trusted."""
+
+
 class Phase(enum.Enum):
     """What the controller is doing."""
 
     WAITING = 'no complete joint state yet'
     RUNNING = 'following the reference'
     HOLDING = 'no fresh reference: accelerations of zero'
-    STATE_LOST = 'no fresh joint state: efforts go to zero'
-    NO_SOLUTION = 'state or reference beyond all reason: efforts go to zero'
+    TOO_FAR = 'the reference starts too far away: accelerations of zero'
+    STATE_LOST = 'no fresh joint state'
+    NO_SOLUTION = 'state or reference beyond all reason'
     STOPPED = 'stopped: efforts go to zero'
+
+
+_IS_WELL = (Phase.RUNNING, Phase.HOLDING, Phase.TOO_FAR)
 
 
 class Reference(NamedTuple):
@@ -40,6 +64,10 @@ class Reference(NamedTuple):
     """Added to the command, shape (m,) [N m or N]."""
     time: float
     """When it arrived [s]."""
+    positions: Floats | None = None
+    """Shape (m,) [rad or m]; None where the reference has none."""
+    velocities: Floats | None = None
+    """Shape (m,) [rad/s or m/s]; None where the reference has none."""
 
 
 class Command(NamedTuple):
@@ -51,20 +79,41 @@ class Command(NamedTuple):
     """Which of the efforts were cut to their limits, shape (m,)."""
 
 
+PerJoint = float | tuple[float, ...]
+"""One number for all commanded joints, or one for each."""
+
+
 @dataclass(frozen=True)
 class Settings:
     """How the controller treats its inputs and outputs. Times in [s]."""
 
+    mode: Mode = Mode.INVERSE_DYNAMICS
     state_timeout: float = 0.1
     """A joint state older than this is lost."""
     reference_timeout: float = 0.5
     """A reference older than this counts no more; 0: a reference holds until the next."""
+    on_stale_state: StalePolicy = StalePolicy.ZERO
     start_ramp: float = 0.5
     """Time for the efforts to rise from zero to their full values."""
     stop_ramp: float = 0.5
     """Time for the efforts to fall from their full values to zero."""
+    kp: PerJoint = 100.0
+    """Of computed torque: acceleration for a distance [1/s^2]."""
+    kd: PerJoint = 20.0
+    """Of computed torque: acceleration for a difference of velocities [1/s]."""
+    max_position_jump: float = 0.5
+    """Of computed torque: how far away a reference may start [rad or m]; 0: anywhere."""
+    velocity_filter_cutoff: float = 0.0
+    """Of a first-order low-pass for measured velocities [Hz]; 0: none."""
+    effort_scale: PerJoint = 1.0
+    effort_offset: PerJoint = 0.0
+    """Added after scaling [N m or N]."""
     use_urdf_effort_limits: bool = True
     """Whether the efforts stay within the limits in the robot description."""
+    effort_limits: PerJoint = math.inf
+    """Tighter limits [N m or N]."""
+    effort_rate_limits: PerJoint = math.inf
+    """How fast an effort may change [N m/s or N/s]."""
 
 
 class Controller:
@@ -86,7 +135,7 @@ class Controller:
     Raises
     ------
     ConfigurationError
-        If a joint cannot be commanded.
+        If a joint cannot be commanded, or a setting does not fit the joints.
 
     """
 
@@ -97,21 +146,43 @@ class Controller:
         settings: Settings | None = None,
     ) -> None:
         self.dynamics = dynamics
-        self.settings = settings or Settings()
         self.joints = tuple(joints) or dynamics.robot.joint_names
         self.phase = Phase.WAITING
         self.gain = 0.0
         self._index = _index_of(self.joints, dynamics.robot)
-        limits = dynamics.robot.effort_limits[self._index]
-        self._limits = (
-            limits if self.settings.use_urdf_effort_limits else np.full_like(limits, math.inf)
-        )
-        self._qdd = np.zeros(len(dynamics.robot.joint_names))
-        self._tau = np.zeros_like(self._qdd)
-        self._efforts = np.zeros(len(self.joints))
-        self._is_saturated = np.zeros(len(self.joints), dtype=bool)
-        self._time = math.inf  # of the last step; nothing has elapsed at the first
+        self._is_continuous = dynamics.robot.is_continuous[self._index]
+        n, m = len(dynamics.robot.joint_names), len(self.joints)
+        self._qdd, self._qd, self._tau = np.zeros((3, n))
+        self._rest = np.zeros(n)
+        self._efforts, self._command = np.zeros((2, m))
+        self._is_saturated = np.zeros(m, dtype=bool)
         self._is_stopping = False
+        self._time = self._filter_time = math.inf
+        self.apply(settings or Settings())
+
+    def apply(self, settings: Settings) -> None:
+        """
+        Change the settings from the next step on.
+
+        Raises
+        ------
+        ConfigurationError
+            If a list does not have one number for each commanded joint; nothing has changed then.
+
+        """
+        m = len(self.joints)
+        arrays = {
+            field.name: _of_joints(field.name, getattr(settings, field.name), m)
+            for field in fields(settings)
+            if field.type == 'PerJoint'
+        }
+        limits = arrays['effort_limits']
+        if settings.use_urdf_effort_limits:
+            limits = np.minimum(limits, self.dynamics.robot.effort_limits[self._index])
+        self.settings, self._of_joint, self._limits = settings, arrays, limits
+        self._has_rate_limits = bool(np.isfinite(arrays['effort_rate_limits']).any())
+        # Finite, for none of it times no time is none of it.
+        self._rate_limits = np.minimum(arrays['effort_rate_limits'], 1e300)
 
     def stop(self) -> None:
         """Let the efforts fall to zero from the next step on, and stay there."""
@@ -120,8 +191,10 @@ class Controller:
     def start(self) -> None:
         """Let the efforts rise from zero at the next step with a fresh state."""
         self._is_stopping = False
-        self._time = math.inf
+        self._time = self._filter_time = math.inf  # at the first step nothing has elapsed
         self.gain = 0.0
+        self._command[:] = 0.0
+        self.phase = Phase.WAITING
 
     def step(self, now: float, state: State | None, reference: Reference | None) -> Command | None:
         """
@@ -149,14 +222,24 @@ class Controller:
         if state is None:
             return None
         self.phase = self._next_phase(now, state, reference)
-        if self.phase is Phase.RUNNING or self.phase is Phase.HOLDING:
+        if self.phase in _IS_WELL:
+            self._filter(state)
             self._compute(state, reference if self.phase is Phase.RUNNING else None)
-        if self.phase is Phase.RUNNING or self.phase is Phase.HOLDING:
-            self.gain = min(1.0, self.gain + _share(elapsed, self.settings.start_ramp))
-        else:
+        self._ramp(elapsed)
+        target = self.gain * self._efforts
+        if self._has_rate_limits:
+            change = self._rate_limits * elapsed
+            np.clip(target, self._command - change, self._command + change, out=target)
+        self._command[:] = target
+        return Command(self._command, self._is_saturated)
+
+    def _ramp(self, elapsed: float) -> None:
+        settings = self.settings
+        if self.phase in _IS_WELL:
+            self.gain = min(1.0, self.gain + _share(elapsed, settings.start_ramp))
+        elif self.phase is Phase.STOPPED or settings.on_stale_state is StalePolicy.ZERO:
             # The last efforts fade out; without a fresh state there are no better ones.
-            self.gain = max(0.0, self.gain - _share(elapsed, self.settings.stop_ramp))
-        return Command(self.gain * self._efforts, self._is_saturated)
+            self.gain = max(0.0, self.gain - _share(elapsed, settings.stop_ramp))
 
     def _next_phase(self, now: float, state: State, reference: Reference | None) -> Phase:
         """Judge the inputs by their age; one below zero is from before the clock was reset."""
@@ -164,32 +247,89 @@ class Controller:
             return Phase.STOPPED
         if not 0.0 <= now - state.time <= self.settings.state_timeout:
             return Phase.STATE_LOST
-        if reference is None:
+        if reference is None or self.settings.mode is Mode.GRAVITY_COMPENSATION:
             return Phase.HOLDING
         timeout = self.settings.reference_timeout or math.inf
-        return Phase.RUNNING if 0.0 <= now - reference.time <= timeout else Phase.HOLDING
+        if not 0.0 <= now - reference.time <= timeout:
+            return Phase.HOLDING
+        if self.phase is not Phase.RUNNING and self._is_far(state, reference):
+            return Phase.TOO_FAR
+        return Phase.RUNNING
+
+    def _is_far(self, state: State, reference: Reference) -> bool:
+        """Tell whether following the reference would begin with a jump."""
+        limit = self.settings.max_position_jump
+        if self.settings.mode is not Mode.COMPUTED_TORQUE or not limit:
+            return False
+        distance = self._distance(state, reference)
+        return distance is not None and bool(np.abs(distance).max() > limit)
+
+    def _distance(self, state: State, reference: Reference) -> Floats | None:
+        """Return how far the joints have to go; the short way round for continuous ones."""
+        if reference.positions is None:
+            return None
+        distance = reference.positions - state.q[self._index]
+        turns = np.round(distance / (2.0 * math.pi))
+        return np.where(self._is_continuous, distance - 2.0 * math.pi * turns, distance)
+
+    def _filter(self, state: State) -> None:
+        """Smooth the measured velocities, as time passes for the state."""
+        cutoff = self.settings.velocity_filter_cutoff
+        elapsed = state.time - self._filter_time
+        if not cutoff or not 0.0 <= elapsed <= self.settings.state_timeout:
+            self._qd[:] = state.qd
+        else:
+            self._qd += (1.0 - math.exp(-2.0 * math.pi * cutoff * elapsed)) * (state.qd - self._qd)
+        self._filter_time = state.time
 
     def _compute(self, state: State, reference: Reference | None) -> None:
         """Compute the efforts, within their limits; if there are none, the last ones stay."""
-        self._qdd[self._index] = 0.0 if reference is None else reference.accelerations
+        is_floating = self.settings.mode is Mode.GRAVITY_COMPENSATION
         try:
-            self.dynamics.efforts(state.q, state.qd, self._qdd, out=self._tau)
+            with np.errstate(all='ignore'):
+                self._qdd[self._index] = 0.0
+                if reference is not None:
+                    self._qdd[self._index] = self._accelerations(state, reference)
+                qd = self._rest if is_floating else self._qd
+                self.dynamics.efforts(state.q, qd, self._qdd, out=self._tau)
+                efforts = self._tau[self._index]
+                if reference is not None:
+                    efforts += reference.efforts
+                efforts *= self._of_joint['effort_scale']
+                efforts += self._of_joint['effort_offset']
         except JointStateError:
             self.phase = Phase.NO_SOLUTION
             return
-        efforts = self._tau[self._index]
-        if reference is not None:
-            with np.errstate(all='ignore'):
-                efforts += reference.efforts
-            if not np.isfinite(efforts).all():
-                self.phase = Phase.NO_SOLUTION
-                return
+        if not math.isfinite(float(efforts.sum())):
+            self.phase = Phase.NO_SOLUTION
+            return
         np.greater(np.abs(efforts), self._limits, out=self._is_saturated)
         np.clip(efforts, -self._limits, self._limits, out=self._efforts)
+
+    def _accelerations(self, state: State, reference: Reference) -> Floats:
+        """Return the accelerations to produce: resolved, where the loop is closed here."""
+        qdd = reference.accelerations
+        if self.settings.mode is Mode.COMPUTED_TORQUE:
+            distance = self._distance(state, reference)
+            if distance is not None:
+                qdd = qdd + self._of_joint['kp'] * distance
+            if reference.velocities is not None:
+                error = reference.velocities - self._qd[self._index]
+                qdd = qdd + self._of_joint['kd'] * error
+        return qdd
 
 
 def _share(elapsed: float, ramp: float) -> float:
     return elapsed / ramp if ramp > 0.0 else 1.0
+
+
+def _of_joints(name: str, values: PerJoint, m: int) -> Floats:
+    numbers = np.atleast_1d(np.asarray(values, dtype=np.float64))
+    if numbers.shape not in ((1,), (m,)):
+        raise ConfigurationError(
+            f'{name} has {numbers.size} numbers, expected one, or one for each of {m} joints'
+        )
+    return np.array(np.broadcast_to(numbers, (m,)))
 
 
 def _index_of(joints: Sequence[str], robot: RobotModel) -> list[int]:

@@ -3,7 +3,14 @@
 import math
 
 from inverse_dynamics_node import ConfigurationError, InverseDynamics, load_urdf
-from inverse_dynamics_node.controller import Controller, Phase, Reference, Settings
+from inverse_dynamics_node.controller import (
+    Controller,
+    Mode,
+    Phase,
+    Reference,
+    Settings,
+    StalePolicy,
+)
 from inverse_dynamics_node.state import State
 import numpy as np
 import pytest
@@ -199,3 +206,103 @@ def test_refuses_a_robot_without_joints():
     stone = load_urdf('<robot name="stone"><link name="base"/></robot>')
     with pytest.raises(ConfigurationError, match="'stone' has no movable joints"):
         Controller(InverseDynamics(stone))
+
+
+def tracking(time, positions, velocities=(0.0, 0.0), accelerations=(0.0, 0.0)):
+    return Reference(
+        np.array(accelerations), np.zeros(2), time, np.array(positions), np.array(velocities)
+    )
+
+
+def test_computed_torque_drives_back_to_the_reference():
+    lift = controller(mode=Mode.COMPUTED_TORQUE, kp=(100.0, 50.0), kd=10.0)
+    command = lift.step(0.0, state(0.0), tracking(0.0, [0.02, 0.01], [0.1, -0.1], [0.5, 0.0]))
+    low, high = 0.5 + 10.0 * 0.1 + 100.0 * 0.02, 10.0 * -0.1 + 50.0 * 0.01
+    assert command.efforts == pytest.approx([30.0 + 3.0 * low + high, 10.0 + low + high])
+
+
+def test_inverse_dynamics_leaves_the_loop_open():
+    lift = controller()
+    command = lift.step(0.0, state(0.0), tracking(0.0, [0.02, 0.01], [0.1, -0.1], [0.5, 0.0]))
+    assert command.efforts == pytest.approx([31.5, 10.5])
+
+
+def test_gravity_compensation_ignores_reference_and_velocity():
+    lift = controller(mode=Mode.GRAVITY_COMPENSATION)
+    lift.dynamics.set_friction(damping=5.0, coulomb=1.0)
+    moving = State(np.zeros(2), np.ones(2), 0.0)
+    assert lift.step(0.0, moving, tracking(0.0, [0.3, 0.3])).efforts == pytest.approx(HOLD)
+
+
+def test_reference_that_starts_too_far_away_is_not_followed():
+    lift = controller(mode=Mode.COMPUTED_TORQUE, max_position_jump=0.1)
+    assert lift.step(0.0, state(0.0), tracking(0.0, [0.2, 0.0])).efforts == pytest.approx(HOLD)
+    assert lift.phase is Phase.TOO_FAR
+    lift.step(0.01, state(0.01), tracking(0.01, [0.05, 0.0]))
+    assert lift.phase is Phase.RUNNING
+    lift.step(0.02, state(0.02), tracking(0.02, [0.2, 0.0]))  # under way it may lead by more
+    assert lift.phase is Phase.RUNNING
+
+
+def test_continuous_joints_go_the_short_way_round():
+    wheel = load_urdf(LIFT.replace('type="prismatic"', 'type="continuous"').replace('50"', '500"'))
+    settings = Settings(
+        mode=Mode.COMPUTED_TORQUE, start_ramp=0.0, kp=1.0, kd=0.0, use_urdf_effort_limits=False
+    )
+    turning = Controller(InverseDynamics(wheel, gravity=(0, 0, 0)), (), settings)
+    position = State(np.array([3.1, 0.0]), np.zeros(2), 0.0)
+    command = turning.step(0.0, position, tracking(0.0, [-3.1, 0.0]))
+    distance = 2.0 * math.pi - 6.2
+    # Two bodies of inertia 1 about one axis: the first joint turns both.
+    assert command.efforts == pytest.approx([2.0 * distance, distance])
+
+
+def test_scale_and_offset_come_before_the_limits():
+    lift = controller(effort_scale=(0.5, 2.0), effort_offset=1.0)
+    assert lift.step(0.0, state(0.0), None).efforts == pytest.approx([16.0, 15.0])
+
+
+def test_limits_of_the_urdf_are_tightened_never_loosened():
+    lift = controller(effort_limits=(20.0, 500.0))
+    assert lift.step(0.0, state(0.0), reference(0.0, [0.0, 90.0])).efforts.tolist() == [20.0, 15.0]
+
+
+def test_efforts_change_no_faster_than_allowed():
+    lift = controller(effort_rate_limits=(100.0, math.inf))
+    steps = [lift.step(t, state(t), None).efforts.tolist() for t in (0.0, 0.05, 0.1, 0.2, 0.3)]
+    assert np.array(steps)[:, 0] == pytest.approx([0.0, 5.0, 10.0, 20.0, 30.0])
+    assert np.array(steps)[:, 1] == pytest.approx([0.0, 10.0, 10.0, 10.0, 10.0])
+
+
+def test_efforts_can_be_held_when_the_state_is_lost():
+    lift = controller(on_stale_state=StalePolicy.HOLD)
+    lift.step(0.0, state(0.0), None)
+    assert lift.step(5.0, state(0.0), None).efforts == pytest.approx(HOLD)
+    assert lift.phase is Phase.STATE_LOST
+    lift.stop()
+    assert lift.step(5.1, state(0.0), None).efforts.tolist() == [0.0, 0.0]
+
+
+def test_velocity_filter_smooths_noise_and_follows_change():
+    lift = controller(velocity_filter_cutoff=5.0, use_urdf_effort_limits=False)
+    lift.dynamics.set_friction(damping=1.0, coulomb=0.0)
+    times = np.arange(0.0, 1.0, 0.01)
+    noise = [State(np.zeros(2), np.full(2, (-1.0) ** k), t) for k, t in enumerate(times)]
+    felt = [lift.step(s.time, s, None).efforts[1] - 10.0 for s in noise]
+    assert np.abs(felt[50:]).max() < 0.2
+    steady = [State(np.zeros(2), np.ones(2), t) for t in times + 1.0]
+    felt = [lift.step(s.time, s, None).efforts[1] - 10.0 for s in steady]
+    assert felt[-1] == pytest.approx(1.0)
+    # First order: after one time constant 63 % of the way.
+    assert felt[3] == pytest.approx(1.0 - math.exp(-2.0 * math.pi * 5.0 * 0.04), abs=0.1)
+
+
+def test_settings_change_as_a_whole_or_not_at_all():
+    lift = controller()
+    with pytest.raises(
+        ConfigurationError, match='kp has 3 numbers, expected one, or one for each'
+    ):
+        lift.apply(Settings(kp=(1.0, 2.0, 3.0), start_ramp=9.0))
+    assert lift.settings.start_ramp == 0.0
+    lift.apply(Settings(start_ramp=0.0, effort_scale=0.5))
+    assert lift.step(0.0, state(0.0), None).efforts == pytest.approx(HOLD / 2)
