@@ -6,9 +6,11 @@ VENV := .venv
 BIN := $(VENV)/bin
 
 # A sourced ROS would have its libraries loaded in place of those in the environment made here.
+# Nothing that is started here sends a packet to another machine.
 CLEAN := env -u PYTHONPATH -u LD_LIBRARY_PATH -u AMENT_PREFIX_PATH -u COLCON_PREFIX_PATH \
     -u CMAKE_PREFIX_PATH -u RMW_IMPLEMENTATION -u ROS_DISTRO -u _ROS_WHEELS_BOOTSTRAP_COMPLETE \
-    ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
+    -u FASTDDS_DEFAULT_PROFILES_FILE -u FASTRTPS_DEFAULT_PROFILES_FILE -u ROS_DISCOVERY_SERVER \
+    -u ROS_STATIC_PEERS -u ROS_LOCALHOST_ONLY ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
 
 .PHONY: demo test clean
 

@@ -12,12 +12,12 @@ test = [
     'colcon-common-extensions',
     'example-robot-data>=6',
     'hypothesis>=6',
-    'mypy>=1.14',
+    'mypy==2.4.*',
     'pin>=3.5',
     'pytest>=8',
     'pytest-timeout>=2',
     'ros-jazzy-domain-coordinator',
-    'ruff>=0.9',
+    'ruff==0.17.*',
 ]
 
 setup(

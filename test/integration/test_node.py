@@ -314,6 +314,7 @@ def test_names_can_be_remapped_and_pushed_into_a_namespace(run_node, robot):
 def test_topics_are_those_of_the_readme(run_node, robot):
     node = run_node(**PATIENT)
     robot.wait_for_text(node, 'no command yet')
+    robot.wait_until(lambda: 'inverse_dynamics' in robot.node.get_node_names(), 'discovery')
     of_rclpy = {'/parameter_events', '/rosout', '/inverse_dynamics/transition_event'}
     readme = (ROOT / 'README.md').read_text()
     for title, list_topics in (
