@@ -1,9 +1,27 @@
-"""Joint efforts for the joint accelerations you ask for, from a URDF. No ROS is imported here."""
+"""
+Joint efforts for the joint accelerations you ask for, from a URDF. No ROS is imported here.
 
-from .dynamics import InverseDynamics
-from .errors import ConfigurationError, InverseDynamicsError, JointStateError, UrdfError
-from .model import RobotModel
-from .urdf import load_urdf
+The names below are imported when they are first used: numpy and numba take half a second.
+"""
+
+from importlib import import_module
+from typing import Any, TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .dynamics import InverseDynamics
+    from .errors import ConfigurationError, InverseDynamicsError, JointStateError, UrdfError
+    from .model import RobotModel
+    from .urdf import load_urdf
+
+_HOMES = {
+    'ConfigurationError': 'errors',
+    'InverseDynamics': 'dynamics',
+    'InverseDynamicsError': 'errors',
+    'JointStateError': 'errors',
+    'RobotModel': 'model',
+    'UrdfError': 'errors',
+    'load_urdf': 'urdf',
+}
 
 __all__ = [
     'ConfigurationError',
@@ -14,3 +32,9 @@ __all__ = [
     'UrdfError',
     'load_urdf',
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    return getattr(import_module(f'.{_HOMES[name]}', __name__), name)

@@ -15,10 +15,13 @@ from .model import Floats
 def read_vectors(name: str, values: ArrayLike, n: int) -> Floats:
     """Read an array whose last dimension is one number a joint."""
     try:
-        # Writable, by a copy where need be: the compiled functions take no other.
-        vectors = np.require(values, np.float64, ['C', 'W'])
-    except (TypeError, ValueError) as error:
+        found = np.asarray(values)
+    except ValueError as error:
         raise JointStateError(f'{name} is no array of numbers: {error}') from None
+    if found.dtype.kind not in 'fiub':
+        raise JointStateError(f'{name} is no array of real numbers, but of {found.dtype}')
+    # Writable, by a copy where need be: the compiled functions take no other.
+    vectors = np.require(found, np.float64, ['C', 'W'])
     if vectors.shape[-1:] != (n,):
         raise JointStateError(f'{name} has shape {vectors.shape}, the robot has {n} joints')
     return vectors
@@ -55,17 +58,21 @@ def explain(
             sample = f' (sample {where[:-1]})' if where[:-1] else ''
             joint = joint_names[where[-1]]
             return JointStateError(f"{name} of joint '{joint}' is {vectors[where]}{sample}")
-    if out is not None and out.shape != (n,):
-        return wrong_out(out, (n,))
+    if out is not None:
+        check_out(out, (n,))
     return JointStateError(
         'the efforts overflow: a position, velocity or acceleration is finite, but beyond all '
         'reason'
     )
 
 
-def wrong_out(out: Floats, shape: tuple[int, ...]) -> JointStateError:
-    """Say that the array for the result does not fit."""
-    return JointStateError(f'out has shape {out.shape}, the result has {shape}')
+def check_out(out: Floats, shape: tuple[int, ...]) -> None:
+    """Refuse an array that cannot take the result."""
+    if not isinstance(out, np.ndarray) or out.dtype != np.float64 or not out.flags.writeable:
+        kind = out.dtype if isinstance(out, np.ndarray) else type(out).__name__
+        raise JointStateError(f'out is of {kind}, expected a writable array of float64')
+    if out.shape != shape:
+        raise JointStateError(f'out has shape {out.shape}, the result has {shape}')
 
 
 def read_joints(name: str, values: ArrayLike, n: int) -> Floats:

@@ -15,6 +15,9 @@ IS_COMPILED: bool = numba is not None and not numba.config.DISABLE_JIT
 
 Function = TypeVar('Function', bound=Callable[..., Any])
 
+_cached: list[Any] = []
+_has_warned = False
+
 
 def compiled(function: Function) -> Function:
     """
@@ -26,12 +29,15 @@ def compiled(function: Function) -> Function:
     if not IS_COMPILED:
         return function
     try:
-        return cast(Function, numba.njit(cache=True, error_model='numpy')(function))
+        dispatcher = numba.njit(cache=True, error_model='numpy')(function)
     except RuntimeError as error:
         # numba refuses to decorate where no cache directory is writable: a package owned by root,
         # run by a service without a home.
-        warnings.warn(f'compiled code is not kept between runs: {error}', stacklevel=2)
-        return cast(Function, numba.njit(error_model='numpy')(function))
+        _warn(error)
+        dispatcher = numba.njit(error_model='numpy')(function)
+    else:
+        _cached.append(dispatcher)
+    return cast(Function, dispatcher)
 
 
 def inlined(function: Function) -> Function:
@@ -57,6 +63,22 @@ def compile_for(function: Any, signature: str) -> None:
         return
     try:
         function.compile(signature)
-    except OSError as error:  # compiled and usable; only saving it failed, on a full disk say
-        warnings.warn(f'compiled code is not kept between runs: {error}', stacklevel=2)
+    except Exception as error:
+        # A full disk, or files that a power cut has left half written.
+        _warn(error)
+        for dispatcher in _cached:
+            dispatcher._cache = numba.core.caching.NullCache()
+        function.compile(signature)
     function.disable_compile()
+
+
+def _warn(error: Exception) -> None:
+    """Say it once: what is true of one function is true of all."""
+    global _has_warned
+    if not _has_warned:
+        _has_warned = True
+        warnings.warn(
+            f'compiled code is not kept between runs ({type(error).__name__}: {error}); '
+            'NUMBA_CACHE_DIR can name a directory for it',
+            stacklevel=3,
+        )

@@ -131,6 +131,8 @@ class Controller:
         The m joints to command, in the order of the commands; empty for all, in the robot's order.
     settings : Settings
         See there.
+    period : float
+        Time between steps [s]; 0 if there is a step for every joint state.
 
     Raises
     ------
@@ -144,11 +146,13 @@ class Controller:
         dynamics: InverseDynamics,
         joints: Sequence[str] = (),
         settings: Settings | None = None,
+        period: float = 0.0,
     ) -> None:
         self.dynamics = dynamics
         self.joints = tuple(joints) or dynamics.robot.joint_names
         self.phase = Phase.WAITING
         self.gain = 0.0
+        self._period = period
         self._index = _index_of(self.joints, dynamics.robot)
         self._is_continuous = dynamics.robot.is_continuous[self._index]
         n, m = len(dynamics.robot.joint_names), len(self.joints)
@@ -172,7 +176,7 @@ class Controller:
         """
         m = len(self.joints)
         arrays = {
-            field.name: _of_joints(field.name, getattr(settings, field.name), m)
+            field.name: of_joints(field.name, getattr(settings, field.name), m)
             for field in fields(settings)
             if field.type == 'PerJoint'
         }
@@ -215,9 +219,10 @@ class Controller:
             None before the first complete joint state.
 
         """
-        # No step counts for more than the state may be old: after a stall the ramps go on from
-        # where they were, not from where they would have been.
-        elapsed = min(max(0.0, now - self._time), self.settings.state_timeout)
+        # No step counts for more than the state may be old, or than two steps: after a stall the
+        # ramps go on from where they were, not from where they would have been.
+        longest = max(self.settings.state_timeout, 2.0 * self._period)
+        elapsed = min(max(0.0, now - self._time), longest)
         self._time = now
         if state is None:
             return None
@@ -225,6 +230,8 @@ class Controller:
         if self.phase in _IS_WELL:
             self._filter(state)
             self._compute(state, reference if self.phase is Phase.RUNNING else None)
+        else:
+            self._is_saturated[:] = False
         self._ramp(elapsed)
         target = self.gain * self._efforts
         if self._has_rate_limits:
@@ -323,7 +330,8 @@ def _share(elapsed: float, ramp: float) -> float:
     return elapsed / ramp if ramp > 0.0 else 1.0
 
 
-def _of_joints(name: str, values: PerJoint, m: int) -> Floats:
+def of_joints(name: str, values: PerJoint, m: int) -> Floats:
+    """Spread one number over all commanded joints, or check that there is one for each."""
     numbers = np.atleast_1d(np.asarray(values, dtype=np.float64))
     if numbers.shape not in ((1,), (m,)):
         raise ConfigurationError(

@@ -12,12 +12,12 @@ from . import newton_euler
 from . import table as columns
 from .arguments import (
     broadcast,
+    check_out,
     explain,
     read_inertial,
     read_joints,
     read_vector,
     read_vectors,
-    wrong_out,
 )
 from .compilation import compile_for, IS_COMPILED
 from .errors import ConfigurationError
@@ -85,8 +85,8 @@ class InverseDynamics:
 
     Notes
     -----
-    The first object compiles for seconds; the machine code is kept on disk. An object holds its
-    own scratch space: threads need one each.
+    The first object on a machine compiles for some seconds; the machine code is kept on disk. An
+    object holds its own scratch space: threads need one each.
 
     References
     ----------
@@ -547,13 +547,13 @@ class InverseDynamics:
     ) -> Floats:
         """Compute efforts of whatever numpy can read as rows of n numbers."""
         rows, shape = broadcast(len(self._zeros), q=q, qd=qd, qdd=qdd)
+        if out is not None:
+            check_out(out, shape)
         tau = np.empty_like(rows[0])
         if self._batch(*rows, tau, table) != OK:
             raise explain(self.robot.joint_names, q=q, qd=qd, qdd=qdd)
         if out is None:
             return tau.reshape(shape)
-        if out.shape != shape:
-            raise wrong_out(out, shape)
         out[...] = tau.reshape(shape)
         return out
 
@@ -580,6 +580,8 @@ def _ready(function: Callable[..., int], *kinds: str) -> Callable[..., int]:
         *arrays, robot = arguments
         for values, dimension in zip(arrays, dimensions, strict=True):
             if not isinstance(values, np.ndarray) or values.ndim != dimension:
+                raise TypeError
+            if values.dtype != np.float64:
                 raise TypeError
         lists = [values.tolist() for values in arrays]
         try:

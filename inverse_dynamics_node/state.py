@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 import math
 from typing import NamedTuple
@@ -61,7 +62,7 @@ class JointStateCollector:
         now : float
             The time of arrival [s].
         names, positions, velocities : sequences of equal length
-            Velocities may be empty, or NaN for a joint that never had one: zero then.
+            Velocities may be empty, or NaN for joints that never had one: zero then.
 
         Raises
         ------
@@ -75,15 +76,16 @@ class JointStateCollector:
             raise JointStateError(f'{len(names)} names, but {len(velocities)} velocities')
         ours, theirs = self._layout(tuple(names))
         q = np.asarray(positions, dtype=np.float64)[theirs]
+        # Drivers leave out a velocity that they do not measure, or fill in NaN.
+        qd = np.asarray(
+            velocities if len(velocities) else [math.nan] * len(names), dtype=np.float64
+        )[theirs]
+        is_finite = np.isfinite(qd)
         self._check('position', q, np.isfinite(q), ours)
-        if len(velocities):
-            qd = np.asarray(velocities, dtype=np.float64)[theirs]
-            is_finite = np.isfinite(qd)
-            # Drivers fill in NaN for a velocity they do not measure. Where there has been one, a
-            # NaN is a fault.
-            self._check('velocity', qd, is_finite | ~self._has_velocity[ours], ours)
-            self._has_velocity[ours] |= is_finite
-            self.qd[ours] = np.where(is_finite, qd, 0.0)
+        # Where there has been a velocity, none is a fault.
+        self._check('velocity', qd, is_finite | ~self._has_velocity[ours], ours)
+        self._has_velocity[ours] |= is_finite
+        self.qd[ours] = np.where(is_finite, qd, 0.0)
         self.q[ours] = q
         self.times[ours] = now
 
@@ -112,8 +114,8 @@ class JointStateCollector:
             theirs = [k for k, name in enumerate(names) if name in self._index]
             ours = [self._index[names[k]] for k in theirs]
             if len(set(ours)) != len(ours):
-                twice = next(name for name in names if names.count(name) > 1)
-                raise JointStateError(f"joint '{twice}' is named twice")
+                joint, _ = Counter(ours).most_common(1)[0]
+                raise JointStateError(f"joint '{self.joint_names[joint]}' is named twice")
             if len(self._layouts) >= 16:  # more publishers than that are no publishers
                 self._layouts.clear()
             layout = self._layouts[names] = ours, theirs

@@ -8,22 +8,12 @@ import sys
 from types import FrameType
 import warnings
 
-try:
-    import rclpy
-except ImportError as error:
-    sys.exit(
-        f'inverse_dynamics_node: {error}: source a ROS 2 installation '
-        "(. /opt/ros/jazzy/setup.sh), or pip install 'inverse_dynamics_node[ros]'"
-    )
-from rclpy.signals import SignalHandlerOptions
+# rclpy and numpy are imported below, once the signals are ours: that takes most of a second, and
+# who changes his mind within it gets an end in good order too.
 
-from ..errors import InverseDynamicsError
-from .node import InverseDynamicsNode
-
-try:
-    from rclpy.experimental.events_executor import EventsExecutor as Executor
-except ImportError:  # rclpy before 7.1.4
-    from rclpy.executors import SingleThreadedExecutor as Executor
+USAGE = """usage: inverse_dynamics_node --ros-args [-p NAME:=VALUE]... [-r NAME:=NAME]...
+for instance: inverse_dynamics_node --ros-args -p robot_description_file:=my_arm.urdf
+the README lists all parameters"""
 
 
 class _Stop:
@@ -45,42 +35,75 @@ class _Stop:
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node until it is told to stop; return the exit code."""
-    warnings.showwarning = _warn
     stop = _Stop()
+    try:
+        return _main(list(sys.argv if args is None else args), stop)
+    finally:
+        for number in (signal.SIGINT, signal.SIGTERM):  # nothing is left to be stopped
+            signal.signal(number, signal.SIG_IGN)
+
+
+def _main(args: list[str], stop: _Stop) -> int:
+    warnings.showwarning = _show_warning
+    try:
+        import rclpy
+    except ModuleNotFoundError as error:
+        return _fail(
+            f'{error}: source a ROS 2 installation (. /opt/ros/jazzy/setup.sh), or '
+            "pip install 'inverse_dynamics_node[ros]'"
+        )
+    from rclpy.signals import SignalHandlerOptions
+    from rclpy.utilities import remove_ros_args
+
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:
-        print(f'inverse_dynamics_node: {error}', file=sys.stderr)
-        return 1
+        return _fail(str(error))
     try:
+        stray = remove_ros_args(args)[1:]
+        if stray:
+            return _fail(f'what is {" ".join(stray)}?\n{USAGE}', code=2)
         return _run(stop)
     finally:
         rclpy.try_shutdown()
 
 
 def _run(stop: _Stop) -> int:
+    import rclpy.logging
+
+    from .node import InverseDynamicsNode
+
     try:
-        node = InverseDynamicsNode()
-    except InverseDynamicsError as error:
+        from rclpy.experimental.events_executor import EventsExecutor as Executor
+    except ImportError:  # rclpy before 7.1.4
+        from rclpy.executors import SingleThreadedExecutor as Executor
+    try:
+        node = InverseDynamicsNode(is_in_a_hurry=lambda: stop.count > 1)
+    except Exception as error:
         rclpy.logging.get_logger('inverse_dynamics').fatal(str(error))
         return 1
     executor = Executor()
     executor.add_node(node)
     try:
-        if not node.autostart():
+        if not stop.count and not node.autostart():
             return 1
         while not stop.count and not node.is_finalized:
             # Its spin() never returns in builds against an old C library; with a time-out it does.
             executor.spin_once(timeout_sec=0.1)
     finally:
-        node.shut_down(lambda: stop.count > 1)
+        node.shut_down()
         executor.remove_node(node)
         executor.shutdown()
         node.destroy_node()
     return 0
 
 
-def _warn(message: Warning | str, *_: object, **__: object) -> None:
+def _fail(message: str, code: int = 1) -> int:
+    print(f'inverse_dynamics_node: {message}', file=sys.stderr)
+    return code
+
+
+def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
     print(f'inverse_dynamics_node: warning: {message}', file=sys.stderr)
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+import math
+from pathlib import Path
 import time
 import traceback
 from typing import Any
@@ -15,11 +17,12 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 from trajectory_msgs.msg import JointTrajectory
 
-from ..controller import Command, Controller, Phase, Reference
+from ..controller import Command, Controller, of_joints, PerJoint, Phase, Reference
 from ..dynamics import InverseDynamics
 from ..errors import ConfigurationError, InverseDynamicsError, JointStateError
 from ..model import Floats, RobotModel
@@ -58,8 +61,9 @@ class InverseDynamicsNode(LifecycleNode):
 
     """
 
-    def __init__(self, **kwargs: Any) -> None:
+    def __init__(self, is_in_a_hurry: Callable[[], bool] = lambda: False, **kwargs: Any) -> None:
         super().__init__('inverse_dynamics', **kwargs)
+        self._is_in_a_hurry = is_in_a_hurry
         declare_parameters(self)
         self._configuration = read_configuration(self)
         for name in unknown_parameters(self._parameter_overrides):
@@ -67,11 +71,12 @@ class InverseDynamicsNode(LifecycleNode):
         self.is_finalized = False
         self._controller: Controller | None = None
         self._is_active = False
+        self._may_autostart = self._configuration.autostart
         self._description = ''  # the latest from the topic
         self._reference: Reference | None = None
         self._last_phase = Phase.WAITING
         self._log_times: dict[str, float] = {}
-        self._is_in_a_hurry: Callable[[], bool] = lambda: False
+        self._pace: list[Timer] = []
         if self.get_parameter('use_sim_time').value:
             self._timer_clock = self.get_clock()
             self._now: Callable[[], float] = lambda: self.get_clock().now().nanoseconds * 1e-9
@@ -79,7 +84,8 @@ class InverseDynamicsNode(LifecycleNode):
             self._timer_clock = Clock(clock_type=ClockType.STEADY_TIME)
             self._now = time.monotonic  # the same clock, twenty times faster to read
         self._create_entities()
-        self.add_on_set_parameters_callback(self._on_set_parameters)
+        self.add_on_set_parameters_callback(self._check_parameters)
+        self.add_post_set_parameters_callback(self._apply_parameters)
 
     def _create_entities(self) -> None:
         qos = {'qos_overriding_options': QoSOverridingOptions.with_default_policies()}
@@ -105,26 +111,29 @@ class InverseDynamicsNode(LifecycleNode):
         """
         Configure and activate, unless told not to or still without a robot description.
 
+        It does so once: who takes the node down by hand will want to bring it up by hand.
+
         Returns
         -------
         is_well : bool
             False if the robot description or the parameters turned out to be of no use.
 
         """
-        if not self._configuration.autostart:
+        if not self._may_autostart:
             return True
         if not self._has_description():
+            topic = self.resolve_topic_name('robot_description')
             self.get_logger().info(
-                'waiting for a robot description on '
-                f'{self.resolve_topic_name("robot_description")} '
+                f'waiting for a robot description on {topic} '
                 '(or set parameter robot_description_file)'
             )
             return True
-        return bool(self.trigger_configure() == _SUCCESS and self.trigger_activate() == _SUCCESS)
+        is_well = self.trigger_configure() == _SUCCESS and self.trigger_activate() == _SUCCESS
+        self._may_autostart = not is_well
+        return bool(is_well)
 
-    def shut_down(self, is_in_a_hurry: Callable[[], bool]) -> None:
-        """Leave the robot with zeros; ramped, unless the caller comes to be in a hurry."""
-        self._is_in_a_hurry = is_in_a_hurry
+    def shut_down(self) -> None:
+        """Leave the robot with zeros."""
         if self._is_active:
             self.trigger_deactivate()
 
@@ -145,6 +154,7 @@ class InverseDynamicsNode(LifecycleNode):
         assert self._controller is not None
         result = super().on_activate(state)
         self._controller.start()
+        self._reference = None
         self._last_phase = self._controller.phase
         self._is_active = result == _SUCCESS
         return result
@@ -156,9 +166,13 @@ class InverseDynamicsNode(LifecycleNode):
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Forget the robot."""
-        self.destroy_timer(self._timer)
-        self._controller = None
+        self._forget_robot()
         return super().on_cleanup(state)
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Forget the robot; the node can be configured again."""
+        self._forget_robot()
+        return _SUCCESS
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Leave the robot with zeros, then end the process."""
@@ -171,6 +185,7 @@ class InverseDynamicsNode(LifecycleNode):
         """Refuse a transition that is not possible now; rclpy 7.1 would end the process."""
         from rclpy._rclpy_pybind11 import RCLError
 
+        self._may_autostart = False
         try:
             return super()._LifecycleNodeMixin__on_change_state(request, response)
         except RCLError as error:
@@ -191,21 +206,60 @@ class InverseDynamicsNode(LifecycleNode):
     def _configure(self) -> None:
         self._configuration = configuration = read_configuration(self)
         robot = self._load_robot(configuration)
-        dynamics = InverseDynamics(robot, configuration.gravity)
-        controller = Controller(dynamics, configuration.joints, configuration.settings)
-        dynamics.gravity_efforts([0.0] * len(robot.joint_names))  # first calls are slow ones
+        rate = configuration.update_rate
+        controller = Controller(
+            InverseDynamics(robot),
+            configuration.joints,
+            configuration.settings,
+            period=1.0 / rate if rate else 0.0,
+        )
+        self._set_up_dynamics(controller, configuration)
+        controller.dynamics.gravity_efforts([0.0] * len(robot.joint_names))  # a first call is slow
         self._collector = JointStateCollector(robot.joint_names)
         self._efforts_message.name = list(controller.joints)
-        self._reference = None
-        rate = configuration.update_rate
-        self._period = 1.0 / rate if rate else _WATCH_PERIOD
-        self._timer = self.create_timer(self._period, self._on_timer, clock=self._timer_clock)
+        self._forget_robot()
+        # Lost states are noticed by a timer of their own, whatever the rate.
+        self._watch_period = min(_WATCH_PERIOD, 0.5 * configuration.settings.state_timeout)
+        clock = self._timer_clock
+        self._pace = [self.create_timer(self._watch_period, self._on_watch, clock=clock)]
+        if rate:
+            self._pace.append(self.create_timer(1.0 / rate, self._on_timer, clock=clock))
         self._controller = controller
         self._introduce(robot, controller.joints)
 
+    def _forget_robot(self) -> None:
+        self._controller = None
+        self._is_active = False
+        for timer in self._pace:
+            self.destroy_timer(timer)
+        self._pace = []
+
+    def _set_up_dynamics(self, controller: Controller, configuration: Configuration) -> None:
+        """Tell the dynamics what parameters say of gravity, friction and rotors."""
+        dynamics = controller.dynamics
+        robot = dynamics.robot
+        index = [robot.joint_names.index(name) for name in controller.joints]
+
+        def of_robot(name: str, values: PerJoint, others: Floats) -> Floats:
+            given = of_joints(name, values, len(index))
+            chosen: Floats = others.copy()
+            chosen[index] = np.where(given < 0.0, others[index], given)
+            return chosen
+
+        damping = of_robot('damping', configuration.damping, robot.damping)
+        coulomb = of_robot('coulomb', configuration.coulomb, robot.friction)
+        armature = of_robot('armature', configuration.armature, np.zeros_like(damping))
+        share = 1.0 if configuration.include_friction else 0.0
+        dynamics.set_gravity(
+            configuration.gravity if configuration.include_gravity else (0.0, 0.0, 0.0)
+        )
+        dynamics.set_friction(share * damping, share * coulomb, configuration.coulomb_width)
+        dynamics.set_armature(armature)
+
     def _load_robot(self, configuration: Configuration) -> RobotModel:
         if configuration.robot_description_file:
-            return load_urdf(configuration.robot_description_file)
+            # A shell leaves a ~ after := as it is.
+            return load_urdf(Path(configuration.robot_description_file).expanduser())
         text = configuration.robot_description or self._description
         if not text:
             raise ConfigurationError(
@@ -222,21 +276,43 @@ class InverseDynamicsNode(LifecycleNode):
             + (f'; takes into account {", ".join(others)}' if others else '')
         )
 
-    def _on_set_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+    def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Accept new values only if all of them together can be used."""
         values = {name: self.get_parameter(name).value for name in PARAMETERS}
-        changed = {parameter.name: parameter.value for parameter in parameters}
-        ours = changed.keys() & values.keys()
+        changed = {p.name: p.value for p in parameters if p.name in PARAMETERS}
         try:
-            if ours and self._controller is not None:
-                raise InverseDynamicsError(
-                    f'{", ".join(sorted(ours))}: read when the node is configured; '
-                    'deactivate and clean up first'
-                )
-            configuration = checked_configuration({**values, **{k: changed[k] for k in ours}})
+            for parameter in parameters:
+                if parameter.name in changed and parameter.type_ is Parameter.Type.NOT_SET:
+                    raise ConfigurationError(f"parameter '{parameter.name}' cannot be taken away")
+            configuration = checked_configuration({**values, **changed})
+            if self._controller is not None:
+                self._check_live(configuration, changed)
         except InverseDynamicsError as error:
             return SetParametersResult(successful=False, reason=str(error))
-        self._configuration = configuration
         return SetParametersResult(successful=True)
+
+    def _check_live(self, configuration: Configuration, names: Iterable[str]) -> None:
+        """Refuse what cannot change while configured, and what does not fit the joints."""
+        assert self._controller is not None
+        for name in names:
+            if not PARAMETERS[name].is_live:
+                raise ConfigurationError(
+                    f"parameter '{name}' is read when the node is configured; deactivate and "
+                    'clean up first'
+                )
+        robot, joints = self._controller.dynamics.robot, self._controller.joints
+        trial = Controller(InverseDynamics(robot), joints, configuration.settings)
+        self._set_up_dynamics(trial, configuration)
+
+    def _apply_parameters(self, parameters: list[Parameter]) -> None:
+        if not any(parameter.name in PARAMETERS for parameter in parameters):
+            return
+        self._configuration = read_configuration(self)
+        if self._controller is not None:
+            self._controller.apply(self._configuration.settings)
+            self._set_up_dynamics(self._controller, self._configuration)
+        else:
+            self.autostart()
 
     # In the loop
 
@@ -259,7 +335,7 @@ class InverseDynamicsNode(LifecycleNode):
         self._take_reference(messages.reference_from_trajectory, message)
 
     def _take_reference(self, read: Callable[..., Reference], message: Any) -> None:
-        if self._controller is None:
+        if self._controller is None or not self._is_active:
             return
         now = self._now()
         try:
@@ -281,15 +357,18 @@ class InverseDynamicsNode(LifecycleNode):
             self._description = message.data
 
     def _on_timer(self) -> None:
+        if self._is_active:
+            self._step(self._now())
+
+    def _on_watch(self) -> None:
+        """Step where no joint state will: none has come yet, or none comes any more."""
         if not self._is_active:
             return
         now = self._now()
-        if self._configuration.update_rate == 0.0:
-            state = self._collector.state()
-            timeout = self._configuration.settings.state_timeout
-            if state is not None and 0.0 <= now - state.time <= timeout:
-                return  # the joint states set the pace
-        self._step(now)
+        state = self._collector.state()
+        timeout = self._configuration.settings.state_timeout
+        if state is None or not 0.0 <= now - state.time <= timeout:
+            self._step(now)
 
     def _step(self, now: float) -> None:
         assert self._controller is not None
@@ -316,13 +395,14 @@ class InverseDynamicsNode(LifecycleNode):
         state = self._collector.state()
         start, steady_start = self._now(), time.monotonic()
         while state is not None and self._controller.gain and not self._is_in_a_hurry():
-            time.sleep(min(self._period, _WATCH_PERIOD))
+            time.sleep(self._watch_period)
             # A simulated clock stands still meanwhile.
             now = start + time.monotonic() - steady_start
             command = self._controller.step(now, state, None)
             assert command is not None
             self._publish(command.efforts)
-        self._publish(np.zeros(len(self._controller.joints)))
+        for _ in range(3):  # once is enough where messages are acknowledged
+            self._publish(np.zeros(len(self._controller.joints)))
         self._commands.wait_for_all_acked(Duration(seconds=1))
 
     # Words
@@ -340,21 +420,26 @@ class InverseDynamicsNode(LifecycleNode):
             self._log(now, 'saturated', lambda: self._what_is_saturated(command))
 
     def _tell_phase(self, now: float, phase: Phase) -> None:
-        is_well = phase in (Phase.RUNNING, Phase.HOLDING)
-        if is_well and self._last_phase is Phase.WAITING:
+        if self._last_phase is Phase.WAITING:
             for name in self._collector.without_velocity():
                 self.get_logger().warning(f"joint_states: no velocity of '{name}', taken as zero")
-        if is_well:
+        if not self._is_due(now, phase.name):
+            return
+        if phase in (Phase.RUNNING, Phase.HOLDING):
             self.get_logger().info(phase.value)
         else:
             self.get_logger().error(phase.value)
 
     def _log(self, now: float, key: str, text: str | Callable[[], str]) -> None:
         """Warn, but not of the same thing all the time; a logger's own throttle costs 0.2 ms."""
-        if abs(now - self._log_times.get(key, -_LOG_PERIOD)) < _LOG_PERIOD:
-            return
+        if self._is_due(now, key):
+            self.get_logger().warning(text if isinstance(text, str) else text())
+
+    def _is_due(self, now: float, key: str) -> bool:
+        if abs(now - self._log_times.get(key, -math.inf)) < _LOG_PERIOD:
+            return False
         self._log_times[key] = now
-        self.get_logger().warning(text if isinstance(text, str) else text())
+        return True
 
     def _what_is_missing(self) -> str:
         topic = self.resolve_topic_name('joint_states')

@@ -156,9 +156,14 @@ class RobotSide:
         message = Float64MultiArray(data=list(accelerations))
         self._always = [(self._accelerations, message)]
 
-    def publish_reference(self, names, accelerations, effort=()):
+    def publish_reference(self, names, accelerations, effort=(), positions=(), velocities=()):
         """Publish a reference, from now on, 200 times a second."""
-        point = JointTrajectoryPoint(accelerations=list(accelerations), effort=list(effort))
+        point = JointTrajectoryPoint(
+            accelerations=list(accelerations),
+            effort=list(effort),
+            positions=list(positions),
+            velocities=list(velocities),
+        )
         message = JointTrajectory(joint_names=list(names), points=[point])
         self._always = [(self._reference, message)]
 

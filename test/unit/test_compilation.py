@@ -43,6 +43,11 @@ def test_plain_python_gives_the_same_efforts():
     assert [float(x) for x in efforts] == pytest.approx([float(x) for x in expected], rel=1e-12)
 
 
+@pytest.fixture(autouse=True)
+def no_warning_yet(monkeypatch):
+    monkeypatch.setattr(compilation, '_has_warned', False)
+
+
 @needs_numba
 def test_function_without_a_place_for_its_cache_is_a_warning():
     namespace = {}
@@ -67,6 +72,18 @@ def test_full_disk_is_a_warning(monkeypatch, tmp_path):
     with pytest.warns(UserWarning, match='No space left'):
         compilation.compile_for(twice, '(f8,)')
     assert twice(4.0) == 8.0
+
+
+@needs_numba
+def test_damaged_cache_is_a_warning(tmp_path):
+    _, *expected = run(PRINT_EFFORTS, NUMBA_CACHE_DIR=str(tmp_path)).stdout.split()
+    files = [path for path in tmp_path.rglob('*.nb?') if path.is_file()]
+    assert files
+    for path in files:
+        path.write_bytes(path.read_bytes()[:60])
+    result = run(PRINT_EFFORTS, NUMBA_CACHE_DIR=str(tmp_path))
+    assert result.stdout.split()[1:] == expected
+    assert result.stderr.count('not kept between runs') == 1
 
 
 @needs_numba

@@ -31,10 +31,10 @@ LIFT = """
 HOLD = np.array([30.0, 10.0])  # with gravity 10
 
 
-def controller(joints=(), **settings):
+def controller(joints=(), period=0.0, **settings):
     dynamics = InverseDynamics(load_urdf(LIFT), gravity=(0.0, 0.0, -10.0))
     no_ramps = {'start_ramp': 0.0, 'stop_ramp': 0.0}
-    return Controller(dynamics, joints, Settings(**{**no_ramps, **settings}))
+    return Controller(dynamics, joints, Settings(**{**no_ramps, **settings}), period)
 
 
 def state(time):
@@ -119,18 +119,20 @@ def test_efforts_fall_to_zero_when_the_state_is_lost_and_rise_when_it_is_back():
     lost = [lift.step(t, state(0.2), None).efforts[0] for t in (0.34, 0.39, 0.44, 0.49)]
     assert lost == pytest.approx([22.5, 15.0, 7.5, 0.0], abs=1e-12)
     assert lift.phase is Phase.STATE_LOST
-    assert lift.step(0.5, state(0.2), None).efforts.tolist() == [0.0, 0.0]
+    zero = lift.step(0.5, state(0.2), None)
+    assert zero.efforts.tolist() == [0.0, 0.0]
+    assert not zero.is_saturated.any()
     assert lift.step(0.55, state(0.55), None).efforts == pytest.approx(HOLD / 4)
 
 
 def test_zeros_come_within_timeout_and_ramp_whatever_the_rate():
-    for period in (0.001, 0.007, 0.03):
-        lift = controller(start_ramp=0.0, stop_ramp=0.25)
-        lift.step(0.0, state(0.0), None)
-        time = 0.0
-        while lift.step(time, state(0.0), None).efforts.any():
-            time += period
-        assert time <= 0.1 + 0.25 + period
+    for period in (0.001, 0.007, 0.03, 0.2, 2.0):
+        for timeout in (0.01, 0.1):
+            lift = controller(stop_ramp=0.25, state_timeout=timeout, period=period)
+            time = 0.0
+            while lift.step(time, state(0.0), None).efforts.any():
+                time += period
+            assert time <= timeout + 0.25 + period
 
 
 def test_stop_ramps_to_zero_and_start_begins_at_zero():

@@ -163,7 +163,7 @@ def test_earlier_results_stay_as_they_were():
         ((np.zeros(3), np.zeros(3), np.zeros(3)), r'q has shape \(3,\), the robot has 2 joints'),
         ((0.0, 0.0, 0.0), r'q has shape \(\), the robot has 2 joints'),
         ((np.zeros((3, 2)), np.zeros((4, 2)), np.zeros(2)), r'\(3, 2\), \(4, 2\), \(2,\) do not'),
-        ((['a', 'b'], np.zeros(2), np.zeros(2)), 'q is no array of numbers'),
+        ((['a', 'b'], np.zeros(2), np.zeros(2)), 'q is no array of real numbers, but of'),
         ((np.zeros(2), [0.0, np.nan], np.zeros(2)), "qd of joint 'elbow' is nan"),
         ((np.array([np.inf, 0.0]), np.zeros(2), np.zeros(2)), "q of joint 'shoulder' is inf"),
         ((np.zeros((2, 2)), np.zeros(2), [[0, 0], [0, np.inf]]), r"'elbow' is inf \(sample \(1,"),
@@ -173,6 +173,15 @@ def test_earlier_results_stay_as_they_were():
 def test_tells_which_argument_is_at_fault(arguments, words):
     with pytest.raises(JointStateError, match=words):
         InverseDynamics(PLANAR).efforts(*arguments)
+
+
+@pytest.mark.parametrize(
+    'out',
+    [np.zeros(2, dtype=int), np.zeros(2, dtype=np.float32), [0.0, 0.0], np.broadcast_to(0.0, 2)],
+)
+def test_refuses_out_that_would_lose_digits(out):
+    with pytest.raises(JointStateError, match='expected a writable array of float64'):
+        InverseDynamics(PLANAR).efforts(np.zeros(2), np.zeros(2), np.zeros(2), out=out)
 
 
 @pytest.mark.parametrize('shape', [(3,), (1, 2), (2, 2)])
@@ -189,8 +198,9 @@ def test_nan_reaches_the_error_and_nothing_else():
         arguments[k, 0] = np.nan
         with pytest.raises(JointStateError):
             dynamics.efforts(*arguments)
-    with pytest.raises(JointStateError):
-        dynamics.mass_matrix([np.nan, 0.0])
+    for bad in (np.nan, np.inf):
+        with pytest.raises(JointStateError):
+            dynamics.mass_matrix([bad, 0.0])
     assert (dynamics.efforts([0.1, 0.2], [0.3, 0.4], [0.5, 0.6]) == good).all()
 
 

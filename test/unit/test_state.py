@@ -50,10 +50,11 @@ def test_velocity_that_was_never_measured_is_zero_and_named(collector):
     assert collector.without_velocity() == ['elbow']
 
 
-def test_velocity_that_turns_nan_is_a_fault(collector):
+@pytest.mark.parametrize('velocities', [[NAN], []])
+def test_velocity_that_ceases_is_a_fault(collector, velocities):
     collector.update(1.0, ['elbow'], [2.0], [0.2])
     with pytest.raises(JointStateError, match="velocity of joint 'elbow' is nan"):
-        collector.update(2.0, ['elbow'], [2.0], [NAN])
+        collector.update(2.0, ['elbow'], [2.0], velocities)
 
 
 @pytest.mark.parametrize(
@@ -72,6 +73,11 @@ def test_tells_what_is_wrong_and_changes_nothing(collector, positions, velocitie
         collector.update(2.0, ['wrist', 'elbow'], positions, velocities)
     assert collector.q.tolist() == [0.0, 2.0, 3.0]
     assert collector.times.tolist() == [-math.inf, 1.0, 1.0]
+
+
+def test_ignores_joints_of_no_concern_that_are_named_twice(collector):
+    collector.update(1.0, ['wheel', 'wheel', 'elbow'], [1.0, 2.0, 3.0], [])
+    assert collector.missing() == ['shoulder', 'wrist']
 
 
 def test_tells_of_a_joint_named_twice(collector):
