@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 from hypothesis import strategies as st
+from inverse_dynamics_node import load_urdf
 import numpy as np
 
 KINDS = ('revolute', 'continuous', 'prismatic', 'fixed')
@@ -83,6 +84,14 @@ def states(draw, n, vectors=3):
     """Draw vectors of n numbers of the size of joint positions, velocities, accelerations."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     return rng.uniform(-3.0, 3.0, size=(vectors, n))
+
+
+@st.composite
+def robots_with_states(draw, vectors=3, **kwargs):
+    """Draw a tree: its links, what is loaded from them, and vectors of joint numbers."""
+    links = draw(trees(**kwargs))
+    robot = load_urdf(urdf_of(links))
+    return links, robot, draw(states(len(robot.joint_names), vectors))
 
 
 def _link(rng, parent, kind, mimics):
