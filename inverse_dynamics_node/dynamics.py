@@ -526,7 +526,8 @@ class InverseDynamics:
     def _write_joints(self, column: int, values: Floats) -> None:
         rows = self._numbers[1 : 1 + len(values)]
         rows[:, column] = values
-        self._numbers[0, columns.HAS_JOINT_TERMS] = float(rows[:, columns.JOINT_TERMS].any())
+        has_terms = rows[:, [columns.ARMATURE, columns.DAMPING, columns.COULOMB]].any()
+        self._numbers[0, columns.HAS_JOINT_TERMS] = float(has_terms)
         for i in range(1 + len(values)):
             self._update(i)
 
