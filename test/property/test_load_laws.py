@@ -232,6 +232,36 @@ def test_terms_add_up_and_each_is_what_it_says(case, rng):
     assert (rest.gravity == terms.gravity).all()
 
 
+@given(robots_with_states(), seeds)
+@settings(max_examples=30)
+def test_velocity_efforts_know_of_the_base_only_that_it_turns(case, rng):
+    _, robot, (q, qd, _) = case
+    dynamics = InverseDynamics(robot)
+    expected = dynamics.velocity_efforts(q, qd)
+    omega, omega_dot, accel = rng.uniform(-2.0, 2.0, (3, 3))
+    dynamics.set_base_motion(angular_acceleration=omega_dot, linear_acceleration=accel)
+    assert (dynamics.velocity_efforts(q, qd) == expected).all()
+    dynamics.set_base_motion(angular_velocity=omega)
+    turning = dynamics.velocity_efforts(q, qd)
+    dynamics.set_base_motion(omega, omega_dot, accel)
+    scale = 1.0 + np.abs(turning).max()
+    again = dynamics.velocity_efforts(q, qd)
+    np.testing.assert_allclose(again, turning, rtol=0, atol=1e-10 * scale)
+
+
+def test_a_turning_base_adds_coriolis_efforts():
+    robot = load_urdf(urdf_of(random_chain(np.random.default_rng(5), 3)))
+    q, qd = np.random.default_rng(5).uniform(-3.0, 3.0, (2, 3))
+    dynamics = InverseDynamics(robot)
+    expected = dynamics.velocity_efforts(q, qd)
+    dynamics.set_base_motion(angular_velocity=(1.0, -2.0, 0.5))
+    added = dynamics.velocity_efforts(q, qd) - expected
+    # The pair of omega and qd: it is linear in either.
+    assert np.abs(added).max() > 0.01
+    dynamics.set_base_motion(angular_velocity=(2.0, -4.0, 1.0))
+    assert_close(dynamics.velocity_efforts(q, qd) - expected, 2.0 * added)
+
+
 # A base that moves
 
 
