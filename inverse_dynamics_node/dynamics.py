@@ -190,8 +190,8 @@ class InverseDynamics:
 
         """
         k = self._link(link)
-        self._payloads.pop(link, None)
         load = read_inertial(mass, com, inertia)
+        self._payloads.pop(link, None)
         if load[0] > 0.0:
             rotation = self.robot.link_rotation[k]
             centre = rotation @ load[1] + self.robot.link_position[k]
@@ -254,12 +254,15 @@ class InverseDynamics:
         n = len(self._zeros)
         damping = self.robot.damping if damping is None else damping
         coulomb = self.robot.friction if coulomb is None else coulomb
-        self._write_joints(columns.DAMPING, read_joints('damping', damping, n))
-        self._write_joints(columns.COULOMB, read_joints('coulomb', coulomb, n))
-        width = read_joints('width', width, n)
-        if not width.all():
-            raise ConfigurationError('width is 0, expected a speed above 0')
-        self._write_joints(columns.INVERSE_WIDTH, 1.0 / width)
+        damping = read_joints('damping', damping, n)
+        coulomb = read_joints('coulomb', coulomb, n)
+        speeds = read_joints('width', width, n)
+        if not (speeds >= np.finfo(float).tiny).all():  # the inverse of less may be infinite
+            raise ConfigurationError(f'width is {width!r}, expected speeds above 0')
+        # Nothing is written before all has been read: a call that fails changes nothing.
+        self._write_joints(columns.DAMPING, damping)
+        self._write_joints(columns.COULOMB, coulomb)
+        self._write_joints(columns.INVERSE_WIDTH, 1.0 / speeds)
 
     def set_armature(self, armature: ArrayLike) -> None:
         """
@@ -523,7 +526,8 @@ class InverseDynamics:
     def _write_joints(self, column: int, values: Floats) -> None:
         rows = self._numbers[1 : 1 + len(values)]
         rows[:, column] = values
-        self._numbers[0, columns.HAS_JOINT_TERMS] = float(rows[:, columns.JOINT_TERMS].any())
+        has_terms = rows[:, [columns.ARMATURE, columns.DAMPING, columns.COULOMB]].any()
+        self._numbers[0, columns.HAS_JOINT_TERMS] = float(has_terms)
         for i in range(1 + len(values)):
             self._update(i)
 

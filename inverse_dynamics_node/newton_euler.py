@@ -74,9 +74,12 @@ def inverse_dynamics(
     if len(q) != n or len(qd) != n or len(qdd) != n or len(tau) != n:
         return WRONG_SIZE
     outward_pass(q, qd, qdd, robot)
-    inward_pass(tau, robot)
     if robot[0][26] != 0.0:
-        add_joint_terms(qd, qdd, tau, robot)
+        # Before the rest, and joint by joint: a caller may give qd or qdd as tau.
+        joint_terms(qd, qdd, tau, robot)
+    else:
+        clear(tau)
+    inward_pass(tau, robot)
     return check(tau)
 
 
@@ -156,6 +159,7 @@ def joint_wrenches(
     """
     outward_pass(q, qd, qdd, robot)
     link_wrench(robot[0])
+    clear(tau)
     inward_pass(tau, robot)
     for i in range(len(robot)):
         for k in range(6):
@@ -287,9 +291,7 @@ def link_wrench(link: Any) -> None:
 
 @compiled
 def inward_pass(tau: Any, robot: Any) -> None:
-    """Carry forces and moments from tips to base, and project them onto the joint axes."""
-    for joint in range(len(tau)):
-        tau[joint] = 0.0
+    """Carry forces and moments from tips to base, and add what joints feel of them to tau."""
     for i in range(len(robot) - 1, 0, -1):
         link = robot[i]
         parent = robot[int(link[22])]
@@ -318,9 +320,9 @@ def inward_pass(tau: Any, robot: Any) -> None:
 
 
 @compiled
-def add_joint_terms(qd: Sequence[float], qdd: Sequence[float], tau: Any, robot: Any) -> None:
+def joint_terms(qd: Sequence[float], qdd: Sequence[float], tau: Any, robot: Any) -> None:
     """
-    Add what happens at a joint alone: rotor inertia, viscous and Coulomb friction.
+    Start tau with what happens at a joint alone: rotor inertia, viscous and Coulomb friction.
 
     Friction is an internal pair at one joint, and does not reach the joints below it: the authors'
     1980 form, tau = n . z + b qd. LWP (22), (23) of 1979 would pass it on.
@@ -328,9 +330,17 @@ def add_joint_terms(qd: Sequence[float], qdd: Sequence[float], tau: Any, robot: 
     """
     for joint in range(len(tau)):
         row = robot[joint + 1]
-        tau[joint] += row[33] * qdd[joint] + row[34] * qd[joint]
+        rate = qd[joint]
+        tau[joint] = row[33] * qdd[joint] + row[34] * rate
         if row[35] != 0.0:
-            tau[joint] += row[35] * tanh(qd[joint] * row[36])
+            tau[joint] += row[35] * tanh(rate * row[36])
+
+
+@compiled
+def clear(tau: Any) -> None:
+    """Start tau with nothing."""
+    for joint in range(len(tau)):
+        tau[joint] = 0.0
 
 
 @compiled

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 from hypothesis import strategies as st
+from inverse_dynamics_node import load_urdf
 import numpy as np
 
 KINDS = ('revolute', 'continuous', 'prismatic', 'fixed')
@@ -61,9 +62,9 @@ def urdf_of(links):
 @st.composite
 def trees(draw, max_links=8, kinds=KINDS, mimics=True):
     """Draw a tree with at least one joint that moves; its shape shrinks, its numbers do not."""
-    count = draw(st.integers(2, max_links))
+    count = draw(st.sampled_from(range(2, max_links + 1)))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    links = [_link(rng, parent=-1, kind='fixed', mimics=-1)]
+    links = [random_link(rng, parent=-1, kind='fixed', mimics=-1)]
     movers = []
     for i in range(1, count):
         kind = draw(st.sampled_from(kinds))
@@ -72,7 +73,7 @@ def trees(draw, max_links=8, kinds=KINDS, mimics=True):
         master = -1
         if mimics and kind != 'fixed' and movers and draw(st.integers(0, 3)) == 0:
             master = draw(st.sampled_from(movers))
-        links.append(_link(rng, draw(st.integers(0, i - 1)), kind, master))
+        links.append(random_link(rng, draw(st.integers(0, i - 1)), kind, master))
         if kind != 'fixed' and master < 0:
             movers.append(i)
     return links
@@ -85,7 +86,15 @@ def states(draw, n, vectors=3):
     return rng.uniform(-3.0, 3.0, size=(vectors, n))
 
 
-def _link(rng, parent, kind, mimics):
+@st.composite
+def robots_with_states(draw, vectors=3, **kwargs):
+    """Draw a tree: its links, what is loaded from them, and vectors of joint numbers."""
+    links = draw(trees(**kwargs))
+    robot = load_urdf(urdf_of(links))
+    return links, robot, draw(states(len(robot.joint_names), vectors))
+
+
+def random_link(rng, parent, kind, mimics):
     return Link(
         parent=parent,
         kind=kind,
@@ -109,5 +118,5 @@ def _text(numbers):
 def random_chain(rng, count):
     """Make a chain of a number of joints, every third of them sliding."""
     kinds = ['prismatic' if i % 3 == 2 else 'revolute' for i in range(count)]
-    links = [_link(rng, -1, 'fixed', -1)]
-    return links + [_link(rng, i, kind, -1) for i, kind in enumerate(kinds)]
+    links = [random_link(rng, -1, 'fixed', -1)]
+    return links + [random_link(rng, i, kind, -1) for i, kind in enumerate(kinds)]

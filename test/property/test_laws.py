@@ -3,26 +3,13 @@
 from hypothesis import given
 from hypothesis import strategies as st
 from inverse_dynamics_node import InverseDynamics, load_urdf
+from kinematics import assert_close, rotation_about
 import numpy as np
 from numpy.testing import assert_allclose
-from random_trees import states, trees, urdf_of
+from random_trees import robots_with_states as cases
+from random_trees import urdf_of
 
-EXACT = 1e-10  # relative to the largest effort: rounding only
 DIFFERENCE = 1e-6  # central differences with a step of 1e-5: their own error, and rounding
-
-
-@st.composite
-def cases(draw, vectors=3, **kwargs):
-    links = draw(trees(**kwargs))
-    robot = load_urdf(urdf_of(links))
-    return links, robot, draw(states(len(robot.joint_names), vectors))
-
-
-def assert_close(actual, expected, tolerance=EXACT):
-    """Compare on the scale of what is compared, which must not be nothing."""
-    scale = np.abs(expected).max()
-    assert scale > 0.0
-    assert_allclose(actual, expected, rtol=0, atol=tolerance * scale)
 
 
 @given(cases(vectors=4))
@@ -177,11 +164,6 @@ def potential_energy(robot, q):
         poses.append((R, p))
         energy += 9.80665 * robot.mass[i] * (p + R @ robot.com[i])[2]
     return energy
-
-
-def rotation_about(axis, angle):
-    cross = np.cross(np.eye(3), axis)
-    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
 
 
 def random_rotation(rng):

@@ -1,0 +1,414 @@
+"""Laws of what acts on a robot, on random trees: loads, wrenches, friction, a moving base."""
+
+import json
+import os
+import subprocess
+import sys
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from inverse_dynamics_node import InverseDynamics, load_urdf
+from inverse_dynamics_node.compilation import IS_COMPILED
+from kinematics import assert_close, derivative, link_inertia, rotation_of_rpy, Tree
+from loads import apply, everything, random_loads, some_links, without_any
+import numpy as np
+import pytest
+from random_trees import random_chain, random_link, robots_with_states, urdf_of
+from robot_files import ROOT
+
+GRAVITY = np.array([0.6, -1.5, -9.0])
+seeds = st.integers(0, 2**32 - 1).map(np.random.default_rng)
+
+
+def assert_same(actual, expected, tolerance=1e-10):
+    for name in expected:
+        assert_close(actual[name], expected[name], tolerance)
+
+
+def differs(a, b):
+    return np.abs(a - b).max() > 1e-6 * np.abs(b).max()
+
+
+# Payloads
+
+
+def with_payload(dynamics, k, link):
+    """Load link k with what another link would be, welded to it."""
+    R = rotation_of_rpy(link.rpy)
+    com = np.array(link.xyz) + R @ link.com
+    dynamics.set_payload(f'link{k}', link.mass, com, R @ link_inertia(link) @ R.T)
+
+
+@given(robots_with_states(), seeds)
+def test_payloads_weigh_what_links_weigh_that_are_welded_on(case, rng):
+    links, robot, (q, qd, qdd) = case
+    calls = [call for call in random_loads(robot, rng) if call[0] != 'set_payload']
+    loaded = apply(InverseDynamics(robot), calls)
+    bare = everything(loaded, q, qd, qdd)
+    welded = list(links)
+    for name in some_links(robot, rng):  # the base and links merged into others among them
+        k = int(name.removeprefix('link'))
+        welded.append(random_link(rng, k, 'fixed', -1))
+        with_payload(loaded, k, random_link(rng, k, 'fixed', -1))  # is replaced
+        with_payload(loaded, k, welded[-1])
+    other = apply(InverseDynamics(load_urdf(urdf_of(welded))), calls)
+    expected = everything(other, q, qd, qdd)
+    assert differs(expected['forces'], bare['forces'])
+    assert_same(everything(loaded, q, qd, qdd), expected)
+
+
+# External wrenches
+
+
+@given(robots_with_states(), seeds)
+def test_external_wrenches_act_through_the_transposed_jacobian(case, rng):
+    links, robot, (q, qd, qdd) = case
+    placed = Tree(links, robot.joint_names).placed(q)
+    dynamics = InverseDynamics(robot)
+    bare = dynamics.efforts(q, qd, qdd)
+    bare_force, bare_moment = dynamics.joint_wrenches(q, qd, qdd)
+    pushed = np.zeros(len(q))
+    total_force, total_moment = np.zeros(3), np.zeros(3)
+    for name in some_links(robot, rng):
+        at = placed[int(name.removeprefix('link'))]
+        dynamics.set_external_wrench(name, *rng.uniform(-99.0, 99.0, (2, 3)))  # is replaced
+        force, moment = rng.uniform(-99.0, 99.0, (2, 3))
+        dynamics.set_external_wrench(name, force, moment)
+        force, moment = at.R @ force, at.R @ moment
+        pushed += at.linear.T @ force + at.angular.T @ moment
+        total_force += force
+        total_moment += moment + np.cross(at.p, force)
+    scale = max(np.abs(bare).max(), 99.0)
+    expected = bare - pushed
+    np.testing.assert_allclose(dynamics.efforts(q, qd, qdd), expected, rtol=0, atol=1e-10 * scale)
+    external = dynamics.terms(q, qd, qdd).external
+    np.testing.assert_allclose(external, -pushed, rtol=0, atol=1e-10 * scale)
+    force, moment = dynamics.joint_wrenches(q, qd, qdd)
+    assert_close(force[0], bare_force[0] - total_force)
+    assert_close(moment[0], bare_moment[0] - total_moment)
+    assert differs(force[0], bare_force[0])
+
+
+def test_wrenches_on_every_link_of_a_chain_reach_every_joint():
+    """The base's wrench reaches none, so what is drawn above may compare zeros."""
+    rng = np.random.default_rng(3)
+    links = random_chain(rng, 6)
+    robot = load_urdf(urdf_of(links))
+    q = rng.uniform(-3.0, 3.0, 6)
+    placed = Tree(links, robot.joint_names).placed(q)
+    dynamics = InverseDynamics(robot, gravity=(0.0, 0.0, 0.0))
+    expected = np.zeros(6)
+    for name, at in zip(robot.link_names, placed, strict=True):
+        force, moment = rng.uniform(-9.0, 9.0, (2, 3))
+        dynamics.set_external_wrench(name, force, moment)
+        expected -= at.linear.T @ at.R @ force + at.angular.T @ at.R @ moment
+    assert np.abs(expected).min() > 0.01
+    assert_close(dynamics.gravity_efforts(q), expected)
+
+
+# Wrenches at the joints
+
+
+@given(robots_with_states())
+@settings(max_examples=30)
+def test_every_joint_wrench_is_the_growth_of_momentum_of_what_it_carries_and_its_weight(case):
+    links, robot, (q, qd, qdd) = case
+    tree = Tree(links, robot.joint_names)
+    placed = tree.placed(q)
+    wrenches = InverseDynamics(robot, GRAVITY).joint_wrenches(q, qd, qdd)
+    assert wrenches.force.shape == wrenches.moment.shape == (len(robot.body_names), 3)
+    for name, force, moment in zip(robot.body_names, *wrenches, strict=True):
+        i = int(name.removeprefix('link').removeprefix('joint'))
+        of = tree.carried_by(i)
+        growth, spin = derivative(lambda t, of=of: tree.momentum(q + t * qd, qd + t * qdd, of))
+        for k in of:
+            weight = links[k].mass * GRAVITY
+            growth -= weight
+            spin -= np.cross(placed[k].point(np.array(links[k].com))[0], weight)
+        R, p = placed[i].R, placed[i].p
+        assert_close(force, R.T @ growth)
+        assert_close(moment, R.T @ (spin - np.cross(p, growth)), 1e-9)
+
+
+@given(robots_with_states(vectors=1))
+def test_the_mount_holds_the_weight_of_a_robot_at_rest(case):
+    links, robot, (q,) = case
+    force, moment = InverseDynamics(robot, GRAVITY).joint_wrenches(q, 0.0 * q, 0.0 * q)
+    placed = Tree(links, robot.joint_names).placed(q)
+    centres = [at.point(np.array(link.com))[0] for link, at in zip(links, placed, strict=True)]
+    weights = [link.mass * GRAVITY for link in links]
+    assert_close(force[0], -np.sum(weights, axis=0))
+    assert_close(moment[0], -np.sum(np.cross(centres, weights), axis=0))
+
+
+@given(robots_with_states(), seeds)
+def test_joint_wrenches_along_the_axes_are_the_efforts_without_what_is_inside_joints(case, rng):
+    links, robot, (q, qd, qdd) = case
+    calls = random_loads(robot, rng)
+    dynamics = apply(InverseDynamics(robot), calls)
+    wrenches = dynamics.joint_wrenches(q, qd, qdd)
+    expected = np.zeros(len(q))
+    for name, force, moment in zip(robot.body_names[1:], *(w[1:] for w in wrenches), strict=True):
+        link = links[int(name.removeprefix('joint'))]
+        axis = np.array(link.axis) / np.linalg.norm(link.axis)
+        along = axis @ (force if link.kind == 'prismatic' else moment)
+        if link.mimics >= 0:
+            expected[robot.joint_names.index(f'joint{link.mimics}')] += link.multiplier * along
+        else:
+            expected[robot.joint_names.index(name)] += along
+    inside = [call for call in calls if call[0] in ('set_friction', 'set_armature')]
+    apply(dynamics, without_any(inside))
+    assert_close(dynamics.efforts(q, qd, qdd), expected)
+    after = dynamics.joint_wrenches(q, qd, qdd)
+    assert (after.force == wrenches.force).all()
+    assert (after.moment == wrenches.moment).all()
+
+
+# What acts inside a joint
+
+
+@given(robots_with_states(), st.data())
+def test_friction_stays_at_its_joint(case, data):
+    _, robot, (q, qd, qdd) = case
+    k = data.draw(st.integers(0, len(q) - 1))
+    dynamics = InverseDynamics(robot)
+    before = dynamics.efforts(q, qd, qdd)
+    damping, coulomb = np.zeros((2, len(q)))
+    damping[k], coulomb[k], width = 0.7, 1.3, 0.8
+    dynamics.set_friction(damping, coulomb, width)
+    expected = np.zeros(len(q))
+    expected[k] = 0.7 * qd[k] + 1.3 * np.tanh(qd[k] / width)
+    assert expected[k] != 0.0
+    after = dynamics.efforts(q, qd, qdd)
+    others = np.arange(len(q)) != k
+    assert (after[others] == before[others]).all()
+    np.testing.assert_allclose(
+        after[k] - before[k], expected[k], rtol=1e-12, atol=1e-12 * np.abs(before[k])
+    )
+    assert_close(dynamics.terms(q, qd, qdd).friction, expected)
+
+
+@given(robots_with_states(), seeds)
+def test_armature_is_inertia_on_the_diagonal(case, rng):
+    _, robot, (q, qd, qdd) = case
+    armature = rng.uniform(0.1, 2.0, len(q))
+    bare, geared = InverseDynamics(robot), InverseDynamics(robot)
+    geared.set_armature(armature)
+    assert_close(geared.mass_matrix(q), bare.mass_matrix(q) + np.diag(armature))
+    assert_close(geared.efforts(q, qd, qdd), bare.efforts(q, qd, qdd) + armature * qdd)
+    assert_close(geared.terms(q, qd, qdd).inertial, geared.mass_matrix(q) @ qdd)
+
+
+# What efforts are made of
+
+
+@given(robots_with_states(), seeds)
+def test_terms_add_up_and_each_is_what_it_says(case, rng):
+    _, robot, (q, qd, qdd) = case
+    calls = random_loads(robot, rng)
+    settings_of = dict(calls)
+    dynamics = apply(InverseDynamics(robot), calls)
+    terms = dynamics.terms(q, qd, qdd)
+    total = dynamics.efforts(q, qd, qdd)
+    velocity_efforts = dynamics.velocity_efforts(q, qd)
+    scale = np.abs(terms).max()
+
+    def same(actual, expected):
+        np.testing.assert_allclose(actual, expected, rtol=0, atol=1e-10 * scale)
+
+    assert_close(sum(terms), total)
+    assert_close(terms.inertial, dynamics.mass_matrix(q) @ qdd)
+    same(terms.velocity, velocity_efforts)
+    damping, coulomb, width = settings_of['set_friction']
+    assert_close(terms.friction, damping * qd + coulomb * np.tanh(qd / width))
+
+    apply(dynamics, without_any(call for call in calls if call[0] == 'set_external_wrench'))
+    same(terms.external, total - dynamics.efforts(q, qd, qdd))
+    assert_close(terms.gravity, dynamics.gravity_efforts(q))
+    # What is left depends on the velocity: nothing of it at rest.
+    rest = dynamics.terms(q, 0.0 * qd, qdd)
+    assert not rest.velocity.any()
+    assert not rest.friction.any()
+    assert (rest.gravity == terms.gravity).all()
+
+
+@given(robots_with_states(), seeds)
+@settings(max_examples=30)
+def test_velocity_efforts_know_of_the_base_only_that_it_turns(case, rng):
+    _, robot, (q, qd, _) = case
+    dynamics = InverseDynamics(robot)
+    expected = dynamics.velocity_efforts(q, qd)
+    omega, omega_dot, accel = rng.uniform(-2.0, 2.0, (3, 3))
+    dynamics.set_base_motion(angular_acceleration=omega_dot, linear_acceleration=accel)
+    assert (dynamics.velocity_efforts(q, qd) == expected).all()
+    dynamics.set_base_motion(angular_velocity=omega)
+    turning = dynamics.velocity_efforts(q, qd)
+    dynamics.set_base_motion(omega, omega_dot, accel)
+    scale = 1.0 + np.abs(turning).max()
+    again = dynamics.velocity_efforts(q, qd)
+    np.testing.assert_allclose(again, turning, rtol=0, atol=1e-10 * scale)
+
+
+def test_a_turning_base_adds_coriolis_efforts():
+    robot = load_urdf(urdf_of(random_chain(np.random.default_rng(5), 3)))
+    q, qd = np.random.default_rng(5).uniform(-3.0, 3.0, (2, 3))
+    dynamics = InverseDynamics(robot)
+    expected = dynamics.velocity_efforts(q, qd)
+    dynamics.set_base_motion(angular_velocity=(1.0, -2.0, 0.5))
+    added = dynamics.velocity_efforts(q, qd) - expected
+    # The pair of omega and qd: it is linear in either.
+    assert np.abs(added).max() > 0.01
+    dynamics.set_base_motion(angular_velocity=(2.0, -4.0, 1.0))
+    assert_close(dynamics.velocity_efforts(q, qd) - expected, 2.0 * added)
+
+
+# A base that moves
+
+
+@given(robots_with_states(), seeds)
+def test_accelerating_against_gravity_is_gravity(case, rng):
+    _, robot, state = case
+    calls = [call for call in random_loads(robot, rng) if call[0] != 'set_base_motion']
+    calls = [call for call in calls if call[0] != 'set_gravity']
+    falling = apply(InverseDynamics(robot, GRAVITY), calls)
+    lifted = apply(InverseDynamics(robot, gravity=(0.0, 0.0, 0.0)), calls)
+    assert differs(everything(lifted, *state)['forces'], everything(falling, *state)['forces'])
+    lifted.set_base_motion(linear_acceleration=-GRAVITY)
+    assert_same(everything(lifted, *state), everything(falling, *state), 1e-14)
+
+
+@given(robots_with_states(), seeds)
+@settings(max_examples=30)
+def test_a_moving_base_is_a_robot_at_the_end_of_another(case, rng):
+    links, robot, (q, qd, qdd) = case
+    # Three slides and three hinges carry the base, which becomes link 6.
+    kinds = ['prismatic'] * 3 + ['revolute'] * 3
+    carried = [random_link(rng, -1, 'fixed', -1)]
+    carried += [random_link(rng, i, kind, -1) for i, kind in enumerate(kinds[:-1])]
+    carried.append(links[0].moved(parent=5, kind=kinds[-1]))
+    for link in links[1:]:
+        mimics = link.mimics + 6 if link.mimics >= 0 else -1
+        carried.append(link.moved(parent=link.parent + 6, mimics=mimics))
+    whole = load_urdf(urdf_of(carried))
+    Q, QD, QDD = (np.r_[rng.uniform(-3.0, 3.0, 6), vector] for vector in (q, qd, qdd))
+    names = [f'joint{int(name.removeprefix("joint")) + 6}' for name in robot.joint_names]
+    assert whole.joint_names == (*(f'joint{i}' for i in range(1, 7)), *names)
+    calls = [
+        call
+        for call in random_loads(robot, rng)
+        if call[0] in ('set_payload', 'set_external_wrench')
+    ]
+    far = [
+        (name, (f'link{int(link.removeprefix("link")) + 6}', *numbers))
+        for name, (link, *numbers) in calls
+    ]
+    expected = everything(apply(InverseDynamics(whole, GRAVITY), far), Q, QD, QDD)
+
+    tree = Tree(carried, whole.joint_names)
+
+    def velocity(t):
+        base = tree.placed(Q + t * QD)[6]
+        return np.array([base.angular, base.linear]) @ (QD + t * QDD)
+
+    R = tree.placed(Q)[6].R
+    omega, (omega_dot, accel) = velocity(0.0)[0], derivative(velocity)
+    dynamics = apply(InverseDynamics(robot, R.T @ GRAVITY), calls)
+    assert differs(everything(dynamics, q, qd, qdd)['forces'], expected['forces'][6:])
+    dynamics.set_base_motion(R.T @ omega, R.T @ omega_dot, R.T @ accel)
+    actual = everything(dynamics, q, qd, qdd)
+    assert_close(actual['forces'], expected['forces'][6:])
+    assert_close(actual['moments'], expected['moments'][6:])
+    assert_close(actual['mass matrix'], expected['mass matrix'][6:, 6:])
+    scale = np.abs(expected['efforts']).max()
+    assert np.abs(expected['efforts'][6:]).max() > 0.0
+    np.testing.assert_allclose(
+        actual['efforts'], expected['efforts'][6:], rtol=0, atol=1e-10 * scale
+    )
+
+
+# Setting and clearing
+
+
+@given(robots_with_states(), seeds)
+@settings(max_examples=30)
+def test_the_order_of_settings_does_not_matter(case, rng):
+    _, robot, state = case
+    calls = random_loads(robot, rng)
+    shuffled = [calls[i] for i in rng.permutation(len(calls))]
+    expected = everything(apply(InverseDynamics(robot), calls), *state)
+    assert_same(everything(apply(InverseDynamics(robot), shuffled), *state), expected, 1e-12)
+
+
+@given(robots_with_states(), seeds)
+@settings(max_examples=30)
+def test_what_is_set_and_cleared_leaves_no_trace(case, rng):
+    _, robot, state = case
+    expected = everything(InverseDynamics(robot), *state)
+    calls = random_loads(robot, rng)
+    dynamics = apply(InverseDynamics(robot), calls)
+    loaded = everything(dynamics, *state)
+    apply(dynamics, without_any(calls))
+    actual = everything(dynamics, *state)
+    for name, values in expected.items():
+        assert (loaded[name] != values).any()
+        assert (actual[name] == values).all(), name
+
+
+# One state, many states, and Python without a compiler
+
+
+@given(robots_with_states(vectors=12), seeds)
+@settings(max_examples=30)
+def test_batches_with_loads_give_what_single_states_give(case, rng):
+    _, robot, vectors = case
+    q, qd, qdd = vectors.reshape(3, 2, 2, -1)
+    dynamics = apply(InverseDynamics(robot), random_loads(robot, rng))
+    batch = everything(dynamics, q, qd, qdd)
+    batch['terms'] = np.moveaxis(batch['terms'], 0, -2)
+    for index in np.ndindex(2, 2):
+        single = everything(dynamics, q[index], qd[index], qdd[index])
+        assert_same({name: values[index] for name, values in batch.items()}, single, 1e-12)
+    still = dynamics.terms(q, np.zeros(len(robot.joint_names)), qdd[0, 0])
+    assert still.inertial.shape == still.velocity.shape == q.shape
+
+
+PRINT_EVERYTHING = """
+import json
+from inverse_dynamics_node import compilation, InverseDynamics, load_urdf
+from loads import apply, everything, random_loads
+import numpy as np
+from random_trees import random_chain, urdf_of
+
+found = []
+for seed in range(5):
+    rng = np.random.default_rng(seed)
+    robot = load_urdf(urdf_of(random_chain(rng, 1 + seed)))
+    dynamics = apply(InverseDynamics(robot), random_loads(robot, rng))
+    for shape in (1 + seed,), (3, 1 + seed):
+        values = everything(dynamics, *rng.uniform(-3.0, 3.0, (3, *shape)))
+        found.append({name: array.ravel().tolist() for name, array in values.items()})
+print(json.dumps([compilation.IS_COMPILED, found]))
+"""
+
+
+def run(**environment):
+    path = os.pathsep.join([str(ROOT), str(ROOT / 'test')])
+    result = subprocess.run(
+        [sys.executable, '-c', PRINT_EVERYTHING],
+        env={**os.environ, 'PYTHONPATH': path, **environment},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert result.returncode == 0, result.stderr
+    return json.loads(result.stdout)
+
+
+@pytest.mark.skipif(not IS_COMPILED, reason='numba is not in use')
+def test_plain_python_gives_the_same_with_loads():
+    is_compiled, expected = run()
+    is_plain, actual = run(NUMBA_DISABLE_JIT='1')
+    assert (is_compiled, is_plain) == (True, False)
+    for ours, theirs in zip(actual, expected, strict=True):
+        for name, values in theirs.items():
+            assert_close(np.array(ours[name]), np.array(values), 1e-12)
