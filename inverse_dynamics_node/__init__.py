@@ -3,6 +3,7 @@
 from .dynamics import InverseDynamics
 from .errors import ConfigurationError, InverseDynamicsError, JointStateError, UrdfError
 from .model import RobotModel
+from .specialise import Specialised
 from .urdf import load_urdf
 
 __all__ = [
@@ -11,6 +12,7 @@ __all__ = [
     'InverseDynamicsError',
     'JointStateError',
     'RobotModel',
+    'Specialised',
     'UrdfError',
     'load_urdf',
 ]
