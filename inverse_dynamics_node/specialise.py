@@ -3,12 +3,12 @@ Machine code for one robot: the passes of `newton_euler`, written out.
 
 Nothing is derived a second time. The functions of `newton_euler` run here as they stand, once, but
 on numbers of another kind: arithmetic on a `RunTimeNumber` does not compute, it writes the
-instruction that will. What a robot's table holds for good (who is whose parent, what slides, the
-offsets) are plain numbers, which steer the functions as ever; so loops and branches are gone, and
-with them every product with a zero of the table. What is left is one straight line of code.
+instruction that will. What the robot's table holds for good (parents, kinds of joints, rotations,
+offsets) stays plain numbers, which steer the functions as ever. So no loop and no branch is left,
+and no product with a zero of the robot: one straight line of code.
 
-What may change while it runs is read anew at each call. Only where nothing acted when the code was
-written, there is no code for it; a `Specialised` object sees to that.
+What may change while it runs is read from the table at each call. There is no code only for what
+was zero when the code was written; `Specialised` sees to that.
 """
 
 from __future__ import annotations
@@ -20,19 +20,18 @@ from typing import Any, NamedTuple, NoReturn
 import warnings
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from . import newton_euler
 from . import table as columns
 from .compilation import IS_COMPILED
 from .dynamics import InverseDynamics
 from .model import Floats
-from .newton_euler import NOT_FINITE, OK
+from .newton_euler import NOT_FINITE, OK, WRONG_SIZE
 
 if IS_COMPILED:
     import numba
     from numba.extending import intrinsic
-
-DIFFERS_FROM_CODE = -1
 
 
 class State(NamedTuple):
@@ -48,30 +47,40 @@ class State(NamedTuple):
     """Joint efforts [N m or N]."""
 
 
+class Code(NamedTuple):
+    """What `write_out` compiles; both return a status, as `newton_euler.inverse_dynamics` does."""
+
+    in_block: Callable[[], int]
+    in_arrays: Callable[[Any, Any, Any, Any], int]
+
+
+DOES_NOT_FIT = -1
+NO_CODE = Code(lambda: DOES_NOT_FIT, lambda *_: DOES_NOT_FIT)
+
+
 class Specialised:
     """
-    Inverse dynamics of one robot for a control loop: code of its own, on arrays of its own.
+    Inverse dynamics of one robot by code of its own, for a control loop.
 
     Computes what `InverseDynamics.efforts` does, but for rounding: multiplications and additions
     are fused where the processor can. What is set on the dynamics counts here at once, without
-    compiling: gravity, motion of the base, payloads, wrenches, friction, armature. Where a
-    number is set that was zero when this object was made (a base that begins to turn, say),
-    `InverseDynamics.efforts` does the work for as long as it is not zero again; it always does
-    without numba.
+    compiling: gravity, motion of the base, payloads, wrenches, friction, armature. Where a number
+    is set that was zero when this object was made (a base that begins to turn, say), the dynamics
+    do the work until it is zero again. Without numba they always do.
 
     Parameters
     ----------
     dynamics : InverseDynamics
-        As it usually is in the loop: weightless robots are rare, wrenches come and go.
+        With all set that is usual in the loop.
 
     Attributes
     ----------
     state : State
-        Named tuple of ``q, qd, qdd``, to be filled before a call, and ``tau``.
+        Named tuple of arrays ``q, qd, qdd, tau`` for `update`.
 
     Notes
     -----
-    Compiles for tenths of a second, each time: the code holds the addresses of the arrays.
+    Every object compiles, for tenths of a second: its code holds the addresses of its arrays.
 
     """
 
@@ -84,17 +93,17 @@ class Specialised:
         self._table = dynamics.table
         self._traced = _acting(self._table)
         self._revision = dynamics.revision
-        self._code = _nothing_fits
+        self._code = NO_CODE
         if IS_COMPILED:
             try:
                 self._code = write_out(self._table, block)
             except Exception as error:  # it reaches deep into numba, whose versions differ
                 warnings.warn(f'no code of its own for this robot: {error!r}', stacklevel=2)
-        self._run = self._code
+        self._in_block, self._in_arrays = self._code
 
-    def efforts(self) -> Floats:
+    def update(self) -> Floats:
         """
-        Compute the joint efforts of ``state.q, state.qd, state.qdd``.
+        Compute the efforts of ``state.q, state.qd, state.qdd``: the fastest way from Python.
 
         Returns
         -------
@@ -109,23 +118,38 @@ class Specialised:
         """
         if self._revision != self._dynamics.revision:
             self._look_again()
-        if self._run() != OK:
-            # The general way fits any robot, and tells what is wrong with a state.
+        if self._in_block() != OK:
+            # The dynamics take any robot, and tell what is wrong with a state.
             return self._dynamics.efforts(*self.state)
         return self._tau
 
+    def efforts(
+        self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: Floats | None = None
+    ) -> Floats:
+        """
+        Compute the efforts of a state that stands elsewhere.
+
+        Takes, returns and raises what `InverseDynamics.efforts` does.
+
+        """
+        if self._revision != self._dynamics.revision:
+            self._look_again()
+        try:
+            tau = np.empty_like(self._tau) if out is None else out
+            if self._in_arrays(q, qd, qdd, tau) == OK:
+                return tau
+        except (TypeError, ValueError):  # lists, integers, batches, views with strides
+            pass
+        return self._dynamics.efforts(q, qd, qdd, out)
+
     def _look_again(self) -> None:
-        """Use the code only while what acts on the robot has a place in it."""
+        """Use the code only while there is a place in it for all that acts on the robot."""
         self._revision = self._dynamics.revision
         is_new = _acting(self._table) & ~self._traced
-        self._run = _nothing_fits if is_new.any() else self._code
+        self._in_block, self._in_arrays = NO_CODE if is_new.any() else self._code
 
     def __reduce__(self) -> NoReturn:
         raise TypeError('code is bound to its arrays, and not to be copied: make another')
-
-
-def _nothing_fits() -> int:
-    return DIFFERS_FROM_CODE
 
 
 def _acting(table: Floats) -> Any:
@@ -138,43 +162,66 @@ def _acting(table: Floats) -> Any:
     return mask & (table != 0.0)
 
 
-def write_out(table: Floats, block: Floats) -> Callable[[], int]:
+def write_out(table: Floats, block: Floats) -> Code:
     """
-    Compile `newton_euler.inverse_dynamics` for one robot and one place of its state.
+    Compile `newton_euler.inverse_dynamics` for one robot.
 
     Parameters
     ----------
     table : ndarray, shape (b, 64)
         From `robot_table`.
     block : ndarray, shape (4, n)
-        Rows q, qd, qdd, tau.
+        Rows q, qd, qdd, tau, for `Code.in_block`.
 
     Returns
     -------
-    code : function without arguments
-        Returns a status as `newton_euler.inverse_dynamics` does. Keeps the arrays alive.
+    code : Code
+        Must not outlive the two arrays: their addresses are part of it.
 
     """
+    n = block.shape[1]
 
     @intrinsic  # type: ignore[untyped-decorator, unused-ignore]
-    def straight_line(_: Any) -> Any:
-        def write(context: Any, builder: Any, *_: Any) -> Any:
+    def straight_line(_: Any, q: Any, qd: Any, qdd: Any, tau: Any) -> Any:
+        def write(context: Any, builder: Any, _: Any, addresses: Any) -> Any:
             writer = Writer(context, builder)
+            base = writer.integer(table.ctypes.data)
             robot = table.tolist()
             for i, k in np.argwhere(_acting(table)):
-                robot[i][k] = writer.load(table[i, k:])
-            q, qd, qdd, tau = ([writer.load(row[k:]) for k in range(len(row))] for row in block)
+                robot[i][k] = writer.load(base, i * columns.COLUMNS + k)
+            q, qd, qdd, tau = ([writer.load(row, k) for k in range(n)] for row in addresses)
             functions = _functions_that_write(writer, [*q, *qd, *qdd])
             status = functions['inverse_dynamics'](q, qd, qdd, tau, robot)
             for k, effort in enumerate(tau):
-                writer.store(effort, block[3, k:])
+                writer.store(effort, addresses[3], k)
             return status
 
-        return numba.int64(), write
+        return numba.int64(q, qd, qdd, tau), write
 
-    code = numba.njit('int64()')(lambda: straight_line())
-    code.disable_compile()
-    return code  # type: ignore[no-any-return]
+    @numba.njit('int64(intp, intp, intp, intp)')  # type: ignore[untyped-decorator, unused-ignore]
+    def anywhere(q: int, qd: int, qdd: int, tau: int) -> Any:
+        return straight_line(q, qd, qdd, tau)
+
+    q_row, qd_row, qdd_row, tau_row = (row.ctypes.data for row in block)
+
+    def in_block() -> Any:
+        return anywhere(q_row, qd_row, qdd_row, tau_row)
+
+    def in_arrays(q: Floats, qd: Floats, qdd: Floats, tau: Floats) -> Any:
+        if len(q) != n or len(qd) != n or len(qdd) != n or len(tau) != n:
+            return WRONG_SIZE
+        return anywhere(q.ctypes.data, qd.ctypes.data, qdd.ctypes.data, tau.ctypes.data)
+
+    return Code(
+        _compile(in_block, 'int64()'),
+        _compile(in_arrays, 'int64(f8[::1], f8[::1], f8[::1], f8[::1])'),
+    )
+
+
+def _compile(function: Callable[..., int], signature: str) -> Any:
+    compiled = numba.njit(signature)(function)
+    compiled.disable_compile()  # a call with arguments of other kinds is a TypeError
+    return compiled
 
 
 class RunTimeNumber:
@@ -219,11 +266,12 @@ class Writer:
         write = getattr(self.builder, name)
         return RunTimeNumber(self, write(*map(self._value, numbers), flags=('contract',)))
 
-    def load(self, array: Floats) -> RunTimeNumber:
-        return RunTimeNumber(self, self.builder.load(self._first(array)))
+    def load(self, address: Any, k: int) -> RunTimeNumber:
+        """Read number k of those that begin at an address."""
+        return RunTimeNumber(self, self.builder.load(self._pointer(address, k)))
 
-    def store(self, number: Any, array: Floats) -> None:
-        self.builder.store(self._value(number), self._first(array))
+    def store(self, number: Any, address: Any, k: int) -> None:
+        self.builder.store(self._value(number), self._pointer(address, k))
 
     def elementary(self, function: Callable[[float], float]) -> Callable[[Any], Any]:
         """Make a function of `math` one that takes numbers of both kinds."""
@@ -240,20 +288,20 @@ class Writer:
         """Choose a status: whether a number is one, or a NaN."""
         value = self._value(number)
         is_nan = self.builder.fcmp_unordered('uno', value, value)
-        return self.builder.select(is_nan, *(self._integer(x) for x in (NOT_FINITE, OK)))
+        return self.builder.select(is_nan, *(self.integer(x) for x in (NOT_FINITE, OK)))
 
     def _value(self, number: Any) -> Any:
         if isinstance(number, RunTimeNumber):
             return number.value
         return self.context.get_constant(numba.float64, number)
 
-    def _integer(self, number: int) -> Any:
-        return self.context.get_constant(numba.int64, number)
+    def integer(self, number: int) -> Any:
+        return self.context.get_constant(numba.intp, number)
 
-    def _first(self, array: Floats) -> Any:
-        """Point to the first number of an array."""
+    def _pointer(self, address: Any, k: int) -> Any:
         kind = self.context.get_value_type(numba.float64).as_pointer()
-        return self.builder.inttoptr(self._integer(array.ctypes.data), kind)
+        first = self.builder.inttoptr(address, kind)
+        return self.builder.gep(first, [self.integer(k)])
 
 
 def _functions_that_write(writer: Writer, inputs: list[RunTimeNumber]) -> dict[str, Any]:

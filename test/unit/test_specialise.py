@@ -37,6 +37,17 @@ def random_state(specialised, rng):
     return vectors
 
 
+def two_ways(specialised):
+    """Compute in the arrays of the object, and in others."""
+    yield specialised.update()
+    q, qd, qdd, _ = (array.copy() for array in specialised.state)
+    out = np.full_like(q, np.nan)
+    assert specialised.efforts(q, qd, qdd, out) is out
+    yield out
+    yield specialised.efforts(q, qd, qdd)
+    yield specialised.efforts(q, qd, qdd, out=q)  # over what it reads
+
+
 def refuse(*_):
     raise AssertionError('the general way was taken')
 
@@ -44,20 +55,23 @@ def refuse(*_):
 def assert_same(dynamics, specialised, rng):
     vectors = random_state(specialised, rng)
     expected = dynamics.efforts(*vectors)
-    assert_allclose(specialised.efforts(), expected, rtol=0, atol=1e-13 * abs(expected).max())
+    for efforts in two_ways(specialised):
+        assert_allclose(efforts, expected, rtol=0, atol=1e-13 * abs(expected).max())
 
 
 def assert_code_is_used(dynamics, specialised, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(dynamics, 'efforts', refuse)
-        specialised.efforts()
+        for _ in two_ways(specialised):
+            pass
 
 
 def assert_general_way_is_taken(dynamics, specialised, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(dynamics, 'efforts', refuse)
-        with pytest.raises(AssertionError, match='general way'):
-            specialised.efforts()
+        for call in (specialised.update, lambda: specialised.efforts(*specialised.state)):
+            with pytest.raises(AssertionError, match='general way'):
+                call()
 
 
 def set_everything(dynamics):
@@ -132,35 +146,68 @@ def test_values_that_are_not_finite_are_told_by_joint(dynamics, rng, which, bad)
     for joint, name in enumerate(dynamics.robot.joint_names):
         random_state(specialised, rng)
         specialised.state[which][joint] = bad
-        with pytest.raises(JointStateError, match=f"'{name}' is {bad}"):
-            specialised.efforts()
+        for call in (specialised.update, lambda: specialised.efforts(*specialised.state)):
+            with pytest.raises(JointStateError, match=f"'{name}' is {bad}"):
+                call()
     assert_same(dynamics, specialised, rng)
+
+
+@pytest.mark.parametrize(
+    'read',
+    [
+        np.ndarray.tolist,
+        lambda x: np.array([x, x, x]),
+        lambda x: np.array([x, x]).T.copy()[:, 0],
+        lambda x: x.round().astype(int),
+        lambda x: x.astype(np.float32),
+        lambda x: np.frombuffer(x.tobytes()),
+        lambda x: x.astype('>f8'),
+    ],
+    ids=['list', 'batch', 'strided', 'integers', 'single', 'read-only', 'big endian'],
+)
+def test_arrays_of_all_kinds_are_read(dynamics, rng, read):
+    specialised = Specialised(dynamics)
+    q, qd, qdd = (read(x) for x in random_state(specialised, rng))
+    expected = dynamics.efforts(q, qd, qdd)
+    assert_allclose(specialised.efforts(q, qd, qdd), expected, rtol=1e-12)
+    out = np.zeros(expected.shape)
+    assert specialised.efforts(q, qd, qdd, out=out) is out
+    assert_allclose(out, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize('which', [0, 1, 2, 3])
+@pytest.mark.parametrize('n', [0, 5, 7])
+def test_arrays_of_another_size_are_refused(dynamics, which, n):
+    arrays = [np.zeros(6) for _ in range(4)]
+    arrays[which] = np.zeros(n)
+    with pytest.raises(JointStateError, match='has shape'):
+        Specialised(dynamics).efforts(*arrays)
 
 
 def test_overflow_is_told(dynamics):
     specialised = Specialised(dynamics)
     specialised.state.qd[:] = 1e300
     with pytest.raises(JointStateError, match='beyond all reason'):
-        specialised.efforts()
+        specialised.update()
 
 
 def test_efforts_stand_in_the_state(dynamics, rng):
     specialised = Specialised(dynamics)
     random_state(specialised, rng)
-    assert specialised.efforts() is specialised.state.tau
+    assert specialised.update() is specialised.state.tau
 
 
 def test_two_objects_of_one_dynamics_do_not_mix(dynamics, rng):
     one, other = Specialised(dynamics), Specialised(dynamics)
     first, second = random_state(one, rng), random_state(other, rng)
-    one.efforts()
-    other.efforts()
+    one.update()
+    other.update()
     for specialised, vectors in ((one, first), (other, second)):
         assert_allclose(specialised.state.tau, dynamics.efforts(*vectors), rtol=1e-12)
 
 
 def test_robot_that_cannot_move():
-    assert Specialised(InverseDynamics(load_urdf(NOTHING_MOVES))).efforts().shape == (0,)
+    assert Specialised(InverseDynamics(load_urdf(NOTHING_MOVES))).update().shape == (0,)
 
 
 def test_arrays_stay_where_the_code_knows_them(dynamics):
@@ -195,7 +242,8 @@ def test_no_product_with_a_zero_of_the_robot_is_left():
         '<joint name="turn" type="continuous"><parent link="base"/><child link="wheel"/>'
         '<axis xyz="0 0 1"/></joint></robot>'
     )
-    code = Specialised(InverseDynamics(robot, (0.0, 0.0, 0.0)))._code
+    dynamics = InverseDynamics(robot, (0.0, 0.0, 0.0))
+    code = specialise.write_out(dynamics.table, np.zeros((4, 1))).in_block
     instructions = code.inspect_llvm(()).split('\n')
     assert sum(' fmul ' in line for line in instructions) <= 1
     assert not any('@llvm.sin' in line or '@sin' in line for line in instructions)
