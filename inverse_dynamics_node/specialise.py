@@ -138,7 +138,7 @@ class Specialised:
             tau = np.empty_like(self._tau) if out is None else out
             if self._in_arrays(q, qd, qdd, tau) == OK:
                 return tau
-        except (TypeError, ValueError):  # lists, integers, batches, views with strides
+        except (TypeError, ValueError, NotImplementedError):  # lists, batches, strided views
             pass
         return self._dynamics.efforts(q, qd, qdd, out)
 
@@ -198,19 +198,15 @@ def write_out(table: Floats, block: Floats) -> Code:
 
         return numba.int64(q, qd, qdd, tau), write
 
-    @numba.njit('int64(intp, intp, intp, intp)')  # type: ignore[untyped-decorator, unused-ignore]
-    def anywhere(q: int, qd: int, qdd: int, tau: int) -> Any:
-        return straight_line(q, qd, qdd, tau)
-
     q_row, qd_row, qdd_row, tau_row = (row.ctypes.data for row in block)
 
     def in_block() -> Any:
-        return anywhere(q_row, qd_row, qdd_row, tau_row)
+        return straight_line(q_row, qd_row, qdd_row, tau_row)
 
     def in_arrays(q: Floats, qd: Floats, qdd: Floats, tau: Floats) -> Any:
         if len(q) != n or len(qd) != n or len(qdd) != n or len(tau) != n:
             return WRONG_SIZE
-        return anywhere(q.ctypes.data, qd.ctypes.data, qdd.ctypes.data, tau.ctypes.data)
+        return straight_line(q.ctypes.data, qd.ctypes.data, qdd.ctypes.data, tau.ctypes.data)
 
     return Code(
         _compile(in_block, 'int64()'),
