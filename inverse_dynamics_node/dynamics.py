@@ -315,7 +315,7 @@ class InverseDynamics:
         try:
             tau = np.empty_like(self._zeros) if out is None else out
             status = self._inverse_dynamics(q, qd, qdd, tau, self._table)
-        except (TypeError, ValueError, NotImplementedError):  # lists, batches, strided views
+        except (TypeError, ValueError):  # lists, integers, batches, views with strides
             return self._efforts_of_any(self._table, q, qd, qdd, out)
         if status != OK:
             raise explain(self.robot.joint_names, out, q=q, qd=qd, qdd=qdd)

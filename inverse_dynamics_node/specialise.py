@@ -138,7 +138,7 @@ class Specialised:
             tau = np.empty_like(self._tau) if out is None else out
             if self._in_arrays(q, qd, qdd, tau) == OK:
                 return tau
-        except (TypeError, ValueError, NotImplementedError):  # lists, batches, strided views
+        except (TypeError, ValueError):  # lists, integers, batches, views with strides
             pass
         return self._dynamics.efforts(q, qd, qdd, out)
 
