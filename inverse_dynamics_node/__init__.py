@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from .dynamics import InverseDynamics
     from .errors import ConfigurationError, InverseDynamicsError, JointStateError, UrdfError
     from .model import RobotModel
+    from .specialise import Specialised
     from .urdf import load_urdf
 
 _HOMES = {
@@ -19,6 +20,7 @@ _HOMES = {
     'InverseDynamicsError': 'errors',
     'JointStateError': 'errors',
     'RobotModel': 'model',
+    'Specialised': 'specialise',
     'UrdfError': 'errors',
     'load_urdf': 'urdf',
 }
@@ -29,6 +31,7 @@ __all__ = [
     'InverseDynamicsError',
     'JointStateError',
     'RobotModel',
+    'Specialised',
     'UrdfError',
     'load_urdf',
 ]

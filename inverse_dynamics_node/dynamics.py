@@ -108,6 +108,7 @@ class InverseDynamics:
         self._payloads: dict[str, tuple[float, Floats, Floats]] = {}
         self._wrenches: dict[str, tuple[Floats, Floats]] = {}
         self._base_motion = np.zeros((3, 3))
+        self.revision = 0
         self.set_gravity(gravity)
 
     # What acts on the robot
@@ -477,6 +478,11 @@ class InverseDynamics:
 
     # The table
 
+    @property
+    def table(self) -> Floats:
+        """The robot and what acts on it, as `robot_table` lays it out; for reading only."""
+        return self._numbers
+
     def _without(self, *parts: int | slice) -> Any:
         """Copy the robot's table, with nothing in some of its columns."""
         numbers = self._numbers.copy()
@@ -532,6 +538,7 @@ class InverseDynamics:
             self._update(i)
 
     def _update(self, body: int) -> None:
+        self.revision += 1
         if not IS_COMPILED:
             self._table[body] = self._numbers[body].tolist()
 

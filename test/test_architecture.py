@@ -20,11 +20,12 @@ ARROWS = {
     'arguments': {'errors', 'model'},
     'newton_euler': {'compilation'},
     'dynamics': {'newton_euler', 'table', 'arguments', 'compilation', 'model', 'errors'},
+    'specialise': {'newton_euler', 'dynamics', 'table', 'compilation', 'model'},
     'state': {'model', 'errors'},
     'controller': {'dynamics', 'state', 'model', 'errors'},
     'node': {'controller', 'state', 'dynamics', 'urdf', 'model', 'errors'},
     'simulation': {'dynamics', 'urdf', 'model', 'errors'},
-    '__init__': {'dynamics', 'errors', 'model', 'urdf'},
+    '__init__': {'dynamics', 'specialise', 'errors', 'model', 'urdf'},
 }
 ROS = ('rclpy', 'rcl_interfaces', 'ament_index_python', 'std_srvs')
 

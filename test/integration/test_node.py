@@ -201,7 +201,7 @@ BAD_URDF = '<robot name="r"><link name="a"/><link name="a"/></robot>'
         ({**FAST, 'update_rate': -1.0}, 'update_rate out of range'),
         ({**FAST, 'update_rate': '.nan'}, 'out of range'),
         ({**FAST, 'update_rate': 1e-10}, 'expected 0 or at least 1'),
-        ({**FAST, 'use_sim_time': 'soon'}, 'expected to be of type'),
+        ({**FAST, 'use_sim_time': 'soon'}, "of type 'STRING', expecting type 'BOOL'"),
         ({**FAST, 'state_timeout': 'soon'}, "'state_timeout' is 'soon', expected a finite number"),
         ({**FAST, 'gravity': '[0.0, -9.8]'}, "'gravity' is [0.0, -9.8], expected three finite"),
         ({**FAST, 'gravity': '[0.0, 0, -9.8]'}, 'Sequence should be of same type'),

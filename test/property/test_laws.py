@@ -1,8 +1,8 @@
 """Laws of physics on random trees: they find what examples do not think of."""
 
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
-from inverse_dynamics_node import InverseDynamics, load_urdf
+from inverse_dynamics_node import InverseDynamics, load_urdf, Specialised
 from kinematics import assert_close, rotation_about
 import numpy as np
 from numpy.testing import assert_allclose
@@ -144,6 +144,17 @@ def test_batches_give_what_single_states_give(case):
     assert batch.shape == q.shape
     for index in np.ndindex(2, 2):
         assert (batch[index] == dynamics.efforts(q[index], qd[index], qdd[index])).all()
+
+
+@settings(max_examples=20)
+@given(cases())
+def test_code_for_one_robot_gives_what_that_for_all_gives(case):
+    _, robot, vectors = case
+    dynamics = InverseDynamics(robot)
+    specialised = Specialised(dynamics)
+    for array, vector in zip(specialised.state, vectors, strict=False):
+        array[:] = vector
+    assert_close(specialised.update(), dynamics.efforts(*vectors), 1e-13)
 
 
 def potential_energy(robot, q):
