@@ -11,13 +11,18 @@ from robot_files import ROOT
 README = (ROOT / 'README.md').read_text()
 
 
-def test_python_example_prints_what_it_says(monkeypatch):
+def test_python_examples_print_what_they_say(monkeypatch):
     monkeypatch.chdir(ROOT)
-    code, expected = re.search(r'```python\n(.*?)```\n\n```\n(.*?)```', README, re.S).groups()
+    _, expected = re.search(r'```python\n(.*?)```\n\n```\n(.*?)```', README, re.S).groups()
     output = io.StringIO()
     with contextlib.redirect_stdout(output):
-        exec(code, {})
+        names = {}
+        for code in re.findall(r'```python\n(.*?)```', README, re.S):
+            exec(code, names)
     assert output.getvalue() == expected
+    q, qd, qdd = names['q'], names['qd'], names['qdd']
+    total = sum(names['dynamics'].terms(q, qd, qdd))
+    assert total == pytest.approx(names['dynamics'].efforts(q, qd, qdd))
 
 
 def test_links_lead_somewhere():
@@ -40,7 +45,7 @@ def test_parameter_table_is_the_parameters_of_the_node():
     table = README.split('### Parameters')[1].split('###')[0]
     rows = dict(re.findall(r'^\| `(\w+)` \| ([^|]*) \|', table, re.M))
     assert list(rows) == list(PARAMETERS)
-    words = {'empty': '', 'all': [''], 'true': True}
+    words = {'empty': '', 'all': [''], 'true': True, 'false': False}
     for name, text in rows.items():
         default = words[text] if text in words else eval(text)
         assert default == PARAMETERS[name].default, name

@@ -1,0 +1,87 @@
+"""Child processes that end with their parent, and ROS settings that stay on this machine."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+import ctypes
+import os
+import random
+import signal
+import socket
+import subprocess
+import sys
+
+STOP_TIMEOUT = 5.0  # [s]: a node ramps its efforts down before it ends
+PR_SET_PDEATHSIG = 1  # Linux's prctl(2): the signal to get when the parent dies
+
+Processes = dict[str, 'subprocess.Popen[bytes]']
+
+
+@contextmanager
+def running(commands: Mapping[str, Sequence[str]]) -> Iterator[Processes]:
+    """
+    Run commands for as long as the context lasts; end the last one started first.
+
+    Parameters
+    ----------
+    commands : mapping of str to sequence of str
+        Arguments of ``python -m``, by the name of the process.
+
+    Yields
+    ------
+    processes : dict of str to subprocess.Popen
+        By the same names.
+
+    """
+    processes: Processes = {}
+    try:
+        for name, command in commands.items():
+            # A session of its own: Ctrl-C reaches the parent alone, which then ends all in order.
+            processes[name] = subprocess.Popen(
+                [sys.executable, '-m', *command],
+                start_new_session=True,
+                preexec_fn=_end_with_parent if sys.platform == 'linux' else None,
+            )
+        yield processes
+    finally:
+        for process in reversed(processes.values()):
+            _end(process)
+
+
+def _end_with_parent() -> None:
+    """Ask to be ended with the parent, even if that is killed and cannot say so."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    if process.poll() is None:
+        process.send_signal(signal.SIGINT)
+    try:
+        process.wait(STOP_TIMEOUT)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
+def stay_on_this_machine() -> None:
+    """Choose ROS settings for this process and its children where the user has chosen none."""
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    if 'ROS_DOMAIN_ID' not in os.environ:
+        os.environ['ROS_DOMAIN_ID'] = str(_unused_domain())
+
+
+def _unused_domain() -> int:
+    """Pick a domain in which nobody on this machine takes part, so that robots do not mix."""
+    domains = random.sample(range(1, 101), 100)
+    return next((domain for domain in domains if _is_unused(domain)), domains[0])
+
+
+def _is_unused(domain: int) -> bool:
+    first_participant = 7400 + 250 * domain + 10  # DDSI-RTPS 9.6.1: its port for unicast discovery
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind(('127.0.0.1', first_participant))
+        except OSError:
+            return False
+    return True

@@ -1,0 +1,196 @@
+"""
+A smooth reference motion for any robot: from rest, back to rest, within every limit.
+
+Each joint swings about its start with a sine of its own frequency, faded in and out by a quintic,
+so that position, velocity and acceleration begin and end without a step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..dynamics import InverseDynamics
+from ..model import Booleans, Floats, RobotModel
+from .mujoco_model import SimulationError
+
+LARGEST_SWING = (0.5, 0.1)  # [rad], [m]: enough for all terms of the dynamics to matter
+FREQUENCIES = (0.20, 0.31, 0.24, 0.38, 0.28, 0.43, 0.34)  # [Hz]: no two neighbours in step
+ROOM_USED = 0.8  # of the way to the nearest position limit
+SPEED_USED = 0.5  # of the velocity limit
+EFFORT_USED = 0.9  # of the effort limit; the rest is for feedback
+STEEPEST_FADE = 1.875  # slope of the quintic at its middle
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """
+    A motion of n joints that lasts ``moving`` seconds and then rests where it began.
+
+    Attributes
+    ----------
+    start : ndarray, shape (n,)
+        Positions at rest [rad or m].
+    swing : ndarray, shape (n,)
+        Largest distance from ``start`` [rad or m].
+    frequency : ndarray, shape (n,)
+        Of each joint's sine [Hz].
+    moving : float
+        Duration of the motion [s].
+
+    """
+
+    start: Floats
+    swing: Floats
+    frequency: Floats
+    moving: float
+
+    @property
+    def fade(self) -> float:
+        """Time from rest to the full swing [s]."""
+        return min(2.0, self.moving / 3.0)
+
+    def sample(self, time: ArrayLike) -> tuple[Floats, Floats, Floats]:
+        """
+        Positions, velocities and accelerations at some times.
+
+        Parameters
+        ----------
+        time : array_like, shape (...)
+            Since the motion began [s]; before and after it the joints rest.
+
+        Returns
+        -------
+        q, qd, qdd : ndarray, shape (..., n)
+            In rad or m, and per second, and per second squared.
+
+        """
+        t = np.asarray(time, dtype=float)[..., np.newaxis]
+        fade = self.fade
+        w_in, w_out = _fade(t / fade), _fade((t - self.moving) / fade + 1.0)
+        w = w_in[0] - w_out[0]
+        wd = (w_in[1] - w_out[1]) / fade
+        wdd = (w_in[2] - w_out[2]) / fade**2
+        rate = 2.0 * np.pi * self.frequency
+        s, c = np.sin(rate * t), np.cos(rate * t)
+        q = self.start + self.swing * w * s
+        qd = self.swing * (wd * s + w * rate * c)
+        qdd = self.swing * (wdd * s + 2.0 * wd * rate * c - w * rate**2 * s)
+        return q, qd, qdd
+
+
+def _fade(x: Floats) -> tuple[Floats, Floats, Floats]:
+    """Rise from 0 at x = 0 to 1 at x = 1, and its two derivatives, all steady at both ends."""
+    x = np.minimum(np.maximum(x, 0.0), 1.0)
+    return (
+        x**3 * (10.0 + x * (6.0 * x - 15.0)),
+        30.0 * x**2 * (1.0 - x) ** 2,
+        60.0 * x * (1.0 - x) * (1.0 - 2.0 * x),
+    )
+
+
+def start_pose(robot: RobotModel, dynamics: InverseDynamics) -> Floats:
+    """
+    Choose a pose within the limits that the drives can hold, and where joints act on their own.
+
+    Where two joints turn nearly the same mass the same way, as the wrist of a straight arm does,
+    their difference has hardly any inertia, and any delay shows there.
+
+    Raises
+    ------
+    SimulationError
+        If no joint moves, or the drives are too weak for all poses tried.
+
+    """
+    if not robot.joint_names:
+        raise SimulationError(f'robot {robot.name!r} has no joint that moves')
+    bounded = np.isfinite(robot.lower) & np.isfinite(robot.upper)
+    lower = np.where(bounded, robot.lower, -np.pi)
+    upper = np.where(bounded, robot.upper, np.pi)
+    middle, reach = 0.5 * (lower + upper), np.minimum(0.25 * (upper - lower), 1.0)
+    random = np.random.default_rng(0)
+    poses = middle + reach * random.uniform(-1.0, 1.0, (200, len(middle)))
+    loads = [effort_used(robot, dynamics.gravity_efforts(q)) for q in poses]
+    if min(loads) > EFFORT_USED:
+        raise SimulationError(_too_weak(robot, dynamics.gravity_efforts(poses[np.argmin(loads)])))
+    easy = poses[np.array(loads) <= max(0.5, min(loads))]
+    return max(easy, key=lambda q: independence(dynamics.mass_matrix(q)))
+
+
+def independence(inertia: Floats) -> float:
+    """Return the least inertia of any mix of joints, relative to what they have alone: 0 to 1."""
+    scale = 1.0 / np.sqrt(np.maximum(inertia.diagonal(), 1e-12))
+    return float(np.linalg.eigvalsh(inertia * np.outer(scale, scale))[0])
+
+
+def _too_weak(robot: RobotModel, efforts: Floats) -> str:
+    weak = [
+        f'joint {name!r} takes {abs(effort):.3g} of {limit:g} N m or N'
+        for name, effort, limit in zip(
+            robot.joint_names, efforts, robot.effort_limits, strict=True
+        )
+        if abs(effort) > EFFORT_USED * limit
+    ]
+    return (
+        'the <limit effort> of the URDF is too small for the robot to hold itself up and move; '
+        f'in the easiest pose tried {", ".join(weak)}'
+    )
+
+
+def plan(robot: RobotModel, dynamics: InverseDynamics, start: Floats, moving: float) -> Trajectory:
+    """
+    Plan a motion about a pose that stays within position, velocity and effort limits.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        Whose limits.
+    dynamics : InverseDynamics
+        Of the same robot, for the efforts the motion takes.
+    start : ndarray, shape (n,)
+        Where the joints are, at rest [rad or m].
+    moving : float
+        Duration [s].
+
+    Raises
+    ------
+    SimulationError
+        If no joint can move at all.
+
+    """
+    count = len(robot.joint_names)
+    frequency = np.resize(FREQUENCIES, count)
+    trajectory = Trajectory(start, np.zeros(count), frequency, moving)
+    room = np.minimum(start - robot.lower, robot.upper - start)
+    speed = STEEPEST_FADE / trajectory.fade + 2.0 * np.pi * frequency  # per unit of swing
+    swing = np.minimum.reduce(
+        [
+            np.where(slides(robot), LARGEST_SWING[1], LARGEST_SWING[0]),
+            ROOM_USED * np.maximum(room, 0.0),
+            SPEED_USED * robot.velocity_limits / speed,
+        ]
+    )
+    if not swing.any():
+        raise SimulationError('no joint can move: every <limit> leaves it no room or no speed')
+    times = np.linspace(0.0, moving, 200)
+    for _ in range(6):
+        trajectory = Trajectory(start, swing, frequency, moving)
+        if effort_used(robot, dynamics.efforts(*trajectory.sample(times))) <= EFFORT_USED:
+            break
+        swing = 0.7 * swing
+    return trajectory
+
+
+def slides(robot: RobotModel) -> Booleans:
+    """Return which of the n joints are prismatic, shape (n,)."""
+    bodies = [robot.body_names.index(name, 1) for name in robot.joint_names]
+    return robot.is_prismatic[bodies]
+
+
+def effort_used(robot: RobotModel, efforts: Floats) -> float:
+    """Return the largest share of an effort limit that efforts of shape (..., n) take."""
+    negligible = 1e-6  # [N m or N]: joints with no limit to speak of, and nothing to carry
+    shares = abs(efforts) / np.maximum(robot.effort_limits, negligible)
+    return float(shares.max(initial=0.0))

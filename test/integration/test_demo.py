@@ -1,0 +1,293 @@
+"""The demo as a user runs it, and its simulated robot as a controller meets it."""
+
+from contextlib import contextmanager
+import os
+from pathlib import Path
+import re
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from robot_files import STANFORD
+
+pytest.importorskip('rclpy')
+pytest.importorskip('mujoco')
+
+from inverse_dynamics_node import load_urdf
+from inverse_dynamics_node.simulation.commander import resolved_acceleration, Tracking
+from inverse_dynamics_node.simulation.demo import find_failures
+from inverse_dynamics_node.simulation.mujoco_robot import MujocoRobot
+from inverse_dynamics_node.simulation.robot import RobotNode
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, Float64MultiArray
+
+PATIENCE = 90.0  # [s]; a demo that can do nothing gives up by itself before this
+MASSLESS = """
+<robot name="massless"><link name="base"/><link name="tip"/>
+<joint name="idle" type="continuous"><parent link="base"/><child link="tip"/></joint></robot>
+"""
+
+
+@contextmanager
+def running_demo(domain_id, *arguments):
+    """Run the demo; whatever becomes of the test, nothing stays behind."""
+    demo = subprocess.Popen(
+        [sys.executable, '-m', 'inverse_dynamics_node.simulation.demo', *map(str, arguments)],
+        env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    try:
+        yield demo
+    finally:
+        if demo.poll() is None:
+            demo.terminate()
+            demo.communicate(timeout=PATIENCE)
+
+
+def finish(demo):
+    """Wait for the end of the demo; return its exit code and what it printed."""
+    output, _ = demo.communicate(timeout=PATIENCE)
+    return demo.returncode, output
+
+
+def children_of(process):
+    task = Path(f'/proc/{process.pid}/task/{process.pid}/children')
+    return [int(number) for number in task.read_text().split()]
+
+
+def read_until(process, text):
+    """Return the lines up to the first that contains a text."""
+    lines = []
+    for line in process.stdout:
+        lines.append(line)
+        if text in line:
+            return lines
+    raise AssertionError(f'ended without {text!r}: {"".join(lines)}')
+
+
+def is_gone(number):
+    deadline = time.monotonic() + 10.0
+    while Path(f'/proc/{number}').exists():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.01)
+    return True
+
+
+class TestDemo:
+    def test_robot_tracks_and_the_result_is_printed(self, domain_id):
+        with running_demo(domain_id, STANFORD, '--duration', 6) as demo:
+            code, output = finish(demo)
+        assert 'Traceback' not in output
+        assert code == 0, output
+        joints = load_urdf(STANFORD).joint_names
+        number = r'(\d+\.\d+)'
+        for name in joints:
+            errors = re.search(rf'^{name} +{number} (mrad|mm) +{number} \2', output, re.MULTILINE)
+            assert float(errors[1]) < 10.0
+            assert float(errors[3]) < 1.0
+        rate = re.search(rf'^rate: {number} of 500\.0 commands/s', output, re.MULTILINE)
+        assert float(rate[1]) == pytest.approx(500.0, rel=0.02)
+        assert re.search(r'^PASSED', output, re.MULTILINE)
+        assert len(re.findall(r'^t = ', output, re.MULTILINE)) == 6
+
+    @pytest.mark.parametrize(
+        ('text', 'words'),
+        [
+            (MASSLESS, "no mass resists the motion of joint 'idle'"),
+            ('<robot name="r"><link name="a"/></robot>', 'no joint'),
+            ('<sdf/>', 'root element is <sdf>'),
+            ('', 'file is empty'),
+        ],
+        ids=['massless', 'nothing moves', 'not a URDF', 'empty'],
+    )
+    def test_robot_that_cannot_be_simulated_is_refused_in_words(
+        self, domain_id, tmp_path, text, words
+    ):
+        path = tmp_path / 'robot.urdf'
+        path.write_text(text)
+        with running_demo(domain_id, path) as demo:
+            code, output = finish(demo)
+        assert code == 1
+        assert words in output
+        assert 'Traceback' not in output
+
+    @pytest.mark.parametrize('arguments', [['--rate', '0'], ['--duration', 'nan']])
+    def test_settings_out_of_range_are_refused(self, domain_id, arguments):
+        with running_demo(domain_id, STANFORD, *arguments) as demo:
+            code, output = finish(demo)
+        assert code == 2
+        assert f'{arguments[0]} {arguments[1]} is not' in output
+        assert 'Traceback' not in output
+
+    @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+    def test_signal_ends_all_of_it_in_peace(self, domain_id, number):
+        with running_demo(domain_id, STANFORD) as demo:
+            read_until(demo, 't = 1.0')
+            children = children_of(demo)
+            demo.send_signal(number)
+            code, output = finish(demo)
+        assert code == 128 + number
+        assert 'Traceback' not in output
+        assert len(children) == 2
+        assert all(map(is_gone, children))
+
+    def test_killed_demo_leaves_nobody_behind(self, domain_id):
+        with running_demo(domain_id, STANFORD) as demo:
+            read_until(demo, 't = 1.0')
+            children = children_of(demo)
+            demo.kill()
+            finish(demo)
+        assert all(map(is_gone, children))
+
+    @pytest.mark.parametrize(('child', 'name'), [(0, 'the simulated robot'), (1, 'the node')])
+    def test_process_that_dies_ends_the_demo(self, domain_id, child, name):
+        with running_demo(domain_id, STANFORD) as demo:
+            read_until(demo, 't = 1.0')
+            children = children_of(demo)
+            os.kill(children[child], signal.SIGKILL)
+            code, output = finish(demo)
+        assert code == 1
+        assert f'demo: {name} ended early, with exit code -9' in output
+        assert all(map(is_gone, children))
+
+
+class TestVerdict:
+    def tracking(self, moving=0.001, rest=0.0001):
+        return Tracking(1.0, 2.0, np.array([moving, 0.0]), np.array([rest, 0.0]))
+
+    def test_within_the_limits_nothing_is_wrong(self):
+        assert find_failures(('a', 'b'), self.tracking(), 499.0, 500.0) == []
+
+    @pytest.mark.parametrize(
+        ('tracking', 'rate', 'words'),
+        [
+            ({'moving': 0.011}, 500.0, "joint 'a' was 11.00 mrad or mm off moving"),
+            ({'rest': 0.0011}, 500.0, "joint 'a' was 1.10 mrad or mm off at rest"),
+            ({'rest': float('nan')}, 500.0, 'off at rest'),
+            ({}, 489.0, '489.0 commands/s came'),
+            ({}, 511.0, '511.0 commands/s came'),
+            ({}, float('nan'), 'nan commands/s came'),
+        ],
+    )
+    def test_each_limit_missed_is_told(self, tracking, rate, words):
+        (failure,) = find_failures(('a', 'b'), self.tracking(**tracking), rate, 500.0)
+        assert words in failure
+
+    def test_errors_between_motion_and_rest_do_not_count(self):
+        tracking = Tracking(1.0, 2.0, np.array([np.nan]), np.array([np.nan]))
+        for time_, error in [(0.5, -0.1), (0.6, 0.05), (1.5, 9.0), (2.5, 0.02), (2.6, -0.03)]:
+            tracking.record(time_, np.array([error]))
+        assert tracking.moving_error == pytest.approx([0.1])
+        assert tracking.rest_error == pytest.approx([0.03])
+
+
+def test_resolved_acceleration_brings_an_error_to_zero():
+    """Integrated with the effect it asks for, an error of a radian is gone after a second."""
+    q, qd, step = np.array([1.0]), np.array([0.0]), 0.001
+    for _ in range(1000):
+        zero = np.zeros(1)
+        qdd = resolved_acceleration((zero, zero, zero), q, qd, 400.0, 40.0)
+        qd = qd + step * qdd
+        q = q + step * qd
+    assert abs(q[0]) < 1e-6
+
+
+class TestRobotNode:
+    @pytest.fixture
+    def arm(self, domain_id):
+        """Return the simulated robot and a controller's side of it, in one process."""
+        context = Context()
+        context.init(args=[], domain_id=domain_id)
+        sides = Arm(context)
+        yield sides
+        sides.close()
+        context.try_shutdown()
+
+    def test_states_come_by_name_with_simulated_time(self, arm):
+        def two_came():
+            arm.node.advance(0.002)
+            return len(arm.states) >= 2
+
+        arm.wait_until(two_came)
+        first, second = arm.states[:2]
+        assert list(first.name) == list(arm.robot.state_names)
+        assert len(first.position) == len(first.velocity) == len(first.effort) == len(first.name)
+        stamps = [s.header.stamp.sec * 10**9 + s.header.stamp.nanosec for s in (first, second)]
+        assert stamps[1] - stamps[0] == 2_000_000
+
+    def test_incomplete_and_not_finite_commands_are_ignored(self, arm):
+        efforts = []
+
+        def obeys_the_last():
+            efforts.append(set(arm.robot.state()[2]))
+            return efforts[-1] == {3.0}
+
+        arm.send([1.0] * 6)
+        for wrong in ([2.0] * 5, [2.0] * 7, [], [float('nan')] * 6, [2.0] * 5 + [float('inf')]):
+            arm.send(wrong)
+        arm.send([3.0] * 6)
+        arm.wait_until(obeys_the_last)
+        assert set().union(*efforts) == {0.0, 1.0, 3.0}
+
+    def test_brakes_open_once_commands_have_come_for_a_while(self, arm):
+        def command_for(times):
+            for i in range(times):
+                arm.send_and_see([0.1 + 0.1 * i] * 6)
+                arm.node.advance(0.05)
+
+        arm.wait_until(lambda: arm.brakes == [True])
+        command_for(9)
+        arm.node.advance(0.2)  # a gap: the count starts all over
+        command_for(9)
+        assert arm.robot.brakes_on
+        command_for(3)
+        assert not arm.robot.brakes_on
+        arm.wait_until(lambda: arm.brakes == [True, False])
+
+
+class Arm:
+    """A simulated robot whose brakes open after half a second, and who commands it."""
+
+    def __init__(self, context):
+        self.robot = MujocoRobot(STANFORD, load_urdf(STANFORD), [0, 0, 0.5, 0, 0.5, 0])
+        self.node = RobotNode(self.robot, 0.5, context=context)
+        self.states, self.brakes = [], []
+        self.side = Node('side', context=context)
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        subscribe = self.side.create_subscription
+        subscribe(JointState, 'joint_states', self.states.append, 1000)
+        subscribe(Bool, 'brakes', lambda message: self.brakes.append(message.data), latched)
+        self._commands = self.side.create_publisher(Float64MultiArray, 'commands', 10)
+        self.executor = SingleThreadedExecutor(context=context)
+        self.executor.add_node(self.side)
+        self.executor.add_node(self.node)
+        self.wait_until(lambda: self._commands.get_subscription_count() > 0)
+
+    def close(self):
+        self.executor.shutdown()
+        self.side.destroy_node()
+        self.node.destroy_node()
+
+    def send(self, efforts):
+        self._commands.publish(Float64MultiArray(data=efforts))
+
+    def send_and_see(self, efforts):
+        """Send a command, and wait until the robot obeys it."""
+        self.send(efforts)
+        self.wait_until(lambda: set(self.robot.state()[2]) == set(efforts))
+
+    def wait_until(self, is_true):
+        deadline = time.monotonic() + PATIENCE
+        while not is_true():
+            assert time.monotonic() < deadline
+            self.executor.spin_once(timeout_sec=0.02)
