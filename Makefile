@@ -16,27 +16,29 @@ CLEAN := env -u PYTHONPATH -u LD_LIBRARY_PATH -u AMENT_PREFIX_PATH -u COLCON_PRE
 .PHONY: demo test clean
 
 demo: $(VENV)/demo.done
-	$(CLEAN) $(BIN)/python -m inverse_dynamics_node.simulation.demo '$(ROBOT)' $(ARGS)
+	@$(CLEAN) $(BIN)/python -m inverse_dynamics_node.simulation.demo '$(ROBOT)' $(ARGS)
 
 test: $(VENV)/test.done
-	$(CLEAN) $(BIN)/ruff check .
-	$(CLEAN) $(BIN)/ruff format --check .
-	$(CLEAN) $(BIN)/mypy inverse_dynamics_node
-	$(CLEAN) $(BIN)/python -m pytest --timeout 300 $(ARGS)
-	$(CLEAN) NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest --timeout 300 test/unit test/property test/parity
+	@$(CLEAN) $(BIN)/ruff check .
+	@$(CLEAN) $(BIN)/ruff format --check .
+	@$(CLEAN) $(BIN)/mypy inverse_dynamics_node
+	@$(CLEAN) $(BIN)/python -m pytest --timeout 300 $(ARGS)
+	@echo 'The same without numba:'
+	@$(CLEAN) NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest --timeout 300 test/unit test/property test/parity
 
 $(VENV)/pip.done:
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))' || \
 	    { echo "$(PYTHON) is $$($(PYTHON) --version 2>&1), expected Python 3.10 to 3.13:" \
 	        "make PYTHON=python3.12 ..."; exit 1; }
-	$(CLEAN) $(PYTHON) -m venv $(VENV)
-	$(CLEAN) $(BIN)/pip install --quiet --upgrade 'pip>=23'
-	touch $@
+	@echo 'Setting up $(VENV); the first time takes a minute or two.'
+	@$(CLEAN) $(PYTHON) -m venv $(VENV)
+	@$(CLEAN) $(BIN)/pip install --quiet --upgrade 'pip>=23'
+	@touch $@
 
 # The package itself is installed as links to this tree: a change counts at once.
 $(VENV)/%.done: $(VENV)/pip.done setup.py pyproject.toml
-	$(CLEAN) $(BIN)/pip install --quiet --editable '.[ros,demo$(if $(filter test,$*),$(comma)test)]'
-	touch $@
+	@$(CLEAN) $(BIN)/pip install --quiet --editable '.[ros,demo$(if $(filter test,$*),$(comma)test)]'
+	@touch $@
 
 comma := ,
 
