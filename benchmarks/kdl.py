@@ -1,0 +1,66 @@
+"""
+A worker (see `workers`) that runs KDL.
+
+It imports nothing but PyKDL: Debian has that for its own Python only, where nothing of ours is
+installed.
+"""
+
+import json
+import sys
+from time import perf_counter
+
+import PyKDL as kdl
+
+
+def main():
+    """Answer the questions on standard input."""
+    task = json.loads(sys.stdin.readline())
+    chain = kdl.Chain()
+    for k, body in enumerate(task['bodies']):
+        chain.addSegment(segment(f'{k}', body))
+    n = len(task['bodies'])
+    solver = kdl.ChainIdSolver_RNE(chain, kdl.Vector(*task['gravity']))
+    forces = [kdl.Wrench() for _ in range(n)]
+    efforts = kdl.JntArray(n)
+    states = [tuple(vector(x) for x in state) for state in zip(*task['states'])]  # noqa: B905
+
+    results = []
+    for q, qd, qdd in states:
+        solver.CartToJnt(q, qd, qdd, forces, efforts)
+        results.append([efforts[k] for k in range(n)])
+    print(json.dumps(results), flush=True)
+    for line in sys.stdin:
+        repeated = states * json.loads(line)
+        start = perf_counter()
+        for q, qd, qdd in repeated:
+            solver.CartToJnt(q, qd, qdd, forces, efforts)
+        print((perf_counter() - start) / len(repeated), flush=True)
+
+
+def segment(name, body):
+    """Make a segment whose tip frame is the URDF's frame of the joint."""
+    origin, axis = kdl.Vector(*body['position']), kdl.Vector(*body['axis'])
+    kind = kdl.Joint.TransAxis if body['slides'] else kdl.Joint.RotAxis
+    tip = kdl.Frame(kdl.Rotation(*body['rotation']), origin)
+    com = kdl.Vector(*body['com'])
+    xx, xy, xz, yy, yz, zz = body['inertia']
+    # KDL wants it about the centre of mass here, along the axes of the tip frame.
+    inertia = kdl.RotationalInertia(xx, yy, zz, xy, xz, yz)
+    return kdl.Segment(
+        name,
+        kdl.Joint(name, origin, axis, kind),
+        tip,
+        kdl.RigidBodyInertia(body['mass'], com, inertia),
+    )
+
+
+def vector(numbers):
+    """Make a KDL array."""
+    array = kdl.JntArray(len(numbers))
+    for k, x in enumerate(numbers):
+        array[k] = x
+    return array
+
+
+if __name__ == '__main__':
+    main()
