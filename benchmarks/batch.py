@@ -26,14 +26,22 @@ def whole(
 ) -> Contender:
     """Make a contender of a call that takes all states at once."""
 
+    def where() -> contextlib.AbstractContextManager[None]:
+        # Threads stay on the cores of who starts them, so this matters before the first call.
+        return on_cores(CORES) if threads > 1 else contextlib.nullcontext()
+
+    def results() -> Floats:
+        with where():
+            return result()
+
     def seconds(sweeps: int) -> float:
-        with on_cores(CORES) if threads > 1 else contextlib.nullcontext():
+        with where():
             start = perf_counter()
             for _ in range(sweeps):
                 call()
             return (perf_counter() - start) / sweeps
 
-    return Contender(name, result, seconds, 1)
+    return Contender(name, results, seconds, 1)
 
 
 def ours(robot: Robot, states: Floats, threads: int = 1) -> Contender:

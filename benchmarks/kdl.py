@@ -9,19 +9,19 @@ import json
 import sys
 from time import perf_counter
 
-import PyKDL as kdl
+import PyKDL
 
 
 def main():
     """Answer the questions on standard input."""
     task = json.loads(sys.stdin.readline())
-    chain = kdl.Chain()
+    chain = PyKDL.Chain()
     for k, body in enumerate(task['bodies']):
         chain.addSegment(segment(f'{k}', body))
     n = len(task['bodies'])
-    solver = kdl.ChainIdSolver_RNE(chain, kdl.Vector(*task['gravity']))
-    forces = [kdl.Wrench() for _ in range(n)]
-    efforts = kdl.JntArray(n)
+    solver = PyKDL.ChainIdSolver_RNE(chain, PyKDL.Vector(*task['gravity']))
+    forces = [PyKDL.Wrench() for _ in range(n)]
+    efforts = PyKDL.JntArray(n)
     states = [tuple(vector(x) for x in state) for state in zip(*task['states'])]  # noqa: B905
 
     results = []
@@ -39,24 +39,24 @@ def main():
 
 def segment(name, body):
     """Make a segment whose tip frame is the URDF's frame of the joint."""
-    origin, axis = kdl.Vector(*body['position']), kdl.Vector(*body['axis'])
-    kind = kdl.Joint.TransAxis if body['slides'] else kdl.Joint.RotAxis
-    tip = kdl.Frame(kdl.Rotation(*body['rotation']), origin)
-    com = kdl.Vector(*body['com'])
+    origin, axis = PyKDL.Vector(*body['position']), PyKDL.Vector(*body['axis'])
+    kind = PyKDL.Joint.TransAxis if body['slides'] else PyKDL.Joint.RotAxis
+    tip = PyKDL.Frame(PyKDL.Rotation(*body['rotation']), origin)
+    com = PyKDL.Vector(*body['com'])
     xx, xy, xz, yy, yz, zz = body['inertia']
     # KDL wants it about the centre of mass here, along the axes of the tip frame.
-    inertia = kdl.RotationalInertia(xx, yy, zz, xy, xz, yz)
-    return kdl.Segment(
+    inertia = PyKDL.RotationalInertia(xx, yy, zz, xy, xz, yz)
+    return PyKDL.Segment(
         name,
-        kdl.Joint(name, origin, axis, kind),
+        PyKDL.Joint(name, origin, axis, kind),
         tip,
-        kdl.RigidBodyInertia(body['mass'], com, inertia),
+        PyKDL.RigidBodyInertia(body['mass'], com, inertia),
     )
 
 
 def vector(numbers):
     """Make a KDL array."""
-    array = kdl.JntArray(len(numbers))
+    array = PyKDL.JntArray(len(numbers))
     for k, x in enumerate(numbers):
         array[k] = x
     return array

@@ -135,9 +135,7 @@ def multiplied_sweep(q: Any, qd: Any, qdd: Any, tau: Any, chain: Any, times: int
 
 
 @compiled
-def sum_kept(
-    qd: Any, qdd: Any, tau: Any, inertias: Any, gravity: Any, dT: Any, ddT: Any
-) -> None:
+def sum_kept(qd: Any, qdd: Any, tau: Any, inertias: Any, gravity: Any, dT: Any, ddT: Any) -> None:
     """Sum up equation (2), derivatives at hand."""
     n = len(tau)
     for i in range(n):
@@ -159,7 +157,16 @@ def sum_kept(
 
 @compiled
 def sum_multiplied(
-    qd: Any, qdd: Any, tau: Any, inertias: Any, gravity: Any, A: Any, Q: Any, X: Any, Y: Any, Z: Any
+    qd: Any,
+    qdd: Any,
+    tau: Any,
+    inertias: Any,
+    gravity: Any,
+    A: Any,
+    Q: Any,
+    X: Any,
+    Y: Any,
+    Z: Any,
 ) -> None:
     """Sum up equation (2), derivatives multiplied out wherever it names one."""
     n = len(tau)

@@ -23,7 +23,7 @@ STEPS = (
     ('compiled code: load or compile', 'dynamics = ours.InverseDynamics(robot)'),
     ('first effort', 'dynamics.efforts(*numpy.zeros((3, len(robot.joint_names))))'),
 )
-START = 'Python itself'
+START = 'Python itself, start and end'
 TOTAL = 'total'
 
 

@@ -24,6 +24,10 @@ from .timing import Contender
 HERE = Path(__file__).resolve().parent
 
 
+class OtherRobotsError(Exception):
+    """A library is not for robots of this kind."""
+
+
 def without_numba(robot: Robot, batch: int = 0) -> Contender:
     """Run this package as it is where numba is not installed: in plain Python."""
     command = [sys.executable, '-m', 'benchmarks.plain']
@@ -36,7 +40,7 @@ def kdl(robot: Robot, states: Floats) -> Contender:
     """Run KDL in the first interpreter that has PyKDL: the system's, where Debian put it."""
     model = robot.model
     if any(model.parent[1:] != np.arange(len(model.parent) - 1)):
-        raise ValueError('chains only')
+        raise OtherRobotsError('chains only')
     for python in (sys.executable, '/usr/bin/python3'):
         found = subprocess.run([python, '-c', 'import PyKDL'], capture_output=True, check=False)
         if found.returncode == 0:
