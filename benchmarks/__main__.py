@@ -9,14 +9,14 @@ import warnings
 
 from robot_files import ROOT
 
-from . import floor, growth, plot, report, startup, tables
+from . import floor, growth, machine, plot, report, startup, tables
 from .robots import robots
 from .timing import one_core
 
 QUICK = 5  # rounds, to see whether it runs
 ROUNDS = 60
 BATCH_ROUNDS = 25
-GROWTH_ROUNDS = 9
+GROWTH_ROUNDS = 15
 
 
 def main() -> None:
@@ -38,6 +38,7 @@ def main() -> None:
     found = robots()
     done('robots read')
     results = report.Results()
+    results.machine = machine.describe()
     results.calls = tables.calls(found, rounds(ROUNDS))
     done('one call')
     results.others = tables.other_quantities(found, rounds(ROUNDS // 2))
@@ -51,7 +52,7 @@ def main() -> None:
         done('growth')
         results.floors = [floor.measure(robot, rounds(ROUNDS)) for robot in found[:4]]
         done('floor')
-    results.startup = startup.medians(*((1, 1) if quick else (7, 3)))
+    results.startup = startup.best(*((1, 1) if quick else (7, 3)))
     done('start-up')
     page = report.page(results)
     print('\n' + page)

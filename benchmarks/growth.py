@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 from inverse_dynamics_node import InverseDynamics
@@ -12,7 +14,7 @@ from . import peers
 from .lagrange import chain_of, kept_sweep, multiplied_sweep, newton_euler_sweep
 from .operations import table_under_gravity
 from .robots import chain, random_states, Robot, stanford
-from .timing import Contender, difference, in_loop, race, Timing
+from .timing import compare, Contender, difference, in_loop, race, run, Timing
 
 SIZES = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 100, 200, 400)
 MOST_KEPT = 64  # joints; a call takes 50 ms from here on
@@ -21,13 +23,15 @@ TOLERANCE = 1e-10  # of the largest effort
 NEWTON_EULER = 'Newton-Euler'
 KEPT = 'Lagrange, derivatives kept'
 MULTIPLIED = 'Lagrange, multiplied out'
+FROM_PYTHON = 'ours, from Python'
 
 
 class Growth(NamedTuple):
-    """Seconds of a call by number of joints."""
+    """Seconds of a call by number of joints, and their ratio to those of Newton-Euler."""
 
     sizes: Floats
     seconds: Floats
+    ratios: Floats
 
     def exponent(self, start: int, end: int) -> float:
         """Fit a power of the number of joints, within a range of it."""
@@ -58,13 +62,27 @@ def on_the_papers_arm(rounds: int) -> dict[str, Timing]:
     return race(contenders(stanford()), NEWTON_EULER, rounds)
 
 
-def with_joints(sizes: tuple[int, ...], rounds: int) -> dict[str, Growth]:
-    """Time chains of more and more joints, and single calls of ours and Pinocchio's."""
-    times: dict[str, list[tuple[int, float]]] = {}
+def with_joints(sizes: Sequence[int], rounds: int) -> dict[str, Growth]:
+    """
+    Time chains of more and more joints, and single calls of ours and Pinocchio's.
+
+    A round goes through all sizes, so that a busy spell of the machine bends no line.
+
+    """
+    names: dict[int, list[str]] = {}
+    entered: list[Contender] = []
     for n in sizes:
         robot = chain(n)
         states = random_states(n)
-        calls = [peers.ours(robot, states, 'ours, from Python'), peers.pinocchio(robot, states)]
-        for name, timing in race([*contenders(robot), *calls], NEWTON_EULER, rounds).items():
-            times.setdefault(name, []).append((n, timing.seconds))
-    return {name: Growth(*np.array(points).T) for name, points in times.items()}
+        calls = [peers.ours(robot, states, FROM_PYTHON), peers.pinocchio(robot, states)]
+        here = [*contenders(robot), *calls]
+        names[n] = [c.name for c in here]
+        entered += [replace(c, name=f'{c.name}, {n}') for c in here]
+    references = [f'{NEWTON_EULER}, {n}' for n in sizes]
+    taken = run(entered, references, rounds)
+    found: dict[str, list[tuple[float, ...]]] = {}
+    for n in sizes:
+        of_size = {name: taken[f'{name}, {n}'] for name in names[n]}
+        for name, timing in compare(of_size, NEWTON_EULER).items():
+            found.setdefault(name, []).append((n, timing.seconds, timing.ratio))
+    return {name: Growth(*np.array(points).T) for name, points in found.items()}

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from importlib.metadata import PackageNotFoundError, version
+import os
 from pathlib import Path
 import platform
-
-from .timing import CORES
 
 PACKAGES = (
     'inverse_dynamics_node',
@@ -20,11 +19,16 @@ PACKAGES = (
 
 
 def describe() -> str:
-    """Name the machine, Python and the libraries."""
+    """Name the machine and what else it does, Python and the libraries."""
     return (
-        f'{processor()}, {len(CORES) or "?"} cores; {platform.system()}, Python '
-        f'{platform.python_version()}; {", ".join(versions())}.'
+        f'{processor()}, {os.cpu_count()} cores, of which others kept {load()} busy at the start; '
+        f'{platform.system()}, Python {platform.python_version()}; {", ".join(versions())}.'
     )
+
+
+def load() -> str:
+    """Say how many processes wanted a core in the last minute: to be asked before any work."""
+    return f'{os.getloadavg()[0]:.1f}' if hasattr(os, 'getloadavg') else '?'
 
 
 def processor() -> str:

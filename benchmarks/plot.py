@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from .growth import Growth, KEPT, MULTIPLIED, NEWTON_EULER
+from .growth import FROM_PYTHON, Growth, KEPT, MULTIPLIED, NEWTON_EULER
+from .peers import REFERENCE
 
-# Colours that colour-blind readers can tell apart (Okabe and Ito), and what stands at a line's end.
+# Colours that colour-blind readers can tell apart (Okabe and Ito), and the label at the end.
 LINES = {
     MULTIPLIED: ('#CC79A7', 'Lagrange,\nmultiplied out'),
     KEPT: ('#D55E00', 'Lagrange,\nderivatives kept'),
-    'pin.rnea': ('#0072B2', 'pin.rnea, from Python'),
-    'ours, from Python': ('#56B4E9', 'ours, from Python'),
+    REFERENCE: ('#0072B2', 'pin.rnea, from Python'),
+    FROM_PYTHON: ('#56B4E9', 'ours, from Python'),
     NEWTON_EULER: ('#009E73', 'Newton-Euler (ours),\nno call'),
 }
-END = {
-    'pin.rnea': 10,
-    'ours, from Python': 2,
-    NEWTON_EULER: -14,
-}  # points up, to keep labels apart
+END = {REFERENCE: 10, FROM_PYTHON: 2, NEWTON_EULER: -14}  # points up, to keep labels apart
 
 
 def draw(growth: dict[str, Growth], path: Path) -> None:
@@ -32,7 +29,7 @@ def draw(growth: dict[str, Growth], path: Path) -> None:
     for name, (colour, label) in LINES.items():
         if name not in growth:
             continue
-        n, seconds = growth[name]
+        n, seconds, _ = growth[name]
         axes.loglog(n, seconds, 'o-', color=colour, markersize=4, linewidth=1.8)
         axes.annotate(
             label,

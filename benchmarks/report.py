@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from . import batch, floor, growth, machine, peers, tables
+from . import batch, floor, growth, peers, tables
 from .floor import Floor
 from .growth import Growth
 from .operations import count_lagrange, count_newton_euler, Operations
@@ -18,8 +18,9 @@ PLOT = 'images/benchmarks.png'
 
 
 class Results:
-    """All that was measured."""
+    """All that was measured, and on what."""
 
+    machine: str
     calls: Table
     others: Table
     batches: Table
@@ -35,7 +36,7 @@ def page(results: Results) -> str:
         (HERE / 'page.md')
         .read_text()
         .format(
-            machine=machine.describe(),
+            machine=results.machine,
             calls=ratios(results.calls, peers.REFERENCE, 1),
             agreement=agreement(results.calls),
             wrong=wrong(results.calls),
@@ -148,18 +149,12 @@ def exponents(found: dict[str, Growth]) -> str:
 
 def ratio_by_size(found: dict[str, Growth]) -> str:
     """Show how the Lagrangian form falls behind."""
-    base = found[growth.NEWTON_EULER]
-    sizes = [int(n) for n in found[growth.KEPT].sizes]
+    sizes = found[growth.KEPT].sizes.tolist()
     rows = []
     for name in (growth.KEPT, growth.MULTIPLIED):
-        line = found[name]
-        by_size = dict(
-            zip(line.sizes, line.seconds / base.seconds[: len(line.seconds)], strict=True)
-        )
-        rows.append([name, *(_short(by_size[n]) if n in by_size else '' for n in sizes)])
-    return 'Times over those of Newton-Euler, by number of joints:\n\n' + grid(
-        ['', *(f'{n}' for n in sizes)], rows
-    )
+        ratios = [_short(ratio) for ratio in found[name].ratios]
+        rows.append([name, *ratios, *[''] * (len(sizes) - len(ratios))])
+    return grid(['joints', *(f'{n:.0f}' for n in sizes)], rows)
 
 
 def operations(found: list[Floor]) -> str:

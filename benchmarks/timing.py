@@ -44,10 +44,12 @@ class Contender:
 
 
 class Timing(NamedTuple):
-    """Medians over the rounds, and the quartiles of the ratio."""
+    """What the rounds say of a contender."""
 
     seconds: float
+    """The best of all rounds: what the machine does when nobody else uses it."""
     ratio: float
+    """To the reference: the median over the rounds, and its quartiles."""
     low: float
     high: float
 
@@ -96,27 +98,42 @@ def difference(results: Floats, expected: Floats) -> float:
 
 def race(contenders: Sequence[Contender], reference: str, rounds: int) -> dict[str, Timing]:
     """Time contenders against one of them."""
+    return compare(run(contenders, (reference,), rounds), reference)
+
+
+def run(
+    contenders: Sequence[Contender], references: Sequence[str], rounds: int
+) -> dict[str, list[float]]:
+    """Time every contender once a round, references in every round; return the seconds of each."""
     sweeps = {c.name: _sweeps_in_a_slice(c) for c in contenders}
     taken: dict[str, list[float]] = {c.name: [] for c in contenders}
     with _without_garbage_collection():
         for k in range(rounds):
             for c in contenders:
-                if k < FEW or sweeps[c.name]:
+                if k < FEW or sweeps[c.name] or c.name in references:
                     taken[c.name].append(c.seconds(max(1, sweeps[c.name])))
+    return taken
+
+
+def compare(taken: dict[str, list[float]], reference: str) -> dict[str, Timing]:
+    """Compare the seconds of each with those of the reference in the same round."""
     return {name: _timing(times, taken[reference]) for name, times in taken.items()}
 
 
 def _sweeps_in_a_slice(c: Contender) -> int:
     """Choose how often a contender sweeps in a round; 0 for once, and in few rounds only."""
     c.seconds(1)  # the first run pays for what is loaded late
-    sweep = c.seconds(1) * c.calls
+    for _ in range(3):  # a pause in the middle of one sweep must not make it look slow
+        sweep = c.seconds(1) * c.calls
+        if sweep < SLICE:
+            break
     return 0 if sweep > SLOW else max(1, round(SLICE / sweep))
 
 
 def _timing(times: list[float], reference: list[float]) -> Timing:
     ratios = np.array(times) / np.array(reference[: len(times)])
     low, ratio, high = np.percentile(ratios, (25, 50, 75))
-    return Timing(float(np.median(times)), float(ratio), float(low), float(high))
+    return Timing(min(times), float(ratio), float(low), float(high))
 
 
 CORES: set[int] = os.sched_getaffinity(0) if hasattr(os, 'sched_getaffinity') else set()
