@@ -21,7 +21,7 @@ PACKAGES = (
 def describe() -> str:
     """Name the machine and what else it does, Python and the libraries."""
     return (
-        f'{processor()}, {os.cpu_count()} cores, of which others kept {load()} busy at the start; '
+        f'{processor()}, {os.cpu_count()} cores, load {load()} before the start; '
         f'{platform.system()}, Python {platform.python_version()}; {", ".join(versions())}.'
     )
 
