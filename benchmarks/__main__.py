@@ -15,7 +15,7 @@ from .timing import one_core
 
 QUICK = 5  # rounds, to see whether it runs
 ROUNDS = 60
-BATCH_ROUNDS = 25
+BATCH_ROUNDS = 40
 GROWTH_ROUNDS = 15
 
 

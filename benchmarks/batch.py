@@ -24,7 +24,7 @@ HAS_THREADS = 'threads' in signature(InverseDynamics.efforts).parameters
 def whole(
     name: str, call: Callable[[], Any], result: Callable[[], Floats], threads: int = 1
 ) -> Contender:
-    """Make a contender of a call that takes all states at once."""
+    """Make a contender of a call that takes all states at once, timed by the clock on the wall."""
 
     def where() -> contextlib.AbstractContextManager[None]:
         # Threads stay on the cores of who starts them, so this matters before the first call.

@@ -2,7 +2,8 @@
 Interleaved timing: every round times every contender once, and ratios are taken inside a round.
 
 A machine that others use too slows down and speeds up within seconds. Contenders timed one after
-the other would not meet the same machine; two timed in the same round nearly do.
+the other would not meet the same machine; two timed in the same round nearly do. And what counts
+is the time that a core spent on the thread, less what others took of it in between.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import contextlib
 from dataclasses import dataclass
 import gc
 import os
-from time import perf_counter
+from time import thread_time
 from typing import Any, NamedTuple
 
 from inverse_dynamics_node.model import Floats
@@ -66,9 +67,9 @@ def contender(
 
     def seconds(sweeps: int) -> float:
         repeated = list(states) * sweeps
-        start = perf_counter()
+        start = thread_time()
         sweep(repeated)
-        return (perf_counter() - start) / len(repeated)
+        return (thread_time() - start) / len(repeated)
 
     return Contender(
         name, lambda: np.array([result(*state) for state in states]), seconds, len(states)
@@ -84,9 +85,9 @@ def in_loop(name: str, sweep: Callable[..., None], states: Floats, *arguments: A
         return tau
 
     def seconds(sweeps: int) -> float:
-        start = perf_counter()
+        start = thread_time()
         run(sweeps)
-        return (perf_counter() - start) / (sweeps * len(tau))
+        return (thread_time() - start) / (sweeps * len(tau))
 
     return Contender(name, lambda: run(1).copy(), seconds, len(tau))
 
