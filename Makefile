@@ -1,4 +1,4 @@
-# `make demo` and `make test` set up what they need in .venv and run it.
+# `make demo`, `make test` and `make bench` set up what they need in .venv and run it.
 
 PYTHON ?= python3
 ROBOT ?= config/stanford.urdf
@@ -13,7 +13,7 @@ CLEAN := env -u PYTHONPATH -u LD_LIBRARY_PATH -u AMENT_PREFIX_PATH -u COLCON_PRE
     -u ROS_STATIC_PEERS -u ROS_LOCALHOST_ONLY -u ROS_SECURITY_ENABLE -u ROS_SECURITY_STRATEGY \
     ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
 
-.PHONY: demo test clean
+.PHONY: demo test bench clean
 
 demo: $(VENV)/demo.done
 	@$(CLEAN) $(BIN)/python -m inverse_dynamics_node.simulation.demo '$(ROBOT)' $(ARGS)
@@ -26,6 +26,9 @@ test: $(VENV)/test.done
 	@echo 'The same without numba:'
 	@$(CLEAN) NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest --timeout 300 test/unit test/property test/parity
 
+bench: $(VENV)/bench.done
+	@$(CLEAN) PYTHONPATH=test $(BIN)/python -m benchmarks $(ARGS)
+
 $(VENV)/pip.done:
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))' || \
 	    { echo "$(PYTHON) is $$($(PYTHON) --version 2>&1), expected Python 3.10 to 3.13:" \
@@ -35,12 +38,19 @@ $(VENV)/pip.done:
 	@$(CLEAN) $(BIN)/pip install --quiet --upgrade 'pip>=23'
 	@touch $@
 
+EXTRAS_demo := ros,demo
+EXTRAS_test := ros,demo,test
+EXTRAS_bench := bench
+# Not every machine has a wheel of these; the tables show who is missing.
+PEERS := drake roboticstoolbox-python
+
 # The package itself is installed as links to this tree: a change counts at once.
 $(VENV)/%.done: $(VENV)/pip.done setup.py pyproject.toml
-	@$(CLEAN) $(BIN)/pip install --quiet --editable '.[ros,demo$(if $(filter test,$*),$(comma)test)]'
+	@$(CLEAN) $(BIN)/pip install --quiet --editable '.[$(EXTRAS_$*)]'
+	@$(if $(filter bench,$*),$(foreach peer,$(PEERS), \
+	    $(CLEAN) $(BIN)/pip install --quiet --only-binary $(peer) $(peer) || \
+	    echo "$(peer) cannot be installed here";))
 	@touch $@
-
-comma := ,
 
 clean:
 	rm -rf $(VENV) build install log *.egg-info

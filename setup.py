@@ -19,11 +19,18 @@ test = [
     'ros-jazzy-domain-coordinator',
     'ruff==0.17.*',
 ]
+bench = [
+    'example-robot-data>=6',
+    'hypothesis>=6',
+    'matplotlib>=3.8',
+    'mujoco>=3.1',
+    'pin>=3.5',
+]
 
 setup(
     name=package_name,
     version='0.1.0',
-    packages=find_packages(exclude=['test', 'test.*']),
+    packages=find_packages(exclude=['benchmarks', 'test', 'test.*']),
     package_data={package_name: ['py.typed']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
@@ -33,7 +40,7 @@ setup(
     python_requires='>=3.10',
     # ROS is no entry here: a sourced ROS must not be shadowed, and the core does without.
     install_requires=['lxml', 'numba', 'numpy', 'yourdfpy'],
-    extras_require={'ros': ros, 'demo': demo, 'test': test},
+    extras_require={'ros': ros, 'demo': demo, 'test': test, 'bench': bench},
     zip_safe=True,
     maintainer='inverse_dynamics_node maintainers',
     maintainer_email='maintainers@inverse-dynamics-node.example',

@@ -1,0 +1,65 @@
+"""Run all benchmarks, print the page and write it: `make bench`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from time import perf_counter
+import warnings
+
+from robot_files import ROOT
+
+from . import floor, growth, machine, plot, report, startup, tables
+from .robots import robots
+from .timing import one_core
+
+QUICK = 5  # rounds, to see whether it runs
+ROUNDS = 60
+BATCH_ROUNDS = 40
+GROWTH_ROUNDS = 15
+
+
+def main() -> None:
+    """Measure, print and write."""
+    parser = argparse.ArgumentParser(prog='make bench', description=__doc__)
+    parser.add_argument('--quick', action='store_true', help='few rounds; writes no page')
+    parser.add_argument('--doc', type=Path, default=ROOT / 'doc', help='where the page belongs')
+    arguments = parser.parse_args()
+    warnings.simplefilter('ignore')  # what libraries say of the robots is not the matter here
+    quick = arguments.quick
+    start = perf_counter()
+
+    def rounds(usual: int) -> int:
+        return min(usual, QUICK) if quick else usual
+
+    def done(what: str) -> None:
+        print(f'{perf_counter() - start:4.0f} s: {what}', flush=True)
+
+    found = robots()
+    done('robots read')
+    results = report.Results()
+    results.machine = machine.describe()
+    results.calls = tables.calls(found, rounds(ROUNDS))
+    done('one call')
+    results.others = tables.other_quantities(found, rounds(ROUNDS // 2))
+    done('gravity efforts, mass matrix')
+    results.batches = tables.batches(found, rounds(BATCH_ROUNDS))
+    done('batches')
+    with one_core():
+        results.papers = growth.on_the_papers_arm(rounds(ROUNDS))
+        sizes = tuple(n for n in growth.SIZES if not quick or n <= 24)
+        results.growth = growth.with_joints(sizes, rounds(GROWTH_ROUNDS))
+        done('growth')
+        results.floors = [floor.measure(robot, rounds(ROUNDS)) for robot in found[:4]]
+        done('floor')
+    results.startup = startup.best(*((1, 1) if quick else (7, 3)))
+    done('start-up')
+    page = report.page(results)
+    print('\n' + page)
+    if not quick:
+        plot.draw(results.growth, arguments.doc / report.PLOT)
+        (arguments.doc / 'benchmarks.md').write_text(page)
+
+
+if __name__ == '__main__':
+    main()

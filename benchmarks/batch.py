@@ -1,0 +1,95 @@
+"""Many states in one call."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import contextlib
+from inspect import signature
+from time import perf_counter
+from typing import Any
+
+from inverse_dynamics_node import InverseDynamics
+from inverse_dynamics_node.model import Floats
+import numpy as np
+
+from .peers import Pinocchio
+from .robots import Robot
+from .timing import Contender, CORES, on_cores
+
+COUNT = 4096
+REFERENCE = 'pin.rneaInParallel'
+HAS_THREADS = 'threads' in signature(InverseDynamics.efforts).parameters
+
+
+def whole(
+    name: str, call: Callable[[], Any], result: Callable[[], Floats], threads: int = 1
+) -> Contender:
+    """Make a contender of a call that takes all states at once, timed by the clock on the wall."""
+
+    def where() -> contextlib.AbstractContextManager[None]:
+        # Threads stay on the cores of who starts them, so this matters before the first call.
+        return on_cores(CORES) if threads > 1 else contextlib.nullcontext()
+
+    def results() -> Floats:
+        with where():
+            return result()
+
+    def seconds(sweeps: int) -> float:
+        with where():
+            if threads > 1:
+                call()  # lets the threads spread over the cores
+            start = perf_counter()
+            for _ in range(sweeps):
+                call()
+            return (perf_counter() - start) / sweeps
+
+    return Contender(name, results, seconds, 1)
+
+
+def ours(robot: Robot, states: Floats, threads: int = 1) -> Contender:
+    """Time this package on arrays of shape (count, n)."""
+    efforts = InverseDynamics(robot.model).efforts
+    q, qd, qdd = states
+    out = np.empty_like(q)
+    options: dict[str, Any] = {'threads': threads} if HAS_THREADS else {}
+    name = 'ours' if threads == 1 else f'ours, {threads} threads'
+    return whole(
+        name,
+        lambda: efforts(q, qd, qdd, out=out, **options),
+        lambda: efforts(q, qd, qdd, **options),
+        threads,
+    )
+
+
+def pinocchio(robot: Robot, states: Floats, threads: int = 1) -> Contender:
+    """Time Pinocchio's own loop; its arrays have a column a state, the same memory as ours."""
+    from pinocchio import ModelPool, rneaInParallel
+
+    peer = Pinocchio(robot)
+    pool = ModelPool(peer.model, threads)
+    q, v, a = (x.T for x in peer.states(states))
+    out = np.empty_like(v)
+    name = REFERENCE if threads == 1 else f'{REFERENCE}, {threads} threads'
+    return whole(
+        name,
+        lambda: rneaInParallel(threads, pool, q, v, a, out),
+        lambda: rneaInParallel(threads, pool, q, v, a).T[:, peer.inverse],
+        threads,
+    )
+
+
+def pinocchio_loop(robot: Robot, states: Floats) -> Contender:
+    """Time a loop in Python over Pinocchio's single call."""
+    from pinocchio import rnea
+
+    peer = Pinocchio(robot)
+    model, data = peer.model, peer.data
+    arrays = peer.states(states)
+    out = np.empty_like(arrays[1])
+
+    def call() -> Floats:
+        for k, (q, v, a) in enumerate(zip(*arrays, strict=True)):
+            out[k] = rnea(model, data, q, v, a)
+        return out
+
+    return whole('pin.rnea in a loop', call, lambda: call()[:, peer.inverse])

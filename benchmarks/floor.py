@@ -1,0 +1,54 @@
+"""How far a call is from the arithmetic it cannot do without."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from inverse_dynamics_node import InverseDynamics
+
+from . import peers
+from .lagrange import newton_euler_sweep
+from .operations import (
+    compiled_straight_line,
+    count_newton_euler,
+    Operations,
+    table_under_gravity,
+)
+from .robots import random_states, Robot
+from .timing import difference, in_loop, race, Timing
+
+FLOOR = 'folded, straight-line code'
+LOOP = 'our passes, in a compiled loop'
+CALL = 'our call from Python, `out=`'
+TOLERANCE = 1e-8  # of the largest effort: folding rounds the pi of a URDF
+
+
+class Floor(NamedTuple):
+    """Operations and times of one robot."""
+
+    name: str
+    written: Operations
+    folded: Operations
+    timings: dict[str, Timing]
+
+
+def measure(robot: Robot, rounds: int) -> Floor:
+    """Count the operations of one robot, and time them with ever more around them."""
+    states = random_states(robot.n)
+    contenders = [
+        in_loop(FLOOR, compiled_straight_line(robot.model), states),
+        in_loop(LOOP, newton_euler_sweep, states, table_under_gravity(robot.model)),
+        peers.ours(robot, states, CALL),
+        peers.pinocchio(robot, states),
+    ]
+    expected = InverseDynamics(robot.model).efforts(*states)
+    for c in contenders:
+        error = difference(c.results(), expected)
+        if error > TOLERANCE:
+            raise RuntimeError(f'{c.name}, {robot.name}: off by {error:.1e} of the largest')
+    return Floor(
+        robot.name,
+        count_newton_euler(robot.model, folds=False),
+        count_newton_euler(robot.model, folds=True),
+        race(contenders, FLOOR, rounds),
+    )

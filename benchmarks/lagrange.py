@@ -1,0 +1,286 @@
+r"""
+What the paper compares itself with: the Lagrangian form of Uicker and Kahn, its equation (2).
+
+.. math::
+    \tau_i = \sum_j D_{ij} \ddot q_j + \sum_j \sum_k D_{ijk} \dot q_j \dot q_k + D_i
+
+    D_{ij} = \sum_p tr(\partial_j T_p J_p \partial_i T_p^T),\quad
+    D_{ijk} = \sum_p tr(\partial_j \partial_k T_p J_p \partial_i T_p^T),\quad
+    D_i = -\sum_p m_p g^T \partial_i T_p r_p
+
+with p from the outermost of the joints named to the tip. T_p is the 4x4 homogeneous transform from
+link p to the base, J_p the pseudo-inertia matrix of link p, r_p its centre of mass.
+
+The sums are written as they stand. What the paper's program did inside them it does not say, so
+there are two readings: the derivatives of all T_p computed once and kept, then n^4 traces; or each
+multiplied out from its factors where a sum names it, which makes n^5 products.
+
+dA_p/dq is A_p Q_p with a constant Q_p, so a derivative of T_p is the product A_1 ... A_p with Q_j
+put in after A_j. The links' frames are those of `table`, every joint along its z.
+
+Arrays are indexed down to the number everywhere: 4x4 views of them would keep the compiler from
+doing several numbers at a time, and the comparison from being fair.
+"""
+
+from __future__ import annotations
+
+from math import cos, sin
+from typing import Any, NamedTuple
+
+from inverse_dynamics_node import table as columns
+from inverse_dynamics_node.compilation import inlined, IS_COMPILED
+from inverse_dynamics_node.dynamics import STANDARD_GRAVITY
+from inverse_dynamics_node.model import Floats, RobotModel
+from inverse_dynamics_node.newton_euler import inverse_dynamics
+import numpy as np
+
+if IS_COMPILED:
+    import numba
+
+
+def compiled(function: Any) -> Any:
+    """
+    Compile a function as the package does its own, but keep nothing.
+
+    numba would go on using kept code after a change in newton_euler.py.
+
+    """
+    return numba.njit(error_model='numpy')(function) if IS_COMPILED else function
+
+
+class Chain(NamedTuple):
+    """What the equation needs to know of a chain of n links, and room for what it finds."""
+
+    transforms: Floats
+    """A_p at position 0, from link p to its parent, shape (n, 4, 4)."""
+    generators: Floats
+    """Q_p, shape (n, 4, 4)."""
+    slides: Floats
+    """1 where the joint slides, shape (n,)."""
+    inertias: Floats
+    """J_p, shape (n, 4, 4); its last column is m_p r_p."""
+    gravity: Floats
+    """Free-fall acceleration in the base frame, shape (3,)."""
+    A: Floats
+    """A_p now, shape (n, 4, 4)."""
+    dT: Floats
+    """dT_p/dq_j, shape (n, n, 4, 4)."""
+    ddT: Floats
+    """d2T_p/dq_j dq_k for j up to k, shape (n, n, n, 4, 4)."""
+    X: Floats
+    Y: Floats
+    Z: Floats
+    """Room for a matrix each, shape (4, 4)."""
+
+
+def chain_of(robot: RobotModel) -> Chain:
+    """Lay out a chain for the functions below."""
+    rows = columns.robot_table(robot)
+    n = len(rows) - 1
+    if any(rows[1:, columns.PARENT] != np.arange(n)):
+        raise ValueError('the equation is for chains')
+    transforms, generators, inertias = np.zeros((3, n, 4, 4))
+    for k, row in enumerate(rows[1:]):
+        transforms[k, :3, :3] = row[columns.ROTATION].reshape(3, 3)
+        transforms[k, :3, 3] = row[columns.OFFSET]
+        transforms[k, 3, 3] = 1.0
+        if row[columns.IS_PRISMATIC]:
+            generators[k, 2, 3] = 1.0
+        else:
+            generators[k, 1, 0], generators[k, 0, 1] = 1.0, -1.0
+        inertias[k] = pseudo_inertia(row)
+    slides = rows[1:, columns.IS_PRISMATIC].copy()
+    gravity = np.array(STANDARD_GRAVITY)
+    room = [np.zeros((n,) * k + (4, 4)) for k in (1, 2, 3, 0, 0, 0)]
+    return Chain(transforms, generators, slides, inertias, gravity, *room)
+
+
+def pseudo_inertia(row: Floats) -> Floats:
+    """Integrate r r^T over a link, r homogeneous: the second moments, the first, and the mass."""
+    mass, com = row[columns.MASS], row[columns.COM]
+    xx, xy, xz, yy, yz, zz = row[columns.INERTIA]
+    about_com = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    second = np.trace(about_com) / 2.0 * np.eye(3) - about_com + mass * np.outer(com, com)
+    first = mass * com
+    return np.block([[second, first[:, None]], [first[None, :], np.array([[mass]])]])
+
+
+@compiled
+def newton_euler_sweep(q: Any, qd: Any, qdd: Any, tau: Any, robot: Any, times: int) -> None:
+    """Run Newton-Euler over all states a number of times, without a call from Python."""
+    for _ in range(times):
+        for k in range(len(q)):
+            inverse_dynamics(q[k], qd[k], qdd[k], tau[k], robot)
+
+
+@compiled
+def kept_sweep(q: Any, qd: Any, qdd: Any, tau: Any, chain: Any, times: int) -> None:
+    """Run the Lagrangian form likewise, all derivatives kept."""
+    transforms, generators, slides, inertias, gravity, A, dT, ddT, X, Y, _ = chain
+    for _ in range(times):
+        for k in range(len(q)):
+            place_links(q[k], transforms, slides, A)
+            keep_derivatives(A, generators, dT, ddT, X, Y)
+            sum_kept(qd[k], qdd[k], tau[k], inertias, gravity, dT, ddT)
+
+
+@compiled
+def multiplied_sweep(q: Any, qd: Any, qdd: Any, tau: Any, chain: Any, times: int) -> None:
+    """Run it with derivatives multiplied out where they are named."""
+    transforms, generators, slides, inertias, gravity, A, _, _, X, Y, Z = chain
+    for _ in range(times):
+        for k in range(len(q)):
+            place_links(q[k], transforms, slides, A)
+            sum_multiplied(qd[k], qdd[k], tau[k], inertias, gravity, A, generators, X, Y, Z)
+
+
+@compiled
+def sum_kept(qd: Any, qdd: Any, tau: Any, inertias: Any, gravity: Any, dT: Any, ddT: Any) -> None:
+    """Sum up equation (2), derivatives at hand."""
+    n = len(tau)
+    for i in range(n):
+        effort = 0.0
+        for j in range(n):
+            D_ij = 0.0
+            for p in range(max(i, j), n):
+                D_ij += trace(dT[p, j], inertias[p], dT[p, i])
+            effort += D_ij * qdd[j]
+            for k in range(n):
+                D_ijk = 0.0
+                for p in range(max(i, max(j, k)), n):
+                    D_ijk += trace(ddT[p, min(j, k), max(j, k)], inertias[p], dT[p, i])
+                effort += D_ijk * qd[j] * qd[k]
+        for p in range(i, n):
+            effort += weight(gravity, dT[p, i], inertias[p])
+        tau[i] = effort
+
+
+@compiled
+def sum_multiplied(
+    qd: Any,
+    qdd: Any,
+    tau: Any,
+    inertias: Any,
+    gravity: Any,
+    A: Any,
+    Q: Any,
+    X: Any,
+    Y: Any,
+    Z: Any,
+) -> None:
+    """Sum up equation (2), derivatives multiplied out wherever it names one."""
+    n = len(tau)
+    for i in range(n):
+        effort = 0.0
+        for j in range(n):
+            D_ij = 0.0
+            for p in range(max(i, j), n):
+                multiply_out(p, j, -1, A, Q, X, Z)
+                multiply_out(p, i, -1, A, Q, Y, Z)
+                D_ij += trace(X, inertias[p], Y)
+            effort += D_ij * qdd[j]
+            for k in range(n):
+                D_ijk = 0.0
+                for p in range(max(i, max(j, k)), n):
+                    multiply_out(p, j, k, A, Q, X, Z)
+                    multiply_out(p, i, -1, A, Q, Y, Z)
+                    D_ijk += trace(X, inertias[p], Y)
+                effort += D_ijk * qd[j] * qd[k]
+        for p in range(i, n):
+            multiply_out(p, i, -1, A, Q, Y, Z)
+            effort += weight(gravity, Y, inertias[p])
+        tau[i] = effort
+
+
+@compiled
+def place_links(q: Any, transforms: Any, slides: Any, A: Any) -> None:
+    """Turn or slide every link to where its joint is: A_p."""
+    for p in range(len(q)):
+        c, s = cos(q[p]), sin(q[p])
+        for row in range(4):
+            x, y = transforms[p, row, 0], transforms[p, row, 1]
+            z, t = transforms[p, row, 2], transforms[p, row, 3]
+            if slides[p] != 0.0:
+                t += z * q[p]
+            else:
+                x, y = c * x + s * y, c * y - s * x
+            A[p, row, 0], A[p, row, 1], A[p, row, 2], A[p, row, 3] = x, y, z, t
+
+
+@compiled
+def keep_derivatives(A: Any, Q: Any, dT: Any, ddT: Any, T: Any, T_before: Any) -> None:
+    """Compute all first and second derivatives of T_p, each from that of the link before."""
+    copy(A[0], T)
+    for p in range(len(A)):
+        if p > 0:
+            copy(T, T_before)
+            multiply(T_before, A[p], T)
+        multiply(T, Q[p], dT[p, p])
+        for j in range(p + 1):
+            if j < p:
+                multiply(dT[p - 1, j], A[p], dT[p, j])
+            for k in range(j, p):
+                multiply(ddT[p - 1, j, k], A[p], ddT[p, j, k])
+            multiply(dT[p, j], Q[p], ddT[p, j, p])
+
+
+@inlined
+def multiply_out(p: int, j: int, k: int, A: Any, Q: Any, product: Any, room: Any) -> None:
+    """Multiply A_1 ... A_p, with Q after A_j and A_k."""
+    copy(A[0], product)
+    for link in range(p + 1):
+        if link > 0:
+            copy(product, room)
+            multiply(room, A[link], product)
+        if link == j:
+            copy(product, room)
+            multiply(room, Q[link], product)
+        if link == k:
+            copy(product, room)
+            multiply(room, Q[link], product)
+
+
+@inlined
+def copy(a: Any, b: Any) -> None:
+    """Copy a 4x4 matrix."""
+    for row in range(4):
+        for column in range(4):
+            b[row, column] = a[row, column]
+
+
+@inlined
+def multiply(a: Any, b: Any, product: Any) -> None:
+    """Multiply two 4x4 matrices into a third."""
+    for row in range(4):
+        for column in range(4):
+            product[row, column] = (
+                a[row, 0] * b[0, column]
+                + a[row, 1] * b[1, column]
+                + a[row, 2] * b[2, column]
+                + a[row, 3] * b[3, column]
+            )
+
+
+@inlined
+def trace(a: Any, inertia: Any, b: Any) -> float:
+    """Compute tr(a J b^T)."""
+    total = 0.0
+    for row in range(4):
+        for column in range(4):
+            total += b[row, column] * (
+                a[row, 0] * inertia[0, column]
+                + a[row, 1] * inertia[1, column]
+                + a[row, 2] * inertia[2, column]
+                + a[row, 3] * inertia[3, column]
+            )
+    return total
+
+
+@inlined
+def weight(gravity: Any, dT: Any, inertia: Any) -> float:
+    """Compute -m g^T dT r; the last column of J is m r."""
+    total = 0.0
+    for row in range(3):
+        for column in range(4):
+            total -= gravity[row] * dT[row, column] * inertia[column, 3]
+    return total

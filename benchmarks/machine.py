@@ -1,0 +1,54 @@
+"""What the figures were measured on."""
+
+from __future__ import annotations
+
+from importlib.metadata import PackageNotFoundError, version
+import os
+from pathlib import Path
+import platform
+
+PACKAGES = (
+    'inverse_dynamics_node',
+    'numpy',
+    'numba',
+    'pin',
+    'mujoco',
+    'drake',
+    'roboticstoolbox-python',
+)
+
+
+def describe() -> str:
+    """Name the machine and what else it does, Python and the libraries."""
+    return (
+        f'{processor()}, {os.cpu_count()} cores, load {load()} before the start; '
+        f'{platform.system()}, Python {platform.python_version()}; {", ".join(versions())}.'
+    )
+
+
+def load() -> str:
+    """Say how many processes wanted a core in the last minute: to be asked before any work."""
+    return f'{os.getloadavg()[0]:.1f}' if hasattr(os, 'getloadavg') else '?'
+
+
+def processor() -> str:
+    """Name the processor."""
+    try:
+        lines = Path('/proc/cpuinfo').read_text().splitlines()
+    except OSError:
+        return platform.processor() or platform.machine()
+    for line in lines:
+        if line.startswith('model name'):
+            return line.partition(':')[2].strip()
+    return platform.machine()
+
+
+def versions() -> list[str]:
+    """List the libraries with their versions."""
+    found = []
+    for name in PACKAGES:
+        try:
+            found.append(f'{name} {version(name)}')
+        except PackageNotFoundError:
+            found.append(f'{name} not installed')
+    return found

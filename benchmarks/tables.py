@@ -1,0 +1,124 @@
+"""Races of many contenders on many robots, and who cannot take part in them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+import contextlib
+from typing import Any, NamedTuple
+
+from inverse_dynamics_node.model import Floats
+
+from . import batch, peers, workers
+from .robots import random_states, Robot
+from .timing import Contender, CORES, difference, one_core, race, Timing
+
+WRONG = 1e-6  # of the largest effort; those that are right agree to 1e-13
+
+Maker = Callable[[Robot, Floats], Contender]
+NOT_INSTALLED = 'not installed'
+
+
+class Entry(NamedTuple):
+    """How a contender did on a robot."""
+
+    timing: Timing | None
+    error: float | None
+    """Largest difference to the reference, of the largest effort."""
+    note: str = ''
+    """Why it was not timed."""
+
+
+Table = dict[str, dict[str, Entry]]
+"""By contender, then by robot."""
+
+CALLS: dict[str, Maker] = {
+    peers.REFERENCE: peers.pinocchio,
+    'ours, out=': peers.ours,
+    'ours, new array': peers.ours_new_array,
+    'KDL': workers.kdl,
+    'MuJoCo mj_rne': peers.mujoco_rne,
+    'MuJoCo mj_inverse': peers.mujoco_inverse,
+    'Drake': peers.drake,
+    'ours, no numba': lambda robot, _: workers.without_numba(robot),
+    'roboticstoolbox': peers.toolbox,
+}
+
+BATCHES: dict[str, Maker] = {
+    batch.REFERENCE: batch.pinocchio,
+    'ours': batch.ours,
+    'pin.rnea in a loop': batch.pinocchio_loop,
+    'ours, no numba': lambda robot, _: workers.without_numba(robot, batch.COUNT),
+}
+if len(CORES) > 1:
+    BATCHES[f'{batch.REFERENCE}, 2 threads'] = lambda *given: batch.pinocchio(*given, threads=2)
+    if batch.HAS_THREADS:
+        BATCHES['ours, 2 threads'] = lambda *given: batch.ours(*given, threads=2)
+
+
+def calls(robots: Sequence[Robot], rounds: int) -> Table:
+    """Time one call."""
+    return _table(CALLS, robots, 16, rounds)
+
+
+def batches(robots: Sequence[Robot], rounds: int) -> Table:
+    """Time many states in one call."""
+    return _table(BATCHES, robots, batch.COUNT, rounds)
+
+
+def other_quantities(robots: Sequence[Robot], rounds: int) -> Table:
+    """Time gravity efforts and mass matrix; the reference of each is Pinocchio's own."""
+    table: Table = {}
+    for robot in robots:
+        states = random_states(robot.n)
+        for pair in (peers.gravity(robot, states), peers.mass_matrix(robot, states)):
+            with one_core():
+                for name, entry in _entries(pair, pair[1], rounds).items():
+                    table.setdefault(name, {})[robot.name] = entry
+    return table
+
+
+def _table(makers: dict[str, Maker], robots: Sequence[Robot], count: int, rounds: int) -> Table:
+    table: Table = {name: {} for name in makers}
+    for robot in robots:
+        states = random_states(robot.n, count)
+        with one_core(), contextlib.ExitStack() as stack:
+            ready = []
+            for name, maker in makers.items():
+                made = _make(maker, robot, states)
+                if isinstance(made, Contender):
+                    stack.callback(made.close)
+                    ready.append(made)
+                else:
+                    table[name][robot.name] = Entry(None, None, made)
+            for name, entry in _entries(ready, ready[0], rounds).items():
+                table[name][robot.name] = entry
+    return table
+
+
+def _make(maker: Maker, robot: Robot, states: Floats) -> Contender | str:
+    """Make a contender, or say why it cannot take part."""
+    try:
+        return maker(robot, states)
+    except ImportError:
+        return NOT_INSTALLED
+    except workers.OtherRobotsError as error:
+        return str(error)
+    except Exception as error:  # whatever a peer's reader raises for a robot it does not take
+        print(f'{robot.name}: {error}')
+        return 'does not take it'
+
+
+def _entries(ready: Sequence[Contender], reference: Contender, rounds: int) -> dict[str, Entry]:
+    """Compare all with the reference, then time those that agree."""
+    expected = reference.results()
+    errors = {c.name: difference(c.results(), expected) for c in ready}
+    timings = race([c for c in ready if errors[c.name] < WRONG], reference.name, rounds)
+    return {
+        name: Entry(timings.get(name), error, '' if error < WRONG else 'wrong')
+        for name, error in errors.items()
+    }
+
+
+def names(table: dict[str, Any]) -> list[str]:
+    """List the robots of a table."""
+    return list(dict.fromkeys(robot for row in table.values() for robot in row))

@@ -1,0 +1,92 @@
+"""
+Contenders in interpreters of their own, timed in the same rounds as those in this one.
+
+A worker reads a task as one line of JSON and answers with its results. Then it answers every
+number of sweeps with the seconds of one call, and waits: it takes no time in between.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+import subprocess
+import sys
+from typing import Any
+
+from inverse_dynamics_node.dynamics import STANDARD_GRAVITY
+from inverse_dynamics_node.model import Floats
+import numpy as np
+
+from .robots import Robot, STATES
+from .timing import Contender
+
+HERE = Path(__file__).resolve().parent
+
+
+class OtherRobotsError(Exception):
+    """A library is not for robots of this kind."""
+
+
+def without_numba(robot: Robot, batch: int = 0) -> Contender:
+    """Run this package as it is where numba is not installed: in plain Python."""
+    command = [sys.executable, '-m', 'benchmarks.plain']
+    task = {'urdf': robot.urdf, 'batch': batch}
+    calls = 1 if batch else STATES
+    return start('ours, no numba', command, task, calls, NUMBA_DISABLE_JIT='1')
+
+
+def kdl(robot: Robot, states: Floats) -> Contender:
+    """Run KDL in the first interpreter that has PyKDL: the system's, where Debian put it."""
+    model = robot.model
+    if any(model.parent[1:] != np.arange(len(model.parent) - 1)):
+        raise OtherRobotsError('chains only')
+    for python in (sys.executable, '/usr/bin/python3'):
+        found = subprocess.run([python, '-c', 'import PyKDL'], capture_output=True, check=False)
+        if found.returncode == 0:
+            break
+    else:
+        raise ImportError('PyKDL')
+    bodies = [
+        {
+            'rotation': model.R_PL[i].ravel().tolist(),
+            'position': model.p_PL[i].tolist(),
+            'axis': (model.R_PL[i] @ model.axis[i]).tolist(),
+            'slides': bool(model.is_prismatic[i]),
+            'mass': float(model.mass[i]),
+            'com': model.com[i].tolist(),
+            'inertia': model.inertia[i][np.triu_indices(3)].tolist(),
+        }
+        for i in range(1, len(model.parent))
+    ]
+    task = {'bodies': bodies, 'gravity': STANDARD_GRAVITY, 'states': states.tolist()}
+    return start('KDL', [python, str(HERE / 'kdl.py')], task, STATES)
+
+
+def start(
+    name: str, command: list[str], task: dict[str, Any], calls: int, **environment: str
+) -> Contender:
+    """Start a worker, give it its task and say how many calls it makes in a sweep."""
+    process = subprocess.Popen(
+        command,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, **environment},
+    )
+
+    def ask(question: Any) -> Any:
+        process.stdin.write(json.dumps(question) + '\n')
+        process.stdin.flush()
+        answer = process.stdout.readline()
+        if not answer:
+            raise RuntimeError(f'{name}: {process.stderr.read().strip().splitlines()[-1:]}')
+        return json.loads(answer)
+
+    def close() -> None:
+        process.stdin.close()
+        process.wait()
+
+    results = np.array(ask(task))
+    return Contender(name, lambda: results, ask, calls, close)
