@@ -35,6 +35,8 @@ CALLS: dict[str, Maker] = {
     peers.REFERENCE: peers.pinocchio,
     'ours, out=': peers.ours,
     'ours, new array': peers.ours_new_array,
+    'ours, written out, out=': peers.ours_written_out,
+    'ours, written out, in place': peers.ours_in_place,
     'KDL': workers.kdl,
     'MuJoCo mj_rne': peers.mujoco_rne,
     'MuJoCo mj_inverse': peers.mujoco_inverse,

@@ -315,13 +315,12 @@ class InverseDynamics:
         arguments and ``out``, nothing is allocated.
 
         """
+        tau = np.empty_like(self._zeros) if out is None else out
         try:
-            tau = np.empty_like(self._zeros) if out is None else out
-            status = self._inverse_dynamics(q, qd, qdd, tau, self._table)
+            if self._inverse_dynamics(q, qd, qdd, tau, self._table):
+                raise explain(self.robot.joint_names, out, q=q, qd=qd, qdd=qdd)
         except (TypeError, ValueError):  # lists, integers, batches, views with strides
             return self._efforts_of_any(self._table, q, qd, qdd, out)
-        if status != OK:
-            raise explain(self.robot.joint_names, out, q=q, qd=qd, qdd=qdd)
         return tau
 
     def gravity_efforts(self, q: ArrayLike) -> Floats:
