@@ -75,6 +75,18 @@ def check_out(out: Floats, shape: tuple[int, ...]) -> None:
         raise JointStateError(f'out has shape {out.shape}, the result has {shape}')
 
 
+def is_free(out: Floats, others: Sequence[Floats]) -> bool:
+    """Tell whether results may be written as they come: into numbers side by side, nobody's."""
+    return out.flags.c_contiguous and not any(np.may_share_memory(out, x) for x in others)
+
+
+def read_threads(threads: int) -> int:
+    """Read how many threads may work side by side."""
+    if not isinstance(threads, int) or threads < 1:
+        raise ConfigurationError(f'threads is {threads!r}, expected a whole number of at least 1')
+    return threads
+
+
 def read_joints(name: str, values: ArrayLike, n: int) -> Floats:
     """Read one number a joint, or one for all; none below zero."""
     try:

@@ -13,6 +13,9 @@ except ImportError:
 
 IS_COMPILED: bool = numba is not None and not numba.config.DISABLE_JIT
 
+# a * b + c may round once, and the sign of zero does not matter. A NaN stays a NaN.
+LANE_MATH = {'contract', 'nsz', 'arcp'}
+
 Function = TypeVar('Function', bound=Callable[..., Any])
 
 _cached: list[Any] = []
@@ -26,18 +29,12 @@ def compiled(function: Function) -> Function:
     Without numba it stays the Python function that it is.
 
     """
-    if not IS_COMPILED:
-        return function
-    try:
-        dispatcher = numba.njit(cache=True, error_model='numpy')(function)
-    except RuntimeError as error:
-        # numba refuses to decorate where no cache directory is writable: a package owned by root,
-        # run by a service without a home.
-        _warn(error)
-        dispatcher = numba.njit(error_model='numpy')(function)
-    else:
-        _cached.append(dispatcher)
-    return cast(Function, dispatcher)
+    return _kept(function) if IS_COMPILED else function
+
+
+def compiled_for_lanes(function: Function) -> Function:
+    """Mark the same of a function on lanes; threads may run it side by side."""
+    return _kept(function, fastmath=LANE_MATH, nogil=True) if IS_COMPILED else function
 
 
 def inlined(function: Function) -> Function:
@@ -50,6 +47,21 @@ def inlined(function: Function) -> Function:
     if not IS_COMPILED:
         return function
     return cast(Function, numba.njit(inline='always', error_model='numpy')(function))
+
+
+def lanewise(function: Function) -> Function:
+    """Mark a function to be a step of those on lanes: with loops over lanes of its own."""
+    if not IS_COMPILED:
+        return function
+    return cast(Function, numba.njit(error_model='numpy', fastmath=LANE_MATH)(function))
+
+
+def in_lane(function: Function) -> Function:
+    """Mark a function to become part of such loops, which otherwise would not be vectorised."""
+    if not IS_COMPILED:
+        return function
+    options = {'error_model': 'numpy', 'fastmath': LANE_MATH, 'forceinline': True}
+    return cast(Function, numba.njit(**options)(function))
 
 
 def compile_for(function: Any, signature: str) -> None:
@@ -70,6 +82,19 @@ def compile_for(function: Any, signature: str) -> None:
             dispatcher._cache = numba.core.caching.NullCache()
         function.compile(signature)
     function.disable_compile()
+
+
+def _kept(function: Function, **options: Any) -> Function:
+    try:
+        dispatcher = numba.njit(cache=True, error_model='numpy', **options)(function)
+    except RuntimeError as error:
+        # numba refuses to decorate where no cache directory is writable: a package owned by root,
+        # run by a service without a home.
+        _warn(error)
+        dispatcher = numba.njit(error_model='numpy', **options)(function)
+    else:
+        _cached.append(dispatcher)
+    return cast(Function, dispatcher)
 
 
 def _warn(error: Exception) -> None:

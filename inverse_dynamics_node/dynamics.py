@@ -8,14 +8,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import newton_euler
+from . import lanes, newton_euler
 from . import table as columns
 from .arguments import (
     broadcast,
     check_out,
     explain,
+    is_free,
     read_inertial,
     read_joints,
+    read_threads,
     read_vector,
     read_vectors,
 )
@@ -285,7 +287,13 @@ class InverseDynamics:
     # What it takes
 
     def efforts(
-        self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: Floats | None = None
+        self,
+        q: ArrayLike,
+        qd: ArrayLike,
+        qdd: ArrayLike,
+        out: Floats | None = None,
+        *,
+        threads: int = 1,
     ) -> Floats:
         """
         Compute the joint efforts that produce the joint accelerations.
@@ -298,6 +306,8 @@ class InverseDynamics:
             broadcast against each other.
         out : ndarray, optional
             Receives the result: C-contiguous float64 of its shape.
+        threads : int
+            How many work on a large batch side by side, at most. The results do not depend on it.
 
         Returns
         -------
@@ -308,19 +318,27 @@ class InverseDynamics:
         ------
         JointStateError
             If a shape does not fit the robot, or a value is not finite.
+        ConfigurationError
+            If ``threads`` is no whole number above 0.
 
         Notes
         -----
         Outward pass: LWP (36)-(44); inward pass: LWP (45)-(47). With arrays of float64 as
         arguments and ``out``, nothing is allocated.
 
+        Batches of 32 states and more go through the passes in blocks (of 64 where numba is not in
+        use). That rounds a little differently: by less than 1e-12 of the largest effort. The first
+        of them compiles for seconds; the machine code is kept on disk.
+
         """
+        if getattr(q, 'ndim', 1) > 1:  # to be refused below would take as long as 500 states
+            return self._efforts_of_any(self._table, q, qd, qdd, out, read_threads(threads))
         tau = np.empty_like(self._zeros) if out is None else out
         try:
             if self._inverse_dynamics(q, qd, qdd, tau, self._table):
                 raise explain(self.robot.joint_names, out, q=q, qd=qd, qdd=qdd)
         except (TypeError, ValueError):  # lists, integers, batches, views with strides
-            return self._efforts_of_any(self._table, q, qd, qdd, out)
+            return self._efforts_of_any(self._table, q, qd, qdd, out, read_threads(threads))
         return tau
 
     def gravity_efforts(self, q: ArrayLike) -> Floats:
@@ -554,17 +572,23 @@ class InverseDynamics:
         qd: ArrayLike,
         qdd: ArrayLike,
         out: Floats | None = None,
+        threads: int = 1,
     ) -> Floats:
         """Compute efforts of whatever numpy can read as rows of n numbers."""
         rows, shape = broadcast(len(self._zeros), q=q, qd=qd, qdd=qdd)
         if out is not None:
             check_out(out, shape)
-        tau = np.empty_like(rows[0])
-        if self._batch(*rows, tau, table) != OK:
+        tau = np.empty(shape) if out is None or not is_free(out, rows) else out
+        states = (*rows, tau.reshape(rows[0].shape))
+        if tau.size and len(rows[0]) >= lanes.FEWEST:
+            status = lanes.inverse_dynamics_many(states, np.asarray(table), threads)
+        else:
+            status = self._batch(*states, table)
+        if status != OK:
             raise explain(self.robot.joint_names, q=q, qd=qd, qdd=qdd)
-        if out is None:
-            return tau.reshape(shape)
-        out[...] = tau.reshape(shape)
+        if out is None or tau is out:
+            return tau
+        out[...] = tau
         return out
 
 

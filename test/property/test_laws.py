@@ -135,15 +135,29 @@ def test_splitting_a_link_by_a_fixed_joint_changes_nothing(case, share):
     assert_close(InverseDynamics(split).efforts(q, qd, qdd), expected)
 
 
-@given(cases(vectors=12))
-def test_batches_give_what_single_states_give(case):
+@given(cases(vectors=12 * 20), st.integers(0, 2**32 - 1))
+def test_batches_give_what_single_states_give(case, seed):
     _, robot, vectors = case
-    q, qd, qdd = vectors.reshape(3, 2, 2, -1)
+    q, qd, qdd = vectors.reshape(3, 4, 20, -1)
     dynamics = InverseDynamics(robot)
+    let_everything_act(dynamics, np.random.default_rng(seed))
     batch = dynamics.efforts(q, qd, qdd)
     assert batch.shape == q.shape
-    for index in np.ndindex(2, 2):
-        assert (batch[index] == dynamics.efforts(q[index], qd[index], qdd[index])).all()
+    single = np.empty_like(batch)
+    for index in np.ndindex(4, 20):
+        single[index] = dynamics.efforts(q[index], qd[index], qdd[index])
+    assert_close(batch, single, 1e-12)
+
+
+def let_everything_act(dynamics, rng):
+    """Put a load, a wrench, friction and rotors on a robot whose base moves."""
+    n, links = len(dynamics.robot.joint_names), dynamics.robot.link_names
+    dynamics.set_base_motion(*rng.uniform(-1.0, 1.0, (3, 3)))
+    inertia = np.diag(rng.uniform(0.1, 0.2, 3))
+    dynamics.set_payload(rng.choice(links), 1.5, rng.uniform(-0.3, 0.3, 3), inertia)
+    dynamics.set_external_wrench(rng.choice(links), *rng.uniform(-9.0, 9.0, (2, 3)))
+    dynamics.set_friction(*rng.uniform(0.1, 2.0, (3, n)))
+    dynamics.set_armature(rng.uniform(0.0, 0.3, n))
 
 
 @settings(max_examples=20)

@@ -1,0 +1,169 @@
+"""Many states at once: any number of them, any number of threads, and a NaN in any of them."""
+
+from functools import cache
+
+from inverse_dynamics_node import (
+    ConfigurationError,
+    InverseDynamics,
+    JointStateError,
+    lanes,
+    load_urdf,
+)
+from inverse_dynamics_node.compilation import lanewise
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+from random_trees import random_chain, urdf_of
+from robot_files import OUR_ROBOTS
+
+NAMES = ('q', 'qd', 'qdd')
+
+
+@lanewise  # and not kept on disk: that would not see a change of what it calls
+def cosines_and_sines(x, cosines, sines):
+    for k in range(len(x)):
+        cosines[k], sines[k] = lanes.cosine_and_sine(x[k])
+
+
+def loaded(robot):
+    """Let everything act on a robot that can."""
+    dynamics = InverseDynamics(robot, (0.4, -1.2, -9.5))
+    link = robot.link_names[-1]
+    dynamics.set_payload(link, 0.7, (0.01, -0.02, 0.1), np.diag((0.02, 0.03, 0.04)))
+    dynamics.set_external_wrench(link, (3.0, -2.0, 1.0), (0.3, 0.2, -0.1))
+    dynamics.set_base_motion((0.1, -0.3, 0.2), (0.5, 0.4, -0.6), (0.3, 0.1, -0.2))
+    dynamics.set_friction(0.3, 0.8, 0.05)
+    dynamics.set_armature(0.05)
+    return dynamics
+
+
+@cache
+def chain():
+    return loaded(load_urdf(urdf_of(random_chain(np.random.default_rng(5), 5))))
+
+
+def one_by_one(dynamics, states):
+    return np.array([dynamics.efforts(*state) for state in zip(*states, strict=True)])
+
+
+def assert_lanes_agree(dynamics, states):
+    expected = one_by_one(dynamics, states)
+    scale = np.abs(expected).max()
+    assert scale > 0.0
+    assert_allclose(dynamics.efforts(*states), expected, rtol=0, atol=1e-12 * scale)
+
+
+@pytest.mark.parametrize(
+    'x',
+    [
+        np.linspace(-10.0, 10.0, 200_001),
+        np.random.default_rng(0).uniform(-1e5, 1e5, 200_000),
+        # Next to the zeros of both, where most digits cancel
+        np.nextafter(np.arange(-63_661, 63_661) * (np.pi / 2), np.inf),
+        np.arange(-63_661, 63_661) * (np.pi / 2),
+        np.arange(-63_661, 63_661) * (np.pi / 4),
+        np.geomspace(1e-300, 1.0, 1000),
+        np.array([0.0, -0.0, 1e5, -1e5]),
+    ],
+    ids=['small', 'large', 'beside zeros', 'zeros', 'eighths', 'tiny', 'ends'],
+)
+def test_cosines_and_sines_are_right_to_two_units_in_the_last_place(x):
+    actual = np.empty((2, len(x)))
+    cosines_and_sines(x, *actual)
+    for function, values in zip((np.cos, np.sin), actual, strict=True):
+        exact = function(x.astype(np.longdouble))
+        error = np.abs(values - exact) / np.spacing(np.abs(exact).astype(np.float64))
+        assert error.max() <= 2.0
+
+
+@pytest.mark.parametrize('size', [0, 1, 15, 16, 17, 31, 32, 33, 63, 64, 65, 4096])
+def test_any_number_of_states(size, rng):
+    states = rng.uniform(-3.0, 3.0, (3, size, 5))
+    if size:
+        assert_lanes_agree(chain(), states)
+    else:
+        assert chain().efforts(*states).shape == (0, 5)
+
+
+def test_blocks_larger_than_one(rng, monkeypatch):
+    if lanes.LANES == 1:
+        monkeypatch.setattr(lanes, 'BLOCK', 50)
+    assert_lanes_agree(chain(), rng.uniform(-3.0, 3.0, (3, 130, 5)))
+
+
+@pytest.mark.parametrize('path', OUR_ROBOTS, ids=lambda path: path.stem)
+def test_our_robots(path, rng):
+    dynamics = loaded(load_urdf(path))
+    n = len(dynamics.robot.joint_names)
+    assert_lanes_agree(dynamics, rng.uniform(-3.0, 3.0, (3, 70, n)))
+
+
+def test_angles_beyond_reduction_are_computed_too(rng):
+    states = rng.uniform(-3.0, 3.0, (3, 100, 5))
+    states[0, 13] = 1e5 + 1.0, -1e9, 1.0, 1e12, 1e6
+    states[0, 77] = -1e7
+    assert_lanes_agree(chain(), states)
+
+
+@pytest.mark.parametrize('size', [128, 2047, 2048, 2050, 4096, 9999])
+@pytest.mark.parametrize('threads', [2, 3, 1000])
+def test_threads_change_nothing(size, threads, rng):
+    states = rng.uniform(-3.0, 3.0, (3, size, 5))
+    states[0, size // 2, 0] = 1e6
+    alone = chain().efforts(*states)
+    assert np.abs(alone).max() > 0.0
+    assert (chain().efforts(*states, threads=threads) == alone).all()
+
+
+@pytest.mark.parametrize('threads', [0, -1, 1.5, None, 'two'])
+def test_refuses_threads_that_are_none(threads):
+    with pytest.raises(ConfigurationError, match='expected a whole number of at least 1'):
+        chain().efforts(*np.zeros((3, 100, 5)), threads=threads)
+
+
+@pytest.mark.parametrize('threads', [1, 2])
+@pytest.mark.parametrize('value', [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize('sample', [0, 40, 127, 128, 199])
+def test_names_the_state_that_is_not_finite(sample, value, threads, rng):
+    for k, name in enumerate(NAMES):
+        for j, joint in enumerate(chain().robot.joint_names):
+            states = rng.uniform(-3.0, 3.0, (3, 200, 5))
+            states[k, sample, j] = value
+            words = rf"{name} of joint '{joint}' is {value} \(sample \({sample},\)\)"
+            with pytest.raises(JointStateError, match=words):
+                chain().efforts(*states, threads=threads)
+
+
+def test_tells_of_overflow():
+    states = np.zeros((3, 100, 5))
+    states[1, 70, 0] = 1e200
+    with pytest.raises(JointStateError, match='the efforts overflow'):
+        chain().efforts(*states)
+
+
+def test_earlier_failures_leave_no_trace(rng):
+    states = rng.uniform(-3.0, 3.0, (3, 100, 5))
+    good = chain().efforts(*states)
+    with pytest.raises(JointStateError):
+        chain().efforts(np.nan * states[0], *states[1:])
+    assert (chain().efforts(*states) == good).all()
+
+
+def test_out_may_be_any_array_of_the_shape(rng):
+    states = rng.uniform(-3.0, 3.0, (3, 100, 5))
+    expected = chain().efforts(*states)
+    for out in (
+        np.empty((100, 5)),
+        np.empty((100, 10))[:, ::2],
+        np.empty((5, 100)).T,
+        states[0],  # its own argument
+    ):
+        assert chain().efforts(*states, out=out) is out
+        assert (out == expected).all()
+
+
+def test_batches_of_several_dimensions(rng):
+    states = rng.uniform(-3.0, 3.0, (3, 7, 11, 5))
+    batch = chain().efforts(*states)
+    assert batch.shape == (7, 11, 5)
+    assert (batch == chain().efforts(*states.reshape(3, 77, 5)).reshape(7, 11, 5)).all()
