@@ -64,23 +64,24 @@ def in_lane(function: Function) -> Function:
     return cast(Function, numba.njit(**options)(function))
 
 
-def compile_for(function: Any, signature: str) -> None:
+def compile_for(function: Any, *signatures: str) -> None:
     """
-    Compile for one signature now, and for no other ever after: nothing compiles in a control loop.
+    Compile for some signatures now, and for no other ever after: none compiles in a control loop.
 
     A call with other types raises a TypeError from then on.
 
     """
     if not IS_COMPILED or not function._can_compile:
         return
-    try:
-        function.compile(signature)
-    except Exception as error:
-        # A full disk, or files that a power cut has left half written.
-        _warn(error)
-        for dispatcher in _cached:
-            dispatcher._cache = numba.core.caching.NullCache()
-        function.compile(signature)
+    for signature in signatures:
+        try:
+            function.compile(signature)
+        except Exception as error:
+            # A full disk, or files that a power cut has left half written.
+            _warn(error)
+            for dispatcher in _cached:
+                dispatcher._cache = numba.core.caching.NullCache()
+            function.compile(signature)
     function.disable_compile()
 
 

@@ -292,7 +292,6 @@ class InverseDynamics:
         qd: ArrayLike,
         qdd: ArrayLike,
         out: Floats | None = None,
-        *,
         threads: int = 1,
     ) -> Floats:
         """
@@ -326,20 +325,21 @@ class InverseDynamics:
         Outward pass: LWP (36)-(44); inward pass: LWP (45)-(47). With arrays of float64 as
         arguments and ``out``, nothing is allocated.
 
-        Batches of 32 states and more go through the passes in blocks (of 64 where numba is not in
-        use). That rounds a little differently: by less than 1e-12 of the largest effort. The first
-        of them compiles for seconds; the machine code is kept on disk.
+        Batches of 64 states and more go through the passes in blocks. That rounds a little
+        differently: by less than 1e-12 of the largest effort. The first of them compiles for
+        seconds; the machine code is kept on disk.
 
         """
-        if getattr(q, 'ndim', 1) > 1:  # to be refused below would take as long as 500 states
-            return self._efforts_of_any(self._table, q, qd, qdd, out, read_threads(threads))
-        tau = np.empty_like(self._zeros) if out is None else out
         try:
-            if self._inverse_dynamics(q, qd, qdd, tau, self._table):
-                raise explain(self.robot.joint_names, out, q=q, qd=qd, qdd=qdd)
-        except (TypeError, ValueError):  # lists, integers, batches, views with strides
-            return self._efforts_of_any(self._table, q, qd, qdd, out, read_threads(threads))
-        return tau
+            # Asked first: for numba to refuse a batch takes as long as hundreds of its states.
+            if q.ndim == 1:  # type: ignore[union-attr]
+                tau = np.empty_like(self._zeros) if out is None else out
+                if self._inverse_dynamics(q, qd, qdd, tau, self._table):
+                    raise explain(self.robot.joint_names, out, q=q, qd=qd, qdd=qdd)
+                return tau
+        except (AttributeError, TypeError, ValueError):  # lists, integers, views with strides
+            pass
+        return self._efforts_of_any(self._table, q, qd, qdd, out, read_threads(threads))
 
     def gravity_efforts(self, q: ArrayLike) -> Floats:
         """

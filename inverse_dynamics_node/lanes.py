@@ -4,7 +4,7 @@ The passes of `newton_euler` for many states at once: a block of states, each in
 Every step is a loop over the lanes of a block, which reads and writes rows: component j of lane k
 is at ``rows[i, j * LANES + k]``, where i is a body or a joint.
 
-- Compiled, a block has 32 lanes of a number each, and the compiler makes every loop one of vector
+- Compiled, a block has 64 lanes of a number each, and the compiler makes every loop one of vector
   instructions. For that a step is a function of its own, and rows of a kind are an array.
 - Not compiled, a block has one lane, and what is in it is an array of many states: the same
   functions are numpy expressions then.
@@ -27,9 +27,9 @@ from .compilation import compile_for, compiled_for_lanes, in_lane, IS_COMPILED, 
 from .model import Floats
 from .newton_euler import NOT_FINITE, OK
 
-LANES = 32 if IS_COMPILED else 1
+LANES = 64 if IS_COMPILED else 1
 BLOCK = LANES if IS_COMPILED else 2048  # states in a block
-FEWEST = LANES if IS_COMPILED else 64  # states for which a block is worth its cost
+FEWEST = 64  # states for which a block is worth its cost
 LEAST_PIECE = 1024  # states for which another thread is worth its cost
 LARGEST_ANGLE = 1e5  # that `cosine_and_sine` can take [rad]
 ROUNDER = 1.5 * 2.0**52  # added and taken away again, it leaves a whole number
@@ -66,10 +66,10 @@ def inverse_dynamics_many(states: Sequence[Floats], robot: Floats, threads: int 
         return _piece(states, robot)
     bounds = [N * k // pieces for k in range(pieces + 1)]
     work = deque([v[first:last] for v in states] for first, last in pairwise(bounds))
-    helpers = [_pool(others).submit(_share, work, robot) for _ in range(others)]
+    shares = [_pool(others).submit(_share, work, robot) for _ in range(others)]
     status = _share(work, robot)
-    # A helper that has not begun by now need not.
-    return max(status, *(OK if helper.cancel() else helper.result() for helper in helpers))
+    # A thread that has not begun by now need not.
+    return max(status, *(OK if share.cancel() else share.result() for share in shares))
 
 
 @cache
