@@ -156,7 +156,6 @@ def test_out_may_be_any_array_of_the_shape(rng):
         np.empty((100, 5)),
         np.empty((100, 10))[:, ::2],
         np.empty((5, 100)).T,
-        np.empty((100, 5), np.longdouble),
         states[0],  # its own argument
     ):
         assert chain().efforts(*states, out=out) is out
