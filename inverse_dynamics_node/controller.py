@@ -45,13 +45,14 @@ class Phase(enum.Enum):
 
     WAITING = 'no complete joint state yet'
     RUNNING = 'following the reference'
-    HOLDING = 'no fresh reference: accelerations of zero'
-    TOO_FAR = 'the reference starts too far away: accelerations of zero'
+    HOLDING = 'no fresh reference, or none wanted: accelerations of zero'
+    TOO_FAR = 'the reference starts or jumps too far away: accelerations of zero'
     STATE_LOST = 'no fresh joint state'
     NO_SOLUTION = 'state or reference beyond all reason'
     STOPPED = 'stopped: efforts go to zero'
 
 
+_SHORTEST_PATIENCE = 0.02  # [s]; steps may be so far apart, however short the time-outs
 _IS_WELL = (Phase.RUNNING, Phase.HOLDING, Phase.TOO_FAR)
 
 
@@ -102,7 +103,7 @@ class Settings:
     kd: PerJoint = 20.0
     """Of computed torque: acceleration for a difference of velocities [1/s]."""
     max_position_jump: float = 0.5
-    """Of computed torque: how far away a reference may start [rad or m]; 0: anywhere."""
+    """Of computed torque: how far a reference may start away, or jump [rad or m]; 0: anywhere."""
     velocity_filter_cutoff: float = 0.0
     """Of a first-order low-pass for measured velocities [Hz]; 0: none."""
     effort_scale: PerJoint = 1.0
@@ -161,7 +162,9 @@ class Controller:
         self._efforts, self._command = np.zeros((2, m))
         self._is_saturated = np.zeros(m, dtype=bool)
         self._is_stopping = False
-        self._time = self._filter_time = math.inf
+        self._time = math.inf
+        self._filter_times = np.full(n, -1e300)  # long ago, but at a finite time
+        self._followed: Floats | None = None  # where a loop closed here was to be, last step
         self.apply(settings or Settings())
 
     def apply(self, settings: Settings) -> None:
@@ -195,7 +198,8 @@ class Controller:
     def start(self) -> None:
         """Let the efforts rise from zero at the next step with a fresh state."""
         self._is_stopping = False
-        self._time = self._filter_time = math.inf  # at the first step nothing has elapsed
+        self._time = math.inf  # at the first step nothing has elapsed
+        self._filter_times[:] = -1e300
         self.gain = 0.0
         self._command[:] = 0.0
         self.phase = Phase.WAITING
@@ -221,12 +225,14 @@ class Controller:
         """
         # No step counts for more than the state may be old, or than two steps: after a stall the
         # ramps go on from where they were, not from where they would have been.
-        longest = max(self.settings.state_timeout, 2.0 * self._period)
+        longest = max(self.settings.state_timeout, 2.0 * self._period, _SHORTEST_PATIENCE)
         elapsed = min(max(0.0, now - self._time), longest)
         self._time = now
         if state is None:
             return None
         self.phase = self._next_phase(now, state, reference)
+        is_closed = self.settings.mode is Mode.COMPUTED_TORQUE and self.phase is Phase.RUNNING
+        self._followed = reference.positions if is_closed and reference else None
         if self.phase in _IS_WELL:
             self._filter(state)
             self._compute(state, reference if self.phase is Phase.RUNNING else None)
@@ -235,9 +241,12 @@ class Controller:
         self._ramp(elapsed)
         target = self.gain * self._efforts
         if self._has_rate_limits:
-            change = self._rate_limits * elapsed
-            np.clip(target, self._command - change, self._command + change, out=target)
-        self._command[:] = target
+            # A way down is for the stop ramp alone, from wherever the efforts have got to.
+            is_well = self.phase in _IS_WELL
+            change = self._rate_limits * elapsed if is_well else np.abs(self._command)
+            middle = self._command if is_well else 0.0
+            np.clip(target, middle - change, middle + change, out=target)
+        np.clip(target, -self._limits, self._limits, out=self._command)
         return Command(self._command, self._is_saturated)
 
     def _ramp(self, elapsed: float) -> None:
@@ -259,35 +268,35 @@ class Controller:
         timeout = self.settings.reference_timeout or math.inf
         if not 0.0 <= now - reference.time <= timeout:
             return Phase.HOLDING
-        if self.phase is not Phase.RUNNING and self._is_far(state, reference):
-            return Phase.TOO_FAR
-        return Phase.RUNNING
+        return Phase.TOO_FAR if self._is_far(state, reference) else Phase.RUNNING
 
     def _is_far(self, state: State, reference: Reference) -> bool:
-        """Tell whether following the reference would begin with a jump."""
+        """Tell whether following the reference would be a jump: from the joints, or under way."""
         limit = self.settings.max_position_jump
-        if self.settings.mode is not Mode.COMPUTED_TORQUE or not limit:
+        if not limit or self.settings.mode is not Mode.COMPUTED_TORQUE:
             return False
-        distance = self._distance(state, reference)
-        return distance is not None and bool(np.abs(distance).max() > limit)
-
-    def _distance(self, state: State, reference: Reference) -> Floats | None:
-        """Return how far the joints have to go; the short way round for continuous ones."""
         if reference.positions is None:
-            return None
-        distance = reference.positions - state.q[self._index]
+            return False
+        come_from = state.q[self._index] if self._followed is None else self._followed
+        return bool(np.abs(self._distance(come_from, reference.positions)).max() > limit)
+
+    def _distance(self, come_from: Floats, go_to: Floats) -> Floats:
+        """Return how far the joints have to go; the short way round for continuous ones."""
+        distance = go_to - come_from
         turns = np.round(distance / (2.0 * math.pi))
         return np.where(self._is_continuous, distance - 2.0 * math.pi * turns, distance)
 
     def _filter(self, state: State) -> None:
-        """Smooth the measured velocities, as time passes for the state."""
+        """Smooth the measured velocities, each joint's as time passes for that joint."""
         cutoff = self.settings.velocity_filter_cutoff
-        elapsed = state.time - self._filter_time
-        if not cutoff or not 0.0 <= elapsed <= self.settings.state_timeout:
+        if not cutoff:
             self._qd[:] = state.qd
-        else:
-            self._qd += (1.0 - math.exp(-2.0 * math.pi * cutoff * elapsed)) * (state.qd - self._qd)
-        self._filter_time = state.time
+            return
+        elapsed = (state.time if state.times is None else state.times) - self._filter_times
+        is_new = (elapsed < 0.0) | (elapsed > self.settings.state_timeout)
+        share = np.where(is_new, 1.0, 1.0 - np.exp(-2.0 * math.pi * cutoff * np.abs(elapsed)))
+        self._qd += share * (state.qd - self._qd)
+        self._filter_times += elapsed
 
     def _compute(self, state: State, reference: Reference | None) -> None:
         """Compute the efforts, within their limits; if there are none, the last ones stay."""
@@ -317,8 +326,8 @@ class Controller:
         """Return the accelerations to produce: resolved, where the loop is closed here."""
         qdd = reference.accelerations
         if self.settings.mode is Mode.COMPUTED_TORQUE:
-            distance = self._distance(state, reference)
-            if distance is not None:
+            if reference.positions is not None:
+                distance = self._distance(state.q[self._index], reference.positions)
                 qdd = qdd + self._of_joint['kp'] * distance
             if reference.velocities is not None:
                 error = reference.velocities - self._qd[self._index]

@@ -22,6 +22,8 @@ class State(NamedTuple):
     """Joint velocities, shape (n,) [rad/s or m/s]."""
     time: float
     """When the joint heard from least recently was heard from [s]."""
+    times: Floats | None = None
+    """When each joint was heard from, shape (n,) [s]; None if all at once."""
 
 
 class JointStateCollector:
@@ -53,7 +55,7 @@ class JointStateCollector:
         names: Sequence[str],
         positions: Sequence[float],
         velocities: Sequence[float],
-    ) -> None:
+    ) -> bool:
         """
         Take in one joint state, or nothing of it.
 
@@ -63,6 +65,11 @@ class JointStateCollector:
             The time of arrival [s].
         names, positions, velocities : sequences of equal length
             Velocities may be empty, or NaN for joints that never had one: zero then.
+
+        Returns
+        -------
+        is_of_concern : bool
+            Whether it was about any of these joints.
 
         Raises
         ------
@@ -88,19 +95,22 @@ class JointStateCollector:
         self.qd[ours] = np.where(is_finite, qd, 0.0)
         self.q[ours] = q
         self.times[ours] = now
+        return bool(ours)
 
     def state(self) -> State | None:
         """Return what is known, or None as long as a joint has not been heard from."""
         time = float(self.times.min(initial=math.inf))
-        return None if time == -math.inf else State(self.q, self.qd, time)
+        return None if time == -math.inf else State(self.q, self.qd, time, self.times)
 
     def missing(self) -> list[str]:
         """Name the joints never heard from."""
         return [self.joint_names[i] for i in np.flatnonzero(self.times == -math.inf)]
 
-    def older_than(self, time: float) -> list[str]:
-        """Name the joints last heard from before a time [s]."""
-        return [self.joint_names[i] for i in np.flatnonzero(self.times < time)]
+    def stale(self, now: float, timeout: float) -> list[str]:
+        """Name the joints last heard from too long ago, or before a clock was put back [s]."""
+        age = now - self.times
+        is_fresh = (age >= 0.0) & (age <= timeout)
+        return [self.joint_names[i] for i in np.flatnonzero(~is_fresh)]
 
     def without_velocity(self) -> list[str]:
         """Name the joints that were heard from, but never with a velocity."""

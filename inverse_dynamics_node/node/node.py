@@ -71,13 +71,15 @@ class InverseDynamicsNode(LifecycleNode):
         self.is_finalized = False
         self._controller: Controller | None = None
         self._is_active = False
+        self._has_commanded = False
         self._may_autostart = self._configuration.autostart
         self._description = ''  # the latest from the topic
         self._reference: Reference | None = None
         self._last_phase = Phase.WAITING
         self._log_times: dict[str, float] = {}
         self._pace: list[Timer] = []
-        if self.get_parameter('use_sim_time').value:
+        self._uses_sim_time = self.get_parameter('use_sim_time').value
+        if self._uses_sim_time:
             self._timer_clock = self.get_clock()
             self._now: Callable[[], float] = lambda: self.get_clock().now().nanoseconds * 1e-9
         else:
@@ -128,9 +130,7 @@ class InverseDynamicsNode(LifecycleNode):
                 '(or set parameter robot_description_file)'
             )
             return True
-        is_well = self.trigger_configure() == _SUCCESS and self.trigger_activate() == _SUCCESS
-        self._may_autostart = not is_well
-        return bool(is_well)
+        return bool(self.trigger_configure() == _SUCCESS and self.trigger_activate() == _SUCCESS)
 
     def shut_down(self) -> None:
         """Leave the robot with zeros."""
@@ -157,6 +157,8 @@ class InverseDynamicsNode(LifecycleNode):
         self._reference = None
         self._last_phase = self._controller.phase
         self._is_active = result == _SUCCESS
+        self._may_autostart = False  # from now on, who takes it down brings it up
+        self._has_commanded = False
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -185,7 +187,6 @@ class InverseDynamicsNode(LifecycleNode):
         """Refuse a transition that is not possible now; rclpy 7.1 would end the process."""
         from rclpy._rclpy_pybind11 import RCLError
 
-        self._may_autostart = False
         try:
             return super()._LifecycleNodeMixin__on_change_state(request, response)
         except RCLError as error:
@@ -242,6 +243,8 @@ class InverseDynamicsNode(LifecycleNode):
 
         def of_robot(name: str, values: PerJoint, others: Floats) -> Floats:
             given = of_joints(name, values, len(index))
+            if ((given < 0.0) & (given != -1.0)).any():
+                raise ConfigurationError(f"parameter '{name}' is {values}, expected -1, or from 0")
             chosen: Floats = others.copy()
             chosen[index] = np.where(given < 0.0, others[index], given)
             return chosen
@@ -282,6 +285,8 @@ class InverseDynamicsNode(LifecycleNode):
         changed = {p.name: p.value for p in parameters if p.name in PARAMETERS}
         try:
             for parameter in parameters:
+                if parameter.name == 'use_sim_time' and parameter.value != self._uses_sim_time:
+                    raise ConfigurationError("parameter 'use_sim_time' is read at the start only")
                 if parameter.name in changed and parameter.type_ is Parameter.Type.NOT_SET:
                     raise ConfigurationError(f"parameter '{parameter.name}' cannot be taken away")
             configuration = checked_configuration({**values, **changed})
@@ -295,7 +300,7 @@ class InverseDynamicsNode(LifecycleNode):
         """Refuse what cannot change while configured, and what does not fit the joints."""
         assert self._controller is not None
         for name in names:
-            if not PARAMETERS[name].is_live:
+            if not PARAMETERS[name].is_live and _differ(configuration, self._configuration, name):
                 raise ConfigurationError(
                     f"parameter '{name}' is read when the node is configured; deactivate and "
                     'clean up first'
@@ -321,11 +326,11 @@ class InverseDynamicsNode(LifecycleNode):
             return
         now = self._now()
         try:
-            self._collector.update(now, message.name, message.position, message.velocity)
+            is_ours = self._collector.update(now, message.name, message.position, message.velocity)
         except JointStateError as error:
             self._log(now, 'joint_states', f'joint state dropped: {error}')
             return
-        if self._is_active and self._configuration.update_rate == 0.0:
+        if is_ours and self._is_active and self._configuration.update_rate == 0.0:
             self._step(now)
 
     def _on_accelerations(self, message: Float64MultiArray) -> None:
@@ -380,6 +385,7 @@ class InverseDynamicsNode(LifecycleNode):
         self._report(now, command)
 
     def _publish(self, efforts: Floats) -> None:
+        self._has_commanded = True
         messages.write_commands(self._command_message, efforts)
         self._commands.publish(self._command_message)
         if self._joint_efforts.get_subscription_count():
@@ -401,6 +407,8 @@ class InverseDynamicsNode(LifecycleNode):
             command = self._controller.step(now, state, None)
             assert command is not None
             self._publish(command.efforts)
+        if not self._has_commanded:
+            return  # who holds the robot now, it is not this node
         for _ in range(3):  # once is enough where messages are acknowledged
             self._publish(np.zeros(len(self._controller.joints)))
         self._commands.wait_for_all_acked(Duration(seconds=1))
@@ -417,7 +425,8 @@ class InverseDynamicsNode(LifecycleNode):
         if phase is Phase.STATE_LOST:
             self._log(now, 'state lost', lambda: self._what_is_stale(now))
         if command.is_saturated.any():
-            self._log(now, 'saturated', lambda: self._what_is_saturated(command))
+            joints = command.is_saturated.tobytes().hex()  # others are news
+            self._log(now, f'saturated {joints}', lambda: self._what_is_saturated(command))
 
     def _tell_phase(self, now: float, phase: Phase) -> None:
         if self._last_phase is Phase.WAITING:
@@ -450,7 +459,7 @@ class InverseDynamicsNode(LifecycleNode):
 
     def _what_is_stale(self, now: float) -> str:
         timeout = self._configuration.settings.state_timeout
-        joints = self._collector.older_than(now - timeout)
+        joints = self._collector.stale(now, timeout)
         return f'no joint state for more than {timeout:g} s of {", ".join(joints)}'
 
     def _what_is_saturated(self, command: Command) -> str:
@@ -458,6 +467,10 @@ class InverseDynamicsNode(LifecycleNode):
         joints = self._controller.joints
         cut = [name for name, cut in zip(joints, command.is_saturated, strict=True) if cut]
         return f'effort cut to its limit: {", ".join(cut)}'
+
+
+def _differ(one: Configuration, other: Configuration, name: str) -> bool:
+    return bool(getattr(one, name) != getattr(other, name))
 
 
 def _as_xml(text: str) -> str:

@@ -92,7 +92,7 @@ class Parameter(NamedTuple):
             converted = self.kind.convert(value)
         except (TypeError, ValueError):
             raise ConfigurationError(f'is {value!r}, expected {self.kind.expected}') from None
-        if self.kind in (_NUMBER, _NUMBERS):
+        if self.kind in (_NUMBER, _NUMBERS, _VECTOR):
             numbers = converted if isinstance(converted, tuple) else (converted,)
             if not all(self.minimum <= number <= self.maximum for number in numbers):
                 raise ConfigurationError(
@@ -150,6 +150,8 @@ PARAMETERS = {
         _VECTOR,
         list(STANDARD_GRAVITY),
         'Free-fall acceleration in the frame of the root link [m/s^2]',
+        -100.0,
+        100.0,
     ),
     'include_gravity': Parameter(
         _FLAG, True, 'False where the driver compensates gravity itself: UR, Franka, KUKA FRI'
@@ -192,7 +194,7 @@ PARAMETERS = {
     'max_position_jump': Parameter(
         _NUMBER,
         _SETTINGS.max_position_jump,
-        'computed_torque: how far away a reference may start [rad, m]; 0: anywhere',
+        'computed_torque: how far a reference may start away, or jump [rad, m]; 0: anywhere',
         0.0,
     ),
     'velocity_filter_cutoff': Parameter(

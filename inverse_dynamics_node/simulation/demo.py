@@ -204,7 +204,7 @@ def _commands(urdf: str, options: argparse.Namespace) -> dict[str, list[str]]:
         ],
         'the node': [
             *(f'{package}.node.main', '--ros-args'),
-            *('-p', f'robot_description_file:={urdf}', '-p', 'update_rate:=0.0'),
+            *('-p', f"robot_description_file:='{urdf}'", '-p', 'update_rate:=0.0'),
             *('-p', f'include_friction:={str(options.friction).lower()}'),
         ],
     }

@@ -242,8 +242,60 @@ def test_reference_that_starts_too_far_away_is_not_followed():
     assert lift.phase is Phase.TOO_FAR
     lift.step(0.01, state(0.01), tracking(0.01, [0.05, 0.0]))
     assert lift.phase is Phase.RUNNING
-    lift.step(0.02, state(0.02), tracking(0.02, [0.2, 0.0]))  # under way it may lead by more
+    lift.step(0.02, state(0.02), tracking(0.02, [0.14, 0.0]))  # under way it may lead by more
     assert lift.phase is Phase.RUNNING
+    lift.step(0.03, state(0.03), tracking(0.03, [0.3, 0.0]))  # but not jump
+    assert lift.phase is Phase.TOO_FAR
+
+
+def test_loop_that_closes_under_way_does_not_start_with_a_jump():
+    lift = controller(mode=Mode.COMPUTED_TORQUE, max_position_jump=0.1)
+    lift.step(0.0, state(0.0), reference(0.0, [1.0, 0.0]))  # no positions: nothing to be far from
+    assert lift.phase is Phase.RUNNING
+    lift.step(0.01, state(0.01), tracking(0.01, [3.0, 0.0]))
+    assert lift.phase is Phase.TOO_FAR
+    open_loop = controller(max_position_jump=0.1)
+    open_loop.step(0.0, state(0.0), tracking(0.0, [3.0, 0.0]))
+    assert open_loop.phase is Phase.RUNNING
+    closed = Settings(mode=Mode.COMPUTED_TORQUE, max_position_jump=0.1, start_ramp=0.0)
+    open_loop.apply(closed)
+    open_loop.step(0.01, state(0.01), tracking(0.01, [3.0, 0.0]))
+    assert open_loop.phase is Phase.TOO_FAR
+
+
+def test_limits_win_over_ramps_and_rates():
+    lift = controller(on_stale_state=StalePolicy.HOLD, effort_rate_limits=50.0)
+    for time in np.arange(0.0, 2.0, 0.05):
+        lift.step(time, state(time), None)
+    lift.apply(Settings(start_ramp=0.0, effort_limits=2.0, effort_rate_limits=50.0))
+    assert lift.step(2.0, state(2.0), None).efforts.tolist() == [2.0, 2.0]
+
+
+def test_stop_ramp_takes_its_time_whatever_the_rate_limits():
+    lift = controller(effort_rate_limits=10.0, stop_ramp=0.2)
+    for time in np.arange(0.0, 5.0, 0.05):
+        lift.step(time, state(time), None)
+    lift.stop()
+    efforts = [lift.step(t, state(t), None).efforts[0] for t in (5.0, 5.05, 5.1, 5.15, 5.2)]
+    assert efforts[1:] == pytest.approx([15.0, 7.5, 0.0, 0.0], abs=0.1)
+
+
+def test_stop_on_the_way_up_does_not_go_up_first():
+    lift = controller(effort_rate_limits=10.0, stop_ramp=1.0)
+    for time in np.arange(0.0, 0.5, 0.05):
+        before = lift.step(time, state(time), None).efforts.copy()
+    lift.stop()
+    assert (lift.step(0.5, state(0.5), None).efforts <= before).all()
+
+
+def test_velocity_filter_takes_each_joint_in_its_own_time():
+    lift = controller(velocity_filter_cutoff=50.0, use_urdf_effort_limits=False)
+    lift.dynamics.set_friction(damping=1.0, coulomb=0.0)
+    for k, time in enumerate(np.arange(0.0, 0.08, 0.002)):
+        qd = np.array([0.0, 1.0 if k else 0.0])
+        seldom = State(np.zeros(2), qd, 0.0, np.array([0.0, time]))
+        command = lift.step(time, seldom, None)
+    assert command.efforts[1] - 10.0 == pytest.approx(1.0, abs=1e-6)
 
 
 def test_continuous_joints_go_the_short_way_round():

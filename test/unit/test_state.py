@@ -40,7 +40,8 @@ def test_comes_in_parts_and_is_as_old_as_the_oldest(collector):
     state = collector.state()
     assert state.q.tolist() == [1.0, 2.5, 3.0]
     assert state.time == 1.0
-    assert collector.older_than(2.0) == ['shoulder', 'wrist']
+    assert collector.stale(3.5, 1.0) == ['shoulder', 'wrist']
+    assert collector.stale(2.5, 2.0) == ['elbow']  # from the future
 
 
 def test_velocity_that_was_never_measured_is_zero_and_named(collector):
@@ -76,7 +77,8 @@ def test_tells_what_is_wrong_and_changes_nothing(collector, positions, velocitie
 
 
 def test_ignores_joints_of_no_concern_that_are_named_twice(collector):
-    collector.update(1.0, ['wheel', 'wheel', 'elbow'], [1.0, 2.0, 3.0], [])
+    assert collector.update(1.0, ['wheel', 'wheel', 'elbow'], [1.0, 2.0, 3.0], [])
+    assert not collector.update(1.0, ['wheel'], [1.0], [])
     assert collector.missing() == ['shoulder', 'wrist']
 
 
