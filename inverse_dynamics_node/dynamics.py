@@ -109,7 +109,7 @@ class InverseDynamics:
         self._R_ZL = columns.rotations_to_z(robot)
         self._payloads: dict[str, tuple[float, Floats, Floats]] = {}
         self._wrenches: dict[str, tuple[Floats, Floats]] = {}
-        self._base_motion = np.zeros((3, 3))
+        self._base_motion: Floats = np.zeros((3, 3))
         self.revision = 0
         self.set_gravity(gravity)
 

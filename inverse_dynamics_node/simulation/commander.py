@@ -110,7 +110,7 @@ class Commander(Node):
         super().__init__('commander')
         self.state: tuple[Floats, Floats, Floats] | None = None
         self.time = 0.0
-        self.desired = np.zeros(len(joint_names))
+        self.desired: Floats = np.zeros(len(joint_names))
         self.commands = 0
         self.brakes_on = True
         self._joint_names = joint_names
