@@ -127,6 +127,6 @@ def read_inertial(mass: float, com: ArrayLike, inertia: ArrayLike) -> tuple[floa
     largest = np.abs(moments).max()
     if np.abs(moments - moments.T).max() > 1e-6 * largest:
         raise ConfigurationError(f'inertia is {inertia!r}, expected a symmetric matrix')
-    if np.linalg.eigvalsh(moments).min() < -1e-9 * largest:
+    if np.min(np.linalg.eigvalsh(moments)) < -1e-9 * largest:
         raise ConfigurationError(f'inertia is {inertia!r}, expected no negative principal moment')
     return number, read_vector('com', com, 'm'), moments

@@ -165,12 +165,13 @@ def plan(robot: RobotModel, dynamics: InverseDynamics, start: Floats, moving: fl
     trajectory = Trajectory(start, np.zeros(count), frequency, moving)
     room = np.minimum(start - robot.lower, robot.upper - start)
     speed = STEEPEST_FADE / trajectory.fade + 2.0 * np.pi * frequency  # per unit of swing
-    swing = np.minimum.reduce(
+    swing = np.min(
         [
             np.where(slides(robot), LARGEST_SWING[1], LARGEST_SWING[0]),
             ROOM_USED * np.maximum(room, 0.0),
             SPEED_USED * robot.velocity_limits / speed,
-        ]
+        ],
+        axis=0,
     )
     if not swing.any():
         raise SimulationError('no joint can move: every <limit> leaves it no room or no speed')
@@ -193,4 +194,4 @@ def effort_used(robot: RobotModel, efforts: Floats) -> float:
     """Return the largest share of an effort limit that efforts of shape (..., n) take."""
     negligible = 1e-6  # [N m or N]: joints with no limit to speak of, and nothing to carry
     shares = abs(efforts) / np.maximum(robot.effort_limits, negligible)
-    return float(shares.max(initial=0.0))
+    return float(np.max(shares, initial=0.0))
