@@ -16,7 +16,15 @@ from robot_files import STANFORD
 pytest.importorskip('rclpy')
 pytest.importorskip('mujoco')
 
-from inverse_dynamics_node import load_urdf
+from geometry_msgs.msg import (
+    Inertia,
+    InertiaStamped,
+    Vector3,
+    Vector3Stamped,
+    Wrench,
+    WrenchStamped,
+)
+from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.simulation.commander import resolved_acceleration, Tracking
 from inverse_dynamics_node.simulation.demo import find_failures
 from inverse_dynamics_node.simulation.mujoco_robot import MujocoRobot
@@ -25,9 +33,10 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, Float64MultiArray
+from sensor_msgs.msg import Imu, JointState
+from std_msgs.msg import Bool, Float64MultiArray, Header
 
+IMU_ORIENTATION = (np.pi / 2, 0.0, np.pi / 2)
 PATIENCE = 90.0  # [s]; a demo that can do nothing gives up by itself before this
 MASSLESS = """
 <robot name="massless"><link name="base"/><link name="tip"/>
@@ -254,13 +263,87 @@ class TestRobotNode:
         assert not arm.robot.brakes_on
         arm.wait_until(lambda: arm.brakes == [True, False])
 
+    def test_load_push_and_tilt_are_felt(self, arm):
+        dynamics = InverseDynamics(arm.robot.robot)
+        q = arm.robot.state()[0]
+
+        arm.tell('payload', InertiaStamped(header=at('link_6'), inertia=Inertia(m=2.0)))
+        dynamics.set_payload('link_6', 2.0)
+        arm.wait_until(lambda: arm.balance(dynamics, q) < 1e-9)
+        wrench = Wrench(force=Vector3(x=3.0), torque=Vector3(z=0.5))
+        arm.tell('push', WrenchStamped(header=at('tool0'), wrench=wrench))
+        dynamics.set_external_wrench('tool0', (3.0, 0.0, 0.0), (0.0, 0.0, 0.5))
+        arm.wait_until(lambda: arm.balance(dynamics, q) < 1e-9)
+        arm.tell('tilt', Vector3Stamped(vector=Vector3(x=0.5)))
+        dynamics.set_gravity((0.0, -9.80665 * np.sin(0.5), -9.80665 * np.cos(0.5)))
+        arm.wait_until(lambda: arm.balance(dynamics, q) < 1e-9)
+
+    def test_load_on_a_link_that_is_not_there_changes_nothing(self, arm):
+        arm.tell('payload', InertiaStamped(header=at('nope'), inertia=Inertia(m=2.0)))
+        for _ in range(20):
+            arm.executor.spin_once(timeout_sec=0.01)
+        dynamics = InverseDynamics(arm.robot.robot)
+        assert arm.balance(dynamics, arm.robot.state()[0]) < 1e-9
+
+    def test_imu_feels_the_ground_and_the_turning(self, arm):
+        imus = []
+        arm.side.create_subscription(Imu, 'imu', imus.append, 1000)
+
+        def advance(seconds):
+            came = len(imus)
+            for _ in range(int(seconds / 0.05)):
+                arm.node.advance(0.05)
+            arm.wait_until(lambda: len(imus) >= came + int(seconds / 0.05))
+
+        arm.wait_until(lambda: arm.node.advance(0.002) or imus)
+        # The sensor's x axis is the base's y axis, its y axis looks up.
+        assert read(imus[-1].linear_acceleration) == pytest.approx([0.0, 9.80665, 0.0])
+        assert read(imus[-1].angular_velocity) == [0.0, 0.0, 0.0]
+        arm.tell('tilt', Vector3Stamped(vector=Vector3(y=0.5)))
+        before = len(imus)
+        arm.wait_until(lambda: arm.node.advance(0.05) or imus[-1].angular_velocity.x > 0.0)
+        advance(4.0)
+        assert 0.05 * sum(imu.angular_velocity.x for imu in imus[before:]) == pytest.approx(
+            0.5, abs=1e-3
+        )
+        cosine, sine = 9.80665 * np.cos(0.5), 9.80665 * np.sin(0.5)
+        assert read(imus[-1].linear_acceleration) == pytest.approx([0.0, cosine, -sine])
+
+    def test_without_sensors_joint_states_stop_and_brakes_go_on(self, arm):
+        def command_for(times):
+            for i in range(times):
+                arm.send_and_see([0.1 + 0.1 * i] * 6)
+                arm.node.advance(0.05)
+
+        arm.wait_until(lambda: arm.brakes == [True])
+        command_for(12)
+        arm.wait_until(lambda: arm.brakes == [True, False])
+        arm.tell('sensors', Bool(data=False))
+        arm.wait_until(lambda: arm.brakes == [True, False, True])
+        came = len(arm.states)
+        command_for(12)
+        assert len(arm.states) == came
+        assert arm.robot.brakes_on
+        arm.tell('sensors', Bool(data=True))
+        arm.wait_until(lambda: arm.node.advance(0.002) or len(arm.states) > came)
+        command_for(12)
+        assert not arm.robot.brakes_on
+
+
+def at(link):
+    return Header(frame_id=link)
+
+
+def read(vector):
+    return [vector.x, vector.y, vector.z]
+
 
 class Arm:
     """A simulated robot whose brakes open after half a second, and who commands it."""
 
     def __init__(self, context):
         self.robot = MujocoRobot(STANFORD, load_urdf(STANFORD), [0, 0, 0.5, 0, 0.5, 0])
-        self.node = RobotNode(self.robot, 0.5, context=context)
+        self.node = RobotNode(self.robot, 0.5, IMU_ORIENTATION, context=context)
         self.states, self.brakes = [], []
         self.side = Node('side', context=context)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -277,6 +360,18 @@ class Arm:
         self.executor.shutdown()
         self.side.destroy_node()
         self.node.destroy_node()
+
+    def tell(self, topic, message):
+        """Publish on a topic of the simulated robot's own."""
+        publisher = self.side.create_publisher(type(message), f'simulated_robot/{topic}', 10)
+        self.wait_until(lambda: publisher.get_subscription_count() > 0)
+        publisher.publish(message)
+
+    def balance(self, dynamics, q):
+        """Let time pass with brakes on; return by how much efforts and accelerations disagree."""
+        self.node.advance(0.05)
+        accelerations = self.robot.accelerations()
+        return abs(dynamics.efforts(q, np.zeros(len(q)), accelerations)).max()
 
     def send(self, efforts):
         self._commands.publish(Float64MultiArray(data=efforts))
