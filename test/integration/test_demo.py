@@ -25,8 +25,7 @@ from geometry_msgs.msg import (
     WrenchStamped,
 )
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.simulation.commander import resolved_acceleration, Tracking
-from inverse_dynamics_node.simulation.demo import find_failures
+from inverse_dynamics_node.simulation.commander import resolved_acceleration
 from inverse_dynamics_node.simulation.mujoco_robot import MujocoRobot
 from inverse_dynamics_node.simulation.robot import RobotNode
 from rclpy.context import Context
@@ -168,36 +167,6 @@ class TestDemo:
         assert code == 1
         assert f'demo: {name} ended early, with exit code -9' in output
         assert all(map(is_gone, children))
-
-
-class TestVerdict:
-    def tracking(self, moving=0.001, rest=0.0001):
-        return Tracking(1.0, 2.0, np.array([moving, 0.0]), np.array([rest, 0.0]))
-
-    def test_within_the_limits_nothing_is_wrong(self):
-        assert find_failures(('a', 'b'), self.tracking(), 499.0, 500.0) == []
-
-    @pytest.mark.parametrize(
-        ('tracking', 'rate', 'words'),
-        [
-            ({'moving': 0.011}, 500.0, "joint 'a' was 11.00 mrad or mm off moving"),
-            ({'rest': 0.0011}, 500.0, "joint 'a' was 1.10 mrad or mm off at rest"),
-            ({'rest': float('nan')}, 500.0, 'off at rest'),
-            ({}, 489.0, '489.0 commands/s came'),
-            ({}, 511.0, '511.0 commands/s came'),
-            ({}, float('nan'), 'nan commands/s came'),
-        ],
-    )
-    def test_each_limit_missed_is_told(self, tracking, rate, words):
-        (failure,) = find_failures(('a', 'b'), self.tracking(**tracking), rate, 500.0)
-        assert words in failure
-
-    def test_errors_between_motion_and_rest_do_not_count(self):
-        tracking = Tracking(1.0, 2.0, np.array([np.nan]), np.array([np.nan]))
-        for time_, error in [(0.5, -0.1), (0.6, 0.05), (1.5, 9.0), (2.5, 0.02), (2.6, -0.03)]:
-            tracking.record(time_, np.array([error]))
-        assert tracking.moving_error == pytest.approx([0.1])
-        assert tracking.rest_error == pytest.approx([0.03])
 
 
 def test_resolved_acceleration_brings_an_error_to_zero():
