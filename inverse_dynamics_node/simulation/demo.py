@@ -66,17 +66,21 @@ def run(options: argparse.Namespace, stopped: Callable[[], bool]) -> bool:
     start = start_pose(robot, InverseDynamics(robot))
     stage = Stage(urdf, robot, start, options.duration, options.link)
     script = scenario.prepare(stage)  # fails early if nothing can move
-    with running(_commands(urdf, scenario, options)) as processes:
+    view = View(robot, f'{robot.name}: {options.scenario}')
+    log = view.log if view.is_live else None  # or lines would go through the table
+    with running(_commands(urdf, scenario, options), log) as processes:
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         act = Run(robot, scenario, processes, stopped)
         try:
-            return _perform(act, script, stage, options)
+            return _perform(act, script, stage, view, options)
         finally:
             act.close()
             rclpy.shutdown()
 
 
-def _perform(act: Run, script: Script, stage: Stage, options: argparse.Namespace) -> bool:
+def _perform(
+    act: Run, script: Script, stage: Stage, view: View, options: argparse.Namespace
+) -> bool:
     scenario, history = SCENARIOS[options.scenario], act.commander.history
     recorder = None
     if options.record:
@@ -85,7 +89,6 @@ def _perform(act: Run, script: Script, stage: Stage, options: argparse.Namespace
         recorder = Recorder(act.commander, topics_of(scenario, script), latched=('brakes',))
     print(f'waiting for robot and node: {stage.urdf}', flush=True)
     act.wait_until_ready()
-    view = View(stage.robot, f'{stage.robot.name}: {options.scenario}')
     with view.open():
         rate = act.perform(script, stage.duration, view)
     if options.scenario == 'track':

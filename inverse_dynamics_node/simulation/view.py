@@ -78,7 +78,7 @@ class View:
     @contextmanager
     def open(self) -> Iterator[None]:
         """Draw on the terminal for as long as this lasts; what was drawn last stays."""
-        if not self._console.is_terminal:
+        if not self.is_live:
             yield
             return
         with Live(console=self._console, auto_refresh=False) as self._live:
@@ -87,12 +87,12 @@ class View:
     @property
     def is_due(self) -> bool:
         """Whether it is time to draw again; lines are due with the run's own seconds."""
-        return self._live is not None and time.monotonic() >= self._due
+        return self.is_live and time.monotonic() >= self._due
 
     @property
     def is_live(self) -> bool:
         """Whether a terminal shows it as it goes."""
-        return self._live is not None
+        return self._console.is_terminal
 
     def draw(self, moment: Moment) -> None:
         """Draw how things stand, over what was drawn before."""
@@ -127,6 +127,10 @@ class View:
                 bar(share, 0.7, 0.9),
             )
         return Group(head, Text(moment.words, 'yellow'), table)
+
+    def log(self, line: str) -> None:
+        """Print a line of a log above the table; from any thread."""
+        self._console.print(line, style='bright_black', highlight=False, markup=False)
 
     def tell(self, time_: float, words: str) -> None:
         """Say in a line what happens; live, it stands above the table anyway."""
