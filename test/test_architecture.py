@@ -30,6 +30,7 @@ ARROWS = {
         'errors',
     },
     'specialise': {'newton_euler', 'dynamics', 'table', 'compilation', 'model'},
+    'trajectory': {'dynamics', 'model', 'errors'},
     'state': {'model', 'errors'},
     'controller': {'dynamics', 'state', 'model', 'errors'},
     'node': {'controller', 'state', 'dynamics', 'urdf', 'model', 'errors'},
