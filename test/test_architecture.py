@@ -31,6 +31,8 @@ ARROWS = {
     },
     'specialise': {'newton_euler', 'dynamics', 'table', 'compilation', 'model'},
     'trajectory': {'dynamics', 'model', 'errors'},
+    'loads': {'dynamics', 'arguments', 'model', 'errors'},
+    'residual': {'dynamics', 'model'},
     'state': {'model', 'errors'},
     'controller': {'dynamics', 'state', 'model', 'errors'},
     'node': {'controller', 'state', 'dynamics', 'urdf', 'model', 'errors'},
