@@ -112,6 +112,7 @@ class Commander(Node):
         self._trajectory: Trajectory | None = None
         self._began: int | None = None
         self._heard = math.inf
+        self._now = 0.0
         self._told: dict[str, Any] = {}
         self._ask = self._asker(asks_for)
         self.create_subscription(JointState, 'joint_states', self._on_state, NEWEST)
@@ -138,14 +139,15 @@ class Commander(Node):
         return [t for t, told in self._told.items() if not told.get_subscription_count()]
 
     def tell(self, topic: str, message: Any) -> None:
-        """Publish a message, where `will_tell` has prepared for it, with a fresh stamp."""
+        """Publish a message, with the stamp of the newest joint state if it has any."""
         if hasattr(message, 'header'):
-            message.header.stamp = self.get_clock().now().to_msg()
+            message.header.stamp = self._stamp
         self._told[topic].publish(message)
 
     def follow(self, trajectory: Trajectory) -> None:
         """Track a trajectory from the next joint state on."""
         self._began = None
+        self._now = self.time = 0.0
         self._trajectory = trajectory
 
     @property
@@ -155,8 +157,10 @@ class Commander(Node):
 
     @property
     def now(self) -> float:
-        """Since the trajectory began [s]; also while no joint states come."""
-        return self.time + (self.silence if self.silence > SILENT else 0.0)
+        """Since the trajectory began [s]; also while no joint states come; it never goes back."""
+        waited = self.silence if self.silence > SILENT else 0.0
+        self._now = max(self._now, self.time + waited)
+        return self._now
 
     def _asker(self, asks_for: str) -> Callable[[tuple[Floats, Floats, Floats]], None]:
         """Return what to do with a sample of the trajectory."""

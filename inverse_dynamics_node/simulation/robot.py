@@ -90,7 +90,7 @@ class RobotNode(Node):
         self._brake_release = brake_release
         self._last_command = -math.inf
         self._flow_began = -math.inf
-        self._began = self.get_clock().now().nanoseconds
+        self._began: int | None = None
         self._elapsed = 0.0
         self._complaint = ''
         self._state = JointState(name=robot.state_names)
@@ -117,6 +117,8 @@ class RobotNode(Node):
         self._robot.world.set_base_motion(*self._tilt.motion(self._elapsed))
         self._robot.advance(duration)
         self._elapsed += duration
+        if self._began is None:
+            self._began = self.get_clock().now().nanoseconds
         # Stamps count simulated time: after a stall of the machine they tell when the state was
         # true for the robot, not when the machine got round to it.
         stamp = Time(nanoseconds=self._began + round(self._elapsed * 1e9)).to_msg()

@@ -32,8 +32,8 @@ class Verdict:
 
 
 def small(value: float) -> str:
-    """Write a distance of a joint that turns or slides."""
-    return f'{1000.0 * value:.3g} mrad or mm'
+    """Write what a joint that turns or slides was off at most; nobody asks for more than 1e-6."""
+    return f'{1000.0 * value:.3g} mrad or mm' if value >= 1e-6 else '0.001 mrad or mm'
 
 
 def judge(words: str, *checks: tuple[bool, str]) -> Verdict:
@@ -103,7 +103,7 @@ def judge_push(
     given = float(history.largest_error(began, ended).max())
     return judge(
         f'{np.linalg.norm(force):.3g} N at {link!r} moved a joint by {small(given)}, '
-        f'and was found within {off:.1%} of -J^T F (up to {size:.3g} N m or N)',
+        f'and was found within {100.0 * off:.2g} % of -J^T F (up to {size:.3g} N m or N)',
         (off <= CONTACT_LIMIT, f'the push was found {off:.1%} off, limit {CONTACT_LIMIT:.0%}'),
         (
             noise <= CONTACT_LIMIT,
