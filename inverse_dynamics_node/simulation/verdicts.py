@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from ..model import Floats
 from .history import History
 from .stage import Stage
+from .trajectory import slides
 
 MOVING_LIMIT, REST_LIMIT = 0.010, 0.001  # [rad or m]
 RATE_LIMIT = 0.02  # share of the rate asked for
@@ -31,9 +33,20 @@ class Verdict:
         return f'PASSED: {self.words}'
 
 
-def small(value: float) -> str:
-    """Write what a joint that turns or slides was off at most; nobody asks for more than 1e-6."""
-    return f'{1000.0 * value:.3g} mrad or mm' if value >= 1e-6 else '0.001 mrad or mm'
+class Distance(NamedTuple):
+    """How far off the joint was that was furthest off."""
+
+    value: float
+    """[rad or m]; NaN where nothing was measured."""
+    words: str
+
+
+def worst(stage: Stage, errors: Floats) -> Distance:
+    """Find the largest of n errors, shape (n,) [rad or m]."""
+    i = int(np.argmax(errors))  # NaN counts as the largest
+    unit = 'mm' if slides(stage.robot)[i] else 'mrad'
+    # Nobody asks for less than a thousandth of it.
+    return Distance(float(errors[i]), f'{max(1000.0 * float(errors[i]), 0.001):.3g} {unit}')
 
 
 def judge(words: str, *checks: tuple[bool, str]) -> Verdict:
@@ -59,27 +72,27 @@ def find_failures(
 
 def judge_hold(stage: Stage, history: History) -> Verdict:
     """Judge an arm of which nobody asks anything: it must not move."""
-    moved = float(history.largest_error(0.0, stage.duration).max())
+    moved = worst(stage, history.largest_error(0.0, np.inf))
     return judge(
-        f'no joint moved by more than {small(moved)}, limit {small(REST_LIMIT)}',
-        (moved <= REST_LIMIT, f'a joint moved by {small(moved)}, limit {small(REST_LIMIT)}'),
+        f'no joint moved by more than {moved.words}',
+        (moved.value <= REST_LIMIT, f'a joint moved by {moved.words}'),
     )
 
 
 def judge_payload(stage: Stage, history: History, picked_up: float, told: float) -> Verdict:
     """Judge a load: unknown it shows as an error, which goes when the node is told."""
-    before = float(history.largest_error(0.0, picked_up).max())
-    unknown = float(history.largest_error(picked_up, told).max())
-    known = float(history.largest_error(told + SETTLED, stage.duration).max())
-    factor = unknown / known
+    before = worst(stage, history.largest_error(0.0, picked_up))
+    unknown = worst(stage, history.largest_error(picked_up, told))
+    known = worst(stage, history.largest_error(told + SETTLED, np.inf))
+    factor = unknown.value / known.value
     return judge(
-        f'the load put a joint {small(unknown)} off, told of it the node kept all within '
-        f'{small(known)}: {factor:.0f} times better',
-        (before <= MOVING_LIMIT, f'{small(before)} off before there was a load'),
-        (known <= MOVING_LIMIT, f'{small(known)} off although the node knew the load'),
+        f'the load put a joint {unknown.words} off; told of it, the node kept all within '
+        f'{known.words}: {factor:.0f} times better',
+        (before.value <= MOVING_LIMIT, f'{before.words} off before there was a load'),
+        (known.value <= MOVING_LIMIT, f'{known.words} off although the node knew the load'),
         (
             factor >= LEAST_FACTOR,
-            f'telling the load made {small(unknown)} to {small(known)}: {factor:.1f} times '
+            f'telling the load made {unknown.words} to {known.words}: {factor:.1f} times '
             f'better, expected {LEAST_FACTOR:g}',
         ),
     )
@@ -91,7 +104,6 @@ def judge_push(
     """Judge a push: it shows at every joint as what must make up for it, until it ends."""
     window = began + SETTLED, ended
     rows, states = history.external.between(*window), history.states.between(*window)
-    after = float(history.largest_error(ended + SETTLED, stage.duration).max())
     if not len(rows) or not len(states):
         return Verdict('', ('the node told nothing of external efforts',))
     found = np.mean(rows, axis=0)
@@ -100,16 +112,14 @@ def judge_push(
     off = float(np.nanmax(np.abs(found - expected))) / size
     quiet = history.external.between(0.0, began)
     noise = float(np.nanmax(np.abs(quiet), initial=0.0)) / size
-    given = float(history.largest_error(began, ended).max())
+    given = worst(stage, history.largest_error(began, ended))
+    after = worst(stage, history.largest_error(ended + SETTLED, np.inf))
     return judge(
-        f'{np.linalg.norm(force):.3g} N at {link!r} moved a joint by {small(given)}, '
-        f'and was found within {100.0 * off:.2g} % of -J^T F (up to {size:.3g} N m or N)',
+        f'{np.linalg.norm(force):.3g} N at {link!r} moved a joint by {given.words}, and was found '
+        f'within {100.0 * off:.2g} % of -J^T F (up to {size:.3g} N m or N)',
         (off <= CONTACT_LIMIT, f'the push was found {off:.1%} off, limit {CONTACT_LIMIT:.0%}'),
-        (
-            noise <= CONTACT_LIMIT,
-            f'contact of {noise:.1%} of the push was seen before there was any',
-        ),
-        (after <= REST_LIMIT, f'{small(after)} off after the push'),
+        (noise <= CONTACT_LIMIT, f'{noise:.1%} of the push was seen before there was any'),
+        (after.value <= REST_LIMIT, f'{after.words} off after the push'),
     )
 
 
@@ -117,15 +127,15 @@ def judge_tilt(
     stage: Stage, history: History, settled: float, without: tuple[Floats, Floats]
 ) -> Verdict:
     """Judge a base that tilts: it must not move the arm."""
-    moved = float(history.largest_error(0.0, stage.duration).max())
-    rest = float(history.largest_error(settled, stage.duration).max())
-    would_have = float(np.max(np.abs(without[1])))
+    moved = worst(stage, history.largest_error(0.0, np.inf))
+    rest = worst(stage, history.largest_error(settled, np.inf))
+    lesser = worst(stage, np.max(np.abs(without[1]), axis=0))
     return judge(
-        f'within {small(moved)} while the base tilted, {small(rest)} at rest; without the IMU it '
-        f'would have been {small(would_have)}',
-        (moved <= MOVING_LIMIT, f'{small(moved)} off while the base tilted'),
-        (rest <= REST_LIMIT, f'{small(rest)} off on the tilted base'),
-        (would_have >= LEAST_FACTOR * moved, f'without the IMU it is {small(would_have)} only'),
+        f'within {moved.words} while the base tilted, {rest.words} at rest; without the IMU it '
+        f'would have been {lesser.words}',
+        (moved.value <= MOVING_LIMIT, f'{moved.words} off while the base tilted'),
+        (rest.value <= REST_LIMIT, f'{rest.words} off on the tilted base'),
+        (lesser.value >= LEAST_FACTOR * moved.value, f'without the IMU: {lesser.words} only'),
     )
 
 
@@ -139,15 +149,15 @@ def judge_sensor_lost(stage: Stage, history: History, lost: float, back: float) 
     is_zero = (times > lost) & (np.max(np.abs(rows), axis=1, initial=0.0) == 0.0)
     zero_after = float(times[is_zero][0]) - lost if is_zero.any() else np.nan
     brakes = [bool(on) for on in history.brakes.rows]
-    moved = float(history.largest_error(0.0, stage.duration).max())
-    end = float(history.largest_error(stage.duration - 1.0, stage.duration).max())
+    moved = worst(stage, history.largest_error(0.0, np.inf))
+    end = worst(stage, history.largest_error(stage.duration - 1.0, np.inf))
     return judge(
-        f'efforts were zero {zero_after:.2f} s after the last joint state, brakes held; moved by '
-        f'{small(moved)} in all, {small(end)} off in the end',
+        f'efforts were zero {zero_after:.2f} s after the last joint state, and brakes held; moved '
+        f'by {moved.words} in all, {end.words} off in the end',
         (before > 0.0, 'there were no efforts to begin with'),
         (len(commands) > 0, 'the node fell silent when joint states stopped'),
         (left == 0.0, f'efforts of up to {left:.3g} N m or N {STOPPED:g} s after the last state'),
-        (brakes == [True, False], f'brakes on, expected on and open again, went {brakes}'),
-        (moved <= MOVING_LIMIT, f'{small(moved)} off on the way'),
-        (end <= REST_LIMIT, f'{small(end)} off in the end'),
+        (brakes == [True, False], f'brakes should go on and open again, they went {brakes}'),
+        (moved.value <= MOVING_LIMIT, f'{moved.words} off on the way'),
+        (end.value <= REST_LIMIT, f'{end.words} off in the end'),
     )

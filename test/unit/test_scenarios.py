@@ -140,8 +140,8 @@ class TestVerdicts:
         ('errors', 'words'),
         [
             ((0.001, 0.2, 0.001), ''),
-            ((0.02, 0.2, 0.001), '20 mrad or mm off before'),
-            ((0.001, 0.2, 0.02), '20 mrad or mm off although'),
+            ((0.02, 0.2, 0.001), '20 mrad off before'),
+            ((0.001, 0.2, 0.02), '20 mrad off although'),
             ((0.001, 0.001, 0.001), '1.0 times better'),
         ],
     )
@@ -178,7 +178,7 @@ class TestVerdicts:
     )
     def test_tilt(self, stage, errors, count):
         history = history_of(stage, (7.0, errors[0]), (99.0, errors[1]))
-        without = np.arange(2.0), np.array([[0.0], [0.2]])
+        without = np.arange(2.0), np.outer([0.0, 0.2], np.ones(6))
         verdict = verdicts.judge_tilt(stage, history, 7.0, without)
         assert len(verdict.failures) == count
 
