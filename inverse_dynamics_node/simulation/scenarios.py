@@ -230,7 +230,7 @@ def sensor_lost(stage: Stage) -> Script:
 _COMPUTED_TORQUE = {'mode': 'computed_torque', 'kp': str(KP), 'kd': str(KD)}
 # The simulated hardware shares the machine with all else that runs there: it may stall for longer
 # than real hardware does.
-_PATIENT = {**_COMPUTED_TORQUE, 'state_timeout': '0.5'}
+_PATIENT = {'state_timeout': '0.5'}
 SCENARIOS = {
     'track': Scenario(
         'follow a trajectory by resolved accelerations', track, 'accelerations', least_duration=2.0
@@ -239,19 +239,24 @@ SCENARIOS = {
         'gravity compensation: the arm stays where it is',
         hold,
         '',
-        {'mode': 'gravity_compensation'},
+        {'mode': 'gravity_compensation', **_PATIENT},
         least_duration=2.0,
     ),
     'payload': Scenario(
         'pick up a load: an error that goes when the node is told',
         payload,
-        parameters=_PATIENT,
+        parameters={**_COMPUTED_TORQUE, **_PATIENT},
     ),
-    'push': Scenario('a push by hand, and how the node feels it', push, parameters=_PATIENT),
+    'push': Scenario(
+        'a push by hand, and how the node feels it',
+        push,
+        parameters={**_COMPUTED_TORQUE, **_PATIENT},
+    ),
     'tilt': Scenario(
         'the base tilts, an IMU tells the node',
         tilted,
         parameters={
+            **_COMPUTED_TORQUE,
             **_PATIENT,
             'base_motion': 'imu',
             'imu_orientation': str(list(IMU_ORIENTATION)),

@@ -116,7 +116,7 @@ def judge_push(
     after = worst(stage, history.largest_error(ended + SETTLED, np.inf))
     return judge(
         f'{np.linalg.norm(force):.3g} N at {link!r} moved a joint by {given.words}, and was found '
-        f'within {100.0 * off:.2g} % of -J^T F (up to {size:.3g} N m or N)',
+        f'within {max(100.0 * off, 0.01):.2g} % of -J^T F (up to {size:.3g} N m or N)',
         (off <= CONTACT_LIMIT, f'the push was found {off:.1%} off, limit {CONTACT_LIMIT:.0%}'),
         (noise <= CONTACT_LIMIT, f'{noise:.1%} of the push was seen before there was any'),
         (after.value <= REST_LIMIT, f'{after.words} off after the push'),
