@@ -360,3 +360,15 @@ def test_enable_needs_an_active_node(run_node, robot):
     answer = robot.call(SetBool, 'enable', SetBool.Request(data=True))
     assert not answer.success
     assert 'not active' in answer.message
+
+
+def test_a_shape_without_mass_can_be_refused(run_node, tmp_path):
+    text = STANFORD.read_text()
+    start = text.index('<inertial>', text.index('link name="link_3"'))
+    end = text.index('</inertial>', start) + len('</inertial>')
+    path = tmp_path / 'hollow.urdf'
+    path.write_text(f'{text[:start]}<visual/>{text[end:]}')
+    settings = {**PATIENT, 'robot_description_file': path}
+    node = run_node(**settings, on_missing_inertial='refuse')
+    assert node.wait() == 1
+    assert "link 'link_3' has a shape, but no <inertial>" in node.output
