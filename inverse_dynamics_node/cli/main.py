@@ -8,15 +8,16 @@ import os
 import sys
 
 from ..errors import InverseDynamicsError
-from . import check, demo
+from . import check, demo, effort
 
-COMMANDS = (check, demo)
+COMMANDS = (check, effort, demo)
 """Each has add_parser(subparsers), which sets the default `run`: options to exit code."""
 
 EPILOG = """\
 examples:
   inverse_dynamics check my_arm.urdf
-  inverse_dynamics check --help
+  inverse_dynamics effort my_arm.urdf trajectory.yaml --payload 1.5 --link tool0
+  inverse_dynamics effort --help
 
 The node itself is started by `inverse_dynamics_node`, or `ros2 run inverse_dynamics_node
 inverse_dynamics_node`."""
