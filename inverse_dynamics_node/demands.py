@@ -10,6 +10,9 @@ from .dynamics import InverseDynamics, Terms
 from .model import Booleans, Floats
 from .trajectory import Trajectory, whole_states
 
+_ROUNDING = 1e-6
+"""A limit is not exceeded by what a file with six digits rounds away."""
+
 
 class Demands(NamedTuple):
     """Efforts at k times of a trajectory of m joints, and what follows from them."""
@@ -93,10 +96,12 @@ def demands_of(
         braking=np.max(-power, axis=0, initial=0.0),
         effort_limits=robot.effort_limits[index],
         velocity_limits=robot.velocity_limits[index],
-        is_too_strong=np.abs(peak) > robot.effort_limits[index],
-        is_too_fast=speed > robot.velocity_limits[index],
+        is_too_strong=np.abs(peak) > robot.effort_limits[index] * (1.0 + _ROUNDING),
+        is_too_fast=speed > robot.velocity_limits[index] * (1.0 + _ROUNDING),
         is_too_far=np.any(
-            (positions < robot.lower[index]) | (positions > robot.upper[index]), axis=0
+            (positions < robot.lower[index] - _ROUNDING)
+            | (positions > robot.upper[index] + _ROUNDING),
+            axis=0,
         ),
     )
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from importlib import import_module
 import os
 import sys
 
 from ..errors import InverseDynamicsError
-from . import check, demo, effort
 
-COMMANDS = (check, effort, demo)
-"""Each has add_parser(subparsers), which sets the default `run`: options to exit code."""
+COMMANDS = ('check', 'effort', 'demo')
+"""Modules here. Each has add_parser(subparsers), which sets `run`: from options to exit code."""
 
 EPILOG = """\
 examples:
@@ -54,7 +54,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(arguments: list[str]) -> int:
     if arguments[:1] == ['demo']:  # whose arguments are its own, --help too
-        return demo.main(arguments[1:])
+        from .demo import main as run_demo
+
+        return run_demo(arguments[1:])
     options = _parser().parse_args(arguments)
     code: int = options.run(options)
     return code
@@ -69,7 +71,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     subparsers = parser.add_subparsers(title='commands', metavar='COMMAND', required=True)
     for command in COMMANDS:
-        command.add_parser(subparsers)
+        # Here, for it takes most of a second: an interrupt in it is to end quietly too.
+        import_module(f'.{command}', __package__).add_parser(subparsers)
     return parser
 
 
