@@ -71,7 +71,8 @@ class JointStateCollector:
                 raise ConfigurationError(f"locked position of joint '{name}' is {position}")
             self.q[self._index[name]] = position
             self.times[self._index[name]] = _LONG_AGO
-        self._is_free = self.times == -math.inf
+        self.is_free = self.times == -math.inf
+        """Which joints count only where they are heard to be, shape (n,)."""
 
     def update(
         self,
@@ -130,8 +131,30 @@ class JointStateCollector:
 
     def state(self) -> State | None:
         """Return what is known, or None as long as a joint has not been heard from."""
-        time = float(self.times.min(initial=math.inf, where=self._is_free))
+        time = float(self.times.min(initial=math.inf, where=self.is_free))
         return None if time == -math.inf else State(self.q, self.qd, time, self.times)
+
+    def check_free(self, names: Sequence[str]) -> None:
+        """
+        Refuse joints that count where they are said to be.
+
+        Raises
+        ------
+        ConfigurationError
+            If one of them does.
+
+        """
+        for name in names:
+            if not self.is_free[self._index[name]]:
+                raise ConfigurationError(f"joint '{name}' is both commanded and locked")
+
+    def take_over(self, other: JointStateCollector) -> None:
+        """Take over all that another has heard of the same joints."""
+        for name, i in self._index.items():
+            k = other._index.get(name)
+            if k is not None and other.times[k] > _LONG_AGO:
+                self.q[i], self.qd[i], self.times[i] = other.q[k], other.qd[k], other.times[k]
+                self.efforts[i], self._has_velocity[i] = other.efforts[k], other._has_velocity[k]
 
     def missing(self) -> list[str]:
         """Name the joints never heard from."""
@@ -140,7 +163,7 @@ class JointStateCollector:
     def stale(self, now: float, timeout: float) -> list[str]:
         """Name the joints last heard from too long ago, or before a clock was put back [s]."""
         age = now - self.times
-        is_stale = self._is_free & ~((age >= 0.0) & (age <= timeout))
+        is_stale = self.is_free & ~((age >= 0.0) & (age <= timeout))
         return [self.joint_names[i] for i in np.flatnonzero(is_stale)]
 
     def unseen(self) -> list[str]:
