@@ -92,7 +92,7 @@ class View:
     @property
     def is_live(self) -> bool:
         """Whether a terminal shows it as it goes."""
-        return self._console.is_terminal
+        return bool(self._console.is_terminal)
 
     def draw(self, moment: Moment) -> None:
         """Draw how things stand, over what was drawn before."""
@@ -112,7 +112,7 @@ class View:
             *(('joint', 'left'), ('position', 'right'), ('desired', 'right')),
             *(('error', 'right'), ('', 'left'), ('effort', 'right'), ('of its limit', 'left')),
         ):
-            table.add_column(name, justify=side, no_wrap=True)  # type: ignore[arg-type]
+            table.add_column(name, justify=side, no_wrap=True)
         limits = self._robot.effort_limits
         for i, (name, units) in enumerate(zip(self._robot.joint_names, self._units, strict=True)):
             q, desired, effort = moment.q[i], moment.desired[i], moment.effort[i]
