@@ -46,7 +46,7 @@ class Recorder:
     ) -> None:
         self._messages: dict[str, list[tuple[int, bytes]]] = {}
         self._types: dict[str, str] = {}
-        self._latest = 0
+        self.latest = 0  # stamp of the newest joint state [ns]
         for topic, type_ in topics.items():
             name = node.resolve_topic_name(topic)
             self._messages[name] = []
@@ -63,12 +63,17 @@ class Recorder:
             if has_header:
                 stamp = stamp_of(data)
                 if name == self._joint_states:
-                    self._latest = stamp
+                    self.latest = stamp
             else:
-                stamp = self._latest or time.time_ns()
+                stamp = self.latest or time.time_ns()
             messages.append((stamp, data))
 
         return keep
+
+    @property
+    def count(self) -> int:
+        """How many messages there are so far."""
+        return sum(map(len, self._messages.values()))
 
     def write(self, folder: str | Path, storage: str = 'mcap') -> int:
         """
