@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 
 WIDTH, DPI = 9.0, 100  # [inch]: 900 pixels
 MOST_POINTS = 1500
+LEAST_ERROR = 0.01  # [mrad, mm]: less is nothing, however large a picture may make it
 COLOURS = matplotlib.colormaps['tab10'].colors  # type: ignore[attr-defined]
 SHADES = ('#ffffff', '#fff1d6', '#e3f2e1', '#e8ecf7')
 
@@ -82,6 +83,8 @@ def _errors(axes: Any, robot: RobotModel, script: Script, history: History) -> N
         axes.plot([], [], color='gray', lw=1.4, label='with it')
         axes.legend(loc='upper left', fontsize=9)
     axes.set_ylabel('error [mrad, mm]')
+    axes.update_datalim([(0.0, -LEAST_ERROR), (0.0, LEAST_ERROR)])
+    axes.autoscale_view()
 
 
 def _efforts(axes: Any, robot: RobotModel, script: Script, history: History) -> None:

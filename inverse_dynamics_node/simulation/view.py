@@ -135,7 +135,7 @@ class View:
     def tell(self, time_: float, words: str) -> None:
         """Say in a line what happens; live, it stands above the table anyway."""
         if not self.is_live:
-            print(f'\nt = {time_:.1f} s   {words}', flush=True)
+            print(f'\n{time_:.1f} s: {words}', flush=True)
 
     def print_progress(self, moment: Moment) -> None:
         """Print where the joints are, should be, and the efforts that take them there."""
