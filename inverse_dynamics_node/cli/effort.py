@@ -241,6 +241,7 @@ def demand_tables(robot: RobotModel, fine: Trajectory, demands: Demands) -> list
             'What the efforts are made of (RMS)',
             ('joint', *_TERMS, 'all'),
             tuple(parts),
+            ('inertia: of accelerations; velocity: Coriolis and centrifugal',),
         ),
     ]
 
