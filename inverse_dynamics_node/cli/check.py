@@ -25,7 +25,7 @@ from ..report import (
 )
 from ..urdf import load_urdf
 from ..workspace import explore, last_link, Payload, payload_left, SAMPLES, Workspace
-from .console import progress, show, show_concerns
+from .console import progress, show, show_concerns, waiting
 
 EPILOG = """\
 examples:
@@ -88,8 +88,9 @@ def _sample_count(text: str) -> int:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
-    robot = load_urdf(options.urdf)
-    dynamics = InverseDynamics(robot, options.gravity)
+    with waiting('loading; the first time compiles for some seconds'):
+        robot = load_urdf(options.urdf)
+        dynamics = InverseDynamics(robot, options.gravity)
     show(*model_tables(dynamics))
     concerns = concerns_of(robot)
     if robot.joint_names:

@@ -18,7 +18,7 @@ from ..report import decimals, effort_unit, number, share, slides, Table
 from ..trajectory import complete, refine, Trajectory
 from ..urdf import load_urdf
 from ..workspace import joint_ranges, last_link
-from .console import progress, show
+from .console import progress, show, waiting
 from .trajectories import FORMATS, read_trajectory, Source
 from .trajectory_files import write_table, write_trajectory
 
@@ -107,8 +107,9 @@ def add_parser(subparsers: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
-    robot = load_urdf(options.urdf)
-    dynamics = InverseDynamics(robot, options.gravity)
+    with waiting('loading; the first time compiles for some seconds'):
+        robot = load_urdf(options.urdf)
+        dynamics = InverseDynamics(robot, options.gravity)
     if options.payload:
         mass, *com = options.payload
         dynamics.set_payload(options.link or last_link(robot), mass, com or (0.0, 0.0, 0.0))
@@ -253,4 +254,4 @@ def _marks(demands: Demands, k: int) -> str:
         (demands.is_too_far[k], 'position'),
     )
     beyond = [what for is_beyond, what in marks if is_beyond]
-    return f'beyond its limit: {", ".join(beyond)}' if beyond else ''
+    return f'beyond: {", ".join(beyond)}' if beyond else ''

@@ -46,11 +46,8 @@ def test_the_gallery_shows_every_picture_it_has():
     names = re.findall(r'\]\(images/(\w+\.png)\)', GALLERY)
     assert {'check.png', 'effort.png'} <= set(names)
     assert all((ROOT / 'doc' / 'images' / name).exists() for name in names)
-    assert all((ROOT / 'doc' / path).resolve().exists() for path in links())
-
-
-def links():
-    return list(re.findall(r'\]\(([^)#:]+)\)', GALLERY))
+    links = re.findall(r'\]\(([^)#:]+)\)', GALLERY)
+    assert all((ROOT / 'doc' / link).resolve().exists() for link in links)
 
 
 def same(word, found):

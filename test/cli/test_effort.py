@@ -137,7 +137,7 @@ def test_strict_fails_beyond_a_limit(write, capsys):
     path = str(write(LISTS.replace('0.5, 1]', '0.05, 0.1]')))
     arguments = ['effort', str(STANFORD), path, '--no-picture']
     assert main(arguments) == 0
-    assert 'beyond its limit: effort, speed' in capsys.readouterr().out
+    assert 'beyond: effort, speed' in capsys.readouterr().out
     assert main([*arguments, '--strict']) == 3
     slow = str(write(LISTS.replace('0.5, 1]', '5, 10]')))
     assert main(['effort', str(STANFORD), slow, '--no-picture', '--strict']) == 0
@@ -264,6 +264,12 @@ def test_reads_csv_by_its_header(write):
     assert trajectory.velocities.tolist() == [[3.0, 4.0], [4.0, 5.0]]
     assert trajectory.accelerations is None
     assert remarks == ('columns not used: note',)
+
+
+def test_positions_may_be_called_so(write):
+    trajectory, remarks = read(write('time,joint_1.position,joint_1.effort\n0,1,2\n', 'a.csv'))
+    assert trajectory.positions.tolist() == [[1.0]]
+    assert remarks == ('columns not used: joint_1.effort',)
 
 
 @pytest.mark.parametrize(

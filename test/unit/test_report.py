@@ -1,6 +1,6 @@
 """What the report says of a robot, and that it stays readable."""
 
-from inverse_dynamics_node.advice import advise
+from inverse_dynamics_node.advice import ADVICE, advise
 from inverse_dynamics_node.dynamics import InverseDynamics
 from inverse_dynamics_node.errors import ConfigurationError, JointStateError, UrdfError
 from inverse_dynamics_node.report import (
@@ -111,6 +111,14 @@ def test_stays_within_its_width_and_advises_on_every_warning(path):
     text = report_of(robot, joints=robot.joint_names[::-1], q=np.zeros(len(robot.joint_names)))
     assert max(map(len, text.splitlines())) <= WIDTH
     assert all('look at that line' not in concern.advice for concern in advise(robot.warnings))
+
+
+def test_advice_is_on_warnings_that_there_are():
+    folder = ROOT / 'inverse_dynamics_node' / 'urdf'
+    code = ' '.join(path.read_text() for path in folder.glob('*.py'))
+    code += code.replace('{name}', 'effort') + code.replace('{name}', 'velocity')
+    for words, _ in ADVICE:
+        assert words in code
 
 
 def test_robots_without_joints_are_described_too():
