@@ -2,6 +2,7 @@
 
 import csv
 from pathlib import Path
+import re
 
 from inverse_dynamics_node.cli.main import main
 from inverse_dynamics_node.cli.trajectories import read_trajectory
@@ -394,6 +395,22 @@ def test_reads_recorded_joint_states(record):
         'not joints of the robot: wheel',
         'states of other publishers not used: of joint_6',
     )
+
+
+def test_measured_states_may_be_smoothed(record, rng, capsys):
+    def messages(recording):
+        for k in range(500):
+            angle = np.sin(0.02 * k) + rng.normal(0.0, 1e-4)
+            recording.write('/joint_states', recording.state(0.01 * k, {'joint_1': angle}), k)
+
+    peaks = []
+    bag = record(messages)
+    for options in ([], ['--smooth', '5']):
+        assert main(['effort', str(STANFORD), str(bag), '--no-picture', *options]) == 0
+        output = capsys.readouterr().out
+        peaks.append(abs(float(re.search(r'joint_1 +(\S+) N m', output)[1])))
+    assert 'smoothed at 5 Hz' in output
+    assert peaks[1] < 0.7 * peaks[0]
 
 
 def test_asks_which_topic(record):
