@@ -378,5 +378,8 @@ def shortened(text: str, size: int) -> str:
     """Cut a text in its middle: joints are told apart by how they begin and how they end."""
     if len(text) <= size:
         return text
+    stem = text.removesuffix('_joint')
+    if stem != text and size >= _SHORTEST_NAME:  # what tells nothing goes first
+        return f'{shortened(stem, size - 1)}…'
     head = (size - 1) // 2
     return f'{text[:head]}…{text[len(text) - (size - 1 - head) :]}'

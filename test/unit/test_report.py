@@ -127,7 +127,9 @@ def test_robots_without_joints_are_described_too():
 
 
 def test_long_names_give_way_in_their_middle():
-    assert shortened('gripper_left_fingertip_1_joint', 15) == 'gripper…1_joint'
+    assert shortened('gripper_left_finger_1', 15) == 'gripper…inger_1'
+    assert shortened('arm_left_1_joint', 12) == 'arm_left_1…'
+    assert shortened('gripper_left_joint', 12) == 'gripp…_left…'
     assert shortened('elbow', 15) == 'elbow'
     table = Table('t', ('joint', 'value'), (('a' * 200, '1.0'),))
     assert max(map(len, as_text(table).splitlines())) <= WIDTH
