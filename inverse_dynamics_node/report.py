@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from .advice import advise, Concern
 from .dynamics import InverseDynamics
 from .errors import ConfigurationError
-from .model import Floats, RobotModel
+from .model import Floats, Integers, RobotModel
 
 WIDTH = 100
 """Columns of text that a report stays within."""
@@ -314,9 +314,7 @@ def _axis(axis: Floats) -> str:
     return ' '.join(f'{x:.2f}'.removesuffix('.00') for x in axis + 0.0)
 
 
-def _branches(
-    parent: Sequence[int] | np.ndarray[tuple[int, ...], np.dtype[np.int64]],
-) -> list[str]:
+def _branches(parent: Integers) -> list[str]:
     """Draw the tree, indented where it branches only: a chain of 30 joints goes straight down."""
     children: list[list[int]] = [[] for _ in parent]
     for body in range(1, len(parent)):

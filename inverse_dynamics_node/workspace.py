@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from .dynamics import InverseDynamics
 from .errors import ConfigurationError
-from .model import Floats, Integers, RobotModel
+from .model import Booleans, Floats, Integers, RobotModel
 
 SAMPLES = 4096
 _CANDIDATES = 33
@@ -301,7 +301,7 @@ def _climb(
     return pose
 
 
-def _relatives(robot: RobotModel, joint: int) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+def _relatives(robot: RobotModel, joint: int) -> Booleans:
     """Tell which joints are before or after one in the tree, or it: others do not touch it."""
     related = np.zeros(len(robot.joint_names), dtype=bool)
     for body in range(1, len(robot.parent)):

@@ -12,7 +12,8 @@ from inverse_dynamics_node.urdf import load_urdf
 import numpy as np
 import pytest
 from robot_files import STANFORD
-import yaml
+
+yaml = pytest.importorskip('yaml')
 
 JOINTS = tuple(f'joint_{i}' for i in range(1, 7))
 LISTS = """\
