@@ -276,14 +276,13 @@ def kind_of(robot: RobotModel, body: int) -> str:
 
 def slides(robot: RobotModel) -> list[bool]:
     """Tell which joints slide, shape (n,)."""
-    bodies = [robot.body_names.index(name) for name in robot.joint_names]
-    return [bool(robot.is_prismatic[body]) for body in bodies]
+    moved = robot.body_names[1:]  # the first is a link, which a joint may share its name with
+    return [bool(robot.is_prismatic[1 + moved.index(name)]) for name in robot.joint_names]
 
 
 def effort_unit(robot: RobotModel, joint: int) -> str:
     """Return the unit of a joint's effort, padded to one length."""
-    body = robot.body_names.index(robot.joint_names[joint])
-    return 'N  ' if robot.is_prismatic[body] else 'N m'
+    return 'N  ' if slides(robot)[joint] else 'N m'
 
 
 def number(value: float) -> str:

@@ -84,8 +84,10 @@ class Payload(NamedTuple):
 def joint_ranges(robot: RobotModel) -> tuple[Floats, Floats]:
     """Return the ends of what there is to look at, each of shape (n,): at most one turn."""
     lower, upper = robot.lower.copy(), robot.upper.copy()
-    turns = np.zeros(len(lower), dtype=bool)
-    turns[robot.joint_index[1:]] = ~robot.is_prismatic[1:]
+    moved = robot.body_names[1:]
+    turns = np.array(
+        [not robot.is_prismatic[1 + moved.index(name)] for name in robot.joint_names], bool
+    )
     is_wide = turns & ~(upper - lower <= 2.0 * math.pi)
     # The turn around zero where it is within the limits.
     start = np.clip(-math.pi, lower[is_wide], upper[is_wide] - 2.0 * math.pi)

@@ -81,8 +81,8 @@ def add_parser(subparsers: Any) -> None:
 
 
 def _sample_count(text: str) -> int:
-    if not text.isdecimal() or not 2 <= int(text) <= 2**24:
-        raise argparse.ArgumentTypeError(f"'{text}' is no whole number from 2 to {2**24}")
+    if not text.isdecimal() or not 2 <= int(text) <= 2**20:
+        raise argparse.ArgumentTypeError(f"'{text}' is no whole number from 2 to {2**20}")
     return int(text)
 
 

@@ -6,9 +6,11 @@ from inverse_dynamics_node.errors import ConfigurationError, JointStateError, Ur
 from inverse_dynamics_node.report import (
     as_text,
     concerns_of,
+    effort_unit,
     model_report,
     model_tables,
     shortened,
+    slides,
     Table,
     WIDTH,
 )
@@ -119,6 +121,14 @@ def test_advice_is_on_warnings_that_there_are():
     code += code.replace('{name}', 'effort') + code.replace('{name}', 'velocity')
     for words, _ in ADVICE:
         assert words in code
+
+
+def test_a_joint_may_share_its_name_with_the_base():
+    text = (ROOT / 'test' / 'robots' / 'cartesian.urdf').read_text()
+    base = load_urdf(text).body_names[0]
+    robot = load_urdf(text.replace('x_axis', base))
+    assert slides(robot) == [True] * 3
+    assert effort_unit(robot, 0).strip() == 'N'
 
 
 def test_robots_without_joints_are_described_too():
