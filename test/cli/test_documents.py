@@ -15,7 +15,8 @@ EXAMPLES = re.findall(r'```console\n\$ inverse_dynamics (.*?)\n(.*?)```', GALLER
 
 @pytest.fixture
 def run(tmp_path, capsys):
-    shutil.copytree(ROOT / 'config', tmp_path / 'config')
+    for folder in ('config', 'doc'):
+        shutil.copytree(ROOT / folder, tmp_path / folder)
 
     def run(command):
         assert main(shlex.split(command)) == 0
