@@ -17,13 +17,15 @@ from numpy.typing import ArrayLike
 
 from .dynamics import InverseDynamics
 from .errors import ConfigurationError
-from .model import Floats, Integers, RobotModel
+from .model import Booleans, Floats, Integers, RobotModel
 
 SAMPLES = 4096
 _CANDIDATES = 33
 """Positions tried for one joint at a time: 11 degrees apart in a whole turn."""
 _WINDOWS = (1.0, 1.0, 0.1, 0.01)
 """Shares of a joint's range that the sweeps of the search look at."""
+_STARTS = 3
+"""Samples that the search for a worst pose begins at: the worst ones."""
 _TIE = 1e-9
 """Poses that differ by less than this share in what they ask are as bad as each other."""
 
@@ -82,8 +84,10 @@ class Payload(NamedTuple):
 def joint_ranges(robot: RobotModel) -> tuple[Floats, Floats]:
     """Return the ends of what there is to look at, each of shape (n,): at most one turn."""
     lower, upper = robot.lower.copy(), robot.upper.copy()
-    turns = np.zeros(len(lower), dtype=bool)
-    turns[robot.joint_index[1:]] = ~robot.is_prismatic[1:]
+    moved = robot.body_names[1:]
+    turns = np.array(
+        [not robot.is_prismatic[1 + moved.index(name)] for name in robot.joint_names], bool
+    )
     is_wide = turns & ~(upper - lower <= 2.0 * math.pi)
     # The turn around zero where it is within the limits.
     start = np.clip(-math.pi, lower[is_wide], upper[is_wide] - 2.0 * math.pi)
@@ -138,12 +142,23 @@ def explore(
     noise = _TIE * float(np.max(np.abs(efforts)))
     found = []
     for joint in range(n):
-        start = poses[np.argmax(np.abs(efforts[:, joint]))]
         near = _relatives(robot, joint)
-        # What no joint on the way moves counts nothing: at zero it is easier to look at.
-        start = np.where(near, start, np.clip(0.0, lower, upper))
         size = _size_of(dynamics, joint)
-        found.append(_climb(size, start, np.flatnonzero(near), lower, upper, noise))
+        tops = [
+            # What no joint on the way moves counts nothing: at zero it is easier to look at.
+            _climb(
+                size,
+                np.where(near, poses[k], np.clip(0.0, lower, upper)),
+                np.flatnonzero(near),
+                lower,
+                upper,
+                noise,
+            )
+            for k in np.argsort(-np.abs(efforts[:, joint]))[:_STARTS]
+        ]
+        # The first, but for one that is higher by more than rounding.
+        heights = size(np.array(tops))
+        found.append(tops[int(np.argmax(heights >= np.max(heights) * (1.0 - _TIE) - noise))])
         progress((joint + 1) / n)
     worst = np.array(found)
     return Workspace(
@@ -288,7 +303,7 @@ def _climb(
     return pose
 
 
-def _relatives(robot: RobotModel, joint: int) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+def _relatives(robot: RobotModel, joint: int) -> Booleans:
     """Tell which joints are before or after one in the tree, or it: others do not touch it."""
     related = np.zeros(len(robot.joint_names), dtype=bool)
     for body in range(1, len(robot.parent)):

@@ -10,7 +10,6 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import InertiaStamped, Vector3Stamped, WrenchStamped
-import numpy as np
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
@@ -23,7 +22,7 @@ from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from ..controller import Command, IS_WELL, Phase, Reference
+from ..controller import IS_WELL, Reference
 from ..errors import ConfigurationError, InverseDynamicsError, JointStateError
 from ..loads import rotation_of
 from ..monitor import Monitor, Surroundings
@@ -31,7 +30,7 @@ from ..rig import Rig
 from ..trajectory import complete, joint_index, trajectory_efforts
 from . import messages
 from .diagnostics import diagnostic_array
-from .log import SparseLog
+from .log import NodeLog
 from .outputs import Outputs
 from .parameters import (
     BaseMotion,
@@ -84,8 +83,7 @@ class InverseDynamicsNode(LifecycleNode):
         self._description = ''  # the latest from the topic
         self._loader = ThreadPoolExecutor(1, 'robot_description')
         self._loading: Future[Rig] | None = None
-        self._last_phase = Phase.WAITING
-        self._log = SparseLog(self.get_logger())
+        self._log = NodeLog(self.get_logger())
         self._monitor = Monitor()
         self._pace: list[Timer] = []
         self._uses_sim_time = self.get_parameter('use_sim_time').value
@@ -178,7 +176,7 @@ class InverseDynamicsNode(LifecycleNode):
         self._rig.start()
         self._monitor.pause()
         self._outputs.look_for_listeners()
-        self._last_phase = Phase.WAITING
+        self._log.begin()
         self._is_active = result == _SUCCESS
         self._may_autostart = False  # from now on, who takes it down brings it up
         self._has_commanded = False
@@ -243,7 +241,7 @@ class InverseDynamicsNode(LifecycleNode):
     def _use(self, rig: Rig) -> None:
         self._rig = rig
         self._R_BS = rotation_of(*self._configuration.imu_orientation)
-        self._introduce(rig)
+        self._log.introduce(rig)
 
     def _forget_robot(self) -> None:
         self._rig = None
@@ -252,16 +250,6 @@ class InverseDynamicsNode(LifecycleNode):
         for timer in self._pace:
             self.destroy_timer(timer)
         self._pace = []
-
-    def _introduce(self, rig: Rig) -> None:
-        robot, joints = rig.robot, rig.controller.joints
-        for warning in robot.warnings:
-            self.get_logger().warning(warning)
-        others = [name for name in robot.joint_names if name not in joints]
-        self.get_logger().info(
-            f"robot '{robot.name}', {np.sum(robot.mass):.3g} kg; commands {', '.join(joints)}"
-            + (f'; takes into account {", ".join(others)}' if others else '')
-        )
 
     def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         """Accept new values only if all of them together can be used."""
@@ -475,13 +463,15 @@ class InverseDynamicsNode(LifecycleNode):
         began = time.perf_counter()
         command = self._rig.step(now)
         if command is None:
-            self._log.warn(now, 'waiting', self._what_is_missing)
+            self._log.tell_waiting(
+                now, self._rig, self._state_topic(), self._count_state_publishers
+            )
             return
         self._has_commanded = True
         self._outputs.publish_command(self._rig, command.efforts)
         took = time.perf_counter() - began
         self._monitor.step(now, took, command, self._rig.controller.joints)
-        self._report(now, command)
+        self._log.tell(now, self._rig, command)
         if self._rig.controller.phase in IS_WELL:
             self._explain(now)
 
@@ -514,13 +504,18 @@ class InverseDynamicsNode(LifecycleNode):
             assert command is not None
             self._outputs.publish_command(rig, command.efforts)
 
-    # Words
+    # How it goes
+
+    def _state_topic(self) -> str:
+        return str(self.resolve_topic_name('joint_states'))
+
+    def _count_state_publishers(self) -> int:
+        return int(self.count_publishers(self._state_topic()))
 
     def _on_diagnostics(self) -> None:
-        topic = self.resolve_topic_name('joint_states')
         around = Surroundings(
             receivers=self._outputs.receivers,
-            publishers=self.count_publishers(topic),
+            publishers=self._count_state_publishers(),
             is_active=self._is_active,
             state=str(self._state_machine.current_state[1]),
         )
@@ -533,51 +528,3 @@ class InverseDynamicsNode(LifecycleNode):
                 statuses,
             )
         )
-
-    def _report(self, now: float, command: Command) -> None:
-        """Tell what has changed, and now and then what has not and should."""
-        assert self._rig is not None
-        phase = self._rig.controller.phase
-        if phase is not self._last_phase:
-            self._tell_phase(now, phase)
-            self._last_phase = phase
-        if phase is Phase.STATE_LOST:
-            self._log.warn(now, 'state lost', lambda: self._what_is_stale(now))
-        if command.is_saturated.any():
-            joints = command.is_saturated.tobytes().hex()  # others are news
-            self._log.warn(now, f'saturated {joints}', lambda: self._what_is_saturated(command))
-
-    def _tell_phase(self, now: float, phase: Phase) -> None:
-        assert self._rig is not None
-        collector, logger = self._rig.collector, self.get_logger()
-        if self._last_phase is Phase.WAITING:
-            for name in collector.without_velocity():
-                logger.warning(f"joint_states: no velocity of '{name}', taken as zero")
-            for name in collector.unseen():
-                logger.warning(f"joint_states: '{name}' not seen, taken as locked")
-        if not self._log.is_due(now, phase.name):
-            return
-        if phase in (Phase.RUNNING, Phase.HOLDING):
-            logger.info(phase.value)
-        else:
-            logger.error(phase.value)
-
-    def _what_is_missing(self) -> str:
-        assert self._rig is not None
-        topic = self.resolve_topic_name('joint_states')
-        return (
-            f'no command yet: {topic} ({self.count_publishers(topic)} publishers) has not told '
-            f'{", ".join(self._rig.missing())}'
-        )
-
-    def _what_is_stale(self, now: float) -> str:
-        assert self._rig is not None
-        timeout = self._configuration.settings.state_timeout
-        joints = self._rig.collector.stale(now, timeout)
-        return f'no joint state for more than {timeout:g} s of {", ".join(joints)}'
-
-    def _what_is_saturated(self, command: Command) -> str:
-        assert self._rig is not None
-        joints = self._rig.controller.joints
-        cut = [name for name, cut in zip(joints, command.is_saturated, strict=True) if cut]
-        return f'effort cut to its limit: {", ".join(cut)}'

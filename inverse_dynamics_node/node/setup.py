@@ -91,7 +91,8 @@ def apply_configuration(
     rig.dynamics.set_armature(armature)
     rig.loads.apply(configuration.load_settings, configuration.include_gravity)
     rig.residual.cutoff = configuration.external_efforts_cutoff
-    if before is not None and before.gravity != configuration.gravity:
+    is_new = before is not None and before.gravity != configuration.gravity
+    if is_new and not rig.has_imu:
         rig.loads.set_gravity(configuration.gravity)
 
 

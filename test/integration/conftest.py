@@ -34,6 +34,7 @@ from std_msgs.msg import Float64MultiArray, String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 MAIN = 'inverse_dynamics_node.node.main'
+RUNNING = []  # nodes of the test; what hurts them ends the waiting for them
 PATIENCE = 60.0  # [s]; an order of magnitude above what a loaded machine needs
 
 
@@ -50,11 +51,13 @@ def run_node(domain_id):
 
     def run(*arguments, **parameters):
         nodes.append(NodeProcess(domain_id, arguments, parameters))
+        RUNNING.append(nodes[-1])
         return nodes[-1]
 
     yield run
     for node in nodes:
         node.kill()
+    RUNNING.clear()
 
 
 @pytest.fixture
@@ -228,6 +231,8 @@ class RobotSide:
         deadline = time.monotonic() + PATIENCE
         while not is_true():
             assert time.monotonic() < deadline, f'{what}: not within {PATIENCE:g} s'
+            for node in RUNNING:
+                assert 'Traceback' not in node.output, node.output
             self.executor.spin_once(timeout_sec=0.05)
 
     def wait_for_command(self, expected, tolerance=1e-9):

@@ -59,7 +59,7 @@ sys.exit(main.main(sys.argv))
 """
 
 
-@pytest.mark.parametrize('where', ['_on_accelerations', '_report'])
+@pytest.mark.parametrize('where', ['_on_accelerations', '_explain'])
 def test_a_crash_in_a_callback_leaves_zeros(domain_id, robot, where):
     settings = [x for k, v in RAMPED.items() for x in ('-p', f'{k}:={v}')]
     process = subprocess.Popen(
