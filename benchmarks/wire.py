@@ -90,6 +90,7 @@ class Contender:
         self._k = 0
         self._sent = 0
         self._times: list[int] = []
+        self._is_answered = False
         self._process = subprocess.Popen(
             [sys.executable, '-m', module, *arguments, '-r', '__node:=contender'],
             env={**os.environ, 'ROS_DOMAIN_ID': str(domain)},
@@ -128,30 +129,33 @@ class Contender:
             self._expected.append(float(command[-1]))
         self._process.send_signal(signal.SIGSTOP)
 
-    def trips(self, seconds: float) -> Trips:
-        """Send a state as soon as the last is answered, for a time [s]."""
+    def trips(self, seconds: float, period: float) -> Trips:
+        """Send states for a time [s], one a period [s], none before the last is answered."""
         if self._executor is None:
             self._executor = EventsExecutor(context=self._context)
             self._executor.add_node(self._node)
         with self._turn():
-            self._send()
-            self._exchange(WARM_UP)
+            self._exchange(WARM_UP, period)
             self._times = []
             cpu = self._cpu_time()
-            lost = self._exchange(seconds)
+            lost = self._exchange(seconds, period)
             cpu = self._cpu_time() - cpu
         times = np.array(self._times) * 1e-9
         return Trips(times, cpu / max(1, len(times)), lost)
 
-    def _exchange(self, seconds: float) -> int:
-        """Take commands and send states; return how many of these had no answer."""
+    def _exchange(self, seconds: float, period: float) -> int:
+        """Send states and take commands; return how many states had no answer."""
         lost = 0
-        deadline = time.perf_counter_ns() + int(seconds * 1e9)
-        while time.perf_counter_ns() < deadline:
-            self._executor.spin_once(timeout_sec=LOST)
-            if time.perf_counter_ns() - self._sent > LOST * 1e9:
-                lost += 1
-                self._send()
+        due = time.monotonic()
+        deadline = due + seconds
+        while due < deadline:
+            time.sleep(max(0.0, due - time.monotonic()))
+            self._is_answered = False
+            self._send()
+            while not self._is_answered and time.monotonic() < due + LOST:
+                self._executor.spin_once(timeout_sec=LOST)
+            lost += not self._is_answered
+            due = max(due + period, time.monotonic())
         return lost
 
     def _on_command(self, data: bytes) -> None:
@@ -159,7 +163,7 @@ class Contender:
         # The node also sends commands unasked, when states have ceased.
         if math.isclose(_last_number(data), self._expected[self._k], rel_tol=1e-9, abs_tol=1e-12):
             self._times.append(now - self._sent)
-            self._send()
+            self._is_answered = True
 
     def _send(self) -> None:
         self._k = (self._k + 1) % len(self._states)
