@@ -39,7 +39,7 @@ setup(
     ],
     python_requires='>=3.10',
     # ROS is no entry here: a sourced ROS must not be shadowed, and the core does without.
-    install_requires=['lxml', 'numba', 'numpy', 'yourdfpy'],
+    install_requires=['lxml', 'numba', 'numpy', 'scipy', 'yourdfpy'],
     extras_require={'ros': ros, 'demo': demo, 'test': test, 'bench': bench},
     zip_safe=True,
     maintainer='inverse_dynamics_node maintainers',

@@ -9,7 +9,13 @@ from typing import Any, TYPE_CHECKING
 
 if TYPE_CHECKING:
     from .dynamics import InverseDynamics
-    from .errors import ConfigurationError, InverseDynamicsError, JointStateError, UrdfError
+    from .errors import (
+        ConfigurationError,
+        InverseDynamicsError,
+        JointStateError,
+        TrajectoryError,
+        UrdfError,
+    )
     from .model import RobotModel
     from .specialise import Specialised
     from .urdf import load_urdf
@@ -21,6 +27,7 @@ _HOMES = {
     'JointStateError': 'errors',
     'RobotModel': 'model',
     'Specialised': 'specialise',
+    'TrajectoryError': 'errors',
     'UrdfError': 'errors',
     'load_urdf': 'urdf',
 }
@@ -32,6 +39,7 @@ __all__ = [
     'JointStateError',
     'RobotModel',
     'Specialised',
+    'TrajectoryError',
     'UrdfError',
     'load_urdf',
 ]

@@ -40,3 +40,7 @@ class JointStateError(InverseDynamicsError):
 
 class ConfigurationError(InverseDynamicsError):
     """A setting that cannot be used with this robot, or at all."""
+
+
+class TrajectoryError(InverseDynamicsError):
+    """A trajectory that cannot be followed, or not by this robot."""

@@ -1,0 +1,190 @@
+"""Whole trajectories: what a planner left out derived by splines, and the efforts all along."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from .dynamics import InverseDynamics
+from .errors import TrajectoryError
+from .model import Floats
+
+
+class Trajectory(NamedTuple):
+    """Where m joints are to be at k times."""
+
+    joint_names: tuple[str, ...]
+    times: Floats
+    """Shape (k,) [s], each later than the one before."""
+    positions: Floats
+    """Shape (k, m) [rad or m]."""
+    velocities: Floats | None = None
+    """Shape (k, m) [rad/s or m/s]; None where they are to be derived."""
+    accelerations: Floats | None = None
+    """Shape (k, m) [rad/s^2 or m/s^2]; None where they are to be derived."""
+
+
+def complete(trajectory: Trajectory) -> tuple[Trajectory, tuple[str, ...]]:
+    """
+    Derive the velocities and accelerations that a trajectory lacks.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        With k points of m joints.
+
+    Returns
+    -------
+    whole : Trajectory
+        With velocities and accelerations.
+    derived : tuple of str
+        What was derived, and how, in words; empty if nothing was.
+
+    Raises
+    ------
+    TrajectoryError
+        If there is no point, shapes do not fit, times do not rise, or a value is not finite.
+
+    Notes
+    -----
+    Velocities are those of the cubic spline through the positions that begins and ends at rest;
+    accelerations those of the cubic spline through the velocities whose third derivative is
+    continuous at the first and last inner points. A single point is at rest.
+
+    """
+    _check(trajectory)
+    times, velocities = trajectory.times, trajectory.velocities
+    accelerations = trajectory.accelerations
+    derived = []
+    if velocities is None:
+        spline = 'a cubic spline through the positions, at rest at both ends'
+        derived.append(f'velocities derived from {spline}')
+        velocities = _derivative(times, trajectory.positions, 'clamped', 1)
+        if accelerations is None:
+            derived.append(f'accelerations derived from {spline}')
+            accelerations = _derivative(times, trajectory.positions, 'clamped', 2)
+    elif accelerations is None:
+        derived.append('accelerations derived from a cubic spline through the velocities')
+        accelerations = _derivative(times, velocities, 'not-a-knot', 1)
+    whole = trajectory._replace(velocities=velocities, accelerations=accelerations)
+    return whole, tuple(derived)
+
+
+def trajectory_efforts(
+    dynamics: InverseDynamics, trajectory: Trajectory, others: Floats | None = None
+) -> Floats:
+    """
+    Compute the efforts all along a trajectory.
+
+    Parameters
+    ----------
+    dynamics : InverseDynamics
+        The robot, with n joints.
+    trajectory : Trajectory
+        Of any m of them, in any order, with velocities and accelerations.
+    others : ndarray, shape (n,), optional
+        Positions at which the robot's other joints rest [rad or m]; zero if left out.
+
+    Returns
+    -------
+    efforts : ndarray, shape (k, m)
+        In the order of the trajectory's joints [N m or N].
+
+    Raises
+    ------
+    TrajectoryError
+        If the robot has no such joint, or one is named twice.
+
+    """
+    states, index = whole_states(dynamics, trajectory, others)
+    efforts: Floats = dynamics.efforts(*states)[:, index]
+    return efforts
+
+
+def whole_states(
+    dynamics: InverseDynamics, trajectory: Trajectory, others: Floats | None = None
+) -> tuple[tuple[Floats, Floats, Floats], list[int]]:
+    """
+    Spread a trajectory over all joints of a robot.
+
+    Parameters
+    ----------
+    dynamics, trajectory, others
+        As for `trajectory_efforts`.
+
+    Returns
+    -------
+    states : tuple of q, qd, qdd
+        Of all joints of the robot at every point, each of shape (k, n).
+    index : list of int
+        Where the trajectory's joints are among the robot's.
+
+    Raises
+    ------
+    TrajectoryError
+        If the robot has no such joint, or one is named twice.
+
+    """
+    names = dynamics.robot.joint_names
+    index = _index_of(trajectory.joint_names, names)
+    k, n = len(trajectory.times), len(names)
+    q, qd, qdd = np.zeros((3, k, n))
+    if others is not None:
+        q[:] = others
+    q[:, index] = trajectory.positions
+    qd[:, index] = trajectory.velocities
+    qdd[:, index] = trajectory.accelerations
+    return (q, qd, qdd), index
+
+
+def _derivative(times: Floats, values: Floats, ends: str, order: int) -> Floats:
+    if len(times) == 1:
+        return np.zeros_like(values)
+    from scipy.interpolate import CubicSpline  # a third of a second, for who needs it only
+
+    # Two or three points have no inner ones enough; scipy takes a line or a parabola then.
+    derivative: Floats = CubicSpline(times, values, bc_type=ends)(times, order)
+    return derivative
+
+
+def _check(trajectory: Trajectory) -> None:
+    names, times = trajectory.joint_names, trajectory.times
+    if not len(times):
+        raise TrajectoryError('no points, expected at least one')
+    shape = len(times), len(names)
+    for what, values in zip(trajectory._fields[2:], trajectory[2:], strict=True):
+        if values is None:
+            continue
+        if values.shape != shape:
+            raise TrajectoryError(f'{what} have shape {values.shape}, expected {shape}')
+        if not np.isfinite(values).all():
+            point, joint = np.argwhere(~np.isfinite(values))[0]
+            raise TrajectoryError(
+                f"{what} of joint '{names[joint]}' at point {point}: {values[point, joint]}, "
+                'expected a finite number'
+            )
+    if not np.isfinite(times).all():
+        raise TrajectoryError(f'a time is {times[~np.isfinite(times)][0]}, expected finite times')
+    late = np.flatnonzero(np.diff(times) <= 0.0)
+    if len(late):
+        point = int(late[0]) + 1
+        raise TrajectoryError(
+            f'point {point} is at {times[point]:g} s, expected later than point {point - 1} '
+            f'at {times[point - 1]:g} s'
+        )
+
+
+def _index_of(names: Sequence[str], known: Sequence[str]) -> list[int]:
+    if not names:
+        raise TrajectoryError('no joint names')
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        raise TrajectoryError(
+            f"the robot has no joint '{unknown[0]}' to move; it has {', '.join(known)}"
+        )
+    if len(set(names)) != len(names):
+        twice = next(name for k, name in enumerate(names) if name in names[:k])
+        raise TrajectoryError(f"joint '{twice}' is named twice")
+    return [known.index(name) for name in names]

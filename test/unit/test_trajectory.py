@@ -1,0 +1,117 @@
+"""Trajectories: what is derived, and the efforts all along."""
+
+from inverse_dynamics_node import InverseDynamics, load_urdf, TrajectoryError
+from inverse_dynamics_node.trajectory import complete, Trajectory, trajectory_efforts
+import numpy as np
+import pytest
+from robot_files import ROOT, STANFORD
+
+TIMES = np.linspace(0.0, 2.0, 41)
+
+
+def cosine(times=TIMES):
+    """One joint from 0 to 2, at rest at both ends: positions, velocities, accelerations."""
+    w = np.pi / 2.0
+    return [x[:, None] for x in (1 - np.cos(w * times), w * np.sin(w * times))] + [
+        (w * w * np.cos(w * times))[:, None]
+    ]
+
+
+def test_derives_velocities_and_accelerations_from_positions():
+    q, qd, qdd = cosine()
+    whole, derived = complete(Trajectory(('a',), TIMES, q))
+    assert whole.velocities == pytest.approx(qd, abs=2e-5)
+    assert whole.accelerations == pytest.approx(qdd, abs=5e-3)
+    assert len(derived) == 2
+    assert 'velocities' in derived[0]
+    assert 'accelerations' in derived[1]
+
+
+def test_derives_accelerations_from_velocities():
+    q, qd, qdd = cosine()
+    whole, derived = complete(Trajectory(('a',), TIMES, q, qd))
+    assert whole.velocities is qd
+    assert whole.accelerations == pytest.approx(qdd, abs=2e-4)
+    assert derived == ('accelerations derived from a cubic spline through the velocities',)
+
+
+def test_leaves_a_whole_trajectory_as_it_is():
+    trajectory = Trajectory(('a',), TIMES, *cosine())
+    assert complete(trajectory) == (trajectory, ())
+
+
+@pytest.mark.parametrize('points', [1, 2, 3])
+def test_few_points_are_enough(points):
+    q = np.linspace(0.0, 1.0, points)[:, None]
+    whole, _ = complete(Trajectory(('a',), TIMES[:points], q))
+    assert np.isfinite(whole.accelerations).all()
+    assert whole.velocities[[0, -1]] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_irregular_times_are_no_matter():
+    times = np.cumsum(np.random.default_rng(3).uniform(0.02, 0.08, 41))
+    times *= 2.0 / times[-1]
+    times[0] = 0.0
+    q, qd, _ = cosine(times)
+    whole, _ = complete(Trajectory(('a',), times, q))
+    assert whole.velocities == pytest.approx(qd, abs=2e-4)
+
+
+def test_efforts_are_those_of_every_point_by_name():
+    dynamics = InverseDynamics(load_urdf(STANFORD))
+    rng = np.random.default_rng(5)
+    q, qd, qdd = rng.uniform(-1.0, 1.0, (3, 7, 6))
+    order = [4, 2, 0, 1, 5, 3]
+    names = tuple(dynamics.robot.joint_names[i] for i in order)
+    trajectory = Trajectory(names, TIMES[:7], q[:, order], qd[:, order], qdd[:, order])
+    expected = [dynamics.efforts(*state)[order] for state in zip(q, qd, qdd, strict=True)]
+    assert trajectory_efforts(dynamics, trajectory) == pytest.approx(np.array(expected))
+
+
+def test_joints_that_do_not_take_part_rest_where_they_are():
+    robot = load_urdf(ROOT / 'test/robots/planar_2r.urdf')
+    dynamics = InverseDynamics(robot)
+    trajectory = Trajectory(robot.joint_names[:1], TIMES, *cosine())
+    others = np.array([9.0, 0.7])
+    k = 11
+    expected = dynamics.efforts(
+        [trajectory.positions[k, 0], 0.7],
+        [trajectory.velocities[k, 0], 0.0],
+        [trajectory.accelerations[k, 0], 0.0],
+    )
+    efforts = trajectory_efforts(dynamics, trajectory, others)
+    assert efforts.shape == (41, 1)
+    assert efforts[k, 0] == pytest.approx(expected[0])
+
+
+@pytest.mark.parametrize(
+    ('change', 'words'),
+    [
+        ({'times': np.empty(0), 'positions': np.empty((0, 1))}, 'no points'),
+        ({'times': TIMES[::-1]}, 'point 1 is at 1.95 s, expected later than point 0 at 2 s'),
+        ({'times': np.zeros(41)}, 'point 1 is at 0 s, expected later'),
+        ({'times': np.full(41, np.nan)}, 'a time is nan'),
+        ({'positions': np.zeros((41, 2))}, r'positions have shape \(41, 2\), expected \(41, 1\)'),
+        ({'velocities': np.full((41, 1), np.inf)}, "velocities of joint 'a' at point 0: inf"),
+    ],
+)
+def test_refuses_what_is_no_trajectory(change, words):
+    trajectory = Trajectory(('a',), TIMES, *cosine())._replace(**change)
+    with pytest.raises(TrajectoryError, match=words):
+        complete(trajectory)
+
+
+@pytest.mark.parametrize(
+    ('names', 'words'),
+    [
+        ((), 'no joint names'),
+        (('nope',), "no joint 'nope' to move; it has joint_1"),
+        (('joint_1', 'joint_1'), "'joint_1' is named twice"),
+    ],
+)
+def test_refuses_joints_that_the_robot_does_not_have(names, words):
+    q = np.zeros((2, len(names)))
+    with pytest.raises(TrajectoryError, match=words):
+        trajectory_efforts(
+            InverseDynamics(load_urdf(STANFORD)), Trajectory(names, TIMES[:2], q, q, q)
+        )
