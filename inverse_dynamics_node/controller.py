@@ -53,7 +53,8 @@ class Phase(enum.Enum):
 
 
 _SHORTEST_PATIENCE = 0.02  # [s]; steps may be so far apart, however short the time-outs
-_IS_WELL = (Phase.RUNNING, Phase.HOLDING, Phase.TOO_FAR)
+IS_WELL = (Phase.RUNNING, Phase.HOLDING, Phase.TOO_FAR)
+"""Phases in which efforts are computed from a fresh state."""
 
 
 class Reference(NamedTuple):
@@ -190,7 +191,7 @@ class Controller:
         limits = arrays['effort_limits']
         if settings.use_urdf_effort_limits:
             limits = np.minimum(limits, self.dynamics.robot.effort_limits[self._index])
-        self.settings, self._of_joint, self._limits = settings, arrays, limits
+        self.settings, self._of_joint, self.limits = settings, arrays, limits
         self._has_rate_limits = bool(np.isfinite(arrays['effort_rate_limits']).any())
         # Finite, for none of it times no time is none of it.
         self._rate_limits = np.minimum(arrays['effort_rate_limits'], 1e300)
@@ -208,6 +209,16 @@ class Controller:
         self._is_to_blend = self.gain > 0.0 and self.settings.start_ramp > 0.0
 
     @property
+    def scale(self) -> Floats:
+        """What every computed effort is multiplied with, shape (m,)."""
+        return self._of_joint['effort_scale']
+
+    @property
+    def offset(self) -> Floats:
+        """What is added to it then, shape (m,) [N m or N]."""
+        return self._of_joint['effort_offset']
+
+    @property
     def motion(self) -> tuple[Floats, Floats]:
         """Velocities and accelerations that the last efforts are for, each of shape (n,)."""
         return self._velocities, self._qdd
@@ -220,6 +231,10 @@ class Controller:
     def stop(self) -> None:
         """Let the efforts fall to zero from the next step on, and stay there."""
         self._is_stopping = True
+
+    def resume(self) -> None:
+        """Let the efforts rise again, from wherever a stop has got them to."""
+        self._is_stopping = False
 
     def start(self) -> None:
         """Let the efforts rise from zero at the next step with a fresh state."""
@@ -285,11 +300,11 @@ class Controller:
         if state is None:
             return None
         last_phase, self.phase = self.phase, self._next_phase(now, state, reference)
-        if last_phase not in _IS_WELL:
+        if last_phase not in IS_WELL:
             self.blend()
         is_closed = self.settings.mode is Mode.COMPUTED_TORQUE and self.phase is Phase.RUNNING
         self._followed = reference.positions if is_closed and reference else None
-        if self.phase in _IS_WELL:
+        if self.phase in IS_WELL:
             self._filter(state)
             self._jump_left = max(0.0, self._jump_left - _share(elapsed, self.settings.start_ramp))
             self._compute(state, reference if self.phase is Phase.RUNNING else None)
@@ -299,12 +314,12 @@ class Controller:
         target = self.gain * self._efforts
         if self._has_rate_limits:
             self._slow_down(target, elapsed)
-        np.clip(target, -self._limits, self._limits, out=self._command)
+        np.clip(target, -self.limits, self.limits, out=self._command)
         return Command(self._command, self._is_saturated, self._is_slowed)
 
     def _slow_down(self, target: Floats, elapsed: float) -> None:
         """Let efforts change no faster than they may."""
-        is_well = self.phase in _IS_WELL
+        is_well = self.phase in IS_WELL
         # A way down is for the stop ramp alone, from wherever the efforts have got to.
         change = self._rate_limits * elapsed if is_well else np.abs(self._command)
         middle = self._command if is_well else 0.0
@@ -315,7 +330,7 @@ class Controller:
 
     def _ramp(self, elapsed: float) -> None:
         settings = self.settings
-        if self.phase in _IS_WELL:
+        if self.phase in IS_WELL:
             self.gain = min(1.0, self.gain + _share(elapsed, settings.start_ramp))
         elif self.phase is Phase.STOPPED or settings.on_stale_state is StalePolicy.ZERO:
             # The last efforts fade out; without a fresh state there are no better ones.
@@ -388,8 +403,8 @@ class Controller:
             self._jump, self._jump_left = self._efforts - efforts, 1.0
         if self._jump_left:
             efforts += self._jump_left * self._jump
-        np.greater(np.abs(efforts), self._limits, out=self._is_saturated)
-        np.clip(efforts, -self._limits, self._limits, out=self._efforts)
+        np.greater(np.abs(efforts), self.limits, out=self._is_saturated)
+        np.clip(efforts, -self.limits, self.limits, out=self._efforts)
 
     def _accelerations(self, state: State, reference: Reference) -> Floats:
         """Return the accelerations to produce: resolved, where the loop is closed here."""

@@ -81,7 +81,7 @@ class Loads:
         base_link: str = '',
     ) -> None:
         self.dynamics = dynamics
-        self._R_0B = _base_rotation(dynamics, base_link)
+        self._R_0B, self._p_0B = _base_pose(dynamics, base_link)
         self.settings = settings or LoadSettings()
         self.payloads: dict[str, Payload] = {}
         """What every link is said to carry, ramps apart."""
@@ -249,6 +249,42 @@ class Loads:
             self.include_gravity = include_gravity
             self._write_base()
 
+    def at_base_link(self, force: Floats, moment: Floats) -> tuple[Floats, Floats]:
+        """Express a wrench about the root's origin in and about that of the base link."""
+        R_B0 = self._R_0B.T
+        return R_B0 @ force, R_B0 @ (moment - np.cross(self._p_0B, force))
+
+    def take_over(self, other: Loads) -> list[str]:
+        """
+        Take over all that another was told, at once.
+
+        Parameters
+        ----------
+        other : Loads
+            On another description of the robot.
+
+        Returns
+        -------
+        dropped : list of str
+            Links with payloads that this robot does not have.
+
+        """
+        dropped = []
+        for link, load in other.payloads.items():
+            if link in self.dynamics.robot.link_names:
+                self.payloads[link] = load
+                self.dynamics.set_payload(link, *load)
+            else:
+                dropped.append(link)
+        for link, (F, N, time, _) in other._wrenches.items():
+            if link in self.dynamics.robot.link_names:
+                self.set_external_wrench(time, link, F, N)
+        self._gravity, self._target = other._gravity, other._target
+        self._angular_velocity, self.imu_time = other._angular_velocity, other.imu_time
+        self._is_base_lost, self._time = other._is_base_lost, other._time
+        self._write_base()
+        return dropped
+
     @property
     def gravity(self) -> Floats:
         """Free-fall acceleration in the base frame as it counts now [m/s^2]."""
@@ -305,10 +341,11 @@ class Loads:
             raise ConfigurationError(f"link '{link}' does not exist; links are {', '.join(links)}")
 
 
-def _base_rotation(dynamics: InverseDynamics, base_link: str) -> Floats:
+def _base_pose(dynamics: InverseDynamics, base_link: str) -> tuple[Floats, Floats]:
+    """Return the rotation from the base link's frame to the root's, and where its origin is."""
     robot = dynamics.robot
     if not base_link:
-        return np.eye(3)
+        return np.eye(3), np.zeros(3)
     still = [
         name for name, body in zip(robot.link_names, robot.link_body, strict=True) if not body
     ]
@@ -316,8 +353,8 @@ def _base_rotation(dynamics: InverseDynamics, base_link: str) -> Floats:
         raise ConfigurationError(
             f"base_link is '{base_link}', expected a link that no joint moves: {', '.join(still)}"
         )
-    rotation: Floats = robot.link_rotation[robot.link_names.index(base_link)]
-    return rotation
+    k = robot.link_names.index(base_link)
+    return robot.link_rotation[k], robot.link_position[k]
 
 
 def rotation_of(roll: float, pitch: float, yaw: float) -> Floats:

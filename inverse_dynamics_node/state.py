@@ -87,7 +87,8 @@ class JointStateCollector:
                 raise ConfigurationError(f"locked position of joint '{name}' is {position}")
             self.q[self._index[name]] = position
             self.times[self._index[name]] = _LONG_AGO
-        self._is_free = self.times == -math.inf
+        self.is_free = self.times == -math.inf
+        """Which joints count only where they are heard to be, shape (n,)."""
         self._time = self._oldest()
 
     def update(
@@ -151,6 +152,29 @@ class JointStateCollector:
             return None
         return State(self.q, self.qd, self._time, self.times)
 
+    def check_free(self, names: Sequence[str]) -> None:
+        """
+        Refuse joints that count where they are said to be.
+
+        Raises
+        ------
+        ConfigurationError
+            If one of them does.
+
+        """
+        for name in names:
+            if not self.is_free[self._index[name]]:
+                raise ConfigurationError(f"joint '{name}' is both commanded and locked")
+
+    def take_over(self, other: JointStateCollector) -> None:
+        """Take over all that another has heard of the same joints."""
+        for name, i in self._index.items():
+            k = other._index.get(name)
+            if k is not None and other.times[k] > _LONG_AGO:
+                self.q[i], self.qd[i], self.times[i] = other.q[k], other.qd[k], other.times[k]
+                self.efforts[i], self._has_velocity[i] = other.efforts[k], other._has_velocity[k]
+        self._time = self._oldest()
+
     def missing(self) -> list[str]:
         """Name the joints never heard from."""
         return [self.joint_names[i] for i in np.flatnonzero(self.times == -math.inf)]
@@ -158,7 +182,7 @@ class JointStateCollector:
     def stale(self, now: float, timeout: float) -> list[str]:
         """Name the joints last heard from too long ago, or before a clock was put back [s]."""
         age = now - self.times
-        is_stale = self._is_free & ~((age >= 0.0) & (age <= timeout))
+        is_stale = self.is_free & ~((age >= 0.0) & (age <= timeout))
         return [self.joint_names[i] for i in np.flatnonzero(is_stale)]
 
     def unseen(self) -> list[str]:
@@ -181,7 +205,7 @@ class JointStateCollector:
                 raise JointStateError(f"joint '{self.joint_names[joint]}' is named twice")
             if len(self._layouts) >= 16:  # more publishers than that are no publishers
                 self._layouts.clear()
-            is_whole = bool(0 < self._is_free.sum() == self._is_free[ours].sum())
+            is_whole = bool(0 < self.is_free.sum() == self.is_free[ours].sum())
             layout = self._layouts[names] = _Layout(
                 np.array(ours, np.int64), np.array(theirs, np.int64), is_whole, np.zeros(len(ours))
             )
@@ -204,4 +228,4 @@ class JointStateCollector:
             raise JointStateError(f"{what} of joint '{self.joint_names[ours[k]]}' is {values[k]}")
 
     def _oldest(self) -> float:
-        return float(np.min(self.times, initial=math.inf, where=self._is_free))
+        return float(np.min(self.times, initial=math.inf, where=self.is_free))

@@ -128,7 +128,7 @@ def whole_states(
 
     """
     names = dynamics.robot.joint_names
-    index = _index_of(trajectory.joint_names, names)
+    index = joint_index(trajectory.joint_names, names)
     k, n = len(trajectory.times), len(names)
     q, qd, qdd = np.zeros((3, k, n))
     if others is not None:
@@ -176,7 +176,8 @@ def _check(trajectory: Trajectory) -> None:
         )
 
 
-def _index_of(names: Sequence[str], known: Sequence[str]) -> list[int]:
+def joint_index(names: Sequence[str], known: Sequence[str]) -> list[int]:
+    """Find joints among those that are known; raise a TrajectoryError where that cannot be."""
     if not names:
         raise TrajectoryError('no joint names')
     unknown = [name for name in names if name not in known]
