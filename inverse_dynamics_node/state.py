@@ -16,6 +16,9 @@ from .model import Booleans, Floats, Integers
 _LONG_AGO = -1e300  # [s]; finite, for no time since then is not a number
 
 
+Numbers = Sequence[float] | Floats
+
+
 class State(NamedTuple):
     """The whole robot at one time."""
 
@@ -39,7 +42,6 @@ class _Layout:
     """The same among theirs."""
     is_whole: bool
     """Whether all that have to be heard from are named."""
-    zeros: Floats
     is_measured: bool = False
     """Whether each of the joints has had a velocity."""
 
@@ -95,9 +97,9 @@ class JointStateCollector:
         self,
         now: float,
         names: Sequence[str],
-        positions: Sequence[float],
-        velocities: Sequence[float],
-        efforts: Sequence[float] = (),
+        positions: Numbers,
+        velocities: Numbers,
+        efforts: Numbers = (),
     ) -> bool:
         """
         Take in one joint state, or nothing of it.
@@ -129,14 +131,16 @@ class JointStateCollector:
         if len(efforts) not in (0, len(names)):
             raise JointStateError(f'{len(names)} names, but {len(efforts)} efforts')
         layout = self._layout(tuple(names))
-        ours, theirs, zeros = layout.ours, layout.theirs, layout.zeros
+        ours, theirs = layout.ours, layout.theirs
         q = np.asarray(positions, dtype=np.float64)[theirs]
         # Drivers leave out a velocity that they do not measure, or fill in NaN.
         qd = np.asarray(
             velocities if len(velocities) else [math.nan] * len(names), dtype=np.float64
         )[theirs]
-        # Zero times anything finite is zero: a quick look, and nearly always enough.
-        if not (layout.is_measured and q.dot(zeros) == 0.0 == qd.dot(zeros)):
+        are_finite = (
+            np.count_nonzero(np.isfinite(q)) + np.count_nonzero(np.isfinite(qd)) == 2 * q.size
+        )
+        if not (are_finite and layout.is_measured):
             qd = self._checked(q, qd, layout)
         self.qd[ours] = qd
         self.q[ours] = q
@@ -207,7 +211,7 @@ class JointStateCollector:
                 self._layouts.clear()
             is_whole = bool(0 < self.is_free.sum() == self.is_free[ours].sum())
             layout = self._layouts[names] = _Layout(
-                np.array(ours, np.int64), np.array(theirs, np.int64), is_whole, np.zeros(len(ours))
+                np.array(ours, np.int64), np.array(theirs, np.int64), is_whole
             )
         return layout
 

@@ -43,6 +43,7 @@ from .parameters import (
     unknown_parameters,
     values_of,
 )
+from .serialized import JointStateReader
 from .setup import apply_configuration, check_configuration, make_rig
 
 _LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -87,6 +88,7 @@ class InverseDynamicsNode(LifecycleNode):
         self._last_phase = Phase.WAITING
         self._log = SparseLog(self.get_logger())
         self._monitor = Monitor()
+        self._reader = JointStateReader()
         self._pace: list[Timer] = []
         self._uses_sim_time = self.get_parameter('use_sim_time').value
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -114,7 +116,6 @@ class InverseDynamicsNode(LifecycleNode):
             JointTrajectory, '~/joint_trajectory_out', _EVERY_ONE, **qos
         )
         for message, topic, callback, profile in (
-            (JointState, 'joint_states', self._on_joint_state, _LATEST),
             (String, 'robot_description', self._on_robot_description, _LATCHED),
             (Float64MultiArray, '~/desired_accelerations', self._on_accelerations, _EVERY_ONE),
             (JointTrajectory, '~/reference', self._on_reference, _EVERY_ONE),
@@ -126,6 +127,9 @@ class InverseDynamicsNode(LifecycleNode):
             (Imu, 'imu', self._on_imu, _LATEST),
         ):
             self.create_subscription(message, topic, callback, profile, **qos)
+        self.create_subscription(
+            JointState, 'joint_states', self._on_joint_state, _LATEST, raw=True, **qos
+        )
         self.create_service(SetBool, '~/enable', self._on_enable)
 
     # Lifecycle
@@ -332,15 +336,14 @@ class InverseDynamicsNode(LifecycleNode):
 
     # Messages in
 
-    def _on_joint_state(self, message: JointState) -> None:
+    def _on_joint_state(self, data: bytes) -> None:
         if self._rig is None:
             return
         now = self._now()
-        efforts = message.effort if self._outputs.wants_measured_efforts else ()
         try:
-            is_ours = self._rig.collector.update(
-                now, message.name, message.position, message.velocity, efforts
-            )
+            names, positions, velocities, measured = self._reader.read(data)
+            efforts = measured if self._outputs.wants_measured_efforts else ()
+            is_ours = self._rig.collector.update(now, names, positions, velocities, efforts)
         except JointStateError as error:
             self._reject(now, 'joint_states', error)
             return
@@ -536,7 +539,7 @@ class InverseDynamicsNode(LifecycleNode):
             self._last_phase = phase
         if phase is Phase.STATE_LOST:
             self._log.warn(now, 'state lost', lambda: self._what_is_stale(now))
-        if command.is_saturated.any():
+        if np.count_nonzero(command.is_saturated):
             joints = command.is_saturated.tobytes().hex()  # others are news
             self._log.warn(now, f'saturated {joints}', lambda: self._what_is_saturated(command))
 
