@@ -194,6 +194,7 @@ class Controller:
             limits = np.minimum(limits, self.dynamics.robot.effort_limits[self._index])
         self.settings, self._of_joint = settings, arrays
         self.limits, self._lower_limits = limits, -limits
+        self._is_calibrated = bool(np.any(self.scale != 1.0) or np.any(self.offset))
         self._has_rate_limits = bool(np.isfinite(arrays['effort_rate_limits']).any())
         # Finite, for none of it times no time is none of it.
         self._rate_limits = np.minimum(arrays['effort_rate_limits'], 1e300)
@@ -313,11 +314,17 @@ class Controller:
         else:
             self._is_saturated[:] = False
         self._ramp(elapsed)
+        self._send(elapsed)
+        return Command(self._command, self._is_saturated, self._is_slowed)
+
+    def _send(self, elapsed: float) -> None:
+        if self.gain == 1.0 and self.phase in IS_WELL and not self._has_rate_limits:
+            self._command[:] = self._efforts  # within their limits, and what there is most often
+            return
         target = self.gain * self._efforts
         if self._has_rate_limits:
             self._slow_down(target, elapsed)
         self._limit(target, self._command)
-        return Command(self._command, self._is_saturated, self._is_slowed)
 
     def _limit(self, efforts: Floats, out: Floats) -> None:
         np.maximum(efforts, self._lower_limits, out=out)  # both in half the time of np.clip
@@ -394,8 +401,9 @@ class Controller:
                 efforts = self._tau[self._index]
                 if reference is not None:
                     efforts += reference.efforts
-                efforts *= self._of_joint['effort_scale']
-                efforts += self._of_joint['effort_offset']
+                if self._is_calibrated:
+                    efforts *= self.scale
+                    efforts += self.offset
         except JointStateError:
             self.phase = Phase.NO_SOLUTION
             return
@@ -407,8 +415,8 @@ class Controller:
             self._jump, self._jump_left = self._efforts - efforts, 1.0
         if self._jump_left:
             efforts += self._jump_left * self._jump
-        np.greater(np.abs(efforts), self.limits, out=self._is_saturated)
         self._limit(efforts, self._efforts)
+        np.not_equal(efforts, self._efforts, out=self._is_saturated)
 
     def _accelerations(self, state: State, reference: Reference | None) -> Floats:
         """Return the accelerations to produce: resolved, where the loop is closed here."""

@@ -1,5 +1,5 @@
 """
-Joint states as they come off the wire, read where they lie.
+Joint states as they come off the wire, read where they lie; commands as they go onto it.
 
 To make a message of the bytes takes longer than the dynamics. But a publisher sends the same names
 forever: only its first message is deserialized. It tells where the numbers are in those that are
@@ -81,6 +81,26 @@ class JointStateReader:
                 self._layouts.clear()
             self._layouts.append(layout)
         return arrays
+
+
+def serialize_numbers(numbers: Floats) -> bytes:
+    """
+    Serialize a Float64MultiArray without dimensions.
+
+    Parameters
+    ----------
+    numbers : ndarray, shape (m,)
+        Its data.
+
+    Returns
+    -------
+    data : bytes
+        For a publisher of that type.
+
+    """
+    # No dimensions, no offset, a count, a gap.
+    head = struct.pack('<4s3I4x', _CDR_LITTLE_ENDIAN, 0, 0, len(numbers))
+    return head + numbers.astype(_NUMBER, copy=False).tobytes()
 
 
 class _Layout(NamedTuple):

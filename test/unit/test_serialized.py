@@ -13,10 +13,10 @@ import pytest
 pytest.importorskip('rclpy')
 
 from builtin_interfaces.msg import Time
-from inverse_dynamics_node.node.serialized import JointStateReader
+from inverse_dynamics_node.node.serialized import JointStateReader, serialize_numbers
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Header
+from std_msgs.msg import Float64MultiArray, Header
 
 texts = st.text(st.characters(exclude_characters='\0', exclude_categories=['Cs']), max_size=9)
 numbers = st.lists(st.floats(), max_size=9)
@@ -143,3 +143,9 @@ def test_arrays_cannot_be_written_to():
         arrays = reader.read(serialize_message(ARM))
     with pytest.raises(ValueError, match='read-only'):
         arrays.positions[0] = math.nan
+
+
+@given(st.lists(st.floats(allow_nan=False), max_size=9))
+def test_commands_are_deserialized_as_what_was_serialized(efforts):
+    message = deserialize_message(serialize_numbers(np.array(efforts)), Float64MultiArray)
+    assert message == Float64MultiArray(data=efforts)
