@@ -30,7 +30,8 @@ ROBOT = ROOT / 'test' / 'robots' / 'seven_dof.urdf'
 SEED = 1979
 STATES = 64
 RATE = 1000.0  # [Hz]; where the node goes by a time of its own
-TURN = 2.0  # [s]
+PACED, HURRIED = 1.0 / RATE, 0.0  # [s]; between states, where commands come in time
+TURN = 1.0  # [s]
 LONG_TURN = 10.0  # [s]; at a rate
 
 OURS = 'this node'
@@ -38,45 +39,56 @@ USUAL = 'usual relay'
 LEAN = 'lean relay'
 NODE = 'inverse_dynamics_node.node.main'
 RELAYS = 'benchmarks.relays'
+PACKAGES = ('inverse_dynamics_node', 'numpy', 'numba', 'ros-jazzy-rclpy', 'ros-rmw-fastrtps-cpp')
 QUANTITIES = ('round trip, median', 'round trip, 99 %', 'CPU per command')
 
 
 def main() -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(prog='make bench-loop', description=__doc__)
-    parser.add_argument('--rounds', type=int, default=15, help='of round trips')
-    parser.add_argument('--duration', type=float, default=60.0, help='of each at 1 kHz [s]')
-    parser.add_argument('--doc', type=Path, help='folder to write the page to')
+    parser.add_argument('--rounds', type=int, default=20, help='of round trips')
+    parser.add_argument('--duration', type=float, default=60.0, help='of each at a rate [s]')
+    parser.add_argument('--doc', type=Path, help='where the page is to be written')
     arguments = parser.parse_args()
-    about = machine.describe()
+    before = machine.describe(PACKAGES)
     trips = round_trips(arguments.rounds)
     turns = max(1, round(arguments.duration / LONG_TURN))
     ticks = at_a_rate(turns, min(LONG_TURN, arguments.duration))
-    text = (HERE / 'loop.md').read_text()
-    page = text.format(machine=about, trips=trips_table(trips), ticks=ticks_table(ticks))
+    page = (
+        (HERE / 'loop.md')
+        .read_text()
+        .format(
+            machine=before,
+            load=machine.load(),
+            rounds=arguments.rounds,
+            duration=arguments.duration,
+            paced=trips_table(trips[PACED]),
+            hurried=trips_table(trips[HURRIED]),
+            ticks=ticks_table(ticks),
+        )
+    )
     print('\n' + page)
     if arguments.doc:
         (arguments.doc / 'loop.md').write_text(page)
 
 
-def round_trips(rounds: int) -> dict[str, list[Trips]]:
-    """Let all take turns at answering joint states."""
+def round_trips(rounds: int) -> dict[float, dict[str, list[Trips]]]:
+    """Let all take turns at answering joint states, at both paces."""
     with contextlib.ExitStack() as stack:
         contenders = {
             OURS: node(stack),
             USUAL: relay(stack, 'usual'),
             LEAN: relay(stack, 'lean'),
         }
-        found: dict[str, list[Trips]] = {name: [] for name in contenders}
+        found: dict[float, dict[str, list[Trips]]] = {
+            pace: {name: [] for name in contenders} for pace in (PACED, HURRIED)
+        }
         for k in range(rounds):
-            for name, contender in contenders.items():
-                found[name].append(contender.trips(TURN))
-            told = ', '.join(
-                f'{name} {duration(float(np.median(turns[-1].times)))} '
-                f'{duration(turns[-1].cpu)} CPU'
-                for name, turns in found.items()
-            )
-            print(f'round {k + 1}: {told}; load {machine.load()}', flush=True)
+            for pace, turns in found.items():
+                for name, contender in contenders.items():
+                    turns[name].append(contender.trips(TURN, pace))
+            told = ', '.join(f'{n} {duration(t[-1].cpu)}' for n, t in found[PACED].items())
+            print(f'round {k + 1}: {told} of CPU; load {machine.load()}', flush=True)
     return found
 
 

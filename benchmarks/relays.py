@@ -11,6 +11,7 @@ import signal
 import sys
 from typing import Any
 
+from inverse_dynamics_node.node.serialized import JointStateReader, serialize_numbers
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.experimental.events_executor import EventsExecutor
@@ -47,20 +48,19 @@ class UsualRelay:
 
 
 class LeanRelay:
-    """The way of the messages through the node, without what is on it."""
+    """The way of messages into the node and out of it, and nothing in between."""
 
     def __init__(self, node: Any) -> None:
-        self._command = Float64MultiArray()
+        self._reader = JointStateReader()
         self._commands = node.create_lifecycle_publisher(
             Float64MultiArray, '~/commands', EVERY_ONE
         )
-        node.create_subscription(JointState, 'joint_states', self._on_state, NEWEST)
+        node.create_subscription(JointState, 'joint_states', self._on_state, NEWEST, raw=True)
         node.trigger_configure()
         node.trigger_activate()
 
-    def _on_state(self, message: JointState) -> None:
-        self._command.data = message.position
-        self._commands.publish(self._command)
+    def _on_state(self, data: bytes) -> None:
+        self._commands.publish(serialize_numbers(self._reader.read(data).positions))
 
 
 def main() -> None:
