@@ -26,6 +26,13 @@ class BaseMotion(Enum):
     """As an inertial measurement unit on it says."""
 
 
+class MissingInertial(Enum):
+    """What to do about links that have a shape, but no mass."""
+
+    WARN = 'warn'
+    REFUSE = 'refuse'
+
+
 class Executor(Enum):
     """What spins the node."""
 
@@ -156,6 +163,12 @@ PARAMETERS = {
         '',
         'Link whose frame is that of gravity, imu and ~/base_wrench; one that no joint moves. '
         'Empty: the root link',
+        is_live=False,
+    ),
+    'on_missing_inertial': Parameter(
+        _choice(MissingInertial),
+        MissingInertial.WARN.value,
+        'warn, or refuse a robot description with links that have a shape, but no <inertial>',
         is_live=False,
     ),
     'update_rate': Parameter(
@@ -348,6 +361,7 @@ class Configuration:
     robot_description_file: str
     joints: tuple[str, ...]
     base_link: str
+    on_missing_inertial: MissingInertial
     update_rate: float
     gravity: tuple[float, float, float]
     base_motion: BaseMotion

@@ -103,15 +103,16 @@ def check_configuration(rig: Rig, configuration: Configuration) -> None:
 
 
 def _load_robot(configuration: Configuration, description: str) -> RobotModel:
+    missing = configuration.on_missing_inertial.value
     if configuration.robot_description_file:
         # A shell leaves a ~ after := as it is.
-        return load_urdf(Path(configuration.robot_description_file).expanduser())
+        return load_urdf(Path(configuration.robot_description_file).expanduser(), missing)
     text = configuration.robot_description or description
     if not text:
         raise ConfigurationError(
             'no robot description: none on the topic, and neither parameter is set'
         )
-    return load_urdf(_as_xml(text))
+    return load_urdf(_as_xml(text), missing)
 
 
 def _as_xml(text: str) -> str:

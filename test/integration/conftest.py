@@ -1,5 +1,6 @@
 """The node as a process, and a robot's side of the conversation, on a domain of their own."""
 
+from array import array
 from collections.abc import Callable
 import os
 import signal
@@ -21,11 +22,11 @@ from builtin_interfaces.msg import Time
 from domain_coordinator import domain_id as unused_domain_id
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from rcl_interfaces.srv import SetParameters
+from rcl_interfaces.srv import GetParameters, SetParameters
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.parameter import Parameter
+from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
@@ -273,6 +274,11 @@ class RobotSide:
 
     def get_state(self):
         return self.call(GetState, 'get_state', GetState.Request()).current_state.label
+
+    def get_parameter(self, name):
+        answer = self.call(GetParameters, 'get_parameters', GetParameters.Request(names=[name]))
+        value = parameter_value_to_python(answer.values[0])
+        return list(value) if isinstance(value, (list, array)) else value
 
     def set_parameter(self, name, value):
         parameter = Parameter(name, value=value).to_parameter_msg()
