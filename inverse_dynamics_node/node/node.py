@@ -55,6 +55,7 @@ _LATCHED = QoSProfile(
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
 _WATCH_PERIOD = 0.01  # [s]; without an update rate, how often to look whether states still come
+_LISTENERS_PERIOD = 0.2  # [s]; how often to look who listens to more than the commands
 _DIAGNOSTICS_PERIOD = 1.0  # [s]; REP-107
 
 _SUCCESS = TransitionCallbackReturn.SUCCESS
@@ -99,6 +100,7 @@ class InverseDynamicsNode(LifecycleNode):
             self._timer_clock = steady
             self._now = time.monotonic  # the same clock, twenty times faster to read
         self._create_entities()
+        self.create_timer(_LISTENERS_PERIOD, self._outputs.look_for_listeners, clock=steady)
         self.create_timer(_DIAGNOSTICS_PERIOD, self._on_diagnostics, clock=steady)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
@@ -460,7 +462,6 @@ class InverseDynamicsNode(LifecycleNode):
 
     def _on_watch(self) -> None:
         """Step where no joint state will: none has come yet, or none comes any more."""
-        self._outputs.look_for_listeners()
         if self._loading is not None and self._loading.done():
             loading, self._loading = self._loading, None
             self._reload(loading)
