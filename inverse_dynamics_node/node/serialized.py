@@ -52,7 +52,7 @@ class JointStateReader:
         Returns
         -------
         arrays : JointStateArrays
-            Read-only, and no copies.
+            Not to be written to: views of the data, most often.
 
         Raises
         ------
