@@ -31,6 +31,7 @@ ARROWS = {
     },
     'specialise': {'newton_euler', 'dynamics', 'table', 'compilation', 'model'},
     'trajectory': {'dynamics', 'model', 'errors'},
+    'identification': {'dynamics', 'model', 'errors'},
     'state': {'model', 'errors'},
     'controller': {'dynamics', 'state', 'model', 'errors'},
     'node': {'controller', 'state', 'dynamics', 'urdf', 'model', 'errors'},
