@@ -39,7 +39,7 @@ $(VENV)/pip.done:
 	@touch $@
 
 EXTRAS_demo := ros,demo
-EXTRAS_test := ros,demo,test
+EXTRAS_test := ros,demo,cli,test
 EXTRAS_bench := bench
 # Not every machine has a wheel of these; the tables show who is missing.
 PEERS := drake roboticstoolbox-python

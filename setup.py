@@ -19,6 +19,7 @@ test = [
     'ros-jazzy-domain-coordinator',
     'ruff==0.17.*',
 ]
+cli = ['matplotlib>=3.6', 'PyYAML', 'rich>=13', 'rosbags>=0.10']
 bench = [
     'example-robot-data>=6',
     'hypothesis>=6',
@@ -40,7 +41,7 @@ setup(
     python_requires='>=3.10',
     # ROS is no entry here: a sourced ROS must not be shadowed, and the core does without.
     install_requires=['lxml', 'numba', 'numpy', 'scipy', 'yourdfpy'],
-    extras_require={'ros': ros, 'demo': demo, 'test': test, 'bench': bench},
+    extras_require={'ros': ros, 'demo': demo, 'cli': cli, 'test': test, 'bench': bench},
     zip_safe=True,
     maintainer='inverse_dynamics_node maintainers',
     maintainer_email='maintainers@inverse-dynamics-node.example',
@@ -48,6 +49,9 @@ setup(
     'compensation and computed torque for any URDF, as a ROS 2 node',
     license='Apache-2.0',
     entry_points={
-        'console_scripts': [f'{package_name} = {package_name}.node.main:main'],
+        'console_scripts': [
+            f'{package_name} = {package_name}.node.main:main',
+            f'inverse_dynamics = {package_name}.cli.main:main',
+        ],
     },
 )

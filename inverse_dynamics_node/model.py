@@ -82,6 +82,8 @@ class RobotModel:
     """Rotation from the link's frame to its body's, shape (k, 3, 3)."""
     link_position: Floats
     """Origin of the link in its body's frame, shape (k, 3) [m]."""
+    link_mass: Floats
+    """What the link adds to its body's mass, shape (k,) [kg]; 0 where it has no inertial."""
 
     warnings: tuple[str, ...] = ()
     """What loaded, but looks wrong."""

@@ -123,6 +123,7 @@ def build_model(
         link_body=np.array([place.body for place in placed], np.int64),
         link_rotation=np.array([place.rotation for place in placed]),
         link_position=np.array([place.position for place in placed]),
+        link_mass=np.array([link.mass for link in links], float),
         warnings=(*warnings, *_massless(bodies, parents, mass)),
     )
 

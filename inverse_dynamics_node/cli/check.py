@@ -1,0 +1,208 @@
+"""The command `check`: what a robot description says, and whether its motors are enough."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..advice import Concern
+from ..dynamics import InverseDynamics, STANDARD_GRAVITY
+from ..model import Floats, RobotModel
+from ..report import (
+    concerns_of,
+    decimals,
+    effort_unit,
+    model_tables,
+    number,
+    share,
+    slides,
+    Table,
+)
+from ..urdf import load_urdf
+from ..workspace import explore, last_link, Payload, payload_left, SAMPLES, Workspace
+from .console import progress, show, show_concerns
+
+EPILOG = """\
+examples:
+  inverse_dynamics check my_arm.urdf
+  inverse_dynamics check my_arm.urdf --link tool0 --picture arm.png
+  inverse_dynamics check wall_mounted.urdf --gravity 9.81 0 0
+  inverse_dynamics check my_arm.urdf --strict > report.txt
+
+Looks at the whole range of every joint (one turn, where it has no limits), all joints at once, and
+searches on from the worst poses that it finds there. The payload is a point mass at the origin of
+the link, held at rest: moving it takes more, see `inverse_dynamics effort`.
+
+exit code: 0 the description can be used; 1 it cannot; 2 wrong arguments; 3 with --strict, when
+there are warnings."""
+
+_WARNED = 3
+_MOST_IN_POSE = 8
+"""Joints whose positions fit in a row."""
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the command."""
+    parser: argparse.ArgumentParser = subparsers.add_parser(
+        'check',
+        help='what a URDF says: masses, limits, gravity efforts everywhere, payload left',
+        description='Report on a robot description: tree, masses and limits, what looks wrong and '
+        'what to do about it, the gravity efforts over the workspace against the effort limits, '
+        'and the payload that they leave. Writes a picture too.',
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument('urdf', type=Path, help='the robot description')
+    parser.add_argument(
+        '--link', help='where the payload is; default: tool0, else the end of the longest chain'
+    )
+    parser.add_argument('--picture', type=Path, help='default: <name of the urdf>_check.png, here')
+    parser.add_argument('--no-picture', action='store_true', help='write no picture')
+    parser.add_argument('--poses', type=Path, help='write the worst pose of every joint here, CSV')
+    parser.add_argument(
+        '--samples',
+        type=_sample_count,
+        default=SAMPLES,
+        help='how many poses to look at, rounded up to a power of two (default: %(default)s)',
+    )
+    parser.add_argument(
+        '--gravity',
+        type=float,
+        nargs=3,
+        default=STANDARD_GRAVITY,
+        metavar=('X', 'Y', 'Z'),
+        help='free-fall acceleration in the frame of the root link [m/s^2]',
+    )
+    parser.add_argument('--strict', action='store_true', help='exit with 3 if there are warnings')
+    parser.set_defaults(run=run)
+
+
+def _sample_count(text: str) -> int:
+    if not text.isdecimal() or not 2 <= int(text) <= 2**24:
+        raise argparse.ArgumentTypeError(f"'{text}' is no whole number from 2 to {2**24}")
+    return int(text)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command; return the exit code."""
+    robot = load_urdf(options.urdf)
+    dynamics = InverseDynamics(robot, options.gravity)
+    show(*model_tables(dynamics))
+    concerns = concerns_of(robot)
+    if robot.joint_names:
+        link = options.link or last_link(robot)
+        with progress('looking at poses') as tell:
+            workspace = explore(dynamics, options.samples, progress=tell)
+            payload = payload_left(dynamics, workspace, link)
+        show(workspace_table(workspace, payload))
+        concerns += beyond_limits(workspace)
+    show_concerns(concerns)
+    if robot.joint_names and options.poses:
+        write_poses(workspace, options.poses)
+    if robot.joint_names and not options.no_picture:
+        from .check_picture import draw
+
+        path = options.picture or Path(f'{options.urdf.stem}_check.png')
+        draw(dynamics, workspace, payload, path)
+        print(f'\npicture: {path}')
+    return _WARNED if options.strict and concerns else 0
+
+
+def workspace_table(workspace: Workspace, payload: Payload) -> Table:
+    """Write out what gravity asks of every joint, where most, and the payload left."""
+    robot, limits = workspace.robot, workspace.limits
+    places = decimals(workspace.efforts)
+    rows = []
+    for i, name in enumerate(robot.joint_names):
+        efforts = workspace.efforts[:, i]
+        worst = float(efforts[workspace.worst[i]])
+        median = np.median(np.abs(efforts[workspace.sampled]))
+        rows.append(
+            (
+                name,
+                f'{round(worst, places) + 0.0:.{places}f} {effort_unit(robot, i)}',
+                f'{median:.{places}f}',
+                number(limits[i]),
+                share(worst, limits[i]),
+                'beyond its limit' if abs(worst) > limits[i] else '',
+                _short_pose(workspace.poses[workspace.worst[i]]),
+            )
+        )
+    columns = ('joint', 'worst', 'median', 'limit', 'share', '', 'pose of the worst [rad, m]')
+    shown = [k for k in range(len(columns)) if k < 5 or any(row[k] for row in rows)]
+    if len(rows) > _MOST_IN_POSE:
+        shown.pop()
+    hardest = workspace.hardest
+    worst_pose = workspace.poses[workspace.worst[hardest]]
+    notes = (
+        f'Hardest for {robot.joint_names[hardest]}: at {pose_in_words(robot, worst_pose)}.',
+        payload_in_words(robot, payload),
+    )
+    count = len(workspace.poses) - len(rows)
+    title = f'Efforts that hold the robot, over {count} poses and the worst near them'
+    return Table(
+        title,
+        tuple(columns[k] for k in shown),
+        tuple(tuple(row[k] for k in shown) for row in rows),
+        notes,
+        frozenset({5, 6}),
+    )
+
+
+def payload_in_words(robot: RobotModel, payload: Payload) -> str:
+    """Say how much can be held, and what stands against more."""
+    where = f"at the origin of link '{payload.link}'"
+    if payload.joint is None:
+        return f'Payload left {where}: no joint with an effort limit feels it.'
+    at = f'{payload.joint} gives out first, at {pose_in_words(robot, payload.pose)}'
+    if payload.mass == 0.0:
+        return f'Payload left {where}: none, gravity alone is beyond a limit; {at}.'
+    return f'Payload left {where}, at rest in every pose: {payload.mass:.3g} kg; {at}.'
+
+
+def pose_in_words(robot: RobotModel, pose: Floats, most: int = 8) -> str:
+    """Name the joints that are not at zero, those far away first if there are many."""
+    units = ['m' if slide else 'rad' for slide in slides(robot)]
+    away = [i for i in np.argsort(-np.abs(pose)) if abs(pose[i]) >= 5e-4]
+    shown = [f'{robot.joint_names[i]} {pose[i]:.3f} {units[i]}' for i in sorted(away[:most])]
+    if not shown:
+        return 'zero'
+    rest = len(away) - len(shown)
+    return ', '.join(shown) + (f' and {rest} more' if rest else '') + ', the others 0'
+
+
+def beyond_limits(workspace: Workspace) -> tuple[Concern, ...]:
+    """Warn of joints that cannot hold the robot everywhere."""
+    found = tuple(
+        f"joint '{name}': gravity takes {peak / limit:.0%} of its effort limit in the worst pose"
+        for name, peak, limit in zip(
+            workspace.robot.joint_names, workspace.peaks, workspace.limits, strict=True
+        )
+        if peak > limit
+    )
+    advice = (
+        'check masses and limit; if both are right, the arm falls in such poses unless springs '
+        'help, which a URDF does not tell'
+    )
+    return (Concern(advice, found),) if found else ()
+
+
+def _short_pose(pose: Floats) -> str:
+    return ' '.join(f'{round(float(x), 2) + 0.0:g}' for x in pose)
+
+
+def write_poses(workspace: Workspace, path: Path) -> None:
+    """Write the worst pose of every joint as CSV: a joint a row."""
+    names = workspace.robot.joint_names
+    with path.open('w', newline='', encoding='utf-8') as file:
+        rows = csv.writer(file)
+        rows.writerow(['joint', 'gravity_effort', 'effort_limit', *names])
+        for i, name in enumerate(names):
+            k = workspace.worst[i]
+            limit = number(workspace.limits[i]).replace('-', '')
+            pose = (f'{x:.6g}' for x in workspace.poses[k])
+            rows.writerow([name, f'{workspace.efforts[k, i]:.6g}', limit, *pose])

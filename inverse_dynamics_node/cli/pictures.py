@@ -1,0 +1,74 @@
+"""How the pictures of the commands look: legible in a README, colours that all tell apart."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+BLUE, ORANGE, GREEN, PINK, SKY, RED, YELLOW = (
+    '#0072B2',
+    '#E69F00',
+    '#009E73',
+    '#CC79A7',
+    '#56B4E9',
+    '#D55E00',
+    '#F0E442',
+)
+"""Okabe and Ito: told apart by the colour-blind too."""
+COLOURS = (BLUE, ORANGE, GREEN, PINK, SKY, RED)
+GREY, PALE, DARK = '#8a8a8a', '#dddddd', '#333333'
+WIDTH = 9.0
+"""Of a picture [inch]; at 100 dots an inch the text is legible in a README."""
+DPI = 100
+
+_STYLE = {
+    'axes.edgecolor': GREY,
+    'axes.grid': True,
+    'axes.labelcolor': DARK,
+    'axes.prop_cycle': COLOURS,  # made a cycler below: matplotlib is imported late
+    'axes.spines.right': False,
+    'axes.spines.top': False,
+    'axes.titlelocation': 'left',
+    'axes.titlesize': 11,
+    'figure.constrained_layout.use': True,
+    'font.size': 10,
+    'grid.color': PALE,
+    'grid.linewidth': 0.7,
+    'legend.fontsize': 9,
+    'legend.frameon': False,
+    'lines.linewidth': 1.6,
+    'text.color': DARK,
+    'xtick.color': DARK,
+    'ytick.color': DARK,
+}
+
+
+@contextmanager
+def style() -> Iterator[Any]:
+    """Draw what is drawn within in our style; yields pyplot, with no window to open."""
+    import matplotlib
+
+    matplotlib.use('Agg')
+    from cycler import cycler
+    from matplotlib import pyplot
+
+    settings = {**_STYLE, 'axes.prop_cycle': cycler(color=_STYLE['axes.prop_cycle'])}
+    with matplotlib.rc_context(settings):
+        try:
+            yield pyplot
+        finally:
+            pyplot.close('all')
+
+
+def save(figure: Any, path: str | Path) -> None:
+    """Write a figure as a PNG."""
+    figure.savefig(path, dpi=DPI, format='png')
+
+
+def fitting(names: Sequence[str], longest: int = 22) -> list[str]:
+    """Cut names to what fits beside an axis, in their middle."""
+    from ..report import shortened
+
+    return [shortened(name, longest) for name in names]

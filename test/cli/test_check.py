@@ -1,0 +1,153 @@
+"""The command `check`, run as people run it."""
+
+import os
+import subprocess
+import sys
+
+from inverse_dynamics_node.cli.main import main
+import pytest
+from robot_files import real_robots, ROOT, STANFORD
+
+pytest.importorskip('matplotlib')
+
+ROBOTS = ROOT / 'test' / 'robots'
+
+
+def size_of(path):
+    """Return width and height of a PNG."""
+    data = path.read_bytes()
+    assert data[:8] == b'\x89PNG\r\n\x1a\n'
+    return int.from_bytes(data[16:20], 'big'), int.from_bytes(data[20:24], 'big')
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def test_tells_what_the_arm_can_hold_and_draws_it(tmp_path, capsys):
+    assert main(['check', str(STANFORD)]) == 0
+    output = capsys.readouterr().out
+    assert "robot 'stanford'" in output
+    assert "at the origin of link 'tool0', at rest in every pose: 3.44 kg" in output
+    assert 'joint_5 gives out first' in ' '.join(output.split())
+    assert output.endswith('picture: stanford_check.png\n')
+    width, height = size_of(tmp_path / 'stanford_check.png')
+    assert 800 <= width <= 1000
+    assert 400 <= height <= 600
+
+
+@pytest.mark.parametrize('name', ['pendulum', 'cartesian', 'mimic_gripper', 'continuous'])
+def test_draws_every_kind_of_robot(tmp_path, name):
+    arguments = ['check', str(ROBOTS / f'{name}.urdf'), '--picture', 'p.png', '--samples', '64']
+    assert main(arguments) == 0
+    assert size_of(tmp_path / 'p.png')[1] >= 400
+
+
+def test_draws_a_humanoid(tmp_path):
+    paths = [path for path in real_robots() if path.name == 'talos_full_v2.urdf']
+    if not paths:
+        pytest.skip('example-robot-data is not installed')
+    assert main(['check', str(paths[0]), '--picture', 'p.png', '--samples', '64']) == 0
+    assert size_of(tmp_path / 'p.png')[1] >= 900
+
+
+def test_without_limits_it_draws_and_warns(tmp_path, capsys):
+    urdf = tmp_path / 'lift.urdf'
+    text = (ROBOTS / 'pendulum.urdf').read_text()
+    urdf.write_text(text.replace('effort="10"', 'effort="0"'))
+    assert main(['check', str(urdf), '--samples', '16']) == 0
+    assert main(['check', str(urdf), '--samples', '16', '--strict', '--no-picture']) == 3
+    output = capsys.readouterr().out
+    assert 'taken as not known' in output
+    assert '-> write the effort that the joint can give' in output
+
+
+def test_gravity_beyond_a_limit_is_a_warning(tmp_path, capsys):
+    urdf = tmp_path / 'weak.urdf'
+    urdf.write_text(STANFORD.read_text().replace('effort="100"', 'effort="20"'))
+    assert main(['check', str(urdf), '--no-picture', '--strict']) == 3
+    output = capsys.readouterr().out
+    assert "joint 'joint_2': gravity takes 161% of its effort limit in the worst pose" in output
+    assert 'none, gravity alone is beyond a limit' in output
+
+
+def test_gravity_may_point_elsewhere(capsys):
+    assert main(['check', str(STANFORD), '--no-picture', '--gravity', '0', '0', '0']) == 0
+    output = capsys.readouterr().out
+    assert 'gravity: 0 0 0 m/s^2' in output
+    assert 'no joint with an effort limit feels it' in output
+
+
+def test_poses_are_written_by_name(tmp_path):
+    assert main(['check', str(STANFORD), '--no-picture', '--poses', 'poses.csv']) == 0
+    head, *rows = (tmp_path / 'poses.csv').read_text().splitlines()
+    assert head.startswith('joint,gravity_effort,effort_limit,joint_1,')
+    assert len(rows) == 6
+    assert rows[1].startswith('joint_2,32.17')
+
+
+def test_a_robot_that_cannot_move_is_reported_all_the_same(tmp_path, capsys):
+    urdf = tmp_path / 'bolt.urdf'
+    urdf.write_text('<robot name="bolt"><link name="base"/></robot>')
+    assert main(['check', str(urdf)]) == 0
+    assert 'no joint can move' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'words'),
+    [
+        (['nowhere.urdf'], 'nowhere.urdf: cannot be read'),
+        ([str(STANFORD), '--link', 'tool9', '--no-picture'], "link 'tool9' does not exist"),
+        ([str(STANFORD), '--picture', 'no/such/folder.png'], 'No such file or directory'),
+    ],
+)
+def test_errors_are_one_line(arguments, words, capsys):
+    assert main(['check', *arguments]) == 1
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.startswith('inverse_dynamics: ')
+    assert len(error.splitlines()) == 1
+
+
+@pytest.mark.parametrize('arguments', [[], ['chekc'], ['check'], ['check', 'a', '--samples', '1']])
+def test_usage_errors_exit_with_2(arguments):
+    with pytest.raises(SystemExit) as exit_:
+        main(arguments)
+    assert exit_.value.code == 2
+
+
+def test_help_teaches(capsys):
+    for arguments in (['--help'], ['check', '--help']):
+        with pytest.raises(SystemExit) as exit_:
+            main(arguments)
+        assert exit_.value.code == 0
+        assert 'inverse_dynamics check my_arm.urdf' in capsys.readouterr().out
+
+
+def test_a_missing_package_is_named_with_the_way_to_get_it(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, 'matplotlib', None)
+    assert main(['check', str(STANFORD)]) == 1
+    assert "pip install 'inverse_dynamics_node[cli]'" in capsys.readouterr().err
+
+
+COMMAND = [sys.executable, '-m', 'inverse_dynamics_node.cli.main', 'check', str(STANFORD)]
+ENVIRONMENT = {**os.environ, 'PYTHONPATH': str(ROOT)}
+
+
+def test_runs_as_a_process_without_colours_in_a_pipe():
+    result = subprocess.run(
+        COMMAND, env=ENVIRONMENT, capture_output=True, text=True, timeout=120, check=True
+    )
+    assert '\x1b' not in result.stdout + result.stderr
+    assert 'payload left' in result.stdout.lower()
+
+
+def test_a_reader_that_leaves_early_is_no_error():
+    process = subprocess.Popen(
+        COMMAND, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    process.stdout.close()
+    assert process.wait(120) == 141
+    assert process.stderr.read() == ''
+    process.stderr.close()

@@ -1,0 +1,125 @@
+"""What the report says of a robot, and that it stays readable."""
+
+from inverse_dynamics_node.advice import advise
+from inverse_dynamics_node.dynamics import InverseDynamics
+from inverse_dynamics_node.errors import ConfigurationError, JointStateError, UrdfError
+from inverse_dynamics_node.report import (
+    as_text,
+    concerns_of,
+    model_report,
+    model_tables,
+    shortened,
+    Table,
+    WIDTH,
+)
+from inverse_dynamics_node.urdf import load_urdf
+import numpy as np
+import pytest
+from robot_files import real_robots, ROOT, STANFORD
+
+ARM = load_urdf(STANFORD)
+
+
+def report_of(robot, **options):
+    return model_report(InverseDynamics(robot), **options)
+
+
+def test_tells_masses_limits_and_what_is_merged():
+    text = report_of(ARM)
+    assert '20.77 kg' in text
+    rows = {line.split()[0]: line.split() for line in text.splitlines() if line.strip()}
+    assert rows['joint_3'][1:] == ['prismatic', 'z', '0.2032', '0.9144', '1', '200', '4.25']
+    assert 'link_6 0.51, tool0' in text
+    assert 'No warnings.' in text
+
+
+def test_masses_of_links_add_up_to_those_of_bodies(urdf_path):
+    robot = load_urdf(urdf_path)
+    mass = np.zeros(len(robot.mass))
+    np.add.at(mass, robot.link_body, robot.link_mass)
+    assert mass == pytest.approx(robot.mass)
+
+
+def test_order_of_the_commands_leads_to_the_urdf():
+    text = report_of(ARM, joints=['joint_4', 'joint_2'])
+    assert '0        joint_4                  3' in text
+    assert '1        joint_2                  1' in text
+    assert 'not commanded, but counted: joint_1, joint_3, joint_5, joint_6' in text
+
+
+def test_efforts_at_rest_are_those_of_the_dynamics():
+    q = [0.0, 1.3, 0.6, 0.0, 0.6, 0.0]
+    table = model_tables(InverseDynamics(ARM), q=q)[-1]
+    efforts = [float(row[2].split()[0]) for row in table.rows]
+    assert efforts == pytest.approx(InverseDynamics(ARM).gravity_efforts(q), abs=0.006)
+    assert table.rows[1][3:5] == ('100', '12%')
+
+
+def test_what_is_out_of_bounds_is_marked():
+    q = [0.0, 1.3, 2.0, 0.0, 0.6, 0.0]
+    limits = [60.0, 1.0, 200.0, 10.0, 10.0, 5.0]
+    rows = model_tables(InverseDynamics(ARM), q=q, effort_limits=limits)[-1].rows
+    assert rows[2][-1] == 'outside its range'
+    assert rows[1][-1] == 'beyond its limit'
+
+
+def test_limits_given_are_of_the_commanded_joints():
+    text = report_of(ARM, joints=['joint_4', 'joint_2'], effort_limits=[7.5, np.inf])
+    rows = {line.split()[0]: line.split() for line in text.splitlines() if line.strip()}
+    assert rows['joint_4'][6] == '7.5'
+    assert rows['joint_2'][6] == '-'
+
+
+@pytest.mark.parametrize(
+    ('options', 'error', 'words'),
+    [
+        ({'joints': ['joint_9']}, ConfigurationError, "joint 'joint_9' does not exist"),
+        ({'effort_limits': [1.0]}, ConfigurationError, r'shape \(1,\), expected \(6,\)'),
+        ({'q': [1.0]}, JointStateError, 'q has shape'),
+    ],
+)
+def test_refuses_in_words(options, error, words):
+    with pytest.raises(error, match=words):
+        report_of(ARM, **options)
+
+
+def test_missing_effort_limits_are_warned_of_once():
+    text = STANFORD.read_text().replace('effort="200"', 'effort="0"')
+    (concern,) = concerns_of(load_urdf(text))
+    assert len(concern.findings) == 1
+    robot = load_urdf(ROOT / 'test' / 'robots' / 'continuous.urdf')
+    unlimited = int(np.count_nonzero(np.isinf(robot.effort_limits)))
+    told = [text for concern in concerns_of(robot) for text in concern.findings]
+    assert sum('no effort limit' in text for text in told) == unlimited
+
+
+def test_a_chain_goes_straight_down_and_a_branch_is_indented():
+    arm = model_tables(InverseDynamics(ARM))[1]
+    assert [row[0] for row in arm.rows] == ['base_link', *ARM.joint_names]
+    robot = load_urdf(ROOT / 'test' / 'robots' / 'branched.urdf')
+    names = [row[0] for row in model_tables(InverseDynamics(robot))[1].rows]
+    assert any(name.startswith('├ ') for name in names)
+    assert any('└ ' in name for name in names)
+
+
+@pytest.mark.parametrize('path', real_robots()[::6], ids=lambda path: path.stem)
+def test_stays_within_its_width_and_advises_on_every_warning(path):
+    try:
+        robot = load_urdf(path)
+    except UrdfError:
+        pytest.skip('refused, as it should be')
+    text = report_of(robot, joints=robot.joint_names[::-1], q=np.zeros(len(robot.joint_names)))
+    assert max(map(len, text.splitlines())) <= WIDTH
+    assert all('look at that line' not in concern.advice for concern in advise(robot.warnings))
+
+
+def test_robots_without_joints_are_described_too():
+    text = report_of(load_urdf('<robot name="r"><link name="base"/></robot>'), q=[])
+    assert 'no joint can move' in text
+
+
+def test_long_names_give_way_in_their_middle():
+    assert shortened('gripper_left_fingertip_1_joint', 15) == 'gripper…1_joint'
+    assert shortened('elbow', 15) == 'elbow'
+    table = Table('t', ('joint', 'value'), (('a' * 200, '1.0'),))
+    assert max(map(len, as_text(table).splitlines())) <= WIDTH

@@ -1,0 +1,136 @@
+"""Gravity efforts over the workspace, and the payload they leave."""
+
+import math
+
+from inverse_dynamics_node.dynamics import InverseDynamics
+from inverse_dynamics_node.errors import ConfigurationError
+from inverse_dynamics_node.urdf import load_urdf
+from inverse_dynamics_node.workspace import explore, joint_ranges, last_link, payload_left
+import numpy as np
+import pytest
+from robot_files import OUR_ROBOTS, real_robots, ROOT, STANFORD
+
+ROBOTS = ROOT / 'test' / 'robots'
+ARM = InverseDynamics(load_urdf(STANFORD))
+MOVING = [path for path in OUR_ROBOTS if load_urdf(path).joint_names]
+STANDARD = 9.80665
+
+
+def test_pendulum_is_worst_when_level():
+    robot = load_urdf(ROBOTS / 'pendulum.urdf')
+    workspace = explore(InverseDynamics(robot), samples=64)
+    level = float(np.linalg.norm(robot.com[1])) * robot.mass[1] * STANDARD
+    assert workspace.peaks == pytest.approx([level], rel=1e-6)
+
+
+def test_finds_the_arm_stretched_out():
+    workspace = explore(ARM)
+    assert workspace.robot.joint_names[workspace.hardest] == 'joint_2'
+    pose = workspace.poses[workspace.worst[1]]
+    assert abs(pose[1]) == pytest.approx(0.5 * math.pi, abs=0.01)
+    assert pose[2] == pytest.approx(workspace.robot.upper[2])
+    assert pose[3:] == pytest.approx(np.zeros(3), abs=0.01)
+    # No pose on a grid asks more; the search goes beyond what was sampled.
+    grid = np.stack(np.meshgrid(*[np.linspace(-1.7, 1.7, 9)] * 3), -1).reshape(-1, 3)
+    poses = np.insert(np.insert(grid, 1, 0.9144, axis=1), [0, 3], 0.0, axis=1)
+    assert np.max(np.abs(ARM.gravity_efforts(poses)[:, 1])) <= workspace.peaks[1]
+
+
+@pytest.mark.parametrize('path', MOVING, ids=lambda path: path.stem)
+def test_poses_are_within_the_ranges_and_efforts_are_theirs(path):
+    dynamics = InverseDynamics(load_urdf(path))
+    workspace = explore(dynamics, samples=256)
+    lower, upper = joint_ranges(dynamics.robot)
+    assert np.all(workspace.poses >= lower - 1e-12)
+    assert np.all(workspace.poses <= upper + 1e-12)
+    assert np.all(upper - lower <= max(2.0 * math.pi, np.max(upper - lower)))
+    assert workspace.efforts == pytest.approx(dynamics.gravity_efforts(workspace.poses))
+    sizes = np.abs(workspace.efforts)
+    worst = sizes[workspace.worst, range(len(workspace.limits))]
+    assert worst == pytest.approx(np.max(sizes, axis=0), rel=1e-6, abs=1e-6)
+    assert np.all(workspace.peaks >= np.max(sizes[workspace.sampled], axis=0))
+
+
+def test_is_the_same_every_time():
+    first, second = explore(ARM, samples=128), explore(ARM, samples=128)
+    assert np.array_equal(first.poses, second.poses)
+
+
+def test_wide_ranges_are_one_turn():
+    text = STANFORD.read_text().replace('2.6179938779914944', '100.0')
+    lower, upper = joint_ranges(load_urdf(text))
+    assert (lower[0], upper[0]) == (-math.pi, math.pi)
+    text = text.replace('lower="-100.0"', 'lower="5.0"')
+    lower, upper = joint_ranges(load_urdf(text))
+    assert (lower[0], upper[0]) == (5.0, 5.0 + 2.0 * math.pi)
+
+
+@pytest.mark.parametrize('link', ['tool0', 'link_3'])
+def test_at_the_payload_left_one_joint_is_at_its_limit_and_none_beyond(link):
+    workspace = explore(ARM, samples=1024)
+    payload = payload_left(ARM, workspace, link)
+    laden = InverseDynamics(ARM.robot)
+    laden.set_payload(link, payload.mass)
+    poses = np.vstack([workspace.poses, payload.pose])
+    shares = np.abs(laden.gravity_efforts(poses)) / workspace.limits
+    assert np.max(shares) == pytest.approx(1.0, rel=1e-9)
+    assert ARM.robot.joint_names[int(np.argmax(np.max(shares, axis=0)))] == payload.joint
+
+
+def test_payload_of_a_pendulum_is_what_is_left_of_its_limit():
+    text = (ROBOTS / 'planar_2r.urdf').read_text()
+    dynamics = InverseDynamics(load_urdf(text))
+    workspace = explore(dynamics, samples=256)
+    payload = payload_left(dynamics, workspace, last_link(dynamics.robot))
+    laden = InverseDynamics(dynamics.robot)
+    laden.set_payload(payload.link, payload.mass)
+    # The exact worst pose is level and straight; the search comes within a millionth.
+    efforts = np.abs(laden.gravity_efforts(payload.pose))
+    assert np.max(efforts / workspace.limits) == pytest.approx(1.0, rel=1e-9)
+
+
+def test_a_payload_already_carried_takes_its_share():
+    loaded = InverseDynamics(ARM.robot)
+    loaded.set_payload('tool0', 1.0)
+    before = payload_left(ARM, explore(ARM, samples=256), 'tool0')
+    after = payload_left(loaded, explore(loaded, samples=256), 'tool0')
+    assert after.mass == pytest.approx(before.mass - 1.0, rel=1e-3)
+
+
+def test_no_payload_where_gravity_alone_is_too_much():
+    limits = [60.0, 10.0, 200.0, 10.0, 10.0, 5.0]
+    workspace = explore(ARM, samples=64, effort_limits=limits)
+    payload = payload_left(ARM, workspace, 'tool0')
+    assert (payload.mass, payload.joint) == (0.0, 'joint_2')
+
+
+def test_no_limit_no_answer():
+    workspace = explore(ARM, samples=64, effort_limits=[math.inf] * 6)
+    assert payload_left(ARM, workspace, 'tool0')[1:3] == (math.inf, None)
+    assert workspace.robot.joint_names[workspace.hardest] == 'joint_3'
+
+
+def test_refuses_in_words():
+    with pytest.raises(ConfigurationError, match='expected at least 2'):
+        explore(ARM, samples=1)
+    with pytest.raises(ConfigurationError, match="link 'tool9' does not exist"):
+        payload_left(ARM, explore(ARM, samples=8), 'tool9')
+    bolt = InverseDynamics(load_urdf('<robot name="bolt"><link name="base"/></robot>'))
+    with pytest.raises(ConfigurationError, match='no joint that moves'):
+        explore(bolt)
+
+
+def test_payloads_go_to_the_tool_or_to_the_hand():
+    assert last_link(ARM.robot) == 'tool0'
+    panda = [path for path in real_robots() if path.name == 'panda.urdf']
+    if panda:
+        robot = load_urdf(panda[0])
+        body = robot.link_body[robot.link_names.index(last_link(robot))]
+        assert robot.body_names[body] == 'panda_joint7'
+
+
+def test_tells_how_far_it_is():
+    shares = []
+    explore(ARM, samples=64, progress=shares.append)
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
