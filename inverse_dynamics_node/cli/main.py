@@ -8,9 +8,9 @@ import os
 import sys
 
 from ..errors import InverseDynamicsError
-from . import check, demo
+from . import check, compare, demo
 
-COMMANDS = (check, demo)
+COMMANDS = (check, compare, demo)
 """Each has add_parser(subparsers), which sets the default `run`: options to exit code."""
 
 EPILOG = """\

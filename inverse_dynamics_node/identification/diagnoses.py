@@ -87,16 +87,28 @@ def _of_whom(
     return [fit for fit, _ in pairs], tuple(name for _, name in pairs)
 
 
+def _is_all(explanation: Explanation, joints: Sequence[str], names: Sequence[str]) -> bool:
+    """Tell whether these are several joints, and all those of which anything can be told."""
+    telling = [name for fit, name in zip(explanation.fits, names, strict=True) if not fit.is_mute]
+    return len(joints) > 1 and set(telling) <= set(joints)
+
+
+def _telling(explanation: Explanation) -> list[Fit]:
+    """Return the fits that say something about the whole robot."""
+    return [fit for fit in explanation.fits if not fit.is_mute] or list(explanation.fits)
+
+
 def _left(fits: Sequence[Fit]) -> str:
-    """Say how much is explained now."""
-    return f'{1.0 - max(fit.left for fit in fits):.1%} of the squared effort'
+    """Say how much is explained now, of the joint that is explained worst."""
+    share = 1.0 - max(fit.left for fit in fits)
+    return f'{f"{share:.1%}" if share < 0.999 else "over 99.9%"} of the squared effort'
 
 
 def _sign(explanation: Explanation, names: Sequence[str]) -> Diagnosis | None:
     fits, joints = _of_whom(explanation, names, 'is_swapped')
     if not fits:
         return None
-    every = len(fits) == len(names) > 1
+    every = _is_all(explanation, joints, names)
     who = 'every joint' if every else listed(joints)
     has = 'has its sign' if every or len(joints) == 1 else 'have their signs'
     return Diagnosis(
@@ -122,7 +134,8 @@ def _scale(explanation: Explanation, names: Sequence[str]) -> Diagnosis | None:
     listed_factors = ', '.join(
         f'{name} {factor:.4g}' for name, factor in zip(joints, factors, strict=True)
     )
-    is_all = len(fits) > 1 and len(fits) == len(names)
+    is_all = _is_all(explanation, joints, names)
+    mute = [name for fit, name in zip(explanation.fits, names, strict=True) if fit.is_mute]
     evidence = (
         f'the measured effort is the modelled one times {listed_factors}; with that, the model '
         f'explains {_left(fits)}'
@@ -140,19 +153,21 @@ def _scale(explanation: Explanation, names: Sequence[str]) -> Diagnosis | None:
     else:
         headline = f'the effort of {listed(joints)} is in another unit'
         advice = 'Compare the torque constant, gear ratio and unit of these joints with others.'
+    if mute:
+        evidence += f'; of {listed(mute)} the unit cannot be told: next to nothing but friction'
     return Diagnosis('scale', joints, headline, evidence, advice, tuple(factors))
 
 
 def _weightless(explanation: Explanation) -> Diagnosis | None:
-    if explanation.base.kind != 'weightless':
+    if not explanation.base.is_weightless:
         return None
     return Diagnosis(
         'gravity_compensated',
         (),
         'the measured efforts lack gravity: the driver compensates it already',
-        f'without its gravity term, the model explains {_left(explanation.fits)}',
-        'Give the node include_gravity: false, and compare with --gravity 0,0,0. With gravity '
-        'counted twice, an arm would be driven upwards.',
+        f'without its gravity term, the model explains {_left(_telling(explanation))}',
+        'Give the node include_gravity: false. With gravity counted twice, an arm would be driven '
+        'upwards.',
     )
 
 
@@ -162,14 +177,14 @@ def _mounting(explanation: Explanation, gravity: Floats) -> Diagnosis | None:
     found = np.array(explanation.base.solution)
     cosine = found @ gravity / (np.linalg.norm(found) * np.linalg.norm(gravity))
     angle = math.degrees(math.acos(np.clip(cosine, -1.0, 1.0)))
-    text = ','.join(f'{x:.2f}' for x in found)
+    text = ', '.join(f'{x:.2f}' for x in found)
     return Diagnosis(
         'mounting',
         (),
         f'the base is mounted {angle:.0f} degrees from where the model has it',
         f'with gravity of {text} m/s^2 in the base frame, the model explains '
-        f'{_left(explanation.fits)}',
-        f'Give the node gravity: [{text.replace(",", ", ")}], and compare with --gravity {text}.',
+        f'{_left(_telling(explanation))}',
+        f'Give the node gravity: [{text}].',
         tuple(found.tolist()),
     )
 
@@ -183,7 +198,6 @@ def _payload(explanation: Explanation) -> Diagnosis | None:
         x if error < UNSURE else math.nan for x, error in zip(com, base.errors[1:], strict=True)
     ]
     where = ', '.join('cannot tell' if math.isnan(x) else f'{x:.3f}' for x in com)
-    given = ','.join('0' if math.isnan(x) else f'{x:.3f}' for x in com)
     carries = 'carries' if mass > 0.0 else 'lacks'
     return Diagnosis(
         'payload',
@@ -191,8 +205,9 @@ def _payload(explanation: Explanation) -> Diagnosis | None:
         f"link '{base.link}' {carries} {abs(mass):.2f} kg that the model "
         + ('does not know' if mass > 0.0 else 'has'),
         f'{mass:.3f} kg (standard error {base.errors[0]:.2g}) at ({where}) m in its frame, as a '
-        f'point mass; with that, the model explains {_left(explanation.fits)}',
-        f'Add it to the URDF, or compare with --link {base.link} --payload {mass:.3f},{given}.'
+        f'point mass; with that, the model explains {_left(_telling(explanation))}',
+        'Add it to the URDF. If nothing is fastened there, the masses or centres of mass of the '
+        'last links are off by about as much.'
         if mass > 0.0
         else 'Take from the URDF what is not on the robot: a tool, a hand, a cable.',
         (mass, *com),
@@ -209,7 +224,7 @@ def _order(explanation: Explanation, names: Sequence[str]) -> Diagnosis | None:
         'order',
         tuple(ours for ours, _ in moved),
         f'the efforts of {listed([ours for ours, _ in moved])} are in another order',
-        f'{whose}; so ordered, the model explains {_left(explanation.fits)}',
+        f'{whose}; so ordered, the model explains {_left(_telling(explanation))}',
         'Compare the order of names and efforts in the driver: lists of joints in two files '
         'often differ.',
     )
@@ -262,7 +277,8 @@ def _unexplained(explanation: Explanation, names: Sequence[str]) -> Diagnosis | 
     lost = [
         (fit, name)
         for fit, name in zip(explanation.fits, names, strict=True)
-        if fit.left > CREDIBLE
+        # Dry friction holds a joint that rests against anything up to its full value.
+        if fit.left > CREDIBLE and fit.moves
     ]
     if not lost:
         return None

@@ -8,8 +8,9 @@ became of one joint's effort on its way into the recording.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import product
 import math
 from typing import NamedTuple
@@ -21,10 +22,11 @@ from .loads import fit_payload, PARAMETERS, parameters_of
 
 PRICE = math.log(2.0)
 """What a number costs: it has to halve the squares that are left, or it explains nothing."""
-FLOOR = 0.02  # of a joint's RMS effort: models are not better than that, and need not be
+FLOOR = 0.03  # of a joint's RMS effort: models are not better than that, and need not be
 SAME = (0.8, 1.25)  # a factor within is a model that is a little off, and no other unit
 CREDIBLE = 0.3  # of the squares: an effort of which more is left over was not understood
 LEAST_OFFSET = 0.05  # of a joint's RMS effort
+TIE = 0.1  # costs that differ by less are the same
 ROUNDS = 3  # of fitting the base to twisted joints, and twists to the base
 
 # Columns of a joint's table, before those of loads and of all measured efforts.
@@ -43,8 +45,8 @@ class Twist(NamedTuple):
 
     @property
     def numbers(self) -> int:
-        """How many numbers it takes."""
-        return sum(self)
+        """How many numbers it takes; a factor counts twice, as units are rarely wrong."""
+        return sum(self) + self.is_scaled
 
     @property
     def sign(self) -> int:
@@ -62,6 +64,10 @@ class Fit(NamedTuple):
     cost: float
     left: float
     """Share of the squares of the measured effort that is left."""
+    moves: bool = True
+    """Whether the joint moved enough to tell its friction."""
+    is_mute: bool = False
+    """Whether friction alone explains as much: nothing can be told of sign and unit."""
     scale: float = 1.0
     rotor: float = 0.0
     """[kg m^2 or kg]."""
@@ -73,9 +79,12 @@ class Base(NamedTuple):
     """What the whole robot's efforts are made of."""
 
     kind: str
+    """``as_is``, ``weightless``, ``mounting`` or ``payload``."""
     columns: Floats
     """What to multiply the first columns of a joint's table by."""
     numbers: int
+    is_weightless: bool = False
+    """Whether the model's gravity is left out."""
     link: str = ''
     solution: tuple[float, ...] = ()
     errors: tuple[float, ...] = ()
@@ -94,6 +103,12 @@ class Explanation(NamedTuple):
         moved = sum(i != j for i, j in enumerate(self.source))
         numbers = self.base.numbers + moved
         return sum(fit.cost for fit in self.fits) + PRICE * numbers
+
+    @property
+    def is_plausible(self) -> bool:
+        """Tell whether it could be: in unknown units, no load can be told."""
+        is_scaled = any(fit.twist.is_scaled for fit in self.fits)
+        return self.base.kind in ('as_is', 'weightless') or not is_scaled
 
 
 @dataclass
@@ -136,7 +151,16 @@ class Table:
         rotor = numbers.pop(0) if twist.has_rotor else 0.0
         offset = numbers.pop(0) - numbers.pop(0) if twist.has_offset else 0.0
         scale = numbers.pop(0) if twist.is_scaled else 1.0
-        return Fit(twist, cost, left, scale, rotor / (scale or 1.0), offset / (scale or 1.0))
+        scale, per_scale = (scale, scale) if scale else (0.0, 1.0)
+        return Fit(
+            twist,
+            cost,
+            left,
+            self.moves,
+            scale=scale,
+            rotor=rotor / per_scale,
+            offset=offset / per_scale,
+        )
 
     def best(self, base: Floats, measured: int) -> Fit:
         """Find the twist that explains a measured effort best; plain if none is credible."""
@@ -150,11 +174,29 @@ class Table:
             is_credible = (
                 fit.cost < best.cost
                 and fit.left < CREDIBLE
+                and not self._is_idle(measured, fit)
                 and not (twist.is_scaled and SAME[0] < fit.scale < SAME[1])
                 and not (twist.has_offset and abs(fit.offset * fit.scale) < LEAST_OFFSET * size)
             )
             best = fit if is_credible else best
-        return best
+        same = best.twist._replace(is_scaled=False)
+        return best._replace(is_mute=self._does_without(measured, same, best.left))
+
+    def _is_idle(self, measured: int, fit: Fit) -> bool:
+        """Tell whether friction alone explains as much, so that sign and factor are guesses."""
+        twist = fit.twist
+        # A friction that drives is a sign that is swapped: that needs no model.
+        if twist.is_swapped and self._does_without(
+            measured, twist._replace(is_swapped=False, is_scaled=False), fit.left
+        ):
+            return True
+        return twist.is_scaled and self._does_without(
+            measured, twist._replace(is_scaled=False), fit.left
+        )
+
+    def _does_without(self, measured: int, twist: Twist, left: float) -> bool:
+        without = self.fit(np.zeros(1), measured, twist)
+        return without.left <= 2.0 * left + FLOOR**2
 
 
 def make_table(columns: Floats, moves: bool) -> Table:
@@ -172,8 +214,9 @@ class Evidence:
     ----------
     tables : sequence of Table
         Of n joints.
-    links : sequence of str
-        What may carry a load; their regressors are in the tables, from column ``LOADS`` on.
+    links : mapping of str to float
+        What may carry a load, and the mass of the body that it is part of [kg]; their regressors
+        are in the tables, from column ``LOADS`` on.
     gravity : ndarray, shape (3,)
         In the base frame [m/s^2].
     samples : float
@@ -182,10 +225,15 @@ class Evidence:
     """
 
     def __init__(
-        self, tables: Sequence[Table], links: Sequence[str], gravity: Floats, samples: float
+        self,
+        tables: Sequence[Table],
+        links: Mapping[str, float],
+        gravity: Floats,
+        samples: float,
     ) -> None:
         self.tables = tuple(tables)
         self.links = tuple(links)
+        self.weights = tuple(links.values())
         self.gravity = gravity
         self.samples = samples
         self.width = LOADS + PARAMETERS * len(links)
@@ -194,14 +242,23 @@ class Evidence:
     def explain(self) -> Explanation:
         """Find the explanation that costs least."""
         as_is = self._fitted(self.as_is)
-        found = [as_is, self._fitted(self._weightless())]
+        best_possible = len(self.tables) * math.log(FLOOR**2)
+        if as_is.cost - best_possible < PRICE:
+            return as_is  # one more number could not pay
+        weightless = self._fitted(self._weightless())
+        found = [as_is, weightless]
         # From joints as they are, and from joints as they look without another base.
         for start in ([Fit(PLAIN, 0.0, 1.0)] * len(self.tables), list(as_is.fits)):
             found += self._iterate(self._mounting, start)
             for k in range(len(self.links)):
-                found += self._iterate(lambda fits, k=k: self._payload(k, fits), start)
+                found += self._iterate(partial(self._payload, k, self.as_is), start)
+                found += self._iterate(partial(self._payload, k, weightless.base), start)
         found += self._reordered()
-        return min(found, key=lambda explanation: explanation.cost)
+        # Where an offset at a joint would do as well as its missing gravity, it is gravity.
+        return min(
+            (explanation for explanation in found if explanation.is_plausible),
+            key=lambda explanation: explanation.cost - TIE * explanation.base.is_weightless,
+        )
 
     def _columns(self, weights: dict[int, float]) -> Floats:
         columns = np.zeros(self.width)
@@ -210,13 +267,16 @@ class Evidence:
         return columns
 
     def _weightless(self) -> Base:
-        return Base('weightless', self._columns({MODEL: 1.0, GRAVITY: -1.0}), 1)
+        columns = self._columns({MODEL: 1.0, GRAVITY: -1.0})
+        return Base('weightless', columns, 1, is_weightless=True)
 
     def _fitted(self, base: Base) -> Explanation:
         fits = [table.best(base.columns, self.width + j) for j, table in enumerate(self.tables)]
         return Explanation(base, tuple(fits), tuple(range(len(fits))))
 
-    def _iterate(self, make, fits: list[Fit]) -> list[Explanation]:  # type: ignore[no-untyped-def]
+    def _iterate(
+        self, make: Callable[[list[Fit]], Base | None], fits: list[Fit]
+    ) -> list[Explanation]:
         """Fit a base to joints and joints to the base, in turn."""
         found: list[Explanation] = []
         for _ in range(ROUNDS):
@@ -266,20 +326,28 @@ class Evidence:
         columns[WEIGHT : WEIGHT + 3] = gravity
         return Base('mounting', columns, 3, solution=tuple(gravity.tolist()))
 
-    def _payload(self, k: int, fits: list[Fit]) -> Base | None:
-        fixed = self._columns({MODEL: 1.0})
-        rows = self._rows(fits, fixed)
+    def _payload(self, k: int, under: Base, fits: list[Fit]) -> Base | None:
+        rows = self._rows(fits, under.columns)
         if rows is None:
             return None
         where = slice(LOADS + PARAMETERS * k, LOADS + PARAMETERS * (k + 1))
         samples = self.samples * len(self.tables)
         solution, errors = fit_payload(rows[0][:, where], rows[1], samples)
-        if abs(solution[0]) < 3.0 * errors[0]:
+        # Nothing can be lacking but what is there.
+        least = -self.weights[k] - 3.0 * errors[0]
+        if abs(solution[0]) < 3.0 * errors[0] or solution[0] < least:
             return None
-        columns = fixed.copy()
+        columns = under.columns.copy()
         columns[where] = parameters_of(float(solution[0]), solution[1:])
-        values = tuple(solution.tolist()), tuple(errors.tolist())
-        return Base('payload', columns, 4, self.links[k], *values)
+        return Base(
+            'payload',
+            columns,
+            4 + under.numbers,
+            under.is_weightless,
+            self.links[k],
+            tuple(solution.tolist()),
+            tuple(errors.tolist()),
+        )
 
     def _reordered(self) -> list[Explanation]:
         """Try the measured efforts of joints that are not understood in another order."""

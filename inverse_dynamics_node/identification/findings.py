@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike
 
 from ..dynamics import FRICTION_WIDTH, InverseDynamics
 from ..errors import ConfigurationError, RecordingError
-from ..model import Floats, RobotModel
+from ..model import Booleans, Floats, RobotModel
 from .diagnoses import describe, Diagnosis, listed
-from .evidence import Evidence, Explanation, make_table, Table
-from .friction import fit_friction, FrictionFit, SURELY_MOVING, why_not
+from .evidence import CREDIBLE, Evidence, Explanation, make_table, Table
+from .friction import fit_friction, FrictionFit, is_moving, why_not
 from .loads import parameters_of, payload_regressors, tip_links
 from .signals import derive, Motion, Recording, smooth_alike
 
@@ -40,7 +40,8 @@ class JointFinding:
     offset: float
     friction: FrictionFit
     explained_in_the_end: float
-    """``explained``, with the fitted friction and offset, and with what was found."""
+    """``explained``, with the fitted friction and offset, and with what was found; over the time
+    that the joint moved, if its friction could be told: at rest, dry friction may be anything."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,20 +171,14 @@ class _Comparison:
         evidence = self._evidence(live)
         explanation = evidence.explain() if live else None
         mended, efforts = self._mended(explanation, live)
-        fits = [
-            fit_friction(
-                self.qd[:, c],
-                self.direction[:, c],
-                mended[:, c] - efforts[:, c],
-                self.period,
-                self.motion.window,
-                self.width,
-            )
-            for c in range(len(self.names))
-        ]
+        fits = self._friction(mended - efforts, self._obscure(explanation, live))
         for c, fit in enumerate(fits):
             efforts[:, c] += fit.efforts(self.qd[:, c], self.direction[:, c])
-        joints = tuple(self._finding(c, fits[c], mended, efforts) for c in range(len(fits)))
+        telling = self._telling(fits)
+        joints = tuple(
+            self._finding(c, fits[c], (mended[:, c], efforts[:, c]), telling[c])
+            for c in range(len(fits))
+        )
         in_the_end = self._as_recorded(efforts, explanation, live)
         diagnoses = describe(
             explanation, [self.names[c] for c in live], self._slides(live), self.dynamics.gravity
@@ -197,9 +192,42 @@ class _Comparison:
             in_the_end=in_the_end,
             diagnoses=(*self._dead(live), *diagnoses),
             explained=self._share(self.measured, self.modelled, live),
-            explained_in_the_end=self._share(mended, efforts, live),
+            explained_in_the_end=self._share(mended, efforts, live, telling),
             width=self.width,
         )
+
+    def _friction(self, left: Floats, obscure: dict[int, str]) -> list[FrictionFit]:
+        fits = [
+            fit_friction(
+                self.qd[:, c],
+                self.direction[:, c],
+                left[:, c],
+                self.period,
+                self.motion.window,
+                self.width,
+            )
+            for c in range(len(self.names))
+        ]
+        return [
+            FrictionFit.unknown(reason, fit.offset if fit.cannot_tell else 0.0)
+            if (reason := obscure.get(c, ''))
+            else fit
+            for c, fit in enumerate(fits)
+        ]
+
+    def _obscure(self, explanation: Explanation | None, live: list[int]) -> dict[int, str]:
+        """Tell of which joints the friction cannot be told, however much they moved."""
+        reasons = dict.fromkeys(range(len(self.names)), 'its effort was not measured')
+        if explanation is None:
+            return reasons
+        is_scaled = any(fit.twist.is_scaled for fit in explanation.fits)
+        for c, fit in zip(live, explanation.fits, strict=True):
+            reasons[c] = ''
+            if fit.moves and fit.left > CREDIBLE:
+                reasons[c] = 'its effort is not explained'
+            elif is_scaled and fit.is_mute:
+                reasons[c] = 'the unit of its effort is not known'
+        return reasons
 
     def _live(self) -> list[int]:
         """Return the joints whose measured effort says something."""
@@ -261,10 +289,12 @@ class _Comparison:
             )
             moves = not why_not(self.qd[:, c], self.period, self.width)
             if moves:
-                columns = columns[np.abs(qd) > SURELY_MOVING * self.width]
+                columns = columns[is_moving(qd, self.width)]
             tables.append(make_table(columns, moves))
         samples = len(self.motion.times) / self.motion.window
-        return Evidence(tables, self.links, gravity, samples)
+        bodies = [robot.link_body[robot.link_names.index(link)] for link in self.links]
+        weights = {k: float(robot.mass[b]) for k, b in zip(self.links, bodies, strict=True)}
+        return Evidence(tables, weights, gravity, samples)
 
     def _mended(self, explanation: Explanation | None, live: list[int]) -> tuple[Floats, Floats]:
         """Undo what was found: the measured efforts as they should be, and their model."""
@@ -281,17 +311,15 @@ class _Comparison:
     def _correction(self, explanation: Explanation) -> Floats:
         base = explanation.base
         q = self.states[0]
-        if base.kind == 'weightless':
-            return -self.gravity
+        correction: Floats = -self.gravity if base.is_weightless else np.zeros_like(self.rigid)
         if base.kind == 'mounting':
             turned = InverseDynamics(self.robot, base.solution).gravity_efforts(q)
             return turned[:, self.index] - self.gravity
         if base.kind == 'payload':
             loads = payload_regressors(self.robot, self.dynamics.gravity, base.link, self.states)
             parameters = parameters_of(base.solution[0], np.array(base.solution[1:]))
-            added: Floats = (loads @ parameters)[:, self.index]
-            return added
-        return np.zeros_like(self.rigid)
+            correction += (loads @ parameters)[:, self.index]
+        return correction
 
     def _as_recorded(
         self, efforts: Floats, explanation: Explanation | None, live: list[int]
@@ -304,8 +332,17 @@ class _Comparison:
                 reported[:, source] = fit.twist.sign * fit.scale * efforts[:, c]
         return reported
 
+    def _telling(self, fits: list[FrictionFit]) -> list[Booleans]:
+        """Choose the time of every joint that says whether its friction is right."""
+        return [
+            is_moving(self.qd[:, c], self.width)
+            if not fit.cannot_tell
+            else np.ones(len(self.qd), dtype=bool)
+            for c, fit in enumerate(fits)
+        ]
+
     def _finding(
-        self, c: int, friction: FrictionFit, mended: Floats, efforts: Floats
+        self, c: int, friction: FrictionFit, mended: tuple[Floats, Floats], telling: Booleans
     ) -> JointFinding:
         y, m = self.measured[:, c], self.modelled[:, c]
         scale, offset = np.polyfit(m, y, 1) if np.ptp(m) > 0.0 else (math.nan, math.nan)
@@ -323,7 +360,7 @@ class _Comparison:
             scale=float(scale),
             offset=float(offset),
             friction=friction,
-            explained_in_the_end=_share_of_variation(mended[:, c], efforts[:, c]),
+            explained_in_the_end=_share_of_variation(mended[0][telling], mended[1][telling]),
         )
 
     def _slides(self, columns: list[int]) -> list[bool]:
@@ -332,16 +369,21 @@ class _Comparison:
             bool(robot.is_prismatic[robot.body_names.index(self.names[c], 1)]) for c in columns
         ]
 
-    def _share(self, measured: Floats, modelled: Floats, live: list[int]) -> float:
+    def _share(
+        self,
+        measured: Floats,
+        modelled: Floats,
+        live: list[int],
+        telling: list[Booleans] | None = None,
+    ) -> float:
         """Return the share of the variation: of joints that turn, and that slide, their mean."""
-        slides = self._slides(live)
-        shares = []
-        for kind in (False, True):
-            of_kind = [c for c, slide in zip(live, slides, strict=True) if slide == kind]
-            varies = np.sum(np.var(measured[:, of_kind], axis=0))
-            if varies > 0.0:
-                left = np.sum(np.var((measured - modelled)[:, of_kind], axis=0))
-                shares.append(1.0 - float(left / varies))
+        every = np.ones(len(measured), dtype=bool)
+        varies, left = {False: 0.0, True: 0.0}, {False: 0.0, True: 0.0}
+        for c, slide in zip(live, self._slides(live), strict=True):
+            when = every if telling is None else telling[c]
+            varies[slide] += float(np.var(measured[when, c]))
+            left[slide] += float(np.var(measured[when, c] - modelled[when, c]))
+        shares = [1.0 - left[kind] / varies[kind] for kind in varies if varies[kind] > 0.0]
         return float(np.mean(shares)) if shares else math.nan
 
 

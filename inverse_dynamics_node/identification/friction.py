@@ -8,6 +8,7 @@ from there are left out.
 from __future__ import annotations
 
 from collections.abc import Sequence
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -36,10 +37,20 @@ class FrictionFit(NamedTuple):
     cannot_tell: str
     """Why nothing can be said of this joint's friction; empty if something can."""
 
+    @classmethod
+    def unknown(cls, reason: str, offset: float = 0.0) -> FrictionFit:
+        """Return a fit that cannot tell."""
+        return cls(0.0, 0.0, offset, math.nan, math.nan, math.nan, reason)
+
     def efforts(self, qd: Floats, direction: Floats) -> Floats:
         """Return friction and offset, at speeds and their smoothed directions."""
         efforts: Floats = self.damping * qd + self.coulomb * direction + self.offset
         return efforts
+
+
+def is_moving(qd: Floats, width: float) -> Booleans:
+    """Tell where a joint surely slides, by its speeds, so that dry friction has one value."""
+    return np.asarray(np.abs(qd) > SURELY_MOVING * width)
 
 
 def why_not(qd: Floats, period: float, width: float) -> str:
@@ -53,7 +64,7 @@ def why_not(qd: Floats, period: float, width: float) -> str:
         return (
             f'it moved {forth:.2g} s forth and {back:.2g} s back, expected {LEAST_MOVING:g} s each'
         )
-    speeds = np.abs(qd[np.abs(qd) > fast])
+    speeds = np.abs(qd[is_moving(qd, width)])
     slow, quick = np.quantile(speeds, [0.05, 0.95])
     if quick < SPREAD * slow:
         return f'its speed was {slow:.2g} to {quick:.2g}: damping and Coulomb friction look alike'
@@ -96,9 +107,8 @@ def fit_friction(
 
     reason = why_not(qd, period, width)
     if reason:
-        nothing = float(np.median(residual))
-        return FrictionFit(0.0, 0.0, nothing, np.nan, np.nan, np.nan, reason)
-    moving = np.abs(qd) > SURELY_MOVING * width
+        return FrictionFit.unknown(reason, float(np.median(residual)))
+    moving = is_moving(qd, width)
     features = np.column_stack([qd, direction, np.ones_like(qd)])[moving]
     # Offsets may be negative: two columns for one number.
     both = np.column_stack([features, -features[:, 2]])
