@@ -53,7 +53,8 @@ class Phase(enum.Enum):
 
 
 _SHORTEST_PATIENCE = 0.02  # [s]; steps may be so far apart, however short the time-outs
-_IS_WELL = (Phase.RUNNING, Phase.HOLDING, Phase.TOO_FAR)
+IS_WELL = (Phase.RUNNING, Phase.HOLDING, Phase.TOO_FAR)
+"""Phases in which efforts are computed from a fresh state."""
 
 
 class Reference(NamedTuple):
@@ -78,6 +79,8 @@ class Command(NamedTuple):
     """Shape (m,) [N m or N]; finite; valid until the next step."""
     is_saturated: Booleans
     """Which of the efforts were cut to their limits, shape (m,)."""
+    is_slowed: Booleans
+    """Which of them may not change as fast as they should, shape (m,)."""
 
 
 PerJoint = float | tuple[float, ...]
@@ -95,7 +98,7 @@ class Settings:
     """A reference older than this counts no more; 0: a reference holds until the next."""
     on_stale_state: StalePolicy = StalePolicy.ZERO
     start_ramp: float = 0.5
-    """Time for the efforts to rise from zero to their full values."""
+    """Time for the efforts to rise from zero to their full values, and for jumps to fade."""
     stop_ramp: float = 0.5
     """Time for the efforts to fall from their full values to zero."""
     kp: PerJoint = 100.0
@@ -158,9 +161,11 @@ class Controller:
         self._is_continuous = dynamics.robot.is_continuous[self._index]
         n, m = len(dynamics.robot.joint_names), len(self.joints)
         self._qdd, self._qd, self._tau = np.zeros((3, n))
-        self._rest = np.zeros(n)
-        self._efforts, self._command = np.zeros((2, m))
-        self._is_saturated = np.zeros(m, dtype=bool)
+        self._rest = self._velocities = np.zeros(n)
+        self._efforts, self._command, self._jump = np.zeros((3, m))
+        self._jump_left = 0.0
+        self._is_to_blend = False
+        self._is_saturated, self._is_slowed = np.zeros((2, m), dtype=bool)
         self._is_stopping = False
         self._time = math.inf
         self._filter_times = np.full(n, -1e300)  # long ago, but at a finite time
@@ -169,7 +174,7 @@ class Controller:
 
     def apply(self, settings: Settings) -> None:
         """
-        Change the settings from the next step on.
+        Change the settings from the next step on; the efforts get there without a jump.
 
         Raises
         ------
@@ -186,23 +191,85 @@ class Controller:
         limits = arrays['effort_limits']
         if settings.use_urdf_effort_limits:
             limits = np.minimum(limits, self.dynamics.robot.effort_limits[self._index])
-        self.settings, self._of_joint, self._limits = settings, arrays, limits
+        self.settings, self._of_joint, self.limits = settings, arrays, limits
         self._has_rate_limits = bool(np.isfinite(arrays['effort_rate_limits']).any())
         # Finite, for none of it times no time is none of it.
         self._rate_limits = np.minimum(arrays['effort_rate_limits'], 1e300)
+        self.blend()
+
+    def blend(self) -> None:
+        """
+        Let the efforts go on from where they are, whatever they would jump to at the next step.
+
+        For when something has changed that is no motion: settings, the robot description, gravity.
+        The difference fades within the start ramp.
+
+        """
+        # From zero, there is the start ramp.
+        self._is_to_blend = self.gain > 0.0 and self.settings.start_ramp > 0.0
+
+    @property
+    def scale(self) -> Floats:
+        """What every computed effort is multiplied with, shape (m,)."""
+        return self._of_joint['effort_scale']
+
+    @property
+    def offset(self) -> Floats:
+        """What is added to it then, shape (m,) [N m or N]."""
+        return self._of_joint['effort_offset']
+
+    @property
+    def motion(self) -> tuple[Floats, Floats]:
+        """Velocities and accelerations that the last efforts are for, each of shape (n,)."""
+        return self._velocities, self._qdd
+
+    @property
+    def is_stopping(self) -> bool:
+        """Whether the efforts are told to be zero."""
+        return self._is_stopping
 
     def stop(self) -> None:
         """Let the efforts fall to zero from the next step on, and stay there."""
         self._is_stopping = True
+
+    def resume(self) -> None:
+        """Let the efforts rise again, from wherever a stop has got them to."""
+        self._is_stopping = False
 
     def start(self) -> None:
         """Let the efforts rise from zero at the next step with a fresh state."""
         self._is_stopping = False
         self._time = math.inf  # at the first step nothing has elapsed
         self._filter_times[:] = -1e300
-        self.gain = 0.0
+        self.gain = self._jump_left = 0.0
+        self._is_to_blend = False
         self._command[:] = 0.0
         self.phase = Phase.WAITING
+
+    def take_over(self, other: Controller) -> None:
+        """
+        Go on where the controller of another description of the robot is, without a jump.
+
+        Parameters
+        ----------
+        other : Controller
+            Of the same commanded joints; not to be used any more.
+
+        Raises
+        ------
+        ConfigurationError
+            If it commands other joints.
+
+        """
+        if self.joints != other.joints:
+            raise ConfigurationError(
+                f'the joints to command are now {", ".join(self.joints)}, expected '
+                f'{", ".join(other.joints)}'
+            )
+        self.phase, self.gain, self._time = other.phase, other.gain, other._time
+        self._is_stopping = other._is_stopping
+        self._command[:], self._efforts[:] = other._command, other._efforts
+        self.blend()
 
     def step(self, now: float, state: State | None, reference: Reference | None) -> Command | None:
         """
@@ -227,31 +294,43 @@ class Controller:
         # ramps go on from where they were, not from where they would have been.
         longest = max(self.settings.state_timeout, 2.0 * self._period, _SHORTEST_PATIENCE)
         elapsed = min(max(0.0, now - self._time), longest)
+        if self._time != math.inf and not 0.0 <= now - self._time <= longest:
+            self.blend()
         self._time = now
         if state is None:
             return None
-        self.phase = self._next_phase(now, state, reference)
+        last_phase, self.phase = self.phase, self._next_phase(now, state, reference)
+        if last_phase not in IS_WELL:
+            self.blend()
         is_closed = self.settings.mode is Mode.COMPUTED_TORQUE and self.phase is Phase.RUNNING
         self._followed = reference.positions if is_closed and reference else None
-        if self.phase in _IS_WELL:
+        if self.phase in IS_WELL:
             self._filter(state)
+            self._jump_left = max(0.0, self._jump_left - _share(elapsed, self.settings.start_ramp))
             self._compute(state, reference if self.phase is Phase.RUNNING else None)
         else:
             self._is_saturated[:] = False
         self._ramp(elapsed)
         target = self.gain * self._efforts
         if self._has_rate_limits:
-            # A way down is for the stop ramp alone, from wherever the efforts have got to.
-            is_well = self.phase in _IS_WELL
-            change = self._rate_limits * elapsed if is_well else np.abs(self._command)
-            middle = self._command if is_well else 0.0
-            np.clip(target, middle - change, middle + change, out=target)
-        np.clip(target, -self._limits, self._limits, out=self._command)
-        return Command(self._command, self._is_saturated)
+            self._slow_down(target, elapsed)
+        np.clip(target, -self.limits, self.limits, out=self._command)
+        return Command(self._command, self._is_saturated, self._is_slowed)
+
+    def _slow_down(self, target: Floats, elapsed: float) -> None:
+        """Let efforts change no faster than they may."""
+        is_well = self.phase in IS_WELL
+        # A way down is for the stop ramp alone, from wherever the efforts have got to.
+        change = self._rate_limits * elapsed if is_well else np.abs(self._command)
+        middle = self._command if is_well else 0.0
+        wanted = target.copy()
+        np.clip(target, middle - change, middle + change, out=target)
+        np.not_equal(target, wanted, out=self._is_slowed)
+        self._is_slowed &= is_well
 
     def _ramp(self, elapsed: float) -> None:
         settings = self.settings
-        if self.phase in _IS_WELL:
+        if self.phase in IS_WELL:
             self.gain = min(1.0, self.gain + _share(elapsed, settings.start_ramp))
         elif self.phase is Phase.STOPPED or settings.on_stale_state is StalePolicy.ZERO:
             # The last efforts fade out; without a fresh state there are no better ones.
@@ -306,8 +385,8 @@ class Controller:
                 self._qdd[self._index] = 0.0
                 if reference is not None:
                     self._qdd[self._index] = self._accelerations(state, reference)
-                qd = self._rest if is_floating else self._qd
-                self.dynamics.efforts(state.q, qd, self._qdd, out=self._tau)
+                self._velocities = self._rest if is_floating else self._qd
+                self.dynamics.efforts(state.q, self._velocities, self._qdd, out=self._tau)
                 efforts = self._tau[self._index]
                 if reference is not None:
                     efforts += reference.efforts
@@ -319,8 +398,13 @@ class Controller:
         if not math.isfinite(float(efforts.sum())):
             self.phase = Phase.NO_SOLUTION
             return
-        np.greater(np.abs(efforts), self._limits, out=self._is_saturated)
-        np.clip(efforts, -self._limits, self._limits, out=self._efforts)
+        if self._is_to_blend:
+            self._is_to_blend = False
+            self._jump, self._jump_left = self._efforts - efforts, 1.0
+        if self._jump_left:
+            efforts += self._jump_left * self._jump
+        np.greater(np.abs(efforts), self.limits, out=self._is_saturated)
+        np.clip(efforts, -self.limits, self.limits, out=self._efforts)
 
     def _accelerations(self, state: State, reference: Reference) -> Floats:
         """Return the accelerations to produce: resolved, where the loop is closed here."""

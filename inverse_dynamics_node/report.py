@@ -288,7 +288,9 @@ def effort_unit(robot: RobotModel, joint: int) -> str:
 
 def number(value: float) -> str:
     """Write a limit, with a dash for none."""
-    return f'{value:.4g}' if math.isfinite(value) else '-'
+    if not math.isfinite(value):
+        return '-'
+    return f'{value:.0f}' if 1e4 <= abs(value) < 1e7 else f'{value:.4g}'
 
 
 def share(effort: float, limit: float) -> str:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 import math
 from typing import NamedTuple
 
 import numpy as np
 
-from .errors import JointStateError
+from .errors import ConfigurationError, JointStateError
 from .model import Booleans, Floats
+
+_LONG_AGO = -1e300  # [s]; finite, for no time since then is not a number
 
 
 class State(NamedTuple):
@@ -37,17 +39,40 @@ class JointStateCollector:
     ----------
     joint_names : sequence of str
         The n joints to know; others are ignored.
+    locked : mapping of str to float
+        Positions at which joints count until they are heard from, if they ever are [rad or m].
+        Such joints are never missing and never stale.
+
+    Raises
+    ------
+    ConfigurationError
+        If a locked joint is not among the n, or its position is not finite.
 
     """
 
-    def __init__(self, joint_names: Sequence[str]) -> None:
+    def __init__(
+        self, joint_names: Sequence[str], locked: Mapping[str, float] | None = None
+    ) -> None:
         self.joint_names = tuple(joint_names)
         self.q = np.zeros(len(self.joint_names))
         self.qd = np.zeros(len(self.joint_names))
+        self.efforts = np.full(len(self.joint_names), math.nan)
+        """As measured, where they were asked for and sent [N m or N]."""
         self.times = np.full(len(self.joint_names), -math.inf)
         self._has_velocity = np.zeros(len(self.joint_names), dtype=bool)
         self._index = {name: i for i, name in enumerate(self.joint_names)}
         self._layouts: dict[tuple[str, ...], tuple[list[int], list[int]]] = {}
+        for name, position in (locked or {}).items():
+            if name not in self._index:
+                raise ConfigurationError(
+                    f"locked_positions names '{name}'; joints are {', '.join(self.joint_names)}"
+                )
+            if not math.isfinite(position):
+                raise ConfigurationError(f"locked position of joint '{name}' is {position}")
+            self.q[self._index[name]] = position
+            self.times[self._index[name]] = _LONG_AGO
+        self.is_free = self.times == -math.inf
+        """Which joints count only where they are heard to be, shape (n,)."""
 
     def update(
         self,
@@ -55,6 +80,7 @@ class JointStateCollector:
         names: Sequence[str],
         positions: Sequence[float],
         velocities: Sequence[float],
+        efforts: Sequence[float] = (),
     ) -> bool:
         """
         Take in one joint state, or nothing of it.
@@ -65,6 +91,8 @@ class JointStateCollector:
             The time of arrival [s].
         names, positions, velocities : sequences of equal length
             Velocities may be empty, or NaN for joints that never had one: zero then.
+        efforts : sequence, optional
+            Measured efforts; none, or as many.
 
         Returns
         -------
@@ -81,6 +109,8 @@ class JointStateCollector:
             raise JointStateError(f'{len(names)} names, but {len(positions)} positions')
         if len(velocities) not in (0, len(names)):
             raise JointStateError(f'{len(names)} names, but {len(velocities)} velocities')
+        if len(efforts) not in (0, len(names)):
+            raise JointStateError(f'{len(names)} names, but {len(efforts)} efforts')
         ours, theirs = self._layout(tuple(names))
         q = np.asarray(positions, dtype=np.float64)[theirs]
         # Drivers leave out a velocity that they do not measure, or fill in NaN.
@@ -95,12 +125,36 @@ class JointStateCollector:
         self.qd[ours] = np.where(is_finite, qd, 0.0)
         self.q[ours] = q
         self.times[ours] = now
+        if len(efforts):
+            self.efforts[ours] = np.asarray(efforts, dtype=np.float64)[theirs]
         return bool(ours)
 
     def state(self) -> State | None:
         """Return what is known, or None as long as a joint has not been heard from."""
-        time = float(self.times.min(initial=math.inf))
+        time = float(self.times.min(initial=math.inf, where=self.is_free))
         return None if time == -math.inf else State(self.q, self.qd, time, self.times)
+
+    def check_free(self, names: Sequence[str]) -> None:
+        """
+        Refuse joints that count where they are said to be.
+
+        Raises
+        ------
+        ConfigurationError
+            If one of them does.
+
+        """
+        for name in names:
+            if not self.is_free[self._index[name]]:
+                raise ConfigurationError(f"joint '{name}' is both commanded and locked")
+
+    def take_over(self, other: JointStateCollector) -> None:
+        """Take over all that another has heard of the same joints."""
+        for name, i in self._index.items():
+            k = other._index.get(name)
+            if k is not None and other.times[k] > _LONG_AGO:
+                self.q[i], self.qd[i], self.times[i] = other.q[k], other.qd[k], other.times[k]
+                self.efforts[i], self._has_velocity[i] = other.efforts[k], other._has_velocity[k]
 
     def missing(self) -> list[str]:
         """Name the joints never heard from."""
@@ -109,12 +163,16 @@ class JointStateCollector:
     def stale(self, now: float, timeout: float) -> list[str]:
         """Name the joints last heard from too long ago, or before a clock was put back [s]."""
         age = now - self.times
-        is_fresh = (age >= 0.0) & (age <= timeout)
-        return [self.joint_names[i] for i in np.flatnonzero(~is_fresh)]
+        is_stale = self.is_free & ~((age >= 0.0) & (age <= timeout))
+        return [self.joint_names[i] for i in np.flatnonzero(is_stale)]
+
+    def unseen(self) -> list[str]:
+        """Name the joints that count at their locked position."""
+        return [self.joint_names[i] for i in np.flatnonzero(self.times == _LONG_AGO)]
 
     def without_velocity(self) -> list[str]:
         """Name the joints that were heard from, but never with a velocity."""
-        heard = self.times != -math.inf
+        heard = self.times > _LONG_AGO
         return [self.joint_names[i] for i in np.flatnonzero(heard & ~self._has_velocity)]
 
     def _layout(self, names: tuple[str, ...]) -> tuple[list[int], list[int]]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from .dynamics import InverseDynamics
 from .errors import TrajectoryError
-from .model import Floats
+from .model import Floats, Integers
 
 
 class Trajectory(NamedTuple):
@@ -72,6 +72,57 @@ def complete(trajectory: Trajectory) -> tuple[Trajectory, tuple[str, ...]]:
     return whole, tuple(derived)
 
 
+def refine(whole: Trajectory, longest_step: float) -> tuple[Trajectory, Integers]:
+    """
+    Put states between the points of a trajectory that are far apart.
+
+    Parameters
+    ----------
+    whole : Trajectory
+        With velocities and accelerations, from `complete`.
+    longest_step : float
+        Time between states of the result, at most [s].
+
+    Returns
+    -------
+    fine : Trajectory
+        All points of the trajectory, and states between them.
+    points : ndarray of int, shape (k,)
+        Where the points are in it.
+
+    Raises
+    ------
+    TrajectoryError
+        If velocities or accelerations are missing.
+
+    Notes
+    -----
+    Between two points runs the polynomial of fifth degree that meets position, velocity and
+    acceleration at both, as in ros2_control's joint trajectory controller. Where `complete` has
+    derived both from positions, it is the same cubic spline.
+
+    """
+    times, velocities, accelerations = whole.times, whole.velocities, whole.accelerations
+    steps = np.diff(times)
+    counts = np.maximum(1, np.ceil(steps / longest_step - 1e-6)).astype(np.int64)
+    points: Integers = np.concatenate([[0], np.cumsum(counts)])
+    if velocities is None or accelerations is None:
+        raise TrajectoryError('no velocities or no accelerations, expected a complete trajectory')
+    if len(times) == 1 or np.all(counts == 1):
+        return whole, points
+    from scipy.interpolate import BPoly
+
+    within = np.arange(points[-1]) - np.repeat(points[:-1], counts)
+    fine = np.repeat(times[:-1], counts) + within * np.repeat(steps / counts, counts)
+    fine = np.append(fine, times[-1])
+    given = (whole.positions, velocities, accelerations)
+    spline = BPoly.from_derivatives(times, np.stack(given, axis=1))
+    values = [spline(fine, order) for order in range(3)]
+    for value, at_points in zip(values, given, strict=True):
+        value[points] = at_points  # to the last bit
+    return Trajectory(whole.joint_names, fine, *values), points
+
+
 def trajectory_efforts(
     dynamics: InverseDynamics, trajectory: Trajectory, others: Floats | None = None
 ) -> Floats:
@@ -128,7 +179,7 @@ def whole_states(
 
     """
     names = dynamics.robot.joint_names
-    index = _index_of(trajectory.joint_names, names)
+    index = joint_index(trajectory.joint_names, names)
     k, n = len(trajectory.times), len(names)
     q, qd, qdd = np.zeros((3, k, n))
     if others is not None:
@@ -176,7 +227,8 @@ def _check(trajectory: Trajectory) -> None:
         )
 
 
-def _index_of(names: Sequence[str], known: Sequence[str]) -> list[int]:
+def joint_index(names: Sequence[str], known: Sequence[str]) -> list[int]:
+    """Find joints among those that are known; raise a TrajectoryError where that cannot be."""
     if not names:
         raise TrajectoryError('no joint names')
     unknown = [name for name in names if name not in known]

@@ -24,6 +24,8 @@ _CANDIDATES = 33
 """Positions tried for one joint at a time: 11 degrees apart in a whole turn."""
 _WINDOWS = (1.0, 1.0, 0.1, 0.01)
 """Shares of a joint's range that the sweeps of the search look at."""
+_STARTS = 3
+"""Samples that the search for a worst pose begins at: the worst ones."""
 _TIE = 1e-9
 """Poses that differ by less than this share in what they ask are as bad as each other."""
 
@@ -138,12 +140,23 @@ def explore(
     noise = _TIE * float(np.max(np.abs(efforts)))
     found = []
     for joint in range(n):
-        start = poses[np.argmax(np.abs(efforts[:, joint]))]
         near = _relatives(robot, joint)
-        # What no joint on the way moves counts nothing: at zero it is easier to look at.
-        start = np.where(near, start, np.clip(0.0, lower, upper))
         size = _size_of(dynamics, joint)
-        found.append(_climb(size, start, np.flatnonzero(near), lower, upper, noise))
+        tops = [
+            # What no joint on the way moves counts nothing: at zero it is easier to look at.
+            _climb(
+                size,
+                np.where(near, poses[k], np.clip(0.0, lower, upper)),
+                np.flatnonzero(near),
+                lower,
+                upper,
+                noise,
+            )
+            for k in np.argsort(-np.abs(efforts[:, joint]))[:_STARTS]
+        ]
+        # The first, but for one that is higher by more than rounding.
+        heights = size(np.array(tops))
+        found.append(tops[int(np.argmax(heights >= np.max(heights) * (1.0 - _TIE) - noise))])
         progress((joint + 1) / n)
     worst = np.array(found)
     return Workspace(

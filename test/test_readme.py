@@ -9,6 +9,7 @@ import pytest
 from robot_files import ROOT
 
 README = (ROOT / 'README.md').read_text()
+INTERFACE = (ROOT / 'doc' / 'interface.md').read_text()
 
 
 def test_python_examples_print_what_they_say(monkeypatch):
@@ -40,12 +41,22 @@ def test_files_it_names_exist():
 def test_parameter_table_is_the_parameters_of_the_node():
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     pytest.importorskip('rclpy')
-    from inverse_dynamics_node.node.parameters import PARAMETERS
+    from inverse_dynamics_node.node.parameters import PARAMETERS, PER_JOINT
 
-    table = README.split('### Parameters')[1].split('###')[0]
-    rows = dict(re.findall(r'^\| `(\w+)` \| ([^|]*) \|', table, re.M))
-    assert list(rows) == list(PARAMETERS)
+    table = INTERFACE.split('## Parameters')[1].split('\n## ')[0]
+    rows = re.findall(r'^\| `(\w+)`(\*?) \| ([^|]*) \| [^|]*\| (yes|no) \|', table, re.M)
+    assert [name for name, *_ in rows] == list(PARAMETERS)
     words = {'empty': '', 'all': [''], 'true': True, 'false': False}
-    for name, text in rows.items():
+    for name, star, text, live in rows:
         default = words[text] if text in words else eval(text)
         assert default == PARAMETERS[name].default, name
+        assert (star == '*') == (name in PER_JOINT), name
+        assert (live == 'yes') == PARAMETERS[name].is_live, name
+
+
+def test_names_in_the_readme_are_in_the_interface():
+    table = README.split('| you want to |')[1].split('\n\n')[0]
+    names = re.findall(r'`~/([\w/]+)', table) + re.findall(r'`(\w+)`', table)
+    assert len(names) > 20
+    for name in names:
+        assert name in INTERFACE, name

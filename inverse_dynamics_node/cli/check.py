@@ -21,6 +21,7 @@ from ..report import (
     share,
     slides,
     Table,
+    WIDTH,
 )
 from ..urdf import load_urdf
 from ..workspace import explore, last_link, Payload, payload_left, SAMPLES, Workspace
@@ -41,8 +42,6 @@ exit code: 0 the description can be used; 1 it cannot; 2 wrong arguments; 3 with
 there are warnings."""
 
 _WARNED = 3
-_MOST_IN_POSE = 8
-"""Joints whose positions fit in a row."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -134,7 +133,8 @@ def workspace_table(workspace: Workspace, payload: Payload) -> Table:
         )
     columns = ('joint', 'worst', 'median', 'limit', 'share', '', 'pose of the worst [rad, m]')
     shown = [k for k in range(len(columns)) if k < 5 or any(row[k] for row in rows)]
-    if len(rows) > _MOST_IN_POSE:
+    widths = [max(len(row[k]) for row in [columns, *rows]) + 2 for k in shown]
+    if sum(widths) > WIDTH:  # the poses are too long for a row
         shown.pop()
     hardest = workspace.hardest
     worst_pose = workspace.poses[workspace.worst[hardest]]

@@ -55,7 +55,7 @@ def _draw_efforts(axes: Any, workspace: Workspace) -> None:
     peaks = workspace.efforts[workspace.worst, range(len(limits))] / scale
     shares = workspace.efforts[workspace.sampled] / scale
     furthest = max(1.05 if is_limited.any() else 0.0, 1.08 * float(np.max(np.abs(peaks))))
-    reach = min(furthest, _FARTHEST) if is_limited.any() else furthest or 1.0
+    reach = min(furthest, _FARTHEST) if is_limited.any() else max(furthest, 1e-3)
     for i, limit in enumerate(limits):
         colour = BLUE if np.isfinite(limit) else GREY
         is_beyond = abs(peaks[i]) * scale[i] > limit

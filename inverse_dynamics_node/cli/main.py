@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from importlib import import_module
 import os
 import sys
 
 from ..errors import InverseDynamicsError
-from . import check, compare, demo
 
-COMMANDS = (check, compare, demo)
-"""Each has add_parser(subparsers), which sets the default `run`: options to exit code."""
+COMMANDS = ('check', 'effort', 'compare', 'demo')
+"""Modules here. Each has add_parser(subparsers), which sets `run`: from options to exit code."""
 
 EPILOG = """\
 examples:
   inverse_dynamics check my_arm.urdf
-  inverse_dynamics check --help
+  inverse_dynamics effort my_arm.urdf trajectory.yaml --payload 1.5 --link tool0
+  inverse_dynamics effort --help
 
 The node itself is started by `inverse_dynamics_node`, or `ros2 run inverse_dynamics_node
 inverse_dynamics_node`."""
@@ -53,7 +54,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(arguments: list[str]) -> int:
     if arguments[:1] == ['demo']:  # whose arguments are its own, --help too
-        return demo.main(arguments[1:])
+        from .demo import main as run_demo
+
+        return run_demo(arguments[1:])
     options = _parser().parse_args(arguments)
     code: int = options.run(options)
     return code
@@ -68,7 +71,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     subparsers = parser.add_subparsers(title='commands', metavar='COMMAND', required=True)
     for command in COMMANDS:
-        command.add_parser(subparsers)
+        # Here, for it takes most of a second: an interrupt in it is to end quietly too.
+        import_module(f'.{command}', __package__).add_parser(subparsers)
     return parser
 
 

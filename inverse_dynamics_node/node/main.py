@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import signal
 import sys
 from types import FrameType
+from typing import Any
 import warnings
 
 # rclpy and numpy are imported below, once the signals are ours: that takes most of a second, and
@@ -74,15 +75,11 @@ def _run(stop: _Stop) -> int:
     from .node import InverseDynamicsNode
 
     try:
-        from rclpy.experimental.events_executor import EventsExecutor as Executor
-    except ImportError:  # rclpy before 7.1.4
-        from rclpy.executors import SingleThreadedExecutor as Executor
-    try:
         node = InverseDynamicsNode(is_in_a_hurry=lambda: stop.count > 1)
     except Exception as error:
         rclpy.logging.get_logger('inverse_dynamics').fatal(str(error))
         return 1
-    executor = Executor()
+    executor = _make_executor(node.configuration.executor)
     executor.add_node(node)
     try:
         if not stop.count and not node.autostart():
@@ -96,6 +93,18 @@ def _run(stop: _Stop) -> int:
         executor.shutdown()
         node.destroy_node()
     return 0
+
+
+def _make_executor(kind: Any) -> Any:
+    from rclpy.executors import SingleThreadedExecutor
+
+    if kind.value == 'single_threaded':
+        return SingleThreadedExecutor()
+    try:
+        from rclpy.experimental.events_executor import EventsExecutor
+    except ImportError:  # rclpy before 7.1.4
+        return SingleThreadedExecutor()
+    return EventsExecutor()
 
 
 def _fail(message: str, code: int = 1) -> int:

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
+from geometry_msgs.msg import InertiaStamped, WrenchStamped
 import numpy as np
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64MultiArray
-from trajectory_msgs.msg import JointTrajectory
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from ..controller import Reference
-from ..errors import JointStateError
+from ..errors import ConfigurationError, JointStateError, TrajectoryError
 from ..model import Floats
+from ..trajectory import Trajectory
 
 
-def reference_from_accelerations(
-    message: Float64MultiArray, joints: Sequence[str], now: float
-) -> Reference:
+def read_accelerations(message: Float64MultiArray, joints: Sequence[str], now: float) -> Reference:
     """
     Read accelerations in the order of the commanded joints.
 
@@ -31,9 +32,7 @@ def reference_from_accelerations(
     return Reference(accelerations, np.zeros(len(joints)), now)
 
 
-def reference_from_trajectory(
-    message: JointTrajectory, joints: Sequence[str], now: float
-) -> Reference:
+def read_reference(message: JointTrajectory, joints: Sequence[str], now: float) -> Reference:
     """
     Read what the first point has, by name; what it leaves out is zero, or nothing for a loop.
 
@@ -73,14 +72,130 @@ def reference_from_trajectory(
     )
 
 
+class PayloadMessage(NamedTuple):
+    """A rigid load, as arguments of `Loads.set_payload`."""
+
+    link: str
+    mass: float
+    com: Floats
+    inertia: Floats
+
+
+def read_payload(message: InertiaStamped) -> PayloadMessage:
+    """Read a rigid load; its inertia is about its centre of mass."""
+    body = message.inertia
+    inertia = [
+        [body.ixx, body.ixy, body.ixz],
+        [body.ixy, body.iyy, body.iyz],
+        [body.ixz, body.iyz, body.izz],
+    ]
+    return PayloadMessage(_frame(message), body.m, vector(body.com), np.array(inertia))
+
+
+def read_wrench(message: WrenchStamped) -> tuple[str, Floats, Floats]:
+    """Read a link, and the force and moment on it."""
+    return _frame(message), vector(message.wrench.force), vector(message.wrench.torque)
+
+
+def read_imu(message: Imu, R_BS: Floats) -> tuple[Floats, Floats]:
+    """
+    Read a specific force and an angular velocity, turned from the sensor's frame to the base's.
+
+    Raises
+    ------
+    ConfigurationError
+        If the sensor says that it does not measure one of them.
+
+    """
+    for what, covariance in (
+        ('linear acceleration', message.linear_acceleration_covariance),
+        ('angular velocity', message.angular_velocity_covariance),
+    ):
+        if covariance[0] == -1.0:
+            raise ConfigurationError(f'the covariance says that {what} is not measured')
+    return R_BS @ vector(message.linear_acceleration), R_BS @ vector(message.angular_velocity)
+
+
+def vector(message: Any) -> Floats:
+    """Read what has x, y and z."""
+    return np.array([message.x, message.y, message.z])
+
+
+def read_trajectory(message: JointTrajectory) -> Trajectory:
+    """
+    Read a whole trajectory.
+
+    Raises
+    ------
+    TrajectoryError
+        If points differ in what they have, or have no positions.
+
+    """
+    names, points = tuple(message.joint_names), message.points
+
+    def read(what: str) -> Floats | None:
+        rows = [getattr(point, what) for point in points]
+        lengths = {len(row) for row in rows}
+        if lengths <= {0}:
+            return None
+        if lengths != {len(names)}:
+            raise TrajectoryError(
+                f'points have {", ".join(map(str, sorted(lengths)))} {what}, expected '
+                f'{len(names)} each, or none'
+            )
+        return np.array(rows, dtype=np.float64)
+
+    positions = read('positions')
+    if positions is None:
+        raise TrajectoryError('no positions, expected one for every joint at every point')
+    times = [p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in points]
+    velocities, accelerations = read('velocities'), read('accelerations')
+    return Trajectory(names, np.array(times), positions, velocities, accelerations)
+
+
+def write_trajectory(
+    message: JointTrajectory, trajectory: Trajectory, efforts: Floats
+) -> JointTrajectory:
+    """Make the message of a whole trajectory and its efforts, with header and times of another."""
+    result = JointTrajectory(header=message.header, joint_names=message.joint_names)
+    rows = (trajectory.positions, trajectory.velocities, trajectory.accelerations, efforts)
+    result.points = [
+        JointTrajectoryPoint(
+            **{
+                name: array('d', row[k].tobytes())
+                for name, row in zip(_FIELDS, rows, strict=True)
+                if row is not None
+            },
+            time_from_start=point.time_from_start,
+        )
+        for k, point in enumerate(message.points)
+    ]
+    return result
+
+
+_FIELDS = ('positions', 'velocities', 'accelerations', 'effort')
+
+
 def write_commands(message: Float64MultiArray, efforts: Floats) -> None:
     """Put efforts into a message that is used again and again."""
     message.data = array('d', efforts.tobytes())
 
 
-def write_joint_efforts(message: JointState, efforts: Floats) -> None:
-    """Put efforts into a message that has its names already."""
+def write_joint_efforts(message: JointState, joints: Sequence[str], efforts: Floats) -> None:
+    """Put efforts into a message that is used again and again."""
+    message.name = list(joints)
     message.effort = array('d', efforts.tobytes())
+
+
+def write_wrench(message: WrenchStamped, link: str, force: Floats, moment: Floats) -> None:
+    """Put a wrench into a message that is used again and again."""
+    message.header.frame_id = link
+    for part, values in ((message.wrench.force, force), (message.wrench.torque, moment)):
+        part.x, part.y, part.z = values.tolist()
+
+
+def _frame(message: Any) -> str:
+    return str(message.header.frame_id)
 
 
 def _finite(what: str, values: Sequence[float], names: Sequence[str]) -> Floats:

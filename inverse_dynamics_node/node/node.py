@@ -1,52 +1,60 @@
-"""The managed node: messages in, `Controller.step`, messages out."""
+"""The managed node: messages in, `Rig.step`, messages out."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-import math
-from pathlib import Path
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 import time
 import traceback
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import InertiaStamped, Vector3Stamped, WrenchStamped
 import numpy as np
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
-from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.timer import Timer
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64MultiArray, String
+from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
-from ..controller import Command, Controller, of_joints, PerJoint, Phase, Reference
-from ..dynamics import InverseDynamics
+from ..controller import Command, IS_WELL, Phase, Reference
 from ..errors import ConfigurationError, InverseDynamicsError, JointStateError
-from ..model import Floats, RobotModel
-from ..state import JointStateCollector
-from ..urdf import load_urdf
+from ..loads import rotation_of
+from ..monitor import Monitor, Surroundings
+from ..rig import Rig
+from ..trajectory import complete, joint_index, trajectory_efforts
 from . import messages
+from .diagnostics import diagnostic_array
+from .log import SparseLog
+from .outputs import Outputs
 from .parameters import (
+    BaseMotion,
     checked_configuration,
     Configuration,
     declare_parameters,
     PARAMETERS,
     read_configuration,
     unknown_parameters,
+    values_of,
 )
+from .setup import apply_configuration, check_configuration, make_rig
 
 _LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 _EVERY_ONE = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+_SEVERAL = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 _LATCHED = QoSProfile(
     depth=1,
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
 _WATCH_PERIOD = 0.01  # [s]; without an update rate, how often to look whether states still come
-_LOG_PERIOD = 2.0  # [s]; how often the log repeats what lasts
+_DIAGNOSTICS_PERIOD = 1.0  # [s]; REP-107
 
 _SUCCESS = TransitionCallbackReturn.SUCCESS
 _FAILURE = TransitionCallbackReturn.FAILURE
@@ -56,8 +64,8 @@ class InverseDynamicsNode(LifecycleNode):
     """
     Publishes the joint efforts that produce the accelerations asked for.
 
-    Publishers and subscriptions live as long as the node; what configuring makes (robot,
-    controller, timer) goes with cleaning up.
+    Publishers, subscriptions and services live as long as the node; what configuring makes (rig,
+    timers) goes with cleaning up.
 
     """
 
@@ -69,43 +77,56 @@ class InverseDynamicsNode(LifecycleNode):
         for name in unknown_parameters(self._parameter_overrides):
             self.get_logger().warning(f"parameter '{name}' was set, but this node has none such")
         self.is_finalized = False
-        self._controller: Controller | None = None
+        self._rig: Rig | None = None
         self._is_active = False
         self._has_commanded = False
         self._may_autostart = self._configuration.autostart
         self._description = ''  # the latest from the topic
-        self._reference: Reference | None = None
+        self._loader = ThreadPoolExecutor(1, 'robot_description')
+        self._loading: Future[Rig] | None = None
         self._last_phase = Phase.WAITING
-        self._log_times: dict[str, float] = {}
+        self._log = SparseLog(self.get_logger())
+        self._monitor = Monitor()
         self._pace: list[Timer] = []
         self._uses_sim_time = self.get_parameter('use_sim_time').value
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
         if self._uses_sim_time:
             self._timer_clock = self.get_clock()
             self._now: Callable[[], float] = lambda: self.get_clock().now().nanoseconds * 1e-9
         else:
-            self._timer_clock = Clock(clock_type=ClockType.STEADY_TIME)
+            self._timer_clock = steady
             self._now = time.monotonic  # the same clock, twenty times faster to read
         self._create_entities()
+        self.create_timer(_DIAGNOSTICS_PERIOD, self._on_diagnostics, clock=steady)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
 
+    @property
+    def configuration(self) -> Configuration:
+        """All parameters, as they count now."""
+        return self._configuration
+
     def _create_entities(self) -> None:
         qos = {'qos_overriding_options': QoSOverridingOptions.with_default_policies()}
-        self._command_message = Float64MultiArray()
-        self._efforts_message = JointState()
-        self._commands = self.create_lifecycle_publisher(
-            Float64MultiArray, '~/commands', _EVERY_ONE, **qos
-        )
-        self._joint_efforts = self.create_lifecycle_publisher(
-            JointState, '~/joint_efforts', _EVERY_ONE, **qos
+        self._outputs = Outputs(self, _EVERY_ONE, **qos)
+        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', _SEVERAL)
+        self._trajectories = self.create_publisher(
+            JointTrajectory, '~/joint_trajectory_out', _EVERY_ONE, **qos
         )
         for message, topic, callback, profile in (
             (JointState, 'joint_states', self._on_joint_state, _LATEST),
             (String, 'robot_description', self._on_robot_description, _LATCHED),
             (Float64MultiArray, '~/desired_accelerations', self._on_accelerations, _EVERY_ONE),
             (JointTrajectory, '~/reference', self._on_reference, _EVERY_ONE),
+            (JointTrajectory, '~/joint_trajectory_in', self._on_trajectory, _EVERY_ONE),
+            # Several links may each have one of their own.
+            (InertiaStamped, '~/payload', self._on_payload, _SEVERAL),
+            (WrenchStamped, '~/external_wrench', self._on_external_wrench, _SEVERAL),
+            (Vector3Stamped, '~/gravity', self._on_gravity, _EVERY_ONE),
+            (Imu, 'imu', self._on_imu, _LATEST),
         ):
             self.create_subscription(message, topic, callback, profile, **qos)
+        self.create_service(SetBool, '~/enable', self._on_enable)
 
     # Lifecycle
 
@@ -151,11 +172,12 @@ class InverseDynamicsNode(LifecycleNode):
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start to command, from zero."""
-        assert self._controller is not None
+        assert self._rig is not None
         result = super().on_activate(state)
-        self._controller.start()
-        self._reference = None
-        self._last_phase = self._controller.phase
+        self._rig.start()
+        self._monitor.pause()
+        self._outputs.look_for_listeners()
+        self._last_phase = Phase.WAITING
         self._is_active = result == _SUCCESS
         self._may_autostart = False  # from now on, who takes it down brings it up
         self._has_commanded = False
@@ -206,160 +228,221 @@ class InverseDynamicsNode(LifecycleNode):
 
     def _configure(self) -> None:
         self._configuration = configuration = read_configuration(self)
-        robot = self._load_robot(configuration)
-        rate = configuration.update_rate
-        controller = Controller(
-            InverseDynamics(robot),
-            configuration.joints,
-            configuration.settings,
-            period=1.0 / rate if rate else 0.0,
-        )
-        self._set_up_dynamics(controller, configuration)
-        controller.dynamics.gravity_efforts([0.0] * len(robot.joint_names))  # a first call is slow
-        self._collector = JointStateCollector(robot.joint_names)
-        self._efforts_message.name = list(controller.joints)
+        rig = make_rig(configuration, self._description)
         self._forget_robot()
+        self._monitor = Monitor(configuration.period)
         # Lost states are noticed by a timer of their own, whatever the rate.
         self._watch_period = min(_WATCH_PERIOD, 0.5 * configuration.settings.state_timeout)
         clock = self._timer_clock
         self._pace = [self.create_timer(self._watch_period, self._on_watch, clock=clock)]
-        if rate:
-            self._pace.append(self.create_timer(1.0 / rate, self._on_timer, clock=clock))
-        self._controller = controller
-        self._introduce(robot, controller.joints)
+        if configuration.period:
+            self._pace.append(self.create_timer(configuration.period, self._on_timer, clock=clock))
+        self._use(rig)
+
+    def _use(self, rig: Rig) -> None:
+        self._rig = rig
+        self._R_BS = rotation_of(*self._configuration.imu_orientation)
+        self._introduce(rig)
 
     def _forget_robot(self) -> None:
-        self._controller = None
+        self._rig = None
         self._is_active = False
+        self._loading = None
         for timer in self._pace:
             self.destroy_timer(timer)
         self._pace = []
 
-    def _set_up_dynamics(self, controller: Controller, configuration: Configuration) -> None:
-        """Tell the dynamics what parameters say of gravity, friction and rotors."""
-        dynamics = controller.dynamics
-        robot = dynamics.robot
-        index = [robot.joint_names.index(name) for name in controller.joints]
-
-        def of_robot(name: str, values: PerJoint, others: Floats) -> Floats:
-            given = of_joints(name, values, len(index))
-            if ((given < 0.0) & (given != -1.0)).any():
-                raise ConfigurationError(f"parameter '{name}' is {values}, expected -1, or from 0")
-            chosen: Floats = others.copy()
-            chosen[index] = np.where(given < 0.0, others[index], given)
-            return chosen
-
-        damping = of_robot('damping', configuration.damping, robot.damping)
-        coulomb = of_robot('coulomb', configuration.coulomb, robot.friction)
-        armature = of_robot('armature', configuration.armature, np.zeros_like(damping))
-        share = 1.0 if configuration.include_friction else 0.0
-        dynamics.set_gravity(
-            configuration.gravity if configuration.include_gravity else (0.0, 0.0, 0.0)
-        )
-        dynamics.set_friction(share * damping, share * coulomb, configuration.coulomb_width)
-        dynamics.set_armature(armature)
-
-    def _load_robot(self, configuration: Configuration) -> RobotModel:
-        if configuration.robot_description_file:
-            # A shell leaves a ~ after := as it is.
-            return load_urdf(Path(configuration.robot_description_file).expanduser())
-        text = configuration.robot_description or self._description
-        if not text:
-            raise ConfigurationError(
-                'no robot description: none on the topic, and neither parameter is set'
-            )
-        return load_urdf(_as_xml(text))
-
-    def _introduce(self, robot: RobotModel, joints: Sequence[str]) -> None:
+    def _introduce(self, rig: Rig) -> None:
+        robot, joints = rig.robot, rig.controller.joints
         for warning in robot.warnings:
             self.get_logger().warning(warning)
         others = [name for name in robot.joint_names if name not in joints]
         self.get_logger().info(
-            f"robot '{robot.name}', {robot.mass.sum():.3g} kg; commands {', '.join(joints)}"
+            f"robot '{robot.name}', {np.sum(robot.mass):.3g} kg; commands {', '.join(joints)}"
             + (f'; takes into account {", ".join(others)}' if others else '')
         )
 
     def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         """Accept new values only if all of them together can be used."""
-        values = {name: self.get_parameter(name).value for name in PARAMETERS}
-        changed = {p.name: p.value for p in parameters if p.name in PARAMETERS}
+        ours = values_of(self)
+        changed = {p.name: p.value for p in parameters if p.name in ours}
         try:
             for parameter in parameters:
                 if parameter.name == 'use_sim_time' and parameter.value != self._uses_sim_time:
                     raise ConfigurationError("parameter 'use_sim_time' is read at the start only")
                 if parameter.name in changed and parameter.type_ is Parameter.Type.NOT_SET:
                     raise ConfigurationError(f"parameter '{parameter.name}' cannot be taken away")
-            configuration = checked_configuration({**values, **changed})
-            if self._controller is not None:
-                self._check_live(configuration, changed)
+            configuration = checked_configuration({**ours, **changed})
+            if self._rig is not None:
+                for name, value in changed.items():
+                    is_live = name in PARAMETERS and PARAMETERS[name].is_live
+                    if not is_live and value != ours[name]:
+                        raise ConfigurationError(
+                            f"parameter '{name}' is read when the node is configured; deactivate "
+                            'and clean up first'
+                        )
+                check_configuration(self._rig, configuration)
         except InverseDynamicsError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
-    def _check_live(self, configuration: Configuration, names: Iterable[str]) -> None:
-        """Refuse what cannot change while configured, and what does not fit the joints."""
-        assert self._controller is not None
-        for name in names:
-            if not PARAMETERS[name].is_live and _differ(configuration, self._configuration, name):
-                raise ConfigurationError(
-                    f"parameter '{name}' is read when the node is configured; deactivate and "
-                    'clean up first'
-                )
-        robot, joints = self._controller.dynamics.robot, self._controller.joints
-        trial = Controller(InverseDynamics(robot), joints, configuration.settings)
-        self._set_up_dynamics(trial, configuration)
-
     def _apply_parameters(self, parameters: list[Parameter]) -> None:
-        if not any(parameter.name in PARAMETERS for parameter in parameters):
+        ours = values_of(self)
+        if not any(parameter.name in ours for parameter in parameters):
             return
-        self._configuration = read_configuration(self)
-        if self._controller is not None:
-            self._controller.apply(self._configuration.settings)
-            self._set_up_dynamics(self._controller, self._configuration)
-        else:
+        before, self._configuration = self._configuration, read_configuration(self)
+        if self._rig is None:
             self.autostart()
-
-    # In the loop
-
-    def _on_joint_state(self, message: JointState) -> None:
-        if self._controller is None:
             return
-        now = self._now()
-        try:
-            is_ours = self._collector.update(now, message.name, message.position, message.velocity)
-        except JointStateError as error:
-            self._log(now, 'joint_states', f'joint state dropped: {error}')
-            return
-        if is_ours and self._is_active and self._configuration.update_rate == 0.0:
-            self._step(now)
+        apply_configuration(self._rig, self._configuration, before)
+        self._R_BS = rotation_of(*self._configuration.imu_orientation)
 
-    def _on_accelerations(self, message: Float64MultiArray) -> None:
-        self._take_reference(messages.reference_from_accelerations, message)
-
-    def _on_reference(self, message: JointTrajectory) -> None:
-        self._take_reference(messages.reference_from_trajectory, message)
-
-    def _take_reference(self, read: Callable[..., Reference], message: Any) -> None:
-        if self._controller is None or not self._is_active:
-            return
-        now = self._now()
-        try:
-            self._reference = read(message, self._controller.joints, now)
-        except JointStateError as error:
-            self._log(now, read.__name__, f'reference dropped: {error}')
+    # A new robot description
 
     def _on_robot_description(self, message: String) -> None:
         configuration = self._configuration
         if configuration.robot_description or configuration.robot_description_file:
             return
-        if self._controller is None:
-            self._description = message.data
+        if message.data == self._description:
+            return
+        self._description = message.data
+        if self._rig is None:
             self.autostart()
-        elif message.data != self._description:
-            self.get_logger().warning(
-                'a new robot description came; it counts when the node is configured again'
+            return
+        self.get_logger().info('a new robot description came')
+        # Loading takes tenths of a second, in which the robot must not go without commands.
+        self._loading = self._loader.submit(make_rig, configuration, message.data)
+
+    def _reload(self, loading: Future[Rig]) -> None:
+        """Go on with another description of the robot; or with the old one, if that is better."""
+        assert self._rig is not None
+        try:
+            rig = loading.result()
+            apply_configuration(rig, self._configuration)
+            if self._is_active:
+                for link in rig.take_over(self._rig):
+                    self.get_logger().warning(f"link '{link}' is no more; its payload is dropped")
+        except Exception as error:  # of a thread that nobody else asks
+            self.get_logger().error(
+                f'the new robot description is not used, the old one still is: {error}'
             )
-            self._description = message.data
+            self._monitor.reject('robot_description', str(error).partition('\n')[0])
+            return
+        self._use(rig)
+
+    # Messages in
+
+    def _on_joint_state(self, message: JointState) -> None:
+        if self._rig is None:
+            return
+        now = self._now()
+        efforts = message.effort if self._outputs.wants_measured_efforts else ()
+        try:
+            is_ours = self._rig.collector.update(
+                now, message.name, message.position, message.velocity, efforts
+            )
+        except JointStateError as error:
+            self._reject(now, 'joint_states', error)
+            return
+        if is_ours and self._is_active and self._configuration.update_rate == 0.0:
+            self._step(now)
+
+    def _on_accelerations(self, message: Float64MultiArray) -> None:
+        self._take_reference('~/desired_accelerations', messages.read_accelerations, message)
+
+    def _on_reference(self, message: JointTrajectory) -> None:
+        self._take_reference('~/reference', messages.read_reference, message)
+
+    def _take_reference(self, topic: str, read: Callable[..., Reference], message: Any) -> None:
+        if self._rig is None or not self._is_active:
+            return
+        now = self._now()
+        try:
+            self._rig.reference = read(message, self._rig.controller.joints, now)
+        except JointStateError as error:
+            self._reject(now, topic, error)
+
+    def _on_payload(self, message: InertiaStamped) -> None:
+        def take(rig: Rig, now: float) -> None:
+            payload = messages.read_payload(message)
+            rig.loads.set_payload(now, *payload)
+            self.get_logger().info(f"payload on link '{payload.link}': {payload.mass:g} kg")
+
+        self._take('~/payload', take)
+
+    def _on_external_wrench(self, message: WrenchStamped) -> None:
+        self._take(
+            '~/external_wrench',
+            lambda rig, now: rig.loads.set_external_wrench(now, *messages.read_wrench(message)),
+        )
+
+    def _on_gravity(self, message: Vector3Stamped) -> None:
+        def take(rig: Rig, now: float) -> None:
+            frame = message.header.frame_id
+            if frame not in ('', rig.base_link):
+                raise ConfigurationError(
+                    f"frame_id is '{frame}', expected that of the base, '{rig.base_link}'"
+                )
+            if rig.has_imu:
+                raise ConfigurationError("gravity is measured: parameter 'base_motion' is imu")
+            rig.loads.set_gravity(messages.vector(message.vector))
+
+        self._take('~/gravity', take)
+
+    def _on_imu(self, message: Imu) -> None:
+        if self._configuration.base_motion is not BaseMotion.IMU:
+            return
+        self._take(
+            'imu',
+            lambda rig, now: rig.set_base_motion(now, *messages.read_imu(message, self._R_BS)),
+        )
+
+    def _take(self, topic: str, take: Callable[[Rig, float], None]) -> None:
+        """Let the rig take in a message, or tell why not."""
+        now = self._now()
+        if self._rig is None:
+            self._reject(now, topic, 'there is no robot yet')
+            return
+        try:
+            take(self._rig, now)
+        except InverseDynamicsError as error:
+            self._reject(now, topic, error)
+
+    def _reject(self, now: float, topic: str, reason: object) -> None:
+        self._monitor.reject(topic, str(reason))
+        self._log.warn(now, topic, f'{topic}: message dropped: {reason}')
+
+    def _on_trajectory(self, message: JointTrajectory) -> None:
+        self._take('~/joint_trajectory_in', lambda rig, now: self._fill(rig, now, message))
+
+    def _fill(self, rig: Rig, now: float, message: JointTrajectory) -> None:
+        """Publish a trajectory with the efforts that it takes."""
+        trajectory, derived = complete(messages.read_trajectory(message))
+        for words in derived:
+            self._log.warn(now, words, f'~/joint_trajectory_in: {words}')
+        efforts = trajectory_efforts(rig.dynamics, trajectory, rig.collector.q)
+        index = joint_index(trajectory.joint_names, rig.robot.joint_names)
+        efforts = rig.calibrated(index, efforts)
+        for name in rig.beyond_limits(index, efforts):
+            words = f"~/joint_trajectory_in: efforts of '{name}' go beyond its limit"
+            self._log.warn(now, words, words)
+        self._trajectories.publish(messages.write_trajectory(message, trajectory, efforts))
+
+    def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> Any:
+        if self._rig is None or not self._is_active:
+            response.message = 'the node is not active'
+            return response
+        if request.data:
+            self._rig.controller.resume()
+        else:
+            self._rig.controller.stop()
+            self._rig.reference = None
+        response.success = True
+        response.message = f'efforts {"rise" if request.data else "fall to zero"} along the ramp'
+        self.get_logger().info(response.message)
+        return response
+
+    # In the loop
 
     def _on_timer(self) -> None:
         if self._is_active:
@@ -367,112 +450,127 @@ class InverseDynamicsNode(LifecycleNode):
 
     def _on_watch(self) -> None:
         """Step where no joint state will: none has come yet, or none comes any more."""
+        self._outputs.look_for_listeners()
+        if self._loading is not None and self._loading.done():
+            loading, self._loading = self._loading, None
+            self._reload(loading)
         if not self._is_active:
             return
+        assert self._rig is not None
         now = self._now()
-        state = self._collector.state()
+        state = self._rig.collector.state()
         timeout = self._configuration.settings.state_timeout
         if state is None or not 0.0 <= now - state.time <= timeout:
             self._step(now)
 
     def _step(self, now: float) -> None:
-        assert self._controller is not None
-        command = self._controller.step(now, self._collector.state(), self._reference)
+        assert self._rig is not None
+        began = time.perf_counter()
+        command = self._rig.step(now)
         if command is None:
-            self._log(now, 'waiting', self._what_is_missing)
+            self._log.warn(now, 'waiting', self._what_is_missing)
             return
-        self._publish(command.efforts)
-        self._report(now, command)
-
-    def _publish(self, efforts: Floats) -> None:
         self._has_commanded = True
-        messages.write_commands(self._command_message, efforts)
-        self._commands.publish(self._command_message)
-        if self._joint_efforts.get_subscription_count():
-            messages.write_joint_efforts(self._efforts_message, efforts)
-            self._efforts_message.header.stamp = self.get_clock().now().to_msg()
-            self._joint_efforts.publish(self._efforts_message)
+        self._outputs.publish_command(self._rig, command.efforts)
+        took = time.perf_counter() - began
+        self._monitor.step(now, took, command, self._rig.controller.joints)
+        self._report(now, command)
+        if self._rig.controller.phase in IS_WELL:
+            self._explain(now)
+
+    def _explain(self, now: float) -> None:
+        assert self._rig is not None
+        try:
+            self._outputs.publish_explanation(self._rig)
+        except JointStateError as error:
+            self._log.warn(now, 'explanation', str(error))
 
     def _ramp_down(self) -> None:
         """Publish falling efforts, then zeros, from within one callback: nothing else runs."""
-        assert self._controller is not None
+        assert self._rig is not None
         self._is_active = False
-        self._controller.stop()
-        state = self._collector.state()
+        if not self._has_commanded:
+            return  # who holds the robot now, it is not this node
+        try:
+            self._follow_stop_ramp(self._rig)
+        finally:
+            self._outputs.publish_zeros(self._rig)
+
+    def _follow_stop_ramp(self, rig: Rig) -> None:
+        rig.controller.stop()
         start, steady_start = self._now(), time.monotonic()
-        while state is not None and self._controller.gain and not self._is_in_a_hurry():
+        while rig.controller.gain and not self._is_in_a_hurry():
             time.sleep(self._watch_period)
             # A simulated clock stands still meanwhile.
             now = start + time.monotonic() - steady_start
-            command = self._controller.step(now, state, None)
+            command = rig.step(now)
             assert command is not None
-            self._publish(command.efforts)
-        if not self._has_commanded:
-            return  # who holds the robot now, it is not this node
-        for _ in range(3):  # once is enough where messages are acknowledged
-            self._publish(np.zeros(len(self._controller.joints)))
-        self._commands.wait_for_all_acked(Duration(seconds=1))
+            self._outputs.publish_command(rig, command.efforts)
 
     # Words
 
+    def _on_diagnostics(self) -> None:
+        topic = self.resolve_topic_name('joint_states')
+        around = Surroundings(
+            receivers=self._outputs.receivers,
+            publishers=self.count_publishers(topic),
+            is_active=self._is_active,
+            state=str(self._state_machine.current_state[1]),
+        )
+        statuses = self._monitor.report(self._now(), self._rig, around)
+        self._diagnostics.publish(
+            diagnostic_array(
+                self.get_clock().now().to_msg(),
+                self.get_fully_qualified_name(),
+                self._rig.robot.name if self._rig else '',
+                statuses,
+            )
+        )
+
     def _report(self, now: float, command: Command) -> None:
         """Tell what has changed, and now and then what has not and should."""
-        assert self._controller is not None
-        phase = self._controller.phase
+        assert self._rig is not None
+        phase = self._rig.controller.phase
         if phase is not self._last_phase:
             self._tell_phase(now, phase)
             self._last_phase = phase
         if phase is Phase.STATE_LOST:
-            self._log(now, 'state lost', lambda: self._what_is_stale(now))
+            self._log.warn(now, 'state lost', lambda: self._what_is_stale(now))
         if command.is_saturated.any():
             joints = command.is_saturated.tobytes().hex()  # others are news
-            self._log(now, f'saturated {joints}', lambda: self._what_is_saturated(command))
+            self._log.warn(now, f'saturated {joints}', lambda: self._what_is_saturated(command))
 
     def _tell_phase(self, now: float, phase: Phase) -> None:
+        assert self._rig is not None
+        collector, logger = self._rig.collector, self.get_logger()
         if self._last_phase is Phase.WAITING:
-            for name in self._collector.without_velocity():
-                self.get_logger().warning(f"joint_states: no velocity of '{name}', taken as zero")
-        if not self._is_due(now, phase.name):
+            for name in collector.without_velocity():
+                logger.warning(f"joint_states: no velocity of '{name}', taken as zero")
+            for name in collector.unseen():
+                logger.warning(f"joint_states: '{name}' not seen, taken as locked")
+        if not self._log.is_due(now, phase.name):
             return
         if phase in (Phase.RUNNING, Phase.HOLDING):
-            self.get_logger().info(phase.value)
+            logger.info(phase.value)
         else:
-            self.get_logger().error(phase.value)
-
-    def _log(self, now: float, key: str, text: str | Callable[[], str]) -> None:
-        """Warn, but not of the same thing all the time; a logger's own throttle costs 0.2 ms."""
-        if self._is_due(now, key):
-            self.get_logger().warning(text if isinstance(text, str) else text())
-
-    def _is_due(self, now: float, key: str) -> bool:
-        if abs(now - self._log_times.get(key, -math.inf)) < _LOG_PERIOD:
-            return False
-        self._log_times[key] = now
-        return True
+            logger.error(phase.value)
 
     def _what_is_missing(self) -> str:
+        assert self._rig is not None
         topic = self.resolve_topic_name('joint_states')
         return (
             f'no command yet: {topic} ({self.count_publishers(topic)} publishers) has not told '
-            f'the position of {", ".join(self._collector.missing())}'
+            f'{", ".join(self._rig.missing())}'
         )
 
     def _what_is_stale(self, now: float) -> str:
+        assert self._rig is not None
         timeout = self._configuration.settings.state_timeout
-        joints = self._collector.stale(now, timeout)
+        joints = self._rig.collector.stale(now, timeout)
         return f'no joint state for more than {timeout:g} s of {", ".join(joints)}'
 
     def _what_is_saturated(self, command: Command) -> str:
-        assert self._controller is not None
-        joints = self._controller.joints
+        assert self._rig is not None
+        joints = self._rig.controller.joints
         cut = [name for name, cut in zip(joints, command.is_saturated, strict=True) if cut]
         return f'effort cut to its limit: {", ".join(cut)}'
-
-
-def _differ(one: Configuration, other: Configuration, name: str) -> bool:
-    return bool(getattr(one, name) != getattr(other, name))
-
-
-def _as_xml(text: str) -> str:
-    """Keep a robot description that is no XML from being taken for the name of a file."""
-    return text if text.lstrip('\ufeff \t\r\n').startswith('<') else f'<!-- -->{text}'

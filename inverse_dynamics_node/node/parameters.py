@@ -8,12 +8,36 @@ from enum import Enum
 import math
 from typing import Any, NamedTuple
 
+import numpy as np
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.node import Node
 
 from ..controller import Mode, PerJoint, Settings, StalePolicy
 from ..dynamics import FRICTION_WIDTH, STANDARD_GRAVITY
 from ..errors import ConfigurationError
+from ..loads import LoadSettings
+
+
+class BaseMotion(Enum):
+    """How the base moves."""
+
+    FIXED = 'fixed'
+    IMU = 'imu'
+    """As an inertial measurement unit on it says."""
+
+
+class MissingInertial(Enum):
+    """What to do about links that have a shape, but no mass."""
+
+    WARN = 'warn'
+    REFUSE = 'refuse'
+
+
+class Executor(Enum):
+    """What spins the node."""
+
+    EVENTS = 'events'
+    SINGLE_THREADED = 'single_threaded'
 
 
 class _Kind(NamedTuple):
@@ -117,6 +141,8 @@ class Parameter(NamedTuple):
 
 _OF_URDF = -1.0
 _SETTINGS = Settings()
+_LOADS = LoadSettings()
+LOCKED = 'locked_positions'
 PARAMETERS = {
     'robot_description': Parameter(
         _TEXT,
@@ -130,6 +156,19 @@ PARAMETERS = {
         [''],
         'The joints to command, in the order of ~/commands and ~/desired_accelerations. '
         'Empty: every movable joint, in the order of the URDF. All joints count in the dynamics',
+        is_live=False,
+    ),
+    'base_link': Parameter(
+        _TEXT,
+        '',
+        'Link whose frame is that of gravity, imu and ~/base_wrench; one that no joint moves. '
+        'Empty: the root link',
+        is_live=False,
+    ),
+    'on_missing_inertial': Parameter(
+        _choice(MissingInertial),
+        MissingInertial.WARN.value,
+        'warn, or refuse a robot description with links that have a shape, but no <inertial>',
         is_live=False,
     ),
     'update_rate': Parameter(
@@ -149,9 +188,57 @@ PARAMETERS = {
     'gravity': Parameter(
         _VECTOR,
         list(STANDARD_GRAVITY),
-        'Free-fall acceleration in the frame of the root link [m/s^2]',
+        'Free-fall acceleration in the frame of the base link [m/s^2]; ~/gravity changes it too',
         -100.0,
         100.0,
+    ),
+    'base_motion': Parameter(
+        _choice(BaseMotion),
+        BaseMotion.FIXED.value,
+        'fixed: at rest, with gravity as said. imu: as imu measures it, instead of gravity',
+        is_live=False,
+    ),
+    'imu_orientation': Parameter(
+        _VECTOR,
+        [0.0, 0.0, 0.0],
+        'Roll, pitch and yaw of the sensor behind imu in the frame of the base link [rad]',
+        -7.0,
+        7.0,
+    ),
+    'imu_filter_cutoff': Parameter(
+        _NUMBER,
+        _LOADS.imu_filter_cutoff,
+        'Cutoff of a first-order low-pass for the motion of the base [Hz]; 0: no filter',
+        0.0,
+    ),
+    'imu_timeout': Parameter(
+        _NUMBER,
+        _LOADS.imu_timeout,
+        'A motion of the base older than this is lost: gravity stays, turning does not [s]',
+        0.005,
+        60.0,
+    ),
+    'load_ramp': Parameter(
+        _NUMBER,
+        _LOADS.load_ramp,
+        'Time for a payload to come in, for gravity to change by 9.8 m/s^2, for a lost external '
+        'wrench to fade [s]',
+        0.0,
+        60.0,
+    ),
+    'wrench_timeout': Parameter(
+        _NUMBER,
+        _LOADS.wrench_timeout,
+        'An external wrench that is not renewed for so long fades [s]',
+        0.0,
+        60.0,
+    ),
+    'external_efforts_cutoff': Parameter(
+        _NUMBER,
+        10.0,
+        'Cutoff of the first-order low-pass of ~/external_efforts [Hz]',
+        0.01,
+        10_000.0,
     ),
     'include_gravity': Parameter(
         _FLAG, True, 'False where the driver compensates gravity itself: UR, Franka, KUKA FRI'
@@ -240,7 +327,11 @@ PARAMETERS = {
         'or hold (the last ones)',
     ),
     'start_ramp': Parameter(
-        _NUMBER, _SETTINGS.start_ramp, 'Time for the efforts to rise from zero [s]', 0.0, 60.0
+        _NUMBER,
+        _SETTINGS.start_ramp,
+        'Time for the efforts to rise from zero, and for jumps to fade when parameters change [s]',
+        0.0,
+        60.0,
     ),
     'stop_ramp': Parameter(
         _NUMBER, _SETTINGS.stop_ramp, 'Time for the efforts to fall to zero [s]', 0.0, 60.0
@@ -251,7 +342,15 @@ PARAMETERS = {
         'Configure and activate as soon as there is a robot description, with no one asking; once',
         is_live=False,
     ),
+    'executor': Parameter(
+        _choice(Executor),
+        Executor.EVENTS.value,
+        'events, or single_threaded: slower, and older',
+        is_live=False,
+    ),
 }
+PER_JOINT = frozenset(name for name, p in PARAMETERS.items() if p.kind is _NUMBERS)
+"""Parameters with one number for all commanded joints, or one for each."""
 
 
 @dataclass(frozen=True)
@@ -261,8 +360,13 @@ class Configuration:
     robot_description: str
     robot_description_file: str
     joints: tuple[str, ...]
+    base_link: str
+    on_missing_inertial: MissingInertial
     update_rate: float
     gravity: tuple[float, float, float]
+    base_motion: BaseMotion
+    imu_orientation: tuple[float, float, float]
+    external_efforts_cutoff: float
     include_gravity: bool
     include_friction: bool
     damping: PerJoint
@@ -270,7 +374,16 @@ class Configuration:
     coulomb_width: float
     armature: PerJoint
     autostart: bool
+    executor: Executor
     settings: Settings
+    load_settings: LoadSettings
+    locked_positions: dict[str, float]
+    """By joint [rad or m]."""
+
+    @property
+    def period(self) -> float:
+        """Time between commands [s]; 0 for one for every joint state."""
+        return 1.0 / self.update_rate if self.update_rate else 0.0
 
 
 def declare_parameters(node: Node) -> None:
@@ -280,6 +393,24 @@ def declare_parameters(node: Node) -> None:
             node.declare_parameter(name, parameter.default, parameter.descriptor())
         except Exception as error:
             raise ConfigurationError(f"parameter '{name}': {error}") from None
+    # Which joints there are to lock, the robot description will tell; until then, any.
+    for name in node._parameter_overrides:
+        if name.startswith(f'{LOCKED}.'):
+            node.declare_parameter(
+                name,
+                0.0,
+                ParameterDescriptor(
+                    description='Where this joint counts until it is heard from [rad or m]',
+                    dynamic_typing=True,
+                ),
+            )
+
+
+def values_of(node: Node) -> dict[str, Any]:
+    """Return the values of all parameters, by name."""
+    locked = node.get_parameters_by_prefix(LOCKED)
+    names = [*PARAMETERS, *(f'{LOCKED}.{joint}' for joint in locked)]
+    return {name: node.get_parameter(name).value for name in names}
 
 
 def read_configuration(node: Node) -> Configuration:
@@ -292,7 +423,7 @@ def read_configuration(node: Node) -> Configuration:
         Naming every parameter that cannot be used.
 
     """
-    return checked_configuration({name: node.get_parameter(name).value for name in PARAMETERS})
+    return checked_configuration(values_of(node))
 
 
 def checked_configuration(values: dict[str, Any]) -> Configuration:
@@ -304,18 +435,36 @@ def checked_configuration(values: dict[str, Any]) -> Configuration:
             checked[name] = parameter.check(values[name])
         except ConfigurationError as error:
             problems.append(f"parameter '{name}' {error}")
+    locked = {
+        name.removeprefix(f'{LOCKED}.'): value
+        for name, value in values.items()
+        if name not in PARAMETERS
+    }
+    for joint, value in locked.items():
+        try:
+            locked[joint] = _number(value)
+        except TypeError:
+            problems.append(f"parameter '{LOCKED}.{joint}' is {value!r}, expected a finite number")
     if checked.get('robot_description') and checked.get('robot_description_file'):
         problems.append('parameters robot_description and robot_description_file are both set')
     if 0.0 < checked.get('update_rate', 0.0) < 1.0:
         problems.append(
             f"parameter 'update_rate' is {checked['update_rate']:g}, expected 0 or at least 1"
         )
+    # None of them may be negative, but for the -1 that stands for what the URDF says.
+    for name in ('damping', 'coulomb'):
+        numbers = np.atleast_1d(checked.get(name, 0.0))
+        if ((numbers < 0.0) & (numbers != _OF_URDF)).any():
+            problems.append(f"parameter '{name}' is {values[name]}, expected -1, or from 0")
     if problems:
         raise ConfigurationError('; '.join(problems))
     for name in ('effort_limits', 'effort_rate_limits'):
         checked[name] = _unlimited_where_zero(checked[name])
     settings = Settings(**{name: checked.pop(name) for name in vars(_SETTINGS)})
-    return Configuration(**checked, settings=settings)
+    loads = LoadSettings(**{name: checked.pop(name) for name in vars(_LOADS)})
+    return Configuration(
+        **checked, settings=settings, load_settings=loads, locked_positions=locked
+    )
 
 
 def _unlimited_where_zero(numbers: PerJoint) -> PerJoint:
@@ -327,4 +476,5 @@ def _unlimited_where_zero(numbers: PerJoint) -> PerJoint:
 def unknown_parameters(overrides: Iterable[str]) -> list[str]:
     """Name what was set, but is no parameter of this node: a slip of the pen, most likely."""
     known = {*PARAMETERS, 'use_sim_time', 'start_type_description_service'}
-    return [name for name in overrides if name not in known and 'qos_overrides' not in name]
+    prefixes = ('qos_overrides.', f'{LOCKED}.')
+    return [name for name in overrides if name not in known and not name.startswith(prefixes)]

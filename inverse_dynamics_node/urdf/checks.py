@@ -8,7 +8,7 @@ effort. All problems are collected, each with its line, its place, and the value
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 import math
 import re
 
@@ -42,8 +42,13 @@ _MAX_TURN = 50.0
 """A position limit [rad] no joint has: the limits are in degrees."""
 
 
-def check(root: Element) -> Findings:
-    """Check a <robot> element and everything in it that dynamics need."""
+def check(root: Element, needs_inertials: bool = False) -> Findings:
+    """
+    Check a <robot> element and everything in it that dynamics need.
+
+    Where inertials are needed, a link that can be seen or touched, but has none, is a problem.
+
+    """
     findings = Findings()
     _check_name(root, findings)
     links = _by_name(root, 'link')
@@ -62,6 +67,7 @@ def check(root: Element) -> Findings:
             _warn_if_misspelt(element, 'robot', CHILDREN['robot'], findings)
     check_mimic_loops(joints, findings)
     check_tree(root, links, findings)
+    _check_inertials(links, joints, findings.problem if needs_inertials else findings.warning)
     return findings
 
 
@@ -205,6 +211,26 @@ def _check_link(link: Element, findings: Findings) -> None:
     if 'value' in values and all(moment in values for moment in MOMENTS):
         mass = values['value'][0]
         _warn_of_odd_inertia(inertial, where, mass, [values[m][0] for m in MOMENTS], findings)
+
+
+def _check_inertials(
+    links: Mapping[str, Element],
+    joints: Mapping[str, Element],
+    tell: Callable[[Element, str], None],
+) -> None:
+    """
+    Tell of links with a shape, but without mass.
+
+    Links without either are frames, and the root may well be the ground.
+
+    """
+    children = {
+        child.get('link') for joint in joints.values() for child in joint if tag(child) == 'child'
+    }
+    for name, link in links.items():
+        parts = {tag(part) for part in link}
+        if name in children and 'inertial' not in parts and parts & {'visual', 'collision'}:
+            tell(link, f'{label(link)} has a shape, but no <inertial>: it counts as massless')
 
 
 def _warn_of_odd_inertia(

@@ -15,7 +15,7 @@ from typing import Any
 from lxml import etree
 import numpy as np
 
-from ..errors import UrdfError
+from ..errors import ConfigurationError, UrdfError
 from ..model import RobotModel
 from .bodies import build_model, Joint, Link, Mimic
 from .checks import check
@@ -23,7 +23,9 @@ from .rules import CHILDREN, CHILDREN_OF_FIXED, RULES
 from .xml import Element, parse, read_source, tag
 
 
-def load_urdf(path_or_xml: str | os.PathLike[str]) -> RobotModel:
+def load_urdf(
+    path_or_xml: str | os.PathLike[str], on_missing_inertial: str = 'warn'
+) -> RobotModel:
     """
     Load a robot from a URDF file or from URDF text.
 
@@ -34,6 +36,8 @@ def load_urdf(path_or_xml: str | os.PathLike[str]) -> RobotModel:
     ----------
     path_or_xml : str or path-like
         A path, or XML text: a str that starts with ``<``, space and byte order mark aside.
+    on_missing_inertial : {'warn', 'refuse'}
+        What to do about links that have a shape, but no ``<inertial>``; the root apart.
 
     Returns
     -------
@@ -46,6 +50,8 @@ def load_urdf(path_or_xml: str | os.PathLike[str]) -> RobotModel:
         If there is no such file, or it does not describe one tree of revolute, continuous,
         prismatic and fixed joints with complete inertias and limits. All problems are listed,
         with their lines.
+    ConfigurationError
+        If ``on_missing_inertial`` is neither of the two.
 
     Notes
     -----
@@ -53,9 +59,13 @@ def load_urdf(path_or_xml: str | os.PathLike[str]) -> RobotModel:
     axis to x. An effort or velocity limit of 0 is read as not known, hence infinite.
 
     """
+    if on_missing_inertial not in ('warn', 'refuse'):
+        raise ConfigurationError(
+            f'on_missing_inertial is {on_missing_inertial!r}, expected warn or refuse'
+        )
     source = read_source(path_or_xml)
     root, warnings = parse(source)
-    findings = check(root)
+    findings = check(root, needs_inertials=on_missing_inertial == 'refuse')
     if findings.problems:
         raise UrdfError(findings.problems, source.name)
     links, joints = _values(_stripped(root))

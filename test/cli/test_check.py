@@ -1,31 +1,13 @@
 """The command `check`, run as people run it."""
 
-import os
-import subprocess
-import sys
-
 from inverse_dynamics_node.cli.main import main
 import pytest
 from robot_files import real_robots, ROOT, STANFORD
 
-pytest.importorskip('matplotlib')
-
 ROBOTS = ROOT / 'test' / 'robots'
 
 
-def size_of(path):
-    """Return width and height of a PNG."""
-    data = path.read_bytes()
-    assert data[:8] == b'\x89PNG\r\n\x1a\n'
-    return int.from_bytes(data[16:20], 'big'), int.from_bytes(data[20:24], 'big')
-
-
-@pytest.fixture(autouse=True)
-def here(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-
-
-def test_tells_what_the_arm_can_hold_and_draws_it(tmp_path, capsys):
+def test_tells_what_the_arm_can_hold_and_draws_it(tmp_path, capsys, size_of):
     assert main(['check', str(STANFORD)]) == 0
     output = capsys.readouterr().out
     assert "robot 'stanford'" in output
@@ -38,13 +20,13 @@ def test_tells_what_the_arm_can_hold_and_draws_it(tmp_path, capsys):
 
 
 @pytest.mark.parametrize('name', ['pendulum', 'cartesian', 'mimic_gripper', 'continuous'])
-def test_draws_every_kind_of_robot(tmp_path, name):
+def test_draws_every_kind_of_robot(tmp_path, name, size_of):
     arguments = ['check', str(ROBOTS / f'{name}.urdf'), '--picture', 'p.png', '--samples', '64']
     assert main(arguments) == 0
     assert size_of(tmp_path / 'p.png')[1] >= 400
 
 
-def test_draws_a_humanoid(tmp_path):
+def test_draws_a_humanoid(tmp_path, size_of):
     paths = [path for path in real_robots() if path.name == 'talos_full_v2.urdf']
     if not paths:
         pytest.skip('example-robot-data is not installed')
@@ -108,46 +90,3 @@ def test_errors_are_one_line(arguments, words, capsys):
     assert words in error
     assert error.startswith('inverse_dynamics: ')
     assert len(error.splitlines()) == 1
-
-
-@pytest.mark.parametrize('arguments', [[], ['chekc'], ['check'], ['check', 'a', '--samples', '1']])
-def test_usage_errors_exit_with_2(arguments):
-    with pytest.raises(SystemExit) as exit_:
-        main(arguments)
-    assert exit_.value.code == 2
-
-
-def test_help_teaches(capsys):
-    for arguments in (['--help'], ['check', '--help']):
-        with pytest.raises(SystemExit) as exit_:
-            main(arguments)
-        assert exit_.value.code == 0
-        assert 'inverse_dynamics check my_arm.urdf' in capsys.readouterr().out
-
-
-def test_a_missing_package_is_named_with_the_way_to_get_it(monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, 'matplotlib', None)
-    assert main(['check', str(STANFORD)]) == 1
-    assert "pip install 'inverse_dynamics_node[cli]'" in capsys.readouterr().err
-
-
-COMMAND = [sys.executable, '-m', 'inverse_dynamics_node.cli.main', 'check', str(STANFORD)]
-ENVIRONMENT = {**os.environ, 'PYTHONPATH': str(ROOT)}
-
-
-def test_runs_as_a_process_without_colours_in_a_pipe():
-    result = subprocess.run(
-        COMMAND, env=ENVIRONMENT, capture_output=True, text=True, timeout=120, check=True
-    )
-    assert '\x1b' not in result.stdout + result.stderr
-    assert 'payload left' in result.stdout.lower()
-
-
-def test_a_reader_that_leaves_early_is_no_error():
-    process = subprocess.Popen(
-        COMMAND, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    process.stdout.close()
-    assert process.wait(120) == 141
-    assert process.stderr.read() == ''
-    process.stderr.close()

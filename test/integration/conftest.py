@@ -1,5 +1,6 @@
 """The node as a process, and a robot's side of the conversation, on a domain of their own."""
 
+from array import array
 from collections.abc import Callable
 import os
 import signal
@@ -17,15 +18,17 @@ os.environ['PYTHONUNBUFFERED'] = '1'
 
 pytest.importorskip('rclpy')
 
+from builtin_interfaces.msg import Time
 from domain_coordinator import domain_id as unused_domain_id
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from rcl_interfaces.srv import SetParameters
+from rcl_interfaces.srv import GetParameters, SetParameters
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.parameter import Parameter
+from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -116,6 +119,7 @@ class RobotSide:
         self.commands = []
         self.command_times = []
         self.joint_efforts = []
+        self.sent = 0  # ticks, of 5 ms or as the machine lets them be
         self.state = None
         create_publisher = self.node.create_publisher
         self._states = create_publisher(JointState, 'joint_states', 10)
@@ -139,17 +143,61 @@ class RobotSide:
         self.command_times.append(time.monotonic())
 
     def _on_timer(self):
+        self.sent += 1
         if self.state is not None:
             self.state.header.stamp = self.node.get_clock().now().to_msg()
             self._states.publish(self.state)
         for publisher, message in self._always:
-            publisher.publish(message)
+            publisher.publish(message() if callable(message) else message)
 
-    def publish_state(self, names, positions, velocities=()):
+    def publish_state(self, names, positions, velocities=(), efforts=()):
         """Publish a joint state, from now on, 200 times a second."""
         self.state = JointState(
-            name=list(names), position=list(positions), velocity=list(velocities)
+            name=list(names),
+            position=list(positions),
+            velocity=list(velocities),
+            effort=list(efforts),
         )
+
+    def keep_publishing(self, topic, message):
+        """Publish a message, from now on, 200 times a second; return what to `cease` with."""
+        self._always.append((self.node.create_publisher(type(message), topic, 10), message))
+        return self._always[-1]
+
+    def keep_ticking(self, start):
+        """Publish a /clock that runs, 5 ms at a time; return a function that lets it jump."""
+        time = [start]
+
+        def message():
+            time[0] += 0.005
+            return Clock(clock=Time(sec=int(time[0]), nanosec=int(time[0] % 1.0 * 1e9)))
+
+        self._always.append((self.node.create_publisher(Clock, '/clock', 10), message))
+
+        def jump(seconds):
+            time[0] += seconds
+
+        return jump
+
+    def cease(self, what):
+        self._always.remove(what)
+
+    def publish_once(self, topic, message):
+        """Publish a message as soon as somebody listens."""
+        publisher = self.node.create_publisher(type(message), topic, 10)
+        self.wait_until(publisher.get_subscription_count, f'subscription to {topic}')
+        publisher.publish(message)
+
+    def listen(self, kind, topic):
+        """Return a list that gets every message of a topic."""
+        received = []
+        self.node.create_subscription(kind, topic, received.append, 100)
+        return received
+
+    def wait_for(self, messages, is_good, what):
+        """Wait for a message that is as wanted; return it."""
+        self.wait_until(lambda: any(map(is_good, messages)), what)
+        return next(filter(is_good, messages))
 
     def publish_accelerations(self, accelerations):
         """Publish desired accelerations, from now on, 200 times a second."""
@@ -173,9 +221,7 @@ class RobotSide:
         self._description.publish(String(data=text))
 
     def listen_to_joint_efforts(self):
-        self.node.create_subscription(
-            JointState, 'inverse_dynamics/joint_efforts', self.joint_efforts.append, 10
-        )
+        self.joint_efforts = self.listen(JointState, 'inverse_dynamics/joint_efforts')
 
     def wait_until(self, is_true: Callable[[], bool], what):
         """Spin until something is true; fail with words if it never is."""
@@ -213,7 +259,7 @@ class RobotSide:
             self.executor.spin_once(timeout_sec=0.02)
         return code
 
-    def _call(self, type_, name, request):
+    def call(self, type_, name, request):
         client = self.node.create_client(type_, f'inverse_dynamics/{name}')
         self.wait_until(client.service_is_ready, f'service {name}')
         future = client.call_async(request)
@@ -224,12 +270,17 @@ class RobotSide:
         """Ask for a lifecycle transition by name; return whether it succeeded."""
         number = getattr(Transition, f'TRANSITION_{name.upper()}')
         request = ChangeState.Request(transition=Transition(id=number))
-        return self._call(ChangeState, 'change_state', request).success
+        return self.call(ChangeState, 'change_state', request).success
 
     def get_state(self):
-        return self._call(GetState, 'get_state', GetState.Request()).current_state.label
+        return self.call(GetState, 'get_state', GetState.Request()).current_state.label
+
+    def get_parameter(self, name):
+        answer = self.call(GetParameters, 'get_parameters', GetParameters.Request(names=[name]))
+        value = parameter_value_to_python(answer.values[0])
+        return list(value) if isinstance(value, (list, array)) else value
 
     def set_parameter(self, name, value):
         parameter = Parameter(name, value=value).to_parameter_msg()
         request = SetParameters.Request(parameters=[parameter])
-        return self._call(SetParameters, 'set_parameters', request).results[0]
+        return self.call(SetParameters, 'set_parameters', request).results[0]

@@ -365,20 +365,23 @@ def test_names_can_be_remapped_and_pushed_into_a_namespace(run_node, robot):
     assert robot.wait_for_end(node) == 0
 
 
-def test_topics_are_those_of_the_readme(run_node, robot):
+def test_topics_are_those_of_the_documentation(run_node, robot):
     node = run_node(**PATIENT)
     robot.wait_for_text(node, 'no command yet')
     robot.wait_until(lambda: 'inverse_dynamics' in robot.node.get_node_names(), 'discovery')
     of_rclpy = {'/parameter_events', '/rosout', '/inverse_dynamics/transition_event'}
-    readme = (ROOT / 'README.md').read_text()
+    page = (ROOT / 'doc' / 'interface.md').read_text()
     for title, list_topics in (
-        ('### Subscribed topics', robot.node.get_subscriber_names_and_types_by_node),
-        ('### Published topics', robot.node.get_publisher_names_and_types_by_node),
+        ('## Subscribed topics', robot.node.get_subscriber_names_and_types_by_node),
+        ('## Published topics', robot.node.get_publisher_names_and_types_by_node),
     ):
-        table = readme.split(title)[1].split('###')[0]
+        table = page.split(title)[1].split('\n## ')[0]
         rows = re.findall(r'^\| `([\w~/]+)` \| (\w+)/(\w+) \|', table, re.M)
         expected = {
-            (f'/{name}'.replace('/~', '/inverse_dynamics'), f'{package}/msg/{kind}')
+            (
+                f'/{name}'.replace('/~', '/inverse_dynamics').replace('//', '/'),
+                f'{package}/msg/{kind}',
+            )
             for name, package, kind in rows
         }
         assert expected

@@ -360,3 +360,93 @@ def test_settings_change_as_a_whole_or_not_at_all():
     assert lift.settings.start_ramp == 0.0
     lift.apply(Settings(start_ramp=0.0, effort_scale=0.5))
     assert lift.step(0.0, state(0.0), None).efforts == pytest.approx(HOLD / 2)
+
+
+def settled(lift):
+    """Bring a controller with a ramp to its full efforts; return the time."""
+    for time in np.arange(0.0, 1.0, 0.05):
+        lift.step(time, state(time), None)
+    assert lift.gain == 1.0
+    return time
+
+
+def efforts_after(lift, time, seconds, period=0.05):
+    for k in range(1, round(seconds / period) + 1):
+        now = time + k * period
+        efforts = lift.step(now, state(now), None).efforts
+    return efforts.copy()
+
+
+def test_new_settings_make_no_jump_and_count_after_the_ramp():
+    lift = controller(start_ramp=0.5)
+    time = settled(lift)
+    lift.apply(Settings(start_ramp=0.5, effort_scale=0.5))
+    assert lift.step(time, state(time), None).efforts == pytest.approx(HOLD)
+    assert efforts_after(lift, time, 0.25) == pytest.approx(0.75 * HOLD)
+    assert efforts_after(lift, time + 0.25, 0.25) == pytest.approx(0.5 * HOLD)
+
+
+def test_gravity_that_changes_is_blended_when_told_so():
+    lift = controller(start_ramp=0.5)
+    time = settled(lift)
+    lift.dynamics.set_gravity((0.0, 0.0, -5.0))
+    lift.blend()
+    assert efforts_after(lift, time, 0.05) == pytest.approx(HOLD)
+    assert efforts_after(lift, time + 0.05, 0.25) == pytest.approx(0.75 * HOLD)
+
+
+def test_a_blend_on_top_of_a_blend_goes_on_from_where_the_efforts_are():
+    lift = controller(start_ramp=0.5)
+    time = settled(lift)
+    lift.apply(Settings(start_ramp=0.5, effort_scale=0.0))
+    last = efforts_after(lift, time, 0.3)
+    lift.apply(Settings(start_ramp=0.5, effort_scale=1.0))
+    assert efforts_after(lift, time + 0.3, 0.05) == pytest.approx(last)
+
+
+def test_after_a_stall_the_first_command_is_where_the_last_one_was():
+    lift = controller(start_ramp=0.5)
+    time = settled(lift)
+    lift.dynamics.set_gravity((0.0, 0.0, -4.0))  # as if the arm had moved meanwhile
+    now = time + 20.0
+    assert lift.step(now, state(now), None).efforts == pytest.approx(HOLD)
+    assert efforts_after(lift, now, 0.5) == pytest.approx(0.4 * HOLD)
+
+
+def test_a_clock_put_back_makes_no_jump_either():
+    lift = controller(start_ramp=0.5)
+    settled(lift)
+    lift.dynamics.set_gravity((0.0, 0.0, -4.0))
+    assert lift.step(0.1, state(0.1), None).efforts == pytest.approx(HOLD)
+
+
+def test_a_state_that_comes_back_before_the_efforts_were_gone_makes_no_jump():
+    lift = controller(start_ramp=0.5, stop_ramp=1.0)
+    time = settled(lift)
+    for now in time + np.array([0.05, 0.1, 0.15, 0.2]):
+        low = lift.step(now, state(time), None).efforts.copy()
+    assert lift.phase is Phase.STATE_LOST
+    lift.dynamics.set_gravity((0.0, 0.0, -4.0))
+    back = lift.step(now, state(now), None).efforts
+    assert back == pytest.approx(low)
+
+
+def test_another_description_of_the_robot_is_taken_over_without_a_jump():
+    lift = controller(start_ramp=0.5)
+    time = settled(lift)
+    heavier = InverseDynamics(load_urdf(LIFT.replace('"2"', '"4"')), gravity=(0.0, 0.0, -10.0))
+    other = Controller(heavier, (), lift.settings)
+    other.take_over(lift)
+    assert efforts_after(other, time, 0.05) == pytest.approx(HOLD)
+    assert efforts_after(other, time + 0.05, 0.5) == pytest.approx(HOLD + np.array([20.0, 0.0]))
+    with pytest.raises(ConfigurationError, match='joints to command are now high'):
+        Controller(heavier, ['high']).take_over(lift)
+
+
+def test_says_which_efforts_may_not_change_as_fast_as_they_should():
+    lift = controller(effort_rate_limits=(1e6, 1.0))
+    lift.step(0.0, state(0.0), None)
+    command = lift.step(0.01, state(0.01), None)
+    assert list(command.is_slowed) == [False, True]
+    command = lift.step(0.3, state(0.0), None)  # lost
+    assert not command.is_slowed.any()

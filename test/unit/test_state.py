@@ -5,7 +5,7 @@ import math
 
 from hypothesis import given
 from hypothesis import strategies as st
-from inverse_dynamics_node.errors import JointStateError
+from inverse_dynamics_node.errors import ConfigurationError, JointStateError
 from inverse_dynamics_node.state import JointStateCollector
 import numpy as np
 import pytest
@@ -99,3 +99,40 @@ def test_never_holds_what_is_not_finite(names, positions, velocities):
             collector.update(1.0, names, positions, velocities)
         assert np.isfinite(collector.q).all()
         assert np.isfinite(collector.qd).all()
+
+
+def test_a_locked_joint_counts_where_it_is_said_to_be_until_heard_from():
+    collector = JointStateCollector(['arm', 'finger'], {'finger': 0.02})
+    assert collector.missing() == ['arm']
+    collector.update(1.0, ['arm'], [0.5], [])
+    state = collector.state()
+    assert state.time == 1.0
+    assert list(state.q) == [0.5, 0.02]
+    assert collector.unseen() == ['finger']
+    assert collector.without_velocity() == ['arm']
+    collector.update(2.0, ['finger'], [0.01], [])
+    assert list(collector.state().q) == [0.5, 0.01]
+    assert collector.unseen() == []
+
+
+def test_a_locked_joint_is_never_stale():
+    collector = JointStateCollector(['arm', 'finger'], {'finger': 0.02})
+    collector.update(1.0, ['arm', 'finger'], [0.5, 0.0], [])
+    collector.update(9.0, ['arm'], [0.5], [])
+    assert collector.stale(9.0, 0.1) == []
+    assert collector.state().time == 9.0
+
+
+@pytest.mark.parametrize('locked', [{'nope': 0.0}, {'finger': math.nan}])
+def test_refuses_to_lock_what_it_cannot(locked):
+    with pytest.raises(ConfigurationError, match=next(iter(locked))):
+        JointStateCollector(['arm', 'finger'], locked)
+
+
+def test_efforts_are_kept_by_name():
+    collector = JointStateCollector(['a', 'b'])
+    collector.update(1.0, ['b', 'x'], [0.0, 0.0], [], [3.0, 4.0])
+    assert math.isnan(collector.efforts[0])
+    assert collector.efforts[1] == 3.0
+    with pytest.raises(JointStateError, match='2 names, but 1 efforts'):
+        collector.update(1.0, ['a', 'b'], [0.0, 0.0], [], [3.0])

@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 import time
 
-from inverse_dynamics_node.errors import UrdfError
+from inverse_dynamics_node.errors import ConfigurationError, UrdfError
 from inverse_dynamics_node.urdf import load_urdf
 from inverse_dynamics_node.urdf import xml as urdf_xml
 import numpy as np
@@ -571,7 +571,7 @@ STILL_LOADS = {
 @pytest.mark.parametrize('edit', STILL_LOADS.values(), ids=STILL_LOADS.keys())
 def test_still_loads(edit):
     robot, good = load_urdf(edited(edit)), load_urdf(GOOD)
-    assert robot.warnings == ()
+    assert not [text for text in robot.warnings if 'counts as massless' not in text]
     np.testing.assert_array_equal(robot.p_PL, good.p_PL)
     np.testing.assert_array_equal(robot.mass, good.mass)
 
@@ -772,3 +772,27 @@ def test_our_robots_load_with_the_warnings_they_are_made_for(path):
     robot = load_urdf(path)
     assert bool(robot.warnings) == (words is not None)
     assert all(words in warning for warning in robot.warnings)
+
+
+SHAPED = """
+<robot name="r">
+  <link name="ground"><visual><geometry><box size="1 1 1"/></geometry></visual></link>
+  <link name="arm"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0"
+    iyz="0"/></inertial></link>
+  <link name="finger"><collision><geometry><box size="1 1 1"/></geometry></collision></link>
+  <link name="frame"/>
+  <joint name="a" type="continuous"><parent link="ground"/><child link="arm"/>
+    <axis xyz="0 0 1"/></joint>
+  <joint name="b" type="fixed"><parent link="arm"/><child link="finger"/></joint>
+  <joint name="c" type="fixed"><parent link="finger"/><child link="frame"/></joint>
+</robot>"""
+
+
+def test_a_shape_without_mass_is_told_or_refused():
+    words = "line 6: link 'finger' has a shape, but no <inertial>: it counts as massless"
+    assert load_urdf(SHAPED).warnings == (words,)
+    with pytest.raises(UrdfError) as caught:
+        load_urdf(SHAPED, on_missing_inertial='refuse')
+    assert caught.value.problems == (words,)
+    with pytest.raises(ConfigurationError, match="'maybe', expected warn or refuse"):
+        load_urdf(SHAPED, on_missing_inertial='maybe')

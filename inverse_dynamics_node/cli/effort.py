@@ -1,0 +1,256 @@
+"""The command `effort`: what a trajectory demands of the joints, for choosing motors."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..demands import Demands, demands_of
+from ..dynamics import InverseDynamics, STANDARD_GRAVITY
+from ..errors import ConfigurationError
+from ..model import Floats, RobotModel
+from ..report import decimals, effort_unit, number, share, slides, Table
+from ..trajectory import complete, refine, Trajectory
+from ..urdf import load_urdf
+from ..workspace import joint_ranges, last_link
+from .console import progress, show
+from .trajectories import FORMATS, read_trajectory, Source
+from .trajectory_files import write_table, write_trajectory
+
+EPILOG = f"""\
+{FORMATS}
+
+examples:
+  inverse_dynamics effort my_arm.urdf pick.yaml
+  inverse_dynamics effort my_arm.urdf pick.yaml --payload 1.5,0,0,0.05 --link tool0 --friction
+  inverse_dynamics effort my_arm.urdf pick.yaml --trajectory-out pick_with_efforts.yaml
+  inverse_dynamics effort my_arm.urdf rosbag2_2026_01_31/ --topic /joint_states
+
+What is missing is derived: velocities from a cubic spline through the positions, accelerations
+from one through the velocities. Between points that are far apart run polynomials of fifth degree,
+as in ros2_control's joint trajectory controller. Accelerations derived from measured states carry
+their noise.
+
+exit code: 0 done; 1 something cannot be read or used; 2 wrong arguments; 3 with --strict, when a
+limit of effort, speed or position is exceeded."""
+
+_EXCEEDED = 3
+_TERMS = ('inertia', 'velocity', 'gravity', 'friction')
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the command."""
+    parser: argparse.ArgumentParser = subparsers.add_parser(
+        'effort',
+        help='efforts, speeds and powers along a trajectory, against the limits',
+        description='Compute the joint efforts along a trajectory: peaks and means against the '
+        'limits, what they are made of, a table of them over time, and a picture.',
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument('urdf', type=Path, help='the robot description')
+    parser.add_argument('trajectory', type=Path, help='a file or recording, see below')
+    parser.add_argument('--topic', help='of a recording')
+    parser.add_argument(
+        '--payload',
+        type=_payload,
+        metavar='MASS[,X,Y,Z]',
+        help='a load [kg], its centre of mass in the frame of the link [m]',
+    )
+    parser.add_argument(
+        '--link', help='where the payload is; default: tool0, else the end of the longest chain'
+    )
+    parser.add_argument('--friction', action='store_true', help='count the friction of the URDF')
+    parser.add_argument(
+        '--at',
+        action='append',
+        default=[],
+        type=_place,
+        metavar='JOINT=POSITION',
+        help='where a joint rests that the trajectory does not move [rad, m]; default: 0, or the '
+        'end of its range next to that; may be repeated',
+    )
+    parser.add_argument(
+        '--rate',
+        type=_rate,
+        default=200.0,
+        help='states a second to look at, at least; 0: the points only (default: %(default)g)',
+    )
+    parser.add_argument(
+        '--gravity',
+        type=float,
+        nargs=3,
+        default=STANDARD_GRAVITY,
+        metavar=('X', 'Y', 'Z'),
+        help='free-fall acceleration in the frame of the root link [m/s^2]',
+    )
+    parser.add_argument('--csv', type=Path, help='default: <name of the trajectory>_efforts.csv')
+    parser.add_argument(
+        '--picture', type=Path, help='default: <name of the trajectory>_efforts.png, here'
+    )
+    parser.add_argument('--no-picture', action='store_true', help='write no picture')
+    parser.add_argument(
+        '--trajectory-out',
+        type=Path,
+        metavar='YAML',
+        help='write the trajectory with velocities, accelerations and effort filled in, as '
+        '`ros2 topic pub` takes it',
+    )
+    parser.add_argument('--strict', action='store_true', help='exit with 3 if it exceeds a limit')
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command; return the exit code."""
+    robot = load_urdf(options.urdf)
+    dynamics = InverseDynamics(robot, options.gravity)
+    if options.payload:
+        mass, *com = options.payload
+        dynamics.set_payload(options.link or last_link(robot), mass, com or (0.0, 0.0, 0.0))
+    if options.friction:
+        dynamics.set_friction()
+    others = _others(robot, options.at)
+    with progress('reading') as tell:
+        source = read_trajectory(options.trajectory, robot.joint_names, options.topic, tell)
+    whole, derived = complete(source.trajectory)
+    fine, points = refine(whole, 1.0 / options.rate if options.rate else math.inf)
+    demands = demands_of(dynamics, fine, others)
+    show(_summary(options, source, derived, fine), *demand_tables(robot, fine, demands))
+
+    stem = options.trajectory.stem
+    written = [options.csv or Path(f'{stem}_efforts.csv')]
+    write_table(written[0], fine, demands.efforts)
+    if options.trajectory_out:
+        written.append(options.trajectory_out)
+        write_trajectory(options.trajectory_out, whole, demands.efforts[points])
+    if not options.no_picture:
+        from .effort_picture import draw
+
+        written.append(options.picture or Path(f'{stem}_efforts.png'))
+        draw(robot, fine, demands, written[-1])
+    print('\n'.join(f'written: {path}' for path in written))
+    is_exceeded = demands.is_too_strong | demands.is_too_fast | demands.is_too_far
+    return _EXCEEDED if options.strict and is_exceeded.any() else 0
+
+
+def _payload(text: str) -> list[float]:
+    try:
+        values = [float(word) for word in text.split(',')]
+    except ValueError:
+        values = []
+    if len(values) not in (1, 4):
+        raise argparse.ArgumentTypeError(f"'{text}' is not MASS or MASS,X,Y,Z")
+    return values
+
+
+def _place(text: str) -> tuple[str, float]:
+    name, _, position = text.rpartition('=')
+    try:
+        return name, float(position)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"'{text}' is not JOINT=POSITION") from None
+
+
+def _rate(text: str) -> float:
+    try:
+        rate = float(text)
+    except ValueError:
+        rate = -1.0
+    if not 0.0 <= rate <= 1e5:
+        raise argparse.ArgumentTypeError(f"'{text}' is no rate from 0 to 100000 Hz")
+    return rate
+
+
+def _others(robot: RobotModel, places: Sequence[tuple[str, float]]) -> Floats:
+    """Return where joints are that the trajectory does not move."""
+    positions: Floats = np.clip(0.0, *joint_ranges(robot))
+    for name, position in places:
+        if name not in robot.joint_names:
+            names = ', '.join(robot.joint_names)
+            raise ConfigurationError(f"--at: joint '{name}' does not exist; joints are {names}")
+        positions[robot.joint_names.index(name)] = position
+    return positions
+
+
+def _summary(
+    options: argparse.Namespace, source: Source, derived: tuple[str, ...], fine: Trajectory
+) -> Table:
+    found = source.trajectory
+    duration = fine.times[-1] - fine.times[0]
+    count = f'{len(found.times)} points in {duration:.3g} s, of {len(found.joint_names)} joints'
+    if len(fine.times) > len(found.times):
+        count += f'; looked at in {len(fine.times)} states'
+    loads = []
+    if options.payload:
+        loads.append(f'payload {options.payload[0]:g} kg')
+    loads.append('friction of the URDF counted' if options.friction else 'friction not counted')
+    notes = (count, '; '.join(loads), *source.remarks, *derived)
+    return Table(f'trajectory {options.trajectory}', notes=notes)
+
+
+def demand_tables(robot: RobotModel, fine: Trajectory, demands: Demands) -> list[Table]:
+    """Write out peaks and means against the limits, and what the efforts are made of."""
+    sliding = slides(robot)
+    index = [robot.joint_names.index(name) for name in fine.joint_names]
+    places = decimals(demands.peak)
+    rows, parts = [], []
+    for k, (name, i) in enumerate(zip(fine.joint_names, index, strict=True)):
+        unit = effort_unit(robot, i)
+        rows.append(
+            (
+                name,
+                f'{round(demands.peak[k], places) + 0.0:.{places}f} {unit}',
+                f'{demands.peak_time[k]:.2f} s',
+                number(demands.effort_limits[k]),
+                share(demands.peak[k], demands.effort_limits[k]),
+                f'{demands.rms[k]:.{places}f}',
+                f'{demands.speed[k]:.3g} {"m/s  " if sliding[i] else "rad/s"}',
+                number(demands.velocity_limits[k]),
+                f'{demands.power[k]:.3g} W',
+                _marks(demands, k),
+            )
+        )
+        parts.append(
+            (
+                name,
+                *(f'{demands.rms_terms[t, k]:.{places}f}' for t in range(len(_TERMS))),
+                f'{demands.rms[k]:.{places}f} {unit}',
+            )
+        )
+    columns = ('joint', 'peak effort', 'at', 'limit', 'share', 'RMS', 'speed', 'limit', 'power')
+    is_marked = any(row[-1] for row in rows)
+    notes = (
+        (f'takes back up to {np.max(demands.braking):.3g} W at a joint, when braking',)
+        if np.max(demands.braking) > 0.0
+        else ()
+    )
+    return [
+        Table(
+            'Peaks against the limits',
+            (*columns, '') if is_marked else columns,
+            tuple(row if is_marked else row[:-1] for row in rows),
+            notes,
+            frozenset({9}),
+        ),
+        Table(
+            'What the efforts are made of (RMS)',
+            ('joint', *_TERMS, 'all'),
+            tuple(parts),
+            ('inertia: of accelerations; velocity: Coriolis and centrifugal',),
+        ),
+    ]
+
+
+def _marks(demands: Demands, k: int) -> str:
+    marks = (
+        (demands.is_too_strong[k], 'effort'),
+        (demands.is_too_fast[k], 'speed'),
+        (demands.is_too_far[k], 'position'),
+    )
+    beyond = [what for is_beyond, what in marks if is_beyond]
+    return f'beyond its limit: {", ".join(beyond)}' if beyond else ''

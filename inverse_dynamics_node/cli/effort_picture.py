@@ -1,0 +1,84 @@
+"""The picture of `effort`: efforts over time, joint by joint, against the limits."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..demands import Demands
+from ..model import RobotModel
+from ..report import effort_unit, shortened
+from ..trajectory import Trajectory
+from .pictures import BLUE, GREEN, GREY, ORANGE, PINK, RED, save, style, WIDTH
+
+_PARTS = {
+    'gravity': GREEN,
+    'inertial': ORANGE,
+    'velocity': PINK,
+    'friction': GREY,
+}
+_MOST_DRAWN = 1500
+"""States drawn: more cannot be told apart."""
+
+
+def draw(robot: RobotModel, fine: Trajectory, demands: Demands, path: Path) -> None:
+    """Draw a panel for each joint and write them as a PNG."""
+    m = len(fine.joint_names)
+    columns = 1 if m == 1 else 2 if m <= 12 else 3
+    rows = math.ceil(m / columns)
+    height = min(60.0, 1.1 + 1.7 * rows if rows > 1 else 3.6)
+    with style() as pyplot:
+        figure, grid = pyplot.subplots(
+            rows, columns, figsize=(WIDTH, height), sharex=True, squeeze=False
+        )
+        panels = grid.ravel()
+        for k, axes in enumerate(panels[:m]):
+            _draw_joint(axes, robot, fine, demands, k)
+        for axes in panels[m:]:
+            axes.set_visible(False)
+        for axes in panels[max(0, m - columns) : m]:
+            axes.set_xlabel('time [s]')
+            axes.tick_params(labelbottom=True)
+        figure.legend(*panels[0].get_legend_handles_labels(), loc='outside lower center', ncols=6)
+        figure.suptitle(f'{robot.name}: efforts along the trajectory', x=0.01, ha='left')
+        save(figure, path)
+
+
+def _draw_joint(axes: Any, robot: RobotModel, fine: Trajectory, demands: Demands, k: int) -> None:
+    shown = _shown(fine, demands, k)
+    times = fine.times[shown]
+    for name, colour in _PARTS.items():
+        term = getattr(demands.terms, name)
+        if name != 'friction' or np.any(demands.terms.friction):
+            label = 'inertia' if name == 'inertial' else name
+            axes.plot(times, term[shown, k], color=colour, linewidth=1.1, label=label)
+    colour = RED if demands.is_too_strong[k] else BLUE
+    axes.plot(times, demands.efforts[shown, k], color=BLUE, linewidth=2.0, label='effort')
+    axes.plot(demands.peak_time[k], demands.peak[k], 'D', color=colour, markersize=5, zorder=5)
+
+    limit, peak = float(demands.effort_limits[k]), abs(float(demands.peak[k]))
+    low, high = axes.get_ylim()
+    # Limits far off would flatten the curves: the title tells them.
+    if limit < 2.5 * peak:
+        for end in (-limit, limit):
+            if low - limit < end < high + limit and end * demands.peak[k] >= 0.0:
+                axes.axhline(end, color=RED, linestyle='--', linewidth=1.2)
+    if high - low < 1e-6:
+        axes.set_ylim(-1.0, 1.0)
+    name = shortened(fine.joint_names[k], 20)
+    unit = effort_unit(robot, robot.joint_names.index(fine.joint_names[k])).strip()
+    of = f' of {limit:.3g}' if math.isfinite(limit) else ', no limit'
+    axes.set_title(f'{name}: {peak:.3g}{of} {unit}', fontsize=9.5, color=colour)
+    axes.set_ylabel(f'[{unit}]')
+
+
+def _shown(fine: Trajectory, demands: Demands, k: int) -> Any:
+    """Choose states to draw: evenly, and the peak."""
+    count = len(fine.times)
+    if count <= _MOST_DRAWN:
+        return slice(None)
+    peak = int(np.argmax(np.abs(demands.efforts[:, k])))
+    return np.unique(np.append(np.linspace(0, count - 1, _MOST_DRAWN).astype(int), peak))

@@ -1,0 +1,255 @@
+"""What the node has been doing, and whether someone has to look after it, as values."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+import enum
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from .controller import Command, Phase
+from .model import Floats
+from .rig import Rig
+
+_MOST_REASONS = 20  # distinct ones to tell apart
+_SLOW = 0.95  # share of the rate asked for below which it is worth a warning
+
+
+class Level(enum.IntEnum):
+    """How bad it is; the numbers are those of diagnostic_msgs."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
+
+
+class Status(NamedTuple):
+    """How one part of the node is."""
+
+    part: str
+    level: Level
+    message: str
+    values: dict[str, str]
+
+
+class Surroundings(NamedTuple):
+    """What the node sees of others."""
+
+    receivers: int
+    """Subscriptions to the commands."""
+    publishers: int
+    """Publishers of joint states."""
+    is_active: bool
+    state: str
+    """Of the life cycle."""
+
+
+class Monitor:
+    """
+    Counts what happens, and judges it once in a while.
+
+    Parameters
+    ----------
+    period : float
+        Time between commands that was asked for [s]; 0 for one for every joint state.
+
+    """
+
+    def __init__(self, period: float = 0.0) -> None:
+        self.rejected: Counter[str] = Counter()
+        """Messages that could not be used, by topic and reason, since the start."""
+        self.clamped: Counter[str] = Counter()
+        """Commands in which a joint's effort was cut to its limit, since the start."""
+        self.slowed: Counter[str] = Counter()
+        """Commands in which a joint's effort was kept from changing faster, since the start."""
+        self.overruns = 0
+        """Commands that came more than half a period late, since the start."""
+        self.period = period
+        self._last = math.nan
+        self._periods: list[float] = []
+        self._times: list[float] = []
+        self._news: Counter[str] = Counter()
+        self._report_time = math.nan
+
+    def step(self, now: float, took: float, command: Command, joints: Sequence[str]) -> None:
+        """
+        Count one command.
+
+        Parameters
+        ----------
+        now : float
+            When its computation began [s].
+        took : float
+            How long that and sending it took [s].
+        command : Command
+            As sent.
+        joints : sequence of str
+            The commanded joints.
+
+        """
+        elapsed = now - self._last
+        self._last = now
+        if elapsed >= 0.0:  # there was one before, and the clock has not been put back
+            self._periods.append(elapsed)
+            self.overruns += 0.0 < 1.5 * self.period < elapsed
+        self._times.append(took)
+        for what, counter, flags in (
+            ('cut', self.clamped, command.is_saturated),
+            ('slowed', self.slowed, command.is_slowed),
+        ):
+            if flags.any():
+                cut = [name for name, flag in zip(joints, flags, strict=True) if flag]
+                counter.update(cut)
+                self._news.update(f'{what} {name}' for name in cut)
+
+    def pause(self) -> None:
+        """Count no time until the next command."""
+        self._last = math.nan
+
+    def reject(self, topic: str, reason: str) -> None:
+        """Count one message that could not be used."""
+        text = f'{topic}: {reason}'
+        if text not in self.rejected and len(self.rejected) >= _MOST_REASONS:
+            text = 'others'
+        self.rejected[text] += 1
+        self._news['rejected'] += 1
+
+    def report(self, now: float, rig: Rig | None, around: Surroundings) -> list[Status]:
+        """
+        Judge all parts of the node by what happened since the last report.
+
+        Parameters
+        ----------
+        now : float
+            The time [s].
+        rig : Rig or None
+            None as long as the node is not configured.
+        around : Surroundings
+            See there.
+
+        Returns
+        -------
+        statuses : list of Status
+            One for each part.
+
+        """
+        statuses = [self._of_loop(now, rig, around), self._of_messages()]
+        if rig is not None:
+            statuses += [
+                _of_states(now, rig, around),
+                _of_reference(now, rig, around),
+                self._of_efforts(rig, around),
+                _of_model(now, rig),
+            ]
+        self._periods, self._times, self._report_time = [], [], now
+        self._news.clear()
+        return statuses
+
+    def _of_loop(self, now: float, rig: Rig | None, around: Surroundings) -> Status:
+        window = now - self._report_time
+        rate = len(self._times) / window if window > 0.0 else 0.0
+        values = {
+            'state': around.state,
+            'rate [Hz]': f'{rate:.1f}',
+            'rate asked for [Hz]': f'{1.0 / self.period:g}' if self.period else 'of joint states',
+            'period p99 [ms]': _in_ms(self._periods, 99.0),
+            'period worst [ms]': _in_ms(self._periods, 100.0),
+            'compute time p99 [ms]': _in_ms(self._times, 99.0),
+            'overruns': str(self.overruns),
+        }
+        if not around.is_active or rig is None:
+            return Status('loop', Level.OK, around.state, values)
+        values['mode'] = rig.controller.settings.mode.value
+        values['phase'] = rig.controller.phase.value
+        values['gain'] = f'{rig.controller.gain:.3f}'
+        if self.period and window > 0.0 and rate * self.period < _SLOW and self._times:
+            return Status('loop', Level.WARN, f'only {rate:.1f} commands/s', values)
+        return Status('loop', Level.OK, rig.controller.phase.value, values)
+
+    def _of_messages(self) -> Status:
+        values = {text: str(count) for text, count in self.rejected.items()}
+        new = self._news['rejected']
+        if new:
+            return Status('messages', Level.WARN, f'{new} rejected lately', values)
+        total = sum(self.rejected.values())
+        return Status('messages', Level.OK, f'{total} rejected in all', values)
+
+    def _of_efforts(self, rig: Rig, around: Surroundings) -> Status:
+        values = {'receivers': str(around.receivers)}
+        for what, counter in (('cut to limit', self.clamped), ('slowed', self.slowed)):
+            values |= {f'{name} {what}': str(count) for name, count in counter.items()}
+        cut = [text.removeprefix('cut ') for text in self._news if text.startswith('cut ')]
+        if around.is_active and not around.receivers:
+            return Status('efforts', Level.WARN, 'nobody receives the commands', values)
+        if cut:
+            return Status('efforts', Level.WARN, f'cut to its limit: {", ".join(cut)}', values)
+        return Status('efforts', Level.OK, rig.controller.phase.value, values)
+
+
+def _of_states(now: float, rig: Rig, around: Surroundings) -> Status:
+    collector = rig.collector
+    timeout = rig.controller.settings.state_timeout
+    times = collector.times[collector.is_free]
+    values = {
+        'age [s]': _age(now, float(times.min(initial=math.inf))),
+        'publishers': str(around.publishers),
+        'locked, not seen': ', '.join(collector.unseen()) or 'none',
+        'without velocity': ', '.join(collector.without_velocity()) or 'none',
+    }
+    missing, stale = rig.missing(), collector.stale(now, timeout)
+    if missing:
+        level = Level.ERROR if around.is_active else Level.WARN
+        return Status('joint states', level, f'waiting for {", ".join(missing)}', values)
+    if stale:
+        level = Level.ERROR if around.is_active else Level.WARN
+        return Status('joint states', level, f'lost: {", ".join(stale)}', values)
+    if collector.unseen():
+        return Status('joint states', Level.WARN, 'some joints count as locked', values)
+    return Status('joint states', Level.OK, 'fresh', values)
+
+
+def _of_reference(now: float, rig: Rig, around: Surroundings) -> Status:
+    controller = rig.controller
+    time = -math.inf if rig.reference is None else rig.reference.time
+    values = {'age [s]': _age(now, time), 'mode': controller.settings.mode.value}
+    if around.is_active and controller.phase is Phase.TOO_FAR:
+        return Status('reference', Level.WARN, controller.phase.value, values)
+    if controller.is_stopping:
+        return Status('reference', Level.OK, 'disabled', values)
+    message = 'followed' if controller.phase is Phase.RUNNING else 'none, or not wanted'
+    return Status('reference', Level.OK, message, values)
+
+
+def _of_model(now: float, rig: Rig) -> Status:
+    robot, loads = rig.robot, rig.loads
+    payloads = [f'{load.mass:g} kg on {link}' for link, load in loads.payloads.items()]
+    values = {
+        'robot': robot.name,
+        'mass [kg]': f'{np.sum(robot.mass):.4g}',
+        'joints': ', '.join(rig.controller.joints),
+        'payload': ', '.join(payloads) or 'none',
+        'gravity [m/s^2]': _listed(loads.gravity) if loads.include_gravity else 'not included',
+    }
+    values |= {f'warning {k}': text for k, text in enumerate(robot.warnings, start=1)}
+    if rig.has_imu and not loads.is_base_known(now):
+        return Status('model', Level.ERROR, 'the motion of the base is not known (imu)', values)
+    if robot.warnings:
+        message = f'{len(robot.warnings)} warnings about the robot description'
+        return Status('model', Level.WARN, message, values)
+    return Status('model', Level.OK, f"robot '{robot.name}'", values)
+
+
+def _in_ms(times: list[float], percentile: float) -> str:
+    return f'{1e3 * float(np.percentile(times, percentile)):.3f}' if times else 'none'
+
+
+def _age(now: float, time: float) -> str:
+    return f'{now - time:.3f}' if math.isfinite(time) else 'never'
+
+
+def _listed(vector: Floats) -> str:
+    return ', '.join(f'{x:.3f}' for x in vector)

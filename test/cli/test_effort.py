@@ -1,0 +1,432 @@
+"""The command `effort`, and the files it reads and writes."""
+
+import csv
+from pathlib import Path
+
+from inverse_dynamics_node.cli.main import main
+from inverse_dynamics_node.cli.trajectories import read_trajectory
+from inverse_dynamics_node.dynamics import InverseDynamics
+from inverse_dynamics_node.errors import TrajectoryError
+from inverse_dynamics_node.urdf import load_urdf
+import numpy as np
+import pytest
+from robot_files import STANFORD
+import yaml
+
+JOINTS = tuple(f'joint_{i}' for i in range(1, 7))
+LISTS = """\
+joint_names: [joint_2, joint_3]
+times: [0.0, 0.5, 1]
+positions: [[-1.0, 0.4], [-1.5, 0.9], [-1.0, 0.4]]
+"""
+# As `ros2 topic echo --full-length` prints it.
+ECHO = """\
+header:
+  stamp:
+    sec: 0
+    nanosec: 0
+  frame_id: ''
+joint_names:
+- joint_2
+- joint_3
+points:
+- positions:
+  - -1.0
+  - 0.4
+  velocities:
+  - 0.0
+  - 0.0
+  accelerations: []
+  effort: []
+  time_from_start:
+    sec: 0
+    nanosec: 0
+- positions:
+  - -1.5
+  - 0.9
+  velocities:
+  - 0.0
+  - 0.0
+  accelerations: []
+  effort: []
+  time_from_start:
+    sec: 1
+    nanosec: 500000000
+---
+"""
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write(text, name='move.yaml'):
+        path = tmp_path / name
+        path.write_text(text)
+        return path
+
+    return write
+
+
+def read(path, topic=None):
+    return read_trajectory(path, JOINTS, topic)
+
+
+# ---- The command ---------------------------------------------------------------------------
+
+
+def test_tells_peaks_and_writes_table_and_picture(tmp_path, write, capsys, size_of):
+    assert main(['effort', str(STANFORD), str(write(LISTS))]) == 0
+    output = capsys.readouterr().out
+    assert '3 points in 1 s, of 2 joints; looked at in 201 states' in output
+    assert 'velocities derived' in output
+    assert 'What the efforts are made of' in output
+    assert size_of(tmp_path / 'move_efforts.png')[0] == 900
+    with (tmp_path / 'move_efforts.csv').open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 201
+    dynamics = InverseDynamics(load_urdf(STANFORD))
+    state = np.zeros((3, 6))
+    for k, ending in enumerate(('', '.velocity', '.acceleration')):
+        state[k, 1:3] = [float(rows[50][name + ending]) for name in ('joint_2', 'joint_3')]
+    effort = float(rows[50]['joint_2.effort'])
+    assert effort == pytest.approx(dynamics.efforts(*state)[1], rel=1e-6)
+
+
+def test_what_it_writes_it_reads_and_says_the_same(tmp_path, write, capsys):
+    options = ['--no-picture', '--payload', '1.5,0,0,0.1', '--trajectory-out', 'out.yaml']
+    peaks = []
+    for path in (write(LISTS), 'out.yaml', 'out_efforts.csv'):
+        assert main(['effort', str(STANFORD), str(path), *options]) == 0
+        peaks.append(capsys.readouterr().out.split('Peaks')[1].split('written')[0])
+    assert peaks[0] == peaks[1] == peaks[2]
+
+
+def test_trajectory_out_is_a_message(tmp_path, write):
+    arguments = [str(STANFORD), str(write(ECHO)), '--no-picture', '--trajectory-out', 'out.yaml']
+    assert main(['effort', *arguments]) == 0
+    message = yaml.safe_load((tmp_path / 'out.yaml').read_text())
+    assert message['joint_names'] == ['joint_2', 'joint_3']
+    assert [set(point) for point in message['points']] == [
+        {'positions', 'velocities', 'accelerations', 'effort', 'time_from_start'}
+    ] * 2
+    assert message['points'][1]['time_from_start'] == {'sec': 1, 'nanosec': 500000000}
+    dynamics = InverseDynamics(load_urdf(STANFORD))
+    q, qd, qdd = np.zeros((3, 6))
+    point = message['points'][1]
+    q[[0, 1, 2]] = [0.0, *point['positions']]
+    qdd[1:3] = point['accelerations']
+    assert point['effort'] == pytest.approx(dynamics.efforts(q, qd, qdd)[1:3], rel=1e-6)
+
+
+def test_trajectory_out_fills_a_message_of_ros(tmp_path, write):
+    pytest.importorskip('trajectory_msgs')
+    from builtin_interfaces.msg import Duration
+    from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+    arguments = [str(STANFORD), str(write(ECHO)), '--no-picture', '--trajectory-out', 'out.yaml']
+    assert main(['effort', *arguments]) == 0
+    fields = yaml.safe_load((tmp_path / 'out.yaml').read_text())
+    points = fields.pop('points')
+    for point in points:
+        point['time_from_start'] = Duration(**point['time_from_start'])
+    # Checks the types of all that it is given.
+    message = JointTrajectory(points=[JointTrajectoryPoint(**each) for each in points], **fields)
+    assert len(message.points[1].effort) == 2
+
+
+def test_strict_fails_beyond_a_limit(write, capsys):
+    path = str(write(LISTS.replace('0.5, 1]', '0.05, 0.1]')))
+    arguments = ['effort', str(STANFORD), path, '--no-picture']
+    assert main(arguments) == 0
+    assert 'beyond its limit: effort, speed' in capsys.readouterr().out
+    assert main([*arguments, '--strict']) == 3
+    slow = str(write(LISTS.replace('0.5, 1]', '5, 10]')))
+    assert main(['effort', str(STANFORD), slow, '--no-picture', '--strict']) == 0
+
+
+def test_payload_and_friction_count(tmp_path, write, capsys):
+    urdf = tmp_path / 'rubbing.urdf'
+    text = STANFORD.read_text()
+    urdf.write_text(text.replace('<limit', '<dynamics damping="5"/><limit'))
+    tables = []
+    for options in ([], ['--friction'], ['--payload', '3'], ['--at', 'joint_5=1.5']):
+        assert main(['effort', str(urdf), str(write(LISTS)), '--no-picture', *options]) == 0
+        tables.append(capsys.readouterr().out.split('Peaks')[1])
+    assert len(set(tables)) == 4
+
+
+@pytest.mark.parametrize('count', [1, 12, 30])
+def test_draws_however_many_joints(tmp_path, write, size_of, count):
+    links = ''.join(
+        f'<link name="l{i}"><inertial><mass value="1"/><origin xyz="0.1 0 0"/><inertia ixx="0.1" '
+        'ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial></link>'
+        for i in range(count + 1)
+    )
+    joints = ''.join(
+        f'<joint name="j{i}" type="continuous"><parent link="l{i}"/><child link="l{i + 1}"/>'
+        '<axis xyz="0 1 0"/></joint>'
+        for i in range(count)
+    )
+    urdf = write(f'<robot name="snake">{links}{joints}</robot>', 'snake.urdf')
+    rows = [[0.0] * count, [0.3] * count]
+    names = [f'j{i}' for i in range(count)]
+    text = yaml.safe_dump({'joint_names': names, 'times': [0.0, 1.0], 'positions': rows})
+    assert main(['effort', str(urdf), str(write(text)), '--picture', 'p.png']) == 0
+    width, height = size_of(tmp_path / 'p.png')
+    assert width == 900
+    assert 300 <= height <= 2200
+
+
+@pytest.mark.parametrize(
+    'options',
+    [['--payload', 'heavy'], ['--payload', '1,2'], ['--rate', '-1'], ['--at', 'joint_1']],
+)
+def test_arguments_are_checked(write, options):
+    with pytest.raises(SystemExit) as exit_:
+        main(['effort', str(STANFORD), str(write(LISTS)), *options])
+    assert exit_.value.code == 2
+
+
+@pytest.mark.parametrize(
+    ('options', 'words'),
+    [
+        (['--link', 'tool9', '--payload', '1'], "link 'tool9' does not exist"),
+        (['--payload', '-1'], 'mass is -1'),
+        (['--at', 'joint_9=1'], "joint 'joint_9' does not exist"),
+    ],
+)
+def test_what_does_not_fit_the_robot_is_told(write, capsys, options, words):
+    assert main(['effort', str(STANFORD), str(write(LISTS)), *options]) == 1
+    assert words in capsys.readouterr().err
+
+
+# ---- YAML ----------------------------------------------------------------------------------
+
+
+def test_reads_what_ros2_topic_echo_prints(write):
+    trajectory, remarks = read(write(ECHO))
+    assert trajectory.joint_names == ('joint_2', 'joint_3')
+    assert trajectory.times.tolist() == [0.0, 1.5]
+    assert trajectory.positions.tolist() == [[-1.0, 0.4], [-1.5, 0.9]]
+    assert trajectory.velocities.tolist() == [[0.0, 0.0], [0.0, 0.0]]
+    assert trajectory.accelerations is None
+    assert remarks == ()
+
+
+def test_reads_goals_and_answers_that_hold_a_trajectory(write):
+    inner = ECHO.replace('---\n', '').replace('\n', '\n    ')
+    assert len(read(write(f'goal:\n  trajectory:\n    {inner}')).trajectory.times) == 2
+    assert len(read(write(f'joint_trajectory:\n    {inner}')).trajectory.times) == 2
+
+
+def test_takes_the_first_of_several_and_says_so(write):
+    assert read(write(ECHO + ECHO)).remarks == ('the first of 2 trajectories',)
+
+
+def test_derivatives_of_some_points_only_are_not_used(write):
+    trajectory, remarks = read(write(ECHO.replace('  - 0.0\n  - 0.0\n', '    []\n', 1)))
+    assert trajectory.velocities is None
+    assert remarks == ('only 1 of 2 points have velocities: not used',)
+
+
+@pytest.mark.parametrize(
+    ('text', 'words'),
+    [
+        ('a: [1', 'no YAML'),
+        ('hello', 'no trajectory, expected joint_names and points'),
+        ('', 'no trajectory'),
+        (ECHO.replace('  - 0.4\n', "  - '...'\n"), '--full-length'),
+        (ECHO.replace('  - 0.4\n', ''), 'positions of point 0: expected 2 numbers, got 1'),
+        (ECHO.replace('-1.5', 'up'), 'positions of point 1: could not convert'),
+        (ECHO.replace('sec: 1', 'sec: one'), 'time_from_start of point 1'),
+        (ECHO.replace('points:', "points: '...'\nothers:"), '--full-length'),
+        (LISTS.replace('times', 'when'), 'no list of times'),
+        (LISTS.replace(', [-1.0, 0.4]]', ']'), 'positions: expected 3 lists'),
+        (LISTS.replace('[joint_2, joint_3]', 'joint_2'), 'expected a list of names'),
+    ],
+)  # fmt: skip
+def test_yaml_that_is_no_trajectory_is_refused(write, text, words):
+    path = write(text)
+    with pytest.raises(TrajectoryError, match=words) as error:
+        read(path)
+    assert str(path) in str(error.value)
+
+
+# ---- CSV -----------------------------------------------------------------------------------
+
+
+def test_reads_csv_by_its_header(write):
+    text = (
+        'time, joint_3,joint_1,joint_3.velocity,joint_1.velocity,note\n0,1,2,3,4,5\n1,2,3,4,5,6\n'
+    )
+    trajectory, remarks = read(write(text, 'a.csv'))
+    assert trajectory.joint_names == ('joint_3', 'joint_1')
+    assert trajectory.positions.tolist() == [[1.0, 2.0], [2.0, 3.0]]
+    assert trajectory.velocities.tolist() == [[3.0, 4.0], [4.0, 5.0]]
+    assert trajectory.accelerations is None
+    assert remarks == ('columns not used: note',)
+
+
+@pytest.mark.parametrize(
+    ('text', 'words'),
+    [
+        ('', 'no rows'),
+        ('t,joint_1\n0,1\n', "no column 'time'"),
+        ('time,elbow\n0,1\n', 'no column is named as a joint; the columns are time, elbow'),
+        ('time,joint_1,joint_1\n0,1,2\n', "two columns are named 'joint_1'"),
+        ('time,joint_1\n0,1\n1\n', 'row 3 has 1 cells, expected 2'),
+        ('time,joint_1\n0,one\n', "row 2, column 'joint_1': 'one' is no number"),
+    ],
+)
+def test_csv_that_is_no_trajectory_is_refused(write, text, words):
+    with pytest.raises(TrajectoryError, match=words):
+        read(write(text, 'a.csv'))
+
+
+def test_empty_or_backward_trajectories_are_refused(write, capsys):
+    assert main(['effort', str(STANFORD), str(write('time,joint_1\n', 'a.csv'))]) == 1
+    assert 'no points' in capsys.readouterr().err
+    text = 'time,joint_1\n1,0\n0,0\n'
+    assert main(['effort', str(STANFORD), str(write(text, 'a.csv'))]) == 1
+    assert 'expected later' in capsys.readouterr().err
+
+
+# ---- Recordings ----------------------------------------------------------------------------
+
+
+class Recording:
+    """Writes messages as `ros2 bag record` does, by the library that reads them."""
+
+    def __init__(self, path, plugin):
+        from rosbags.rosbag2 import Writer
+        from rosbags.typesys import get_typestore, Stores
+
+        self.store = get_typestore(Stores.ROS2_JAZZY)
+        self.types = self.store.types
+        self.writer = Writer(path, version=9, storage_plugin=plugin)
+        self.connections = {}
+
+    def write(self, topic, message, time):
+        kind = message.__msgtype__
+        if topic not in self.connections:
+            self.connections[topic] = self.writer.add_connection(topic, kind, typestore=self.store)
+        data = self.store.serialize_cdr(message, kind)
+        self.writer.write(self.connections[topic], int(1e9 * time), data)
+
+    def stamp(self, time):
+        stamp = self.types['builtin_interfaces/msg/Time'](int(time), round(time % 1.0 * 1e9))
+        return self.types['std_msgs/msg/Header'](stamp=stamp, frame_id='')
+
+    def state(self, time, positions):
+        empty = np.zeros(0)
+        return self.types['sensor_msgs/msg/JointState'](
+            self.stamp(time), list(positions), np.array([*positions.values()]), empty, empty
+        )
+
+    def trajectory(self, times, positions):
+        duration = self.types['builtin_interfaces/msg/Duration']
+        empty = np.zeros(0)
+        points = [
+            self.types['trajectory_msgs/msg/JointTrajectoryPoint'](
+                np.array(row), empty, empty, empty, duration(int(t), round(t % 1.0 * 1e9))
+            )
+            for t, row in zip(times, positions, strict=True)
+        ]
+        return self.types['trajectory_msgs/msg/JointTrajectory'](
+            self.stamp(0.0), ['joint_2', 'joint_3'], points
+        )
+
+
+@pytest.fixture(params=['MCAP', 'SQLITE3'])
+def record(request, tmp_path):
+    from rosbags.rosbag2 import StoragePlugin
+
+    def record(messages):
+        recording = Recording(tmp_path / 'bag', StoragePlugin[request.param])
+        with recording.writer:
+            messages(recording)
+        return tmp_path / 'bag'
+
+    return record
+
+
+def test_reads_a_recorded_trajectory(record, capsys):
+    def messages(recording):
+        recording.write('/joint_states', recording.state(1.0, {'joint_1': 0.0}), 1.0)
+        for start in (-1.0, -1.4):
+            moving = recording.trajectory([0.0, 1.5], [[start, 0.4], [-1.5, 0.9]])
+            recording.write('/controller/joint_trajectory', moving, 2.0 - start)
+
+    bag = record(messages)
+    trajectory, remarks = read(bag)
+    assert trajectory.times.tolist() == [0.0, 1.5]
+    assert trajectory.positions.tolist() == [[-1.0, 0.4], [-1.5, 0.9]]
+    assert remarks == ('the first trajectory in it; 1 came later',)
+    (file,) = [path for path in bag.iterdir() if path.suffix in ('.mcap', '.db3')]
+    assert np.array_equal(read(file).trajectory.positions, trajectory.positions)
+    assert main(['effort', str(STANFORD), str(bag), '--no-picture']) == 0
+    assert Path('bag_efforts.csv').exists()
+
+
+def test_reads_recorded_joint_states(record):
+    def messages(recording):
+        for k in range(50):
+            positions = {'wheel': 9.0, 'joint_3': 0.01 * k, 'joint_2': -0.02 * k}
+            recording.write('/joint_states', recording.state(5.0 + 0.1 * k, positions), 7.0 + k)
+            if k % 5 == 0:
+                gripper = recording.state(5.0 + 0.1 * k, {'joint_6': 0.0})
+                recording.write('/joint_states', gripper, 7.1 + k)
+        recording.write('/joint_states', recording.state(5.0, positions), 60.0)
+
+    trajectory, remarks = read(record(messages))
+    assert trajectory.joint_names == ('joint_3', 'joint_2')
+    assert trajectory.times == pytest.approx(0.1 * np.arange(50))
+    assert trajectory.positions[:, 1] == pytest.approx(-0.02 * np.arange(50))
+    assert trajectory.velocities is None
+    assert remarks == (
+        '50 joint states',
+        '1 joint states left out: no later than the one before',
+        'not joints of the robot: wheel',
+        'states of other publishers not used: of joint_6',
+    )
+
+
+def test_asks_which_topic(record):
+    def messages(recording):
+        for name in ('left', 'right'):
+            recording.write(f'/{name}/joint_states', recording.state(1.0, {'joint_1': 0.0}), 1.0)
+
+    bag = record(messages)
+    with pytest.raises(TrajectoryError, match='which --topic'):
+        read(bag)
+    assert len(read(bag, '/left/joint_states').trajectory.times) == 1
+    with pytest.raises(TrajectoryError, match=r"on topic '/up'; topics are /left/joint_states"):
+        read(bag, '/up')
+
+
+def test_recordings_without_a_trajectory_are_refused(record):
+    def messages(recording):
+        recording.write('/joint_states', recording.state(1.0, {'wheel': 0.0}), 1.0)
+
+    with pytest.raises(TrajectoryError, match='tell nothing of the robot; of wheel'):
+        read(record(messages))
+
+
+def test_what_is_no_recording_is_refused(tmp_path, capsys):
+    (tmp_path / 'empty').mkdir()
+    (tmp_path / 'noise.mcap').write_bytes(b'noise')
+    (tmp_path / 'noise.db3').write_bytes(b'noise')
+    (tmp_path / 'noise.bin').write_bytes(b'\xff\xfe\x00')
+    for name in ('empty', 'noise.mcap', 'noise.db3', 'noise.bin', 'nothing.mcap'):
+        assert main(['effort', str(STANFORD), str(tmp_path / name)]) == 1, name
+        error = capsys.readouterr().err
+        assert name in error
+        assert len(error.splitlines()) == 1
+
+
+def test_the_example_of_the_help_is_one(write, capsys):
+    with pytest.raises(SystemExit):
+        main(['effort', '--help'])
+    text = capsys.readouterr().out.split('Or plain lists:\n')[1].split('  .csv')[0]
+    lines = [line.split('    maybe')[0].strip() for line in text.splitlines()]
+    lists = '\n'.join(lines).replace('[a, b]', '[joint_1, joint_4]')
+    assert len(read(write(lists)).trajectory.times) == 2

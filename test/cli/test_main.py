@@ -1,0 +1,104 @@
+"""What all commands share: help, errors, signals, pipes."""
+
+import os
+import signal
+import subprocess
+import sys
+
+from inverse_dynamics_node.cli.main import COMMANDS, main
+import pytest
+from robot_files import ROOT, STANFORD
+
+
+@pytest.mark.parametrize('arguments', [[], ['chekc'], ['check'], ['check', 'a', '--samples', '1']])
+def test_usage_errors_exit_with_2(arguments):
+    with pytest.raises(SystemExit) as exit_:
+        main(arguments)
+    assert exit_.value.code == 2
+
+
+def test_help_teaches(capsys):
+    for arguments in (['--help'], ['check', '--help']):
+        with pytest.raises(SystemExit) as exit_:
+            main(arguments)
+        assert exit_.value.code == 0
+        assert 'inverse_dynamics check my_arm.urdf' in capsys.readouterr().out
+
+
+def test_a_missing_package_is_named_with_the_way_to_get_it(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, 'matplotlib', None)
+    assert main(['check', str(STANFORD)]) == 1
+    assert "pip install 'inverse_dynamics_node[cli]'" in capsys.readouterr().err
+
+
+COMMAND = [sys.executable, '-m', 'inverse_dynamics_node.cli.main', 'check', str(STANFORD)]
+ENVIRONMENT = {**os.environ, 'PYTHONPATH': str(ROOT)}
+
+
+def test_runs_as_a_process_without_colours_in_a_pipe():
+    result = subprocess.run(
+        COMMAND, env=ENVIRONMENT, capture_output=True, text=True, timeout=120, check=True
+    )
+    assert '\x1b' not in result.stdout + result.stderr
+    assert 'payload left' in result.stdout.lower()
+
+
+def test_a_reader_that_leaves_early_is_no_error():
+    process = subprocess.Popen(
+        COMMAND, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    process.stdout.close()
+    assert process.wait(120) == 141
+    assert process.stderr.read() == ''
+    process.stderr.close()
+
+
+def test_an_interrupt_ends_quietly(tmp_path):
+    fifo = tmp_path / 'slow.yaml'
+    os.mkfifo(fifo)
+    process = subprocess.Popen(
+        [*COMMAND[:3], 'effort', str(STANFORD), str(fifo)],
+        env=ENVIRONMENT,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    with fifo.open('w'):  # waits until the command reads: it is in the middle of its work
+        process.send_signal(signal.SIGINT)
+        assert process.wait(120) == 130
+    assert process.stderr.read() == ''
+    process.stderr.close()
+
+
+def test_no_command_but_the_demo_needs_ros():
+    code = (
+        'import sys\n'
+        'class Refuse:\n'
+        '    def find_spec(self, name, *_):\n'
+        '        if name.split(".")[0] in ("rclpy", "mujoco"):\n'
+        '            raise ModuleNotFoundError(f"No module named {name!r}", name=name)\n'
+        'sys.meta_path.insert(0, Refuse())\n'
+        'from inverse_dynamics_node.cli.main import main\n'
+        f'assert main(["check", {str(STANFORD)!r}, "--no-picture"]) == 0\n'
+        f'sys.exit(main(["demo", {str(STANFORD)!r}]))\n'
+    )
+    result = subprocess.run(
+        [sys.executable, '-c', code], env=ENVIRONMENT, capture_output=True, text=True, timeout=120
+    )
+    assert result.returncode == 1
+    assert "pip install 'inverse_dynamics_node[" in result.stderr
+    assert 'Traceback' not in result.stderr
+
+
+def test_the_demo_reads_its_own_arguments(capsys):
+    pytest.importorskip('rclpy')
+    pytest.importorskip('mujoco')
+    with pytest.raises(SystemExit) as exit_:
+        main(['demo', '--help'])
+    assert exit_.value.code == 0
+    assert '--duration' in capsys.readouterr().out
+
+
+def test_every_module_of_a_command_is_one_of_the_commands():
+    folder = ROOT / 'inverse_dynamics_node' / 'cli'
+    modules = {path.stem for path in folder.glob('*.py') if 'def add_parser(' in path.read_text()}
+    assert modules == set(COMMANDS)

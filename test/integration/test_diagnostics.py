@@ -1,0 +1,129 @@
+"""Diagnostics: once a second, in every state, and as bad as it is."""
+
+import math
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import Inertia, InertiaStamped
+from inverse_dynamics_node import load_urdf
+import numpy as np
+import pytest
+from robot_files import ROOT, STANFORD
+from std_msgs.msg import Header
+
+NAMES = list(load_urdf(STANFORD).joint_names)
+Q = np.array([0.3, 0.8, 0.5, -0.4, 0.6, 0.2])
+FAST = {'robot_description_file': STANFORD, 'start_ramp': 0.0, 'stop_ramp': 0.1}
+PATIENT = {**FAST, 'state_timeout': 5.0, 'reference_timeout': 5.0}
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+
+
+@pytest.fixture
+def wait_for_status(robot):
+    """Return a function that waits for a part to be as wanted, and returns its values."""
+    heard = robot.listen(DiagnosticArray, '/diagnostics')
+
+    def wait(part, level, words, key='', value=''):
+        def find(array):
+            for status in array.status:
+                values = {pair.key: pair.value for pair in status.values}
+                if status.name != f'inverse_dynamics: {part}' or status.level != level:
+                    continue
+                if words in status.message and value in values.get(key, ''):
+                    return values
+            return None
+
+        try:
+            robot.wait_until(lambda: any(map(find, heard)), f'{part}: {words}')
+        except AssertionError as error:
+            raise AssertionError(f'{error}; last was {heard[-1:]}') from error
+        found = next(filter(None, map(find, heard)))
+        heard.clear()
+        return found
+
+    return wait
+
+
+def test_tells_from_the_start_what_it_waits_for(run_node, robot, wait_for_status):
+    node = run_node()
+    wait_for_status('loop', OK, 'unconfigured')
+    text = STANFORD.read_text()
+    robot.publish_description(text)
+    values = wait_for_status('joint states', ERROR, f'waiting for the position of {NAMES[0]}')
+    assert values['publishers'] == '1'
+    assert values['age [s]'] == 'never'
+    assert node.process.poll() is None
+
+
+def test_tells_how_it_goes(run_node, robot, wait_for_status):
+    run_node(**PATIENT, update_rate=100)
+    robot.publish_state(NAMES, Q, np.zeros(6))
+    robot.publish_accelerations(np.zeros(6))
+    values = wait_for_status('loop', OK, 'following the reference', 'rate [Hz]', '')
+    assert values['state'] == 'active'
+    assert values['mode'] == 'inverse_dynamics'
+    assert values['rate asked for [Hz]'] == '100'
+    # The first report may be of a part of a second only; none is of an idle loop for ever.
+    values = wait_for_status('loop', OK, 'following the reference', 'rate [Hz]', '')
+    assert 0.0 < float(values['compute time p99 [ms]']) < 1000.0
+    assert float(values['period worst [ms]']) >= float(values['period p99 [ms]']) > 5.0
+    assert float(values['rate [Hz]']) > 1.0
+    assert values['overruns'].isdigit()
+    values = wait_for_status('joint states', OK, 'fresh')
+    assert 0.0 <= float(values['age [s]']) < 5.0
+    assert wait_for_status('efforts', OK, '')['receivers'] == '1'
+    assert 0.0 <= float(wait_for_status('reference', OK, 'followed')['age [s]']) < 5.0
+    values = wait_for_status('model', OK, 'stanford')
+    assert values['payload'] == 'none'
+    assert values['gravity [m/s^2]'] == '0.000, 0.000, -9.807'
+
+
+def test_tells_of_a_lost_state(run_node, robot, wait_for_status):
+    run_node(**FAST)
+    robot.publish_state(NAMES, Q, np.zeros(6))
+    wait_for_status('joint states', OK, 'fresh')
+    robot.state = None
+    wait_for_status('joint states', ERROR, f'lost: {NAMES[0]}')
+
+
+def test_counts_what_is_cut_and_what_is_dropped(run_node, robot, wait_for_status):
+    run_node(**PATIENT, effort_limits=1.0)
+    robot.publish_state(NAMES, Q, np.zeros(6))
+    key = f'{NAMES[1]} cut to limit'
+    first = int(wait_for_status('efforts', WARN, NAMES[1])[key])
+    assert int(wait_for_status('efforts', WARN, NAMES[1])[key]) > first > 0
+    robot.publish_accelerations([math.nan] * 6)
+    key = f"~/desired_accelerations: acceleration of joint '{NAMES[0]}' is nan"
+    first = int(wait_for_status('messages', WARN, 'rejected lately', key)[key])
+    assert int(wait_for_status('messages', WARN, 'rejected lately', key)[key]) > first > 0
+
+
+def test_tells_of_payload_and_of_what_is_odd_about_the_model(run_node, robot, wait_for_status):
+    odd = ROOT / 'test/robots/planar_2r.urdf'
+    model = load_urdf(odd)
+    run_node(**{**PATIENT, 'robot_description_file': odd})
+    body = Inertia(m=1.25)
+    link = model.link_names[-1]
+    robot.publish_once(
+        'inverse_dynamics/payload', InertiaStamped(header=Header(frame_id=link), inertia=body)
+    )
+    level = WARN if model.warnings else OK
+    values = wait_for_status('model', level, '', 'payload', f'1.25 kg on {link}')
+    assert [v for k, v in values.items() if k.startswith('warning')] == list(model.warnings)
+
+
+def test_goes_on_while_inactive_and_tells_what_that_is(run_node, robot, wait_for_status):
+    run_node(**PATIENT)
+    robot.publish_state(NAMES, Q, np.zeros(6))
+    wait_for_status('loop', OK, 'no fresh reference')
+    assert robot.change_state('deactivate')
+    wait_for_status('loop', OK, 'inactive')
+    wait_for_status('joint states', OK, 'fresh')
+    assert robot.change_state('cleanup')
+    wait_for_status('loop', OK, 'unconfigured')
+
+
+def test_tells_that_the_base_is_lost(run_node, robot, wait_for_status):
+    run_node(**PATIENT, base_motion='imu')
+    robot.publish_state(NAMES, Q, np.zeros(6))
+    wait_for_status('model', ERROR, 'motion of the base')
+    wait_for_status('joint states', ERROR, 'waiting for the motion of the base (imu)')

@@ -1,0 +1,374 @@
+"""Every row of the interface beyond the plain ones: loads, bases, what is told on request."""
+
+import math
+
+from builtin_interfaces.msg import Duration
+from geometry_msgs.msg import (
+    Inertia,
+    InertiaStamped,
+    Vector3,
+    Vector3Stamped,
+    Wrench,
+    WrenchStamped,
+)
+from inverse_dynamics_node import InverseDynamics, load_urdf
+import numpy as np
+import pytest
+from robot_files import ROOT, STANFORD
+from sensor_msgs.msg import Imu, JointState
+from std_msgs.msg import Header
+from std_srvs.srv import SetBool
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+MODEL = load_urdf(STANFORD)
+NAMES = list(MODEL.joint_names)
+TIP = MODEL.link_names[-1]
+Q = np.array([0.3, 0.8, 0.5, -0.4, 0.6, 0.2])
+QD = np.array([0.1, -0.2, 0.05, 0.3, -0.1, 0.4])
+QDD = np.array([0.5, 0.4, -0.3, 0.2, 0.1, -0.6])
+ZERO = np.zeros(6)
+PATIENT = {
+    'robot_description_file': STANFORD,
+    'start_ramp': 0.0,
+    'stop_ramp': 0.2,
+    'load_ramp': 0.2,
+    # A busy machine does not reach them between two messages.
+    'state_timeout': 5.0,
+    'reference_timeout': 5.0,
+    'imu_timeout': 5.0,
+}
+OWN = 'inverse_dynamics'
+
+
+@pytest.fixture
+def dynamics():
+    return InverseDynamics(MODEL)
+
+
+def vector3(values):
+    return Vector3(**dict(zip('xyz', map(float, values), strict=True)))
+
+
+def stamped(kind, link, **fields):
+    return kind(header=Header(frame_id=link), **fields)
+
+
+def payload(link, mass, com=(0.0, 0.0, 0.0), moments=(0.0, 0.0, 0.0)):
+    body = Inertia(m=mass, com=vector3(com))
+    body.ixx, body.iyy, body.izz = moments
+    return stamped(InertiaStamped, link, inertia=body)
+
+
+def imu(specific_force, angular_velocity=(0.0, 0.0, 0.0)):
+    return Imu(
+        linear_acceleration=vector3(specific_force), angular_velocity=vector3(angular_velocity)
+    )
+
+
+# Loads and bases
+
+
+def test_payload_is_carried_until_it_is_taken_off(run_node, robot, dynamics):
+    run_node(**PATIENT)
+    robot.publish_state(NAMES, Q, QD)
+    before = dynamics.efforts(Q, QD, ZERO)
+    robot.wait_for_command(before)
+    com, moments = (0.02, 0.0, 0.1), (0.01, 0.02, 0.015)
+    dynamics.set_payload(TIP, 1.5, com, np.diag(moments))
+    robot.publish_once(f'{OWN}/payload', payload(TIP, 1.5, com, moments))
+    after = dynamics.efforts(Q, QD, ZERO)
+    robot.wait_for_command(after)
+    # It came in bit by bit.
+    shares = [(np.array(c) - before) @ (after - before) for c in robot.commands]
+    shares = np.array(shares) / ((after - before) @ (after - before))
+    assert np.diff(shares).max() < 0.9
+    robot.publish_once(f'{OWN}/payload', payload(TIP, 0.0))
+    robot.wait_for_command(before)
+
+
+def test_external_wrench_counts_as_long_as_it_comes(run_node, robot, dynamics):
+    run_node(**PATIENT, wrench_timeout=1.0)
+    robot.publish_state(NAMES, Q, QD)
+    before = dynamics.efforts(Q, QD, ZERO)
+    force, moment = (3.0, -2.0, -10.0), (0.1, 0.2, -0.3)
+    wrench = Wrench(force=vector3(force), torque=vector3(moment))
+    pushing = robot.keep_publishing(
+        f'{OWN}/external_wrench', stamped(WrenchStamped, TIP, wrench=wrench)
+    )
+    dynamics.set_external_wrench(TIP, force, moment)
+    robot.wait_for_command(dynamics.efforts(Q, QD, ZERO))
+    robot.cease(pushing)
+    robot.wait_for_command(before)
+
+
+def test_gravity_turns_as_told(run_node, robot, dynamics):
+    node = run_node(**PATIENT)
+    robot.publish_state(NAMES, Q, QD)
+    robot.wait_for_command(dynamics.efforts(Q, QD, ZERO))
+    message = stamped(Vector3Stamped, 'base_link', vector=vector3((1.0, 2.0, -9.0)))
+    message.header.frame_id = 'hand'
+    robot.publish_once(f'{OWN}/gravity', message)
+    robot.wait_for_text(node, "frame_id is 'hand', expected that of the base, ")
+    message.header.frame_id = ''
+    robot.publish_once(f'{OWN}/gravity', message)
+    dynamics.set_gravity((1.0, 2.0, -9.0))
+    robot.wait_for_command(dynamics.efforts(Q, QD, ZERO))
+
+
+def test_imu_takes_the_place_of_gravity_whatever_way_it_is_mounted(run_node, robot, dynamics):
+    node = run_node(
+        **PATIENT,
+        base_motion='imu',
+        imu_orientation=f'[0.0, 0.0, {math.pi / 2}]',
+        imu_filter_cutoff=0,
+    )
+    robot.publish_state(NAMES, Q, QD)
+    robot.wait_for_text(node, 'has not told the motion of the base (imu)')
+    assert not robot.commands
+    # The sensor's x is the base's y.
+    robot.keep_publishing('imu', imu((4.0, -1.0, 9.0), (0.3, -0.1, 0.2)))
+    dynamics.set_gravity((-1.0, -4.0, -9.0))
+    dynamics.set_base_motion((0.1, 0.3, 0.2))
+    robot.wait_for_command(dynamics.efforts(Q, QD, ZERO), tolerance=1e-6)
+
+
+def test_lost_imu_leaves_gravity_where_it_was(run_node, robot, dynamics):
+    run_node(**{**PATIENT, 'imu_timeout': 1.0}, base_motion='imu', imu_filter_cutoff=0.0)
+    robot.publish_state(NAMES, Q, QD)
+    measuring = robot.keep_publishing('imu', imu((0.0, 3.0, 9.0), (0.3, 0.0, 0.0)))
+    dynamics.set_gravity((0.0, -3.0, -9.0))
+    dynamics.set_base_motion((0.3, 0.0, 0.0))
+    robot.wait_for_command(dynamics.efforts(Q, QD, ZERO))
+    robot.cease(measuring)
+    dynamics.set_base_motion((0.0, 0.0, 0.0))
+    robot.wait_for_command(dynamics.efforts(Q, QD, ZERO))
+
+
+@pytest.mark.parametrize(
+    ('topic', 'message', 'words'),
+    [
+        ('payload', payload('nope', 1.0), "link 'nope' does not exist; links are base_link"),
+        ('payload', payload(TIP, -1.0), 'mass is -1.0'),
+        ('payload', payload(TIP, math.nan), 'mass is nan'),
+        (
+            'external_wrench',
+            stamped(WrenchStamped, TIP, wrench=Wrench(force=Vector3(x=math.inf))),
+            'force is',
+        ),
+        ('gravity', Vector3Stamped(vector=Vector3(z=-1e4)), 'gravity is'),
+        ('/imu', imu((math.nan, 0.0, 0.0)), 'specific force is'),
+        ('joint_trajectory_in', JointTrajectory(joint_names=NAMES), 'no positions'),
+    ],
+)
+def test_what_cannot_be_is_dropped_with_words(run_node, robot, dynamics, topic, message, words):
+    motion = {'base_motion': 'imu'} if topic == '/imu' else {}
+    node = run_node(**PATIENT, **motion)
+    robot.publish_state(NAMES, Q, QD)
+    robot.keep_publishing(topic if topic.startswith('/') else f'{OWN}/{topic}', message)
+    robot.wait_for_text(node, f'message dropped: {words}')
+    if not motion:
+        robot.wait_for_command(dynamics.efforts(Q, QD, ZERO))
+
+
+# What is told beside the commands
+
+
+def test_terms_add_up_to_the_efforts(run_node, robot, dynamics):
+    run_node(**PATIENT, include_friction=True, damping=0.5, coulomb=0.2)
+    robot.publish_state(NAMES, Q, QD)
+    robot.publish_accelerations(QDD)
+    dynamics.set_friction(0.5, 0.2)
+    robot.wait_for_command(dynamics.efforts(Q, QD, QDD))
+    expected = dynamics.terms(Q, QD, QDD)._asdict()
+    total = np.zeros(6)
+    for term, values in expected.items():
+        heard = robot.listen(JointState, f'{OWN}/terms/{term}')
+        message = robot.wait_for(heard, lambda _: True, term)
+        assert list(message.name) == NAMES
+        assert list(message.effort) == pytest.approx(list(values), abs=1e-9)
+        assert len(message.position) == len(message.velocity) == 0
+        total += message.effort
+    assert total == pytest.approx(dynamics.efforts(Q, QD, QDD))
+
+
+def test_external_efforts_are_measured_minus_model(run_node, robot, dynamics):
+    run_node(**PATIENT)
+    heard = robot.listen(JointState, f'{OWN}/external_efforts')
+    push = np.array([1.0, -2.0, 3.0, 0.1, 0.2, -0.3])
+    measured = dynamics.efforts(Q, ZERO, ZERO) + push
+    measured[4] = math.nan
+    robot.publish_state([*NAMES, 'wheel'], [*Q, 0.0], np.zeros(7), [*measured, 5.0])
+
+    def is_settled(message):
+        expected = np.delete(push, 4)
+        return list(message.effort) == pytest.approx(list(expected), abs=1e-6)
+
+    message = robot.wait_for(heard, is_settled, 'external efforts')
+    assert list(message.name) == NAMES[:4] + NAMES[5:]
+
+
+def test_base_wrench_is_what_the_mount_must_hold(run_node, robot, dynamics):
+    run_node(**PATIENT)
+    robot.publish_state(NAMES, Q, ZERO)
+    heard = robot.listen(WrenchStamped, f'{OWN}/base_wrench')
+    message = robot.wait_for(heard, lambda _: True, 'base wrench')
+    force, moment = dynamics.joint_wrenches(Q, ZERO, ZERO)
+    found = message.wrench
+    assert message.header.frame_id == MODEL.body_names[0]
+    assert [found.force.x, found.force.y, found.force.z] == pytest.approx(list(force[0]), abs=1e-9)
+    assert found.force.z == pytest.approx(9.80665 * MODEL.mass.sum())
+    torque = [found.torque.x, found.torque.y, found.torque.z]
+    assert torque == pytest.approx(list(moment[0]), abs=1e-9)
+
+
+def test_nothing_is_told_to_nobody(run_node, robot, dynamics):
+    # A push that nobody listens for is not worked out, and does not get in the way.
+    run_node(**PATIENT)
+    robot.publish_state(NAMES, Q, QD, np.full(6, 1e308))
+    robot.wait_for_command(dynamics.efforts(Q, QD, ZERO))
+
+
+def trajectory(points):
+    message = JointTrajectory(header=Header(frame_id='plan'), joint_names=NAMES[::-1])
+    for time, *rows in points:
+        point = JointTrajectoryPoint(time_from_start=Duration(sec=int(time), nanosec=500_000_000))
+        for name, row in zip(('positions', 'velocities', 'accelerations'), rows, strict=False):
+            setattr(point, name, list(row[::-1]))
+        message.points.append(point)
+    return message
+
+
+@pytest.mark.parametrize('start', ['active', 'inactive'])
+def test_trajectory_is_filled_with_efforts(run_node, robot, dynamics, start):
+    node = run_node(**PATIENT, autostart=start == 'active')
+    if start == 'inactive':
+        robot.wait_until(lambda: robot.change_state('configure'), 'configured')
+    else:
+        robot.wait_for_text(node, 'no command yet')
+    heard = robot.listen(JointTrajectory, f'{OWN}/joint_trajectory_out')
+    robot.wait_until(
+        lambda: robot.node.count_publishers(f'{OWN}/joint_trajectory_out'), 'trajectories'
+    )
+    states = [(Q, QD, QDD), (Q + 0.1, -QD, QDD), (Q - 0.1, QD, -QDD)]
+    sent = trajectory([(k, *state) for k, state in enumerate(states)])
+    robot.keep_publishing(f'{OWN}/joint_trajectory_in', sent)
+    message = robot.wait_for(heard, lambda _: True, 'trajectory')
+    assert message.header.frame_id == 'plan'
+    assert list(message.joint_names) == NAMES[::-1]
+    for point, given, state in zip(message.points, sent.points, states, strict=True):
+        assert list(point.effort)[::-1] == pytest.approx(list(dynamics.efforts(*state)))
+        assert point.positions == given.positions
+        assert point.time_from_start == given.time_from_start
+    assert 'derived' not in node.output
+
+
+def test_what_a_trajectory_lacks_is_derived_and_said_so(run_node, robot, dynamics):
+    node = run_node(**PATIENT)
+    robot.wait_for_text(node, 'no command yet')
+    heard = robot.listen(JointTrajectory, f'{OWN}/joint_trajectory_out')
+    sent = trajectory([(k, Q + 0.1 * k) for k in range(4)])
+    robot.keep_publishing(f'{OWN}/joint_trajectory_in', sent)
+    message = robot.wait_for(heard, lambda _: True, 'trajectory')
+    robot.wait_for_text(node, 'accelerations derived from a cubic spline')
+    for point in message.points:
+        state = [list(x)[::-1] for x in (point.positions, point.velocities, point.accelerations)]
+        assert list(point.effort)[::-1] == pytest.approx(list(dynamics.efforts(*state)))
+    assert np.abs(message.points[1].velocities).max() > 0.05
+
+
+# Subsets
+
+
+def test_a_joint_that_is_never_seen_counts_where_it_is_locked(run_node, robot, dynamics):
+    locked = {f'locked_positions.{NAMES[5]}': 0.2, f'locked_positions.{NAMES[2]}': 0.5}
+    joints = [NAMES[k] for k in (0, 1, 3, 4)]
+    node = run_node(**PATIENT, **locked, joints=f'[{", ".join(joints)}]')
+    robot.publish_state(joints, Q[[0, 1, 3, 4]], QD[[0, 1, 3, 4]])
+    still = QD * [1, 1, 0, 1, 1, 0]
+    robot.wait_for_command(dynamics.efforts(Q, still, ZERO)[[0, 1, 3, 4]])
+    robot.wait_for_text(node, f"'{NAMES[2]}' not seen, taken as locked")
+    seen = [0, 1, 3, 4, 2]
+    elsewhere = Q.copy()
+    elsewhere[2] = 0.6
+    robot.publish_state([*joints, NAMES[2]], elsewhere[seen], still[seen])
+    robot.wait_for_command(dynamics.efforts(elsewhere, still, ZERO)[[0, 1, 3, 4]])
+
+
+@pytest.mark.parametrize(
+    ('locked', 'words'),
+    [
+        ({'locked_positions.nope': 0.2}, "locked_positions names 'nope'"),
+        ({f'locked_positions.{NAMES[5]}': 'x'}, f"'locked_positions.{NAMES[5]}' is 'x'"),
+        ({f'locked_positions.{NAMES[5]}': 0.1}, f"'{NAMES[5]}' is both commanded and locked"),
+    ],
+)
+def test_what_cannot_be_locked_ends_the_start(run_node, locked, words):
+    node = run_node(**PATIENT, **locked)
+    assert node.wait() == 1
+    assert words in node.output
+
+
+def test_base_link_is_the_frame_of_gravity_and_base_wrench(run_node, robot, tmp_path):
+    text = (ROOT / 'test/robots/pendulum.urdf').read_text()
+    base = load_urdf(text).body_names[0]
+    extra = (
+        f'<link name="mount"/><joint name="tilt" type="fixed"><parent link="{base}"/>'
+        '<child link="mount"/><origin rpy="0 0 1.5707963267948966"/></joint></robot>'
+    )
+    path = tmp_path / 'tilted.urdf'
+    path.write_text(text.replace('</robot>', extra))
+    model = load_urdf(path)
+    run_node(
+        **{**PATIENT, 'robot_description_file': path},
+        base_link='mount',
+        gravity='[1.0, 2.0, -3.0]',
+    )
+    q = np.full(len(model.joint_names), 0.4)
+    robot.publish_state(model.joint_names, q, 0 * q)
+    expected = InverseDynamics(model, gravity=(-2.0, 1.0, -3.0))
+    robot.wait_for_command(expected.gravity_efforts(q))
+    heard = robot.listen(WrenchStamped, f'{OWN}/base_wrench')
+    message = robot.wait_for(heard, lambda _: True, 'base wrench')
+    assert message.header.frame_id == 'mount'
+    force = np.array([message.wrench.force.x, message.wrench.force.y, message.wrench.force.z])
+    assert force == pytest.approx(model.mass.sum() * np.array([-1.0, -2.0, 3.0]))
+
+
+# Services
+
+
+def test_enable_ramps_down_and_up(run_node, robot, dynamics):
+    node = run_node(**{**PATIENT, 'start_ramp': 0.2})
+    robot.publish_state(NAMES, Q, QD)
+    hold = dynamics.efforts(Q, QD, ZERO)
+    robot.wait_for_command(hold)
+    answer = robot.call(SetBool, 'enable', SetBool.Request(data=False))
+    assert answer.success
+    robot.wait_for_command(ZERO)
+    k = len(robot.commands)
+    robot.wait_until(lambda: len(robot.commands) > k + 20, 'zeros that go on')
+    assert not np.any(robot.commands[k:])
+    robot.call(SetBool, 'enable', SetBool.Request(data=True))
+    robot.wait_for_command(hold)
+    between = [c for c in robot.commands[k:] if 0.0 < abs(c[1]) < abs(hold[1])]
+    assert between
+    assert node.process.poll() is None
+
+
+def test_enable_needs_an_active_node(run_node, robot):
+    run_node(**PATIENT, autostart=False)
+    answer = robot.call(SetBool, 'enable', SetBool.Request(data=True))
+    assert not answer.success
+    assert 'not active' in answer.message
+
+
+def test_a_shape_without_mass_can_be_refused(run_node, tmp_path):
+    text = STANFORD.read_text()
+    start = text.index('<inertial>', text.index('link name="link_3"'))
+    end = text.index('</inertial>', start) + len('</inertial>')
+    path = tmp_path / 'hollow.urdf'
+    path.write_text(f'{text[:start]}<visual/>{text[end:]}')
+    settings = {**PATIENT, 'robot_description_file': path}
+    node = run_node(**settings, on_missing_inertial='refuse')
+    assert node.wait() == 1
+    assert "link 'link_3' has a shape, but no <inertial>" in node.output

@@ -1,0 +1,180 @@
+"""What could hurt: a process that is stopped or crashes, clocks that jump, new descriptions."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+
+from inverse_dynamics_node import InverseDynamics, load_urdf
+import numpy as np
+import pytest
+from robot_files import ROOT, STANFORD
+from std_msgs.msg import Float64MultiArray
+
+MODEL = load_urdf(STANFORD)
+NAMES = list(MODEL.joint_names)
+Q = np.array([0.3, 0.8, 0.5, -0.4, 0.6, 0.2])
+ELSEWHERE = np.array([-0.3, 1.6, 0.9, 0.4, -0.6, 0.0])
+ZERO = np.zeros(6)
+DYNAMICS = InverseDynamics(MODEL)
+HOLD = DYNAMICS.gravity_efforts(Q)
+HOLD_ELSEWHERE = DYNAMICS.gravity_efforts(ELSEWHERE)
+FAST = {'robot_description_file': STANFORD, 'start_ramp': 0.0, 'stop_ramp': 0.2}
+PATIENT = {**FAST, 'state_timeout': 5.0, 'reference_timeout': 5.0}
+RAMPED = {**PATIENT, 'start_ramp': 2.0}
+
+
+def assert_no_jump(commands):
+    """Hold every step between commands against the whole way: it must be a small part of it."""
+    commands = np.array(commands)
+    steps = np.abs(np.diff(commands, axis=0)).max(axis=1)
+    whole = np.abs(HOLD - HOLD_ELSEWHERE).max()
+    assert len(steps) > 2
+    assert steps.max() < 0.5 * whole, steps.max() / whole
+
+
+@pytest.mark.parametrize('rate', [0, 100])
+def test_a_process_that_was_stopped_goes_on_where_it_was(run_node, robot, rate):
+    node = run_node(**{**RAMPED, 'state_timeout': 0.5}, update_rate=rate)
+    robot.publish_state(NAMES, Q, ZERO)
+    robot.wait_for_command(HOLD)
+    node.interrupt(signal.SIGSTOP)
+    robot.publish_state(NAMES, ELSEWHERE, ZERO)  # the arm moves while nobody holds it
+    count = len(robot.commands)
+    ticks = robot.sent
+    robot.wait_until(lambda: robot.sent > ticks + 200, 'a second of states')
+    node.interrupt(signal.SIGCONT)
+    robot.wait_for_command(HOLD_ELSEWHERE)
+    assert_no_jump(robot.commands[count - 1 :])
+
+
+CRASH = """
+import sys
+from inverse_dynamics_node.node import main, node
+def crash(self, *_):
+    raise RuntimeError('a slip of the programmer')
+setattr(node.InverseDynamicsNode, sys.argv.pop(1), crash)
+sys.exit(main.main(sys.argv))
+"""
+
+
+@pytest.mark.parametrize('where', ['_on_accelerations', '_report'])
+def test_a_crash_in_a_callback_leaves_zeros(domain_id, robot, where):
+    settings = [x for k, v in RAMPED.items() for x in ('-p', f'{k}:={v}')]
+    process = subprocess.Popen(
+        [sys.executable, '-c', CRASH, where, '--ros-args', *settings],
+        env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)},
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        robot.publish_state(NAMES, Q, ZERO)
+        robot.wait_until(lambda: robot.commands, 'commands')
+        robot.publish_accelerations(ZERO)
+        robot.wait_until(lambda: process.poll() is not None, 'end of the node')
+        robot.wait_for_command(ZERO)
+        assert process.returncode == 1
+        assert 'a slip of the programmer' in process.stderr.read()
+    finally:
+        process.kill()
+        process.wait()
+
+
+def test_a_clock_that_jumps_makes_no_jump_of_the_efforts(run_node, robot):
+    node = run_node(**RAMPED, use_sim_time=True, update_rate=100)
+    jump = robot.keep_ticking(100.0)
+    robot.publish_state(NAMES, Q, ZERO)
+    robot.wait_for_command(HOLD)
+    count = len(robot.commands)
+    for seconds in (-90.0, 1000.0):
+        robot.publish_state(NAMES, ELSEWHERE, ZERO)
+        jump(seconds)
+        robot.wait_for_command(HOLD_ELSEWHERE)
+        robot.publish_state(NAMES, Q, ZERO)
+        robot.wait_for_command(HOLD)
+    assert node.process.poll() is None
+    assert len(robot.commands) > count + 10
+
+
+def test_two_nodes_side_by_side_know_nothing_of_each_other(run_node, robot):
+    names = {'left': NAMES[:3], 'right': NAMES[3:]}
+    heard = {}
+    for side, joints in names.items():
+        run_node('-r', f'__node:={side}', **PATIENT, joints=f'[{", ".join(joints)}]')
+        heard[side] = robot.listen(Float64MultiArray, f'{side}/commands')
+    robot.publish_state(NAMES, Q, ZERO)
+    for side, expected in (('left', HOLD[:3]), ('right', HOLD[3:])):
+        robot.wait_for(
+            heard[side], lambda m, e=expected: list(m.data) == pytest.approx(list(e)), side
+        )
+
+
+def test_two_arms_in_namespaces_of_their_own(run_node, robot):
+    run_node('-r', '__ns:=/left', **PATIENT)
+    run_node('-r', '__ns:=/right', '-r', 'joint_states:=/joint_states', **PATIENT)
+    left = robot.listen(Float64MultiArray, '/left/inverse_dynamics/commands')
+    right = robot.listen(Float64MultiArray, '/right/inverse_dynamics/commands')
+    robot.publish_state(NAMES, Q, ZERO)
+    robot.wait_for(right, lambda m: list(m.data) == pytest.approx(list(HOLD)), 'right arm')
+    assert not left
+
+
+def heavier(text):
+    return re.sub('<mass value="([^"]*)"', lambda m: f'<mass value="{1.2 * float(m[1])}"', text)
+
+
+def test_another_description_takes_over_without_a_jump(run_node, robot):
+    text = STANFORD.read_text()
+    other = InverseDynamics(load_urdf(heavier(text)))
+    node = run_node(**{k: v for k, v in RAMPED.items() if k != 'robot_description_file'})
+    robot.publish_description(text)
+    robot.publish_state(NAMES, Q, ZERO)
+    robot.wait_for_command(HOLD)
+    count = len(robot.commands)
+    robot.publish_description(heavier(text))
+    robot.wait_for_command(other.gravity_efforts(Q))
+    commands = np.array(robot.commands[count:])
+    whole = np.abs(other.gravity_efforts(Q) - HOLD).max()
+    assert np.abs(np.diff(commands, axis=0)).max() < 0.5 * whole
+    assert node.output.count("robot 'stanford'") == 2
+
+
+@pytest.mark.parametrize(
+    ('text', 'words'),
+    [
+        ('<robot name="x">', 'the old one still is'),
+        ((ROOT / 'test/robots/planar_2r.urdf').read_text(), 'the joints to command are now'),
+    ],
+)
+def test_a_description_of_no_use_leaves_the_old_one(run_node, robot, text, words):
+    node = run_node(**{k: v for k, v in PATIENT.items() if k != 'robot_description_file'})
+    robot.publish_description(STANFORD.read_text())
+    robot.publish_state(NAMES, Q, ZERO)
+    robot.wait_for_command(HOLD)
+    robot.publish_description(text)
+    robot.wait_for_text(node, words)
+    count = len(robot.commands)
+    robot.wait_until(lambda: len(robot.commands) > count + 10, 'commands that go on')
+    assert robot.commands[-1] == pytest.approx(list(HOLD))
+
+
+def test_parameters_that_change_make_no_jump(run_node, robot):
+    run_node(**RAMPED)
+    robot.publish_state(NAMES, Q, ZERO)
+    robot.wait_for_command(HOLD)
+    count = len(robot.commands)
+    assert robot.set_parameter('include_gravity', False).successful
+    robot.wait_for_command(ZERO)
+    steps = np.abs(np.diff(robot.commands[count:], axis=0)).max()
+    assert steps < 0.5 * np.abs(HOLD).max()
+
+
+@pytest.mark.parametrize('executor', ['events', 'single_threaded'])
+def test_either_executor_will_do(run_node, robot, executor):
+    node = run_node(**PATIENT, executor=executor)
+    robot.publish_state(NAMES, Q, ZERO)
+    robot.wait_for_command(HOLD)
+    node.interrupt()
+    assert robot.wait_for_end(node) == 0
+    assert robot.commands[-1] == [0.0] * 6

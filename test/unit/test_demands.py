@@ -1,0 +1,123 @@
+"""What a trajectory demands of the joints, and states between its points."""
+
+from inverse_dynamics_node.demands import demands_of
+from inverse_dynamics_node.dynamics import InverseDynamics
+from inverse_dynamics_node.errors import TrajectoryError
+from inverse_dynamics_node.trajectory import complete, refine, Trajectory
+from inverse_dynamics_node.urdf import load_urdf
+import numpy as np
+import pytest
+from robot_files import ROOT, STANFORD
+
+ARM = InverseDynamics(load_urdf(STANFORD))
+
+
+def swing(count=400, names=('joint_4', 'joint_2')):
+    """Go to and fro, with all derivatives given."""
+    times = np.linspace(0.0, 2.0, count)
+    phase = np.pi * times[:, np.newaxis] * [1.0, 2.0]
+    w = np.pi * np.array([1.0, 2.0])
+    return Trajectory(names, times, np.sin(phase), w * np.cos(phase), -(w**2) * np.sin(phase))
+
+
+def test_figures_are_those_of_the_definitions():
+    trajectory = swing()
+    demands = demands_of(ARM, trajectory)
+    q, qd, qdd = np.zeros((3, 400, 6))
+    for whole, part in zip((q, qd, qdd), trajectory[2:], strict=True):
+        whole[:, [3, 1]] = part
+    efforts = ARM.efforts(q, qd, qdd)[:, [3, 1]]
+    assert demands.efforts == pytest.approx(efforts)
+    assert sum(demands.terms) == pytest.approx(efforts)
+    assert np.abs(demands.peak) == pytest.approx(np.max(np.abs(efforts), axis=0))
+    power = efforts * trajectory.velocities
+    assert demands.power == pytest.approx(np.max(power, axis=0))
+    assert demands.braking == pytest.approx(-np.min(power, axis=0))
+    assert demands.speed == pytest.approx([np.pi, 2.0 * np.pi])
+    assert demands.is_too_fast.tolist() == [False, True]
+    for k in range(2):
+        at = np.searchsorted(trajectory.times, demands.peak_time[k])
+        assert efforts[at, k] == demands.peak[k]
+
+
+def test_means_are_over_time_however_the_points_lie():
+    even, dense = swing(2001), swing(2001)
+    # The same motion, with the first half told ten times as finely.
+    times = np.concatenate([np.linspace(0.0, 1.0, 5000, endpoint=False), np.linspace(1, 2, 500)])
+    values = [
+        np.stack([np.interp(times, dense.times, column) for column in part.T], axis=1)
+        for part in dense[2:]
+    ]
+    uneven = Trajectory(dense.joint_names, times, *values)
+    assert demands_of(ARM, uneven).rms == pytest.approx(demands_of(ARM, even).rms, rel=1e-3)
+
+
+def test_a_single_point_has_figures_too():
+    point = Trajectory(('joint_2',), np.zeros(1), np.array([[-1.5]]))
+    demands = demands_of(ARM, complete(point)[0])
+    assert demands.rms == pytest.approx(np.abs(demands.peak))
+    assert demands.power == demands.braking == 0.0
+
+
+def test_limits_are_minded():
+    trajectory = Trajectory(('joint_2',), np.array([0.0, 0.1]), np.array([[0.0], [2.5]]))
+    demands = demands_of(ARM, refine(complete(trajectory)[0], 0.001)[0])
+    assert demands.is_too_strong.all()
+    assert demands.is_too_fast.all()
+    assert demands.is_too_far.all()
+    calm = demands_of(ARM, complete(trajectory._replace(positions=np.zeros((2, 1))))[0])
+    assert not (calm.is_too_strong | calm.is_too_fast | calm.is_too_far).any()
+
+
+def test_refining_keeps_the_points_and_meets_the_curve():
+    coarse, exact = swing(21), swing(2001)
+    fine, points = refine(coarse, 0.001)
+    assert fine.times[points] == pytest.approx(coarse.times)
+    assert np.array_equal(fine.positions[points], coarse.positions)
+    assert np.array_equal(fine.accelerations[points], coarse.accelerations)
+    assert np.max(np.diff(fine.times)) <= 0.001 + 1e-12
+    assert fine.times == pytest.approx(exact.times)
+    assert fine.positions == pytest.approx(exact.positions, abs=1e-5)
+    assert fine.accelerations == pytest.approx(exact.accelerations, abs=0.1)
+
+
+def test_refining_a_derived_spline_changes_nothing():
+    from scipy.interpolate import CubicSpline
+
+    times = np.array([0.0, 0.4, 1.0, 1.3])
+    positions = np.array([[0.0], [0.5], [-0.2], [0.1]])
+    fine, _ = refine(complete(Trajectory(('joint_1',), times, positions))[0], 0.01)
+    spline = CubicSpline(times, positions, bc_type='clamped')
+    assert fine.positions == pytest.approx(spline(fine.times))
+    assert fine.velocities == pytest.approx(spline(fine.times, 1))
+    assert fine.accelerations == pytest.approx(spline(fine.times, 2), abs=1e-9)
+
+
+def test_refining_leaves_alone_what_is_fine():
+    trajectory = swing()
+    fine, points = refine(trajectory, np.inf)
+    assert fine is trajectory
+    assert points.tolist() == list(range(400))
+    one = complete(Trajectory(('joint_1',), np.zeros(1), np.zeros((1, 1))))[0]
+    assert refine(one, 0.01)[1].tolist() == [0]
+    with pytest.raises(TrajectoryError, match='expected a complete trajectory'):
+        refine(trajectory._replace(accelerations=None), 0.01)
+
+
+def test_demands_of_a_pendulum_by_hand():
+    robot = load_urdf(ROOT / 'test' / 'robots' / 'pendulum.urdf')
+    times = np.linspace(0.0, 1.0, 101)
+    turning = Trajectory(
+        robot.joint_names,
+        times,
+        2.0 * np.pi * times[:, np.newaxis],
+        np.full((101, 1), 2.0 * np.pi),
+        np.zeros((101, 1)),
+    )
+    demands = demands_of(InverseDynamics(robot), turning)
+    level = robot.mass[1] * np.linalg.norm(robot.com[1]) * 9.80665
+    # One turn at one speed: a sine of effort, and as much power given as taken back.
+    assert np.abs(demands.peak) == pytest.approx([level], rel=1e-3)
+    assert demands.rms == pytest.approx([level / np.sqrt(2.0)])
+    assert demands.power == pytest.approx(demands.braking, rel=1e-3)
+    assert demands.power == pytest.approx([2.0 * np.pi * level], rel=1e-3)

@@ -1,0 +1,221 @@
+"""Loads as time passes: payloads ramp, wrenches fade, gravity turns, the base moves."""
+
+import math
+
+from hypothesis import given
+from hypothesis import strategies as st
+from inverse_dynamics_node import ConfigurationError, InverseDynamics, load_urdf
+from inverse_dynamics_node.loads import Loads, LoadSettings, rotation_of
+import numpy as np
+import pytest
+from robot_files import ROOT, STANFORD
+
+Q = np.array([0.3, 1.2, 0.5, 0.4, -0.6, 0.2])
+TIP = 'link_6'
+INERTIA = np.diag([0.01, 0.02, 0.02])
+DOWN = np.array([0.0, 0.0, -9.80665])
+
+
+@pytest.fixture
+def dynamics():
+    return InverseDynamics(load_urdf(STANFORD))
+
+
+@pytest.fixture
+def loads(dynamics):
+    loads = Loads(dynamics)
+    loads.update(0.0)
+    return loads
+
+
+def with_payload(mass, com=(0.0, 0.0, 0.0), inertia=INERTIA):
+    other = InverseDynamics(load_urdf(STANFORD))
+    other.set_payload(TIP, mass, com, inertia)
+    return other.gravity_efforts(Q)
+
+
+def test_a_payload_comes_in_over_the_ramp(loads, dynamics):
+    before = dynamics.gravity_efforts(Q)
+    after = with_payload(2.0, (0.0, 0.1, 0.05))
+    loads.set_payload(0.0, TIP, 2.0, (0.0, 0.1, 0.05), INERTIA)
+    for time in (0.0, 0.1, 0.25, 0.4, 0.5, 3.0):
+        loads.update(time)
+        share = min(1.0, time / 0.5)
+        expected = before + share * (after - before)
+        assert dynamics.gravity_efforts(Q) == pytest.approx(expected)
+    assert loads.payloads[TIP].mass == 2.0
+
+
+def test_a_payload_goes_as_it_came(loads, dynamics):
+    before = dynamics.gravity_efforts(Q)
+    loads.set_payload(0.0, TIP, 2.0, (0.0, 0.1, 0.05), INERTIA)
+    loads.update(1.0)
+    loads.set_payload(1.0, TIP, 0.0, np.zeros(3), np.zeros((3, 3)))
+    loads.update(1.25)
+    halfway = 0.5 * (before + with_payload(2.0, (0.0, 0.1, 0.05)))
+    assert dynamics.gravity_efforts(Q) == pytest.approx(halfway)
+    loads.update(1.5)
+    assert dynamics.gravity_efforts(Q) == pytest.approx(before)
+    assert loads.payloads == {}
+
+
+def test_a_payload_in_place_of_one_that_was_not_all_there_makes_no_jump(loads, dynamics):
+    loads.set_payload(0.0, TIP, 2.0, (0.0, 0.1, 0.05), INERTIA)
+    loads.update(0.2)
+    before = dynamics.mass_matrix(Q)
+    loads.set_payload(0.2, TIP, 5.0, (0.1, 0.0, 0.0), 3.0 * INERTIA)
+    loads.update(0.2)
+    assert dynamics.mass_matrix(Q) == pytest.approx(before)
+
+
+@given(
+    st.floats(0.0, 1.0),
+    st.floats(1e-3, 100.0),
+    st.floats(1e-3, 100.0),
+    st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6),
+)
+def test_half_a_payload_is_a_body_too(share, one, other, coms):
+    dynamics = InverseDynamics(load_urdf(STANFORD))
+    loads = Loads(dynamics)
+    point = np.zeros((3, 3))
+    loads.set_payload(0.0, TIP, one, coms[:3], point)
+    loads.update(1.0)
+    loads.set_payload(1.0, TIP, other, coms[3:], point)
+    loads.update(1.0 + 0.5 * share)
+    assert np.linalg.eigvalsh(dynamics.mass_matrix(Q)).min() > 0.0
+
+
+def test_a_wrench_counts_at_once_and_fades_when_it_is_not_renewed(loads, dynamics):
+    before = dynamics.gravity_efforts(Q)
+    loads.set_external_wrench(0.0, TIP, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3))
+    loads.update(0.1)
+    whole = dynamics.gravity_efforts(Q) - before
+    assert np.abs(whole).max() > 0.5
+    loads.update(0.35)
+    assert dynamics.gravity_efforts(Q) - before == pytest.approx(0.5 * whole)
+    loads.update(0.6)
+    assert dynamics.gravity_efforts(Q) == pytest.approx(before)
+    loads.set_external_wrench(0.7, TIP, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3))
+    loads.update(0.7)
+    assert dynamics.gravity_efforts(Q) - before == pytest.approx(whole)
+
+
+def test_gravity_turns_over_a_ramp(loads, dynamics):
+    loads.set_gravity((0.0, 0.0, 9.80665))
+    for time in (0.25, 0.5, 0.75, 1.0):
+        loads.update(time)
+        assert dynamics.gravity == pytest.approx((1.0 - 2.0 * time) * DOWN)
+    loads.update(2.0)
+    assert dynamics.gravity == pytest.approx(-DOWN)
+
+
+def test_gravity_that_changes_slowly_is_followed_at_once(loads, dynamics):
+    loads.set_gravity([0.05, 0.0, -9.80665])
+    loads.update(0.01)
+    assert dynamics.gravity == pytest.approx([0.05, 0.0, -9.80665])
+
+
+def test_without_ramps_all_counts_at_once(dynamics):
+    loads = Loads(dynamics, LoadSettings(load_ramp=0.0))
+    loads.update(0.0)
+    loads.set_payload(0.0, TIP, 2.0, (0.0, 0.1, 0.05), INERTIA)
+    loads.set_gravity((1.0, 2.0, 3.0))
+    loads.update(0.0)
+    assert dynamics.gravity == pytest.approx([1.0, 2.0, 3.0])
+    dynamics.set_gravity(DOWN)
+    assert dynamics.gravity_efforts(Q) == pytest.approx(with_payload(2.0, (0.0, 0.1, 0.05)))
+
+
+def test_the_motion_of_the_base_takes_the_place_of_gravity(loads, dynamics):
+    assert not loads.is_base_known(0.0)
+    assert loads.set_base_motion(0.0, (1.0, 2.0, 9.0), (0.1, 0.2, 0.3))
+    loads.update(0.0)
+    other = InverseDynamics(load_urdf(STANFORD), DOWN)
+    other.set_base_motion((0.1, 0.2, 0.3), linear_acceleration=np.array([1.0, 2.0, 9.0]) + DOWN)
+    assert dynamics.gravity_efforts(Q) == pytest.approx(other.gravity_efforts(Q))
+    assert loads.is_base_known(0.1)
+
+
+def test_a_lost_base_motion_leaves_gravity_and_stops_turning(loads, dynamics):
+    loads.set_base_motion(0.0, (1.0, 2.0, 9.0), (0.1, 0.2, 0.3))
+    assert not loads.update(0.2)
+    assert loads.update(0.3)
+    assert not loads.update(0.4)
+    other = InverseDynamics(load_urdf(STANFORD), (-1.0, -2.0, -9.0))
+    assert dynamics.gravity_efforts(Q) == pytest.approx(other.gravity_efforts(Q))
+    assert loads.set_base_motion(1.0, (0.0, 0.0, 9.8), (0.0, 0.0, 0.0))
+
+
+def test_the_motion_of_the_base_is_smoothed(loads):
+    loads.set_base_motion(0.0, (0.0, 0.0, 10.0), (0.0, 0.0, 0.0))
+    assert not loads.set_base_motion(0.01, (0.0, 0.0, 11.0), (1.0, 0.0, 0.0))
+    share = 1.0 - math.exp(-2.0 * math.pi * 20.0 * 0.01)
+    assert loads.gravity[2] == pytest.approx(-10.0 - share)
+
+
+def test_without_gravity_neither_it_nor_the_base_accelerates(loads, dynamics):
+    loads.apply(LoadSettings(), include_gravity=False)
+    loads.set_gravity((0.0, 3.0, 0.0))
+    loads.update(9.0)
+    loads.update(19.0)
+    assert not dynamics.gravity_efforts(Q).any()
+    loads.apply(LoadSettings(), include_gravity=True)
+    assert dynamics.gravity == pytest.approx([0.0, 3.0, 0.0])
+
+
+def test_a_clock_that_is_put_back_ends_no_ramp_early_and_none_late(loads, dynamics):
+    loads.set_payload(100.0, TIP, 2.0, (0.0, 0.1, 0.05), INERTIA)
+    loads.set_external_wrench(100.0, TIP, (1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    loads.update(100.1)
+    for time in (1.0, 1.2, 1.4, 1.7):
+        loads.update(time)
+    assert dynamics.gravity_efforts(Q) == pytest.approx(with_payload(2.0, (0.0, 0.1, 0.05)))
+
+
+def test_vectors_are_in_the_frame_of_the_base_link():
+    robot = load_urdf(
+        '<robot name="r"><link name="world"/><link name="mount"/><link name="arm"><inertial>'
+        '<origin xyz="0.5 0 0"/><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" '
+        'ixz="0" iyz="0"/></inertial></link><joint name="tilt" type="fixed"><parent '
+        'link="world"/><child link="mount"/><origin rpy="1.5707963267948966 0 0"/></joint>'
+        '<joint name="j" type="continuous"><parent link="mount"/><child link="arm"/>'
+        '<axis xyz="0 1 0"/></joint></robot>'
+    )
+    dynamics = InverseDynamics(robot)
+    Loads(dynamics, gravity=(0.0, 0.0, -9.8), base_link='mount')
+    assert dynamics.gravity == pytest.approx([0.0, 9.8, 0.0])
+    assert dynamics.gravity_efforts([0.0])[0] == pytest.approx(-0.5 * 9.8)
+    with pytest.raises(ConfigurationError, match=r"'arm', expected .*: world, mount"):
+        Loads(dynamics, base_link='arm')
+
+
+@pytest.mark.parametrize(
+    ('call', 'words'),
+    [
+        (lambda x: x.set_payload(0.0, 'nope', 1.0, Q[:3], INERTIA), "link 'nope' does not exist"),
+        (lambda x: x.set_payload(0.0, TIP, -1.0, Q[:3], INERTIA), 'mass is -1.0'),
+        (lambda x: x.set_external_wrench(0.0, '', DOWN, DOWN), "link '' does not exist; links"),
+        (lambda x: x.set_external_wrench(0.0, TIP, [math.nan] * 3, DOWN), 'force is .*nan'),
+        (lambda x: x.set_gravity([1.0, 2.0]), 'expected three finite numbers'),
+        (lambda x: x.set_gravity([1e9, 0.0, 0.0]), 'at most 500 m/s'),
+        (lambda x: x.set_base_motion(0.0, [math.inf, 0, 0], DOWN), 'specific force is'),
+        (lambda x: x.set_base_motion(0.0, DOWN, [0, 0, 1e4]), 'angular velocity is'),
+    ],
+)
+def test_refuses_what_cannot_be(loads, dynamics, call, words):
+    before = dynamics.table.copy()
+    with pytest.raises(ConfigurationError, match=words):
+        call(loads)
+    loads.update(9.0)
+    assert (dynamics.table == before).all()
+
+
+def test_angles_are_those_of_a_urdf():
+    robot = load_urdf(
+        (ROOT / 'test/robots/pendulum.urdf')
+        .read_text()
+        .replace('</robot>', '<link name="s"/><joint name="f" type="fixed"><parent link="base"/>'
+                 '<child link="s"/><origin rpy="0.3 -0.5 2.0"/></joint></robot>')
+    )  # fmt: skip
+    k = robot.link_names.index('s')
+    assert rotation_of(0.3, -0.5, 2.0) == pytest.approx(robot.link_rotation[k])

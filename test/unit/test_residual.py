@@ -1,0 +1,70 @@
+"""Measured effort minus model: nothing where the model is right, minus the push where not."""
+
+from inverse_dynamics_node import InverseDynamics, load_urdf
+from inverse_dynamics_node.residual import EffortResidual
+import numpy as np
+import pytest
+from robot_files import STANFORD
+
+DT = 0.002
+
+
+def motion(time):
+    """Six joints swinging: positions, velocities, accelerations."""
+    w = np.array([3.0, 2.0, 2.5, 4.0, 5.0, 3.5])
+    a = np.array([0.3, 0.2, 0.05, 0.4, 0.3, 0.5])
+    middle = np.array([0.0, 1.3, 0.6, 0.0, 0.6, 0.0])
+    return (
+        middle + a * np.sin(w * time),
+        a * w * np.cos(w * time),
+        -a * w * w * np.sin(w * time),
+    )
+
+
+@pytest.fixture
+def dynamics():
+    return InverseDynamics(load_urdf(STANFORD))
+
+
+def run(dynamics, measured_of, steps=1000):
+    residual = EffortResidual(InverseDynamics(dynamics.robot))
+    for k in range(steps):
+        q, qd, qdd = motion(DT * k)
+        found = residual.update(DT * k, q, qd, measured_of(q, qd, qdd))
+    return found
+
+
+def test_a_motion_that_the_model_explains_leaves_little(dynamics):
+    found = run(dynamics, dynamics.efforts)
+    size = np.abs(dynamics.terms(*motion(2.0)).inertial)
+    assert (np.abs(found) < 0.1 * size + 0.15).all()
+
+
+def test_a_push_shows_with_the_sign_of_the_external_term(dynamics):
+    pushed = InverseDynamics(dynamics.robot)
+    pushed.set_external_wrench('link_6', (5.0, 20.0, -10.0), (0.1, 0.2, 0.3))
+    found = run(dynamics, pushed.efforts) - run(dynamics, dynamics.efforts)
+    expected = pushed.terms(*motion(DT * 999)).external
+    assert np.abs(expected).max() > 5.0
+    # It lags by the time constant of the low-pass, while the arm moves on.
+    assert found == pytest.approx(expected, rel=0.1, abs=0.3)
+
+
+def test_what_is_not_measured_is_not_a_number_until_it_is(dynamics):
+    residual = EffortResidual(dynamics)
+    q, qd, _ = motion(0.0)
+    measured = dynamics.gravity_efforts(q)
+    partly = measured.copy()
+    partly[2] = np.nan
+    found = residual.update(0.0, q, 0 * qd, partly)
+    assert np.isnan(found[2])
+    assert np.delete(found, 2) == pytest.approx(0.0)
+    found = residual.update(0.01, q, 0 * qd, measured)
+    assert found == pytest.approx(0.0)
+
+
+def test_the_same_state_twice_and_a_clock_put_back_are_no_matter(dynamics):
+    residual = EffortResidual(dynamics)
+    q, qd, _ = motion(0.3)
+    for time in (5.0, 5.0, 5.002, 1.0, 1.002):
+        assert np.isfinite(residual.update(time, q, qd, np.zeros(6))).all()
