@@ -64,33 +64,47 @@ def simulate(urdf, real, duration=20.0, rate=500.0):
     return Recording(hardware.state_names, times[1:], *states[:, 1:])
 
 
-def write_bag(path, recording, storage='mcap', topic='/joint_states', extra=()):
-    """Write joint states as rosbag2 does, and more topics of the same type with no efforts."""
+def write_bag(
+    path,
+    recording,
+    storage='mcap',
+    topic='/joint_states',
+    extra=(),
+    has_efforts=True,
+    is_stamped=True,
+    kind='sensor_msgs/msg/JointState',
+):
+    """
+    Write joint states as rosbag2 does; on extra topics, without efforts.
+
+    Of another kind, messages are headers only.
+    """
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import get_typestore, Stores
 
     store = get_typestore(Stores.ROS2_JAZZY)
     types = store.types
-    kind = 'sensor_msgs/msg/JointState'
     with Writer(path, version=9, storage_plugin=StoragePlugin[storage.upper()]) as writer:
         topics = {
             name: writer.add_connection(name, kind, typestore=store) for name in (topic, *extra)
         }
-        nothing = np.full_like(recording.positions, np.nan)
-        velocities = recording.velocities if recording.velocities is not None else nothing
-        empty = np.zeros(0)
-        for row in zip(
+        velocities = recording.velocities
+        if velocities is None:
+            velocities = np.full_like(recording.positions, np.nan)
+        rows = zip(
             recording.times, recording.positions, velocities, recording.efforts, strict=True
-        ):
-            stamp = START_STAMP + round(row[0] * 1e9)
-            header = types['std_msgs/msg/Header'](
-                stamp=types['builtin_interfaces/msg/Time'](*divmod(stamp, 10**9)), frame_id=''
-            )
+        )
+        for time, positions, speeds, efforts in rows:
+            now = START_STAMP + round(time * 1e9)
+            stamp = types['builtin_interfaces/msg/Time'](*divmod(now * is_stamped, 10**9))
+            message = header = types['std_msgs/msg/Header'](stamp=stamp, frame_id='')
             for name, connection in topics.items():
-                efforts = row[3] if name == topic else empty
-                message = types[kind](header, list(recording.joint_names), *row[1:3], efforts)
+                if kind == 'sensor_msgs/msg/JointState':
+                    told = efforts if has_efforts and name == topic else np.zeros(0)
+                    names = list(recording.joint_names)
+                    message = types[kind](header, names, positions, speeds, told)
                 # What reaches the recorder comes late, and not evenly.
-                logged = stamp + 300_000 + stamp % 7 * 100_000
+                logged = now + 300_000 + now // 1000 % 7 * 100_000
                 writer.write(connection, logged, store.serialize_cdr(message, kind))
 
 

@@ -23,6 +23,7 @@ from ..identification import (
 from ..report import Table
 from ..urdf import load_urdf
 from ..workspace import last_link
+from .arguments import payload
 from .console import progress, say, show, show_concerns
 from .recordings import read_recording
 
@@ -31,12 +32,12 @@ examples:
   inverse_dynamics compare my_arm.urdf rosbag2_2026_11_21
   inverse_dynamics compare my_arm.urdf run.mcap --topic /joint_states --from 2 --to 30
   inverse_dynamics compare my_arm.urdf run.db3 --parameters friction.yaml
-  inverse_dynamics compare my_arm.urdf run.csv --link tool0 --payload 1.5 0 0 0.05
+  inverse_dynamics compare my_arm.urdf run.csv --link tool0 --payload 1.5,0,0,0.05
 
 The recording is a rosbag2 folder, or one .mcap or .db3 file, with sensor_msgs/msg/JointState that
-has efforts; or a .csv file with a header of `time` [s] and, for each joint, `<joint>.position`,
-`<joint>.velocity` (not needed) and `<joint>.effort`. Ten seconds with every joint moving both
-ways, at different speeds, tell most.
+has efforts; or a .csv file with a header of `time` [s] and, for each joint, `<joint>.position` (or
+just `<joint>`), `<joint>.velocity` (not needed) and `<joint>.effort`. Twenty seconds with every
+joint moving both ways, at different speeds, tell most.
 
 What it can name: a sign that is swapped; efforts that are currents, or in another unit; gravity
 that the driver compensates; another mounting of the base; a payload; joints in another order;
@@ -67,9 +68,8 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument('--link', help='where a payload may be; default: the ends of the tree')
     parser.add_argument(
         '--payload',
-        type=float,
-        nargs='+',
-        metavar=('MASS', 'X Y Z'),
+        type=payload,
+        metavar='MASS[,X,Y,Z]',
         help='what the link carries as far as known [kg], and where in its frame [m]',
     )
     parser.add_argument(
@@ -139,10 +139,6 @@ def _dynamics(options: argparse.Namespace, dynamics: InverseDynamics) -> Inverse
     if options.friction:
         dynamics.set_friction(width=options.coulomb_width)
     if options.payload is not None:
-        if len(options.payload) not in (1, 4):
-            raise ConfigurationError(
-                f'--payload has {len(options.payload)} numbers, expected MASS or MASS X Y Z'
-            )
         mass, *com = options.payload
         link = options.link or last_link(dynamics.robot)
         dynamics.set_payload(link, mass, com or (0.0, 0.0, 0.0))
@@ -188,12 +184,13 @@ def verdict(findings: Findings) -> str:
 
 def concern(diagnosis: Diagnosis) -> Concern:
     """Put a diagnosis as one of the things to be concerned about, with what to try next."""
-    numbers = [0.0 if math.isnan(value) else value for value in diagnosis.values]
+    numbers = [
+        0.0 if abs(value) < 5e-4 or math.isnan(value) else value for value in diagnosis.values
+    ]
     again = {
         'gravity_compensated': '--gravity 0 0 0',
         'mounting': f'--gravity {" ".join(f"{x:.3f}" for x in numbers)}',
-        'payload': f'--link {diagnosis.link} --payload '
-        + ' '.join(f'{x:.3f}'.removeprefix('-') if abs(x) < 5e-4 else f'{x:.3f}' for x in numbers),
+        'payload': f'--link {diagnosis.link} --payload {",".join(f"{x:.3f}" for x in numbers)}',
     }.get(diagnosis.kind, '')
     if diagnosis.kind == 'payload' and numbers[0] < 0.0:
         again = ''

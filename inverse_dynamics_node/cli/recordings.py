@@ -265,7 +265,7 @@ def _read_csv(path: Path, joint_names: Sequence[str]) -> tuple[Recording, tuple[
     with path.open(newline='', encoding='utf-8-sig') as file:
         rows = csv.reader(file)
         head = [name.strip() for name in next(rows, [])]
-        columns = _columns(path, head)
+        columns = _columns(path, head, joint_names)
         numbers = []
         for row in rows:
             if row:
@@ -283,20 +283,22 @@ def _read_csv(path: Path, joint_names: Sequence[str]) -> tuple[Recording, tuple[
     return _recording(str(path), times, values, joint_names, seen)
 
 
-def _columns(path: Path, head: list[str]) -> dict[tuple[str, str], int]:
-    """Find which column holds what of which joint."""
-    expected = f"expected 'time' and '<joint>.{{{','.join(_FIELDS)}}}'"
+def _columns(
+    path: Path, head: list[str], joint_names: Sequence[str]
+) -> dict[tuple[str, str], int]:
+    """Find which column holds what of which joint; what is neither is ignored."""
     if 'time' not in head:
-        raise RecordingError(f"{path}: has no column 'time' but {', '.join(head)}; {expected}")
-    columns = {}
+        raise RecordingError(
+            f"{path}: has no column 'time' but {', '.join(head) or 'none'}; expected 'time' and "
+            f"'<joint>.{{{','.join(_FIELDS)}}}'"
+        )
+    columns: dict[tuple[str, str], int] = {}
     for k, name in enumerate(head):
-        joint, dot, field = name.rpartition('.')
-        if name == 'time':
+        joint, _, field = (name, '', _FIELDS[0]) if name in joint_names else name.rpartition('.')
+        if not joint or field not in _FIELDS:
             continue
-        if not dot or field not in _FIELDS:
-            raise RecordingError(f"{path}: has a column '{name}'; {expected}")
         if (joint, field) in columns:
-            raise RecordingError(f"{path}: has column '{name}' twice")
+            raise RecordingError(f"{path}: has the {field} of joint '{joint}' twice")
         columns[joint, field] = k
     return columns
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 import math
 from typing import NamedTuple
 
@@ -75,6 +75,24 @@ def describe(
     return [diagnosis for diagnosis in found if diagnosis is not None]
 
 
+def constant(values: Mapping[str, float]) -> list[Diagnosis]:
+    """Tell of joints whose measured effort is always the same, by their names."""
+    if not values:
+        return []
+    told = ', '.join(f'{name} {value:g}' for name, value in values.items())
+    return [
+        Diagnosis(
+            'constant',
+            tuple(values),
+            f'the measured effort of {listed(tuple(values))} never changes',
+            f'it is always the same value ({told}), while the model asks for efforts that vary',
+            'The driver does not measure or does not report it: look for the setting that turns '
+            'it on, or leave these joints out of the comparison.',
+            tuple(values.values()),
+        )
+    ]
+
+
 def _of_whom(
     explanation: Explanation, names: Sequence[str], flag: str
 ) -> tuple[list[Fit], tuple[str, ...]]:
@@ -141,8 +159,11 @@ def _scale(explanation: Explanation, names: Sequence[str]) -> Diagnosis | None:
         f'explains {_left(fits)}'
     )
     if is_all and max(factors) < ALIKE * min(factors):
-        headline = f'the efforts are in another unit: all are {np.mean(factors):.4g} times too '
-        headline += 'large' if np.mean(factors) > 1.0 else 'small'
+        factor = float(np.mean(factors))
+        size = f'{float(f"{factor:.3g}"):g} times too large'
+        if factor < 1.0:
+            size = f'{float(f"{1.0 / factor:.3g}"):g} times too small'
+        headline = f'the efforts are in another unit: all are {size}'
         advice = 'One factor for all joints is a unit (N mm for N m: 1000): convert it.'
     elif is_all:
         headline = 'the efforts are no torques or forces, but proportional to them'

@@ -25,6 +25,7 @@ PRICE = math.log(2.0)
 FLOOR = 0.03  # of a joint's RMS effort: models are not better than that, and need not be
 SAME = (0.8, 1.25)  # a factor within is a model that is a little off, and no other unit
 CREDIBLE = 0.3  # of the squares: an effort of which more is left over was not understood
+ALONE = 0.01  # of the squares: beside friction that explains the rest, a model tells no unit
 LEAST_OFFSET = 0.05  # of a joint's RMS effort
 TIE = 0.1  # costs that differ by less are the same
 ROUNDS = 3  # of fitting the base to twisted joints, and twists to the base
@@ -147,7 +148,7 @@ class Table:
             target = target - features @ solution
         left = float(np.sum(target**2) / square)
         cost = math.log(left + FLOOR**2) + PRICE * twist.numbers
-        numbers = list(solution[2:] if self.moves else solution)
+        numbers: list[float] = solution[2 if self.moves else 0 :].tolist()
         rotor = numbers.pop(0) if twist.has_rotor else 0.0
         offset = numbers.pop(0) - numbers.pop(0) if twist.has_offset else 0.0
         scale = numbers.pop(0) if twist.is_scaled else 1.0
@@ -179,8 +180,10 @@ class Table:
                 and not (twist.has_offset and abs(fit.offset * fit.scale) < LEAST_OFFSET * size)
             )
             best = fit if is_credible else best
-        same = best.twist._replace(is_scaled=False)
-        return best._replace(is_mute=self._does_without(measured, same, best.left))
+        is_mute = not best.twist.is_scaled and self._does_without(
+            measured, best.twist, best.left, ALONE
+        )
+        return best._replace(is_mute=is_mute)
 
     def _is_idle(self, measured: int, fit: Fit) -> bool:
         """Tell whether friction alone explains as much, so that sign and factor are guesses."""
@@ -194,9 +197,11 @@ class Table:
             measured, twist._replace(is_scaled=False), fit.left
         )
 
-    def _does_without(self, measured: int, twist: Twist, left: float) -> bool:
-        without = self.fit(np.zeros(1), measured, twist)
-        return without.left <= 2.0 * left + FLOOR**2
+    def _does_without(
+        self, measured: int, twist: Twist, left: float, most: float = FLOOR**2
+    ) -> bool:
+        """Tell whether next to nothing more is left without the model."""
+        return self.fit(np.zeros(1), measured, twist).left <= 2.0 * left + most
 
 
 def make_table(columns: Floats, moves: bool) -> Table:

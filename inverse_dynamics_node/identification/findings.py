@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from ..dynamics import FRICTION_WIDTH, InverseDynamics
 from ..errors import ConfigurationError, RecordingError
 from ..model import Booleans, Floats, RobotModel
-from .diagnoses import describe, Diagnosis, listed
+from .diagnoses import constant, describe, Diagnosis
 from .evidence import CREDIBLE, Evidence, Explanation, make_table, Table
 from .friction import fit_friction, FrictionFit, is_moving, why_not
 from .loads import parameters_of, payload_regressors, tip_links
@@ -180,6 +180,7 @@ class _Comparison:
             for c in range(len(fits))
         )
         in_the_end = self._as_recorded(efforts, explanation, live)
+        dead = {self.names[c]: float(self.measured[0, c]) for c in self._dead(live)}
         diagnoses = describe(
             explanation, [self.names[c] for c in live], self._slides(live), self.dynamics.gravity
         )
@@ -190,7 +191,7 @@ class _Comparison:
             measured=self.measured,
             modelled=self.modelled,
             in_the_end=in_the_end,
-            diagnoses=(*self._dead(live), *diagnoses),
+            diagnoses=(*constant(dead), *diagnoses),
             explained=self._share(self.measured, self.modelled, live),
             explained_in_the_end=self._share(mended, efforts, live, telling),
             width=self.width,
@@ -217,12 +218,11 @@ class _Comparison:
 
     def _obscure(self, explanation: Explanation | None, live: list[int]) -> dict[int, str]:
         """Tell of which joints the friction cannot be told, however much they moved."""
-        reasons = dict.fromkeys(range(len(self.names)), 'its effort was not measured')
+        reasons = dict.fromkeys(self._dead(live), 'its effort was not measured')
         if explanation is None:
             return reasons
         is_scaled = any(fit.twist.is_scaled for fit in explanation.fits)
         for c, fit in zip(live, explanation.fits, strict=True):
-            reasons[c] = ''
             if fit.moves and fit.left > CREDIBLE:
                 reasons[c] = 'its effort is not explained'
             elif is_scaled and fit.is_mute:
@@ -238,27 +238,12 @@ class _Comparison:
             if np.ptp(self.measured[:, c]) > CONSTANT * max(size[c], CONSTANT)
         ]
 
-    def _dead(self, live: list[int]) -> list[Diagnosis]:
-        dead = []
-        for c in set(range(len(self.names))) - set(live):
-            # A joint that carries nothing measures nothing.
-            if np.ptp(self.rigid[:, c]) > 0.01 * np.max(np.abs(self.rigid)):
-                dead.append(c)
-        if not dead:
-            return []
-        values = ', '.join(f'{self.names[c]} {self.measured[0, c]:g}' for c in sorted(dead))
-        names = tuple(self.names[c] for c in sorted(dead))
-        return [
-            Diagnosis(
-                'constant',
-                names,
-                f'the measured effort of {listed(names)} never changes',
-                f'it is always the same value ({values}), while the model asks for efforts that '
-                'vary',
-                'The driver does not measure or does not report it: look for the setting that '
-                'turns it on, or leave these joints out of the comparison.',
-            )
-        ]
+    def _dead(self, live: list[int]) -> list[int]:
+        """Return the joints whose effort is always the same, and should not be."""
+        least = 0.01 * float(np.max(np.abs(self.rigid)))
+        rest = sorted(set(range(len(self.names))) - set(live))
+        # A joint that carries nothing measures nothing.
+        return [c for c in rest if np.ptp(self.rigid[:, c]) > least]
 
     def _evidence(self, live: list[int]) -> Evidence:
         step = max(1, self.motion.window // PER_WINDOW)

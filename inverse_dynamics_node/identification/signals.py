@@ -290,7 +290,7 @@ def _smooth(
     q = np.column_stack([column.at(column.q, grid) for column in columns])
     tau = np.column_stack(
         [
-            column.at(column.tau, grid) if column.has_effort else np.full(len(grid), np.nan)
+            column.at(column.tau, grid) if column.has_effort else np.zeros(len(grid))
             for column in columns
         ]
     )
@@ -299,8 +299,10 @@ def _smooth(
         if order == 1 and column.qd is not None:
             told = column.at(column.qd, grid)
             qd[:, j], qdd[:, j] = smooth(told), smooth(told, 1)
+    tau = smooth(tau)
+    tau[:, [not column.has_effort for column in columns]] = np.nan
     inner = slice(window[0] // 2, len(grid) - window[0] // 2)
-    return grid[inner], smooth(q)[inner], qd[inner], qdd[inner], smooth(tau)[inner]
+    return grid[inner], smooth(q)[inner], qd[inner], qdd[inner], tau[inner]
 
 
 def _method(orders: list[int], period: float, window: int, degree: int) -> str:
