@@ -6,8 +6,12 @@ import re
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.identification import Recording
 import numpy as np
+from robot_files import STANFORD
 
 KP, KD = 400.0, 40.0  # of the loop around the model, as in the demo
+# Of the Stanford arm. More would hold joint 6, of which the loop asks little.
+DAMPING = [1.5, 2.0, 20.0, 0.2, 0.15, 0.02]
+COULOMB = [1.0, 2.5, 8.0, 0.3, 0.2, 0.002]
 START_STAMP = 1_700_000_000_000_000_000  # [ns]
 
 
@@ -62,6 +66,12 @@ def simulate(urdf, real, duration=20.0, rate=500.0):
         hardware.advance(1.0 / rate)
     # Before the first command there was none: nothing was measured then.
     return Recording(hardware.state_names, times[1:], *states[:, 1:])
+
+
+def simulate_with_a_gripper():
+    """Record the Stanford arm with friction and a gripper that its URDF does not know."""
+    rubbing = with_friction(STANFORD, DAMPING, COULOMB)
+    return simulate(STANFORD, with_load(rubbing, 'tool0', 1.2, (0.0, 0.03, 0.06)))
 
 
 def write_bag(

@@ -237,39 +237,26 @@ def friction_table(findings: Findings) -> Table:
     rows = []
     for joint in findings.joints:
         fit = joint.friction
-        units = ('N s/m', 'N') if joint.slides else ('N m s/rad', 'N m')
-        if fit.cannot_tell:
-            rows.append((joint.name, '-', units[0], '-', units[1], '-', 'cannot tell'))
-            continue
-        rows.append(
-            (
-                joint.name,
+        numbers = ('-', '-', '-')
+        if not fit.cannot_tell:
+            numbers = (
                 _with_error(fit.damping, fit.damping_error),
-                units[0],
                 _with_error(fit.coulomb, fit.coulomb_error),
-                units[1],
                 _with_error(fit.offset, fit.offset_error),
-                '',
             )
-        )
-    columns = ('joint', 'damping', '', 'Coulomb', '', 'offset', '')
-    shown = [k for k in range(len(columns)) if k < 6 or any(row[k] for row in rows)]
-    unsure = tuple(
-        f'{joint.name}: cannot tell, {joint.friction.cannot_tell}.'
-        for joint in findings.joints
-        if joint.friction.cannot_tell
+        rows.append((joint.name, *numbers))
+    notes = (
+        f'damping * velocity + Coulomb * tanh(velocity / {findings.width:g}) + offset, in '
+        'N m s/rad and N m, N s/m and N where the joint slides; with standard errors, of chance '
+        'only.',
+        *(
+            f'{joint.name}: cannot tell, {joint.friction.cannot_tell}.'
+            for joint in findings.joints
+            if joint.friction.cannot_tell
+        ),
     )
-    formula = (
-        f'damping * velocity + Coulomb * tanh(velocity / {findings.width:g}), with standard '
-        'errors, of chance only; offset: a constant effort.'
-    )
-    return Table(
-        'Friction, fitted to what the model leaves',
-        tuple(columns[k] for k in shown),
-        tuple(tuple(row[k] for k in shown) for row in rows),
-        (formula, *unsure),
-        frozenset({2, 4, 6}),
-    )
+    columns = ('joint', 'damping', 'Coulomb', 'offset')
+    return Table('Friction, fitted to what the model leaves', columns, tuple(rows), notes)
 
 
 def write_parameters(findings: Findings, joint_names: tuple[str, ...], path: Path) -> None:

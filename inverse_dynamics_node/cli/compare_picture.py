@@ -76,7 +76,7 @@ def _small(pyplot: Any, findings: Findings) -> tuple[Any, list[Any]]:
     figure, axes = pyplot.subplots(
         rows, _ACROSS, sharex=True, squeeze=False, figsize=(WIDTH, 1.3 + 1.15 * rows)
     )
-    names = fitting([joint.name for joint in findings.joints], 20)
+    names = fitting([joint.name for joint in findings.joints], 16)
     for c, ax in enumerate(axes.flat):
         if c >= count:
             ax.set_axis_off()

@@ -218,7 +218,7 @@ def _payload(explanation: Explanation) -> Diagnosis | None:
     com = [
         x if error < UNSURE else math.nan for x, error in zip(com, base.errors[1:], strict=True)
     ]
-    where = ', '.join('cannot tell' if math.isnan(x) else f'{x:.3f}' for x in com)
+    where = ', '.join('cannot tell' if math.isnan(x) else f'{round(x, 3) + 0.0:.3f}' for x in com)
     carries = 'carries' if mass > 0.0 else 'lacks'
     return Diagnosis(
         'payload',

@@ -7,27 +7,26 @@ import numpy as np
 import pytest
 from robot_files import ROOT, STANFORD
 from runs import run as made_up
-from simulated_runs import simulate, with_friction, with_load, write_bag, write_csv
+from simulated_runs import (
+    COULOMB,
+    DAMPING,
+    simulate,
+    simulate_with_a_gripper,
+    with_friction,
+    write_bag,
+    write_csv,
+)
 import yaml
 
 pytest.importorskip('mujoco')
 
 JOINTS = load_urdf(STANFORD).joint_names
-DAMPING = [1.5, 2.0, 20.0, 0.2, 0.15, 0.02]
-COULOMB = [
-    1.0,
-    2.5,
-    8.0,
-    0.3,
-    0.2,
-    0.002,
-]  # more would hold joint 6, of which the loop asks little
 FACTORS = [0.08, 0.06, 0.02, 0.5, 0.6, 0.7]
 
 
 @pytest.fixture(scope='session')
 def recorded():
-    """Ten joint states too many would hide nothing: 20 s of the simulated robot at 500 Hz."""
+    """Return 20 s of the simulated robot at 500 Hz."""
     return simulate(STANFORD, with_friction(STANFORD, DAMPING, COULOMB))
 
 
@@ -83,8 +82,7 @@ def test_names_currents(recorded, here, capsys):
 
 
 def test_names_a_payload_and_it_is_gone_when_it_is_told(here, capsys):
-    real = with_load(with_friction(STANFORD, DAMPING, COULOMB), 'tool0', 1.2, (0.0, 0.03, 0.06))
-    write_bag(here / 'run', simulate(STANFORD, real))
+    write_bag(here / 'run', simulate_with_a_gripper())
     assert compare('run', '--no-picture') == 0
     output = capsys.readouterr().out
     assert output.startswith("Link 'tool0' carries 1.20 kg that the model does not know. ")
