@@ -18,12 +18,12 @@ _TENSOR = (
     'take the inertia from CAD: about the centre of mass, in kg m^2; gravity efforts are right '
     'all the same, those of accelerations are not'
 )
-# Words of a warning, and what helps; the first that fits counts.
-_ADVICE = (
+ADVICE = (
     ('with zero inertia', _TENSOR),
     ('inertia is not positive', _TENSOR),
     ('no body has this inertia', _TENSOR),
     ('zero mass with inertia', 'fine for the rotor of a motor; else write the mass'),
+    ('has a shape', 'write <inertial>, from CAD: the weight of this link is not held otherwise'),
     (
         'radius of gyration',
         'convert the inertia to kg m^2; CAD often exports g mm^2, 1e9 times that',
@@ -43,6 +43,7 @@ _ADVICE = (
     ('no joint can move', 'is this the whole robot? every joint is fixed'),
     ('ignored', 'correct the spelling, or take it out'),
 )
+"""Words of a warning, and what helps; the first that fits counts."""
 _ELSE = 'look at that line of the description'
 
 
@@ -63,6 +64,6 @@ def advise(warnings: Iterable[str]) -> tuple[Concern, ...]:
     """
     found: dict[str, list[str]] = {}
     for text in warnings:
-        advice = next((advice for words, advice in _ADVICE if words in text), _ELSE)
+        advice = next((advice for words, advice in ADVICE if words in text), _ELSE)
         found.setdefault(advice, []).append(text)
     return tuple(Concern(advice, tuple(texts)) for advice, texts in found.items())

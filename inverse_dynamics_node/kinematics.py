@@ -41,15 +41,6 @@ def body_frames(robot: RobotModel, q: Floats) -> tuple[Floats, Floats]:
     return rotations, positions
 
 
-def link_position(robot: RobotModel, q: Floats, link: str) -> Floats:
-    """Compute where the origin of a link is, in the base's frame, shape (3,) [m]."""
-    rotations, positions = body_frames(robot, q)
-    k = robot.link_names.index(link)
-    body = robot.link_body[k]
-    position: Floats = positions[body] + rotations[body] @ robot.link_position[k]
-    return position
-
-
 def rotation(axis: Floats, angle: float) -> Floats:
     """Return the matrix of a turn about a unit vector, by Rodrigues' formula."""
     x, y, z = axis

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from .advice import advise, Concern
 from .dynamics import InverseDynamics
 from .errors import ConfigurationError
-from .model import Floats, RobotModel
+from .model import Floats, Integers, RobotModel
 
 WIDTH = 100
 """Columns of text that a report stays within."""
@@ -276,14 +276,13 @@ def kind_of(robot: RobotModel, body: int) -> str:
 
 def slides(robot: RobotModel) -> list[bool]:
     """Tell which joints slide, shape (n,)."""
-    bodies = [robot.body_names.index(name) for name in robot.joint_names]
-    return [bool(robot.is_prismatic[body]) for body in bodies]
+    moved = robot.body_names[1:]  # the first is a link, which a joint may share its name with
+    return [bool(robot.is_prismatic[1 + moved.index(name)]) for name in robot.joint_names]
 
 
 def effort_unit(robot: RobotModel, joint: int) -> str:
     """Return the unit of a joint's effort, padded to one length."""
-    body = robot.body_names.index(robot.joint_names[joint])
-    return 'N  ' if robot.is_prismatic[body] else 'N m'
+    return 'N  ' if slides(robot)[joint] else 'N m'
 
 
 def number(value: float) -> str:
@@ -314,9 +313,7 @@ def _axis(axis: Floats) -> str:
     return ' '.join(f'{x:.2f}'.removesuffix('.00') for x in axis + 0.0)
 
 
-def _branches(
-    parent: Sequence[int] | np.ndarray[tuple[int, ...], np.dtype[np.int64]],
-) -> list[str]:
+def _branches(parent: Integers) -> list[str]:
     """Draw the tree, indented where it branches only: a chain of 30 joints goes straight down."""
     children: list[list[int]] = [[] for _ in parent]
     for body in range(1, len(parent)):
@@ -378,5 +375,8 @@ def shortened(text: str, size: int) -> str:
     """Cut a text in its middle: joints are told apart by how they begin and how they end."""
     if len(text) <= size:
         return text
+    stem = text.removesuffix('_joint')
+    if stem != text and size >= _SHORTEST_NAME:  # what tells nothing goes first
+        return f'{shortened(stem, size - 1)}…'
     head = (size - 1) // 2
     return f'{text[:head]}…{text[len(text) - (size - 1 - head) :]}'

@@ -12,6 +12,7 @@ from .controller import Command, Controller, Reference, Settings
 from .dynamics import InverseDynamics, JointWrenches, STANDARD_GRAVITY, Terms
 from .loads import Loads, LoadSettings
 from .model import Floats, RobotModel
+from .report import model_report
 from .residual import EffortResidual
 from .state import JointStateCollector
 
@@ -136,6 +137,13 @@ class Rig:
         return self.loads.take_over(other.loads)
 
     # What is told on request
+
+    def report(self) -> str:
+        """Describe the robot, and the efforts that hold it where it is, if that is known."""
+        missing = self.missing()
+        q = None if missing else self.collector.q
+        text = model_report(self.dynamics, self.controller.joints, q, self.controller.limits)
+        return f'{text}\n\nNot known yet: {", ".join(missing)}.' if missing else text
 
     def calibrated(self, index: Sequence[int], efforts: Floats) -> Floats:
         """

@@ -11,6 +11,9 @@ from .dynamics import InverseDynamics
 from .errors import TrajectoryError
 from .model import Floats, Integers
 
+_FEWEST_TO_SMOOTH = 16
+"""Points: what the filter is run in with is longer than less."""
+
 
 class Trajectory(NamedTuple):
     """Where m joints are to be at k times."""
@@ -121,6 +124,53 @@ def refine(whole: Trajectory, longest_step: float) -> tuple[Trajectory, Integers
     for value, at_points in zip(values, given, strict=True):
         value[points] = at_points  # to the last bit
     return Trajectory(whole.joint_names, fine, *values), points
+
+
+def smooth(trajectory: Trajectory, cutoff: float) -> Trajectory:
+    """
+    Derive velocities and accelerations of measured positions without their noise.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        With k points of m joints; its velocities and accelerations do not count.
+    cutoff : float
+        Faster changes than this are taken for noise [Hz].
+
+    Returns
+    -------
+    smooth : Trajectory
+        With velocities and accelerations, at k evenly spaced times.
+
+    Raises
+    ------
+    TrajectoryError
+        If the points are too few or too far apart for the cut-off, or not as `complete` has them.
+
+    Notes
+    -----
+    A Butterworth low-pass of second order that runs forwards and backwards, so that nothing comes
+    late; then differences. Gravity efforts, which change with positions, hardly feel it.
+
+    """
+    _check(trajectory)
+    k = len(trajectory.times)
+    rate = (k - 1) / float(trajectory.times[-1] - trajectory.times[0]) if k > 1 else 0.0
+    if k < _FEWEST_TO_SMOOTH or not 0.0 < cutoff < 0.5 * rate:
+        raise TrajectoryError(
+            f'{k} points at {rate:.3g} Hz cannot be smoothed at {cutoff:g} Hz, expected '
+            f'{_FEWEST_TO_SMOOTH} or more, at more than twice that'
+        )
+    from scipy.signal import butter, sosfiltfilt
+
+    times = np.linspace(trajectory.times[0], trajectory.times[-1], k)
+    even = [np.interp(times, trajectory.times, column) for column in trajectory.positions.T]
+    low_pass = butter(2, cutoff, fs=rate, output='sos')
+    run_in = min(k - 1, int(3.0 * rate / cutoff))  # points; what it remembers has faded by then
+    positions = sosfiltfilt(low_pass, np.stack(even, axis=1), axis=0, padlen=run_in)
+    velocities = np.gradient(positions, times, axis=0, edge_order=2)
+    accelerations = np.gradient(velocities, times, axis=0, edge_order=2)
+    return Trajectory(trajectory.joint_names, times, positions, velocities, accelerations)
 
 
 def trajectory_efforts(

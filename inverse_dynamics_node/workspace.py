@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from .dynamics import InverseDynamics
 from .errors import ConfigurationError
-from .model import Floats, Integers, RobotModel
+from .model import Booleans, Floats, Integers, RobotModel
 
 SAMPLES = 4096
 _CANDIDATES = 33
@@ -84,8 +84,10 @@ class Payload(NamedTuple):
 def joint_ranges(robot: RobotModel) -> tuple[Floats, Floats]:
     """Return the ends of what there is to look at, each of shape (n,): at most one turn."""
     lower, upper = robot.lower.copy(), robot.upper.copy()
-    turns = np.zeros(len(lower), dtype=bool)
-    turns[robot.joint_index[1:]] = ~robot.is_prismatic[1:]
+    moved = robot.body_names[1:]
+    turns = np.array(
+        [not robot.is_prismatic[1 + moved.index(name)] for name in robot.joint_names], bool
+    )
     is_wide = turns & ~(upper - lower <= 2.0 * math.pi)
     # The turn around zero where it is within the limits.
     start = np.clip(-math.pi, lower[is_wide], upper[is_wide] - 2.0 * math.pi)
@@ -301,7 +303,7 @@ def _climb(
     return pose
 
 
-def _relatives(robot: RobotModel, joint: int) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+def _relatives(robot: RobotModel, joint: int) -> Booleans:
     """Tell which joints are before or after one in the tree, or it: others do not touch it."""
     related = np.zeros(len(robot.joint_names), dtype=bool)
     for body in range(1, len(robot.parent)):

@@ -41,7 +41,7 @@ ARROWS = {
     'residual': {'dynamics', 'model'},
     'state': {'model', 'errors'},
     'controller': {'dynamics', 'state', 'model', 'errors'},
-    'rig': {'controller', 'loads', 'residual', 'state', 'dynamics', 'model'},
+    'rig': {'controller', 'loads', 'residual', 'report', 'state', 'dynamics', 'model'},
     'monitor': {'rig', 'controller', 'model'},
     'node': {
         'rig',

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..advice import Concern
-from ..dynamics import InverseDynamics, STANDARD_GRAVITY
+from ..dynamics import STANDARD_GRAVITY
 from ..model import Floats, RobotModel
 from ..report import (
     concerns_of,
@@ -23,16 +23,16 @@ from ..report import (
     Table,
     WIDTH,
 )
-from ..urdf import load_urdf
 from ..workspace import explore, last_link, Payload, payload_left, SAMPLES, Workspace
 from .console import progress, show, show_concerns
+from .robots import HELP, load_dynamics, stem_of
 
 EPILOG = """\
 examples:
   inverse_dynamics check my_arm.urdf
   inverse_dynamics check my_arm.urdf --link tool0 --picture arm.png
   inverse_dynamics check wall_mounted.urdf --gravity 9.81 0 0
-  inverse_dynamics check my_arm.urdf --strict > report.txt
+  xacro my_arm.urdf.xacro | inverse_dynamics check - --strict > report.txt
 
 Looks at the whole range of every joint (one turn, where it has no limits), all joints at once, and
 searches on from the worst poses that it finds there. The payload is a point mass at the origin of
@@ -55,7 +55,7 @@ def add_parser(subparsers: Any) -> None:
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument('urdf', type=Path, help='the robot description')
+    parser.add_argument('urdf', type=Path, help=HELP)
     parser.add_argument(
         '--link', help='where the payload is; default: tool0, else the end of the longest chain'
     )
@@ -81,15 +81,15 @@ def add_parser(subparsers: Any) -> None:
 
 
 def _sample_count(text: str) -> int:
-    if not text.isdecimal() or not 2 <= int(text) <= 2**24:
-        raise argparse.ArgumentTypeError(f"'{text}' is no whole number from 2 to {2**24}")
+    if not text.isdecimal() or not 2 <= int(text) <= 2**20:
+        raise argparse.ArgumentTypeError(f"'{text}' is no whole number from 2 to {2**20}")
     return int(text)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
-    robot = load_urdf(options.urdf)
-    dynamics = InverseDynamics(robot, options.gravity)
+    dynamics = load_dynamics(options.urdf, options.gravity)
+    robot = dynamics.robot
     show(*model_tables(dynamics))
     concerns = concerns_of(robot)
     if robot.joint_names:
@@ -105,7 +105,7 @@ def run(options: argparse.Namespace) -> int:
     if robot.joint_names and not options.no_picture:
         from .check_picture import draw
 
-        path = options.picture or Path(f'{options.urdf.stem}_check.png')
+        path = options.picture or Path(f'{stem_of(options.urdf)}_check.png')
         draw(dynamics, workspace, payload, path)
         print(f'\npicture: {path}')
     return _WARNED if options.strict and concerns else 0

@@ -11,7 +11,7 @@ from typing import Any
 from ..advice import Concern
 from ..report import as_text, concerns_as_text, Table, WIDTH
 
-_MARKS = ('beyond its', 'outside its')
+_MARKS = ('beyond', 'outside')
 """Words that make a row red."""
 
 
@@ -44,6 +44,17 @@ def show_concerns(concerns: Sequence[Concern]) -> None:
 def say(text: str) -> None:
     """Print one paragraph."""
     print('\n'.join(textwrap.wrap(text, WIDTH, break_long_words=False, break_on_hyphens=False)))
+
+
+@contextmanager
+def waiting(label: str) -> Iterator[None]:
+    """Show that something is going on, where somebody looks on."""
+    terminal = _terminal(stderr=True)
+    if terminal is None:
+        yield
+        return
+    with terminal.status(label):
+        yield
 
 
 @contextmanager

@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 
 from ..demands import Demands, demands_of
-from ..dynamics import InverseDynamics, STANDARD_GRAVITY
+from ..dynamics import STANDARD_GRAVITY
 from ..errors import ConfigurationError
 from ..model import Floats, RobotModel
 from ..report import decimals, effort_unit, number, share, slides, Table
-from ..trajectory import complete, refine, Trajectory
-from ..urdf import load_urdf
+from ..trajectory import complete, refine, smooth, Trajectory
 from ..workspace import joint_ranges, last_link
 from .arguments import payload
 from .console import progress, show
+from .robots import HELP, load_dynamics
 from .trajectories import FORMATS, read_trajectory, Source
 from .trajectory_files import write_table, write_trajectory
 
@@ -30,12 +30,12 @@ examples:
   inverse_dynamics effort my_arm.urdf pick.yaml
   inverse_dynamics effort my_arm.urdf pick.yaml --payload 1.5,0,0,0.05 --link tool0 --friction
   inverse_dynamics effort my_arm.urdf pick.yaml --trajectory-out pick_with_efforts.yaml
-  inverse_dynamics effort my_arm.urdf rosbag2_2026_01_31/ --topic /joint_states
+  inverse_dynamics effort my_arm.urdf rosbag2_2026_01_31/ --topic /joint_states --smooth 10
 
 What is missing is derived: velocities from a cubic spline through the positions, accelerations
 from one through the velocities. Between points that are far apart run polynomials of fifth degree,
 as in ros2_control's joint trajectory controller. Accelerations derived from measured states carry
-their noise.
+their noise: --smooth 10 takes it away.
 
 exit code: 0 done; 1 something cannot be read or used; 2 wrong arguments; 3 with --strict, when a
 limit of effort, speed or position is exceeded."""
@@ -54,7 +54,7 @@ def add_parser(subparsers: Any) -> None:
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument('urdf', type=Path, help='the robot description')
+    parser.add_argument('urdf', type=Path, help=HELP)
     parser.add_argument('trajectory', type=Path, help='a file or recording, see below')
     parser.add_argument('--topic', help='of a recording')
     parser.add_argument(
@@ -75,6 +75,13 @@ def add_parser(subparsers: Any) -> None:
         metavar='JOINT=POSITION',
         help='where a joint rests that the trajectory does not move [rad, m]; default: 0, or the '
         'end of its range next to that; may be repeated',
+    )
+    parser.add_argument(
+        '--smooth',
+        type=_rate,
+        metavar='HZ',
+        help='for measured states: take what changes faster for noise, and derive velocities and '
+        'accelerations from the rest of the positions',
     )
     parser.add_argument(
         '--rate',
@@ -108,8 +115,8 @@ def add_parser(subparsers: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
-    robot = load_urdf(options.urdf)
-    dynamics = InverseDynamics(robot, options.gravity)
+    dynamics = load_dynamics(options.urdf, options.gravity)
+    robot = dynamics.robot
     if options.payload:
         mass, *com = options.payload
         dynamics.set_payload(options.link or last_link(robot), mass, com or (0.0, 0.0, 0.0))
@@ -118,7 +125,14 @@ def run(options: argparse.Namespace) -> int:
     others = _others(robot, options.at)
     with progress('reading') as tell:
         source = read_trajectory(options.trajectory, robot.joint_names, options.topic, tell)
-    whole, derived = complete(source.trajectory)
+    if options.smooth:
+        whole = smooth(source.trajectory, options.smooth)
+        derived: tuple[str, ...] = (
+            f'evenly spaced and smoothed at {options.smooth:g} Hz; velocities and accelerations '
+            'derived from that',
+        )
+    else:
+        whole, derived = complete(source.trajectory)
     fine, points = refine(whole, 1.0 / options.rate if options.rate else math.inf)
     demands = demands_of(dynamics, fine, others)
     show(_summary(options, source, derived, fine), *demand_tables(robot, fine, demands))
@@ -244,4 +258,4 @@ def _marks(demands: Demands, k: int) -> str:
         (demands.is_too_far[k], 'position'),
     )
     beyond = [what for is_beyond, what in marks if is_beyond]
-    return f'beyond its limit: {", ".join(beyond)}' if beyond else ''
+    return f'beyond: {", ".join(beyond)}' if beyond else ''

@@ -23,7 +23,7 @@ trajectory files:
               times: [0.0, 0.5]
               positions: [[0.0, 0.1], [0.2, 0.3]]    maybe velocities, accelerations
   .csv        a row of names, then a row of numbers for each time. The column `time` [s]; a column
-              with the name of each joint: its position [rad, m]; maybe `<joint>.velocity` and
+              `<joint>` or `<joint>.position` for each joint [rad, m]; maybe `<joint>.velocity` and
               `<joint>.acceleration`; other columns are ignored
   a rosbag2   .mcap, .db3 or the directory: the first JointTrajectory, else all JointStates, of
               --topic, or of the only topic of that type"""
@@ -203,6 +203,7 @@ def _from_csv(text: str, known: Sequence[str]) -> Source:
     header = [cell.strip() for cell in rows[0]]
     if 'time' not in header:
         raise TrajectoryError(f"no column 'time'; the columns are {', '.join(header)}")
+    header = [name.removesuffix('.position') for name in header]
     joints = tuple(name for name in header if name in known)
     if not joints:
         raise TrajectoryError(

@@ -20,7 +20,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.timer import Timer
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64MultiArray, String
-from std_srvs.srv import SetBool
+from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from ..controller import Command, IS_WELL, Phase, Reference
@@ -127,6 +127,7 @@ class InverseDynamicsNode(LifecycleNode):
         ):
             self.create_subscription(message, topic, callback, profile, **qos)
         self.create_service(SetBool, '~/enable', self._on_enable)
+        self.create_service(Trigger, '~/check_model', self._on_check_model)
 
     # Lifecycle
 
@@ -440,6 +441,12 @@ class InverseDynamicsNode(LifecycleNode):
         response.success = True
         response.message = f'efforts {"rise" if request.data else "fall to zero"} along the ramp'
         self.get_logger().info(response.message)
+        return response
+
+    def _on_check_model(self, request: Trigger.Request, response: Trigger.Response) -> Any:
+        response.success = self._rig is not None
+        response.message = self._rig.report() if self._rig else 'there is no robot yet'
+        self.get_logger().info(response.message)  # a command line shows it on one long line
         return response
 
     # In the loop

@@ -2,14 +2,12 @@
 
 import pytest
 
-pytest.importorskip('matplotlib')
-pytest.importorskip('rosbags')
-pytest.importorskip('yaml')
-
 
 @pytest.fixture(autouse=True)
 def here(tmp_path, monkeypatch):
-    """Commands write where they are started."""
+    """Commands write where they are started; they need what the extra `cli` brings."""
+    for package in ('matplotlib', 'rosbags', 'yaml'):
+        pytest.importorskip(package)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

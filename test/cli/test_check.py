@@ -1,5 +1,8 @@
 """The command `check`, run as people run it."""
 
+import io
+import sys
+
 from inverse_dynamics_node.cli.main import main
 import pytest
 from robot_files import real_robots, ROOT, STANFORD
@@ -67,6 +70,15 @@ def test_poses_are_written_by_name(tmp_path):
     assert head.startswith('joint,gravity_effort,effort_limit,joint_1,')
     assert len(rows) == 6
     assert rows[1].startswith('joint_2,32.17')
+
+
+def test_reads_standard_input(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(sys, 'stdin', io.StringIO(STANFORD.read_text()))
+    assert main(['check', '-', '--samples', '16']) == 0
+    assert (tmp_path / 'robot_check.png').exists()
+    monkeypatch.setattr(sys, 'stdin', io.StringIO('xacro: command not found'))
+    assert main(['check', '-']) == 1
+    assert capsys.readouterr().err == 'inverse_dynamics: standard input: no XML\n'
 
 
 def test_a_robot_that_cannot_move_is_reported_all_the_same(tmp_path, capsys):

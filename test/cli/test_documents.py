@@ -16,7 +16,8 @@ EXAMPLES = re.findall(r'```console\n\$ inverse_dynamics (.*?)\n(.*?)```', GALLER
 
 @pytest.fixture
 def run(tmp_path, capsys):
-    shutil.copytree(ROOT / 'config', tmp_path / 'config')
+    for folder in ('config', 'doc'):
+        shutil.copytree(ROOT / folder, tmp_path / folder)
 
     def run(command):
         if command.startswith('compare'):
@@ -52,11 +53,8 @@ def test_the_gallery_shows_every_picture_it_has():
     names = re.findall(r'\]\(images/(\w+\.png)\)', GALLERY)
     assert {'check.png', 'effort.png', 'compare.png'} <= set(names)
     assert all((ROOT / 'doc' / 'images' / name).exists() for name in names)
-    assert all((ROOT / 'doc' / path).resolve().exists() for path in links())
-
-
-def links():
-    return list(re.findall(r'\]\(([^)#:]+)\)', GALLERY))
+    links = re.findall(r'\]\(([^)#:]+)\)', GALLERY)
+    assert all((ROOT / 'doc' / link).resolve().exists() for link in links)
 
 
 def words_of(text):

@@ -2,6 +2,7 @@
 
 import csv
 from pathlib import Path
+import re
 
 from inverse_dynamics_node.cli.main import main
 from inverse_dynamics_node.cli.trajectories import read_trajectory
@@ -11,7 +12,8 @@ from inverse_dynamics_node.urdf import load_urdf
 import numpy as np
 import pytest
 from robot_files import STANFORD
-import yaml
+
+yaml = pytest.importorskip('yaml')
 
 JOINTS = tuple(f'joint_{i}' for i in range(1, 7))
 LISTS = """\
@@ -137,7 +139,7 @@ def test_strict_fails_beyond_a_limit(write, capsys):
     path = str(write(LISTS.replace('0.5, 1]', '0.05, 0.1]')))
     arguments = ['effort', str(STANFORD), path, '--no-picture']
     assert main(arguments) == 0
-    assert 'beyond its limit: effort, speed' in capsys.readouterr().out
+    assert 'beyond: effort, speed' in capsys.readouterr().out
     assert main([*arguments, '--strict']) == 3
     slow = str(write(LISTS.replace('0.5, 1]', '5, 10]')))
     assert main(['effort', str(STANFORD), slow, '--no-picture', '--strict']) == 0
@@ -266,6 +268,12 @@ def test_reads_csv_by_its_header(write):
     assert remarks == ('columns not used: note',)
 
 
+def test_positions_may_be_called_so(write):
+    trajectory, remarks = read(write('time,joint_1.position,joint_1.effort\n0,1,2\n', 'a.csv'))
+    assert trajectory.positions.tolist() == [[1.0]]
+    assert remarks == ('columns not used: joint_1.effort',)
+
+
 @pytest.mark.parametrize(
     ('text', 'words'),
     [
@@ -388,6 +396,22 @@ def test_reads_recorded_joint_states(record):
         'not joints of the robot: wheel',
         'states of other publishers not used: of joint_6',
     )
+
+
+def test_measured_states_may_be_smoothed(record, rng, capsys):
+    def messages(recording):
+        for k in range(500):
+            angle = np.sin(0.02 * k) + rng.normal(0.0, 1e-4)
+            recording.write('/joint_states', recording.state(0.01 * k, {'joint_1': angle}), k)
+
+    peaks = []
+    bag = record(messages)
+    for options in ([], ['--smooth', '5']):
+        assert main(['effort', str(STANFORD), str(bag), '--no-picture', *options]) == 0
+        output = capsys.readouterr().out
+        peaks.append(abs(float(re.search(r'joint_1 +(\S+) N m', output)[1])))
+    assert 'smoothed at 5 Hz' in output
+    assert peaks[1] < 0.7 * peaks[0]
 
 
 def test_asks_which_topic(record):

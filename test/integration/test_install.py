@@ -36,6 +36,8 @@ def test_colcon_build_starts(tmp_path, domain_id, options):
     subprocess.run(
         [COLCON, 'build', *options], cwd=tmp_path, env=environment, check=True, timeout=300
     )
+    scripts = tmp_path / 'install/inverse_dynamics_node/lib/inverse_dynamics_node'
+    assert (scripts / 'inverse_dynamics').exists()  # for `ros2 run`
     process = subprocess.Popen(
         ['sh', '-c', START],
         cwd=tmp_path,

@@ -1,6 +1,7 @@
 """Every row of the interface beyond the plain ones: loads, bases, what is told on request."""
 
 import math
+import re
 
 from builtin_interfaces.msg import Duration
 from geometry_msgs.msg import (
@@ -17,7 +18,7 @@ import pytest
 from robot_files import ROOT, STANFORD
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Header
-from std_srvs.srv import SetBool
+from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 MODEL = load_urdf(STANFORD)
@@ -360,6 +361,46 @@ def test_enable_needs_an_active_node(run_node, robot):
     answer = robot.call(SetBool, 'enable', SetBool.Request(data=True))
     assert not answer.success
     assert 'not active' in answer.message
+
+
+def test_check_model_tells_what_there_is_to_know(run_node, robot, dynamics):
+    joints = NAMES[::-1]
+    node = run_node(**PATIENT, joints=f'[{", ".join(joints)}]')
+    robot.wait_for_text(node, 'no command yet')
+    answer = robot.call(Trigger, 'check_model', Trigger.Request())
+    assert answer.success
+    assert f'Not known yet: the position of {", ".join(NAMES)}.' in answer.message
+    assert f'{MODEL.mass.sum():.4g} kg' in answer.message
+    robot.publish_state(NAMES, Q, QD)
+    robot.wait_for_command(dynamics.efforts(Q, QD, ZERO)[::-1])
+    text = robot.call(Trigger, 'check_model', Trigger.Request()).message
+    effort = dynamics.gravity_efforts(Q)[2]
+    row = next(line for line in text.splitlines() if NAMES[2] in line and f'{Q[2]:.4f}' in line)
+    assert f'{effort:.2f}' in row
+    assert 'Order of the commands' in text
+    assert max(map(len, text.splitlines())) <= 100
+
+
+def test_check_model_needs_a_model(run_node, robot):
+    run_node()
+    answer = robot.call(Trigger, 'check_model', Trigger.Request())
+    assert not answer.success
+    assert answer.message == 'there is no robot yet'
+
+
+def test_services_are_those_of_the_documentation(run_node, robot):
+    run_node()
+    page = (ROOT / 'doc' / 'interface.md').read_text().split('## Services')[1].split('\n## ')[0]
+    rows = re.findall(r'^\| `~/(\w+)` \| (\w+)/(\w+) \|', page, re.M)
+    expected = {(f'/{OWN}/{name}', f'{package}/srv/{kind}') for name, package, kind in rows}
+
+    def services():
+        if OWN not in robot.node.get_node_names():
+            return set()
+        pairs = robot.node.get_service_names_and_types_by_node(OWN, '/')
+        return {(name, types[0]) for name, types in pairs if types[0].startswith('std_srvs')}
+
+    robot.wait_until(lambda: services() == expected, 'services')
 
 
 def test_a_shape_without_mass_can_be_refused(run_node, tmp_path):

@@ -3,7 +3,7 @@
 from inverse_dynamics_node.demands import demands_of
 from inverse_dynamics_node.dynamics import InverseDynamics
 from inverse_dynamics_node.errors import TrajectoryError
-from inverse_dynamics_node.trajectory import complete, refine, Trajectory
+from inverse_dynamics_node.trajectory import complete, refine, smooth, Trajectory
 from inverse_dynamics_node.urdf import load_urdf
 import numpy as np
 import pytest
@@ -41,15 +41,18 @@ def test_figures_are_those_of_the_definitions():
 
 
 def test_means_are_over_time_however_the_points_lie():
-    even, dense = swing(2001), swing(2001)
-    # The same motion, with the first half told ten times as finely.
-    times = np.concatenate([np.linspace(0.0, 1.0, 5000, endpoint=False), np.linspace(1, 2, 500)])
-    values = [
-        np.stack([np.interp(times, dense.times, column) for column in part.T], axis=1)
-        for part in dense[2:]
-    ]
-    uneven = Trajectory(dense.joint_names, times, *values)
-    assert demands_of(ARM, uneven).rms == pytest.approx(demands_of(ARM, even).rms, rel=1e-3)
+    def lowered(times):
+        times = times[:, np.newaxis]
+        return Trajectory(
+            ('joint_2',), times[:, 0], -0.75 * times, np.full_like(times, -0.75), 0.0 * times
+        )
+
+    even = demands_of(ARM, lowered(np.linspace(0.0, 2.0, 2001)))
+    # The first half, in which there is less to hold, told ten times as finely.
+    fine, coarse = np.linspace(0.0, 1.0, 5000, endpoint=False), np.linspace(1.0, 2.0, 500)
+    uneven = demands_of(ARM, lowered(np.concatenate([fine, coarse])))
+    assert uneven.rms == pytest.approx(even.rms, rel=1e-3)
+    assert np.sqrt(np.mean(uneven.efforts**2)) < 0.8 * even.rms
 
 
 def test_a_single_point_has_figures_too():
@@ -102,6 +105,32 @@ def test_refining_leaves_alone_what_is_fine():
     assert refine(one, 0.01)[1].tolist() == [0]
     with pytest.raises(TrajectoryError, match='expected a complete trajectory'):
         refine(trajectory._replace(accelerations=None), 0.01)
+
+
+def test_smoothing_finds_the_motion_under_the_noise(rng):
+    exact = swing(1001)
+    noisy = exact._replace(positions=exact.positions + rng.normal(0.0, 1e-4, (1001, 2)))
+    found, naive = smooth(noisy, 10.0), complete(Trajectory(*noisy[:3]))[0]
+    within = slice(50, -50)  # at the ends a filter knows one side only
+    error = np.abs(found.accelerations - exact.accelerations)[within]
+    assert np.max(error) < 0.5
+    assert np.max(np.abs(naive.accelerations - exact.accelerations)[within]) > 50.0
+    assert found.positions[within] == pytest.approx(exact.positions[within], abs=2e-3)
+    assert found.velocities[within] == pytest.approx(exact.velocities[within], abs=0.05)
+
+
+def test_smoothing_lines_up_what_is_uneven(rng):
+    times = np.sort(rng.uniform(0.0, 2.0, 2000))
+    line = Trajectory(('joint_1',), times, 0.5 * times[:, np.newaxis])
+    even = smooth(line, 20.0)
+    assert np.diff(even.times) == pytest.approx(np.full(1999, np.diff(even.times)[0]))
+    assert even.positions[:, 0] == pytest.approx(0.5 * even.times, abs=1e-4)
+
+
+@pytest.mark.parametrize(('count', 'cutoff'), [(10, 1.0), (1, 1.0), (400, 100.0), (400, 0.0)])
+def test_smoothing_refuses_what_it_cannot_do(count, cutoff):
+    with pytest.raises(TrajectoryError, match='cannot be smoothed'):
+        smooth(swing(count), cutoff)
 
 
 def test_demands_of_a_pendulum_by_hand():

@@ -1,14 +1,16 @@
 """What the report says of a robot, and that it stays readable."""
 
-from inverse_dynamics_node.advice import advise
+from inverse_dynamics_node.advice import ADVICE, advise
 from inverse_dynamics_node.dynamics import InverseDynamics
 from inverse_dynamics_node.errors import ConfigurationError, JointStateError, UrdfError
 from inverse_dynamics_node.report import (
     as_text,
     concerns_of,
+    effort_unit,
     model_report,
     model_tables,
     shortened,
+    slides,
     Table,
     WIDTH,
 )
@@ -113,13 +115,31 @@ def test_stays_within_its_width_and_advises_on_every_warning(path):
     assert all('look at that line' not in concern.advice for concern in advise(robot.warnings))
 
 
+def test_advice_is_on_warnings_that_there_are():
+    folder = ROOT / 'inverse_dynamics_node' / 'urdf'
+    code = ' '.join(path.read_text() for path in folder.glob('*.py'))
+    code += code.replace('{name}', 'effort') + code.replace('{name}', 'velocity')
+    for words, _ in ADVICE:
+        assert words in code
+
+
+def test_a_joint_may_share_its_name_with_the_base():
+    text = (ROOT / 'test' / 'robots' / 'cartesian.urdf').read_text()
+    base = load_urdf(text).body_names[0]
+    robot = load_urdf(text.replace('x_axis', base))
+    assert slides(robot) == [True] * 3
+    assert effort_unit(robot, 0).strip() == 'N'
+
+
 def test_robots_without_joints_are_described_too():
     text = report_of(load_urdf('<robot name="r"><link name="base"/></robot>'), q=[])
     assert 'no joint can move' in text
 
 
 def test_long_names_give_way_in_their_middle():
-    assert shortened('gripper_left_fingertip_1_joint', 15) == 'gripper…1_joint'
+    assert shortened('gripper_left_finger_1', 15) == 'gripper…inger_1'
+    assert shortened('arm_left_1_joint', 12) == 'arm_left_1…'
+    assert shortened('gripper_left_joint', 12) == 'gripp…_left…'
     assert shortened('elbow', 15) == 'elbow'
     table = Table('t', ('joint', 'value'), (('a' * 200, '1.0'),))
     assert max(map(len, as_text(table).splitlines())) <= WIDTH

@@ -1,0 +1,112 @@
+"""One step through everything, and going on with another description of the robot."""
+
+from inverse_dynamics_node import ConfigurationError, InverseDynamics, load_urdf
+from inverse_dynamics_node.controller import Phase, Reference, Settings
+from inverse_dynamics_node.rig import Rig
+import numpy as np
+import pytest
+from robot_files import ROOT, STANFORD
+
+MODEL = load_urdf(STANFORD)
+NAMES = MODEL.joint_names
+TIP = MODEL.link_names[-1]
+Q = np.array([0.3, 0.8, 0.5, -0.4, 0.6, 0.2])
+AT_ONCE = Settings(start_ramp=0.0)
+
+
+def heard(rig, now=0.0):
+    rig.collector.update(now, rig.robot.joint_names, Q, np.zeros(6))
+    return rig
+
+
+def test_a_payload_is_in_the_next_command():
+    rig = heard(Rig(MODEL, settings=AT_ONCE))
+    rig.step(0.0)
+    rig.loads.set_payload(0.0, TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
+    rig.collector.update(0.5, NAMES, Q, np.zeros(6))
+    expected = InverseDynamics(MODEL)
+    expected.set_payload(TIP, 2.0)
+    assert rig.step(0.5).efforts == pytest.approx(expected.gravity_efforts(Q))
+
+
+def test_without_the_motion_of_the_base_there_is_no_command():
+    rig = heard(Rig(MODEL, settings=AT_ONCE, has_imu=True))
+    assert rig.step(0.0) is None
+    assert rig.missing() == ['the motion of the base (imu)']
+    rig.set_base_motion(0.0, (0.0, 0.0, 9.80665), np.zeros(3))
+    assert rig.step(0.0).efforts == pytest.approx(InverseDynamics(MODEL).gravity_efforts(Q))
+    assert rig.missing() == []
+
+
+def test_terms_are_of_the_commanded_joints_and_of_the_motion_asked_for():
+    joints = [NAMES[4], NAMES[1]]
+    rig = heard(Rig(MODEL, joints, AT_ONCE))
+    rig.reference = Reference(np.array([1.0, 2.0]), np.zeros(2), 0.0)
+    efforts = rig.step(0.0).efforts
+    assert sum(rig.terms()) == pytest.approx(efforts)
+    qdd = np.zeros(6)
+    qdd[[4, 1]] = 1.0, 2.0
+    assert rig.terms().inertial == pytest.approx(
+        (InverseDynamics(MODEL).mass_matrix(Q) @ qdd)[[4, 1]]
+    )
+
+
+def test_starting_anew_forgets_what_was_asked_for():
+    rig = heard(Rig(MODEL, settings=AT_ONCE))
+    rig.reference = Reference(np.ones(6), np.zeros(6), 0.0)
+    rig.start()
+    rig.step(0.0)
+    assert rig.controller.phase is Phase.HOLDING
+
+
+def test_goes_on_with_another_description_where_it_was():
+    rig = heard(Rig(MODEL))
+    for now in np.arange(0.0, 1.0, 0.05):
+        heard(rig, now)
+        rig.step(now)
+    last = rig.controller.step(now, rig.collector.state(), None).efforts.copy()
+    rig.loads.set_payload(now, TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
+    text = STANFORD.read_text().replace('"joint_6"', '"wrist"')
+    with pytest.raises(ConfigurationError, match='joints to command are now'):
+        Rig(load_urdf(text)).take_over(rig)
+    other = Rig(MODEL)
+    assert other.take_over(rig) == []
+    assert other.collector.missing() == []
+    assert other.loads.payloads[TIP].mass == 2.0
+    assert other.step(now).efforts == pytest.approx(last)
+
+
+def test_a_payload_on_a_link_that_is_no_more_is_told():
+    rig = heard(Rig(MODEL))
+    rig.loads.set_payload(0.0, TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
+    text = STANFORD.read_text().replace(f'"{TIP}"', '"hand"')
+    other = Rig(load_urdf(text))
+    assert other.take_over(rig) == [TIP]
+    assert other.loads.payloads == {}
+
+
+def test_scale_and_offset_of_a_trajectory_are_those_of_the_commands():
+    settings = Settings(effort_scale=(2.0, 3.0), effort_offset=(0.5, 0.0), effort_limits=40.0)
+    rig = Rig(MODEL, [NAMES[4], NAMES[1]], settings)
+    index = [0, 1, 4]
+    efforts = rig.calibrated(index, np.array([[1.0, 10.0, 20.0], [1.0, -20.0, 0.0]]))
+    assert efforts == pytest.approx(np.array([[1.0, 30.0, 40.5], [1.0, -60.0, 0.5]]))
+    assert rig.beyond_limits(index, efforts) == [NAMES[1], NAMES[4]]
+
+
+def test_base_wrench_is_about_the_base_link():
+    text = (ROOT / 'test/robots/pendulum.urdf').read_text()
+    base = load_urdf(text).body_names[0]
+    extra = (
+        f'<link name="mount"/><joint name="f" type="fixed"><parent link="{base}"/>'
+        '<child link="mount"/><origin xyz="2 0 0" rpy="0 0 1.5707963267948966"/></joint></robot>'
+    )
+    robot = load_urdf(text.replace('</robot>', extra))
+    plain, turned = Rig(robot), Rig(robot, base_link='mount')
+    for rig in (plain, turned):
+        rig.collector.update(0.0, robot.joint_names, [0.4], [0.0])
+        rig.step(0.0)
+    (force, moment), (other_force, other_moment) = plain.base_wrench(), turned.base_wrench()
+    assert other_force == pytest.approx([force[1], -force[0], force[2]])
+    about = moment - np.cross([2.0, 0.0, 0.0], force)
+    assert other_moment == pytest.approx([about[1], -about[0], about[2]])
