@@ -289,6 +289,8 @@ class Evidence:
             if base is None:
                 break
             found.append(self._fitted(base))
+            if len(found) > 1 and found[-1].cost > found[-2].cost - TIE:
+                break
             fits = list(found[-1].fits)
         return found
 
