@@ -7,7 +7,12 @@ from setuptools import find_packages, setup
 package_name = 'inverse_dynamics_node'
 
 ros = ['ros-jazzy-rclpy[fastrtps]==7.1.6', 'ros-jazzy-common-interfaces==5.3.6']
-demo = ['mujoco>=3.17']  # before, mimic joints of a URDF were left out
+demo = [
+    'matplotlib>=3.8',
+    'mujoco>=3.17',  # before, mimic joints of a URDF were left out
+    'rich>=13',
+    'rosbags>=0.10.10',
+]
 test = [
     'colcon-common-extensions',
     'example-robot-data>=6',

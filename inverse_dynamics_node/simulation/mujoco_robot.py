@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 import math
 from pathlib import Path
 
@@ -11,9 +12,11 @@ from numpy.typing import ArrayLike
 
 from ..model import Booleans, Floats, RobotModel
 from .mujoco_model import compile_model, LARGEST_STEP, SimulationError
+from .mujoco_world import World
 
 LEAST_INERTIA = 1e-9  # [kg m^2 or kg]: a thousandth of the smallest finger joint's
 LEAST_INDEPENDENCE = 1e-9  # of joints; rounding leaves about 1e-16 where two move as one
+HELD_STIFFNESS = (2.0 * math.pi * 10.0) ** 2  # [1/s^2], of joints that hold themselves: 10 Hz
 
 
 class MujocoRobot:
@@ -30,9 +33,16 @@ class MujocoRobot:
         Joint positions to start from [rad or m], in the order of ``robot.joint_names``.
     friction : bool
         Whether joints have the damping and Coulomb friction of the URDF, or none.
+    held : collection of str
+        Joints that no command moves: they stay where they start by drives of their own, as
+        springs do that are stiff for their load.
 
     Attributes
     ----------
+    world : World
+        Puts loads on the robot, pushes it, and tilts its base.
+    command_names : tuple of str
+        The joints that commands are for, in their order.
     brakes_on : bool
         Whether brakes hold every joint where it is, whatever the efforts.
     state_names : tuple of str
@@ -46,19 +56,35 @@ class MujocoRobot:
     """
 
     def __init__(
-        self, urdf: str | Path, robot: RobotModel, start: ArrayLike, friction: bool = True
+        self,
+        urdf: str | Path,
+        robot: RobotModel,
+        start: ArrayLike,
+        friction: bool = True,
+        held: Collection[str] = (),
     ) -> None:
         self.robot = robot
         self.brakes_on = True
         self._model = compile_model(urdf, friction)
         self._data = mujoco.MjData(self._model)
+        self.world = World(self._model, self._data, robot.body_names[0])
         address = {
             self._model.joint(i).name: int(self._model.jnt_dofadr[i])
             for i in range(self._model.njnt)
         }
         self.state_names = tuple(sorted(address))
         self._state_order = [address[name] for name in self.state_names]
-        self._command_order = [address[name] for name in robot.joint_names]
+        self._order = [address[name] for name in robot.joint_names]
+        unknown = sorted(set(held) - set(robot.joint_names))
+        if unknown:
+            raise SimulationError(
+                f'there is no joint {unknown[0]!r} to hold; joints are '
+                f'{", ".join(robot.joint_names)}'
+            )
+        free = [i for i, name in enumerate(robot.joint_names) if name not in held]
+        self.command_names = tuple(robot.joint_names[i] for i in free)
+        self._command_order = [self._order[i] for i in free]
+        self._command_limits = robot.effort_limits[free]
         moving = [address[name] for name in robot.body_names[1:]]
         self._coupling = np.zeros((len(moving), len(robot.joint_names)))
         self._coupling[moving, robot.joint_index[1:]] = robot.multiplier[1:]
@@ -66,6 +92,7 @@ class MujocoRobot:
         self._data.qpos[moving] += robot.offset[1:]
         mujoco.mj_forward(self._model, self._data)
         self._require_inertia()
+        self._hold(held)
 
     def state(self) -> tuple[Floats, Floats, Floats]:
         """Positions, velocities and applied efforts of the joints of ``state_names``."""
@@ -73,16 +100,18 @@ class MujocoRobot:
         return data.qpos[order], data.qvel[order], data.qfrc_applied[order]
 
     def command(self, efforts: ArrayLike) -> None:
-        """Apply efforts [N m or N], in the order of ``robot.joint_names``, until the next call."""
-        limits = self.robot.effort_limits  # no drive gives more than it can
+        """Apply efforts [N m or N], in the order of ``command_names``, until the next call."""
+        limits = self._command_limits  # no drive gives more than it can
         self._data.qfrc_applied[self._command_order] = np.clip(efforts, -limits, limits)
 
     def advance(self, duration: float) -> None:
         """Let time pass [s]."""
         if self.brakes_on:
+            self._data.qvel[:] = 0.0
             return
         steps = math.ceil(duration / LARGEST_STEP)
         self._model.opt.timestep = duration / steps
+        self.world.act()
         mujoco.mj_step(self._model, self._data, nstep=steps)
         if not np.isfinite(self._data.qacc).all():
             raise SimulationError('the simulated robot became unstable: it was driven too hard')
@@ -90,7 +119,9 @@ class MujocoRobot:
     def accelerations(self) -> Floats:
         """Accelerations of the joints of ``robot.joint_names`` as they stand, brakes or not."""
         mujoco.mj_forward(self._model, self._data)
-        accelerations: Floats = self._data.qacc[self._command_order]
+        self.world.act()
+        mujoco.mj_forward(self._model, self._data)
+        accelerations: Floats = self._data.qacc[self._order]
         return accelerations
 
     def mass_matrix(self) -> Floats:
@@ -106,6 +137,18 @@ class MujocoRobot:
         """Joint efforts that gravity and velocities take, shape (n,), mimics folded in."""
         efforts: Floats = self._coupling.T @ self._data.qfrc_bias
         return efforts
+
+    def _hold(self, joints: Collection[str]) -> None:
+        """Give joints springs and dampers, critically damped with what they move alone."""
+        inertia, load = self.mass_matrix().diagonal(), self.bias_efforts()
+        for name in joints:
+            i = self.robot.joint_names.index(name)
+            dof = self._order[i]
+            joint = self._model.dof_jntid[dof]
+            stiffness = HELD_STIFFNESS * inertia[i]
+            self._model.jnt_stiffness[joint] = stiffness
+            self._model.dof_damping[dof] = 2.0 * math.sqrt(HELD_STIFFNESS) * inertia[i]
+            self._model.qpos_spring[dof] = self._data.qpos[dof] + load[i] / stiffness
 
     def _require_inertia(self) -> None:
         """Refuse joints that move nothing: the least effort would accelerate them endlessly."""

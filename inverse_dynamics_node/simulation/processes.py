@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 import ctypes
 import os
@@ -11,6 +11,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 
 STOP_TIMEOUT = 5.0  # [s]: a node ramps its efforts down before it ends
 PR_SET_PDEATHSIG = 1  # Linux's prctl(2): the signal to get when the parent dies
@@ -19,7 +20,9 @@ Processes = dict[str, 'subprocess.Popen[bytes]']
 
 
 @contextmanager
-def running(commands: Mapping[str, Sequence[str]]) -> Iterator[Processes]:
+def running(
+    commands: Mapping[str, Sequence[str]], tell: Callable[[str], None] | None = None
+) -> Iterator[Processes]:
     """
     Run commands for as long as the context lasts; end the last one started first.
 
@@ -27,6 +30,9 @@ def running(commands: Mapping[str, Sequence[str]]) -> Iterator[Processes]:
     ----------
     commands : mapping of str to sequence of str
         Arguments of ``python -m``, by the name of the process.
+    tell : callable, optional
+        Takes the lines that they print, in threads of its own; without it they go where those of
+        this process go.
 
     Yields
     ------
@@ -41,12 +47,22 @@ def running(commands: Mapping[str, Sequence[str]]) -> Iterator[Processes]:
             processes[name] = subprocess.Popen(
                 [sys.executable, '-m', *command],
                 start_new_session=True,
+                stdout=subprocess.PIPE if tell else None,
+                stderr=subprocess.STDOUT if tell else None,
                 preexec_fn=_end_with_parent if sys.platform == 'linux' else None,
             )
+            if tell:
+                threading.Thread(target=_forward, args=(processes[name], tell)).start()
         yield processes
     finally:
         for process in reversed(processes.values()):
             _end(process)
+
+
+def _forward(process: subprocess.Popen[bytes], tell: Callable[[str], None]) -> None:
+    assert process.stdout is not None
+    for line in process.stdout:
+        tell(line.decode(errors='replace').rstrip())
 
 
 def _end_with_parent() -> None:

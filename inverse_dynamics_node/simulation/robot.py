@@ -6,7 +6,17 @@ come at a fixed rate, sorted by name, and the last complete, finite command is h
 
 Brakes hold the arm until commands have come for a while, as they do on an arm that is switched on:
 whatever commands it may start late, and ramp its efforts up, without dropping it. The topic
-``brakes`` says whether they are on. Once open they stay open, also when commands stop.
+``brakes`` says whether they are on. Once open they stay open, also when commands stop, unless the
+sensors are lost.
+
+What happens to it is told by topics of its own, as an exercise wants it:
+
+- ``~/payload``: a load is fastened to a link, or taken off by a mass of 0;
+- ``~/push``: the world pushes a link, in the link's frame about its origin, until told otherwise;
+- ``~/tilt``: the base turns, within 3 s, to a rotation vector from level [rad];
+- ``~/sensors``: false: joint states stop, and brakes go on, as in drives that lose their encoders.
+
+``imu`` tells what a sensor on the base feels, once for every joint state, if anybody listens.
 """
 
 from __future__ import annotations
@@ -20,6 +30,9 @@ import sys
 import time
 from typing import Any
 
+from geometry_msgs.msg import InertiaStamped, Vector3Stamped, WrenchStamped
+import numpy as np
+from numpy.typing import ArrayLike
 import rclpy
 from rclpy.executors import Executor
 from rclpy.experimental import EventsExecutor
@@ -28,13 +41,16 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from rclpy.time import Time
 from rclpy.utilities import remove_ros_args
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Bool, Float64MultiArray
 
 from ..dynamics import InverseDynamics
 from ..errors import InverseDynamicsError
+from ..model import Floats
 from ..urdf import load_urdf
+from .mujoco_model import SimulationError
 from .mujoco_robot import MujocoRobot
+from .tilt import rotation_of_rpy, Tilt
 from .trajectory import start_pose
 
 MOST_LAG = 0.5  # [s]: beyond this the simulated time waits for the machine
@@ -52,41 +68,115 @@ class RobotNode(Node):
         The hardware.
     brake_release : float
         How long commands must have come before the brakes open [s].
+    imu_orientation : array_like, shape (3,)
+        Roll, pitch and yaw of the IMU in the base frame [rad].
     **options
         For rclpy's ``Node``.
 
     """
 
-    def __init__(self, robot: MujocoRobot, brake_release: float, **options: Any) -> None:
+    def __init__(
+        self,
+        robot: MujocoRobot,
+        brake_release: float,
+        imu_orientation: ArrayLike = (0.0, 0.0, 0.0),
+        **options: Any,
+    ) -> None:
         super().__init__('simulated_robot', **options)
         self._robot = robot
+        self._R_BS = rotation_of_rpy(imu_orientation)
+        self._tilt = Tilt()
+        self._has_sensors = True
         self._brake_release = brake_release
         self._last_command = -math.inf
         self._flow_began = -math.inf
-        self._began = self.get_clock().now().nanoseconds
+        self._began: int | None = None
         self._elapsed = 0.0
         self._complaint = ''
         self._state = JointState(name=robot.state_names)
         self._states = self.create_publisher(JointState, 'joint_states', 10)
         self._brakes = self.create_publisher(Bool, 'brakes', LATCHED)
         self._brakes.publish(Bool(data=robot.brakes_on))
-        self.create_subscription(Float64MultiArray, 'commands', self._on_command, 10)
+        self._imu = Imu()
+        self._imu.header.frame_id = 'imu'
+        self._imu.orientation_covariance[0] = -1.0  # it does not tell any
+        self._imus = self.create_publisher(Imu, 'imu', 10)
+        for message, topic, callback in (
+            (Float64MultiArray, 'commands', self._on_command),
+            (InertiaStamped, '~/payload', self._on_payload),
+            (WrenchStamped, '~/push', self._on_push),
+            (Vector3Stamped, '~/tilt', self._on_tilt),
+            (Bool, '~/sensors', self._on_sensors),
+        ):
+            self.create_subscription(message, topic, callback, 10)
         # The first word to a logger takes tens of milliseconds: better now than in the loop.
         self.get_logger().info(f'{robot.robot.name!r} stands with its brakes on')
 
     def advance(self, duration: float) -> None:
         """Let time pass [s] and say where the joints are then."""
+        self._robot.world.set_base_motion(*self._tilt.motion(self._elapsed))
         self._robot.advance(duration)
         self._elapsed += duration
+        if self._began is None:
+            self._began = self.get_clock().now().nanoseconds
         # Stamps count simulated time: after a stall of the machine they tell when the state was
         # true for the robot, not when the machine got round to it.
-        stamp = Time(nanoseconds=self._began + round(self._elapsed * 1e9))
+        stamp = Time(nanoseconds=self._began + round(self._elapsed * 1e9)).to_msg()
+        if self._has_sensors:
+            self._publish_state(stamp)
+        if self._imus.get_subscription_count():
+            self._publish_imu(stamp)
+
+    def _publish_state(self, stamp: Any) -> None:
         positions, velocities, efforts = self._robot.state()
-        self._state.header.stamp = stamp.to_msg()
+        self._state.header.stamp = stamp
         self._state.position = positions.tolist()
         self._state.velocity = velocities.tolist()
         self._state.effort = efforts.tolist()
         self._states.publish(self._state)
+
+    def _publish_imu(self, stamp: Any) -> None:
+        gravity, angular_velocity, _ = self._tilt.motion(self._elapsed)
+        self._imu.header.stamp = stamp
+        _write(self._imu.angular_velocity, self._R_BS.T @ angular_velocity)
+        # The base turns about its origin: what is felt there is what keeps it from falling.
+        _write(self._imu.linear_acceleration, -self._R_BS.T @ gravity)
+        self._imus.publish(self._imu)
+
+    # What happens to the robot
+
+    def _on_payload(self, message: InertiaStamped) -> None:
+        load = message.inertia
+        tensor = np.array(
+            [
+                [load.ixx, load.ixy, load.ixz],
+                [load.ixy, load.iyy, load.iyz],
+                [load.ixz, load.iyz, load.izz],
+            ]
+        )
+        link, world = message.header.frame_id, self._robot.world
+        self._do(lambda: world.set_payload(link, load.m, _read(load.com), tensor))
+
+    def _on_push(self, message: WrenchStamped) -> None:
+        force, moment = _read(message.wrench.force), _read(message.wrench.torque)
+        link, world = message.header.frame_id, self._robot.world
+        self._do(lambda: world.set_external_wrench(link, force, moment))
+
+    def _on_tilt(self, message: Vector3Stamped) -> None:
+        self._tilt.turn_to(_read(message.vector), self._elapsed)
+
+    def _on_sensors(self, message: Bool) -> None:
+        self._has_sensors = message.data
+        if not message.data:
+            self._set_brakes(True)
+
+    def _do(self, what: Callable[[], None]) -> None:
+        try:
+            what()
+        except SimulationError as error:
+            self.get_logger().error(str(error))
+
+    # Commands
 
     def _on_command(self, message: Float64MultiArray) -> None:
         complaint = self._fault(message)
@@ -98,7 +188,7 @@ class RobotNode(Node):
             self._update_brakes()
 
     def _fault(self, message: Float64MultiArray) -> str:
-        expected = len(self._robot.robot.joint_names)
+        expected = len(self._robot.command_names)
         if len(message.data) != expected:
             return f'command ignored: it has {len(message.data)} efforts, expected {expected}'
         if not all(map(math.isfinite, message.data)):
@@ -107,13 +197,25 @@ class RobotNode(Node):
 
     def _update_brakes(self) -> None:
         now = self._elapsed
-        if now - self._last_command > GAP:
+        if now - self._last_command > GAP or not self._has_sensors:
             self._flow_began = now
         self._last_command = now
         if self._robot.brakes_on and now - self._flow_began >= self._brake_release:
-            self._robot.brakes_on = False
-            self._brakes.publish(Bool(data=False))
-            self.get_logger().info('brakes open')
+            self._set_brakes(False)
+
+    def _set_brakes(self, on: bool) -> None:
+        if on != self._robot.brakes_on:
+            self._robot.brakes_on = on
+            self._brakes.publish(Bool(data=on))
+            self.get_logger().info('brakes on' if on else 'brakes open')
+
+
+def _read(vector: Any) -> Floats:
+    return np.array([vector.x, vector.y, vector.z])
+
+
+def _write(vector: Any, values: Floats) -> None:
+    vector.x, vector.y, vector.z = values.tolist()
 
 
 def run(node: RobotNode, executor: Executor, rate: float, stop: Callable[[], bool]) -> None:
@@ -144,7 +246,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         robot = load_urdf(options.robot)
         start = start_pose(robot, InverseDynamics(robot))
-        hardware = MujocoRobot(options.robot, robot, start, options.friction)
+        hardware = MujocoRobot(options.robot, robot, start, options.friction, options.held)
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         try:
             _serve(hardware, options, lambda: bool(stopped))
@@ -157,7 +259,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _serve(hardware: MujocoRobot, options: argparse.Namespace, stop: Callable[[], bool]) -> None:
-    node = RobotNode(hardware, options.brake_release)
+    node = RobotNode(hardware, options.brake_release, options.imu_orientation)
     executor = EventsExecutor()
     executor.add_node(node)
     try:
@@ -182,6 +284,21 @@ def _parse(arguments: list[str]) -> argparse.Namespace:
         '--friction',
         action='store_true',
         help='give the joints the damping and friction of the URDF, else they have none',
+    )
+    parser.add_argument(
+        '--held',
+        nargs='+',
+        default=[],
+        metavar='JOINT',
+        help='joints that hold themselves and take no commands, as grippers may',
+    )
+    parser.add_argument(
+        '--imu-orientation',
+        type=float,
+        nargs=3,
+        default=(0.0, 0.0, 0.0),
+        metavar=('ROLL', 'PITCH', 'YAW'),
+        help='of the IMU in the base frame [rad]',
     )
     return parser.parse_args(arguments)
 

@@ -69,7 +69,7 @@ class Trajectory:
         """
         t = np.asarray(time, dtype=float)[..., np.newaxis]
         fade = self.fade
-        w_in, w_out = _fade(t / fade), _fade((t - self.moving) / fade + 1.0)
+        w_in, w_out = ease(t / fade), ease((t - self.moving) / fade + 1.0)
         w = w_in[0] - w_out[0]
         wd = (w_in[1] - w_out[1]) / fade
         wdd = (w_in[2] - w_out[2]) / fade**2
@@ -81,7 +81,7 @@ class Trajectory:
         return q, qd, qdd
 
 
-def _fade(x: Floats) -> tuple[Floats, Floats, Floats]:
+def ease(x: Floats) -> tuple[Floats, Floats, Floats]:
     """Rise from 0 at x = 0 to 1 at x = 1, and its two derivatives, all steady at both ends."""
     x = np.minimum(np.maximum(x, 0.0), 1.0)
     return (

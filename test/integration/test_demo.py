@@ -1,8 +1,10 @@
-"""The demo as a user runs it, and its simulated robot as a controller meets it."""
+"""The demo as a user runs it."""
 
+import contextlib
 from contextlib import contextmanager
 import os
 from pathlib import Path
+import pty
 import re
 import signal
 import subprocess
@@ -15,20 +17,14 @@ from robot_files import STANFORD
 
 pytest.importorskip('rclpy')
 pytest.importorskip('mujoco')
+pytest.importorskip('rosbags')
 
 from inverse_dynamics_node import load_urdf
-from inverse_dynamics_node.simulation.commander import resolved_acceleration, Tracking
-from inverse_dynamics_node.simulation.demo import find_failures
-from inverse_dynamics_node.simulation.mujoco_robot import MujocoRobot
-from inverse_dynamics_node.simulation.robot import RobotNode
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, Float64MultiArray
+from inverse_dynamics_node.simulation.commander import resolved_acceleration
+from inverse_dynamics_node.simulation.processes import running
 
 PATIENCE = 90.0  # [s]; a demo that can do nothing gives up by itself before this
+DEMO = 'inverse_dynamics_node.simulation.demo'
 MASSLESS = """
 <robot name="massless"><link name="base"/><link name="tip"/>
 <joint name="idle" type="continuous"><parent link="base"/><child link="tip"/></joint></robot>
@@ -39,7 +35,7 @@ MASSLESS = """
 def running_demo(domain_id, *arguments):
     """Run the demo; whatever becomes of the test, nothing stays behind."""
     demo = subprocess.Popen(
-        [sys.executable, '-m', 'inverse_dynamics_node.simulation.demo', *map(str, arguments)],
+        [sys.executable, '-m', DEMO, *map(str, arguments)],
         env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)},
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
@@ -129,6 +125,64 @@ class TestDemo:
         assert f'{arguments[0]} {arguments[1]} is not' in output
         assert 'Traceback' not in output
 
+    @pytest.mark.parametrize(
+        ('arguments', 'words'),
+        [
+            (['--scenario', 'payload', '--duration', '5'], '--duration 5 is not 10 s or more'),
+            (['--scenario', 'dance'], "invalid choice: 'dance'"),
+            (['--picture', 'run.jpeg2'], 'is not a .png, .svg or .pdf'),
+            (['--record', '.'], '--record . exists already'),
+        ],
+    )
+    def test_options_that_make_no_sense_are_refused(self, domain_id, arguments, words):
+        with running_demo(domain_id, STANFORD, *arguments) as demo:
+            code, output = finish(demo)
+        assert code == 2
+        assert words in output
+
+    def test_link_that_is_not_there_is_refused(self, domain_id):
+        with running_demo(domain_id, STANFORD, '--link', 'nope') as demo:
+            code, output = finish(demo)
+        assert code == 1
+        assert "no link 'nope'; links are base_link, link_1" in output
+
+    def test_arm_survives_a_time_without_joint_states(self, domain_id, tmp_path):
+        picture = tmp_path / 'lost.png'
+        arguments = '--scenario', 'sensor-lost', '--duration', 10, '--picture', picture
+        with running_demo(domain_id, STANFORD, *arguments) as demo:
+            code, output = finish(demo)
+        assert code == 0, output
+        for words in (
+            'brakes on',
+            'brakes open',
+            'joint states stop',
+            'PASSED: efforts were zero',
+        ):
+            assert words in output
+        assert picture.stat().st_size > 10_000
+
+    def test_on_a_terminal_a_table_is_drawn_over_and_over(self, domain_id):
+        ours, theirs = pty.openpty()
+        environment = {'ROS_DOMAIN_ID': str(domain_id), 'TERM': 'xterm', 'COLUMNS': '120'}
+        with subprocess.Popen(
+            [sys.executable, '-m', DEMO, STANFORD, '--scenario', 'hold', '--duration', '2'],
+            env={**os.environ, **environment},
+            stdout=theirs,
+            stderr=theirs,
+        ) as demo:
+            os.close(theirs)
+            output = b''
+            with contextlib.suppress(OSError):  # how the end of a terminal is told
+                while came := os.read(ours, 65536):
+                    output += came
+            assert demo.wait(PATIENCE) == 0
+        os.close(ours)
+        text = output.decode()
+        assert text.count('stanford: hold') > 3
+        assert 'brakes open' in text
+        assert '\x1b[' in text
+        assert re.search(r'^PASSED: no joint moved', text, re.MULTILINE)
+
     @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
     def test_signal_ends_all_of_it_in_peace(self, domain_id, number):
         with running_demo(domain_id, STANFORD) as demo:
@@ -161,36 +215,6 @@ class TestDemo:
         assert all(map(is_gone, children))
 
 
-class TestVerdict:
-    def tracking(self, moving=0.001, rest=0.0001):
-        return Tracking(1.0, 2.0, np.array([moving, 0.0]), np.array([rest, 0.0]))
-
-    def test_within_the_limits_nothing_is_wrong(self):
-        assert find_failures(('a', 'b'), self.tracking(), 499.0, 500.0) == []
-
-    @pytest.mark.parametrize(
-        ('tracking', 'rate', 'words'),
-        [
-            ({'moving': 0.011}, 500.0, "joint 'a' was 11.00 mrad or mm off moving"),
-            ({'rest': 0.0011}, 500.0, "joint 'a' was 1.10 mrad or mm off at rest"),
-            ({'rest': float('nan')}, 500.0, 'off at rest'),
-            ({}, 489.0, '489.0 commands/s came'),
-            ({}, 511.0, '511.0 commands/s came'),
-            ({}, float('nan'), 'nan commands/s came'),
-        ],
-    )
-    def test_each_limit_missed_is_told(self, tracking, rate, words):
-        (failure,) = find_failures(('a', 'b'), self.tracking(**tracking), rate, 500.0)
-        assert words in failure
-
-    def test_errors_between_motion_and_rest_do_not_count(self):
-        tracking = Tracking(1.0, 2.0, np.array([np.nan]), np.array([np.nan]))
-        for time_, error in [(0.5, -0.1), (0.6, 0.05), (1.5, 9.0), (2.5, 0.02), (2.6, -0.03)]:
-            tracking.record(time_, np.array([error]))
-        assert tracking.moving_error == pytest.approx([0.1])
-        assert tracking.rest_error == pytest.approx([0.03])
-
-
 def test_resolved_acceleration_brings_an_error_to_zero():
     """Integrated with the effect it asks for, an error of a radian is gone after a second."""
     q, qd, step = np.array([1.0]), np.array([0.0]), 0.001
@@ -202,92 +226,11 @@ def test_resolved_acceleration_brings_an_error_to_zero():
     assert abs(q[0]) < 1e-6
 
 
-class TestRobotNode:
-    @pytest.fixture
-    def arm(self, domain_id):
-        """Return the simulated robot and a controller's side of it, in one process."""
-        context = Context()
-        context.init(args=[], domain_id=domain_id)
-        sides = Arm(context)
-        yield sides
-        sides.close()
-        context.try_shutdown()
-
-    def test_states_come_by_name_with_simulated_time(self, arm):
-        def two_came():
-            arm.node.advance(0.002)
-            return len(arm.states) >= 2
-
-        arm.wait_until(two_came)
-        first, second = arm.states[:2]
-        assert list(first.name) == list(arm.robot.state_names)
-        assert len(first.position) == len(first.velocity) == len(first.effort) == len(first.name)
-        stamps = [s.header.stamp.sec * 10**9 + s.header.stamp.nanosec for s in (first, second)]
-        assert stamps[1] - stamps[0] == 2_000_000
-
-    def test_incomplete_and_not_finite_commands_are_ignored(self, arm):
-        efforts = []
-
-        def obeys_the_last():
-            efforts.append(set(arm.robot.state()[2]))
-            return efforts[-1] == {3.0}
-
-        arm.send([1.0] * 6)
-        for wrong in ([2.0] * 5, [2.0] * 7, [], [float('nan')] * 6, [2.0] * 5 + [float('inf')]):
-            arm.send(wrong)
-        arm.send([3.0] * 6)
-        arm.wait_until(obeys_the_last)
-        assert set().union(*efforts) == {0.0, 1.0, 3.0}
-
-    def test_brakes_open_once_commands_have_come_for_a_while(self, arm):
-        def command_for(times):
-            for i in range(times):
-                arm.send_and_see([0.1 + 0.1 * i] * 6)
-                arm.node.advance(0.05)
-
-        arm.wait_until(lambda: arm.brakes == [True])
-        command_for(9)
-        arm.node.advance(0.2)  # a gap: the count starts all over
-        command_for(9)
-        assert arm.robot.brakes_on
-        command_for(3)
-        assert not arm.robot.brakes_on
-        arm.wait_until(lambda: arm.brakes == [True, False])
-
-
-class Arm:
-    """A simulated robot whose brakes open after half a second, and who commands it."""
-
-    def __init__(self, context):
-        self.robot = MujocoRobot(STANFORD, load_urdf(STANFORD), [0, 0, 0.5, 0, 0.5, 0])
-        self.node = RobotNode(self.robot, 0.5, context=context)
-        self.states, self.brakes = [], []
-        self.side = Node('side', context=context)
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        subscribe = self.side.create_subscription
-        subscribe(JointState, 'joint_states', self.states.append, 1000)
-        subscribe(Bool, 'brakes', lambda message: self.brakes.append(message.data), latched)
-        self._commands = self.side.create_publisher(Float64MultiArray, 'commands', 10)
-        self.executor = SingleThreadedExecutor(context=context)
-        self.executor.add_node(self.side)
-        self.executor.add_node(self.node)
-        self.wait_until(lambda: self._commands.get_subscription_count() > 0)
-
-    def close(self):
-        self.executor.shutdown()
-        self.side.destroy_node()
-        self.node.destroy_node()
-
-    def send(self, efforts):
-        self._commands.publish(Float64MultiArray(data=efforts))
-
-    def send_and_see(self, efforts):
-        """Send a command, and wait until the robot obeys it."""
-        self.send(efforts)
-        self.wait_until(lambda: set(self.robot.state()[2]) == set(efforts))
-
-    def wait_until(self, is_true):
-        deadline = time.monotonic() + PATIENCE
-        while not is_true():
-            assert time.monotonic() < deadline
-            self.executor.spin_once(timeout_sec=0.02)
+def test_lines_of_processes_are_handed_on(tmp_path):
+    lines = []
+    with running({'one': ['platform']}, lines.append) as processes:
+        assert processes['one'].wait(PATIENCE) == 0
+    deadline = time.monotonic() + PATIENCE
+    while not lines and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert 'Linux' in lines[0]

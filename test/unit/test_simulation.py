@@ -5,6 +5,8 @@ from pathlib import Path
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+import kinematics
+from loads import box_inertia, random_box
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
@@ -15,6 +17,7 @@ pytest.importorskip('mujoco')
 from inverse_dynamics_node import InverseDynamics, load_urdf, UrdfError
 from inverse_dynamics_node.simulation.mujoco_model import SimulationError
 from inverse_dynamics_node.simulation.mujoco_robot import MujocoRobot
+from inverse_dynamics_node.simulation.tilt import rotation, rotation_of_rpy, Tilt
 from inverse_dynamics_node.simulation.trajectory import (
     EFFORT_USED,
     effort_used,
@@ -25,6 +28,7 @@ from inverse_dynamics_node.simulation.trajectory import (
     Trajectory,
 )
 
+CARTESIAN = ROOT / 'test' / 'robots' / 'cartesian.urdf'
 MIMIC = ROOT / 'test' / 'robots' / 'mimic_gripper.urdf'
 PENDULUM = ROOT / 'test' / 'robots' / 'pendulum.urdf'
 SHAPE = '<mass value="{}"/><inertia ixx="{}" iyy="{}" izz="{}" ixy="0" ixz="0" iyz="0"/>'
@@ -227,6 +231,147 @@ def trajectories(draw):
 
     moving = draw(st.floats(1.0, 30.0))
     return Trajectory(numbers(-3, 3), numbers(0, 1), numbers(0.1, 0.5), moving)
+
+
+class TestWorld:
+    """What acts on the simulated robot is what the core computes for the same loads."""
+
+    @pytest.fixture
+    def moving(self, urdf_path, rng):
+        """Return a simulated robot that moves, and our dynamics of it, alike in nothing more."""
+        robot = load_urdf(urdf_path)
+        if not robot.joint_names:
+            pytest.skip('nothing moves')
+        simulation = simulated(urdf_path)
+        simulation.brakes_on = False
+        dynamics = InverseDynamics(robot)
+        q = start_of(robot)
+        nudge = rng.uniform(0.5, 2.0, len(q)) * dynamics.mass_matrix(q).diagonal()
+        simulation.command(dynamics.gravity_efforts(q) + nudge)
+        simulation.advance(0.1)
+        return simulation, dynamics
+
+    def assert_same(self, moving):
+        """Compare the efforts that are applied with those that the motion takes."""
+        simulation, dynamics = moving
+        q, qd, applied = state_of(simulation)
+        efforts = dynamics.efforts(q, qd, simulation.accelerations())
+        # MuJoCo couples joints that mimic by a constraint of finite, if high, stiffness.
+        has_mimics = len(simulation.state_names) > len(q)
+        tolerance = 3e-2 if has_mimics else 1e-9
+        assert_allclose(efforts, applied, rtol=0, atol=tolerance * abs(applied).max())
+
+    def test_payload_is_the_cores(self, moving, rng):
+        simulation, dynamics = moving
+        for link in simulation.robot.link_names:
+            mass, com, box, rpy = random_box(rng)
+            for side in (simulation.world, dynamics):
+                side.set_payload(link, mass, com, box_inertia(mass, box, rpy))
+        q = start_of(simulation.robot)
+        self.assert_same(moving)
+        before = InverseDynamics(simulation.robot).mass_matrix(q)
+        assert abs(dynamics.mass_matrix(q) - before).max() > 0.01, 'the test needs a difference'
+
+    def test_payload_that_is_taken_off_leaves_nothing(self, moving):
+        simulation, _ = moving
+        simulation.accelerations()
+        before = simulation.mass_matrix()
+        link = simulation.robot.link_names[-1]
+        simulation.world.set_payload(link, 3.0, (0.1, 0.2, 0.3))
+        simulation.accelerations()
+        assert abs(simulation.mass_matrix() - before).max() > 1e-3
+        simulation.world.set_payload(link, 0.0)
+        simulation.accelerations()
+        assert_allclose(simulation.mass_matrix(), before, rtol=1e-9, atol=1e-12)
+
+    def test_push_is_the_cores(self, moving, rng):
+        simulation, dynamics = moving
+        for link in simulation.robot.link_names:
+            wrench = rng.uniform(-3.0, 3.0, (2, 3))
+            for side in (simulation.world, dynamics):
+                side.set_external_wrench(link, *wrench)
+        self.assert_same(moving)
+
+    def test_turning_base_is_the_cores(self, moving, rng):
+        simulation, dynamics = moving
+        gravity, omega, omega_dot = rng.uniform(-3.0, 3.0, (3, 3))
+        simulation.world.set_base_motion(gravity, omega, omega_dot)
+        dynamics.set_gravity(gravity)
+        dynamics.set_base_motion(omega, omega_dot)
+        self.assert_same(moving)
+
+    def test_push_along_an_axis_moves_that_way(self):
+        simulation = simulated(CARTESIAN)
+        simulation.brakes_on = False
+        robot = simulation.robot
+        simulation.command(InverseDynamics(robot).gravity_efforts(start_of(robot)))
+        before = state_of(simulation)[0]
+        simulation.world.set_external_wrench(robot.link_names[-1], (5.0, -5.0, 0.0))
+        simulation.advance(0.1)
+        moved = state_of(simulation)[0] - before
+        axes = [robot.axis[robot.body_names.index(name)] for name in robot.joint_names]
+        assert moved[np.argmax(np.abs(axes), axis=0)[0]] > 1e-4
+        assert moved[np.argmax(np.abs(axes), axis=0)[1]] < -1e-4
+
+    def test_link_that_is_not_there_is_named(self):
+        simulation = simulated(PENDULUM)
+        with pytest.raises(SimulationError, match="no link 'nope'"):
+            simulation.world.set_payload('nope', 1.0)
+
+    def test_held_joints_stay_and_are_not_commanded(self):
+        robot = load_urdf(MIMIC)
+        simulation = MujocoRobot(MIMIC, robot, [0.1, 0.4], friction=False, held=['right_finger'])
+        simulation.brakes_on = False
+        assert simulation.command_names == ('lift',)
+        simulation.command(InverseDynamics(robot).gravity_efforts([0.1, 0.4])[:1])
+        simulation.advance(2.0)
+        assert state_of(simulation)[0] == pytest.approx([0.1, 0.4], abs=0.002)
+
+    def test_joint_to_hold_that_is_not_there_is_named(self):
+        with pytest.raises(SimulationError, match="no joint 'nope' to hold"):
+            MujocoRobot(PENDULUM, load_urdf(PENDULUM), [0.0], held=['nope'])
+
+    def test_brakes_stop_what_moves(self):
+        simulation = simulated(PENDULUM, [0.5])
+        simulation.brakes_on = False
+        simulation.advance(0.1)
+        simulation.brakes_on = True
+        simulation.advance(0.1)
+        assert simulation.state()[1] == [0.0]
+
+
+class TestTilt:
+    def test_base_turns_to_an_attitude_and_stays(self):
+        tilt = Tilt()
+        assert_array_equal(tilt.motion(5.0)[0], [0.0, 0.0, -9.80665])
+        tilt.turn_to([0.5, 0.0, 0.0], 10.0)
+        gravity, omega, omega_dot = tilt.motion(20.0)
+        assert_allclose(gravity, 9.80665 * np.array([0.0, -np.sin(0.5), -np.cos(0.5)]))
+        assert_array_equal([omega, omega_dot], np.zeros((2, 3)))
+
+    def test_one_turn_follows_another(self):
+        tilt = Tilt()
+        for i, attitude in enumerate([[0.5, 0.2, 0.0], [0.0, -0.3, 1.0], [0.0, 0.0, 0.0]]):
+            tilt.turn_to(attitude, 10.0 * i)
+            assert_allclose(tilt.attitude(10.0 * i + 9.0), rotation(attitude), atol=1e-12)
+
+    @given(time=st.floats(10.01, 12.99))
+    def test_motion_is_that_of_the_attitude(self, time):
+        tilt = Tilt()
+        tilt.turn_to([0.5, 0.2, -0.1], 0.0)
+        tilt.turn_to([-0.2, 0.4, 0.3], 10.0)
+        step = 1e-5
+        before, now, after = (tilt.attitude(time + step * i) for i in (-1, 0, 1))
+        gravity, omega, omega_dot = tilt.motion(time)
+        turning = now.T @ (after - before) / (2 * step)
+        assert_allclose(turning, np.cross(np.eye(3), omega), atol=1e-8)
+        assert_allclose(gravity, now.T @ [0.0, 0.0, -9.80665])
+        faster = (tilt.motion(time + step)[1] - tilt.motion(time - step)[1]) / (2 * step)
+        assert_allclose(omega_dot, faster, atol=1e-8)
+
+    def test_roll_pitch_yaw_is_that_of_a_urdf(self, rng):
+        rpy = rng.uniform(-3.0, 3.0, 3)
+        assert_allclose(rotation_of_rpy(rpy), kinematics.rotation_of_rpy(rpy), atol=1e-12)
 
 
 class TestTrajectory:

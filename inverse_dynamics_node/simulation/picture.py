@@ -1,0 +1,143 @@
+"""A run as a picture: what happened over time, errors, efforts, and contact where it counts."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+from textwrap import fill
+from typing import Any
+
+import matplotlib
+import numpy as np
+
+from ..model import Floats, RobotModel
+from .history import History
+from .scenarios import Script
+from .trajectory import slides
+
+matplotlib.use('Agg')
+from matplotlib.figure import Figure
+
+WIDTH, DPI = 9.0, 100  # [inch]: 900 pixels
+MOST_POINTS = 1500
+LEAST_ERROR = 0.01  # [mrad, mm]: less is nothing, however large a picture may make it
+COLOURS = matplotlib.colormaps['tab10'].colors  # type: ignore[attr-defined]
+SHADES = ('#ffffff', '#fff1d6', '#e3f2e1', '#e8ecf7')
+
+
+def draw(
+    path: str | Path, robot: RobotModel, title: str, script: Script, history: History
+) -> None:
+    """
+    Draw a run and save it.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        Of the picture; its suffix says which kind.
+    robot : RobotModel
+        Whose joints.
+    title : str
+        What the run was.
+    script : Script
+        What happened when.
+    history : History
+        What came of it.
+
+    """
+    panels = [_errors, _efforts] + ([_contact] if script.expected else [])
+    figure = Figure(figsize=(WIDTH, 2.2 + 2.2 * len(panels)), dpi=DPI, layout='constrained')
+    all_axes = np.atleast_1d(figure.subplots(len(panels), sharex=True))
+    for panel, axes in zip(panels, all_axes, strict=True):
+        panel(axes, robot, script, history)
+        _shade(axes, script, history)
+        axes.grid(alpha=0.3)
+        axes.margins(x=0.0)
+    all_axes[-1].set_xlabel('time [s]')
+    _explain(all_axes[0], script)
+    figure.suptitle(fill(title, 110), fontsize=11)
+    handles, labels = all_axes[1].get_legend_handles_labels()
+    figure.legend(handles, labels, loc='outside lower center', ncols=4, fontsize=9)
+    figure.savefig(path)
+
+
+def _thin(times: Floats, rows: Floats) -> tuple[Floats, Floats]:
+    """Leave out what a picture cannot show; break lines where nothing was heard for a while."""
+    step = max(1, len(times) // MOST_POINTS)
+    times, rows = times[::step], rows[::step]
+    gaps = np.flatnonzero(np.diff(times) > 0.2) + 1
+    times = np.insert(times, gaps, times[gaps - 1])
+    return times, np.insert(rows, gaps, np.nan, axis=0)
+
+
+def _errors(axes: Any, robot: RobotModel, script: Script, history: History) -> None:
+    times, rows = _thin(history.states.times, history.states.rows)
+    errors = 1000.0 * (rows[:, 1] - rows[:, 0])
+    for i in range(len(robot.joint_names)):
+        axes.plot(times, errors[:, i], color=COLOURS[i % 10], lw=1.4)
+    if script.without is not None:
+        times, errors = _thin(*script.without)
+        for i in range(len(robot.joint_names)):
+            axes.plot(times, 1000.0 * errors[:, i], color=COLOURS[i % 10], lw=1.0, ls=':')
+        axes.plot([], [], color='gray', lw=1.0, ls=':', label='without the IMU (calculated)')
+        axes.plot([], [], color='gray', lw=1.4, label='with it')
+        axes.legend(loc='upper left', fontsize=9)
+    axes.set_ylabel('error [mrad, mm]')
+    axes.update_datalim([(0.0, -LEAST_ERROR), (0.0, LEAST_ERROR)])
+    axes.autoscale_view()
+
+
+def _efforts(axes: Any, robot: RobotModel, script: Script, history: History) -> None:
+    """Draw what the node commands, also while no joint state comes, as shares of the limits."""
+    times, rows = _thin(history.commands.times, history.commands.rows)
+    limits = np.where(np.isfinite(robot.effort_limits), robot.effort_limits, 1.0)
+    units = ['N' if slide else 'N m' for slide in slides(robot)]
+    for i, name in enumerate(robot.joint_names):
+        label = f'{name} (100 % = {limits[i]:g} {units[i]})'
+        axes.plot(
+            times, 100.0 * rows[:, i] / limits[i], color=COLOURS[i % 10], lw=1.2, label=label
+        )
+    axes.set_ylabel('commanded effort\n[% of its limit]')
+
+
+def _contact(axes: Any, robot: RobotModel, script: Script, history: History) -> None:
+    assert script.expected is not None
+    times, rows = _thin(history.external.times, history.external.rows)
+    for i in range(len(robot.joint_names)):
+        axes.plot(times, rows[:, i], color=COLOURS[i % 10], lw=1.4)
+    times, states = _thin(history.states.times, history.states.rows)
+    known = ~np.isnan(states[:, 0]).any(axis=1)
+    times = times[known]
+    expected = script.expected(times, states[known, 0])
+    for i in range(len(robot.joint_names)):
+        axes.plot(times, expected[:, i], color='black', lw=0.9, ls='--')
+    axes.plot([], [], color='gray', lw=1.4, label='found by the node')
+    axes.plot([], [], color='black', lw=0.9, ls='--', label='$-J^T F$')
+    axes.legend(loc='upper left', fontsize=9)
+    axes.set_ylabel('external efforts\n[N m, N]')
+
+
+def _edges(script: Script) -> list[float]:
+    return [0.0, *(event.time for event in script.events)]
+
+
+def _shade(axes: Any, script: Script, history: History) -> None:
+    edges = [*_edges(script), float(history.states.times[-1])]
+    for i, (begin, end) in enumerate(pairwise(edges)):
+        axes.axvspan(begin, end, color=SHADES[i % len(SHADES)], zorder=-10, lw=0)
+        if i:
+            axes.axvline(begin, color='black', lw=0.8)
+
+
+def _explain(axes: Any, script: Script) -> None:
+    """Write what is happening above the first panel, each where it begins."""
+    words = [script.begins, *(event.words for event in script.events)]
+    for i, (time, text) in enumerate(zip(_edges(script), words, strict=True)):
+        axes.annotate(
+            text,
+            (time, 1.0),
+            (2, 4 + 13 * (len(words) - 1 - i)),
+            xycoords=('data', 'axes fraction'),
+            textcoords='offset points',
+            fontsize=9,
+        )

@@ -1,0 +1,111 @@
+"""
+Keep what is said on topics, and write it as a bag that ROS 2 tools read.
+
+Messages are kept as they come, and written in the end: a disk must not hold up a loop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+import struct
+import time
+from typing import Any, Literal
+
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import get_typestore, Stores
+
+STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
+VERSION: Literal[9] = 9  # of the metadata, that of ROS 2 Jazzy
+DEEP = 1000
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class Recorder:
+    """
+    Records topics of one node's neighbourhood.
+
+    A message with a header is recorded at the time of its stamp. Others get that of the latest
+    joint state, so that they stand with what they belong to.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Subscribes.
+    topics : mapping of str to message class
+        What to record.
+    latched : collection of str
+        Those of them whose last message is kept for who comes late.
+
+    """
+
+    def __init__(
+        self, node: Node, topics: Mapping[str, Any], latched: tuple[str, ...] = ()
+    ) -> None:
+        self._messages: dict[str, list[tuple[int, bytes]]] = {}
+        self._types: dict[str, str] = {}
+        self.latest = 0  # stamp of the newest joint state [ns]
+        for topic, type_ in topics.items():
+            name = node.resolve_topic_name(topic)
+            self._messages[name] = []
+            self._types[name] = '/'.join((type_.__module__.split('.')[0], 'msg', type_.__name__))
+            qos = LATCHED if topic in latched else DEEP
+            keep = self._keeper(name, has_header=hasattr(type_, 'header'))
+            node.create_subscription(type_, topic, keep, qos, raw=True)
+        self._joint_states = node.resolve_topic_name('joint_states')
+
+    def _keeper(self, name: str, has_header: bool) -> Any:
+        messages = self._messages[name]
+
+        def keep(data: bytes) -> None:
+            if has_header:
+                stamp = stamp_of(data)
+                if name == self._joint_states:
+                    self.latest = stamp
+            else:
+                stamp = self.latest or time.time_ns()
+            messages.append((stamp, data))
+
+        return keep
+
+    @property
+    def count(self) -> int:
+        """How many messages there are so far."""
+        return sum(map(len, self._messages.values()))
+
+    def write(self, folder: str | Path, storage: str = 'mcap') -> int:
+        """
+        Write all that was recorded, in the order of time.
+
+        Parameters
+        ----------
+        folder : str or pathlib.Path
+            To be made; it must not be there yet.
+        storage : str
+            'mcap' or 'sqlite3'.
+
+        Returns
+        -------
+        count : int
+            How many messages.
+
+        """
+        typestore = get_typestore(Stores.ROS2_JAZZY)
+        with Writer(folder, version=VERSION, storage_plugin=STORAGES[storage]) as writer:
+            rows = []
+            for name, messages in self._messages.items():
+                connection = writer.add_connection(name, self._types[name], typestore=typestore)
+                rows += [(stamp, connection, data) for stamp, data in messages]
+            rows.sort(key=lambda row: row[0])
+            for stamp, connection, data in rows:
+                writer.write(connection, stamp, data)
+        return len(rows)
+
+
+def stamp_of(data: bytes) -> int:
+    """Read the stamp [ns] of a serialized message that begins with a header."""
+    order = '<' if data[1] & 1 else '>'  # the encapsulation, before the message proper
+    seconds, nanoseconds = struct.unpack_from(f'{order}iI', data, 4)
+    return int(seconds) * 10**9 + int(nanoseconds)

@@ -1,0 +1,129 @@
+"""
+Where a scenario takes place: a robot in its start pose, and how much it can take there.
+
+Loads and pushes are sized by the robot: each brings some joint off its place by what can be seen,
+with the gains that the node has, and leaves every drive something to give.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..dynamics import InverseDynamics
+from ..model import Floats, RobotModel
+from .trajectory import EFFORT_USED, effort_used
+
+KP, KD = 400.0, 40.0  # of the node's own loop; see the commander's [1/s^2], [1/s]
+DEFLECTION = 0.2  # [rad or m]: what a load or a push may do to a joint
+HEAVIEST = 5.0  # [kg]
+HARDEST, FIRM = 20.0, 5.0  # [N]
+BOX = 0.1  # [m], the side of a load
+GRIP = (0.0, 0.0, 0.05)  # [m], its centre in the frame of the link
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """
+    A robot of n joints, at rest.
+
+    Attributes
+    ----------
+    urdf : str
+        Path of its description.
+    robot : RobotModel
+        The same, loaded.
+    start : ndarray, shape (n,)
+        Where it is [rad or m].
+    duration : float
+        How long it will take [s].
+    link : str
+        What is loaded and pushed; empty: the hand, as far as can be told.
+
+    """
+
+    urdf: str
+    robot: RobotModel
+    start: Floats
+    duration: float
+    link: str = ''
+
+    def load(self) -> tuple[str, float, Floats]:
+        """Choose a load: the link, the mass [kg], the inertia about its centre, shape (3, 3)."""
+        link = self.link or hand(self.robot)
+        unit = np.eye(3) * BOX**2 / 6.0
+
+        def put(dynamics: InverseDynamics, mass: float) -> None:
+            dynamics.set_payload(link, mass, GRIP, mass * unit)
+
+        mass = self._most(put, HEAVIEST)
+        return link, mass, mass * unit
+
+    def push(self) -> tuple[str, Floats]:
+        """
+        Choose a push: the link, and the force in its frame [N], shape (3,).
+
+        Wrists may give way to almost nothing: the nearest link to the hand that stands a firm
+        push is pushed.
+
+        """
+        links = [self.link] if self.link else up_from(self.robot, hand(self.robot))
+        direction = np.ones(3) / np.sqrt(3.0)
+        chosen, hardest = links[0], 0.0
+        for link in links:
+
+            def put(dynamics: InverseDynamics, force: float, link: str = link) -> None:
+                dynamics.set_external_wrench(link, force * direction)
+
+            force = self._most(put, HARDEST)
+            if force > hardest:
+                chosen, hardest = link, force
+            if hardest >= FIRM:
+                break
+        return chosen, hardest * direction
+
+    def external_efforts(self, link: str, force: Floats, q: Floats) -> Floats:
+        """Compute what joint efforts must make up for while a link is pushed: -J^T F."""
+        pushed, alone = InverseDynamics(self.robot), InverseDynamics(self.robot)
+        pushed.set_external_wrench(link, force)
+        difference: Floats = pushed.gravity_efforts(q) - alone.gravity_efforts(q)
+        return difference
+
+    def _most(self, put: Callable[[InverseDynamics, float], None], limit: float) -> float:
+        """Find the most of something, up to a limit, that the joints and drives stand."""
+        robot, start = self.robot, self.start
+        dynamics = InverseDynamics(robot)
+        alone = dynamics.gravity_efforts(start)
+        put(dynamics, 1.0)
+        change = dynamics.gravity_efforts(start) - alone
+        deflection = np.linalg.solve(InverseDynamics(robot).mass_matrix(start), change) / KP
+        most = min(limit, DEFLECTION / max(float(np.max(np.abs(deflection))), 1e-9))
+        while effort_used(robot, alone + most * change) > 0.8 * EFFORT_USED and most > 1e-3:
+            most *= 0.8
+        return float(f'{most:.2g}')  # a load as people would tell it
+
+
+def hand(robot: RobotModel) -> str:
+    """Return the last link before the arm ends or fingers part."""
+    carried = np.zeros(len(robot.body_names), dtype=int)
+    for body in range(len(carried) - 1, 0, -1):
+        carried[robot.parent[body]] += 1 + carried[body]
+    body = 0
+    while True:
+        children = np.flatnonzero(robot.parent == body)
+        most = [int(k) for k in children if carried[k] == carried[children].max()]
+        if len(most) != 1:
+            break
+        body = most[0]
+    return robot.link_names[int(np.flatnonzero(robot.link_body == body)[-1])]
+
+
+def up_from(robot: RobotModel, link: str) -> list[str]:
+    """List links from one towards the base, one for every joint on the way."""
+    body = int(robot.link_body[robot.link_names.index(link)])
+    links = [link]
+    while (body := int(robot.parent[body])) > 0:
+        links.append(robot.link_names[int(np.flatnonzero(robot.link_body == body)[-1])])
+    return links

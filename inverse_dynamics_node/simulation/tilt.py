@@ -1,0 +1,84 @@
+"""A base that tilts: smoothly from one attitude to the next, and what its sensors feel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..dynamics import STANDARD_GRAVITY
+from ..model import Floats
+from .trajectory import ease
+
+DURATION = 3.0  # [s], of a change of attitude
+
+
+def rotation(vector: ArrayLike) -> Floats:
+    """Return the rotation about a vector, by its length [rad], as a matrix of shape (3, 3)."""
+    quaternion, matrix = np.zeros(4), np.zeros(9)
+    vector = np.asarray(vector, float)
+    angle = float(np.linalg.norm(vector))
+    mujoco.mju_axisAngle2Quat(quaternion, vector / angle if angle else vector, angle)
+    mujoco.mju_quat2Mat(matrix, quaternion)
+    return matrix.reshape(3, 3)
+
+
+def rotation_of_rpy(rpy: ArrayLike) -> Floats:
+    """Return the rotation about fixed x, then y, then z, shape (3, 3)."""
+    x, y, z = (
+        rotation(angle * axis) for angle, axis in zip(np.array(rpy), np.eye(3), strict=True)
+    )
+    product: Floats = z @ y @ x
+    return product
+
+
+@dataclass(eq=False)
+class Tilt:
+    """
+    The attitude of a base over time; level at first.
+
+    Attributes
+    ----------
+    began : float
+        When the base began to turn last [s].
+    level : ndarray, shape (3, 3)
+        From the base frame as it was then to the level frame.
+    turn : ndarray, shape (3,)
+        Rotation vector of the turn since, in the base frame [rad].
+
+    """
+
+    began: float = -np.inf
+    level: Floats = field(default_factory=lambda: np.eye(3))
+    turn: Floats = field(default_factory=lambda: np.zeros(3))
+
+    def turn_to(self, attitude: ArrayLike, time: float) -> None:
+        """Turn from where the base is at a time [s] to a rotation vector from level [rad]."""
+        self.level = self.attitude(time)
+        self.began = time
+        quaternion, turn = np.zeros(4), np.zeros(3)
+        mujoco.mju_mat2Quat(quaternion, (self.level.T @ rotation(attitude)).ravel())
+        mujoco.mju_quat2Vel(turn, quaternion, 1.0)
+        self.turn = turn
+
+    def attitude(self, time: float) -> Floats:
+        """Return the rotation from the base frame at a time [s] to the level one, shape (3, 3)."""
+        share = ease(np.array((time - self.began) / DURATION))[0]
+        matrix: Floats = self.level @ rotation(share * self.turn)
+        return matrix
+
+    def motion(self, time: float) -> tuple[Floats, Floats, Floats]:
+        """
+        Tell how the base moves at a time [s].
+
+        Returns
+        -------
+        gravity, angular_velocity, angular_acceleration : ndarray, shape (3,)
+            In the base frame [m/s^2], [rad/s], [rad/s^2].
+
+        """
+        _, speed, acceleration = ease(np.array((time - self.began) / DURATION))
+        gravity = self.attitude(time).T @ STANDARD_GRAVITY
+        return gravity, speed / DURATION * self.turn, acceleration / DURATION**2 * self.turn

@@ -1,0 +1,242 @@
+"""
+The node closes the loop around an arm: what it knows of the world shows in how the arm moves.
+
+The demo runs as a user runs it, and records; what comes of it is judged here, from the record,
+with nothing of the demo's own judgement. Limits leave room for a machine that is busy elsewhere.
+"""
+
+from contextlib import contextmanager
+import os
+import subprocess
+import sys
+
+from lxml import etree
+import numpy as np
+import pytest
+from robot_files import ROOT, STANFORD
+
+pytest.importorskip('rclpy')
+pytest.importorskip('mujoco')
+pytest.importorskip('rosbags')
+
+from inverse_dynamics_node import load_urdf
+from inverse_dynamics_node.simulation.mujoco_model import compile_model
+import mujoco
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import get_typestore, Stores
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool
+
+GRIPPER_ARM = ROOT / 'test' / 'robots' / 'gripper_arm.urdf'
+ARMS = [pytest.param(path, id=path.stem) for path in (STANFORD, GRIPPER_ARM)]
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+DURATION = 10.0  # [s]
+PATIENCE = 120.0  # [s]
+SETTLED = 1.5  # [s]
+
+
+@pytest.fixture
+def record(domain_id, tmp_path):
+    """Return a function that runs a scenario and returns what was recorded."""
+
+    def run(path, scenario):
+        folder = tmp_path / scenario
+        demo = [sys.executable, '-m', 'inverse_dynamics_node.simulation.demo', str(path)]
+        options = ['--scenario', scenario, '--duration', str(DURATION), '--record', str(folder)]
+        done = subprocess.run(
+            [*demo, *options],
+            env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)},
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE,
+        )
+        assert 'Traceback' not in done.stderr
+        assert folder.exists(), done.stdout[-2000:] + done.stderr[-2000:]
+        return Record(folder, load_urdf(path).joint_names)
+
+    return run
+
+
+class Record:
+    """A recorded run; times count from its first reference [s], joints are in our order."""
+
+    def __init__(self, folder, joint_names):
+        self.joint_names = joint_names
+        self._messages = {}
+        typestore = get_typestore(Stores.ROS2_JAZZY)
+        with Reader(folder) as reader:
+            for connection, stamp, data in reader.messages():
+                message = typestore.deserialize_cdr(data, connection.msgtype)
+                self._messages.setdefault(connection.topic, []).append((stamp, message))
+        self._began = self._messages['/inverse_dynamics/reference'][0][0]
+
+    def times(self, topic):
+        return np.array([(stamp - self._began) * 1e-9 for stamp, _ in self._messages[topic]])
+
+    def messages(self, topic):
+        return [message for _, message in self._messages[topic]]
+
+    def joints(self, topic, field):
+        """Return one array of a topic's joint states, shape (k, n)."""
+        rows = []
+        for message in self.messages(topic):
+            values = dict(zip(message.name, getattr(message, field), strict=True))
+            rows.append([values[name] for name in self.joint_names])
+        return np.array(rows)
+
+    def errors(self):
+        """Return times, and how far the joints were from the reference of the same stamp."""
+        references = {
+            round(time, 6): message.points[0].positions
+            for time, message in zip(
+                self.times('/inverse_dynamics/reference'),
+                self.messages('/inverse_dynamics/reference'),
+                strict=True,
+            )
+        }
+        times = self.times('/joint_states')
+        known = [i for i, time in enumerate(times) if round(time, 6) in references]
+        assert len(known) > 0.5 * len(times[times > 0.0])
+        desired = np.array([references[round(times[i], 6)] for i in known])
+        return times[known], desired - self.joints('/joint_states', 'position')[known]
+
+
+def usual(errors, times, begin, end=np.inf):
+    """Return how far off the joints were at most, all but a tenth of the time: machines stall."""
+    return np.quantile(abs(errors[(times >= begin) & (times < end)]).max(axis=1), 0.9)
+
+
+@pytest.mark.parametrize('path', ARMS)
+def test_load_shows_as_an_error_until_the_node_is_told(record, path):
+    run = record(path, 'payload')
+    times, errors = run.errors()
+    (picked_up,), (told,) = (
+        run.times(f'/{node}/payload') for node in ('simulated_robot', 'inverse_dynamics')
+    )
+    before = usual(errors, times, 0.0, picked_up)
+    unknown = usual(errors, times, picked_up, told)
+    known = usual(errors, times, told + SETTLED)
+    assert before < 0.02
+    assert unknown > 0.05, 'the load must be worth telling'
+    assert known < 0.02
+    assert unknown > 10.0 * known
+
+
+@pytest.mark.parametrize('path', ARMS)
+def test_arm_holds_still_on_a_base_that_tilts(record, path):
+    run = record(path, 'tilt')
+    times, errors = run.errors()
+    forces = np.array(
+        [[m.linear_acceleration.x, m.linear_acceleration.y, m.linear_acceleration.z]
+         for m in run.messages('/imu')]
+    )  # fmt: skip
+    cosine = forces[0] @ forces[-1] / np.linalg.norm(forces[0]) / np.linalg.norm(forces[-1])
+    assert np.degrees(np.arccos(cosine)) == pytest.approx(30.0, abs=0.1)
+    assert times[-1] > DURATION - 1.0
+    assert usual(errors, times, 0.0) < 0.02
+    assert usual(errors, times, times[-1] - 1.0) < 0.003
+
+
+@pytest.mark.parametrize('path', ARMS)
+def test_contact_shows_as_what_must_make_up_for_it(record, path):
+    run = record(path, 'push')
+    began, ended = run.times('/simulated_robot/push')
+    push = run.messages('/simulated_robot/push')[0]
+    force = np.array([push.wrench.force.x, push.wrench.force.y, push.wrench.force.z])
+    external = run.joints('/inverse_dynamics/external_efforts', 'effort')
+    times = run.times('/inverse_dynamics/external_efforts')
+    states = run.times('/joint_states')
+    q = run.joints('/joint_states', 'position')[(states > began + SETTLED) & (states < ended)]
+    expected = -joint_efforts_of(path, push.header.frame_id, force, np.mean(q, axis=0))
+    found = np.mean(external[(times > began + SETTLED) & (times < ended)], axis=0)
+    size = abs(expected).max()
+    assert size > 1.0
+    np.testing.assert_allclose(found, expected, rtol=0, atol=0.05 * size)
+    quiet = external[(times > 0.0) & (times < began)]
+    assert np.median(abs(quiet).max(axis=1)) < 0.05 * size
+
+
+def joint_efforts_of(path, link, force, q):
+    """Find what a force at a link's origin, in its frame, does for the joints: J^T F by MuJoCo."""
+    robot = load_urdf(path)
+    model = compile_model(path, friction=False)
+    data = mujoco.MjData(model)
+    positions = dict(zip(robot.joint_names, q, strict=True))
+    for body, name in list(enumerate(robot.body_names))[1:]:
+        master = robot.joint_names[robot.joint_index[body]]
+        position = robot.multiplier[body] * positions[master] + robot.offset[body]
+        data.qpos[model.joint(name).qposadr[0]] = position
+    mujoco.mj_forward(model, data)
+    body = model.body(link).id
+    jacobian = np.zeros((3, model.nv))
+    mujoco.mj_jac(model, data, jacobian, None, data.xpos[body], body)
+    efforts = jacobian.T @ data.xmat[body].reshape(3, 3) @ force
+    return np.array([efforts[model.joint(name).dofadr[0]] for name in robot.joint_names])
+
+
+@contextmanager
+def simulated(domain_id, path, held):
+    """Run a simulated robot some of whose joints hold themselves."""
+    process = subprocess.Popen(
+        [
+            *(sys.executable, '-m', 'inverse_dynamics_node.simulation.robot', str(path)),
+            *('--held', *held, '--ros-args', '-r', 'commands:=inverse_dynamics/commands'),
+        ],
+        env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)},
+    )
+    try:
+        yield
+    finally:
+        process.terminate()
+        process.wait(PATIENCE)
+
+
+def without_mass(path, joints):
+    """Write a robot description in which what some joints move weighs nothing."""
+    root = etree.parse(str(path)).getroot()
+    children = {j.get('name'): j.find('child').get('link') for j in root.iter('joint')}
+    mimics = {
+        j.get('name') for j in root.iter('joint')
+        if j.find('mimic') is not None and j.find('mimic').get('joint') in joints
+    }  # fmt: skip
+    light = {children[name] for name in {*joints, *mimics}}
+    for link in root.iter('link'):
+        if link.get('name') in light:
+            link.remove(link.find('inertial'))
+    return etree.tostring(root, encoding='unicode')
+
+
+@pytest.mark.parametrize('counts', [True, False], ids=['counted', 'left out'])
+@pytest.mark.parametrize(
+    ('path', 'held'),
+    [(STANFORD, ['joint_4', 'joint_5', 'joint_6']), (GRIPPER_ARM, ['finger_left'])],
+    ids=['stanford', 'gripper_arm'],
+)
+def test_mass_of_joints_that_are_not_commanded_counts(
+    domain_id, run_node, robot, tmp_path, path, held, counts
+):
+    """An arm that only gravity compensation holds stays where it is, or it does not."""
+    description = tmp_path / 'told.urdf'
+    description.write_text(path.read_text() if counts else without_mass(path, held))
+    arm = [name for name in load_urdf(path).joint_names if name not in held]
+    states, brakes = [], []
+    robot.node.create_subscription(JointState, 'joint_states', states.append, 10)
+    robot.node.create_subscription(Bool, 'brakes', lambda m: brakes.append(m.data), LATCHED)
+    with simulated(domain_id, path, held):
+        node = run_node(
+            robot_description_file=f"'{description}'",
+            mode='gravity_compensation',
+            joints=f'[{", ".join(arm)}]',
+            state_timeout=0.5,
+        )
+        robot.wait_until(lambda: len(brakes) and not brakes[-1], 'open brakes')
+        open_at = len(states)
+        robot.wait_until(lambda: len(states) > open_at + 1000, 'two seconds')
+        assert node.process.poll() is None
+    before, after = (
+        np.array([dict(zip(state.name, state.position, strict=True))[name] for name in arm])
+        for state in (states[open_at], states[-1])
+    )
+    moved = abs(after - before).max()
+    assert (moved < 0.01) if counts else (moved > 0.03), moved

@@ -1,0 +1,209 @@
+"""The simulated robot as a controller meets it."""
+
+import time
+
+import numpy as np
+import pytest
+from robot_files import STANFORD
+
+pytest.importorskip('rclpy')
+pytest.importorskip('mujoco')
+pytest.importorskip('rosbags')
+
+from geometry_msgs.msg import (
+    Inertia,
+    InertiaStamped,
+    Vector3,
+    Vector3Stamped,
+    Wrench,
+    WrenchStamped,
+)
+from inverse_dynamics_node import InverseDynamics, load_urdf
+from inverse_dynamics_node.simulation.mujoco_robot import MujocoRobot
+from inverse_dynamics_node.simulation.robot import RobotNode
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import Imu, JointState
+from std_msgs.msg import Bool, Float64MultiArray, Header
+
+IMU_ORIENTATION = (np.pi / 2, 0.0, np.pi / 2)
+PATIENCE = 90.0  # [s]; a demo that can do nothing gives up by itself before this
+
+
+class TestRobotNode:
+    @pytest.fixture
+    def arm(self, domain_id):
+        """Return the simulated robot and a controller's side of it, in one process."""
+        context = Context()
+        context.init(args=[], domain_id=domain_id)
+        sides = Arm(context)
+        yield sides
+        sides.close()
+        context.try_shutdown()
+
+    def test_states_come_by_name_with_simulated_time(self, arm):
+        def two_came():
+            arm.node.advance(0.002)
+            return len(arm.states) >= 2
+
+        arm.wait_until(two_came)
+        first, second = arm.states[:2]
+        assert list(first.name) == list(arm.robot.state_names)
+        assert len(first.position) == len(first.velocity) == len(first.effort) == len(first.name)
+        stamps = [s.header.stamp.sec * 10**9 + s.header.stamp.nanosec for s in (first, second)]
+        assert stamps[1] - stamps[0] == 2_000_000
+
+    def test_incomplete_and_not_finite_commands_are_ignored(self, arm):
+        efforts = []
+
+        def obeys_the_last():
+            efforts.append(set(arm.robot.state()[2]))
+            return efforts[-1] == {3.0}
+
+        arm.send([1.0] * 6)
+        for wrong in ([2.0] * 5, [2.0] * 7, [], [float('nan')] * 6, [2.0] * 5 + [float('inf')]):
+            arm.send(wrong)
+        arm.send([3.0] * 6)
+        arm.wait_until(obeys_the_last)
+        assert set().union(*efforts) == {0.0, 1.0, 3.0}
+
+    def test_brakes_open_once_commands_have_come_for_a_while(self, arm):
+        def command_for(times):
+            for i in range(times):
+                arm.send_and_see([0.1 + 0.1 * i] * 6)
+                arm.node.advance(0.05)
+
+        arm.wait_until(lambda: arm.brakes == [True])
+        command_for(9)
+        arm.node.advance(0.2)  # a gap: the count starts all over
+        command_for(9)
+        assert arm.robot.brakes_on
+        command_for(3)
+        assert not arm.robot.brakes_on
+        arm.wait_until(lambda: arm.brakes == [True, False])
+
+    def test_load_push_and_tilt_are_felt(self, arm):
+        dynamics = InverseDynamics(arm.robot.robot)
+        q = arm.robot.state()[0]
+
+        arm.tell('payload', InertiaStamped(header=at('link_6'), inertia=Inertia(m=2.0)))
+        dynamics.set_payload('link_6', 2.0)
+        arm.wait_until(lambda: arm.balance(dynamics, q) < 1e-9)
+        wrench = Wrench(force=Vector3(x=3.0), torque=Vector3(z=0.5))
+        arm.tell('push', WrenchStamped(header=at('tool0'), wrench=wrench))
+        dynamics.set_external_wrench('tool0', (3.0, 0.0, 0.0), (0.0, 0.0, 0.5))
+        arm.wait_until(lambda: arm.balance(dynamics, q) < 1e-9)
+        arm.tell('tilt', Vector3Stamped(vector=Vector3(x=0.5)))
+        dynamics.set_gravity((0.0, -9.80665 * np.sin(0.5), -9.80665 * np.cos(0.5)))
+        arm.wait_until(lambda: arm.balance(dynamics, q) < 1e-9)
+
+    def test_load_on_a_link_that_is_not_there_changes_nothing(self, arm):
+        arm.tell('payload', InertiaStamped(header=at('nope'), inertia=Inertia(m=2.0)))
+        for _ in range(20):
+            arm.executor.spin_once(timeout_sec=0.01)
+        dynamics = InverseDynamics(arm.robot.robot)
+        assert arm.balance(dynamics, arm.robot.state()[0]) < 1e-9
+
+    def test_imu_feels_the_ground_and_the_turning(self, arm):
+        imus = []
+        arm.side.create_subscription(Imu, 'imu', imus.append, 1000)
+
+        def advance(seconds):
+            came = len(imus)
+            for _ in range(int(seconds / 0.05)):
+                arm.node.advance(0.05)
+            arm.wait_until(lambda: len(imus) >= came + int(seconds / 0.05))
+
+        arm.wait_until(lambda: arm.node.advance(0.002) or imus)
+        # The sensor's x axis is the base's y axis, its y axis looks up.
+        assert read(imus[-1].linear_acceleration) == pytest.approx([0.0, 9.80665, 0.0])
+        assert read(imus[-1].angular_velocity) == [0.0, 0.0, 0.0]
+        arm.tell('tilt', Vector3Stamped(vector=Vector3(y=0.5)))
+        before = len(imus)
+        arm.wait_until(lambda: arm.node.advance(0.05) or imus[-1].angular_velocity.x > 0.0)
+        advance(4.0)
+        assert 0.05 * sum(imu.angular_velocity.x for imu in imus[before:]) == pytest.approx(
+            0.5, abs=1e-3
+        )
+        cosine, sine = 9.80665 * np.cos(0.5), 9.80665 * np.sin(0.5)
+        assert read(imus[-1].linear_acceleration) == pytest.approx([0.0, cosine, -sine])
+
+    def test_without_sensors_joint_states_stop_and_brakes_go_on(self, arm):
+        def command_for(times):
+            for i in range(times):
+                arm.send_and_see([0.1 + 0.1 * i] * 6)
+                arm.node.advance(0.05)
+
+        arm.wait_until(lambda: arm.brakes == [True])
+        command_for(12)
+        arm.wait_until(lambda: arm.brakes == [True, False])
+        arm.tell('sensors', Bool(data=False))
+        arm.wait_until(lambda: arm.brakes == [True, False, True])
+        came = len(arm.states)
+        command_for(12)
+        assert len(arm.states) == came
+        assert arm.robot.brakes_on
+        arm.tell('sensors', Bool(data=True))
+        arm.wait_until(lambda: arm.node.advance(0.002) or len(arm.states) > came)
+        command_for(12)
+        assert not arm.robot.brakes_on
+
+
+def at(link):
+    return Header(frame_id=link)
+
+
+def read(vector):
+    return [vector.x, vector.y, vector.z]
+
+
+class Arm:
+    """A simulated robot whose brakes open after half a second, and who commands it."""
+
+    def __init__(self, context):
+        self.robot = MujocoRobot(STANFORD, load_urdf(STANFORD), [0, 0, 0.5, 0, 0.5, 0])
+        self.node = RobotNode(self.robot, 0.5, IMU_ORIENTATION, context=context)
+        self.states, self.brakes = [], []
+        self.side = Node('side', context=context)
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        subscribe = self.side.create_subscription
+        subscribe(JointState, 'joint_states', self.states.append, 1000)
+        subscribe(Bool, 'brakes', lambda message: self.brakes.append(message.data), latched)
+        self._commands = self.side.create_publisher(Float64MultiArray, 'commands', 10)
+        self.executor = SingleThreadedExecutor(context=context)
+        self.executor.add_node(self.side)
+        self.executor.add_node(self.node)
+        self.wait_until(lambda: self._commands.get_subscription_count() > 0)
+
+    def close(self):
+        self.executor.shutdown()
+        self.side.destroy_node()
+        self.node.destroy_node()
+
+    def tell(self, topic, message):
+        """Publish on a topic of the simulated robot's own."""
+        publisher = self.side.create_publisher(type(message), f'simulated_robot/{topic}', 10)
+        self.wait_until(lambda: publisher.get_subscription_count() > 0)
+        publisher.publish(message)
+
+    def balance(self, dynamics, q):
+        """Let time pass with brakes on; return by how much efforts and accelerations disagree."""
+        self.node.advance(0.05)
+        accelerations = self.robot.accelerations()
+        return abs(dynamics.efforts(q, np.zeros(len(q)), accelerations)).max()
+
+    def send(self, efforts):
+        self._commands.publish(Float64MultiArray(data=efforts))
+
+    def send_and_see(self, efforts):
+        """Send a command, and wait until the robot obeys it."""
+        self.send(efforts)
+        self.wait_until(lambda: set(self.robot.state()[2]) == set(efforts))
+
+    def wait_until(self, is_true):
+        deadline = time.monotonic() + PATIENCE
+        while not is_true():
+            assert time.monotonic() < deadline
+            self.executor.spin_once(timeout_sec=0.02)

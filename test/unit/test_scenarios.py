@@ -1,0 +1,259 @@
+"""What scenarios do to a robot, how they are judged, shown and drawn."""
+
+import io
+import math
+
+import numpy as np
+import pytest
+from robot_files import OUR_ROBOTS, ROOT, STANFORD
+
+pytest.importorskip('rclpy')
+pytest.importorskip('mujoco')
+
+from inverse_dynamics_node import InverseDynamics, load_urdf
+from inverse_dynamics_node.simulation import verdicts
+from inverse_dynamics_node.simulation.history import History
+from inverse_dynamics_node.simulation.picture import draw
+from inverse_dynamics_node.simulation.scenarios import SCENARIOS, TILT
+from inverse_dynamics_node.simulation.stage import DEFLECTION, hand, KP, Stage
+from inverse_dynamics_node.simulation.trajectory import EFFORT_USED, effort_used, start_pose
+from inverse_dynamics_node.simulation.view import bar, error_share, Moment, View
+from inverse_dynamics_node.simulation.without_imu import held_without_imu
+from rich.console import Console
+
+GRIPPER_ARM = ROOT / 'test' / 'robots' / 'gripper_arm.urdf'
+
+
+def stage_of(path, duration=10.0, link=''):
+    robot = load_urdf(path)
+    return Stage(str(path), robot, start_pose(robot, InverseDynamics(robot)), duration, link)
+
+
+@pytest.fixture(scope='module')
+def stage():
+    return stage_of(STANFORD)
+
+
+@pytest.fixture(params=OUR_ROBOTS, ids=lambda path: path.stem)
+def any_stage(request):
+    return stage_of(request.param)
+
+
+def history_of(stage, *phases):
+    """Make up a history: phases of (end, error of the first joint)."""
+    history = History()
+    ends, errors = zip(*phases, strict=True)
+    for time in np.arange(0.0, stage.duration, 0.01):
+        q = stage.start.copy()
+        q[0] += errors[int(np.searchsorted(ends, time, side='right'))]
+        history.states.add(time, (q, stage.start, np.ones(len(q))))
+        history.commands.add(time, np.ones(len(q)))
+        history.external.add(time, np.zeros(len(q)))
+    return history
+
+
+class TestStage:
+    @pytest.mark.parametrize(
+        ('robot', 'link'), [('stanford', 'tool0'), ('seven_dof', 'tool0'), ('gripper_arm', 'palm')]
+    )
+    def test_hand_is_where_the_arm_ends_or_fingers_part(self, robot, link):
+        (path,) = (path for path in OUR_ROBOTS if path.stem == robot)
+        assert hand(load_urdf(path)) == link
+
+    def test_loads_and_pushes_are_what_the_robot_stands(self, any_stage):
+        robot, start = any_stage.robot, any_stage.start
+        alone = InverseDynamics(robot)
+        link, mass, inertia = any_stage.load()
+        assert 0.0 < mass <= 5.0
+        loaded, pushed = InverseDynamics(robot), InverseDynamics(robot)
+        loaded.set_payload(link, mass, (0.0, 0.0, 0.05), inertia)
+        link, force = any_stage.push()
+        assert np.linalg.norm(force) > 0.0
+        pushed.set_external_wrench(link, force)
+        for dynamics in loaded, pushed:
+            efforts = dynamics.gravity_efforts(start)
+            used = effort_used(robot, efforts)
+            assert used <= max(EFFORT_USED, effort_used(robot, alone.gravity_efforts(start)))
+            difference = efforts - alone.gravity_efforts(start)
+            error = np.linalg.solve(alone.mass_matrix(start), difference) / KP
+            assert abs(error).max() <= 1.06 * DEFLECTION  # rounded to two digits
+
+    def test_arms_feel_what_is_done_to_them(self, stage):
+        link, mass, _ = stage.load()
+        dynamics = InverseDynamics(stage.robot)
+        alone = dynamics.gravity_efforts(stage.start)
+        dynamics.set_payload(link, mass)
+        assert abs(dynamics.gravity_efforts(stage.start) - alone).max() > 0.5
+        assert abs(stage.external_efforts(*stage.push(), stage.start)).max() > 1.0
+
+
+class TestScripts:
+    @pytest.mark.parametrize('name', SCENARIOS)
+    def test_events_are_in_order_and_within_the_run(self, stage, name):
+        script = SCENARIOS[name].prepare(stage)
+        times = [event.time for event in script.events]
+        assert times == sorted(times)
+        assert all(0.0 < time < stage.duration for time in times)
+        for time in 0.0, 0.5 * stage.duration:
+            assert np.isfinite(script.trajectory.sample(time)).all()
+
+    def test_push_is_expected_while_it_lasts(self, stage):
+        script = SCENARIOS['push'].prepare(stage)
+        began, ended = (event.time for event in script.events)
+        times = np.array([began - 0.1, began + 0.1, ended - 0.1, ended + 0.1])
+        efforts = script.expected(times, np.tile(stage.start, (4, 1)))
+        assert (abs(efforts).max(axis=1) > 1.0).tolist() == [False, True, True, False]
+
+    def test_arm_sags_on_a_tilted_base_without_an_imu(self, stage):
+        times, errors = held_without_imu(stage, TILT, 2.5)
+        assert abs(errors[times < 2.5]).max() < 1e-6
+        assert abs(errors[times > 7.0]).max() > 0.01
+
+
+class TestVerdicts:
+    def test_tracking_within_the_limits_is_well(self):
+        small = np.full(2, 1e-4)
+        assert verdicts.find_failures(('a', 'b'), small, small, 499.0, 500.0) == []
+
+    @pytest.mark.parametrize(
+        ('moving', 'rest', 'rate', 'words'),
+        [
+            (0.011, 0.0, 500.0, "joint 'a' was 11.00 mrad or mm off moving"),
+            (0.0, 0.0011, 500.0, "joint 'a' was 1.10 mrad or mm off at rest"),
+            (0.0, math.nan, 500.0, 'off at rest'),
+            (0.0, 0.0, 489.0, '489.0 commands/s came'),
+            (0.0, 0.0, 511.0, '511.0 commands/s came'),
+            (0.0, 0.0, math.nan, 'nan commands/s came'),
+        ],
+    )
+    def test_each_limit_missed_in_tracking_is_told(self, moving, rest, rate, words):
+        errors = np.array([moving, 0.0]), np.array([rest, 0.0])
+        (failure,) = verdicts.find_failures(('a', 'b'), *errors, rate, 500.0)
+        assert words in failure
+
+    def test_errors_of_other_times_do_not_count(self, stage):
+        history = history_of(stage, (2.0, 0.1), (4.0, -0.2), (99.0, 0.3))
+        assert history.largest_error(2.5, 3.5) == pytest.approx([0.2, 0, 0, 0, 0, 0])
+        assert np.isnan(history.largest_error(20.0, 30.0)).all()
+
+    @pytest.mark.parametrize(
+        ('errors', 'words'),
+        [
+            ((0.001, 0.2, 0.001), ''),
+            ((0.02, 0.2, 0.001), '20 mrad off before'),
+            ((0.001, 0.2, 0.02), '20 mrad off although'),
+            ((0.001, 0.001, 0.001), '1.0 times better'),
+        ],
+    )
+    def test_load(self, stage, errors, words):
+        history = history_of(stage, (3.0, errors[0]), (6.1, errors[1]), (99.0, errors[2]))
+        verdict = verdicts.judge_payload(stage, history, 3.0, 6.0)
+        assert words in str(verdict)
+        assert len(verdict.failures) == bool(words)
+        assert str(verdict).startswith('FAILED' if words else 'PASSED')
+
+    @pytest.mark.parametrize(
+        ('share', 'words'),
+        [(1.0, ''), (1.04, ''), (1.1, 'found 10.0% off'), (-1.0, 'found 200.0% off'), (0, '100')],
+    )
+    def test_push(self, stage, share, words):
+        link, force = stage.push()
+        history = history_of(stage, (99.0, 0.0))
+        history.external = type(history.external)()
+        expected = stage.external_efforts(link, force, stage.start)
+        for time in history.states.times:
+            history.external.add(time, share * expected * (3.0 <= time < 6.0))
+        verdict = verdicts.judge_push(stage, history, link, force, 3.0, 6.0)
+        assert words in str(verdict)
+        assert len(verdict.failures) == bool(words)
+
+    def test_push_of_which_nothing_is_told_fails(self, stage):
+        history = history_of(stage, (99.0, 0.0))
+        history.external = type(history.external)()
+        verdict = verdicts.judge_push(stage, history, *stage.push(), 3.0, 6.0)
+        assert 'told nothing' in str(verdict)
+
+    @pytest.mark.parametrize(
+        ('errors', 'count'), [((0.005, 0.0001), 0), ((0.02, 0.0001), 1), ((0.005, 0.002), 1)]
+    )
+    def test_tilt(self, stage, errors, count):
+        history = history_of(stage, (7.0, errors[0]), (99.0, errors[1]))
+        without = np.arange(2.0), np.outer([0.0, 0.2], np.ones(6))
+        verdict = verdicts.judge_tilt(stage, history, 7.0, without)
+        assert len(verdict.failures) == count
+
+    @pytest.mark.parametrize(
+        ('zero_from', 'brakes', 'count'),
+        [(3.5, [1, 0], 0), (4.5, [1, 0], 1), (3.5, [], 1), (3.5, [1], 1)],
+    )
+    def test_sensor_lost(self, stage, zero_from, brakes, count):
+        history = history_of(stage, (99.0, 0.0))
+        history.commands = type(history.commands)()
+        for time in np.arange(0.0, 10.0, 0.01):
+            history.commands.add(time, np.full(6, 0.0 if zero_from <= time < 5.0 else 1.0))
+        for i, on in enumerate(brakes):
+            history.brakes.add(3.0 + 3.0 * i, on)
+        assert len(verdicts.judge_sensor_lost(stage, history, 3.0, 5.0).failures) == count
+
+
+class TestView:
+    def moment(self, stage, words='the arm stands', off=0.001):
+        start = stage.start
+        return Moment(1.2, 500.0, words, start + off, start, start, brakes_on=True)
+
+    def terminal(self):
+        return Console(file=io.StringIO(), force_terminal=True, width=100, height=40)
+
+    def test_terminal_shows_every_joint_and_what_happens(self, stage):
+        console = self.terminal()
+        view = View(stage.robot, 'stanford: push', console)
+        with view.open():
+            assert view.is_live
+            assert view.is_due
+            view.draw(self.moment(stage, 'somebody pushes'))
+            assert not view.is_due
+        text = console.file.getvalue()
+        for words in (*stage.robot.joint_names, 'stanford: push', 'somebody pushes', 'BRAKES ON'):
+            assert words in text
+        assert '█' in text
+
+    def test_elsewhere_nothing_is_drawn(self, stage):
+        console = Console(file=io.StringIO())
+        view = View(stage.robot, 'stanford: push', console)
+        with view.open():
+            assert not view.is_live
+            assert not view.is_due
+        assert console.file.getvalue() == ''
+
+    def test_lines_name_units(self, stage, capsys):
+        View(stage.robot, '', Console(file=io.StringIO())).print_progress(self.moment(stage))
+        lines = capsys.readouterr().out.splitlines()
+        assert lines[1] == 't = 1.2 s   500.0 commands/s'
+        assert 'mrad' in lines[3]
+        assert ' mm ' in lines[5]
+
+    @pytest.mark.parametrize(('error', 'share'), [(0.1, 1.0), (-0.01, 0.75), (1e-5, 0.0)])
+    def test_error_bar_goes_by_factors(self, error, share):
+        assert error_share(error) == pytest.approx(share)
+
+    @pytest.mark.parametrize(
+        ('share', 'text', 'colour'),
+        [(0.0, '·' * 12, 'green'), (0.8, '█' * 10 + '·' * 2, 'yellow'), (9.0, '█' * 12, 'red')],
+    )
+    def test_bar_fills_and_warns(self, share, text, colour):
+        drawn = bar(share, 0.7, 0.9)
+        assert drawn.plain == text
+        assert str(drawn.spans[0].style if drawn.spans else colour) in (colour, 'bright_black')
+
+
+@pytest.mark.parametrize('name', SCENARIOS)
+@pytest.mark.parametrize('path', [STANFORD, GRIPPER_ARM], ids=lambda path: path.stem)
+def test_picture_is_drawn(tmp_path, path, name):
+    stage = stage_of(path)
+    script = SCENARIOS[name].prepare(stage)
+    history = history_of(stage, (3.0, 0.01), (6.0, 0.1), (99.0, 0.0))
+    picture = tmp_path / 'run.png'
+    draw(picture, stage.robot, name, script, history)
+    header = picture.read_bytes()[:24]
+    assert header[1:4] == b'PNG'
+    assert int.from_bytes(header[16:20], 'big') == 900
