@@ -1,4 +1,4 @@
-# `make demo`, `make test` and `make bench` set up what they need in .venv and run it.
+# `make demo`, `make test`, `make bench` and `make bench-loop` set up what they need in .venv and run it.
 
 PYTHON ?= python3
 ROBOT ?= config/stanford.urdf
@@ -13,7 +13,7 @@ CLEAN := env -u PYTHONPATH -u LD_LIBRARY_PATH -u AMENT_PREFIX_PATH -u COLCON_PRE
     -u ROS_STATIC_PEERS -u ROS_LOCALHOST_ONLY -u ROS_SECURITY_ENABLE -u ROS_SECURITY_STRATEGY \
     ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
 
-.PHONY: demo test bench clean
+.PHONY: demo test bench bench-loop clean
 
 demo: $(VENV)/demo.done
 	@$(CLEAN) $(BIN)/python -m inverse_dynamics_node.simulation.demo '$(ROBOT)' $(ARGS)
@@ -28,6 +28,9 @@ test: $(VENV)/test.done
 
 bench: $(VENV)/bench.done
 	@$(CLEAN) PYTHONPATH=test $(BIN)/python -m benchmarks $(ARGS)
+
+bench-loop: $(VENV)/test.done
+	@$(CLEAN) PYTHONPATH=test $(BIN)/python -m benchmarks.loop --doc doc $(ARGS)
 
 $(VENV)/pip.done:
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))' || \

@@ -7,12 +7,8 @@ from setuptools import find_packages, setup
 package_name = 'inverse_dynamics_node'
 
 ros = ['ros-jazzy-rclpy[fastrtps]==7.1.6', 'ros-jazzy-common-interfaces==5.3.6']
-demo = [
-    'matplotlib>=3.8',
-    'mujoco>=3.17',  # before, mimic joints of a URDF were left out
-    'rich>=13',
-    'rosbags>=0.10.10',
-]
+cli = ['matplotlib>=3.8', 'PyYAML', 'rich>=13', 'rosbags>=0.10.10']
+demo = [*cli, 'mujoco>=3.17']  # before, mimic joints of a URDF were left out
 test = [
     'colcon-common-extensions',
     'example-robot-data>=6',
@@ -24,7 +20,6 @@ test = [
     'ros-jazzy-domain-coordinator',
     'ruff==0.17.*',
 ]
-cli = ['matplotlib>=3.6', 'PyYAML', 'rich>=13', 'rosbags>=0.10']
 bench = [
     'example-robot-data>=6',
     'hypothesis>=6',

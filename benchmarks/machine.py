@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 import os
 from pathlib import Path
@@ -18,11 +19,12 @@ PACKAGES = (
 )
 
 
-def describe() -> str:
+def describe(packages: Sequence[str] = PACKAGES) -> str:
     """Name the machine and what else it does, Python and the libraries."""
     return (
         f'{processor()}, {os.cpu_count()} cores, load {load()} before the start; '
-        f'{platform.system()}, Python {platform.python_version()}; {", ".join(versions())}.'
+        f'{platform.system()}, Python {platform.python_version()}; '
+        f'{", ".join(versions(packages))}.'
     )
 
 
@@ -43,10 +45,10 @@ def processor() -> str:
     return platform.machine()
 
 
-def versions() -> list[str]:
+def versions(packages: Sequence[str]) -> list[str]:
     """List the libraries with their versions."""
     found = []
-    for name in PACKAGES:
+    for name in packages:
         try:
             found.append(f'{name} {version(name)}')
         except PackageNotFoundError:

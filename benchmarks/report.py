@@ -131,7 +131,7 @@ def papers(timings: dict[str, Timing]) -> str:
         timing = timings[name]
         label = name.replace('Lagrange', 'here')
         work = f'{counts[name].total / base:.0f} ({counts[name].total} / {base})'
-        rows.append([label, duration(timing.seconds), duration(own), _figures(timing), work])
+        rows.append([label, duration(timing.seconds), duration(own), figures(timing), work])
     return grid(['', 'Lagrangian', 'Newton-Euler', 'ratio of times', 'ratio of operations'], rows)
 
 
@@ -174,7 +174,7 @@ def floors(found: list[Floor]) -> str:
     for name in (floor.FLOOR, floor.LOOP, floor.CALL, peers.REFERENCE):
         timings = [f.timings[name] for f in found]
         label = f'{name}, from Python' if name == peers.REFERENCE else name
-        rows.append([label, *(f'{duration(t.seconds)}, {_figures(t)}' for t in timings)])
+        rows.append([label, *(f'{duration(t.seconds)}, {figures(t)}' for t in timings)])
     for label, name in (('passes', floor.LOOP), ('straight-line code', floor.FLOOR)):
         counts = [f.written if name == floor.LOOP else f.folded for f in found]
         times = [f.timings[name].seconds / c.total for f, c in zip(found, counts, strict=True)]
@@ -199,19 +199,20 @@ def duration(seconds: float) -> str:
     return f'{seconds * 1e9:.0f} ns'
 
 
+def figures(timing: Timing) -> str:
+    """Write a ratio, and small after it the quartiles."""
+    if timing.low == timing.high:
+        return _short(timing.ratio)
+    spread = f'{_short(timing.low)}–{_short(timing.high)}'
+    return f'{_short(timing.ratio)} <sub>{spread}</sub>'
+
+
 def _time(entry: Entry, calls: int) -> str:
     return duration(entry.timing.seconds / calls) if entry.timing else entry.note
 
 
 def _ratio(entry: Entry) -> str:
-    return _figures(entry.timing) if entry.timing else entry.note
-
-
-def _figures(timing: Timing) -> str:
-    if timing.low == timing.high:
-        return _short(timing.ratio)
-    spread = f'{_short(timing.low)}–{_short(timing.high)}'
-    return f'{_short(timing.ratio)} <sub>{spread}</sub>'
+    return figures(entry.timing) if entry.timing else entry.note
 
 
 def _short(ratio: float) -> str:

@@ -137,6 +137,31 @@ def _timing(times: list[float], reference: list[float]) -> Timing:
     return Timing(min(times), float(ratio), float(low), float(high))
 
 
+def missed(times: Sequence[int], period: int) -> int:
+    """
+    Count the periods without an event in their first half.
+
+    Parameters
+    ----------
+    times : sequence of int
+        Of events that should come once a period.
+    period : int
+        In the same unit. Where periods begin is read from the events themselves.
+
+    Returns
+    -------
+    count : int
+        Of the periods from the first event to the last.
+
+    """
+    since = (np.array(times) - times[0]) / period
+    begin = np.angle(np.exp(2j * np.pi * since).mean()) / (2.0 * np.pi)
+    k = np.round(since - begin)
+    # What comes later than half a period is nearer to the next; not to be taken for its event.
+    is_in_time = since - begin - k > -0.25
+    return int(k[-1] - k[0] + 1 - len(np.unique(k[is_in_time])))
+
+
 CORES: set[int] = os.sched_getaffinity(0) if hasattr(os, 'sched_getaffinity') else set()
 
 

@@ -44,3 +44,7 @@ class ConfigurationError(InverseDynamicsError):
 
 class TrajectoryError(InverseDynamicsError):
     """A trajectory that cannot be followed, or not by this robot."""
+
+
+class RecordingError(InverseDynamicsError):
+    """A recorded run that cannot be read, or not be held against this robot."""

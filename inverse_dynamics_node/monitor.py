@@ -101,7 +101,7 @@ class Monitor:
             ('cut', self.clamped, command.is_saturated),
             ('slowed', self.slowed, command.is_slowed),
         ):
-            if flags.any():
+            if np.count_nonzero(flags):
                 cut = [name for name, flag in zip(joints, flags, strict=True) if flag]
                 counter.update(cut)
                 self._news.update(f'{what} {name}' for name in cut)

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 import math
 from typing import NamedTuple
 
 import numpy as np
 
 from .errors import ConfigurationError, JointStateError
-from .model import Booleans, Floats
+from .model import Booleans, Floats, Integers
 
 _LONG_AGO = -1e300  # [s]; finite, for no time since then is not a number
+
+
+Numbers = Sequence[float] | Floats
 
 
 class State(NamedTuple):
@@ -26,6 +30,20 @@ class State(NamedTuple):
     """When the joint heard from least recently was heard from [s]."""
     times: Floats | None = None
     """When each joint was heard from, shape (n,) [s]; None if all at once."""
+
+
+@dataclass
+class _Layout:
+    """Where the numbers of one publisher belong, and what is known of them."""
+
+    ours: Integers
+    """Of the joints that are named, among ours."""
+    theirs: Integers
+    """The same among theirs."""
+    is_whole: bool
+    """Whether all that have to be heard from are named."""
+    is_measured: bool = False
+    """Whether each of the joints has had a velocity."""
 
 
 class JointStateCollector:
@@ -61,7 +79,7 @@ class JointStateCollector:
         self.times = np.full(len(self.joint_names), -math.inf)
         self._has_velocity = np.zeros(len(self.joint_names), dtype=bool)
         self._index = {name: i for i, name in enumerate(self.joint_names)}
-        self._layouts: dict[tuple[str, ...], tuple[list[int], list[int]]] = {}
+        self._layouts: dict[tuple[str, ...], _Layout] = {}
         for name, position in (locked or {}).items():
             if name not in self._index:
                 raise ConfigurationError(
@@ -73,14 +91,15 @@ class JointStateCollector:
             self.times[self._index[name]] = _LONG_AGO
         self.is_free = self.times == -math.inf
         """Which joints count only where they are heard to be, shape (n,)."""
+        self._time = self._oldest()
 
     def update(
         self,
         now: float,
         names: Sequence[str],
-        positions: Sequence[float],
-        velocities: Sequence[float],
-        efforts: Sequence[float] = (),
+        positions: Numbers,
+        velocities: Numbers,
+        efforts: Numbers = (),
     ) -> bool:
         """
         Take in one joint state, or nothing of it.
@@ -111,28 +130,31 @@ class JointStateCollector:
             raise JointStateError(f'{len(names)} names, but {len(velocities)} velocities')
         if len(efforts) not in (0, len(names)):
             raise JointStateError(f'{len(names)} names, but {len(efforts)} efforts')
-        ours, theirs = self._layout(tuple(names))
+        layout = self._layout(tuple(names))
+        ours, theirs = layout.ours, layout.theirs
         q = np.asarray(positions, dtype=np.float64)[theirs]
         # Drivers leave out a velocity that they do not measure, or fill in NaN.
         qd = np.asarray(
             velocities if len(velocities) else [math.nan] * len(names), dtype=np.float64
         )[theirs]
-        is_finite = np.isfinite(qd)
-        self._check('position', q, np.isfinite(q), ours)
-        # Where there has been a velocity, none is a fault.
-        self._check('velocity', qd, is_finite | ~self._has_velocity[ours], ours)
-        self._has_velocity[ours] |= is_finite
-        self.qd[ours] = np.where(is_finite, qd, 0.0)
+        are_finite = (
+            np.count_nonzero(np.isfinite(q)) + np.count_nonzero(np.isfinite(qd)) == 2 * q.size
+        )
+        if not (are_finite and layout.is_measured):
+            qd = self._checked(q, qd, layout)
+        self.qd[ours] = qd
         self.q[ours] = q
         self.times[ours] = now
+        self._time = now if layout.is_whole else self._oldest()
         if len(efforts):
             self.efforts[ours] = np.asarray(efforts, dtype=np.float64)[theirs]
-        return bool(ours)
+        return len(ours) > 0
 
     def state(self) -> State | None:
         """Return what is known, or None as long as a joint has not been heard from."""
-        time = float(self.times.min(initial=math.inf, where=self.is_free))
-        return None if time == -math.inf else State(self.q, self.qd, time, self.times)
+        if self._time == -math.inf:
+            return None
+        return State(self.q, self.qd, self._time, self.times)
 
     def check_free(self, names: Sequence[str]) -> None:
         """
@@ -155,6 +177,7 @@ class JointStateCollector:
             if k is not None and other.times[k] > _LONG_AGO:
                 self.q[i], self.qd[i], self.times[i] = other.q[k], other.qd[k], other.times[k]
                 self.efforts[i], self._has_velocity[i] = other.efforts[k], other._has_velocity[k]
+        self._time = self._oldest()
 
     def missing(self) -> list[str]:
         """Name the joints never heard from."""
@@ -175,7 +198,7 @@ class JointStateCollector:
         heard = self.times > _LONG_AGO
         return [self.joint_names[i] for i in np.flatnonzero(heard & ~self._has_velocity)]
 
-    def _layout(self, names: tuple[str, ...]) -> tuple[list[int], list[int]]:
+    def _layout(self, names: tuple[str, ...]) -> _Layout:
         """Find which of our joints are named, and where; a publisher repeats its names forever."""
         layout = self._layouts.get(names)
         if layout is None:
@@ -186,10 +209,27 @@ class JointStateCollector:
                 raise JointStateError(f"joint '{self.joint_names[joint]}' is named twice")
             if len(self._layouts) >= 16:  # more publishers than that are no publishers
                 self._layouts.clear()
-            layout = self._layouts[names] = ours, theirs
+            is_whole = bool(0 < self.is_free.sum() == self.is_free[ours].sum())
+            layout = self._layouts[names] = _Layout(
+                np.array(ours, np.int64), np.array(theirs, np.int64), is_whole
+            )
         return layout
 
-    def _check(self, what: str, values: Floats, is_good: Booleans, ours: list[int]) -> None:
+    def _checked(self, q: Floats, qd: Floats, layout: _Layout) -> Floats:
+        """Return the velocities to take, or raise a JointStateError."""
+        ours = layout.ours
+        is_finite = np.isfinite(qd)
+        self._check('position', q, np.isfinite(q), ours)
+        # Where there has been a velocity, none is a fault.
+        self._check('velocity', qd, is_finite | ~self._has_velocity[ours], ours)
+        self._has_velocity[ours] |= is_finite
+        layout.is_measured = bool(self._has_velocity[ours].all())
+        return np.where(is_finite, qd, 0.0)
+
+    def _check(self, what: str, values: Floats, is_good: Booleans, ours: Integers) -> None:
         if not is_good.all():
             k = int(np.argmin(is_good))
             raise JointStateError(f"{what} of joint '{self.joint_names[ours[k]]}' is {values[k]}")
+
+    def _oldest(self) -> float:
+        return float(np.min(self.times, initial=math.inf, where=self.is_free))

@@ -17,6 +17,7 @@ from ..model import Floats, RobotModel
 from ..report import decimals, effort_unit, number, share, slides, Table
 from ..trajectory import complete, refine, smooth, Trajectory
 from ..workspace import joint_ranges, last_link
+from .arguments import payload
 from .console import progress, show
 from .robots import HELP, load_dynamics
 from .trajectories import FORMATS, read_trajectory, Source
@@ -58,7 +59,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument('--topic', help='of a recording')
     parser.add_argument(
         '--payload',
-        type=_payload,
+        type=payload,
         metavar='MASS[,X,Y,Z]',
         help='a load [kg], its centre of mass in the frame of the link [m]',
     )
@@ -150,16 +151,6 @@ def run(options: argparse.Namespace) -> int:
     print('\n'.join(f'written: {path}' for path in written))
     is_exceeded = demands.is_too_strong | demands.is_too_fast | demands.is_too_far
     return _EXCEEDED if options.strict and is_exceeded.any() else 0
-
-
-def _payload(text: str) -> list[float]:
-    try:
-        values = [float(word) for word in text.split(',')]
-    except ValueError:
-        values = []
-    if len(values) not in (1, 4):
-        raise argparse.ArgumentTypeError(f"'{text}' is not MASS or MASS,X,Y,Z")
-    return values
 
 
 def _place(text: str) -> tuple[str, float]:

@@ -10,13 +10,14 @@ import sys
 
 from ..errors import InverseDynamicsError
 
-COMMANDS = ('check', 'effort', 'demo')
+COMMANDS = ('check', 'effort', 'compare', 'demo')
 """Modules here. Each has add_parser(subparsers), which sets `run`: from options to exit code."""
 
 EPILOG = """\
 examples:
   inverse_dynamics check my_arm.urdf
   inverse_dynamics effort my_arm.urdf trajectory.yaml --payload 1.5 --link tool0
+  inverse_dynamics compare my_arm.urdf rosbag2_2026_11_21
   inverse_dynamics effort --help
 
 The node itself is started by `inverse_dynamics_node`, or `ros2 run inverse_dynamics_node

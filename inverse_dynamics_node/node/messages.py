@@ -176,11 +176,6 @@ def write_trajectory(
 _FIELDS = ('positions', 'velocities', 'accelerations', 'effort')
 
 
-def write_commands(message: Float64MultiArray, efforts: Floats) -> None:
-    """Put efforts into a message that is used again and again."""
-    message.data = array('d', efforts.tobytes())
-
-
 def write_joint_efforts(message: JointState, joints: Sequence[str], efforts: Floats) -> None:
     """Put efforts into a message that is used again and again."""
     message.name = list(joints)

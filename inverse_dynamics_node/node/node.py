@@ -42,6 +42,7 @@ from .parameters import (
     unknown_parameters,
     values_of,
 )
+from .serialized import JointStateReader
 from .setup import apply_configuration, check_configuration, make_rig
 
 _LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -53,6 +54,7 @@ _LATCHED = QoSProfile(
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
 _WATCH_PERIOD = 0.01  # [s]; without an update rate, how often to look whether states still come
+_LISTENERS_PERIOD = 0.2  # [s]; how often to look who listens to more than the commands
 _DIAGNOSTICS_PERIOD = 1.0  # [s]; REP-107
 
 _SUCCESS = TransitionCallbackReturn.SUCCESS
@@ -85,6 +87,7 @@ class InverseDynamicsNode(LifecycleNode):
         self._loading: Future[Rig] | None = None
         self._log = NodeLog(self.get_logger())
         self._monitor = Monitor()
+        self._reader = JointStateReader()
         self._pace: list[Timer] = []
         self._uses_sim_time = self.get_parameter('use_sim_time').value
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -95,6 +98,7 @@ class InverseDynamicsNode(LifecycleNode):
             self._timer_clock = steady
             self._now = time.monotonic  # the same clock, twenty times faster to read
         self._create_entities()
+        self.create_timer(_LISTENERS_PERIOD, self._outputs.look_for_listeners, clock=steady)
         self.create_timer(_DIAGNOSTICS_PERIOD, self._on_diagnostics, clock=steady)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
@@ -112,7 +116,6 @@ class InverseDynamicsNode(LifecycleNode):
             JointTrajectory, '~/joint_trajectory_out', _EVERY_ONE, **qos
         )
         for message, topic, callback, profile in (
-            (JointState, 'joint_states', self._on_joint_state, _LATEST),
             (String, 'robot_description', self._on_robot_description, _LATCHED),
             (Float64MultiArray, '~/desired_accelerations', self._on_accelerations, _EVERY_ONE),
             (JointTrajectory, '~/reference', self._on_reference, _EVERY_ONE),
@@ -124,6 +127,9 @@ class InverseDynamicsNode(LifecycleNode):
             (Imu, 'imu', self._on_imu, _LATEST),
         ):
             self.create_subscription(message, topic, callback, profile, **qos)
+        self.create_subscription(
+            JointState, 'joint_states', self._on_joint_state, _LATEST, raw=True, **qos
+        )
         self.create_service(SetBool, '~/enable', self._on_enable)
         self.create_service(Trigger, '~/check_model', self._on_check_model)
 
@@ -321,15 +327,14 @@ class InverseDynamicsNode(LifecycleNode):
 
     # Messages in
 
-    def _on_joint_state(self, message: JointState) -> None:
+    def _on_joint_state(self, data: bytes) -> None:
         if self._rig is None:
             return
         now = self._now()
-        efforts = message.effort if self._outputs.wants_measured_efforts else ()
         try:
-            is_ours = self._rig.collector.update(
-                now, message.name, message.position, message.velocity, efforts
-            )
+            names, positions, velocities, measured = self._reader.read(data)
+            efforts = measured if self._outputs.wants_measured_efforts else ()
+            is_ours = self._rig.collector.update(now, names, positions, velocities, efforts)
         except JointStateError as error:
             self._reject(now, 'joint_states', error)
             return
@@ -445,7 +450,6 @@ class InverseDynamicsNode(LifecycleNode):
 
     def _on_watch(self) -> None:
         """Step where no joint state will: none has come yet, or none comes any more."""
-        self._outputs.look_for_listeners()
         if self._loading is not None and self._loading.done():
             loading, self._loading = self._loading, None
             self._reload(loading)

@@ -16,6 +16,7 @@ from ..dynamics import Terms
 from ..model import Floats
 from ..rig import Rig
 from . import messages
+from .serialized import serialize_numbers
 
 
 class Outputs:
@@ -43,8 +44,7 @@ class Outputs:
         self._terms = [publisher(JointState, f'~/terms/{term}') for term in Terms._fields]
         self._external_efforts = publisher(JointState, '~/external_efforts')
         self._base_wrench = publisher(WrenchStamped, '~/base_wrench')
-        self._command, self._wrench = Float64MultiArray(), WrenchStamped()
-        self._efforts = JointState()
+        self._efforts, self._wrench = JointState(), WrenchStamped()
         self._listeners: set[Any] = set()
 
     def look_for_listeners(self) -> None:
@@ -82,8 +82,7 @@ class Outputs:
             [N m or N].
 
         """
-        messages.write_commands(self._command, efforts)
-        self._commands.publish(self._command)
+        self._commands.publish(serialize_numbers(efforts))
         if self._joint_efforts in self._listeners:
             self._publish_efforts(self._joint_efforts, rig.controller.joints, efforts)
 

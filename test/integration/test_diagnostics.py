@@ -65,7 +65,7 @@ def test_tells_how_it_goes(run_node, robot, wait_for_status):
     # The first report may be of a part of a second only; none is of an idle loop for ever.
     values = wait_for_status('loop', OK, 'following the reference', 'rate [Hz]', '')
     assert 0.0 < float(values['compute time p99 [ms]']) < 1000.0
-    assert float(values['period worst [ms]']) >= float(values['period p99 [ms]']) > 5.0
+    assert float(values['period worst [ms]']) >= float(values['period p99 [ms]']) > 0.0
     assert float(values['rate [Hz]']) > 1.0
     assert values['overruns'].isdigit()
     values = wait_for_status('joint states', OK, 'fresh')

@@ -89,6 +89,18 @@ def test_nan_is_never_passed_on(run_node, robot):
     assert {len(command) for command in robot.commands} == {6}
 
 
+def test_bytes_that_are_no_joint_state_are_dropped_with_words(run_node, robot):
+    node = run_node(**PATIENT)
+    publish_shuffled_state(robot)
+    robot.wait_for_command(HOLD)
+    robot.state = None
+    robot._states.publish(b'\x00\x01\x00\x00' + b'\xff' * 40)
+    robot.wait_for_text(node, '44 bytes that are no JointState')
+    count = len(robot.commands)
+    publish_shuffled_state(robot)
+    robot.wait_until(lambda: len(robot.commands) > count, 'another command')
+
+
 @pytest.mark.parametrize(
     ('accelerations', 'words'), [([1.0, 2.0], '2 accelerations, expected 6'), ([], '0 accel')]
 )

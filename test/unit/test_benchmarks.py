@@ -1,6 +1,6 @@
 """What the benchmarks compute, not how fast."""
 
-from benchmarks import growth, operations
+from benchmarks import growth, operations, timing
 from benchmarks.robots import random_states, stanford
 from inverse_dynamics_node import InverseDynamics, load_urdf
 import numpy as np
@@ -53,3 +53,13 @@ def test_lagrangian_form_takes_more_operations_the_more_it_multiplies_out(arm):
     kept = operations.count_lagrange(arm.model, keep=True).total
     multiplied = operations.count_lagrange(arm.model, keep=False).total
     assert 10 * recursion < kept < multiplied
+
+
+def test_periods_without_an_event_in_their_first_half_are_missed():
+    on_time = [1000 * k + 7 for k in range(50)]
+    assert timing.missed(on_time, 1000) == 0
+    late = [t + (k % 7 == 3) * 300 for k, t in enumerate(on_time)]
+    assert timing.missed(late, 1000) == 0
+    too_late = [t + (k == 20) * 600 for k, t in enumerate(on_time)]
+    assert timing.missed(too_late, 1000) == 1
+    assert timing.missed(on_time[:20] + on_time[22:], 1000) == 2

@@ -1,0 +1,302 @@
+"""The command `compare` on recordings of the simulated robot, run as people run it."""
+
+from inverse_dynamics_node import load_urdf
+from inverse_dynamics_node.cli.main import main
+from inverse_dynamics_node.cli.recordings import read_recording
+import numpy as np
+import pytest
+from robot_files import ROOT, STANFORD
+from runs import run as made_up
+from simulated_runs import (
+    COULOMB,
+    DAMPING,
+    simulate,
+    simulate_with_a_gripper,
+    with_friction,
+    write_bag,
+    write_csv,
+)
+import yaml
+
+pytest.importorskip('mujoco')
+
+JOINTS = load_urdf(STANFORD).joint_names
+FACTORS = [0.08, 0.06, 0.02, 0.5, 0.6, 0.7]
+
+
+@pytest.fixture(scope='session')
+def recorded():
+    """Return 20 s of the simulated robot at 500 Hz."""
+    return simulate(STANFORD, with_friction(STANFORD, DAMPING, COULOMB))
+
+
+def compare(*arguments):
+    return main(['compare', str(STANFORD), *map(str, arguments)])
+
+
+def with_efforts(recording, change):
+    efforts = recording.efforts.copy()
+    change(efforts)
+    return recording._replace(efforts=efforts)
+
+
+# ---- What it finds -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+def test_finds_the_friction_of_the_simulated_robot(recorded, storage, here, capsys, size_of):
+    write_bag(here / 'run', recorded, storage)
+    assert compare('run', '--parameters', 'friction.yaml', '--strict') == 0
+    output = capsys.readouterr().out
+    assert output.startswith('The model explains ')
+    # '...; with fitted friction, >99.99%.'
+    assert float(output.splitlines()[0].split()[-1].strip('>%.')) > 99.0
+    parameters = yaml.safe_load((here / 'friction.yaml').read_text())['/**']['ros__parameters']
+    assert parameters['joints'] == list(JOINTS)
+    assert parameters['damping'] == pytest.approx(DAMPING, rel=0.1)
+    assert parameters['coulomb'] == pytest.approx(COULOMB, rel=0.1)
+    width, height = size_of(here / 'run_compare.png')
+    assert 800 <= width <= 1000
+    assert 600 <= height <= 1000
+
+
+def test_names_a_joint_whose_sign_is_swapped(recorded, here, capsys):
+    column = recorded.joint_names.index('joint_3')
+    write_bag(
+        here / 'run',
+        with_efforts(recorded, lambda tau: np.negative(tau[:, column], tau[:, column])),
+    )
+    assert compare('run', '--no-picture', '--strict') == 3
+    output = capsys.readouterr().out
+    assert output.startswith('joint_3 has its sign swapped. ')
+    assert '1 warning\n' in output
+
+
+def test_names_currents(recorded, here, capsys):
+    write_bag(here / 'run', with_efforts(recorded, lambda tau: np.multiply(tau, FACTORS, tau)))
+    assert compare('run', '--no-picture') == 0
+    output = capsys.readouterr().out
+    assert output.startswith('The efforts are no torques or forces, but proportional to them. ')
+    assert '1 warning\n' in output
+    assert 'joint_2 0.0' in ' '.join(output.split())
+
+
+def test_names_a_payload_and_it_is_gone_when_it_is_told(here, capsys):
+    write_bag(here / 'run', simulate_with_a_gripper())
+    assert compare('run', '--no-picture') == 0
+    output = capsys.readouterr().out
+    assert output.startswith("Link 'tool0' carries 1.20 kg that the model does not know. ")
+    assert '1 warning\n' in output
+    again = ' '.join(output.split()).split('To see what is left then: ')[1].split()[:4]
+    assert again[:3] == ['--link', 'tool0', '--payload']
+    assert [float(x) for x in again[3].split(',')] == pytest.approx([1.2, 0, 0.03, 0.06], abs=0.01)
+    assert compare('run', '--no-picture', '--strict', *again) == 0
+    assert 'warning' not in capsys.readouterr().out
+
+
+def test_gravity_that_the_driver_compensates_is_named_and_gone_without(here, capsys):
+    dynamics, recording = made_up('seven_dof', rate=200.0, friction=(1.0, 1.0))
+    lacking = recording.efforts - dynamics.gravity_efforts(recording.positions)
+    write_csv(here / 'run.csv', recording._replace(efforts=lacking))
+    arguments = [
+        'compare',
+        str(ROOT / 'test' / 'robots' / 'seven_dof.urdf'),
+        'run.csv',
+        '--strict',
+    ]
+    assert main(arguments) == 3
+    assert 'lack gravity' in capsys.readouterr().out
+    assert main([*arguments, '--gravity', '0', '0', '0']) == 0
+
+
+def test_friction_of_the_urdf_counts_when_asked_for(here, capsys):
+    dynamics, recording = made_up('seven_dof', rate=200.0)
+    dynamics.set_friction()
+    efforts = (
+        recording.efforts
+        + dynamics.terms(
+            recording.positions, recording.velocities, np.zeros_like(recording.positions)
+        ).friction
+    )
+    write_csv(here / 'run.csv', recording._replace(efforts=efforts))
+    urdf = ROOT / 'test' / 'robots' / 'seven_dof.urdf'
+    shares = []
+    for options in ([], ['--friction']):
+        assert main(['compare', str(urdf), 'run.csv', '--no-picture', *options]) == 0
+        shares.append(float(capsys.readouterr().out.split()[3].strip('>%')))
+    assert shares[1] > shares[0]
+    assert shares[1] > 99.5
+
+
+def test_every_count_of_joints_can_be_drawn(here, size_of):
+    urdf = here / 'chain.urdf'
+    links = ''.join(
+        f'<link name="l{i}"><inertial><origin xyz="0 0 0.1"/><mass value="0.5"/><inertia '
+        'ixx="0.002" iyy="0.002" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        f'<joint name="a_joint_with_a_long_name_{i}" type="revolute"><parent link="l{i - 1}"/>'
+        f'<child link="l{i}"/><origin xyz="0 0 0.2"/><axis xyz="{i % 2} {(i + 1) % 2} 0"/>'
+        '<limit lower="-1" upper="1" effort="100" velocity="5"/></joint>'
+        for i in range(1, 31)
+    )
+    urdf.write_text(f'<robot name="chain"><link name="l0"/>{links}</robot>')
+    from inverse_dynamics_node import InverseDynamics
+    from inverse_dynamics_node.identification import Recording
+    from runs import exciting
+
+    robot = load_urdf(urdf)
+    times = 0.01 * np.arange(1000)
+    q, qd, qdd = exciting(robot, times, np.random.default_rng(1))
+    efforts = InverseDynamics(robot).efforts(q, qd, qdd)
+    write_csv(here / 'run.csv', Recording(robot.joint_names, times, q, qd, efforts))
+    assert main(['compare', str(urdf), 'run.csv', '--picture', 'p.png']) == 0
+    width, height = size_of(here / 'p.png')
+    assert 800 <= width <= 1000
+    assert height <= 1800
+
+
+# ---- What it reads -------------------------------------------------------------------------
+
+
+@pytest.fixture
+def short(recorded):
+    return recorded._replace(
+        times=recorded.times[:1500],
+        positions=recorded.positions[:1500],
+        velocities=recorded.velocities[:1500],
+        efforts=recorded.efforts[:1500],
+    )
+
+
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+def test_bags_and_their_files_and_tables_read_alike(short, storage, here):
+    write_bag(here / 'run', short, storage)
+    write_csv(here / 'run.csv', short)
+    suffix = {'mcap': 'mcap', 'sqlite3': 'db3'}[storage]
+    told = []
+    for path in ('run', f'run/run.{suffix}', 'run.csv'):
+        found, notes = read_recording(here / path, JOINTS, tell=told.append)
+        assert notes == ()
+        assert found.joint_names == JOINTS
+        assert found.times == pytest.approx(short.times - short.times[0], abs=2e-9)
+        order = [short.joint_names.index(name) for name in JOINTS]
+        for field in ('positions', 'velocities', 'efforts'):
+            assert getattr(found, field) == pytest.approx(getattr(short, field)[:, order])
+    assert told[-1] == 1.0
+
+
+def test_finds_the_topic_that_has_efforts(short, here, capsys):
+    write_bag(here / 'run', short, topic='/arm/joint_states', extra=('/desired', '/gui'))
+    assert read_recording(here / 'run', JOINTS)[0].efforts.shape == (1500, 6)
+    assert compare('run', '--no-picture', '--topic', '/desired') == 1
+    assert 'no message has an effort' in capsys.readouterr().err
+    assert compare('run', '--no-picture', '--topic', 'arm/joint_states') == 0
+
+
+def test_unstamped_messages_have_the_time_of_the_recorder(short, here):
+    write_bag(here / 'run', short, is_stamped=False)
+    found, notes = read_recording(here / 'run', JOINTS)
+    assert 'no stamp' in notes[0]
+    assert found.times == pytest.approx(short.times - short.times[0], abs=1e-3)
+
+
+def test_part_of_a_recording_can_be_chosen(short, here, capsys):
+    write_csv(here / 'run.csv', short)
+    assert compare('run.csv', '--no-picture', '--from', '0.5', '--to', '2.5') == 0
+    assert 'over 1.9 s' in ' '.join(capsys.readouterr().out.split())
+    assert compare('run.csv', '--no-picture', '--from', '7') == 1
+    assert 'nothing was recorded from 7 s' in capsys.readouterr().err
+
+
+def test_other_joints_and_missing_ones_are_told(short, here, capsys):
+    names = ('finger', *short.joint_names[1:])
+    write_csv(here / 'run.csv', short._replace(joint_names=names))
+    assert compare('run.csv', '--no-picture') == 0
+    output = ' '.join(capsys.readouterr().out.split())
+    assert 'joints that the robot does not have, left out: finger' in output
+    assert 'joints that were not recorded, taken to rest at zero: joint_1' in output
+
+
+def broken(short, here, how):
+    """Write a recording that something is wrong with; return its path."""
+    path = here / 'run.csv'
+    if how == 'names':
+        write_csv(path, short._replace(joint_names=tuple('abcdef')))
+    elif how == 'no efforts':
+        write_csv(path, short._replace(efforts=np.full_like(short.efforts, np.nan)))
+    elif how == 'no positions':
+        write_csv(path, short._replace(positions=np.full_like(short.positions, np.nan)))
+    elif how == 'text':
+        path.write_text('time,joint_1.position,joint_1.effort\n0,1,2\n0.1,1,oops\n')
+    elif how == 'row':
+        path.write_text('time,joint_1.position,joint_1.effort\n0,1\n')
+    elif how == 'no time':
+        path.write_text('t,joint_1.position\n0,1\n')
+    elif how == 'two topics':
+        path = here / 'run'
+        write_bag(path, short, topic='/a', extra=('/b',), has_efforts=False)
+    elif how == 'no topic':
+        path = here / 'run'
+        write_bag(path, short, kind='std_msgs/msg/Header')
+    elif how == 'half a file':
+        write_bag(here / 'run', short)
+        data = (here / 'run' / 'run.mcap').read_bytes()
+        path = here / 'half.mcap'
+        path.write_bytes(data[: len(data) // 2])
+    elif how == 'no metadata':
+        write_bag(here / 'run', short)
+        path = here / 'run'
+        (path / 'metadata.yaml').unlink()
+    elif how == 'kind':
+        path = here / 'run.bagpipe'
+        path.write_text('')
+    return path
+
+
+@pytest.mark.parametrize(
+    ('how', 'words'),
+    [
+        ('names', 'has joints a, b, c, d, e, f; expected some of joint_1'),
+        ('no efforts', 'no message has an effort of any joint of this robot'),
+        ('no positions', "joint 'joint_1' never has a position"),
+        ('text', "line 3, column 'joint_1.effort': 'oops' is not a number"),
+        ('row', 'line 2 has 2 values, the header 3 columns'),
+        ('no time', "has no column 'time'"),
+        ('two topics', 'several topics of type sensor_msgs/msg/JointState, /a, /b; none of them'),
+        ('no topic', 'has no topic of type sensor_msgs/msg/JointState; it has /joint_states'),
+        ('half a file', 'half.mcap: '),
+        ('no metadata', 'has no metadata.yaml, expected a rosbag2 folder; or give one of its'),
+        ('kind', "is a '.bagpipe' file, expected a rosbag2 folder, .mcap, .db3 or .csv"),
+        ('nothing', 'no such file or folder'),
+    ],
+)
+def test_errors_are_one_line(short, here, how, words, capsys):
+    assert compare(broken(short, here, how), '--no-picture') == 1
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.startswith('inverse_dynamics: ')
+    assert len(error.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'words'),
+    [
+        (['--link', 'tool9'], "link 'tool9' does not exist"),
+        (['--coulomb-width', '0'], '--coulomb-width is 0.0, expected a speed above 0'),
+        (['--payload', '-1'], 'mass is -1.0'),
+        (['--topic', '/joint_states'], 'a CSV file has no topic'),
+    ],
+)
+def test_settings_that_do_not_fit_are_told(short, here, arguments, words, capsys):
+    write_csv(here / 'run.csv', short)
+    assert compare('run.csv', '--no-picture', *arguments) == 1
+    assert words in capsys.readouterr().err
+
+
+def test_the_node_takes_the_parameters(recorded, here):
+    parameters_of_node = pytest.importorskip('inverse_dynamics_node.node.parameters').PARAMETERS
+    write_csv(here / 'run.csv', recorded)
+    assert compare('run.csv', '--no-picture', '--parameters', 'friction.yaml') == 0
+    parameters = yaml.safe_load((here / 'friction.yaml').read_text())['/**']['ros__parameters']
+    assert set(parameters) <= set(parameters_of_node)
+    for name, value in parameters.items():
+        parameters_of_node[name].check(value)

@@ -1,0 +1,492 @@
+"""Recordings with something put into them, and what is found of it."""
+
+import math
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from inverse_dynamics_node import InverseDynamics, load_urdf
+from inverse_dynamics_node.compilation import IS_COMPILED
+from inverse_dynamics_node.errors import ConfigurationError, RecordingError
+from inverse_dynamics_node.identification import (
+    friction_parameters,
+    FrictionFit,
+    identify,
+    Recording,
+)
+from inverse_dynamics_node.identification.loads import tip_links
+from inverse_dynamics_node.identification.signals import derive
+import numpy as np
+import pytest
+from robot_files import ROOT
+from runs import ROBOTS, run
+
+# The numbers are those of the compiled functions; without them this takes an hour.
+pytestmark = pytest.mark.skipif(not IS_COMPILED, reason='numba is not here, or off')
+
+TIP = {'stanford': 'tool0', 'seven_dof': 'tool0', 'branched': 'right_forearm'}
+EVERY_ROBOT = pytest.mark.parametrize('name', ROBOTS)
+
+
+def friction_of(name):
+    n = len(load_urdf(ROBOTS[name]).joint_names)
+    return np.linspace(2.0, 0.3, n), np.linspace(3.0, 0.4, n)
+
+
+def kinds(findings):
+    return [diagnosis.kind for diagnosis in findings.diagnoses]
+
+
+# ---- A healthy robot -----------------------------------------------------------------------
+
+
+@EVERY_ROBOT
+@pytest.mark.parametrize('has_velocities', [True, False])
+def test_a_healthy_recording_is_explained_and_nothing_is_found(name, has_velocities):
+    findings = identify(*run(name, has_velocities=has_velocities))
+    assert kinds(findings) == []
+    assert findings.explained > 0.998
+    for joint in findings.joints:
+        assert joint.scale == pytest.approx(1.0, abs=0.1)
+        assert joint.rms_residual < 0.3 * joint.rms_measured
+
+
+@EVERY_ROBOT
+@pytest.mark.parametrize('rate', [40.0, 100.0, 1000.0])
+def test_any_rate_will_do(name, rate):
+    findings = identify(*run(name, rate=rate, has_velocities=False, friction=friction_of(name)))
+    assert kinds(findings) == []
+    assert findings.explained_in_the_end > 0.995
+
+
+@EVERY_ROBOT
+@pytest.mark.parametrize('has_velocities', [True, False])
+def test_friction_is_found_within_its_errors(name, has_velocities):
+    damping, coulomb = friction_of(name)
+    recording = run(name, has_velocities=has_velocities, friction=(damping, coulomb))
+    findings = identify(*recording)
+    assert kinds(findings) == []
+    assert findings.explained < 0.97
+    assert findings.explained_in_the_end > 0.998
+    for joint, d, c in zip(findings.joints, damping, coulomb, strict=True):
+        fit = joint.friction
+        assert fit.cannot_tell == ''
+        assert abs(fit.damping - d) < 5.0 * fit.damping_error
+        assert abs(fit.coulomb - c) < 5.0 * fit.coulomb_error
+        assert fit.damping == pytest.approx(d, rel=0.05)
+        assert fit.coulomb == pytest.approx(c, rel=0.05)
+
+
+def test_friction_that_the_model_has_is_no_friction_less():
+    dynamics, recording = run('seven_dof', friction=(1.0, 2.0))
+    dynamics.set_friction(1.0, 2.0)
+    findings = identify(dynamics, recording)
+    assert findings.explained > 0.998
+    assert [joint.friction.damping for joint in findings.joints] == pytest.approx([1.0] * 7, 0.1)
+
+
+# ---- What can be wrong ---------------------------------------------------------------------
+
+
+@EVERY_ROBOT
+def test_names_the_joint_whose_sign_is_swapped(name):
+    dynamics, recording = run(name, friction=friction_of(name))
+    for j, joint in enumerate(recording.joint_names):
+        efforts = recording.efforts.copy()
+        efforts[:, j] *= -1.0
+        findings = identify(dynamics, recording._replace(efforts=efforts))
+        assert [(d.kind, d.joints) for d in findings.diagnoses] == [('sign', (joint,))]
+        assert findings.diagnoses[0].headline == f'{joint} has its sign swapped'
+        assert findings.explained_in_the_end > 0.998
+
+
+def test_names_all_signs_at_once():
+    dynamics, recording = run('stanford', friction=friction_of('stanford'))
+    findings = identify(dynamics, recording._replace(efforts=-recording.efforts))
+    assert kinds(findings) == ['sign']
+    assert 'every joint' in findings.diagnoses[0].headline
+
+
+def test_names_currents_with_their_factors():
+    dynamics, recording = run('seven_dof', friction=(2.0, 2.0))
+    factors = np.array([0.05, 0.08, 0.1, 0.2, 0.4, 0.6, 0.7])
+    findings = identify(dynamics, recording._replace(efforts=recording.efforts * factors))
+    (diagnosis,) = findings.diagnoses
+    assert diagnosis.kind == 'scale'
+    assert 'proportional' in diagnosis.headline
+    found = dict(zip(diagnosis.joints, diagnosis.values, strict=True))
+    # The last joint moves next to no mass: of its unit, friction alone says nothing.
+    assert set(recording.joint_names) - set(found) <= {'wrist_roll'}
+    for joint, factor in zip(recording.joint_names, factors, strict=True):
+        assert found.get(joint, factor) == pytest.approx(factor, rel=0.05)
+    # Friction is told in N m, not in the unit of the recording.
+    assert findings.joints[1].friction.coulomb == pytest.approx(2.0, rel=0.1)
+    if 'wrist_roll' not in found:
+        assert 'unit' in findings.joints[-1].friction.cannot_tell
+
+
+def test_names_another_unit():
+    dynamics, recording = run('branched', friction=(0.3, 0.3))
+    findings = identify(dynamics, recording._replace(efforts=recording.efforts * 1000.0))
+    (diagnosis,) = findings.diagnoses
+    assert diagnosis.kind == 'scale'
+    assert '1000 times too large' in diagnosis.headline
+
+
+@EVERY_ROBOT
+def test_names_gravity_that_the_driver_compensates(name):
+    dynamics, recording = run(name, friction=friction_of(name))
+    lacking = recording.efforts - dynamics.gravity_efforts(recording.positions)
+    findings = identify(dynamics, recording._replace(efforts=lacking))
+    assert kinds(findings) == ['gravity_compensated']
+    assert findings.explained_in_the_end > 0.99
+
+
+@EVERY_ROBOT
+@pytest.mark.parametrize(('mass', 'com'), [(1.0, (0.02, 0.03, 0.1)), (3.0, (0.0, 0.0, 0.0))])
+def test_names_a_payload(name, mass, com):
+    recording = run(
+        name, friction=friction_of(name), act=lambda real: real.set_payload(TIP[name], mass, com)
+    )
+    findings = identify(*recording)
+    (diagnosis,) = findings.diagnoses
+    assert (diagnosis.kind, diagnosis.link) == ('payload', TIP[name])
+    assert diagnosis.values[0] == pytest.approx(mass, rel=0.03)
+    assert diagnosis.values[1:] == pytest.approx(com, abs=0.01)
+    assert findings.explained_in_the_end > 0.998
+
+
+def test_a_payload_on_another_link_is_told_of_that_link():
+    recording = run('seven_dof', act=lambda real: real.set_payload('link_4', 2.0, (0.0, -0.1, 0)))
+    findings = identify(*recording, link='link_4')
+    assert findings.diagnoses[0].values == pytest.approx((2.0, 0.0, -0.1, 0.0), abs=0.05)
+
+
+def test_a_payload_that_the_model_knows_is_no_finding():
+    def load(dynamics):
+        dynamics.set_payload('tool0', 1.0, (0.0, 0.0, 0.1))
+
+    dynamics, recording = run('seven_dof', act=load)
+    load(dynamics)
+    assert kinds(identify(dynamics, recording)) == []
+
+
+def test_names_a_tool_that_is_not_there():
+    dynamics, recording = run('seven_dof', friction=(0.5, 0.5))
+    dynamics.set_payload('tool0', 0.45)
+    (diagnosis,) = identify(dynamics, recording).diagnoses
+    assert diagnosis.kind == 'payload'
+    assert 'lacks' in diagnosis.headline
+    assert diagnosis.values[0] == pytest.approx(-0.45, abs=0.02)
+
+
+@EVERY_ROBOT
+def test_names_another_mounting(name):
+    gravity = 9.80665 * np.array([0.0, math.sin(0.3), -math.cos(0.3)])
+    recording = run(name, friction=friction_of(name), act=lambda real: real.set_gravity(gravity))
+    (diagnosis,) = identify(*recording).diagnoses
+    assert diagnosis.kind == 'mounting'
+    assert diagnosis.values == pytest.approx(gravity, abs=0.1)
+    assert '17 degrees' in diagnosis.headline
+
+
+@EVERY_ROBOT
+def test_names_the_inertia_of_rotors(name):
+    n = len(friction_of(name)[0])
+    armature = np.linspace(1.0, 0.2, n)
+    (diagnosis,) = identify(*run(name, friction=friction_of(name), armature=armature)).diagnoses
+    assert diagnosis.kind == 'rotor_inertia'
+    found = dict(zip(diagnosis.joints, diagnosis.values, strict=True))
+    names = load_urdf(ROBOTS[name]).joint_names
+    assert len(found) >= n - 1  # a kilogram is nothing to the boom of the Stanford arm
+    for joint, inertia in zip(names, armature, strict=True):
+        assert found.get(joint, inertia) == pytest.approx(inertia, rel=0.05)
+
+
+def test_names_an_offset():
+    dynamics, recording = run('seven_dof', friction=friction_of('seven_dof'))
+    efforts = recording.efforts.copy()
+    efforts[:, 3] += 5.0
+    (diagnosis,) = identify(dynamics, recording._replace(efforts=efforts)).diagnoses
+    assert (diagnosis.kind, diagnosis.joints) == ('offset', ('elbow',))
+    assert diagnosis.values == pytest.approx((5.0,), abs=0.1)
+
+
+@EVERY_ROBOT
+def test_names_another_order(name):
+    dynamics, recording = run(name, friction=friction_of(name))
+    efforts = recording.efforts.copy()
+    efforts[:, [1, 2]] = efforts[:, [2, 1]]
+    findings = identify(dynamics, recording._replace(efforts=efforts))
+    (diagnosis,) = findings.diagnoses
+    assert (diagnosis.kind, diagnosis.joints) == ('order', recording.joint_names[1:3])
+    assert findings.explained_in_the_end > 0.998
+
+
+@pytest.mark.parametrize('value', [0.0, 3.5])
+def test_names_a_driver_that_does_not_measure(value):
+    dynamics, recording = run('seven_dof')
+    efforts = recording.efforts.copy()
+    efforts[:, 1] = value
+    findings = identify(dynamics, recording._replace(efforts=efforts))
+    (diagnosis,) = findings.diagnoses
+    assert (diagnosis.kind, diagnosis.joints) == ('constant', ('shoulder_lift',))
+    assert findings.joints[1].friction.cannot_tell == 'its effort was not measured'
+    all_zero = identify(dynamics, recording._replace(efforts=np.zeros_like(efforts)))
+    assert kinds(all_zero) == ['constant']
+    assert math.isnan(all_zero.explained)
+
+
+def test_names_what_nothing_explains(rng):
+    dynamics, recording = run('seven_dof')
+    efforts = recording.efforts.copy()
+    efforts[:, 3] = 0.1 * np.cumsum(rng.standard_normal(len(efforts)))
+    findings = identify(dynamics, recording._replace(efforts=efforts))
+    assert [(d.kind, d.joints) for d in findings.diagnoses] == [('unexplained', ('elbow',))]
+    assert findings.joints[3].friction.cannot_tell == 'its effort is not explained'
+
+
+def test_names_two_faults_at_once():
+    dynamics, recording = run(
+        'seven_dof',
+        friction=(1.0, 1.0),
+        act=lambda real: real.set_payload('tool0', 1.5, (0.0, 0.05, 0.05)),
+    )
+    efforts = recording.efforts - dynamics.gravity_efforts(recording.positions)
+    efforts[:, 2] *= -1.0
+    findings = identify(dynamics, recording._replace(efforts=efforts))
+    assert kinds(findings) == ['gravity_compensated', 'sign', 'payload']
+    assert findings.diagnoses[1].joints == ('arm_roll',)
+    assert findings.diagnoses[2].values[0] == pytest.approx(1.5, rel=0.03)
+
+
+def test_a_model_that_is_a_little_off_is_no_fault():
+    dynamics, recording = run('seven_dof', friction=(1.0, 1.0))
+    efforts = recording.efforts * np.linspace(0.9, 1.1, 7)
+    assert kinds(identify(dynamics, recording._replace(efforts=efforts))) == []
+
+
+@settings(max_examples=8)
+@given(
+    name=st.sampled_from(sorted(ROBOTS)),
+    seed=st.integers(0, 10_000),
+    mass=st.floats(1.0, 4.0),
+    com=st.tuples(*3 * [st.floats(-0.1, 0.1)]),
+    friction=st.tuples(st.floats(0.0, 2.0), st.floats(0.0, 2.0)),
+)
+def test_what_was_put_in_is_found_on_any_motion(name, seed, mass, com, friction):
+    dynamics, healthy = run(name, seed, friction=friction, rate=200.0)
+    assert kinds(identify(dynamics, healthy)) == []
+    j = seed % len(healthy.joint_names)
+    efforts = healthy.efforts.copy()
+    efforts[:, j] *= -1.0
+    assert kinds(identify(dynamics, healthy._replace(efforts=efforts))) == ['sign']
+    _, loaded = run(
+        name,
+        seed,
+        friction=friction,
+        rate=200.0,
+        act=lambda real: real.set_payload(TIP[name], mass, com),
+    )
+    (diagnosis,) = identify(dynamics, loaded, link=TIP[name]).diagnoses
+    assert diagnosis.kind == 'payload'
+    assert diagnosis.values[0] == pytest.approx(mass, rel=0.05)
+
+
+# ---- Friction that cannot be told ----------------------------------------------------------
+
+
+def only(recording, keep):
+    velocities = recording.velocities
+    return recording._replace(
+        times=recording.times[keep],
+        positions=recording.positions[keep],
+        velocities=None if velocities is None else velocities[keep],
+        efforts=recording.efforts[keep],
+    )
+
+
+def swinging(positions, velocities, accelerations):
+    """Record a pendulum with friction that moves as told at 500 Hz."""
+    dynamics = InverseDynamics(load_urdf(ROOT / 'test' / 'robots' / 'pendulum.urdf'))
+    dynamics.set_friction(0.5, 0.3)
+    states = [np.asarray(x, dtype=float)[:, None] for x in (positions, velocities, accelerations)]
+    times = 0.002 * np.arange(len(positions))
+    recording = Recording(('swing',), times, *states[:2], dynamics.efforts(*states))
+    return InverseDynamics(dynamics.robot), recording
+
+
+def test_a_joint_that_rests_tells_nothing_of_friction():
+    findings = identify(*swinging(np.ones(5000), np.zeros(5000), np.zeros(5000)))
+    fit = findings.joints[0].friction
+    assert 'never faster' in fit.cannot_tell
+    assert (fit.damping, fit.coulomb) == (0.0, 0.0)
+    assert math.isnan(findings.joints[0].explained)
+
+
+def test_motion_one_way_tells_nothing_of_coulomb_friction():
+    t = 0.002 * np.arange(5000)
+    findings = identify(*swinging(0.3 * t - 0.05 * np.cos(t), 0.3 + 0.05 * np.sin(t),
+                                  0.05 * np.cos(t)))  # fmt: skip
+    assert '0 s back' in findings.joints[0].friction.cannot_tell
+
+
+def test_one_speed_tells_not_damping_from_coulomb_friction():
+    t = 0.002 * np.arange(5000)
+    sign = np.where(t % 4.0 < 2.0, 1.0, -1.0)
+    findings = identify(*swinging(0.3 * np.abs(t % 4.0 - 2.0), -0.3 * sign, np.zeros(5000)))
+    assert 'look alike' in findings.joints[0].friction.cannot_tell
+
+
+# ---- Recordings as they are ----------------------------------------------------------------
+
+
+def test_jitter_duplicates_and_lost_samples_do_no_harm(rng):
+    dynamics, recording = run('seven_dof', friction=(1.0, 1.0), has_velocities=False)
+    times = recording.times + 0.0003 * rng.standard_normal(len(recording.times))
+    keep = np.sort(
+        np.concatenate([np.flatnonzero(rng.random(len(times)) > 0.1), np.arange(0, 9000, 50)])
+    )
+    mangled = only(recording._replace(times=times), keep)
+    findings = identify(dynamics, mangled)
+    assert kinds(findings) == []
+    assert findings.explained_in_the_end > 0.99
+    assert any('twice' in note for note in findings.motion.notes)
+    assert findings.joints[0].friction.damping == pytest.approx(1.0, rel=0.1)
+
+
+def test_gaps_are_not_bridged():
+    dynamics, recording = run('branched', has_velocities=False)
+    times = recording.times
+    findings = identify(dynamics, only(recording, (times < 8.0) | (times > 9.0)))
+    motion = findings.motion
+    assert '1 gaps' in motion.notes[0]
+    assert not ((motion.times > 7.95) & (motion.times < 9.05)).any()
+    assert findings.explained > 0.998
+
+
+def test_joints_may_come_in_messages_of_their_own():
+    dynamics, recording = run('branched')
+    q, tau = recording.positions.copy(), recording.efforts.copy()
+    q[::2, :3] = tau[::2, :3] = np.nan
+    q[1::2, 3:] = tau[1::2, 3:] = np.nan
+    findings = identify(dynamics, recording._replace(positions=q, velocities=None, efforts=tau))
+    assert findings.explained > 0.995
+
+
+def test_joints_without_effort_count_where_they_are():
+    dynamics, recording = run('branched')
+    efforts = recording.efforts.copy()
+    efforts[:, 0] = np.nan
+    findings = identify(dynamics, recording._replace(efforts=efforts))
+    assert [joint.name for joint in findings.joints] == list(recording.joint_names[1:])
+    assert findings.explained > 0.998
+
+
+def test_joints_in_another_order_are_told_by_name():
+    dynamics, recording = run('branched')
+    order = [3, 1, 4, 0, 2]
+    shuffled = recording._replace(
+        joint_names=tuple(recording.joint_names[i] for i in order),
+        positions=recording.positions[:, order],
+        velocities=recording.velocities[:, order],
+        efforts=recording.efforts[:, order],
+    )
+    findings = identify(dynamics, shuffled)
+    assert kinds(findings) == []
+    assert findings.explained > 0.998
+
+
+@pytest.mark.parametrize('wrong', [0.0, -1.0])
+def test_velocities_that_are_none_are_not_used(wrong):
+    dynamics, recording = run('seven_dof')
+    velocities = recording.velocities.copy()
+    velocities[:, 2] *= wrong
+    findings = identify(dynamics, recording._replace(velocities=velocities))
+    assert findings.explained > 0.998
+    assert 'arm_roll' in findings.motion.notes[0]
+
+
+def test_turns_of_continuous_joints_are_unrolled():
+    dynamics = InverseDynamics(load_urdf(ROOT / 'test' / 'robots' / 'continuous.urdf'))
+    t = 0.002 * np.arange(6000)
+    q = np.column_stack([1.5 * t + np.sin(3.0 * t)] * 2)
+    qd = np.column_stack([1.5 + 3.0 * np.cos(3.0 * t)] * 2)
+    qdd = np.column_stack([-9.0 * np.sin(3.0 * t)] * 2)
+    rolled = (q + np.pi) % (2.0 * np.pi) - np.pi
+    recording = Recording(
+        dynamics.robot.joint_names, t, rolled, None, dynamics.efforts(q, qd, qdd)
+    )
+    assert identify(dynamics, recording).explained > 0.999
+
+
+def test_derivatives_are_right_and_say_how():
+    _, recording = run('branched', encoder_noise=0.0, has_velocities=False)
+    t = recording.times
+    positions = np.column_stack([np.sin(2.0 * np.pi * f * t) for f in (0.2, 0.5, 1.0, 1.5, 2.0)])
+    motion = derive(recording._replace(positions=positions))
+    for j, f in enumerate((0.2, 0.5, 1.0, 1.5, 2.0)):
+        w = 2.0 * np.pi * f
+        assert motion.qd[:, j] == pytest.approx(w * np.cos(w * motion.times), abs=1e-3 * w)
+        assert motion.qdd[:, j] == pytest.approx(
+            -w * w * np.sin(w * motion.times), abs=2e-3 * w * w
+        )
+    assert 'Savitzky-Golay' in motion.method
+    assert '500 Hz' in motion.method
+    assert 0.05 < motion.times[0] < 0.1
+
+
+@pytest.mark.parametrize(
+    ('change', 'words'),
+    [
+        ({'joint_names': tuple('abcde')}, "joint 'a', which robot 'branched' does not have"),
+        ({'positions': np.zeros((3, 5))}, 'positions have shape'),
+        ({'efforts': np.full((4000, 5), np.nan)}, 'no joint has a measured effort'),
+        ({'times': np.arange(4000.0)}, '1 samples/s, expected at least 20'),
+        ({'times': np.full(4000, np.nan)}, 'a time is nan'),
+        ({'times': np.tile(0.01 * np.arange(2000), 2)}, 'time goes back by 20 s, 20 s after'),
+    ],
+)
+def test_says_what_is_wrong_with_a_recording(change, words):
+    dynamics, recording = run('branched', rate=200.0)
+    with pytest.raises(RecordingError, match=words):
+        identify(dynamics, recording._replace(**change))
+
+
+def test_says_when_a_recording_is_too_short():
+    dynamics, recording = run('branched', rate=200.0)
+    with pytest.raises(RecordingError, match='too little to differentiate'):
+        identify(dynamics, only(recording, recording.times < 0.1))
+
+
+def test_an_unknown_link_is_an_error():
+    with pytest.raises(ConfigurationError, match="link 'tool9' does not exist"):
+        identify(*run('branched', rate=100.0), link='tool9')
+
+
+# ---- The rest ------------------------------------------------------------------------------
+
+
+def test_loads_are_looked_for_at_the_tips():
+    assert tip_links(load_urdf(ROBOTS['stanford'])) == ('tool0',)
+    assert tip_links(load_urdf(ROBOTS['seven_dof'])) == ('tool0',)
+    assert tip_links(load_urdf(ROBOTS['branched']))[0] == 'right_forearm'
+
+
+def test_parameters_are_yaml_that_ros_takes_as_decimals():
+    yaml = pytest.importorskip('yaml')
+    fits = [
+        FrictionFit(1.0, 2.5, 0.0, 0.1, 0.1, 0.1, ''),
+        FrictionFit.unknown('it rested'),
+        FrictionFit(3e-7, 0.0, 0.0, 0.1, 0.1, 0.1, ''),
+    ]
+    text = friction_parameters(['a', 'it"s', 'c'], fits, 0.01)
+    parameters = yaml.safe_load(text)['/**']['ros__parameters']
+    assert parameters == {
+        'joints': ['a', 'it"s', 'c'],
+        'include_friction': True,
+        'damping': [1.0, -1.0, 3e-7],
+        'coulomb': [2.5, -1.0, 0.0],
+        'coulomb_width': 0.01,
+    }
+    assert all(isinstance(x, float) for x in parameters['damping'] + parameters['coulomb'])
+    assert 'it"s: cannot tell, it rested' in text
