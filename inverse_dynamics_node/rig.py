@@ -94,7 +94,8 @@ class Rig:
             None as long as something is unknown without which there can be none: see `missing`.
 
         """
-        if self.loads.update(now):
+        if self.loads.update(now) or self.collector.has_unlocked:
+            self.collector.has_unlocked = False
             self.controller.blend()
         state = None if self._lacks_imu() else self.collector.state()
         return self.controller.step(now, state, self.reference)

@@ -77,6 +77,8 @@ class JointStateCollector:
         self.efforts = np.full(len(self.joint_names), math.nan)
         """As measured, where they were asked for and sent [N m or N]."""
         self.times = np.full(len(self.joint_names), -math.inf)
+        self.has_unlocked = False
+        """Whether a locked joint was heard from for the first time; who asks puts it back."""
         self._has_velocity = np.zeros(len(self.joint_names), dtype=bool)
         self._index = {name: i for i, name in enumerate(self.joint_names)}
         self._layouts: dict[tuple[str, ...], _Layout] = {}
@@ -223,6 +225,7 @@ class JointStateCollector:
         # Where there has been a velocity, none is a fault.
         self._check('velocity', qd, is_finite | ~self._has_velocity[ours], ours)
         self._has_velocity[ours] |= is_finite
+        self.has_unlocked |= bool((self.times[ours] == _LONG_AGO).any())
         layout.is_measured = bool(self._has_velocity[ours].all())
         return np.where(is_finite, qd, 0.0)
 

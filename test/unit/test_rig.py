@@ -155,3 +155,20 @@ def test_a_report_of_absurd_positions_says_so():
     rig = heard(Rig(MODEL))
     rig.collector.update(1.0, NAMES, np.full(6, 1.7e308), np.zeros(6))
     assert 'Not known: the efforts overflow' in rig.report()
+
+
+def test_a_locked_joint_that_is_heard_of_makes_no_jump():
+    others = [k for k in range(6) if k != 2]
+    names = [NAMES[k] for k in others]
+    rig = Rig(MODEL, names, Settings(start_ramp=0.5), locked={NAMES[2]: 0.2})
+    for now in np.arange(0.0, 1.0, 0.05):
+        rig.collector.update(now, names, Q[others], np.zeros(5))
+        last = rig.step(now).efforts.copy()
+    heard(rig, now)
+    assert rig.step(now).efforts == pytest.approx(last)
+    for later in np.arange(now, now + 1.0, 0.05):
+        heard(rig, later)
+        rig.step(later)
+    expected = InverseDynamics(MODEL).gravity_efforts(Q)[others]
+    assert rig.step(later).efforts == pytest.approx(expected)
+    assert np.abs(expected - last).max() > 1.0
