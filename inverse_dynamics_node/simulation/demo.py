@@ -89,6 +89,8 @@ def _perform(
         recorder = Recorder(act.commander, topics_of(scenario, script), latched=('brakes',))
     print(f'waiting for robot and node: {stage.urdf}', flush=True)
     act.wait_until_ready()
+    if recorder is not None:
+        recorder.begin()  # until now brakes held the arm, and what the drives did was no matter
     with view.open():
         rate = act.perform(script, stage.duration, view)
     if options.scenario == 'track':

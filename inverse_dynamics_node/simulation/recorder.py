@@ -46,6 +46,7 @@ class Recorder:
     ) -> None:
         self._messages: dict[str, list[tuple[int, bytes]]] = {}
         self._types: dict[str, str] = {}
+        self._latched = {node.resolve_topic_name(topic) for topic in latched}
         self.latest = 0  # stamp of the newest joint state [ns]
         for topic, type_ in topics.items():
             name = node.resolve_topic_name(topic)
@@ -69,6 +70,11 @@ class Recorder:
             messages.append((stamp, data))
 
         return keep
+
+    def begin(self) -> None:
+        """Forget what was said so far, but for what would be told to who comes late."""
+        for name, messages in self._messages.items():
+            del messages[: -1 if name in self._latched else None]
 
     @property
     def count(self) -> int:

@@ -9,7 +9,7 @@ pytest.importorskip('rclpy')
 pytest.importorskip('mujoco')
 pytest.importorskip('rosbags')
 
-from inverse_dynamics_node.simulation.recorder import Recorder, stamp_of
+from inverse_dynamics_node.simulation.recorder import LATCHED, Recorder, stamp_of
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -28,9 +28,10 @@ def test_recorder_keeps_messages_at_their_own_times(domain_id, tmp_path, storage
     node = Node('side', context=context)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
-    recorder = Recorder(node, {'joint_states': JointState, 'commands': Float64MultiArray})
+    topics = {'joint_states': JointState, 'commands': Float64MultiArray}
+    recorder = Recorder(node, topics, latched=('commands',))
     states = node.create_publisher(JointState, 'joint_states', 10)
-    commands = node.create_publisher(Float64MultiArray, 'commands', 10)
+    commands = node.create_publisher(Float64MultiArray, 'commands', LATCHED)
     heard = []
     node.create_subscription(Float64MultiArray, 'commands', heard.append, 10)
 
@@ -42,6 +43,16 @@ def test_recorder_keeps_messages_at_their_own_times(domain_id, tmp_path, storage
 
     wait_until(lambda: commands.get_subscription_count() == 2)
     wait_until(lambda: states.get_subscription_count() == 1)
+    early = JointState(name=['too early'])
+    early.header.stamp.sec = 50
+    states.publish(early)
+    wait_until(lambda: recorder.latest)
+    commands.publish(Float64MultiArray(data=[8.0]))
+    wait_until(lambda: recorder.count == 2)
+    recorder.begin()
+    assert recorder.count == 1  # what is kept for who comes late
+    wait_until(lambda: len(heard) == 1)
+    heard.clear()
     for i in range(3):
         state = JointState(name=['a'], position=[0.5 * i])
         state.header.stamp.sec, state.header.stamp.nanosec = 100 + i, 7
@@ -49,8 +60,8 @@ def test_recorder_keeps_messages_at_their_own_times(domain_id, tmp_path, storage
         wait_until(lambda i=i: recorder.latest == (100 + i) * 10**9 + 7)
         commands.publish(Float64MultiArray(data=[float(i)]))
         wait_until(lambda i=i: len(heard) == i + 1)
-    wait_until(lambda: recorder.count == 6)
-    assert recorder.write(tmp_path / 'bag', storage) == 6
+    wait_until(lambda: recorder.count == 7)
+    assert recorder.write(tmp_path / 'bag', storage) == 7
     executor.shutdown()
     node.destroy_node()
     context.try_shutdown()
@@ -61,12 +72,16 @@ def test_recorder_keeps_messages_at_their_own_times(domain_id, tmp_path, storage
             for connection, stamp, data in reader.messages()
         ]
     stamps = [(100 + i) * 10**9 + 7 for i in range(3)]
-    for topic, values in (
-        ('/joint_states', [message.position[0] for t, _, message in rows if t == '/joint_states']),
-        ('/commands', [message.data[0] for t, _, message in rows if t == '/commands']),
+    for topic, expected in (
+        ('/joint_states', [(stamp, 0.5 * i) for i, stamp in enumerate(stamps)]),
+        ('/commands', [(50 * 10**9, 8.0), *((stamp, 1.0 * i) for i, stamp in enumerate(stamps))]),
     ):
-        assert [stamp for t, stamp, _ in rows if t == topic] == stamps
-        assert values == ([0.0, 0.5, 1.0] if topic == '/joint_states' else [0.0, 1.0, 2.0])
+        values = [
+            (stamp, message.position[0] if t == '/joint_states' else message.data[0])
+            for t, stamp, message in rows
+            if t == topic
+        ]
+        assert values == expected
 
 
 def test_stamp_is_read_in_either_byte_order():
