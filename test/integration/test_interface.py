@@ -81,6 +81,9 @@ for point, sign in zip(WILD.points, (1.0, -1.0), strict=True):
     point.positions = [sign * 1e308] * 6
     point.time_from_start = Duration(nanosec=point.time_from_start.sec)
 
+UNMEASURED = imu((0.0, 0.0, 9.8))
+UNMEASURED.angular_velocity_covariance[0] = -1.0
+
 
 # Loads and bases
 
@@ -174,6 +177,8 @@ def test_lost_imu_leaves_gravity_where_it_was(run_node, robot, dynamics):
         ),
         ('gravity', Vector3Stamped(vector=Vector3(z=-1e4)), 'gravity is'),
         ('/imu', imu((math.nan, 0.0, 0.0)), 'specific force is'),
+        ('/imu', UNMEASURED, 'the covariance says that angular velocity is not measured'),
+        ('gravity', stamped(Vector3Stamped, '', vector=Vector3(z=-9.8)), 'gravity is measured'),
         ('payload', payload(TIP, 1e300, (1e200, 0.0, 0.0)), 'payload has 1e+300'),
         ('joint_trajectory_in', JointTrajectory(joint_names=NAMES), 'no positions'),
         ('joint_trajectory_in', trajectory([(0, Q)]), 'nobody listens'),
@@ -181,7 +186,7 @@ def test_lost_imu_leaves_gravity_where_it_was(run_node, robot, dynamics):
     ],
 )
 def test_what_cannot_be_is_dropped_with_words(run_node, robot, dynamics, topic, message, words):
-    motion = {'base_motion': 'imu'} if topic == '/imu' else {}
+    motion = {'base_motion': 'imu'} if topic == '/imu' or 'measured' in words else {}
     node = run_node(**PATIENT, **motion)
     robot.publish_state(NAMES, Q, QD)
     if words != 'nobody listens':
