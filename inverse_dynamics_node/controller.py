@@ -300,7 +300,7 @@ class Controller:
         Returns
         -------
         command : Command or None
-            None before the first complete joint state.
+            None before the first complete joint state since the start.
 
         """
         # Who did not come for longer than a state may be old, or than two steps, was stopped or
@@ -311,14 +311,14 @@ class Controller:
             elapsed = 0.0
             self.blend()
         self._time = now
-        if state is None:
+        if state is None and self.phase is Phase.WAITING:
             return None
         last_phase, self.phase = self.phase, self._next_phase(now, state, reference)
         if last_phase not in IS_WELL:
             self.blend()
         is_closed = self.settings.mode is Mode.COMPUTED_TORQUE and self.phase is Phase.RUNNING
         self._followed = reference.positions if is_closed and reference else None
-        if self.phase in IS_WELL:
+        if state is not None and self.phase in IS_WELL:
             self._jump_left = max(0.0, self._jump_left - _share(elapsed, self.settings.start_ramp))
             self._compute(state, reference if self.phase is Phase.RUNNING else None)
         else:
@@ -355,12 +355,12 @@ class Controller:
             # The last efforts fade out; without a fresh state there are no better ones.
             self.gain = max(0.0, self.gain - _share(elapsed, settings.stop_ramp))
 
-    def _next_phase(self, now: float, state: State, reference: Reference | None) -> Phase:
+    def _next_phase(self, now: float, state: State | None, reference: Reference | None) -> Phase:
         """Judge the inputs by their age; one below zero is from before the clock was reset."""
         if self._is_stopping:
             return Phase.STOPPED
-        if not 0.0 <= now - state.time <= self.settings.state_timeout:
-            return Phase.STATE_LOST
+        if state is None or not 0.0 <= now - state.time <= self.settings.state_timeout:
+            return Phase.STATE_LOST  # none: a new robot description has a joint not yet heard from
         if reference is None or self.settings.mode is Mode.GRAVITY_COMPENSATION:
             return Phase.HOLDING
         timeout = self.settings.reference_timeout or math.inf
@@ -392,7 +392,9 @@ class Controller:
         elapsed = (state.time if state.times is None else state.times) - self._filter_times
         is_new = (elapsed < 0.0) | (elapsed > self.settings.state_timeout)
         share = np.where(is_new, 1.0, 1.0 - np.exp(-2.0 * math.pi * cutoff * np.abs(elapsed)))
-        self._qd += share * (state.qd - self._qd)
+        with np.errstate(all='ignore'):  # nothing that was absurd may stay for ever
+            smooth = self._qd + share * (state.qd - self._qd)
+        self._qd[:] = np.where(is_new | ~np.isfinite(smooth), state.qd, smooth)
         self._filter_times += elapsed
         return self._qd
 
@@ -427,8 +429,11 @@ class Controller:
             if reference.positions is not None:
                 distance = self._distance(q[self._index], reference.positions)
                 qdd = qdd + self._of_joint['kp'] * distance
-            if reference.velocities is not None:
-                error = reference.velocities - qd[self._index]
+            velocities: Floats | float | None = reference.velocities
+            if velocities is None and reference.positions is not None:
+                velocities = 0.0  # without damping the arm would swing for ever
+            if velocities is not None:
+                error = velocities - qd[self._index]
                 qdd = qdd + self._of_joint['kd'] * error
         return qdd
 

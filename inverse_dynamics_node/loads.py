@@ -21,6 +21,8 @@ from .errors import ConfigurationError
 from .model import Floats
 
 STRONGEST = 500.0  # [m/s^2], [rad/s]; beyond fifty times gravity a sensor is broken
+_ROUNDING = 1e-3  # of the moments of a flat body, as in a robot description
+_LARGEST = 1e9  # [kg], [m], [kg m^2], [N], [N m]; sums and products of what is less are finite
 
 
 @dataclass(frozen=True)
@@ -99,7 +101,7 @@ class Loads:
 
     def set_payload(
         self, now: float, link: str, mass: float, com: ArrayLike, inertia: ArrayLike
-    ) -> None:
+    ) -> bool:
         """
         Fasten a rigid load to a link in the course of a ramp, in place of any that it had.
 
@@ -110,20 +112,26 @@ class Loads:
         link, mass, com, inertia
             As for `InverseDynamics.set_payload`; a mass of 0 takes the load off.
 
+        Returns
+        -------
+        is_new : bool
+            Whether the link is not said to carry just that already.
+
         Raises
         ------
         ConfigurationError
-            If there is no such link, or no body has such a mass and inertia.
+            If there is no such link, or no body has such a mass and inertia, or not within reason.
 
         """
         self._check(link)
-        load = Payload(*read_inertial(mass, com, inertia))
-        if not load.mass:
-            load = NO_PAYLOAD
+        load = _read_payload(mass, com, inertia)
+        if _is_same(load, self.payloads.get(link, NO_PAYLOAD)):
+            return False
         self._ramps[link] = self._payload(link, now), load, now
         self.payloads.pop(link, None)
         if load is not NO_PAYLOAD:
             self.payloads[link] = load
+        return True
 
     def set_external_wrench(
         self, now: float, link: str, force: ArrayLike, moment: ArrayLike
@@ -141,11 +149,11 @@ class Loads:
         Raises
         ------
         ConfigurationError
-            If there is no such link, or one is not three finite numbers.
+            If there is no such link, or one is not three finite numbers, or beyond reason.
 
         """
         self._check(link)
-        F, N = read_vector('force', force, 'N'), read_vector('moment', moment, 'N m')
+        F, N = _sane('force', force, 'N', _LARGEST), _sane('moment', moment, 'N m', _LARGEST)
         self._wrenches[link] = F, N, now, 1.0
         self.dynamics.set_external_wrench(link, F, N)
 
@@ -385,10 +393,39 @@ def _blend(one: Payload, other: Payload, share: float) -> Payload:
     return Payload(mass, com, inertia)
 
 
-def _sane(name: str, values: ArrayLike, unit: str) -> Floats:
-    vector = read_vector(name, values, unit)
-    if np.abs(vector).max() > STRONGEST:
+def _read_payload(mass: float, com: ArrayLike, inertia: ArrayLike) -> Payload:
+    load = Payload(*read_inertial(mass, com, inertia))
+    largest = max(load.mass, float(np.abs(load.com).max()), float(np.abs(load.inertia).max()))
+    if largest > _LARGEST:
         raise ConfigurationError(
-            f'{name} is {values!r}, expected at most {STRONGEST:g} {unit} in any direction'
+            f'payload has {largest:g} for its mass, centre of mass or inertia, expected at most '
+            f'{_LARGEST:g} kg, m, kg m^2'
+        )
+    if not load.mass:
+        return NO_PAYLOAD
+    principal = np.linalg.eigvalsh(load.inertia)
+    if principal[0] + principal[1] < principal[2] - _ROUNDING * np.sum(principal):
+        moments = ', '.join(f'{moment:.3g}' for moment in principal)
+        raise ConfigurationError(
+            f'no body has this inertia: of its principal moments {moments} kg m^2 one exceeds the '
+            'sum of the others'
+        )
+    # None below zero by rounding, for the sum of two such would be further below.
+    return load._replace(inertia=load.inertia + max(0.0, -float(principal[0])) * np.eye(3))
+
+
+def _is_same(one: Payload, other: Payload) -> bool:
+    return (
+        one.mass == other.mass
+        and np.array_equal(one.com, other.com)
+        and np.array_equal(one.inertia, other.inertia)
+    )
+
+
+def _sane(name: str, values: ArrayLike, unit: str, most: float = STRONGEST) -> Floats:
+    vector = read_vector(name, values, unit)
+    if np.abs(vector).max() > most:
+        raise ConfigurationError(
+            f'{name} is {values!r}, expected at most {most:g} {unit} in any direction'
         )
     return vector

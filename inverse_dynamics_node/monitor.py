@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .controller import Command, Phase
+from .controller import Command, Mode, Phase
 from .model import Booleans, Floats
 from .rig import Rig
 
@@ -73,7 +73,6 @@ class Monitor:
         self._periods: list[float] = []
         self._times: list[float] = []
         self._news: Counter[str] = Counter()
-        self._report_time = math.nan
 
     def step(self, now: float, took: float, command: Command, joints: Sequence[str]) -> None:
         """
@@ -140,7 +139,7 @@ class Monitor:
             One for each part.
 
         """
-        statuses = [self._of_loop(now, rig, around), self._of_messages()]
+        statuses = [self._of_loop(rig, around), self._of_messages()]
         if rig is not None:
             statuses += [
                 _of_states(now, rig, around),
@@ -148,13 +147,13 @@ class Monitor:
                 self._of_efforts(rig, around),
                 _of_model(now, rig),
             ]
-        self._periods, self._times, self._report_time = [], [], now
+        self._periods, self._times = [], []
         self._news.clear()
         return statuses
 
-    def _of_loop(self, now: float, rig: Rig | None, around: Surroundings) -> Status:
-        window = now - self._report_time
-        rate = len(self._times) / window if window > 0.0 else 0.0
+    def _of_loop(self, rig: Rig | None, around: Surroundings) -> Status:
+        total = sum(self._periods)
+        rate = len(self._periods) / total if total > 0.0 else 0.0
         values = {
             'state': around.state,
             'rate [Hz]': f'{rate:.1f}',
@@ -169,7 +168,7 @@ class Monitor:
         values['mode'] = rig.controller.settings.mode.value
         values['phase'] = rig.controller.phase.value
         values['gain'] = f'{rig.controller.gain:.3f}'
-        if self.period and window > 0.0 and rate * self.period < _SLOW and self._times:
+        if self.period and total > 0.0 and rate * self.period < _SLOW:
             return Status('loop', Level.WARN, f'only {rate:.1f} commands/s', values)
         return Status('loop', Level.OK, rig.controller.phase.value, values)
 
@@ -212,6 +211,8 @@ def _of_states(now: float, rig: Rig, around: Surroundings) -> Status:
         return Status('joint states', level, f'lost: {", ".join(stale)}', values)
     if collector.unseen():
         return Status('joint states', Level.WARN, 'some joints count as locked', values)
+    if rig.controller.settings.mode is Mode.COMPUTED_TORQUE and collector.without_velocity():
+        return Status('joint states', Level.WARN, 'no velocity, no damping of the loop', values)
     return Status('joint states', Level.OK, 'fresh', values)
 
 

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from .controller import Command, Controller, Reference, Settings
 from .dynamics import InverseDynamics, JointWrenches, STANDARD_GRAVITY, Terms
+from .errors import JointStateError
 from .loads import Loads, LoadSettings
 from .model import Floats, RobotModel
 from .report import model_report
@@ -93,7 +94,8 @@ class Rig:
             None as long as something is unknown without which there can be none: see `missing`.
 
         """
-        if self.loads.update(now):
+        if self.loads.update(now) or self.collector.has_unlocked:
+            self.collector.has_unlocked = False
             self.controller.blend()
         state = None if self._lacks_imu() else self.collector.state()
         return self.controller.step(now, state, self.reference)
@@ -132,8 +134,12 @@ class Rig:
 
         """
         self.controller.take_over(other.controller)
-        self.collector.take_over(other.collector)
         self.reference = other.reference
+        return self.inherit(other)
+
+    def inherit(self, other: Rig) -> list[str]:
+        """Know what the rig of another description was told, whatever it commands: as above."""
+        self.collector.take_over(other.collector)
         return self.loads.take_over(other.loads)
 
     # What is told on request
@@ -141,9 +147,15 @@ class Rig:
     def report(self) -> str:
         """Describe the robot, and the efforts that hold it where it is, if that is known."""
         missing = self.missing()
-        q = None if missing else self.collector.q
-        text = model_report(self.dynamics, self.controller.joints, q, self.controller.limits)
-        return f'{text}\n\nNot known yet: {", ".join(missing)}.' if missing else text
+        if missing:
+            return f'{self._report(None)}\n\nNot known yet: {", ".join(missing)}.'
+        try:
+            return self._report(self.collector.q)
+        except JointStateError as error:
+            return f'{self._report(None)}\n\nNot known: {error}.'
+
+    def _report(self, q: Floats | None) -> str:
+        return model_report(self.dynamics, self.controller.joints, q, self.controller.limits)
 
     def calibrated(self, index: Sequence[int], efforts: Floats) -> Floats:
         """

@@ -79,6 +79,8 @@ class JointStateCollector:
         self.q, self.qd, self.times, self.efforts = self._known
         """Efforts as measured, where they were asked for and sent [N m or N]."""
         self.times[:], self.efforts[:] = -math.inf, math.nan
+        self.has_unlocked = False
+        """Whether a locked joint was heard from for the first time; who asks puts it back."""
         self._has_velocity = np.zeros(len(self.joint_names), dtype=bool)
         self._index = {name: i for i, name in enumerate(self.joint_names)}
         self._layouts: dict[tuple[str, ...], _Layout] = {}
@@ -221,6 +223,7 @@ class JointStateCollector:
         # Where there has been a velocity, none is a fault.
         self._refuse('velocity', qd, is_finite | ~self._has_velocity[ours], ours)
         self._has_velocity[ours] |= is_finite
+        self.has_unlocked |= bool((self.times[ours] == _LONG_AGO).any())
         layout.is_measured = bool(self._has_velocity[ours].all())
         layout.heard[1, theirs] = np.where(is_finite, qd, 0.0)
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from .dynamics import InverseDynamics
 from .errors import TrajectoryError
+from .lanes import FEWEST
 from .model import Floats, Integers
 
 _FEWEST_TO_SMOOTH = 16
@@ -200,7 +201,12 @@ def trajectory_efforts(
 
     """
     states, index = whole_states(dynamics, trajectory, others)
-    efforts: Floats = dynamics.efforts(*states)[:, index]
+    tau = np.empty_like(states[0])
+    # In pieces: the first large batch compiles for seconds, which a control loop does not have.
+    for start in range(0, len(tau), FEWEST - 1):
+        q, qd, qdd = (values[start : start + FEWEST - 1] for values in states)
+        tau[start : start + FEWEST - 1] = dynamics.efforts(q, qd, qdd)
+    efforts: Floats = tau[:, index]
     return efforts
 
 
@@ -245,8 +251,14 @@ def _derivative(times: Floats, values: Floats, ends: str, order: int) -> Floats:
         return np.zeros_like(values)
     from scipy.interpolate import CubicSpline  # a third of a second, for who needs it only
 
-    # Two or three points have no inner ones enough; scipy takes a line or a parabola then.
-    derivative: Floats = CubicSpline(times, values, bc_type=ends)(times, order)
+    try:
+        with np.errstate(all='ignore'):
+            # Two or three points have no inner ones enough; scipy takes a line or a parabola then.
+            derivative: Floats = CubicSpline(times, values, bc_type=ends)(times, order)
+    except ValueError:  # of slopes that are not finite
+        derivative = np.full_like(values, np.nan)
+    if not np.isfinite(derivative).all():
+        raise TrajectoryError('points are too far apart in too short a time for any spline')
     return derivative
 
 

@@ -30,7 +30,7 @@ ARROWS = {
         'errors',
     },
     'specialise': {'newton_euler', 'dynamics', 'table', 'compilation', 'model'},
-    'trajectory': {'dynamics', 'model', 'errors'},
+    'trajectory': {'dynamics', 'lanes', 'model', 'errors'},
     'identification': {'dynamics', 'model', 'errors'},
     'advice': set(),
     'kinematics': {'model'},
@@ -41,7 +41,7 @@ ARROWS = {
     'residual': {'dynamics', 'model'},
     'state': {'compilation', 'model', 'errors'},
     'controller': {'dynamics', 'state', 'compilation', 'model', 'errors'},
-    'rig': {'controller', 'loads', 'residual', 'report', 'state', 'dynamics', 'model'},
+    'rig': {'controller', 'loads', 'residual', 'report', 'state', 'dynamics', 'model', 'errors'},
     'monitor': {'rig', 'controller', 'model'},
     'node': {
         'rig',

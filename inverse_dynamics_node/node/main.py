@@ -16,10 +16,12 @@ USAGE = """usage: inverse_dynamics_node --ros-args [-p NAME:=VALUE]... [-r NAME:
 for instance: inverse_dynamics_node --ros-args -p robot_description_file:=my_arm.urdf
 the README lists all parameters"""
 
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
 
 class _Stop:
     """
-    Counts SIGINT and SIGTERM.
+    Counts SIGINT, SIGTERM and SIGHUP.
 
     rclpy's own handler shuts communication down before a last command could be sent.
 
@@ -27,8 +29,10 @@ class _Stop:
 
     def __init__(self) -> None:
         self.count = 0
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._handle)
+        for number in _SIGNALS:
+            # Of a terminal that is closed, nohup does not want to hear.
+            if number is not signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, self._handle)
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
         self.count += 1
@@ -40,7 +44,7 @@ def main(args: Sequence[str] | None = None) -> int:
     try:
         return _main(list(sys.argv if args is None else args), stop)
     finally:
-        for number in (signal.SIGINT, signal.SIGTERM):  # nothing is left to be stopped
+        for number in _SIGNALS:  # nothing is left to be stopped
             signal.signal(number, signal.SIG_IGN)
 
 

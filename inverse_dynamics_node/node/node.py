@@ -23,7 +23,12 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from ..controller import IS_WELL, Reference
-from ..errors import ConfigurationError, InverseDynamicsError, JointStateError
+from ..errors import (
+    ConfigurationError,
+    InverseDynamicsError,
+    JointStateError,
+    TrajectoryError,
+)
 from ..loads import rotation_of
 from ..monitor import Monitor, Surroundings
 from ..rig import Rig
@@ -308,6 +313,8 @@ class InverseDynamicsNode(LifecycleNode):
             self.autostart()
             return
         self.get_logger().info('a new robot description came')
+        if self._loading is not None:
+            self._loading.cancel()  # of several in a row, the last will do
         # Loading takes tenths of a second, in which the robot must not go without commands.
         self._loading = self._loader.submit(make_rig, configuration, message.data)
         self._watch_after(self._watch_period)
@@ -318,9 +325,9 @@ class InverseDynamicsNode(LifecycleNode):
         try:
             rig = loading.result()
             apply_configuration(rig, self._configuration)
-            if self._is_active:
-                for link in rig.take_over(self._rig):
-                    self.get_logger().warning(f"link '{link}' is no more; its payload is dropped")
+            take_over = rig.take_over if self._is_active else rig.inherit
+            for link in take_over(self._rig):
+                self.get_logger().warning(f"link '{link}' is no more; its payload is dropped")
         except Exception as error:  # of a thread that nobody else asks
             self.get_logger().error(
                 f'the new robot description is not used, the old one still is: {error}'
@@ -338,6 +345,11 @@ class InverseDynamicsNode(LifecycleNode):
         try:
             names, positions, velocities, measured = self._reader.read(data)
             efforts = measured if self._outputs.wants_measured_efforts else ()
+            if len(efforts) not in (0, len(names)):  # no reason not to know where the arm is
+                self._reject(
+                    now, 'joint_states', f'{len(names)} names, but {len(efforts)} efforts'
+                )
+                efforts = ()
             is_ours = self._rig.collector.update(now, names, positions, velocities, efforts)
         except JointStateError as error:
             self._reject(now, 'joint_states', error)
@@ -363,8 +375,8 @@ class InverseDynamicsNode(LifecycleNode):
     def _on_payload(self, message: InertiaStamped) -> None:
         def take(rig: Rig, now: float) -> None:
             payload = messages.read_payload(message)
-            rig.loads.set_payload(now, *payload)
-            self.get_logger().info(f"payload on link '{payload.link}': {payload.mass:g} kg")
+            if rig.loads.set_payload(now, *payload):
+                self.get_logger().info(f"payload on link '{payload.link}': {payload.mass:g} kg")
 
         self._take('~/payload', take)
 
@@ -414,7 +426,9 @@ class InverseDynamicsNode(LifecycleNode):
         self._take('~/joint_trajectory_in', lambda rig, now: self._fill(rig, now, message))
 
     def _fill(self, rig: Rig, now: float, message: JointTrajectory) -> None:
-        """Publish a trajectory with the efforts that it takes."""
+        """Publish a trajectory with the efforts that it takes, if somebody wants it."""
+        if not self._trajectories.get_subscription_count():
+            raise TrajectoryError('nobody listens to ~/joint_trajectory_out')
         trajectory, derived = complete(messages.read_trajectory(message))
         for words in derived:
             self._log.warn(now, words, f'~/joint_trajectory_in: {words}')

@@ -90,7 +90,8 @@ class Outputs:
         """Publish zeros, and see that they arrive."""
         for _ in range(3):  # once is enough where messages are acknowledged
             self.publish_command(rig, np.zeros(len(rig.controller.joints)))
-        self._commands.wait_for_all_acked(Duration(seconds=1))
+        for publisher in (self._commands, self._joint_efforts):
+            publisher.wait_for_all_acked(Duration(seconds=1))
 
     def publish_explanation(self, rig: Rig) -> None:
         """Publish what the last command is made of, and what was measured beside it."""

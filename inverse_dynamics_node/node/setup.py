@@ -10,6 +10,7 @@ from ..controller import of_joints, PerJoint
 from ..errors import ConfigurationError
 from ..model import Floats, RobotModel
 from ..rig import Rig
+from ..trajectory import complete, Trajectory
 from ..urdf import load_urdf
 from .parameters import BaseMotion, Configuration, PER_JOINT
 
@@ -50,6 +51,7 @@ def make_rig(configuration: Configuration, description: str) -> Rig:
     )
     apply_configuration(rig, configuration)
     rig.dynamics.gravity_efforts(np.zeros(len(robot.joint_names)))
+    complete(Trajectory(('x',), np.arange(2.0), np.zeros((2, 1))))  # loads what splines need
     return rig
 
 

@@ -223,6 +223,10 @@ class RobotSide:
         self._description = self.node.create_publisher(String, 'robot_description', latched)
         self._description.publish(String(data=text))
 
+    def publish_again(self, description):
+        """Publish another description by the same publisher: those of several have no order."""
+        self._description.publish(String(data=description))
+
     def listen_to_joint_efforts(self):
         self.joint_efforts = self.listen(JointState, 'inverse_dynamics/joint_efforts')
 

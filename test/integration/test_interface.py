@@ -66,6 +66,25 @@ def imu(specific_force, angular_velocity=(0.0, 0.0, 0.0)):
     )
 
 
+def trajectory(points):
+    message = JointTrajectory(header=Header(frame_id='plan'), joint_names=NAMES[::-1])
+    for time, *rows in points:
+        point = JointTrajectoryPoint(time_from_start=Duration(sec=int(time), nanosec=500_000_000))
+        for name, row in zip(('positions', 'velocities', 'accelerations'), rows, strict=False):
+            setattr(point, name, list(row[::-1]))
+        message.points.append(point)
+    return message
+
+
+WILD = trajectory([(0, Q), (1, Q)])
+for point, sign in zip(WILD.points, (1.0, -1.0), strict=True):
+    point.positions = [sign * 1e308] * 6
+    point.time_from_start = Duration(nanosec=point.time_from_start.sec)
+
+UNMEASURED = imu((0.0, 0.0, 9.8))
+UNMEASURED.angular_velocity_covariance[0] = -1.0
+
+
 # Loads and bases
 
 
@@ -158,13 +177,20 @@ def test_lost_imu_leaves_gravity_where_it_was(run_node, robot, dynamics):
         ),
         ('gravity', Vector3Stamped(vector=Vector3(z=-1e4)), 'gravity is'),
         ('/imu', imu((math.nan, 0.0, 0.0)), 'specific force is'),
+        ('/imu', UNMEASURED, 'the covariance says that angular velocity is not measured'),
+        ('gravity', stamped(Vector3Stamped, '', vector=Vector3(z=-9.8)), 'gravity is measured'),
+        ('payload', payload(TIP, 1e300, (1e200, 0.0, 0.0)), 'payload has 1e+300'),
         ('joint_trajectory_in', JointTrajectory(joint_names=NAMES), 'no positions'),
+        ('joint_trajectory_in', trajectory([(0, Q)]), 'nobody listens'),
+        ('joint_trajectory_in', WILD, 'points are too far apart'),
     ],
 )
 def test_what_cannot_be_is_dropped_with_words(run_node, robot, dynamics, topic, message, words):
-    motion = {'base_motion': 'imu'} if topic == '/imu' else {}
+    motion = {'base_motion': 'imu'} if topic == '/imu' or 'measured' in words else {}
     node = run_node(**PATIENT, **motion)
     robot.publish_state(NAMES, Q, QD)
+    if words != 'nobody listens':
+        robot.listen(JointTrajectory, f'{OWN}/joint_trajectory_out')
     robot.keep_publishing(topic if topic.startswith('/') else f'{OWN}/{topic}', message)
     robot.wait_for_text(node, f'message dropped: {words}')
     if not motion:
@@ -227,16 +253,6 @@ def test_nothing_is_told_to_nobody(run_node, robot, dynamics):
     run_node(**PATIENT)
     robot.publish_state(NAMES, Q, QD, np.full(6, 1e308))
     robot.wait_for_command(dynamics.efforts(Q, QD, ZERO))
-
-
-def trajectory(points):
-    message = JointTrajectory(header=Header(frame_id='plan'), joint_names=NAMES[::-1])
-    for time, *rows in points:
-        point = JointTrajectoryPoint(time_from_start=Duration(sec=int(time), nanosec=500_000_000))
-        for name, row in zip(('positions', 'velocities', 'accelerations'), rows, strict=False):
-            setattr(point, name, list(row[::-1]))
-        message.points.append(point)
-    return message
 
 
 @pytest.mark.parametrize('start', ['active', 'inactive'])

@@ -164,7 +164,7 @@ def test_efforts_rise_along_the_start_ramp(run_node, robot):
     assert ((shares > 0.1) & (shares < 0.9)).sum() > 3
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 @pytest.mark.parametrize('update_rate', [0, 1000])
 def test_signal_ends_with_zeros_and_code_0(run_node, robot, number, update_rate):
     node = run_node(**PATIENT, update_rate=update_rate)

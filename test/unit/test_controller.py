@@ -461,3 +461,21 @@ def test_says_which_efforts_may_not_change_as_fast_as_they_should():
     assert list(command.is_slowed) == [False, True]
     command = lift.step(0.3, state(0.0), None)  # lost
     assert not command.is_slowed.any()
+
+
+def test_a_loop_on_positions_alone_is_damped():
+    lift = controller(mode=Mode.COMPUTED_TORQUE, kp=0.0, kd=10.0)
+    moving = State(np.zeros(2), np.array([0.1, 0.0]), 0.0)
+    positions = Reference(np.zeros(2), np.zeros(2), 0.0, np.zeros(2))
+    assert lift.step(0.0, moving, positions).efforts == pytest.approx(HOLD - [3.0, 1.0])
+
+
+def test_the_velocity_filter_forgets_what_was_absurd():
+    lift = controller(velocity_filter_cutoff=1000.0)
+    lift.dynamics.set_friction(damping=1.0, coulomb=0.0)
+    for now, speed in ((0.0, 1.7e308), (0.01, -1.7e308), (0.02, 0.1), (0.03, 0.1)):
+        lift.step(now, State(np.zeros(2), np.full(2, speed), now), None)
+    assert lift.phase is Phase.HOLDING
+    assert lift.step(0.04, State(np.zeros(2), np.full(2, 0.1), 0.04), None).efforts == (
+        pytest.approx(HOLD + 0.1)
+    )

@@ -1,5 +1,7 @@
 """Loads as time passes: payloads ramp, wrenches fade, gravity turns, the base moves."""
 
+import contextlib
+from functools import partial
 import math
 
 from hypothesis import given
@@ -13,6 +15,7 @@ from robot_files import ROOT, STANFORD
 Q = np.array([0.3, 1.2, 0.5, 0.4, -0.6, 0.2])
 TIP = 'link_6'
 INERTIA = np.diag([0.01, 0.02, 0.02])
+FLAWED = np.diag([0.1, 0.3, 0.1])
 DOWN = np.array([0.0, 0.0, -9.80665])
 
 
@@ -196,6 +199,11 @@ def test_vectors_are_in_the_frame_of_the_base_link():
         (lambda x: x.set_payload(0.0, TIP, -1.0, Q[:3], INERTIA), 'mass is -1.0'),
         (lambda x: x.set_external_wrench(0.0, '', DOWN, DOWN), "link '' does not exist; links"),
         (lambda x: x.set_external_wrench(0.0, TIP, [math.nan] * 3, DOWN), 'force is .*nan'),
+        (lambda x: x.set_payload(0.0, TIP, 1e300, Q[:3], INERTIA), 'payload has 1e.300'),
+        (lambda x: x.set_payload(0.0, TIP, 1.0, [1e200, 0, 0], INERTIA), 'payload has 1e.200'),
+        (lambda x: x.set_payload(0.0, TIP, 1.0, Q[:3], 1e99 * INERTIA), 'payload has 2e.97'),
+        (lambda x: x.set_payload(0.0, TIP, 1.0, Q[:3], FLAWED), 'moments 0.1, 0.1, 0.3 kg m'),
+        (lambda x: x.set_external_wrench(0.0, TIP, [1e300, 0, 0], DOWN), 'force is .*at most 1e'),
         (lambda x: x.set_gravity([1.0, 2.0]), 'expected three finite numbers'),
         (lambda x: x.set_gravity([1e9, 0.0, 0.0]), 'at most 500 m/s'),
         (lambda x: x.set_base_motion(0.0, [math.inf, 0, 0], DOWN), 'specific force is'),
@@ -219,3 +227,48 @@ def test_angles_are_those_of_a_urdf():
     )  # fmt: skip
     k = robot.link_names.index('s')
     assert rotation_of(0.3, -0.5, 2.0) == pytest.approx(robot.link_rotation[k])
+
+
+WILD = st.sampled_from([0.0, -1e-300, 1e-20, 0.3, -1.0, 7.0, 1e9, -1e9, 1e150, 1.7e308])
+
+
+@given(st.lists(st.tuples(WILD, *[WILD] * 9), min_size=1, max_size=4))
+def test_what_was_taken_in_never_fails_later(messages):
+    dynamics = InverseDynamics(load_urdf(STANFORD))
+    loads = Loads(dynamics)
+    now = 0.0
+    for mass, *com, ixx, iyy, izz, ixy, ixz, iyz in messages:
+        inertia = [[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]]
+        for take in (
+            partial(loads.set_payload, now, TIP, mass, com, inertia),
+            partial(loads.set_external_wrench, now, TIP, com, com[::-1]),
+            partial(loads.set_base_motion, now, com, com[::-1]),
+            partial(loads.set_gravity, com),
+        ):
+            with contextlib.suppress(ConfigurationError):
+                take()
+        for _ in range(4):
+            now += 0.15
+            loads.update(now)
+            assert np.isfinite(dynamics.table).all()
+
+
+def test_a_ramp_between_flat_bodies_never_fails():
+    # Each has a moment below zero by just what rounding is allowed to leave.
+    loads = Loads(InverseDynamics(load_urdf(STANFORD)))
+    loads.set_payload(0.0, TIP, 1.0, np.zeros(3), np.diag([0.3, 0.3, -0.3e-9]))
+    loads.update(1.0)
+    loads.set_payload(1.0, TIP, 1.0, np.zeros(3), np.diag([0.7, 0.7, -0.7e-9]))
+    for now in np.linspace(1.0, 2.0, 101):
+        loads.update(now)
+
+
+def test_a_payload_that_is_told_again_and_again_is_no_news(loads, dynamics):
+    com = (0.0, 0.1, 0.05)
+    assert loads.set_payload(0.0, TIP, 2.0, com, INERTIA)
+    for now in np.arange(0.0, 0.6, 0.01):
+        assert not loads.set_payload(now, TIP, 2.0, com, INERTIA)
+        loads.update(now)
+    assert dynamics.gravity_efforts(Q) == pytest.approx(with_payload(2.0, com), rel=1e-12)
+    assert loads.set_payload(0.6, TIP, 0.0, com, INERTIA)
+    assert not loads.set_payload(0.7, TIP, 0.0, com, INERTIA)

@@ -1,7 +1,7 @@
 """What is counted, and how bad it is."""
 
 from inverse_dynamics_node import load_urdf
-from inverse_dynamics_node.controller import Command
+from inverse_dynamics_node.controller import Command, Mode, Settings
 from inverse_dynamics_node.monitor import Level, Monitor, Surroundings
 from inverse_dynamics_node.rig import Rig
 import numpy as np
@@ -53,7 +53,7 @@ def test_warns_of_a_rate_that_is_not_reached(rig):
         monitor.step(0.011 * k, 1e-4, command(), JOINTS)
     status = part(monitor.report(1.0, rig, FINE), 'loop')
     assert status.level is Level.WARN
-    assert status.message == 'only 90.0 commands/s'
+    assert status.message == 'only 90.9 commands/s'
 
 
 def test_a_pause_and_a_clock_put_back_are_no_overrun(rig):
@@ -125,3 +125,25 @@ def test_without_a_robot_there_is_little_to_tell():
 def test_all_values_are_texts(rig):
     for status in Monitor(0.01).report(0.05, rig, FINE):
         assert all(isinstance(x, str) for pair in status.values.items() for x in pair)
+
+
+def test_a_loop_that_began_within_the_second_is_not_slow(rig):
+    monitor = Monitor(0.01)
+    monitor.report(0.0, rig, FINE)
+    monitor.pause()
+    for k in range(40):
+        monitor.step(0.6 + 0.01 * k, 1e-4, command(), JOINTS)
+    status = part(monitor.report(1.0, rig, FINE), 'loop')
+    assert status.level is Level.OK
+    assert status.values['rate [Hz]'] == '100.0'
+
+
+def test_warns_of_a_loop_without_damping():
+    rig = Rig(ROBOT, settings=Settings(mode=Mode.COMPUTED_TORQUE))
+    rig.collector.update(0.0, JOINTS, [0.1, 0.2], [])
+    status = part(Monitor().report(0.0, rig, FINE), 'joint states')
+    assert status.level is Level.WARN
+    assert status.message == 'no velocity, no damping of the loop'
+    assert status.values['without velocity'] == ', '.join(JOINTS)
+    rig.collector.update(0.0, JOINTS, [0.1, 0.2], [0.0, 0.0])
+    assert part(Monitor().report(0.0, rig, FINE), 'joint states').level is Level.OK

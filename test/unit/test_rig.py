@@ -110,3 +110,65 @@ def test_base_wrench_is_about_the_base_link():
     assert other_force == pytest.approx([force[1], -force[0], force[2]])
     about = moment - np.cross([2.0, 0.0, 0.0], force)
     assert other_moment == pytest.approx([about[1], -about[0], about[2]])
+
+
+def test_a_joint_that_only_the_new_description_has_lets_the_efforts_fall_until_it_is_heard_of():
+    # Not silence: who holds the last command would hold it for ever.
+    joints = NAMES[:4]
+    extra = (
+        '<link name="jaw"><inertial><mass value="0.1"/><inertia ixx="1e-4" iyy="1e-4" izz="1e-4" '
+        f'ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="jaw" type="prismatic"><parent '
+        f'link="{TIP}"/><child link="jaw"/><limit effort="1" velocity="1"/></joint></robot>'
+    )
+    rig = heard(Rig(MODEL, joints, AT_ONCE))
+    before = np.abs(rig.step(0.0).efforts)
+    other = Rig(load_urdf(STANFORD.read_text().replace('</robot>', extra)), joints, AT_ONCE)
+    assert other.take_over(rig) == []
+    heard(rig, 0.01)
+    commands = []
+    for now in np.arange(0.01, 0.7, 0.01):
+        other.collector.update(now, NAMES, Q, np.zeros(6))
+        commands.append(np.abs(other.step(now).efforts))
+    assert other.controller.phase is Phase.STATE_LOST
+    assert (np.diff([before, *commands], axis=0) <= 0.0).all()
+    assert commands[0] == pytest.approx(0.98 * before)
+    assert not commands[-1].any()
+    other.collector.update(now, ['jaw'], [0.0], [0.0])
+    assert other.step(now).efforts[1] != 0.0
+
+
+def test_what_was_told_outlives_another_description_of_other_joints():
+    rig = heard(Rig(MODEL))
+    rig.loads.set_payload(0.0, TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
+    rig.loads.set_gravity((0.0, 3.0, 0.0))
+    for now in (0.0, 9.0, 18.0):
+        rig.loads.update(now)
+    other = Rig(MODEL, NAMES[:2])
+    assert other.inherit(rig) == []
+    assert other.loads.payloads[TIP].mass == 2.0
+    assert other.loads.gravity == pytest.approx([0.0, 3.0, 0.0])
+    assert other.missing() == []
+    assert other.controller.phase is Phase.WAITING
+
+
+def test_a_report_of_absurd_positions_says_so():
+    rig = heard(Rig(MODEL))
+    rig.collector.update(1.0, NAMES, np.full(6, 1.7e308), np.zeros(6))
+    assert 'Not known: the efforts overflow' in rig.report()
+
+
+def test_a_locked_joint_that_is_heard_of_makes_no_jump():
+    others = [k for k in range(6) if k != 2]
+    names = [NAMES[k] for k in others]
+    rig = Rig(MODEL, names, Settings(start_ramp=0.5), locked={NAMES[2]: 0.2})
+    for now in np.arange(0.0, 1.0, 0.05):
+        rig.collector.update(now, names, Q[others], np.zeros(5))
+        last = rig.step(now).efforts.copy()
+    heard(rig, now)
+    assert rig.step(now).efforts == pytest.approx(last)
+    for later in np.arange(now, now + 1.0, 0.05):
+        heard(rig, later)
+        rig.step(later)
+    expected = InverseDynamics(MODEL).gravity_efforts(Q)[others]
+    assert rig.step(later).efforts == pytest.approx(expected)
+    assert np.abs(expected - last).max() > 1.0

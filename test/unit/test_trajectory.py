@@ -1,6 +1,11 @@
 """Trajectories: what is derived, and the efforts all along."""
 
-from inverse_dynamics_node import InverseDynamics, load_urdf, TrajectoryError
+import contextlib
+
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from inverse_dynamics_node import InverseDynamics, lanes, load_urdf, TrajectoryError
 from inverse_dynamics_node.trajectory import complete, Trajectory, trajectory_efforts
 import numpy as np
 import pytest
@@ -115,3 +120,37 @@ def test_refuses_joints_that_the_robot_does_not_have(names, words):
         trajectory_efforts(
             InverseDynamics(load_urdf(STANFORD)), Trajectory(names, TIMES[:2], q, q, q)
         )
+
+
+@given(
+    arrays(float, (4, 1), elements=st.floats(-1e308, 1e308)),
+    arrays(float, 3, elements=st.floats(1e-9, 1e9)),
+    st.booleans(),
+)
+def test_whatever_is_finite_is_completed_or_refused_with_words(numbers, steps, has_velocities):
+    times = np.concatenate([[0.0], np.cumsum(steps)])
+    velocities = numbers[::-1] if has_velocities else None
+    with contextlib.suppress(TrajectoryError):
+        whole, _ = complete(Trajectory(('a',), times, numbers, velocities))
+        assert np.isfinite(whole.velocities).all()
+        assert np.isfinite(whole.accelerations).all()
+
+
+def test_slopes_that_overflow_are_refused():
+    jumps = np.array([[1e308], [-1e308], [1e308]])
+    with pytest.raises(TrajectoryError, match='too far apart in too short a time'):
+        complete(Trajectory(('a',), np.array([0.0, 1e-9, 2e-9]), jumps))
+
+
+def test_a_long_trajectory_compiles_nothing(monkeypatch):
+    dynamics = InverseDynamics(load_urdf(STANFORD))
+    states = np.random.default_rng(6).uniform(-1.0, 1.0, (3, 200, 6))
+    names = dynamics.robot.joint_names
+    expected = dynamics.efforts(*states)
+
+    def compile_now(*_):
+        raise AssertionError('in a control loop')
+
+    monkeypatch.setattr(lanes, 'inverse_dynamics_many', compile_now)
+    efforts = trajectory_efforts(dynamics, Trajectory(names, np.arange(200.0), *states))
+    assert efforts == pytest.approx(expected)
