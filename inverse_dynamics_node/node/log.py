@@ -12,6 +12,7 @@ from ..controller import Command, Phase
 from ..rig import Rig
 
 _PERIOD = 2.0  # [s]; how often it repeats what lasts
+_MOST_KEYS = 1000  # more things to say than that are better said twice than kept
 
 
 class NodeLog:
@@ -94,6 +95,8 @@ class NodeLog:
     def _is_due(self, now: float, key: str) -> bool:
         if abs(now - self._times.get(key, -math.inf)) < _PERIOD:
             return False
+        if len(self._times) >= _MOST_KEYS:
+            self._times.clear()
         self._times[key] = now
         return True
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+import math
 import time
 import traceback
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import InertiaStamped, Vector3Stamped, WrenchStamped
+import numpy as np
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
@@ -30,6 +32,7 @@ from ..errors import (
     TrajectoryError,
 )
 from ..loads import rotation_of
+from ..model import Floats
 from ..monitor import Monitor, Surroundings
 from ..rig import Rig
 from ..trajectory import complete, joint_index, trajectory_efforts
@@ -344,18 +347,23 @@ class InverseDynamicsNode(LifecycleNode):
         now = self._now()
         try:
             names, positions, velocities, measured = self._reader.read(data)
-            efforts = measured if self._outputs.wants_measured_efforts else ()
-            if len(efforts) not in (0, len(names)):  # no reason not to know where the arm is
-                self._reject(
-                    now, 'joint_states', f'{len(names)} names, but {len(efforts)} efforts'
-                )
-                efforts = ()
+            efforts = self._efforts(now, len(names), measured)
             is_ours = self._rig.collector.update(now, names, positions, velocities, efforts)
         except JointStateError as error:
             self._reject(now, 'joint_states', error)
             return
         if is_ours and self._is_active and self._configuration.update_rate == 0.0:
             self._step(now)
+
+    def _efforts(self, now: float, count: int, measured: Floats) -> Floats | tuple[()]:
+        """Return measured efforts, if they are wanted; NaN for those that are not there."""
+        if not self._outputs.wants_measured_efforts:
+            return ()
+        if len(measured) == count:
+            return measured
+        if len(measured):  # no reason not to know where the arm is
+            self._reject(now, 'joint_states', f'{count} names, but {len(measured)} efforts')
+        return np.full(count, math.nan)
 
     def _on_accelerations(self, message: Float64MultiArray) -> None:
         self._take_reference('~/desired_accelerations', messages.read_accelerations, message)

@@ -234,6 +234,22 @@ def test_external_efforts_are_measured_minus_model(run_node, robot, dynamics):
     assert list(message.name) == NAMES[:4] + NAMES[5:]
 
 
+def test_efforts_that_are_measured_no_more_are_told_no_more(run_node, robot, dynamics):
+    run_node(**PATIENT)
+    heard = robot.listen(JointState, f'{OWN}/external_efforts')
+    robot.publish_state(NAMES, Q, ZERO, dynamics.efforts(Q, ZERO, ZERO))
+    robot.wait_for(heard, lambda m: list(m.name) == NAMES, 'external efforts')
+    robot.publish_state(NAMES, Q, ZERO, [*dynamics.efforts(Q, ZERO, ZERO)[:2], *[math.nan] * 4])
+    robot.wait_for(heard, lambda m: list(m.name) == NAMES[:2], 'those that are measured')
+    robot.publish_state(NAMES, Q, ZERO)
+    count = len(robot.commands)
+    robot.wait_until(lambda: len(robot.commands) > count + 40, 'commands that go on')
+    heard.clear()
+    count = len(robot.commands)
+    robot.wait_until(lambda: len(robot.commands) > count + 40, 'commands that go on')
+    assert not heard
+
+
 def test_base_wrench_is_what_the_mount_must_hold(run_node, robot, dynamics):
     run_node(**PATIENT)
     robot.publish_state(NAMES, Q, ZERO)
