@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..advice import Concern
+from ..destinations import destination, picture
 from ..dynamics import FRICTION_WIDTH, InverseDynamics, STANDARD_GRAVITY
 from ..errors import ConfigurationError, RecordingError
 from ..identification import (
@@ -91,10 +92,16 @@ def add_parser(subparsers: Any) -> None:
         help='over which Coulomb friction is smoothed [rad/s, m/s] (default: %(default)s)',
     )
     parser.add_argument(
-        '--parameters', type=Path, help='write the fitted friction here, as parameters of the node'
+        '--parameters',
+        type=destination,
+        metavar='FILE',
+        help='write the fitted friction here, as parameters of the node',
     )
     parser.add_argument(
-        '--picture', type=Path, help='default: <name of the recording>_compare.png, here'
+        '--picture',
+        type=picture,
+        metavar='FILE',
+        help='default: <name of the recording>_compare.png, here',
     )
     parser.add_argument('--no-picture', action='store_true', help='write no picture')
     parser.add_argument(

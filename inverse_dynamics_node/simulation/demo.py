@@ -17,6 +17,7 @@ import sys
 import rclpy
 from rclpy.signals import SignalHandlerOptions
 
+from ..destinations import destination, picture
 from ..dynamics import InverseDynamics
 from ..errors import InverseDynamicsError
 from ..model import RobotModel
@@ -30,6 +31,16 @@ from .stage import Stage
 from .trajectory import slides, start_pose
 from .verdicts import find_failures, MOVING_LIMIT, RATE_LIMIT, REST_LIMIT, Verdict
 from .view import View
+
+EPILOG = """
+
+examples:
+  inverse_dynamics demo my_arm.urdf
+  inverse_dynamics demo my_arm.urdf --scenario payload --link tool0 --picture payload.png
+  inverse_dynamics demo my_arm.urdf --friction --record run
+  inverse_dynamics compare my_arm.urdf run
+
+exit code: 0 it went as it should; 1 it did not, or cannot be done; 2 wrong arguments."""
 
 
 def judge_tracking(
@@ -56,7 +67,7 @@ def judge_tracking(
 def run(options: argparse.Namespace, stopped: Callable[[], bool]) -> bool:
     """Run the whole demo; return whether it passed."""
     scenario = SCENARIOS[options.scenario]
-    urdf = str(options.robot.resolve())
+    urdf = str(options.urdf.resolve())
     robot = load_urdf(urdf)
     if options.link and options.link not in robot.link_names:
         raise SimulationError(
@@ -146,19 +157,26 @@ def main(arguments: list[str] | None = None) -> int:
         print('stopped')
         return 128 + stops[0]
     except (InverseDynamicsError, OSError) as error:
-        print(f'demo: {error}', file=sys.stderr)
+        print(f'inverse_dynamics: {error}', file=sys.stderr)
         return 1
+
+
+def _new_folder(text: str) -> Path:
+    if Path(text).exists():
+        raise argparse.ArgumentTypeError(f'{text}: exists already')
+    return destination(text)
 
 
 def _parse(arguments: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
-        prog='demo',
+        prog='inverse_dynamics demo',
         description='Run the node on a simulated robot, let something happen, and judge it.',
         epilog='scenarios:\n'
-        + '\n'.join(f'  {name:12} {value.summary}' for name, value in SCENARIOS.items()),
+        + '\n'.join(f'  {name:12} {value.summary}' for name, value in SCENARIOS.items())
+        + EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument('robot', type=Path, help='a URDF')
+    parser.add_argument('urdf', type=Path, help='the robot description')
     parser.add_argument('--scenario', choices=SCENARIOS, default='track', help='see below')
     parser.add_argument('--rate', type=float, default=500.0, help='of joint states [Hz]')
     parser.add_argument('--duration', type=float, default=15.0, help='of it all [s]')
@@ -171,9 +189,9 @@ def _parse(arguments: list[str] | None) -> argparse.Namespace:
         help='give the simulated joints the friction of the URDF, and have the node overcome it: '
         'well where it is viscous, while Coulomb friction holds a joint at rest off its place',
     )
-    parser.add_argument('--picture', type=Path, metavar='FILE', help='draw what happened')
+    parser.add_argument('--picture', type=picture, metavar='FILE', help='draw what happened')
     parser.add_argument(
-        '--record', type=Path, metavar='FOLDER', help='write a bag that ROS 2 tools read'
+        '--record', type=_new_folder, metavar='FOLDER', help='write a bag that ROS 2 tools read'
     )
     parser.add_argument(
         '--storage', choices=('mcap', 'sqlite3'), default='mcap', help='of the bag'
@@ -184,10 +202,6 @@ def _parse(arguments: list[str] | None) -> argparse.Namespace:
         parser.error(f'--rate {options.rate:g} is not from 50 to 5000 Hz')
     if not least <= options.duration < math.inf:
         parser.error(f'--duration {options.duration:g} is not {least:g} s or more')
-    if options.record and options.record.exists():
-        parser.error(f'--record {options.record} exists already')
-    if options.picture and options.picture.suffix.lower() not in ('.png', '.svg', '.pdf'):
-        parser.error(f'--picture {options.picture} is not a .png, .svg or .pdf')
     return options
 
 
