@@ -9,18 +9,19 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from dataclasses import replace
 import math
 from pathlib import Path
 import signal
 import sys
 
+import numpy as np
 import rclpy
 from rclpy.signals import SignalHandlerOptions
 
 from ..destinations import destination, picture
 from ..dynamics import InverseDynamics
 from ..errors import InverseDynamicsError
-from ..model import RobotModel
 from ..urdf import load_urdf
 from .history import History
 from .mujoco_model import SimulationError
@@ -29,8 +30,8 @@ from .run import Run, topics_of
 from .scenarios import REST, Scenario, SCENARIOS, Script
 from .stage import Stage
 from .trajectory import slides, start_pose
-from .verdicts import find_failures, MOVING_LIMIT, RATE_LIMIT, REST_LIMIT, Verdict
-from .view import View
+from .verdicts import excuse, find_failures, MOVING_LIMIT, RATE_LIMIT, REST_LIMIT, Verdict
+from .view import name_width, View
 
 EPILOG = """
 
@@ -43,24 +44,25 @@ examples:
 exit code: 0 it went as it should; 1 it did not, or cannot be done; 2 wrong arguments."""
 
 
-def judge_tracking(
-    robot: RobotModel, history: History, duration: float, rate: float, asked: float
-) -> Verdict:
+def judge_tracking(stage: Stage, history: History, rate: float, asked: float) -> Verdict:
     """Print the errors and the rate; hold them against their limits."""
+    robot, duration = stage.robot, stage.duration
     moving = history.largest_error(0.0, (1.0 - REST) * duration)
     rest = history.largest_error((1.0 - 0.5 * REST) * duration, math.inf)
-    print(f'\n{"largest error":24}{"moving":>13}{"at rest":>15}')
+    wide = name_width(robot)
+    print(f'\n{"largest error":{wide}}{"moving":>13}{"at rest":>15}')
     rows = zip(robot.joint_names, slides(robot), moving, rest, strict=True)
     for name, slide, moving_error, rest_error in rows:
         unit = 'mm' if slide else 'mrad'
-        print(
-            f'{name:24}{1000.0 * moving_error:8.3f} {unit:4}{1000.0 * rest_error:10.4f} {unit:4}'
-        )
+        errors = f'{1000.0 * moving_error:8.3f} {unit:4}{1000.0 * rest_error:10.4f} {unit:4}'
+        print(f'{name:{wide}}{errors}')
     print(f'rate: {rate:.1f} of {asked:.1f} commands/s ({rate / asked - 1.0:+.1%})')
+    slack = float(np.max(stage.slack))
+    held = f' (and what dry friction holds, {1000 * slack:.2g} at most)' if slack else ''
     return Verdict(
         f'every joint within {1000 * MOVING_LIMIT:g} mrad (mm) moving and '
-        f'{1000 * REST_LIMIT:g} at rest, rate within {RATE_LIMIT:.0%}',
-        tuple(find_failures(robot.joint_names, moving, rest, rate, asked)),
+        f'{1000 * REST_LIMIT:g} at rest{held}, rate within {RATE_LIMIT:.0%}',
+        tuple(find_failures(robot.joint_names, moving, rest, rate, asked, stage.slack)),
     )
 
 
@@ -75,11 +77,13 @@ def run(options: argparse.Namespace, stopped: Callable[[], bool]) -> bool:
         )
     # The node needs the same compiled dynamics: made here first, it finds them ready.
     start = start_pose(robot, InverseDynamics(robot))
-    stage = Stage(urdf, robot, start, options.duration, options.link)
+    stage = Stage(urdf, robot, start, options.duration, options.link, options.friction)
     script = scenario.prepare(stage)  # fails early if nothing can move
     view = View(robot, f'{robot.name}: {options.scenario}')
     log = view.log if view.is_live else None  # or lines would go through the table
-    with running(_commands(urdf, scenario, options), log) as processes:
+    if np.any(stage.armature):
+        print(told_of_rotors(stage))
+    with running(_commands(stage, scenario, options), log) as processes:
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         act = Run(robot, scenario, processes, stopped)
         try:
@@ -105,10 +109,11 @@ def _perform(
     with view.open():
         rate = act.perform(script, stage.duration, view)
     if options.scenario == 'track':
-        verdict = judge_tracking(stage.robot, history, stage.duration, rate, options.rate)
+        verdict = judge_tracking(stage, history, rate, options.rate)
     else:
         print()
         verdict = script.judge(history)
+    verdict = replace(verdict, excuse=excuse(history))
     if recorder is not None:
         count = recorder.write(options.record, options.storage)
         print(f'recorded: {count} messages in {options.record}')
@@ -121,13 +126,34 @@ def _perform(
     return not verdict.failures
 
 
-def _commands(urdf: str, scenario: Scenario, options: argparse.Namespace) -> dict[str, list[str]]:
+def told_of_rotors(stage: Stage) -> str:
+    """Say which joints have rotors here that the URDF does not know, and why."""
+    robot = stage.robot
+    listed = ', '.join(
+        f'{name} {armature:.2g} {"kg" if slide else "kg m^2"}'
+        for name, armature, slide in zip(
+            robot.joint_names, stage.armature, slides(robot), strict=True
+        )
+        if armature > 0.0
+    )
+    return (
+        'The URDF has friction for joints of hardly any inertia: of motors and gears, without '
+        f'their rotors. Robot and node have these here: {listed}. Find out those of your robot, '
+        "and give them to the node: parameter 'armature'."
+    )
+
+
+def _commands(
+    stage: Stage, scenario: Scenario, options: argparse.Namespace
+) -> dict[str, list[str]]:
     package = 'inverse_dynamics_node'
-    friction = ['--friction'] if options.friction else []
+    urdf, armature = stage.urdf, stage.armature.tolist()
+    friction = ['--friction', '--armature', *map(str, armature)] if options.friction else []
     parameters = {
         'robot_description_file': f"'{urdf}'",
         'update_rate': '0.0',
         'include_friction': str(options.friction).lower(),
+        'armature': str(armature),
         **scenario.parameters,
     }
     return {

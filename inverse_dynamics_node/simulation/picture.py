@@ -21,6 +21,7 @@ from matplotlib.figure import Figure
 WIDTH, DPI = 9.0, 100  # [inch]: 900 pixels
 MOST_POINTS = 1500
 LEAST_ERROR = 0.01  # [mrad, mm]: less is nothing, however large a picture may make it
+LEGEND, KEY = 140, 8  # letters that fit beside each other, and those that a line takes
 COLOURS = matplotlib.colormaps['tab10'].colors  # type: ignore[attr-defined]
 SHADES = ('#ffffff', '#fff1d6', '#e3f2e1', '#e8ecf7')
 
@@ -55,9 +56,10 @@ def draw(
         axes.margins(x=0.0)
     all_axes[-1].set_xlabel('time [s]')
     _explain(all_axes[0], script)
-    figure.suptitle(fill(title, 110), fontsize=11)
+    figure.suptitle('\n'.join(fill(line, 110) for line in title.splitlines()), fontsize=11)
     handles, labels = all_axes[1].get_legend_handles_labels()
-    figure.legend(handles, labels, loc='outside lower center', ncols=4, fontsize=9)
+    columns = max(1, min(4, LEGEND // (max(map(len, labels)) + KEY)))
+    figure.legend(handles, labels, loc='outside lower center', ncols=columns, fontsize=9)
     figure.savefig(path)
 
 

@@ -140,14 +140,20 @@ class View:
     def print_progress(self, moment: Moment) -> None:
         """Print where the joints are, should be, and the efforts that take them there."""
         print(f'\nt = {moment.time:.1f} s   {moment.rate:.1f} commands/s')
-        print(f'{"joint":24}{"position":>15}{"desired":>15}{"error":>13}{"effort":>14}')
+        wide = name_width(self._robot)
+        print(f'{"joint":{wide}}{"position":>15}{"desired":>15}{"error":>13}{"effort":>14}')
         for i, (name, units) in enumerate(zip(self._robot.joint_names, self._units, strict=True)):
             q, desired, effort = moment.q[i], moment.desired[i], moment.effort[i]
             print(
-                f'{name:24}{q:11.4f} {units[0]:3}{desired:11.4f} {units[0]:3}'
+                f'{name:{wide}}{q:11.4f} {units[0]:3}{desired:11.4f} {units[0]:3}'
                 f'{1000.0 * (desired - q):8.3f} {units[1]:4}{effort:10.3f} {units[2]:3}'
             )
         sys.stdout.flush()
+
+
+def name_width(robot: RobotModel) -> int:
+    """Return how wide a column of joint names is."""
+    return max(24, *(len(name) + 1 for name in robot.joint_names))
 
 
 def error_share(error: float) -> float:
