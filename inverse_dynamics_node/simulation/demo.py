@@ -14,6 +14,7 @@ import math
 from pathlib import Path
 import signal
 import sys
+from textwrap import fill
 
 import numpy as np
 import rclpy
@@ -42,6 +43,8 @@ examples:
   inverse_dynamics compare my_arm.urdf run
 
 exit code: 0 it went as it should; 1 it did not, or cannot be done; 2 wrong arguments."""
+
+MOST_TOLD = 7  # joints listed
 
 
 def judge_tracking(stage: Stage, history: History, rate: float, asked: float) -> Verdict:
@@ -129,18 +132,21 @@ def _perform(
 def told_of_rotors(stage: Stage) -> str:
     """Say which joints have rotors here that the URDF does not know, and why."""
     robot = stage.robot
-    listed = ', '.join(
+    rotors = [
         f'{name} {armature:.2g} {"kg" if slide else "kg m^2"}'
         for name, armature, slide in zip(
             robot.joint_names, stage.armature, slides(robot), strict=True
         )
         if armature > 0.0
-    )
-    return (
+    ]
+    rest = f' and {len(rotors) - MOST_TOLD} more' if len(rotors) > MOST_TOLD else ''
+    listed = ', '.join(rotors[:MOST_TOLD]) + rest
+    text = (
         'The URDF has friction for joints of hardly any inertia: of motors and gears, without '
         f'their rotors. Robot and node have these here: {listed}. Find out those of your robot, '
         "and give them to the node: parameter 'armature'."
     )
+    return fill(text, 100, break_on_hyphens=False)
 
 
 def _commands(

@@ -76,7 +76,10 @@ def find_failures(
             if not error <= most  # NaN is a failure: nothing was measured
         ]
     if not abs(rate / asked - 1.0) <= RATE_LIMIT:
-        failures.append(f'{rate:.1f} commands/s came, {asked:.1f} were asked for')
+        failures.append(
+            f'{rate:.1f} commands/s came, {asked:.1f} were asked for: '
+            'this machine is busy, or too slow for --rate'
+        )
     return failures
 
 

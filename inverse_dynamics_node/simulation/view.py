@@ -108,22 +108,23 @@ class View:
             ('BRAKES ON', 'bold red') if moment.brakes_on else ('brakes open', 'green'),
         )
         table = Table(box=None, pad_edge=False)
-        for name, side in (
-            *(('joint', 'left'), ('position', 'right'), ('desired', 'right')),
-            *(('error', 'right'), ('', 'left'), ('effort', 'right'), ('of its limit', 'left')),
+        # Numbers come laid out, units below each other: to the right, their spaces would go.
+        for name, width in (
+            *(('joint', 0), ('position', 12), ('desired', 12), ('error', 13), ('', 0)),
+            *(('effort', 14), ('of its limit', 0)),
         ):
-            table.add_column(name, justify=side, no_wrap=True)
+            table.add_column(f'{name:>{width}}', no_wrap=True)
         limits = self._robot.effort_limits
         for i, (name, units) in enumerate(zip(self._robot.joint_names, self._units, strict=True)):
             q, desired, effort = moment.q[i], moment.desired[i], moment.effort[i]
             share = abs(effort) / limits[i] if limits[i] > 0.0 else 0.0
             table.add_row(
                 name,
-                f'{q:.4f} {units[0]:3}',
-                f'{desired:.4f} {units[0]:3}',
-                f'{1000.0 * (desired - q):.3f} {units[1]:4}',
+                f'{q:8.4f} {units[0]:3}',
+                f'{desired:8.4f} {units[0]:3}',
+                f'{1000.0 * (desired - q):8.3f} {units[1]:4}',
                 bar(error_share(desired - q), 0.35, 0.65),
-                f'{effort:.3f} {units[2]:3}',
+                f'{effort:10.3f} {units[2]:3}',
                 bar(share, 0.7, 0.9),
             )
         return Group(head, Text(moment.words, 'yellow'), table)
