@@ -4,6 +4,7 @@ from dataclasses import replace
 import io
 import math
 
+from matplotlib.figure import Figure
 import numpy as np
 import pytest
 from robot_files import OUR_ROBOTS, ROOT, STANFORD
@@ -333,3 +334,24 @@ def test_picture_is_drawn(tmp_path, path, name):
     header = picture.read_bytes()[:24]
     assert header[1:4] == b'PNG'
     assert int.from_bytes(header[16:20], 'big') == 900
+
+
+@pytest.mark.parametrize('path', OUR_ROBOTS, ids=lambda path: path.stem)
+def test_legend_fits_beside_long_names(tmp_path, path, monkeypatch):
+    stage = stage_of(path)
+    robot = replace(
+        stage.robot, joint_names=tuple(f'left_arm_{n}_of_it' for n in stage.robot.joint_names)
+    )
+    monkeypatch.setattr('inverse_dynamics_node.simulation.picture.slides', lambda r: [False] * 99)
+    figures = []
+    monkeypatch.setattr(Figure, 'savefig', lambda figure, path: figures.append(figure))
+    script = SCENARIOS['hold'].prepare(stage)
+    draw(
+        tmp_path / 'a.png', robot, 'FAILED: too far\n' * 20, script, history_of(stage, (99.0, 0.0))
+    )
+    (figure,) = figures
+    figure.canvas.draw()
+    box = figure.legends[0].get_window_extent()
+    assert box.x0 >= 0.0
+    assert box.x1 <= figure.bbox.width
+    assert figure._suptitle.get_text().count('\n') == 5
