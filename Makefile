@@ -18,13 +18,16 @@ CLEAN := env -u PYTHONPATH -u LD_LIBRARY_PATH -u AMENT_PREFIX_PATH -u COLCON_PRE
 demo: $(VENV)/demo.done
 	@$(CLEAN) $(BIN)/python -m inverse_dynamics_node.simulation.demo '$(ROBOT)' $(ARGS)
 
+# Two at a time: most tests of the node wait for processes to start and to find each other.
+PYTEST := --timeout 300 --numprocesses 2 --dist loadscope --quiet
+
 test: $(VENV)/test.done
 	@$(CLEAN) $(BIN)/ruff check .
 	@$(CLEAN) $(BIN)/ruff format --check .
 	@$(CLEAN) $(BIN)/mypy inverse_dynamics_node
-	@$(CLEAN) $(BIN)/python -m pytest --timeout 300 $(ARGS)
+	@$(CLEAN) $(BIN)/python -m pytest $(PYTEST) $(ARGS)
 	@echo 'The same without numba:'
-	@$(CLEAN) NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest --timeout 300 test/unit test/property test/parity
+	@$(CLEAN) NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest $(PYTEST) test/unit test/property test/parity
 
 bench: $(VENV)/bench.done
 	@$(CLEAN) PYTHONPATH=test $(BIN)/python -m benchmarks $(ARGS)

@@ -17,6 +17,7 @@ test = [
     'pin>=3.5',
     'pytest>=8',
     'pytest-timeout>=2',
+    'pytest-xdist>=3',
     'ros-jazzy-domain-coordinator',
     'ruff==0.17.*',
 ]

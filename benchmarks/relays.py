@@ -17,6 +17,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.lifecycle import LifecycleNode
 from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -80,7 +81,7 @@ def main() -> None:
         relay = UsualRelay(node, float(rate[0]) if rate else 0.0)
     executor.add_node(node)
     while not stopped:
-        executor.spin_once(timeout_sec=0.1)
+        executor.spin_until_future_complete(Future(), timeout_sec=0.1)
     executor.shutdown()
     node.destroy_node()
     rclpy.shutdown()

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .controller import Command, Phase
-from .model import Floats
+from .model import Booleans, Floats
 from .rig import Rig
 
 _MOST_REASONS = 20  # distinct ones to tell apart
@@ -97,14 +97,17 @@ class Monitor:
             self._periods.append(elapsed)
             self.overruns += 0.0 < 1.5 * self.period < elapsed
         self._times.append(took)
-        for what, counter, flags in (
-            ('cut', self.clamped, command.is_saturated),
-            ('slowed', self.slowed, command.is_slowed),
-        ):
-            if np.count_nonzero(flags):
-                cut = [name for name, flag in zip(joints, flags, strict=True) if flag]
-                counter.update(cut)
-                self._news.update(f'{what} {name}' for name in cut)
+        if np.count_nonzero(command.is_saturated):
+            self._count('cut', self.clamped, joints, command.is_saturated)
+        if np.count_nonzero(command.is_slowed):
+            self._count('slowed', self.slowed, joints, command.is_slowed)
+
+    def _count(
+        self, what: str, counter: Counter[str], joints: Sequence[str], flags: Booleans
+    ) -> None:
+        names = [name for name, flag in zip(joints, flags, strict=True) if flag]
+        counter.update(names)
+        self._news.update(f'{what} {name}' for name in names)
 
     def pause(self) -> None:
         """Count no time until the next command."""

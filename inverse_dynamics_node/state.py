@@ -6,10 +6,11 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from .compilation import compile_for, compiled
 from .errors import ConfigurationError, JointStateError
 from .model import Booleans, Floats, Integers
 
@@ -36,10 +37,12 @@ class State(NamedTuple):
 class _Layout:
     """Where the numbers of one publisher belong, and what is known of them."""
 
-    ours: Integers
-    """Of the joints that are named, among ours."""
-    theirs: Integers
-    """The same among theirs."""
+    places: Integers
+    """Of the joints that are named, shape (2, k): among ours, and the same among theirs."""
+    heard: Floats
+    """Positions, velocities and efforts of the last message, shape (3, names)."""
+    is_of_concern: bool
+    """Whether there are any."""
     is_whole: bool
     """Whether all that have to be heard from are named."""
     is_measured: bool = False
@@ -72,11 +75,10 @@ class JointStateCollector:
         self, joint_names: Sequence[str], locked: Mapping[str, float] | None = None
     ) -> None:
         self.joint_names = tuple(joint_names)
-        self.q = np.zeros(len(self.joint_names))
-        self.qd = np.zeros(len(self.joint_names))
-        self.efforts = np.full(len(self.joint_names), math.nan)
-        """As measured, where they were asked for and sent [N m or N]."""
-        self.times = np.full(len(self.joint_names), -math.inf)
+        self._known = np.zeros((4, len(self.joint_names)))
+        self.q, self.qd, self.times, self.efforts = self._known
+        """Efforts as measured, where they were asked for and sent [N m or N]."""
+        self.times[:], self.efforts[:] = -math.inf, math.nan
         self._has_velocity = np.zeros(len(self.joint_names), dtype=bool)
         self._index = {name: i for i, name in enumerate(self.joint_names)}
         self._layouts: dict[tuple[str, ...], _Layout] = {}
@@ -92,6 +94,7 @@ class JointStateCollector:
         self.is_free = self.times == -math.inf
         """Which joints count only where they are heard to be, shape (n,)."""
         self._time = self._oldest()
+        compile_for(take_in, 'b1(f8[:,::1], i8[:,::1], f8[:,::1], f8, b1)')
 
     def update(
         self,
@@ -131,24 +134,19 @@ class JointStateCollector:
         if len(efforts) not in (0, len(names)):
             raise JointStateError(f'{len(names)} names, but {len(efforts)} efforts')
         layout = self._layout(tuple(names))
-        ours, theirs = layout.ours, layout.theirs
-        q = np.asarray(positions, dtype=np.float64)[theirs]
+        heard = layout.heard
+        heard[0] = positions
         # Drivers leave out a velocity that they do not measure, or fill in NaN.
-        qd = np.asarray(
-            velocities if len(velocities) else [math.nan] * len(names), dtype=np.float64
-        )[theirs]
-        are_finite = (
-            np.count_nonzero(np.isfinite(q)) + np.count_nonzero(np.isfinite(qd)) == 2 * q.size
-        )
-        if not (are_finite and layout.is_measured):
-            qd = self._checked(q, qd, layout)
-        self.qd[ours] = qd
-        self.q[ours] = q
-        self.times[ours] = now
+        heard[1] = velocities if len(velocities) else math.nan
+        has_efforts = len(efforts) > 0
+        if has_efforts:
+            heard[2] = efforts
+        arguments = (heard, layout.places, self._known, now, has_efforts)
+        if not (layout.is_measured and take_in(*arguments)):
+            self._check(layout)
+            take_in(*arguments)
         self._time = now if layout.is_whole else self._oldest()
-        if len(efforts):
-            self.efforts[ours] = np.asarray(efforts, dtype=np.float64)[theirs]
-        return len(ours) > 0
+        return layout.is_of_concern
 
     def state(self) -> State | None:
         """Return what is known, or None as long as a joint has not been heard from."""
@@ -210,26 +208,63 @@ class JointStateCollector:
             if len(self._layouts) >= 16:  # more publishers than that are no publishers
                 self._layouts.clear()
             is_whole = bool(0 < self.is_free.sum() == self.is_free[ours].sum())
-            layout = self._layouts[names] = _Layout(
-                np.array(ours, np.int64), np.array(theirs, np.int64), is_whole
-            )
+            places, heard = np.array([ours, theirs], np.int64), np.zeros((3, len(names)))
+            layout = self._layouts[names] = _Layout(places, heard, len(ours) > 0, is_whole)
         return layout
 
-    def _checked(self, q: Floats, qd: Floats, layout: _Layout) -> Floats:
-        """Return the velocities to take, or raise a JointStateError."""
-        ours = layout.ours
+    def _check(self, layout: _Layout) -> None:
+        """Put zeros for velocities that nobody measures, or raise a JointStateError."""
+        ours, theirs = layout.places
+        q, qd = layout.heard[:2, theirs]
         is_finite = np.isfinite(qd)
-        self._check('position', q, np.isfinite(q), ours)
+        self._refuse('position', q, np.isfinite(q), ours)
         # Where there has been a velocity, none is a fault.
-        self._check('velocity', qd, is_finite | ~self._has_velocity[ours], ours)
+        self._refuse('velocity', qd, is_finite | ~self._has_velocity[ours], ours)
         self._has_velocity[ours] |= is_finite
         layout.is_measured = bool(self._has_velocity[ours].all())
-        return np.where(is_finite, qd, 0.0)
+        layout.heard[1, theirs] = np.where(is_finite, qd, 0.0)
 
-    def _check(self, what: str, values: Floats, is_good: Booleans, ours: Integers) -> None:
+    def _refuse(self, what: str, values: Floats, is_good: Booleans, ours: Integers) -> None:
         if not is_good.all():
             k = int(np.argmin(is_good))
             raise JointStateError(f"{what} of joint '{self.joint_names[ours[k]]}' is {values[k]}")
 
     def _oldest(self) -> float:
         return float(np.min(self.times, initial=math.inf, where=self.is_free))
+
+
+@compiled
+def take_in(heard: Any, places: Any, known: Any, now: float, has_efforts: bool) -> bool:
+    """
+    Write what was heard of joints where it belongs, or nothing of it.
+
+    Parameters
+    ----------
+    heard : ndarray, shape (3, l)
+        Positions, velocities and efforts of the l joints of a message.
+    places : ndarray, shape (2, k)
+        Of those that count: among the n that are known, and among the l.
+    known : ndarray, shape (4, n)
+        Receives positions, velocities, times and efforts.
+    now : float
+        The time [s].
+    has_efforts : bool
+        Whether there are any.
+
+    Returns
+    -------
+    are_finite : bool
+        Whether all positions and velocities are.
+
+    """
+    ours, theirs = places[0], places[1]
+    for k in range(len(ours)):
+        q, qd = heard[0, theirs[k]], heard[1, theirs[k]]
+        if not (math.isfinite(q) and math.isfinite(qd)):
+            return False
+    for k in range(len(ours)):
+        i, j = ours[k], theirs[k]
+        known[0, i], known[1, i], known[2, i] = heard[0, j], heard[1, j], now
+        if has_efforts:
+            known[3, i] = heard[2, j]
+    return True

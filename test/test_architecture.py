@@ -40,8 +40,8 @@ ARROWS = {
     'workspace': {'dynamics', 'model', 'errors'},
     'loads': {'dynamics', 'arguments', 'model', 'errors'},
     'residual': {'dynamics', 'model'},
-    'state': {'model', 'errors'},
-    'controller': {'dynamics', 'state', 'model', 'errors'},
+    'state': {'compilation', 'model', 'errors'},
+    'controller': {'dynamics', 'state', 'compilation', 'model', 'errors'},
     'rig': {'controller', 'loads', 'residual', 'report', 'state', 'dynamics', 'model'},
     'monitor': {'rig', 'controller', 'model'},
     'node': {

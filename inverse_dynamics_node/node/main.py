@@ -71,6 +71,7 @@ def _main(args: list[str], stop: _Stop) -> int:
 
 def _run(stop: _Stop) -> int:
     import rclpy.logging
+    from rclpy.task import Future
 
     from .node import InverseDynamicsNode
 
@@ -86,7 +87,8 @@ def _run(stop: _Stop) -> int:
             return 1
         while not stop.count and not node.is_finalized:
             # Its spin() never returns in builds against an old C library; with a time-out it does.
-            executor.spin_once(timeout_sec=0.1)
+            # spin_once() would come back here for every message.
+            executor.spin_until_future_complete(Future(), timeout_sec=0.1)
     finally:
         node.shut_down()
         executor.remove_node(node)

@@ -53,7 +53,8 @@ _LATCHED = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
-_WATCH_PERIOD = 0.01  # [s]; without an update rate, how often to look whether states still come
+_WATCH_PERIOD = 0.01  # [s]; how often to step, or to look, where no joint states come
+_LONGEST_WATCH = 0.1  # [s]; how long at most not to look where they do
 _LISTENERS_PERIOD = 0.2  # [s]; how often to look who listens to more than the commands
 _DIAGNOSTICS_PERIOD = 1.0  # [s]; REP-107
 
@@ -239,7 +240,8 @@ class InverseDynamicsNode(LifecycleNode):
         # Lost states are noticed by a timer of their own, whatever the rate.
         self._watch_period = min(_WATCH_PERIOD, 0.5 * configuration.settings.state_timeout)
         clock = self._timer_clock
-        self._pace = [self.create_timer(self._watch_period, self._on_watch, clock=clock)]
+        self._watch = self.create_timer(self._watch_period, self._on_watch, clock=clock)
+        self._pace = [self._watch]
         if configuration.period:
             self._pace.append(self.create_timer(configuration.period, self._on_timer, clock=clock))
         self._use(rig)
@@ -290,6 +292,7 @@ class InverseDynamicsNode(LifecycleNode):
             self.autostart()
             return
         apply_configuration(self._rig, self._configuration, before)
+        self._watch_after(self._watch_period)
         self._R_BS = rotation_of(*self._configuration.imu_orientation)
 
     # A new robot description
@@ -307,6 +310,7 @@ class InverseDynamicsNode(LifecycleNode):
         self.get_logger().info('a new robot description came')
         # Loading takes tenths of a second, in which the robot must not go without commands.
         self._loading = self._loader.submit(make_rig, configuration, message.data)
+        self._watch_after(self._watch_period)
 
     def _reload(self, loading: Future[Rig]) -> None:
         """Go on with another description of the robot; or with the old one, if that is better."""
@@ -453,14 +457,25 @@ class InverseDynamicsNode(LifecycleNode):
         if self._loading is not None and self._loading.done():
             loading, self._loading = self._loading, None
             self._reload(loading)
-        if not self._is_active:
-            return
-        assert self._rig is not None
-        now = self._now()
-        state = self._rig.collector.state()
-        timeout = self._configuration.settings.state_timeout
-        if state is None or not 0.0 <= now - state.time <= timeout:
-            self._step(now)
+        wait = self._watch_period
+        if self._is_active:
+            assert self._rig is not None
+            now = self._now()
+            state = self._rig.collector.state()
+            timeout = self._configuration.settings.state_timeout
+            if state is None or not 0.0 <= now - state.time <= timeout:
+                self._step(now)
+            elif self._loading is None:
+                # Before, nothing can be lost; and a look costs as much as some of the steps.
+                wait = max(wait, min(state.time + timeout - now, _LONGEST_WATCH))
+        self._watch_after(wait)
+
+    def _watch_after(self, wait: float) -> None:
+        """Let the next look be in so many seconds, and all after it."""
+        period = round(wait * 1e9)
+        if period != self._watch.timer_period_ns:
+            self._watch.timer_period_ns = period
+            self._watch.reset()
 
     def _step(self, now: float) -> None:
         assert self._rig is not None

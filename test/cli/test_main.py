@@ -61,6 +61,8 @@ def test_an_interrupt_ends_quietly(tmp_path):
         env=ENVIRONMENT,
         stderr=subprocess.PIPE,
         text=True,
+        # A shell lets what it starts in the background ignore interrupts; that is inherited.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     with fifo.open('w'):  # waits until the command reads: it is in the middle of its work
         process.send_signal(signal.SIGINT)

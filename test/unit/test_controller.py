@@ -151,7 +151,8 @@ def test_stop_ramps_to_zero_and_start_begins_at_zero():
 def test_stall_of_the_process_makes_no_jump():
     lift = controller(start_ramp=0.0, stop_ramp=1.0)
     lift.step(0.0, state(0.0), None)
-    assert lift.step(30.0, state(0.0), None).efforts == pytest.approx(0.9 * HOLD)
+    assert lift.step(30.0, state(0.0), None).efforts == pytest.approx(HOLD)
+    assert lift.step(30.1, state(0.0), None).efforts == pytest.approx(0.9 * HOLD)
 
 
 def test_clock_that_jumps_back_is_a_lost_state_not_an_error():
@@ -411,6 +412,16 @@ def test_after_a_stall_the_first_command_is_where_the_last_one_was():
     now = time + 20.0
     assert lift.step(now, state(now), None).efforts == pytest.approx(HOLD)
     assert efforts_after(lift, now, 0.5) == pytest.approx(0.4 * HOLD)
+
+
+def test_after_a_stall_that_made_the_state_old_too_the_stop_ramp_begins_where_it_was():
+    lift = controller(start_ramp=0.5, stop_ramp=0.2)
+    time = settled(lift)
+    now = time + 20.0
+    assert lift.step(now, state(time), None).efforts == pytest.approx(HOLD)
+    assert lift.phase is Phase.STATE_LOST
+    assert lift.step(now + 0.1, state(time), None).efforts == pytest.approx(0.5 * HOLD)
+    assert lift.step(now + 0.2, state(time), None).efforts == pytest.approx(0.0 * HOLD)
 
 
 def test_a_clock_put_back_makes_no_jump_either():
