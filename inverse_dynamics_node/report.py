@@ -362,13 +362,36 @@ def _laid_out(table: Table, width: int) -> list[str]:
     widths = [max(len(row[k]) for row in cells) for k in range(len(table.columns))]
     spare = width - sum(widths[1:]) - len(_GAP) * (len(widths) - 1)
     widths[0] = min(widths[0], max(_SHORTEST_NAME, spare))
+    names = [shortened(table.columns[0], widths[0])]
+    names += all_shortened([row[0] for row in table.rows], widths[0])
     return [
         _GAP.join(
-            shortened(cell, size).ljust(size) if k == 0 or k in table.words else cell.rjust(size)
-            for k, (cell, size) in enumerate(zip(row, widths, strict=True))
+            [name.ljust(widths[0])]
+            + [
+                shortened(cell, size).ljust(size) if k in table.words else cell.rjust(size)
+                for k, (cell, size) in enumerate(zip(row[1:], widths[1:], strict=True), 1)
+            ]
         )
-        for row in cells
+        for name, row in zip(names, cells, strict=True)
     ]
+
+
+def _shared(names: Sequence[str]) -> int:
+    """Count the letters with which all the names begin."""
+    letters = list(zip(*names, strict=False))
+    return next((i for i, each in enumerate(letters) if len(set(each)) > 1), len(letters))
+
+
+def all_shortened(names: Sequence[str], size: int) -> list[str]:
+    """Cut names so that they can be told apart still: what all share goes first."""
+    short = [shortened(name, size) for name in names]
+    if len(set(short)) == len(set(names)):
+        return short
+    head = _shared(names)
+    tail = _shared([name[head:][::-1] for name in names])
+    # What is left of a long name of many is its own part.
+    parts = [name[head : len(name) - tail] for name in names]
+    return [f'…{shortened(part, size - 1)}' if head else shortened(part, size) for part in parts]
 
 
 def shortened(text: str, size: int) -> str:

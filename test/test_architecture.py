@@ -33,6 +33,7 @@ ARROWS = {
     'trajectory': {'dynamics', 'lanes', 'model', 'errors'},
     'identification': {'dynamics', 'model', 'errors'},
     'advice': set(),
+    'destinations': set(),
     'kinematics': {'model'},
     'demands': {'dynamics', 'trajectory', 'model'},
     'report': {'advice', 'dynamics', 'model', 'errors'},
@@ -56,6 +57,7 @@ ARROWS = {
     },
     'cli': {
         'advice',
+        'destinations',
         'report',
         'workspace',
         'identification',
@@ -68,7 +70,7 @@ ARROWS = {
         'model',
         'errors',
     },
-    'simulation': {'dynamics', 'urdf', 'model', 'errors'},
+    'simulation': {'destinations', 'dynamics', 'urdf', 'model', 'errors'},
     '__init__': {'dynamics', 'specialise', 'errors', 'model', 'urdf'},
 }
 ROS = ('rclpy', 'rcl_interfaces', 'ament_index_python', 'std_srvs')

@@ -45,7 +45,7 @@ def draw_arm(axes: Any, dynamics: InverseDynamics, q: Floats, joint: int, link: 
     view = _side_view(dynamics.gravity, np.concatenate([positions, links, centres]))
     flat, flat_links, flat_centres = positions @ view, links @ view, centres @ view
 
-    _draw_structure(axes, robot, flat, flat_links)
+    _draw_structure(axes, robot, flat, flat_links, flat_centres)
     _draw_masses(axes, robot, flat_centres)
     _draw_joints(axes, robot, flat, joint)
     mark = flat_links[robot.link_names.index(link)]
@@ -84,10 +84,17 @@ def _side_view(gravity: Floats, points: Floats) -> Floats:
     return view
 
 
-def _draw_structure(axes: Any, robot: RobotModel, flat: Floats, flat_links: Floats) -> None:
+def _draw_structure(
+    axes: Any, robot: RobotModel, flat: Floats, flat_links: Floats, centres: Floats
+) -> None:
     for body in range(1, len(robot.parent)):
         ends = flat[[robot.parent[body], body]]
         axes.plot(*ends.T, color=GREY, linewidth=3.5, solid_capstyle='round', zorder=2)
+    for body in set(range(1, len(robot.parent))) - set(robot.parent.tolist()):
+        if robot.mass[body] > 0.0:  # where it ends nobody knows; its mass is out there
+            axes.plot(
+                *np.array([flat[body], centres[body]]).T, color=GREY, linewidth=1.5, zorder=1
+            )
     for place, body in zip(flat_links, robot.link_body, strict=True):
         axes.plot(*np.array([flat[body], place]).T, color=GREY, linewidth=1.5, zorder=1)
     axes.plot(*flat[0], 's', color=DARK, markersize=11, zorder=3, label='base')

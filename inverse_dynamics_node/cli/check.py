@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..advice import Concern
+from ..destinations import destination, picture
 from ..dynamics import STANDARD_GRAVITY
 from ..model import Floats, RobotModel
 from ..report import (
@@ -59,9 +60,19 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         '--link', help='where the payload is; default: tool0, else the end of the longest chain'
     )
-    parser.add_argument('--picture', type=Path, help='default: <name of the urdf>_check.png, here')
+    parser.add_argument(
+        '--picture',
+        type=picture,
+        metavar='FILE',
+        help='default: <name of the urdf>_check.png, here',
+    )
     parser.add_argument('--no-picture', action='store_true', help='write no picture')
-    parser.add_argument('--poses', type=Path, help='write the worst pose of every joint here, CSV')
+    parser.add_argument(
+        '--poses',
+        type=destination,
+        metavar='FILE',
+        help='write the worst pose of every joint here, CSV',
+    )
     parser.add_argument(
         '--samples',
         type=_sample_count,
@@ -170,7 +181,7 @@ def pose_in_words(robot: RobotModel, pose: Floats, most: int = 8) -> str:
     away = [i for i in np.argsort(-np.abs(pose)) if abs(pose[i]) >= 5e-4]
     shown = [f'{robot.joint_names[i]} {pose[i]:.3f} {units[i]}' for i in sorted(away[:most])]
     if not shown:
-        return 'zero'
+        return 'all joints 0'
     rest = len(away) - len(shown)
     return ', '.join(shown) + (f' and {rest} more' if rest else '') + ', the others 0'
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..advice import Concern
+from ..destinations import destination, picture
 from ..dynamics import FRICTION_WIDTH, InverseDynamics, STANDARD_GRAVITY
 from ..errors import ConfigurationError, RecordingError
 from ..identification import (
@@ -21,11 +22,11 @@ from ..identification import (
     Recording,
 )
 from ..report import Table
-from ..urdf import load_urdf
 from ..workspace import last_link
 from .arguments import payload
 from .console import progress, say, show, show_concerns
 from .recordings import read_recording
+from .robots import HELP, load_dynamics
 
 EPILOG = """\
 examples:
@@ -60,7 +61,7 @@ def add_parser(subparsers: Any) -> None:
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument('urdf', type=Path, help='the robot description')
+    parser.add_argument('urdf', type=Path, help=HELP)
     parser.add_argument('recording', type=Path, help='rosbag2 folder, .mcap, .db3 or .csv')
     parser.add_argument('--topic', help='default: the only joint states with efforts')
     parser.add_argument('--from', dest='start', type=float, metavar='S', help='leave out before')
@@ -91,10 +92,16 @@ def add_parser(subparsers: Any) -> None:
         help='over which Coulomb friction is smoothed [rad/s, m/s] (default: %(default)s)',
     )
     parser.add_argument(
-        '--parameters', type=Path, help='write the fitted friction here, as parameters of the node'
+        '--parameters',
+        type=destination,
+        metavar='FILE',
+        help='write the fitted friction here, as parameters of the node',
     )
     parser.add_argument(
-        '--picture', type=Path, help='default: <name of the recording>_compare.png, here'
+        '--picture',
+        type=picture,
+        metavar='FILE',
+        help='default: <name of the recording>_compare.png, here',
     )
     parser.add_argument('--no-picture', action='store_true', help='write no picture')
     parser.add_argument(
@@ -105,8 +112,8 @@ def add_parser(subparsers: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
-    robot = load_urdf(options.urdf)
-    dynamics = _dynamics(options, InverseDynamics(robot, options.gravity))
+    dynamics = _dynamics(options, load_dynamics(options.urdf, options.gravity))
+    robot = dynamics.robot
     with progress('reading') as tell:
         recording, notes = read_recording(
             options.recording, robot.joint_names, options.topic, tell

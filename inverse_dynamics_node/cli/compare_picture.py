@@ -52,7 +52,7 @@ def _rows(pyplot: Any, findings: Findings) -> tuple[Any, list[Any]]:
         figsize=(WIDTH, 1.3 + max(1.15, 2.2 / count) * count),
         width_ratios=(1.6, 1.0),
     )
-    names = fitting([joint.name for joint in findings.joints])
+    names = fitting([joint.name for joint in findings.joints], 40)
     for c, (left, right) in enumerate(axes):
         joint = findings.joints[c]
         lines = _draw_efforts(left, findings, c)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..demands import Demands, demands_of
+from ..destinations import destination, picture
 from ..dynamics import STANDARD_GRAVITY
 from ..errors import ConfigurationError
 from ..model import Floats, RobotModel
@@ -97,14 +98,22 @@ def add_parser(subparsers: Any) -> None:
         metavar=('X', 'Y', 'Z'),
         help='free-fall acceleration in the frame of the root link [m/s^2]',
     )
-    parser.add_argument('--csv', type=Path, help='default: <name of the trajectory>_efforts.csv')
     parser.add_argument(
-        '--picture', type=Path, help='default: <name of the trajectory>_efforts.png, here'
+        '--csv',
+        type=destination,
+        metavar='FILE',
+        help='default: <name of the trajectory>_efforts.csv',
+    )
+    parser.add_argument(
+        '--picture',
+        type=picture,
+        metavar='FILE',
+        help='default: <name of the trajectory>_efforts.png, here',
     )
     parser.add_argument('--no-picture', action='store_true', help='write no picture')
     parser.add_argument(
         '--trajectory-out',
-        type=Path,
+        type=destination,
         metavar='YAML',
         help='write the trajectory with velocities, accelerations and effort filled in, as '
         '`ros2 topic pub` takes it',

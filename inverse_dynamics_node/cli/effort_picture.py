@@ -10,9 +10,9 @@ import numpy as np
 
 from ..demands import Demands
 from ..model import RobotModel
-from ..report import effort_unit, shortened
+from ..report import effort_unit, number
 from ..trajectory import Trajectory
-from .pictures import BLUE, GREEN, GREY, ORANGE, PINK, RED, save, style, WIDTH
+from .pictures import BLUE, fitting, GREEN, GREY, ORANGE, PINK, RED, save, style, WIDTH
 
 _PARTS = {
     'gravity': GREEN,
@@ -35,8 +35,9 @@ def draw(robot: RobotModel, fine: Trajectory, demands: Demands, path: Path) -> N
             rows, columns, figsize=(WIDTH, height), sharex=True, squeeze=False
         )
         panels = grid.ravel()
+        names = fitting(fine.joint_names, 20 if columns < 3 else 13)
         for k, axes in enumerate(panels[:m]):
-            _draw_joint(axes, robot, fine, demands, k)
+            _draw_joint(axes, robot, fine, demands, k, names[k])
         for axes in panels[m:]:
             axes.set_visible(False)
         for axes in panels[max(0, m - columns) : m]:
@@ -47,13 +48,15 @@ def draw(robot: RobotModel, fine: Trajectory, demands: Demands, path: Path) -> N
         save(figure, path)
 
 
-def _draw_joint(axes: Any, robot: RobotModel, fine: Trajectory, demands: Demands, k: int) -> None:
+def _draw_joint(
+    axes: Any, robot: RobotModel, fine: Trajectory, demands: Demands, k: int, name: str
+) -> None:
     shown = _shown(fine, demands, k)
     times = fine.times[shown]
-    for name, colour in _PARTS.items():
-        term = getattr(demands.terms, name)
-        if name != 'friction' or np.any(demands.terms.friction):
-            label = 'inertia' if name == 'inertial' else name
+    for part, colour in _PARTS.items():
+        term = getattr(demands.terms, part)
+        if part != 'friction' or np.any(demands.terms.friction):
+            label = 'inertia' if part == 'inertial' else part
             axes.plot(times, term[shown, k], color=colour, linewidth=1.1, label=label)
     colour = RED if demands.is_too_strong[k] else BLUE
     axes.plot(times, demands.efforts[shown, k], color=BLUE, linewidth=2.0, label='effort')
@@ -68,9 +71,8 @@ def _draw_joint(axes: Any, robot: RobotModel, fine: Trajectory, demands: Demands
                 axes.axhline(end, color=RED, linestyle='--', linewidth=1.2)
     if high - low < 1e-6:
         axes.set_ylim(-1.0, 1.0)
-    name = shortened(fine.joint_names[k], 20)
     unit = effort_unit(robot, robot.joint_names.index(fine.joint_names[k])).strip()
-    of = f' of {limit:.3g}' if math.isfinite(limit) else ', no limit'
+    of = f' of {number(limit)}' if math.isfinite(limit) else ', no limit'
     axes.set_title(f'{name}: {peak:.3g}{of} {unit}', fontsize=9.5, color=colour)
     axes.set_ylabel(f'[{unit}]')
 

@@ -28,6 +28,12 @@ _EXTRAS = {
     **dict.fromkeys(('rclpy', 'sensor_msgs', 'std_msgs', 'trajectory_msgs'), 'ros'),
     'mujoco': 'demo',
 }
+_HERE = 'in the folder of the sources, pip install'
+_ADVICE = {
+    'cli': f"{_HERE} '.[cli]'",
+    'demo': f"{_HERE} '.[demo]'",
+    'ros': f"source an installed ROS 2, or, {_HERE} '.[ros,demo]'",
+}
 _INTERRUPTED, _BROKEN_PIPE = 130, 141  # what a shell says of SIGINT and SIGPIPE
 
 
@@ -48,8 +54,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         package = (error.name or '').partition('.')[0]
         if package not in _EXTRAS:
             raise
-        return _fail(f"{error}: pip install 'inverse_dynamics_node[{_EXTRAS[package]}]'")
-    except (InverseDynamicsError, OSError) as error:
+        return _fail(f'{error}: {_ADVICE[_EXTRAS[package]]}')
+    except OSError as error:
+        named = error.filename is not None and error.strerror
+        return _fail(f'{error.filename}: {error.strerror}' if named else str(error))
+    except InverseDynamicsError as error:
         return _fail(str(error))
 
 

@@ -63,12 +63,12 @@ def style() -> Iterator[Any]:
 
 
 def save(figure: Any, path: str | Path) -> None:
-    """Write a figure as a PNG."""
-    figure.savefig(path, dpi=DPI, format='png')
+    """Write a figure, as the kind of picture that its suffix says."""
+    figure.savefig(path, dpi=DPI)
 
 
-def fitting(names: Sequence[str], longest: int = 22) -> list[str]:
+def fitting(names: Sequence[str], longest: int = 26) -> list[str]:
     """Cut names to what fits beside an axis, in their middle."""
-    from ..report import shortened
+    from ..report import all_shortened
 
-    return [shortened(name, longest) for name in names]
+    return all_shortened(names, longest)

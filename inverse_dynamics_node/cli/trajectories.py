@@ -26,9 +26,11 @@ trajectory files:
               `<joint>` or `<joint>.position` for each joint [rad, m]; maybe `<joint>.velocity` and
               `<joint>.acceleration`; other columns are ignored
   a rosbag2   .mcap, .db3 or the directory: the first JointTrajectory, else all JointStates, of
-              --topic, or of the only topic of that type"""
+              --topic, of the only topic of that type, or of /joint_states"""
 
 _KINDS = ('trajectory_msgs/msg/JointTrajectory', 'sensor_msgs/msg/JointState')
+USUAL = '/joint_states'
+"""The topic to take where there are several."""
 _INNER = ('trajectory', 'joint_trajectory', 'goal')
 _DERIVATIVES = ('velocities', 'accelerations')
 
@@ -210,6 +212,13 @@ def _from_csv(text: str, known: Sequence[str]) -> Source:
             f'no column is named as a joint; the columns are {", ".join(header)}, the joints '
             f'{", ".join(known)}'
         )
+    ends = ('.velocity', '.acceleration', '.effort')
+    lost = [n for n in known if n not in header and any(n + end in header for end in ends)]
+    if lost:
+        raise TrajectoryError(
+            f"joint '{lost[0]}' has no column of positions; expected '{lost[0]}' or "
+            f"'{lost[0]}.position'"
+        )
     twice = [name for name, count in Counter(header).items() if count > 1]
     if twice:
         raise TrajectoryError(f"two columns are named '{twice[0]}'")
@@ -286,6 +295,8 @@ def _choose(path: Path, connections: Sequence[Any], topic: str | None) -> Any:
         return usable[0]
     for kind in _KINDS:
         topics = {each.topic: each for each in usable if each.msgtype == kind}
+        if USUAL in topics:
+            return topics[USUAL]
         if len(topics) > 1:
             raise TrajectoryError(f'{path}: which --topic? There are {", ".join(topics)}')
         if topics:

@@ -64,6 +64,7 @@ class Findings:
     """What explains the difference, most important first; none if nothing needs to."""
     explained: float
     explained_in_the_end: float
+    """Of joints that moved enough to tell, if any did."""
     width: float
     """Speed over which Coulomb friction is smoothed [rad/s or m/s]."""
 
@@ -176,7 +177,7 @@ class _Comparison:
             efforts[:, c] += fit.efforts(self.qd[:, c], self.direction[:, c])
         telling = self._telling(fits)
         joints = tuple(
-            self._finding(c, fits[c], (mended[:, c], efforts[:, c]), telling[c])
+            self._finding(c, fits[c], (mended[:, c], efforts[:, c]), telling[c], c in live)
             for c in range(len(fits))
         )
         in_the_end = self._as_recorded(efforts, explanation, live)
@@ -193,7 +194,7 @@ class _Comparison:
             in_the_end=in_the_end,
             diagnoses=(*constant(dead), *diagnoses),
             explained=self._share(self.measured, self.modelled, live),
-            explained_in_the_end=self._share(mended, efforts, live, telling),
+            explained_in_the_end=self._share(mended, efforts, self._moving(live), telling),
             width=self.width,
         )
 
@@ -231,12 +232,9 @@ class _Comparison:
 
     def _live(self) -> list[int]:
         """Return the joints whose measured effort says something."""
-        size = np.max(np.abs(self.measured), axis=0)
-        return [
-            c
-            for c in range(len(self.names))
-            if np.ptp(self.measured[:, c]) > CONSTANT * max(size[c], CONSTANT)
-        ]
+        # A joint that carries nothing has rounding of the others' size.
+        size = max(float(np.max(np.abs(self.measured))), float(np.max(np.abs(self.rigid))))
+        return [c for c in range(len(self.names)) if np.ptp(self.measured[:, c]) > CONSTANT * size]
 
     def _dead(self, live: list[int]) -> list[int]:
         """Return the joints whose effort is always the same, and should not be."""
@@ -326,11 +324,22 @@ class _Comparison:
             for c, fit in enumerate(fits)
         ]
 
+    def _moving(self, live: list[int]) -> list[int]:
+        """Leave out joints that friction may have held all the time, unless all are such."""
+        moving = [c for c in live if not why_not(self.qd[:, c], self.period, self.width)]
+        return moving or live
+
     def _finding(
-        self, c: int, friction: FrictionFit, mended: tuple[Floats, Floats], telling: Booleans
+        self,
+        c: int,
+        friction: FrictionFit,
+        mended: tuple[Floats, Floats],
+        telling: Booleans,
+        is_live: bool,
     ) -> JointFinding:
         y, m = self.measured[:, c], self.modelled[:, c]
-        scale, offset = np.polyfit(m, y, 1) if np.ptp(m) > 0.0 else (math.nan, math.nan)
+        varies = is_live and np.ptp(m) > CONSTANT * np.max(np.abs(m))
+        scale, offset = np.polyfit(m, y, 1) if varies else (math.nan, math.nan)
         squares = float(np.mean(y**2))
         return JointFinding(
             name=self.names[c],
@@ -338,14 +347,16 @@ class _Comparison:
             rms_measured=math.sqrt(squares),
             rms_modelled=float(np.sqrt(np.mean(m**2))),
             rms_residual=float(np.sqrt(np.mean((y - m) ** 2))),
-            explained=_share_of_variation(y, m),
+            explained=_share_of_variation(y, m) if is_live else math.nan,
             explained_with_mean=1.0 - float(np.mean((y - m) ** 2)) / squares
             if squares
             else math.nan,
             scale=float(scale),
             offset=float(offset),
             friction=friction,
-            explained_in_the_end=_share_of_variation(mended[0][telling], mended[1][telling]),
+            explained_in_the_end=_share_of_variation(mended[0][telling], mended[1][telling])
+            if is_live
+            else math.nan,
         )
 
     def _slides(self, columns: list[int]) -> list[bool]:

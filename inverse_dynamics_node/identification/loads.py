@@ -32,9 +32,11 @@ class Payload(NamedTuple):
 
 
 def tip_links(robot: RobotModel) -> tuple[str, ...]:
-    """Name one link of every body that moves no other: there, loads are fastened."""
-    bodies = sorted(set(range(1, len(robot.parent))) - {int(p) for p in robot.parent})
-    bodies.sort(key=lambda body: -_depth(robot, body))
+    """Name one link of every body that loads are fastened to: of palms, then of what ends."""
+    carried = np.bincount(robot.parent[1:], minlength=len(robot.parent))
+    # Fingers part at a palm: what is fastened there moves no finger.
+    bodies = [body for body in range(1, len(carried)) if carried[body] != 1]
+    bodies.sort(key=lambda body: (carried[body] == 0, -_depth(robot, body)))
     links = []
     for body in bodies[:MOST_LINKS]:
         on_body = np.flatnonzero(robot.link_body == body)

@@ -9,17 +9,20 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from dataclasses import replace
 import math
 from pathlib import Path
 import signal
 import sys
+from textwrap import fill
 
+import numpy as np
 import rclpy
 from rclpy.signals import SignalHandlerOptions
 
+from ..destinations import destination, picture
 from ..dynamics import InverseDynamics
 from ..errors import InverseDynamicsError
-from ..model import RobotModel
 from ..urdf import load_urdf
 from .history import History
 from .mujoco_model import SimulationError
@@ -28,35 +31,48 @@ from .run import Run, topics_of
 from .scenarios import REST, Scenario, SCENARIOS, Script
 from .stage import Stage
 from .trajectory import slides, start_pose
-from .verdicts import find_failures, MOVING_LIMIT, RATE_LIMIT, REST_LIMIT, Verdict
-from .view import View
+from .verdicts import excuse, find_failures, MOVING_LIMIT, RATE_LIMIT, REST_LIMIT, Verdict
+from .view import name_width, View
+
+EPILOG = """
+
+examples:
+  inverse_dynamics demo my_arm.urdf
+  inverse_dynamics demo my_arm.urdf --scenario payload --link tool0 --picture payload.png
+  inverse_dynamics demo my_arm.urdf --friction --record run
+  inverse_dynamics compare my_arm.urdf run
+
+exit code: 0 it went as it should; 1 it did not, or cannot be done; 2 wrong arguments."""
+
+MOST_TOLD = 7  # joints listed
 
 
-def judge_tracking(
-    robot: RobotModel, history: History, duration: float, rate: float, asked: float
-) -> Verdict:
+def judge_tracking(stage: Stage, history: History, rate: float, asked: float) -> Verdict:
     """Print the errors and the rate; hold them against their limits."""
+    robot, duration = stage.robot, stage.duration
     moving = history.largest_error(0.0, (1.0 - REST) * duration)
     rest = history.largest_error((1.0 - 0.5 * REST) * duration, math.inf)
-    print(f'\n{"largest error":24}{"moving":>13}{"at rest":>15}')
+    wide = name_width(robot)
+    print(f'\n{"largest error":{wide}}{"moving":>13}{"at rest":>15}')
     rows = zip(robot.joint_names, slides(robot), moving, rest, strict=True)
     for name, slide, moving_error, rest_error in rows:
         unit = 'mm' if slide else 'mrad'
-        print(
-            f'{name:24}{1000.0 * moving_error:8.3f} {unit:4}{1000.0 * rest_error:10.4f} {unit:4}'
-        )
+        errors = f'{1000.0 * moving_error:8.3f} {unit:4}{1000.0 * rest_error:10.4f} {unit:4}'
+        print(f'{name:{wide}}{errors}')
     print(f'rate: {rate:.1f} of {asked:.1f} commands/s ({rate / asked - 1.0:+.1%})')
+    slack = float(np.max(stage.slack))
+    held = f' (and what dry friction holds, {1000 * slack:.2g} at most)' if slack else ''
     return Verdict(
         f'every joint within {1000 * MOVING_LIMIT:g} mrad (mm) moving and '
-        f'{1000 * REST_LIMIT:g} at rest, rate within {RATE_LIMIT:.0%}',
-        tuple(find_failures(robot.joint_names, moving, rest, rate, asked)),
+        f'{1000 * REST_LIMIT:g} at rest{held}, rate within {RATE_LIMIT:.0%}',
+        tuple(find_failures(robot.joint_names, moving, rest, rate, asked, stage.slack)),
     )
 
 
 def run(options: argparse.Namespace, stopped: Callable[[], bool]) -> bool:
     """Run the whole demo; return whether it passed."""
     scenario = SCENARIOS[options.scenario]
-    urdf = str(options.robot.resolve())
+    urdf = str(options.urdf.resolve())
     robot = load_urdf(urdf)
     if options.link and options.link not in robot.link_names:
         raise SimulationError(
@@ -64,11 +80,13 @@ def run(options: argparse.Namespace, stopped: Callable[[], bool]) -> bool:
         )
     # The node needs the same compiled dynamics: made here first, it finds them ready.
     start = start_pose(robot, InverseDynamics(robot))
-    stage = Stage(urdf, robot, start, options.duration, options.link)
+    stage = Stage(urdf, robot, start, options.duration, options.link, options.friction)
     script = scenario.prepare(stage)  # fails early if nothing can move
     view = View(robot, f'{robot.name}: {options.scenario}')
     log = view.log if view.is_live else None  # or lines would go through the table
-    with running(_commands(urdf, scenario, options), log) as processes:
+    if np.any(stage.armature):
+        print(told_of_rotors(stage))
+    with running(_commands(stage, scenario, options), log) as processes:
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         act = Run(robot, scenario, processes, stopped)
         try:
@@ -94,10 +112,11 @@ def _perform(
     with view.open():
         rate = act.perform(script, stage.duration, view)
     if options.scenario == 'track':
-        verdict = judge_tracking(stage.robot, history, stage.duration, rate, options.rate)
+        verdict = judge_tracking(stage, history, rate, options.rate)
     else:
         print()
         verdict = script.judge(history)
+    verdict = replace(verdict, excuse=excuse(history))
     if recorder is not None:
         count = recorder.write(options.record, options.storage)
         print(f'recorded: {count} messages in {options.record}')
@@ -110,13 +129,37 @@ def _perform(
     return not verdict.failures
 
 
-def _commands(urdf: str, scenario: Scenario, options: argparse.Namespace) -> dict[str, list[str]]:
+def told_of_rotors(stage: Stage) -> str:
+    """Say which joints have rotors here that the URDF does not know, and why."""
+    robot = stage.robot
+    rotors = [
+        f'{name} {armature:.2g} {"kg" if slide else "kg m^2"}'
+        for name, armature, slide in zip(
+            robot.joint_names, stage.armature, slides(robot), strict=True
+        )
+        if armature > 0.0
+    ]
+    rest = f' and {len(rotors) - MOST_TOLD} more' if len(rotors) > MOST_TOLD else ''
+    listed = ', '.join(rotors[:MOST_TOLD]) + rest
+    text = (
+        'The URDF has friction for joints of hardly any inertia: of motors and gears, without '
+        f'their rotors. Robot and node have these here: {listed}. Find out those of your robot, '
+        "and give them to the node: parameter 'armature'."
+    )
+    return fill(text, 100, break_on_hyphens=False)
+
+
+def _commands(
+    stage: Stage, scenario: Scenario, options: argparse.Namespace
+) -> dict[str, list[str]]:
     package = 'inverse_dynamics_node'
-    friction = ['--friction'] if options.friction else []
+    urdf, armature = stage.urdf, stage.armature.tolist()
+    friction = ['--friction', '--armature', *map(str, armature)] if options.friction else []
     parameters = {
         'robot_description_file': f"'{urdf}'",
         'update_rate': '0.0',
         'include_friction': str(options.friction).lower(),
+        'armature': str(armature),
         **scenario.parameters,
     }
     return {
@@ -146,19 +189,26 @@ def main(arguments: list[str] | None = None) -> int:
         print('stopped')
         return 128 + stops[0]
     except (InverseDynamicsError, OSError) as error:
-        print(f'demo: {error}', file=sys.stderr)
+        print(f'inverse_dynamics: {error}', file=sys.stderr)
         return 1
+
+
+def _new_folder(text: str) -> Path:
+    if Path(text).exists():
+        raise argparse.ArgumentTypeError(f'{text}: exists already')
+    return destination(text)
 
 
 def _parse(arguments: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
-        prog='demo',
+        prog='inverse_dynamics demo',
         description='Run the node on a simulated robot, let something happen, and judge it.',
         epilog='scenarios:\n'
-        + '\n'.join(f'  {name:12} {value.summary}' for name, value in SCENARIOS.items()),
+        + '\n'.join(f'  {name:12} {value.summary}' for name, value in SCENARIOS.items())
+        + EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument('robot', type=Path, help='a URDF')
+    parser.add_argument('urdf', type=Path, help='the robot description')
     parser.add_argument('--scenario', choices=SCENARIOS, default='track', help='see below')
     parser.add_argument('--rate', type=float, default=500.0, help='of joint states [Hz]')
     parser.add_argument('--duration', type=float, default=15.0, help='of it all [s]')
@@ -171,9 +221,9 @@ def _parse(arguments: list[str] | None) -> argparse.Namespace:
         help='give the simulated joints the friction of the URDF, and have the node overcome it: '
         'well where it is viscous, while Coulomb friction holds a joint at rest off its place',
     )
-    parser.add_argument('--picture', type=Path, metavar='FILE', help='draw what happened')
+    parser.add_argument('--picture', type=picture, metavar='FILE', help='draw what happened')
     parser.add_argument(
-        '--record', type=Path, metavar='FOLDER', help='write a bag that ROS 2 tools read'
+        '--record', type=_new_folder, metavar='FOLDER', help='write a bag that ROS 2 tools read'
     )
     parser.add_argument(
         '--storage', choices=('mcap', 'sqlite3'), default='mcap', help='of the bag'
@@ -184,10 +234,6 @@ def _parse(arguments: list[str] | None) -> argparse.Namespace:
         parser.error(f'--rate {options.rate:g} is not from 50 to 5000 Hz')
     if not least <= options.duration < math.inf:
         parser.error(f'--duration {options.duration:g} is not {least:g} s or more')
-    if options.record and options.record.exists():
-        parser.error(f'--record {options.record} exists already')
-    if options.picture and options.picture.suffix.lower() not in ('.png', '.svg', '.pdf'):
-        parser.error(f'--picture {options.picture} is not a .png, .svg or .pdf')
     return options
 
 

@@ -36,6 +36,8 @@ class MujocoRobot:
     held : collection of str
         Joints that no command moves: they stay where they start by drives of their own, as
         springs do that are stiff for their load.
+    armature : array_like, shape (n,) or ()
+        Inertia of rotors and gears at the joints [kg m^2 or kg].
 
     Attributes
     ----------
@@ -62,6 +64,7 @@ class MujocoRobot:
         start: ArrayLike,
         friction: bool = True,
         held: Collection[str] = (),
+        armature: ArrayLike = 0.0,
     ) -> None:
         self.robot = robot
         self.brakes_on = True
@@ -75,6 +78,7 @@ class MujocoRobot:
         self.state_names = tuple(sorted(address))
         self._state_order = [address[name] for name in self.state_names]
         self._order = [address[name] for name in robot.joint_names]
+        self._model.dof_armature[self._order] = armature
         unknown = sorted(set(held) - set(robot.joint_names))
         if unknown:
             raise SimulationError(

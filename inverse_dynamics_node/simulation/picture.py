@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from itertools import pairwise
+import math
 from pathlib import Path
-from textwrap import fill
+from textwrap import wrap
 from typing import Any
 
 import matplotlib
@@ -21,7 +22,9 @@ from matplotlib.figure import Figure
 WIDTH, DPI = 9.0, 100  # [inch]: 900 pixels
 MOST_POINTS = 1500
 LEAST_ERROR = 0.01  # [mrad, mm]: less is nothing, however large a picture may make it
+LEGEND, KEY = 120, 8  # letters that fit beside each other, and those that a line takes
 COLOURS = matplotlib.colormaps['tab10'].colors  # type: ignore[attr-defined]
+MOST_LINES, LINE = 6, 0.19  # of the title, and how high one is [inch]
 SHADES = ('#ffffff', '#fff1d6', '#e3f2e1', '#e8ecf7')
 
 
@@ -46,7 +49,13 @@ def draw(
 
     """
     panels = [_errors, _efforts] + ([_contact] if script.expected else [])
-    figure = Figure(figsize=(WIDTH, 2.2 + 2.2 * len(panels)), dpi=DPI, layout='constrained')
+    lines = [part for line in title.splitlines() for part in wrap(line, 110)]
+    if len(lines) > MOST_LINES:
+        lines = [*lines[: MOST_LINES - 1], '...']
+    columns = _columns(robot)
+    rows = len(lines) + math.ceil(len(robot.joint_names) / columns)
+    height = 2.2 + 2.2 * len(panels) + LINE * max(0, rows - 4)
+    figure = Figure(figsize=(WIDTH, height), dpi=DPI, layout='constrained')
     all_axes = np.atleast_1d(figure.subplots(len(panels), sharex=True))
     for panel, axes in zip(panels, all_axes, strict=True):
         panel(axes, robot, script, history)
@@ -55,10 +64,22 @@ def draw(
         axes.margins(x=0.0)
     all_axes[-1].set_xlabel('time [s]')
     _explain(all_axes[0], script)
-    figure.suptitle(fill(title, 110), fontsize=11)
+    figure.suptitle('\n'.join(lines), fontsize=11)
     handles, labels = all_axes[1].get_legend_handles_labels()
-    figure.legend(handles, labels, loc='outside lower center', ncols=4, fontsize=9)
+    figure.legend(handles, labels, loc='outside lower center', ncols=columns, fontsize=9)
     figure.savefig(path)
+
+
+def _label(robot: RobotModel, i: int) -> str:
+    limit = robot.effort_limits[i] if math.isfinite(robot.effort_limits[i]) else 1.0
+    unit = 'N' if slides(robot)[i] else 'N m'
+    return f'{robot.joint_names[i]} (100 % = {limit:g} {unit})'
+
+
+def _columns(robot: RobotModel) -> int:
+    """Count the columns that the legend has room for."""
+    longest = max(len(_label(robot, i)) for i in range(len(robot.joint_names)))
+    return max(1, min(4, LEGEND // (longest + KEY)))
 
 
 def _thin(times: Floats, rows: Floats) -> tuple[Floats, Floats]:
@@ -91,9 +112,8 @@ def _efforts(axes: Any, robot: RobotModel, script: Script, history: History) -> 
     """Draw what the node commands, also while no joint state comes, as shares of the limits."""
     times, rows = _thin(history.commands.times, history.commands.rows)
     limits = np.where(np.isfinite(robot.effort_limits), robot.effort_limits, 1.0)
-    units = ['N' if slide else 'N m' for slide in slides(robot)]
-    for i, name in enumerate(robot.joint_names):
-        label = f'{name} (100 % = {limits[i]:g} {units[i]})'
+    for i in range(len(robot.joint_names)):
+        label = _label(robot, i)
         axes.plot(
             times, 100.0 * rows[:, i] / limits[i], color=COLOURS[i % 10], lw=1.2, label=label
         )

@@ -246,7 +246,11 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         robot = load_urdf(options.robot)
         start = start_pose(robot, InverseDynamics(robot))
-        hardware = MujocoRobot(options.robot, robot, start, options.friction, options.held)
+        if len(options.armature) not in (1, len(start)):
+            raise SimulationError(f'--armature: expected 1 or {len(start)} numbers')
+        hardware = MujocoRobot(
+            options.robot, robot, start, options.friction, options.held, options.armature
+        )
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         try:
             _serve(hardware, options, lambda: bool(stopped))
@@ -291,6 +295,13 @@ def _parse(arguments: list[str]) -> argparse.Namespace:
         default=[],
         metavar='JOINT',
         help='joints that hold themselves and take no commands, as grippers may',
+    )
+    parser.add_argument(
+        '--armature',
+        type=float,
+        nargs='+',
+        default=[0.0],
+        help='inertia of rotors and gears at the joints [kg m^2, kg]',
     )
     parser.add_argument(
         '--imu-orientation',

@@ -23,7 +23,6 @@ from geometry_msgs.msg import (
 import numpy as np
 from std_msgs.msg import Bool, Header
 
-from ..dynamics import InverseDynamics
 from ..model import Floats
 from . import tilt, verdicts
 from .history import History
@@ -125,7 +124,7 @@ def hold(stage: Stage) -> Script:
 def track(stage: Stage) -> Script:
     """Move, and rest; judged by the demo, joint by joint."""
     moving = (1.0 - REST) * stage.duration
-    trajectory = plan(stage.robot, InverseDynamics(stage.robot), stage.start, moving)
+    trajectory = plan(stage.robot, stage.dynamics(), stage.start, moving)
     return Script(
         trajectory,
         lambda history: verdicts.judge_hold(stage, history),
@@ -136,7 +135,7 @@ def track(stage: Stage) -> Script:
 def payload(stage: Stage) -> Script:
     """Pick up a load on the way, and tell the node later."""
     link, mass, inertia = stage.load()
-    loaded = InverseDynamics(stage.robot)
+    loaded = stage.dynamics()
     loaded.set_payload(link, mass, GRIP, inertia)
     load = InertiaStamped(
         header=Header(frame_id=link),

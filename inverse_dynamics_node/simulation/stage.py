@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -20,6 +21,8 @@ KP, KD = 400.0, 40.0  # of the node's own loop; see the commander's [1/s^2], [1/
 DEFLECTION = 0.2  # [rad or m]: what a load or a push may do to a joint
 HEAVIEST = 5.0  # [kg]
 HARDEST, FIRM = 20.0, 5.0  # [N]
+LEAST_INERTIA = 0.1  # [kg m^2 per N m, kg per N] of dry friction: motors with gears have as much
+LEAST_DECAY = 0.02  # [s]: viscous friction may not stop a joint sooner than the loop can tell
 BOX = 0.1  # [m], the side of a load
 GRIP = (0.0, 0.0, 0.05)  # [m], its centre in the frame of the link
 
@@ -41,6 +44,8 @@ class Stage:
         How long it will take [s].
     link : str
         What is loaded and pushed; empty: the hand, as far as can be told.
+    friction : bool
+        Whether the joints have the friction of the URDF, and the node overcomes it.
 
     """
 
@@ -49,6 +54,46 @@ class Stage:
     start: Floats
     duration: float
     link: str = ''
+    friction: bool = False
+
+    @cached_property
+    def armature(self) -> Floats:
+        """
+        Inertia of rotors that the URDF leaves out, shape (n,) [kg m^2 or kg].
+
+        None without friction. With it, a joint that rubs has a motor and gears: where next to
+        no inertia is left once friction is overcome, the least delay would throw the joint about.
+
+        """
+        robot = self.robot
+        if not self.friction:
+            return np.zeros(len(self.start))
+        least = np.maximum(LEAST_INERTIA * robot.friction, LEAST_DECAY * robot.damping)
+        return np.maximum(0.0, least - self.inertia)
+
+    @cached_property
+    def inertia(self) -> Floats:
+        """What each joint moves at the start while the others are free, shape (n,)."""
+        mass_matrix = InverseDynamics(self.robot).mass_matrix(self.start)
+        felt: Floats = 1.0 / np.diagonal(np.linalg.inv(mass_matrix))
+        return felt
+
+    @cached_property
+    def slack(self) -> Floats:
+        """How far dry friction may hold joints off their places, shape (n,) [rad or m]."""
+        if not self.friction:
+            return np.zeros(len(self.start))
+        compliance = np.abs(np.linalg.inv(self.dynamics().mass_matrix(self.start))) / KP
+        held: Floats = compliance @ self.robot.friction
+        return held
+
+    def dynamics(self) -> InverseDynamics:
+        """Make what the node has for a model."""
+        dynamics = InverseDynamics(self.robot)
+        if self.friction:
+            dynamics.set_friction()
+            dynamics.set_armature(self.armature)
+        return dynamics
 
     def load(self) -> tuple[str, float, Floats]:
         """Choose a load: the link, the mass [kg], the inertia about its centre, shape (3, 3)."""
@@ -98,7 +143,7 @@ class Stage:
         alone = dynamics.gravity_efforts(start)
         put(dynamics, 1.0)
         change = dynamics.gravity_efforts(start) - alone
-        deflection = np.linalg.solve(InverseDynamics(robot).mass_matrix(start), change) / KP
+        deflection = np.linalg.solve(self.dynamics().mass_matrix(start), change) / KP
         most = min(limit, DEFLECTION / max(float(np.max(np.abs(deflection))), 1e-9))
         while effort_used(robot, alone + most * change) > 0.8 * EFFORT_USED and most > 1e-3:
             most *= 0.8

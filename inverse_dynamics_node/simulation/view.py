@@ -108,22 +108,23 @@ class View:
             ('BRAKES ON', 'bold red') if moment.brakes_on else ('brakes open', 'green'),
         )
         table = Table(box=None, pad_edge=False)
-        for name, side in (
-            *(('joint', 'left'), ('position', 'right'), ('desired', 'right')),
-            *(('error', 'right'), ('', 'left'), ('effort', 'right'), ('of its limit', 'left')),
+        # Numbers come laid out, units below each other: to the right, their spaces would go.
+        for name, width in (
+            *(('joint', 0), ('position', 12), ('desired', 12), ('error', 13), ('', 0)),
+            *(('effort', 14), ('of its limit', 0)),
         ):
-            table.add_column(name, justify=side, no_wrap=True)
+            table.add_column(f'{name:>{width}}', no_wrap=True)
         limits = self._robot.effort_limits
         for i, (name, units) in enumerate(zip(self._robot.joint_names, self._units, strict=True)):
             q, desired, effort = moment.q[i], moment.desired[i], moment.effort[i]
             share = abs(effort) / limits[i] if limits[i] > 0.0 else 0.0
             table.add_row(
                 name,
-                f'{q:.4f} {units[0]:3}',
-                f'{desired:.4f} {units[0]:3}',
-                f'{1000.0 * (desired - q):.3f} {units[1]:4}',
+                f'{q:8.4f} {units[0]:3}',
+                f'{desired:8.4f} {units[0]:3}',
+                f'{1000.0 * (desired - q):8.3f} {units[1]:4}',
                 bar(error_share(desired - q), 0.35, 0.65),
-                f'{effort:.3f} {units[2]:3}',
+                f'{effort:10.3f} {units[2]:3}',
                 bar(share, 0.7, 0.9),
             )
         return Group(head, Text(moment.words, 'yellow'), table)
@@ -140,14 +141,20 @@ class View:
     def print_progress(self, moment: Moment) -> None:
         """Print where the joints are, should be, and the efforts that take them there."""
         print(f'\nt = {moment.time:.1f} s   {moment.rate:.1f} commands/s')
-        print(f'{"joint":24}{"position":>15}{"desired":>15}{"error":>13}{"effort":>14}')
+        wide = name_width(self._robot)
+        print(f'{"joint":{wide}}{"position":>15}{"desired":>15}{"error":>13}{"effort":>14}')
         for i, (name, units) in enumerate(zip(self._robot.joint_names, self._units, strict=True)):
             q, desired, effort = moment.q[i], moment.desired[i], moment.effort[i]
             print(
-                f'{name:24}{q:11.4f} {units[0]:3}{desired:11.4f} {units[0]:3}'
+                f'{name:{wide}}{q:11.4f} {units[0]:3}{desired:11.4f} {units[0]:3}'
                 f'{1000.0 * (desired - q):8.3f} {units[1]:4}{effort:10.3f} {units[2]:3}'
             )
         sys.stdout.flush()
+
+
+def name_width(robot: RobotModel) -> int:
+    """Return how wide a column of joint names is."""
+    return max(24, *(len(name) + 1 for name in robot.joint_names))
 
 
 def error_share(error: float) -> float:

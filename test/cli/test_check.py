@@ -93,7 +93,6 @@ def test_a_robot_that_cannot_move_is_reported_all_the_same(tmp_path, capsys):
     [
         (['nowhere.urdf'], 'nowhere.urdf: cannot be read'),
         ([str(STANFORD), '--link', 'tool9', '--no-picture'], "link 'tool9' does not exist"),
-        ([str(STANFORD), '--picture', 'no/such/folder.png'], 'No such file or directory'),
     ],
 )
 def test_errors_are_one_line(arguments, words, capsys):

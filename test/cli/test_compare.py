@@ -1,5 +1,7 @@
 """The command `compare` on recordings of the simulated robot, run as people run it."""
 
+import io
+
 from inverse_dynamics_node import load_urdf
 from inverse_dynamics_node.cli.main import main
 from inverse_dynamics_node.cli.recordings import read_recording
@@ -197,6 +199,13 @@ def test_unstamped_messages_have_the_time_of_the_recorder(short, here):
     found, notes = read_recording(here / 'run', JOINTS)
     assert 'no stamp' in notes[0]
     assert found.times == pytest.approx(short.times - short.times[0], abs=1e-3)
+
+
+def test_the_description_may_come_by_standard_input(short, here, monkeypatch, capsys):
+    write_csv(here / 'run.csv', short)
+    monkeypatch.setattr('sys.stdin', io.StringIO(STANFORD.read_text()))
+    assert main(['compare', '-', 'run.csv', '--no-picture']) == 0
+    assert 'the model explains' in capsys.readouterr().out.lower()
 
 
 def test_part_of_a_recording_can_be_chosen(short, here, capsys):

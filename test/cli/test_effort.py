@@ -280,6 +280,7 @@ def test_positions_may_be_called_so(write):
         ('', 'no rows'),
         ('t,joint_1\n0,1\n', "no column 'time'"),
         ('time,elbow\n0,1\n', 'no column is named as a joint; the columns are time, elbow'),
+        ('time,joint_1,joint_2.velocity\n0,1,2\n', "joint 'joint_2' has no column of positions"),
         ('time,joint_1,joint_1\n0,1,2\n', "two columns are named 'joint_1'"),
         ('time,joint_1\n0,1\n1\n', 'row 3 has 1 cells, expected 2'),
         ('time,joint_1\n0,one\n', "row 2, column 'joint_1': 'one' is no number"),
@@ -425,6 +426,14 @@ def test_asks_which_topic(record):
     assert len(read(bag, '/left/joint_states').trajectory.times) == 1
     with pytest.raises(TrajectoryError, match=r"on topic '/up'; topics are /left/joint_states"):
         read(bag, '/up')
+
+
+def test_of_several_topics_the_usual_one_is_taken(record):
+    def messages(recording):
+        for k, name in enumerate(('/joint_states', '/node/joint_efforts')):
+            recording.write(name, recording.state(1.0, {'joint_1': float(k)}), 1.0)
+
+    assert read(record(messages)).trajectory.positions.tolist() == [[0.0]]
 
 
 def test_recordings_without_a_trajectory_are_refused(record):

@@ -28,7 +28,7 @@ def test_help_teaches(capsys):
 def test_a_missing_package_is_named_with_the_way_to_get_it(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, 'matplotlib', None)
     assert main(['check', str(STANFORD)]) == 1
-    assert "pip install 'inverse_dynamics_node[cli]'" in capsys.readouterr().err
+    assert "pip install '.[cli]'" in capsys.readouterr().err
 
 
 COMMAND = [sys.executable, '-m', 'inverse_dynamics_node.cli.main', 'check', str(STANFORD)]
@@ -87,7 +87,8 @@ def test_no_command_but_the_demo_needs_ros():
         [sys.executable, '-c', code], env=ENVIRONMENT, capture_output=True, text=True, timeout=120
     )
     assert result.returncode == 1
-    assert "pip install 'inverse_dynamics_node[" in result.stderr
+    assert 'source an installed ROS 2, or, in the' in result.stderr
+    assert "pip install '.[ros,demo]'" in result.stderr
     assert 'Traceback' not in result.stderr
 
 
@@ -98,6 +99,64 @@ def test_the_demo_reads_its_own_arguments(capsys):
         main(['demo', '--help'])
     assert exit_.value.code == 0
     assert '--duration' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ('name', 'words'),
+    [
+        ('nowhere/a.png', "there is no folder 'nowhere'"),
+        ('.', 'is a folder'),
+        ('a.jpg', 'expected .png, .svg or .pdf'),
+    ],
+)
+@pytest.mark.parametrize(
+    'command',
+    [
+        ['check', 'arm.urdf'],
+        ['effort', 'arm.urdf', 'move.yaml'],
+        ['compare', 'arm.urdf', 'run'],
+        ['demo', 'arm.urdf'],
+    ],
+    ids=lambda command: command[0],
+)
+def test_where_a_picture_cannot_go_is_told_before_the_work(command, name, words, capsys):
+    if command[0] == 'demo':
+        pytest.importorskip('rclpy')
+        pytest.importorskip('mujoco')
+    with pytest.raises(SystemExit) as exit_:
+        main([*command, '--picture', name])
+    assert exit_.value.code == 2
+    complaint = capsys.readouterr().err
+    assert f'inverse_dynamics {command[0]}: error: argument --picture: {name}: ' in complaint
+    assert words in complaint
+
+
+@pytest.mark.parametrize(
+    'command',
+    [
+        ['check', 'arm.urdf', '--poses'],
+        ['effort', 'arm.urdf', 'move.yaml', '--csv'],
+        ['effort', 'arm.urdf', 'move.yaml', '--trajectory-out'],
+        ['compare', 'arm.urdf', 'run', '--parameters'],
+    ],
+    ids=lambda command: command[-1],
+)
+def test_where_a_file_cannot_go_is_told_before_the_work(command, capsys):
+    with pytest.raises(SystemExit) as exit_:
+        main([*command, 'nowhere/file'])
+    assert exit_.value.code == 2
+    assert "nowhere/file: there is no folder 'nowhere'" in capsys.readouterr().err
+
+
+def test_a_picture_is_of_the_kind_that_its_name_says(tmp_path):
+    for name, start in (('a.png', b'\x89PNG'), ('a.svg', b'<?xml'), ('a.pdf', b'%PDF')):
+        assert main(['check', str(STANFORD), '--picture', name]) == 0
+        assert (tmp_path / name).read_bytes().startswith(start)
+
+
+def test_a_file_that_is_not_there_is_one_line(capsys):
+    assert main(['effort', str(STANFORD), 'nowhere.yaml']) == 1
+    assert capsys.readouterr().err == 'inverse_dynamics: nowhere.yaml: No such file or directory\n'
 
 
 def test_every_module_of_a_command_is_one_of_the_commands():

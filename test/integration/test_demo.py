@@ -133,8 +133,8 @@ class TestDemo:
         [
             (['--scenario', 'payload', '--duration', '5'], '--duration 5 is not 10 s or more'),
             (['--scenario', 'dance'], "invalid choice: 'dance'"),
-            (['--picture', 'run.jpeg2'], 'is not a .png, .svg or .pdf'),
-            (['--record', '.'], '--record . exists already'),
+            (['--picture', 'run.jpeg2'], 'expected .png, .svg or .pdf'),
+            (['--record', '.'], 'argument --record: .: exists already'),
         ],
     )
     def test_options_that_make_no_sense_are_refused(self, domain_id, arguments, words):
@@ -214,7 +214,7 @@ class TestDemo:
             os.kill(children[child], signal.SIGKILL)
             code, output = finish(demo)
         assert code == 1
-        assert f'demo: {name} ended early, with exit code -9' in output
+        assert f'inverse_dynamics: {name} ended early, with exit code -9' in output
         assert all(map(is_gone, children))
 
 

@@ -18,12 +18,13 @@ from inverse_dynamics_node.identification.signals import derive
 import numpy as np
 import pytest
 from robot_files import ROOT
-from runs import ROBOTS, run
+from runs import exciting, ROBOTS, run
 
 # The numbers are those of the compiled functions; without them this takes an hour.
 pytestmark = pytest.mark.skipif(not IS_COMPILED, reason='numba is not here, or off')
 
 TIP = {'stanford': 'tool0', 'seven_dof': 'tool0', 'branched': 'right_forearm'}
+GRIPPER_ARM = ROOT / 'test' / 'robots' / 'gripper_arm.urdf'
 EVERY_ROBOT = pytest.mark.parametrize('name', ROBOTS)
 
 
@@ -74,6 +75,39 @@ def test_friction_is_found_within_its_errors(name, has_velocities):
         assert abs(fit.coulomb - c) < 5.0 * fit.coulomb_error
         assert fit.damping == pytest.approx(d, rel=0.05)
         assert fit.coulomb == pytest.approx(c, rel=0.05)
+
+
+def test_an_arm_that_stands_still_is_told_to_say_nothing():
+    dynamics = InverseDynamics(load_urdf(ROBOTS['stanford']))
+    times = np.arange(0.0, 15.0, 0.002)
+    q = np.array([0.3, -0.9, 0.5, 0.7, -0.6, 0.2])
+    rounding = 1e-12 * np.random.default_rng(0).standard_normal((2, len(times), 6))
+    efforts = dynamics.gravity_efforts(q)
+    efforts[[0, 5]] = 0.0
+    still = Recording(
+        dynamics.robot.joint_names, times, q + rounding[0], None, efforts + rounding[1]
+    )
+    findings = identify(dynamics, still)
+    assert kinds(findings) == []
+    assert math.isnan(findings.explained)
+    for joint in findings.joints:
+        assert math.isnan(joint.explained)
+        assert math.isnan(joint.scale)
+
+
+def test_a_joint_held_by_friction_does_not_spoil_the_rest():
+    dynamics = InverseDynamics(load_urdf(ROBOTS['stanford']))
+    rng = np.random.default_rng(0)
+    times = np.arange(0.0, 20.0, 0.002)
+    q, qd, qdd = exciting(dynamics.robot, times, rng)
+    q[:, 2], qd[:, 2], qdd[:, 2] = q[0, 2], 0.0, 0.0  # joint 3 slides, alone
+    efforts = dynamics.efforts(q, qd, qdd)
+    efforts[:, 2] = 5.0 * np.sin(times)
+    findings = identify(dynamics, Recording(dynamics.robot.joint_names, times, q, qd, efforts))
+    held = next(joint for joint in findings.joints if joint.name == 'joint_3')
+    assert 'never faster' in held.friction.cannot_tell
+    assert held.explained < 0.1
+    assert findings.explained_in_the_end > 0.998
 
 
 def test_friction_that_the_model_has_is_no_friction_less():
@@ -463,13 +497,32 @@ def test_an_unknown_link_is_an_error():
         identify(*run('branched', rate=100.0), link='tool9')
 
 
+def test_a_load_in_the_palm_is_found_while_friction_holds_the_fingers():
+    real = InverseDynamics(load_urdf(GRIPPER_ARM))
+    names = real.robot.joint_names
+    real.set_payload('palm', 0.5, (0.0, 0.02, 0.05))
+    times = np.arange(0.0, 20.0, 0.002)
+    q, qd, qdd = exciting(real.robot, times, np.random.default_rng(0))
+    finger = names.index('finger_left')
+    q[:, finger], qd[:, finger], qdd[:, finger] = q[0, finger], 0.0, 0.0
+    efforts = real.efforts(q, qd, qdd)
+    efforts[:, finger] = 0.3 * np.sin(times)
+    findings = identify(InverseDynamics(real.robot), Recording(names, times, q, qd, efforts))
+    assert kinds(findings) == ['payload']
+    (diagnosis,) = findings.diagnoses
+    assert diagnosis.link == 'palm'
+    assert diagnosis.values[0] == pytest.approx(0.5, rel=0.05)
+
+
 # ---- The rest ------------------------------------------------------------------------------
 
 
 def test_loads_are_looked_for_at_the_tips():
     assert tip_links(load_urdf(ROBOTS['stanford'])) == ('tool0',)
     assert tip_links(load_urdf(ROBOTS['seven_dof'])) == ('tool0',)
-    assert tip_links(load_urdf(ROBOTS['branched']))[0] == 'right_forearm'
+    assert 'right_forearm' in tip_links(load_urdf(ROBOTS['branched']))
+    palm, *fingers = tip_links(load_urdf(GRIPPER_ARM))
+    assert (palm, len(fingers)) == ('palm', 2)
 
 
 def test_parameters_are_yaml_that_ros_takes_as_decimals():

@@ -4,6 +4,7 @@ from inverse_dynamics_node.advice import ADVICE, advise
 from inverse_dynamics_node.dynamics import InverseDynamics
 from inverse_dynamics_node.errors import ConfigurationError, JointStateError, UrdfError
 from inverse_dynamics_node.report import (
+    all_shortened,
     as_text,
     concerns_of,
     effort_unit,
@@ -143,3 +144,12 @@ def test_long_names_give_way_in_their_middle():
     assert shortened('elbow', 15) == 'elbow'
     table = Table('t', ('joint', 'value'), (('a' * 200, '1.0'),))
     assert max(map(len, as_text(table).splitlines())) <= WIDTH
+
+
+def test_shortened_names_can_be_told_apart():
+    names = [f'scara_{part}_rotation_joint' for part in ('inner_arm', 'outer_arm', 'spindle')]
+    short = all_shortened(names, 15)
+    assert len(set(short)) == 3
+    assert max(map(len, short)) <= 15
+    assert [name[1:4] for name in short] == ['inn', 'out', 'spi']
+    assert all_shortened(['joint_1', 'joint_2'], 15) == ['joint_1', 'joint_2']

@@ -1,8 +1,10 @@
 """What scenarios do to a robot, how they are judged, shown and drawn."""
 
+from dataclasses import replace
 import io
 import math
 
+from matplotlib.figure import Figure
 import numpy as np
 import pytest
 from robot_files import OUR_ROBOTS, ROOT, STANFORD
@@ -12,7 +14,10 @@ pytest.importorskip('mujoco')
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.simulation import verdicts
+from inverse_dynamics_node.simulation.commander import KD, resolved_acceleration
+from inverse_dynamics_node.simulation.demo import told_of_rotors
 from inverse_dynamics_node.simulation.history import History
+from inverse_dynamics_node.simulation.mujoco_robot import MujocoRobot
 from inverse_dynamics_node.simulation.picture import draw
 from inverse_dynamics_node.simulation.scenarios import SCENARIOS, TILT
 from inverse_dynamics_node.simulation.stage import DEFLECTION, hand, KP, Stage
@@ -20,6 +25,7 @@ from inverse_dynamics_node.simulation.trajectory import EFFORT_USED, effort_used
 from inverse_dynamics_node.simulation.view import bar, error_share, Moment, View
 from inverse_dynamics_node.simulation.without_imu import held_without_imu
 from rich.console import Console
+from simulated_runs import with_friction
 
 GRIPPER_ARM = ROOT / 'test' / 'robots' / 'gripper_arm.urdf'
 
@@ -232,6 +238,21 @@ class TestView:
         assert 'mrad' in lines[3]
         assert ' mm ' in lines[5]
 
+    def test_units_stand_below_each_other(self, stage):
+        console = Console(file=io.StringIO(), width=110)
+        console.print(View(stage.robot, '').render(self.moment(stage)))
+        rows = [line for line in console.file.getvalue().splitlines() if 'joint_' in line]
+        assert len({row.index('m' if 'N  ' in row else 'rad') for row in rows}) == 1
+
+    def test_lines_are_in_columns_however_long_the_names(self, stage, capsys):
+        names = tuple(f'the_{name}_of_the_robot_on_the_left' for name in stage.robot.joint_names)
+        robot = replace(
+            stage.robot, joint_names=names, body_names=(stage.robot.body_names[0], *names)
+        )
+        View(robot, '', Console(file=io.StringIO())).print_progress(self.moment(stage))
+        head, *rows = capsys.readouterr().out.splitlines()[2:]
+        assert {len(row) for row in rows} == {len(head)}
+
     @pytest.mark.parametrize(('error', 'share'), [(0.1, 1.0), (-0.01, 0.75), (1e-5, 0.0)])
     def test_error_bar_goes_by_factors(self, error, share):
         assert error_share(error) == pytest.approx(share)
@@ -246,6 +267,62 @@ class TestView:
         assert str(drawn.spans[0].style if drawn.spans else colour) in (colour, 'bright_black')
 
 
+class TestFriction:
+    @pytest.fixture
+    def rubbing(self, tmp_path):
+        """A wrist of which hardly anything is left when its friction is overcome."""
+        path = tmp_path / 'rubbing.urdf'
+        names = load_urdf(STANFORD).joint_names
+        path.write_text(with_friction(STANFORD, [0.1] * len(names), [1.0] * len(names)))
+        robot = load_urdf(path)
+        start = start_pose(robot, InverseDynamics(robot))
+        return Stage(str(path), robot, start, 10.0, friction=True)
+
+    def test_joints_that_rub_and_weigh_nothing_get_rotors(self, rubbing):
+        assert rubbing.armature[0] == 0.0
+        assert rubbing.armature[5] == pytest.approx(0.1 - rubbing.inertia[5])
+        words = ' '.join(told_of_rotors(rubbing).split())
+        assert 'joint_1' not in words
+        assert 'joint_6 0.1 kg m^2' in words
+        assert not np.any(replace(rubbing, friction=False).armature)
+
+    def test_the_arm_is_within_what_friction_holds(self, rubbing):
+        real = MujocoRobot(rubbing.urdf, rubbing.robot, rubbing.start, armature=rubbing.armature)
+        real.brakes_on = False
+        order = [real.state_names.index(name) for name in rubbing.robot.joint_names]
+        trajectory = SCENARIOS['track'].prepare(rubbing).trajectory
+        times = np.arange(0.0, 10.0, 0.002)
+        errors, late = np.zeros((len(times), len(order))), []
+        model = rubbing.dynamics()
+        for error, *reference in zip(errors, *trajectory.sample(times), strict=True):
+            q, qd = (values[order] for values in real.state()[:2])
+            error[:] = reference[0] - q
+            late.append(model.efforts(q, qd, resolved_acceleration(reference, q, qd, KP, KD)))
+            real.command(late[max(0, len(late) - 3)])
+            real.advance(0.002)
+        assert np.all(np.max(np.abs(errors), axis=0) < verdicts.MOVING_LIMIT + rubbing.slack)
+        assert np.all(np.abs(errors[-1]) < verdicts.REST_LIMIT + rubbing.slack)
+        assert np.max(rubbing.slack) < 0.05
+
+    def test_slack_widens_the_limits_of_its_joint_alone(self):
+        moving, rest = np.array([0.03, 0.03]), np.array([0.0, 0.0])
+        slack = np.array([0.03, 0.0])
+        (failure,) = verdicts.find_failures(('a', 'b'), moving, rest, 500.0, 500.0, slack)
+        assert "'b' was 30.00" in failure
+
+
+def test_a_busy_machine_is_told_beside_a_failure():
+    history = History()
+    for time in (0.0, 0.002, 0.004):
+        history.commands.add(time, np.ones(1))
+    assert verdicts.excuse(history) == ''
+    history.commands.add(0.404, np.ones(1))
+    words = verdicts.excuse(history)
+    assert 'no command came for 400 ms' in words
+    assert str(verdicts.Verdict('all', ('too far',), words)) == f'FAILED: too far\n{words}'
+    assert str(verdicts.Verdict('all', (), words)) == 'PASSED: all'
+
+
 @pytest.mark.parametrize('name', SCENARIOS)
 @pytest.mark.parametrize('path', [STANFORD, GRIPPER_ARM], ids=lambda path: path.stem)
 def test_picture_is_drawn(tmp_path, path, name):
@@ -257,3 +334,24 @@ def test_picture_is_drawn(tmp_path, path, name):
     header = picture.read_bytes()[:24]
     assert header[1:4] == b'PNG'
     assert int.from_bytes(header[16:20], 'big') == 900
+
+
+@pytest.mark.parametrize('path', OUR_ROBOTS, ids=lambda path: path.stem)
+def test_legend_fits_beside_long_names(tmp_path, path, monkeypatch):
+    stage = stage_of(path)
+    robot = replace(
+        stage.robot, joint_names=tuple(f'left_arm_{n}_of_it' for n in stage.robot.joint_names)
+    )
+    monkeypatch.setattr('inverse_dynamics_node.simulation.picture.slides', lambda r: [False] * 99)
+    figures = []
+    monkeypatch.setattr(Figure, 'savefig', lambda figure, path: figures.append(figure))
+    script = SCENARIOS['hold'].prepare(stage)
+    draw(
+        tmp_path / 'a.png', robot, 'FAILED: too far\n' * 20, script, history_of(stage, (99.0, 0.0))
+    )
+    (figure,) = figures
+    figure.canvas.draw()
+    box = figure.legends[0].get_window_extent()
+    assert box.x0 >= 0.0
+    assert box.x1 <= figure.bbox.width
+    assert figure._suptitle.get_text().count('\n') == 5
