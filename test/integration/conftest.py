@@ -70,6 +70,12 @@ def robot(domain_id):
     side.close()
 
 
+def heed_signals():
+    """Undo what nohup, or a shell that starts things in the background, leaves to its children."""
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
+
+
 class NodeProcess:
     """The node, as `ros2 run` starts it."""
 
@@ -82,6 +88,7 @@ class NodeProcess:
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
+            preexec_fn=heed_signals,
         )
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
