@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from dataclasses import replace
+import gc
 import math
 from pathlib import Path
 import signal
@@ -109,6 +110,9 @@ def _perform(
     act.wait_until_ready()
     if recorder is not None:
         recorder.begin()  # until now brakes held the arm, and what the drives did was no matter
+    # What libraries have made stays: to look through it all in a pause would be one of 0.1 s.
+    gc.collect()
+    gc.freeze()
     with view.open():
         rate = act.perform(script, stage.duration, view)
     if options.scenario == 'track':

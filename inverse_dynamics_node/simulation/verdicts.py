@@ -68,8 +68,12 @@ def find_failures(
 ) -> list[str]:
     """List what missed its limit in tracking, in words; friction may take some slack besides."""
     failures = []
-    for when, errors, limit in (('moving', moving, MOVING_LIMIT), ('at rest', rest, REST_LIMIT)):
-        limits = limit + slack + np.zeros(len(joint_names))
+    for when, errors, limit in (
+        # A joint that dry friction lets go of swings as far beyond as it was held back.
+        ('moving', moving, MOVING_LIMIT + 2.0 * slack),
+        ('at rest', rest, REST_LIMIT + slack),
+    ):
+        limits = limit + np.zeros(len(joint_names))
         failures += [
             f'joint {name!r} was {1000 * error:.2f} mrad or mm off {when}, limit {1000 * most:.3g}'
             for name, error, most in zip(joint_names, errors, limits, strict=True)
