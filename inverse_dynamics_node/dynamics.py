@@ -23,7 +23,7 @@ from .arguments import (
 )
 from .compilation import compile_for, IS_COMPILED
 from .errors import ConfigurationError
-from .model import Floats, RobotModel
+from .model import Floats, join_bodies, RobotModel
 from .newton_euler import OK
 
 _V, _M = 'f8[::1]', 'f8[:,::1]'  # a vector and a table of float64, to numba
@@ -192,7 +192,7 @@ class InverseDynamics:
             If there is no such link, or no body has such a mass and inertia.
 
         """
-        k = self._link(link)
+        k = self.link_index(link)
         load = read_inertial(mass, com, inertia)
         self._payloads.pop(link, None)
         if load[0] > 0.0:
@@ -223,7 +223,7 @@ class InverseDynamics:
             If there is no such link, or one is not three finite numbers.
 
         """
-        k = self._link(link)
+        k = self.link_index(link)
         rotation = self.robot.link_rotation[k]
         F = rotation @ read_vector('force', force, 'N')
         N = rotation @ read_vector('moment', moment, 'N m')
@@ -524,14 +524,8 @@ class InverseDynamics:
         for link, load in self._payloads.items():
             if robot.link_body[robot.link_names.index(link)] == body:
                 parts.append(load)
-        mass = sum(part[0] for part in parts)
-        com = sum((part[0] * part[1] for part in parts), np.zeros(3)) / (mass or 1.0)
-        inertia = np.zeros((3, 3))
-        for part_mass, part_com, part_inertia in parts:
-            d = part_com - com
-            inertia += part_inertia + part_mass * (d @ d * np.eye(3) - np.outer(d, d))
         row = self._numbers[body]
-        columns.write_inertial(row, self._R_ZL[body], mass, com, inertia)
+        columns.write_inertial(row, self._R_ZL[body], *join_bodies(parts))
         self._update(body)
 
     def _write_external(self, body: int) -> None:
@@ -559,7 +553,8 @@ class InverseDynamics:
         if not IS_COMPILED:
             self._table[body] = self._numbers[body].tolist()
 
-    def _link(self, name: str) -> int:
+    def link_index(self, name: str) -> int:
+        """Find a link among ``robot.link_names``, or raise a ConfigurationError."""
         if name not in self.robot.link_names:
             links = ', '.join(self.robot.link_names)
             raise ConfigurationError(f"link '{name}' does not exist; links are {links}")

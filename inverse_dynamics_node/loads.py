@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from .arguments import read_inertial, read_vector
 from .dynamics import InverseDynamics, STANDARD_GRAVITY
 from .errors import ConfigurationError
-from .model import Floats
+from .model import Floats, join_bodies
 
 STRONGEST = 500.0  # [m/s^2], [rad/s]; beyond fifty times gravity a sensor is broken
 _ROUNDING = 1e-3  # of the moments of a flat body, as in a robot description
@@ -123,7 +123,7 @@ class Loads:
             If there is no such link, or no body has such a mass and inertia, or not within reason.
 
         """
-        self._check(link)
+        self.dynamics.link_index(link)
         load = _read_payload(mass, com, inertia)
         if _is_same(load, self.payloads.get(link, NO_PAYLOAD)):
             return False
@@ -152,7 +152,7 @@ class Loads:
             If there is no such link, or one is not three finite numbers, or beyond reason.
 
         """
-        self._check(link)
+        self.dynamics.link_index(link)
         F, N = _sane('force', force, 'N', _LARGEST), _sane('moment', moment, 'N m', _LARGEST)
         self._wrenches[link] = F, N, now, 1.0
         self.dynamics.set_external_wrench(link, F, N)
@@ -343,11 +343,6 @@ class Loads:
         self.dynamics.set_gravity(self._R_0B @ (weight * self._gravity))
         self.dynamics.set_base_motion(self._R_0B @ self._angular_velocity)
 
-    def _check(self, link: str) -> None:
-        links = self.dynamics.robot.link_names
-        if link not in links:
-            raise ConfigurationError(f"link '{link}' does not exist; links are {', '.join(links)}")
-
 
 def _base_pose(dynamics: InverseDynamics, base_link: str) -> tuple[Floats, Floats]:
     """Return the rotation from the base link's frame to the root's, and where its origin is."""
@@ -383,14 +378,8 @@ def _share(elapsed: float, ramp: float) -> float:
 
 def _blend(one: Payload, other: Payload, share: float) -> Payload:
     """Make one body of a share of another, and of what is left of the first."""
-    masses = (1.0 - share) * one.mass, share * other.mass
-    mass = sum(masses)
-    com = (masses[0] * one.com + masses[1] * other.com) / (mass or 1.0)
-    inertia = (1.0 - share) * one.inertia + share * other.inertia
-    for part_mass, part in zip(masses, (one, other), strict=True):
-        d = part.com - com
-        inertia += part_mass * (d @ d * np.eye(3) - np.outer(d, d))
-    return Payload(mass, com, inertia)
+    shares = (1.0 - share, one), (share, other)
+    return Payload(*join_bodies([(s * x.mass, x.com, s * x.inertia) for s, x in shares]))
 
 
 def _read_payload(mass: float, com: ArrayLike, inertia: ArrayLike) -> Payload:

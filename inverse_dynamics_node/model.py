@@ -9,6 +9,7 @@ is the position of L's origin in P.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -96,3 +97,28 @@ class RobotModel:
 
     def __repr__(self) -> str:
         return f'RobotModel({self.name!r}, joints={", ".join(self.joint_names)})'
+
+
+def join_bodies(parts: Sequence[tuple[float, Floats, Floats]]) -> tuple[float, Floats, Floats]:
+    """
+    Make one rigid body of several.
+
+    Parameters
+    ----------
+    parts : sequence of (mass, com, inertia)
+        Mass [kg], centre of mass, shape (3,) [m], and inertia about that, shape (3, 3) [kg m^2],
+        all in one frame.
+
+    Returns
+    -------
+    mass, com, inertia
+        Of the whole, in the same frame.
+
+    """
+    mass = sum(part[0] for part in parts)
+    com = sum((part[0] * part[1] for part in parts), np.zeros(3)) / (mass or 1.0)
+    inertia = np.zeros((3, 3))
+    for part_mass, part_com, part_inertia in parts:
+        d = part_com - com
+        inertia += part_inertia + part_mass * (d @ d * np.eye(3) - np.outer(d, d))
+    return mass, com, inertia

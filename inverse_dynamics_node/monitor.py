@@ -195,9 +195,8 @@ class Monitor:
 def _of_states(now: float, rig: Rig, around: Surroundings) -> Status:
     collector = rig.collector
     timeout = rig.controller.settings.state_timeout
-    times = collector.times[collector.is_free]
     values = {
-        'age [s]': _age(now, float(times.min(initial=math.inf))),
+        'age [s]': _age(now, collector.time),
         'publishers': str(around.publishers),
         'locked, not seen': ', '.join(collector.unseen()) or 'none',
         'without velocity': ', '.join(collector.without_velocity()) or 'none',

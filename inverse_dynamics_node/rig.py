@@ -198,8 +198,7 @@ class Rig:
     def external_efforts(self) -> Floats:
         """Compare the last measured efforts with the model: shape (n,), NaN where not measured."""
         collector = self.collector
-        time = float(collector.times[collector.is_free].min(initial=math.inf))
-        return self.residual.update(time, collector.q, collector.qd, collector.efforts)
+        return self.residual.update(collector.time, collector.q, collector.qd, collector.efforts)
 
     def _lacks_imu(self) -> bool:
         return self.has_imu and self.loads.imu_time == -math.inf

@@ -150,6 +150,11 @@ class JointStateCollector:
         self._time = now if layout.is_whole else self._oldest()
         return layout.is_of_concern
 
+    @property
+    def time(self) -> float:
+        """When the joint heard from least recently was heard from, -inf if never [s]."""
+        return self._time
+
     def state(self) -> State | None:
         """Return what is known, or None as long as a joint has not been heard from."""
         if self._time == -math.inf:
