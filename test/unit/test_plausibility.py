@@ -1,0 +1,76 @@
+"""Positions outside the limits are reported if they cannot be meant: degrees, most often."""
+
+import math
+
+from inverse_dynamics_node import load_urdf
+from inverse_dynamics_node.plausibility import (
+    describe_implausible_position,
+    implausible_positions,
+)
+import numpy as np
+import pytest
+
+URDF = """
+<robot name="arm">
+  <link name="base"/><link name="l1"/><link name="l2"/><link name="l3"/><link name="l4"/>
+  <joint name="joint1" type="continuous">
+    <parent link="base"/><child link="l1"/><axis xyz="0 0 1"/></joint>
+  <joint name="joint2" type="revolute">
+    <parent link="l1"/><child link="l2"/><axis xyz="0 1 0"/>
+    <limit lower="-2.97" upper="2.97" effort="10" velocity="2"/></joint>
+  <joint name="slide" type="prismatic">
+    <parent link="l2"/><child link="l3"/><axis xyz="0 0 1"/>
+    <limit lower="0" upper="0.04" effort="10" velocity="2"/></joint>
+  <joint name="stuck" type="revolute">
+    <parent link="l3"/><child link="l4"/><axis xyz="0 0 1"/>
+    <limit lower="0" upper="0" effort="10" velocity="2"/></joint>
+</robot>
+"""
+
+
+@pytest.fixture(scope='module')
+def robot():
+    return load_urdf(URDF)
+
+
+def sentences(robot, positions, names=()):
+    findings = implausible_positions(robot, positions, names)
+    return [describe_implausible_position(finding) for finding in findings]
+
+
+def test_degrees_are_recognised(robot):
+    (finding,) = implausible_positions(robot, [0.0, 57.3, 0.0, 0.0])
+    assert finding[:5] == ('joint2', 57.3, -2.97, 2.97, True)
+    text = 'joint2 at 57.3 rad, limits -2.97 to 2.97: degrees?'
+    assert describe_implausible_position(finding) == text
+
+
+@pytest.mark.parametrize('q2', [-3.5, 2.97, 3.5, math.nan, math.inf])
+def test_positions_close_to_the_limits_are_tolerated(robot, q2):
+    assert sentences(robot, [1000.0, q2, 0.049, 5.0]) == []
+
+
+def test_other_positions_outside_the_limits_are_reported_as_such(robot):
+    assert sentences(robot, [0.0, 4.0, -0.5, 0.0]) == [
+        'joint2 at 4 rad, limits -2.97 to 2.97',
+        'slide at -0.5 m, limits 0 to 0.04',
+    ]
+    assert sentences(robot, [0.0, 300.0, 0.0, 0.0]) == ['joint2 at 300 rad, limits -2.97 to 2.97']
+
+
+def test_the_worst_of_many_positions_is_reported(robot):
+    table = np.zeros((3, 5, 4))
+    table[1, 2, 1], table[2, 3, 1], table[0, 0, 1] = 40.0, -90.0, math.nan
+    (finding,) = implausible_positions(robot, table)
+    assert finding.position == -90.0
+    assert implausible_positions(robot, table[:, :0]) == []
+
+
+def test_columns_may_be_named(robot):
+    table = [[57.3, 0.02, 57.3], [0.0, 2.0, 57.3]]
+    assert sentences(robot, table, ['joint2', 'slide', 'wheel']) == [
+        'joint2 at 57.3 rad, limits -2.97 to 2.97: degrees?',
+        'slide at 2 m, limits 0 to 0.04',
+    ]
+    with pytest.raises(ValueError, match=r'shape \(2, 3\), expected \(\.\.\., 4\)'):
+        implausible_positions(robot, table)
