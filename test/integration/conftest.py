@@ -129,6 +129,7 @@ class RobotSide:
         self.commands = []
         self.command_times = []
         self.joint_efforts = []
+        self.peer = 'inverse_dynamics'  # the node whose services are called
         self.sent = 0  # ticks, of 5 ms or as the machine lets them be
         self.state = None
         create_publisher = self.node.create_publisher
@@ -276,7 +277,7 @@ class RobotSide:
         return code
 
     def call(self, type_, name, request):
-        client = self.node.create_client(type_, f'inverse_dynamics/{name}')
+        client = self.node.create_client(type_, f'{self.peer}/{name}')
         self.wait_until(client.service_is_ready, f'service {name}')
         future = client.call_async(request)
         self.wait_until(future.done, f'answer of {name}')

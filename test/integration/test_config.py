@@ -1,4 +1,4 @@
-"""The parameter files: every parameter is in one, and the node starts with each of them."""
+"""The parameter files: one has every parameter, and the node uses the values of each file."""
 
 import os
 
@@ -7,7 +7,6 @@ from robot_files import ROOT, STANFORD
 import yaml
 
 CONFIG = ROOT / 'config'
-NAMES = [f'joint_{k}' for k in range(1, 7)]
 
 
 def parameters(path):
@@ -28,14 +27,19 @@ def test_every_parameter_is_there_with_its_default():
 
 
 @pytest.mark.parametrize('path', sorted(CONFIG.glob('*.yaml')), ids=lambda path: path.stem)
-def test_the_node_starts_with_it(run_node, robot, path):
-    joints = parameters(path).get('joints', [''])
-    own = {'joints': '[joint_2, joint_3, joint_4]'} if joints != [''] else {}
-    own['robot_description_file'] = STANFORD
-    node = run_node('--params-file', str(path), **own)
+def test_every_value_is_in_force_under_any_name(run_node, robot, path, tmp_path):
+    given = parameters(path)
+    urdf = STANFORD.read_text()
+    for number, name in enumerate(filter(None, given.get('joints', ())), 1):
+        urdf = urdf.replace(f'"joint_{number}"', f'"{name}"')
+    (tmp_path / 'arm.urdf').write_text(urdf)
+    given['robot_description_file'] = str(tmp_path / 'arm.urdf')
+    node = run_node(
+        *('--params-file', str(path), '-r', '__ns:=/left', '-r', '__node:=dynamics'),
+        robot_description_file=tmp_path / 'arm.urdf',
+    )
+    robot.peer = '/left/dynamics'
     robot.wait_for_text(node, "robot 'stanford'")
     assert robot.get_state() == 'active'
     assert 'none such' not in node.output
-    for name, value in parameters(path).items():
-        if name not in own:
-            assert robot.get_parameter(name) == value, name
+    assert {name: robot.get_parameter(name) for name in given} == given
