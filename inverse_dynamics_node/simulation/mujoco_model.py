@@ -1,10 +1,11 @@
 """
 URDF to MuJoCo model, with nothing of the robot's dynamics lost or invented.
 
-MuJoCo reads the file itself, so that a mistake in our own reading shows as a tracking error. Three
-things are done for it: shapes go (they need mesh files, and would be given a mass), links held by
-fixed joints stay bodies of their own (fusing them drops inertia without mass), and links that
-MuJoCo refuses to weigh are weighed after it has compiled the rest.
+MuJoCo reads the file itself, so that a mistake in our own reading shows as a tracking error. Four
+things are done for it: shapes go (they need mesh files, and would be given a mass), quaternions
+become roll, pitch and yaw (MuJoCo ignores ``quat_xyzw``), links held by fixed joints stay bodies
+of their own (fusing them drops inertia without mass), and links that MuJoCo refuses to weigh are
+weighed after it has compiled the rest.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import numpy as np
 from ..dynamics import STANDARD_GRAVITY
 from ..errors import InverseDynamicsError
 from ..model import Floats
+from ..urdf.quaternions import rpy_of_quaternion
 from ..urdf.xml import Element, parse, read_source, tag
 
 OLDEST_MUJOCO = (3, 17)  # 3.13 turns inertias the wrong way, and before that it ignores <mimic>
@@ -63,6 +65,7 @@ def compile_model(urdf: str | Path, friction: bool = True) -> Any:
     mujoco.set_mju_user_warning(logger.info)
     root, _ = parse(read_source(urdf))
     _strip_shapes(root)
+    _write_quaternions_as_rpy(root)
     set_aside = _set_implausible_inertias_aside(root)
     settings = etree.SubElement(root, 'mujoco')
     etree.SubElement(settings, 'compiler', fusestatic='false')
@@ -89,6 +92,12 @@ def _strip_shapes(root: Element) -> None:
         for element in list(link):
             if tag(element) != 'inertial':
                 link.remove(element)
+
+
+def _write_quaternions_as_rpy(root: Element) -> None:
+    for origin in root.iter('origin'):
+        if 'quat_xyzw' in origin.attrib:
+            origin.set('rpy', rpy_of_quaternion(origin.attrib.pop('quat_xyzw')))
 
 
 def _set_implausible_inertias_aside(root: Element) -> dict[str, tuple[float, Floats]]:

@@ -15,7 +15,15 @@ import re
 import numpy as np
 
 from .findings import Findings, label, quoted
-from .rules import CHILDREN, CHILDREN_OF_FIXED, MOMENTS, RULES, SUPPORTED_TYPES
+from .rules import (
+    CHILDREN,
+    CHILDREN_OF_FIXED,
+    MOMENTS,
+    RULES,
+    SUPPORTED_TYPES,
+    VERSIONS,
+    VERSIONS_WITH_QUATERNIONS,
+)
 from .tree import check_mimic, check_mimic_loops, check_tree
 from .xml import Element, is_xacro, shortened, tag
 
@@ -32,6 +40,8 @@ MIN_AXIS_LENGTH = 1e-6
 """Below this, an axis is noise rather than a direction."""
 _UNIT_TOLERANCE = 1e-3
 """An axis written with four digits is a unit vector; a longer or shorter one a surprise."""
+_QUATERNION_TOLERANCE = 0.1
+"""Rounding to one digit changes the norm of a quaternion by less; a typing error by more."""
 _MOMENT_TOLERANCE = 1e-3
 """Rounded moments of a flat part miss the triangle inequality by this much of their sum."""
 _MAX_GYRATION = 10.0
@@ -51,6 +61,7 @@ def check(root: Element, needs_inertials: bool = False) -> Findings:
     """
     findings = Findings()
     _check_name(root, findings)
+    _check_version(root, findings)
     links = _by_name(root, 'link')
     joints = _by_name(root, 'joint')
     for element in root:
@@ -93,6 +104,19 @@ def _check_name(
         findings.problem(element, f'{kind} name {quoted(name)} looks like unprocessed xacro')
     elif first_of is not None and first_of[name] is not element:
         findings.problem(element, f"duplicate {kind} name '{name}'")
+
+
+def _check_version(root: Element, findings: Findings) -> None:
+    version = _version(root)
+    if version not in VERSIONS:
+        expected = f'expected one of {", ".join(VERSIONS)}'
+        findings.problem(root, f'robot version {quoted(version)} is not supported; {expected}')
+
+
+def _version(element: Element) -> str:
+    """Return the version of URDF that the document declares."""
+    version: str = element.getroottree().getroot().get('version', '1.0')
+    return version
 
 
 def _is_prefixed(name: str) -> bool:
@@ -141,7 +165,8 @@ def _check_attributes(
         what = kind if name == 'value' else f'{kind} {name}'
         if name not in rule.names and name not in rule.numbers:
             if not rule.is_open and not _is_prefixed(name):
-                _check_unknown_attribute(element, name, f'{where} {kind}', findings)
+                text = f"{where} {kind}: attribute '{name}' is unknown and ignored"
+                findings.warning(element, text)
         elif is_xacro(text):
             looks = f'{quoted(text)} looks like unprocessed xacro'
             findings.problem(element, f'{where} {what}: {looks}; run xacro first')
@@ -162,13 +187,6 @@ def _lacking(kind: str, names: list[str]) -> str:
     if kind in ('mass', 'parent', 'child'):
         return f'<{kind} {names[0]}="..."/> is missing'
     return f'<{kind}> lacks {", ".join(names)}' if kind != 'axis' else "<axis> lacks 'xyz'"
-
-
-def _check_unknown_attribute(element: Element, name: str, where: str, findings: Findings) -> None:
-    if name == 'quat_xyzw':
-        findings.problem(element, f"{where}: 'quat_xyzw' is not supported; write rpy")
-    else:
-        findings.warning(element, f"{where}: attribute '{name}' is unknown and ignored")
 
 
 def _numbers(text: str, count: int) -> tuple[float, ...] | str:
@@ -207,7 +225,7 @@ def _check_link(link: Element, findings: Findings) -> None:
     if 'inertia' not in parts:
         findings.problem(inertial, f'{where}: <inertia> is missing')
     if 'origin' in parts:
-        _warn_of_degrees(parts['origin'], f'{where} origin', values, findings)
+        _check_rotation(parts['origin'], f'{where} origin', values, findings)
     if 'value' in values and all(moment in values for moment in MOMENTS):
         mass = values['value'][0]
         _warn_of_odd_inertia(inertial, where, mass, [values[m][0] for m in MOMENTS], findings)
@@ -259,12 +277,35 @@ def _warn_of_odd_inertia(
         findings.warning(inertial, f'{where}: {text}; the inertia should be in kg m^2')
 
 
-def _warn_of_degrees(
+def _check_rotation(
     origin: Element, where: str, values: Mapping[str, tuple[float, ...]], findings: Findings
 ) -> None:
+    """Check the roll, pitch and yaw or the quaternion of an origin."""
+    if 'quat_xyzw' in origin.attrib:
+        _check_quaternion(origin, where, values, findings)
     if any(abs(angle) > _MAX_RPY for angle in values.get('rpy', ())):
         text = f"'{origin.get('rpy')}' is more than a turn; angles are in radians"
         findings.warning(origin, f'{where} rpy: {text}')
+
+
+def _check_quaternion(
+    origin: Element, where: str, values: Mapping[str, tuple[float, ...]], findings: Findings
+) -> None:
+    version = _version(origin)
+    if version in VERSIONS and version not in VERSIONS_WITH_QUATERNIONS:
+        # urdfdom ignores the attribute in these files, and the rotation with it.
+        text = f'quat_xyzw needs <robot version="1.1">, found version {version}; or write rpy'
+        findings.problem(origin, f'{where}: {text}')
+    if 'rpy' in origin.attrib:
+        findings.problem(origin, f'{where} has both rpy and quat_xyzw, expected one of them')
+    if 'quat_xyzw' not in values:
+        return
+    norm = math.hypot(*values['quat_xyzw'])
+    text = f"{where} quat_xyzw '{_written(origin, 'quat_xyzw')}' has norm {norm:g}"
+    if abs(norm - 1.0) > _QUATERNION_TOLERANCE:
+        findings.problem(origin, f'{text}, expected 1')
+    elif abs(norm - 1.0) > _UNIT_TOLERANCE:
+        findings.warning(origin, f'{text}; normalised')
 
 
 # ---- Joints --------------------------------------------------------------------------------
@@ -287,7 +328,7 @@ def _check_joint(joint: Element, joints: Mapping[str, Element], findings: Findin
         if end not in parts:
             findings.problem(joint, f'{where}: <{end} link="..."/> is missing')
     if 'origin' in parts:
-        _warn_of_degrees(parts['origin'], f'{where} origin', values['origin'], findings)
+        _check_rotation(parts['origin'], f'{where} origin', values['origin'], findings)
     if kind in SUPPORTED_TYPES and kind != 'fixed':
         _check_axis(joint, parts.get('axis'), values.get('axis', {}), findings)
         _check_limit(joint, parts, values.get('limit', {}), findings)

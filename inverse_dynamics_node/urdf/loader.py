@@ -19,6 +19,7 @@ from ..errors import ConfigurationError, UrdfError
 from ..model import RobotModel
 from .bodies import build_model, Joint, Link, Mimic
 from .checks import check
+from .quaternions import rpy_of_quaternion
 from .rules import CHILDREN, CHILDREN_OF_FIXED, RULES
 from .xml import Element, parse, read_source, tag
 
@@ -48,7 +49,8 @@ def load_urdf(
     ------
     UrdfError
         If there is no such file, or it does not describe one tree of revolute, continuous,
-        prismatic and fixed joints with complete inertias and limits. All problems are listed,
+        prismatic and fixed joints with complete inertias and limits. A single link without
+        joints is not a robot. All problems are listed,
         with their lines.
     ConfigurationError
         If ``on_missing_inertial`` is neither of the two.
@@ -56,7 +58,8 @@ def load_urdf(
     Notes
     -----
     Conventions are those of urdfdom, the parser of ROS: lower and upper limits default to 0, the
-    axis to x. An effort or velocity limit of 0 is read as not known, hence infinite.
+    axis to x. An effort or velocity limit of 0 is read as not known, hence infinite. Versions 1.0
+    to 1.2 of the format are read; ``quat_xyzw`` of an origin from 1.1 on.
 
     """
     if on_missing_inertial not in ('warn', 'refuse'):
@@ -86,7 +89,9 @@ def _stripped(root: Element) -> bytes:
         element, copy = waiting.pop()
         rule = RULES[tag(element)]
         for name, text in element.attrib.items():
-            if name in rule.names or name in rule.numbers:
+            if name == 'quat_xyzw':
+                copy.set('rpy', rpy_of_quaternion(text))
+            elif name in rule.names or name in rule.numbers:
                 copy.set(name, text)
         is_fixed = tag(element) == 'joint' and element.get('type') == 'fixed'
         kinds = CHILDREN_OF_FIXED if is_fixed else CHILDREN.get(tag(element), ())

@@ -7,6 +7,14 @@ from dataclasses import dataclass, field
 
 SUPPORTED_TYPES = ('revolute', 'continuous', 'prismatic', 'fixed')
 
+VERSIONS = ('1.0', '1.1', '1.2')
+"""
+Versions of the format that are read, as in urdfdom 6.
+
+1.1 adds quaternions and capsules, 1.2 adds limits that inverse dynamics do not need.
+"""
+VERSIONS_WITH_QUATERNIONS = ('1.1', '1.2')
+
 CHILDREN = {
     'robot': ('link', 'joint'),
     'link': ('inertial',),
@@ -53,7 +61,7 @@ RULES = {
     'link': Rule(names=('name',)),
     'joint': Rule(names=('name', 'type')),
     'inertial': Rule(),
-    'origin': Rule(numbers={'xyz': 3, 'rpy': 3}),
+    'origin': Rule(numbers={'xyz': 3, 'rpy': 3, 'quat_xyzw': 4}),
     'mass': Rule(numbers=_scalars('value'), required=('value',), not_negative=('value',)),
     'inertia': Rule(numbers=_scalars(*MOMENTS), required=MOMENTS),
     'parent': Rule(names=('link',), required=('link',)),

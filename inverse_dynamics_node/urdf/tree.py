@@ -31,6 +31,8 @@ def check_tree(root: Element, links: Mapping[str, Element], findings: Findings) 
 
     if not links:
         findings.problem_of_all('the robot has no links')
+    elif len(links) == 1 and not any(tag(element) == 'joint' for element in root):
+        findings.problem_of_all('the robot has one link and no joints: nothing to command')
     elif all_ends_known:  # otherwise the broken joint explains a link that hangs in the air
         _check_roots([name for name in links if name not in holders], links, children, findings)
 

@@ -5,7 +5,7 @@ import sys
 
 from inverse_dynamics_node.cli.main import main
 import pytest
-from robot_files import real_robots, ROOT, STANFORD
+from robot_files import NOTHING_MOVES, real_robots, ROOT, STANFORD
 
 ROBOTS = ROOT / 'test' / 'robots'
 
@@ -83,7 +83,7 @@ def test_reads_standard_input(tmp_path, monkeypatch, capsys):
 
 def test_a_robot_that_cannot_move_is_reported_all_the_same(tmp_path, capsys):
     urdf = tmp_path / 'bolt.urdf'
-    urdf.write_text('<robot name="bolt"><link name="base"/></robot>')
+    urdf.write_text(NOTHING_MOVES)
     assert main(['check', str(urdf)]) == 0
     assert 'no joint can move' in capsys.readouterr().out
 

@@ -103,7 +103,7 @@ class TestDemo:
         ('text', 'words'),
         [
             (MASSLESS, "no mass resists the motion of joint 'idle'"),
-            ('<robot name="r"><link name="a"/></robot>', 'no joint'),
+            ('<robot name="r"><link name="a"/></robot>', 'one link and no joints'),
             ('<sdf/>', 'root element is <sdf>'),
             ('', 'file is empty'),
         ],

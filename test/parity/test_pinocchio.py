@@ -3,6 +3,7 @@
 import contextlib
 
 from inverse_dynamics_node import InverseDynamics, load_urdf, UrdfError
+from lxml import etree
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -64,6 +65,18 @@ def assert_equal_to_pinocchio(robot, urdf, relative=RELATIVE, states=5):
         assert np.abs(expected).max() > 0.0
         tolerance = relative * np.abs(expected).max()
         assert_allclose(dynamics.mass_matrix(q), expected, rtol=0, atol=tolerance)
+
+
+@pytest.mark.parametrize('path', OUR_ROBOTS, ids=lambda path: path.stem)
+def test_our_robots_with_quaternions(path):
+    urdf = path.read_text()
+    root = etree.fromstring(urdf.encode())
+    root.set('version', '1.1')
+    for origin in root.iter('origin'):
+        rpy = np.fromstring(origin.attrib.pop('rpy', '0 0 0'), sep=' ')
+        quaternion = pinocchio.Quaternion(pinocchio.rpy.rpyToMatrix(rpy)).coeffs()  # x, y, z, w
+        origin.set('quat_xyzw', ' '.join(map(repr, quaternion.tolist())))
+    assert_equal_to_pinocchio(load_urdf(etree.tostring(root, encoding='unicode')), urdf)
 
 
 @pytest.mark.parametrize('path', OUR_ROBOTS, ids=lambda path: path.stem)

@@ -14,6 +14,7 @@ from inverse_dynamics_node.controller import (
 from inverse_dynamics_node.state import State
 import numpy as np
 import pytest
+from robot_files import NOTHING_MOVES
 
 # Two point-like masses on two sliding joints, one above the other: efforts are sums of weights.
 LIFT = """
@@ -206,9 +207,9 @@ def test_tells_which_joint_cannot_be_commanded(joints, words):
 
 
 def test_refuses_a_robot_without_joints():
-    stone = load_urdf('<robot name="stone"><link name="base"/></robot>')
-    with pytest.raises(ConfigurationError, match="'stone' has no movable joints"):
-        Controller(InverseDynamics(stone))
+    rock = load_urdf(NOTHING_MOVES)
+    with pytest.raises(ConfigurationError, match="'rock' has no movable joints"):
+        Controller(InverseDynamics(rock))
 
 
 def tracking(time, positions, velocities=(0.0, 0.0), accelerations=(0.0, 0.0)):

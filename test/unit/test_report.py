@@ -18,7 +18,7 @@ from inverse_dynamics_node.report import (
 from inverse_dynamics_node.urdf import load_urdf
 import numpy as np
 import pytest
-from robot_files import real_robots, ROOT, STANFORD
+from robot_files import NOTHING_MOVES, real_robots, ROOT, STANFORD
 
 ARM = load_urdf(STANFORD)
 
@@ -133,7 +133,7 @@ def test_a_joint_may_share_its_name_with_the_base():
 
 
 def test_robots_without_joints_are_described_too():
-    text = report_of(load_urdf('<robot name="r"><link name="base"/></robot>'), q=[])
+    text = report_of(load_urdf(NOTHING_MOVES), q=[])
     assert 'no joint can move' in text
 
 

@@ -110,6 +110,16 @@ class TestSameRobot:
         tolerance = 1e-9 if len(simulation.state_names) == len(q) else 2e-2
         assert_allclose(efforts, applied, rtol=0, atol=tolerance * abs(applied).max())
 
+    def test_quaternions_turn_the_links_here_too(self):
+        rotated = arm(BODY, BODY).replace('rpy="0.4 0 0"', 'quat_xyzw="{} 0 0 {}"')
+        half = 0.5 * 0.4 * np.array([1.0, 1.0])
+        words = np.array([np.sin(half), np.cos(half)]).T.ravel().tolist()
+        urdf = rotated.format(*words).replace('name="arm"', 'name="arm" version="1.1"')
+        q = np.array([0.3, -0.8])
+        inertia = simulated(urdf, q).mass_matrix()
+        assert_allclose(inertia, simulated(arm(BODY, BODY), q).mass_matrix(), rtol=1e-9)
+        assert_allclose(inertia, InverseDynamics(load_urdf(urdf)).mass_matrix(q), rtol=1e-9)
+
     @pytest.mark.parametrize(
         'middle',
         [

@@ -15,10 +15,9 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 from random_trees import random_chain, urdf_of
-from robot_files import STANFORD
+from robot_files import NOTHING_MOVES, STANFORD
 
 needs_numba = pytest.mark.skipif(not IS_COMPILED, reason='numba is not in use')
-NOTHING_MOVES = '<robot name="rock"><link name="rock"/></robot>'
 
 
 @pytest.fixture

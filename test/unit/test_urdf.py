@@ -1,5 +1,6 @@
 """What each malformed description gets told, and what must load all the same."""
 
+import math
 import os
 from pathlib import Path
 import time
@@ -9,7 +10,7 @@ from inverse_dynamics_node.urdf import load_urdf
 from inverse_dynamics_node.urdf import xml as urdf_xml
 import numpy as np
 import pytest
-from robot_files import OUR_ROBOTS
+from robot_files import NOTHING_MOVES, OUR_ROBOTS
 
 # Loads without a warning; the tests below break it in one place each.
 GOOD = """\
@@ -55,6 +56,8 @@ J2_ORIGIN = '<origin xyz="0 0 0.4" rpy="0 0 0.5"/>'
 J2_AXIS = '<axis xyz="0 0 1"/>'
 J2_LIMIT = '<limit lower="0" upper="0.5" effort="20" velocity="1"/>'
 J2_DYNAMICS = '<dynamics damping="0.5" friction="0.25"/>'
+NAME = 'name="good"'
+VERSION_1_1 = NAME, NAME + ' version="1.1"'
 L1_MASS = '<mass value="2.0"/>'
 L1_INERTIA = '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.01"/>'
 
@@ -375,7 +378,35 @@ ELEMENT_PROBLEMS = [
     ([('rpy="0 0 0.5"', 'rpy="0 0 0 1"')], "joint 'j2' origin rpy: expected 3 numbers, got 4"),
     ([('xyz="0 0 0.4"', 'xyz="0 0 nan"')], "origin xyz: 'nan' is not a finite decimal number"),
     ([('xyz="0 0 0.2"', 'xyz="0 1"')], "link 'l1' inertial origin xyz: expected 3 numbers, got 2"),
-    ([(J2_ORIGIN, '<origin quat_xyzw="0 0 0 1"/>')], "'quat_xyzw' is not supported; write rpy"),
+    # versions and quaternions
+    ([(NAME, NAME + ' version="2.0"')], "line 2: robot version '2.0' is not supported; expected"),
+    ([(NAME, NAME + ' version="1"')], "robot version '1' is not supported; expected one of 1.0"),
+    ([(NAME, NAME + ' version="1.1.0"')], "robot version '1.1.0' is not supported"),
+    ([(NAME, NAME + ' version=""')], "robot version '' is not supported"),
+    (
+        [(J2_ORIGIN, '<origin quat_xyzw="0 0 0 1"/>')],
+        'line 27: joint \'j2\' origin: quat_xyzw needs <robot version="1.1">, found version 1.0',
+    ),
+    (
+        [(NAME, NAME + ' version="1.0"'), ('rpy="0 0 0"', 'quat_xyzw="0 0 0 1"')],
+        "line 6: link 'l1' inertial origin: quat_xyzw needs",
+    ),
+    (
+        [VERSION_1_1, (J2_ORIGIN, '<origin rpy="0 0 0" quat_xyzw="0 0 0 1"/>')],
+        "line 27: joint 'j2' origin has both rpy and quat_xyzw",
+    ),
+    (
+        [VERSION_1_1, (J2_ORIGIN, '<origin quat_xyzw="0 0 1"/>')],
+        "joint 'j2' origin quat_xyzw: expected 4 numbers, got 3 in '0 0 1'",
+    ),
+    (
+        [VERSION_1_1, (J2_ORIGIN, '<origin quat_xyzw="0 0 0 0"/>')],
+        "joint 'j2' origin quat_xyzw '0 0 0 0' has norm 0, expected 1",
+    ),
+    (
+        [VERSION_1_1, ('rpy="0 0 0"', 'quat_xyzw="0 0 90 1"')],
+        "link 'l1' inertial origin quat_xyzw '0 0 90 1' has norm 90.0056, expected 1",
+    ),
     # axis
     ([(J2_AXIS, '<axis xyz="0 0 0"/>')], "joint 'j2': axis has (near) zero length: '0 0 0'"),
     ([(J2_AXIS, '<axis xyz="0 1e-9 0"/>')], "joint 'j2': axis has (near) zero length"),
@@ -468,6 +499,11 @@ ONE_MISTAKE_ONE_PROBLEM = [
 @pytest.mark.parametrize('edits', ONE_MISTAKE_ONE_PROBLEM)
 def test_one_mistake_gives_one_problem(edits):
     assert len(problems_of(edited(*edits))) == 1
+
+
+def test_robot_with_one_link_has_nothing_to_command():
+    problems = problems_of('<robot name="r"><link name="base"/></robot>')
+    assert problems == ('the robot has one link and no joints: nothing to command',)
 
 
 def test_robot_without_links():
@@ -732,7 +768,7 @@ def test_robot_that_moves_no_mass():
 
 
 def test_robot_that_cannot_move():
-    robot = load_urdf('<robot name="rock"><link name="rock"/></robot>')
+    robot = load_urdf(NOTHING_MOVES)
     assert robot.joint_names == ()
     assert robot.warnings == ('no joint can move: there is no effort to compute',)
 
@@ -759,6 +795,52 @@ def test_odd_declaration_keeps_its_encoding(tmp_path):
 def test_undeclared_prefix_beside_another_error_is_an_error():
     text = edited((J2_AXIS, f'{J2_AXIS}<drake:rotor value=1/>'))
     assert 'not well-formed XML' in problems_of(text)[0]
+
+
+@pytest.mark.parametrize('version', ['1.0', '1.1', '1.2'])
+def test_versions_that_are_read(version):
+    assert load_urdf(edited((NAME, f'{NAME} version="{version}"'))).warnings == ()
+
+
+@pytest.mark.parametrize('scale', [1.0, -1.0, 1.0004])
+@pytest.mark.parametrize(
+    'rpy',
+    [
+        (0.3, -0.4, 2.0),
+        (-2.5, 1.2, -3.0),
+        (math.pi, 0.0, 0.0),
+        (0.7, math.pi / 2, -0.2),
+        (0.7, -math.pi / 2, -0.2),
+        (0.7, math.pi / 2 - 1e-9, -0.2),
+    ],
+)
+def test_quaternion_is_the_rotation_that_rpy_would_be(rpy, scale):
+    def robot_with(rotation, *edits):
+        return load_urdf(
+            edited(
+                *edits,
+                (J2_ORIGIN, f'<origin {rotation} xyz="0 0 0.4"/>'),
+                ('xyz="0 0 0.2" rpy="0 0 0"', f'xyz="0 0 0.2" {rotation}'),
+                ('<child link="l3"/>', f'<child link="l3"/><origin {rotation}/>'),
+            )
+        )
+
+    half = [0.5 * angle for angle in rpy]
+    (sr, cr), (sp, cp), (sy, cy) = ((math.sin(x), math.cos(x)) for x in half)
+    quaternion = np.array(
+        [
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+            cr * cp * cy + sr * sp * sy,
+        ]
+    )
+    words = ' '.join(map(repr, (scale * quaternion).tolist()))
+    robot = robot_with(f'quat_xyzw="{words}"', VERSION_1_1)
+    expected = robot_with(f'rpy="{" ".join(map(repr, rpy))}"')
+    for field in ('R_PL', 'p_PL', 'inertia', 'com', 'link_rotation'):
+        actual = getattr(robot, field)
+        np.testing.assert_allclose(actual, getattr(expected, field), atol=1e-14, err_msg=field)
 
 
 def test_axis_too_large_for_its_square_is_normalised():

@@ -8,7 +8,7 @@ from inverse_dynamics_node.urdf import load_urdf
 from inverse_dynamics_node.workspace import explore, joint_ranges, last_link, payload_left
 import numpy as np
 import pytest
-from robot_files import OUR_ROBOTS, real_robots, ROOT, STANFORD
+from robot_files import NOTHING_MOVES, OUR_ROBOTS, real_robots, ROOT, STANFORD
 
 ROBOTS = ROOT / 'test' / 'robots'
 ARM = InverseDynamics(load_urdf(STANFORD))
@@ -115,7 +115,7 @@ def test_refuses_in_words():
         explore(ARM, samples=1)
     with pytest.raises(ConfigurationError, match="link 'tool9' does not exist"):
         payload_left(ARM, explore(ARM, samples=8), 'tool9')
-    bolt = InverseDynamics(load_urdf('<robot name="bolt"><link name="base"/></robot>'))
+    bolt = InverseDynamics(load_urdf(NOTHING_MOVES))
     with pytest.raises(ConfigurationError, match='no joint that moves'):
         explore(bolt)
 
