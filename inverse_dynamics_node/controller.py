@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .compilation import compile_for, compiled
+from .blending import Blending
 from .dynamics import InverseDynamics
 from .errors import ConfigurationError, JointStateError
 from .model import Booleans, Floats, RobotModel
@@ -121,10 +121,6 @@ class Settings:
     """How fast an effort may change [N m/s or N/s]."""
 
 
-# Rows of `Controller._rows`, a column a commanded joint.
-_INDEX, _ADDED, _SCALE, _OFFSET, _LIMIT, _WANTED, _JUMP, _EFFORTS = range(8)
-
-
 class Controller:
     """
     Computes one command a step; the same inputs always give the same commands.
@@ -160,32 +156,26 @@ class Controller:
         self.dynamics = dynamics
         self.joints = tuple(joints) or dynamics.robot.joint_names
         self.phase = Phase.WAITING
-        self.gain = 0.0
         self._period = period
         index = _index_of(self.joints, dynamics.robot)
         self._index = _shortest(index)
         self._is_continuous = dynamics.robot.is_continuous[self._index]
-        n, m = len(dynamics.robot.joint_names), len(self.joints)
+        n = len(dynamics.robot.joint_names)
         self._qdd, self._qd, self._tau = np.zeros((3, n))
         self._rest = self._velocities = np.zeros(n)
-        self._rows = np.zeros((8, m))
-        self._rows[_INDEX] = index
-        self._added, self._efforts = self._rows[_ADDED], self._rows[_EFFORTS]
-        self._command = np.zeros(m)
-        self._jump_left = 0.0
-        self._is_to_blend = False
-        self._is_saturated, self._is_slowed = np.zeros((2, m), dtype=bool)
-        self._result = Command(self._command, self._is_saturated, self._is_slowed)
+        self._blending = Blending(index)
+        self._result = Command(
+            self._blending.command, self._blending.is_saturated, self._blending.is_slowed
+        )
         self._is_stopping = False
         self._time = math.inf
         self._filter_times = np.full(n, -1e300)  # long ago, but at a finite time
         self._followed: Floats | None = None  # where a loop closed here was to be, last step
         self.apply(settings or Settings())
-        compile_for(limit_efforts, 'b1(f8[::1], f8[:,::1], b1[::1], f8, b1)')
 
     def apply(self, settings: Settings) -> None:
         """
-        Change the settings from the next step on; the efforts get there without a jump.
+        Change the settings from the next step on, which continues from the last command.
 
         Raises
         ------
@@ -204,22 +194,34 @@ class Controller:
             limits = np.minimum(limits, self.dynamics.robot.effort_limits[self._index])
         self.settings, self._of_joint = settings, arrays
         self.limits = limits
-        self._rows[[_SCALE, _OFFSET, _LIMIT]] = self.scale, self.offset, limits
-        self._has_rate_limits = bool(np.isfinite(arrays['effort_rate_limits']).any())
-        # Finite, for none of it times no time is none of it.
-        self._rate_limits = np.minimum(arrays['effort_rate_limits'], 1e300)
-        self.blend()
+        self._blending.configure(
+            self.scale,
+            self.offset,
+            limits,
+            arrays['effort_rate_limits'],
+            settings.start_ramp,
+            settings.stop_ramp,
+        )
 
     def blend(self) -> None:
         """
-        Let the efforts go on from where they are, whatever they would jump to at the next step.
+        Let the next command continue from the last one, and the difference fade.
 
-        For when something has changed that is no motion: settings, the robot description, gravity.
-        The difference fades within the start ramp.
+        For changes of the computed efforts that are not motion: settings, the robot description,
+        gravity. The difference fades within the start ramp.
 
         """
-        # From zero, there is the start ramp.
-        self._is_to_blend = self.gain > 0.0 and self.settings.start_ramp > 0.0
+        self._blending.begin()
+
+    @property
+    def gain(self) -> float:
+        """Share of the computed efforts in the command: 0 to 1 along the start ramp."""
+        return self._blending.gain
+
+    @property
+    def has_effort(self) -> bool:
+        """Whether an effort of the last command is not zero."""
+        return bool(self._blending.command.any())
 
     @property
     def scale(self) -> Floats:
@@ -254,9 +256,7 @@ class Controller:
         self._is_stopping = False
         self._time = math.inf  # at the first step nothing has elapsed
         self._filter_times[:] = -1e300
-        self.gain = self._jump_left = 0.0
-        self._is_to_blend = False
-        self._command[:] = 0.0
+        self._blending.reset()
         self.phase = Phase.WAITING
 
     def take_over(self, other: Controller) -> None:
@@ -279,10 +279,9 @@ class Controller:
                 f'the joints to command are now {", ".join(self.joints)}, expected '
                 f'{", ".join(other.joints)}'
             )
-        self.phase, self.gain, self._time = other.phase, other.gain, other._time
+        self.phase, self._time = other.phase, other._time
         self._is_stopping = other._is_stopping
-        self._command[:], self._efforts[:] = other._command, other._efforts
-        self.blend()
+        self._blending.continue_from(other._blending)
 
     def step(self, now: float, state: State | None, reference: Reference | None) -> Command | None:
         """
@@ -303,57 +302,31 @@ class Controller:
             None before the first complete joint state since the start.
 
         """
-        # Who did not come for longer than a state may be old, or than two steps, was stopped or
-        # stalled: ramps go on from where they were, not from where they would have been.
+        # A longer gap means that the process was suspended or the machine stalled. Ramps resume
+        # where they were instead of catching up.
         longest = max(self.settings.state_timeout, 2.0 * self._period) + _PATIENCE
-        elapsed = now - self._time
-        if not 0.0 <= elapsed <= longest:
-            elapsed = 0.0
+        since = now - self._time
+        elapsed = since if 0.0 <= since <= longest else 0.0
+        if elapsed != since:
             self.blend()
         self._time = now
         if state is None and self.phase is Phase.WAITING:
             return None
-        last_phase, self.phase = self.phase, self._next_phase(now, state, reference)
-        if last_phase not in IS_WELL:
-            self.blend()
+        self.phase = self._next_phase(now, state, reference)
         is_closed = self.settings.mode is Mode.COMPUTED_TORQUE and self.phase is Phase.RUNNING
         self._followed = reference.positions if is_closed and reference else None
         if state is not None and self.phase in IS_WELL:
-            self._jump_left = max(0.0, self._jump_left - _share(elapsed, self.settings.start_ramp))
-            self._compute(state, reference if self.phase is Phase.RUNNING else None)
+            followed = reference if self.phase is Phase.RUNNING else None
+            if self._compute(state, followed) and self._blending.follow(self._tau, elapsed):
+                return self._result
+            self.phase = Phase.NO_SOLUTION
+        if self.phase is Phase.STOPPED or self.settings.on_stale_state is StalePolicy.ZERO:
+            # Late steps shorten the stop ramp by no more than they may be late, but do shorten it:
+            # on a machine that is always late, the efforts still get to zero.
+            self._blending.fall(min(max(0.0, since), longest))
         else:
-            self._is_saturated[:] = False
-        self._ramp(elapsed)
-        self._send(elapsed)
+            self._blending.hold(elapsed)
         return self._result
-
-    def _send(self, elapsed: float) -> None:
-        if self.gain == 1.0 and self.phase in IS_WELL and not self._has_rate_limits:
-            self._command[:] = self._efforts  # within their limits, and what there is most often
-            return
-        target = self.gain * self._efforts
-        if self._has_rate_limits:
-            self._slow_down(target, elapsed)
-        np.clip(target, -self.limits, self.limits, out=self._command)
-
-    def _slow_down(self, target: Floats, elapsed: float) -> None:
-        """Let efforts change no faster than they may."""
-        is_well = self.phase in IS_WELL
-        # A way down is for the stop ramp alone, from wherever the efforts have got to.
-        change = self._rate_limits * elapsed if is_well else np.abs(self._command)
-        middle = self._command if is_well else 0.0
-        wanted = target.copy()
-        np.clip(target, middle - change, middle + change, out=target)
-        np.not_equal(target, wanted, out=self._is_slowed)
-        self._is_slowed &= is_well
-
-    def _ramp(self, elapsed: float) -> None:
-        settings = self.settings
-        if self.phase in IS_WELL:
-            self.gain = min(1.0, self.gain + _share(elapsed, settings.start_ramp))
-        elif self.phase is Phase.STOPPED or settings.on_stale_state is StalePolicy.ZERO:
-            # The last efforts fade out; without a fresh state there are no better ones.
-            self.gain = max(0.0, self.gain - _share(elapsed, settings.stop_ramp))
 
     def _next_phase(self, now: float, state: State | None, reference: Reference | None) -> Phase:
         """Judge the inputs by their age; one below zero is from before the clock was reset."""
@@ -398,29 +371,25 @@ class Controller:
         self._filter_times += elapsed
         return self._qd
 
-    def _compute(self, state: State, reference: Reference | None) -> None:
-        """Compute the efforts, within their limits; if there are none, the last ones stay."""
+    def _compute(self, state: State, reference: Reference | None) -> bool:
+        """Compute the efforts of all joints; return whether there is a solution."""
         mode = self.settings.mode
         qd = self._smooth(state)
         self._velocities = self._rest if mode is Mode.GRAVITY_COMPENSATION else qd
+        added = self._blending.added
         if reference is None:
-            self._qdd[self._index] = self._added[:] = 0.0
+            self._qdd[self._index] = added[:] = 0.0
         else:
             qdd = reference.accelerations
             if mode is Mode.COMPUTED_TORQUE:
                 qdd = self._resolved(state.q, qd, reference)
             self._qdd[self._index] = qdd
-            self._added[:] = reference.efforts
+            added[:] = reference.efforts
         try:
             self.dynamics.efforts(state.q, self._velocities, self._qdd, out=self._tau)
         except JointStateError:
-            self.phase = Phase.NO_SOLUTION
-            return
-        left = 1.0 if self._is_to_blend else self._jump_left
-        if limit_efforts(self._tau, self._rows, self._is_saturated, left, self._is_to_blend):
-            self._is_to_blend, self._jump_left = False, left
-        else:
-            self.phase = Phase.NO_SOLUTION
+            return False
+        return True
 
     def _resolved(self, q: Floats, qd: Floats, reference: Reference) -> Floats:
         """Return the accelerations that also take the joints back to the reference."""
@@ -436,54 +405,6 @@ class Controller:
                 error = velocities - qd[self._index]
                 qdd = qdd + self._of_joint['kd'] * error
         return qdd
-
-
-@compiled
-def limit_efforts(
-    tau: Any, rows: Any, is_saturated: Any, jump_left: float, is_to_blend: bool
-) -> bool:
-    """
-    Make of the efforts of the dynamics those for the robot, if all are finite; else nothing.
-
-    Parameters
-    ----------
-    tau : ndarray, shape (n,)
-        Of all joints.
-    rows : ndarray, shape (8, m)
-        Of the commanded joints: which of the n they are, what is added to their efforts, scale,
-        offset and limit; then what is written: efforts without jump and limit, jump, efforts.
-    is_saturated : ndarray of bool, shape (m,)
-        Receives which of the efforts were cut to their limits.
-    jump_left : float
-        Share of the jump that is to be added.
-    is_to_blend : bool
-        Whether the jump is from the last efforts to these.
-
-    Returns
-    -------
-    are_finite : bool
-
-    """
-    # As floats: not compiled, that is faster than numpy's own numbers, and does not warn.
-    for k in range(len(is_saturated)):
-        effort = float(tau[int(rows[_INDEX, k])]) + float(rows[_ADDED, k])
-        effort = effort * float(rows[_SCALE, k]) + float(rows[_OFFSET, k])
-        if not math.isfinite(effort):
-            return False
-        rows[_WANTED, k] = effort
-    for k in range(len(is_saturated)):
-        effort, limit = float(rows[_WANTED, k]), float(rows[_LIMIT, k])
-        if is_to_blend:
-            rows[_JUMP, k] = float(rows[_EFFORTS, k]) - effort
-        if jump_left != 0.0:
-            effort += jump_left * float(rows[_JUMP, k])
-        rows[_EFFORTS, k] = min(max(effort, -limit), limit)
-        is_saturated[k] = rows[_EFFORTS, k] != effort
-    return True
-
-
-def _share(elapsed: float, ramp: float) -> float:
-    return elapsed / ramp if ramp > 0.0 else 1.0
 
 
 def of_joints(name: str, values: PerJoint, m: int) -> Floats:

@@ -42,7 +42,8 @@ ARROWS = {
     'loads': {'dynamics', 'arguments', 'model', 'errors'},
     'residual': {'dynamics', 'model'},
     'state': {'compilation', 'model', 'errors'},
-    'controller': {'dynamics', 'state', 'compilation', 'model', 'errors'},
+    'blending': {'compilation', 'model'},
+    'controller': {'blending', 'dynamics', 'state', 'model', 'errors'},
     'rig': {'controller', 'loads', 'residual', 'report', 'state', 'dynamics', 'model', 'errors'},
     'monitor': {'rig', 'controller', 'plausibility', 'model'},
     'node': {

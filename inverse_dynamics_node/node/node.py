@@ -537,7 +537,7 @@ class InverseDynamicsNode(LifecycleNode):
     def _follow_stop_ramp(self, rig: Rig) -> None:
         rig.controller.stop()
         start, steady_start = self._now(), time.monotonic()
-        while rig.controller.gain and not self._is_in_a_hurry():
+        while rig.controller.has_effort and not self._is_in_a_hurry():
             time.sleep(self._watch_period)
             # A simulated clock stands still meanwhile.
             now = start + time.monotonic() - steady_start

@@ -117,13 +117,14 @@ def test_efforts_fall_to_zero_when_the_state_is_lost_and_rise_when_it_is_back():
     for t in (0.0, 0.05, 0.1, 0.15, 0.2):
         lift.step(t, state(t), None)
     lift.step(0.29, state(0.2), None)
-    lost = [lift.step(t, state(0.2), None).efforts[0] for t in (0.34, 0.39, 0.44, 0.49)]
-    assert lost == pytest.approx([22.5, 15.0, 7.5, 0.0], abs=1e-12)
+    lost = [lift.step(t, state(0.2), None).efforts[0] for t in (0.34, 0.39, 0.44, 0.49, 0.54)]
+    assert lost == pytest.approx([30.0, 22.5, 15.0, 7.5, 0.0], abs=1e-12)
     assert lift.phase is Phase.STATE_LOST
-    zero = lift.step(0.5, state(0.2), None)
+    zero = lift.step(0.55, state(0.2), None)
     assert zero.efforts.tolist() == [0.0, 0.0]
     assert not zero.is_saturated.any()
-    assert lift.step(0.55, state(0.55), None).efforts == pytest.approx(HOLD / 4)
+    assert lift.step(0.6, state(0.6), None).efforts.tolist() == [0.0, 0.0]
+    assert lift.step(0.65, state(0.65), None).efforts == pytest.approx(HOLD / 4)
 
 
 def test_zeros_come_within_timeout_and_ramp_whatever_the_rate():
@@ -133,7 +134,8 @@ def test_zeros_come_within_timeout_and_ramp_whatever_the_rate():
             time = 0.0
             while lift.step(time, state(0.0), None).efforts.any():
                 time += period
-            assert time <= timeout + 0.25 + period
+            # One period until the loss is noticed, and one until the ramp is over.
+            assert time <= timeout + 0.25 + 2.0 * period
 
 
 def test_stop_ramps_to_zero_and_start_begins_at_zero():
@@ -141,8 +143,11 @@ def test_stop_ramps_to_zero_and_start_begins_at_zero():
     for t in (0.0, 0.05, 0.1):
         lift.step(t, state(t), None)
     lift.stop()
-    assert lift.step(0.15, state(0.15), None).efforts == pytest.approx(HOLD / 2)
-    assert lift.step(0.2, state(0.2), None).efforts.tolist() == [0.0, 0.0]
+    assert lift.step(0.15, state(0.15), None).efforts == pytest.approx(HOLD)
+    assert lift.step(0.2, state(0.2), None).efforts == pytest.approx(HOLD / 2)
+    assert lift.has_effort
+    assert lift.step(0.26, state(0.26), None).efforts.tolist() == [0.0, 0.0]
+    assert not lift.has_effort
     assert lift.phase is Phase.STOPPED
     lift.start()
     assert lift.step(9.0, state(9.0), None).efforts.tolist() == [0.0, 0.0]
@@ -169,9 +174,10 @@ def test_clock_that_jumps_back_is_a_lost_state_not_an_error():
 def test_absurd_numbers_lead_to_zero_not_to_infinity():
     lift = controller(stop_ramp=0.1, use_urdf_effort_limits=False)
     lift.step(0.0, state(0.0), None)
-    command = lift.step(0.05, state(0.05), reference(0.05, [1e308, 1e308]))
-    assert lift.phase is Phase.NO_SOLUTION
-    assert command.efforts == pytest.approx(HOLD / 2)
+    for now, share in ((0.05, 1.0), (0.1, 0.5), (0.151, 0.0)):
+        command = lift.step(now, state(now), reference(now, [1e308, 1e308]))
+        assert lift.phase is Phase.NO_SOLUTION
+        assert command.efforts == pytest.approx(share * HOLD)
 
 
 @pytest.mark.parametrize('efforts', [[1e308, 0.0], [math.inf, 0.0], [math.nan, 0.0]])
@@ -265,12 +271,22 @@ def test_loop_that_closes_under_way_does_not_start_with_a_jump():
     assert open_loop.phase is Phase.TOO_FAR
 
 
-def test_limits_win_over_ramps_and_rates():
-    lift = controller(on_stale_state=StalePolicy.HOLD, effort_rate_limits=50.0)
-    for time in np.arange(0.0, 2.0, 0.05):
-        lift.step(time, state(time), None)
-    lift.apply(Settings(start_ramp=0.0, effort_limits=2.0, effort_rate_limits=50.0))
-    assert lift.step(2.0, state(2.0), None).efforts.tolist() == [2.0, 2.0]
+@pytest.mark.parametrize('is_lost', [False, True])
+def test_a_tightened_limit_is_reached_along_the_ramp_and_the_rate_limits(is_lost):
+    lift = controller(on_stale_state=StalePolicy.HOLD)
+    lift.step(0.0, state(0.0), None)
+    tight = {'on_stale_state': StalePolicy.HOLD, 'effort_limits': 5.0}
+
+    def efforts_at(now):
+        return lift.step(now, state(0.0 if is_lost else now), None).efforts.tolist()
+
+    lift.apply(Settings(start_ramp=0.1, **tight))
+    efforts = [efforts_at(now) for now in (0.15, 0.2, 0.251)]
+    assert lift.phase is (Phase.STATE_LOST if is_lost else Phase.HOLDING)
+    assert efforts == [pytest.approx(wanted) for wanted in ([30.0, 10.0], [17.5, 7.5], [5.0, 5.0])]
+    lift.apply(Settings(start_ramp=0.0, effort_rate_limits=10.0, **tight | {'effort_limits': 3.0}))
+    efforts = [efforts_at(now) for now in (0.351, 0.451, 0.551)]
+    assert efforts == [pytest.approx([wanted, wanted]) for wanted in (4.0, 3.0, 3.0)]
 
 
 def test_stop_ramp_takes_its_time_whatever_the_rate_limits():
@@ -279,7 +295,7 @@ def test_stop_ramp_takes_its_time_whatever_the_rate_limits():
         lift.step(time, state(time), None)
     lift.stop()
     efforts = [lift.step(t, state(t), None).efforts[0] for t in (5.0, 5.05, 5.1, 5.15, 5.2)]
-    assert efforts[1:] == pytest.approx([15.0, 7.5, 0.0, 0.0], abs=0.1)
+    assert efforts == pytest.approx([30.0, 22.5, 15.0, 7.5, 0.0])
 
 
 def test_stop_on_the_way_up_does_not_go_up_first():
@@ -288,6 +304,118 @@ def test_stop_on_the_way_up_does_not_go_up_first():
         before = lift.step(time, state(time), None).efforts.copy()
     lift.stop()
     assert (lift.step(0.5, state(0.5), None).efforts <= before).all()
+
+
+def swinging(**settings):
+    """Return a controller whose lower effort is on its way from -21 to 42 N, and the time."""
+    lift = controller(effort_rate_limits=40.0, stop_ramp=0.2, **settings)
+    for k in range(100):
+        now = 0.05 * k
+        accelerations = [-17.0, 0.0] if k < 90 else [4.0, 0.0]
+        command = lift.step(now, state(now), reference(now, accelerations))
+    assert -5.0 < command.efforts[0] < 0.0
+    return lift, now, command.efforts.copy()
+
+
+@pytest.mark.parametrize('cause', ['stop', 'lost', 'absurd'])
+def test_a_stop_never_flips_the_sign_of_an_effort(cause):
+    lift, now, last = swinging(state_timeout=0.04)
+    if cause == 'stop':
+        lift.stop()
+    heard = state(now)
+    for share in (1.0, 0.75, 0.5, 0.25, 0.0):
+        now += 0.05
+        fresh = heard if cause == 'lost' else state(now)
+        accelerations = [1e308 if cause == 'absurd' else 4.0, 0.0]
+        efforts = lift.step(now, fresh, reference(now, accelerations)).efforts
+        assert efforts == pytest.approx(share * last, abs=1e-9)
+    assert lift.step(now + 0.05, heard, None).efforts.tolist() == [0.0, 0.0]
+
+
+def test_resuming_in_the_middle_of_a_stop_continues_from_the_last_command():
+    lift, now, last = swinging(start_ramp=0.5)
+    lift.stop()
+    for k in range(3):
+        low = lift.step(now + 0.05 * k, state(now), None).efforts.copy()
+    assert low == pytest.approx(0.5 * last)
+    lift.resume()
+    for k in range(3, 40):
+        time = now + 0.05 * k
+        efforts = lift.step(time, state(time), reference(time, [4.0, 0.0])).efforts.copy()
+        assert k > 3 or efforts == pytest.approx(low)
+        assert np.abs(efforts - low).max() <= 40.0 * 0.05 + 1e-9
+        low = efforts
+
+
+@pytest.mark.parametrize(
+    'change',
+    [
+        {'effort_rate_limits': math.inf},
+        {'effort_limits': 1.0},
+        {'use_urdf_effort_limits': False, 'effort_scale': 3.0},
+        {'mode': Mode.COMPUTED_TORQUE},
+        {'effort_offset': (-30.0, 5.0), 'effort_rate_limits': 1e-3},
+    ],
+)
+def test_a_live_change_continues_from_the_last_command(change):
+    ours = {'start_ramp': 0.5, 'stop_ramp': 0.2, 'effort_rate_limits': 40.0}
+    lift, now, last = swinging(start_ramp=0.5)
+    lift.apply(Settings(**ours | change))
+    now += 0.05
+    efforts = lift.step(now, state(now), reference(now, [4.0, 0.0])).efforts
+    assert efforts == pytest.approx(last)
+
+
+def test_a_start_ramp_of_zero_does_not_cut_off_a_blend_or_a_start():
+    lift = controller(start_ramp=0.5)
+    time = settled(lift)
+    lift.apply(Settings(start_ramp=0.5, effort_scale=0.2))
+    last = efforts_after(lift, time, 0.3)
+    for _ in range(3):  # as several calls in a row between two steps
+        lift.apply(Settings(start_ramp=0.0, effort_scale=0.2))
+    assert efforts_after(lift, time + 0.3, 0.05) == pytest.approx(last)
+    assert efforts_after(lift, time + 0.35, 0.125, 0.025) == pytest.approx(
+        0.1 * HOLD + last / 2, rel=1e-6
+    )
+    assert efforts_after(lift, time + 0.475, 0.15) == pytest.approx(0.2 * HOLD)
+    lift.start()
+    lift.apply(Settings(start_ramp=0.5))
+    low = efforts_after(lift, time + 0.625, 0.3)
+    lift.apply(Settings(start_ramp=0.0))
+    assert efforts_after(lift, time + 0.925, 0.05) == pytest.approx(low)
+    assert efforts_after(lift, time + 0.975, 0.35) == pytest.approx(HOLD)
+    lift.apply(Settings(start_ramp=0.0, effort_scale=0.5))  # with nothing under way: at once
+    assert efforts_after(lift, time + 1.325, 0.05) == pytest.approx(0.5 * HOLD)
+
+
+def test_a_stop_ramp_under_way_keeps_its_time():
+    lift = controller(stop_ramp=0.2)
+    lift.step(0.0, state(0.0), None)
+    lift.stop()
+    lift.step(0.05, state(0.05), None)
+    lift.apply(Settings(start_ramp=0.0, stop_ramp=0.0))
+    assert lift.step(0.15, state(0.15), None).efforts == pytest.approx(0.5 * HOLD)
+
+
+def test_steps_that_are_always_late_still_end_the_stop_ramp():
+    lift = controller(stop_ramp=0.2, state_timeout=0.03)
+    lift.step(0.0, state(0.0), None)
+    lift.stop()
+    efforts = [lift.step(now, state(now), None).efforts[0] for now in 2.0 * np.arange(1, 7)]
+    assert efforts == pytest.approx([30.0, 22.5, 15.0, 7.5, 0.0, 0.0])
+
+
+def test_efforts_held_since_a_stop_ramp_began_stay_where_they_are():
+    lift = controller(stop_ramp=0.2)
+    lift.step(0.0, state(0.0), None)
+    lift.step(0.11, state(0.0), None)
+    assert lift.step(0.21, state(0.0), None).efforts == pytest.approx(0.5 * HOLD)
+    lift.apply(Settings(stop_ramp=0.2, on_stale_state=StalePolicy.HOLD))
+    for now in (0.3, 0.4, 1.0):
+        assert lift.step(now, state(0.0), None).efforts == pytest.approx(0.5 * HOLD)
+    lift.apply(Settings(stop_ramp=0.2))
+    assert lift.step(1.1, state(0.0), None).efforts == pytest.approx(0.5 * HOLD)
+    assert lift.step(1.2, state(0.0), None).efforts == pytest.approx(0.25 * HOLD)
 
 
 def test_velocity_filter_takes_each_joint_in_its_own_time():
