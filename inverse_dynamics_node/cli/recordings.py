@@ -17,6 +17,7 @@ import numpy as np
 from ..errors import RecordingError
 from ..identification import Recording
 from ..model import Floats
+from .csv_header import explain_missing_time
 
 JOINT_STATE = 'sensor_msgs/msg/JointState'
 BAGS = ('.mcap', '.db3')
@@ -288,10 +289,7 @@ def _columns(
 ) -> dict[tuple[str, str], int]:
     """Find which column holds what of which joint; what is neither is ignored."""
     if 'time' not in head:
-        raise RecordingError(
-            f"{path}: has no column 'time' but {', '.join(head) or 'none'}; expected 'time' and "
-            f"'<joint>.{{{','.join(_FIELDS)}}}'"
-        )
+        raise RecordingError(f'{path}: {explain_missing_time(head, joint_names, _FIELDS)}')
     columns: dict[tuple[str, str], int] = {}
     for k, name in enumerate(head):
         joint, _, field = (name, '', _FIELDS[0]) if name in joint_names else name.rpartition('.')

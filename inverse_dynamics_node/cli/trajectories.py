@@ -13,6 +13,7 @@ import numpy as np
 from ..errors import TrajectoryError
 from ..model import Floats
 from ..trajectory import Trajectory
+from .csv_header import explain_missing_time
 
 FORMATS = """\
 trajectory files:
@@ -204,7 +205,8 @@ def _from_csv(text: str, known: Sequence[str]) -> Source:
         raise TrajectoryError('no rows')
     header = [cell.strip() for cell in rows[0]]
     if 'time' not in header:
-        raise TrajectoryError(f"no column 'time'; the columns are {', '.join(header)}")
+        fields = ('position', 'velocity', 'acceleration')
+        raise TrajectoryError(explain_missing_time(header, known, fields))
     header = [name.removesuffix('.position') for name in header]
     joints = tuple(name for name in header if name in known)
     if not joints:

@@ -240,6 +240,8 @@ def broken(short, here, how):
         path.write_text('time,joint_1.position,joint_1.effort\n0,1\n')
     elif how == 'no time':
         path.write_text('t,joint_1.position\n0,1\n')
+    elif how == 'semicolons':
+        path.write_text('time;joint_1.effort\n0;1\n')
     elif how == 'two topics':
         path = here / 'run'
         write_bag(path, short, topic='/a', extra=('/b',), has_efforts=False)
@@ -269,7 +271,17 @@ def broken(short, here, how):
         ('no positions', "joint 'joint_1' never has a position"),
         ('text', "line 3, column 'joint_1.effort': 'oops' is not a number"),
         ('row', 'line 2 has 2 values, the header 3 columns'),
-        ('no time', "has no column 'time'"),
+        (
+            'no time',
+            "no column 'time'; the columns are t, joint_1.position; expected 'time' [s] and, per "
+            "joint, '<joint>' or '<joint>.position', '<joint>.velocity', '<joint>.effort'; the "
+            'joints are joint_1, joint_2',
+        ),
+        (
+            'semicolons',
+            "cells are separated by ';', expected ','; the columns are time, joint_1.effort; "
+            "expected 'time' [s]",
+        ),
         ('two topics', 'several topics of type sensor_msgs/msg/JointState, /a, /b; none of them'),
         ('no topic', 'has no topic of type sensor_msgs/msg/JointState; it has /joint_states'),
         ('half a file', 'half.mcap: '),

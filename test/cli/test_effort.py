@@ -278,7 +278,14 @@ def test_positions_may_be_called_so(write):
     ('text', 'words'),
     [
         ('', 'no rows'),
-        ('t,joint_1\n0,1\n', "no column 'time'"),
+        (
+            't,joint_1\n0,1\n',
+            "no column 'time'; the columns are t, joint_1; expected 'time' .s. and, per joint, "
+            "'<joint>' or '<joint>.position', '<joint>.velocity', '<joint>.acceleration'; the "
+            'joints are joint_1, ',
+        ),
+        ('time;joint_1\n0;1\n', "separated by ';', expected ','; the columns are time, joint_1;"),
+        ('time\tjoint_1\n0\t1\n', "separated by tabs, expected ','; the columns are time, "),
         ('time,elbow\n0,1\n', 'no column is named as a joint; the columns are time, elbow'),
         ('time,joint_1,joint_2.velocity\n0,1,2\n', "joint 'joint_2' has no column of positions"),
         ('time,joint_1,joint_1\n0,1,2\n', "two columns are named 'joint_1'"),
