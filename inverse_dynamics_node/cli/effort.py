@@ -126,9 +126,10 @@ def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
     dynamics = load_dynamics(options.urdf, options.gravity)
     robot = dynamics.robot
+    link = options.link or last_link(robot)
     if options.payload:
         mass, *com = options.payload
-        dynamics.set_payload(options.link or last_link(robot), mass, com or (0.0, 0.0, 0.0))
+        dynamics.set_payload(link, mass, com or (0.0, 0.0, 0.0))
     if options.friction:
         dynamics.set_friction()
     others = _others(robot, options.at)
@@ -144,7 +145,7 @@ def run(options: argparse.Namespace) -> int:
         whole, derived = complete(source.trajectory)
     fine, points = refine(whole, 1.0 / options.rate if options.rate else math.inf)
     demands = demands_of(dynamics, fine, others)
-    show(_summary(options, source, derived, fine), *demand_tables(robot, fine, demands))
+    show(_summary(options, link, source, derived, fine), *demand_tables(robot, fine, demands))
 
     stem = options.trajectory.stem
     written = [options.csv or Path(f'{stem}_efforts.csv')]
@@ -192,19 +193,29 @@ def _others(robot: RobotModel, places: Sequence[tuple[str, float]]) -> Floats:
 
 
 def _summary(
-    options: argparse.Namespace, source: Source, derived: tuple[str, ...], fine: Trajectory
+    options: argparse.Namespace,
+    link: str,
+    source: Source,
+    derived: tuple[str, ...],
+    fine: Trajectory,
 ) -> Table:
     found = source.trajectory
     duration = fine.times[-1] - fine.times[0]
-    count = f'{len(found.times)} points in {duration:.3g} s, of {len(found.joint_names)} joints'
+    count = f'{_count(len(found.times), "point")} in {duration:.3g} s, of ' + _count(
+        len(found.joint_names), 'joint'
+    )
     if len(fine.times) > len(found.times):
         count += f'; looked at in {len(fine.times)} states'
     loads = []
     if options.payload:
-        loads.append(f'payload {options.payload[0]:g} kg')
+        loads.append(f"payload {options.payload[0]:g} kg on link '{link}'")
     loads.append('friction of the URDF counted' if options.friction else 'friction not counted')
     notes = (count, '; '.join(loads), *source.remarks, *derived)
     return Table(f'trajectory {options.trajectory}', notes=notes)
+
+
+def _count(number: int, noun: str) -> str:
+    return f'{number} {noun}' if number == 1 else f'{number} {noun}s'
 
 
 def demand_tables(robot: RobotModel, fine: Trajectory, demands: Demands) -> list[Table]:

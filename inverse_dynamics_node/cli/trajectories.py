@@ -26,8 +26,9 @@ trajectory files:
   .csv        a row of names, then a row of numbers for each time. The column `time` [s]; a column
               `<joint>` or `<joint>.position` for each joint [rad, m]; maybe `<joint>.velocity` and
               `<joint>.acceleration`; other columns are ignored
-  a rosbag2   .mcap, .db3 or the directory: the first JointTrajectory, else all JointStates, of
-              --topic, of the only topic of that type, or of /joint_states"""
+  a rosbag2   .mcap, .db3 or the directory: the JointTrajectory with the most points; if all have
+              one point or there is none, all JointStates of /joint_states, or of the only such
+              topic. --topic chooses another one"""
 
 _KINDS = ('trajectory_msgs/msg/JointTrajectory', 'sensor_msgs/msg/JointState')
 USUAL = '/joint_states'
@@ -275,17 +276,34 @@ def _from_recording(
     types = get_typestore(Stores.ROS2_JAZZY)
     try:
         with AnyReader([path], default_typestore=types) as reader:
-            connection = _choose(path, reader.connections, topic)
-            kind = connection.msgtype
-            messages = _messages(reader, connection, progress)
-            if kind == _KINDS[0]:
-                return _first_trajectory(path, messages)
-            return _of_states(path, messages, known)
+            usable = _usable(path, reader.connections, topic)
+            planned = [each for each in usable if each.msgtype == _KINDS[0]]
+            measured = [each for each in usable if each.msgtype == _KINDS[1]]
+            found = _longest_trajectories(reader, planned, progress)
+            is_single = all(len(each.message.points) == 1 for each in found)
+            if measured and is_single:
+                connection = _choose(path, measured)
+                messages = _messages(reader, connection, progress)
+                source = _of_states(path, messages, known)
+                topics = ', '.join(each.topic for each in found)
+                skipped = (f'not used, single points only: {topics}',) if found else ()
+                remarks = (f'topic {connection.topic}', *source.remarks, *skipped)
+                return source._replace(remarks=remarks)
+            if not found:
+                raise TrajectoryError(f'{path}: every trajectory in it is empty')
+            source = _of_messages(found)
+            others = {c.topic for c in reader.connections if c.msgtype in _KINDS}
+            others -= {each.topic for each in found}
+            if is_single and others:
+                hint = f'a single point; --topic may be one of {", ".join(sorted(others))}'
+                source = source._replace(remarks=(*source.remarks, hint))
+            return source
     except AnyReaderError as error:
         raise TrajectoryError(f'{path}: {error}') from None
 
 
-def _choose(path: Path, connections: Sequence[Any], topic: str | None) -> Any:
+def _usable(path: Path, connections: Sequence[Any], topic: str | None) -> list[Any]:
+    """List the connections with trajectories or joint states, of one topic if it is given."""
     usable = [each for each in connections if each.msgtype in _KINDS and each.msgcount]
     listed = ', '.join(f'{each.topic} ({each.msgtype})' for each in connections) or 'none'
     if topic is not None:
@@ -294,18 +312,21 @@ def _choose(path: Path, connections: Sequence[Any], topic: str | None) -> Any:
             raise TrajectoryError(
                 f"{path}: no trajectory or joint state on topic '{topic}'; topics are {listed}"
             )
-        return usable[0]
-    for kind in _KINDS:
-        topics = {each.topic: each for each in usable if each.msgtype == kind}
-        if USUAL in topics:
-            return topics[USUAL]
-        if len(topics) > 1:
-            raise TrajectoryError(f'{path}: which --topic? There are {", ".join(topics)}')
-        if topics:
-            return next(iter(topics.values()))
-    raise TrajectoryError(
-        f'{path}: neither JointTrajectory nor JointState messages; topics are {listed}'
-    )
+    if not usable:
+        raise TrajectoryError(
+            f'{path}: neither JointTrajectory nor JointState messages; topics are {listed}'
+        )
+    return usable
+
+
+def _choose(path: Path, connections: Sequence[Any]) -> Any:
+    """Return the usual topic of joint states, or the only one."""
+    topics = {each.topic: each for each in connections}
+    if USUAL in topics:
+        return topics[USUAL]
+    if len(topics) > 1:
+        raise TrajectoryError(f'{path}: which --topic? There are {", ".join(topics)}')
+    return next(iter(topics.values()))
 
 
 def _messages(
@@ -320,10 +341,38 @@ def _messages(
             progress(k / count)
 
 
-def _first_trajectory(path: Path, messages: Iterator[tuple[float, Any]]) -> Source:
-    first = next((message for _, message in messages if len(message.points)), None)
-    if first is None:
-        raise TrajectoryError(f'{path}: every trajectory in it is empty')
+class _Longest(NamedTuple):
+    """The longest trajectory of a topic: the first of those with the most points."""
+
+    topic: str
+    message: Any
+    number: int
+    """Which message of the topic it is, from 1; without empty ones."""
+    total: int
+    """How many trajectories the topic has, without empty ones."""
+
+
+def _longest_trajectories(
+    reader: Any, connections: Sequence[Any], progress: Callable[[float], None]
+) -> list[_Longest]:
+    """Find the longest trajectory of each topic, the topic with the longest one first."""
+    found: dict[str, _Longest] = {}
+    # Two publishers of one topic are two connections.
+    for topic, connection in {each.topic: each for each in connections}.items():
+        for _, message in _messages(reader, connection, progress):
+            if not len(message.points):
+                continue
+            best = found.get(topic, _Longest(topic, message, 1, 0))
+            best = best._replace(total=best.total + 1)
+            if len(message.points) > len(best.message.points):
+                best = best._replace(message=message, number=best.total)
+            found[topic] = best
+    return sorted(found.values(), key=lambda each: len(each.message.points), reverse=True)
+
+
+def _of_messages(found: Sequence[_Longest]) -> Source:
+    """Convert the first of the trajectories, and name the others."""
+    first = found[0]
     points = [
         {
             **{w: np.asarray(getattr(p, w)).tolist() for w in ('positions', *_DERIVATIVES)},
@@ -332,12 +381,20 @@ def _first_trajectory(path: Path, messages: Iterator[tuple[float, Any]]) -> Sour
                 'nanosec': int(p.time_from_start.nanosec),
             },
         }
-        for p in first.points
+        for p in first.message.points
     ]
-    rest = sum(1 for _ in messages)
-    remarks = (f'the first trajectory in it; {rest} came later',) if rest else ()
-    trajectory, more = _of_points(list(first.joint_names), points)
+    remarks: tuple[str, ...] = (f'topic {first.topic}',)
+    if first.total > 1:
+        remarks = (f'topic {first.topic}: trajectory {first.number} of {first.total}',)
+    if len(found) > 1:
+        others = (f'{each.topic} ({_points(len(each.message.points))})' for each in found[1:])
+        remarks += (f'other topics: {", ".join(others)}; choose with --topic',)
+    trajectory, more = _of_points(list(first.message.joint_names), points)
     return Source(trajectory, remarks + more)
+
+
+def _points(count: int) -> str:
+    return f'{count} point{"" if count == 1 else "s"}'
 
 
 def _of_states(path: Path, messages: Iterator[tuple[float, Any]], known: Sequence[str]) -> Source:

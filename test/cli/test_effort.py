@@ -145,6 +145,13 @@ def test_strict_fails_beyond_a_limit(write, capsys):
     assert main(['effort', str(STANFORD), slow, '--no-picture', '--strict']) == 0
 
 
+def test_the_link_of_the_payload_is_named(write, capsys):
+    arguments = ['effort', str(STANFORD), str(write(LISTS)), '--no-picture', '--payload', '2']
+    for options, link in (([], 'tool0'), (['--link', 'link_3'], 'link_3')):
+        assert main([*arguments, *options]) == 0
+        assert f"payload 2 kg on link '{link}'; " in capsys.readouterr().out
+
+
 def test_payload_and_friction_count(tmp_path, write, capsys):
     urdf = tmp_path / 'rubbing.urdf'
     text = STANFORD.read_text()
@@ -376,7 +383,7 @@ def test_reads_a_recorded_trajectory(record, capsys):
     trajectory, remarks = read(bag)
     assert trajectory.times.tolist() == [0.0, 1.5]
     assert trajectory.positions.tolist() == [[-1.0, 0.4], [-1.5, 0.9]]
-    assert remarks == ('the first trajectory in it; 1 came later',)
+    assert remarks == ('topic /controller/joint_trajectory: trajectory 1 of 2',)
     (file,) = [path for path in bag.iterdir() if path.suffix in ('.mcap', '.db3')]
     assert np.array_equal(read(file).trajectory.positions, trajectory.positions)
     assert main(['effort', str(STANFORD), str(bag), '--no-picture']) == 0
@@ -399,6 +406,7 @@ def test_reads_recorded_joint_states(record):
     assert trajectory.positions[:, 1] == pytest.approx(-0.02 * np.arange(50))
     assert trajectory.velocities is None
     assert remarks == (
+        'topic /joint_states',
         '50 joint states',
         '1 joint states left out: no later than the one before',
         'not joints of the robot: wheel',
@@ -441,6 +449,45 @@ def test_of_several_topics_the_usual_one_is_taken(record):
             recording.write(name, recording.state(1.0, {'joint_1': float(k)}), 1.0)
 
     assert read(record(messages)).trajectory.positions.tolist() == [[0.0]]
+
+
+def stream_references(recording):
+    """Record what a run of the demo does: references of one point, and joint states."""
+    for k in range(5):
+        point = recording.trajectory([0.0], [[-0.01 * k, 0.4]])
+        recording.write('/node/reference', point, 1.0 + 0.1 * k)
+        positions = {'joint_2': -0.01 * k, 'joint_3': 0.4}
+        recording.write('/joint_states', recording.state(1.0 + 0.1 * k, positions), 1.0 + 0.1 * k)
+
+
+def test_a_stream_of_single_points_gives_way_to_the_joint_states(record, capsys):
+    bag = record(stream_references)
+    trajectory, remarks = read(bag)
+    assert len(trajectory.times) == 5
+    assert remarks[0] == 'topic /joint_states'
+    assert remarks[-1] == 'not used, single points only: /node/reference'
+    command = ['effort', str(STANFORD), str(bag), '--no-picture', '--topic', '/node/reference']
+    assert main(command) == 0
+    output = capsys.readouterr().out
+    assert '  1 point in 0 s, of 2 joints\n' in output
+    assert 'topic /node/reference: trajectory 1 of 5' in output
+    assert 'a single point; --topic may be one of /joint_states' in output
+
+
+def test_the_longest_trajectory_is_taken_and_the_others_are_named(record):
+    def messages(recording):
+        stream_references(recording)
+        for k, count in enumerate((2, 4, 3)):
+            rows = [[-1.0 - 0.1 * i, 0.4] for i in range(count)]
+            moving = recording.trajectory([float(i) for i in range(count)], rows)
+            recording.write('/controller/joint_trajectory', moving, 2.0 + k)
+
+    trajectory, remarks = read(record(messages))
+    assert len(trajectory.times) == 4
+    assert remarks == (
+        'topic /controller/joint_trajectory: trajectory 2 of 3',
+        'other topics: /node/reference (1 point); choose with --topic',
+    )
 
 
 def test_recordings_without_a_trajectory_are_refused(record):
