@@ -20,6 +20,7 @@ from .advice import advise, Concern
 from .dynamics import InverseDynamics
 from .errors import ConfigurationError
 from .model import Floats, Integers, RobotModel
+from .plausibility import describe_implausible_position, implausible_positions
 
 WIDTH = 100
 """Columns of text that a report stays within."""
@@ -131,6 +132,43 @@ def concerns_of(robot: RobotModel) -> tuple[Concern, ...]:
         advice = 'write <limit effort="..."/>, or give the node effort_limits'
         concerns += (Concern(advice, unlimited),)
     return concerns
+
+
+def position_concerns(
+    robot: RobotModel, positions: Floats, joint_names: Sequence[str]
+) -> tuple[Concern, ...]:
+    """
+    Warn of positions far outside the limits, which are often in degrees.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        With the limits.
+    positions : ndarray, shape (k, m)
+        Positions of m joints at k times [rad or m].
+    joint_names : sequence of str
+        The m joints.
+
+    Returns
+    -------
+    concerns : tuple of Concern
+        Empty if all positions are plausible.
+
+    """
+    found = implausible_positions(robot, positions, joint_names)
+    groups = (
+        ('convert the positions to radians', [each for each in found if each.looks_like_degrees]),
+        (
+            'check units (rad, m), zero positions and the order of the joints, and that the '
+            'limits belong to this robot',
+            [each for each in found if not each.looks_like_degrees],
+        ),
+    )
+    return tuple(
+        Concern(advice, tuple(describe_implausible_position(each) for each in findings))
+        for advice, findings in groups
+        if findings
+    )
 
 
 # ---- The tables ----------------------------------------------------------------------------

@@ -37,7 +37,7 @@ ARROWS = {
     'kinematics': {'model'},
     'plausibility': {'model'},
     'demands': {'dynamics', 'trajectory', 'model'},
-    'report': {'advice', 'dynamics', 'model', 'errors'},
+    'report': {'advice', 'dynamics', 'plausibility', 'model', 'errors'},
     'workspace': {'dynamics', 'model', 'errors'},
     'loads': {'dynamics', 'arguments', 'model', 'errors'},
     'residual': {'dynamics', 'model'},

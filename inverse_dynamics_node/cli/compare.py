@@ -21,7 +21,7 @@ from ..identification import (
     JointFinding,
     Recording,
 )
-from ..report import Table
+from ..report import position_concerns, Table
 from ..workspace import last_link
 from .arguments import payload
 from .console import progress, say, show, show_concerns
@@ -122,8 +122,12 @@ def run(options: argparse.Namespace) -> int:
     findings = identify(dynamics, recording, link=options.link, width=options.coulomb_width)
     say(verdict(findings))
     print()
-    if findings.diagnoses:
-        show_concerns([concern(diagnosis) for diagnosis in findings.diagnoses])
+    concerns = [
+        *position_concerns(robot, recording.positions, recording.joint_names),
+        *map(concern, findings.diagnoses),
+    ]
+    if concerns:
+        show_concerns(concerns)
         print()
     show(comparison_table(findings, notes), friction_table(findings))
     if options.parameters:
@@ -135,7 +139,7 @@ def run(options: argparse.Namespace) -> int:
         path = options.picture or Path(f'{options.recording.stem}_compare.png')
         draw(findings, verdict(findings), path)
         print(f'picture: {path}')
-    return _FOUND if options.strict and findings.diagnoses else 0
+    return _FOUND if options.strict and concerns else 0
 
 
 def _dynamics(options: argparse.Namespace, dynamics: InverseDynamics) -> InverseDynamics:

@@ -10,16 +10,25 @@ from typing import Any
 
 import numpy as np
 
+from ..advice import Concern
 from ..demands import Demands, demands_of
 from ..destinations import destination, picture
 from ..dynamics import STANDARD_GRAVITY
 from ..errors import ConfigurationError
 from ..model import Floats, RobotModel
-from ..report import decimals, effort_unit, number, share, slides, Table
+from ..report import (
+    decimals,
+    effort_unit,
+    number,
+    position_concerns,
+    share,
+    slides,
+    Table,
+)
 from ..trajectory import complete, refine, smooth, Trajectory
 from ..workspace import joint_ranges, last_link
 from .arguments import payload
-from .console import progress, show
+from .console import progress, show, show_concerns
 from .robots import HELP, load_dynamics
 from .trajectories import FORMATS, read_trajectory, Source
 from .trajectory_files import write_table, write_trajectory
@@ -42,6 +51,8 @@ exit code: 0 done; 1 something cannot be read or used; 2 wrong arguments; 3 with
 limit of effort, speed or position is exceeded."""
 
 _EXCEEDED = 3
+_FAR_BEYOND = 10.0
+"""An effort or a speed of so many times its limit is more likely to be in a wrong unit."""
 _TERMS = ('inertia', 'velocity', 'gravity', 'friction')
 
 
@@ -146,6 +157,13 @@ def run(options: argparse.Namespace) -> int:
     fine, points = refine(whole, 1.0 / options.rate if options.rate else math.inf)
     demands = demands_of(dynamics, fine, others)
     show(_summary(options, link, source, derived, fine), *demand_tables(robot, fine, demands))
+    concerns = (
+        *position_concerns(robot, fine.positions, fine.joint_names),
+        *_peak_concerns(fine, demands),
+    )
+    if concerns:
+        show_concerns(concerns)
+        print()
 
     stem = options.trajectory.stem
     written = [options.csv or Path(f'{stem}_efforts.csv')]
@@ -212,6 +230,24 @@ def _summary(
     loads.append('friction of the URDF counted' if options.friction else 'friction not counted')
     notes = (count, '; '.join(loads), *source.remarks, *derived)
     return Table(f'trajectory {options.trajectory}', notes=notes)
+
+
+def _peak_concerns(fine: Trajectory, demands: Demands) -> tuple[Concern, ...]:
+    """Warn of efforts and speeds so far beyond their limits that a unit must be wrong."""
+    found = []
+    for k, name in enumerate(fine.joint_names):
+        shares = (
+            ('effort', abs(float(demands.peak[k])) / float(demands.effort_limits[k])),
+            ('speed', float(demands.speed[k]) / float(demands.velocity_limits[k])),
+        )
+        beyond = [f'{what} {share:.3g} times' for what, share in shares if share > _FAR_BEYOND]
+        if beyond:
+            found.append(f'{name}: {" and ".join(beyond)} its limit')
+    advice = (
+        'check the units: positions in rad (degrees are 57 times as large) or m, times in s; for '
+        'measured states, try --smooth 10'
+    )
+    return (Concern(advice, tuple(found)),) if found else ()
 
 
 def _count(number: int, noun: str) -> str:

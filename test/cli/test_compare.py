@@ -1,6 +1,7 @@
 """The command `compare` on recordings of the simulated robot, run as people run it."""
 
 import io
+import re
 
 from inverse_dynamics_node import load_urdf
 from inverse_dynamics_node.cli.main import main
@@ -154,6 +155,15 @@ def test_every_count_of_joints_can_be_drawn(here, size_of):
     width, height = size_of(here / 'p.png')
     assert 800 <= width <= 1000
     assert height <= 1800
+
+
+def test_positions_in_degrees_are_warned_of(short, here, capsys):
+    positions = np.degrees(short.positions)
+    write_csv(here / 'run.csv', short._replace(positions=positions))
+    assert compare('run.csv', '--no-picture', '--strict') == 3
+    output = capsys.readouterr().out
+    assert re.search(r'joint_2 at [-\d.]+ rad, limits -1.745 to 1.745: degrees\?', output)
+    assert '-> convert the positions to radians' in output
 
 
 # ---- What it reads -------------------------------------------------------------------------

@@ -145,6 +145,16 @@ def test_strict_fails_beyond_a_limit(write, capsys):
     assert main(['effort', str(STANFORD), slow, '--no-picture', '--strict']) == 0
 
 
+def test_positions_in_degrees_are_warned_of(write, capsys):
+    degrees = LISTS.replace('[-1.0, 0.4], [-1.5', '[-57.3, 0.4], [-70').replace('[-1.0', '[-57.3')
+    assert main(['effort', str(STANFORD), str(write(degrees)), '--no-picture']) == 0
+    output = capsys.readouterr().out
+    assert re.search(r'joint_2 at -7\d(\.\d+)? rad, limits -1.745 to 1.745: degrees\?', output)
+    assert re.search(r'joint_2: (effort|speed) [\d.]+ times .*its limit', output)
+    assert main(['effort', str(STANFORD), str(write(LISTS)), '--no-picture']) == 0
+    assert 'warning' not in capsys.readouterr().out
+
+
 def test_the_link_of_the_payload_is_named(write, capsys):
     arguments = ['effort', str(STANFORD), str(write(LISTS)), '--no-picture', '--payload', '2']
     for options, link in (([], 'tool0'), (['--link', 'link_3'], 'link_3')):
