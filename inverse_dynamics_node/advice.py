@@ -19,6 +19,7 @@ _TENSOR = (
     'all the same, those of accelerations are not'
 )
 ADVICE = (
+    ('looks like a placeholder', 'take mass, centre of mass and inertia from CAD'),
     ('with zero inertia', _TENSOR),
     ('inertia is not positive', _TENSOR),
     ('no body has this inertia', _TENSOR),

@@ -25,6 +25,11 @@ from .plausibility import describe_implausible_position, implausible_positions
 WIDTH = 100
 """Columns of text that a report stays within."""
 _SHORTEST_NAME = 12
+_FAR_BEYOND = 50.0
+"""Effort limits of so many times the moment of the robot's weight are placeholders."""
+_FEWEST_EQUAL, _SHARE_EQUAL = 3, 0.8
+_ROUND_LIMITS = (100.0, 1000.0, 10000.0, 100000.0)
+"""Effort limits [N m] that exporters write; equal for shoulder and wrist, they are not real."""
 _GAP = '  '
 
 
@@ -131,7 +136,52 @@ def concerns_of(robot: RobotModel) -> tuple[Concern, ...]:
     if unlimited:
         advice = 'write <limit effort="..."/>, or give the node effort_limits'
         concerns += (Concern(advice, unlimited),)
+    unlikely = _unlikely_limits(robot)
+    if unlikely:
+        advice = 'write the effort that the joint can give, from the data sheet of its drive'
+        concerns += (Concern(advice, unlikely),)
     return concerns
+
+
+def _unlikely_limits(robot: RobotModel) -> tuple[str, ...]:
+    """
+    Describe effort limits that look like placeholders.
+
+    The measure is the moment of the weight of all moving parts at the farthest reach of the robot.
+    Wrists turn far less than that, but they are not built for much more. Forces are not judged:
+    the fingers of a gripper press with many times their weight.
+
+    """
+    turns = ~np.array(slides(robot), dtype=bool)
+    limits = robot.effort_limits
+    rated = limits[turns & np.isfinite(limits)]
+    if not rated.size:
+        return ()
+    most = _moment_of_weight(robot)
+    common, count = Counter(rated.tolist()).most_common(1)[0]
+    if common in _ROUND_LIMITS and count >= max(_FEWEST_EQUAL, _SHARE_EQUAL * rated.size):
+        return (
+            f'{count} of {rated.size} effort limits of turning joints are {number(common)} N m: '
+            'looks like a placeholder',
+        )
+    return tuple(
+        f"joint '{name}': effort limit {number(limit)} N m, but the whole robot, stretched out, "
+        f'takes at most {most:.3g} N m: looks like a placeholder'
+        for name, limit, is_turning in zip(robot.joint_names, limits, turns, strict=True)
+        if is_turning and most > 0.0 and _FAR_BEYOND * most < limit < math.inf
+    )
+
+
+def _moment_of_weight(robot: RobotModel) -> float:
+    """Return an upper bound of the gravity efforts, on Earth [N m]."""
+    reach = np.zeros(len(robot.parent))
+    for body in range(1, len(robot.parent)):
+        joint = int(robot.joint_index[body])
+        ends = np.abs([robot.lower[joint], robot.upper[joint]])
+        travel = np.max(ends[np.isfinite(ends)], initial=0.0) if robot.is_prismatic[body] else 0.0
+        reach[body] = reach[robot.parent[body]] + np.linalg.norm(robot.p_PL[body]) + travel
+    arms = reach + np.linalg.norm(robot.com, axis=1)
+    return float(9.81 * np.sum((robot.mass * arms)[1:]))
 
 
 def position_concerns(
@@ -246,7 +296,7 @@ def _merged(robot: RobotModel) -> list[Table]:
             f'{robot.link_names[k]} {robot.link_mass[k]:.4g}' if robot.link_mass[k] else
             robot.link_names[k] for k in members
         )  # fmt: skip
-        lines = textwrap.wrap(listed, 62, break_long_words=False)
+        lines = wrapped(listed, 62)
         rows += [(name if i == 0 else '', line) for i, line in enumerate(lines)]
     if not rows:
         return []
@@ -370,13 +420,30 @@ def _branches(parent: Integers) -> list[str]:
 # ---- Plain text ----------------------------------------------------------------------------
 
 
-def as_text(table: Table, width: int = WIDTH) -> str:
-    """Lay a table out in plain text, within a width."""
+def as_text(table: Table, width: int = WIDTH, whole_names: bool = False) -> str:
+    """
+    Lay a table out in plain text.
+
+    Parameters
+    ----------
+    table : Table
+        To lay out.
+    width : int
+        Longest line, in characters.
+    whole_names : bool
+        Let rows be longer instead of shortening names: for programs that read them.
+
+    Returns
+    -------
+    text : str
+        Several lines, the last without an end.
+
+    """
     lines = [table.title]
     if table.rows:
-        lines += _laid_out(table, width - 2)
+        lines += _laid_out(table, math.inf if whole_names else width - 2)
     for note in table.notes:
-        lines += textwrap.wrap(note, width - 2, break_long_words=False)
+        lines += wrapped(note, width - 2)
     return '\n'.join([lines[0], *(f'  {line}'.rstrip() for line in lines[1:])])
 
 
@@ -388,18 +455,28 @@ def concerns_as_text(concerns: Sequence[Concern], width: int = WIDTH) -> str:
     lines = [f'{count} warning{"s" if count > 1 else ""}']
     for concern in concerns:
         for finding in concern.findings:
-            lines += textwrap.wrap(finding, width, initial_indent='  ', subsequent_indent='    ')
-        lines += textwrap.wrap(
-            concern.advice, width, initial_indent='    -> ', subsequent_indent='       '
-        )
+            lines += wrapped(finding, width, '  ', '    ')
+        lines += wrapped(concern.advice, width, '    -> ', '       ')
     return '\n'.join(lines)
 
 
-def _laid_out(table: Table, width: int) -> list[str]:
+def wrapped(text: str, width: int, first: str = '', rest: str = '') -> list[str]:
+    """Wrap a paragraph between words; names and numbers with hyphens stay whole."""
+    return textwrap.wrap(
+        text,
+        width,
+        initial_indent=first,
+        subsequent_indent=rest,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+
+
+def _laid_out(table: Table, width: float) -> list[str]:
     cells = [table.columns, *table.rows]
     widths = [max(len(row[k]) for row in cells) for k in range(len(table.columns))]
     spare = width - sum(widths[1:]) - len(_GAP) * (len(widths) - 1)
-    widths[0] = min(widths[0], max(_SHORTEST_NAME, spare))
+    widths[0] = int(min(widths[0], max(_SHORTEST_NAME, spare)))
     names = [shortened(table.columns[0], widths[0])]
     names += all_shortened([row[0] for row in table.rows], widths[0])
     return [

@@ -145,14 +145,17 @@ def workspace_table(workspace: Workspace, payload: Payload) -> Table:
     columns = ('joint', 'worst', 'median', 'limit', 'share', '', 'pose of the worst [rad, m]')
     shown = [k for k in range(len(columns)) if k < 5 or any(row[k] for row in rows)]
     widths = [max(len(row[k]) for row in [columns, *rows]) + 2 for k in shown]
-    if sum(widths) > WIDTH:  # the poses are too long for a row
+    is_too_wide = sum(widths) > WIDTH
+    if is_too_wide:
         shown.pop()
     hardest = workspace.hardest
     worst_pose = workspace.poses[workspace.worst[hardest]]
-    notes = (
+    notes: tuple[str, ...] = (
         f'Hardest for {robot.joint_names[hardest]}: at {pose_in_words(robot, worst_pose)}.',
         payload_in_words(robot, payload),
     )
+    if is_too_wide:
+        notes += ('The worst poses are too long for this table: --poses FILE writes them as CSV.',)
     count = len(workspace.poses) - len(rows)
     title = f'Efforts that hold the robot, over {count} poses and the worst near them'
     return Table(

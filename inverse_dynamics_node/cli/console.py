@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 import sys
-import textwrap
 from typing import Any
 
 from ..advice import Concern
-from ..report import as_text, concerns_as_text, Table, WIDTH
+from ..report import as_text, concerns_as_text, Table, WIDTH, wrapped
 
 _MARKS = ('beyond', 'outside')
 """Words that make a row red."""
@@ -20,7 +19,7 @@ def show(*tables: Table) -> None:
     terminal = _terminal()
     for table in tables:
         if terminal is None:
-            print(as_text(table), end='\n\n')
+            print(as_text(table, whole_names=not sys.stdout.isatty()), end='\n\n')
         else:
             _print_in_colour(terminal, table)
 
@@ -43,7 +42,7 @@ def show_concerns(concerns: Sequence[Concern]) -> None:
 
 def say(text: str) -> None:
     """Print one paragraph."""
-    print('\n'.join(textwrap.wrap(text, WIDTH, break_long_words=False, break_on_hyphens=False)))
+    print('\n'.join(wrapped(text, WIDTH)))
 
 
 @contextmanager

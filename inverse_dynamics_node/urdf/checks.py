@@ -7,14 +7,14 @@ effort. All problems are collected, each with its line, its place, and the value
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Callable, Mapping
+from collections import Counter, defaultdict
+from collections.abc import Callable, Mapping, Sequence
 import math
 import re
 
 import numpy as np
 
-from .findings import Findings, label, quoted
+from .findings import Findings, label, listed, quoted
 from .rules import (
     CHILDREN,
     CHILDREN_OF_FIXED,
@@ -48,6 +48,10 @@ _MAX_GYRATION = 10.0
 """A radius of gyration [m] no link has: the inertia is in other units than kg m^2."""
 _MAX_RPY = 7.0
 """Somewhat more than a turn [rad]: the angles are in degrees."""
+_FEWEST_ALIKE = 3
+"""Links; two that are alike may well be two equal parts."""
+_SHARE_ALIKE = 0.8
+"""Links with the same values, as a fraction of all links with mass, that nobody measured."""
 _MAX_TURN = 50.0
 """A position limit [rad] no joint has: the limits are in degrees."""
 
@@ -79,6 +83,7 @@ def check(root: Element, needs_inertials: bool = False) -> Findings:
     check_mimic_loops(joints, findings)
     check_tree(root, links, findings)
     _check_inertials(links, joints, findings.problem if needs_inertials else findings.warning)
+    _warn_of_placeholders(links, findings)
     return findings
 
 
@@ -249,6 +254,56 @@ def _check_inertials(
         parts = {tag(part) for part in link}
         if name in children and 'inertial' not in parts and parts & {'visual', 'collision'}:
             tell(link, f'{label(link)} has a shape, but no <inertial>: it counts as massless')
+
+
+def _warn_of_placeholders(links: Mapping[str, Element], findings: Findings) -> None:
+    """Warn of masses and inertias that an exporter or a person filled in without measuring."""
+    masses: dict[str, float] = {}
+    tensors: dict[str, tuple[float, ...]] = {}
+    for name, link in links.items():
+        mass, tensor = _numbers_of(link, 'mass', ['value']), _numbers_of(link, 'inertia', MOMENTS)
+        if mass and tensor and mass[0] > 0.0:
+            masses[name], tensors[name] = mass[0], tensor
+    count = len(masses)
+    unit = [name for name in masses if tensors[name] == (1.0, 0.0, 0.0, 1.0, 0.0, 1.0)]
+    if len(unit) > 1:
+        text = f'{len(unit)} of {count} links with mass have the inertia 1 1 1 kg m^2'
+        _placeholder(links[unit[0]], f'{text}: {listed(unit, 4)}', findings)
+    if count < _FEWEST_ALIKE:
+        return
+    alike = _most_common(tensors)
+    # Equal modules of a chain have equal masses too, and different principal moments.
+    ixx, ixy, ixz, iyy, iyz, izz = tensors[alike[0]]
+    is_sphere = ixx == iyy == izz and not (ixy or ixz or iyz)
+    are_different = len({masses[name] for name in alike}) > 1
+    if len(alike) >= _SHARE_ALIKE * count and not unit and (is_sphere or are_different):
+        text = f'{len(alike)} of {count} links with mass have the same inertia'
+        _placeholder(links[alike[0]], f'{text}, ixx {ixx:g} kg m^2', findings)
+    heavy = [name for name, mass in masses.items() if mass == 1.0]
+    if len(heavy) >= max(_FEWEST_ALIKE, _SHARE_ALIKE * count):
+        text = f'{len(heavy)} of {count} links with mass have a mass of 1 kg'
+        _placeholder(links[heavy[0]], text, findings)
+
+
+def _placeholder(link: Element, text: str, findings: Findings) -> None:
+    findings.warning(link, f'{text}: looks like a placeholder')
+
+
+def _most_common(values: Mapping[str, tuple[float, ...]]) -> list[str]:
+    """Return the names that share the most common value."""
+    common = Counter(values.values()).most_common(1)[0][0]
+    return [name for name, value in values.items() if value == common]
+
+
+def _numbers_of(link: Element, kind: str, names: Sequence[str]) -> tuple[float, ...] | None:
+    """Return attributes of the inertial of a link; None unless all of them are numbers."""
+    part = link.find(f'inertial/{kind}')
+    if part is None:
+        return None
+    texts = [part.get(name, '') for name in names]
+    if not all(_is_finite_decimal(text.strip()) for text in texts):
+        return None
+    return tuple(float(text) for text in texts)
 
 
 def _warn_of_odd_inertia(

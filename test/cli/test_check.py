@@ -64,6 +64,34 @@ def test_gravity_may_point_elsewhere(capsys):
     assert 'no joint with an effort limit feels it' in output
 
 
+def test_long_names_are_whole_in_a_pipe_and_poses_are_offered_as_a_file(tmp_path, capsys):
+    names = {
+        f'joint_{i}': f'the_joint_number_{i}_of_the_arm_on_the_left_side' for i in range(1, 7)
+    }
+    text = STANFORD.read_text()
+    for short, long in names.items():
+        text = text.replace(f'"{short}"', f'"{long}"')
+    (tmp_path / 'long.urdf').write_text(text)
+    assert main(['check', 'long.urdf', '--no-picture', '--samples', '64']) == 0
+    output = capsys.readouterr().out
+    assert '…' not in output
+    rows = output.split('Efforts that hold the robot')[1].split('Hardest')[0]
+    assert all(name in rows for name in names.values())
+    assert '--poses FILE writes them as CSV' in ' '.join(output.split())
+    assert main(['check', str(STANFORD), '--no-picture', '--samples', '64']) == 0
+    assert '--poses' not in capsys.readouterr().out
+
+
+def test_long_names_are_shortened_on_a_terminal(monkeypatch, capsys):
+    from inverse_dynamics_node.cli.console import show
+    from inverse_dynamics_node.report import Table
+
+    table = Table('t', ('joint', 'value'), ((f'{"a" * 60}_joint', '1' * 60),))
+    monkeypatch.setattr(sys.stdout, 'isatty', lambda: True)
+    show(table)
+    assert '…' in capsys.readouterr().out
+
+
 def test_poses_are_written_by_name(tmp_path):
     assert main(['check', str(STANFORD), '--no-picture', '--poses', 'poses.csv']) == 0
     head, *rows = (tmp_path / 'poses.csv').read_text().splitlines()

@@ -146,6 +146,98 @@ def test_long_names_give_way_in_their_middle():
     assert max(map(len, as_text(table).splitlines())) <= WIDTH
 
 
+def test_names_stay_whole_for_programs():
+    names = [f'left_arm_with_a_long_name_{k}_joint' for k in 'ab']
+    table = Table('t', ('joint', 'value'), tuple((name, '1' * 80) for name in names))
+    assert not any(name in as_text(table) for name in names)
+    assert all(name in as_text(table, whole_names=True) for name in names)
+
+
+def test_names_and_numbers_with_hyphens_are_not_broken():
+    words = ['left-arm-joint', 'at', '1.5e-05'] * 20
+    lines = as_text(Table('t', notes=(' '.join(words),))).splitlines()[1:]
+    assert ' '.join(lines).split() == words
+
+
+def chain_of(count, limit='{k}', mass='{k}', inertia=(1, 1, 1)):
+    """Return a URDF of links in a row, the k-th limit and mass written with k, from 2 on."""
+    ixx, iyy, izz = inertia
+    links = ''.join(
+        f'<link name="l{k}"><inertial><mass value="{mass.format(k=k)}"/><inertia ixx="{ixx}" '
+        f'iyy="{iyy}" izz="{izz}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        f'<joint name="j{k}" type="revolute"><parent link="l{k - 1}"/><child link="l{k}"/>'
+        f'<origin xyz="0.2 0 0"/><axis xyz="0 1 0"/><limit lower="-1" upper="1" velocity="1" '
+        f'effort="{limit.format(k=k)}"/></joint>'
+        for k in range(2, count + 2)
+    )
+    return f'<robot name="chain"><link name="l1"/>{links}</robot>'
+
+
+@pytest.mark.parametrize(
+    ('urdf', 'words'),
+    [
+        (chain_of(5), '5 of 5 links with mass have the inertia 1 1 1 kg m^2: l2, l3, l4, l5'),
+        (
+            chain_of(5, inertia=(0.1, 0.2, 0.2)),
+            '5 of 5 links with mass have the same inertia, ixx 0.1 kg m^2',
+        ),
+        (
+            chain_of(5, inertia=(0.1, 0.1, 0.1), mass='2'),
+            '5 of 5 links with mass have the same inertia',
+        ),
+        (
+            chain_of(5, mass='1', inertia=(0.1, 0.2, 0.2)),
+            '5 of 5 links with mass have a mass of 1',
+        ),
+        (chain_of(5, limit='1000'), '5 of 5 effort limits of turning joints are 1000 N m'),
+        (
+            chain_of(3, limit='5000{k}'),
+            "joint 'j2': effort limit 50002 N m, but the whole robot, stretched out, takes at most "
+            '37.3 N m',
+        ),
+    ],
+)
+def test_placeholders_are_warned_of(urdf, words):
+    found = [text for each in concerns_of(load_urdf(urdf)) for text in each.findings]
+    (text,) = [text for text in found if words in text]
+    assert text.endswith('looks like a placeholder')
+    text = report_of(load_urdf(urdf))
+    assert 'look at that line' not in text
+
+
+def test_equal_modules_are_not_placeholders():
+    urdf = chain_of(6, limit='20', mass='0.5', inertia=(0.001, 0.002, 0.002))
+    assert load_urdf(urdf).warnings == ()
+    assert concerns_of(load_urdf(urdf)) == ()
+
+
+def test_only_real_robots_with_placeholders_are_warned_of_them():
+    paths = real_robots()
+    if not paths:
+        pytest.skip('example-robot-data is not installed')
+    warned = set()
+    for path in paths:
+        try:
+            concerns = concerns_of(load_urdf(path))
+        except UrdfError:
+            continue
+        if any('placeholder' in text for each in concerns for text in each.findings):
+            warned.add(path.stem)
+    # Limits of 1000 N m on legs of 3 kg, of 50000 N m on a neck; inertias of 1 1 1 kg m^2.
+    assert warned <= {
+        'bolt',
+        'finger_edu',
+        'quadruped',
+        'solo',
+        'solo12',
+        'baxter',
+        'simple_humanoid',
+        'simple_humanoid_classical',
+        'tiago_dual',
+    }
+    assert {'solo12', 'baxter', 'simple_humanoid'} <= warned
+
+
 def test_shortened_names_can_be_told_apart():
     names = [f'scara_{part}_rotation_joint' for part in ('inner_arm', 'outer_arm', 'spindle')]
     short = all_shortened(names, 15)
