@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+import difflib
 
 
 class InverseDynamicsError(Exception):
@@ -39,7 +40,10 @@ class JointStateError(InverseDynamicsError):
 
 
 class ConfigurationError(InverseDynamicsError):
-    """A setting that cannot be used with this robot, or at all."""
+    """A setting that cannot be used with this robot, or at all; one line for each problem."""
+
+    def __str__(self) -> str:
+        return '\n'.join(map(str, self.args))
 
 
 class TrajectoryError(InverseDynamicsError):
@@ -48,3 +52,17 @@ class TrajectoryError(InverseDynamicsError):
 
 class RecordingError(InverseDynamicsError):
     """A recorded run that cannot be read, or not be held against this robot."""
+
+
+def did_you_mean(name: str, names: Iterable[str]) -> str:
+    """
+    Suggest the closest of several names.
+
+    Returns
+    -------
+    hint : str
+        To be appended to a message; empty if no name is close.
+
+    """
+    closest = difflib.get_close_matches(name, names, 1)
+    return f"; did you mean '{closest[0]}'?" if closest else ''

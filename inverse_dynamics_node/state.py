@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .compilation import compile_for, compiled
-from .errors import ConfigurationError, JointStateError
+from .errors import ConfigurationError, did_you_mean, JointStateError
 from .model import Booleans, Floats, Integers
 
 _LONG_AGO = -1e300  # [s]; finite, for no time since then is not a number
@@ -84,11 +84,17 @@ class JointStateCollector:
         self._has_velocity = np.zeros(len(self.joint_names), dtype=bool)
         self._index = {name: i for i, name in enumerate(self.joint_names)}
         self._layouts: dict[tuple[str, ...], _Layout] = {}
-        for name, position in (locked or {}).items():
-            if name not in self._index:
-                raise ConfigurationError(
-                    f"locked_positions names '{name}'; joints are {', '.join(self.joint_names)}"
+        unknown = [name for name in locked or {} if name not in self._index]
+        if unknown:
+            joints = ', '.join(self.joint_names)
+            raise ConfigurationError(
+                *(
+                    f"locked_positions names '{name}'; joints are {joints}"
+                    + did_you_mean(name, self.joint_names)
+                    for name in unknown
                 )
+            )
+        for name, position in (locked or {}).items():
             if not math.isfinite(position):
                 raise ConfigurationError(f"locked position of joint '{name}' is {position}")
             self.q[self._index[name]] = position

@@ -12,10 +12,6 @@ import warnings
 # rclpy and numpy are imported below, once the signals are ours: that takes most of a second, and
 # who changes his mind within it gets an end in good order too.
 
-USAGE = """usage: inverse_dynamics_node --ros-args [-p NAME:=VALUE]... [-r NAME:=NAME]...
-for instance: inverse_dynamics_node --ros-args -p robot_description_file:=my_arm.urdf
-the README lists all parameters"""
-
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -50,6 +46,16 @@ def main(args: Sequence[str] | None = None) -> int:
 
 def _main(args: list[str], stop: _Stop) -> int:
     warnings.showwarning = _show_warning
+    if '--help' in args or '-h' in args:  # works without ROS, as --version does
+        from .usage import help_text
+
+        print(help_text())
+        return 0
+    if '--version' in args:
+        from .usage import version
+
+        print(f'inverse_dynamics_node {version()}')
+        return 0
     try:
         import rclpy
     except ModuleNotFoundError as error:
@@ -57,17 +63,20 @@ def _main(args: list[str], stop: _Stop) -> int:
             f'{error}: source a ROS 2 installation (. /opt/ros/jazzy/setup.sh), or '
             "pip install 'inverse_dynamics_node[ros]'"
         )
+    from rclpy._rclpy_pybind11 import UnknownROSArgsError
     from rclpy.signals import SignalHandlerOptions
     from rclpy.utilities import remove_ros_args
 
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except UnknownROSArgsError as error:
+        return _fail_with_usage(f'unrecognized ROS arguments: {str(error).strip("[]")}')
     except Exception as error:
         return _fail(str(error))
     try:
         stray = remove_ros_args(args)[1:]
         if stray:
-            return _fail(f'what is {" ".join(stray)}?\n{USAGE}', code=2)
+            return _fail_with_usage(f'unrecognized arguments: {" ".join(stray)}')
         return _run(stop)
     finally:
         rclpy.try_shutdown()
@@ -82,7 +91,8 @@ def _run(stop: _Stop) -> int:
     try:
         node = InverseDynamicsNode(is_in_a_hurry=lambda: stop.count > 1)
     except Exception as error:
-        rclpy.logging.get_logger('inverse_dynamics').fatal(str(error))
+        for problem in str(error).splitlines():
+            rclpy.logging.get_logger('inverse_dynamics').fatal(problem)
         return 1
     executor = _make_executor(node.configuration.executor)
     executor.add_node(node)
@@ -116,6 +126,12 @@ def _make_executor(kind: Any) -> Any:
 def _fail(message: str, code: int = 1) -> int:
     print(f'inverse_dynamics_node: {message}', file=sys.stderr)
     return code
+
+
+def _fail_with_usage(message: str) -> int:
+    from .usage import USAGE
+
+    return _fail(f'{message}\n{USAGE}', code=2)
 
 
 def _show_warning(message: Warning | str, *_: object, **__: object) -> None:

@@ -84,8 +84,8 @@ class InverseDynamicsNode(LifecycleNode):
         self._is_in_a_hurry = is_in_a_hurry
         declare_parameters(self)
         self._configuration = read_configuration(self)
-        for name in unknown_parameters(self._parameter_overrides):
-            self.get_logger().warning(f"parameter '{name}' was set, but this node has none such")
+        for problem in unknown_parameters(self._parameter_overrides):
+            self.get_logger().warning(f'ignored {problem}')
         self.is_finalized = False
         self._rig: Rig | None = None
         self._is_active = False

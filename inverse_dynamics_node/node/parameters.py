@@ -6,16 +6,18 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import Enum
 import math
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TYPE_CHECKING
 
 import numpy as np
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
-from rclpy.node import Node
 
 from ..controller import Mode, PerJoint, Settings, StalePolicy
 from ..dynamics import FRICTION_WIDTH, STANDARD_GRAVITY
-from ..errors import ConfigurationError
+from ..errors import ConfigurationError, did_you_mean
 from ..loads import LoadSettings
+
+if TYPE_CHECKING:  # --help prints the parameters without ROS
+    from rcl_interfaces.msg import ParameterDescriptor
+    from rclpy.node import Node
 
 
 class BaseMotion(Enum):
@@ -108,7 +110,16 @@ class Parameter(NamedTuple):
     minimum: float = -1e9
     maximum: float = 1e9
     is_live: bool = True
-    """Whether a change counts at once; if not, when the node is configured again."""
+    """Whether a change applies at once; if not, when the node is configured again."""
+    is_read_only: bool = False
+    """Whether the value is read when the process starts, and never again."""
+
+    @property
+    def range(self) -> tuple[float, float] | None:
+        """Smallest and largest number; None if the values are not numbers."""
+        if self.kind in (_NUMBER, _NUMBERS, _VECTOR):
+            return self.minimum, self.maximum
+        return None
 
     def check(self, value: Any) -> Any:
         """Return the value as the node uses it, or raise a ConfigurationError."""
@@ -116,7 +127,7 @@ class Parameter(NamedTuple):
             converted = self.kind.convert(value)
         except (TypeError, ValueError):
             raise ConfigurationError(f'is {value!r}, expected {self.kind.expected}') from None
-        if self.kind in (_NUMBER, _NUMBERS, _VECTOR):
+        if self.range:
             numbers = converted if isinstance(converted, tuple) else (converted,)
             if not all(self.minimum <= number <= self.maximum for number in numbers):
                 raise ConfigurationError(
@@ -125,16 +136,24 @@ class Parameter(NamedTuple):
         return converted
 
     def descriptor(self) -> ParameterDescriptor:
-        # Dynamic typing, because rclpy would refuse 500 for 500.0; check() makes up for it.
+        from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+
+        if self.is_read_only:
+            applies = 'read when the process starts'
+        else:
+            applies = 'applies at once' if self.is_live else 'read when the node is configured'
+        # Dynamic typing, because rclpy would refuse 500 for 500.0; check() makes up for it. It
+        # also checks the range of integers and lists: rclpy does so for single doubles only.
         descriptor = ParameterDescriptor(
             description=self.description,
-            additional_constraints=f'expected {self.kind.expected}; '
-            + ('counts at once' if self.is_live else 'read when the node is configured'),
+            additional_constraints=f'expected {self.kind.expected}; {applies}',
             dynamic_typing=True,
+            read_only=self.is_read_only,
         )
-        if self.kind is _NUMBER:
+        if self.range:
+            lowest, highest = self.range
             descriptor.floating_point_range = [
-                FloatingPointRange(from_value=self.minimum, to_value=self.maximum)
+                FloatingPointRange(from_value=lowest, to_value=highest)
             ]
         return descriptor
 
@@ -341,12 +360,22 @@ PARAMETERS = {
         True,
         'Configure and activate as soon as there is a robot description, with no one asking; once',
         is_live=False,
+        is_read_only=True,
     ),
     'executor': Parameter(
         _choice(Executor),
         Executor.EVENTS.value,
         'events, or single_threaded: slower, and older',
         is_live=False,
+        is_read_only=True,
+    ),
+    'allow_unknown_parameters': Parameter(
+        _FLAG,
+        False,
+        'Ignore parameters that this node does not have, for a file that several nodes share. '
+        'False: the node does not start with them, because a mistyped limit is not a limit',
+        is_live=False,
+        is_read_only=True,
     ),
 }
 PER_JOINT = frozenset(name for name, p in PARAMETERS.items() if p.kind is _NUMBERS)
@@ -375,6 +404,7 @@ class Configuration:
     armature: PerJoint
     autostart: bool
     executor: Executor
+    allow_unknown_parameters: bool
     settings: Settings
     load_settings: LoadSettings
     locked_positions: dict[str, float]
@@ -387,23 +417,48 @@ class Configuration:
 
 
 def declare_parameters(node: Node) -> None:
-    """Declare every parameter, with what the command line and files say of it."""
+    """
+    Declare every parameter, with the values from the command line and parameter files.
+
+    Raises
+    ------
+    ConfigurationError
+        Naming every parameter that is unknown, or whose value cannot be used.
+
+    """
+    from rcl_interfaces.msg import ParameterDescriptor
+
+    given = {name: parameter.value for name, parameter in node._parameter_overrides.items()}
+    locked = [name for name in given if name.startswith(f'{LOCKED}.')]
+    values = {name: parameter.default for name, parameter in PARAMETERS.items()}
+    values.update({name: given[name] for name in (*PARAMETERS, *locked) if name in given})
+    problems = _problems(values)
+    if values['allow_unknown_parameters'] is not True:
+        unknown = unknown_parameters(given)
+        problems += unknown
+        if unknown:
+            problems.append(
+                'to ignore unknown parameters, for example in a file that several nodes share, '
+                'set allow_unknown_parameters to true'
+            )
+    if problems:
+        # Before anything is declared, where rclpy would stop at the first value out of range.
+        raise ConfigurationError(*problems)
     for name, parameter in PARAMETERS.items():
         try:
             node.declare_parameter(name, parameter.default, parameter.descriptor())
         except Exception as error:
             raise ConfigurationError(f"parameter '{name}': {error}") from None
-    # Which joints there are to lock, the robot description will tell; until then, any.
-    for name in node._parameter_overrides:
-        if name.startswith(f'{LOCKED}.'):
-            node.declare_parameter(
-                name,
-                0.0,
-                ParameterDescriptor(
-                    description='Where this joint counts until it is heard from [rad or m]',
-                    dynamic_typing=True,
-                ),
-            )
+    # The joints are known when a robot description has been loaded; until then, allow any.
+    for name in locked:
+        node.declare_parameter(
+            name,
+            0.0,
+            ParameterDescriptor(
+                description='Position of this joint until joint_states reports it [rad or m]',
+                dynamic_typing=True,
+            ),
+        )
 
 
 def values_of(node: Node) -> dict[str, Any]:
@@ -427,37 +482,16 @@ def read_configuration(node: Node) -> Configuration:
 
 
 def checked_configuration(values: dict[str, Any]) -> Configuration:
-    """Check all values as a whole, and tell all problems at once."""
-    checked: dict[str, Any] = {}
-    problems = []
-    for name, parameter in PARAMETERS.items():
-        try:
-            checked[name] = parameter.check(values[name])
-        except ConfigurationError as error:
-            problems.append(f"parameter '{name}' {error}")
+    """Check all values as a whole, and report all problems at once."""
+    problems = _problems(values)
+    if problems:
+        raise ConfigurationError(*problems)
+    checked = {name: parameter.check(values[name]) for name, parameter in PARAMETERS.items()}
     locked = {
-        name.removeprefix(f'{LOCKED}.'): value
+        name.removeprefix(f'{LOCKED}.'): _number(value)
         for name, value in values.items()
         if name not in PARAMETERS
     }
-    for joint, value in locked.items():
-        try:
-            locked[joint] = _number(value)
-        except TypeError:
-            problems.append(f"parameter '{LOCKED}.{joint}' is {value!r}, expected a finite number")
-    if checked.get('robot_description') and checked.get('robot_description_file'):
-        problems.append('parameters robot_description and robot_description_file are both set')
-    if 0.0 < checked.get('update_rate', 0.0) < 1.0:
-        problems.append(
-            f"parameter 'update_rate' is {checked['update_rate']:g}, expected 0 or at least 1"
-        )
-    # None of them may be negative, but for the -1 that stands for what the URDF says.
-    for name in ('damping', 'coulomb'):
-        numbers = np.atleast_1d(checked.get(name, 0.0))
-        if ((numbers < 0.0) & (numbers != _OF_URDF)).any():
-            problems.append(f"parameter '{name}' is {values[name]}, expected -1, or from 0")
-    if problems:
-        raise ConfigurationError('; '.join(problems))
     for name in ('effort_limits', 'effort_rate_limits'):
         checked[name] = _unlimited_where_zero(checked[name])
     settings = Settings(**{name: checked.pop(name) for name in vars(_SETTINGS)})
@@ -467,14 +501,54 @@ def checked_configuration(values: dict[str, Any]) -> Configuration:
     )
 
 
+def _problems(values: dict[str, Any]) -> list[str]:
+    """Describe each value that cannot be used, alone or beside the others."""
+    checked: dict[str, Any] = {}
+    problems = []
+    for name, parameter in PARAMETERS.items():
+        try:
+            checked[name] = parameter.check(values[name])
+        except ConfigurationError as error:
+            problems.append(f"parameter '{name}' {error}")
+    for name, value in values.items():
+        if name not in PARAMETERS:
+            try:
+                _number(value)
+            except TypeError:
+                problems.append(f"parameter '{name}' is {value!r}, expected a finite number")
+    if checked.get('robot_description') and checked.get('robot_description_file'):
+        problems.append('parameters robot_description and robot_description_file are both set')
+    if 0.0 < checked.get('update_rate', 0.0) < 1.0:
+        problems.append(
+            f"parameter 'update_rate' is {checked['update_rate']:g}, expected 0 or at least 1"
+        )
+    # These must not be negative, except for the -1 that stands for the value in the URDF.
+    for name in ('damping', 'coulomb'):
+        numbers = np.atleast_1d(checked.get(name, 0.0))
+        if ((numbers < 0.0) & (numbers != _OF_URDF)).any():
+            problems.append(f"parameter '{name}' is {values[name]}, expected -1 or numbers from 0")
+    return problems
+
+
 def _unlimited_where_zero(numbers: PerJoint) -> PerJoint:
     if isinstance(numbers, tuple):
         return tuple(number or math.inf for number in numbers)
     return numbers or math.inf
 
 
-def unknown_parameters(overrides: Iterable[str]) -> list[str]:
-    """Name what was set, but is no parameter of this node: a slip of the pen, most likely."""
-    known = {*PARAMETERS, 'use_sim_time', 'start_type_description_service'}
-    prefixes = ('qos_overrides.', f'{LOCKED}.')
-    return [name for name in overrides if name not in known and not name.startswith(prefixes)]
+_OF_RCLPY = ('use_sim_time', 'start_type_description_service')
+
+
+def unknown_parameters(names: Iterable[str]) -> list[str]:
+    """Describe each name that is not a parameter of this node, with the name closest to it."""
+    known = [*PARAMETERS, *_OF_RCLPY, LOCKED]
+    problems = []
+    for name in names:
+        head, dot, tail = name.partition('.')
+        if name in PARAMETERS or name in _OF_RCLPY or (head in (LOCKED, 'qos_overrides') and dot):
+            continue
+        hint = did_you_mean(name, known) or did_you_mean(head, known)
+        if hint and LOCKED in hint:
+            hint = f"; did you mean '{LOCKED}.{tail or '<joint>'}'?"
+        problems.append(f"unknown parameter '{name}'{hint}")
+    return problems

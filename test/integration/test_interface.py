@@ -331,6 +331,7 @@ def test_a_joint_that_is_never_seen_counts_where_it_is_locked(run_node, robot, d
     ('locked', 'words'),
     [
         ({'locked_positions.nope': 0.2}, "locked_positions names 'nope'"),
+        ({'locked_positions.jiont_6': 0.2}, f"did you mean '{NAMES[5]}'?"),
         ({f'locked_positions.{NAMES[5]}': 'x'}, f"'locked_positions.{NAMES[5]}' is 'x'"),
         ({f'locked_positions.{NAMES[5]}': 0.1}, f"'{NAMES[5]}' is both commanded and locked"),
     ],

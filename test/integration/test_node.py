@@ -5,8 +5,10 @@ import re
 import signal
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
+from inverse_dynamics_node.node.parameters import PARAMETERS
 import numpy as np
 import pytest
+from rcl_interfaces.srv import DescribeParameters
 from robot_files import ROOT, STANFORD
 
 MODEL = load_urdf(STANFORD)
@@ -210,8 +212,8 @@ BAD_URDF = '<robot name="r"><link name="a"/><link name="a"/></robot>'
         ({**FAST, 'joints': '[nose]'}, "joints names 'nose'"),
         ({**FAST, 'joints': '3'}, "parameter 'joints' is 3, expected a list of names"),
         ({**FAST, 'update_rate': -1}, "parameter 'update_rate' is -1, expected 0 to 10000"),
-        ({**FAST, 'update_rate': -1.0}, 'update_rate out of range'),
-        ({**FAST, 'update_rate': '.nan'}, 'out of range'),
+        ({**FAST, 'update_rate': -1.0}, "parameter 'update_rate' is -1.0, expected 0 to 10000"),
+        ({**FAST, 'update_rate': '.nan'}, "'update_rate' is nan, expected a finite number"),
         ({**FAST, 'update_rate': 1e-10}, 'expected 0 or at least 1'),
         ({**FAST, 'use_sim_time': 'soon'}, "of type 'STRING', expecting type 'BOOL'"),
         ({**FAST, 'state_timeout': 'soon'}, "'state_timeout' is 'soon', expected a finite number"),
@@ -228,9 +230,36 @@ def test_bad_start_ends_with_one_clear_message(run_node, parameters, words):
     assert node.output.count(words) == 1
 
 
-def test_unknown_parameter_is_told(run_node, robot):
-    node = run_node(**PATIENT, staet_timeout=1.0)
-    robot.wait_for_text(node, "parameter 'staet_timeout' was set, but this node has none such")
+def test_every_bad_parameter_has_a_line_of_its_own(run_node):
+    wrong = {'kp': 'x', 'update_rate': -1.0, 'stop_ramp': 1e3}
+    unknown = {'effort_limit': 30.0, 'locked_position.joint_6': 0.1, 'zebra': 1}
+    node = run_node(**{**FAST, **wrong}, **unknown)
+    assert node.wait() == 1
+    lines = [line.split('[inverse_dynamics]: ')[1] for line in node.output.splitlines()]
+    assert lines == [
+        "parameter 'update_rate' is -1.0, expected 0 to 10000",
+        "parameter 'kp' is 'x', expected a finite number, or a list of one for each commanded "
+        'joint',
+        "parameter 'stop_ramp' is 1000.0, expected 0 to 60",
+        "unknown parameter 'effort_limit'; did you mean 'effort_limits'?",
+        "unknown parameter 'locked_position.joint_6'; did you mean 'locked_positions.joint_6'?",
+        "unknown parameter 'zebra'",
+        'to ignore unknown parameters, for example in a file that several nodes share, set '
+        'allow_unknown_parameters to true',
+    ]
+
+
+def test_unknown_parameters_can_be_allowed(run_node, robot):
+    qos = {'qos_overrides./joint_states.subscription.depth': 2}
+    known = {**PATIENT, **qos, 'use_sim_time': False, 'start_type_description_service': True}
+    node = run_node(**known, staet_timeout=1.0, allow_unknown_parameters=True)
+    publish_shuffled_state(robot)
+    robot.wait_for_command(HOLD)
+    assert (
+        "ignored unknown parameter 'staet_timeout'; did you mean 'state_timeout'?" in node.output
+    )
+    assert node.output.count('unknown parameter') == 1
+    assert robot.get_parameter('allow_unknown_parameters') is True
 
 
 def test_robot_description_comes_by_topic_early_or_late(run_node, robot):
@@ -287,6 +316,8 @@ def test_configure_without_a_description_fails_with_words(run_node, robot):
         ('kp', [1.0, 2.0], 'kp has 2 numbers, expected one, or one for each of 6 joints'),
         ('mode', 'fast', "'fast', expected one of inverse_dynamics, computed_torque, gravity"),
         ('state_timeout', 0.0, 'out of range'),
+        ('kp', [1.0, 1.0, 1.0, 1.0, 1.0, -1.0], 'expected 0 to 1e+09'),
+        ('autostart', False, 'read-only'),
     ],
 )
 def test_parameters_are_refused_with_words(run_node, robot, name, value, words):
@@ -298,6 +329,33 @@ def test_parameters_are_refused_with_words(run_node, robot, name, value, words):
     assert words in result.reason
     robot.commands.clear()
     robot.wait_for_command(HOLD)
+
+
+def test_what_is_read_at_the_start_cannot_change(run_node, robot):
+    run_node()
+    for name, value in (
+        ('autostart', False),
+        ('executor', 'single_threaded'),
+        ('allow_unknown_parameters', True),
+    ):
+        result = robot.set_parameter(name, value)
+        assert not result.successful
+        assert 'read-only' in result.reason, name
+
+
+def test_parameters_describe_their_ranges(run_node, robot):
+    run_node()
+    request = DescribeParameters.Request(names=list(PARAMETERS))
+    answer = robot.call(DescribeParameters, 'describe_parameters', request)
+    ranges = {d.name: d.floating_point_range for d in answer.descriptors}
+    for name, parameter in PARAMETERS.items():
+        found = [(r.from_value, r.to_value) for r in ranges[name]]
+        assert found == ([parameter.range] if parameter.range else []), name
+    for name in ('kp', 'kd', 'effort_limits', 'effort_rate_limits', 'armature', 'stop_ramp'):
+        assert ranges[name][0].from_value == 0.0, name
+    assert robot.set_parameter('kp', 5).successful  # an integer
+    assert robot.set_parameter('kp', [5.0, 6.0]).successful
+    assert not robot.set_parameter('kp', -1).successful
 
 
 def test_parameters_count_at_once(run_node, robot):

@@ -1,0 +1,90 @@
+"""The node's own options: --help, --version, and arguments that it does not have."""
+
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+from robot_files import ROOT
+
+NODE = [sys.executable, '-m', 'inverse_dynamics_node.node.main']
+WITHOUT_ROS = """
+import sys
+
+class Refuse:
+    def find_spec(self, name, *_):
+        if name.split('.')[0] in ('rclpy', 'rcl_interfaces') or name.endswith('_msgs'):
+            raise ModuleNotFoundError(name)
+
+sys.meta_path.insert(0, Refuse())
+from inverse_dynamics_node.node.main import main
+sys.exit(main(['inverse_dynamics_node', *sys.argv[1:]]))
+"""
+
+
+def run(command):
+    environment = {**os.environ, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
+    return subprocess.run(
+        command, env=environment, cwd=ROOT, capture_output=True, text=True, timeout=120
+    )
+
+
+def version():
+    return (ROOT / 'setup.py').read_text().split("version='")[1].split("'")[0]
+
+
+@pytest.mark.parametrize('option', ['-h', '--help'])
+def test_help_lists_everything_in_the_documentation_without_ros(option):
+    result = run([sys.executable, '-c', WITHOUT_ROS, option])
+    assert (result.returncode, result.stderr) == (0, '')
+    assert result.stdout.startswith('usage: inverse_dynamics_node')
+    page = (ROOT / 'doc' / 'interface.md').read_text()
+    topics = re.findall(r'^\| `([~/\w]+)` \| (\w+_(?:msgs|srvs)/\w+) \|', page, re.M)
+    assert len(topics) > 20
+    found = re.findall(r'^  ([~/\w]+) +(\w+_(?:msgs|srvs)/\w+)', result.stdout, re.M)
+    assert sorted(found) == sorted(topics)
+    table = page.split('## Parameters')[1].split('\n## ')[0]
+    names = re.findall(r'^\| `([\w.<>]+)`', table, re.M)
+    assert re.findall(r'^  ([\w.<>]+): ', result.stdout, re.M) == names
+    assert '  stop_ramp: 0.5  (0 to 60, live)\n' in result.stdout
+    assert max(map(len, result.stdout.splitlines())) <= 100
+
+
+def test_help_is_the_same_with_ros_arguments():
+    result = run([*NODE, '--ros-args', '-p', 'kp:=1.0', '--help'])
+    assert result.returncode == 0
+    assert result.stdout == run([sys.executable, '-c', WITHOUT_ROS, '-h']).stdout
+
+
+def test_version():
+    for command in (NODE, [sys.executable, '-c', WITHOUT_ROS]):
+        result = run([*command, '--version'])
+        assert (result.returncode, result.stderr) == (0, '')
+        assert result.stdout == f'inverse_dynamics_node {version()}\n'
+
+
+def test_version_of_a_source_tree_that_is_not_installed():
+    code = (
+        'from importlib import metadata\n'
+        'def version(name):\n'
+        '    raise metadata.PackageNotFoundError(name)\n'
+        'metadata.version = version\n'
+        'from inverse_dynamics_node.node.usage import version\n'
+        'print(version())\n'
+    )
+    assert run([sys.executable, '-c', code]).stdout == f'{version()}\n'
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'words'),
+    [
+        (['--foo', 'bar'], 'unrecognized arguments: --foo bar'),
+        (['--ros-args', '--foo'], "unrecognized ROS arguments: '--foo'"),
+    ],
+)
+def test_unrecognized_arguments_end_with_the_usage_and_code_2(arguments, words, domain_id):
+    result = run([*NODE, *arguments])
+    assert result.returncode == 2
+    assert f'inverse_dynamics_node: {words}\nusage: ' in result.stderr
+    assert 'Traceback' not in result.stderr
