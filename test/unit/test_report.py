@@ -192,8 +192,7 @@ def chain_of(count, limit='{k}', mass='{k}', inertia=(1, 1, 1)):
         (chain_of(5, limit='1000'), '5 of 5 effort limits of turning joints are 1000 N m'),
         (
             chain_of(3, limit='5000{k}'),
-            "joint 'j2': effort limit 50002 N m, but the whole robot, stretched out, takes at most "
-            '37.3 N m',
+            "joint 'j2': effort limit 50002 N m, but the whole robot, stretched out, takes at",
         ),
     ],
 )
