@@ -44,13 +44,13 @@ class StalePolicy(enum.Enum):
 class Phase(enum.Enum):
     """What the controller is doing."""
 
-    WAITING = 'no complete joint state yet'
+    WAITING = 'waiting for the first complete joint state'
     RUNNING = 'following the reference'
-    HOLDING = 'no fresh reference, or none wanted: accelerations of zero'
-    TOO_FAR = 'the reference starts or jumps too far away: accelerations of zero'
-    STATE_LOST = 'no fresh joint state'
-    NO_SOLUTION = 'state or reference beyond all reason'
-    STOPPED = 'stopped: efforts go to zero'
+    HOLDING = 'holding position'
+    TOO_FAR = 'holding position: the reference is too far away'
+    STATE_LOST = 'joint states lost'
+    NO_SOLUTION = 'no usable efforts for this joint state and reference'
+    STOPPED = 'stopped'
 
 
 _PATIENCE = 0.02  # [s]; how much later than expected a step may come

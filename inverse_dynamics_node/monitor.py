@@ -10,11 +10,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .controller import Command, Mode, Phase
+from .controller import Command, IS_WELL, Mode, Phase, StalePolicy
 from .model import Booleans, Floats
 from .rig import Rig
 
 _MOST_REASONS = 20  # distinct ones to tell apart
+_MOST_NAMES = 5  # of nodes, in one message
+_DISCOVERY = 1.0  # [s]; how long a publisher may be there without being known
+_PAUSE = 5.0  # [s]; simulated time that stands still for longer is worth a message
 _SLOW = 0.95  # share of the rate asked for below which it is worth a warning
 
 
@@ -36,6 +39,32 @@ class Status(NamedTuple):
     values: dict[str, str]
 
 
+class Others(NamedTuple):
+    """Nodes that have to do with this one."""
+
+    name: str = ''
+    """Fully qualified name of this node."""
+    commands: str = ''
+    """Topic of the commands."""
+    subscribers: tuple[str, ...] = ()
+    """Nodes that subscribe to the commands."""
+    rivals: tuple[str, ...] = ()
+    """Other nodes that publish on the topic of the commands."""
+    namesakes: int = 0
+    """Number of other nodes with the name of this one."""
+
+
+class SimulatedTime(NamedTuple):
+    """The clock of a simulation."""
+
+    time: float
+    """[s]; 0 if there has been none yet."""
+    unchanged_for: float
+    """Steady time since it changed [s]."""
+    publishers: int
+    """Of /clock."""
+
+
 class Surroundings(NamedTuple):
     """What the node sees of others."""
 
@@ -46,6 +75,9 @@ class Surroundings(NamedTuple):
     is_active: bool
     state: str
     """Of the life cycle."""
+    others: Others = Others()
+    simulated: SimulatedTime | None = None
+    """None unless the node runs on simulated time."""
 
 
 class Monitor:
@@ -139,19 +171,21 @@ class Monitor:
             One for each part.
 
         """
-        statuses = [self._of_loop(rig, around), self._of_messages()]
+        statuses = [self._of_loop(now, rig, around), self._of_messages(), _of_others(around)]
+        if around.simulated is not None:
+            statuses.append(_of_clock(around.simulated))
         if rig is not None:
             statuses += [
                 _of_states(now, rig, around),
                 _of_reference(now, rig, around),
-                self._of_efforts(rig, around),
+                self._of_efforts(now, rig, around),
                 _of_model(now, rig),
             ]
         self._periods, self._times = [], []
         self._news.clear()
         return statuses
 
-    def _of_loop(self, rig: Rig | None, around: Surroundings) -> Status:
+    def _of_loop(self, now: float, rig: Rig | None, around: Surroundings) -> Status:
         total = sum(self._periods)
         rate = len(self._periods) / total if total > 0.0 else 0.0
         values = {
@@ -170,7 +204,7 @@ class Monitor:
         values['gain'] = f'{rig.controller.gain:.3f}'
         if self.period and total > 0.0 and rate * self.period < _SLOW:
             return Status('loop', Level.WARN, f'only {rate:.1f} commands/s', values)
-        return Status('loop', Level.OK, rig.controller.phase.value, values)
+        return Status('loop', Level.OK, activity(now, rig), values)
 
     def _of_messages(self) -> Status:
         values = {text: str(count) for text, count in self.rejected.items()}
@@ -180,7 +214,7 @@ class Monitor:
         total = sum(self.rejected.values())
         return Status('messages', Level.OK, f'{total} rejected in all', values)
 
-    def _of_efforts(self, rig: Rig, around: Surroundings) -> Status:
+    def _of_efforts(self, now: float, rig: Rig, around: Surroundings) -> Status:
         values = {'receivers': str(around.receivers)}
         for what, counter in (('cut to limit', self.clamped), ('slowed', self.slowed)):
             values |= {f'{name} {what}': str(count) for name, count in counter.items()}
@@ -189,7 +223,105 @@ class Monitor:
             return Status('efforts', Level.WARN, 'nobody receives the commands', values)
         if cut:
             return Status('efforts', Level.WARN, f'cut to its limit: {", ".join(cut)}', values)
-        return Status('efforts', Level.OK, rig.controller.phase.value, values)
+        return Status('efforts', Level.OK, activity(now, rig), values)
+
+
+def _of_others(around: Surroundings) -> Status:
+    others = around.others
+    values = {
+        'commands': others.commands,
+        'subscribers of the commands': join_names(others.subscribers) or 'none',
+        'other publishers of the commands': join_names(others.rivals) or 'none',
+        'other nodes with this name': str(others.namesakes),
+    }
+    problems = []
+    if others.rivals:
+        problems.append(f'{others.commands} is also published by {join_names(others.rivals)}')
+    if others.namesakes:
+        nodes = 'another node' if others.namesakes == 1 else f'{others.namesakes} other nodes'
+        problems.append(f'{nodes} with the name {others.name}')
+    if not problems:
+        message = 'none interferes with this node'
+        return Status('other nodes', Level.OK, message, values)
+    # Nodes that share a topic may be meant to take turns, nodes that share a name never are.
+    is_error = around.is_active or others.namesakes
+    message = f'{"; ".join(problems)} (stop it; a killed one is listed for up to 20 s more)'
+    return Status('other nodes', Level.ERROR if is_error else Level.WARN, message, values)
+
+
+def _of_clock(clock: SimulatedTime) -> Status:
+    values = {
+        'time [s]': f'{clock.time:.3f}',
+        'unchanged for [s]': f'{clock.unchanged_for:.1f}',
+        'publishers': str(clock.publishers),
+    }
+    is_late = clock.unchanged_for >= _PAUSE
+    if not clock.time and not clock.publishers:
+        if clock.unchanged_for < _DISCOVERY:
+            return Status('clock', Level.OK, 'no message on /clock yet', values)
+        message = 'use_sim_time is set, but nothing publishes /clock (0 publishers)'
+        return Status('clock', Level.ERROR if is_late else Level.WARN, message, values)
+    if not is_late:
+        return Status('clock', Level.OK, 'simulated time advances', values)
+    message = f'simulated time has not advanced for more than {_PAUSE:g} s'
+    if not clock.publishers:
+        message += ': nothing publishes /clock any more (0 publishers)'
+        return Status('clock', Level.ERROR, message, values)
+    message += f' (publishers of /clock: {clock.publishers}): is the simulation paused?'
+    return Status('clock', Level.WARN, message, values)
+
+
+def activity(now: float, rig: Rig) -> str:
+    """
+    Describe what the controller is doing, and why.
+
+    Parameters
+    ----------
+    now : float
+        The time [s].
+    rig : Rig
+        The active robot.
+
+    """
+    controller = rig.controller
+    phase, settings = controller.phase, controller.settings
+    if phase is Phase.HOLDING:
+        return f'{phase.value}: {_reason_to_hold(rig)}'
+    if phase is Phase.TOO_FAR:
+        return (
+            'holding position: the reference starts or jumps more than max_position_jump '
+            f'({settings.max_position_jump:g} rad or m) away'
+        )
+    if phase in IS_WELL or phase is Phase.WAITING:
+        return str(phase.value)
+    if not controller.gain:
+        consequence = 'stopped, zeros sent'
+    elif phase is Phase.STOPPED or settings.on_stale_state is StalePolicy.ZERO:
+        consequence = 'ramping efforts down'
+    else:
+        consequence = 'keeping the last efforts'
+    return f'{consequence}: {_reason_to_stop(now, rig)}'
+
+
+def _reason_to_hold(rig: Rig) -> str:
+    settings = rig.controller.settings
+    if settings.mode is Mode.GRAVITY_COMPENSATION:
+        return 'the reference is not used in mode gravity_compensation'
+    if rig.reference is None:
+        return 'no reference'
+    return f'no reference for more than {settings.reference_timeout:g} s'
+
+
+def _reason_to_stop(now: float, rig: Rig) -> str:
+    if rig.controller.phase is Phase.STOPPED:
+        return 'disabled by ~/enable'
+    if rig.controller.phase is Phase.NO_SOLUTION:
+        return str(rig.controller.phase.value)
+    if rig.lacks_imu:
+        return 'no message on imu yet'
+    timeout = rig.controller.settings.state_timeout
+    joints = ', '.join(rig.collector.stale(now, timeout))
+    return f'no joint state of {joints} for more than {timeout:g} s'
 
 
 def _of_states(now: float, rig: Rig, around: Surroundings) -> Status:
@@ -201,10 +333,10 @@ def _of_states(now: float, rig: Rig, around: Surroundings) -> Status:
         'locked, not seen': ', '.join(collector.unseen()) or 'none',
         'without velocity': ', '.join(collector.without_velocity()) or 'none',
     }
-    missing, stale = rig.missing(), collector.stale(now, timeout)
-    if missing:
+    stale = collector.stale(now, timeout)
+    if collector.missing():
         level = Level.ERROR if around.is_active else Level.WARN
-        return Status('joint states', level, f'waiting for {", ".join(missing)}', values)
+        return Status('joint states', level, f'waiting for {rig.missing()[0]}', values)
     if stale:
         level = Level.ERROR if around.is_active else Level.WARN
         return Status('joint states', level, f'lost: {", ".join(stale)}', values)
@@ -239,7 +371,9 @@ def _of_model(now: float, rig: Rig) -> Status:
     }
     values |= {f'warning {k}': text for k, text in enumerate(robot.warnings, start=1)}
     if rig.has_imu and not loads.is_base_known(now):
-        return Status('model', Level.ERROR, 'the motion of the base is not known (imu)', values)
+        since = 'yet' if rig.lacks_imu else f'for more than {loads.settings.imu_timeout:g} s'
+        message = f'the motion of the base is not known: no message on imu {since}'
+        return Status('model', Level.ERROR, message, values)
     if robot.warnings:
         message = f'{len(robot.warnings)} warnings about the robot description'
         return Status('model', Level.WARN, message, values)
@@ -252,6 +386,12 @@ def _in_ms(times: list[float], percentile: float) -> str:
 
 def _age(now: float, time: float) -> str:
     return f'{now - time:.3f}' if math.isfinite(time) else 'never'
+
+
+def join_names(names: Sequence[str]) -> str:
+    """Join names; of many, only the first few."""
+    more = len(names) - _MOST_NAMES
+    return ', '.join(names[:_MOST_NAMES]) + (f' and {more} more' if more > 0 else '')
 
 
 def _listed(vector: Floats) -> str:

@@ -97,7 +97,7 @@ class Rig:
         if self.loads.update(now) or self.collector.has_unlocked:
             self.collector.has_unlocked = False
             self.controller.blend()
-        state = None if self._lacks_imu() else self.collector.state()
+        state = None if self.lacks_imu else self.collector.state()
         return self.controller.step(now, state, self.reference)
 
     def set_base_motion(
@@ -107,11 +107,20 @@ class Rig:
         if self.loads.set_base_motion(now, specific_force, angular_velocity):
             self.controller.blend()
 
-    def missing(self) -> list[str]:
-        """Say what must be known before there is a command, and is not."""
+    def missing(self, states: str = 'joint_states', imu: str = 'imu') -> list[str]:
+        """
+        Describe the inputs without which there is no command yet.
+
+        Parameters
+        ----------
+        states, imu : str
+            Names of the topics, as they should appear in the text.
+
+        """
         joints = self.collector.missing()
-        missing = [f'the position of {", ".join(joints)}'] if joints else []
-        return [*missing, 'the motion of the base (imu)'] if self._lacks_imu() else missing
+        word = 'position' if len(joints) == 1 else 'positions'
+        missing = [f'the {word} of {", ".join(joints)} on {states}'] if joints else []
+        return [*missing, f'the motion of the base on {imu}'] if self.lacks_imu else missing
 
     def take_over(self, other: Rig) -> list[str]:
         """
@@ -200,5 +209,7 @@ class Rig:
         collector = self.collector
         return self.residual.update(collector.time, collector.q, collector.qd, collector.efforts)
 
-    def _lacks_imu(self) -> bool:
+    @property
+    def lacks_imu(self) -> bool:
+        """Whether the motion of the base is measured, but no measurement has arrived yet."""
         return self.has_imu and self.loads.imu_time == -math.inf

@@ -8,10 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from ..controller import Command, Phase
+from ..controller import Command, IS_WELL, Phase
+from ..monitor import activity, Level, Status
 from ..rig import Rig
 
 _PERIOD = 2.0  # [s]; how often it repeats what lasts
+_LONG_PERIOD = 10.0  # [s]; the same for problems that only a user can end
+_ALARMS = (Phase.STATE_LOST, Phase.NO_SOLUTION)
 _MOST_KEYS = 1000  # more things to say than that are better said twice than kept
 
 
@@ -31,11 +34,14 @@ class NodeLog:
     def __init__(self, logger: Any) -> None:
         self._logger = logger
         self._times: dict[str, float] = {}
-        self._last_phase = Phase.WAITING
+        self._last_activity: tuple[Phase, bool] | None = None
+        self._last_statuses: dict[str, tuple[Level, str]] = {}
 
     def begin(self) -> None:
-        """Take it that nothing has been said of a phase yet."""
-        self._last_phase = Phase.WAITING
+        """Report the next activity even if it is the same as before the last stop."""
+        self._last_activity = None
+        for key in [key for key in self._times if key.startswith('activity ')]:
+            del self._times[key]
 
     def warn(self, now: float, key: str, text: str | Callable[[], str]) -> None:
         """Warn, unless it was said lately; words that take time to find come as a function."""
@@ -53,58 +59,62 @@ class NodeLog:
             + (f'; takes into account {", ".join(others)}' if others else '')
         )
 
-    def tell_waiting(
-        self, now: float, rig: Rig, topic: str, publishers: Callable[[], int]
-    ) -> None:
-        """Say what is missing before there can be a command."""
-        self.warn(
-            now,
-            'waiting',
-            lambda: (
-                f'no command yet: {topic} ({publishers()} publishers) has not told '
-                f'{", ".join(rig.missing())}'
-            ),
-        )
+    def tell_waiting(self, now: float, missing: Callable[[], list[str]]) -> None:
+        """Name the inputs without which there is no command yet."""
+        self.warn(now, 'waiting', lambda: f'no command yet: waiting for {" and ".join(missing())}')
+
+    def tell_status(self, now: float, status: Status) -> None:
+        """Report a status that is not OK, now and then while it lasts, and its end."""
+        last = self._last_statuses.get(status.part, (Level.OK, ''))
+        this = status.level, status.message
+        if status.level is Level.OK:
+            if last[0] is not Level.OK:
+                self._logger.info(f'{status.part}: {status.message}')
+        elif last != this or self._is_due(now, f'status {status.part}', _LONG_PERIOD):
+            self._times[f'status {status.part}'] = now
+            if status.level is Level.ERROR:  # a logger accepts one severity per line of code
+                self._logger.error(status.message)
+            else:
+                self._logger.warning(status.message)
+        self._last_statuses[status.part] = this
 
     def tell(self, now: float, rig: Rig, command: Command) -> None:
-        """Say how a step went, if that is news."""
-        phase = rig.controller.phase
-        if phase is not self._last_phase:
-            self._tell_phase(now, rig)
-            self._last_phase = phase
-        if phase is Phase.STATE_LOST:
-            self.warn(now, 'state lost', lambda: _what_is_stale(now, rig))
+        """Report a change of activity, and repeat the reason as long as efforts are withheld."""
+        controller = rig.controller
+        phase = controller.phase
+        # The end of a ramp down is a change within a phase; that of a ramp up is not reported.
+        key = (phase, phase in IS_WELL or controller.gain > 0.0)
+        if key != self._last_activity or phase in _ALARMS:
+            self._tell_activity(now, rig, key)
         if np.count_nonzero(command.is_saturated):  # any() takes longer
             joints = command.is_saturated.tobytes().hex()  # others are news
             self.warn(now, f'saturated {joints}', lambda: _what_is_saturated(rig, command))
 
-    def _tell_phase(self, now: float, rig: Rig) -> None:
-        phase = rig.controller.phase
-        if self._last_phase is Phase.WAITING:
+    def _tell_activity(self, now: float, rig: Rig, key: tuple[Phase, bool]) -> None:
+        if self._last_activity is None:
             for name in rig.collector.without_velocity():
                 self._logger.warning(f"joint_states: no velocity of '{name}', taken as zero")
             for name in rig.collector.unseen():
                 self._logger.warning(f"joint_states: '{name}' not seen, taken as locked")
-        if not self._is_due(now, phase.name):
-            return
-        if phase in (Phase.RUNNING, Phase.HOLDING, Phase.STOPPED):
-            self._logger.info(phase.value)
+            self._last_activity = Phase.WAITING, False
+        if not self._is_due(now, f'activity {key[0].name} {key[1]}'):
+            return  # asked again at the next step, so that the latest activity is never missed
+        self._last_activity = key
+        text = activity(now, rig)
+        if key[0] in _ALARMS:
+            self._logger.error(text)
+        elif key[0] is Phase.TOO_FAR:
+            self._logger.warning(text)
         else:
-            self._logger.error(phase.value)
+            self._logger.info(text)
 
-    def _is_due(self, now: float, key: str) -> bool:
-        if abs(now - self._times.get(key, -math.inf)) < _PERIOD:
+    def _is_due(self, now: float, key: str, period: float = _PERIOD) -> bool:
+        if abs(now - self._times.get(key, -math.inf)) < period:
             return False
         if len(self._times) >= _MOST_KEYS:
             self._times.clear()
         self._times[key] = now
         return True
-
-
-def _what_is_stale(now: float, rig: Rig) -> str:
-    timeout = rig.controller.settings.state_timeout
-    joints = rig.collector.stale(now, timeout)
-    return f'no joint state for more than {timeout:g} s of {", ".join(joints)}'
 
 
 def _what_is_saturated(rig: Rig, command: Command) -> str:

@@ -38,6 +38,7 @@ from ..rig import Rig
 from ..trajectory import complete, joint_index, trajectory_efforts
 from . import messages
 from .diagnostics import diagnostic_array
+from .graph import Graph
 from .log import NodeLog
 from .outputs import Outputs
 from .parameters import (
@@ -90,6 +91,7 @@ class InverseDynamicsNode(LifecycleNode):
         self._rig: Rig | None = None
         self._is_active = False
         self._has_commanded = False
+        self._reason_to_stop = 'deactivated'
         self._may_autostart = self._configuration.autostart
         self._description = ''  # the latest from the topic
         self._loader = ThreadPoolExecutor(1, 'robot_description')
@@ -107,7 +109,7 @@ class InverseDynamicsNode(LifecycleNode):
             self._timer_clock = steady
             self._now = time.monotonic  # the same clock, twenty times faster to read
         self._create_entities()
-        self.create_timer(_LISTENERS_PERIOD, self._outputs.look_for_listeners, clock=steady)
+        self.create_timer(_LISTENERS_PERIOD, self._look_for_listeners, clock=steady)
         self.create_timer(_DIAGNOSTICS_PERIOD, self._on_diagnostics, clock=steady)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
@@ -120,6 +122,7 @@ class InverseDynamicsNode(LifecycleNode):
     def _create_entities(self) -> None:
         qos = {'qos_overriding_options': QoSOverridingOptions.with_default_policies()}
         self._outputs = Outputs(self, _EVERY_ONE, **qos)
+        self._graph = Graph(self, self._outputs.commands)
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', _SEVERAL)
         self._trajectories = self.create_publisher(
             JointTrajectory, '~/joint_trajectory_out', _EVERY_ONE, **qos
@@ -170,6 +173,7 @@ class InverseDynamicsNode(LifecycleNode):
     def shut_down(self) -> None:
         """Leave the robot with zeros."""
         if self._is_active:
+            self._reason_to_stop = 'the process is ending'
             self.trigger_deactivate()
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -193,6 +197,8 @@ class InverseDynamicsNode(LifecycleNode):
         self._outputs.look_for_listeners()
         self._log.begin()
         self._is_active = result == _SUCCESS
+        joints = ', '.join(self._rig.controller.joints)
+        self.get_logger().info(f'efforts for {joints} to {self._graph.with_subscribers()}')
         self._may_autostart = False  # from now on, who takes it down brings it up
         self._has_commanded = False
         return result
@@ -244,6 +250,7 @@ class InverseDynamicsNode(LifecycleNode):
         self._configuration = configuration = read_configuration(self)
         rig = make_rig(configuration, self._description)
         self._forget_robot()
+        self._graph.expect_discovery()
         self._monitor = Monitor(configuration.period)
         # Lost states are noticed by a timer of their own, whatever the rate.
         self._watch_period = min(_WATCH_PERIOD, 0.5 * configuration.settings.state_timeout)
@@ -504,9 +511,7 @@ class InverseDynamicsNode(LifecycleNode):
         began = time.perf_counter()
         command = self._rig.step(now)
         if command is None:
-            self._log.tell_waiting(
-                now, self._rig, self._state_topic(), self._count_state_publishers
-            )
+            self._log.tell_waiting(now, self._missing)
             return
         self._has_commanded = True
         self._outputs.publish_command(self._rig, command.efforts)
@@ -515,6 +520,12 @@ class InverseDynamicsNode(LifecycleNode):
         self._log.tell(now, self._rig, command)
         if self._rig.controller.phase in IS_WELL:
             self._explain(now)
+
+    def _missing(self) -> list[str]:
+        assert self._rig is not None
+        return self._rig.missing(
+            self._graph.with_publishers('joint_states'), self._graph.with_publishers('imu')
+        )
 
     def _explain(self, now: float) -> None:
         assert self._rig is not None
@@ -529,10 +540,12 @@ class InverseDynamicsNode(LifecycleNode):
         self._is_active = False
         if not self._has_commanded:
             return  # who holds the robot now, it is not this node
+        self.get_logger().info(f'ramping efforts down: {self._reason_to_stop}')
         try:
             self._follow_stop_ramp(self._rig)
         finally:
             self._outputs.publish_zeros(self._rig)
+        self.get_logger().info(f'stopped, zeros sent: {self._reason_to_stop}')
 
     def _follow_stop_ramp(self, rig: Rig) -> None:
         rig.controller.stop()
@@ -547,20 +560,25 @@ class InverseDynamicsNode(LifecycleNode):
 
     # How it goes
 
-    def _state_topic(self) -> str:
-        return str(self.resolve_topic_name('joint_states'))
-
-    def _count_state_publishers(self) -> int:
-        return int(self.count_publishers(self._state_topic()))
+    def _look_for_listeners(self) -> None:
+        self._outputs.look_for_listeners()
+        news = self._graph.lost_or_found_subscribers() if self._is_active else ''
+        if news:
+            self.get_logger().info(news)
 
     def _on_diagnostics(self) -> None:
         around = Surroundings(
             receivers=self._outputs.receivers,
-            publishers=self._count_state_publishers(),
+            publishers=self.count_publishers(self.resolve_topic_name('joint_states')),
             is_active=self._is_active,
             state=str(self._state_machine.current_state[1]),
+            others=self._graph.others(),
+            simulated=self._graph.simulated_time() if self._uses_sim_time else None,
         )
         statuses = self._monitor.report(self._now(), self._rig, around)
+        for status in statuses:
+            if status.part in ('other nodes', 'clock'):
+                self._log.tell_status(time.monotonic(), status)
         self._diagnostics.publish(
             diagnostic_array(
                 self.get_clock().now().to_msg(),

@@ -39,7 +39,7 @@ class Outputs:
             return node.create_lifecycle_publisher(kind, topic, qos, **options)
 
         self._clock = node.get_clock()
-        self._commands = publisher(Float64MultiArray, '~/commands')
+        self.commands = publisher(Float64MultiArray, '~/commands')
         self._joint_efforts = publisher(JointState, '~/joint_efforts')
         self._terms = [publisher(JointState, f'~/terms/{term}') for term in Terms._fields]
         self._external_efforts = publisher(JointState, '~/external_efforts')
@@ -63,7 +63,7 @@ class Outputs:
     @property
     def receivers(self) -> int:
         """How many subscribe to the commands."""
-        return int(self._commands.get_subscription_count())
+        return int(self.commands.get_subscription_count())
 
     @property
     def wants_measured_efforts(self) -> bool:
@@ -82,7 +82,7 @@ class Outputs:
             [N m or N].
 
         """
-        self._commands.publish(serialize_numbers(efforts))
+        self.commands.publish(serialize_numbers(efforts))
         if self._joint_efforts in self._listeners:
             self._publish_efforts(self._joint_efforts, rig.controller.joints, efforts)
 
@@ -90,7 +90,7 @@ class Outputs:
         """Publish zeros, and see that they arrive."""
         for _ in range(3):  # once is enough where messages are acknowledged
             self.publish_command(rig, np.zeros(len(rig.controller.joints)))
-        for publisher in (self._commands, self._joint_efforts):
+        for publisher in (self.commands, self._joint_efforts):
             publisher.wait_for_all_acked(Duration(seconds=1))
 
     def publish_explanation(self, rig: Rig) -> None:

@@ -48,7 +48,7 @@ def test_tells_from_the_start_what_it_waits_for(run_node, robot, wait_for_status
     wait_for_status('loop', OK, 'unconfigured')
     text = STANFORD.read_text()
     robot.publish_description(text)
-    values = wait_for_status('joint states', ERROR, f'waiting for the position of {NAMES[0]}')
+    values = wait_for_status('joint states', ERROR, f'waiting for the positions of {NAMES[0]}')
     assert values['publishers'] == '1'
     assert values['age [s]'] == 'never'
     assert node.process.poll() is None
@@ -114,7 +114,7 @@ def test_tells_of_payload_and_of_what_is_odd_about_the_model(run_node, robot, wa
 def test_goes_on_while_inactive_and_tells_what_that_is(run_node, robot, wait_for_status):
     run_node(**PATIENT)
     robot.publish_state(NAMES, Q, np.zeros(6))
-    wait_for_status('loop', OK, 'no fresh reference')
+    wait_for_status('loop', OK, 'holding position: no reference')
     assert robot.change_state('deactivate')
     wait_for_status('loop', OK, 'inactive')
     wait_for_status('joint states', OK, 'fresh')
@@ -125,5 +125,5 @@ def test_goes_on_while_inactive_and_tells_what_that_is(run_node, robot, wait_for
 def test_tells_that_the_base_is_lost(run_node, robot, wait_for_status):
     run_node(**PATIENT, base_motion='imu')
     robot.publish_state(NAMES, Q, np.zeros(6))
-    wait_for_status('model', ERROR, 'motion of the base')
-    wait_for_status('joint states', ERROR, 'waiting for the motion of the base (imu)')
+    wait_for_status('model', ERROR, 'motion of the base is not known: no message on imu yet')
+    wait_for_status('joint states', OK, 'fresh')

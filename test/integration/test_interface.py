@@ -143,7 +143,8 @@ def test_imu_takes_the_place_of_gravity_whatever_way_it_is_mounted(run_node, rob
         imu_filter_cutoff=0,
     )
     robot.publish_state(NAMES, Q, QD)
-    robot.wait_for_text(node, 'has not told the motion of the base (imu)')
+    robot.wait_for_text(node, 'waiting for the motion of the base on /imu')
+    assert 'joint_states' not in node.output
     assert not robot.commands
     # The sensor's x is the base's y.
     robot.keep_publishing('imu', imu((4.0, -1.0, 9.0), (0.3, -0.1, 0.2)))
@@ -402,7 +403,7 @@ def test_check_model_tells_what_there_is_to_know(run_node, robot, dynamics):
     robot.wait_for_text(node, 'no command yet')
     answer = robot.call(Trigger, 'check_model', Trigger.Request())
     assert answer.success
-    assert f'Not known yet: the position of {", ".join(NAMES)}.' in answer.message
+    assert f'Not known yet: the positions of {", ".join(NAMES)} on joint_states.' in answer.message
     assert f'{MODEL.mass.sum():.4g} kg' in answer.message
     robot.publish_state(NAMES, Q, QD)
     robot.wait_for_command(dynamics.efforts(Q, QD, ZERO)[::-1])

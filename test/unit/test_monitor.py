@@ -1,8 +1,15 @@
 """What is counted, and how bad it is."""
 
 from inverse_dynamics_node import load_urdf
-from inverse_dynamics_node.controller import Command, Mode, Settings
-from inverse_dynamics_node.monitor import Level, Monitor, Surroundings
+from inverse_dynamics_node.controller import Command, Mode, Reference, Settings, StalePolicy
+from inverse_dynamics_node.monitor import (
+    activity,
+    Level,
+    Monitor,
+    Others,
+    SimulatedTime,
+    Surroundings,
+)
 from inverse_dynamics_node.rig import Rig
 import numpy as np
 import pytest
@@ -100,10 +107,10 @@ def test_counts_rejected_messages_by_reason_but_not_without_end(rig):
         (0.05, FINE, 'joint states', Level.OK, 'fresh'),
         (5.0, FINE, 'joint states', Level.ERROR, 'lost: '),
         (5.0, FINE._replace(is_active=False), 'joint states', Level.WARN, 'lost: '),
-        (0.05, FINE, 'efforts', Level.OK, 'no fresh reference'),
+        (0.05, FINE, 'efforts', Level.OK, 'holding position: no reference'),
         (0.05, FINE._replace(receivers=0), 'efforts', Level.WARN, 'nobody receives'),
         (0.05, FINE, 'reference', Level.OK, 'none'),
-        (0.05, FINE, 'loop', Level.OK, 'no fresh reference'),
+        (0.05, FINE, 'loop', Level.OK, 'holding position: no reference'),
         (0.05, FINE._replace(is_active=False, state='inactive'), 'loop', Level.OK, 'inactive'),
     ],
 )
@@ -119,6 +126,7 @@ def test_without_a_robot_there_is_little_to_tell():
     assert [(status.part, status.level) for status in statuses] == [
         ('loop', Level.OK),
         ('messages', Level.OK),
+        ('other nodes', Level.OK),
     ]
 
 
@@ -147,3 +155,109 @@ def test_warns_of_a_loop_without_damping():
     assert status.values['without velocity'] == ', '.join(JOINTS)
     rig.collector.update(0.0, JOINTS, [0.1, 0.2], [0.0, 0.0])
     assert part(Monitor().report(0.0, rig, FINE), 'joint states').level is Level.OK
+
+
+def test_activity_names_the_reason_to_hold(rig):
+    assert activity(0.0, rig) == 'holding position: no reference'
+    rest = np.zeros(2)
+    rig.reference = Reference(rest, rest, 0.0)
+    rig.step(0.05)
+    assert activity(0.05, rig) == 'following the reference'
+    rig.collector.update(1.0, JOINTS, [0.1, 0.2], [0.0, 0.0])
+    rig.step(1.0)
+    assert activity(1.0, rig) == 'holding position: no reference for more than 0.5 s'
+    rig.controller.apply(Settings(mode=Mode.GRAVITY_COMPENSATION))
+    assert 'not used in mode gravity_compensation' in activity(1.0, rig)
+    rig.controller.apply(Settings(mode=Mode.COMPUTED_TORQUE, max_position_jump=0.2))
+    rig.reference = Reference(rest, rest, 1.0, positions=rest + 1.0)
+    rig.step(1.0)
+    assert 'starts or jumps more than max_position_jump (0.2 rad or m) away' in activity(1.0, rig)
+
+
+def step_until(rig, start, end):
+    for now in np.arange(start, end, 0.05):
+        rig.step(float(now))
+
+
+def test_activity_names_the_joints_that_stop_the_arm(rig):
+    step_until(rig, 0.0, 0.2)
+    reason = f'no joint state of {JOINTS[0]}, {JOINTS[1]} for more than 0.1 s'
+    assert activity(0.2, rig) == f'ramping efforts down: {reason}'
+    step_until(rig, 0.2, 2.0)
+    assert activity(2.0, rig) == f'stopped, zeros sent: {reason}'
+
+
+def test_activity_distinguishes_the_policy_for_lost_states(rig):
+    step_until(rig, 0.0, 0.1)
+    rig.controller.apply(Settings(on_stale_state=StalePolicy.HOLD))
+    step_until(rig, 0.1, 2.0)
+    assert activity(2.0, rig).startswith('keeping the last efforts: no joint state of ')
+
+
+def test_activity_while_disabled(rig):
+    step_until(rig, 0.0, 0.1)
+    rig.controller.stop()
+    rig.controller.gain = 1.0
+    rig.step(0.11)
+    assert activity(0.11, rig) == 'ramping efforts down: disabled by ~/enable'
+    step_until(rig, 0.15, 2.0)
+    assert activity(2.0, rig) == 'stopped, zeros sent: disabled by ~/enable'
+
+
+def test_a_missing_imu_is_not_blamed_on_the_joint_states():
+    rig = Rig(ROBOT, has_imu=True)
+    rig.collector.update(0.0, JOINTS, [0.1, 0.2], [0.0, 0.0])
+    assert rig.missing('/joint_states', '/base/imu') == ['the motion of the base on /base/imu']
+    statuses = Monitor().report(0.0, rig, FINE)
+    assert part(statuses, 'joint states').level is Level.OK
+    assert part(statuses, 'model').level is Level.ERROR
+    assert part(statuses, 'model').message.endswith('no message on imu yet')
+
+
+RIVALS = Others('/arm', '/commands', rivals=('/a', '/b'))
+NAMESAKES = Others('/arm', '/commands', namesakes=1)
+
+
+@pytest.mark.parametrize(
+    ('others', 'is_active', 'level', 'words'),
+    [
+        (Others('/arm', '/commands'), True, Level.OK, 'none interferes'),
+        (RIVALS, True, Level.ERROR, '/commands is also published by /a, /b'),
+        (RIVALS, False, Level.WARN, '/commands is also published by /a, /b'),
+        (NAMESAKES, True, Level.ERROR, 'another node with the name /arm'),
+        (NAMESAKES, False, Level.ERROR, 'another node with the name /arm'),
+    ],
+)
+def test_nodes_that_interfere_are_named(rig, others, is_active, level, words):
+    around = FINE._replace(others=others, is_active=is_active)
+    status = part(Monitor().report(0.05, rig, around), 'other nodes')
+    assert status.level is level
+    assert words in status.message
+
+
+def test_of_many_nodes_only_the_first_are_named(rig):
+    others = Others('/arm', '/commands', rivals=tuple(f'/n{k}' for k in range(100)))
+    status = part(Monitor().report(0.0, rig, FINE._replace(others=others)), 'other nodes')
+    assert '/n0, /n1, /n2, /n3, /n4 and 95 more' in status.message
+
+
+@pytest.mark.parametrize(
+    ('clock', 'level', 'words'),
+    [
+        (SimulatedTime(0.0, 0.5, 0), Level.OK, 'no message on /clock yet'),
+        (SimulatedTime(0.0, 2.0, 0), Level.WARN, 'nothing publishes /clock (0 publishers)'),
+        (SimulatedTime(0.0, 6.0, 0), Level.ERROR, 'nothing publishes /clock (0 publishers)'),
+        (SimulatedTime(0.0, 6.0, 1), Level.WARN, 'is the simulation paused?'),
+        (SimulatedTime(9.0, 0.2, 1), Level.OK, 'simulated time advances'),
+        (SimulatedTime(9.0, 6.0, 1), Level.WARN, 'has not advanced for more than 5 s'),
+        (SimulatedTime(9.0, 6.0, 0), Level.ERROR, 'nothing publishes /clock any more'),
+    ],
+)
+def test_simulated_time_that_stands_still_is_reported(rig, clock, level, words):
+    status = part(Monitor().report(0.05, rig, FINE._replace(simulated=clock)), 'clock')
+    assert status.level is level
+    assert words in status.message
+
+
+def test_there_is_no_clock_status_without_simulated_time(rig):
+    assert 'clock' not in [status.part for status in Monitor().report(0.05, rig, FINE)]

@@ -1,0 +1,141 @@
+"""The other nodes of the ROS graph, as this node sees them."""
+
+from __future__ import annotations
+
+from collections import Counter
+import time
+from typing import Any
+
+from rclpy.lifecycle import LifecycleNode
+
+from ..monitor import join_names, Others, SimulatedTime
+
+_DISCOVERY = 1.0  # [s]; no publishers may only mean that they have not been discovered yet
+_LOOKS = 10  # how often to wait for the name of a node whose subscription is known already
+_UNKNOWN = 'a node of unknown name'
+
+
+class Graph:
+    """
+    Answers questions about the ROS graph.
+
+    A query takes 1 to 50 us in a small graph and more in a large one: ask from slow timers only.
+
+    Parameters
+    ----------
+    node : LifecycleNode
+        The node that asks.
+    commands : publisher
+        Its publisher of the commands.
+
+    """
+
+    def __init__(self, node: LifecycleNode, commands: Any) -> None:
+        self._node, self._commands = node, commands
+        self._name = node.get_fully_qualified_name()
+        self._last_rivals: set[str] = set()
+        self._last_namesakes = 0
+        self._last_time = -1
+        self._last_advance = time.monotonic()
+        self._has_subscribers = False
+        self._looks_left = _LOOKS
+        self.expect_discovery()
+
+    def expect_discovery(self) -> None:
+        """Report no missing publishers for a second from now."""
+        self._discovered_at = time.monotonic() + _DISCOVERY
+
+    def with_publishers(self, name: str) -> str:
+        """Return the resolved name of a topic and the number of its publishers, if known yet."""
+        topic = str(self._node.resolve_topic_name(name))
+        count = self._node.count_publishers(topic)
+        if not count and time.monotonic() < self._discovered_at:
+            return topic
+        return f'{topic} ({count} publisher{"" if count == 1 else "s"})'
+
+    def with_subscribers(self) -> str:
+        """Return the name of the command topic and the nodes that subscribe to it."""
+        self._has_subscribers = bool(self._commands.get_subscription_count())
+        names = join_names(self._subscribers()) if self._has_subscribers else ''
+        return f'{self._commands.topic_name} ({names or "no subscriber yet"})'
+
+    def lost_or_found_subscribers(self) -> str:
+        """
+        Report the first subscriber of the commands, or that the last one is gone.
+
+        Returns
+        -------
+        news : str
+            Empty if nothing has changed since the last call or that of `with_subscribers`.
+
+        """
+        has_subscribers = bool(self._commands.get_subscription_count())
+        if has_subscribers is self._has_subscribers:
+            self._looks_left = _LOOKS
+            return ''
+        topic = self._commands.topic_name
+        names = self._subscribers()
+        if has_subscribers and _UNKNOWN in names and self._looks_left:
+            self._looks_left -= 1  # the name arrives a little later than the subscription
+            return ''
+        self._has_subscribers = has_subscribers
+        if has_subscribers:
+            return f'first subscriber of {topic}: {join_names(names)}'
+        return f'the last subscriber of {topic} is gone'
+
+    def others(self) -> Others:
+        """
+        Find nodes that interfere with this one.
+
+        Only those that were there at the previous call too: endpoints are discovered before the
+        names of their nodes, and a node that is shutting down disappears within a second.
+
+        """
+        topic = self._commands.topic_name
+        publishers = Counter(
+            _name_of(info)
+            for info in self._node.get_publishers_info_by_topic(topic)
+            if info.topic_type == 'std_msgs/msg/Float64MultiArray'
+        )
+        publishers[self._name] -= 1  # that of this node
+        rivals = {name for name, count in publishers.items() if count > 0}
+        nodes = Counter(
+            _joined(namespace, name)
+            for name, namespace in self._node.get_node_names_and_namespaces()
+        )
+        namesakes = nodes[self._name] - 1
+        seen = Others(
+            name=self._name,
+            commands=topic,
+            subscribers=tuple(self._subscribers()),
+            rivals=tuple(sorted(rivals & self._last_rivals)),
+            namesakes=max(0, min(namesakes, self._last_namesakes)),
+        )
+        self._last_rivals, self._last_namesakes = rivals, namesakes
+        return seen
+
+    def simulated_time(self) -> SimulatedTime:
+        """Return the simulated time, and for how long it has not changed."""
+        now = self._node.get_clock().now().nanoseconds
+        steady = time.monotonic()
+        if now != self._last_time:
+            self._last_time, self._last_advance = now, steady
+        return SimulatedTime(
+            time=now * 1e-9,
+            unchanged_for=steady - self._last_advance,
+            publishers=int(self._node.count_publishers(self._node.resolve_topic_name('/clock'))),
+        )
+
+    def _subscribers(self) -> list[str]:
+        infos = self._node.get_subscriptions_info_by_topic(self._commands.topic_name)
+        return sorted({_name_of(info) for info in infos})
+
+
+def _name_of(info: Any) -> str:
+    return _joined(info.node_namespace, info.node_name)
+
+
+def _joined(namespace: str, name: str) -> str:
+    if name == '_NODE_NAME_UNKNOWN_':  # of the middleware
+        return _UNKNOWN
+    return f'{namespace.rstrip("/")}/{name}'
