@@ -241,7 +241,7 @@ def _of_others(around: Surroundings) -> Status:
         nodes = 'another node' if others.namesakes == 1 else f'{others.namesakes} other nodes'
         problems.append(f'{nodes} with the name {others.name}')
     if not problems:
-        message = 'none interferes with this node'
+        message = 'no other node publishes the commands or has this name'
         return Status('other nodes', Level.OK, message, values)
     # Nodes that share a topic may be meant to take turns, nodes that share a name never are.
     is_error = around.is_active or others.namesakes
@@ -294,7 +294,7 @@ def activity(now: float, rig: Rig) -> str:
         )
     if phase in IS_WELL or phase is Phase.WAITING:
         return str(phase.value)
-    if not controller.gain:
+    if not controller.has_effort:
         consequence = 'stopped, zeros sent'
     elif phase is Phase.STOPPED or settings.on_stale_state is StalePolicy.ZERO:
         consequence = 'ramping efforts down'

@@ -69,7 +69,7 @@ class NodeLog:
         this = status.level, status.message
         if status.level is Level.OK:
             if last[0] is not Level.OK:
-                self._logger.info(f'{status.part}: {status.message}')
+                self._logger.info(status.message)
         elif last != this or self._is_due(now, f'status {status.part}', _LONG_PERIOD):
             self._times[f'status {status.part}'] = now
             if status.level is Level.ERROR:  # a logger accepts one severity per line of code
@@ -83,7 +83,7 @@ class NodeLog:
         controller = rig.controller
         phase = controller.phase
         # The end of a ramp down is a change within a phase; that of a ramp up is not reported.
-        key = (phase, phase in IS_WELL or controller.gain > 0.0)
+        key = (phase, phase in IS_WELL or controller.has_effort)
         if key != self._last_activity or phase in _ALARMS:
             self._tell_activity(now, rig, key)
         if np.count_nonzero(command.is_saturated):  # any() takes longer

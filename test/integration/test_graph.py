@@ -56,8 +56,8 @@ def test_a_node_that_publishes_the_same_commands_is_named(run_node, robot, wait_
     robot.wait_for_text(rival, f'{COMMANDS} is also published by /inverse_dynamics')
     rival.interrupt()
     robot.wait_for_end(rival)
-    robot.wait_for_text(node, 'none interferes')
-    assert '[INFO]' in lines(node, 'none interferes')[0]
+    robot.wait_for_text(node, 'no other node publishes the commands')
+    assert '[INFO]' in lines(node, 'no other node publishes the commands')[0]
     wait_for_level('other nodes', DiagnosticStatus.OK)
     # Repeated now and then only.
     assert len(lines(node, words)) < 10
@@ -72,7 +72,7 @@ def test_a_node_with_the_same_name_is_reported(run_node, robot):
         assert '[ERROR]' in lines(node, words)[0]
     nodes[1].interrupt()
     robot.wait_for_end(nodes[1])
-    robot.wait_for_text(nodes[0], 'none interferes')
+    robot.wait_for_text(nodes[0], 'no other node publishes the commands')
 
 
 def test_joints_topic_and_subscribers_are_reported_on_activation(run_node, robot):

@@ -197,10 +197,10 @@ def test_activity_distinguishes_the_policy_for_lost_states(rig):
 def test_activity_while_disabled(rig):
     step_until(rig, 0.0, 0.1)
     rig.controller.stop()
-    rig.controller.gain = 1.0
-    rig.step(0.11)
-    assert activity(0.11, rig) == 'ramping efforts down: disabled by ~/enable'
-    step_until(rig, 0.15, 2.0)
+    rig.step(0.1)
+    rig.step(0.15)
+    assert activity(0.15, rig) == 'ramping efforts down: disabled by ~/enable'
+    step_until(rig, 0.2, 2.0)
     assert activity(2.0, rig) == 'stopped, zeros sent: disabled by ~/enable'
 
 
@@ -221,7 +221,7 @@ NAMESAKES = Others('/arm', '/commands', namesakes=1)
 @pytest.mark.parametrize(
     ('others', 'is_active', 'level', 'words'),
     [
-        (Others('/arm', '/commands'), True, Level.OK, 'none interferes'),
+        (Others('/arm', '/commands'), True, Level.OK, 'no other node publishes the commands'),
         (RIVALS, True, Level.ERROR, '/commands is also published by /a, /b'),
         (RIVALS, False, Level.WARN, '/commands is also published by /a, /b'),
         (NAMESAKES, True, Level.ERROR, 'another node with the name /arm'),

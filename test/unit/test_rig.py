@@ -32,7 +32,7 @@ def test_a_payload_is_in_the_next_command():
 def test_without_the_motion_of_the_base_there_is_no_command():
     rig = heard(Rig(MODEL, settings=AT_ONCE, has_imu=True))
     assert rig.step(0.0) is None
-    assert rig.missing() == ['the motion of the base (imu)']
+    assert rig.missing() == ['the motion of the base on imu']
     rig.set_base_motion(0.0, (0.0, 0.0, 9.80665), np.zeros(3))
     assert rig.step(0.0).efforts == pytest.approx(InverseDynamics(MODEL).gravity_efforts(Q))
     assert rig.missing() == []
