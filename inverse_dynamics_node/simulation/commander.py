@@ -228,6 +228,7 @@ class Commander(Node):
         self.command = np.array(message.data)
         if self._began is not None:
             self.history.commands.add(self.now, self.command)
+            self.history.arrivals.append(time.monotonic())
 
     def _on_external(self, message: JointState) -> None:
         if self._began is not None:

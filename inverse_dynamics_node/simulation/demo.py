@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 import gc
 import math
+import os
 from pathlib import Path
 import signal
 import sys
@@ -27,7 +29,7 @@ from ..errors import InverseDynamicsError
 from ..urdf import load_urdf
 from .history import History
 from .mujoco_model import SimulationError
-from .processes import running, stay_on_this_machine
+from .processes import running, stay_on_this_machine, unused_domain
 from .run import Run, topics_of
 from .scenarios import REST, Scenario, SCENARIOS, Script
 from .stage import Stage
@@ -48,9 +50,9 @@ exit code: 0 it went as it should; 1 it did not, or cannot be done; 2 wrong argu
 MOST_TOLD = 7  # joints listed
 
 
-def judge_tracking(stage: Stage, history: History, rate: float, asked: float) -> Verdict:
+def judge_tracking(stage: Stage, history: History, asked: float) -> Verdict:
     """Print the errors and the rate; hold them against their limits."""
-    robot, duration = stage.robot, stage.duration
+    robot, duration, rate = stage.robot, stage.duration, history.command_rate()
     moving = history.largest_error(0.0, (1.0 - REST) * duration)
     rest = history.largest_error((1.0 - 0.5 * REST) * duration, math.inf)
     wide = name_width(robot)
@@ -87,6 +89,7 @@ def run(options: argparse.Namespace, stopped: Callable[[], bool]) -> bool:
     log = view.log if view.is_live else None  # or lines would go through the table
     if np.any(stage.armature):
         print(told_of_rotors(stage))
+    print(_how_to_look_inside())
     with running(_commands(stage, scenario, options), log) as processes:
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         act = Run(robot, scenario, processes, stopped)
@@ -107,16 +110,17 @@ def _perform(
 
         recorder = Recorder(act.commander, topics_of(scenario, script), latched=('brakes',))
     print(f'waiting for robot and node: {stage.urdf}', flush=True)
+    # Objects of the libraries stay: a collection that visits them all takes 0.1 s. Here, before
+    # the wait, commands that queue up meanwhile are received before anything is measured.
+    gc.collect()
+    gc.freeze()
     act.wait_until_ready()
     if recorder is not None:
         recorder.begin()  # until now brakes held the arm, and what the drives did was no matter
-    # What libraries have made stays: to look through it all in a pause would be one of 0.1 s.
-    gc.collect()
-    gc.freeze()
     with view.open():
-        rate = act.perform(script, stage.duration, view)
+        act.perform(script, stage.duration, view)
     if options.scenario == 'track':
-        verdict = judge_tracking(stage, history, rate, options.rate)
+        verdict = judge_tracking(stage, history, options.rate)
     else:
         print()
         verdict = script.judge(history)
@@ -131,6 +135,12 @@ def _perform(
         print(f'picture: {options.picture}')
     print(verdict, flush=True)
     return not verdict.failures
+
+
+def _how_to_look_inside() -> str:
+    names = 'ROS_DOMAIN_ID', 'ROS_AUTOMATIC_DISCOVERY_RANGE'
+    settings = ' '.join(f'{name}={os.environ[name]}' for name in names)
+    return f'to see its topics, in another terminal: export {settings}'
 
 
 def told_of_rotors(stage: Stage) -> str:
@@ -188,7 +198,9 @@ def main(arguments: list[str] | None = None) -> int:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda number, _: stops.append(number))
     try:
-        return 0 if run(options, lambda: bool(stops)) else 1
+        with unused_domain() if options.domain is None else nullcontext(options.domain) as domain:
+            os.environ['ROS_DOMAIN_ID'] = str(domain)
+            return 0 if run(options, lambda: bool(stops)) else 1
     except KeyboardInterrupt:
         print('stopped')
         return 128 + stops[0]
@@ -217,6 +229,13 @@ def _parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument('--rate', type=float, default=500.0, help='of joint states [Hz]')
     parser.add_argument('--duration', type=float, default=15.0, help='of it all [s]')
     parser.add_argument(
+        '--domain',
+        type=int,
+        metavar='ID',
+        help='ROS domain, from 0 to 232; without it, one that no other process on this machine '
+        'uses, whatever ROS_DOMAIN_ID is',
+    )
+    parser.add_argument(
         '--link', default='', help='what is loaded or pushed; without it, what will do'
     )
     parser.add_argument(
@@ -238,6 +257,8 @@ def _parse(arguments: list[str] | None) -> argparse.Namespace:
         parser.error(f'--rate {options.rate:g} is not from 50 to 5000 Hz')
     if not least <= options.duration < math.inf:
         parser.error(f'--duration {options.duration:g} is not {least:g} s or more')
+    if options.domain is not None and not 0 <= options.domain <= 232:
+        parser.error(f'--domain {options.domain} is not from 0 to 232')
     return options
 
 

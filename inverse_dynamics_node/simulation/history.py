@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 import math
 
 import numpy as np
@@ -57,6 +58,8 @@ class History:
         shape (n,).
     brakes : Series
         1 where the brakes went on, 0 where they opened.
+    arrivals : list of float
+        When the commands were received, on the steady clock [s].
 
     """
 
@@ -65,6 +68,29 @@ class History:
         self.commands = Series()
         self.external = Series()
         self.brakes = Series()
+        self.arrivals: list[float] = []
+
+    def command_rate(self, begin: float = -math.inf) -> float:
+        """
+        Return the rate at which commands came since a time on the steady clock [Hz].
+
+        This is the slope of a line through the arrivals. A queue that is worked off in one go, or
+        a pause that is made up for, moves the line but hardly turns it, whereas a quotient of
+        count and time would include the commands of a queue that filled up before ``begin``.
+
+        Parameters
+        ----------
+        begin : float
+            Time on the steady clock [s]; without it, the beginning of the motion.
+
+        """
+        times = np.array(self.arrivals[bisect_left(self.arrivals, begin) :])
+        if len(times) < 2:
+            return 0.0
+        since = times - times.mean()
+        spread = float(since @ since)
+        count = np.arange(len(times)) - 0.5 * (len(times) - 1)
+        return float(since @ count) / spread if spread > 0.0 else 0.0
 
     def largest_error(self, begin: float, end: float) -> Floats:
         """Return how far the joints were off at most from a time to another, shape (n,)."""

@@ -13,6 +13,9 @@ import subprocess
 import sys
 import threading
 
+from .mujoco_model import SimulationError
+
+LOCK_PORT = 32768  # plus a domain: the port that domain_coordinator binds to reserve it for a test
 STOP_TIMEOUT = 5.0  # [s]: a node ramps its efforts down before it ends
 PR_SET_PDEATHSIG = 1  # Linux's prctl(2): the signal to get when the parent dies
 
@@ -81,16 +84,39 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 
 
 def stay_on_this_machine() -> None:
-    """Choose ROS settings for this process and its children where the user has chosen none."""
+    """Keep ROS traffic of this process and its children local, unless the user set a range."""
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    if 'ROS_DOMAIN_ID' not in os.environ:
-        os.environ['ROS_DOMAIN_ID'] = str(_unused_domain())
 
 
-def _unused_domain() -> int:
-    """Pick a domain in which nobody on this machine takes part, so that robots do not mix."""
-    domains = random.sample(range(1, 101), 100)
-    return next((domain for domain in domains if _is_unused(domain)), domains[0])
+@contextmanager
+def unused_domain() -> Iterator[int]:
+    """
+    Reserve a ROS domain that no other process of this machine uses.
+
+    Other demos, and tests that use domain_coordinator, leave it alone as long as the context
+    lasts.
+
+    Yields
+    ------
+    domain : int
+        From 1 to 100.
+
+    Raises
+    ------
+    SimulationError
+        If all of them are in use.
+
+    """
+    for domain in random.sample(range(1, 101), 100):
+        with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as reservation:
+            try:
+                reservation.bind(('', LOCK_PORT + domain))
+            except OSError:
+                continue
+            if _is_unused(domain):
+                yield domain
+                return
+    raise SimulationError('all ROS domains from 1 to 100 are in use; choose one with --domain')
 
 
 def _is_unused(domain: int) -> bool:

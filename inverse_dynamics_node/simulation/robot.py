@@ -54,6 +54,7 @@ from .tilt import rotation_of_rpy, Tilt
 from .trajectory import start_pose
 
 MOST_LAG = 0.5  # [s]: beyond this the simulated time waits for the machine
+COMPLAINT_PERIOD = 5.0  # [s]: a publisher of wrong commands may send thousands per second
 GAP = 0.1  # [s]: commands further apart than this are not a flow that brakes can rely on
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -92,7 +93,8 @@ class RobotNode(Node):
         self._flow_began = -math.inf
         self._began: int | None = None
         self._elapsed = 0.0
-        self._complaint = ''
+        self._complaint_due = -math.inf
+        self._ignored = 0
         self._state = JointState(name=robot.state_names)
         self._states = self.create_publisher(JointState, 'joint_states', 10)
         self._brakes = self.create_publisher(Bool, 'brakes', LATCHED)
@@ -179,21 +181,30 @@ class RobotNode(Node):
     # Commands
 
     def _on_command(self, message: Float64MultiArray) -> None:
-        complaint = self._fault(message)
-        if complaint != self._complaint and complaint:
-            self.get_logger().error(complaint)
-        self._complaint = complaint
-        if not complaint:
+        fault = self._fault(message)
+        if fault:
+            self._ignore(fault)
+        else:
             self._robot.command(message.data)
             self._update_brakes()
 
     def _fault(self, message: Float64MultiArray) -> str:
         expected = len(self._robot.command_names)
         if len(message.data) != expected:
-            return f'command ignored: it has {len(message.data)} efforts, expected {expected}'
+            return f'it has {len(message.data)} efforts, expected {expected}'
         if not all(map(math.isfinite, message.data)):
-            return 'command ignored: an effort in it is not finite'
+            return 'an effort in it is not finite'
         return ''
+
+    def _ignore(self, fault: str) -> None:
+        """Log a command that is ignored, but not more often than somebody can read."""
+        self._ignored += 1
+        now = time.monotonic()
+        if now < self._complaint_due:
+            return
+        self._complaint_due = now + COMPLAINT_PERIOD
+        others = f' ({self._ignored} ignored so far)' if self._ignored > 1 else ''
+        self.get_logger().error(f'command ignored: {fault}{others}')
 
     def _update_brakes(self) -> None:
         now = self._elapsed

@@ -69,8 +69,8 @@ class Run:
         assert commander.state is not None
         return commander.state[0]
 
-    def perform(self, script: Script, duration: float, view: View) -> float:
-        """Let it all happen; return the rate at which commands came [Hz]."""
+    def perform(self, script: Script, duration: float, view: View) -> None:
+        """Run a script to its end."""
         commander = self.commander
         for event in script.events:
             commander.will_tell(event.messages)
@@ -84,7 +84,7 @@ class Run:
         view.tell(0.0, self.words)
         commander.follow(script.trajectory)
         events = list(script.events)
-        began = last = time.monotonic(), commander.commands
+        last = time.monotonic()
         line = 1.0
         while commander.now < duration:
             self._spin()
@@ -96,19 +96,18 @@ class Run:
                 for topic, message in event.messages.items():
                     commander.tell(topic, message)
                 view.tell(event.time, event.words)
-            now = time.monotonic(), commander.commands
             is_second = commander.now >= min(line, duration)
             if is_second and not view.is_live:
-                view.print_progress(self._moment(_rate(last, now)))
+                view.print_progress(self._moment(last))
             elif view.is_due:
-                view.draw(self._moment(_rate(last, now)))
+                view.draw(self._moment(time.monotonic() - 1.0))
             if is_second:
                 line = math.floor(commander.now) + 1.0
-                last = now
-        return _rate(began, (time.monotonic(), commander.commands))
+                last = time.monotonic()
 
-    def _moment(self, rate: float) -> Moment:
+    def _moment(self, since: float) -> Moment:
         commander = self.commander
+        rate = commander.history.command_rate(since)
         assert commander.state is not None
         q, _, effort = commander.state
         return Moment(
@@ -151,7 +150,3 @@ def topics_of(scenario: Scenario, script: Script) -> dict[str, Any]:
         topics['imu'] = Imu
     told = {topic: type(m) for event in script.events for topic, m in event.messages.items()}
     return topics | told
-
-
-def _rate(before: tuple[float, int], after: tuple[float, int]) -> float:
-    return (after[1] - before[1]) / max(after[0] - before[0], 1e-3)

@@ -80,9 +80,13 @@ def find_failures(
             if not error <= most  # NaN is a failure: nothing was measured
         ]
     if not abs(rate / asked - 1.0) <= RATE_LIMIT:
+        cause = (
+            'another node publishes commands too, or the robot made up for a pause of this machine'
+            if rate > asked
+            else f'this machine is busy, or too slow for --rate {asked:g}'
+        )
         failures.append(
-            f'{rate:.1f} commands/s came, {asked:.1f} were asked for: '
-            'this machine is busy, or too slow for --rate'
+            f'{rate:.1f} commands/s received, expected {asked:.1f} +- {RATE_LIMIT:.0%}: {cause}'
         )
     return failures
 

@@ -45,8 +45,7 @@ def record(domain_id, tmp_path):
         demo = [sys.executable, '-m', 'inverse_dynamics_node.simulation.demo', str(path)]
         options = ['--scenario', scenario, '--duration', str(DURATION), '--record', str(folder)]
         done = subprocess.run(
-            [*demo, *options],
-            env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)},
+            [*demo, *options, '--domain', str(domain_id)],
             capture_output=True,
             text=True,
             timeout=PATIENCE,

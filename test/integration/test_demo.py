@@ -13,7 +13,7 @@ import time
 
 import numpy as np
 import pytest
-from robot_files import STANFORD
+from robot_files import ROOT, STANFORD
 
 pytest.importorskip('rclpy')
 pytest.importorskip('mujoco')
@@ -21,9 +21,10 @@ pytest.importorskip('rosbags')
 
 from inverse_dynamics_node import load_urdf
 from inverse_dynamics_node.simulation.commander import resolved_acceleration
-from inverse_dynamics_node.simulation.processes import running
+from inverse_dynamics_node.simulation.processes import running, unused_domain
 
 PATIENCE = 90.0  # [s]; a demo that can do nothing gives up by itself before this
+SEVEN_JOINTS = ROOT / 'test' / 'robots' / 'seven_dof.urdf'
 DEMO = 'inverse_dynamics_node.simulation.demo'
 MASSLESS = """
 <robot name="massless"><link name="base"/><link name="tip"/>
@@ -35,8 +36,7 @@ MASSLESS = """
 def running_demo(domain_id, *arguments):
     """Run the demo; whatever becomes of the test, nothing stays behind."""
     demo = subprocess.Popen(
-        [sys.executable, '-m', DEMO, *map(str, arguments)],
-        env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)},
+        [sys.executable, '-m', DEMO, '--domain', str(domain_id), *map(str, arguments)],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -79,6 +79,13 @@ def is_gone(number):
     return True
 
 
+def test_unused_domain_is_nobody_elses(domain_id):
+    with contextlib.ExitStack() as stack:
+        domains = {stack.enter_context(unused_domain()) for _ in range(5)}
+    assert len(domains) == 5
+    assert domain_id not in domains
+
+
 class TestDemo:
     def test_robot_tracks_and_the_result_is_printed(self, domain_id):
         with running_demo(domain_id, STANFORD, '--duration', 6) as demo:
@@ -86,7 +93,7 @@ class TestDemo:
         assert 'Traceback' not in output
         # How many commands a busy machine manages is no matter here; where the joints are is.
         failures = re.findall(r'^FAILED: (.*)', output, re.MULTILINE)
-        assert all('commands/s came' in words for words in failures), output
+        assert all('commands/s received' in words for words in failures), output
         assert code == bool(failures)
         joints = load_urdf(STANFORD).joint_names
         number = r'(\d+\.\d+)'
@@ -135,6 +142,7 @@ class TestDemo:
             (['--scenario', 'dance'], "invalid choice: 'dance'"),
             (['--picture', 'run.jpeg2'], 'expected .png, .svg or .pdf'),
             (['--record', '.'], 'argument --record: .: exists already'),
+            (['--domain', '233'], '--domain 233 is not from 0 to 232'),
         ],
     )
     def test_options_that_make_no_sense_are_refused(self, domain_id, arguments, words):
@@ -166,9 +174,10 @@ class TestDemo:
 
     def test_on_a_terminal_a_table_is_drawn_over_and_over(self, domain_id):
         ours, theirs = pty.openpty()
-        environment = {'ROS_DOMAIN_ID': str(domain_id), 'TERM': 'xterm', 'COLUMNS': '120'}
+        environment = {'TERM': 'xterm', 'COLUMNS': '120'}
+        command = [sys.executable, '-m', DEMO, STANFORD, '--domain', str(domain_id)]
         with subprocess.Popen(
-            [sys.executable, '-m', DEMO, STANFORD, '--scenario', 'hold', '--duration', '2'],
+            [*command, '--scenario', 'hold', '--duration', '2'],
             env={**os.environ, **environment},
             stdout=theirs,
             stderr=theirs,
@@ -185,6 +194,23 @@ class TestDemo:
         assert 'brakes open' in text
         assert '\x1b[' in text
         assert re.search(r'^PASSED: no joint moved', text, re.MULTILINE)
+
+    def test_demos_at_the_same_time_have_domains_of_their_own(self):
+        """They do so even if the terminal sets a domain, as robots' start-up files do."""
+        commands = [
+            [sys.executable, '-m', DEMO, path, '--scenario', 'hold', '--duration', '2']
+            for path in (STANFORD, SEVEN_JOINTS)
+        ]
+        settings = {'stdout': subprocess.PIPE, 'stderr': subprocess.STDOUT, 'text': True}
+        environment = {**os.environ, 'ROS_DOMAIN_ID': '7'}
+        demos = [subprocess.Popen(command, env=environment, **settings) for command in commands]
+        outputs = [finish(demo)[1] for demo in demos]
+        domains = []
+        for output in outputs:
+            domains += re.findall(r'^to see .* ROS_DOMAIN_ID=(\d+) ', output, re.MULTILINE)
+            assert 't = 2.0 s' in output
+            assert 'ignored' not in output
+        assert len(set(domains)) == 2
 
     @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
     def test_signal_ends_all_of_it_in_peace(self, domain_id, number):

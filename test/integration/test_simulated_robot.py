@@ -20,7 +20,7 @@ from geometry_msgs.msg import (
 )
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.simulation.mujoco_robot import MujocoRobot
-from inverse_dynamics_node.simulation.robot import RobotNode
+from inverse_dynamics_node.simulation.robot import COMPLAINT_PERIOD, RobotNode
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -68,6 +68,14 @@ class TestRobotNode:
         arm.send([3.0] * 6)
         arm.wait_until(obeys_the_last)
         assert set().union(*efforts) == {0.0, 1.0, 3.0}
+
+    def test_wrong_commands_between_right_ones_do_not_flood_the_log(self, arm, capfd):
+        began = time.monotonic()
+        for i in range(1, 101):
+            arm.send([0.01 * i] * (5 + i % 3))
+            arm.send_and_see([0.01 * i] * 6)
+        lines = capfd.readouterr().err.count('command ignored: it has')
+        assert 1 <= lines <= 1 + (time.monotonic() - began) / COMPLAINT_PERIOD
 
     def test_brakes_open_once_commands_have_come_for_a_while(self, arm):
         def command_for(times):

@@ -127,15 +127,36 @@ class TestVerdicts:
             (0.011, 0.0, 500.0, "joint 'a' was 11.00 mrad or mm off moving"),
             (0.0, 0.0011, 500.0, "joint 'a' was 1.10 mrad or mm off at rest"),
             (0.0, math.nan, 500.0, 'off at rest'),
-            (0.0, 0.0, 489.0, '489.0 commands/s came'),
-            (0.0, 0.0, 511.0, '511.0 commands/s came'),
-            (0.0, 0.0, math.nan, 'nan commands/s came'),
+            (0.0, 0.0, 489.0, '489.0 commands/s received, expected 500.0 +- 2%: this machine is'),
+            (0.0, 0.0, 511.0, '511.0 commands/s received, expected 500.0 +- 2%: another node'),
+            (0.0, 0.0, math.nan, 'nan commands/s received'),
         ],
     )
     def test_each_limit_missed_in_tracking_is_told(self, moving, rest, rate, words):
         errors = np.array([moving, 0.0]), np.array([rest, 0.0])
         (failure,) = verdicts.find_failures(('a', 'b'), *errors, rate, 500.0)
         assert words in failure
+
+    @pytest.mark.parametrize('duration', [3.0, 15.0])
+    @pytest.mark.parametrize(
+        ('stalled', 'resumed'), [(0.0, 0.0), (-0.13, 0.0), (-0.13, 0.05), (0.7, 0.83), (2.8, 2.93)]
+    )
+    def test_commands_that_queued_up_do_not_raise_the_rate(self, stalled, resumed, duration):
+        history = History()
+        due = np.arange(max(stalled, -0.13) if stalled < 0.0 else 0.0, duration, 0.002)
+        waited = (due >= stalled) & (due < resumed)
+        history.arrivals = np.where(waited, resumed, due).tolist()
+        assert history.command_rate() == pytest.approx(500.0, rel=0.5 * verdicts.RATE_LIMIT)
+
+    def test_commands_that_are_missing_lower_the_rate(self):
+        history = History()
+        times = np.arange(0.0, 10.0, 0.002)
+        history.arrivals = times[np.arange(len(times)) % 20 != 0].tolist()
+        assert history.command_rate() == pytest.approx(475.0, rel=1e-3)
+        assert history.command_rate(9.0) == pytest.approx(475.0, rel=5e-3)
+        assert history.command_rate(10.0) == 0.0
+        history.arrivals = [1.0, 1.0, 1.0]
+        assert history.command_rate() == 0.0
 
     def test_errors_of_other_times_do_not_count(self, stage):
         history = history_of(stage, (2.0, 0.1), (4.0, -0.2), (99.0, 0.3))
