@@ -1,0 +1,187 @@
+"""Laws that every command keeps, whatever happens between one and the next."""
+
+import math
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from inverse_dynamics_node import InverseDynamics, load_urdf
+from inverse_dynamics_node.controller import (
+    Controller,
+    IS_WELL,
+    Mode,
+    Phase,
+    Reference,
+    Settings,
+    StalePolicy,
+)
+from inverse_dynamics_node.state import State
+import numpy as np
+from robot_files import ROOT
+
+ROBOT = load_urdf(ROOT / 'test/robots/planar_2r.urdf')
+Q, QD = np.array([0.4, -0.7]), np.array([0.3, 0.2])
+LARGEST = 100.0  # [N m]; more than any effort computed here
+ROUNDING = 1e-9  # [N m]
+SHORTEST = 0.2  # [s]; of the start ramps that are not zero
+LATE = 0.02  # [s]; how much later than the state timeout a step may come
+
+efforts = st.sampled_from([0.5, 3.0, 20.0])
+some_settings = st.fixed_dictionaries(
+    {
+        'mode': st.sampled_from([Mode.INVERSE_DYNAMICS, Mode.GRAVITY_COMPENSATION]),
+        'on_stale_state': st.sampled_from(StalePolicy),
+        'start_ramp': st.sampled_from([SHORTEST, 1.0]),
+        'stop_ramp': st.sampled_from([0.0, 0.1, 0.5]),
+        'effort_scale': st.sampled_from([-1.0, 0.5, 1.0]),
+        'effort_offset': st.sampled_from([0.0, -2.0]),
+        'use_urdf_effort_limits': st.booleans(),
+        'effort_limits': st.one_of(st.just(LARGEST), efforts, st.tuples(efforts, efforts)),
+        'effort_rate_limits': st.sampled_from([math.inf, 1.0, 20.0, (5.0, math.inf)]),
+    }
+)
+times = st.one_of(
+    st.floats(0.0, 0.05), st.sampled_from([0.01, 0.01, 0.01, 0.1, 1.0, 50.0, -1.0, -100.0])
+)
+inputs = st.sampled_from(['fresh', 'fresh', 'fresh', 'lost', 'none', 'absurd'])
+events = st.one_of(
+    st.sampled_from(['stop', 'resume', 'start', 'heavier', 'other robot']), some_settings
+)
+scenes = st.lists(st.tuples(events, st.lists(st.tuples(times, inputs), max_size=12)), max_size=12)
+
+
+class Watched:
+    """A controller whose every command is held against the laws."""
+
+    def __init__(self, first, accelerations):
+        self.controller = Controller(InverseDynamics(ROBOT), (), Settings(**first))
+        self.accelerations = np.array(accelerations)
+        self.now, self.last = 100.0, np.zeros(2)
+        self.has_changed = self.was_falling = False
+        self.fallen = 0.0
+
+    def happen(self, event):
+        ours = self.controller
+        self.has_changed = event not in ('stop', 'resume')
+        if event == 'stop':
+            ours.stop()
+        elif event == 'resume':
+            ours.resume()
+        elif event == 'start':
+            ours.start()
+            self.last, self.was_falling = np.zeros(2), False
+        elif event == 'heavier':
+            ours.dynamics.set_payload(ROBOT.link_names[-1], 0.5)
+            ours.blend()
+        elif event == 'other robot':
+            self.controller = Controller(InverseDynamics(ROBOT), (), ours.settings)
+            self.controller.take_over(ours)
+        else:
+            ours.apply(Settings(**event))
+
+    def step(self, elapsed, given_input='fresh'):
+        """Let time pass, and check the next command."""
+        self.now += elapsed
+        heard = State(Q, QD, self.now - (10.0 if given_input == 'lost' else 0.0))
+        wanted = np.full(2, 1e308) if given_input == 'absurd' else self.accelerations
+        reference = Reference(wanted, np.zeros(2), self.now)
+        ours = self.controller
+        command = ours.step(self.now, None if given_input == 'none' else heard, reference)
+        if command is None:
+            assert ours.phase is Phase.WAITING
+            return
+        efforts = command.efforts.copy()
+        assert np.isfinite(efforts).all()
+        longest = ours.settings.state_timeout + LATE
+        if ours.phase in IS_WELL:
+            self.was_falling = False
+            self.check_followed(efforts, elapsed if 0.0 <= elapsed <= longest else 0.0)
+        elif ours.phase is Phase.STOPPED or ours.settings.on_stale_state is StalePolicy.ZERO:
+            self.check_fall(efforts, min(max(0.0, elapsed), longest))
+        else:
+            self.was_falling = False
+            assert (np.abs(efforts) <= np.abs(self.last)).all()
+            assert (efforts * self.last >= 0.0).all()
+        self.check_limits(efforts)
+        self.last, self.has_changed = efforts, False
+
+    def check_followed(self, efforts, elapsed):
+        change = np.abs(efforts - self.last)
+        ours = self.controller.settings
+        rates = np.array(ours.effort_rate_limits)
+        limits = np.where(np.isinf(rates), math.inf, np.minimum(rates, 1e9) * elapsed)
+        assert (change <= limits + ROUNDING).all()
+        if ours.start_ramp:
+            # The state and the reference stay the same: only ramps and blends move the efforts.
+            share = 0.0 if self.has_changed else elapsed / SHORTEST
+            assert (change <= 3.0 * LARGEST * share + ROUNDING).all()
+
+    def check_fall(self, efforts, elapsed):
+        ramp = self.controller.settings.stop_ramp
+        if self.was_falling:
+            ramp = self.ramp
+            self.fallen += elapsed
+        else:
+            self.was_falling, self.fallen, self.ramp, self.top = True, 0.0, ramp, self.last
+        assert (np.abs(efforts) <= np.abs(self.last)).all()
+        assert (efforts * self.last >= 0.0).all()
+        share = max(0.0, 1.0 - self.fallen / ramp) if ramp else 0.0
+        assert np.allclose(efforts, share * self.top, rtol=0.0, atol=ROUNDING)
+        if self.fallen > ramp + ROUNDING:
+            assert efforts.tolist() == [0.0, 0.0]
+        if share == 1.0:
+            assert (efforts == self.last).all()
+
+    def check_limits(self, efforts):
+        limits = np.maximum(self.controller.limits, np.abs(self.last))
+        assert (np.abs(efforts) <= limits + ROUNDING).all()
+
+
+def play(first, accelerations, acts):
+    watched = Watched(first, accelerations)
+    for event, steps in acts:
+        watched.happen(event)
+        for elapsed, given_input in steps:
+            watched.step(elapsed, given_input)
+    return watched
+
+
+accelerations = st.tuples(st.floats(-20.0, 20.0), st.floats(-20.0, 20.0))
+
+
+@settings(max_examples=300)
+@given(some_settings, accelerations, scenes)
+def test_commands_continue_from_the_last_one_and_stops_only_shrink_them(first, wanted, acts):
+    play(first, wanted, acts)
+
+
+@given(some_settings, accelerations, scenes)
+def test_rate_limits_and_stop_ramps_hold_without_a_start_ramp(first, wanted, acts):
+    none = {'start_ramp': 0.0}
+    acts = [(event | none if isinstance(event, dict) else event, steps) for event, steps in acts]
+    play(first | none, wanted, acts)
+
+
+@given(some_settings, accelerations, scenes, some_settings)
+def test_every_stop_ends_at_zero_and_every_blend_at_the_computed_efforts(
+    first, wanted, acts, last
+):
+    watched = play(first, wanted, acts)
+    ours = watched.controller
+    watched.happen('resume')
+    last = last | {'effort_rate_limits': math.inf}
+    watched.happen(last)
+    watched.step(0.01)
+    for _ in range(60):
+        watched.step(0.05)
+    fresh = Controller(ours.dynamics, (), Settings(**last | {'start_ramp': 0.0}))
+    reference = Reference(watched.accelerations, np.zeros(2), 0.0)
+    expected = fresh.step(0.0, State(Q, QD, 0.0), reference).efforts
+    assert ours.phase in IS_WELL
+    assert np.allclose(watched.last, expected, rtol=0.0, atol=ROUNDING)
+    assert (np.abs(watched.last) <= ours.limits).all()
+    watched.happen('stop')
+    watched.step(0.01)
+    assert (watched.last != 0.0).any() == (last['stop_ramp'] > 0.0 and expected.any())
+    for _ in range(12):
+        watched.step(0.05)
+    assert watched.last.tolist() == [0.0, 0.0]
