@@ -18,6 +18,7 @@ import rclpy.node
 from robot_files import ROOT, STANFORD
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, Header
+from std_srvs.srv import SetBool
 
 MODEL = load_urdf(STANFORD)
 NAMES = list(MODEL.joint_names)
@@ -177,6 +178,112 @@ def test_parameters_that_change_make_no_jump(run_node, robot):
     assert robot.set_parameter('include_gravity', False).successful
     robot.wait_for_command(ZERO)
     assert_ramped(robot, since, HOLD, HOLD)
+
+
+def push_joint(robot, effort):
+    """Ask for an effort of the third joint, and none of the others beyond gravity."""
+    robot.publish_reference(NAMES, ZERO, [0.0, 0.0, effort - HOLD[2], 0.0, 0.0, 0.0])
+
+
+def test_a_stop_under_rate_limits_never_flips_or_enlarges_an_effort(run_node, robot):
+    node = run_node(**{**PATIENT, 'state_timeout': 1.0})
+
+    def start_to_swing():
+        """Bring the third joint on a slow way from -30 to 30 N; return the commands since."""
+        robot.publish_state(NAMES, Q, ZERO)
+        assert robot.set_parameter('effort_rate_limits', 0.0).successful
+        push_joint(robot, -30.0)
+        robot.wait_for_command([*HOLD[:2], -30.0, *HOLD[3:]])
+        assert robot.set_parameter('effort_rate_limits', 3.0).successful
+        since = len(robot.commands)
+        push_joint(robot, 30.0)
+        robot.wait_until(lambda: robot.commands[-1][2] > -29.9, 'the effort on its way')
+        return since
+
+    def check_fall(since):
+        efforts = np.array(robot.commands[since:])[:, 2]
+        assert efforts[-1] == 0.0
+        assert (efforts <= 0.0).all()
+        assert (np.diff(np.abs(efforts)) <= 1e-9).all()
+
+    since = start_to_swing()
+    assert robot.call(SetBool, 'enable', SetBool.Request(data=False)).success
+    robot.wait_for_command(ZERO, tolerance=0.0)
+    check_fall(since)
+    assert robot.call(SetBool, 'enable', SetBool.Request(data=True)).success
+
+    since = start_to_swing()
+    robot.state = None
+    robot.wait_for_command(ZERO, tolerance=0.0)
+    check_fall(since)
+
+    since = start_to_swing()
+    assert robot.change_state('deactivate')
+    robot.wait_for_command(ZERO, tolerance=0.0)
+    check_fall(since)
+    assert robot.change_state('activate')
+
+    since = start_to_swing()
+    node.interrupt()
+    assert robot.wait_for_end(node) == 0
+    check_fall(since)
+
+
+@pytest.mark.parametrize('rate', [0, 50])
+def test_the_stop_ramp_starts_when_the_loss_of_states_is_detected(run_node, robot, rate):
+    run_node(**{**FAST, 'state_timeout': 1.0, 'stop_ramp': 1.0}, update_rate=rate)
+    robot.publish_state(NAMES, Q, ZERO)
+    robot.wait_for_command(HOLD)
+    robot.state, since, count = None, time.monotonic(), len(robot.commands)
+    robot.wait_for_command(ZERO, tolerance=0.0)
+    shares = np.array(robot.commands[count:])[:, 2] / HOLD[2]
+    times = np.array(robot.command_times[count:])
+    assert (np.diff(shares) <= 1e-9).all()
+    # A command that takes long to get here is late, never early.
+    assert (shares[times < since + 0.5] >= 0.9).all()
+    assert ((shares > 0.5) & (shares < 0.99)).any()
+
+
+def test_live_changes_start_from_the_last_command(run_node, robot):
+    run_node(**RAMPED)
+    robot.publish_state(NAMES, Q, ZERO)
+    robot.wait_for_command(HOLD)
+    far = np.array([*HOLD[:2], -30.0, *HOLD[3:]])
+
+    def wait_to_be_under_way():
+        count = len(robot.commands)
+        robot.wait_until(
+            lambda: (
+                len(robot.commands) > count
+                and abs(robot.commands[-1][2] - robot.commands[count][2]) > 1.0
+            ),
+            'the effort on its way',
+        )
+
+    # Rate limits that end while the effort is far behind.
+    assert robot.set_parameter('effort_rate_limits', 2.0).successful
+    push_joint(robot, -30.0)
+    wait_to_be_under_way()
+    last, since = np.array(robot.commands[-1]), time.monotonic()
+    assert robot.set_parameter('effort_rate_limits', 0.0).successful
+    robot.wait_for_command(far)
+    assert_ramped(robot, since, last, far - last)
+
+    # A tightened limit, and no ramp any more for what follows.
+    since = time.monotonic()
+    assert robot.set_parameter('effort_limits', 1.0).successful
+    wait_to_be_under_way()
+    assert robot.set_parameter('start_ramp', 0.0).successful
+    robot.wait_for_command(np.clip(far, -1.0, 1.0))
+    assert_ramped(robot, since, far, np.clip(far, -1.0, 1.0) - far)
+
+    # Without a ramp, the rate limits alone.
+    assert robot.set_parameter('effort_rate_limits', 10.0).successful
+    since, count = time.monotonic(), len(robot.commands)
+    assert robot.set_parameter('effort_limits', 0.0).successful
+    wait_to_be_under_way()
+    way = np.abs(np.array(robot.commands[count:]) - np.clip(far, -1.0, 1.0)).max(axis=1)
+    assert (way <= 0.5 + 10.0 * (np.array(robot.command_times[count:]) - since)).all()
 
 
 @pytest.mark.parametrize('executor', ['events', 'single_threaded'])
