@@ -169,7 +169,12 @@ PARAMETERS = {
         'The URDF, as XML text. Empty: from robot_description_file, else from the topic',
         is_live=False,
     ),
-    'robot_description_file': Parameter(_TEXT, '', 'Path of a URDF file', is_live=False),
+    'robot_description_file': Parameter(
+        _TEXT,
+        '',
+        'URDF file: a path, package://PACKAGE/PATH or file:///PATH',
+        is_live=False,
+    ),
     'joints': Parameter(
         _NAMES,
         [''],

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 from ..controller import of_joints, PerJoint
@@ -12,6 +10,7 @@ from ..model import Floats, RobotModel
 from ..rig import Rig
 from ..trajectory import complete, Trajectory
 from ..urdf import load_urdf
+from .description_file import load_file
 from .parameters import BaseMotion, Configuration, PER_JOINT
 
 
@@ -108,8 +107,7 @@ def check_configuration(rig: Rig, configuration: Configuration) -> None:
 def _load_robot(configuration: Configuration, description: str) -> RobotModel:
     missing = configuration.on_missing_inertial.value
     if configuration.robot_description_file:
-        # A shell leaves a ~ after := as it is.
-        return load_urdf(Path(configuration.robot_description_file).expanduser(), missing)
+        return load_file(configuration.robot_description_file, missing)
     text = configuration.robot_description or description
     if not text:
         raise ConfigurationError(
