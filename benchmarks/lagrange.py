@@ -16,7 +16,7 @@ there are two readings: the derivatives of all T_p computed once and kept, then 
 multiplied out from its factors where a sum names it, which makes n^5 products.
 
 dA_p/dq is A_p Q_p with a constant Q_p, so a derivative of T_p is the product A_1 ... A_p with Q_j
-put in after A_j. The links' frames are those of `table`, every joint along its z.
+put in after A_j. The links' frames are those of `columns`, every joint along its z.
 
 Arrays are indexed down to the number everywhere: 4x4 views of them would keep the compiler from
 doing several numbers at a time, and the comparison from being fair.
@@ -27,8 +27,8 @@ from __future__ import annotations
 from math import cos, sin
 from typing import Any, NamedTuple
 
-from inverse_dynamics_node import table as columns
-from inverse_dynamics_node.compilation import inlined, IS_COMPILED
+from inverse_dynamics_node import columns
+from inverse_dynamics_node.compilation import IS_COMPILED, simd_inline
 from inverse_dynamics_node.dynamics import STANDARD_GRAVITY
 from inverse_dynamics_node.model import Floats, RobotModel
 from inverse_dynamics_node.newton_euler import inverse_dynamics
@@ -81,15 +81,15 @@ def chain_of(robot: RobotModel) -> Chain:
         raise ValueError('the equation is for chains')
     transforms, generators, inertias = np.zeros((3, n, 4, 4))
     for k, row in enumerate(rows[1:]):
-        transforms[k, :3, :3] = row[columns.ROTATION].reshape(3, 3)
-        transforms[k, :3, 3] = row[columns.OFFSET]
+        transforms[k, :3, :3] = np.reshape(columns.rotation(row), (3, 3))
+        transforms[k, :3, 3] = columns.vector(row, columns.OFFSET)
         transforms[k, 3, 3] = 1.0
-        if row[columns.IS_PRISMATIC]:
+        if row[columns.SLIDES]:
             generators[k, 2, 3] = 1.0
         else:
             generators[k, 1, 0], generators[k, 0, 1] = 1.0, -1.0
         inertias[k] = pseudo_inertia(row)
-    slides = rows[1:, columns.IS_PRISMATIC].copy()
+    slides = rows[1:, columns.SLIDES].copy()
     gravity = np.array(STANDARD_GRAVITY)
     room = [np.zeros((n,) * k + (4, 4)) for k in (1, 2, 3, 0, 0, 0)]
     return Chain(transforms, generators, slides, inertias, gravity, *room)
@@ -97,8 +97,8 @@ def chain_of(robot: RobotModel) -> Chain:
 
 def pseudo_inertia(row: Floats) -> Floats:
     """Integrate r r^T over a link, r homogeneous: the second moments, the first, and the mass."""
-    mass, com = row[columns.MASS], row[columns.COM]
-    xx, xy, xz, yy, yz, zz = row[columns.INERTIA]
+    mass, com = row[columns.MASS], np.array(columns.vector(row, columns.COM))
+    xx, xy, xz, yy, yz, zz = columns.inertia(row)
     about_com = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     second = np.trace(about_com) / 2.0 * np.eye(3) - about_com + mass * np.outer(com, com)
     first = mass * com
@@ -224,7 +224,7 @@ def keep_derivatives(A: Any, Q: Any, dT: Any, ddT: Any, T: Any, T_before: Any) -
             multiply(dT[p, j], Q[p], ddT[p, j, p])
 
 
-@inlined
+@simd_inline
 def multiply_out(p: int, j: int, k: int, A: Any, Q: Any, product: Any, room: Any) -> None:
     """Multiply A_1 ... A_p, with Q after A_j and A_k."""
     copy(A[0], product)
@@ -240,7 +240,7 @@ def multiply_out(p: int, j: int, k: int, A: Any, Q: Any, product: Any, room: Any
             multiply(room, Q[link], product)
 
 
-@inlined
+@simd_inline
 def copy(a: Any, b: Any) -> None:
     """Copy a 4x4 matrix."""
     for row in range(4):
@@ -248,7 +248,7 @@ def copy(a: Any, b: Any) -> None:
             b[row, column] = a[row, column]
 
 
-@inlined
+@simd_inline
 def multiply(a: Any, b: Any, product: Any) -> None:
     """Multiply two 4x4 matrices into a third."""
     for row in range(4):
@@ -261,7 +261,7 @@ def multiply(a: Any, b: Any, product: Any) -> None:
             )
 
 
-@inlined
+@simd_inline
 def trace(a: Any, inertia: Any, b: Any) -> float:
     """Compute tr(a J b^T)."""
     total = 0.0
@@ -276,7 +276,7 @@ def trace(a: Any, inertia: Any, b: Any) -> float:
     return total
 
 
-@inlined
+@simd_inline
 def weight(gravity: Any, dT: Any, inertia: Any) -> float:
     """Compute -m g^T dT r; the last column of J is m r."""
     total = 0.0

@@ -19,8 +19,7 @@ import contextlib
 import math
 from typing import Any, NamedTuple
 
-from inverse_dynamics_node import newton_euler
-from inverse_dynamics_node import table as columns
+from inverse_dynamics_node import columns, equations, newton_euler
 from inverse_dynamics_node.dynamics import STANDARD_GRAVITY
 from inverse_dynamics_node.model import Floats, RobotModel
 import numpy as np
@@ -35,7 +34,7 @@ def sweep(q, qd, qdd, tau, times):
         for k in range(len(q)):
             efforts(q[k], qd[k], qdd[k], tau[k])
 """
-_STRUCTURE = (columns.PARENT, columns.JOINT, columns.IS_PRISMATIC)  # read, not computed with
+_STRUCTURE = (columns.PARENT, columns.JOINT, columns.SLIDES)  # read, not computed with
 
 
 class Operations(NamedTuple):
@@ -158,7 +157,7 @@ def record_newton_euler(robot: RobotModel, folds: bool) -> tuple[Record, list[An
     ]
     q, qd, qdd = (record.inputs(name, n) for name in ('q', 'qd', 'qdd'))
     tau: list[Any] = [0.0] * n
-    with uncompiled(newton_euler, record):
+    with uncompiled(record, columns, equations, newton_euler):
         newton_euler.outward_pass(q, qd, qdd, rows)
         newton_euler.inward_pass(tau, rows)
     return record, tau
@@ -167,7 +166,7 @@ def record_newton_euler(robot: RobotModel, folds: bool) -> tuple[Record, list[An
 def table_under_gravity(robot: RobotModel) -> Floats:
     """Lay out a robot on a base at rest: LWP (31)."""
     rows = columns.robot_table(robot)
-    rows[0, columns.ACCEL] = -np.array(STANDARD_GRAVITY)
+    rows[0, columns.ACCEL : columns.ACCEL + 3] = -np.array(STANDARD_GRAVITY)
     return rows
 
 
@@ -178,18 +177,20 @@ def count_newton_euler(robot: RobotModel, folds: bool) -> Operations:
 
 
 @contextlib.contextmanager
-def uncompiled(module: Any, record: Record) -> Iterator[None]:
-    """Let the functions of a module run as Python, on numbers of a record."""
-    before = dict(vars(module))
-    for name, function in before.items():
-        if hasattr(function, 'py_func'):
-            setattr(module, name, function.py_func)
-    for name in ('sin', 'cos'):
-        setattr(module, name, lambda x, name=name: record.function(name, x))
+def uncompiled(record: Record, *modules: Any) -> Iterator[None]:
+    """Let the functions of some modules run as Python, on numbers of a record."""
+    before = [dict(vars(module)) for module in modules]
+    for module, names in zip(modules, before, strict=True):
+        for name, function in names.items():
+            if hasattr(function, 'py_func'):
+                setattr(module, name, function.py_func)
+        for name in ('sin', 'cos'):
+            setattr(module, name, lambda x, name=name: record.function(name, x))
     try:
         yield
     finally:
-        vars(module).update(before)
+        for module, names in zip(modules, before, strict=True):
+            vars(module).update(names)
 
 
 def count_lagrange(robot: RobotModel, keep: bool) -> Operations:
@@ -201,7 +202,7 @@ def count_lagrange(robot: RobotModel, keep: bool) -> Operations:
     numbers = numbers._replace(slides=chain.slides)
     states = [np.array([record.inputs(name, n)]) for name in ('q', 'qd', 'qdd')]
     sweep = 'kept_sweep' if keep else 'multiplied_sweep'
-    with uncompiled(lagrange, record):
+    with uncompiled(record, lagrange):
         getattr(lagrange, sweep)(*states, np.empty((1, n), object), numbers, 1)
     return record.count([])
 

@@ -1,8 +1,10 @@
-"""numba where it is installed, plain Python where it is not; never an error because of a cache."""
+"""Compilation with numba if it is installed; a cache that fails is a warning, not an error."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
+from pathlib import Path
 from typing import Any, cast, TypeVar
 import warnings
 
@@ -13,8 +15,8 @@ except ImportError:
 
 IS_COMPILED: bool = numba is not None and not numba.config.DISABLE_JIT
 
-# a * b + c may round once, and the sign of zero does not matter. A NaN stays a NaN.
-LANE_MATH = {'contract', 'nsz', 'arcp'}
+# Allows a fused a * b + c and ignores the sign of zero. A NaN stays a NaN.
+FAST_MATH = {'contract', 'nsz', 'arcp'}
 
 Function = TypeVar('Function', bound=Callable[..., Any])
 
@@ -24,51 +26,39 @@ _has_warned = False
 
 def compiled(function: Function) -> Function:
     """
-    Mark a function to be compiled by `compile_for`, its machine code cached on disk.
+    Mark a function for compilation by `compile_for`, with its machine code cached on disk.
 
-    Without numba it stays the Python function that it is.
+    Without numba, return the Python function itself.
 
     """
     return _kept(function) if IS_COMPILED else function
 
 
-def compiled_for_lanes(function: Function) -> Function:
-    """Mark the same of a function on lanes; threads may run it side by side."""
-    return _kept(function, fastmath=LANE_MATH, nogil=True) if IS_COMPILED else function
+def simd_kernel(function: Function) -> Function:
+    """Mark a function of `lanes` for compilation; it releases the interpreter lock."""
+    return _kept(function, fastmath=FAST_MATH, nogil=True) if IS_COMPILED else function
 
 
-def inlined(function: Function) -> Function:
-    """
-    Mark a function to become part of those that call it.
-
-    For the innermost one it saves a tenth of the whole: what it reads was just computed.
-
-    """
+def simd_step(function: Function) -> Function:
+    """Mark a step of such a function, which contains the loops over lanes."""
     if not IS_COMPILED:
         return function
-    return cast(Function, numba.njit(inline='always', error_model='numpy')(function))
+    return cast(Function, numba.njit(error_model='numpy', fastmath=FAST_MATH)(function))
 
 
-def lanewise(function: Function) -> Function:
-    """Mark a function to be a step of those on lanes: with loops over lanes of its own."""
+def simd_inline(function: Function) -> Function:
+    """Mark a function to be inlined; loops over lanes are not vectorised across calls."""
     if not IS_COMPILED:
         return function
-    return cast(Function, numba.njit(error_model='numpy', fastmath=LANE_MATH)(function))
-
-
-def in_lane(function: Function) -> Function:
-    """Mark a function to become part of such loops, which otherwise would not be vectorised."""
-    if not IS_COMPILED:
-        return function
-    options = {'error_model': 'numpy', 'fastmath': LANE_MATH, 'forceinline': True}
+    options = {'error_model': 'numpy', 'fastmath': FAST_MATH, 'forceinline': True}
     return cast(Function, numba.njit(**options)(function))
 
 
 def compile_for(function: Any, *signatures: str) -> None:
     """
-    Compile for some signatures now, and for no other ever after: none compiles in a control loop.
+    Compile for some signatures now, and disable compilation, so that none happens in the loop.
 
-    A call with other types raises a TypeError from then on.
+    A call with other types raises a TypeError afterwards.
 
     """
     if not IS_COMPILED or not function._can_compile:
@@ -77,7 +67,7 @@ def compile_for(function: Any, *signatures: str) -> None:
         try:
             function.compile(signature)
         except Exception as error:
-            # A full disk, or files that a power cut has left half written.
+            # A full disk, or files that a power failure has left incomplete.
             _warn(error)
             for dispatcher in _cached:
                 dispatcher._cache = numba.core.caching.NullCache()
@@ -94,12 +84,23 @@ def _kept(function: Function, **options: Any) -> Function:
         _warn(error)
         dispatcher = numba.njit(error_model='numpy', **options)(function)
     else:
+        # numba discards cached code when the function's own file has changed. The equations that
+        # are inlined into it stand in other files of its folder.
+        folder = Path(function.__code__.co_filename).parent
+        dispatcher._cache._cache_file._source_stamp = _stamp(folder)
         _cached.append(dispatcher)
     return cast(Function, dispatcher)
 
 
+@cache
+def _stamp(folder: Path) -> tuple[tuple[str, float, int], ...]:
+    """Return names, times of modification and sizes of the source files in a folder."""
+    files = sorted(folder.glob('*.py'))
+    return tuple((file.name, file.stat().st_mtime, file.stat().st_size) for file in files)
+
+
 def _warn(error: Exception) -> None:
-    """Say it once: what is true of one function is true of all."""
+    """Warn once; every function has the same problem."""
     global _has_warned
     if not _has_warned:
         _has_warned = True

@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import lanes, newton_euler
-from . import table as columns
+from . import columns, lanes, newton_euler
 from .arguments import (
     broadcast,
     check_out,
@@ -384,7 +383,7 @@ class InverseDynamics:
 
         """
         turning = self._without(
-            columns.OMEGA_DOT, columns.ACCEL, columns.EXTERNAL, columns.JOINT_TERMS
+            columns.BASE_ACCELERATION_COLUMNS, columns.EXTERNAL_COLUMNS, columns.JOINT_TERM_COLUMNS
         )
         moving = self._efforts_of_any(turning, q, qd, self._zeros)
         if not self._base_motion[0].any():
@@ -444,10 +443,10 @@ class InverseDynamics:
         """
         _, shape = broadcast(len(self._zeros), q=q, qd=qd, qdd=qdd)
         zeros = np.zeros(shape)
-        weight = self._without(columns.EXTERNAL, columns.JOINT_TERMS)
-        bodiless = (columns.MASS, columns.INERTIA, columns.BASE_MOTION)
-        friction = self._without(*bodiless, columns.EXTERNAL, columns.ARMATURE)
-        external = self._without(*bodiless, columns.JOINT_TERMS)
+        weight = self._without(columns.EXTERNAL_COLUMNS, columns.JOINT_TERM_COLUMNS)
+        bodiless = (columns.MASS, columns.INERTIA_COLUMNS, columns.BASE_MOTION_COLUMNS)
+        friction = self._without(*bodiless, columns.EXTERNAL_COLUMNS, columns.ARMATURE)
+        external = self._without(*bodiless, columns.JOINT_TERM_COLUMNS)
         return Terms(
             inertial=self._efforts_of_any(self._inertia_only(), q, zeros, qdd),
             velocity=self.velocity_efforts(q, np.broadcast_to(qd, shape)),
@@ -509,12 +508,12 @@ class InverseDynamics:
 
     def _inertia_only(self) -> Any:
         return self._without(
-            columns.BASE_MOTION, columns.EXTERNAL, columns.DAMPING, columns.COULOMB
+            columns.BASE_MOTION_COLUMNS, columns.EXTERNAL_COLUMNS, columns.DAMPING, columns.COULOMB
         )
 
     def _write_base(self) -> None:
-        self._numbers[0, columns.BASE_MOTION] = self._base_motion.ravel()
-        self._numbers[0, columns.ACCEL] -= self.gravity  # LWP (31)
+        self._numbers[0, columns.BASE_MOTION_COLUMNS] = self._base_motion.ravel()
+        self._numbers[0, columns.ACCEL : columns.ACCEL + 3] -= self.gravity  # LWP (31)
         self._update(0)
 
     def _write_inertial(self, body: int) -> None:
@@ -536,8 +535,10 @@ class InverseDynamics:
             if robot.link_body[robot.link_names.index(link)] == body
         ]
         row, R_ZL = self._numbers[body], self._R_ZL[body]
-        row[columns.EXTERNAL_FORCE] = R_ZL @ sum((f for f, _ in on_body), np.zeros(3))
-        row[columns.EXTERNAL_MOMENT] = R_ZL @ sum((n for _, n in on_body), np.zeros(3))
+        force = sum((f for f, _ in on_body), np.zeros(3))
+        moment = sum((n for _, n in on_body), np.zeros(3))
+        columns.store(row, columns.EXTERNAL_FORCE, R_ZL @ force)
+        columns.store(row, columns.EXTERNAL_MOMENT, R_ZL @ moment)
         self._update(body)
 
     def _write_joints(self, column: int, values: Floats) -> None:

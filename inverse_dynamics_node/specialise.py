@@ -22,8 +22,7 @@ import warnings
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import newton_euler
-from . import table as columns
+from . import columns, equations, newton_euler
 from .compilation import IS_COMPILED
 from .dynamics import InverseDynamics
 from .model import Floats
@@ -155,10 +154,15 @@ class Specialised:
 def _acting(table: Floats) -> Any:
     """Tell which numbers of a table may change between calls, and are not zero now."""
     mask = np.zeros(table.shape, dtype=bool)
-    inputs = (columns.MASS, columns.COM, columns.INERTIA, columns.EXTERNAL, columns.JOINT_TERMS)
-    for part in inputs:
+    for part in (
+        columns.MASS,
+        columns.COM_COLUMNS,
+        columns.INERTIA_COLUMNS,
+        columns.EXTERNAL_COLUMNS,
+        columns.JOINT_TERM_COLUMNS,
+    ):
         mask[:, part] = True
-    mask[0, columns.BASE_MOTION] = True
+    mask[0, columns.BASE_MOTION_COLUMNS] = True
     return mask & (table != 0.0)
 
 
@@ -168,7 +172,7 @@ def write_out(table: Floats, block: Floats) -> Code:
 
     Parameters
     ----------
-    table : ndarray, shape (b, 64)
+    table : ndarray, shape (b, COLUMNS)
         From `robot_table`.
     block : ndarray, shape (4, n)
         Rows q, qd, qdd, tau, for `Code.in_block`.
@@ -308,7 +312,7 @@ def _functions_that_write(writer: Writer, inputs: list[RunTimeNumber]) -> dict[s
     def check(tau: list[Any]) -> Any:
         return writer.status(sum((x - x for x in reversed(tau)), zero_if_finite))
 
-    functions = {**vars(newton_euler), 'check': check}
+    functions = {**vars(columns), **vars(equations), **vars(newton_euler), 'check': check}
     for function in (math.cos, math.sin, math.tanh):
         functions[function.__name__] = writer.elementary(function)
     for name, function in functions.items():

@@ -1,6 +1,7 @@
 """Compiled where numba is, plain where it is not, and never an error because of a cache."""
 
 import os
+import shutil
 import subprocess
 import sys
 
@@ -23,10 +24,11 @@ print(compilation.IS_COMPILED, *efforts)
 """
 
 
-def run(code, **environment):
+def run(code, folder=ROOT, **environment):
     result = subprocess.run(
         [sys.executable, '-c', code],
-        env={**os.environ, 'PYTHONPATH': str(ROOT), **environment},
+        cwd=folder,
+        env={**os.environ, 'PYTHONPATH': str(folder), **environment},
         capture_output=True,
         text=True,
         timeout=300,
@@ -95,3 +97,18 @@ def test_nothing_compiles_once_prepared():
     compilation.compile_for(twice, '(f8,)')
     with pytest.raises(TypeError):
         twice('a text')
+
+
+@needs_numba
+def test_cached_code_is_not_used_after_a_change_of_the_equations(tmp_path):
+    package = tmp_path / 'inverse_dynamics_node'
+    shutil.copytree(ROOT / 'inverse_dynamics_node', package)
+    cache = str(tmp_path / 'cache')
+    _, *before = run(PRINT_EFFORTS, tmp_path, NUMBA_CACHE_DIR=cache).stdout.split()
+    (equations,) = package.rglob('equations.py')
+    text = equations.read_text()
+    doubled = text.replace('mass * accel_com[2]', '2.0 * mass * accel_com[2]')
+    assert doubled != text
+    equations.write_text(doubled)
+    _, *after = run(PRINT_EFFORTS, tmp_path, NUMBA_CACHE_DIR=cache).stdout.split()
+    assert after != before

@@ -9,7 +9,7 @@ from inverse_dynamics_node import (
     lanes,
     load_urdf,
 )
-from inverse_dynamics_node.compilation import lanewise
+from inverse_dynamics_node.compilation import simd_step
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -19,7 +19,7 @@ from robot_files import OUR_ROBOTS
 NAMES = ('q', 'qd', 'qdd')
 
 
-@lanewise  # and not kept on disk: that would not see a change of what it calls
+@simd_step  # and not kept on disk: that would not see a change of what it calls
 def cosines_and_sines(x, cosines, sines):
     for k in range(len(x)):
         cosines[k], sines[k] = lanes.cosine_and_sine(x[k])
