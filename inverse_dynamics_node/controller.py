@@ -54,6 +54,8 @@ class Phase(enum.Enum):
 
 
 _PATIENCE = 0.02  # [s]; how much later than expected a step may come
+_LEAST_RECOVERY = 0.2  # [s]; shortest time without a gap after which lost states are used again
+_TOLERATED_DROP = 0.05  # of the gain; after a loss that cost less, there is nothing to wait for
 IS_WELL = (Phase.RUNNING, Phase.HOLDING, Phase.TOO_FAR)
 """Phases in which efforts are computed from a fresh state."""
 
@@ -94,7 +96,9 @@ class Settings:
 
     mode: Mode = Mode.INVERSE_DYNAMICS
     state_timeout: float = 0.1
-    """A joint state older than this is lost."""
+    """A state of a commanded joint older than this is lost."""
+    uncommanded_state_timeout: float = 1.0
+    """A joint that is not commanded and was last reported longer ago is taken to be at rest."""
     reference_timeout: float = 0.5
     """A reference older than this counts no more; 0: a reference holds until the next."""
     on_stale_state: StalePolicy = StalePolicy.ZERO
@@ -170,6 +174,8 @@ class Controller:
         self._is_stopping = False
         self._time = math.inf
         self._filter_times = np.full(n, -1e300)  # long ago, but at a finite time
+        self._lost_gain = 0.0  # gain at which the states were lost
+        self._fresh_since = math.inf  # arrival of the first state after the last gap
         self._followed: Floats | None = None  # where a loop closed here was to be, last step
         self.apply(settings or Settings())
 
@@ -193,6 +199,8 @@ class Controller:
         if settings.use_urdf_effort_limits:
             limits = np.minimum(limits, self.dynamics.robot.effort_limits[self._index])
         self.settings, self._of_joint = settings, arrays
+        self._timeouts = np.full(len(self._qd), settings.uncommanded_state_timeout)
+        self._timeouts[self._index] = settings.state_timeout
         self.limits = limits
         self._blending.configure(
             self.scale,
@@ -281,6 +289,7 @@ class Controller:
             )
         self.phase, self._time = other.phase, other._time
         self._is_stopping = other._is_stopping
+        self._lost_gain, self._fresh_since = other._lost_gain, other._fresh_since
         self._blending.continue_from(other._blending)
 
     def step(self, now: float, state: State | None, reference: Reference | None) -> Command | None:
@@ -332,14 +341,42 @@ class Controller:
         """Judge the inputs by their age; one below zero is from before the clock was reset."""
         if self._is_stopping:
             return Phase.STOPPED
-        if state is None or not 0.0 <= now - state.time <= self.settings.state_timeout:
-            return Phase.STATE_LOST  # none: a new robot description has a joint not yet heard from
+        if self._is_lost(now, state) or state is None:
+            return Phase.STATE_LOST
         if reference is None or self.settings.mode is Mode.GRAVITY_COMPENSATION:
             return Phase.HOLDING
         timeout = self.settings.reference_timeout or math.inf
         if not 0.0 <= now - reference.time <= timeout:
             return Phase.HOLDING
         return Phase.TOO_FAR if self._is_far(state, reference) else Phase.RUNNING
+
+    @property
+    def recovery_time(self) -> float:
+        """Time without a gap after which states that were lost are used again [s]."""
+        return max(2.0 * self.settings.state_timeout, _LEAST_RECOVERY)
+
+    def _is_lost(self, now: float, state: State | None) -> bool:
+        """
+        Return whether the state is too old, or was until recently.
+
+        Intermittent states would otherwise raise and lower the efforts without end, which shakes
+        the arm.
+
+        """
+        was_lost = self.phase is Phase.STATE_LOST
+        if state is None:
+            # A joint of a new robot description was never reported. Its first state ends the loss.
+            self._lost_gain = 0.0
+            return True
+        if not 0.0 <= now - state.time <= self.settings.state_timeout:
+            if not was_lost:
+                self._lost_gain = self.gain
+            self._fresh_since = math.inf
+            return True
+        if not was_lost or self.gain >= self._lost_gain - _TOLERATED_DROP:
+            return False
+        self._fresh_since = min(self._fresh_since, state.time)
+        return state.time - self._fresh_since < self.recovery_time
 
     def _is_far(self, state: State, reference: Reference) -> bool:
         """Tell whether following the reference would be a jump: from the joints, or under way."""
@@ -362,8 +399,12 @@ class Controller:
         cutoff = self.settings.velocity_filter_cutoff
         if not cutoff:
             return state.qd
-        elapsed = (state.time if state.times is None else state.times) - self._filter_times
-        is_new = (elapsed < 0.0) | (elapsed > self.settings.state_timeout)
+        times = np.asarray(state.time if state.times is None else state.times)
+        elapsed = times - self._filter_times
+        # A joint that is late has been set to rest, which must not wait for its next state.
+        is_new = (
+            (elapsed < 0.0) | (elapsed > self._timeouts) | (self._time - times > self._timeouts)
+        )
         share = np.where(is_new, 1.0, 1.0 - np.exp(-2.0 * math.pi * cutoff * np.abs(elapsed)))
         with np.errstate(all='ignore'):  # nothing that was absurd may stay for ever
             smooth = self._qd + share * (state.qd - self._qd)

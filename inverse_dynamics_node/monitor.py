@@ -319,17 +319,21 @@ def _reason_to_stop(now: float, rig: Rig) -> str:
         return str(rig.controller.phase.value)
     if rig.lacks_imu:
         return 'no message on imu yet'
+    if rig.collector.missing():
+        return f'no joint state of {", ".join(rig.collector.missing())} yet'
     timeout = rig.controller.settings.state_timeout
     joints = ', '.join(rig.collector.stale(now, timeout))
-    return f'no joint state of {joints} for more than {timeout:g} s'
+    return f'no joint state of {joints} for more than {timeout:g} s' if joints else _recovery(rig)
 
 
 def _of_states(now: float, rig: Rig, around: Surroundings) -> Status:
     collector = rig.collector
     timeout = rig.controller.settings.state_timeout
+    slow = rig.controller.settings.uncommanded_state_timeout
     values = {
         'age [s]': _age(now, collector.time),
         'publishers': str(around.publishers),
+        'late, not commanded': ', '.join(collector.late(now, slow)) or 'none',
         'locked, not seen': ', '.join(collector.unseen()) or 'none',
         'without velocity': ', '.join(collector.without_velocity()) or 'none',
     }
@@ -340,6 +344,12 @@ def _of_states(now: float, rig: Rig, around: Surroundings) -> Status:
     if stale:
         level = Level.ERROR if around.is_active else Level.WARN
         return Status('joint states', level, f'lost: {", ".join(stale)}', values)
+    if rig.controller.phase is Phase.STATE_LOST:
+        level = Level.ERROR if around.is_active else Level.WARN
+        return Status('joint states', level, _recovery(rig), values)
+    late = describe_late(rig, now)
+    if late:
+        return Status('joint states', Level.WARN, '; '.join(late), values)
     if collector.unseen():
         return Status('joint states', Level.WARN, 'some joints count as locked', values)
     if rig.controller.settings.mode is Mode.COMPUTED_TORQUE and collector.without_velocity():
@@ -378,6 +388,26 @@ def _of_model(now: float, rig: Rig) -> Status:
         message = f'{len(robot.warnings)} warnings about the robot description'
         return Status('model', Level.WARN, message, values)
     return Status('model', Level.OK, f"robot '{robot.name}'", values)
+
+
+def _recovery(rig: Rig) -> str:
+    """Say when efforts will rise again after joint states were lost."""
+    settings = rig.controller.settings
+    return (
+        f'joint states were lost; efforts rise after {rig.controller.recovery_time:g} s '
+        f'without a gap longer than state_timeout ({settings.state_timeout:g} s)'
+    )
+
+
+def describe_late(rig: Rig, now: float) -> list[str]:
+    """Name the late joints that are not commanded, with their ages and the remedies."""
+    timeout = rig.controller.settings.uncommanded_state_timeout
+    return [
+        f"joint '{name}' (not commanded) was last reported {age:.1f} s ago: taken to be at rest "
+        f'where it was; raise uncommanded_state_timeout ({timeout:g} s) or set '
+        f'locked_positions.{name}'
+        for name, age in rig.collector.late(now, timeout).items()
+    ]
 
 
 def _in_ms(times: list[float], percentile: float) -> str:

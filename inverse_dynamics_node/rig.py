@@ -66,8 +66,9 @@ class Rig:
         self.base_link = base_link or robot.body_names[0]
         self.dynamics = InverseDynamics(robot)
         self.controller = Controller(self.dynamics, joints, settings, period)
-        self.collector = JointStateCollector(robot.joint_names, locked)
-        self.collector.check_free(self.controller.joints)
+        commanded = self.controller.joints
+        self.collector = JointStateCollector(robot.joint_names, locked, commanded)
+        self.collector.check_free(commanded)
         self.loads = Loads(self.dynamics, load_settings, gravity, base_link)
         self.residual = EffortResidual(self.dynamics)
         self.reference: Reference | None = None
@@ -94,8 +95,9 @@ class Rig:
             None as long as something is unknown without which there can be none: see `missing`.
 
         """
-        if self.loads.update(now) or self.collector.has_unlocked:
-            self.collector.has_unlocked = False
+        self.collector.rest_late(now, self.controller.settings.uncommanded_state_timeout)
+        if self.loads.update(now) or self.collector.has_jumped:
+            self.collector.has_jumped = False
             self.controller.blend()
         state = None if self.lacks_imu else self.collector.state()
         return self.controller.step(now, state, self.reference)

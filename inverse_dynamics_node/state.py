@@ -28,7 +28,7 @@ class State(NamedTuple):
     qd: Floats
     """Joint velocities, shape (n,) [rad/s or m/s]."""
     time: float
-    """When the joint heard from least recently was heard from [s]."""
+    """Oldest arrival among the commanded joints [s]."""
     times: Floats | None = None
     """When each joint was heard from, shape (n,) [s]; None if all at once."""
 
@@ -43,8 +43,6 @@ class _Layout:
     """Positions, velocities and efforts of the last message, shape (3, names)."""
     is_of_concern: bool
     """Whether there are any."""
-    is_whole: bool
-    """Whether all that have to be heard from are named."""
     is_measured: bool = False
     """Whether each of the joints has had a velocity."""
 
@@ -63,6 +61,8 @@ class JointStateCollector:
     locked : mapping of str to float
         Positions at which joints count until they are heard from, if they ever are [rad or m].
         Such joints are never missing and never stale.
+    commanded : sequence of str
+        Joints whose state must be fresh; empty for all that are not locked.
 
     Raises
     ------
@@ -72,15 +72,23 @@ class JointStateCollector:
     """
 
     def __init__(
-        self, joint_names: Sequence[str], locked: Mapping[str, float] | None = None
+        self,
+        joint_names: Sequence[str],
+        locked: Mapping[str, float] | None = None,
+        commanded: Sequence[str] = (),
     ) -> None:
         self.joint_names = tuple(joint_names)
         self._known = np.zeros((4, len(self.joint_names)))
         self.q, self.qd, self.times, self.efforts = self._known
         """Efforts as measured, where they were asked for and sent [N m or N]."""
         self.times[:], self.efforts[:] = -math.inf, math.nan
-        self.has_unlocked = False
-        """Whether a locked joint was heard from for the first time; who asks puts it back."""
+        self.has_jumped = False
+        """
+        Set when a joint that is not commanded may have jumped, because it was locked or late until
+        now or became late; cleared by the reader.
+        """
+        self.late_count = 0
+        """How many joints that are neither commanded nor locked were late at `rest_late`."""
         self._has_velocity = np.zeros(len(self.joint_names), dtype=bool)
         self._index = {name: i for i, name in enumerate(self.joint_names)}
         self._layouts: dict[tuple[str, ...], _Layout] = {}
@@ -101,7 +109,13 @@ class JointStateCollector:
             self.times[self._index[name]] = _LONG_AGO
         self.is_free = self.times == -math.inf
         """Which joints count only where they are heard to be, shape (n,)."""
-        self._time = self._oldest()
+        self._is_commanded = self.is_free & [
+            not commanded or name in commanded for name in self.joint_names
+        ]
+        self._is_resting = np.zeros(len(self.joint_names), dtype=bool)
+        self._has_resting = False
+        compile_for(find_oldest, 'UniTuple(f8, 2)(f8[::1], b1[::1])')
+        self._find_oldest()
         compile_for(take_in, 'b1(f8[:,::1], i8[:,::1], f8[:,::1], f8, b1)')
 
     def update(
@@ -153,17 +167,18 @@ class JointStateCollector:
         if not (layout.is_measured and take_in(*arguments)):
             self._check(layout)
             take_in(*arguments)
-        self._time = now if layout.is_whole else self._oldest()
+        if layout.is_of_concern:
+            self._find_oldest()
         return layout.is_of_concern
 
     @property
     def time(self) -> float:
-        """When the joint heard from least recently was heard from, -inf if never [s]."""
+        """Oldest arrival among the commanded joints, -inf if one was never reported [s]."""
         return self._time
 
     def state(self) -> State | None:
-        """Return what is known, or None as long as a joint has not been heard from."""
-        if self._time == -math.inf:
+        """Return the latest state, or None as long as a joint has never been reported."""
+        if self._time == -math.inf or self._other_time == -math.inf:
             return None
         return State(self.q, self.qd, self._time, self.times)
 
@@ -188,17 +203,56 @@ class JointStateCollector:
             if k is not None and other.times[k] > _LONG_AGO:
                 self.q[i], self.qd[i], self.times[i] = other.q[k], other.qd[k], other.times[k]
                 self.efforts[i], self._has_velocity[i] = other.efforts[k], other._has_velocity[k]
-        self._time = self._oldest()
+        self._find_oldest()
 
     def missing(self) -> list[str]:
         """Name the joints never heard from."""
         return [self.joint_names[i] for i in np.flatnonzero(self.times == -math.inf)]
 
     def stale(self, now: float, timeout: float) -> list[str]:
-        """Name the joints last heard from too long ago, or before a clock was put back [s]."""
-        age = now - self.times
-        is_stale = self.is_free & ~((age >= 0.0) & (age <= timeout))
+        """Name the commanded joints last reported too long ago or before a clock reset [s]."""
+        is_stale = self._is_commanded & self._is_old(now, timeout)
         return [self.joint_names[i] for i in np.flatnonzero(is_stale)]
+
+    def late(self, now: float, timeout: float) -> dict[str, float]:
+        """
+        Find joints that are neither commanded nor locked and were last reported too long ago.
+
+        Parameters
+        ----------
+        now, timeout : float
+            Times [s].
+
+        Returns
+        -------
+        ages : dict of str to float
+            Time since each was reported, by name [s]; not those that were never reported.
+
+        """
+        is_late = self.is_free & ~self._is_commanded & self._is_old(now, timeout)
+        is_late &= self.times > _LONG_AGO
+        return {self.joint_names[i]: float(now - self.times[i]) for i in np.flatnonzero(is_late)}
+
+    def rest_late(self, now: float, timeout: float) -> None:
+        """
+        Assume that joints that are not commanded are at rest from when they are late.
+
+        Without that, a joint that stopped would act with its last velocity forever.
+
+        Parameters
+        ----------
+        now, timeout : float
+            Times [s].
+
+        """
+        are_fresh = 0.0 <= now - self._other_time <= timeout or self._other_time == math.inf
+        if are_fresh and not self._has_resting:
+            return
+        is_resting = ~self._is_commanded & (self.times > _LONG_AGO) & self._is_old(now, timeout)
+        self.has_jumped |= bool((is_resting != self._is_resting).any())
+        self._is_resting, self._has_resting = is_resting, bool(is_resting.any())
+        self.late_count = int(np.count_nonzero(is_resting & self.is_free))
+        self.qd[is_resting] = 0.0
 
     def unseen(self) -> list[str]:
         """Name the joints that count at their locked position."""
@@ -220,9 +274,8 @@ class JointStateCollector:
                 raise JointStateError(f"joint '{self.joint_names[joint]}' is named twice")
             if len(self._layouts) >= 16:  # more publishers than that are no publishers
                 self._layouts.clear()
-            is_whole = bool(0 < self.is_free.sum() == self.is_free[ours].sum())
             places, heard = np.array([ours, theirs], np.int64), np.zeros((3, len(names)))
-            layout = self._layouts[names] = _Layout(places, heard, len(ours) > 0, is_whole)
+            layout = self._layouts[names] = _Layout(places, heard, len(ours) > 0)
         return layout
 
     def _check(self, layout: _Layout) -> None:
@@ -234,7 +287,7 @@ class JointStateCollector:
         # Where there has been a velocity, none is a fault.
         self._refuse('velocity', qd, is_finite | ~self._has_velocity[ours], ours)
         self._has_velocity[ours] |= is_finite
-        self.has_unlocked |= bool((self.times[ours] == _LONG_AGO).any())
+        self.has_jumped |= bool((self.times[ours] == _LONG_AGO).any())
         layout.is_measured = bool(self._has_velocity[ours].all())
         layout.heard[1, theirs] = np.where(is_finite, qd, 0.0)
 
@@ -243,8 +296,41 @@ class JointStateCollector:
             k = int(np.argmin(is_good))
             raise JointStateError(f"{what} of joint '{self.joint_names[ours[k]]}' is {values[k]}")
 
-    def _oldest(self) -> float:
-        return float(np.min(self.times, initial=math.inf, where=self.is_free))
+    def _is_old(self, now: float, timeout: float) -> Booleans:
+        age = now - self.times
+        is_old: Booleans = ~((age >= 0.0) & (age <= timeout))
+        return is_old
+
+    def _find_oldest(self) -> None:
+        self._time, self._other_time = find_oldest(self.times, self._is_commanded)
+
+
+@compiled
+def find_oldest(times: Any, is_commanded: Any) -> tuple[float, float]:
+    """
+    Find the oldest arrivals.
+
+    Parameters
+    ----------
+    times : ndarray, shape (n,)
+        Arrival of each joint's state [s].
+    is_commanded : ndarray of bool, shape (n,)
+        Which joints are commanded.
+
+    Returns
+    -------
+    commanded, others : float
+        Oldest arrival among the commanded joints and among the others, without locked joints that
+        were never reported; inf if there are none [s].
+
+    """
+    commanded = others = math.inf
+    for i in range(len(times)):
+        if is_commanded[i]:
+            commanded = min(commanded, times[i])
+        elif times[i] != _LONG_AGO:
+            others = min(others, times[i])
+    return commanded, others
 
 
 @compiled

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..controller import Command, IS_WELL, Phase
-from ..monitor import activity, Level, Status
+from ..monitor import activity, describe_late, Level, Status
 from ..rig import Rig
 
 _PERIOD = 2.0  # [s]; how often it repeats what lasts
@@ -86,6 +86,8 @@ class NodeLog:
         key = (phase, phase in IS_WELL or controller.has_effort)
         if key != self._last_activity or phase in _ALARMS:
             self._tell_activity(now, rig, key)
+        if rig.collector.late_count:
+            self.warn(now, 'late', lambda: '; '.join(describe_late(rig, now)))
         if np.count_nonzero(command.is_saturated):  # any() takes longer
             joints = command.is_saturated.tobytes().hex()  # others are news
             self.warn(now, f'saturated {joints}', lambda: _what_is_saturated(rig, command))

@@ -332,7 +332,15 @@ PARAMETERS = {
     'state_timeout': Parameter(
         _NUMBER,
         _SETTINGS.state_timeout,
-        'A joint state older than this is lost [s]',
+        'A state of a commanded joint older than this is lost [s]',
+        0.005,
+        60.0,
+    ),
+    'uncommanded_state_timeout': Parameter(
+        _NUMBER,
+        _SETTINGS.uncommanded_state_timeout,
+        'A joint that is not commanded and was last reported longer ago is taken to be at rest '
+        'where it was [s]; it never stops the arm',
         0.005,
         60.0,
     ),

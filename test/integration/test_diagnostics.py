@@ -4,7 +4,7 @@ import math
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Inertia, InertiaStamped
-from inverse_dynamics_node import load_urdf
+from inverse_dynamics_node import InverseDynamics, load_urdf
 import numpy as np
 import pytest
 from robot_files import ROOT, STANFORD
@@ -126,4 +126,24 @@ def test_tells_that_the_base_is_lost(run_node, robot, wait_for_status):
     run_node(**PATIENT, base_motion='imu')
     robot.publish_state(NAMES, Q, np.zeros(6))
     wait_for_status('model', ERROR, 'motion of the base is not known: no message on imu yet')
+    wait_for_status('joint states', OK, 'fresh')
+
+
+def test_a_slow_joint_that_is_not_commanded_is_reported_while_the_arm_is_held(
+    run_node, robot, wait_for_status
+):
+    settings = {**PATIENT, 'uncommanded_state_timeout': 0.3}
+    node = run_node(**settings, joints=f'[{", ".join(NAMES[:5])}]')
+    hold = InverseDynamics(load_urdf(STANFORD)).gravity_efforts(Q)[:5]
+    robot.publish_state(NAMES, Q, np.zeros(6))
+    robot.wait_for_command(hold)
+    robot.publish_state(NAMES[:5], Q[:5], np.zeros(5))
+    values = wait_for_status('joint states', WARN, f'locked_positions.{NAMES[5]}')
+    assert values['late, not commanded'] == NAMES[5]
+    robot.wait_for_text(node, f"joint '{NAMES[5]}' (not commanded) was last reported")
+    assert 'raise uncommanded_state_timeout (0.3 s)' in node.output
+    count = len(robot.commands)
+    robot.wait_until(lambda: len(robot.commands) > count + 10, 'commands that go on')
+    assert np.array(robot.commands[count:]) == pytest.approx(np.tile(hold, (11, 1)))
+    assert robot.set_parameter('uncommanded_state_timeout', 60.0).successful
     wait_for_status('joint states', OK, 'fresh')

@@ -123,8 +123,50 @@ def test_efforts_fall_to_zero_when_the_state_is_lost_and_rise_when_it_is_back():
     zero = lift.step(0.55, state(0.2), None)
     assert zero.efforts.tolist() == [0.0, 0.0]
     assert not zero.is_saturated.any()
-    assert lift.step(0.6, state(0.6), None).efforts.tolist() == [0.0, 0.0]
-    assert lift.step(0.65, state(0.65), None).efforts == pytest.approx(HOLD / 4)
+    back = [lift.step(t, state(t), None).efforts[0] for t in (0.6, 0.65, 0.7, 0.75, 0.8)]
+    assert back == [0.0] * 5
+    assert lift.step(0.85, state(0.85), None).efforts == pytest.approx(HOLD / 4)
+
+
+@pytest.mark.parametrize('gap', [0.12, 0.15, 0.4])
+def test_intermittent_states_do_not_pump_the_efforts(gap):
+    lift = controller(start_ramp=0.2, stop_ramp=0.2, state_timeout=0.08)
+    commands = []
+    for k in range(400):
+        now = 0.01 * k
+        last = now if now < 1.0 else 1.0 + gap * ((now - 1.0) // gap)
+        commands.append(lift.step(now, state(last), None).efforts[0])
+    assert commands[100] == pytest.approx(30.0)
+    assert (np.diff(commands[100:]) <= 0.0).all()
+    assert commands[-1] == 0.0
+
+
+def test_states_without_a_gap_for_twice_the_timeout_end_the_loss():
+    lift = controller(state_timeout=0.5)
+    for now, last, is_well in (
+        (0.0, 0.0, True),
+        (0.6, 0.0, False),
+        (0.7, 0.7, False),
+        (1.3, 0.7, False),  # another gap
+        (1.4, 1.4, False),
+        (1.8, 1.8, False),
+        (2.2, 2.2, False),
+        (2.4, 2.2, False),  # no later state than before
+        (2.5, 2.5, True),
+    ):
+        lift.step(now, state(last), None)
+        assert (lift.phase is Phase.HOLDING) == is_well, now
+    assert lift.recovery_time == 1.0
+
+
+@pytest.mark.parametrize('policy', StalePolicy)
+def test_a_loss_that_hardly_lowered_the_efforts_ends_with_the_next_state(policy):
+    lift = controller(stop_ramp=1.0, on_stale_state=policy)
+    for now in np.arange(0.0, 1.0, 0.01):
+        lift.step(now, state(min(now, 0.85)), None)
+    assert lift.phase is Phase.STATE_LOST
+    lift.step(1.0, state(1.0), None)
+    assert lift.phase is Phase.HOLDING
 
 
 def test_zeros_come_within_timeout_and_ramp_whatever_the_rate():

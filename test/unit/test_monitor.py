@@ -261,3 +261,23 @@ def test_simulated_time_that_stands_still_is_reported(rig, clock, level, words):
 
 def test_there_is_no_clock_status_without_simulated_time(rig):
     assert 'clock' not in [status.part for status in Monitor().report(0.05, rig, FINE)]
+
+
+def test_reports_that_states_were_lost_until_they_have_been_fresh_for_a_while(rig):
+    def status_at(now, arrival):
+        rig.collector.update(arrival, JOINTS, [0.1, 0.2], [0.0, 0.0])
+        rig.step(now)
+        return part(Monitor().report(now, rig, FINE), 'joint states')
+
+    for k in range(10):
+        assert status_at(0.1 * k, 0.1 * k).level is Level.OK
+    for now, arrival, words in (
+        (1.1, 0.9, f'lost: {", ".join(JOINTS)}'),
+        (1.2, 0.9, 'lost: '),
+        (1.3, 1.3, 'efforts rise after 0.2 s without a gap longer than state_timeout (0.1 s)'),
+        (1.4, 1.4, 'efforts rise after 0.2 s'),
+    ):
+        status = status_at(now, arrival)
+        assert status.level is Level.ERROR
+        assert words in status.message
+    assert status_at(1.55, 1.55).level is Level.OK

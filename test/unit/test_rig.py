@@ -1,5 +1,7 @@
 """One step through everything, and going on with another description of the robot."""
 
+import math
+
 from inverse_dynamics_node import ConfigurationError, InverseDynamics, load_urdf
 from inverse_dynamics_node.controller import Phase, Reference, Settings
 from inverse_dynamics_node.rig import Rig
@@ -173,3 +175,78 @@ def test_a_locked_joint_that_is_heard_of_makes_no_jump():
     expected = InverseDynamics(MODEL).gravity_efforts(Q)[others]
     assert rig.step(later).efforts == pytest.approx(expected)
     assert np.abs(expected - last).max() > 1.0
+
+
+def step_with_slow_joint(rig, period, seconds, velocity=0.0, start=0.0):
+    """Step at 100 Hz with states of five joints, and one of the last joint every period."""
+    efforts, last = [], -math.inf
+    for now in start + np.arange(0.0, seconds, 0.01):
+        rig.collector.update(now, NAMES[:5], Q[:5], np.zeros(5))
+        if now - last >= period - 1e-6:
+            rig.collector.update(now, NAMES[5:], Q[5:], [velocity])
+            last = now
+        command = rig.step(now)
+        efforts.append(command.efforts.copy())
+    return np.array(efforts)
+
+
+@pytest.mark.parametrize('period', [0.2, 0.9, 1.3, 1e9])
+def test_a_slow_joint_that_is_not_commanded_does_not_stop_the_arm(period):
+    rig = Rig(MODEL, NAMES[:5], Settings(start_ramp=0.0))
+    efforts = step_with_slow_joint(rig, period, 4.0)
+    hold = InverseDynamics(MODEL).gravity_efforts(Q)[:5]
+    assert efforts == pytest.approx(np.tile(hold, (len(efforts), 1)))
+
+
+def test_a_late_joint_that_is_not_commanded_is_named():
+    rig = Rig(MODEL, NAMES[:4], Settings(uncommanded_state_timeout=0.5), locked={NAMES[4]: 0.1})
+    heard(rig)
+    rig.collector.update(0.6, NAMES[:4], Q[:4], np.zeros(4))
+    assert rig.step(0.6) is not None
+    assert rig.collector.late(0.6, 0.5) == {NAMES[5]: 0.6}
+    assert rig.collector.late_count == 1
+    heard(rig, 0.7)
+    rig.step(0.7)
+    assert rig.collector.late(0.7, 0.5) == {}
+    assert rig.collector.late_count == 0
+
+
+@pytest.mark.parametrize('cutoff', [0.0, 1.0])
+@pytest.mark.parametrize('locked', [{}, {NAMES[5]: 0.2}])
+def test_a_late_joint_keeps_its_position_but_not_its_velocity(locked, cutoff):
+    settings = Settings(
+        start_ramp=0.0, uncommanded_state_timeout=0.5, velocity_filter_cutoff=cutoff
+    )
+    rig = Rig(MODEL, NAMES[:5], settings, locked=locked)
+    # A fast wrist makes velocity terms at the other joints.
+    for k in range(5):
+        step_with_slow_joint(rig, 1e9, 0.11, 30.0, 0.1 * k)
+    moving = rig.controller.motion[0][5]
+    assert moving > 10.0
+    rig.collector.update(0.8, NAMES[:5], Q[:5], np.zeros(5))
+    rig.step(0.8)
+    assert rig.controller.motion[0][5] == moving
+    rig.collector.update(1.1, NAMES[:5], Q[:5], np.zeros(5))
+    efforts = rig.step(1.1).efforts
+    assert rig.controller.motion[0][5] == 0.0
+    assert efforts == pytest.approx(InverseDynamics(MODEL).gravity_efforts(Q)[:5])
+    rig.collector.update(1.2, NAMES[5:], Q[5:], [2.0])
+    rig.step(1.2)
+    assert rig.controller.motion[0][5] == 2.0
+
+
+def test_a_late_joint_that_has_moved_makes_no_jump():
+    rig = Rig(MODEL, NAMES[:5], Settings(start_ramp=0.5))
+    last = step_with_slow_joint(rig, 1e9, 2.0)[-1].copy()
+    rig.collector.update(2.0, NAMES[5:], Q[5:] + 2.0, [0.0])
+    rig.collector.update(2.0, NAMES[:5], Q[:5], np.zeros(5))
+    assert rig.step(2.0).efforts == pytest.approx(last)
+
+
+def test_the_first_command_needs_a_slow_joint_once():
+    rig = Rig(MODEL, NAMES[:5], AT_ONCE)
+    rig.collector.update(0.0, NAMES[:5], Q[:5], np.zeros(5))
+    assert rig.step(0.0) is None
+    assert rig.collector.late(0.0, 1.0) == {}
+    rig.collector.update(0.0, NAMES[5:], Q[5:], [0.0])
+    assert rig.step(0.0) is not None
