@@ -67,26 +67,29 @@ def _main(args: list[str], stop: _Stop) -> int:
     from rclpy.signals import SignalHandlerOptions
     from rclpy.utilities import remove_ros_args
 
+    from .remaps import expanded_tildes
+
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except UnknownROSArgsError as error:
         return _fail_with_usage(f'unrecognized ROS arguments: {str(error).strip("[]")}')
     except Exception as error:
-        return _fail(str(error))
+        return _fail('\n'.join([str(error), *expanded_tildes(args)]))
     try:
         stray = remove_ros_args(args)[1:]
         if stray:
             return _fail_with_usage(f'unrecognized arguments: {" ".join(stray)}')
-        return _run(stop)
+        return _run(args, stop)
     finally:
         rclpy.try_shutdown()
 
 
-def _run(stop: _Stop) -> int:
+def _run(args: list[str], stop: _Stop) -> int:
     import rclpy.logging
     from rclpy.task import Future
 
     from .node import InverseDynamicsNode
+    from .remaps import ineffective_remaps, names_of
 
     try:
         node = InverseDynamicsNode(is_in_a_hurry=lambda: stop.count > 1)
@@ -94,6 +97,9 @@ def _run(stop: _Stop) -> int:
         for problem in str(error).splitlines():
             rclpy.logging.get_logger('inverse_dynamics').fatal(problem)
         return 1
+    remaps = ineffective_remaps(args, names_of(node), node.get_name(), node.get_namespace())
+    for problem in remaps:
+        node.get_logger().warning(problem)
     executor = _make_executor(node.configuration.executor)
     executor.add_node(node)
     try:

@@ -1,0 +1,125 @@
+"""Remap rules on the command line that have no effect."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+import difflib
+import os
+import re
+from typing import Any
+
+# Names that rcl creates itself, and lists as they are after remapping or not at all.
+_OF_RCL = (
+    '/clock',
+    '/rosout',
+    '/parameter_events',
+    '~/transition_event',
+    '~/change_state',
+    '~/get_state',
+    '~/get_available_states',
+    '~/get_available_transitions',
+    '~/get_transition_graph',
+)
+_RULE = re.compile(r'(?:(?P<node>\w+):(?!//))?(?:rostopic://|rosservice://)?(?P<name>.+)')
+_HOME = re.compile(r'/root/|/home/[^/]+/')
+
+
+def names_of(node: Any) -> list[str]:
+    """List the topics and services of a node as it names them, before any remapping."""
+    topics = [entity.topic for entity in (*node.publishers, *node.subscriptions)]
+    services = [service.srv_name for service in (*node.services, *node.clients)]
+    return [*topics, *services, *_OF_RCL]
+
+
+def ineffective_remaps(
+    arguments: Sequence[str], names: Sequence[str], node: str, namespace: str
+) -> list[str]:
+    """
+    Find the remap rules that match no name of a node.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+        The command line.
+    names : sequence of str
+        Topics and services of the node, before remapping.
+    node, namespace : str
+        Name and namespace of the node, after remapping.
+
+    Returns
+    -------
+    problems : list of str
+        One sentence for each such rule.
+
+    """
+    own = {_expanded(name, node, namespace) for name in names}
+    problems = []
+    for rule in _remaps(arguments):
+        match = _RULE.fullmatch(rule.partition(':=')[0])
+        if match is None or match['name'].startswith('__') or '*' in match['name']:
+            continue
+        if match['node'] not in (None, node):
+            problems.append(
+                f"-r {rule} has no effect: it is for nodes named '{match['node']}', this node is "
+                f"named '{node}'"
+            )
+        elif _expanded(match['name'], node, namespace) not in own:
+            advice = _advice_on_tilde(rule) or _alternatives(match['name'], names)
+            problems.append(
+                f'-r {rule} has no effect: this node has no topic or service '
+                f'{_expanded(match["name"], node, namespace)}; {advice}'
+            )
+    return problems
+
+
+def expanded_tildes(arguments: Sequence[str]) -> list[str]:
+    """Explain the remap rules in which the shell has replaced a tilde by the home directory."""
+    return [
+        f'-r {rule}: {_advice_on_tilde(rule)}'
+        for rule in _remaps(arguments)
+        if _advice_on_tilde(rule)
+    ]
+
+
+def _remaps(arguments: Sequence[str]) -> Iterator[str]:
+    """Find the rules among the ROS arguments."""
+    is_ros = is_rule = False
+    for argument in arguments:
+        if is_rule:
+            yield argument
+            is_rule = False
+        elif argument in ('--ros-args', '--'):
+            is_ros = argument == '--ros-args'
+        else:
+            is_rule = is_ros and argument in ('-r', '--remap')
+
+
+def _advice_on_tilde(rule: str) -> str:
+    name, _, target = rule.partition(':=')
+    home = os.path.expanduser('~').rstrip('/') + '/'
+    if home == '/' or not name.startswith(home):  # the rule may come from another user's shell
+        match = _HOME.match(name)
+        if match is None:
+            return ''
+        home = match[0]
+    original = f'~/{name[len(home) :]}:={target}'
+    return f"if the shell replaced ~ by the home directory, quote the rule: -r '{original}'"
+
+
+def _alternatives(name: str, names: Sequence[str]) -> str:
+    # Not those of every node: parameter and lifecycle services, /rosout and the like.
+    remappable = sorted({other for other in names if re.match(r'~/|\w+$|/diagnostics$', other)})
+    last = name.rpartition('/')[2]
+    similar = [other for other in remappable if other.rpartition('/')[2] == last]
+    similar += difflib.get_close_matches(name, remappable, n=1)
+    if similar:
+        return f"did you mean '{similar[0]}'?"
+    return f'names that can be remapped are {", ".join(remappable)}'
+
+
+def _expanded(name: str, node: str, namespace: str) -> str:
+    """Expand a relative or private name, as rcl does before it compares."""
+    parent = namespace.rstrip('/')
+    if name.startswith('~'):
+        return f'{parent}/{node}{name[1:]}'
+    return name if name.startswith('/') else f'{parent}/{name}'

@@ -1,0 +1,75 @@
+"""Remap rules that match nothing: found on the command line, explained with a remedy."""
+
+from inverse_dynamics_node.node.remaps import expanded_tildes, ineffective_remaps
+import pytest
+
+NAMES = ['joint_states', 'imu', '/diagnostics', '~/commands', '~/joint_efforts', '~/enable']
+
+
+def problems(*rules, names=NAMES, node='arm', namespace='/left'):
+    arguments = ['node', '--ros-args']
+    for rule in rules:
+        arguments += ['-r', rule]
+    return ineffective_remaps(arguments, names, node, namespace)
+
+
+@pytest.mark.parametrize(
+    'rule',
+    [
+        '__node:=other',
+        '__ns:=/left',
+        'arm:__node:=other',
+        'joint_states:=/x',
+        '/left/joint_states:=/x',
+        'arm:joint_states:=/x',
+        '~/commands:=/x',
+        'arm:~/commands:=/x',
+        '/left/arm/commands:=/x',
+        'rostopic://~/commands:=/x',
+        'rosservice://~/enable:=/x',
+        '/diagnostics:=/x',
+    ],
+)
+def test_rules_that_match_are_not_reported(rule):
+    assert problems(rule) == []
+
+
+def test_namespace_at_the_root():
+    assert problems('/joint_states:=/x', '/arm/commands:=/x', namespace='/') == []
+
+
+@pytest.mark.parametrize(
+    ('rule', 'words'),
+    [
+        ('commands:=/x', "no topic or service /left/commands; did you mean '~/commands'?"),
+        ('/joint_states:=/x', "did you mean 'joint_states'?"),
+        ('joint_state:=/x', "did you mean 'joint_states'?"),
+        ('~/joint_effort:=/x', "did you mean '~/joint_efforts'?"),
+        ('wheels:=/x', 'names that can be remapped are /diagnostics, imu, joint_states, ~/comm'),
+        ('other:imu:=/x', "it is for nodes named 'other', this node is named 'arm'"),
+    ],
+)
+def test_rules_without_effect_are_explained(rule, words):
+    (problem,) = problems('~/commands:=/x', rule)
+    assert problem.startswith(f'-r {rule} has no effect: ')
+    assert words in problem
+
+
+@pytest.mark.parametrize('home', ['/root', '/home/jane', '/srv/people/jane'])
+def test_a_tilde_replaced_by_the_shell_is_recognised(monkeypatch, home):
+    monkeypatch.setenv('HOME', '/srv/people/jane')
+    (problem,) = problems(f'{home}/commands:=/x')
+    assert f'no topic or service {home}/commands; ' in problem
+    assert "quote the rule: -r '~/commands:=/x'" in problem
+
+
+def test_a_rule_that_rcl_cannot_parse_is_explained():
+    arguments = ['node', '--ros-args', '--remap', '/home/jane.doe/commands:=/x', '-p', 'a:=1']
+    (words,) = expanded_tildes(arguments)
+    assert words.endswith("quote the rule: -r '~/commands:=/x'")
+    assert expanded_tildes(['node', '--ros-args', '-r', '~/commands:=/x']) == []
+
+
+def test_only_ros_arguments_are_rules():
+    arguments = ['node', '-r', 'a:=b', '--ros-args', '-p', 'a:=1', '--', '-r', 'c:=d']
+    assert ineffective_remaps(arguments, NAMES, 'arm', '/') == []
