@@ -12,6 +12,7 @@ import numpy as np
 
 from .controller import Command, IS_WELL, Mode, Phase, StalePolicy
 from .model import Booleans, Floats
+from .plausibility import describe_implausible_position
 from .rig import Rig
 
 _MOST_REASONS = 20  # distinct ones to tell apart
@@ -347,9 +348,9 @@ def _of_states(now: float, rig: Rig, around: Surroundings) -> Status:
     if rig.controller.phase is Phase.STATE_LOST:
         level = Level.ERROR if around.is_active else Level.WARN
         return Status('joint states', level, _recovery(rig), values)
-    late = describe_late(rig, now)
-    if late:
-        return Status('joint states', Level.WARN, '; '.join(late), values)
+    warnings = [*describe_late(rig, now), *describe_implausible(rig).values()]
+    if warnings:
+        return Status('joint states', Level.WARN, '; '.join(warnings), values)
     if collector.unseen():
         return Status('joint states', Level.WARN, 'some joints count as locked', values)
     if rig.controller.settings.mode is Mode.COMPUTED_TORQUE and collector.without_velocity():
@@ -408,6 +409,12 @@ def describe_late(rig: Rig, now: float) -> list[str]:
         f'locked_positions.{name}'
         for name, age in rig.collector.late(now, timeout).items()
     ]
+
+
+def describe_implausible(rig: Rig) -> dict[str, str]:
+    """Describe joints far outside their position limits, by name."""
+    findings = rig.implausible_positions()
+    return {finding.joint: describe_implausible_position(finding) for finding in findings}
 
 
 def _in_ms(times: list[float], percentile: float) -> str:

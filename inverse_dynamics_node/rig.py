@@ -13,6 +13,7 @@ from .dynamics import InverseDynamics, JointWrenches, STANDARD_GRAVITY, Terms
 from .errors import JointStateError
 from .loads import Loads, LoadSettings
 from .model import Floats, RobotModel
+from .plausibility import implausible_positions, ImplausiblePosition
 from .report import model_report
 from .residual import EffortResidual
 from .state import JointStateCollector
@@ -121,8 +122,16 @@ class Rig:
         """
         joints = self.collector.missing()
         word = 'position' if len(joints) == 1 else 'positions'
-        missing = [f'the {word} of {", ".join(joints)} on {states}'] if joints else []
+        similar = ', '.join(map(repr, self.collector.similar_names()))
+        hint = f' (received similar names: {similar})' if similar else ''
+        missing = [f'the {word} of {", ".join(joints)} on {states}{hint}'] if joints else []
         return [*missing, f'the motion of the base on {imu}'] if self.lacks_imu else missing
+
+    def implausible_positions(self) -> list[ImplausiblePosition]:
+        """Find joints that are further outside their position limits than makes sense."""
+        collector = self.collector
+        known = np.where(collector.times > -math.inf, collector.q, math.nan)
+        return implausible_positions(self.robot, known)
 
     def take_over(self, other: Rig) -> list[str]:
         """

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+import difflib
 import math
 from typing import Any, NamedTuple
 
@@ -14,6 +15,8 @@ from .compilation import compile_for, compiled
 from .errors import ConfigurationError, did_you_mean, JointStateError
 from .model import Booleans, Floats, Integers
 
+_MOST_STRANGERS = 64  # names of joints of others to remember
+_LONGEST_NAME = 100  # of those [characters]; comparing longer ones takes time
 _LONG_AGO = -1e300  # [s]; finite, for no time since then is not a number
 
 
@@ -92,6 +95,7 @@ class JointStateCollector:
         self._has_velocity = np.zeros(len(self.joint_names), dtype=bool)
         self._index = {name: i for i, name in enumerate(self.joint_names)}
         self._layouts: dict[tuple[str, ...], _Layout] = {}
+        self._strangers: list[str] = []
         unknown = [name for name in locked or {} if name not in self._index]
         if unknown:
             joints = ', '.join(self.joint_names)
@@ -209,6 +213,13 @@ class JointStateCollector:
         """Name the joints never heard from."""
         return [self.joint_names[i] for i in np.flatnonzero(self.times == -math.inf)]
 
+    def similar_names(self) -> list[str]:
+        """Return reported names that are not joints of this robot, but resemble missing ones."""
+        closest: list[str] = []
+        for name in self.missing():
+            closest += difflib.get_close_matches(name, self._strangers, 1)
+        return list(dict.fromkeys(closest))
+
     def stale(self, now: float, timeout: float) -> list[str]:
         """Name the commanded joints last reported too long ago or before a clock reset [s]."""
         is_stale = self._is_commanded & self._is_old(now, timeout)
@@ -272,11 +283,20 @@ class JointStateCollector:
             if len(set(ours)) != len(ours):
                 joint, _ = Counter(ours).most_common(1)[0]
                 raise JointStateError(f"joint '{self.joint_names[joint]}' is named twice")
+            self._remember_strangers(names)
             if len(self._layouts) >= 16:  # more publishers than that are no publishers
                 self._layouts.clear()
             places, heard = np.array([ours, theirs], np.int64), np.zeros((3, len(names)))
             layout = self._layouts[names] = _Layout(places, heard, len(ours) > 0)
         return layout
+
+    def _remember_strangers(self, names: tuple[str, ...]) -> None:
+        for name in names:
+            if len(self._strangers) >= _MOST_STRANGERS:
+                return
+            is_ours = name in self._index or name in self._strangers
+            if not is_ours and len(name) <= _LONGEST_NAME:
+                self._strangers.append(name)
 
     def _check(self, layout: _Layout) -> None:
         """Put zeros for velocities that nobody measures, or raise a JointStateError."""

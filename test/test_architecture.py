@@ -45,7 +45,17 @@ ARROWS = {
     'state': {'compilation', 'model', 'errors'},
     'blending': {'compilation', 'model'},
     'controller': {'blending', 'dynamics', 'state', 'model', 'errors'},
-    'rig': {'controller', 'loads', 'residual', 'report', 'state', 'dynamics', 'model', 'errors'},
+    'rig': {
+        'controller',
+        'plausibility',
+        'loads',
+        'residual',
+        'report',
+        'state',
+        'dynamics',
+        'model',
+        'errors',
+    },
     'monitor': {'rig', 'controller', 'plausibility', 'model'},
     'node': {
         'rig',

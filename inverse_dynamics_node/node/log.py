@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..controller import Command, IS_WELL, Phase
-from ..monitor import activity, describe_late, Level, Status
+from ..monitor import activity, describe_implausible, describe_late, Level, Status
 from ..rig import Rig
 
 _PERIOD = 2.0  # [s]; how often it repeats what lasts
@@ -92,12 +92,19 @@ class NodeLog:
             joints = command.is_saturated.tobytes().hex()  # others are news
             self.warn(now, f'saturated {joints}', lambda: _what_is_saturated(rig, command))
 
+    def tell_implausible(self, now: float, rig: Rig) -> None:
+        """Warn of joints far outside their position limits, now and then while they are there."""
+        for joint, text in describe_implausible(rig).items():
+            if self._is_due(now, f'implausible {joint}', _LONG_PERIOD):
+                self._logger.warning(text)
+
     def _tell_activity(self, now: float, rig: Rig, key: tuple[Phase, bool]) -> None:
         if self._last_activity is None:
             for name in rig.collector.without_velocity():
                 self._logger.warning(f"joint_states: no velocity of '{name}', taken as zero")
             for name in rig.collector.unseen():
                 self._logger.warning(f"joint_states: '{name}' not seen, taken as locked")
+            self.tell_implausible(now, rig)
             self._last_activity = Phase.WAITING, False
         if not self._is_due(now, f'activity {key[0].name} {key[1]}'):
             return  # asked again at the next step, so that the latest activity is never missed

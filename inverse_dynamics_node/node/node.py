@@ -575,6 +575,8 @@ class InverseDynamicsNode(LifecycleNode):
             others=self._graph.others(),
             simulated=self._graph.simulated_time() if self._uses_sim_time else None,
         )
+        if self._rig is not None:
+            self._log.tell_implausible(self._now(), self._rig)
         statuses = self._monitor.report(self._now(), self._rig, around)
         for status in statuses:
             if status.part in ('other nodes', 'clock'):

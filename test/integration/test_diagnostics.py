@@ -147,3 +147,17 @@ def test_a_slow_joint_that_is_not_commanded_is_reported_while_the_arm_is_held(
     assert np.array(robot.commands[count:]) == pytest.approx(np.tile(hold, (11, 1)))
     assert robot.set_parameter('uncommanded_state_timeout', 60.0).successful
     wait_for_status('joint states', OK, 'fresh')
+
+
+def test_misnamed_joints_and_degrees_are_reported(run_node, robot, wait_for_status):
+    node = run_node(**PATIENT)
+    robot.publish_state(['joint1', *NAMES[1:]], Q, np.zeros(6))
+    similar = "(received similar names: 'joint1')"
+    wait_for_status('joint states', ERROR, similar)
+    robot.wait_for_text(node, similar)
+    robot.publish_state(NAMES, [Q[0], 57.3, *Q[2:]], np.zeros(6))
+    text = f'{NAMES[1]} at 57.3 rad, limits -1.745 to 1.745: degrees?'
+    wait_for_status('joint states', WARN, text)
+    robot.wait_for_text(node, text)
+    robot.publish_state(NAMES, Q, np.zeros(6))
+    wait_for_status('joint states', OK, 'fresh')

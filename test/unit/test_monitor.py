@@ -13,7 +13,7 @@ from inverse_dynamics_node.monitor import (
 from inverse_dynamics_node.rig import Rig
 import numpy as np
 import pytest
-from robot_files import ROOT
+from robot_files import ROOT, STANFORD
 
 ROBOT = load_urdf(ROOT / 'test/robots/planar_2r.urdf')
 JOINTS = ROBOT.joint_names
@@ -281,3 +281,15 @@ def test_reports_that_states_were_lost_until_they_have_been_fresh_for_a_while(ri
         assert status.level is Level.ERROR
         assert words in status.message
     assert status_at(1.55, 1.55).level is Level.OK
+
+
+def test_warns_of_joints_far_outside_their_limits():
+    robot = load_urdf(STANFORD)
+    rig = Rig(robot)
+    rig.collector.update(0.0, robot.joint_names, [0.0, 57.3, 0.5, 0.0, 4.0, 0.0], [0.0] * 6)
+    status = part(Monitor().report(0.0, rig, FINE), 'joint states')
+    assert status.level is Level.WARN
+    assert status.message == (
+        'joint_2 at 57.3 rad, limits -1.745 to 1.745: degrees?; '
+        'joint_5 at 4 rad, limits -1.92 to 1.92'
+    )

@@ -250,3 +250,19 @@ def test_the_first_command_needs_a_slow_joint_once():
     assert rig.collector.late(0.0, 1.0) == {}
     rig.collector.update(0.0, NAMES[5:], Q[5:], [0.0])
     assert rig.step(0.0) is not None
+
+
+def test_a_misnamed_joint_is_mentioned():
+    rig = Rig(MODEL)
+    names = [name.replace('joint_', 'joint') for name in NAMES[:1]] + list(NAMES[1:])
+    rig.collector.update(0.0, names, Q, np.zeros(6))
+    text = f"the position of {NAMES[0]} on joint_states (received similar names: '{names[0]}')"
+    assert rig.missing() == [text]
+
+
+def test_positions_of_joints_that_were_never_reported_are_not_judged():
+    rig = Rig(MODEL, NAMES[:5], locked={NAMES[5]: 500.0})
+    bounded = next(k for k in range(5) if np.isfinite(MODEL.upper[k]))
+    assert [finding.joint for finding in rig.implausible_positions()] in ([], [NAMES[5]])
+    rig.collector.update(0.0, [NAMES[bounded]], [1000.0], [0.0])
+    assert NAMES[bounded] in [finding.joint for finding in rig.implausible_positions()]

@@ -33,6 +33,22 @@ def test_is_no_state_before_every_joint_was_heard_from(collector):
     assert collector.missing() == ['elbow']
 
 
+def test_names_that_resemble_the_missing_ones_are_remembered(collector):
+    collector.update(1.0, ['wheel', 'x' * 1000, 'sholder', 'wrist'], [0.0] * 4, [])
+    assert collector.similar_names() == ['sholder']
+    collector.update(1.0, ['elbow_joint'], [0.0], [])
+    assert collector.similar_names() == ['sholder', 'elbow_joint']
+    collector.update(1.0, ['elbow', 'shoulder'], [0.0] * 2, [])
+    assert collector.similar_names() == []
+
+
+def test_a_flood_of_names_is_not_remembered(collector):
+    for k in range(1000):
+        collector.update(1.0, [f'sensor{k}'], [0.0], [])
+    collector.update(1.0, ['sholder'], [0.0], [])
+    assert collector.similar_names() == []
+
+
 def test_comes_in_parts_and_is_as_old_as_the_oldest(collector):
     collector.update(1.0, ['wrist', 'shoulder'], [3.0, 1.0], [])
     collector.update(2.0, ['elbow'], [2.0], [])
