@@ -223,10 +223,8 @@ def _recording(
     seen = list(seen)
     known = [j for j, name in enumerate(joint_names) if name in seen]
     if not known:
-        raise RecordingError(
-            f'{where}: has joints {", ".join(seen) or "of no name"}; expected some of '
-            f'{", ".join(joint_names)}'
-        )
+        found = f'no joint of this robot, only {", ".join(seen)}' if seen else 'no joint names'
+        raise RecordingError(f'{where}: has {found}; expected some of {", ".join(joint_names)}')
     finite = np.isfinite(values)
     if not finite[:, 2, known].any():
         raise RecordingError(

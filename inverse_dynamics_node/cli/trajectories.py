@@ -101,7 +101,7 @@ def _from_yaml(text: str) -> Source:
     try:
         documents = [each for each in yaml.load_all(text, loader) if each is not None]
     except yaml.YAMLError as error:
-        raise TrajectoryError(f'no YAML: {" ".join(str(error).split())}') from None
+        raise TrajectoryError(f'not valid YAML: {" ".join(str(error).split())}') from None
     found = [each for each in map(_unwrapped, documents) if each is not None]
     if not found:
         raise TrajectoryError('no trajectory, expected joint_names and points')

@@ -240,6 +240,8 @@ def broken(short, here, how):
     path = here / 'run.csv'
     if how == 'names':
         write_csv(path, short._replace(joint_names=tuple('abcdef')))
+    elif how == 'no names':
+        path.write_text('time\n0\n')
     elif how == 'no efforts':
         write_csv(path, short._replace(efforts=np.full_like(short.efforts, np.nan)))
     elif how == 'no positions':
@@ -276,7 +278,8 @@ def broken(short, here, how):
 @pytest.mark.parametrize(
     ('how', 'words'),
     [
-        ('names', 'has joints a, b, c, d, e, f; expected some of joint_1'),
+        ('names', 'has no joint of this robot, only a, b, c, d, e, f; expected some of joint_1'),
+        ('no names', 'has no joint names; expected some of joint_1'),
         ('no efforts', 'no message has an effort of any joint of this robot'),
         ('no positions', "joint 'joint_1' never has a position"),
         ('text', "line 3, column 'joint_1.effort': 'oops' is not a number"),

@@ -250,7 +250,7 @@ def test_derivatives_of_some_points_only_are_not_used(write):
 @pytest.mark.parametrize(
     ('text', 'words'),
     [
-        ('a: [1', 'no YAML'),
+        ('a: [1', 'not valid YAML: while parsing'),
         ('hello', 'no trajectory, expected joint_names and points'),
         ('', 'no trajectory'),
         (ECHO.replace('  - 0.4\n', "  - '...'\n"), '--full-length'),
