@@ -66,6 +66,7 @@ _WATCH_PERIOD = 0.01  # [s]; how often to step, or to look, where no joint state
 _LONGEST_WATCH = 0.1  # [s]; how long at most not to look where they do
 _LISTENERS_PERIOD = 0.2  # [s]; how often to look who listens to more than the commands
 _DIAGNOSTICS_PERIOD = 1.0  # [s]; REP-107
+_LAUNCH_SIGTERM_TIMEOUT = 5.0  # [s]; default of ros2 launch
 
 _SUCCESS = TransitionCallbackReturn.SUCCESS
 _FAILURE = TransitionCallbackReturn.FAILURE
@@ -251,6 +252,7 @@ class InverseDynamicsNode(LifecycleNode):
         rig = make_rig(configuration, self._description)
         self._forget_robot()
         self._graph.expect_discovery()
+        self._warn_of_long_stop(configuration.settings.stop_ramp)
         self._monitor = Monitor(configuration.period)
         # Lost states are noticed by a timer of their own, whatever the rate.
         self._watch_period = min(_WATCH_PERIOD, 0.5 * configuration.settings.state_timeout)
@@ -260,6 +262,14 @@ class InverseDynamicsNode(LifecycleNode):
         if configuration.period:
             self._pace.append(self.create_timer(configuration.period, self._on_timer, clock=clock))
         self._use(rig)
+
+    def _warn_of_long_stop(self, stop_ramp: float) -> None:
+        if stop_ramp >= _LAUNCH_SIGTERM_TIMEOUT:
+            self.get_logger().warning(
+                f'stop_ramp is {stop_ramp:g} s, but ros2 launch sends SIGTERM '
+                f'{_LAUNCH_SIGTERM_TIMEOUT:g} s after SIGINT, which ends the ramp: increase '
+                'sigterm_timeout of the launch action'
+            )
 
     def _use(self, rig: Rig) -> None:
         self._rig = rig

@@ -278,6 +278,18 @@ def test_robot_description_comes_by_topic_early_or_late(run_node, robot):
     robot.wait_for_command(HOLD)
 
 
+def test_stop_ramp_that_launch_cuts_short_is_reported(run_node, robot):
+    node = run_node(**{**FAST, 'stop_ramp': 5.0})
+    robot.wait_for_text(node, 'stop_ramp is 5 s, but ros2 launch sends SIGTERM 5 s after SIGINT')
+    robot.wait_for_text(node, "robot 'stanford'")
+    assert robot.set_parameter('stop_ramp', 4.9).successful
+    assert robot.change_state('deactivate')
+    assert robot.change_state('cleanup')
+    assert robot.change_state('configure')
+    robot.wait_until(lambda: node.output.count("robot 'stanford'") == 2, 'configured again')
+    assert node.output.count('sigterm_timeout') == 1
+
+
 def test_lifecycle_by_hand(run_node, robot):
     node = run_node(**PATIENT, autostart=False)
     publish_shuffled_state(robot)
