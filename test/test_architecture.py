@@ -85,7 +85,7 @@ ARROWS = {
         'model',
         'errors',
     },
-    'simulation': {'destinations', 'dynamics', 'urdf', 'model', 'errors'},
+    'simulation': {'destinations', 'dynamics', 'workspace', 'urdf', 'model', 'errors'},
     '__init__': {'dynamics', 'specialise', 'errors', 'model', 'urdf'},
 }
 ROS = ('rclpy', 'rcl_interfaces', 'ament_index_python', 'std_srvs')

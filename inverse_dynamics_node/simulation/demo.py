@@ -34,7 +34,7 @@ from .run import Run, topics_of
 from .scenarios import REST, Scenario, SCENARIOS, Script
 from .stage import Stage
 from .trajectory import slides, start_pose
-from .verdicts import excuse, find_failures, MOVING_LIMIT, RATE_LIMIT, REST_LIMIT, Verdict
+from .verdicts import excuse, find_failures, tracking_limits, tracking_words, Verdict
 from .view import name_width, View
 
 EPILOG = """
@@ -56,18 +56,23 @@ def judge_tracking(stage: Stage, history: History, asked: float) -> Verdict:
     moving = history.largest_error(0.0, (1.0 - REST) * duration)
     rest = history.largest_error((1.0 - 0.5 * REST) * duration, math.inf)
     wide = name_width(robot)
-    print(f'\n{"largest error":{wide}}{"moving":>13}{"at rest":>15}')
-    rows = zip(robot.joint_names, slides(robot), moving, rest, strict=True)
-    for name, slide, moving_error, rest_error in rows:
+    limits = tracking_limits(stage.slack)
+    # Without friction all limits are the same: the verdict names them.
+    head = ('moving', 'limit', 'at rest', 'limit') if stage.friction else ('moving', 'at rest')
+    widths = (13, 14, 15, 15) if stage.friction else (13, 15)
+    columns = ''.join(f'{word:>{width}}' for word, width in zip(head, widths, strict=True))
+    print(f'\n{"largest error":{wide}}{columns}')
+    rows = zip(robot.joint_names, slides(robot), moving, rest, *limits, strict=True)
+    for name, slide, moving_error, rest_error, moving_limit, rest_limit in rows:
         unit = 'mm' if slide else 'mrad'
-        errors = f'{1000.0 * moving_error:8.3f} {unit:4}{1000.0 * rest_error:10.4f} {unit:4}'
-        print(f'{name:{wide}}{errors}')
+        cells = [f'{1000.0 * moving_error:8.3f} {unit:4}', f'{1000.0 * rest_error:10.4f} {unit:4}']
+        if stage.friction:
+            cells.insert(1, f'{1000.0 * moving_limit:9.3f} {unit:4}')
+            cells.append(f'{1000.0 * rest_limit:10.4f} {unit:4}')
+        print(f'{name:{wide}}{"".join(cells)}')
     print(f'rate: {rate:.1f} of {asked:.1f} commands/s ({rate / asked - 1.0:+.1%})')
-    slack = float(np.max(stage.slack))
-    held = f' (and what dry friction holds, {1000 * slack:.2g} at most)' if slack else ''
     return Verdict(
-        f'every joint within {1000 * MOVING_LIMIT:g} mrad (mm) moving and '
-        f'{1000 * REST_LIMIT:g} at rest{held}, rate within {RATE_LIMIT:.0%}',
+        tracking_words(stage.slack),
         tuple(find_failures(robot.joint_names, moving, rest, rate, asked, stage.slack)),
     )
 

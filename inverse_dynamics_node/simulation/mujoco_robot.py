@@ -95,7 +95,7 @@ class MujocoRobot:
         self._data.qpos[:] = self._coupling @ np.asarray(start)
         self._data.qpos[moving] += robot.offset[1:]
         mujoco.mj_forward(self._model, self._data)
-        self._require_inertia()
+        require_inertia(robot, self.mass_matrix())
         self._hold(held)
 
     def state(self) -> tuple[Floats, Floats, Floats]:
@@ -154,15 +154,16 @@ class MujocoRobot:
             self._model.dof_damping[dof] = 2.0 * math.sqrt(HELD_STIFFNESS) * inertia[i]
             self._model.qpos_spring[dof] = self._data.qpos[dof] + load[i] / stiffness
 
-    def _require_inertia(self) -> None:
-        """Refuse joints that move nothing: the least effort would accelerate them endlessly."""
-        idle = _without_inertia(self.mass_matrix())
-        if idle.any():
-            names = ', '.join(repr(self.robot.joint_names[i]) for i in np.flatnonzero(idle))
-            raise SimulationError(
-                f'no mass resists the motion of joint {names}: give the links it moves an '
-                '<inertial> with mass and inertia, or make the joint fixed'
-            )
+
+def require_inertia(robot: RobotModel, mass_matrix: Floats) -> None:
+    """Refuse joints that move nothing: the least effort would accelerate them endlessly."""
+    idle = _without_inertia(mass_matrix)
+    if idle.any():
+        names = ', '.join(repr(robot.joint_names[i]) for i in np.flatnonzero(idle))
+        raise SimulationError(
+            f'no mass resists the motion of joint {names}: give the links it moves an '
+            '<inertial> with mass and inertia, or make the joint fixed'
+        )
 
 
 def _without_inertia(inertia: Floats) -> Booleans:

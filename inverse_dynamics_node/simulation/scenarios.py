@@ -147,6 +147,8 @@ def payload(stage: Stage) -> Script:
             izz=float(inertia[2, 2]),
         ),
     )
+    capacity = stage.capacity(link)
+    share = f' of the {capacity:.2g} kg that its drives could hold' if capacity < 1e3 else ''
     picked_up, told = 0.3 * stage.duration, 0.6 * stage.duration
     return Script(
         plan(stage.robot, loaded, stage.start, stage.duration),
@@ -154,7 +156,7 @@ def payload(stage: Stage) -> Script:
         (
             Event(
                 picked_up,
-                f'{mass:g} kg at {link!r}; the node does not know',
+                f'the arm holds {mass:g} kg{share} at {link!r}; the node does not know',
                 {f'{ROBOT}/payload': load},
             ),
             Event(told, 'the node is told of the load', {f'{NODE}/payload': load}),

@@ -15,11 +15,14 @@ import numpy as np
 
 from ..dynamics import InverseDynamics
 from ..model import Floats, RobotModel
+from ..workspace import last_link
+from .mujoco_robot import require_inertia
 from .trajectory import EFFORT_USED, effort_used
 
 KP, KD = 400.0, 40.0  # of the node's own loop; see the commander's [1/s^2], [1/s]
 DEFLECTION = 0.2  # [rad or m]: what a load or a push may do to a joint
 HEAVIEST = 5.0  # [kg]
+LEAST_LOAD = 0.01  # of the robot's mass
 HARDEST, FIRM = 20.0, 5.0  # [N]
 LEAST_INERTIA = 0.1  # [kg m^2 per N m, kg per N] of dry friction: motors with gears have as much
 LEAST_DECAY = 0.02  # [s]: viscous friction may not stop a joint sooner than the loop can tell
@@ -74,7 +77,7 @@ class Stage:
     @cached_property
     def inertia(self) -> Floats:
         """What each joint moves at the start while the others are free, shape (n,)."""
-        mass_matrix = InverseDynamics(self.robot).mass_matrix(self.start)
+        mass_matrix = self._mass_matrix(InverseDynamics(self.robot))
         felt: Floats = 1.0 / np.diagonal(np.linalg.inv(mass_matrix))
         return felt
 
@@ -83,7 +86,7 @@ class Stage:
         """How far dry friction may hold joints off their places, shape (n,) [rad or m]."""
         if not self.friction:
             return np.zeros(len(self.start))
-        compliance = np.abs(np.linalg.inv(self.dynamics().mass_matrix(self.start))) / KP
+        compliance = np.abs(np.linalg.inv(self._mass_matrix(self.dynamics()))) / KP
         held: Floats = compliance @ self.robot.friction
         return held
 
@@ -95,16 +98,44 @@ class Stage:
             dynamics.set_armature(self.armature)
         return dynamics
 
+    def _mass_matrix(self, dynamics: InverseDynamics) -> Floats:
+        """Return the mass matrix at the start, which must be invertible, shape (n, n)."""
+        mass_matrix = dynamics.mass_matrix(self.start)
+        require_inertia(self.robot, mass_matrix)
+        return mass_matrix
+
     def load(self) -> tuple[str, float, Floats]:
-        """Choose a load: the link, the mass [kg], the inertia about its centre, shape (3, 3)."""
-        link = self.link or hand(self.robot)
+        """
+        Choose a load: the link, the mass [kg], the inertia about its centre, shape (3, 3).
+
+        A last joint without the inertia of a rotor gives way to a few grams: the nearest link to
+        the hand is loaded that takes a load worth mentioning.
+
+        """
+        links = [self.link] if self.link else up_from(self.robot, last_link(self.robot))
         unit = np.eye(3) * BOX**2 / 6.0
+        chosen, heaviest = links[0], 0.0
+        for link in links:
 
-        def put(dynamics: InverseDynamics, mass: float) -> None:
-            dynamics.set_payload(link, mass, GRIP, mass * unit)
+            def put(dynamics: InverseDynamics, mass: float, link: str = link) -> None:
+                dynamics.set_payload(link, mass, GRIP, mass * unit)
 
-        mass = self._most(put, HEAVIEST)
-        return link, mass, mass * unit
+            mass = self._most(put, HEAVIEST)
+            if mass > heaviest:
+                chosen, heaviest = link, mass
+            if heaviest >= LEAST_LOAD * float(self.robot.mass.sum()):
+                break
+        return chosen, heaviest, heaviest * unit
+
+    def capacity(self, link: str) -> float:
+        """Return the mass at a link that brings a drive to its limit at the start [kg]."""
+        dynamics = InverseDynamics(self.robot)
+        alone = dynamics.gravity_efforts(self.start)
+        dynamics.set_payload(link, 1.0, GRIP)
+        change = dynamics.gravity_efforts(self.start) - alone
+        lifting = np.abs(change) > 1e-9
+        spare = self.robot.effort_limits - alone * np.sign(change)
+        return float(np.min(spare[lifting] / np.abs(change[lifting]), initial=np.inf))
 
     def push(self) -> tuple[str, Floats]:
         """
@@ -114,7 +145,7 @@ class Stage:
         push is pushed.
 
         """
-        links = [self.link] if self.link else up_from(self.robot, hand(self.robot))
+        links = [self.link] if self.link else up_from(self.robot, last_link(self.robot))
         direction = np.ones(3) / np.sqrt(3.0)
         chosen, hardest = links[0], 0.0
         for link in links:
@@ -143,26 +174,13 @@ class Stage:
         alone = dynamics.gravity_efforts(start)
         put(dynamics, 1.0)
         change = dynamics.gravity_efforts(start) - alone
-        deflection = np.linalg.solve(self.dynamics().mass_matrix(start), change) / KP
+        deflection = np.linalg.solve(self._mass_matrix(self.dynamics()), change) / KP
         most = min(limit, DEFLECTION / max(float(np.max(np.abs(deflection))), 1e-9))
-        while effort_used(robot, alone + most * change) > 0.8 * EFFORT_USED and most > 1e-3:
+        alone = np.where(np.abs(change) > 1e-9, alone, 0.0)  # other joints do not matter
+        spare = max(0.8 * EFFORT_USED, 0.5 * (EFFORT_USED + effort_used(robot, alone)))
+        while effort_used(robot, alone + most * change) > spare and most > 1e-3:
             most *= 0.8
         return float(f'{most:.2g}')  # a load as people would tell it
-
-
-def hand(robot: RobotModel) -> str:
-    """Return the last link before the arm ends or fingers part."""
-    carried = np.zeros(len(robot.body_names), dtype=int)
-    for body in range(len(carried) - 1, 0, -1):
-        carried[robot.parent[body]] += 1 + carried[body]
-    body = 0
-    while True:
-        children = np.flatnonzero(robot.parent == body)
-        most = [int(k) for k in children if carried[k] == carried[children].max()]
-        if len(most) != 1:
-            break
-        body = most[0]
-    return robot.link_names[int(np.flatnonzero(robot.link_body == body)[-1])]
 
 
 def up_from(robot: RobotModel, link: str) -> list[str]:

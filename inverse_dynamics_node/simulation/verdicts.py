@@ -58,6 +58,37 @@ def judge(words: str, *checks: tuple[bool, str]) -> Verdict:
     return Verdict(words, tuple(otherwise for is_well, otherwise in checks if not is_well))
 
 
+def tracking_limits(slack: Floats) -> tuple[Floats, Floats]:
+    """
+    Return how far joints may be off in motion and at rest.
+
+    Parameters
+    ----------
+    slack : ndarray, shape (n,)
+        How far dry friction may hold the joints off their places [rad or m].
+
+    Returns
+    -------
+    moving, rest : ndarray, shape (n,)
+        Limits [rad or m].
+
+    """
+    # A joint that dry friction lets go of swings as far beyond as it was held back.
+    return MOVING_LIMIT + 2.0 * slack, REST_LIMIT + slack
+
+
+def tracking_words(slack: Floats) -> str:
+    """Describe the limits of tracking."""
+    parts = []
+    for limits, when in zip(tracking_limits(slack), ('mrad (mm) moving', 'at rest'), strict=True):
+        least, most = (f'{1000.0 * limit:.3g}' for limit in (limits.min(), limits.max()))
+        parts.append(f'{least} {when}' if least == most else f'{least} to {most} {when}')
+    words = f'every joint within {" and ".join(parts)}'
+    if np.any(slack):
+        words = f'{words} (its limit in the table, wider where dry friction holds it)'
+    return f'{words}, rate within {RATE_LIMIT:.0%}'
+
+
 def find_failures(
     joint_names: tuple[str, ...],
     moving: Floats,
@@ -68,12 +99,11 @@ def find_failures(
 ) -> list[str]:
     """List what missed its limit in tracking, in words; friction may take some slack besides."""
     failures = []
-    for when, errors, limit in (
-        # A joint that dry friction lets go of swings as far beyond as it was held back.
-        ('moving', moving, MOVING_LIMIT + 2.0 * slack),
-        ('at rest', rest, REST_LIMIT + slack),
+    moving_limits, rest_limits = tracking_limits(slack + np.zeros(len(joint_names)))
+    for when, errors, limits in (
+        ('moving', moving, moving_limits),
+        ('at rest', rest, rest_limits),
     ):
-        limits = limit + np.zeros(len(joint_names))
         failures += [
             f'joint {name!r} was {1000 * error:.2f} mrad or mm off {when}, limit {1000 * most:.3g}'
             for name, error, most in zip(joint_names, errors, limits, strict=True)

@@ -7,7 +7,7 @@ import math
 from matplotlib.figure import Figure
 import numpy as np
 import pytest
-from robot_files import OUR_ROBOTS, ROOT, STANFORD
+from robot_files import OUR_ROBOTS, real_robots, ROOT, STANFORD
 
 pytest.importorskip('rclpy')
 pytest.importorskip('mujoco')
@@ -15,12 +15,13 @@ pytest.importorskip('mujoco')
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.simulation import verdicts
 from inverse_dynamics_node.simulation.commander import KD, resolved_acceleration
-from inverse_dynamics_node.simulation.demo import told_of_rotors
+from inverse_dynamics_node.simulation.demo import judge_tracking, told_of_rotors
 from inverse_dynamics_node.simulation.history import History
+from inverse_dynamics_node.simulation.mujoco_model import SimulationError
 from inverse_dynamics_node.simulation.mujoco_robot import MujocoRobot
 from inverse_dynamics_node.simulation.picture import draw
 from inverse_dynamics_node.simulation.scenarios import SCENARIOS, TILT
-from inverse_dynamics_node.simulation.stage import DEFLECTION, hand, KP, Stage
+from inverse_dynamics_node.simulation.stage import DEFLECTION, GRIP, KP, Stage
 from inverse_dynamics_node.simulation.trajectory import EFFORT_USED, effort_used, start_pose
 from inverse_dynamics_node.simulation.view import bar, error_share, Moment, View
 from inverse_dynamics_node.simulation.without_imu import held_without_imu
@@ -62,9 +63,46 @@ class TestStage:
     @pytest.mark.parametrize(
         ('robot', 'link'), [('stanford', 'tool0'), ('seven_dof', 'tool0'), ('gripper_arm', 'palm')]
     )
-    def test_hand_is_where_the_arm_ends_or_fingers_part(self, robot, link):
+    def test_loads_and_pushes_are_put_on_the_hand(self, robot, link):
         (path,) = (path for path in OUR_ROBOTS if path.stem == robot)
-        assert hand(load_urdf(path)) == link
+        stage = stage_of(path)
+        assert stage.load()[0] == link
+        assert stage.push()[0] == link
+
+    @pytest.mark.parametrize('robot', ['z1', 'tiago_no_hand', 'kinova', 'pr2', 'a1'])
+    def test_loads_are_worth_mentioning(self, robot):
+        path = next((path for path in real_robots() if path.stem == robot), None)
+        if path is None:
+            pytest.skip('example-robot-data is not installed')
+        stage = stage_of(path)
+        link, mass, _ = stage.load()
+        assert 0.01 * stage.robot.mass.sum() <= mass < stage.capacity(link)
+        body = stage.robot.link_body[stage.robot.link_names.index(link)]
+        assert body > 0  # the base carries everything
+        assert 'finger' not in link
+        assert 'gripper' not in stage.robot.body_names[body].lower()
+
+    def test_capacity_is_the_load_that_takes_a_drive_to_its_limit(self, stage):
+        link, _, _ = stage.load()
+        dynamics = InverseDynamics(stage.robot)
+        dynamics.set_payload(link, stage.capacity(link), GRIP)
+        assert effort_used(stage.robot, dynamics.gravity_efforts(stage.start)) == pytest.approx(1)
+
+    def test_script_names_load_link_and_capacity(self, stage):
+        link, mass, _ = stage.load()
+        words = SCENARIOS['payload'].prepare(stage).events[0].words
+        assert f'holds {mass:g} kg of the {stage.capacity(link):.2g} kg' in words
+        assert f"at '{link}'" in words
+
+    def test_joints_that_move_no_mass_are_refused_in_words(self):
+        text = (
+            '<robot name="massless"><link name="base"/><link name="tip"/>'
+            '<joint name="idle" type="continuous"><parent link="base"/><child link="tip"/></joint>'
+            '</robot>'
+        )
+        robot = load_urdf(text)
+        with pytest.raises(SimulationError, match="no mass resists the motion of joint 'idle'"):
+            Stage('', robot, np.zeros(1), 10.0).load()
 
     def test_loads_and_pushes_are_what_the_robot_stands(self, any_stage):
         robot, start = any_stage.robot, any_stage.start
@@ -324,6 +362,30 @@ class TestFriction:
         assert np.all(np.max(np.abs(errors), axis=0) < verdicts.MOVING_LIMIT + rubbing.slack)
         assert np.all(np.abs(errors[-1]) < verdicts.REST_LIMIT + rubbing.slack)
         assert np.max(rubbing.slack) < 0.05
+
+    @pytest.mark.parametrize('beyond', [False, True])
+    def test_table_and_verdict_have_the_same_limits(self, rubbing, beyond, capsys):
+        moving, rest = (1000.0 * limits for limits in verdicts.tracking_limits(rubbing.slack))
+        history = History()
+        for time in np.arange(0.0, rubbing.duration, 0.002):
+            q = rubbing.start.copy()
+            q[4] += (1.01 if beyond else 0.99) * 1e-3 * (moving[4] if time < 5.0 else rest[4])
+            history.states.add(time, (q, rubbing.start, q))
+            history.arrivals.append(time)
+        verdict = str(judge_tracking(rubbing, history, 500.0))
+        row = next(r for r in capsys.readouterr().out.splitlines() if r.startswith('joint_5'))
+        numbers = [float(word) for word in row.split()[1:] if word != 'mrad']
+        assert numbers[1::2] == pytest.approx([moving[4], rest[4]], abs=1e-3)
+        assert numbers[0::2] == pytest.approx(
+            np.array(numbers[1::2]) * (1.01 if beyond else 0.99), abs=2e-3
+        )
+        if beyond:
+            assert f'mrad or mm off moving, limit {moving[4]:.3g}' in verdict
+            assert f'mrad or mm off at rest, limit {rest[4]:.3g}' in verdict
+        else:
+            assert verdict.startswith('PASSED')
+            assert f'{moving.min():.3g} to {moving.max():.3g} mrad (mm) moving' in verdict
+            assert f'{rest.min():.3g} to {rest.max():.3g} at rest' in verdict
 
     def test_slack_widens_the_limits_of_its_joint_alone(self):
         moving, rest = np.array([0.03, 0.03]), np.array([0.0, 0.0])

@@ -129,6 +129,28 @@ def test_payloads_go_to_the_tool_or_to_the_hand():
         assert robot.body_names[body] == 'panda_joint7'
 
 
+@pytest.mark.parametrize(
+    ('robot', 'body'),
+    [
+        ('z1', 'joint6'),  # not the jaw
+        ('kinova', 'j2s6s200_joint_6'),
+        ('allegro_right_hand', 'joint_3.0'),  # a hand without an arm: a fingertip
+        ('finger_edu', 'finger_middle_to_lower_joint'),
+        ('tiago', 'arm_7_joint'),  # fingers of several joints
+        ('g1_29dof_with_hand_rev_1_0', 'left_wrist_yaw_joint'),  # arms part too, at the torso
+        ('a1', 'FR_calf_joint'),
+    ],
+)
+def test_payloads_do_not_go_to_fingers_or_bases(robot, body):
+    path = next((path for path in real_robots() if path.stem == robot), None)
+    if path is None:
+        pytest.skip('example-robot-data is not installed')
+    model = load_urdf(path)
+    link = last_link(model)
+    assert model.body_names[model.link_body[model.link_names.index(link)]] == body
+    assert 'finger' not in link or robot == 'finger_edu'
+
+
 def test_tells_how_far_it_is():
     shares = []
     explore(ARM, samples=64, progress=shares.append)
