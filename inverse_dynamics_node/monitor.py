@@ -221,7 +221,11 @@ class Monitor:
             values |= {f'{name} {what}': str(count) for name, count in counter.items()}
         cut = [text.removeprefix('cut ') for text in self._news if text.startswith('cut ')]
         if around.is_active and not around.receivers:
-            return Status('efforts', Level.WARN, 'nobody receives the commands', values)
+            message = 'nobody receives the commands'
+            if around.others.subscribers:
+                names = join_names(around.others.subscribers)
+                message += f': {names} subscribes with another type or quality of service'
+            return Status('efforts', Level.WARN, message, values)
         if cut:
             return Status('efforts', Level.WARN, f'cut to its limit: {", ".join(cut)}', values)
         return Status('efforts', Level.OK, activity(now, rig), values)

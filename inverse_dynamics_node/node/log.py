@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 import math
+import time
 from typing import Any
 
 import numpy as np
@@ -43,9 +44,9 @@ class NodeLog:
         for key in [key for key in self._times if key.startswith('activity ')]:
             del self._times[key]
 
-    def warn(self, now: float, key: str, text: str | Callable[[], str]) -> None:
+    def warn(self, key: str, text: str | Callable[[], str]) -> None:
         """Warn, unless it was said lately; words that take time to find come as a function."""
-        if self._is_due(now, key):
+        if self._is_due(key):
             self._logger.warning(text if isinstance(text, str) else text())
 
     def introduce(self, rig: Rig) -> None:
@@ -59,19 +60,19 @@ class NodeLog:
             + (f'; takes into account {", ".join(others)}' if others else '')
         )
 
-    def tell_waiting(self, now: float, missing: Callable[[], list[str]]) -> None:
+    def tell_waiting(self, missing: Callable[[], list[str]]) -> None:
         """Name the inputs without which there is no command yet."""
-        self.warn(now, 'waiting', lambda: f'no command yet: waiting for {" and ".join(missing())}')
+        self.warn('waiting', lambda: f'no command yet: waiting for {" and ".join(missing())}')
 
-    def tell_status(self, now: float, status: Status) -> None:
+    def tell_status(self, status: Status) -> None:
         """Report a status that is not OK, now and then while it lasts, and its end."""
         last = self._last_statuses.get(status.part, (Level.OK, ''))
         this = status.level, status.message
         if status.level is Level.OK:
             if last[0] is not Level.OK:
                 self._logger.info(status.message)
-        elif last != this or self._is_due(now, f'status {status.part}', _LONG_PERIOD):
-            self._times[f'status {status.part}'] = now
+        elif last != this or self._is_due(f'status {status.part}', _LONG_PERIOD):
+            self._times[f'status {status.part}'] = time.monotonic()
             if status.level is Level.ERROR:  # a logger accepts one severity per line of code
                 self._logger.error(status.message)
             else:
@@ -87,15 +88,15 @@ class NodeLog:
         if key != self._last_activity or phase in _ALARMS:
             self._tell_activity(now, rig, key)
         if rig.collector.late_count:
-            self.warn(now, 'late', lambda: '; '.join(describe_late(rig, now)))
+            self.warn('late', lambda: '; '.join(describe_late(rig, now)))
         if np.count_nonzero(command.is_saturated):  # any() takes longer
             joints = command.is_saturated.tobytes().hex()  # others are news
-            self.warn(now, f'saturated {joints}', lambda: _what_is_saturated(rig, command))
+            self.warn(f'saturated {joints}', lambda: _what_is_saturated(rig, command))
 
-    def tell_implausible(self, now: float, rig: Rig) -> None:
+    def tell_implausible(self, rig: Rig) -> None:
         """Warn of joints far outside their position limits, now and then while they are there."""
         for joint, text in describe_implausible(rig).items():
-            if self._is_due(now, f'implausible {joint}', _LONG_PERIOD):
+            if self._is_due(f'implausible {joint}', _LONG_PERIOD):
                 self._logger.warning(text)
 
     def _tell_activity(self, now: float, rig: Rig, key: tuple[Phase, bool]) -> None:
@@ -104,9 +105,9 @@ class NodeLog:
                 self._logger.warning(f"joint_states: no velocity of '{name}', taken as zero")
             for name in rig.collector.unseen():
                 self._logger.warning(f"joint_states: '{name}' not seen, taken as locked")
-            self.tell_implausible(now, rig)
+            self.tell_implausible(rig)
             self._last_activity = Phase.WAITING, False
-        if not self._is_due(now, f'activity {key[0].name} {key[1]}'):
+        if not self._is_due(f'activity {key[0].name} {key[1]}'):
             return  # asked again at the next step, so that the latest activity is never missed
         self._last_activity = key
         text = activity(now, rig)
@@ -117,8 +118,9 @@ class NodeLog:
         else:
             self._logger.info(text)
 
-    def _is_due(self, now: float, key: str, period: float = _PERIOD) -> bool:
-        if abs(now - self._times.get(key, -math.inf)) < period:
+    def _is_due(self, key: str, period: float = _PERIOD) -> bool:
+        now = time.monotonic()  # simulated time may stand still, or run fast
+        if now - self._times.get(key, -math.inf) < period:
             return False
         if len(self._times) >= _MOST_KEYS:
             self._times.clear()

@@ -364,22 +364,22 @@ class InverseDynamicsNode(LifecycleNode):
         now = self._now()
         try:
             names, positions, velocities, measured = self._reader.read(data)
-            efforts = self._efforts(now, len(names), measured)
+            efforts = self._efforts(len(names), measured)
             is_ours = self._rig.collector.update(now, names, positions, velocities, efforts)
         except JointStateError as error:
-            self._reject(now, 'joint_states', error)
+            self._reject('joint_states', error)
             return
         if is_ours and self._is_active and self._configuration.update_rate == 0.0:
             self._step(now)
 
-    def _efforts(self, now: float, count: int, measured: Floats) -> Floats | tuple[()]:
+    def _efforts(self, count: int, measured: Floats) -> Floats | tuple[()]:
         """Return measured efforts, if they are wanted; NaN for those that are not there."""
         if not self._outputs.wants_measured_efforts:
             return ()
         if len(measured) == count:
             return measured
         if len(measured):  # no reason not to know where the arm is
-            self._reject(now, 'joint_states', f'{count} names, but {len(measured)} efforts')
+            self._reject('joint_states', f'{count} names, but {len(measured)} efforts')
         return np.full(count, math.nan)
 
     def _on_accelerations(self, message: Float64MultiArray) -> None:
@@ -395,7 +395,7 @@ class InverseDynamicsNode(LifecycleNode):
         try:
             self._rig.reference = read(message, self._rig.controller.joints, now)
         except JointStateError as error:
-            self._reject(now, topic, error)
+            self._reject(topic, error)
 
     def _on_payload(self, message: InertiaStamped) -> None:
         def take(rig: Rig, now: float) -> None:
@@ -436,33 +436,33 @@ class InverseDynamicsNode(LifecycleNode):
         """Let the rig take in a message, or tell why not."""
         now = self._now()
         if self._rig is None:
-            self._reject(now, topic, 'there is no robot yet')
+            self._reject(topic, 'there is no robot yet')
             return
         try:
             take(self._rig, now)
         except InverseDynamicsError as error:
-            self._reject(now, topic, error)
+            self._reject(topic, error)
 
-    def _reject(self, now: float, topic: str, reason: object) -> None:
+    def _reject(self, topic: str, reason: object) -> None:
         self._monitor.reject(topic, str(reason))
-        self._log.warn(now, topic, f'{topic}: message dropped: {reason}')
+        self._log.warn(topic, f'{topic}: message dropped: {reason}')
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
-        self._take('~/joint_trajectory_in', lambda rig, now: self._fill(rig, now, message))
+        self._take('~/joint_trajectory_in', lambda rig, now: self._fill(rig, message))
 
-    def _fill(self, rig: Rig, now: float, message: JointTrajectory) -> None:
+    def _fill(self, rig: Rig, message: JointTrajectory) -> None:
         """Publish a trajectory with the efforts that it takes, if somebody wants it."""
         if not self._trajectories.get_subscription_count():
             raise TrajectoryError('nobody listens to ~/joint_trajectory_out')
         trajectory, derived = complete(messages.read_trajectory(message))
         for words in derived:
-            self._log.warn(now, words, f'~/joint_trajectory_in: {words}')
+            self._log.warn(words, f'~/joint_trajectory_in: {words}')
         efforts = trajectory_efforts(rig.dynamics, trajectory, rig.collector.q)
         index = joint_index(trajectory.joint_names, rig.robot.joint_names)
         efforts = rig.calibrated(index, efforts)
         for name in rig.beyond_limits(index, efforts):
             words = f"~/joint_trajectory_in: efforts of '{name}' go beyond its limit"
-            self._log.warn(now, words, words)
+            self._log.warn(words, words)
         self._trajectories.publish(messages.write_trajectory(message, trajectory, efforts))
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> Any:
@@ -521,7 +521,7 @@ class InverseDynamicsNode(LifecycleNode):
         began = time.perf_counter()
         command = self._rig.step(now)
         if command is None:
-            self._log.tell_waiting(now, self._missing)
+            self._log.tell_waiting(self._missing)
             return
         self._has_commanded = True
         self._outputs.publish_command(self._rig, command.efforts)
@@ -529,7 +529,7 @@ class InverseDynamicsNode(LifecycleNode):
         self._monitor.step(now, took, command, self._rig.controller.joints)
         self._log.tell(now, self._rig, command)
         if self._rig.controller.phase in IS_WELL:
-            self._explain(now)
+            self._explain()
 
     def _missing(self) -> list[str]:
         assert self._rig is not None
@@ -537,12 +537,12 @@ class InverseDynamicsNode(LifecycleNode):
             self._graph.with_publishers('joint_states'), self._graph.with_publishers('imu')
         )
 
-    def _explain(self, now: float) -> None:
+    def _explain(self) -> None:
         assert self._rig is not None
         try:
             self._outputs.publish_explanation(self._rig)
         except JointStateError as error:
-            self._log.warn(now, 'explanation', str(error))
+            self._log.warn('explanation', str(error))
 
     def _ramp_down(self) -> None:
         """Publish falling efforts, then zeros, from within one callback: nothing else runs."""
@@ -586,11 +586,11 @@ class InverseDynamicsNode(LifecycleNode):
             simulated=self._graph.simulated_time() if self._uses_sim_time else None,
         )
         if self._rig is not None:
-            self._log.tell_implausible(self._now(), self._rig)
+            self._log.tell_implausible(self._rig)
         statuses = self._monitor.report(self._now(), self._rig, around)
         for status in statuses:
             if status.part in ('other nodes', 'clock'):
-                self._log.tell_status(time.monotonic(), status)
+                self._log.tell_status(status)
         self._diagnostics.publish(
             diagnostic_array(
                 self.get_clock().now().to_msg(),

@@ -138,6 +138,10 @@ def test_simulated_time_without_a_clock_is_an_error(run_node, robot, wait_for_le
     robot._always = []  # the publisher remains, as that of a simulation that is paused
     assert 'is the simulation paused?' in wait_for_level('clock', DiagnosticStatus.WARN)
     robot.wait_for_text(node, 'simulated time has not advanced for more than 5 s')
+    # What lasts is repeated by steady time, since the simulated time stands still.
+    robot.publish_accelerations([1.0])
+    words = '1 accelerations, expected 6'
+    robot.wait_until(lambda: len(lines(node, words)) > 1, 'another warning')
 
 
 def test_remaps_without_effect_are_reported_and_the_others_are_not(run_node, robot):

@@ -235,6 +235,14 @@ def test_nodes_that_interfere_are_named(rig, others, is_active, level, words):
     assert words in status.message
 
 
+def test_subscribers_that_do_not_match_are_named(rig):
+    others = Others('/arm', '/commands', subscribers=('/bridge',))
+    around = FINE._replace(receivers=0, others=others)
+    status = part(Monitor().report(0.05, rig, around), 'efforts')
+    assert status.level is Level.WARN
+    assert '/bridge subscribes with another type or quality of service' in status.message
+
+
 def test_of_many_nodes_only_the_first_are_named(rig):
     others = Others('/arm', '/commands', rivals=tuple(f'/n{k}' for k in range(100)))
     status = part(Monitor().report(0.0, rig, FINE._replace(others=others)), 'other nodes')
