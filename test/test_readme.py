@@ -54,6 +54,19 @@ def test_parameter_table_is_the_parameters_of_the_node():
         assert (live == 'yes') == PARAMETERS[name].is_live, name
 
 
+def test_frames_of_the_parameter_table_are_those_of_the_node():
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    from inverse_dynamics_node.node.parameters import PARAMETERS
+
+    frame = r'frame of the (\w+ link)'
+    found = 0
+    for name, parameter in PARAMETERS.items():
+        row = re.search(rf'^\| `{name}`.*', INTERFACE, re.M)[0]
+        assert re.findall(frame, row) == re.findall(frame, parameter.description), name
+        found += len(re.findall(frame, row))
+    assert found
+
+
 def test_names_in_the_readme_are_in_the_interface():
     table = README.split('| you want to |')[1].split('\n\n')[0]
     names = re.findall(r'`~/([\w/]+)', table) + re.findall(r'`(\w+)`', table)

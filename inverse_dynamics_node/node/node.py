@@ -49,6 +49,7 @@ from .parameters import (
     PARAMETERS,
     read_configuration,
     unknown_parameters,
+    unused_qos_overrides,
     values_of,
 )
 from .serialized import JointStateReader
@@ -86,7 +87,7 @@ class InverseDynamicsNode(LifecycleNode):
         self._is_in_a_hurry = is_in_a_hurry
         declare_parameters(self)
         self._configuration = read_configuration(self)
-        for problem in unknown_parameters(self._parameter_overrides):
+        for problem in unknown_parameters(self):
             self.get_logger().warning(f'ignored {problem}')
         self.is_finalized = False
         self._rig: Rig | None = None
@@ -110,6 +111,8 @@ class InverseDynamicsNode(LifecycleNode):
             self._timer_clock = steady
             self._now = time.monotonic  # the same clock, twenty times faster to read
         self._create_entities()
+        for problem in unused_qos_overrides(self):
+            self.get_logger().warning(problem)
         self.create_timer(_LISTENERS_PERIOD, self._look_for_listeners, clock=steady)
         self.create_timer(_DIAGNOSTICS_PERIOD, self._on_diagnostics, clock=steady)
         self.add_on_set_parameters_callback(self._check_parameters)

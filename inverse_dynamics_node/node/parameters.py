@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 import math
@@ -162,6 +162,7 @@ _OF_URDF = -1.0
 _SETTINGS = Settings()
 _LOADS = LoadSettings()
 LOCKED = 'locked_positions'
+_QOS = 'qos_overrides'  # of rclpy
 PARAMETERS = {
     'robot_description': Parameter(
         _TEXT,
@@ -447,7 +448,7 @@ def declare_parameters(node: Node) -> None:
     values.update({name: given[name] for name in (*PARAMETERS, *locked) if name in given})
     problems = _problems(values)
     if values['allow_unknown_parameters'] is not True:
-        unknown = unknown_parameters(given)
+        unknown = unknown_parameters(node)
         problems += unknown
         if unknown:
             problems.append(
@@ -549,19 +550,32 @@ def _unlimited_where_zero(numbers: PerJoint) -> PerJoint:
     return numbers or math.inf
 
 
-_OF_RCLPY = ('use_sim_time', 'start_type_description_service')
+def unknown_parameters(node: Node) -> list[str]:
+    """
+    Describe each given name that is not a parameter of this node, with the closest name.
 
+    To be called when rclpy has declared its own parameters.
 
-def unknown_parameters(names: Iterable[str]) -> list[str]:
-    """Describe each name that is not a parameter of this node, with the name closest to it."""
-    known = [*PARAMETERS, *_OF_RCLPY, LOCKED]
+    """
+    known = [*PARAMETERS, *node._parameters, LOCKED]
     problems = []
-    for name in names:
+    for name in node._parameter_overrides:
         head, dot, tail = name.partition('.')
-        if name in PARAMETERS or name in _OF_RCLPY or (head in (LOCKED, 'qos_overrides') and dot):
+        if name in known or (dot and head in (LOCKED, _QOS)):
             continue
         hint = did_you_mean(name, known) or did_you_mean(head, known)
-        if hint and LOCKED in hint:
+        if LOCKED in hint:
             hint = f"; did you mean '{LOCKED}.{tail or '<joint>'}'?"
         problems.append(f"unknown parameter '{name}'{hint}")
     return problems
+
+
+def unused_qos_overrides(node: Node) -> list[str]:
+    """Describe each QoS override that no publisher or subscription of the node has declared."""
+    declared = [name for name in node._parameters if name.startswith(f'{_QOS}.')]
+    return [
+        f"parameter '{name}' matches no publisher or subscription of this node"
+        + did_you_mean(name, declared)
+        for name in node._parameter_overrides
+        if name.startswith(f'{_QOS}.') and name not in declared
+    ]

@@ -53,3 +53,14 @@ def test_colcon_build_starts(tmp_path, domain_id, options):
             process.send_signal(signal.SIGINT)
     assert process.wait(60) == 0, lines
     assert any("robot 'stanford', 20.8 kg" in line for line in lines), lines
+    command = '. install/setup.sh; install/inverse_dynamics_node/lib/*/inverse_dynamics_node '
+    version = subprocess.run(
+        ['sh', '-c', f'{command} --version'],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    declared = (ROOT / 'setup.py').read_text().split("version='")[1].split("'")[0]
+    assert version.stdout == f'inverse_dynamics_node {declared}\n', version.stderr
