@@ -506,7 +506,14 @@ def all_shortened(names: Sequence[str], size: int) -> list[str]:
     tail = _shared([name[head:][::-1] for name in names])
     # What is left of a long name of many is its own part.
     parts = [name[head : len(name) - tail] for name in names]
-    return [f'…{shortened(part, size - 1)}' if head else shortened(part, size) for part in parts]
+    short = [f'…{shortened(part, size - 1)}' if head else shortened(part, size) for part in parts]
+    for first in (size // 3, size // 4, 2 * size // 3, 1):
+        if len(set(short)) == len(set(names)):
+            break
+        # Names of several branches differ at both ends: keep more of one of them.
+        rest = size - 1 - first
+        short = [n if len(n) <= size else f'{n[:first]}…{n[len(n) - rest :]}' for n in names]
+    return short
 
 
 def shortened(text: str, size: int) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,17 +11,21 @@ from ..dynamics import InverseDynamics
 from ..kinematics import body_frames
 from ..model import Floats, RobotModel
 from ..report import shortened
-from .pictures import BLUE, DARK, GREEN, GREY, ORANGE, RED
+from .pictures import BLUE, DARK, GREEN, GREY, ORANGE, RED, runs_of
 
 _MOST_NUMBERS = 12
 """Of joints; of more, the one of concern is numbered alone."""
+_AROUND = ((0, 16), (0, -16), (24, 0), (-24, 0), (20, 14), (-20, 14), (0, 30), (0, -30))
+"""Where the label of a joint may be, from the joint [points]; the first free place is taken."""
 _LARGEST_MASS = 260.0
 """Of a disc that shows a mass [square points]."""
 
 
-def draw_arm(axes: Any, dynamics: InverseDynamics, q: Floats, joint: int, link: str) -> None:
+def draw_arm(
+    axes: Any, dynamics: InverseDynamics, q: Floats, joint: int, link: str, view: int = 0
+) -> None:
     """
-    Draw the robot as it is seen from the side that shows most of it.
+    Draw the robot from the side.
 
     Parameters
     ----------
@@ -34,6 +39,8 @@ def draw_arm(axes: Any, dynamics: InverseDynamics, q: Floats, joint: int, link: 
         The joint to point out.
     link : str
         The link to mark: where a payload is.
+    view : int
+        0 for the side that shows most of the robot, 1 for a view at right angles to that.
 
     """
     robot = dynamics.robot
@@ -42,18 +49,20 @@ def draw_arm(axes: Any, dynamics: InverseDynamics, q: Floats, joint: int, link: 
         'kij,kj->ki', rotations[robot.link_body], robot.link_position
     )
     centres = positions + np.einsum('bij,bj->bi', rotations, robot.com)
-    view = _side_view(dynamics.gravity, np.concatenate([positions, links, centres]))
-    flat, flat_links, flat_centres = positions @ view, links @ view, centres @ view
+    plane = _side_view(dynamics.gravity, np.concatenate([positions, links, centres]), view)
+    flat, flat_links, flat_centres = positions @ plane, links @ plane, centres @ plane
 
     _draw_structure(axes, robot, flat, flat_links, flat_centres)
     _draw_masses(axes, robot, flat_centres)
-    _draw_joints(axes, robot, flat, joint)
+    places = _draw_joints(axes, robot, flat, joint)
     mark = flat_links[robot.link_names.index(link)]
     axes.plot(*mark, 'v', color=GREEN, markersize=9, zorder=6, label=shortened(link, 22))
     _frame(axes, np.concatenate([flat, flat_links, flat_centres]))
     axes.set_xlabel('across [m]')
     axes.set_ylabel('up [m]')
-    axes.set_title(f'side view, worst pose for joint {joint + 1}', fontsize=9.5)
+    title = 'the same, turned by 90°' if view else f'side view, worst pose for joint {joint + 1}'
+    axes.set_title(title, fontsize=9)
+    _number(axes, places)
 
 
 def _frame(axes: Any, points: Floats) -> None:
@@ -67,21 +76,23 @@ def _frame(axes: Any, points: Floats) -> None:
     axes.locator_params(nbins=6)
 
 
-def _side_view(gravity: Floats, points: Floats) -> Floats:
-    """Return what takes points to (across, up), shape (3, 2): across is where most spread is."""
+def _side_view(gravity: Floats, points: Floats, view: int) -> Floats:
+    """Return the projection of points to (across, up), shape (3, 2): most spread across first."""
     size = float(np.linalg.norm(gravity))
     up = -gravity / size if size > 0.0 else np.array([0.0, 0.0, 1.0])
     spread = points - points[0]
     level = spread - np.outer(spread @ up, up)
     _, sizes, directions = np.linalg.svd(level)
     across = directions[0]
-    if sizes[0] < 1e-9:  # all above each other: any level direction will do
+    if view == 1 and sizes[0] >= 1e-9:
+        across = np.cross(up, across)
+    elif sizes[0] < 1e-9:  # all above each other: any level direction will do
         across = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
         across /= np.linalg.norm(across)
     if np.sum(level @ across) < 0.0:
         across = -across
-    view: Floats = np.stack([across, up], axis=1)
-    return view
+    plane: Floats = np.stack([across, up], axis=1)
+    return plane
 
 
 def _draw_structure(
@@ -114,8 +125,10 @@ def _draw_masses(axes: Any, robot: RobotModel, centres: Floats) -> None:
     axes.plot(*middle, 'x', color=DARK, markersize=9, markeredgewidth=2.2, zorder=7, label=label)
 
 
-def _draw_joints(axes: Any, robot: RobotModel, flat: Floats, joint: int) -> None:
-    """Draw the joints with their numbers, counted from 1; those at one place share a label."""
+def _draw_joints(
+    axes: Any, robot: RobotModel, flat: Floats, joint: int
+) -> list[tuple[Floats, list[int]]]:
+    """Draw the joints; return places and the numbers, from 1, of the joints to label there."""
     many = len(robot.joint_names) > _MOST_NUMBERS
     apart = 0.07 * (float(np.max(np.ptp(flat, axis=0))) or 1.0)
     places: list[tuple[Floats, list[int]]] = []
@@ -133,6 +146,27 @@ def _draw_joints(axes: Any, robot: RobotModel, flat: Floats, joint: int) -> None
             near[0].append(i + 1)
         else:
             places.append((spot, [i + 1]))
+    return places
+
+
+def _number(axes: Any, places: Sequence[tuple[Floats, list[int]]]) -> None:
+    """
+    Write the numbers of the joints, no two on top of each other.
+
+    A label that fits nowhere around its place is left out: the rows beside the picture have all.
+
+    """
+    figure = axes.figure
+    figure.canvas.draw()  # the layout decides where there is room
+    renderer = figure.canvas.get_renderer()
+    taken: list[Any] = []
     for place, numbers in places:
-        axes.annotate(', '.join(map(str, numbers)), place, xytext=(0, 12), ha='center', fontsize=9,
-                      textcoords='offset points', color=DARK, zorder=8)  # fmt: skip
+        for across, up in _AROUND:
+            label = axes.annotate(runs_of(numbers), place, xytext=(across, up), fontsize=9,
+                                  ha='center', va='center', textcoords='offset points',
+                                  color=DARK, zorder=8)  # fmt: skip
+            extent = label.get_window_extent(renderer).padded(2.0)
+            if not any(extent.overlaps(other) for other in taken):
+                taken.append(extent)
+                break
+            label.remove()

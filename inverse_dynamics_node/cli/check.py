@@ -117,7 +117,7 @@ def run(options: argparse.Namespace) -> int:
         from .check_picture import draw
 
         path = options.picture or Path(f'{stem_of(options.urdf)}_check.png')
-        draw(dynamics, workspace, payload, path)
+        draw(dynamics, workspace, payload, options.urdf.name, path)
         print(f'\npicture: {path}')
     return _WARNED if options.strict and concerns else 0
 

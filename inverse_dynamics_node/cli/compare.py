@@ -137,7 +137,10 @@ def run(options: argparse.Namespace) -> int:
         from .compare_picture import draw
 
         path = options.picture or Path(f'{options.recording.stem}_compare.png')
-        draw(findings, verdict(findings), path)
+        link = options.link or last_link(robot)
+        load = f", payload {options.payload[0]:g} kg on link '{link}'" if options.payload else ''
+        source = f'{robot.name}: {options.recording.name}{load}'
+        draw(findings, source, verdict(findings), path)
         print(f'picture: {path}')
     return _FOUND if options.strict and concerns else 0
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-import textwrap
 from typing import Any
 
 import numpy as np
@@ -11,27 +10,25 @@ import numpy as np
 from ..identification import Findings
 from ..model import Floats
 from .compare import percent
-from .pictures import BLUE, fitting, GREY, ORANGE, save, style, WIDTH
+from .pictures import BLUE, fitting, GREY, ORANGE, save, set_title, style, WIDTH
 
 _MOST_ROWS = 10
 """Joints with a row of their own; more of them are drawn as small pictures."""
 _ACROSS = 3
 _POINTS = 1500
-_TITLE_WIDTH = 105
+_NAME_LETTERS = 21
+"""Letters of a name that fit above a small picture."""
 
 
-def draw(findings: Findings, title: str, path: Path) -> None:
+def draw(findings: Findings, source: str, title: str, path: Path) -> None:
     """Draw all joints and write them as a PNG."""
-    wrapped = textwrap.wrap(title, _TITLE_WIDTH)
-    if len(wrapped) > 2:
-        wrapped = [wrapped[0], wrapped[1] + ' ...']
     count = len(findings.joints)
     with style() as pyplot:
         if count <= _MOST_ROWS:
             figure, lines = _rows(pyplot, findings)
         else:
             figure, lines = _small(pyplot, findings)
-        figure.suptitle('\n'.join(wrapped), x=0.01, ha='left', fontsize=11)
+        set_title(figure, source, title)
         figure.legend(lines, _labels(findings), loc='outside lower center', ncols=3)
         save(figure, path)
 
@@ -76,17 +73,19 @@ def _small(pyplot: Any, findings: Findings) -> tuple[Any, list[Any]]:
     figure, axes = pyplot.subplots(
         rows, _ACROSS, sharex=True, squeeze=False, figsize=(WIDTH, 1.3 + 1.15 * rows)
     )
-    names = fitting([joint.name for joint in findings.joints], 16)
+    names = fitting([joint.name for joint in findings.joints], _NAME_LETTERS)
     for c, ax in enumerate(axes.flat):
         if c >= count:
             ax.set_axis_off()
             continue
         joint = findings.joints[c]
         lines = _draw_efforts(ax, findings, c)
-        ax.set_title(f'{names[c]} [{"N" if joint.slides else "N m"}]', fontsize=9, pad=3)
+        ax.set_title(f'{names[c]} [{"N" if joint.slides else "N m"}]', fontsize=8.5, pad=3)
         share = percent(joint.explained_in_the_end)
-        ax.set_title(share, loc='right', fontsize=8.5, pad=3, color=GREY)
+        ax.set_title(share, loc='right', fontsize=8, pad=3, color=GREY)
         _fewer_ticks(ax)
+    for ax in axes.flat[count - _ACROSS : count]:
+        ax.tick_params(labelbottom=True)
     for ax in axes[-1]:
         ax.set_xlabel('time [s]')
     return figure, lines

@@ -175,7 +175,9 @@ def run(options: argparse.Namespace) -> int:
         from .effort_picture import draw
 
         written.append(options.picture or Path(f'{stem}_efforts.png'))
-        draw(robot, fine, demands, written[-1])
+        load = f"\npayload {options.payload[0]:g} kg on link '{link}'" if options.payload else ''
+        title = f'{robot.name}: efforts along {options.trajectory.name}{load}'
+        draw(robot, fine, demands, title, written[-1])
     print('\n'.join(f'written: {path}' for path in written))
     is_exceeded = demands.is_too_strong | demands.is_too_fast | demands.is_too_far
     return _EXCEEDED if options.strict and is_exceeded.any() else 0

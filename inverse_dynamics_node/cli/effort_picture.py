@@ -12,7 +12,7 @@ from ..demands import Demands
 from ..model import RobotModel
 from ..report import effort_unit, number
 from ..trajectory import Trajectory
-from .pictures import BLUE, fitting, GREEN, GREY, ORANGE, PINK, RED, save, style, WIDTH
+from .pictures import BLUE, fitting, GREEN, GREY, ORANGE, PINK, RED, save, set_title, style, WIDTH
 
 _PARTS = {
     'gravity': GREEN,
@@ -20,31 +20,36 @@ _PARTS = {
     'velocity': PINK,
     'friction': GREY,
 }
+_NAME_LETTERS = {1: 80, 2: 50, 3: 32}
+"""Letters of a name that fit above a panel, by the number of panels across."""
+_NEGLIGIBLE = 1e-6
+"""Efforts smaller than this fraction of the largest one are rounding errors."""
 _MOST_DRAWN = 1500
 """States drawn: more cannot be told apart."""
 
 
-def draw(robot: RobotModel, fine: Trajectory, demands: Demands, path: Path) -> None:
+def draw(robot: RobotModel, fine: Trajectory, demands: Demands, title: str, path: Path) -> None:
     """Draw a panel for each joint and write them as a PNG."""
     m = len(fine.joint_names)
     columns = 1 if m == 1 else 2 if m <= 12 else 3
     rows = math.ceil(m / columns)
-    height = min(60.0, 1.1 + 1.7 * rows if rows > 1 else 3.6)
+    height = min(60.0, 1.3 + 1.7 * rows if rows > 1 else 3.6)
     with style() as pyplot:
         figure, grid = pyplot.subplots(
             rows, columns, figsize=(WIDTH, height), sharex=True, squeeze=False
         )
         panels = grid.ravel()
-        names = fitting(fine.joint_names, 20 if columns < 3 else 13)
+        names = fitting(fine.joint_names, _NAME_LETTERS[columns])
         for k, axes in enumerate(panels[:m]):
             _draw_joint(axes, robot, fine, demands, k, names[k])
         for axes in panels[m:]:
             axes.set_visible(False)
         for axes in panels[max(0, m - columns) : m]:
-            axes.set_xlabel('time [s]')
             axes.tick_params(labelbottom=True)
+        for axes in grid[-1]:
+            axes.set_xlabel('time [s]')
         figure.legend(*panels[0].get_legend_handles_labels(), loc='outside lower center', ncols=6)
-        figure.suptitle(f'{robot.name}: efforts along the trajectory', x=0.01, ha='left')
+        set_title(figure, *title.splitlines())
         save(figure, path)
 
 
@@ -69,12 +74,15 @@ def _draw_joint(
         for end in (-limit, limit):
             if low - limit < end < high + limit and end * demands.peak[k] >= 0.0:
                 axes.axhline(end, color=RED, linestyle='--', linewidth=1.2)
-    if high - low < 1e-6:
-        axes.set_ylim(-1.0, 1.0)
+    if peak <= _NEGLIGIBLE * float(np.max(np.abs(demands.peak))):
+        axes.set_ylim(-1.0, 1.0)  # rounding errors only
+        peak = 0.0
     unit = effort_unit(robot, robot.joint_names.index(fine.joint_names[k])).strip()
-    of = f' of {number(limit)}' if math.isfinite(limit) else ', no limit'
-    axes.set_title(f'{name}: {peak:.3g}{of} {unit}', fontsize=9.5, color=colour)
-    axes.set_ylabel(f'[{unit}]')
+    of = f'of {number(limit)} {unit}' if math.isfinite(limit) else f'{unit}, no limit'
+    # The name has a line of its own: with many joints it is as wide as the panel.
+    axes.set_title(f'{name}\npeak {peak:.3g} {of}', fontsize=9, color=colour, pad=3)
+    axes.tick_params(labelsize=8.5)
+    axes.locator_params(axis='y', nbins=5)
 
 
 def _shown(fine: Trajectory, demands: Demands, k: int) -> Any:

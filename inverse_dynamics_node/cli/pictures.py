@@ -7,6 +7,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from ..report import all_shortened, wrapped
+
 BLUE, ORANGE, GREEN, PINK, SKY, RED, YELLOW = (
     '#0072B2',
     '#E69F00',
@@ -22,6 +24,8 @@ GREY, PALE, DARK = '#8a8a8a', '#dddddd', '#333333'
 WIDTH = 9.0
 """Of a picture [inch]; at 100 dots an inch the text is legible in a README."""
 DPI = 100
+_TITLE_LETTERS = 105
+"""Letters of a title line that fit in the width."""
 
 _STYLE = {
     'axes.edgecolor': GREY,
@@ -62,6 +66,32 @@ def style() -> Iterator[Any]:
             pyplot.close('all')
 
 
+def set_title(figure: Any, *paragraphs: str, most_lines: int = 5) -> None:
+    """
+    Write the title of a figure, each paragraph on lines of its own.
+
+    Lines are broken between words only, so that numbers and names stay whole.
+
+    """
+    lines = [line for text in paragraphs for line in wrapped(text, _TITLE_LETTERS)]
+    if len(lines) > most_lines:
+        lines = [*lines[:most_lines], '...']
+    figure.suptitle('\n'.join(lines), x=0.01, ha='left', fontsize=11)
+
+
+def runs_of(numbers: Sequence[int]) -> str:
+    """List numbers, with a dash for three or more in a row: '1, 3-6'."""
+    runs: list[list[int]] = []
+    for number in sorted(numbers):
+        if runs and number == runs[-1][-1] + 1:
+            runs[-1].append(number)
+        else:
+            runs.append([number])
+    return ', '.join(
+        f'{run[0]}-{run[-1]}' if len(run) > 2 else ', '.join(map(str, run)) for run in runs
+    )
+
+
 def save(figure: Any, path: str | Path) -> None:
     """Write a figure, as the kind of picture that its suffix says."""
     figure.savefig(path, dpi=DPI)
@@ -69,6 +99,4 @@ def save(figure: Any, path: str | Path) -> None:
 
 def fitting(names: Sequence[str], longest: int = 26) -> list[str]:
     """Cut names to what fits beside an axis, in their middle."""
-    from ..report import all_shortened
-
     return all_shortened(names, longest)

@@ -23,7 +23,12 @@ WIDTH, DPI = 9.0, 100  # [inch]: 900 pixels
 MOST_POINTS = 1500
 LEAST_ERROR = 0.01  # [mrad, mm]: less is nothing, however large a picture may make it
 LEGEND, KEY = 120, 8  # letters that fit beside each other, and those that a line takes
-COLOURS = matplotlib.colormaps['tab10'].colors  # type: ignore[attr-defined]
+COLOURS = ('#0072B2', '#E69F00', '#009E73', '#CC79A7', '#56B4E9', '#D55E00', '#333333')
+"""Distinct for the colour-blind too."""
+DASHES = ('-', (0, (5, 1.5)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)), (0, (8, 1.5, 1, 1.5, 1, 1.5)))
+"""Line styles: with the colours, 35 joints look different."""
+LEAST_SHARE = 1e-3
+"""Efforts below this fraction of the limit, or of the largest effort, are drawn as almost zero."""
 MOST_LINES, LINE = 6, 0.19  # of the title, and how high one is [inch]
 SHADES = ('#ffffff', '#fff1d6', '#e3f2e1', '#e8ecf7')
 
@@ -49,10 +54,10 @@ def draw(
 
     """
     panels = [_errors, _efforts] + ([_contact] if script.expected else [])
-    lines = [part for line in title.splitlines() for part in wrap(line, 110)]
+    lines = [part for line in title.splitlines() for part in _wrapped(line)]
     if len(lines) > MOST_LINES:
         lines = [*lines[: MOST_LINES - 1], '...']
-    columns = _columns(robot)
+    columns = _columns(robot, history)
     rows = len(lines) + math.ceil(len(robot.joint_names) / columns)
     height = 2.2 + 2.2 * len(panels) + LINE * max(0, rows - 4)
     figure = Figure(figsize=(WIDTH, height), dpi=DPI, layout='constrained')
@@ -70,15 +75,35 @@ def draw(
     figure.savefig(path)
 
 
-def _label(robot: RobotModel, i: int) -> str:
-    limit = robot.effort_limits[i] if math.isfinite(robot.effort_limits[i]) else 1.0
+def _wrapped(line: str) -> list[str]:
+    """Break a line of the title between words only: numbers and names stay whole."""
+    return wrap(line, 110, break_long_words=False, break_on_hyphens=False)
+
+
+def _look(i: int) -> dict[str, Any]:
+    """Return colour and line style of a joint."""
+    return {
+        'color': COLOURS[i % len(COLOURS)],
+        'ls': DASHES[i // len(COLOURS) % len(DASHES)],
+    }
+
+
+def _largest(history: History) -> Floats:
+    """Return the largest commanded effort of each joint, without sign [N m or N]."""
+    largest: Floats = np.max(np.abs(np.nan_to_num(history.commands.rows)), axis=0, initial=0.0)
+    return largest
+
+
+def _label(robot: RobotModel, history: History, i: int) -> str:
+    limit, largest = robot.effort_limits[i], _largest(history)[i]
     unit = 'N' if slides(robot)[i] else 'N m'
-    return f'{robot.joint_names[i]} (100 % = {limit:g} {unit})'
+    of = f'of {limit:g} {unit}' if math.isfinite(limit) else f'{unit}, no limit'
+    return f'{robot.joint_names[i]}: {largest:.3g} {of}'
 
 
-def _columns(robot: RobotModel) -> int:
+def _columns(robot: RobotModel, history: History) -> int:
     """Count the columns that the legend has room for."""
-    longest = max(len(_label(robot, i)) for i in range(len(robot.joint_names)))
+    longest = max(len(_label(robot, history, i)) for i in range(len(robot.joint_names)))
     return max(1, min(4, LEGEND // (longest + KEY)))
 
 
@@ -95,11 +120,11 @@ def _errors(axes: Any, robot: RobotModel, script: Script, history: History) -> N
     times, rows = _thin(history.states.times, history.states.rows)
     errors = 1000.0 * (rows[:, 1] - rows[:, 0])
     for i in range(len(robot.joint_names)):
-        axes.plot(times, errors[:, i], color=COLOURS[i % 10], lw=1.4)
+        axes.plot(times, errors[:, i], lw=1.4, **_look(i))
     if script.without is not None:
         times, errors = _thin(*script.without)
         for i in range(len(robot.joint_names)):
-            axes.plot(times, 1000.0 * errors[:, i], color=COLOURS[i % 10], lw=1.0, ls=':')
+            axes.plot(times, 1000.0 * errors[:, i], color=_look(i)['color'], lw=1.0, ls=':')
         axes.plot([], [], color='gray', lw=1.0, ls=':', label='without the IMU (calculated)')
         axes.plot([], [], color='gray', lw=1.4, label='with it')
         axes.legend(loc='upper left', fontsize=9)
@@ -109,22 +134,29 @@ def _errors(axes: Any, robot: RobotModel, script: Script, history: History) -> N
 
 
 def _efforts(axes: Any, robot: RobotModel, script: Script, history: History) -> None:
-    """Draw what the node commands, also while no joint state comes, as shares of the limits."""
+    """
+    Draw the commands, also while no joint state comes, each joint to its own scale.
+
+    Joints that use a few per cent of their limit, and joints without one, are legible too; the
+    legend names the largest effort and the limit.
+
+    """
     times, rows = _thin(history.commands.times, history.commands.rows)
-    limits = np.where(np.isfinite(robot.effort_limits), robot.effort_limits, 1.0)
+    largest = _largest(history)
+    least = np.where(np.isfinite(robot.effort_limits), robot.effort_limits, np.max(largest))
+    scale = np.maximum(largest, LEAST_SHARE * least)
+    scale[scale == 0.0] = 1.0
     for i in range(len(robot.joint_names)):
-        label = _label(robot, i)
-        axes.plot(
-            times, 100.0 * rows[:, i] / limits[i], color=COLOURS[i % 10], lw=1.2, label=label
-        )
-    axes.set_ylabel('commanded effort\n[% of its limit]')
+        label = _label(robot, history, i)
+        axes.plot(times, 100.0 * rows[:, i] / scale[i], lw=1.2, label=label, **_look(i))
+    axes.set_ylabel('commanded effort\n[% of its largest, below]')
 
 
 def _contact(axes: Any, robot: RobotModel, script: Script, history: History) -> None:
     assert script.expected is not None
     times, rows = _thin(history.external.times, history.external.rows)
     for i in range(len(robot.joint_names)):
-        axes.plot(times, rows[:, i], color=COLOURS[i % 10], lw=1.4)
+        axes.plot(times, rows[:, i], lw=1.4, **_look(i))
     times, states = _thin(history.states.times, history.states.rows)
     known = ~np.isnan(states[:, 0]).any(axis=1)
     times = times[known]

@@ -1,0 +1,142 @@
+"""Pictures of robots with many joints and branches: legible, complete, nothing overlaps."""
+
+from inverse_dynamics_node.cli import check_picture, compare_picture, effort_picture
+from inverse_dynamics_node.cli.main import main
+from inverse_dynamics_node.cli.pictures import runs_of
+from inverse_dynamics_node.dynamics import InverseDynamics
+from inverse_dynamics_node.identification import Recording
+from inverse_dynamics_node.urdf import load_urdf
+from large_robots import three_finger_hand, two_arms
+import numpy as np
+import pytest
+from robot_files import STANFORD
+from runs import exciting
+from simulated_runs import write_csv
+
+ROBOTS = {
+    'stanford': STANFORD.read_text,
+    'two_arms': two_arms,
+    'three_finger_hand': three_finger_hand,
+}
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """Return the figures that are saved, laid out as in the file."""
+    figures = []
+
+    def save(figure, path):
+        figure.savefig(path, dpi=100)
+        figures.append(figure)
+
+    for module in (check_picture, compare_picture, effort_picture):
+        monkeypatch.setattr(module, 'save', save)
+    return figures
+
+
+@pytest.fixture(params=ROBOTS)
+def robot(request, here):
+    (here / 'arm.urdf').write_text(ROBOTS[request.param]())
+    return load_urdf(here / 'arm.urdf')
+
+
+def write_run(robot, path):
+    """Record a motion of all joints, with some friction."""
+    times = 0.01 * np.arange(400)
+    q, qd, qdd = exciting(robot, times, np.random.default_rng(1))
+    efforts = InverseDynamics(robot).efforts(q, qd, qdd)
+    efforts += 0.05 * np.tanh(qd / 0.01) * np.mean(np.abs(efforts), axis=0)
+    write_csv(path, Recording(robot.joint_names, times, q, qd, efforts))
+
+
+def texts_of(figure):
+    """Return the visible texts of a figure, without the numbers on axes, and their boxes."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.text import Text
+
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    renderer = canvas.get_renderer()
+    ticks = {label for axes in figure.axes for label in axes.get_xticklabels()}
+    ticks |= {
+        label
+        for axes in figure.axes
+        for label in axes.get_yticklabels()
+        if label.get_text().strip('0123456789.−-') == ''
+    }
+    found = [
+        text
+        for text in figure.findobj(Text)
+        if text.get_visible() and text.get_text().strip() and text not in ticks
+    ]
+    return [(text.get_text(), text.get_window_extent(renderer)) for text in found]
+
+
+def assert_legible(figure):
+    boxes = texts_of(figure)
+    for k, (text, box) in enumerate(boxes):
+        assert box.x0 >= -1.0, text
+        assert box.x1 <= figure.bbox.width + 1.0, text
+        for other, place in boxes[k + 1 :]:
+            assert not box.padded(-1.0).overlaps(place.padded(-1.0)), (text, other)
+
+
+def test_check_gives_each_joint_a_row_of_its_own_scale(robot, drawn):
+    assert main(['check', 'arm.urdf', '--samples', '64']) == 0
+    (figure,) = drawn
+    assert_legible(figure)
+    title = figure._suptitle.get_text().splitlines()
+    assert title[0].startswith(f'{robot.name} (arm.urdf): ')
+    assert title[1].startswith('payload left: ')
+    rows, shares, *views = figure.axes
+    assert len(rows.get_yticks()) == len(robot.joint_names)
+    assert len(views) == (2 if len(robot.joint_names) > 14 else 1)
+    limits = [text.get_text() for text in shares.texts]
+    for text, limit in zip(limits, robot.effort_limits, strict=True):
+        assert (f'of {limit:g} ' in text) == np.isfinite(limit)
+        assert ('no limit' in text) == np.isinf(limit)
+    # Every distribution reaches the worst effort of its joint, however small its share is.
+    bars = [patch for patch in rows.patches if patch.get_height() > 0.0]
+    by_row = {}
+    for bar in bars:
+        row = round(bar.get_y() + 0.5 * bar.get_height())
+        by_row[row] = max(by_row.get(row, 0.0), abs(bar.get_x() + 0.5 * bar.get_width()))
+    # A vertical axis feels no gravity: nothing is drawn instead of rounding errors.
+    still = [k for k, text in enumerate(limits) if text.startswith('0 ')]
+    assert set(by_row) == set(range(len(limits))) - set(still)
+    assert all(reach > 0.5 for reach in by_row.values())
+
+
+def test_effort_names_joints_file_and_payload(robot, drawn, here):
+    write_run(robot, here / 'move.csv')
+    arguments = ['effort', 'arm.urdf', 'move.csv', '--payload', '0.25']
+    assert main(arguments) == 0
+    (figure,) = drawn
+    assert_legible(figure)
+    first, second = figure._suptitle.get_text().splitlines()
+    assert first == f'{robot.name}: efforts along move.csv'
+    assert second.startswith("payload 0.25 kg on link '")
+    panels = [axes for axes in figure.axes if axes.get_visible()]
+    names = [axes.get_title(loc='left').splitlines()[0] for axes in panels]
+    assert names == list(robot.joint_names)
+    peaks = [axes.get_title(loc='left').splitlines()[1] for axes in panels]
+    for text, limit in zip(peaks, robot.effort_limits, strict=True):
+        assert ('no limit' in text) == np.isinf(limit)
+
+
+def test_compare_names_joints_and_recording(robot, drawn, here):
+    write_run(robot, here / 'run.csv')
+    assert main(['compare', 'arm.urdf', 'run.csv', '--payload', '0.01']) in (0, 3)
+    (figure,) = drawn
+    assert_legible(figure)
+    first = figure._suptitle.get_text().splitlines()[0]
+    assert first.startswith(f'{robot.name}: run.csv, payload 0.01 kg on link ')
+    titles = [axes.get_title(loc='left') for axes in figure.axes]
+    names = [title.partition(' [')[0] for title in titles if title]
+    assert len(set(names) - {'measured minus modelled'}) == len(robot.joint_names)
+
+
+def test_numbers_in_a_row_are_a_range():
+    assert runs_of([1, 2, 5, 4, 3]) == '1-5'
+    assert runs_of([3, 7, 8]) == '3, 7, 8'
+    assert runs_of([9, 1, 2, 3]) == '1-3, 9'
