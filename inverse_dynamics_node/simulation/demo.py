@@ -94,6 +94,8 @@ def run(options: argparse.Namespace, stopped: Callable[[], bool]) -> bool:
     log = view.log if view.is_live else None  # or lines would go through the table
     if np.any(stage.armature):
         print(told_of_rotors(stage))
+    if script.note:
+        print(script.note)
     print(_how_to_look_inside())
     with running(_commands(stage, scenario, options), log) as processes:
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)

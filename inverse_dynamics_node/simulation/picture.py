@@ -22,6 +22,7 @@ from matplotlib.figure import Figure
 WIDTH, DPI = 9.0, 100  # [inch]: 900 pixels
 MOST_POINTS = 1500
 LEAST_ERROR = 0.01  # [mrad, mm]: less is nothing, however large a picture may make it
+ACROSS = 115  # letters that fit beside each other over the axes
 LEGEND, KEY = 120, 8  # letters that fit beside each other, and those that a line takes
 COLOURS = ('#0072B2', '#E69F00', '#009E73', '#CC79A7', '#56B4E9', '#D55E00', '#333333')
 """Distinct for the colour-blind too."""
@@ -184,12 +185,15 @@ def _shade(axes: Any, script: Script, history: History) -> None:
 def _explain(axes: Any, script: Script) -> None:
     """Write what is happening above the first panel, each where it begins."""
     words = [script.begins, *(event.words for event in script.events)]
+    end = axes.get_xlim()[1]
     for i, (time, text) in enumerate(zip(_edges(script), words, strict=True)):
+        fits = time / end + len(text) / ACROSS < 1.0
         axes.annotate(
             text,
-            (time, 1.0),
-            (2, 4 + 13 * (len(words) - 1 - i)),
+            (time if fits else end, 1.0),
+            (2 if fits else 0, 4 + 13 * (len(words) - 1 - i)),
             xycoords=('data', 'axes fraction'),
             textcoords='offset points',
             fontsize=9,
+            horizontalalignment='left' if fits else 'right',
         )

@@ -62,6 +62,8 @@ class Script:
         In the order of their times.
     begins : str
         What is going on at first.
+    note : str
+        A line to print before the start.
     expected : callable or None
         External efforts that should be found, for times and positions of shapes (k,) and (k, n).
     without : tuple of two ndarrays, or None
@@ -73,6 +75,7 @@ class Script:
     judge: Callable[[History], Verdict]
     events: tuple[Event, ...] = ()
     begins: str = ''
+    note: str = ''
     expected: Callable[[Floats, Floats], Floats] | None = None
     without: tuple[Floats, Floats] | None = None
 
@@ -148,7 +151,7 @@ def payload(stage: Stage) -> Script:
         ),
     )
     capacity = stage.capacity(link)
-    share = f' of the {capacity:.2g} kg that its drives could hold' if capacity < 1e3 else ''
+    most = f'{capacity:.2g} kg' if math.isfinite(capacity) else 'any mass'
     picked_up, told = 0.3 * stage.duration, 0.6 * stage.duration
     return Script(
         plan(stage.robot, loaded, stage.start, stage.duration),
@@ -156,12 +159,13 @@ def payload(stage: Stage) -> Script:
         (
             Event(
                 picked_up,
-                f'the arm holds {mass:g} kg{share} at {link!r}; the node does not know',
+                f'{mass:g} kg at {link!r}; the node does not know',
                 {f'{ROBOT}/payload': load},
             ),
             Event(told, 'the node is told of the load', {f'{NODE}/payload': load}),
         ),
         'the arm follows a trajectory',
+        note=f'load: {mass:g} kg at {link!r}, where the drives could hold {most}',
     )
 
 

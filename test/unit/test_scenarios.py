@@ -90,9 +90,11 @@ class TestStage:
 
     def test_script_names_load_link_and_capacity(self, stage):
         link, mass, _ = stage.load()
-        words = SCENARIOS['payload'].prepare(stage).events[0].words
-        assert f'holds {mass:g} kg of the {stage.capacity(link):.2g} kg' in words
-        assert f"at '{link}'" in words
+        script = SCENARIOS['payload'].prepare(stage)
+        capacity = f'{stage.capacity(link):.2g}'
+        expected = f"load: {mass:g} kg at '{link}', where the drives could hold {capacity} kg"
+        assert script.note == expected
+        assert f"{mass:g} kg at '{link}'" in script.events[0].words
 
     def test_joints_that_move_no_mass_are_refused_in_words(self):
         text = (
@@ -417,6 +419,23 @@ def test_picture_is_drawn(tmp_path, path, name):
     header = picture.read_bytes()[:24]
     assert header[1:4] == b'PNG'
     assert int.from_bytes(header[16:20], 'big') == 900
+
+
+@pytest.mark.parametrize('name', SCENARIOS)
+def test_captions_of_events_fit_beside_long_names(tmp_path, name, monkeypatch, stage):
+    script = SCENARIOS[name].prepare(stage)
+    mount = 'at left_arm_gripper_mount_link'
+    events = tuple(replace(event, words=f'{event.words} {mount}') for event in script.events)
+    script = replace(script, events=events)
+    figures = []
+    monkeypatch.setattr(Figure, 'savefig', lambda figure, path: figures.append(figure))
+    draw(tmp_path / 'a.png', stage.robot, name, script, history_of(stage, (99.0, 0.0)))
+    (figure,) = figures
+    figure.canvas.draw()
+    for text in figure.axes[0].texts:
+        box = text.get_window_extent()
+        assert box.x0 >= 0.0
+        assert box.x1 <= figure.bbox.width
 
 
 @pytest.mark.parametrize('path', OUR_ROBOTS, ids=lambda path: path.stem)
