@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 import enum
+import math
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ import numpy as np
 from .compilation import compile_for, compiled
 from .model import Booleans, Floats
 
+_BRIEF = 0.03  # [s]; a pause of the computed efforts that is no longer needs no blend
 LARGEST = 1e300
 """Efforts beyond this are refused, so that sums and differences of two are finite."""
 # Rows of `Blending._rows`, one column per commanded joint.
@@ -37,6 +39,10 @@ class Blending:
     efforts by `gain`. A blend adds the difference between the last command and the computed
     efforts, and lets it fade. The stop ramp scales the command at which it began. Every
     change of direction starts from the last command sent.
+
+    After a brief pause, such as a joint state that comes a little late, there is no new blend.
+    Intermittent states would otherwise restart it again and again, and a blend that restarts
+    repeats the last command instead of following the joints.
 
     Parameters
     ----------
@@ -65,7 +71,9 @@ class Blending:
         self._way = _Way.HOLDING
         self._is_new = False  # whether a blend begins with the next command
         self._left = self._duration = 0.0  # share of the blend that is left, and its length [s]
-        self._top, self._top_gain = np.zeros(m), 0.0  # command and gain before the stop ramp
+        self._pause = math.inf  # [s] since computed efforts were followed; inf: blend in any case
+        # Command, gain and share of the blend before the stop ramp.
+        self._top, self._top_gain, self._top_left = np.zeros(m), 0.0, 0.0
         self._fallen = self._fall_time = 0.0  # [s]
         compile_for(blend_efforts, 'b1(f8[::1], f8[:,::1], b1[:,::1], f8, f8, b1, b1, f8)')
 
@@ -113,12 +121,12 @@ class Blending:
         """Begin at zero with the next command."""
         self.command[:] = 0.0
         self.gain = self._left = self._duration = 0.0
-        self._way, self._is_new = _Way.HOLDING, False
+        self._way, self._is_new, self._pause = _Way.HOLDING, False, math.inf
 
     def continue_from(self, other: Blending) -> None:
         """Continue from the last command of another robot description with the same joints."""
         self.command[:], self._top[:] = other.command, other._top
-        self.gain, self._top_gain = other.gain, other._top_gain
+        self.gain, self._top_gain, self._top_left = other.gain, other._top_gain, other._top_left
         self._left, self._duration = other._left, other._duration
         self._fallen, self._fall_time = other._fallen, other._fall_time
         self._way = other._way
@@ -143,7 +151,8 @@ class Blending:
         """
         gain, left, duration = self.gain, self._left, self._duration
         is_new = self._is_new
-        if self._way is _Way.FOLLOWING:
+        is_brief = self._pause + elapsed <= _BRIEF and not is_new
+        if self._way is _Way.FOLLOWING or is_brief:
             gain = min(1.0, gain + _share(elapsed, self._start_ramp))
             if left and not is_new:
                 left = max(0.0, left - elapsed / duration)
@@ -163,14 +172,17 @@ class Blending:
     def hold(self, elapsed: float) -> None:
         """Repeat the last command; if it is beyond a new limit, bring it within, as blends do."""
         if self._way is _Way.FALLING:
-            self._way = _Way.HOLDING
+            self._way, self._pause = _Way.HOLDING, math.inf
             self.begin()
-        self._way = _Way.HOLDING
+        elif self._way is _Way.FOLLOWING:
+            self._way, self._pause = _Way.HOLDING, 0.0
+        else:
+            self._pause += elapsed
         command, limit, excess = self.command, self._rows[_LIMIT], self._rows[_EXCESS]
         if self._is_new:
             excess[:] = np.maximum(0.0, np.abs(command) - limit)
-            self._is_new = False
-        elif self._left:
+            self._is_new, self._pause = False, math.inf
+        elif self._left and self._pause > _BRIEF:
             self._left = max(0.0, self._left - elapsed / self._duration)
         change = np.maximum(0.0, np.abs(command) - limit - self._left * excess)
         if self._has_rates:
@@ -182,13 +194,16 @@ class Blending:
         """Let the commands fall to zero along the stop ramp, which begins at the last one."""
         if self._way is _Way.FALLING:
             self._fallen += elapsed
+            self._pause += elapsed
         else:
-            self._way = _Way.FALLING
-            self._top[:], self._top_gain = self.command, self.gain
+            self._pause = 0.0 if self._way is _Way.FOLLOWING and not self._is_new else math.inf
+            self._way, self._is_new = _Way.FALLING, False
+            self._top[:] = self.command
+            self._top_gain, self._top_left = self.gain, self._left
             self._fallen, self._fall_time = 0.0, self._stop_ramp
-            self._left, self._is_new = 0.0, False
         share = max(0.0, 1.0 - _share(self._fallen, self._fall_time))
-        self.gain = share * self._top_gain
+        # These too, so that computed efforts continue from this command after a brief pause.
+        self.gain, self._left = share * self._top_gain, share * self._top_left
         np.multiply(self._top, share, out=self.command)
         self._flags[:] = False
 
@@ -206,7 +221,9 @@ class Blending:
         On the way down there is nothing to blend into. The next computed efforts begin a blend.
 
         """
-        if self._way is not _Way.FALLING:
+        if self._way is _Way.FALLING:
+            self._pause = math.inf
+        else:
             self._duration = max(self._start_ramp, remaining)
             self._is_new = self._duration > 0.0
             self._left = 1.0 if self._is_new else 0.0

@@ -93,8 +93,8 @@ class Watched:
         assert np.isfinite(efforts).all()
         longest = ours.settings.state_timeout + LATE
         if ours.phase in IS_WELL:
-            self.was_falling = False
             self.check_followed(efforts, elapsed if 0.0 <= elapsed <= longest else 0.0)
+            self.was_falling = False
         elif ours.phase is Phase.STOPPED or ours.settings.on_stale_state is StalePolicy.ZERO:
             self.check_fall(efforts, min(max(0.0, elapsed), longest))
         else:
@@ -113,7 +113,9 @@ class Watched:
         if ours.start_ramp:
             # The state and the reference stay the same: only ramps and blends move the efforts.
             share = 0.0 if self.has_changed else elapsed / SHORTEST
-            assert (change <= 3.0 * LARGEST * share + ROUNDING).all()
+            # After a brief fall, a limit that cut the efforts before it may cut them later.
+            fallen = min(1.0, self.fallen / self.ramp) if self.was_falling and self.ramp else 0.0
+            assert (change <= LARGEST * (3.0 * share + fallen) + ROUNDING).all()
 
     def check_fall(self, efforts, elapsed):
         ramp = self.controller.settings.stop_ramp

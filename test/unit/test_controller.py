@@ -430,6 +430,37 @@ def test_a_start_ramp_of_zero_does_not_cut_off_a_blend_or_a_start():
     assert efforts_after(lift, time + 1.325, 0.05) == pytest.approx(0.5 * HOLD)
 
 
+@pytest.mark.parametrize('policy', StalePolicy)
+def test_states_that_are_a_little_late_leave_the_feedback_alone(policy):
+    lift = controller(
+        mode=Mode.COMPUTED_TORQUE, start_ramp=0.5, stop_ramp=0.5, on_stale_state=policy
+    )
+    target = np.array([0.01, 0.0])
+    for k in range(1, 130):
+        now = 0.11 * k
+        before = lift.step(now - 0.005, state(now - 0.11), tracking(now - 0.005, target))
+        before = None if before is None else before.efforts.copy()
+        efforts = lift.step(now, state(now), tracking(now, target)).efforts.copy()
+        assert k < 2 or lift.phase is Phase.RUNNING
+        assert before is None or np.abs(efforts - before).max() <= 40.0 * 0.02
+    assert efforts == pytest.approx(HOLD + np.array([3.0, 1.0]))
+    lift.step(now + 0.105, state(now), tracking(now, target))
+    assert lift.phase is Phase.STATE_LOST
+    # The joint has come closer meanwhile: the next command says so at once.
+    efforts = lift.step(now + 0.11, state(now + 0.11), tracking(now + 0.11, 0.5 * target)).efforts
+    assert efforts == pytest.approx(HOLD + np.array([1.5, 0.5]))
+
+
+def test_a_change_during_a_brief_stop_is_blended():
+    lift = controller(start_ramp=0.5, stop_ramp=0.5)
+    time = settled(lift)
+    lift.stop()
+    lift.step(time + 0.01, state(time), None)
+    lift.apply(Settings(start_ramp=0.5, effort_scale=0.5))
+    lift.resume()
+    assert efforts_after(lift, time + 0.01, 0.01, 0.01) == pytest.approx(HOLD)
+
+
 def test_a_stop_ramp_under_way_keeps_its_time():
     lift = controller(stop_ramp=0.2)
     lift.step(0.0, state(0.0), None)
