@@ -105,17 +105,28 @@ class Blending:
             Time of the stop ramp [s]; one that is under way keeps its time.
 
         """
-        remaining = self._remaining()
         self._rows[[_SCALE, _OFFSET, _LIMIT]] = scale, offset, limits
         # Finite, because 0 s times infinity is NaN.
         self._rows[_RATE] = np.minimum(rate_limits, LARGEST)
         self._has_rates = bool(np.isfinite(rate_limits).any())
         self._start_ramp, self._stop_ramp = start_ramp, stop_ramp
-        self._begin(remaining)
+        self.begin()
 
     def begin(self) -> None:
-        """Blend from the last command into the computed efforts, within the start ramp."""
-        self._begin(self._remaining())
+        """
+        Blend from the last command into the computed efforts, within the start ramp.
+
+        A blend that is under way does not end sooner because of it. On the way down there is
+        nothing to blend into. The next computed efforts begin a blend.
+
+        """
+        if self._way is _Way.FALLING:
+            self._pause = math.inf
+        else:
+            # The start ramp begins with a blend, so that neither ends sooner.
+            self._duration = max(self._start_ramp, self._left * self._duration)
+            self._is_new = self._duration > 0.0
+            self._left = 1.0 if self._is_new else 0.0
 
     def reset(self) -> None:
         """Begin at zero with the next command."""
@@ -157,7 +168,7 @@ class Blending:
             if left and not is_new:
                 left = max(0.0, left - elapsed / duration)
         else:
-            duration = max(self._start_ramp, self._remaining())
+            duration = max(self._start_ramp, left * duration)
             is_new = duration > 0.0
             left = 1.0 if is_new else 0.0
             gain = gain if self._start_ramp else 1.0
@@ -206,27 +217,6 @@ class Blending:
         self.gain, self._left = share * self._top_gain, share * self._top_left
         np.multiply(self._top, share, out=self.command)
         self._flags[:] = False
-
-    def _remaining(self) -> float:
-        """Return the time until blends and the start ramp are over [s]."""
-        remaining = self._left * self._duration
-        if self._way is _Way.FOLLOWING:
-            remaining = max(remaining, (1.0 - self.gain) * self._start_ramp)
-        return remaining
-
-    def _begin(self, remaining: float) -> None:
-        """
-        Begin a blend; one that is under way does not end sooner because of it.
-
-        On the way down there is nothing to blend into. The next computed efforts begin a blend.
-
-        """
-        if self._way is _Way.FALLING:
-            self._pause = math.inf
-        else:
-            self._duration = max(self._start_ramp, remaining)
-            self._is_new = self._duration > 0.0
-            self._left = 1.0 if self._is_new else 0.0
 
 
 @compiled

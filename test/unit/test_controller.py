@@ -451,6 +451,19 @@ def test_states_that_are_a_little_late_leave_the_feedback_alone(policy):
     assert efforts == pytest.approx(HOLD + np.array([1.5, 0.5]))
 
 
+def test_a_blend_continues_after_a_brief_stop():
+    lift = controller(start_ramp=0.5, stop_ramp=0.1)
+    time = settled(lift)
+    lift.apply(Settings(start_ramp=0.5, stop_ramp=0.1, effort_scale=0.2))
+    efforts_after(lift, time, 0.2)
+    lift.stop()
+    lift.step(time + 0.21, state(time), None)
+    low = lift.step(time + 0.23, state(time), None).efforts.copy()
+    lift.resume()
+    assert lift.step(time + 0.23, state(time + 0.23), None).efforts == pytest.approx(low)
+    assert efforts_after(lift, time + 0.23, 0.5) == pytest.approx(0.2 * HOLD)
+
+
 def test_a_change_during_a_brief_stop_is_blended():
     lift = controller(start_ramp=0.5, stop_ramp=0.5)
     time = settled(lift)
