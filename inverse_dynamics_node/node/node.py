@@ -296,7 +296,7 @@ class InverseDynamicsNode(LifecycleNode):
                 if parameter.name == 'use_sim_time' and parameter.value != self._uses_sim_time:
                     raise ConfigurationError("parameter 'use_sim_time' is read at the start only")
                 if parameter.name in changed and parameter.type_ is Parameter.Type.NOT_SET:
-                    raise ConfigurationError(f"parameter '{parameter.name}' cannot be taken away")
+                    raise ConfigurationError(f"parameter '{parameter.name}' cannot be unset")
             configuration = checked_configuration({**ours, **changed})
             if self._rig is not None:
                 for name, value in changed.items():

@@ -180,14 +180,15 @@ PARAMETERS = {
         _NAMES,
         [''],
         'The joints to command, in the order of ~/commands and ~/desired_accelerations. '
-        'Empty: every movable joint, in the order of the URDF. All joints count in the dynamics',
+        'Empty: every movable joint, in the order of the URDF. The dynamics include all '
+        'joints',
         is_live=False,
     ),
     'base_link': Parameter(
         _TEXT,
         '',
-        'Link whose frame is that of gravity, imu and ~/base_wrench; one that no joint moves. '
-        'Empty: the root link',
+        'Link in whose frame gravity, imu and ~/base_wrench are expressed; not moved by any '
+        'joint. Empty: the root link',
         is_live=False,
     ),
     'on_missing_inertial': Parameter(
@@ -207,8 +208,9 @@ PARAMETERS = {
     'mode': Parameter(
         _choice(Mode),
         _SETTINGS.mode.value,
-        'inverse_dynamics: the accelerations of the reference. computed_torque: those, and back '
-        'to its positions and velocities. gravity_compensation: hold the arm, whatever it says',
+        'inverse_dynamics: the accelerations of the reference. computed_torque: these, with '
+        'feedback of position and velocity. gravity_compensation: hold the arm and ignore the'
+        ' reference',
     ),
     'gravity': Parameter(
         _VECTOR,
@@ -220,13 +222,14 @@ PARAMETERS = {
     'base_motion': Parameter(
         _choice(BaseMotion),
         BaseMotion.FIXED.value,
-        'fixed: at rest, with gravity as said. imu: as imu measures it, instead of gravity',
+        'fixed: at rest, with gravity from the parameter. imu: as measured on imu, which '
+        'replaces gravity',
         is_live=False,
     ),
     'imu_orientation': Parameter(
         _VECTOR,
         [0.0, 0.0, 0.0],
-        'Roll, pitch and yaw of the sensor behind imu in the frame of the base link [rad]',
+        'Roll, pitch and yaw of the IMU in the frame of the base link [rad]',
         -7.0,
         7.0,
     ),
@@ -239,22 +242,23 @@ PARAMETERS = {
     'imu_timeout': Parameter(
         _NUMBER,
         _LOADS.imu_timeout,
-        'A motion of the base older than this is lost: gravity stays, turning does not [s]',
+        'Without a message on imu for this long, gravity stays and the angular velocity is '
+        'zero [s]',
         0.005,
         60.0,
     ),
     'load_ramp': Parameter(
         _NUMBER,
         _LOADS.load_ramp,
-        'Time for a payload to come in, for gravity to change by 9.8 m/s^2, for a lost external '
-        'wrench to fade [s]',
+        'Time in which a payload is ramped in, gravity changes by 9.8 m/s^2, or a lost '
+        'external wrench fades out [s]',
         0.0,
         60.0,
     ),
     'wrench_timeout': Parameter(
         _NUMBER,
         _LOADS.wrench_timeout,
-        'An external wrench that is not renewed for so long fades [s]',
+        'An external wrench that is not renewed for this long fades out [s]',
         0.0,
         60.0,
     ),
@@ -266,9 +270,11 @@ PARAMETERS = {
         10_000.0,
     ),
     'include_gravity': Parameter(
-        _FLAG, True, 'False where the driver compensates gravity itself: UR, Franka, KUKA FRI'
+        _FLAG, True, 'False if the driver compensates gravity itself: UR, Franka, KUKA FRI'
     ),
-    'include_friction': Parameter(_FLAG, False, 'Overcome friction: damping and coulomb'),
+    'include_friction': Parameter(
+        _FLAG, False, 'Add the efforts that overcome friction: damping and coulomb'
+    ),
     'damping': Parameter(
         _NUMBERS,
         _OF_URDF,
@@ -291,22 +297,21 @@ PARAMETERS = {
     'armature': Parameter(
         _NUMBERS,
         0.0,
-        'Inertia of rotors and gears as felt at the commanded joints [kg m^2, kg]',
+        'Inertia of rotors and gears, reflected to the commanded joints [kg m^2, kg]',
         0.0,
     ),
-    'kp': Parameter(
-        _NUMBERS, _SETTINGS.kp, 'computed_torque: acceleration for a distance [1/s^2]', 0.0
-    ),
+    'kp': Parameter(_NUMBERS, _SETTINGS.kp, 'Position gain of computed_torque [1/s^2]', 0.0),
     'kd': Parameter(
         _NUMBERS,
         _SETTINGS.kd,
-        'computed_torque: acceleration for a difference of velocities [1/s]',
+        'Velocity gain of computed_torque [1/s]',
         0.0,
     ),
     'max_position_jump': Parameter(
         _NUMBER,
         _SETTINGS.max_position_jump,
-        'computed_torque: how far a reference may start away, or jump [rad, m]; 0: anywhere',
+        'computed_torque: largest distance of a new reference from the measured position, and'
+        ' largest step of a reference [rad, m]; 0: unlimited',
         0.0,
     ),
     'velocity_filter_cutoff': Parameter(
@@ -328,7 +333,10 @@ PARAMETERS = {
         _NUMBERS, 0.0, 'Tighter limits of the efforts [N m, N]; 0: none', 0.0
     ),
     'effort_rate_limits': Parameter(
-        _NUMBERS, 0.0, 'How fast efforts may change [N m/s, N/s]; 0: as fast as they like', 0.0
+        _NUMBERS,
+        0.0,
+        'How fast efforts may change, except along the stop ramp [N m/s, N/s]; 0: unlimited',
+        0.0,
     ),
     'state_timeout': Parameter(
         _NUMBER,
@@ -348,7 +356,7 @@ PARAMETERS = {
     'reference_timeout': Parameter(
         _NUMBER,
         _SETTINGS.reference_timeout,
-        'A reference older than this counts no more: accelerations are zero [s]; 0: it holds '
+        'A reference older than this is ignored: accelerations are zero [s]; 0: it holds '
         'until the next',
         0.0,
         3600.0,
@@ -356,8 +364,8 @@ PARAMETERS = {
     'on_stale_state': Parameter(
         _choice(StalePolicy),
         _SETTINGS.on_stale_state.value,
-        'What becomes of the efforts when the joint state is lost: zero (along the stop ramp), '
-        'or hold (the last ones)',
+        'Efforts after the joint state is lost: zero (along the stop ramp), or hold (the last'
+        ' ones)',
     ),
     'start_ramp': Parameter(
         _NUMBER,
@@ -367,19 +375,23 @@ PARAMETERS = {
         60.0,
     ),
     'stop_ramp': Parameter(
-        _NUMBER, _SETTINGS.stop_ramp, 'Time for the efforts to fall to zero [s]', 0.0, 60.0
+        _NUMBER,
+        _SETTINGS.stop_ramp,
+        'Time for the efforts to fall to zero [s]; ros2 launch cuts it short after 5 s',
+        0.0,
+        60.0,
     ),
     'autostart': Parameter(
         _FLAG,
         True,
-        'Configure and activate as soon as there is a robot description, with no one asking; once',
+        'Configure and activate once, as soon as there is a robot description',
         is_live=False,
         is_read_only=True,
     ),
     'executor': Parameter(
         _choice(Executor),
         Executor.EVENTS.value,
-        'events, or single_threaded: slower, and older',
+        'events, or single_threaded, which is slower',
         is_live=False,
         is_read_only=True,
     ),

@@ -329,7 +329,7 @@ def test_configure_without_a_description_fails_with_words(run_node, robot):
     ('name', 'value', 'words'),
     [
         ('update_rate', 100.0, 'deactivate and clean up first'),
-        ('joints', None, "'joints' cannot be taken away"),
+        ('joints', None, "'joints' cannot be unset"),
         ('kp', [1.0, 2.0], 'kp has 2 numbers, expected one, or one for each of 6 joints'),
         ('mode', 'fast', "'fast', expected one of inverse_dynamics, computed_torque, gravity"),
         ('state_timeout', 0.0, 'out of range'),
