@@ -357,7 +357,7 @@ class Controller:
 
     def _is_lost(self, now: float, state: State | None) -> bool:
         """
-        Return whether the state is too old, or was until recently.
+        Return whether the state is too old or inconsistent, or was until recently.
 
         Intermittent states would otherwise raise and lower the efforts without end, which shakes
         the arm.
@@ -368,7 +368,8 @@ class Controller:
             # A joint of a new robot description was never reported. Its first state ends the loss.
             self._lost_gain = 0.0
             return True
-        if not 0.0 <= now - state.time <= self.settings.state_timeout:
+        is_fresh = 0.0 <= now - state.time <= self.settings.state_timeout
+        if not (is_fresh and state.is_consistent):
             if not was_lost:
                 self._lost_gain = self.gain
             self._fresh_since = math.inf

@@ -77,6 +77,8 @@ class Surroundings(NamedTuple):
     state: str
     """Of the life cycle."""
     others: Others = Others()
+    state_publishers: tuple[str, ...] = ()
+    """Nodes that publish joint states; only asked for while their positions contradict."""
     simulated: SimulatedTime | None = None
     """None unless the node runs on simulated time."""
 
@@ -324,6 +326,8 @@ def _reason_to_stop(now: float, rig: Rig) -> str:
         return str(rig.controller.phase.value)
     if rig.lacks_imu:
         return 'no message on imu yet'
+    if not rig.collector.is_consistent:
+        return '; '.join(describe_alternating(rig).values())
     if rig.collector.missing():
         return f'no joint state of {", ".join(rig.collector.missing())} yet'
     timeout = rig.controller.settings.state_timeout
@@ -349,6 +353,9 @@ def _of_states(now: float, rig: Rig, around: Surroundings) -> Status:
     if stale:
         level = Level.ERROR if around.is_active else Level.WARN
         return Status('joint states', level, f'lost: {", ".join(stale)}', values)
+    conflicts = describe_alternating(rig, around.state_publishers)
+    if conflicts:
+        return Status('joint states', Level.ERROR, '; '.join(conflicts.values()), values)
     if rig.controller.phase is Phase.STATE_LOST:
         level = Level.ERROR if around.is_active else Level.WARN
         return Status('joint states', level, _recovery(rig), values)
@@ -395,12 +402,35 @@ def _of_model(now: float, rig: Rig) -> Status:
     return Status('model', Level.OK, f"robot '{robot.name}'", values)
 
 
+def describe_alternating(rig: Rig, publishers: Sequence[str] = ()) -> dict[str, str]:
+    """
+    Describe the joints whose positions alternate faster than they can move, by name.
+
+    Parameters
+    ----------
+    rig : Rig
+        The robot.
+    publishers : sequence of str
+        Nodes that publish joint states, if known.
+
+    """
+    question = 'does more than one node publish it?'
+    if publishers:
+        question = f'published by {join_names(publishers)}'
+    return {
+        joint: f'positions of {joint} alternate between {min(pair):.4g} and {max(pair):.4g} '
+        f'faster than it can move ({question})'
+        for joint, pair in rig.collector.alternating().items()
+    }
+
+
 def _recovery(rig: Rig) -> str:
     """Say when efforts will rise again after joint states were lost."""
-    settings = rig.controller.settings
+    controller = rig.controller
     return (
-        f'joint states were lost; efforts rise after {rig.controller.recovery_time:g} s '
-        f'without a gap longer than state_timeout ({settings.state_timeout:g} s)'
+        'joint states were lost or contradictory; efforts rise after '
+        f'{controller.recovery_time:g} s without a gap longer than state_timeout '
+        f'({controller.settings.state_timeout:g} s)'
     )
 
 

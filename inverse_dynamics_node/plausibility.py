@@ -112,5 +112,5 @@ def _margin(lower: float, upper: float, is_prismatic: bool) -> float:
 
 
 def _prismatic_joints(robot: RobotModel) -> list[bool]:
-    bodies = [robot.body_names.index(name) for name in robot.joint_names]
+    bodies = [robot.body_names.index(name, 1) for name in robot.joint_names]
     return [bool(robot.is_prismatic[body]) for body in bodies]

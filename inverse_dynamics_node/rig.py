@@ -68,7 +68,7 @@ class Rig:
         self.dynamics = InverseDynamics(robot)
         self.controller = Controller(self.dynamics, joints, settings, period)
         commanded = self.controller.joints
-        self.collector = JointStateCollector(robot.joint_names, locked, commanded)
+        self.collector = JointStateCollector(robot.joint_names, locked, commanded, robot)
         self.collector.check_free(commanded)
         self.loads = Loads(self.dynamics, load_settings, gravity, base_link)
         self.residual = EffortResidual(self.dynamics)

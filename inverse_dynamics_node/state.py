@@ -11,12 +11,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from .alternation import alternating, copy_track, make_tracks, track
 from .compilation import compile_for, compiled
 from .errors import ConfigurationError, did_you_mean, JointStateError
-from .model import Booleans, Floats, Integers
+from .model import Booleans, Floats, Integers, RobotModel
 
 _MOST_STRANGERS = 64  # names of joints of others to remember
 _LONGEST_NAME = 100  # of those [characters]; comparing longer ones takes time
+_NOT_FINITE, _CONSISTENT, _ALTERNATING = range(3)  # results of `take_in`
 _LONG_AGO = -1e300  # [s]; finite, for no time since then is not a number
 
 
@@ -34,6 +36,8 @@ class State(NamedTuple):
     """Oldest arrival among the commanded joints [s]."""
     times: Floats | None = None
     """When each joint was heard from, shape (n,) [s]; None if all at once."""
+    is_consistent: bool = True
+    """False while positions of a commanded joint alternate faster than it can move."""
 
 
 @dataclass
@@ -66,6 +70,8 @@ class JointStateCollector:
         Such joints are never missing and never stale.
     commanded : sequence of str
         Joints whose state must be fresh; empty for all that are not locked.
+    robot : RobotModel, optional
+        Gives the speed limits for telling motion from positions that alternate.
 
     Raises
     ------
@@ -79,6 +85,7 @@ class JointStateCollector:
         joint_names: Sequence[str],
         locked: Mapping[str, float] | None = None,
         commanded: Sequence[str] = (),
+        robot: RobotModel | None = None,
     ) -> None:
         self.joint_names = tuple(joint_names)
         self._known = np.zeros((4, len(self.joint_names)))
@@ -88,7 +95,7 @@ class JointStateCollector:
         self.has_jumped = False
         """
         Set when a joint that is not commanded may have jumped, because it was locked or late until
-        now or became late; cleared by the reader.
+        now, became late, or was reported by several publishers; cleared by the reader.
         """
         self.late_count = 0
         """How many joints that are neither commanded nor locked were late at `rest_late`."""
@@ -116,11 +123,15 @@ class JointStateCollector:
         self._is_commanded = self.is_free & [
             not commanded or name in commanded for name in self.joint_names
         ]
+        self._tracks = make_tracks(len(self.joint_names), robot)
+        self._is_alternating = np.zeros(len(self.joint_names), dtype=bool)
+        self._has_alternating, self._is_consistent = False, True
         self._is_resting = np.zeros(len(self.joint_names), dtype=bool)
         self._has_resting = False
         compile_for(find_oldest, 'UniTuple(f8, 2)(f8[::1], b1[::1])')
         self._find_oldest()
-        compile_for(take_in, 'b1(f8[:,::1], i8[:,::1], f8[:,::1], f8, b1)')
+        compile_for(track, 'b1(f8[:,::1], i8, f8, f8)')
+        compile_for(take_in, 'i8(f8[:,::1], i8[:,::1], f8[:,::1], f8[:,::1], b1[::1], f8, b1)')
 
     def update(
         self,
@@ -167,10 +178,13 @@ class JointStateCollector:
         has_efforts = len(efforts) > 0
         if has_efforts:
             heard[2] = efforts
-        arguments = (heard, layout.places, self._known, now, has_efforts)
-        if not (layout.is_measured and take_in(*arguments)):
+        arguments = (heard, layout.places, self._known, self._tracks, self._is_commanded)
+        result = take_in(*arguments, now, has_efforts) if layout.is_measured else _NOT_FINITE
+        if result == _NOT_FINITE:
             self._check(layout)
-            take_in(*arguments)
+            result = take_in(*arguments, now, has_efforts)
+        if result == _ALTERNATING or self._has_alternating:
+            self._find_alternating()
         if layout.is_of_concern:
             self._find_oldest()
         return layout.is_of_concern
@@ -180,11 +194,21 @@ class JointStateCollector:
         """Oldest arrival among the commanded joints, -inf if one was never reported [s]."""
         return self._time
 
+    @property
+    def is_consistent(self) -> bool:
+        """False while positions of a commanded joint alternate faster than it can move."""
+        return self._is_consistent
+
+    @property
+    def has_alternating(self) -> bool:
+        """Whether positions of any joint alternate faster than it can move."""
+        return self._has_alternating
+
     def state(self) -> State | None:
         """Return the latest state, or None as long as a joint has never been reported."""
         if self._time == -math.inf or self._other_time == -math.inf:
             return None
-        return State(self.q, self.qd, self._time, self.times)
+        return State(self.q, self.qd, self._time, self.times, self._is_consistent)
 
     def check_free(self, names: Sequence[str]) -> None:
         """
@@ -207,6 +231,8 @@ class JointStateCollector:
             if k is not None and other.times[k] > _LONG_AGO:
                 self.q[i], self.qd[i], self.times[i] = other.q[k], other.qd[k], other.times[k]
                 self.efforts[i], self._has_velocity[i] = other.efforts[k], other._has_velocity[k]
+                copy_track(self._tracks, i, other._tracks, k)
+        self._find_alternating()
         self._find_oldest()
 
     def missing(self) -> list[str]:
@@ -243,6 +269,11 @@ class JointStateCollector:
         is_late = self.is_free & ~self._is_commanded & self._is_old(now, timeout)
         is_late &= self.times > _LONG_AGO
         return {self.joint_names[i]: float(now - self.times[i]) for i in np.flatnonzero(is_late)}
+
+    def alternating(self) -> dict[str, tuple[float, float]]:
+        """Find joints whose positions alternate faster than they can move, with two of them."""
+        found = alternating(self._tracks)
+        return {self.joint_names[i]: positions for i, positions in found.items()}
 
     def rest_late(self, now: float, timeout: float) -> None:
         """
@@ -321,6 +352,14 @@ class JointStateCollector:
         is_old: Booleans = ~((age >= 0.0) & (age <= timeout))
         return is_old
 
+    def _find_alternating(self) -> None:
+        before, after = self._is_alternating, np.zeros(len(self.joint_names), dtype=bool)
+        after[list(alternating(self._tracks))] = True
+        self.has_jumped |= bool((before != after)[~self._is_commanded].any())
+        self._is_alternating = after
+        self._has_alternating = bool(after.any())
+        self._is_consistent = not (after & self._is_commanded).any()
+
     def _find_oldest(self) -> None:
         self._time, self._other_time = find_oldest(self.times, self._is_commanded)
 
@@ -354,7 +393,15 @@ def find_oldest(times: Any, is_commanded: Any) -> tuple[float, float]:
 
 
 @compiled
-def take_in(heard: Any, places: Any, known: Any, now: float, has_efforts: bool) -> bool:
+def take_in(
+    heard: Any,
+    places: Any,
+    known: Any,
+    tracks: Any,
+    is_commanded: Any,
+    now: float,
+    has_efforts: bool,
+) -> int:
     """
     Write what was heard of joints where it belongs, or nothing of it.
 
@@ -365,7 +412,12 @@ def take_in(heard: Any, places: Any, known: Any, now: float, has_efforts: bool) 
     places : ndarray, shape (2, k)
         Of those that count: among the n that are known, and among the l.
     known : ndarray, shape (4, n)
-        Receives positions, velocities, times and efforts.
+        Receives positions, velocities, times and efforts. A joint that is not commanded keeps its
+        position, at rest, while its positions alternate.
+    tracks : ndarray, shape (10, n)
+        See `alternation.make_tracks`.
+    is_commanded : ndarray of bool, shape (n,)
+        Which joints are commanded.
     now : float
         The time [s].
     has_efforts : bool
@@ -373,18 +425,28 @@ def take_in(heard: Any, places: Any, known: Any, now: float, has_efforts: bool) 
 
     Returns
     -------
-    are_finite : bool
-        Whether all positions and velocities are.
+    result : int
+        `_NOT_FINITE` if a position or velocity is not finite, `_ALTERNATING` if positions of a
+        joint alternate faster than it can move, otherwise `_CONSISTENT`.
 
     """
     ours, theirs = places[0], places[1]
     for k in range(len(ours)):
         q, qd = heard[0, theirs[k]], heard[1, theirs[k]]
         if not (math.isfinite(q) and math.isfinite(qd)):
-            return False
+            return _NOT_FINITE
+    result = _CONSISTENT
     for k in range(len(ours)):
         i, j = ours[k], theirs[k]
-        known[0, i], known[1, i], known[2, i] = heard[0, j], heard[1, j], now
+        elapsed = max(0.0, now - known[2, i]) if known[2, i] > _LONG_AGO else -1.0
+        is_alternating = track(tracks, i, heard[0, j], elapsed)
+        if is_alternating:
+            result = _ALTERNATING
+        if is_alternating and not is_commanded[i]:
+            known[1, i] = 0.0
+        else:
+            known[0, i], known[1, i] = heard[0, j], heard[1, j]
+        known[2, i] = now
         if has_efforts:
             known[3, i] = heard[2, j]
-    return True
+    return result

@@ -42,7 +42,8 @@ ARROWS = {
     'workspace': {'dynamics', 'model', 'errors'},
     'loads': {'dynamics', 'arguments', 'model', 'errors'},
     'residual': {'dynamics', 'model'},
-    'state': {'compilation', 'model', 'errors'},
+    'alternation': {'compilation', 'model'},
+    'state': {'alternation', 'compilation', 'model', 'errors'},
     'blending': {'compilation', 'model'},
     'controller': {'blending', 'dynamics', 'state', 'model', 'errors'},
     'rig': {

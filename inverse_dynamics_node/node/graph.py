@@ -53,6 +53,11 @@ class Graph:
             return topic
         return f'{topic} ({count} publisher{"" if count == 1 else "s"})'
 
+    def publishers(self, name: str) -> list[str]:
+        """Return the nodes that publish on a topic."""
+        topic = self._node.resolve_topic_name(name)
+        return sorted({_name_of(info) for info in self._node.get_publishers_info_by_topic(topic)})
+
     def with_subscribers(self) -> str:
         """Return the name of the command topic and the nodes that subscribe to it."""
         self._has_subscribers = bool(self._commands.get_subscription_count())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 import math
 import time
 from typing import Any
@@ -10,7 +10,14 @@ from typing import Any
 import numpy as np
 
 from ..controller import Command, IS_WELL, Phase
-from ..monitor import activity, describe_implausible, describe_late, Level, Status
+from ..monitor import (
+    activity,
+    describe_alternating,
+    describe_implausible,
+    describe_late,
+    Level,
+    Status,
+)
 from ..rig import Rig
 
 _PERIOD = 2.0  # [s]; how often it repeats what lasts
@@ -48,6 +55,12 @@ class NodeLog:
         """Warn, unless it was said lately; words that take time to find come as a function."""
         if self._is_due(key):
             self._logger.warning(text if isinstance(text, str) else text())
+
+    def tell_conflicts(self, rig: Rig, publishers: Sequence[str]) -> None:
+        """Report joints whose positions contradict, and the nodes that publish them."""
+        for joint, text in describe_alternating(rig, publishers).items():
+            if self._is_due(f'conflict {joint}'):
+                self._logger.error(text)
 
     def introduce(self, rig: Rig) -> None:
         """Say what has been loaded, and what looks wrong about it."""

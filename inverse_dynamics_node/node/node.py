@@ -580,12 +580,17 @@ class InverseDynamicsNode(LifecycleNode):
             self.get_logger().info(news)
 
     def _on_diagnostics(self) -> None:
+        publishers = []
+        if self._rig is not None and self._rig.collector.has_alternating:
+            publishers = self._graph.publishers('joint_states')
+            self._log.tell_conflicts(self._rig, publishers)
         around = Surroundings(
             receivers=self._outputs.receivers,
             publishers=self.count_publishers(self.resolve_topic_name('joint_states')),
             is_active=self._is_active,
             state=str(self._state_machine.current_state[1]),
             others=self._graph.others(),
+            state_publishers=tuple(publishers),
             simulated=self._graph.simulated_time() if self._uses_sim_time else None,
         )
         if self._rig is not None:

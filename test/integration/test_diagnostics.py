@@ -7,7 +7,9 @@ from geometry_msgs.msg import Inertia, InertiaStamped
 from inverse_dynamics_node import InverseDynamics, load_urdf
 import numpy as np
 import pytest
+import rclpy
 from robot_files import ROOT, STANFORD
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 NAMES = list(load_urdf(STANFORD).joint_names)
@@ -161,3 +163,22 @@ def test_misnamed_joints_and_degrees_are_reported(run_node, robot, wait_for_stat
     robot.wait_for_text(node, text)
     robot.publish_state(NAMES, Q, np.zeros(6))
     wait_for_status('joint states', OK, 'fresh')
+
+
+def test_two_publishers_of_different_positions_are_named(run_node, robot, wait_for_status):
+    node = run_node(**PATIENT)
+    robot.publish_state(NAMES, Q, np.zeros(6))
+    robot.wait_for_command(InverseDynamics(load_urdf(STANFORD)).gravity_efforts(Q))
+    other = rclpy.create_node('second_publisher', context=robot.context)
+    try:
+        publisher = other.create_publisher(JointState, 'joint_states', 10)
+        elsewhere = JointState(name=NAMES, position=[0.3, 0.8, 0.5, 1.4, 0.6, 0.2])
+        elsewhere.velocity = [0.0] * 6
+        robot.node.create_timer(0.0037, lambda: publisher.publish(elsewhere))
+        words = f'positions of {NAMES[3]} alternate between -0.4 and 1.4'
+        wait_for_status('joint states', ERROR, words)
+        wait_for_status('joint states', ERROR, 'published by /robot, /second_publisher')
+        robot.wait_for_text(node, '(published by /robot, /second_publisher)')
+        robot.wait_until(lambda: robot.commands[-1] == [0.0] * 6, 'zeros')
+    finally:
+        other.destroy_node()

@@ -301,3 +301,15 @@ def test_warns_of_joints_far_outside_their_limits():
         'joint_2 at 57.3 rad, limits -1.745 to 1.745: degrees?; '
         'joint_5 at 4 rad, limits -1.92 to 1.92'
     )
+
+
+def test_contradictory_positions_are_an_error_with_the_publishers(rig):
+    for k in range(100):
+        rig.collector.update(0.001 * k, JOINTS, [0.1, 1.5 * (k % 2)], [0.0, 0.0])
+        rig.step(0.001 * k)
+    words = f'positions of {JOINTS[1]} alternate between 0 and 1.5 faster than it can move'
+    around = FINE._replace(state_publishers=('/robot', '/joint_state_publisher'))
+    status = part(Monitor().report(0.1, rig, around), 'joint states')
+    assert status.level is Level.ERROR
+    assert status.message == f'{words} (published by /robot, /joint_state_publisher)'
+    assert f'{words} (does more than one node publish it?)' in activity(0.1, rig)

@@ -266,3 +266,57 @@ def test_positions_of_joints_that_were_never_reported_are_not_judged():
     assert [finding.joint for finding in rig.implausible_positions()] in ([], [NAMES[5]])
     rig.collector.update(0.0, [NAMES[bounded]], [1000.0], [0.0])
     assert NAMES[bounded] in [finding.joint for finding in rig.implausible_positions()]
+
+
+def step_with_two_publishers(rig, start, seconds, joint, offset, rate=200.0):
+    """Step with states by two publishers in turn, of which the second differs in one joint."""
+    efforts = []
+    other = Q.copy()
+    other[joint] += offset
+    for k, now in enumerate(start + np.arange(0.0, seconds, 1.0 / rate)):
+        rig.collector.update(now, NAMES, other if k % 2 else Q, np.zeros(6))
+        efforts.append(rig.step(now).efforts.copy())
+    return np.array(efforts)
+
+
+def test_contradictory_positions_of_a_commanded_joint_ramp_the_efforts_to_zero():
+    rig = Rig(MODEL, settings=Settings(start_ramp=0.0, stop_ramp=0.2))
+    step_with_two_publishers(rig, 0.0, 1.0, 1, 0.0)
+    efforts = step_with_two_publishers(rig, 1.0, 2.0, 1, 0.7)
+    is_changing = np.abs(np.diff(efforts[:, 1])) > 1.0
+    assert np.count_nonzero(is_changing) <= 6
+    assert (efforts[60:] == 0.0).all()
+    assert rig.controller.phase is Phase.STATE_LOST
+    assert rig.collector.alternating() == {NAMES[1]: (pytest.approx(0.8), pytest.approx(1.5))} or (
+        rig.collector.alternating() == {NAMES[1]: (pytest.approx(1.5), pytest.approx(0.8))}
+    )
+    # Consistent again: the alarm ends after at most 1 s, then states must be fresh for 0.2 s.
+    efforts = step_with_two_publishers(rig, 3.0, 1.5, 1, 0.0)
+    assert not efforts[100:140].all(axis=1).any()
+    assert efforts[-1] == pytest.approx(InverseDynamics(MODEL).gravity_efforts(Q))
+    assert rig.collector.alternating() == {}
+
+
+def test_contradictory_positions_of_another_joint_do_not_move_or_stop_the_arm():
+    joints = [name for k, name in enumerate(NAMES) if k != 4]
+    rig = Rig(MODEL, joints, Settings(start_ramp=0.0))
+    step_with_two_publishers(rig, 0.0, 1.0, 4, 1.5)
+    efforts = step_with_two_publishers(rig, 1.0, 1.0, 4, 1.5)
+    assert np.ptp(efforts, axis=0).max() == 0.0
+    assert np.abs(efforts).max() > 1.0
+    assert list(rig.collector.alternating()) == [NAMES[4]]
+    assert rig.collector.is_consistent
+    last = efforts[-1]
+    efforts = step_with_two_publishers(rig, 2.0, 2.0, 4, 0.0)
+    assert rig.collector.alternating() == {}
+    assert efforts[0] == pytest.approx(last)
+
+
+def test_contradictory_positions_stay_so_with_another_description():
+    rig = Rig(MODEL)
+    step_with_two_publishers(rig, 0.0, 1.0, 1, 0.7)
+    other = Rig(MODEL)
+    other.take_over(rig)
+    assert not other.collector.is_consistent
+    other.step(1.0)
+    assert other.controller.phase is Phase.STATE_LOST

@@ -1,0 +1,134 @@
+"""Two publishers that disagree about a joint are noticed; motion never is taken for that."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+from inverse_dynamics_node import load_urdf
+from inverse_dynamics_node.alternation import alternating, LATENESS, make_tracks, track
+import numpy as np
+import pytest
+
+URDF = """
+<robot name="arm">
+  <link name="slow"/><link name="l1"/><link name="l2"/><link name="l3"/>
+  <joint name="wheel" type="continuous">
+    <parent link="slow"/><child link="l1"/><axis xyz="0 0 1"/></joint>
+  <joint name="slow" type="revolute">
+    <parent link="l1"/><child link="l2"/><axis xyz="0 1 0"/>
+    <limit lower="-2.97" upper="2.97" effort="10" velocity="2"/></joint>
+  <joint name="slide" type="prismatic">
+    <parent link="l2"/><child link="l3"/><axis xyz="0 0 1"/>
+    <limit lower="0" upper="0.4" effort="10" velocity="1"/></joint>
+</robot>
+"""
+ROBOT = load_urdf(URDF)
+WHEEL, SLOW, SLIDE = range(3)
+SPEED = {WHEEL: 10.0, SLOW: 2.0, SLIDE: 1.0}
+
+
+def first_alarm(joint, arrivals, positions):
+    """Return the number of the report with which an alarm begins, or None."""
+    tracks = make_tracks(3, ROBOT)
+    last = None
+    for k, (arrival, position) in enumerate(zip(arrivals, positions, strict=True)):
+        elapsed = -1.0 if last is None else max(0.0, arrival - last)
+        if track(tracks, joint, float(position), float(elapsed)):
+            assert list(alternating(tracks)) == [joint]
+            return k
+        last = arrival
+    return None
+
+
+@pytest.mark.parametrize('joint', [WHEEL, SLOW, SLIDE])
+@pytest.mark.parametrize(('rate', 'period'), [(1000.0, 2), (1000.0, 10), (1000.0, 50), (100.0, 2)])
+def test_two_publishers_that_disagree_are_noticed(joint, rate, period):
+    times = np.arange(0.0, 3.0, 1.0 / rate)
+    positions = np.where(np.arange(len(times)) % period == 0, 0.8, 0.1 * np.sin(times))
+    alarm = first_alarm(joint, times, positions)
+    # After the least number of turns, or as soon as they are faster than the joint.
+    assert 4 <= alarm < period * (4 + 4.0 * SPEED[joint])
+
+
+def test_publishers_that_alternate_in_pairs_are_noticed():
+    positions = np.tile([0.0, 0.0, 1.0, 1.0], 100)
+    assert first_alarm(SLOW, 0.001 * np.arange(400), positions) < 20
+
+
+def test_publishers_on_both_sides_of_a_turn_agree_on_a_continuous_joint():
+    positions = np.tile([3.14, -3.14], 1000)
+    times = 0.001 * np.arange(2000)
+    assert first_alarm(WHEEL, times, positions) is None
+    assert first_alarm(SLOW, times, positions) is not None
+
+
+@pytest.mark.parametrize('jumps', [1, 2, 3])
+def test_single_jumps_are_not_an_alternation(jumps):
+    # Homing, or an encoder that is reset: 20 rad at once, and back.
+    positions = np.zeros(1000)
+    for k in range(jumps):
+        positions[300 + 100 * k :] = 20.0 * ((k + 1) % 2)
+    assert first_alarm(SLOW, 0.001 * np.arange(1000), positions) is None
+
+
+def test_noise_is_not_an_alternation(rng):
+    noise = rng.uniform(-0.009, 0.009, 10_000)
+    assert first_alarm(SLOW, 0.001 * np.arange(10_000), noise) is None
+
+
+@pytest.mark.parametrize('speed', [31.0, 62.8, 63.0, 125.0])
+def test_a_fast_wheel_that_is_rarely_reported_is_not_an_alternation(speed, rng):
+    times = np.cumsum(rng.uniform(0.04, 0.06, 1000))
+    assert first_alarm(WHEEL, times, speed * times) is None
+
+
+def test_the_alarm_ends_when_positions_agree_for_a_while():
+    tracks = make_tracks(3, ROBOT)
+    for k in range(1000):
+        does_alternate = track(tracks, SLOW, float(k % 2), 0.001 if k else -1.0)
+    assert does_alternate
+    assert alternating(tracks) == {SLOW: (0.0, 1.0)}
+    quiet = 0
+    while track(tracks, SLOW, 0.0, 0.001):
+        quiet += 1
+    assert 500 < quiet <= 1000
+    assert alternating(tracks) == {}
+
+
+@pytest.mark.parametrize('joint', [WHEEL, SLOW, SLIDE])
+@pytest.mark.parametrize('positions', [[1e308, -1e308], [np.inf, 0.0], [1e17, 0.5]])
+def test_absurd_positions_are_survived(joint, positions):
+    tracks = make_tracks(3, ROBOT)
+    for k in range(100):
+        track(tracks, joint, positions[k % 2], 0.001)
+    assert not np.isnan(tracks[6:]).any()
+
+
+@st.composite
+def reports(draw, speed, lateness=LATENESS):
+    """Sample a motion within a speed limit, and deliver the samples late, many at once."""
+    count = draw(st.integers(5, 60))
+    seconds = st.floats(0.0, 0.3)
+    ratios = st.floats(-1.0, 1.0)
+    durations = np.array(draw(st.lists(seconds, min_size=count, max_size=count)))
+    velocities = draw(
+        st.lists(ratios | st.sampled_from([-1.0, 1.0]), min_size=count, max_size=count)
+    )
+    positions = np.cumsum(speed * np.array(velocities) * durations)
+    stamps = np.cumsum(durations)
+    delays = draw(st.lists(st.floats(0.0, lateness), min_size=count, max_size=count))
+    # In the order in which they were sent, and none of them later than that.
+    arrivals = np.maximum.accumulate(stamps + np.array(delays) * draw(st.sampled_from([0.0, 1.0])))
+    return arrivals, positions
+
+
+@given(st.data(), st.sampled_from([WHEEL, SLOW, SLIDE]))
+def test_no_motion_within_the_speed_limit_is_an_alternation(data, joint):
+    # Turning at full speed between any two reports is harder than what a joint can do.
+    assert first_alarm(joint, *data.draw(reports(SPEED[joint]))) is None
+
+
+@given(st.data())
+def test_a_motion_and_its_jumps_are_not_an_alternation(data):
+    arrivals, positions = data.draw(reports(SPEED[SLOW], 0.5 * LATENESS))
+    where = data.draw(st.integers(0, len(positions)))
+    positions[where:] += data.draw(st.floats(-100.0, 100.0))
+    assert first_alarm(SLOW, arrivals, positions) is None
