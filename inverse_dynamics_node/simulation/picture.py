@@ -28,6 +28,8 @@ COLOURS = ('#0072B2', '#E69F00', '#009E73', '#CC79A7', '#56B4E9', '#D55E00', '#3
 """Distinct for the colour-blind too."""
 DASHES = ('-', (0, (5, 1.5)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)), (0, (8, 1.5, 1, 1.5, 1, 1.5)))
 """Line styles: with the colours, 35 joints look different."""
+MOST_IN_ONE = 10
+"""Joints whose efforts are drawn in one frame; more of them get a row each."""
 LEAST_SHARE = 1e-3
 """Efforts below this fraction of the limit, or of the largest effort, are drawn as almost zero."""
 MOST_LINES, LINE = 6, 0.19  # of the title, and how high one is [inch]
@@ -58,11 +60,16 @@ def draw(
     lines = [part for line in title.splitlines() for part in _wrapped(line)]
     if len(lines) > MOST_LINES:
         lines = [*lines[: MOST_LINES - 1], '...']
-    columns = _columns(robot, history)
-    rows = len(lines) + math.ceil(len(robot.joint_names) / columns)
-    height = 2.2 + 2.2 * len(panels) + LINE * max(0, rows - 4)
+    count, columns = len(robot.joint_names), _columns(robot, history)
+    heights = [2.2] * len(panels)
+    rows = len(lines)
+    if count > MOST_IN_ONE:
+        heights[1] = LINE * (count + 2)
+    else:
+        rows += math.ceil(count / columns)
+    height = 2.2 + sum(heights) + LINE * max(0, rows - 4)
     figure = Figure(figsize=(WIDTH, height), dpi=DPI, layout='constrained')
-    all_axes = np.atleast_1d(figure.subplots(len(panels), sharex=True))
+    all_axes = np.atleast_1d(figure.subplots(len(panels), sharex=True, height_ratios=heights))
     for panel, axes in zip(panels, all_axes, strict=True):
         panel(axes, robot, script, history)
         _shade(axes, script, history)
@@ -72,7 +79,8 @@ def draw(
     _explain(all_axes[0], script)
     figure.suptitle('\n'.join(lines), fontsize=11)
     handles, labels = all_axes[1].get_legend_handles_labels()
-    figure.legend(handles, labels, loc='outside lower center', ncols=columns, fontsize=9)
+    if handles:
+        figure.legend(handles, labels, loc='outside lower center', ncols=columns, fontsize=9)
     figure.savefig(path)
 
 
@@ -139,7 +147,7 @@ def _efforts(axes: Any, robot: RobotModel, script: Script, history: History) -> 
     Draw the commands, also while no joint state comes, each joint to its own scale.
 
     Joints that use a few per cent of their limit, and joints without one, are legible too; the
-    legend names the largest effort and the limit.
+    legend, or the label of the row, names the largest effort and the limit.
 
     """
     times, rows = _thin(history.commands.times, history.commands.rows)
@@ -147,8 +155,17 @@ def _efforts(axes: Any, robot: RobotModel, script: Script, history: History) -> 
     least = np.where(np.isfinite(robot.effort_limits), robot.effort_limits, np.max(largest))
     scale = np.maximum(largest, LEAST_SHARE * least)
     scale[scale == 0.0] = 1.0
-    for i in range(len(robot.joint_names)):
-        label = _label(robot, history, i)
+    count = len(robot.joint_names)
+    labels = [_label(robot, history, i) for i in range(count)]
+    if count > MOST_IN_ONE:
+        # A row for each joint: so many lines in one frame cannot be followed.
+        for i in range(count):
+            axes.plot(times, i - 0.45 * rows[:, i] / scale[i], lw=1.2, **_look(i))
+        axes.set_yticks(range(count), labels, fontsize=8)
+        axes.set_ylim(count - 0.4, -0.6)
+        axes.set_title('commanded efforts, with the largest', fontsize=9, loc='left')
+        return
+    for i, label in enumerate(labels):
         axes.plot(times, 100.0 * rows[:, i] / scale[i], lw=1.2, label=label, **_look(i))
     axes.set_ylabel('commanded effort\n[% of its largest, below]')
 

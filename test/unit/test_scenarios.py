@@ -4,6 +4,7 @@ from dataclasses import replace
 import io
 import math
 
+from large_robots import two_arms
 from matplotlib.figure import Figure
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from inverse_dynamics_node.simulation.history import History
 from inverse_dynamics_node.simulation.mujoco_model import SimulationError
 from inverse_dynamics_node.simulation.mujoco_robot import MujocoRobot
 from inverse_dynamics_node.simulation.picture import draw
-from inverse_dynamics_node.simulation.scenarios import SCENARIOS, TILT
+from inverse_dynamics_node.simulation.scenarios import SCENARIOS, Script, TILT
 from inverse_dynamics_node.simulation.stage import DEFLECTION, GRIP, KP, Stage
 from inverse_dynamics_node.simulation.trajectory import EFFORT_USED, effort_used, start_pose
 from inverse_dynamics_node.simulation.view import bar, error_share, Moment, View
@@ -436,6 +437,34 @@ def test_captions_of_events_fit_beside_long_names(tmp_path, name, monkeypatch, s
         box = text.get_window_extent()
         assert box.x0 >= 0.0
         assert box.x1 <= figure.bbox.width
+
+
+def test_many_joints_look_different_and_need_no_limit(tmp_path, monkeypatch):
+    robot = load_urdf(two_arms())
+    n = len(robot.joint_names)
+    history = History()
+    for time in np.linspace(0.0, 8.0, 50):
+        history.states.add(time, np.zeros((3, n)))
+        history.commands.add(time, 0.01 * (1.0 + np.arange(n)) * np.sin(time))
+    figures = []
+    monkeypatch.setattr(Figure, 'savefig', lambda figure, path: figures.append(figure))
+    title = 'PASSED: ' + 'largest error 1.5e-05 rad, ' * 12
+    draw(tmp_path / 'a.png', robot, title, Script(None, None), history)
+    (figure,) = figures
+    errors, efforts = figure.axes
+    for axes in (errors, efforts):
+        looks = [(line.get_color(), line._dash_pattern) for line in axes.lines[:n]]
+        assert len(set(map(str, looks))) == n
+    labels = [label.get_text() for label in efforts.get_yticklabels()]
+    for label, name, limit in zip(labels, robot.joint_names, robot.effort_limits, strict=True):
+        assert label.startswith(f'{name}: ')
+        assert ('no limit' in label) == np.isinf(limit)
+        assert '100 %' not in label
+    # Each row has its own scale, also if the joint uses a small part of its limit.
+    heights = [np.ptp(line.get_ydata()) for line in efforts.lines[:n]]
+    is_used = robot.effort_limits * 1e-3 < 0.01 * (1.0 + np.arange(n))
+    assert np.all(np.array(heights)[is_used] > 0.4)
+    assert figure._suptitle.get_text().split() == title.split()
 
 
 @pytest.mark.parametrize('path', OUR_ROBOTS, ids=lambda path: path.stem)
