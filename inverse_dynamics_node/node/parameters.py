@@ -370,7 +370,7 @@ PARAMETERS = {
     'start_ramp': Parameter(
         _NUMBER,
         _SETTINGS.start_ramp,
-        'Time for the efforts to rise from zero, and for jumps to fade when parameters change [s]',
+        'Time for the efforts to rise from zero, and for blends after live changes [s]',
         0.0,
         60.0,
     ),
