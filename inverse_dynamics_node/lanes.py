@@ -149,7 +149,7 @@ def _blocks(all_q: Any, all_qd: Any, all_qdd: Any, all_tau: Any, robot: Any, row
         finish(qd, qdd, tau, robot, residue)
         transpose(tau, all_tau[..., block])
     for k in range(LANES):
-        if np.any(residue[0, k] != 0.0):
+        if holds_nan(residue[0, k]):
             return NOT_FINITE
     return OK
 
@@ -305,6 +305,14 @@ def finish(qd: Any, qdd: Any, tau: Any, robot: Any, residue: Any) -> None:
             tau[joint, k] = effort
             # The difference is 0 only for finite numbers, and a NaN stays a NaN.
             residue[0, k] = residue[0, k] + (effort - effort)
+
+
+@simd_inline
+def holds_nan(residue: Any) -> bool:
+    """Return whether a lane is NaN; np.any takes no single number before numba 0.64."""
+    if IS_COMPILED:
+        return bool(residue != 0.0)
+    return bool(np.any(residue != 0.0))
 
 
 @simd_inline
