@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from ..report import (
 )
 from ..workspace import explore, last_link, Payload, payload_left, SAMPLES, Workspace
 from .console import progress, show, show_concerns
+from .pictures import try_to_draw
 from .robots import HELP, load_dynamics, stem_of
 
 EPILOG = """\
@@ -116,9 +118,14 @@ def run(options: argparse.Namespace) -> int:
     if robot.joint_names and not options.no_picture:
         from .check_picture import draw
 
-        path = options.picture or Path(f'{stem_of(options.urdf)}_check.png')
-        draw(dynamics, workspace, payload, options.urdf.name, path)
-        print(f'\npicture: {path}')
+        print()
+        path = try_to_draw(
+            partial(draw, dynamics, workspace, payload, options.urdf.name),
+            options.picture,
+            f'{stem_of(options.urdf)}_check.png',
+        )
+        if path:
+            print(f'picture: {path}')
     return _WARNED if options.strict and concerns else 0
 
 

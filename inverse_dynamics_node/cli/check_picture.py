@@ -12,7 +12,19 @@ from ..model import Floats
 from ..report import effort_unit, number
 from ..workspace import Payload, Workspace
 from .arm_picture import draw_arm
-from .pictures import BLUE, DARK, fitting, GREY, PALE, RED, save, set_title, style, WIDTH
+from .pictures import (
+    BLUE,
+    DARK,
+    fitting,
+    GREY,
+    legend_below,
+    PALE,
+    RED,
+    save,
+    set_title,
+    style,
+    WIDTH,
+)
 
 _BINS = 80
 _HALF = 0.42
@@ -45,7 +57,7 @@ def draw(
         for view, axes in enumerate(views):
             draw_arm(axes, dynamics, worst, workspace.hardest, payload.link, view)
         handles, labels = views[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc='outside lower right', ncols=4)
+        legend_below(figure, handles, labels, loc='lower right', ncols=4)
         save(figure, path)
 
 

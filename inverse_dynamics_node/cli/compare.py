@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from functools import partial
 import math
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from ..report import position_concerns, Table
 from ..workspace import last_link
 from .arguments import payload
 from .console import progress, say, show, show_concerns
+from .pictures import try_to_draw
 from .recordings import read_recording
 from .robots import HELP, load_dynamics
 
@@ -136,12 +138,16 @@ def run(options: argparse.Namespace) -> int:
     if not options.no_picture:
         from .compare_picture import draw
 
-        path = options.picture or Path(f'{options.recording.stem}_compare.png')
         link = options.link or last_link(robot)
         load = f", payload {options.payload[0]:g} kg on link '{link}'" if options.payload else ''
         source = f'{robot.name}: {options.recording.name}{load}'
-        draw(findings, source, verdict(findings), path)
-        print(f'picture: {path}')
+        path = try_to_draw(
+            partial(draw, findings, source, verdict(findings)),
+            options.picture,
+            f'{options.recording.stem}_compare.png',
+        )
+        if path:
+            print(f'picture: {path}')
     return _FOUND if options.strict and concerns else 0
 
 

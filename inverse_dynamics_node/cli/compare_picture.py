@@ -10,7 +10,7 @@ import numpy as np
 from ..identification import Findings
 from ..model import Floats
 from .compare import percent
-from .pictures import BLUE, fitting, GREY, ORANGE, save, set_title, style, WIDTH
+from .pictures import BLUE, fitting, GREY, legend_below, ORANGE, save, set_title, style, WIDTH
 
 _MOST_ROWS = 10
 """Joints with a row of their own; more of them are drawn as small pictures."""
@@ -29,7 +29,7 @@ def draw(findings: Findings, source: str, title: str, path: Path) -> None:
         else:
             figure, lines = _small(pyplot, findings)
         set_title(figure, source, title)
-        figure.legend(lines, _labels(findings), loc='outside lower center', ncols=3)
+        legend_below(figure, lines, _labels(findings), ncols=3)
         save(figure, path)
 
 

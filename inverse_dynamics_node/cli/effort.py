@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from functools import partial
 import math
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,7 @@ from ..trajectory import complete, refine, smooth, Trajectory
 from ..workspace import joint_ranges, last_link
 from .arguments import payload
 from .console import progress, show, show_concerns
+from .pictures import try_to_draw
 from .robots import HELP, load_dynamics
 from .trajectories import FORMATS, read_trajectory, Source
 from .trajectory_files import write_table, write_trajectory
@@ -174,10 +176,13 @@ def run(options: argparse.Namespace) -> int:
     if not options.no_picture:
         from .effort_picture import draw
 
-        written.append(options.picture or Path(f'{stem}_efforts.png'))
         load = f"\npayload {options.payload[0]:g} kg on link '{link}'" if options.payload else ''
         title = f'{robot.name}: efforts along {options.trajectory.name}{load}'
-        draw(robot, fine, demands, title, written[-1])
+        path = try_to_draw(
+            partial(draw, robot, fine, demands, title), options.picture, f'{stem}_efforts.png'
+        )
+        if path:
+            written.append(path)
     print('\n'.join(f'written: {path}' for path in written))
     is_exceeded = demands.is_too_strong | demands.is_too_fast | demands.is_too_far
     return _EXCEEDED if options.strict and is_exceeded.any() else 0

@@ -12,7 +12,20 @@ from ..demands import Demands
 from ..model import RobotModel
 from ..report import effort_unit, number
 from ..trajectory import Trajectory
-from .pictures import BLUE, fitting, GREEN, GREY, ORANGE, PINK, RED, save, set_title, style, WIDTH
+from .pictures import (
+    BLUE,
+    fitting,
+    GREEN,
+    GREY,
+    legend_below,
+    ORANGE,
+    PINK,
+    RED,
+    save,
+    set_title,
+    style,
+    WIDTH,
+)
 
 _PARTS = {
     'gravity': GREEN,
@@ -48,7 +61,7 @@ def draw(robot: RobotModel, fine: Trajectory, demands: Demands, title: str, path
             axes.tick_params(labelbottom=True)
         for axes in grid[-1]:
             axes.set_xlabel('time [s]')
-        figure.legend(*panels[0].get_legend_handles_labels(), loc='outside lower center', ncols=6)
+        legend_below(figure, *panels[0].get_legend_handles_labels(), ncols=6)
         set_title(figure, *title.splitlines())
         save(figure, path)
 

@@ -28,11 +28,11 @@ _EXTRAS = {
     **dict.fromkeys(('rclpy', 'sensor_msgs', 'std_msgs', 'trajectory_msgs'), 'ros'),
     'mujoco': 'demo',
 }
-_HERE = 'in the folder of the sources, pip install'
+_HERE = 'in a virtual environment, in the folder of the sources: pip install'
 _ADVICE = {
     'cli': f"{_HERE} '.[cli]'",
     'demo': f"{_HERE} '.[demo]'",
-    'ros': f"source an installed ROS 2, or, {_HERE} '.[ros,demo]'",
+    'ros': f"source an installed ROS 2, or {_HERE} '.[ros,demo]'",
 }
 _INTERRUPTED, _BROKEN_PIPE = 130, 141  # what a shell says of SIGINT and SIGPIPE
 

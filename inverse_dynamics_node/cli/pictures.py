@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,11 @@ WIDTH = 9.0
 DPI = 100
 _TITLE_LETTERS = 105
 """Letters of a title line that fit in the width."""
+
+_HOW_TO_GET_PICTURES = (
+    "'sudo apt install python3-matplotlib', or 'pip install matplotlib' in a virtual environment, "
+    'enables pictures; --no-picture turns this note off.'
+)
 
 _STYLE = {
     'axes.edgecolor': GREY,
@@ -90,6 +95,55 @@ def runs_of(numbers: Sequence[int]) -> str:
     return ', '.join(
         f'{run[0]}-{run[-1]}' if len(run) > 2 else ', '.join(map(str, run)) for run in runs
     )
+
+
+def try_to_draw(draw: Callable[[Path], None], requested: Path | None, default: str) -> Path | None:
+    """
+    Draw a picture; where matplotlib is missing, print how to install it instead.
+
+    Parameters
+    ----------
+    draw : callable
+        Draws the picture and writes it to the path that is passed to it.
+    requested : pathlib.Path, optional
+        Path from the command line.
+    default : str
+        Path to use if none was requested.
+
+    Returns
+    -------
+    path : pathlib.Path or None
+        Path of the picture; None if matplotlib is missing.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        If matplotlib is missing and the picture was requested.
+
+    """
+    path = requested or Path(default)
+    try:
+        draw(path)
+    except ImportError as error:  # also raised by a build for another version of numpy
+        if requested:
+            raise ModuleNotFoundError(str(error), name='matplotlib') from error
+        print(f'no picture: matplotlib cannot be imported ({error}). {_HOW_TO_GET_PICTURES}')
+        return None
+    return path
+
+
+def legend_below(
+    figure: Any, handles: Sequence[Any], labels: Sequence[str], **options: Any
+) -> None:
+    """
+    Place a legend below all axes.
+
+    Its ``loc`` is not 'outside lower center', because matplotlib 3.6 does not have that.
+
+    """
+    legend = figure.legend(handles, labels, **{'loc': 'lower center', **options})
+    height = legend.get_window_extent().height / figure.bbox.height
+    figure.get_layout_engine().set(rect=(0.0, height, 1.0, 1.0 - height))
 
 
 def save(figure: Any, path: str | Path) -> None:

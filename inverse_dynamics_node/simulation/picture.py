@@ -68,7 +68,7 @@ def draw(
     else:
         rows += math.ceil(count / columns)
     height = 2.2 + sum(heights) + LINE * max(0, rows - 4)
-    figure = Figure(figsize=(WIDTH, height), dpi=DPI, layout='constrained')
+    figure: Any = Figure(figsize=(WIDTH, height), dpi=DPI, layout='constrained')
     all_axes = np.atleast_1d(figure.subplots(len(panels), sharex=True, height_ratios=heights))
     for panel, axes in zip(panels, all_axes, strict=True):
         panel(axes, robot, script, history)
@@ -80,7 +80,10 @@ def draw(
     figure.suptitle('\n'.join(lines), fontsize=11)
     handles, labels = all_axes[1].get_legend_handles_labels()
     if handles:
-        figure.legend(handles, labels, loc='outside lower center', ncols=columns, fontsize=9)
+        legend = figure.legend(handles, labels, loc='lower center', ncols=columns, fontsize=9)
+        # matplotlib 3.6 has no 'outside lower center': make room for the legend here.
+        room = legend.get_window_extent().height / figure.bbox.height
+        figure.get_layout_engine().set(rect=(0.0, room, 1.0, 1.0 - room))
     figure.savefig(path)
 
 

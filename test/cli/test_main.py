@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 from inverse_dynamics_node.cli.main import COMMANDS, main
+import numpy as np
 import pytest
 from robot_files import ROOT, STANFORD
 
@@ -25,14 +26,67 @@ def test_help_teaches(capsys):
         assert 'inverse_dynamics check my_arm.urdf' in capsys.readouterr().out
 
 
-def test_a_missing_package_is_named_with_the_way_to_get_it(monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, 'matplotlib', None)
-    assert main(['check', str(STANFORD)]) == 1
-    assert "pip install '.[cli]'" in capsys.readouterr().err
-
-
 COMMAND = [sys.executable, '-m', 'inverse_dynamics_node.cli.main', 'check', str(STANFORD)]
 ENVIRONMENT = {**os.environ, 'PYTHONPATH': str(ROOT)}
+
+
+WITHOUT_MATPLOTLIB = """
+import sys
+sys.modules['matplotlib'] = None
+from inverse_dynamics_node.cli.main import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.fixture
+def run_without_matplotlib(tmp_path):
+    """Return a function that runs a command in a process that cannot import matplotlib."""
+    return lambda *command: subprocess.run(
+        [sys.executable, '-c', WITHOUT_MATPLOTLIB, *map(str, command)],
+        cwd=tmp_path,
+        env=ENVIRONMENT,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+
+
+@pytest.fixture
+def recording(tmp_path):
+    """Write a recording of the Stanford arm at rest at one end and moving at the other."""
+    names = [f'joint_{i}' for i in range(1, 7)]
+    columns = [f'{name}.{kind}' for name in names for kind in ('position', 'effort')]
+    times = np.linspace(0.0, 4.0, 401)
+    rows = [[t, *(np.sin(t * t) * np.arange(1, 13) / 12)] for t in times]
+    lines = [['time', *columns], *rows]
+    path = tmp_path / 'run.csv'
+    path.write_text('\n'.join(','.join(map(str, line)) for line in lines))
+    return path
+
+
+def test_commands_report_without_matplotlib(run_without_matplotlib, recording, tmp_path):
+    pick = ROOT / 'doc' / 'stanford_pick.yaml'
+    for command, report in (
+        (['check', STANFORD], 'payload left'),
+        (['effort', STANFORD, pick], 'peaks against the limits'),
+        (['compare', STANFORD, recording], 'measured against modelled efforts'),
+    ):
+        result = run_without_matplotlib(*command)
+        assert (result.returncode, result.stderr) == (0, '')
+        assert report in result.stdout.lower()
+        assert 'no picture: matplotlib cannot be imported' in result.stdout
+        assert 'sudo apt install python3-matplotlib' in result.stdout
+        assert 'no picture' not in run_without_matplotlib(*command, '--no-picture').stdout
+    assert not list(tmp_path.glob('*.png'))
+
+
+def test_a_requested_picture_without_matplotlib_is_an_error(run_without_matplotlib):
+    result = run_without_matplotlib('check', STANFORD, '--picture', 'arm.png')
+    assert result.returncode == 1
+    assert 'payload left' in result.stdout.lower()
+    assert "pip install '.[cli]'" in result.stderr
+    assert 'in a virtual environment' in result.stderr
+    assert 'Traceback' not in result.stderr
 
 
 def test_runs_as_a_process_without_colours_in_a_pipe():
@@ -87,7 +141,7 @@ def test_no_command_but_the_demo_needs_ros():
         [sys.executable, '-c', code], env=ENVIRONMENT, capture_output=True, text=True, timeout=120
     )
     assert result.returncode == 1
-    assert 'source an installed ROS 2, or, in the' in result.stderr
+    assert 'source an installed ROS 2, or in a virtual environment, in the' in result.stderr
     assert "pip install '.[ros,demo]'" in result.stderr
     assert 'Traceback' not in result.stderr
 
