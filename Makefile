@@ -13,7 +13,7 @@ CLEAN := env -u PYTHONPATH -u LD_LIBRARY_PATH -u AMENT_PREFIX_PATH -u COLCON_PRE
     -u ROS_STATIC_PEERS -u ROS_LOCALHOST_ONLY -u ROS_SECURITY_ENABLE -u ROS_SECURITY_STRATEGY \
     ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
 
-.PHONY: demo test bench bench-loop clean
+.PHONY: demo test test-oldest bench bench-loop clean
 
 demo: $(VENV)/demo.done
 	@$(CLEAN) $(BIN)/python -m inverse_dynamics_node.simulation.demo '$(ROBOT)' $(ARGS)
@@ -28,6 +28,16 @@ test: $(VENV)/test.done
 	@$(CLEAN) $(BIN)/python -m pytest $(PYTEST) $(ARGS)
 	@echo 'The same without numba:'
 	@$(CLEAN) NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest $(PYTEST) test/unit test/property test/parity
+
+# In an environment of its own, with the versions of $(OLDEST). numba 0.58.1 ends at Python 3.11.
+OLDEST := test/oldest.txt
+PYTHON_OLDEST ?= python3.11
+
+test-oldest:
+	@$(MAKE) --no-print-directory VENV=.venv-oldest PYTHON='$(PYTHON_OLDEST)' \
+	    CONSTRAINED=$(OLDEST) .venv-oldest/test.done
+	@$(CLEAN) .venv-oldest/bin/pip list | grep -E "^($$(sed -n 's/==.*//p' $(OLDEST) | paste -sd'|')) "
+	@$(CLEAN) .venv-oldest/bin/python -m pytest $(PYTEST) $(ARGS)
 
 bench: $(VENV)/bench.done
 	@$(CLEAN) PYTHONPATH=test $(BIN)/python -m benchmarks $(ARGS)
@@ -51,12 +61,12 @@ EXTRAS_bench := bench
 PEERS := drake roboticstoolbox-python
 
 # The package itself is installed as links to this tree: a change counts at once.
-$(VENV)/%.done: $(VENV)/pip.done setup.py pyproject.toml
-	@$(CLEAN) $(BIN)/pip install --quiet --editable '.[$(EXTRAS_$*)]'
+$(VENV)/%.done: $(VENV)/pip.done setup.py pyproject.toml $(CONSTRAINED)
+	@$(CLEAN) $(BIN)/pip install --quiet $(addprefix --constraint ,$(CONSTRAINED)) --editable '.[$(EXTRAS_$*)]'
 	@$(if $(filter bench,$*),$(foreach peer,$(PEERS), \
 	    $(CLEAN) $(BIN)/pip install --quiet --only-binary $(peer) $(peer) || \
 	    echo "$(peer) cannot be installed here";))
 	@touch $@
 
 clean:
-	rm -rf $(VENV) build install log *.egg-info
+	rm -rf $(VENV) .venv-oldest build install log *.egg-info

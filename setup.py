@@ -7,15 +7,15 @@ from setuptools import find_packages, setup
 package_name = 'inverse_dynamics_node'
 
 ros = ['ros-jazzy-rclpy[fastrtps]==7.1.6', 'ros-jazzy-common-interfaces==5.3.6']
-cli = ['matplotlib>=3.8', 'PyYAML', 'rich>=13', 'rosbags>=0.10.10']
+cli = ['matplotlib>=3.6.3', 'PyYAML>=6.0.1', 'rich>=13.7.1', 'rosbags>=0.11']
 demo = [*cli, 'mujoco>=3.17']  # before, mimic joints of a URDF were left out
 test = [
     'colcon-common-extensions',
     'example-robot-data>=6',
-    'hypothesis>=6',
+    'hypothesis>=6.98',
     'mypy==2.4.*',
-    'pin>=3.5',
-    'pytest>=8',
+    'pin>=2.7',
+    'pytest>=7.4',
     'pytest-timeout>=2',
     'pytest-xdist>=3',
     'ros-jazzy-domain-coordinator',
@@ -41,7 +41,14 @@ setup(
     ],
     python_requires='>=3.10',
     # ROS is no entry here: a sourced ROS must not be shadowed, and the core does without.
-    install_requires=['lxml', 'numba', 'numpy', 'scipy', 'yourdfpy'],
+    # Tested by `make test-oldest`, with the versions in test/oldest.txt.
+    install_requires=[
+        'lxml>=5.2.1',
+        'numba>=0.58.1',
+        'numpy>=1.26.4',
+        'scipy>=1.11.4',
+        'yourdfpy>=0.0.56',
+    ],
     extras_require={'ros': ros, 'demo': demo, 'cli': cli, 'test': test, 'bench': bench},
     zip_safe=True,
     maintainer='inverse_dynamics_node maintainers',
