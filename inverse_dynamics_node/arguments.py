@@ -46,7 +46,10 @@ def _rows(vectors: Floats, shape: tuple[int, ...]) -> Floats:
 
 
 def explain(
-    joint_names: Sequence[str], out: Floats | None = None, **arguments: ArrayLike
+    joint_names: Sequence[str],
+    out: Floats | None = None,
+    shape: tuple[int, ...] | None = None,
+    **arguments: ArrayLike,
 ) -> JointStateError:
     """Say which argument is at fault: its shape, else its first value that is not finite."""
     n = len(joint_names)
@@ -59,7 +62,7 @@ def explain(
             joint = joint_names[where[-1]]
             return JointStateError(f"{name} of joint '{joint}' is {vectors[where]}{sample}")
     if out is not None:
-        check_out(out, (n,))
+        check_out(out, shape or (n,))
     return JointStateError(
         'the efforts overflow: a position, velocity or acceleration is finite, but beyond all '
         'reason'

@@ -46,7 +46,8 @@ OMEGA_DOT = 45
 ACCEL = 48
 FORCE = 51
 MOMENT = 54
-COLUMNS = 57
+COMPOSITE = 57  # ten columns, used by `composite_body` only
+COLUMNS = 67
 
 # Ranges of columns, to set them together
 COM_COLUMNS = slice(COM, COM + 3)

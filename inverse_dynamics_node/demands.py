@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .dynamics import InverseDynamics, Terms
+from .dynamics import EffortTerms, InverseDynamics
 from .model import Booleans, Floats
 from .trajectory import Trajectory, whole_states
 
@@ -19,7 +19,7 @@ class Demands(NamedTuple):
 
     efforts: Floats
     """Shape (k, m) [N m or N]."""
-    terms: Terms
+    terms: EffortTerms
     """What they are made of, each of shape (k, m) [N m or N]."""
     peak: Floats
     """The largest effort, with its sign, shape (m,) [N m or N]."""
@@ -78,7 +78,7 @@ def demands_of(
     robot = dynamics.robot
     (q, qd, qdd), index = whole_states(dynamics, trajectory, others)
     efforts = dynamics.efforts(q, qd, qdd)[:, index]
-    terms = Terms(*(term[:, index] for term in dynamics.terms(q, qd, qdd)))
+    terms = EffortTerms(*(term[:, index] for term in dynamics.effort_terms(q, qd, qdd)))
     velocities, positions = qd[:, index], q[:, index]
     largest = np.argmax(np.abs(efforts), axis=0)
     power = efforts * velocities

@@ -1,4 +1,4 @@
-"""One robot, ready to compute."""
+"""Inverse dynamics of one robot."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import columns, lanes, newton_euler
+from . import batch_mass_matrix, columns, lanes, mass_matrix, newton_euler
 from .arguments import (
     broadcast,
     check_out,
@@ -18,11 +18,11 @@ from .arguments import (
     read_joints,
     read_threads,
     read_vector,
-    read_vectors,
 )
 from .compilation import compile_for, IS_COMPILED
 from .errors import ConfigurationError
-from .model import Floats, join_bodies, RobotModel
+from .loaded_robot import LoadedRobot
+from .model import Floats, RobotModel
 from .newton_euler import OK
 
 _V, _M = 'f8[::1]', 'f8[:,::1]'  # a vector and a table of float64, to numba
@@ -34,27 +34,27 @@ FRICTION_WIDTH = 0.01
 """Speed at which smoothed Coulomb friction has 76 % of its value [rad/s or m/s]."""
 
 
-class Terms(NamedTuple):
-    """What joint efforts are made of, each of shape (..., n) [N m or N]; they add up to them."""
+class EffortTerms(NamedTuple):
+    """Terms of the joint efforts, each of shape (..., n) [N m or N]; their sum is the effort."""
 
     inertial: Floats
-    """M(q) qdd, armature included."""
+    """M(q) qdd, including armature."""
     velocity: Floats
-    """C(q, qd) qd: Coriolis and centrifugal, and what a turning base adds to them."""
+    """C(q, qd) qd: Coriolis and centrifugal efforts, including those of a rotating base."""
     gravity: Floats
-    """g(q), and what accelerates or turns the base."""
+    """g(q), and the efforts due to the acceleration and rotation of the base."""
     friction: Floats
     """Viscous and Coulomb friction."""
     external: Floats
-    """Minus what the external wrenches do for the joints."""
+    """Minus the efforts that the external wrenches exert."""
 
 
 class JointWrenches(NamedTuple):
     """
-    What holds every body, each of shape (..., b, 3), in the order of ``robot.body_names``.
+    Force and moment at every joint, of shape (..., b, 3), in the order of ``robot.body_names``.
 
-    A row is what the body's parent exerts on it, in the URDF frame of the joint between them,
-    about that frame's origin. The first row is what the mount exerts on the base.
+    A row is the wrench that the parent of the body exerts on it, in the URDF frame of the joint
+    between them and about its origin. The first row is the wrench of the mount on the base.
 
     """
 
@@ -70,7 +70,7 @@ class InverseDynamics:
 
     Evaluates :math:`\tau = M(q)\,\ddot q + C(q, \dot q)\,\dot q + g(q)` in one pass out along the
     tree and one pass back, without forming M, C or g. Armature, friction, payloads, external
-    wrenches and motion of the base count from when they are set.
+    wrenches and base motion are set once and apply to all later calls.
 
     Parameters
     ----------
@@ -86,8 +86,8 @@ class InverseDynamics:
 
     Notes
     -----
-    The first object on a machine compiles for some seconds; the machine code is kept on disk. An
-    object holds its own scratch space: threads need one each.
+    The first object on a machine compiles for some seconds; the machine code is cached on disk. An
+    object contains scratch space: each thread needs its own.
 
     References
     ----------
@@ -101,22 +101,38 @@ class InverseDynamics:
         self._zeros = np.zeros(len(robot.joint_names))
         self._inverse_dynamics = _ready(newton_euler.inverse_dynamics, _V, _V, _V, _V, _M)
         self._batch = _ready(newton_euler.inverse_dynamics_batch, _M, _M, _M, _M, _M)
-        self._mass_matrix = _ready(newton_euler.mass_matrix, _V, _V, _V, _M, _M)
-        self._joint_wrenches = _ready(newton_euler.joint_wrenches, _V, _V, _V, _V, _M, _M)
-        self._numbers = columns.robot_table(robot)
-        self._table = _runnable(self._numbers)
-        self._R_ZL = columns.rotations_to_z(robot)
-        self._payloads: dict[str, tuple[float, Floats, Floats]] = {}
-        self._wrenches: dict[str, tuple[Floats, Floats]] = {}
-        self._base_motion: Floats = np.zeros((3, 3))
-        self.revision = 0
+        self._gravity_efforts = _ready(newton_euler.gravity_efforts, _V, _V, _M)
+        self._mass_matrix = _ready(mass_matrix.mass_matrix, _V, _M, _M)
+        self._joint_wrenches = _ready(newton_euler.joint_wrenches, _V, _V, _V, _V, _M, _M, _M)
+        self._loaded = LoadedRobot(robot)
+        self._table = self._loaded.table
+        self._R_LZ = np.ascontiguousarray(self._loaded.R_ZL.transpose(0, 2, 1))
         self.set_gravity(gravity)
 
-    # What acts on the robot
+    @property
+    def gravity(self) -> Floats:
+        """Free-fall acceleration in the base frame, shape (3,) [m/s^2]; read-only."""
+        return self._loaded.gravity
+
+    @property
+    def revision(self) -> int:
+        """A number that changes whenever something that acts on the robot is set."""
+        return self._loaded.revision
+
+    @property
+    def table(self) -> Floats:
+        """The table of `columns` with the robot and its loads; not to be modified."""
+        return self._loaded.numbers
+
+    def link_index(self, name: str) -> int:
+        """Find a link among ``robot.link_names``, or raise a ConfigurationError."""
+        return self._loaded.link_index(name)
+
+    # Gravity, loads, friction
 
     def set_gravity(self, gravity: ArrayLike) -> None:
         """
-        Let things fall another way.
+        Set gravity.
 
         Parameters
         ----------
@@ -129,9 +145,9 @@ class InverseDynamics:
             If gravity is not three finite numbers.
 
         """
-        self.gravity = read_vector('gravity', gravity, 'm/s^2')
-        self.gravity.setflags(write=False)
-        self._write_base()
+        vector = read_vector('gravity', gravity, 'm/s^2')
+        vector.setflags(write=False)
+        self._loaded.set_gravity(vector)
 
     def set_base_motion(
         self,
@@ -140,14 +156,14 @@ class InverseDynamics:
         linear_acceleration: ArrayLike = (0.0, 0.0, 0.0),
     ) -> None:
         """
-        Let the base move: omega_0, omega_dot_0 and v_dot_0 of LWP.
+        Set the motion of the base: omega_0, omega_dot_0 and v_dot_0 of LWP.
 
         Parameters
         ----------
         angular_velocity, angular_acceleration, linear_acceleration : array_like, shape (3,)
-            Of the base frame and its origin, in the base frame [rad/s], [rad/s^2], [m/s^2].
-            Gravity is not part of the last; an accelerometer on the base reads the last minus
-            gravity.
+            Motion of the base frame and its origin, in the base frame [rad/s], [rad/s^2],
+            [m/s^2]. The linear acceleration does not include gravity; an accelerometer on the
+            base measures the linear acceleration minus gravity.
 
         Raises
         ------
@@ -155,14 +171,12 @@ class InverseDynamics:
             If one is not three finite numbers.
 
         """
-        self._base_motion = np.array(
-            [
-                read_vector('angular_velocity', angular_velocity, 'rad/s'),
-                read_vector('angular_acceleration', angular_acceleration, 'rad/s^2'),
-                read_vector('linear_acceleration', linear_acceleration, 'm/s^2'),
-            ]
-        )
-        self._write_base()
+        motion = [
+            read_vector('angular_velocity', angular_velocity, 'rad/s'),
+            read_vector('angular_acceleration', angular_acceleration, 'rad/s^2'),
+            read_vector('linear_acceleration', linear_acceleration, 'm/s^2'),
+        ]
+        self._loaded.set_base_motion(np.array(motion))
 
     def set_payload(
         self,
@@ -172,33 +186,27 @@ class InverseDynamics:
         inertia: ArrayLike = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
     ) -> None:
         """
-        Fasten a rigid load to a link, in place of any that it had.
+        Attach a rigid body to a link, replacing the payload that the link had.
 
         Parameters
         ----------
         link : str
             Any link of the robot description.
         mass : float
-            Mass of the load [kg]; 0 takes it off.
+            Mass of the payload [kg]; 0 removes it.
         com : array_like, shape (3,)
-            Its centre of mass in the link's frame [m].
+            Centre of mass in the link's frame [m].
         inertia : array_like, shape (3, 3)
-            About that, along the link's axes [kg m^2].
+            Inertia about the centre of mass, along the axes of the link's frame [kg m^2].
 
         Raises
         ------
         ConfigurationError
-            If there is no such link, or no body has such a mass and inertia.
+            If the link does not exist, or no rigid body has such a mass and inertia.
 
         """
-        k = self.link_index(link)
-        load = read_inertial(mass, com, inertia)
-        self._payloads.pop(link, None)
-        if load[0] > 0.0:
-            rotation = self.robot.link_rotation[k]
-            centre = rotation @ load[1] + self.robot.link_position[k]
-            self._payloads[link] = load[0], centre, rotation @ load[2] @ rotation.T
-        self._write_inertial(int(self.robot.link_body[k]))
+        self._loaded.link_index(link)
+        self._loaded.set_payload(link, *read_inertial(mass, com, inertia))
 
     def set_external_wrench(
         self,
@@ -207,27 +215,24 @@ class InverseDynamics:
         moment: ArrayLike = (0.0, 0.0, 0.0),
     ) -> None:
         """
-        Let the world push or pull a link, in place of what it did to this link before.
+        Set the wrench that the world exerts on a link, replacing the previous one.
 
         Parameters
         ----------
         link : str
             Any link of the robot description.
         force, moment : array_like, shape (3,)
-            What the world exerts on the robot, in the link's frame, about its origin [N], [N m].
+            In the link's frame, about its origin [N], [N m].
 
         Raises
         ------
         ConfigurationError
-            If there is no such link, or one is not three finite numbers.
+            If the link does not exist, or an argument is not three finite numbers.
 
         """
-        k = self.link_index(link)
-        rotation = self.robot.link_rotation[k]
-        F = rotation @ read_vector('force', force, 'N')
-        N = rotation @ read_vector('moment', moment, 'N m')
-        self._wrenches[link] = F, N + np.cross(self.robot.link_position[k], F)
-        self._write_external(int(self.robot.link_body[k]))
+        self._loaded.link_index(link)
+        vectors = read_vector('force', force, 'N'), read_vector('moment', moment, 'N m')
+        self._loaded.set_external_wrench(link, *vectors)
 
     def set_friction(
         self,
@@ -236,14 +241,14 @@ class InverseDynamics:
         width: ArrayLike = FRICTION_WIDTH,
     ) -> None:
         r"""
-        Overcome friction at the joints: :math:`d\,\dot q + c \tanh(\dot q / w)`.
+        Set the friction of the joints: :math:`d\,\dot q + c \tanh(\dot q / w)`.
 
         Parameters
         ----------
         damping : array_like, shape (n,) or ()
-            Viscous friction d [N m s/rad or N s/m]; without it, that of the robot description.
+            Viscous friction d [N m s/rad or N s/m]; by default, that of the robot description.
         coulomb : array_like, shape (n,) or ()
-            Coulomb friction c [N m or N]; without it, that of the robot description.
+            Coulomb friction c [N m or N]; by default, that of the robot description.
         width : array_like, shape (n,) or ()
             Speed w over which Coulomb friction is smoothed [rad/s or m/s].
 
@@ -261,14 +266,14 @@ class InverseDynamics:
         speeds = read_joints('width', width, n)
         if not (speeds >= np.finfo(float).tiny).all():  # the inverse of less may be infinite
             raise ConfigurationError(f'width is {width!r}, expected speeds above 0')
-        # Nothing is written before all has been read: a call that fails changes nothing.
-        self._write_joints(columns.DAMPING, damping)
-        self._write_joints(columns.COULOMB, coulomb)
-        self._write_joints(columns.INVERSE_WIDTH, 1.0 / speeds)
+        # All arguments have been checked: a call that fails changes nothing.
+        self._loaded.set_joints(columns.DAMPING, damping)
+        self._loaded.set_joints(columns.COULOMB, coulomb)
+        self._loaded.set_joints(columns.INVERSE_WIDTH, 1.0 / speeds)
 
     def set_armature(self, armature: ArrayLike) -> None:
         """
-        Count the inertia of rotors and gears, as it is felt at the joints.
+        Set the reflected inertia of rotors and gears.
 
         Parameters
         ----------
@@ -281,9 +286,10 @@ class InverseDynamics:
             If a value is negative or not finite.
 
         """
-        self._write_joints(columns.ARMATURE, read_joints('armature', armature, len(self._zeros)))
+        values = read_joints('armature', armature, len(self._zeros))
+        self._loaded.set_joints(columns.ARMATURE, values)
 
-    # What it takes
+    # Quantities
 
     def efforts(
         self,
@@ -303,34 +309,34 @@ class InverseDynamics:
             m/s^2], in the order of ``robot.joint_names``. Leading dimensions are a batch; they
             broadcast against each other.
         out : ndarray, optional
-            Receives the result: C-contiguous float64 of its shape.
+            Receives the result: C-contiguous float64 of the shape of the result.
         threads : int
-            How many work on a large batch side by side, at most. The results do not depend on it.
+            Maximum number of threads for a large batch. The results do not depend on it.
 
         Returns
         -------
         tau : ndarray, shape (..., n)
-            Joint efforts [N m or N], positive along the joint axis; ``out`` where it was given.
+            Joint efforts [N m or N], positive along the joint axis; ``out`` if it was given.
 
         Raises
         ------
         JointStateError
             If a shape does not fit the robot, or a value is not finite.
         ConfigurationError
-            If ``threads`` is no whole number above 0.
+            If ``threads`` is not a positive integer.
 
         Notes
         -----
         Outward pass: LWP (36)-(44); inward pass: LWP (45)-(47). With arrays of float64 as
         arguments and ``out``, nothing is allocated.
 
-        Batches of 64 states and more go through the passes in blocks. That rounds a little
-        differently: by less than 1e-12 of the largest effort. The first of them compiles for
-        seconds; the machine code is kept on disk.
+        Batches of 64 states and more are computed in blocks. The results differ from those of
+        single states by rounding, less than 1e-12 of the largest effort. The first such batch
+        compiles for seconds; the machine code is cached on disk.
 
         """
         try:
-            # Asked first: for numba to refuse a batch takes as long as hundreds of its states.
+            # Checked first, because numba takes as long to reject a batch as for 100 states.
             if q.ndim == 1:  # type: ignore[union-attr]
                 tau = np.empty_like(self._zeros) if out is None else out
                 if self._inverse_dynamics(q, qd, qdd, tau, self._table):
@@ -340,7 +346,7 @@ class InverseDynamics:
             pass
         return self._efforts_of_any(self._table, q, qd, qdd, out, read_threads(threads))
 
-    def gravity_efforts(self, q: ArrayLike) -> Floats:
+    def gravity_efforts(self, q: ArrayLike, out: Floats | None = None) -> Floats:
         """
         Compute the joint efforts that hold the robot still.
 
@@ -348,6 +354,8 @@ class InverseDynamics:
         ----------
         q : array_like, shape (..., n)
             Joint positions [rad or m].
+        out : ndarray, optional
+            As for `efforts`.
 
         Returns
         -------
@@ -360,9 +368,18 @@ class InverseDynamics:
             If the shape does not fit the robot, or a value is not finite.
 
         """
-        return self.efforts(q, self._zeros, self._zeros)
+        if not self._loaded.base_motion[:2].any():
+            try:
+                if q.ndim == 1:  # type: ignore[union-attr]
+                    tau = np.empty_like(self._zeros) if out is None else out
+                    if self._gravity_efforts(q, tau, self._table):
+                        raise explain(self.robot.joint_names, out, q=q)
+                    return tau
+            except (AttributeError, TypeError, ValueError):
+                pass
+        return self._efforts_of_any(self._table, q, self._zeros, self._zeros, out)
 
-    def velocity_efforts(self, q: ArrayLike, qd: ArrayLike) -> Floats:
+    def coriolis_efforts(self, q: ArrayLike, qd: ArrayLike, out: Floats | None = None) -> Floats:
         """
         Compute C(q, qd) qd: the Coriolis and centrifugal efforts.
 
@@ -370,11 +387,13 @@ class InverseDynamics:
         ----------
         q, qd : array_like, shape (..., n)
             Joint positions [rad or m] and velocities [rad/s or m/s].
+        out : ndarray, optional
+            As for `efforts`.
 
         Returns
         -------
         tau : ndarray, shape (..., n)
-            Joint efforts [N m or N]; with what a turning base adds to them.
+            Joint efforts [N m or N], including those due to the rotation of the base.
 
         Raises
         ------
@@ -382,57 +401,87 @@ class InverseDynamics:
             If a shape does not fit the robot, or a value is not finite.
 
         """
-        turning = self._without(
-            columns.BASE_ACCELERATION_COLUMNS, columns.EXTERNAL_COLUMNS, columns.JOINT_TERM_COLUMNS
+        moving = self._loaded.without(
+            columns.BASE_ACCELERATION_COLUMNS,
+            columns.EXTERNAL_COLUMNS,
+            columns.JOINT_TERM_COLUMNS,
+            columns.HAS_JOINT_TERMS,
         )
-        moving = self._efforts_of_any(turning, q, qd, self._zeros)
-        if not self._base_motion[0].any():
-            return moving
-        return moving - self._efforts_of_any(turning, q, self._zeros, self._zeros)
+        tau = self._efforts_in(moving, q, qd, self._zeros, out)
+        if self._loaded.base_motion[0].any():
+            tau -= self._efforts_in(moving, q, self._zeros, self._zeros)
+        return tau
 
-    def mass_matrix(self, q: ArrayLike) -> Floats:
+    def mass_matrix(self, q: ArrayLike, out: Floats | None = None) -> Floats:
         """
-        Compute the mass matrix M(q): efforts for unit accelerations, without gravity, at rest.
+        Compute the mass matrix M(q).
 
         Parameters
         ----------
         q : array_like, shape (..., n)
             Joint positions [rad or m].
+        out : ndarray, optional
+            Receives the result: C-contiguous float64 of the shape of the result.
 
         Returns
         -------
         mass_matrix : ndarray, shape (..., n, n)
-            Symmetric to the last bit [kg m^2, kg m or kg, by kind of joint].
+            Symmetric to the last bit [kg m^2, kg m or kg, depending on the kinds of joints].
+            Includes payloads and armature.
 
         Raises
         ------
         JointStateError
             If the shape does not fit the robot, or a value is not finite.
 
-        """
-        positions = read_vectors('q', q, len(self._zeros))
-        n = len(self._zeros)
-        matrices = np.empty((*positions.shape, n))
-        unit = np.zeros(n)
-        table = self._inertia_only()
-        for index in np.ndindex(positions.shape[:-1]):
-            arguments = (positions[index], self._zeros, unit, matrices[index])
-            if self._mass_matrix(*arguments, table) != OK:
-                raise explain(self.robot.joint_names, q=q)
-        return matrices
+        Notes
+        -----
+        The composite-rigid-body algorithm; see `mass_matrix` for its references.
 
-    def terms(self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> Terms:
         """
-        Compute what the joint efforts are made of.
+        n = len(self._zeros)
+        try:
+            if q.ndim == 1:  # type: ignore[union-attr]
+                matrix = np.empty((n, n)) if out is None else out
+                if self._mass_matrix(q, matrix, self._table):
+                    raise explain(self.robot.joint_names, out, (n, n), q=q)
+                return matrix
+        except (AttributeError, TypeError, ValueError):
+            pass
+        (rows,), shape = broadcast(n, q=q)
+        shape = (*shape, n)
+        if out is not None:
+            check_out(out, shape)
+        matrices = np.empty(shape) if out is None or not is_free(out, [rows]) else out
+        flat = matrices.reshape(len(rows), n, n)
+        if n and len(rows) >= lanes.FEWEST:
+            status = batch_mass_matrix.mass_matrix_many(rows, flat, self._loaded.numbers)
+        else:
+            pairs = zip(rows, flat, strict=True)
+            status = max((self._mass_matrix(*pair, self._table) for pair in pairs), default=OK)
+        if status != OK:
+            raise explain(self.robot.joint_names, q=q)
+        if out is None or matrices is out:
+            return matrices
+        out[...] = matrices
+        return out
+
+    def effort_terms(
+        self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: Floats | None = None
+    ) -> EffortTerms:
+        """
+        Compute the joint efforts term by term.
 
         Parameters
         ----------
         q, qd, qdd : array_like, shape (..., n)
             As for `efforts`.
+        out : ndarray, shape (5, ..., n), optional
+            Receives the terms.
 
         Returns
         -------
-        terms : Terms
+        terms : EffortTerms
             Named tuple of arrays of shape (..., n) [N m or N]; their sum is `efforts`.
 
         Raises
@@ -442,20 +491,28 @@ class InverseDynamics:
 
         """
         _, shape = broadcast(len(self._zeros), q=q, qd=qd, qdd=qdd)
-        zeros = np.zeros(shape)
-        weight = self._without(columns.EXTERNAL_COLUMNS, columns.JOINT_TERM_COLUMNS)
-        bodiless = (columns.MASS, columns.INERTIA_COLUMNS, columns.BASE_MOTION_COLUMNS)
-        friction = self._without(*bodiless, columns.EXTERNAL_COLUMNS, columns.ARMATURE)
-        external = self._without(*bodiless, columns.JOINT_TERM_COLUMNS)
-        return Terms(
-            inertial=self._efforts_of_any(self._inertia_only(), q, zeros, qdd),
-            velocity=self.velocity_efforts(q, np.broadcast_to(qd, shape)),
-            gravity=self._efforts_of_any(weight, q, zeros, zeros),
-            friction=self._efforts_of_any(friction, q, qd, zeros),
-            external=self._efforts_of_any(external, q, zeros, zeros),
+        if out is not None:
+            check_out(out, (5, *shape))
+        terms = EffortTerms(*(np.empty((5, *shape)) if out is None else out))
+        zeros = self._zeros if shape == self._zeros.shape else np.zeros(shape)
+        loaded = self._loaded
+        no_bodies = (columns.MASS, columns.INERTIA_COLUMNS, columns.BASE_MOTION_COLUMNS)
+        inertia = loaded.without(
+            columns.BASE_MOTION_COLUMNS, columns.EXTERNAL_COLUMNS, columns.DAMPING, columns.COULOMB
         )
+        weight = loaded.without(columns.EXTERNAL_COLUMNS, columns.JOINT_TERM_COLUMNS)
+        friction = loaded.without(*no_bodies, columns.EXTERNAL_COLUMNS, columns.ARMATURE)
+        external = loaded.without(*no_bodies, columns.JOINT_TERM_COLUMNS)
+        self._efforts_in(inertia, q, zeros, qdd, terms.inertial)
+        terms.velocity[...] = self.coriolis_efforts(q, np.broadcast_to(qd, shape))
+        self._efforts_in(weight, q, zeros, zeros, terms.gravity)
+        self._efforts_in(friction, q, qd, zeros, terms.friction)
+        self._efforts_in(external, q, zeros, zeros, terms.external)
+        return terms
 
-    def joint_wrenches(self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> JointWrenches:
+    def joint_wrenches(
+        self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: Floats | None = None
+    ) -> JointWrenches:
         """
         Compute the force and moment at every joint, the reaction of the mount first.
 
@@ -463,6 +520,8 @@ class InverseDynamics:
         ----------
         q, qd, qdd : array_like, shape (..., n)
             As for `efforts`.
+        out : ndarray, shape (..., b, 6), optional
+            Receives force and moment: C-contiguous float64.
 
         Returns
         -------
@@ -476,90 +535,54 @@ class InverseDynamics:
 
         Notes
         -----
-        LWP (45) and (46). A joint's moment (or force, where it slides) along its axis is its
-        effort, armature and friction apart: those act inside the joint.
+        LWP (45) and (46). The moment about the axis of a revolute joint, or the force along the
+        axis of a prismatic one, is the joint's effort without armature and friction, which act
+        inside the joint.
 
         """
         rows, shape = broadcast(len(self._zeros), q=q, qd=qd, qdd=qdd)
         b = len(self.robot.parent)
-        wrenches = np.empty((len(rows[0]), b, 6))
-        tau = np.empty_like(self._zeros)
-        for *state, wrench in zip(*rows, wrenches, strict=True):
-            if self._joint_wrenches(*state, tau, wrench, self._table) != OK:
-                raise explain(self.robot.joint_names, q=q, qd=qd, qdd=qdd)
-        R_LZ = self._R_ZL.transpose(0, 2, 1)
-        turned = np.einsum('bij,kbwj->wkbi', R_LZ, wrenches.reshape(-1, b, 2, 3))
-        force, moment = turned.reshape(2, *shape[:-1], b, 3)
-        return JointWrenches(force, moment)
+        shape = (*shape[:-1], b, 6)
+        if out is not None:
+            check_out(out, shape)
+        wrenches = np.empty(shape) if out is None or not is_free(out, rows) else out
+        flat = wrenches.reshape(-1, b, 6)
+        if self._zeros.size and len(flat) >= lanes.FEWEST:
+            states = (*rows, np.empty_like(rows[0]))
+            status = lanes.inverse_dynamics_many(states, self._loaded.numbers, wrenches=flat)
+            in_link = flat.reshape(-1, b, 2, 3)
+            in_link[...] = np.einsum('bij,kbwj->kbwi', self._R_LZ, in_link)
+        else:
+            tau, R_LZ = np.empty_like(self._zeros), self._R_LZ.reshape(b, 9)
+            status = OK
+            for *state, wrench in zip(*rows, flat, strict=True):
+                found = self._joint_wrenches(*state, tau, R_LZ, wrench, self._table)
+                status = max(status, found)
+        if status != OK:
+            raise explain(self.robot.joint_names, q=q, qd=qd, qdd=qdd)
+        if out is not None and wrenches is not out:
+            out[...] = wrenches
+            wrenches = out
+        return JointWrenches(wrenches[..., :3], wrenches[..., 3:])
 
-    # The table
-
-    @property
-    def table(self) -> Floats:
-        """The robot and what acts on it, as `robot_table` lays it out; for reading only."""
-        return self._numbers
-
-    def _without(self, *parts: int | slice) -> Any:
-        """Copy the robot's table, with nothing in some of its columns."""
-        numbers = self._numbers.copy()
-        for part in parts:
-            numbers[:, part] = 0.0
-        return _runnable(numbers)
-
-    def _inertia_only(self) -> Any:
-        return self._without(
-            columns.BASE_MOTION_COLUMNS, columns.EXTERNAL_COLUMNS, columns.DAMPING, columns.COULOMB
-        )
-
-    def _write_base(self) -> None:
-        self._numbers[0, columns.BASE_MOTION_COLUMNS] = self._base_motion.ravel()
-        self._numbers[0, columns.ACCEL : columns.ACCEL + 3] -= self.gravity  # LWP (31)
-        self._update(0)
-
-    def _write_inertial(self, body: int) -> None:
-        """Make one body of a link and the loads on it."""
-        robot = self.robot
-        parts = [(robot.mass[body], robot.com[body], robot.inertia[body])]
-        for link, load in self._payloads.items():
-            if robot.link_body[robot.link_names.index(link)] == body:
-                parts.append(load)
-        row = self._numbers[body]
-        columns.write_inertial(row, self._R_ZL[body], *join_bodies(parts))
-        self._update(body)
-
-    def _write_external(self, body: int) -> None:
-        robot = self.robot
-        on_body = [
-            wrench
-            for link, wrench in self._wrenches.items()
-            if robot.link_body[robot.link_names.index(link)] == body
-        ]
-        row, R_ZL = self._numbers[body], self._R_ZL[body]
-        force = sum((f for f, _ in on_body), np.zeros(3))
-        moment = sum((n for _, n in on_body), np.zeros(3))
-        columns.store(row, columns.EXTERNAL_FORCE, R_ZL @ force)
-        columns.store(row, columns.EXTERNAL_MOMENT, R_ZL @ moment)
-        self._update(body)
-
-    def _write_joints(self, column: int, values: Floats) -> None:
-        rows = self._numbers[1 : 1 + len(values)]
-        rows[:, column] = values
-        has_terms = rows[:, [columns.ARMATURE, columns.DAMPING, columns.COULOMB]].any()
-        self._numbers[0, columns.HAS_JOINT_TERMS] = float(has_terms)
-        for i in range(1 + len(values)):
-            self._update(i)
-
-    def _update(self, body: int) -> None:
-        self.revision += 1
-        if not IS_COMPILED:
-            self._table[body] = self._numbers[body].tolist()
-
-    def link_index(self, name: str) -> int:
-        """Find a link among ``robot.link_names``, or raise a ConfigurationError."""
-        if name not in self.robot.link_names:
-            links = ', '.join(self.robot.link_names)
-            raise ConfigurationError(f"link '{name}' does not exist; links are {links}")
-        return self.robot.link_names.index(name)
+    def _efforts_in(
+        self,
+        table: Any,
+        q: ArrayLike,
+        qd: ArrayLike,
+        qdd: ArrayLike,
+        out: Floats | None = None,
+    ) -> Floats:
+        """Compute efforts with a table of `LoadedRobot`, quickly if the arguments are arrays."""
+        try:
+            if q.ndim == 1:  # type: ignore[union-attr]
+                tau = np.empty_like(self._zeros) if out is None else out
+                if self._inverse_dynamics(q, qd, qdd, tau, table):
+                    raise explain(self.robot.joint_names, out, q=q, qd=qd, qdd=qdd)
+                return tau
+        except (AttributeError, TypeError, ValueError):
+            pass
+        return self._efforts_of_any(table, q, qd, qdd, out)
 
     def _efforts_of_any(
         self,
@@ -570,7 +593,7 @@ class InverseDynamics:
         out: Floats | None = None,
         threads: int = 1,
     ) -> Floats:
-        """Compute efforts of whatever numpy can read as rows of n numbers."""
+        """Compute efforts of anything that numpy can read as rows of n numbers."""
         rows, shape = broadcast(len(self._zeros), q=q, qd=qd, qdd=qdd)
         if out is not None:
             check_out(out, shape)
@@ -588,16 +611,11 @@ class InverseDynamics:
         return out
 
 
-def _runnable(numbers: Floats) -> Any:
-    """Return a table as the functions of `newton_euler` want it here."""
-    return numbers if IS_COMPILED else numbers.tolist()
-
-
 def _ready(function: Callable[..., int], *kinds: str) -> Callable[..., int]:
     """
-    Make a function of `newton_euler` ready for arrays: compiled, or run on lists of floats.
+    Prepare a function of `newton_euler` for arrays: compile it, or run it on lists of floats.
 
-    Either way it raises a TypeError for arguments of other kinds.
+    Either way it raises a TypeError for arguments of other types.
 
     """
     if IS_COMPILED:

@@ -166,6 +166,11 @@ def cross(a: Vector, b: Vector) -> Vector:
 
 
 @simd_inline
+def dot(a: Vector, b: Vector) -> Any:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@simd_inline
 def symmetric(J: Any, v: Vector) -> Vector:
     """J v, where J is a symmetric matrix: xx, xy, xz, yy, yz, zz."""
     return (

@@ -58,14 +58,17 @@ from .newton_euler import NOT_FINITE, OK, own_wrench
 LANES = 64 if IS_COMPILED else 1
 BLOCK = LANES if IS_COMPILED else 2048  # states in a block
 FEWEST = 64  # states from which on blocks are faster than one state after the other
+CACHE_LINE = 8  # numbers in a line of the processor's cache
 LEAST_PIECE = 1024  # states from which on another thread saves time
 LARGEST_ANGLE = 1e5  # limit of `cosine_and_sine` [rad]
 ROUNDER = 1.5 * 2.0**52  # adding and subtracting it rounds to a whole number
 
-_SIGNATURE = f'({"f8[:,:], " * 4}f8[:,::1], UniTuple(f8[:,::1], 8))'
+_SIGNATURE = f'({"f8[:,:], " * 5}f8[:,::1], UniTuple(f8[:,::1], 8))'
 
 
-def inverse_dynamics_many(states: Sequence[Floats], robot: Floats, threads: int = 1) -> int:
+def inverse_dynamics_many(
+    states: Sequence[Floats], robot: Floats, threads: int = 1, wrenches: Floats | None = None
+) -> int:
     """
     Compute the joint efforts of many states; see `newton_euler.inverse_dynamics`.
 
@@ -77,6 +80,8 @@ def inverse_dynamics_many(states: Sequence[Floats], robot: Floats, threads: int 
         Table from `robot_table`; read only.
     threads : int
         Maximum number of threads. The results do not depend on it.
+    wrenches : ndarray, shape (N, b, 6), optional
+        Receives the force and moment on every body, as `newton_euler.joint_wrenches` does.
 
     Returns
     -------
@@ -85,7 +90,9 @@ def inverse_dynamics_many(states: Sequence[Floats], robot: Floats, threads: int 
 
     """
     compile_for(_blocks, _SIGNATURE)
-    N = len(states[0])
+    N, b = len(states[0]), len(robot)
+    flat = np.empty((N, 0)) if wrenches is None else wrenches.reshape(N, 6 * b)
+    states = (*states, flat)
     pieces = min(4 * threads, N // LEAST_PIECE)
     others = min(threads, pieces) - 1
     if others < 1:
@@ -117,20 +124,22 @@ def _share(work: deque[list[Floats]], robot: Floats) -> int:
 
 def _piece(states: Sequence[Floats], robot: Floats) -> int:
     """Compute one piece in newly allocated rows."""
-    q, qd, qdd, tau = (values.T for values in states)
+    q, qd, qdd, tau, wrenches = (values.T for values in states)
     n, b = len(q), len(robot)
     shapes = ((b, 3), (b, 9), (b, 6), (n, 1), (n, 1), (n, 1), (n, 1), (1, 1))
     kind = np.float64 if IS_COMPILED else np.object_
     rows = tuple([np.empty((i, j * LANES), kind) for i, j in shapes])
     if IS_COMPILED:
-        return int(_blocks(q, qd, qdd, tau, robot, rows))
+        return int(_blocks(q, qd, qdd, tau, wrenches, robot, rows))
     q, qd, qdd = (np.ascontiguousarray(values)[:, None] for values in (q, qd, qdd))
     with np.errstate(over='ignore', invalid='ignore'):
-        return int(_blocks(q, qd, qdd, tau[:, None], robot, rows))
+        return int(_blocks(q, qd, qdd, tau[:, None], wrenches[:, None], robot, rows))
 
 
 @simd_kernel
-def _blocks(all_q: Any, all_qd: Any, all_qdd: Any, all_tau: Any, robot: Any, rows: Any) -> int:
+def _blocks(
+    all_q: Any, all_qd: Any, all_qdd: Any, all_tau: Any, all_wrenches: Any, robot: Any, rows: Any
+) -> int:
     """Compute block after block; the states are columns here."""
     place, motion, wrench, q, qd, qdd, tau, residue = rows
     size = min(BLOCK, all_q.shape[-1])
@@ -145,9 +154,13 @@ def _blocks(all_q: Any, all_qd: Any, all_qdd: Any, all_tau: Any, robot: Any, row
         transpose(all_qd[..., block], qd)
         transpose(all_qdd[..., block], qdd)
         outward_pass(q, qd, qdd, robot, place, motion, wrench)
-        inward_pass(tau, robot, place, wrench)
+        if len(all_wrenches) > 0:
+            own_wrenches(robot, 0, motion, wrench)
+        inward_pass(tau, robot, place, wrench, len(all_wrenches) > 0)
         finish(qd, qdd, tau, robot, residue)
         transpose(tau, all_tau[..., block])
+        if len(all_wrenches) > 0:
+            transpose_wrenches(wrench, all_wrenches[..., block])
     for k in range(LANES):
         if holds_nan(residue[0, k]):
             return NOT_FINITE
@@ -164,10 +177,20 @@ def hold_base(robot: Any, motion: Any) -> None:
 
 @simd_step
 def transpose(source: Any, target: Any) -> None:
-    """Copy rows of joints, state by state: the joints of a state are adjacent in memory."""
-    for k in range(LANES):
-        for joint in range(len(source)):
-            target[joint, k] = source[joint, k]
+    """Copy rows between arrays, of which one has the lanes and the other has the rows adjacent."""
+    for first in range(0, LANES, CACHE_LINE):
+        for row in range(len(source)):
+            for k in range(first, min(first + CACHE_LINE, LANES)):
+                target[row, k] = source[row, k]
+
+
+@simd_step
+def transpose_wrenches(wrench: Any, target: Any) -> None:
+    """Copy forces and moments, state by state."""
+    for i in range(len(wrench)):
+        for j in range(6):
+            for k in range(LANES):
+                target[6 * i + j, k] = wrench[i, j * LANES + k]
 
 
 @simd_step
@@ -185,7 +208,7 @@ def outward_pass(
 
 
 @simd_step
-def inward_pass(tau: Any, robot: Any, place: Any, wrench: Any) -> None:
+def inward_pass(tau: Any, robot: Any, place: Any, wrench: Any, to_base: bool) -> None:
     """Propagate forces and moments from tips to base, and project them onto the joint axes."""
     for joint in range(len(tau)):
         for k in range(LANES):
@@ -193,7 +216,7 @@ def inward_pass(tau: Any, robot: Any, place: Any, wrench: Any) -> None:
     for i in range(len(robot) - 1, 0, -1):
         parent, joint = int(robot[i, PARENT]), int(robot[i, JOINT])
         project(tau, robot, i, joint, wrench)
-        if parent > 0:
+        if parent > 0 or to_base:
             inward_step(robot, i, place, wrench, parent, wrench)
 
 

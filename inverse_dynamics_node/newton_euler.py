@@ -47,6 +47,7 @@ from .equations import (
     add,
     angular_acceleration,
     angular_velocity,
+    cross,
     joint_effort,
     moment_about_parent,
     net_force,
@@ -116,50 +117,12 @@ def inverse_dynamics_batch(q: Any, qd: Any, qdd: Any, tau: Any, robot: Any) -> i
 
 
 @compiled
-def mass_matrix(
-    q: Sequence[float],
-    zeros: Sequence[float],
-    unit: Any,
-    matrix: Any,
-    robot: Any,
-) -> int:
-    """
-    Fill the mass matrix column by column with the efforts of unit accelerations.
-
-    Parameters
-    ----------
-    q : sequence of n floats
-        Joint positions [rad or m].
-    zeros : sequence of n zeros
-    unit : sequence of n zeros
-        Scratch space; contains zeros again afterwards.
-    matrix : n sequences of n floats
-        Receives the mass matrix, symmetric to the last bit.
-    robot : table from `robot_table`
-        The robot at rest, without gravity and without loads except for armature.
-
-    Returns
-    -------
-    status : int
-        As `inverse_dynamics`.
-
-    """
-    status = OK
-    for j in range(len(matrix)):
-        unit[j] = 1.0
-        status = max(status, inverse_dynamics(q, zeros, unit, matrix[j], robot))
-        unit[j] = 0.0
-        for i in range(j):
-            matrix[i][j] = matrix[j][i]
-    return status
-
-
-@compiled
 def joint_wrenches(
     q: Sequence[float],
     qd: Sequence[float],
     qdd: Sequence[float],
     tau: Any,
+    R_LZ: Any,
     wrenches: Any,
     robot: Any,
 ) -> int:
@@ -170,9 +133,10 @@ def joint_wrenches(
     ----------
     q, qd, qdd, tau, robot
         As for `inverse_dynamics`, but tau does not include the joint terms.
+    R_LZ : b sequences of 9 floats
+        Rotations into the frames of the wrenches, from the frames of the table.
     wrenches : b sequences of 6 floats
-        Receives force and moment, each in the link's own frame. The first row is for the base,
-        whose parent is the mount.
+        Receives force and moment. The first row is for the base, whose parent is the mount.
 
     Returns
     -------
@@ -189,8 +153,58 @@ def joint_wrenches(
     clear(tau)
     inward_pass(tau, robot)
     for i in range(len(robot)):
-        store(wrenches[i], 0, vector(robot[i], FORCE))
-        store(wrenches[i], 3, vector(robot[i], MOMENT))
+        R = R_LZ[i]
+        store(wrenches[i], 0, to_parent(R, 1.0, 0.0, vector(robot[i], FORCE)))
+        store(wrenches[i], 3, to_parent(R, 1.0, 0.0, vector(robot[i], MOMENT)))
+    return check(tau)
+
+
+@simd_inline
+def place_link(link: Any, q: float) -> Vector:
+    """Store how far a link has turned and slid: cosine, sine, length; and return them."""
+    position = link[MULTIPLIER] * q + link[POSITION_OFFSET]
+    if link[SLIDES] != 0.0:
+        c, s, length = 1.0, 0.0, position
+    else:
+        c, s, length = cos(position), sin(position), 0.0
+    link[COSINE], link[SINE], link[LENGTH] = c, s, length
+    return c, s, length
+
+
+@compiled
+def gravity_efforts(q: Sequence[float], tau: Any, robot: Any) -> int:
+    """
+    Compute the joint efforts that hold the robot still.
+
+    As `inverse_dynamics` for velocities and accelerations of zero, on a base that does not rotate:
+    every link has the acceleration of the base, in its own frame.
+
+    Parameters
+    ----------
+    q, tau, robot
+        As for `inverse_dynamics`.
+
+    Returns
+    -------
+    status : int
+        As `inverse_dynamics`.
+
+    """
+    n = int(robot[0][JOINT_COUNT])
+    if len(q) != n or len(tau) != n:
+        return WRONG_SIZE
+    for i in range(1, len(robot)):
+        link = robot[i]
+        c, s, _ = place_link(link, q[int(link[JOINT])])
+        accel = to_link(rotation(link), c, s, vector(robot[int(link[PARENT])], ACCEL))
+        force_net = net_force(link[MASS], accel)
+        moment = cross(vector(link, COM), force_net)
+        store(link, ACCEL, accel)
+        store(link, FORCE, subtract(force_net, vector(link, EXTERNAL_FORCE)))
+        store(link, MOMENT, subtract(moment, vector(link, EXTERNAL_MOMENT)))
+    for joint in range(n):
+        tau[joint] = q[joint] - q[joint]  # 0, or NaN where no effort depends on it
+    inward_pass(tau, robot)
     return check(tau)
 
 
@@ -205,16 +219,10 @@ def outward_pass(
         link = robot[i]
         parent = robot[int(link[PARENT])]
         joint, slides = int(link[JOINT]), link[SLIDES]
-        position = link[MULTIPLIER] * q[joint] + link[POSITION_OFFSET]
         rate, rate_dot = link[MULTIPLIER] * qd[joint], link[MULTIPLIER] * qdd[joint]
         turn, turn_dot = (1.0 - slides) * rate, (1.0 - slides) * rate_dot
         slide, slide_dot = slides * rate, slides * rate_dot
-        if slides != 0.0:
-            c, s, length = 1.0, 0.0, position
-        else:
-            c, s, length = cos(position), sin(position), 0.0
-        link[COSINE], link[SINE], link[LENGTH] = c, s, length
-
+        c, s, length = place_link(link, q[joint])
         R = rotation(link)
         p = origin_in_parent(R, vector(link, OFFSET), length)
         omega_P, omega_dot_P = vector(parent, OMEGA), vector(parent, OMEGA_DOT)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .controller import Command, Controller, Reference, Settings
-from .dynamics import InverseDynamics, JointWrenches, STANDARD_GRAVITY, Terms
+from .dynamics import EffortTerms, InverseDynamics, JointWrenches, STANDARD_GRAVITY
 from .errors import JointStateError
 from .loads import Loads, LoadSettings
 from .model import Floats, RobotModel
@@ -202,11 +202,11 @@ class Rig:
         pairs = zip(index, is_beyond, strict=True)
         return [self.robot.joint_names[i] for i, is_one in pairs if is_one]
 
-    def terms(self) -> Terms:
+    def effort_terms(self) -> EffortTerms:
         """Compute what the last efforts are made of, each of shape (m,) [N m or N]."""
         q = self.collector.q
-        return Terms(
-            *(term[self.index] for term in self.dynamics.terms(q, *self.controller.motion))
+        return EffortTerms(
+            *(term[self.index] for term in self.dynamics.effort_terms(q, *self.controller.motion))
         )
 
     def base_wrench(self) -> tuple[Floats, Floats]:

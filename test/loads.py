@@ -78,7 +78,7 @@ def everything(dynamics, q, qd, qdd):
     wrenches = dynamics.joint_wrenches(q, qd, qdd)
     return {
         'efforts': dynamics.efforts(q, qd, qdd),
-        'terms': np.stack(dynamics.terms(q, qd, qdd)),
+        'terms': np.stack(dynamics.effort_terms(q, qd, qdd)),
         'mass matrix': dynamics.mass_matrix(q),
         'forces': wrenches.force,
         'moments': wrenches.moment,

@@ -22,7 +22,7 @@ def test_python_examples_print_what_they_say(monkeypatch):
             exec(code, names)
     assert output.getvalue() == expected
     q, qd, qdd = names['q'], names['qd'], names['qdd']
-    total = sum(names['dynamics'].terms(q, qd, qdd))
+    total = sum(names['dynamics'].effort_terms(q, qd, qdd))
     assert total == pytest.approx(names['dynamics'].efforts(q, qd, qdd))
 
 

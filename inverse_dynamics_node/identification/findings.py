@@ -163,7 +163,7 @@ class _Comparison:
         self.period = float(np.median(np.diff(motion.times)))
         self.modelled: Floats = dynamics.efforts(*self.states)[:, self.index]
         # Friction is fitted anew: what the dynamics have of it is no part of what it is fitted to.
-        terms = dynamics.terms(*self.states)
+        terms = dynamics.effort_terms(*self.states)
         self.rigid: Floats = self.modelled - terms.friction[:, self.index]
         self.gravity: Floats = terms.gravity[:, self.index]
 

@@ -12,7 +12,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from ..dynamics import Terms
+from ..dynamics import EffortTerms
 from ..model import Floats
 from ..rig import Rig
 from . import messages
@@ -41,7 +41,7 @@ class Outputs:
         self._clock = node.get_clock()
         self.commands = publisher(Float64MultiArray, '~/commands')
         self._joint_efforts = publisher(JointState, '~/joint_efforts')
-        self._terms = [publisher(JointState, f'~/terms/{term}') for term in Terms._fields]
+        self._terms = [publisher(JointState, f'~/terms/{term}') for term in EffortTerms._fields]
         self._external_efforts = publisher(JointState, '~/external_efforts')
         self._base_wrench = publisher(WrenchStamped, '~/base_wrench')
         self._efforts, self._wrench = JointState(), WrenchStamped()
@@ -96,7 +96,7 @@ class Outputs:
     def publish_explanation(self, rig: Rig) -> None:
         """Publish what the last command is made of, and what was measured beside it."""
         if not self._listeners.isdisjoint(self._terms):
-            for publisher, term in zip(self._terms, rig.terms(), strict=True):
+            for publisher, term in zip(self._terms, rig.effort_terms(), strict=True):
                 if publisher in self._listeners:
                     self._publish_efforts(publisher, rig.controller.joints, term)
         if self._base_wrench in self._listeners:

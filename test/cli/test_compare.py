@@ -117,7 +117,7 @@ def test_friction_of_the_urdf_counts_when_asked_for(here, capsys):
     dynamics.set_friction()
     efforts = (
         recording.efforts
-        + dynamics.terms(
+        + dynamics.effort_terms(
             recording.positions, recording.velocities, np.zeros_like(recording.positions)
         ).friction
     )

@@ -207,7 +207,7 @@ def test_terms_add_up_to_the_efforts(run_node, robot, dynamics):
     robot.publish_accelerations(QDD)
     dynamics.set_friction(0.5, 0.2)
     robot.wait_for_command(dynamics.efforts(Q, QD, QDD))
-    expected = dynamics.terms(Q, QD, QDD)._asdict()
+    expected = dynamics.effort_terms(Q, QD, QDD)._asdict()
     total = np.zeros(6)
     for term, values in expected.items():
         heard = robot.listen(JointState, f'{OWN}/terms/{term}')

@@ -155,7 +155,7 @@ def test_terms(path):
     is_nothing = []
     for q, qd, qdd in states:
         Q, QD = peer.positions(q), peer.fold @ qd
-        terms = dynamics.terms(q, qd, qdd)
+        terms = dynamics.effort_terms(q, qd, qdd)
         weight = pinocchio.computeGeneralizedGravity(model, data, Q)
         both = pinocchio.nonLinearEffects(model, data, Q, QD)
         velocity = pinocchio.computeCoriolisMatrix(model, data, Q, QD) @ QD
@@ -166,7 +166,7 @@ def test_terms(path):
             (terms.gravity, weight),
             (terms.gravity + terms.velocity, both),
             (terms.velocity, velocity),
-            (dynamics.velocity_efforts(q, qd), velocity),
+            (dynamics.coriolis_efforts(q, qd), velocity),
             (terms.gravity + terms.external, held),
             (dynamics.gravity_efforts(q), held),
         ):

@@ -32,13 +32,13 @@ def test_every_term_is_its_part_of_lagrange(case):
     links, robot, (q, qd, qdd) = case
     tree = Tree(links, robot.joint_names)
     dynamics = InverseDynamics(robot, GRAVITY)
-    terms = dynamics.terms(q, qd, qdd)
+    terms = dynamics.effort_terms(q, qd, qdd)
     assert_close(terms.inertial, tree.mass_matrix(q) @ qdd)
     # Without gravity and accelerations; nothing for a single joint that slides, hence the scale.
     scale = np.abs(dynamics.efforts(q, qd, qdd)).max()
     expected = tree.efforts(q, qd, 0.0 * qdd, np.zeros(3))
     assert_allclose(terms.velocity, expected, rtol=0, atol=1e-10 * scale)
-    assert_allclose(dynamics.velocity_efforts(q, qd), expected, rtol=0, atol=1e-10 * scale)
+    assert_allclose(dynamics.coriolis_efforts(q, qd), expected, rtol=0, atol=1e-10 * scale)
     expected = gradient(lambda x: tree.potential_energy(x, GRAVITY), q)
     assert_allclose(terms.gravity, expected, rtol=0, atol=1e-10 * scale)
     assert_allclose(dynamics.gravity_efforts(q), expected, rtol=0, atol=1e-10 * scale)
@@ -53,7 +53,7 @@ def test_velocity_efforts_do_half_the_power_of_the_changing_mass_matrix(case):
     # qd (Mdot - 2 C) qd = 0, with Mdot from the kinetic energy
     tree = Tree(links, robot.joint_names)
     growth = qd @ derivative(lambda t: tree.mass_matrix(q + t * qd)) @ qd
-    velocity = InverseDynamics(robot).velocity_efforts(q, qd)
+    velocity = InverseDynamics(robot).coriolis_efforts(q, qd)
     scale = np.abs(qd * velocity).sum() + qd @ tree.mass_matrix(q) @ qd
     assert scale > 0.0
     assert_allclose(2.0 * qd @ velocity, growth, rtol=0, atol=1e-10 * scale)
@@ -66,7 +66,7 @@ def test_velocity_efforts_of_these_trees_are_not_nothing():
         robot = load_urdf(urdf_of(links))
         q, qd = np.random.default_rng(seed).uniform(-3.0, 3.0, (2, 4))
         expected = Tree(links, robot.joint_names).efforts(q, qd, np.zeros(4), np.zeros(3))
-        assert_close(InverseDynamics(robot).velocity_efforts(q, qd), expected)
+        assert_close(InverseDynamics(robot).coriolis_efforts(q, qd), expected)
 
 
 # Friction: where the 1979 text and the authors' journal version of 1980 differ

@@ -81,7 +81,7 @@ def test_external_wrenches_act_through_the_transposed_jacobian(case, rng):
     scale = max(np.abs(bare).max(), 99.0)
     expected = bare - pushed
     np.testing.assert_allclose(dynamics.efforts(q, qd, qdd), expected, rtol=0, atol=1e-10 * scale)
-    external = dynamics.terms(q, qd, qdd).external
+    external = dynamics.effort_terms(q, qd, qdd).external
     np.testing.assert_allclose(external, -pushed, rtol=0, atol=1e-10 * scale)
     force, moment = dynamics.joint_wrenches(q, qd, qdd)
     assert_close(force[0], bare_force[0] - total_force)
@@ -185,7 +185,7 @@ def test_friction_stays_at_its_joint(case, data):
     np.testing.assert_allclose(
         after[k] - before[k], expected[k], rtol=1e-12, atol=1e-12 * np.abs(before[k])
     )
-    assert_close(dynamics.terms(q, qd, qdd).friction, expected)
+    assert_close(dynamics.effort_terms(q, qd, qdd).friction, expected)
 
 
 @given(robots_with_states(), seeds)
@@ -196,7 +196,7 @@ def test_armature_is_inertia_on_the_diagonal(case, rng):
     geared.set_armature(armature)
     assert_close(geared.mass_matrix(q), bare.mass_matrix(q) + np.diag(armature))
     assert_close(geared.efforts(q, qd, qdd), bare.efforts(q, qd, qdd) + armature * qdd)
-    assert_close(geared.terms(q, qd, qdd).inertial, geared.mass_matrix(q) @ qdd)
+    assert_close(geared.effort_terms(q, qd, qdd).inertial, geared.mass_matrix(q) @ qdd)
 
 
 # What efforts are made of
@@ -208,9 +208,9 @@ def test_terms_add_up_and_each_is_what_it_says(case, rng):
     calls = random_loads(robot, rng)
     settings_of = dict(calls)
     dynamics = apply(InverseDynamics(robot), calls)
-    terms = dynamics.terms(q, qd, qdd)
+    terms = dynamics.effort_terms(q, qd, qdd)
     total = dynamics.efforts(q, qd, qdd)
-    velocity_efforts = dynamics.velocity_efforts(q, qd)
+    coriolis_efforts = dynamics.coriolis_efforts(q, qd)
     scale = np.abs(terms).max()
 
     def same(actual, expected):
@@ -218,7 +218,7 @@ def test_terms_add_up_and_each_is_what_it_says(case, rng):
 
     assert_close(sum(terms), total)
     assert_close(terms.inertial, dynamics.mass_matrix(q) @ qdd)
-    same(terms.velocity, velocity_efforts)
+    same(terms.velocity, coriolis_efforts)
     damping, coulomb, width = settings_of['set_friction']
     assert_close(terms.friction, damping * qd + coulomb * np.tanh(qd / width))
 
@@ -226,7 +226,7 @@ def test_terms_add_up_and_each_is_what_it_says(case, rng):
     same(terms.external, total - dynamics.efforts(q, qd, qdd))
     assert_close(terms.gravity, dynamics.gravity_efforts(q))
     # What is left depends on the velocity: nothing of it at rest.
-    rest = dynamics.terms(q, 0.0 * qd, qdd)
+    rest = dynamics.effort_terms(q, 0.0 * qd, qdd)
     assert not rest.velocity.any()
     assert not rest.friction.any()
     assert (rest.gravity == terms.gravity).all()
@@ -237,15 +237,15 @@ def test_terms_add_up_and_each_is_what_it_says(case, rng):
 def test_velocity_efforts_know_of_the_base_only_that_it_turns(case, rng):
     _, robot, (q, qd, _) = case
     dynamics = InverseDynamics(robot)
-    expected = dynamics.velocity_efforts(q, qd)
+    expected = dynamics.coriolis_efforts(q, qd)
     omega, omega_dot, accel = rng.uniform(-2.0, 2.0, (3, 3))
     dynamics.set_base_motion(angular_acceleration=omega_dot, linear_acceleration=accel)
-    assert (dynamics.velocity_efforts(q, qd) == expected).all()
+    assert (dynamics.coriolis_efforts(q, qd) == expected).all()
     dynamics.set_base_motion(angular_velocity=omega)
-    turning = dynamics.velocity_efforts(q, qd)
+    turning = dynamics.coriolis_efforts(q, qd)
     dynamics.set_base_motion(omega, omega_dot, accel)
     scale = 1.0 + np.abs(turning).max()
-    again = dynamics.velocity_efforts(q, qd)
+    again = dynamics.coriolis_efforts(q, qd)
     np.testing.assert_allclose(again, turning, rtol=0, atol=1e-10 * scale)
 
 
@@ -253,13 +253,13 @@ def test_a_turning_base_adds_coriolis_efforts():
     robot = load_urdf(urdf_of(random_chain(np.random.default_rng(5), 3)))
     q, qd = np.random.default_rng(5).uniform(-3.0, 3.0, (2, 3))
     dynamics = InverseDynamics(robot)
-    expected = dynamics.velocity_efforts(q, qd)
+    expected = dynamics.coriolis_efforts(q, qd)
     dynamics.set_base_motion(angular_velocity=(1.0, -2.0, 0.5))
-    added = dynamics.velocity_efforts(q, qd) - expected
+    added = dynamics.coriolis_efforts(q, qd) - expected
     # The pair of omega and qd: it is linear in either.
     assert np.abs(added).max() > 0.01
     dynamics.set_base_motion(angular_velocity=(2.0, -4.0, 1.0))
-    assert_close(dynamics.velocity_efforts(q, qd) - expected, 2.0 * added)
+    assert_close(dynamics.coriolis_efforts(q, qd) - expected, 2.0 * added)
 
 
 # A base that moves
@@ -368,7 +368,7 @@ def test_batches_with_loads_give_what_single_states_give(case, rng):
     for index in np.ndindex(2, 2):
         single = everything(dynamics, q[index], qd[index], qdd[index])
         assert_same({name: values[index] for name, values in batch.items()}, single, 1e-12)
-    still = dynamics.terms(q, np.zeros(len(robot.joint_names)), qdd[0, 0])
+    still = dynamics.effort_terms(q, np.zeros(len(robot.joint_names)), qdd[0, 0])
     assert still.inertial.shape == still.velocity.shape == q.shape
 
 

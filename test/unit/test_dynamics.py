@@ -136,8 +136,9 @@ def test_batches_broadcast_and_may_be_empty():
     assert_allclose(dynamics.mass_matrix(q)[2, 1], dynamics.mass_matrix(q[2, 1]))
 
 
-def test_robot_without_joints_has_no_efforts():
-    dynamics = InverseDynamics(robot_of())
+def test_robot_without_movable_joints_has_no_efforts():
+    plate = '<joint name="mount" type="fixed"><parent link="base"/><child link="plate"/></joint>'
+    dynamics = InverseDynamics(robot_of('<link name="plate"/>', plate))
     assert dynamics.efforts([], [], []).shape == (0,)
     assert dynamics.mass_matrix([]).shape == (0, 0)
     assert dynamics.efforts(np.zeros((4, 0)), [], []).shape == (4, 0)

@@ -141,15 +141,15 @@ def test_friction_is_that_of_the_description_where_none_is_given():
     n = len(FRICTIONAL.joint_names)
     q, qd, qdd = np.random.default_rng(2).uniform(-1.0, 1.0, (3, n))
     dynamics = InverseDynamics(FRICTIONAL)
-    assert not dynamics.terms(q, qd, qdd).friction.any()  # off unless asked for
+    assert not dynamics.effort_terms(q, qd, qdd).friction.any()  # off unless asked for
     dynamics.set_friction()
     expected = FRICTIONAL.damping * qd + FRICTIONAL.friction * np.tanh(qd / 0.01)
-    assert_allclose(dynamics.terms(q, qd, qdd).friction, expected, rtol=1e-12)
+    assert_allclose(dynamics.effort_terms(q, qd, qdd).friction, expected, rtol=1e-12)
     dynamics.set_friction(damping=0.0)
     expected = FRICTIONAL.friction * np.tanh(qd / 0.01)
-    assert_allclose(dynamics.terms(q, qd, qdd).friction, expected, rtol=1e-12)
+    assert_allclose(dynamics.effort_terms(q, qd, qdd).friction, expected, rtol=1e-12)
     dynamics.set_friction(damping=3.0, coulomb=0.0)
-    assert_allclose(dynamics.terms(q, qd, qdd).friction, 3.0 * qd, rtol=1e-12)
+    assert_allclose(dynamics.effort_terms(q, qd, qdd).friction, 3.0 * qd, rtol=1e-12)
 
 
 @pytest.mark.parametrize('k', range(3))
@@ -191,10 +191,11 @@ def test_arguments_of_settings_may_change_later():
         dynamics.gravity[0] = 0.0
 
 
-def test_a_base_without_joints_is_held_all_the_same():
+def test_a_robot_with_fixed_joints_only_has_a_base_wrench():
     robot = load_urdf(
         '<robot name="r"><link name="base"><inertial><origin xyz="0.1 0 0"/><mass value="2"/>'
-        '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>'
+        '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link><link name="plate"/><joint name="mount" type="fixed">'
+        '<parent link="base"/><child link="plate"/></joint></robot>'
     )
     dynamics = InverseDynamics(robot, (0.0, 0.0, -10.0))
     dynamics.set_payload('base', 1.0, (0.4, 0.0, 0.0))
@@ -206,7 +207,7 @@ def test_a_base_without_joints_is_held_all_the_same():
     # about y: -(2 kg at 0.1 m + 1 kg at 0.4 m) * 10 m/s^2; the push goes through the origin
     assert_allclose(moment, [[0.0, -6.0, 0.0]], atol=1e-14)
     assert dynamics.joint_wrenches(np.zeros((4, 0)), [], []).force.shape == (4, 1, 3)
-    assert dynamics.terms([], [], []).external.shape == (0,)
+    assert dynamics.effort_terms([], [], []).external.shape == (0,)
 
 
 def test_every_method_tells_which_argument_is_not_finite():
@@ -215,16 +216,16 @@ def test_every_method_tells_which_argument_is_not_finite():
     for k, name in enumerate(('q', 'qd', 'qdd')):
         state = [row.tolist() for row in STATE]
         state[k][1] = NAN
-        for method in (dynamics.efforts, dynamics.terms, dynamics.joint_wrenches):
+        for method in (dynamics.efforts, dynamics.effort_terms, dynamics.joint_wrenches):
             with pytest.raises(JointStateError, match=rf"^{name} of joint '{elbow}' is nan"):
                 method(*state)
         if name != 'qdd':
             with pytest.raises(JointStateError, match=rf"^{name} of joint '{elbow}' is nan"):
-                dynamics.velocity_efforts(*state[:2])
+                dynamics.coriolis_efforts(*state[:2])
     with pytest.raises(JointStateError, match=r'qd has shape \(3,\), the robot has 2 joints'):
         dynamics.joint_wrenches(STATE[0], np.zeros(3), STATE[2])
     with pytest.raises(JointStateError, match='do not fit together'):
-        dynamics.terms(np.zeros((3, 2)), np.zeros((4, 2)), STATE[2])
+        dynamics.effort_terms(np.zeros((3, 2)), np.zeros((4, 2)), STATE[2])
 
 
 def test_results_may_be_kept_and_changed():

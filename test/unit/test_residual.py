@@ -36,7 +36,7 @@ def run(dynamics, measured_of, steps=1000):
 
 def test_a_motion_that_the_model_explains_leaves_little(dynamics):
     found = run(dynamics, dynamics.efforts)
-    size = np.abs(dynamics.terms(*motion(2.0)).inertial)
+    size = np.abs(dynamics.effort_terms(*motion(2.0)).inertial)
     assert (np.abs(found) < 0.1 * size + 0.15).all()
 
 
@@ -44,7 +44,7 @@ def test_a_push_shows_with_the_sign_of_the_external_term(dynamics):
     pushed = InverseDynamics(dynamics.robot)
     pushed.set_external_wrench('link_6', (5.0, 20.0, -10.0), (0.1, 0.2, 0.3))
     found = run(dynamics, pushed.efforts) - run(dynamics, dynamics.efforts)
-    expected = pushed.terms(*motion(DT * 999)).external
+    expected = pushed.effort_terms(*motion(DT * 999)).external
     assert np.abs(expected).max() > 5.0
     # It lags by the time constant of the low-pass, while the arm moves on.
     assert found == pytest.approx(expected, rel=0.1, abs=0.3)

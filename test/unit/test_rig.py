@@ -45,10 +45,10 @@ def test_terms_are_of_the_commanded_joints_and_of_the_motion_asked_for():
     rig = heard(Rig(MODEL, joints, AT_ONCE))
     rig.reference = Reference(np.array([1.0, 2.0]), np.zeros(2), 0.0)
     efforts = rig.step(0.0).efforts
-    assert sum(rig.terms()) == pytest.approx(efforts)
+    assert sum(rig.effort_terms()) == pytest.approx(efforts)
     qdd = np.zeros(6)
     qdd[[4, 1]] = 1.0, 2.0
-    assert rig.terms().inertial == pytest.approx(
+    assert rig.effort_terms().inertial == pytest.approx(
         (InverseDynamics(MODEL).mass_matrix(Q) @ qdd)[[4, 1]]
     )
 
