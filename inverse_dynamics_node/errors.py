@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 import difflib
 
+_LONGEST_LINE = 1000  # characters
+_MOST_LINES = 1000
+
 
 class InverseDynamicsError(Exception):
     """Root of every error this package raises on purpose."""
@@ -66,3 +69,34 @@ def did_you_mean(name: str, names: Iterable[str]) -> str:
     """
     closest = difflib.get_close_matches(name, names, 1)
     return f"; did you mean '{closest[0]}'?" if closest else ''
+
+
+def shortened(text: str, most: int = 60) -> str:
+    """
+    Make text from outside fit for a message.
+
+    Parameters
+    ----------
+    text : str
+        A name from a message, a parameter or a file, of any length.
+    most : int
+        Characters to keep.
+
+    Returns
+    -------
+    shortened : str
+        Printable; with the full length at its end if it was cut.
+
+    """
+    start = text[:most]
+    if not start.isprintable():
+        start = ''.join(
+            x if x.isprintable() else x.encode('unicode_escape').decode() for x in start
+        )
+    return start if len(text) <= most else f'{start}... ({len(text)} characters)'
+
+
+def shortened_lines(text: str) -> str:
+    """Bound the length of a whole message: each of its lines, and their number."""
+    lines = text[: _MOST_LINES * _LONGEST_LINE].split('\n', _MOST_LINES)
+    return '\n'.join(shortened(line, _LONGEST_LINE) for line in lines)

@@ -9,7 +9,7 @@ import numpy as np
 
 from . import columns
 from .compilation import IS_COMPILED
-from .errors import ConfigurationError
+from .errors import ConfigurationError, shortened
 from .model import Floats, join_bodies, RobotModel
 
 
@@ -79,7 +79,7 @@ class LoadedRobot:
         """Find a link among ``robot.link_names``, or raise a ConfigurationError."""
         if name not in self.robot.link_names:
             links = ', '.join(self.robot.link_names)
-            raise ConfigurationError(f"link '{name}' does not exist; links are {links}")
+            raise ConfigurationError(f"link '{shortened(name)}' does not exist; links are {links}")
         return self.robot.link_names.index(name)
 
     def without(self, *parts: int | slice) -> Any:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .dynamics import InverseDynamics
-from .errors import TrajectoryError
+from .errors import shortened, TrajectoryError
 from .lanes import FEWEST
 from .model import Floats, Integers
 
@@ -275,8 +275,8 @@ def _check(trajectory: Trajectory) -> None:
         if not np.isfinite(values).all():
             point, joint = np.argwhere(~np.isfinite(values))[0]
             raise TrajectoryError(
-                f"{what} of joint '{names[joint]}' at point {point}: {values[point, joint]}, "
-                'expected a finite number'
+                f"{what} of joint '{shortened(names[joint])}' at point {point}: "
+                f'{values[point, joint]}, expected a finite number'
             )
     if not np.isfinite(times).all():
         raise TrajectoryError(f'a time is {times[~np.isfinite(times)][0]}, expected finite times')
@@ -296,9 +296,9 @@ def joint_index(names: Sequence[str], known: Sequence[str]) -> list[int]:
     unknown = [name for name in names if name not in known]
     if unknown:
         raise TrajectoryError(
-            f"the robot has no joint '{unknown[0]}' to move; it has {', '.join(known)}"
+            f"the robot has no joint '{shortened(unknown[0])}' to move; it has {', '.join(known)}"
         )
     if len(set(names)) != len(names):
         twice = next(name for k, name in enumerate(names) if name in names[:k])
-        raise TrajectoryError(f"joint '{twice}' is named twice")
+        raise TrajectoryError(f"joint '{shortened(twice)}' is named twice")
     return [known.index(name) for name in names]

@@ -7,7 +7,10 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
+from ..errors import shortened
 from ..monitor import Status
+
+_LONGEST = 1000  # characters; names come from messages and robot descriptions
 
 
 def diagnostic_array(
@@ -34,9 +37,12 @@ def diagnostic_array(
         DiagnosticStatus(
             level=bytes([status.level]),
             name=f'{node.strip("/")}: {status.part}',
-            message=status.message,
-            hardware_id=hardware,
-            values=[KeyValue(key=key, value=value) for key, value in status.values.items()],
+            message=shortened(status.message, _LONGEST),
+            hardware_id=shortened(hardware),
+            values=[
+                KeyValue(key=shortened(key, _LONGEST), value=shortened(value, _LONGEST))
+                for key, value in status.values.items()
+            ],
         )
         for status in statuses
     ]

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..controller import Command, IS_WELL, Phase
+from ..errors import shortened_lines
 from ..monitor import (
     activity,
     describe_alternating,
@@ -24,6 +25,40 @@ _PERIOD = 2.0  # [s]; how often it repeats what lasts
 _LONG_PERIOD = 10.0  # [s]; the same for problems that only a user can end
 _ALARMS = (Phase.STATE_LOST, Phase.NO_SOLUTION)
 _MOST_KEYS = 1000  # more things to say than that are better said twice than kept
+
+
+class BoundedLogger:
+    """
+    A logger that shortens long lines: most texts contain names from messages or files.
+
+    Parameters
+    ----------
+    logger : rclpy.impl.rcutils_logger.RcutilsLogger
+        Which writes them.
+
+    """
+
+    def __init__(self, logger: Any) -> None:
+        self._logger = logger
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._logger, name)
+
+    def info(self, text: str, **options: Any) -> bool:
+        """Log a message as rclpy's logger does; the same for the methods below."""
+        return bool(self._logger.info(shortened_lines(text), **options))
+
+    def warning(self, text: str, **options: Any) -> bool:
+        """Log a warning."""
+        return bool(self._logger.warning(shortened_lines(text), **options))
+
+    def error(self, text: str, **options: Any) -> bool:
+        """Log an error."""
+        return bool(self._logger.error(shortened_lines(text), **options))
+
+    def fatal(self, text: str, **options: Any) -> bool:
+        """Log an error that ends the process."""
+        return bool(self._logger.fatal(shortened_lines(text), **options))
 
 
 class NodeLog:

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+import gc
 import signal
 import sys
+import traceback
 from types import FrameType
 from typing import Any
 import warnings
+
+from .console import prepare_console, report_failure
+from .startup import StartupWatch, warn_of_memory_limit
 
 # rclpy and numpy are imported below, once the signals are ours: that takes most of a second, and
 # who changes his mind within it gets an end in good order too.
@@ -37,11 +42,15 @@ class _Stop:
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node until it is told to stop; return the exit code."""
     stop = _Stop()
+    prepare_console()
     try:
         return _main(list(sys.argv if args is None else args), stop)
+    except Exception as error:
+        return _fail(_describe(error))
     finally:
         for number in _SIGNALS:  # nothing is left to be stopped
             signal.signal(number, signal.SIG_IGN)
+        gc.freeze()  # the last collection of the interpreter takes seconds on a busy machine
 
 
 def _main(args: list[str], stop: _Stop) -> int:
@@ -56,6 +65,12 @@ def _main(args: list[str], stop: _Stop) -> int:
 
         print(f'inverse_dynamics_node {version()}')
         return 0
+    warn_of_memory_limit()
+    with StartupWatch() as startup:
+        return _start(args, stop, startup)
+
+
+def _start(args: list[str], stop: _Stop, startup: StartupWatch) -> int:
     try:
         import rclpy
     except ModuleNotFoundError as error:
@@ -79,42 +94,57 @@ def _main(args: list[str], stop: _Stop) -> int:
         stray = remove_ros_args(args)[1:]
         if stray:
             return _fail_with_usage(f'unrecognized arguments: {" ".join(stray)}')
-        return _run(args, stop)
+        return _run(args, stop, startup)
     finally:
         rclpy.try_shutdown()
 
 
-def _run(args: list[str], stop: _Stop) -> int:
+def _run(args: list[str], stop: _Stop, startup: StartupWatch) -> int:
     import rclpy.logging
-    from rclpy.task import Future
 
     from .node import InverseDynamicsNode
     from .remaps import ineffective_remaps, names_of
+    from .watchdog import Watchdog
 
     try:
         node = InverseDynamicsNode(is_in_a_hurry=lambda: stop.count > 1)
     except Exception as error:
-        for problem in str(error).splitlines():
+        for problem in (str(error) or repr(error)).splitlines():
             rclpy.logging.get_logger('inverse_dynamics').fatal(problem)
         return 1
+    startup.finish()
     remaps = ineffective_remaps(args, names_of(node), node.get_name(), node.get_namespace())
     for problem in remaps:
         node.get_logger().warning(problem)
-    executor = _make_executor(node.configuration.executor)
+    kind = node.configuration.executor
+    executor = _make_executor(kind)
     executor.add_node(node)
+    watchdog = Watchdog()
     try:
         if not stop.count and not node.autostart():
             return 1
         while not stop.count and not node.is_finalized:
-            # Its spin() never returns in builds against an old C library; with a time-out it does.
-            # spin_once() would come back here for every message.
-            executor.spin_until_future_complete(Future(), timeout_sec=0.1)
+            watchdog.spin(executor)
+            if watchdog.is_congested:
+                node.catch_up()
+            if watchdog.has_backlog:
+                executor = _replace(executor, node, kind)
+                watchdog.start_again()
     finally:
         node.shut_down()
+        watchdog.close()
         executor.remove_node(node)
         executor.shutdown()
         node.destroy_node()
     return 0
+
+
+def _replace(executor: Any, node: Any, kind: Any) -> Any:
+    """Drop the events that wait in an executor; the latest messages are not lost."""
+    executor.shutdown()
+    executor = _make_executor(kind)
+    executor.add_node(node)
+    return executor
 
 
 def _make_executor(kind: Any) -> Any:
@@ -130,7 +160,7 @@ def _make_executor(kind: Any) -> Any:
 
 
 def _fail(message: str, code: int = 1) -> int:
-    print(f'inverse_dynamics_node: {message}', file=sys.stderr)
+    report_failure(message)
     return code
 
 
@@ -140,8 +170,14 @@ def _fail_with_usage(message: str) -> int:
     return _fail(f'{message}\n{USAGE}', code=2)
 
 
+def _describe(error: Exception) -> str:
+    if isinstance(error, MemoryError):
+        return f'not enough memory: {error!r}'
+    return f'stopped by an error\n{traceback.format_exc()}'
+
+
 def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
-    print(f'inverse_dynamics_node: warning: {message}', file=sys.stderr)
+    report_failure(f'warning: {message}')
 
 
 if __name__ == '__main__':

@@ -13,7 +13,7 @@ from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from ..controller import Reference
-from ..errors import ConfigurationError, JointStateError, TrajectoryError
+from ..errors import ConfigurationError, JointStateError, shortened, TrajectoryError
 from ..model import Floats
 from ..trajectory import Trajectory
 
@@ -207,4 +207,4 @@ def _finite(what: str, values: Sequence[float], names: Sequence[str]) -> Floats:
 def _listed(names: Sequence[str]) -> str:
     """List names, but not a hundred thousand."""
     more = f', and {len(names) - 12} more' if len(names) > 12 else ''
-    return ', '.join(name[:80] for name in names[:12]) + more
+    return ', '.join(shortened(name) for name in names[:12]) + more

@@ -29,6 +29,8 @@ from ..errors import (
     ConfigurationError,
     InverseDynamicsError,
     JointStateError,
+    shortened,
+    shortened_lines,
     TrajectoryError,
 )
 from ..loads import rotation_of
@@ -37,9 +39,10 @@ from ..monitor import Monitor, Surroundings
 from ..rig import Rig
 from ..trajectory import complete, joint_index, trajectory_efforts
 from . import messages
+from .containment import contain_errors
 from .diagnostics import diagnostic_array
 from .graph import Graph
-from .log import NodeLog
+from .log import BoundedLogger, NodeLog
 from .outputs import Outputs
 from .parameters import (
     BaseMotion,
@@ -84,6 +87,7 @@ class InverseDynamicsNode(LifecycleNode):
 
     def __init__(self, is_in_a_hurry: Callable[[], bool] = lambda: False, **kwargs: Any) -> None:
         super().__init__('inverse_dynamics', **kwargs)
+        contain_errors(self)
         self._is_in_a_hurry = is_in_a_hurry
         declare_parameters(self)
         self._configuration = read_configuration(self)
@@ -101,6 +105,7 @@ class InverseDynamicsNode(LifecycleNode):
         self._log = NodeLog(self.get_logger())
         self._monitor = Monitor()
         self._reader = JointStateReader()
+        self._last_diagnostics = time.monotonic()
         self._pace: list[Timer] = []
         self._uses_sim_time = self.get_parameter('use_sim_time').value
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -117,6 +122,10 @@ class InverseDynamicsNode(LifecycleNode):
         self.create_timer(_DIAGNOSTICS_PERIOD, self._on_diagnostics, clock=steady)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
+
+    def get_logger(self) -> Any:
+        """Return the logger of the node; it shortens long lines."""
+        return BoundedLogger(super().get_logger())
 
     @property
     def configuration(self) -> Configuration:
@@ -143,7 +152,7 @@ class InverseDynamicsNode(LifecycleNode):
             (Imu, 'imu', self._on_imu, _LATEST),
         ):
             self.create_subscription(message, topic, callback, profile, **qos)
-        self.create_subscription(
+        self._states = self.create_subscription(
             JointState, 'joint_states', self._on_joint_state, _LATEST, raw=True, **qos
         )
         self.create_service(SetBool, '~/enable', self._on_enable)
@@ -186,6 +195,9 @@ class InverseDynamicsNode(LifecycleNode):
             self._configure()
         except InverseDynamicsError as error:
             self.get_logger().error(str(error))
+            return _FAILURE
+        except MemoryError as error:
+            self.get_logger().error(f'not enough memory: {error!r}')
             return _FAILURE
         except Exception:  # rclpy would drop it without a word
             self.get_logger().error(traceback.format_exc())
@@ -308,7 +320,7 @@ class InverseDynamicsNode(LifecycleNode):
                         )
                 check_configuration(self._rig, configuration)
         except InverseDynamicsError as error:
-            return SetParametersResult(successful=False, reason=str(error))
+            return SetParametersResult(successful=False, reason=shortened_lines(str(error)))
         return SetParametersResult(successful=True)
 
     def _apply_parameters(self, parameters: list[Parameter]) -> None:
@@ -419,7 +431,8 @@ class InverseDynamicsNode(LifecycleNode):
             frame = message.header.frame_id
             if frame not in ('', rig.base_link):
                 raise ConfigurationError(
-                    f"frame_id is '{frame}', expected that of the base, '{rig.base_link}'"
+                    f"frame_id is '{shortened(frame)}', expected that of the base, "
+                    f"'{rig.base_link}'"
                 )
             if rig.has_imu:
                 raise ConfigurationError("gravity is measured: parameter 'base_motion' is imu")
@@ -447,7 +460,7 @@ class InverseDynamicsNode(LifecycleNode):
             self._reject(topic, error)
 
     def _reject(self, topic: str, reason: object) -> None:
-        self._monitor.reject(topic, str(reason))
+        self._monitor.reject(topic, shortened_lines(str(reason)))
         self._log.warn(topic, f'{topic}: message dropped: {reason}')
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
@@ -489,6 +502,20 @@ class InverseDynamicsNode(LifecycleNode):
         return response
 
     # In the loop
+
+    def catch_up(self) -> None:
+        """Take the latest joint state and do what the timers would do, if they are late."""
+        if self._rig is None:
+            return
+        with self._states.handle:
+            message = self._states.handle.take_message(JointState, True)
+        if message is not None:
+            self._on_joint_state(message[0])
+        if self._configuration.period:
+            self._on_timer()
+        self._on_watch()
+        if time.monotonic() > self._last_diagnostics + 1.5 * _DIAGNOSTICS_PERIOD:
+            self._on_diagnostics()
 
     def _on_timer(self) -> None:
         if self._is_active:
@@ -580,6 +607,7 @@ class InverseDynamicsNode(LifecycleNode):
             self.get_logger().info(news)
 
     def _on_diagnostics(self) -> None:
+        self._last_diagnostics = time.monotonic()
         publishers = []
         if self._rig is not None and self._rig.collector.has_alternating:
             publishers = self._graph.publishers('joint_states')

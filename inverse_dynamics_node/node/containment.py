@@ -1,0 +1,111 @@
+"""Keeps requests and messages that rclpy cannot handle from ending the process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rclpy.lifecycle import LifecycleNode
+from rclpy.parameter import Parameter
+
+from ..errors import shortened
+
+_TYPES = {kind.value for kind in Parameter.Type}
+
+
+def contain_errors(node: LifecycleNode) -> None:
+    """
+    Let the services and subscriptions that rclpy has created survive every input.
+
+    rclpy 7.1 raises out of the executor on a parameter whose type does not exist, a clock before
+    zero, or a lifecycle transition that is not possible now.
+
+    Parameters
+    ----------
+    node : LifecycleNode
+        Without entities of its own yet: the errors of those are not for this function to hide.
+
+    """
+    for service in node.services:
+        if service.srv_type is SetParameters:
+            service.callback = _set_each(service.callback)
+        elif service.srv_type is SetParametersAtomically:
+            service.callback = _set_all(service.callback)
+        else:
+            service.callback = _contained(node, service.srv_name, service.callback)
+    for subscription in node.subscriptions:
+        subscription.callback = _contained_subscription(
+            node, subscription.topic_name, subscription.callback
+        )
+
+
+def _contained(
+    node: LifecycleNode, name: str, callback: Callable[[Any, Any], Any]
+) -> Callable[[Any, Any], Any]:
+    def contained(request: Any, response: Any) -> Any:
+        try:
+            return callback(request, response)
+        except Exception as error:
+            node.get_logger().error(f'{name}: request refused: {_line(error)}')
+            return type(response)()
+
+    return contained
+
+
+def _set_each(callback: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    def contained(request: Any, response: Any) -> Any:
+        for parameter in request.parameters:
+            one = SetParameters.Response()
+            try:
+                callback(SetParameters.Request(parameters=[parameter]), one)
+                response.results.append(one.results[0])
+            except Exception as error:
+                response.results.append(_refusal([parameter], error))
+        return response
+
+    return contained
+
+
+def _set_all(callback: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    def contained(request: Any, response: Any) -> Any:
+        try:
+            return callback(request, response)
+        except Exception as error:
+            response.result = _refusal(request.parameters, error)
+            return response
+
+    return contained
+
+
+def _refusal(parameters: Sequence[Any], error: Exception) -> SetParametersResult:
+    for parameter in parameters:
+        if parameter.value.type not in _TYPES:
+            reason = (
+                f"parameter '{shortened(parameter.name)}' has type {parameter.value.type}, "
+                f'expected {min(_TYPES)} to {max(_TYPES)}'
+            )
+            return SetParametersResult(successful=False, reason=reason)
+    return SetParametersResult(successful=False, reason=_line(error))
+
+
+def _contained_subscription(
+    node: LifecycleNode, topic: str, callback: Callable[[Any], None]
+) -> Callable[[Any], None]:
+    reported: set[str] = set()  # a clock may come a thousand times per second
+
+    def contained(message: Any) -> None:
+        try:
+            callback(message)
+        except Exception as error:
+            text = _line(error)
+            if text not in reported and len(reported) < 10:
+                reported.add(text)
+                node.get_logger().error(f'{topic}: message dropped: {text}')
+
+    return contained
+
+
+def _line(error: Exception) -> str:
+    return shortened(str(error).partition('\n')[0] or repr(error), 200)

@@ -1,0 +1,294 @@
+"""Inputs and circumstances that must neither end nor block the node."""
+
+import fcntl
+import os
+import pty
+import re
+import signal
+import subprocess
+import sys
+import time
+
+from conftest import heed_signals, MAIN, PATIENCE
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import InertiaStamped, Vector3Stamped, WrenchStamped
+from inverse_dynamics_node import InverseDynamics, load_urdf
+from inverse_dynamics_node.node.startup import empty_port_files
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+import numpy as np
+import pytest
+from rcl_interfaces.msg import Parameter, ParameterValue
+from rcl_interfaces.srv import (
+    DescribeParameters,
+    GetParameters,
+    GetParameterTypes,
+    ListParameters,
+    SetParameters,
+    SetParametersAtomically,
+)
+from robot_files import ROOT, STANFORD
+from rosgraph_msgs.msg import Clock
+from type_description_interfaces.srv import GetTypeDescription
+
+MODEL = load_urdf(STANFORD)
+NAMES = list(MODEL.joint_names)
+Q = np.array([0.3, 0.8, 0.5, -0.4, 0.6, 0.2])
+ZERO = np.zeros(6)
+HOLD = InverseDynamics(MODEL).gravity_efforts(Q)
+FAST = {'robot_description_file': STANFORD, 'start_ramp': 0.0, 'stop_ramp': 0.2}
+PATIENT = {**FAST, 'state_timeout': 5.0, 'reference_timeout': 5.0}
+
+
+def start(domain_id, stderr, **parameters):
+    settings = [x for k, v in parameters.items() for x in ('-p', f'{k}:={v}')]
+    return subprocess.Popen(
+        [sys.executable, '-m', MAIN, '--ros-args', *settings],
+        env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)},
+        stdout=subprocess.DEVNULL,
+        stderr=stderr,
+        preexec_fn=heed_signals,
+    )
+
+
+def full_pipe():
+    reader, writer = os.pipe()
+    fcntl.fcntl(writer, fcntl.F_SETPIPE_SZ, 1 << 20)
+    return reader, writer
+
+
+def fill(writer):
+    """Write until nothing more fits, then let writing block again."""
+    os.set_blocking(writer, False)
+    for size in (4096, 1):
+        try:
+            while True:
+                os.write(writer, b'x' * size)
+        except BlockingIOError:
+            pass
+    os.set_blocking(writer, True)
+
+
+@pytest.mark.parametrize('channel', [full_pipe, pty.openpty], ids=['pipe', 'terminal'])
+def test_commands_go_on_while_nobody_reads_stderr(domain_id, robot, channel):
+    reader, writer = channel()
+    fill(writer)
+    node = start(domain_id, writer, **FAST)
+    try:
+        robot.publish_state(NAMES, Q, ZERO)
+        robot.wait_for_command(HOLD)
+        robot.publish_accelerations([1.0])  # rejected, which is logged
+        robot.state = None
+        robot.wait_for_command(ZERO)
+        robot.publish_state(NAMES, Q, ZERO)
+        robot.wait_for_command(HOLD)
+        node.send_signal(signal.SIGTERM)
+        robot.wait_until(lambda: node.poll() is not None, 'end of the node')
+        robot.wait_for_command(ZERO)
+        assert node.returncode == 0
+        os.set_blocking(writer, False)
+        assert os.get_blocking(reader)  # what others share with the node is as it was
+    finally:
+        node.kill()
+        node.wait()
+        os.close(reader)
+        os.close(writer)
+
+
+def test_a_node_without_stderr_works(domain_id, robot):
+    settings = [x for k, v in FAST.items() for x in ('-p', f'{k}:={v}')]
+    node = subprocess.Popen(
+        ['/bin/sh', '-c', 'exec "$@" 2>&- >&-', 'sh', sys.executable, '-m', MAIN, '--ros-args']
+        + [str(x) for x in settings],
+        env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)},
+    )
+    try:
+        robot.publish_state(NAMES, Q, ZERO)
+        robot.wait_for_command(HOLD)
+        opened = {os.readlink(f'/proc/{node.pid}/fd/{number}') for number in (1, 2)}
+        assert opened == {'/dev/null'}, 'the log could be written into a socket'
+    finally:
+        node.terminate()
+        assert node.wait(PATIENCE) == 0
+
+
+def test_too_little_memory_is_reported(domain_id):
+    node = subprocess.run(
+        ['/bin/sh', '-c', 'ulimit -v 300000; exec "$@"', 'sh', sys.executable, '-m', MAIN],
+        env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id), 'OPENBLAS_NUM_THREADS': '1'},
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+        check=False,
+    )
+    assert node.returncode != 0
+    assert 'the address space is limited to 292 MB (ulimit -v)' in node.stderr
+
+
+def parameter(name, kind):
+    return Parameter(name=name, value=ParameterValue(type=kind))
+
+
+def test_no_request_ends_the_process(run_node, robot):
+    node = run_node(**PATIENT)
+    robot.publish_state(NAMES, Q, ZERO)
+    robot.wait_for_command(HOLD)
+    requests = SetParameters.Request(parameters=[parameter('kp', 10), parameter('kd', 255)])
+    results = robot.call(SetParameters, 'set_parameters', requests).results
+    assert [result.successful for result in results] == [False, False]
+    assert results[0].reason == "parameter 'kp' has type 10, expected 0 to 9"
+    request = SetParametersAtomically.Request(parameters=[parameter('kp', 77)])
+    result = robot.call(SetParametersAtomically, 'set_parameters_atomically', request).result
+    assert not result.successful
+    assert result.reason == "parameter 'kp' has type 77, expected 0 to 9"
+    for name in ('', 'x' * 100_000, 'a\x00b', 'line\nfeed', '/', '\u00fc', 'kp.', '~'):
+        requests = SetParameters.Request(parameters=[parameter(name, k) for k in range(12)])
+        answer = robot.call(SetParameters, 'set_parameters', requests)
+        assert len(answer.results) == 12
+        assert not any(result.successful for result in answer.results[10:])
+        assert max(len(result.reason) for result in answer.results) < 1000
+        for kind, request_name, values in (
+            (DescribeParameters, 'describe_parameters', {'names': [name]}),
+            (GetParameterTypes, 'get_parameter_types', {'names': [name]}),
+            (GetParameters, 'get_parameters', {'names': [name]}),
+            (ListParameters, 'list_parameters', {'prefixes': [name], 'depth': 2**63}),
+            (GetTypeDescription, 'get_type_description', {'type_name': name}),
+            (ChangeState, 'change_state', {'transition': Transition(id=99, label=name)}),
+        ):
+            robot.call(kind, request_name, kind.Request(**values))
+    robot.wait_for_command(HOLD)
+    assert node.process.poll() is None
+
+
+def test_a_clock_before_zero_is_ignored(run_node, robot):
+    node = run_node(**PATIENT, use_sim_time=True)
+    jump = robot.keep_ticking(100.0)
+    robot.publish_state(NAMES, Q, ZERO)
+    robot.wait_for_command(HOLD)
+    broken = Clock()
+    broken.clock.sec = -5
+    broken_clock = robot.keep_publishing('/clock', broken)
+    robot.wait_for_text(node, '/clock: message dropped: ')
+    robot.cease(broken_clock)
+    jump(1.0)
+    robot.publish_state(NAMES, Q, ZERO)
+    robot.wait_for_command(HOLD)
+    assert node.process.poll() is None
+
+
+@pytest.fixture
+def storm(domain_id):
+    """Return a function that starts a storm of messages; it ends with the test."""
+    processes = []
+
+    def begin(seconds):
+        for seed in range(2):
+            processes.append(
+                subprocess.Popen(
+                    [
+                        sys.executable,
+                        ROOT / 'test/storm.py',
+                        '--messages',
+                        '1000000',
+                        '--seconds',
+                        str(seconds),
+                        '--seed',
+                        str(seed),
+                    ],
+                    env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)},
+                    stdout=subprocess.PIPE,
+                    text=True,
+                )
+            )
+        for process in processes:
+            assert process.stdout.readline() == 'started\n'
+        return processes
+
+    yield begin
+    for process in processes:
+        process.terminate()
+        process.wait()
+
+
+def test_lost_states_and_signals_are_noticed_during_a_storm(domain_id, robot, storm):
+    # Its log is not read: bytes that are not a message make the middleware write a lot.
+    node = start(domain_id, subprocess.DEVNULL, **FAST)
+    try:
+        robot.publish_state(NAMES, Q, ZERO)
+        robot.wait_for_command(HOLD)
+        processes = storm(60.0)
+        sent = robot.sent
+        robot.wait_until(lambda: robot.sent > sent + 300, 'a storm that has got going')
+        robot.state = None
+        began = time.monotonic()
+        robot.wait_for_command(ZERO)
+        took = time.monotonic() - began
+        print(f'zeros after {took:.2f} s, expected less than 0.8 s')
+        assert took < 10.0
+        began = time.monotonic()
+        node.send_signal(signal.SIGTERM)
+        assert node.wait(PATIENCE) == 0
+        took = time.monotonic() - began
+        print(f'end after {took:.2f} s, expected less than 1.5 s')
+        assert took < 10.0
+        assert all(process.poll() is None for process in processes), 'the storm was over'
+    finally:
+        node.kill()
+        node.wait()
+
+
+def test_long_texts_are_shortened_everywhere(run_node, robot):
+    node = run_node(**PATIENT)
+    statuses = robot.listen(DiagnosticArray, '/diagnostics')
+    robot.publish_state(NAMES, Q, ZERO)
+    robot.wait_for_command(HOLD)
+    text = 'frame\n' + 'x' * 1_000_000
+    for topic, kind in (
+        ('payload', InertiaStamped),
+        ('external_wrench', WrenchStamped),
+        ('gravity', Vector3Stamped),
+    ):
+        message = kind()
+        message.header.frame_id = text
+        robot.publish_once(f'inverse_dynamics/{topic}', message)
+        robot.wait_for_text(node, f'~/{topic}: message dropped')
+    robot.wait_until(lambda: len(statuses) > 2, 'diagnostics')
+    assert max(map(len, node.output.splitlines())) < 2000
+    assert re.search(r'frame\\nx+\.\.\. \(1000006 characters\)', node.output)
+    values = [pair for m in statuses for status in m.status for pair in status.values]
+    assert max(len(pair.key) + len(pair.value) for pair in values) < 2000
+
+
+def test_empty_port_files_are_found(tmp_path):
+    for name, content in (
+        ('fastrtps_port7411', b''),
+        ('fastrtps_port7412', b'full'),
+        ('fastrtps_port7411_el', b''),
+        ('sem.fastrtps_port7411_mutex', b''),
+    ):
+        (tmp_path / name).write_bytes(content)
+    assert empty_port_files(tmp_path) == [tmp_path / 'fastrtps_port7411']
+
+
+SLOW_START = """
+from pathlib import Path
+import sys
+from inverse_dynamics_node.node.startup import StartupWatch
+with StartupWatch(0.1, Path(sys.argv[1])):
+    sys.stdin.read()
+"""
+
+
+def test_a_slow_start_names_the_file_that_blocks_it(tmp_path):
+    path = tmp_path / 'fastrtps_port7411'
+    path.touch()
+    process = subprocess.Popen(
+        [sys.executable, '-c', SLOW_START, tmp_path],
+        stdin=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert 'takes longer than 0.1 s' in process.stderr.readline()
+    assert f'{path} is empty' in process.stderr.readline()
+    process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0
