@@ -7,7 +7,7 @@ from setuptools import find_packages, setup
 package_name = 'inverse_dynamics_node'
 
 ros = ['ros-jazzy-rclpy[fastrtps]==7.1.6', 'ros-jazzy-common-interfaces==5.3.6']
-cli = ['matplotlib>=3.6.3', 'PyYAML>=6.0.1', 'rich>=13.7.1', 'rosbags>=0.11']
+cli = ['matplotlib>=3.6.3', 'PyYAML>=6.0.1', 'rich>=13.7.1', 'rosbags>=0.11.7']
 demo = [*cli, 'mujoco>=3.17']  # before, mimic joints of a URDF were left out
 test = [
     'colcon-common-extensions',

@@ -15,6 +15,8 @@ import pytest
 from robot_files import OUR_ROBOTS, real_robots
 
 pinocchio = pytest.importorskip('pinocchio')
+if not hasattr(pinocchio.Model(), 'armature'):
+    pytest.skip(f'pinocchio {pinocchio.__version__}, expected 3 or later', allow_module_level=True)
 
 REAL = [path for path in real_robots() if path.stem in ('panda', 'talos_reduced', 'tiago')]
 BASE = slice(0, 6)  # the floating joint's share of velocities
