@@ -11,6 +11,7 @@ import sysconfig
 import pytest
 from robot_files import ROOT
 
+README = (ROOT / 'README.md').read_text()
 COLCON = Path(sysconfig.get_path('scripts')) / 'colcon'
 # Where `ros2 run` looks, and what it needs to have found there.
 START = """
@@ -22,12 +23,15 @@ exec "$prefix/lib/inverse_dynamics_node/inverse_dynamics_node" --ros-args \
 """
 
 
+def copy_sources(folder):
+    ignore = shutil.ignore_patterns('.*', '__pycache__', '*.egg-info', 'build', 'install', 'log')
+    shutil.copytree(ROOT, folder, ignore=ignore)
+
+
 @pytest.mark.skipif(not COLCON.exists(), reason='colcon is not installed')
 @pytest.mark.parametrize('options', [[], ['--symlink-install']], ids=['copy', 'symlink'])
 def test_colcon_build_starts(tmp_path, domain_id, options):
-    source = tmp_path / 'src' / 'inverse_dynamics_node'
-    ignore = shutil.ignore_patterns('.*', '__pycache__', '*.egg-info', 'build', 'install', 'log')
-    shutil.copytree(ROOT, source, ignore=ignore)
+    copy_sources(tmp_path / 'src' / 'inverse_dynamics_node')
     environment = {
         **os.environ,
         'PATH': f'{Path(sys.executable).parent}:{os.environ["PATH"]}',
@@ -64,3 +68,43 @@ def test_colcon_build_starts(tmp_path, domain_id, options):
     )
     declared = (ROOT / 'setup.py').read_text().split("version='")[1].split("'")[0]
     assert version.stdout == f'inverse_dynamics_node {declared}\n', version.stderr
+
+
+# In the place of /opt/ros/jazzy/setup.sh: PYTHONPATH leads to ROS and to Ubuntu's packages.
+ROS = """
+export PYTHONPATH='{packages}' PATH='{folder}':"$PATH"
+"""
+
+
+@pytest.mark.skipif(not COLCON.exists(), reason='colcon is not installed')
+def test_documented_installation_runs_in_the_environment_of_the_workspace(tmp_path, domain_id):
+    lines = README.split('```sh\n. /opt/ros/jazzy/setup.sh\n')[1].split('```')[0].splitlines()
+    build = [line for line in lines if line.startswith('python')]
+    assert [line.split()[2] for line in build] == ['venv', 'colcon']
+    copy_sources(tmp_path / 'src' / 'inverse_dynamics_node')
+    (tmp_path / 'bin').mkdir()
+    base = f'python{sys.version_info.major}.{sys.version_info.minor}'
+    (tmp_path / 'bin' / 'python3').symlink_to(Path(sys.base_prefix, 'bin', base))
+    ros = ROS.format(packages=sysconfig.get_path('purelib'), folder=tmp_path / 'bin')
+    environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain_id)}
+    environment.pop('VIRTUAL_ENV', None)
+
+    def run(script):
+        return subprocess.run(
+            ['sh', '-e', '-c', ros + script],
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=300,
+        )
+
+    built = run('\n'.join(build))
+    assert built.returncode == 0, built.stdout + built.stderr
+    script = tmp_path / 'install/inverse_dynamics_node/lib/inverse_dynamics_node'
+    first = (script / 'inverse_dynamics_node').read_text().splitlines()[0]
+    assert first.startswith(f'#!{tmp_path}/.venv/bin/python')
+    # In a new terminal, where the environment is not active
+    result = run(f'. install/setup.sh\nexec {script}/inverse_dynamics_node --version')
+    assert result.returncode == 0, result.stderr
+    assert '0.1.0' in result.stdout
