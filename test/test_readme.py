@@ -4,9 +4,13 @@ import contextlib
 import io
 import os
 import re
+import subprocess
+import sys
 
+from inverse_dynamics_node import InverseDynamics, load_urdf
+import numpy as np
 import pytest
-from robot_files import ROOT
+from robot_files import ROOT, STANFORD
 
 README = (ROOT / 'README.md').read_text()
 INTERFACE = (ROOT / 'doc' / 'interface.md').read_text()
@@ -73,3 +77,37 @@ def test_names_in_the_readme_are_in_the_interface():
     assert len(names) > 20
     for name in names:
         assert name in INTERFACE, name
+
+
+def commands(after):
+    """Return the first block of shell commands after some words of the README."""
+    return re.search(r'```sh\n(.*?)```', README.split(after)[1], re.S).group(1)
+
+
+def test_five_lines_after_the_demo_print_efforts(tmp_path):
+    pytest.importorskip('rclpy')
+    pytest.importorskip('matplotlib')
+    domain_coordinator = pytest.importorskip('domain_coordinator')
+    script = commands('After `make demo`')
+    assert len(script.splitlines()) == 5
+    # The same place as a fresh clone after `make demo`, without another installation.
+    (tmp_path / '.venv').symlink_to(sys.prefix)
+    (tmp_path / 'examples').symlink_to(ROOT / 'examples')
+    (tmp_path / 'my_arm.urdf').write_text(STANFORD.read_text())
+    with domain_coordinator.domain_id() as domain:
+        result = subprocess.run(
+            ['sh', '-e', '-c', script + 'wait $!'],
+            cwd=tmp_path,
+            env={**os.environ, 'ROS_DOMAIN_ID': str(domain)},
+            capture_output=True,
+            text=True,
+            timeout=240,
+        )
+    assert result.returncode == 0, result.stderr
+    assert 'Payload left' in result.stdout
+    efforts = dict(re.findall(r'^(joint_\d) +(-?\d+\.\d+)$', result.stdout, re.M))
+    assert len(efforts) == 6
+    robot = load_urdf(STANFORD)
+    at_rest = InverseDynamics(robot).gravity_efforts(np.clip(0.0, robot.lower, robot.upper))
+    assert [float(x) for x in efforts.values()] == pytest.approx(at_rest, abs=6e-4)
+    assert 'stopped, zeros sent' in result.stderr

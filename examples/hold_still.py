@@ -1,0 +1,49 @@
+"""
+Publish the joint states of a robot at rest, and print the efforts that hold it.
+
+Usage: python examples/hold_still.py my_arm.urdf
+
+It takes the place of the robot for a node that was started with the same URDF: all joints are at
+zero, or at the end of their range next to that.
+
+"""
+
+from collections import deque
+import sys
+
+from inverse_dynamics_node import load_urdf
+import numpy as np
+import rclpy
+from sensor_msgs.msg import JointState
+
+robot = load_urdf(sys.argv[1])
+state = JointState(
+    name=robot.joint_names,
+    position=np.clip(0.0, robot.lower, robot.upper).tolist(),
+    velocity=[0.0] * len(robot.joint_names),
+)
+
+rclpy.init()
+node = rclpy.create_node('hold_still')
+publisher = node.create_publisher(JointState, 'joint_states', 10)
+received = deque(maxlen=20)
+node.create_subscription(
+    JointState, 'inverse_dynamics/joint_efforts', lambda message: received.append(message), 10
+)
+
+
+def publish():
+    """Publish the state, with the time of now."""
+    state.header.stamp = node.get_clock().now().to_msg()
+    publisher.publish(state)
+
+
+node.create_timer(0.01, publish)
+# The node lets the efforts rise from zero: wait until they stay the same.
+while len(received) < 20 or received[0].effort != received[-1].effort:
+    rclpy.spin_once(node)
+for name, effort in zip(received[-1].name, received[-1].effort, strict=True):
+    print(f'{name:20} {effort:10.3f}')
+
+node.destroy_node()
+rclpy.shutdown()
