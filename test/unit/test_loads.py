@@ -194,7 +194,8 @@ def test_arguments_of_settings_may_change_later():
 def test_a_robot_with_fixed_joints_only_has_a_base_wrench():
     robot = load_urdf(
         '<robot name="r"><link name="base"><inertial><origin xyz="0.1 0 0"/><mass value="2"/>'
-        '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link><link name="plate"/><joint name="mount" type="fixed">'
+        '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        '<link name="plate"/><joint name="mount" type="fixed">'
         '<parent link="base"/><child link="plate"/></joint></robot>'
     )
     dynamics = InverseDynamics(robot, (0.0, 0.0, -10.0))
