@@ -1,4 +1,4 @@
-# `make demo`, `make test`, `make bench` and `make bench-loop` set up what they need in .venv and run it.
+# `make demo`, `make test`, `make bench`, `make bench-loop` and `make storm` set up what they need in .venv and run it.
 
 PYTHON ?= python3
 ROBOT ?= config/stanford.urdf
@@ -13,7 +13,7 @@ CLEAN := env -u PYTHONPATH -u LD_LIBRARY_PATH -u AMENT_PREFIX_PATH -u COLCON_PRE
     -u ROS_STATIC_PEERS -u ROS_LOCALHOST_ONLY -u ROS_SECURITY_ENABLE -u ROS_SECURITY_STRATEGY \
     ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
 
-.PHONY: demo test test-oldest bench bench-loop clean
+.PHONY: demo test test-oldest bench bench-loop storm clean
 
 demo: $(VENV)/demo.done
 	@$(CLEAN) $(BIN)/python -m inverse_dynamics_node.simulation.demo '$(ROBOT)' $(ARGS)
@@ -44,6 +44,10 @@ bench: $(VENV)/bench.done
 
 bench-loop: $(VENV)/test.done
 	@$(CLEAN) PYTHONPATH=test $(BIN)/python -m benchmarks.loop --doc doc $(ARGS)
+
+# A million messages, most of them useless: ARGS='--messages 100000' for fewer.
+storm: $(VENV)/test.done
+	@$(CLEAN) $(BIN)/python -m benchmarks.storm $(ARGS)
 
 $(VENV)/pip.done:
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))' || \

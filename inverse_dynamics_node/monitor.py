@@ -15,6 +15,7 @@ from .model import Booleans, Floats
 from .plausibility import describe_implausible_position
 from .rig import Rig
 
+_LONG_SILENCE = 5.0  # [s]; after which connected publishers are suspicious
 _MOST_REASONS = 20  # distinct ones to tell apart
 _MOST_NAMES = 5  # of nodes, in one message
 _DISCOVERY = 1.0  # [s]; how long a publisher may be there without being known
@@ -81,6 +82,8 @@ class Surroundings(NamedTuple):
     """Nodes that publish joint states; only asked for while their positions contradict."""
     simulated: SimulatedTime | None = None
     """None unless the node runs on simulated time."""
+    silence: float = 0.0
+    """Time since the last message on joint_states, of whichever joints [s]."""
 
 
 class Monitor:
@@ -349,10 +352,12 @@ def _of_states(now: float, rig: Rig, around: Surroundings) -> Status:
     stale = collector.stale(now, timeout)
     if collector.missing():
         level = Level.ERROR if around.is_active else Level.WARN
-        return Status('joint states', level, f'waiting for {rig.missing()[0]}', values)
+        message = f'waiting for {rig.missing()[0]}'
+        return Status('joint states', level, message + describe_silence(around), values)
     if stale:
         level = Level.ERROR if around.is_active else Level.WARN
-        return Status('joint states', level, f'lost: {", ".join(stale)}', values)
+        message = f'lost: {", ".join(stale)}'
+        return Status('joint states', level, message + describe_silence(around), values)
     conflicts = describe_alternating(rig, around.state_publishers)
     if conflicts:
         return Status('joint states', Level.ERROR, '; '.join(conflicts.values()), values)
@@ -431,6 +436,17 @@ def _recovery(rig: Rig) -> str:
         'joint states were lost or contradictory; efforts rise after '
         f'{controller.recovery_time:g} s without a gap longer than state_timeout '
         f'({controller.settings.state_timeout:g} s)'
+    )
+
+
+def describe_silence(around: Surroundings) -> str:
+    """Describe connected publishers from which nothing arrives; empty if there are none."""
+    if not around.publishers or around.silence < _LONG_SILENCE:
+        return ''
+    return (
+        f'; no message on joint_states for {around.silence:.0f} s, although '
+        f'{around.publishers} publishers are connected: if they do publish (ros2 topic hz), '
+        'restart this node; if it happens again, set FASTDDS_BUILTIN_TRANSPORTS=UDPv4'
     )
 
 

@@ -8,6 +8,8 @@ Run as a program, it publishes until it has sent enough or its time is up:
 
 import argparse
 import os
+import signal
+import sys
 import time
 
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
@@ -24,6 +26,7 @@ import numpy as np
 import rclpy
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64MultiArray, Header, String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -153,11 +156,13 @@ def storm(messages, seconds, seed, name, joints):
             break
         time.sleep(0.02)
     sent = 0
-    while sent < messages and time.monotonic() < deadline:
-        for publisher, stock in sources:
-            publisher.publish(stock[int(rng.integers(len(stock)))])
-            sent += 1
-    node.destroy_node()
+    try:
+        while sent < messages and time.monotonic() < deadline:
+            for publisher, stock in sources:
+                publisher.publish(stock[int(rng.integers(len(stock)))])
+                sent += 1
+    finally:
+        node.destroy_node()
     return sent
 
 
@@ -169,7 +174,9 @@ def main():
     parser.add_argument('--node', default='inverse_dynamics')
     parser.add_argument('--joints', nargs='+', default=[f'joint_{k}' for k in range(1, 7)])
     options = parser.parse_args()
-    rclpy.init(args=[])
+    # SIGTERM ends it cleanly: a process that is killed leaves its shared memory behind.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit())
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     print('started', flush=True)
     sent = storm(options.messages, options.seconds, options.seed, options.node, options.joints)
     print(f'sent {sent}', flush=True)

@@ -97,6 +97,11 @@ class NodeLog:
             if self._is_due(f'conflict {joint}'):
                 self._logger.error(text)
 
+    def tell_silence(self, text: str) -> None:
+        """Report that connected publishers of joint states are not heard."""
+        if text and self._is_due('silence'):
+            self._logger.error(text.lstrip('; '))
+
     def introduce(self, rig: Rig) -> None:
         """Say what has been loaded, and what looks wrong about it."""
         robot, joints = rig.robot, rig.controller.joints

@@ -116,8 +116,7 @@ def _run(args: list[str], stop: _Stop, startup: StartupWatch) -> int:
     remaps = ineffective_remaps(args, names_of(node), node.get_name(), node.get_namespace())
     for problem in remaps:
         node.get_logger().warning(problem)
-    kind = node.configuration.executor
-    executor = _make_executor(kind)
+    executor = _make_executor(node.configuration.executor)
     executor.add_node(node)
     watchdog = Watchdog()
     try:
@@ -127,9 +126,6 @@ def _run(args: list[str], stop: _Stop, startup: StartupWatch) -> int:
             watchdog.spin(executor)
             if watchdog.is_congested:
                 node.catch_up()
-            if watchdog.has_backlog:
-                executor = _replace(executor, node, kind)
-                watchdog.start_again()
     finally:
         node.shut_down()
         watchdog.close()
@@ -137,14 +133,6 @@ def _run(args: list[str], stop: _Stop, startup: StartupWatch) -> int:
         executor.shutdown()
         node.destroy_node()
     return 0
-
-
-def _replace(executor: Any, node: Any, kind: Any) -> Any:
-    """Drop the events that wait in an executor; the latest messages are not lost."""
-    executor.shutdown()
-    executor = _make_executor(kind)
-    executor.add_node(node)
-    return executor
 
 
 def _make_executor(kind: Any) -> Any:

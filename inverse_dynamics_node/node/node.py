@@ -35,7 +35,7 @@ from ..errors import (
 )
 from ..loads import rotation_of
 from ..model import Floats
-from ..monitor import Monitor, Surroundings
+from ..monitor import describe_silence, Monitor, Surroundings
 from ..rig import Rig
 from ..trajectory import complete, joint_index, trajectory_efforts
 from . import messages
@@ -105,7 +105,7 @@ class InverseDynamicsNode(LifecycleNode):
         self._log = NodeLog(self.get_logger())
         self._monitor = Monitor()
         self._reader = JointStateReader()
-        self._last_diagnostics = time.monotonic()
+        self._last_diagnostics = self._last_message = time.monotonic()
         self._pace: list[Timer] = []
         self._uses_sim_time = self.get_parameter('use_sim_time').value
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -374,6 +374,7 @@ class InverseDynamicsNode(LifecycleNode):
     # Messages in
 
     def _on_joint_state(self, data: bytes) -> None:
+        self._last_message = time.monotonic()
         if self._rig is None:
             return
         now = self._now()
@@ -620,7 +621,10 @@ class InverseDynamicsNode(LifecycleNode):
             others=self._graph.others(),
             state_publishers=tuple(publishers),
             simulated=self._graph.simulated_time() if self._uses_sim_time else None,
+            silence=time.monotonic() - self._last_message,
         )
+        if self._is_active:
+            self._log.tell_silence(describe_silence(around))
         if self._rig is not None:
             self._log.tell_implausible(self._rig)
         statuses = self._monitor.report(self._now(), self._rig, around)

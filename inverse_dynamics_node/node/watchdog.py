@@ -14,7 +14,6 @@ _CHECK_PERIOD = 0.05  # [s]
 _SHORT_TIMEOUT = 0.01  # [s]; the same three while there are too many messages
 _SHORT_PATIENCE = 0.005
 _SHORT_CHECK_PERIOD = 0.01
-_LONGEST_CONGESTION = 30  # interrupted spins in a row
 
 
 class Watchdog:
@@ -23,24 +22,20 @@ class Watchdog:
 
     rclpy's EventsExecutor queues one event for each message that arrives, and timers queue behind
     them. Its time-out applies only once the queue is empty. A thread therefore ends the spin
-    between two events, from where the caller can look after everything that is overdue.
+    between two events, and the caller does everything that is overdue. The events stay in the
+    queue: to give the node to a new executor would drop them, but services of rclpy 7.1 do not
+    answer any more after that.
 
     """
 
     def __init__(self) -> None:
         self.is_congested = False
         """Whether the last spin had to be interrupted."""
-        self._congested_spins = 0
         self._future = Future()
         self._deadline = float('inf')
         self._is_closed = threading.Event()
         self._thread = threading.Thread(target=self._watch, name='watchdog', daemon=True)
         self._thread.start()
-
-    @property
-    def has_backlog(self) -> bool:
-        """Whether so many spins in a row were interrupted that the queue must be growing."""
-        return self._congested_spins > _LONGEST_CONGESTION
 
     def spin(self, executor: Any) -> None:
         """Let an executor handle events for about a tenth of a second."""
@@ -54,11 +49,6 @@ class Watchdog:
         executor.spin_until_future_complete(future, timeout_sec=timeout)
         self._deadline = float('inf')
         self.is_congested = future.done()
-        self._congested_spins = self._congested_spins + 1 if self.is_congested else 0
-
-    def start_again(self) -> None:
-        """Forget the backlog of an executor that has been replaced."""
-        self._congested_spins = 0
 
     def close(self) -> None:
         """End the thread."""

@@ -182,3 +182,12 @@ def test_two_publishers_of_different_positions_are_named(run_node, robot, wait_f
         robot.wait_until(lambda: robot.commands[-1] == [0.0] * 6, 'zeros')
     finally:
         other.destroy_node()
+
+
+def test_publishers_that_are_not_heard_are_reported(run_node, robot, wait_for_status):
+    node = run_node(**FAST)
+    robot.publish_state(NAMES, Q, np.zeros(6))
+    wait_for_status('joint states', OK, 'fresh')
+    robot.state = None  # the publisher stays connected
+    wait_for_status('joint states', ERROR, 'although 1 publishers are connected')
+    robot.wait_for_text(node, 'FASTDDS_BUILTIN_TRANSPORTS=UDPv4')

@@ -1,0 +1,234 @@
+"""
+Sends a million messages, most of them useless, to every subscription of the node.
+
+Checks that commands stay complete, finite and within their limits, that the node continues and
+answers, that lost joint states and SIGTERM take effect in time, and that the last command is zero.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+from pathlib import Path
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from typing import Any
+
+os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+
+from domain_coordinator import domain_id
+from inverse_dynamics_node import InverseDynamics, load_urdf
+from lifecycle_msgs.srv import GetState
+import numpy as np
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+ROOT = Path(__file__).parent.parent
+ROBOT = ROOT / 'config/stanford.urdf'
+Q = (0.3, 0.8, 0.5, -0.4, 0.6, 0.2)
+STATE_TIMEOUT, STOP_RAMP = 0.1, 0.2  # [s]
+ALLOWANCE = 0.5  # [s]; for noticing that states are lost, beside time-out and ramp
+LONGEST_END = 1.5  # [s]; from SIGTERM to the end of the process
+PATIENCE = 60.0  # [s]
+
+
+class StormError(Exception):
+    """An invariant that did not hold."""
+
+
+class Robot:
+    """Publishes joint states at 200 Hz and checks every command."""
+
+    def __init__(self) -> None:
+        model = load_urdf(ROBOT)
+        self.names = list(model.joint_names)
+        self.limits = model.effort_limits
+        self.hold = InverseDynamics(model).gravity_efforts(Q)
+        self.node = rclpy.create_node('robot')
+        self.executor = SingleThreadedExecutor()
+        self.executor.add_node(self.node)
+        self.is_publishing = True
+        self.commands = 0
+        self.last: list[float] = []
+        self.longest_gap = 0.0
+        self._last_time = math.nan
+        self._message = JointState(name=self.names, position=Q, velocity=[0.0] * len(Q))
+        self._states = self.node.create_publisher(JointState, 'joint_states', 10)
+        self.node.create_subscription(
+            Float64MultiArray, 'inverse_dynamics/commands', self._check, 100
+        )
+        self._state = self.node.create_client(GetState, 'inverse_dynamics/get_state')
+        self.node.create_timer(0.005, self._publish)
+
+    def _publish(self) -> None:
+        if self.is_publishing:
+            self._states.publish(self._message)
+
+    def _check(self, message: Float64MultiArray) -> None:
+        now = time.monotonic()
+        if self.commands:
+            self.longest_gap = max(self.longest_gap, now - self._last_time)
+        self._last_time = now
+        self.commands += 1
+        self.last = list(message.data)
+        if len(self.last) != len(self.names):
+            raise StormError(f'a command has {len(self.last)} efforts, expected {len(self.names)}')
+        if not np.isfinite(self.last).all():
+            raise StormError(f'a command is not finite: {self.last}')
+        if (np.abs(self.last) > self.limits).any():
+            raise StormError(f'a command exceeds the limits {self.limits}: {self.last}')
+
+    def wait(self, is_true: Any, what: str, patience: float = PATIENCE) -> float:
+        """Spin until something is true; return how long it took [s]."""
+        began = time.monotonic()
+        while not is_true():
+            if time.monotonic() > began + patience:
+                raise StormError(
+                    f'{what}: not within {patience:g} s; the last command: {self.last}'
+                )
+            self.executor.spin_once(timeout_sec=0.02)
+        return time.monotonic() - began
+
+    def ask_for_state(self) -> str:
+        """Call a service of the node."""
+        self.wait(self._state.service_is_ready, 'service get_state')
+        future = self._state.call_async(GetState.Request())
+        self.wait(future.done, 'answer of get_state')
+        return str(future.result().current_state.label)
+
+    def holds(self) -> bool:
+        """Return whether the last command holds the arm against gravity."""
+        return bool(self.last) and bool(np.allclose(self.last, self.hold, rtol=1e-3, atol=1e-3))
+
+
+def run(messages: int, seconds: float, output: Any) -> dict[str, str]:
+    """Run the node through a storm; return what was measured."""
+    node = subprocess.Popen(
+        [
+            sys.executable,
+            '-m',
+            'inverse_dynamics_node.node.main',
+            '--ros-args',
+            '-p',
+            f'robot_description_file:={ROBOT}',
+            '-p',
+            'start_ramp:=0.0',
+            '-p',
+            f'state_timeout:={STATE_TIMEOUT}',
+            '-p',
+            f'stop_ramp:={STOP_RAMP}',
+        ],
+        stdout=output,
+        stderr=output,
+    )
+    robot = Robot()
+    storms: list[subprocess.Popen[str]] = []
+    try:
+        robot.wait(robot.holds, 'holding the arm before the storm')
+        memory = resident(node.pid)
+        robot.longest_gap = 0.0
+        began = time.monotonic()
+        storms += [start_storm(messages // 2, seconds, seed) for seed in (1, 2)]
+        robot.wait(lambda: all(s.poll() is not None for s in storms), 'end of it', seconds + 60.0)
+        took = time.monotonic() - began
+        sent = sum(int(re.findall(r'sent (\d+)', s.stdout.read())[0]) for s in storms if s.stdout)
+        gap = robot.longest_gap
+        growth = resident(node.pid) - memory
+        if node.poll() is not None:
+            raise StormError(f'the node ended with code {node.returncode}')
+        if robot.ask_for_state() != 'active':
+            raise StormError('the node is not active after the storm')
+        # Once more, to lose the joint states in the middle of a storm, and to end in it.
+        storms += [start_storm(messages, 120.0, seed) for seed in (3, 4)]
+        sent_before = robot.commands
+        robot.wait(lambda: robot.commands > sent_before + 300, 'commands during the storm')
+        robot.is_publishing = False
+        zeros = robot.wait(lambda: not any(robot.last), 'zeros after the states were lost')
+        node.send_signal(signal.SIGTERM)
+        end = robot.wait(lambda: node.poll() is not None, 'end after SIGTERM')
+        for _ in range(20):
+            robot.executor.spin_once(timeout_sec=0.01)
+        if node.returncode != 0:
+            raise StormError(f'the node ended with code {node.returncode}, expected 0')
+        if any(robot.last):
+            raise StormError(f'the last command is {robot.last}, expected zeros')
+    finally:
+        for process in (*storms, node):
+            process.terminate()  # if it is killed, its shared memory stays behind
+            process.wait(PATIENCE)
+        robot.executor.shutdown()
+        robot.node.destroy_node()
+    results = {
+        'messages sent': str(sent),
+        'messages per second': f'{sent / took:.0f}',
+        'commands checked': str(robot.commands),
+        'longest time between commands [s]': f'{gap:.3f}',
+        'growth of memory [MB]': f'{growth:.0f}',
+        'zeros after lost states [s]': f'{zeros:.2f}',
+        'end after SIGTERM [s]': f'{end:.2f}',
+    }
+    limit = STATE_TIMEOUT + STOP_RAMP + ALLOWANCE
+    for what, value, most in (
+        ('zeros after lost states', zeros, limit),
+        ('end after SIGTERM', end, LONGEST_END),
+    ):
+        if value > most:
+            print(f'{what}: {value:.2f} s, expected at most {most:g} s', file=sys.stderr)
+            results['late'] = what
+    return results
+
+
+def start_storm(messages: int, seconds: float, seed: int) -> subprocess.Popen[str]:
+    """Start one of the processes that send messages."""
+    return subprocess.Popen(
+        [
+            sys.executable,
+            str(ROOT / 'test/storm.py'),
+            '--messages',
+            str(messages),
+            '--seconds',
+            str(seconds),
+            '--seed',
+            str(seed),
+        ],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+
+
+def resident(pid: int) -> float:
+    """Return the memory that a process occupies [MB]."""
+    pages = int(Path(f'/proc/{pid}/statm').read_text().split()[1])
+    return pages * os.sysconf('SC_PAGE_SIZE') / 2**20
+
+
+def main() -> int:
+    """Run the storm and print what was measured; return the exit code."""
+    parser = argparse.ArgumentParser(prog='make storm', description=__doc__)
+    parser.add_argument('--messages', type=int, default=1_000_000)
+    parser.add_argument('--seconds', type=float, default=300.0, help='the longest time to send')
+    options = parser.parse_args()
+    with domain_id() as domain, tempfile.NamedTemporaryFile(suffix='.log') as log:
+        os.environ['ROS_DOMAIN_ID'] = str(domain)
+        rclpy.init(args=[])
+        try:
+            results = run(options.messages, options.seconds, log)
+        except StormError as failure:
+            print(f'FAILED: {failure}', file=sys.stderr)
+            return 1
+        finally:
+            rclpy.shutdown()
+    for name, value in results.items():
+        print(f'{name:36}{value:>12}')
+    return 1 if 'late' in results else 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
