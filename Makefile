@@ -1,4 +1,5 @@
-# `make demo`, `make test`, `make bench`, `make bench-loop` and `make storm` set up what they need in .venv and run it.
+# `make demo`, `make test`, `make bench`, `make bench-loop` and `make storm` set up what they need
+# in .venv and run it.
 
 PYTHON ?= python3
 ROBOT ?= config/stanford.urdf
