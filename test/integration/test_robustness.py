@@ -14,6 +14,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import InertiaStamped, Vector3Stamped, WrenchStamped
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.node.startup import empty_port_files
+from inverse_dynamics_node.node.watchdog import Watchdog
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 import numpy as np
@@ -27,6 +28,7 @@ from rcl_interfaces.srv import (
     SetParameters,
     SetParametersAtomically,
 )
+from rclpy.experimental.events_executor import EventsExecutor
 from robot_files import ROOT, STANFORD
 from rosgraph_msgs.msg import Clock
 from type_description_interfaces.srv import GetTypeDescription
@@ -208,6 +210,26 @@ def storm(domain_id):
     for process in processes:
         process.terminate()
         process.wait()
+
+
+def test_a_queue_that_never_empties_is_interrupted(robot):
+    executor = EventsExecutor(context=robot.context)
+    count = [0]
+
+    def again():
+        count[0] += 1
+        executor.create_task(again)
+
+    again()
+    watchdog = Watchdog()
+    try:
+        for spins in range(1, 4):
+            watchdog.spin(executor)  # without the interruption, it never returns
+            assert watchdog.is_congested
+            assert count[0] > spins
+    finally:
+        watchdog.close()
+        executor.shutdown()
 
 
 def test_lost_states_and_signals_are_noticed_during_a_storm(domain_id, robot, storm):
