@@ -694,3 +694,118 @@ def test_the_velocity_filter_forgets_what_was_absurd():
     assert lift.step(0.04, State(np.zeros(2), np.full(2, 0.1), 0.04), None).efforts == (
         pytest.approx(HOLD + 0.1)
     )
+
+
+def test_another_description_is_blended_in_along_the_start_ramp():
+    lift = controller(start_ramp=0.5)
+    time = settled(lift)
+    heavier = InverseDynamics(load_urdf(LIFT.replace('"2"', '"3"')), gravity=(0.0, 0.0, -10.0))
+    other = Controller(heavier, (), lift.settings)
+    other.take_over(lift)
+    other.step(time, state(time), None)
+    assert efforts_after(other, time, 0.25) == pytest.approx(HOLD + np.array([5.0, 0.0]))
+
+
+def test_a_stop_goes_on_with_another_description():
+    lift = controller(stop_ramp=0.2)
+    lift.step(0.0, state(0.0), None)
+    lift.stop()
+    other = Controller(lift.dynamics, (), lift.settings)
+    other.take_over(lift)
+    assert other.is_stopping
+    other.step(0.05, state(0.05), None)
+    assert other.phase is Phase.STOPPED
+
+
+def test_a_stop_lasts_until_resume_or_start():
+    lift = controller()
+    assert lift.is_stopping is False
+    for let_go in (lift.resume, lift.start):
+        lift.stop()
+        assert lift.is_stopping is True
+        let_go()
+        assert lift.is_stopping is False
+
+
+def test_a_start_waits_for_a_state_even_after_earlier_ones():
+    lift = controller()
+    lift.step(0.0, state(0.0), None)
+    lift.start()
+    assert lift.phase is Phase.WAITING
+    assert lift.step(0.01, None, None) is None
+
+
+@pytest.mark.parametrize(
+    'settings', [{'on_stale_state': StalePolicy.HOLD}, {'stop_ramp': 20.0}], ids=['hold', 'fall']
+)
+def test_efforts_that_changed_while_states_were_lost_are_blended_in(settings):
+    lift = controller(start_ramp=0.5, **settings)
+    time = settled(lift)
+    for k in range(1, 41):
+        last = lift.step(time + 0.01 * k, state(time), None).efforts.copy()
+    assert lift.phase is Phase.STATE_LOST
+    lift.dynamics.set_gravity((0.0, 0.0, -5.0))
+    now = time + 0.41
+    assert lift.step(now, state(now), None).efforts == pytest.approx(last)
+    assert lift.phase is Phase.HOLDING
+
+
+def test_a_limit_tightened_during_a_stop_is_reached_slowly_if_the_efforts_are_then_held():
+    lift = controller(start_ramp=0.5, stop_ramp=1.0)
+    time = settled(lift)
+    lift.stop()
+    falling = lift.step(time + 0.05, state(time), None).efforts.copy()
+    held = Settings(
+        start_ramp=0.5,
+        on_stale_state=StalePolicy.HOLD,
+        effort_limits=(falling[0] - 0.5, 50.0),
+    )
+    lift.apply(held)
+    lift.resume()
+    lost = time - 5.0
+    efforts = [
+        lift.step(time + 0.05 + 0.05 * k, state(lost), None).efforts[0] for k in range(1, 13)
+    ]
+    assert efforts[0] == pytest.approx(falling[0])
+    assert efforts[5] == pytest.approx(falling[0] - 0.25)
+    assert efforts[-1] == pytest.approx(falling[0] - 0.5)
+
+
+def test_held_efforts_are_not_reported_as_cut():
+    lift = controller(on_stale_state=StalePolicy.HOLD)
+    assert lift.step(0.0, state(0.0), reference(0.0, [9.0, 60.0])).is_saturated.any()
+    command = lift.step(1.0, state(0.0), None)
+    assert lift.phase is Phase.STATE_LOST
+    assert not command.is_saturated.any()
+    assert not command.is_slowed.any()
+
+
+def test_the_velocity_filter_starts_anew_with_the_efforts():
+    lift = controller(velocity_filter_cutoff=1.0, use_urdf_effort_limits=False)
+    lift.dynamics.set_friction(damping=1.0, coulomb=0.0)
+    lift.step(0.0, State(np.zeros(2), np.full(2, 5.0), 0.0), None)
+    lift.start()
+    efforts = lift.step(0.01, State(np.zeros(2), np.full(2, -1.0), 0.01), None).efforts
+    assert efforts == pytest.approx(HOLD - 1.0)
+
+
+def test_a_reference_that_starts_at_the_largest_distance_is_followed():
+    lift = controller(mode=Mode.COMPUTED_TORQUE, max_position_jump=0.5)
+    lift.step(0.0, state(0.0), tracking(0.0, [0.5, -0.5]))
+    assert lift.phase is Phase.RUNNING
+
+
+def test_full_turns_of_a_continuous_joint_make_no_difference():
+    wheel = load_urdf(LIFT.replace('type="prismatic"', 'type="continuous"').replace('50"', '500"'))
+    settings = Settings(mode=Mode.COMPUTED_TORQUE, start_ramp=0.0, kp=1.0, kd=0.0)
+    turning = Controller(InverseDynamics(wheel, gravity=(0, 0, 0)), (), settings)
+    position = State(np.array([6.0 * math.pi, 0.0]), np.zeros(2), 0.0)
+    command = turning.step(0.0, position, tracking(0.0, [0.1, 0.0]))
+    assert command.efforts == pytest.approx([0.2, 0.1])
+
+
+@pytest.mark.filterwarnings('error')
+def test_absurd_references_do_not_print_warnings_in_the_loop():
+    lift = controller(mode=Mode.COMPUTED_TORQUE, max_position_jump=0.0)
+    lift.step(0.0, state(0.0), tracking(0.0, [1.7e308, 0.0], [-1.7e308, 0.0]))
+    assert lift.phase is Phase.NO_SOLUTION

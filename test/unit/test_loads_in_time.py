@@ -16,6 +16,7 @@ Q = np.array([0.3, 1.2, 0.5, 0.4, -0.6, 0.2])
 TIP = 'link_6'
 INERTIA = np.diag([0.01, 0.02, 0.02])
 FLAWED = np.diag([0.1, 0.3, 0.1])
+SLENDER = np.diag([0.01, 0.2, 0.3])
 DOWN = np.array([0.0, 0.0, -9.80665])
 
 
@@ -154,6 +155,9 @@ def test_the_motion_of_the_base_is_smoothed(loads):
     assert not loads.set_base_motion(0.01, (0.0, 0.0, 11.0), (1.0, 0.0, 0.0))
     share = 1.0 - math.exp(-2.0 * math.pi * 20.0 * 0.01)
     assert loads.gravity[2] == pytest.approx(-10.0 - share)
+    other = InverseDynamics(load_urdf(STANFORD), (0.0, 0.0, -10.0 - share))
+    other.set_base_motion((share, 0.0, 0.0))
+    assert loads.dynamics.gravity_efforts(Q) == pytest.approx(other.gravity_efforts(Q))
 
 
 def test_without_gravity_neither_it_nor_the_base_accelerates(loads, dynamics):
@@ -208,6 +212,14 @@ def test_vectors_are_in_the_frame_of_the_base_link():
         (lambda x: x.set_gravity([1e9, 0.0, 0.0]), 'at most 500 m/s'),
         (lambda x: x.set_base_motion(0.0, [math.inf, 0, 0], DOWN), 'specific force is'),
         (lambda x: x.set_base_motion(0.0, DOWN, [0, 0, 1e4]), 'angular velocity is'),
+        (lambda x: x.set_base_motion(0.0, [600.0, 0, 0], DOWN), 'specific force .*m/s.2'),
+        (lambda x: x.set_base_motion(0.0, [math.nan] * 3, DOWN), 'specific force .*m/s.2'),
+        (lambda x: x.set_base_motion(0.0, DOWN, [0, 0, 1e4]), 'at most 500 rad/s'),
+        (lambda x: x.set_external_wrench(0.0, TIP, [2e9, 0, 0], DOWN), 'at most 1e.09 N in'),
+        (lambda x: x.set_external_wrench(0.0, TIP, DOWN, [2e9, 0, 0]), '^moment .* 1e.09 N m'),
+        (lambda x: x.set_gravity([1e9, 0.0, 0.0]), '^gravity is'),
+        (lambda x: Loads(x.dynamics, gravity=[math.nan] * 3), '^gravity is .*m/s.2'),
+        (lambda x: x.set_payload(0.0, TIP, 1.0, Q[:3], SLENDER), 'one exceeds the sum'),
     ],
 )
 def test_refuses_what_cannot_be(loads, dynamics, call, words):
@@ -272,3 +284,93 @@ def test_a_payload_that_is_told_again_and_again_is_no_news(loads, dynamics):
     assert dynamics.gravity_efforts(Q) == pytest.approx(with_payload(2.0, com), rel=1e-12)
     assert loads.set_payload(0.6, TIP, 0.0, com, INERTIA)
     assert not loads.set_payload(0.7, TIP, 0.0, com, INERTIA)
+
+
+def test_a_payload_has_the_inertia_that_was_set(loads, dynamics):
+    other = InverseDynamics(load_urdf(STANFORD))
+    other.set_payload(TIP, 2.0, (0.0, 0.1, 0.05), INERTIA)
+    loads.set_payload(0.0, TIP, 2.0, (0.0, 0.1, 0.05), INERTIA)
+    loads.update(1.0)
+    assert dynamics.mass_matrix(Q) == pytest.approx(other.mass_matrix(Q))
+
+
+@pytest.mark.parametrize('size', [1.0, 1e4])
+def test_the_inertia_of_a_flat_body_may_be_rounded(loads, size):
+    assert loads.set_payload(0.0, TIP, size, np.zeros(3), size * np.diag([1.0, 1.0, 2.0001]))
+    with pytest.raises(ConfigurationError, match='one exceeds the sum'):
+        loads.set_payload(0.0, TIP, size, np.zeros(3), size * np.diag([1.0, 1.0, 2.1]))
+
+
+def test_the_largest_values_are_accepted(loads):
+    assert loads.set_payload(0.0, TIP, 1e9, np.zeros(3), INERTIA)
+    loads.set_external_wrench(0.0, TIP, (1e9, 0.0, 0.0), (0.0, -1e9, 0.0))
+    loads.set_gravity((0.0, 500.0, 0.0))
+    assert loads.set_base_motion(0.0, (0.0, 0.0, -500.0), (500.0, 0.0, 0.0))
+
+
+def test_without_an_imu_the_base_is_never_lost(dynamics):
+    loads = Loads(dynamics)
+    assert not any(loads.update(now) for now in (0.0, 0.1, 5.0))
+
+
+def test_a_gap_between_messages_of_the_imu_is_a_loss_even_without_a_step(loads):
+    loads.set_base_motion(100.0, (0.0, 0.0, 9.0), np.zeros(3))
+    assert not loads.set_base_motion(100.0, (0.0, 0.0, 9.0), np.zeros(3))
+    assert not loads.set_base_motion(100.1, (0.0, 0.0, 9.0), np.zeros(3))
+    assert loads.is_base_known(100.2)
+    assert loads.set_base_motion(100.4, (0.0, 0.0, 9.0), np.zeros(3))
+
+
+def test_the_time_out_of_the_imu_includes_its_end(dynamics):
+    loads = Loads(dynamics, LoadSettings(imu_timeout=0.25))
+    loads.set_base_motion(1.0, (0.0, 0.0, 9.0), np.zeros(3))
+    assert loads.is_base_known(1.25)
+    assert not loads.set_base_motion(1.25, (0.0, 0.0, 9.0), np.zeros(3))
+
+
+def test_the_motion_of_the_base_is_not_smoothed_without_a_cutoff(dynamics):
+    loads = Loads(dynamics, LoadSettings(imu_filter_cutoff=0.0))
+    loads.set_base_motion(0.0, (0.0, 0.0, 10.0), np.zeros(3))
+    loads.set_base_motion(0.01, (1.0, 0.0, 11.0), np.zeros(3))
+    assert loads.gravity == pytest.approx([-1.0, 0.0, -11.0])
+
+
+def test_the_motion_of_the_base_is_not_smoothed_across_a_clock_put_back(loads):
+    loads.set_base_motion(100.0, (0.0, 0.0, 10.0), np.zeros(3))
+    assert loads.set_base_motion(1.0, (1.0, 0.0, 11.0), np.zeros(3))
+    assert loads.gravity == pytest.approx([-1.0, 0.0, -11.0])
+
+
+def test_without_a_ramp_a_wrench_acts_until_its_time_out(dynamics):
+    loads = Loads(dynamics, LoadSettings(load_ramp=0.0, wrench_timeout=0.125))
+    before = dynamics.gravity_efforts(Q)
+    loads.set_external_wrench(0.0, TIP, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3))
+    whole = dynamics.gravity_efforts(Q) - before
+    for now in (0.0, 0.1, 0.125):
+        loads.update(now)
+        assert dynamics.gravity_efforts(Q) - before == pytest.approx(whole)
+    loads.update(0.13)
+    assert dynamics.gravity_efforts(Q) == pytest.approx(before)
+
+
+def test_all_loads_act_on_another_description_at_once(loads, dynamics):
+    loads.set_payload(0.0, TIP, 2.0, (0.0, 0.1, 0.05), INERTIA)
+    loads.set_external_wrench(0.8, TIP, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3))
+    loads.set_base_motion(0.8, (1.0, 2.0, 9.0), (0.1, 0.2, 0.3))
+    loads.update(0.8)
+    other = Loads(InverseDynamics(load_urdf(STANFORD)))
+    assert other.take_over(loads) == []
+    assert other.dynamics.mass_matrix(Q) == pytest.approx(dynamics.mass_matrix(Q))
+    for now in (0.8, 0.95, 1.2, 2.0):
+        assert other.dynamics.gravity_efforts(Q) == pytest.approx(dynamics.gravity_efforts(Q))
+        assert other.update(now) == loads.update(now)
+
+
+def test_a_wrench_on_a_link_that_no_longer_exists_is_dropped(loads):
+    loads.set_external_wrench(0.0, TIP, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3))
+    text = STANFORD.read_text().replace(f'"{TIP}"', '"hand"')
+    other = Loads(InverseDynamics(load_urdf(text)))
+    before = other.dynamics.gravity_efforts(Q)
+    assert other.take_over(loads) == []
+    other.update(0.0)
+    assert other.dynamics.gravity_efforts(Q) == pytest.approx(before)

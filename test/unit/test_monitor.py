@@ -1,5 +1,7 @@
 """What is counted, and how bad it is."""
 
+import dataclasses
+
 from inverse_dynamics_node import load_urdf
 from inverse_dynamics_node.controller import Command, Mode, Reference, Settings, StalePolicy
 from inverse_dynamics_node.monitor import (
@@ -38,6 +40,25 @@ def rig():
     return rig
 
 
+@pytest.fixture(autouse=True)
+def complete_reports(monkeypatch):
+    """Check that every report of these tests can be sent as a DiagnosticArray."""
+    report = Monitor.report
+
+    def checked(*args):
+        statuses = report(*args)
+        for status in statuses:
+            assert isinstance(status.level, Level)
+            texts = [status.part, status.message, *status.values, *status.values.values()]
+            assert all(isinstance(text, str) for text in texts)
+            assert status.part
+            assert status.message
+            assert 'None' not in texts
+        return statuses
+
+    monkeypatch.setattr(Monitor, 'report', checked)
+
+
 def test_measures_rate_and_periods(rig):
     monitor = Monitor(0.01)
     monitor.report(0.0, rig, FINE)
@@ -48,6 +69,7 @@ def test_measures_rate_and_periods(rig):
     assert values['rate [Hz]'] == '100.0'
     assert values['rate asked for [Hz]'] == '100'
     assert values['period worst [ms]'] == '18.000'
+    assert 10.0 < float(values['period p99 [ms]']) < 18.0
     assert float(values['compute time p99 [ms]']) == pytest.approx(9.9, abs=0.05)
     assert values['overruns'] == '1'
     assert part(monitor.report(1.5, rig, FINE), 'loop').values['rate [Hz]'] == '0.0'
@@ -226,6 +248,7 @@ NAMESAKES = Others('/arm', '/commands', namesakes=1)
         (RIVALS, False, Level.WARN, '/commands is also published by /a, /b'),
         (NAMESAKES, True, Level.ERROR, 'another node with the name /arm'),
         (NAMESAKES, False, Level.ERROR, 'another node with the name /arm'),
+        (NAMESAKES._replace(namesakes=2), True, Level.ERROR, '2 other nodes with the name /arm'),
     ],
 )
 def test_nodes_that_interfere_are_named(rig, others, is_active, level, words):
@@ -240,6 +263,7 @@ def test_subscribers_that_do_not_match_are_named(rig):
     around = FINE._replace(receivers=0, others=others)
     status = part(Monitor().report(0.05, rig, around), 'efforts')
     assert status.level is Level.WARN
+    assert status.message.startswith('nobody receives')
     assert '/bridge subscribes with another type or quality of service' in status.message
 
 
@@ -259,6 +283,7 @@ def test_of_many_nodes_only_the_first_are_named(rig):
         (SimulatedTime(9.0, 0.2, 1), Level.OK, 'simulated time advances'),
         (SimulatedTime(9.0, 6.0, 1), Level.WARN, 'has not advanced for more than 5 s'),
         (SimulatedTime(9.0, 6.0, 0), Level.ERROR, 'nothing publishes /clock any more'),
+        (SimulatedTime(9.0, 6.0, 0), Level.ERROR, 'has not advanced for more than 5 s'),
     ],
 )
 def test_simulated_time_that_stands_still_is_reported(rig, clock, level, words):
@@ -313,3 +338,172 @@ def test_contradictory_positions_are_an_error_with_the_publishers(rig):
     assert status.level is Level.ERROR
     assert status.message == f'{words} (published by /robot, /joint_state_publisher)'
     assert f'{words} (does more than one node publish it?)' in activity(0.1, rig)
+
+
+def test_no_command_is_late_without_a_period(rig):
+    monitor = Monitor()
+    for now in (0.0, 0.0, 1.0):
+        monitor.step(now, 1e-4, command(), JOINTS)
+    values = part(monitor.report(1.0, rig, FINE), 'loop').values
+    assert values['overruns'] == '0'
+    assert values['rate [Hz]'] == '2.0'
+    assert values['rate asked for [Hz]'] == 'of joint states'
+
+
+def test_a_command_that_is_late_by_half_a_period_is_no_overrun():
+    monitor = Monitor(2.0)
+    for now in (0.0, 3.0, 6.5):
+        monitor.step(now, 1e-4, command(), JOINTS)
+    assert monitor.overruns == 1
+
+
+def test_a_loop_without_commands_yet_is_not_slow(rig):
+    assert part(Monitor(0.01).report(0.0, rig, FINE), 'loop').level is Level.OK
+
+
+def test_rejected_messages_are_listed_with_their_numbers(rig):
+    monitor = Monitor()
+    for _ in range(3):
+        monitor.reject('imu', 'broken')
+    assert part(monitor.report(0.0, rig, FINE), 'messages').values == {'imu: broken': '3'}
+
+
+def test_other_nodes_are_listed(rig):
+    others = Others('/arm', '/commands')
+    values = part(Monitor().report(0.0, rig, FINE._replace(others=others)), 'other nodes').values
+    assert list(values.values()) == ['/commands', 'none', 'none', '0']
+    others = Others('/arm', '/commands', ('/bridge',), ('/rival',), 3)
+    values = part(Monitor().report(0.0, rig, FINE._replace(others=others)), 'other nodes').values
+    assert list(values.values()) == ['/commands', '/bridge', '/rival', '3']
+
+
+def test_the_clock_and_the_numbers_of_nodes_are_reported(rig):
+    around = FINE._replace(receivers=2, publishers=3, simulated=SimulatedTime(12.5, 0.25, 4))
+    statuses = Monitor().report(0.0, rig, around)
+    assert list(part(statuses, 'clock').values.values()) == ['12.500', '0.2', '4']
+    assert part(statuses, 'efforts').values['receivers'] == '2'
+    assert part(statuses, 'joint states').values['publishers'] == '3'
+
+
+@pytest.mark.parametrize(('count', 'end'), [(5, '/n4'), (6, '/n4 and 1 more')])
+def test_a_few_nodes_are_all_named(rig, count, end):
+    others = Others('/arm', '/commands', tuple(f'/n{k}' for k in range(count)))
+    values = part(Monitor().report(0.0, rig, FINE._replace(others=others)), 'other nodes').values
+    assert any(value.endswith(end) for value in values.values())
+
+
+@pytest.mark.parametrize(('is_active', 'level'), [(True, Level.ERROR), (False, Level.WARN)])
+def test_joints_that_were_never_reported_are_named(is_active, level):
+    rig = Rig(ROBOT)
+    rig.step(0.0)
+    around = FINE._replace(is_active=is_active)
+    status = part(Monitor().report(0.0, rig, around), 'joint states')
+    assert status.level is level
+    assert ', '.join(JOINTS) in status.message
+    assert status.values['age [s]'] == 'never'
+
+
+def test_states_that_were_lost_are_no_error_while_inactive(rig):
+    step_until(rig, 0.0, 0.5)
+    rig.collector.update(0.5, JOINTS, [0.1, 0.2], [0.0, 0.0])
+    rig.step(0.5)
+    for is_active, level in ((True, Level.ERROR), (False, Level.WARN)):
+        around = FINE._replace(is_active=is_active)
+        assert part(Monitor().report(0.5, rig, around), 'joint states').level is level
+
+
+def test_locked_and_late_joints_are_named():
+    robot = load_urdf(STANFORD)
+    names = robot.joint_names
+    rig = Rig(robot, names[:4], locked={names[4]: 0.0})
+    q = [0.0, 0.0, 0.5, 0.0, 0.0]
+    rig.collector.update(0.0, [*names[:4], names[5]], q, [0.0] * 5)
+    rig.step(0.0)
+    status = part(Monitor().report(0.05, rig, FINE), 'joint states')
+    assert status.level is Level.WARN
+    assert 'locked' in status.message
+    assert status.values['age [s]'] == '0.050'
+    assert status.values['locked, not seen'] == names[4]
+    assert status.values['late, not commanded'] == 'none'
+    assert status.values['without velocity'] == 'none'
+    rig.collector.update(9.0, names[:4], q[:4], [0.0] * 4)
+    rig.step(9.0)
+    status = part(Monitor().report(9.0, rig, FINE), 'joint states')
+    assert status.level is Level.WARN
+    assert status.values['late, not commanded'] == names[5]
+
+
+def test_the_reference_is_judged_by_its_use(rig):
+    rest = np.zeros(2)
+    assert part(Monitor().report(0.05, rig, FINE), 'reference').values['age [s]'] == 'never'
+    rig.reference = Reference(rest, rest, 0.02)
+    rig.step(0.05)
+    status = part(Monitor().report(0.05, rig, FINE), 'reference')
+    assert (status.level, status.message) == (Level.OK, 'followed')
+    assert status.values == {'age [s]': '0.030', 'mode': 'inverse_dynamics'}
+    rig.controller.apply(Settings(mode=Mode.COMPUTED_TORQUE))
+    rig.reference = Reference(rest, rest, 0.05, positions=rest + 3.0)
+    rig.step(0.06)
+    status = part(Monitor().report(0.06, rig, FINE), 'reference')
+    assert status.level is Level.WARN
+    assert 'too far away' in status.message
+    rig.controller.stop()
+    rig.step(0.07)
+    status = part(Monitor().report(0.07, rig, FINE), 'reference')
+    assert (status.level, status.message) == (Level.OK, 'disabled')
+
+
+def test_the_model_is_described(rig):
+    status = part(Monitor().report(0.05, rig, FINE), 'model')
+    assert status.level is Level.OK
+    assert ROBOT.name in status.message
+    assert status.values['payload'] == 'none'
+    assert status.values['gravity [m/s^2]'].endswith('-9.807')
+    rig.loads.set_payload(0.0, ROBOT.link_names[-1], 2.5, np.zeros(3), np.zeros((3, 3)))
+    rig.loads.apply(rig.loads.settings, include_gravity=False)
+    values = part(Monitor().report(0.05, rig, FINE), 'model').values
+    assert values['payload'] == f'2.5 kg on {ROBOT.link_names[-1]}'
+    assert values['gravity [m/s^2]'] == 'not included'
+
+
+def test_warnings_about_the_description_are_listed():
+    robot = dataclasses.replace(ROBOT, warnings=('first', 'second'))
+    status = part(Monitor().report(0.0, Rig(robot), FINE), 'model')
+    assert status.level is Level.WARN
+    assert status.message.startswith('2 warnings')
+    assert status.values['robot'] == ROBOT.name
+    assert status.values['warning 1'] == 'first'
+    assert status.values['warning 2'] == 'second'
+
+
+def test_an_imu_that_is_lost_is_an_error_until_it_is_back():
+    rig = Rig(ROBOT, has_imu=True)
+    rig.set_base_motion(0.0, (0.0, 0.0, 9.8), np.zeros(3))
+    assert part(Monitor().report(0.1, rig, FINE), 'model').level is Level.OK
+    status = part(Monitor().report(0.5, rig, FINE), 'model')
+    assert status.level is Level.ERROR
+    assert status.message.endswith('no message on imu for more than 0.2 s')
+
+
+def test_activity_names_a_joint_that_only_a_new_description_has(rig):
+    link = ROBOT.link_names[-1]
+    extra = (
+        f'<link name="jaw"/><joint name="jaw" type="continuous"><parent link="{link}"/>'
+        '<child link="jaw"/></joint></robot>'
+    )
+    text = (ROOT / 'test/robots/planar_2r.urdf').read_text().replace('</robot>', extra)
+    other = Rig(load_urdf(text), JOINTS)
+    other.take_over(rig)
+    other.step(0.01)
+    assert activity(0.01, other).endswith('no joint state of jaw yet')
+
+
+def test_activity_without_usable_efforts_and_while_states_are_fresh_again(rig):
+    rig.reference = Reference(np.full(2, 1.7e308), np.zeros(2), 0.0)
+    rig.step(0.01)
+    assert activity(0.01, rig).endswith('no usable efforts for this joint state and reference')
+    rig.reference = None
+    step_until(rig, 0.05, 0.5)
+    rig.collector.update(0.5, JOINTS, [0.1, 0.2], [0.0, 0.0])
+    rig.step(0.5)
+    assert 'efforts rise after 0.2 s' in activity(0.5, rig)

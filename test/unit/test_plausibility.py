@@ -74,3 +74,27 @@ def test_columns_may_be_named(robot):
     ]
     with pytest.raises(ValueError, match=r'shape \(2, 3\), expected \(\.\.\., 4\)'):
         implausible_positions(robot, table)
+
+
+@pytest.mark.parametrize('degrees', [-180.0, 180.0])
+def test_degrees_slightly_outside_the_limits_are_recognised_too(robot, degrees):
+    (finding,) = implausible_positions(robot, [0.0, degrees, 0.0, 0.0])
+    assert finding.looks_like_degrees
+
+
+def test_the_position_furthest_outside_is_the_worst_on_either_side(robot):
+    table = np.zeros((2, 4))
+    table[:, 1] = -4.2, 4.1
+    assert implausible_positions(robot, table)[0].position == -4.2
+    table[:, 1] = -4.1, 4.2
+    assert implausible_positions(robot, table)[0].position == 4.2
+
+
+def test_joints_behind_one_without_limits_are_judged(robot):
+    names = ['stuck', 'joint1', 'joint2']
+    assert len(sentences(robot, [5.0, 100.0, 4.0], names)) == 1
+
+
+def test_a_base_link_with_the_name_of_a_joint_does_not_matter():
+    robot = load_urdf(URDF.replace('"base"', '"slide"'))
+    assert sentences(robot, [0.0, 0.0, 0.5, 0.0]) == ['slide at 0.5 m, limits 0 to 0.04']

@@ -68,3 +68,29 @@ def test_the_same_state_twice_and_a_clock_put_back_are_no_matter(dynamics):
     q, qd, _ = motion(0.3)
     for time in (5.0, 5.0, 5.002, 1.0, 1.002):
         assert np.isfinite(residual.update(time, q, qd, np.zeros(6))).all()
+
+
+def test_the_first_state_is_compared_without_smoothing(dynamics):
+    q, qd, _ = motion(0.3)
+    residual = EffortResidual(dynamics)
+    push = np.arange(1.0, 7.0)
+    measured = dynamics.efforts(q, qd, np.zeros(6)) + push
+    assert residual.update(7.0, q, qd, measured) == pytest.approx(push)
+    # A constant velocity from the start on is no acceleration.
+    assert residual.update(7.01, q, qd, measured) == pytest.approx(push)
+    # The same after a gap.
+    measured += push
+    assert residual.update(9.0, q, qd, measured) == pytest.approx(2.0 * push)
+
+
+def test_a_push_rises_with_the_time_constant_of_the_low_pass(dynamics):
+    q = motion(0.0)[0]
+    residual = EffortResidual(dynamics)
+    hold, push = dynamics.gravity_efforts(q), np.arange(1.0, 7.0)
+    residual.update(0.0, q, np.zeros(6), hold)
+    time_constant = 1.0 / (2.0 * np.pi * 10.0)
+    found = residual.update(time_constant, q, np.zeros(6), hold + push)
+    assert found == pytest.approx((1.0 - np.exp(-1.0)) * push)
+    # No time has passed: nothing to smooth in.
+    again = residual.update(time_constant, q, np.zeros(6), hold + 5.0 * push)
+    assert again == pytest.approx(found)

@@ -4,6 +4,8 @@ import math
 
 from inverse_dynamics_node import ConfigurationError, InverseDynamics, load_urdf
 from inverse_dynamics_node.controller import Phase, Reference, Settings
+from inverse_dynamics_node.loads import LoadSettings
+from inverse_dynamics_node.residual import EffortResidual
 from inverse_dynamics_node.rig import Rig
 import numpy as np
 import pytest
@@ -320,3 +322,101 @@ def test_contradictory_positions_stay_so_with_another_description():
     assert not other.collector.is_consistent
     other.step(1.0)
     assert other.controller.phase is Phase.STATE_LOST
+
+
+def test_a_joint_cannot_be_both_commanded_and_locked():
+    with pytest.raises(ConfigurationError, match=f"joint '{NAMES[2]}' is both commanded and lock"):
+        Rig(MODEL, NAMES, locked={NAMES[2]: 0.0})
+
+
+def test_the_base_link_is_the_root_unless_another_one_is_set():
+    assert Rig(MODEL).base_link == MODEL.body_names[0]
+    fixed = '<link name="mount"/><joint name="f" type="fixed"><parent link="mount"/>'
+    fixed += f'<child link="{MODEL.body_names[0]}"/></joint></robot>'
+    robot = load_urdf(STANFORD.read_text().replace('</robot>', fixed))
+    assert Rig(robot).base_link == 'mount'
+    assert Rig(robot, base_link=MODEL.body_names[0]).base_link == MODEL.body_names[0]
+
+
+def test_ramps_advance_at_the_period_of_a_slow_loop():
+    rig = Rig(MODEL, settings=Settings(start_ramp=2.0), period=0.5)
+    for now in (0.0, 0.5, 1.0):
+        heard(rig, now).step(now)
+    assert rig.controller.gain == pytest.approx(0.5)
+
+
+def test_the_ramp_of_loads_can_be_set():
+    rig = heard(Rig(MODEL, settings=AT_ONCE, load_settings=LoadSettings(load_ramp=0.0)))
+    rig.loads.set_payload(0.0, TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
+    expected = InverseDynamics(MODEL)
+    expected.set_payload(TIP, 2.0)
+    assert rig.step(0.0).efforts == pytest.approx(expected.gravity_efforts(Q))
+
+
+def test_external_efforts_are_measured_minus_modelled_efforts():
+    rig = Rig(MODEL)
+    hold, push = InverseDynamics(MODEL).gravity_efforts(Q), np.arange(6.0)
+    rig.collector.update(0.0, NAMES, Q, np.zeros(6), hold + push)
+    assert rig.external_efforts() == pytest.approx(push)
+    time_constant = 1.0 / (2.0 * math.pi * 10.0)
+    qd = np.full(6, 0.01)
+    rig.collector.update(time_constant, NAMES, Q, qd, hold)
+    found, alike = rig.external_efforts(), EffortResidual(InverseDynamics(MODEL))
+    alike.update(0.0, Q, np.zeros(6), hold + push)
+    assert found == pytest.approx(alike.update(time_constant, Q, qd, hold))
+
+
+def test_efforts_rise_from_zero_after_a_start():
+    rig = Rig(MODEL, settings=Settings(start_ramp=0.5))
+    for now in np.arange(0.0, 1.0, 0.05):
+        assert heard(rig, now).step(now) is not None
+    rig.start()
+    assert not heard(rig, 1.0).step(1.0).efforts.any()
+
+
+def test_the_first_motion_of_the_base_makes_no_jump():
+    rig = Rig(MODEL, settings=Settings(start_ramp=0.5))
+    for now in np.arange(0.0, 1.0, 0.05):
+        last = heard(rig, now).step(now).efforts.copy()
+    rig.set_base_motion(1.0, (3.0, 0.0, 5.0), np.zeros(3))
+    assert heard(rig, 1.0).step(1.0).efforts == pytest.approx(last)
+
+
+def test_the_reference_is_followed_with_another_description():
+    rig = heard(Rig(MODEL, settings=AT_ONCE))
+    rig.reference = Reference(np.ones(6), np.zeros(6), 0.0)
+    efforts = rig.step(0.0).efforts
+    other = Rig(MODEL, settings=AT_ONCE)
+    other.take_over(rig)
+    assert other.step(0.0).efforts == pytest.approx(efforts)
+    assert other.controller.phase is Phase.RUNNING
+
+
+def test_missing_joints_are_listed():
+    rig = Rig(MODEL)
+    rig.collector.update(0.0, NAMES[2:], Q[2:], np.zeros(4))
+    missing = f'the positions of {NAMES[0]}, {NAMES[1]} on joint_states'
+    assert rig.missing() == [missing]
+    assert missing in rig.report()
+
+
+def test_the_report_shows_the_efforts_to_hold_the_arm_and_the_tightened_limits():
+    rig = heard(Rig(MODEL, settings=Settings(effort_limits=12.625)))
+    assert '12.62' in rig.report()
+    assert 'Not known' not in rig.report()
+
+
+def test_an_effort_at_the_limit_is_not_beyond_it():
+    rig = Rig(MODEL, settings=Settings(effort_limits=10.0, use_urdf_effort_limits=False))
+    assert rig.beyond_limits([0, 1], np.array([[10.0, -10.0], [0.0, -10.5]])) == [NAMES[1]]
+
+
+def test_base_wrench_carries_the_weight_of_all_links():
+    robot = load_urdf(ROOT / 'test/robots/planar_2r.urdf')
+    rig = Rig(robot)
+    rig.collector.update(0.0, robot.joint_names, [0.4, 0.3], [0.0, 0.0])
+    rig.step(0.0)
+    wrenches = InverseDynamics(robot).joint_wrenches([0.4, 0.3], np.zeros(2), np.zeros(2))
+    force, moment = rig.base_wrench()
+    assert force == pytest.approx(wrenches.force[0])
+    assert moment == pytest.approx(wrenches.moment[0])

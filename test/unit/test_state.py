@@ -2,6 +2,7 @@
 
 import contextlib
 import math
+import tracemalloc
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -152,3 +153,157 @@ def test_efforts_are_kept_by_name():
     assert collector.efforts[1] == 3.0
     with pytest.raises(JointStateError, match='2 names, but 1 efforts'):
         collector.update(1.0, ['a', 'b'], [0.0, 0.0], [], [3.0])
+
+
+def test_efforts_of_one_joint_are_kept_and_renewed(collector):
+    for effort in (3.0, 4.0, 5.0):
+        collector.update(1.0, ['elbow'], [0.0], [0.1], [effort])
+        assert collector.efforts[1] == effort
+
+
+def test_a_position_that_is_not_finite_is_refused_after_measured_velocities(collector):
+    collector.update(1.0, ['elbow'], [2.0], [0.1])
+    collector.update(1.1, ['elbow'], [2.1], [0.1])
+    with pytest.raises(JointStateError, match="position of joint 'elbow' is nan"):
+        collector.update(1.2, ['elbow'], [NAN], [0.1])
+    assert collector.q[1] == 2.1
+
+
+def test_a_state_is_stale_only_after_the_timeout(collector):
+    collector.update(1.0, collector.joint_names, [1.0, 2.0, 3.0], [])
+    assert collector.stale(2.0, 1.0) == []
+    assert collector.stale(2.125, 1.0) == list(collector.joint_names)
+
+
+def test_only_the_closest_of_similar_names_is_mentioned():
+    collector = JointStateCollector(['elbow_joint', 'other'])
+    collector.update(1.0, ['elbow_joint1', 'elbow_joint12', 'other'], [0.0] * 3, [])
+    assert collector.similar_names() == ['elbow_joint1']
+
+
+def test_reported_joints_of_this_robot_do_not_resemble_missing_ones():
+    collector = JointStateCollector(['joint1', 'joint2'])
+    collector.update(1.0, ['joint1'], [0.0], [])
+    assert collector.similar_names() == []
+
+
+def test_repeated_names_of_others_leave_room_for_new_ones(collector):
+    for k in range(1, 100):
+        collector.update(1.0, ['wheel'] * k + ['wrist'], [0.0] * (k + 1), [])
+    collector.update(1.0, ['sholder'], [0.0], [])
+    assert collector.similar_names() == ['sholder']
+
+
+def test_messages_that_never_repeat_their_names_do_not_fill_the_memory(collector):
+    tracemalloc.start()
+    try:
+        for k in range(2000):
+            collector.update(1.0, [f'sensor{k}'], [0.0], [])
+        used, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert used < 300_000  # bytes
+
+
+def test_another_description_continues_with_the_state_of_the_joints_it_has(collector):
+    collector.update(3.0, ['shoulder', 'elbow', 'wrist'], [1.0, 2.0, 3.0], [0.1, 0.2, NAN])
+    other = JointStateCollector(['elbow', 'wrist'])
+    other.take_over(collector)
+    state = other.state()
+    assert (state.q.tolist(), state.qd.tolist(), state.time) == ([2.0, 3.0], [0.2, 0.0], 3.0)
+    assert other.without_velocity() == ['wrist']
+
+
+def test_another_description_keeps_its_own_locked_positions():
+    names = ['arm', 'finger']
+    collector = JointStateCollector(names, {'finger': 0.02})
+    other = JointStateCollector(names, {'finger': 0.03})
+    other.take_over(collector)
+    assert other.q[1] == 0.03
+
+
+HAND = ['arm', 'finger', 'thumb']
+
+
+def hand(locked=None):
+    return JointStateCollector(HAND, locked, ['arm'])
+
+
+def test_nothing_has_jumped_before_a_joint_was_late_or_locked():
+    collector = hand({'thumb': 0.1})
+    collector.rest_late(0.0, 1.0)
+    assert (collector.has_jumped, collector.late_count) == (False, 0)
+    collector.update(1.0, HAND[:2], [0.0] * 2, [NAN, NAN])
+    collector.rest_late(1.0, 1.0)
+    assert (collector.has_jumped, collector.late_count) == (False, 0)
+
+
+def test_a_joint_that_is_late_or_back_has_jumped_until_that_was_read():
+    collector = hand()
+    collector.update(5.0, HAND, [0.0] * 3, [1.0] * 3)
+    collector.rest_late(5.5, 1.0)
+    assert not collector.has_jumped
+    collector.update(7.0, ['arm', 'thumb'], [0.0] * 2, [1.0] * 2)
+    collector.rest_late(7.0, 1.0)
+    assert collector.has_jumped
+    assert collector.late(7.0, 1.0) == {'finger': 2.0}
+    assert collector.qd.tolist() == [1.0, 0.0, 1.0]
+    collector.rest_late(7.1, 1.0)
+    assert collector.has_jumped
+    collector.has_jumped = False
+    collector.rest_late(7.2, 1.0)
+    assert not collector.has_jumped
+    collector.update(7.3, HAND, [0.0] * 3, [1.0] * 3)
+    collector.rest_late(7.3, 1.0)
+    assert collector.has_jumped
+
+
+def test_the_first_report_of_a_locked_joint_is_a_jump_until_that_was_read():
+    collector = hand({'thumb': 0.1})
+    collector.update(1.0, HAND[:2], [0.0] * 2, [])
+    assert not collector.has_jumped
+    collector.update(1.0, ['thumb'], [0.3], [])
+    collector.update(1.1, HAND[:2], [0.0] * 2, [])
+    collector.rest_late(1.1, 1.0)
+    assert collector.has_jumped
+
+
+def alternate(collector, joint, start, positions=(0.0, 1.5)):
+    """Report positions of one joint in turn for a second, and zero for the others."""
+    k = HAND.index(joint)
+    for i in range(200):
+        q = [0.0] * 3
+        q[k] = positions[i % 2]
+        collector.update(start + 0.005 * i, HAND, q, [1.0] * 3)
+    return start + 1.0
+
+
+def test_contradictory_positions_of_a_commanded_joint_are_no_jump():
+    collector = hand()
+    alternate(collector, 'arm', 0.0)
+    assert list(collector.alternating()) == ['arm']
+    assert not collector.is_consistent
+    assert not collector.has_jumped
+
+
+def test_contradictory_positions_of_another_joint_are_a_jump_and_hold_it_at_rest():
+    collector = hand()
+    time = alternate(collector, 'finger', 0.0)
+    assert list(collector.alternating()) == ['finger']
+    assert collector.is_consistent
+    assert collector.qd.tolist() == [1.0, 0.0, 1.0]
+    assert collector.has_jumped
+    collector.has_jumped = False
+    time = alternate(collector, 'finger', time)
+    assert not collector.has_jumped
+    for _ in range(2):
+        time = alternate(collector, 'finger', time, (0.0, 0.0))
+    assert collector.alternating() == {}
+    assert collector.has_jumped
+
+
+def test_the_jump_of_a_late_joint_is_kept_while_another_one_alternates():
+    collector = hand()
+    collector.has_jumped = True
+    alternate(collector, 'arm', 0.0)
+    assert collector.has_jumped
