@@ -17,7 +17,7 @@ CLEAN := env -u PYTHONPATH -u LD_LIBRARY_PATH -u AMENT_PREFIX_PATH -u COLCON_PRE
 .PHONY: demo test test-oldest bench bench-loop storm clean
 
 demo: $(VENV)/demo.done
-	@$(CLEAN) $(BIN)/python -m inverse_dynamics_node.simulation.demo '$(ROBOT)' $(ARGS)
+	@$(CLEAN) $(BIN)/python -m inverse_dynamics_node.cli.main demo '$(ROBOT)' $(ARGS)
 
 # Two at a time: most tests of the node wait for processes to start and to find each other.
 PYTEST := --timeout 300 --numprocesses 2 --dist loadscope --quiet

@@ -9,7 +9,7 @@ from time import perf_counter
 from typing import Any
 
 from inverse_dynamics_node import InverseDynamics
-from inverse_dynamics_node.model import Floats
+from inverse_dynamics_node.robot.model import Floats
 import numpy as np
 
 from .peers import Pinocchio

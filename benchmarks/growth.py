@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from inverse_dynamics_node import InverseDynamics
-from inverse_dynamics_node.model import Floats
+from inverse_dynamics_node.robot.model import Floats
 import numpy as np
 
 from . import peers

@@ -15,7 +15,7 @@ from typing import Any
 
 from domain_coordinator import domain_id
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.model import Floats
+from inverse_dynamics_node.robot.model import Floats
 import numpy as np
 from robot_files import ROOT
 from sensor_msgs.msg import JointState

@@ -19,9 +19,9 @@ import contextlib
 import math
 from typing import Any, NamedTuple
 
-from inverse_dynamics_node import columns, equations, newton_euler
-from inverse_dynamics_node.dynamics import STANDARD_GRAVITY
-from inverse_dynamics_node.model import Floats, RobotModel
+from inverse_dynamics_node.dynamics import columns, equations, newton_euler
+from inverse_dynamics_node.dynamics.inverse_dynamics import STANDARD_GRAVITY
+from inverse_dynamics_node.robot.model import Floats, RobotModel
 import numpy as np
 
 from . import lagrange

@@ -14,8 +14,8 @@ import tempfile
 from typing import Any
 
 from inverse_dynamics_node import InverseDynamics, Specialised
-from inverse_dynamics_node.dynamics import STANDARD_GRAVITY
-from inverse_dynamics_node.model import Floats
+from inverse_dynamics_node.dynamics.inverse_dynamics import STANDARD_GRAVITY
+from inverse_dynamics_node.robot.model import Floats
 import numpy as np
 
 from .robots import Robot

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from inverse_dynamics_node import load_urdf, RobotModel
-from inverse_dynamics_node.model import Floats
+from inverse_dynamics_node.robot.model import Floats
 from lxml import etree
 import numpy as np
 from random_trees import random_chain, urdf_of

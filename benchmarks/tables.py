@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import contextlib
 from typing import Any, NamedTuple
 
-from inverse_dynamics_node.model import Floats
+from inverse_dynamics_node.robot.model import Floats
 
 from . import batch, peers, workers
 from .robots import random_states, Robot

@@ -16,7 +16,7 @@ import os
 from time import thread_time
 from typing import Any, NamedTuple
 
-from inverse_dynamics_node.model import Floats
+from inverse_dynamics_node.robot.model import Floats
 import numpy as np
 
 SLICE = 0.005  # s per contender and round: long for the clock, short for the machine's moods

@@ -13,7 +13,7 @@ import sys
 import time
 from typing import Any, NamedTuple
 
-from inverse_dynamics_node.model import Floats
+from inverse_dynamics_node.robot.model import Floats
 import numpy as np
 import rclpy
 from rclpy.context import Context

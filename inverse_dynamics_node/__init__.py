@@ -8,7 +8,8 @@ from importlib import import_module
 from typing import Any, TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from .dynamics import InverseDynamics
+    from .dynamics.codegen import Specialised
+    from .dynamics.inverse_dynamics import InverseDynamics
     from .errors import (
         ConfigurationError,
         InverseDynamicsError,
@@ -16,20 +17,19 @@ if TYPE_CHECKING:
         TrajectoryError,
         UrdfError,
     )
-    from .model import RobotModel
-    from .specialise import Specialised
-    from .urdf import load_urdf
+    from .robot.model import RobotModel
+    from .robot.urdf import load_urdf
 
 _HOMES = {
     'ConfigurationError': 'errors',
-    'InverseDynamics': 'dynamics',
+    'InverseDynamics': 'dynamics.inverse_dynamics',
     'InverseDynamicsError': 'errors',
     'JointStateError': 'errors',
-    'RobotModel': 'model',
-    'Specialised': 'specialise',
+    'RobotModel': 'robot.model',
+    'Specialised': 'dynamics.codegen',
     'TrajectoryError': 'errors',
     'UrdfError': 'errors',
-    'load_urdf': 'urdf',
+    'load_urdf': 'robot.urdf',
 }
 
 __all__ = [

@@ -1,7 +1,7 @@
 """Recorded runs made up from the model itself: what was put in has to be found."""
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.identification import Recording
+from inverse_dynamics_node.analysis.identification import Recording
 import numpy as np
 from robot_files import ROOT, STANFORD
 

@@ -4,7 +4,7 @@ import csv
 import re
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.identification import Recording
+from inverse_dynamics_node.analysis.identification import Recording
 import numpy as np
 from robot_files import STANFORD
 
@@ -45,7 +45,7 @@ def simulate(urdf, real, duration=20.0, rate=500.0):
 
     Joint states are those of `MujocoRobot.state`: the effort is the one applied until then.
     """
-    from inverse_dynamics_node.simulation.mujoco_robot import MujocoRobot
+    from inverse_dynamics_node.simulation.mujoco.hardware import MujocoRobot
     from inverse_dynamics_node.simulation.trajectory import plan, start_pose
 
     robot = load_urdf(urdf)

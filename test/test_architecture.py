@@ -1,148 +1,126 @@
-"""The rooms of the house, and the one way through them, read from the imports."""
+"""The layout of the package: which part imports which, read from the imports themselves."""
 
 import ast
+from graphlib import CycleError, TopologicalSorter
 import os
 from pathlib import Path
+import re
 import subprocess
 import sys
 
 import pytest
 from robot_files import ROOT
 
-PACKAGE = ROOT / 'inverse_dynamics_node'
-# What each room may import of ours; rooms not named may import nothing.
-ARROWS = {
-    'model': set(),
-    'errors': set(),
-    'compilation': set(),
-    'urdf': {'model', 'errors'},
-    'columns': {'compilation', 'model'},
-    'equations': {'compilation'},
-    'mass_matrix': {'columns', 'equations', 'newton_euler', 'compilation'},
-    'arguments': {'errors', 'model'},
-    'newton_euler': {'columns', 'equations', 'compilation'},
-    'lanes': {'newton_euler', 'columns', 'equations', 'compilation', 'model'},
-    'dynamics': {
-        'newton_euler',
-        'loaded_robot',
-        'mass_matrix',
-        'batch_mass_matrix',
-        'lanes',
-        'columns',
-        'arguments',
-        'compilation',
-        'model',
-        'errors',
-    },
-    'batch_mass_matrix': {
-        'columns',
-        'equations',
-        'mass_matrix',
-        'lanes',
-        'newton_euler',
-        'compilation',
-        'model',
-    },
-    'loaded_robot': {'columns', 'compilation', 'model', 'errors'},
-    'specialise': {'newton_euler', 'dynamics', 'columns', 'equations', 'compilation', 'model'},
-    'trajectory': {'dynamics', 'lanes', 'model', 'errors'},
-    'identification': {'dynamics', 'model', 'errors'},
-    'advice': set(),
-    'destinations': set(),
-    'kinematics': {'model'},
-    'plausibility': {'model'},
-    'demands': {'dynamics', 'trajectory', 'model'},
-    'report': {'advice', 'dynamics', 'plausibility', 'model', 'errors'},
-    'workspace': {'dynamics', 'model', 'errors'},
-    'loads': {'dynamics', 'arguments', 'model', 'errors'},
-    'residual': {'dynamics', 'model'},
-    'alternation': {'compilation', 'model'},
-    'state': {'alternation', 'compilation', 'model', 'errors'},
-    'blending': {'compilation', 'model'},
-    'controller': {'blending', 'dynamics', 'state', 'model', 'errors'},
-    'rig': {
-        'controller',
-        'plausibility',
-        'loads',
-        'residual',
-        'report',
-        'state',
-        'dynamics',
-        'model',
-        'errors',
-    },
-    'monitor': {'rig', 'controller', 'plausibility', 'model'},
-    'node': {
-        'rig',
-        'plausibility',
-        'monitor',
-        'trajectory',
-        'controller',
-        'loads',
-        'dynamics',
-        'urdf',
-        'model',
-        'errors',
-    },
-    'cli': {
-        'advice',
-        'destinations',
-        'report',
-        'workspace',
-        'identification',
-        'kinematics',
-        'plausibility',
-        'trajectory',
-        'demands',
-        'simulation',
-        'dynamics',
-        'urdf',
-        'model',
-        'errors',
-    },
-    'simulation': {'destinations', 'dynamics', 'workspace', 'urdf', 'model', 'errors'},
-    '__init__': {'dynamics', 'specialise', 'errors', 'model', 'urdf'},
-}
+NAME = 'inverse_dynamics_node'
+PACKAGE = ROOT / NAME
+FILES = sorted(PACKAGE.rglob('*.py'))
+PARTS = sorted(path.parent.name for path in PACKAGE.glob('*/__init__.py'))
 ROS = ('rclpy', 'rcl_interfaces', 'ament_index_python', 'std_srvs')
 
 
-def room_of(path):
+def permitted_imports():
+    """Read the table of CONTRIBUTING.md: part -> the parts that it may import."""
+    text = (ROOT / 'CONTRIBUTING.md').read_text()
+    rows = re.findall(r'^ *(\w+) +-> +([\w, ]+)$', text, re.MULTILINE)
+    return {part: set(re.findall(r'\w+', imported)) for part, imported in rows}
+
+
+def part_of(path):
+    """Return the sub-package of a file, or the file's own name at the root of the package."""
     return path.relative_to(PACKAGE).with_suffix('').parts[0]
 
 
-def imports_of(path):
-    """List the modules that a file imports, by their full names."""
+def imports_of(path, top_level_only=False):
+    """List what a file imports, by full names."""
+    tree = ast.parse(path.read_text())
+    nodes = _executed_at_import(tree.body) if top_level_only else ast.walk(tree)
+    folder = [NAME, *path.relative_to(PACKAGE).parent.parts]
     names = []
-    depth = len(path.relative_to(PACKAGE).parts)
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in nodes:
         if isinstance(node, ast.Import):
             names += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
-            prefix = node.module or ''
-            if node.level:
-                inside = ['inverse_dynamics_node', *path.relative_to(PACKAGE).parts[:-1]]
-                prefix = '.'.join(
-                    inside[: depth - node.level + 1] + ([node.module] if node.module else [])
-                )
+            base = folder[: len(folder) - node.level + 1] if node.level else []
+            prefix = '.'.join([*base, *([node.module] if node.module else [])])
             names += [f'{prefix}.{alias.name}' for alias in node.names]
     return names
 
 
-FILES = sorted(PACKAGE.rglob('*.py'))
+def _executed_at_import(statements):
+    """Skip the bodies of functions, and imports for type checkers."""
+    for statement in statements:
+        if isinstance(statement, ast.If) and 'TYPE_CHECKING' in ast.unparse(statement.test):
+            continue
+        if isinstance(statement, ast.If | ast.Try | ast.With):
+            yield from _executed_at_import(
+                [node for node in ast.iter_child_nodes(statement) if isinstance(node, ast.stmt)]
+            )
+        yield statement
+
+
+def own_module(name):
+    """Return the file that an imported name comes from, or None if it is not one of ours."""
+    package, *parts = name.split('.')
+    if package != NAME:
+        return None
+    while parts:
+        path = PACKAGE.joinpath(*parts)
+        if path.with_suffix('.py').exists():
+            return path.with_suffix('.py')
+        if (path / '__init__.py').exists():
+            return path / '__init__.py'
+        parts.pop()
+    return PACKAGE / '__init__.py'
 
 
 @pytest.mark.parametrize('path', FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_arrows_go_one_way(path):
-    room = room_of(path)
+def test_a_part_imports_only_what_contributing_permits(path):
+    if path == PACKAGE / '__init__.py':  # names what is public
+        return
+    part = part_of(path)
+    permitted = permitted_imports().get(part, set()) | {part, 'errors'}
     for name in imports_of(path):
         package, *rest = name.split('.')
-        if package == 'inverse_dynamics_node' and rest:
-            assert rest[0] in ARROWS[room] | {room}, f'{room} imports {name}'
+        if package == NAME and rest:
+            assert rest[0] in permitted, f'{part} imports {name}'
+
+
+def test_the_table_of_imports_names_every_part():
+    table = permitted_imports()
+    named = set(table) | set().union(*table.values())
+    assert named - {'errors'} == set(PARTS)
+    assert len(PARTS) == 8
+
+
+def test_no_file_imports_itself_through_others():
+    graph = {
+        path: {own_module(name) for name in imports_of(path, top_level_only=True)} - {None, path}
+        for path in FILES
+        if path != PACKAGE / '__init__.py'
+    }
+    try:
+        order = list(TopologicalSorter(graph).static_order())
+    except CycleError as error:
+        names = ' -> '.join(str(path.relative_to(PACKAGE)) for path in error.args[1])
+        pytest.fail(f'import cycle: {names}')
+    assert len(order) >= len(FILES) - 1
+
+
+def test_the_root_of_the_package_has_no_other_files():
+    names = {path.name for path in PACKAGE.iterdir() if path.is_file()}
+    assert names == {'__init__.py', 'errors.py', 'py.typed'}
+
+
+@pytest.mark.parametrize('part', PARTS)
+def test_every_part_is_introduced_in_one_sentence(part):
+    summary = ast.get_docstring(ast.parse((PACKAGE / part / '__init__.py').read_text()))
+    assert summary
+    assert '\n' not in summary
 
 
 @pytest.mark.parametrize('path', FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_only_node_and_simulation_know_ros(path):
-    if room_of(path) in ('node', 'simulation'):
+def test_only_node_and_simulation_import_ros(path):
+    if part_of(path) in ('node', 'simulation'):
         return
     for name in imports_of(path):
         package = name.split('.')[0]
@@ -150,7 +128,7 @@ def test_only_node_and_simulation_know_ros(path):
         assert not package.endswith('_msgs'), name
 
 
-def test_core_imports_with_ros_out_of_reach():
+def test_the_core_can_be_imported_without_ros():
     code = (
         'import sys\n'
         'class Refuse:\n'
@@ -158,7 +136,7 @@ def test_core_imports_with_ros_out_of_reach():
         f'        if name.split(".")[0] in {ROS!r} or name.split(".")[0].endswith("_msgs"):\n'
         '            raise ImportError(name)\n'
         'sys.meta_path.insert(0, Refuse())\n'
-        'import inverse_dynamics_node\n'
+        f'import {NAME}\n'
         'assert "yourdfpy" not in sys.modules, "half a second for who does not load a URDF"\n'
     )
     environment = {**os.environ, 'PYTHONPATH': str(ROOT)}
@@ -172,7 +150,7 @@ def test_public_names_exist_and_are_documented():
         assert getattr(inverse_dynamics_node, name).__doc__
 
 
-def test_version_stands_once_in_each_file_that_needs_it():
+def test_the_version_is_the_same_in_every_file():
     setup = (ROOT / 'setup.py').read_text().split("version='")[1].split("'")[0]
     package = (ROOT / 'package.xml').read_text().split('<version>')[1].split('<')[0]
     changelog = (ROOT / 'CHANGELOG.rst').read_text()
@@ -180,5 +158,11 @@ def test_version_stands_once_in_each_file_that_needs_it():
     assert setup in changelog or 'Forthcoming' in changelog
 
 
-def test_no_room_is_missing_from_the_arrows():
-    assert {room_of(path) for path in FILES} == set(ARROWS) | {Path('__init__').stem}
+def test_an_import_cycle_would_be_found(tmp_path, monkeypatch):
+    module = sys.modules[__name__]
+    for name, text in (('a', 'from . import b'), ('b', 'from .a import x'), ('__init__', '')):
+        (tmp_path / f'{name}.py').write_text(text)
+    monkeypatch.setattr(module, 'PACKAGE', tmp_path)
+    monkeypatch.setattr(module, 'FILES', sorted(Path(tmp_path).glob('*.py')))
+    with pytest.raises(pytest.fail.Exception, match='import cycle: '):
+        test_no_file_imports_itself_through_others()

@@ -1,1 +1,1 @@
-"""The command line: what the library knows, for people; no ROS is needed but for the demo."""
+"""The command `inverse_dynamics`; only its demo needs ROS."""

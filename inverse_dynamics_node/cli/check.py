@@ -10,11 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from ..advice import Concern
-from ..destinations import destination, picture
-from ..dynamics import STANDARD_GRAVITY
-from ..model import Floats, RobotModel
-from ..report import (
+from ..analysis.workspace import (
+    explore,
+    Payload,
+    payload_left,
+    SAMPLES,
+    Workspace,
+)
+from ..dynamics.inverse_dynamics import STANDARD_GRAVITY
+from ..report.advice import Concern
+from ..report.report import (
     concerns_of,
     decimals,
     effort_unit,
@@ -25,9 +30,11 @@ from ..report import (
     Table,
     WIDTH,
 )
-from ..workspace import explore, last_link, Payload, payload_left, SAMPLES, Workspace
+from ..robot.hand import last_link
+from ..robot.model import Floats, RobotModel
+from .arguments import output_path, picture_path
 from .console import progress, show, show_concerns
-from .pictures import try_to_draw
+from .pictures.style import try_to_draw
 from .robots import HELP, load_dynamics, stem_of
 
 EPILOG = """\
@@ -64,14 +71,14 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument(
         '--picture',
-        type=picture,
+        type=picture_path,
         metavar='FILE',
         help='default: <name of the urdf>_check.png, here',
     )
     parser.add_argument('--no-picture', action='store_true', help='write no picture')
     parser.add_argument(
         '--poses',
-        type=destination,
+        type=output_path,
         metavar='FILE',
         help='write the worst pose of every joint here, CSV',
     )
@@ -116,7 +123,7 @@ def run(options: argparse.Namespace) -> int:
     if robot.joint_names and options.poses:
         write_poses(workspace, options.poses)
     if robot.joint_names and not options.no_picture:
-        from .check_picture import draw
+        from .pictures.check import draw
 
         print()
         path = try_to_draw(

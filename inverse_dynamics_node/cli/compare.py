@@ -10,11 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..advice import Concern
-from ..destinations import destination, picture
-from ..dynamics import FRICTION_WIDTH, InverseDynamics, STANDARD_GRAVITY
-from ..errors import ConfigurationError, RecordingError
-from ..identification import (
+from ..analysis.identification import (
     Diagnosis,
     Findings,
     friction_parameters,
@@ -22,12 +18,20 @@ from ..identification import (
     JointFinding,
     Recording,
 )
-from ..report import position_concerns, Table
-from ..workspace import last_link
-from .arguments import payload
-from .console import progress, say, show, show_concerns
-from .pictures import try_to_draw
-from .recordings import read_recording
+from ..analysis.recordings import read_recording
+from ..dynamics.inverse_dynamics import FRICTION_WIDTH, InverseDynamics, STANDARD_GRAVITY
+from ..errors import ConfigurationError, RecordingError
+from ..report.advice import Concern
+from ..report.report import position_concerns, Table
+from ..robot.hand import last_link
+from .arguments import output_path, payload, picture_path
+from .console import (
+    progress,
+    say,
+    show,
+    show_concerns,
+)
+from .pictures.style import try_to_draw
 from .robots import HELP, load_dynamics
 
 EPILOG = """\
@@ -95,13 +99,13 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument(
         '--parameters',
-        type=destination,
+        type=output_path,
         metavar='FILE',
         help='write the fitted friction here, as parameters of the node',
     )
     parser.add_argument(
         '--picture',
-        type=picture,
+        type=picture_path,
         metavar='FILE',
         help='default: <name of the recording>_compare.png, here',
     )
@@ -136,7 +140,7 @@ def run(options: argparse.Namespace) -> int:
         write_parameters(findings, robot.joint_names, options.parameters)
         print(f'friction: {options.parameters}')
     if not options.no_picture:
-        from .compare_picture import draw
+        from .pictures.compare import draw
 
         link = options.link or last_link(robot)
         load = f", payload {options.payload[0]:g} kg on link '{link}'" if options.payload else ''

@@ -7,8 +7,14 @@ from contextlib import contextmanager
 import sys
 from typing import Any
 
-from ..advice import Concern
-from ..report import as_text, concerns_as_text, Table, WIDTH, wrapped
+from ..report.advice import Concern
+from ..report.report import (
+    as_text,
+    concerns_as_text,
+    Table,
+    WIDTH,
+    wrapped,
+)
 
 _MARKS = ('beyond', 'outside')
 """Words that make a row red."""

@@ -11,13 +11,20 @@ from typing import Any
 
 import numpy as np
 
-from ..advice import Concern
-from ..demands import Demands, demands_of
-from ..destinations import destination, picture
-from ..dynamics import STANDARD_GRAVITY
+from ..analysis.requirements import Demands, demands_of
+from ..analysis.trajectories import FORMATS, read_trajectory, Source
+from ..analysis.trajectory_files import write_table, write_trajectory
+from ..analysis.workspace import joint_ranges
+from ..dynamics.inverse_dynamics import STANDARD_GRAVITY
+from ..dynamics.trajectory import (
+    complete,
+    refine,
+    smooth,
+    Trajectory,
+)
 from ..errors import ConfigurationError
-from ..model import Floats, RobotModel
-from ..report import (
+from ..report.advice import Concern
+from ..report.report import (
     decimals,
     effort_unit,
     number,
@@ -26,14 +33,12 @@ from ..report import (
     slides,
     Table,
 )
-from ..trajectory import complete, refine, smooth, Trajectory
-from ..workspace import joint_ranges, last_link
-from .arguments import payload
+from ..robot.hand import last_link
+from ..robot.model import Floats, RobotModel
+from .arguments import output_path, payload, picture_path
 from .console import progress, show, show_concerns
-from .pictures import try_to_draw
+from .pictures.style import try_to_draw
 from .robots import HELP, load_dynamics
-from .trajectories import FORMATS, read_trajectory, Source
-from .trajectory_files import write_table, write_trajectory
 
 EPILOG = f"""\
 {FORMATS}
@@ -113,20 +118,20 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument(
         '--csv',
-        type=destination,
+        type=output_path,
         metavar='FILE',
         help='default: <name of the trajectory>_efforts.csv',
     )
     parser.add_argument(
         '--picture',
-        type=picture,
+        type=picture_path,
         metavar='FILE',
         help='default: <name of the trajectory>_efforts.png, here',
     )
     parser.add_argument('--no-picture', action='store_true', help='write no picture')
     parser.add_argument(
         '--trajectory-out',
-        type=destination,
+        type=output_path,
         metavar='YAML',
         help='write the trajectory with velocities, accelerations and effort filled in, as '
         '`ros2 topic pub` takes it',
@@ -174,7 +179,7 @@ def run(options: argparse.Namespace) -> int:
         written.append(options.trajectory_out)
         write_trajectory(options.trajectory_out, whole, demands.efforts[points])
     if not options.no_picture:
-        from .effort_picture import draw
+        from .pictures.effort import draw
 
         load = f"\npayload {options.payload[0]:g} kg on link '{link}'" if options.payload else ''
         title = f'{robot.name}: efforts along {options.trajectory.name}{load}'

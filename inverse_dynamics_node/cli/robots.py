@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 import sys
 
-from ..dynamics import InverseDynamics
+from ..dynamics.inverse_dynamics import InverseDynamics
 from ..errors import UrdfError
-from ..model import Floats
-from ..urdf import load_urdf
+from ..robot.model import Floats
+from ..robot.urdf import load_urdf
 from .console import waiting
 
 HELP = "the robot description; '-' reads it from standard input, as from xacro"

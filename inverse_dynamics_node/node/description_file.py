@@ -7,8 +7,8 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 from ..errors import ConfigurationError, UrdfError
-from ..model import RobotModel
-from ..urdf import load_urdf
+from ..robot.model import RobotModel
+from ..robot.urdf import load_urdf
 
 
 def load_file(given: str, on_missing_inertial: str) -> RobotModel:

@@ -7,8 +7,8 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
+from ..control.monitor import Status
 from ..errors import shortened
-from ..monitor import Status
 
 _LONGEST = 1000  # characters; names come from messages and robot descriptions
 

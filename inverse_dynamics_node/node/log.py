@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from ..controller import Command, IS_WELL, Phase
-from ..errors import shortened_lines
-from ..monitor import (
+from ..control.control_loop import Rig
+from ..control.controller import Command, IS_WELL, Phase
+from ..control.monitor import (
     activity,
     describe_alternating,
     describe_implausible,
@@ -19,7 +19,7 @@ from ..monitor import (
     Level,
     Status,
 )
-from ..rig import Rig
+from ..errors import shortened_lines
 
 _PERIOD = 2.0  # [s]; how often it repeats what lasts
 _LONG_PERIOD = 10.0  # [s]; the same for problems that only a user can end

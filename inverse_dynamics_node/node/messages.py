@@ -12,10 +12,15 @@ from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from ..controller import Reference
-from ..errors import ConfigurationError, JointStateError, shortened, TrajectoryError
-from ..model import Floats
-from ..trajectory import Trajectory
+from ..control.controller import Reference
+from ..dynamics.trajectory import Trajectory
+from ..errors import (
+    ConfigurationError,
+    JointStateError,
+    shortened,
+    TrajectoryError,
+)
+from ..robot.model import Floats
 
 
 def read_accelerations(message: Float64MultiArray, joints: Sequence[str], now: float) -> Reference:

@@ -24,7 +24,11 @@ from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from ..controller import IS_WELL, Reference
+from ..control.control_loop import Rig
+from ..control.controller import IS_WELL, Reference
+from ..control.external_loads import rotation_of
+from ..control.monitor import describe_silence, Monitor, Surroundings
+from ..dynamics.trajectory import complete, joint_index, trajectory_efforts
 from ..errors import (
     ConfigurationError,
     InverseDynamicsError,
@@ -33,16 +37,15 @@ from ..errors import (
     shortened_lines,
     TrajectoryError,
 )
-from ..loads import rotation_of
-from ..model import Floats
-from ..monitor import describe_silence, Monitor, Surroundings
-from ..rig import Rig
-from ..trajectory import complete, joint_index, trajectory_efforts
+from ..robot.model import Floats
 from . import messages
+from .cdr import JointStateReader
+from .configure import apply_configuration, check_configuration, make_rig
 from .containment import contain_errors
 from .diagnostics import diagnostic_array
 from .graph import Graph
 from .log import BoundedLogger, NodeLog
+from .model_report import describe_robot
 from .outputs import Outputs
 from .parameters import (
     BaseMotion,
@@ -55,8 +58,6 @@ from .parameters import (
     unused_qos_overrides,
     values_of,
 )
-from .serialized import JointStateReader
-from .setup import apply_configuration, check_configuration, make_rig
 
 _LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 _EVERY_ONE = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
@@ -498,7 +499,7 @@ class InverseDynamicsNode(LifecycleNode):
 
     def _on_check_model(self, request: Trigger.Request, response: Trigger.Response) -> Any:
         response.success = self._rig is not None
-        response.message = self._rig.report() if self._rig else 'there is no robot yet'
+        response.message = describe_robot(self._rig) if self._rig else 'there is no robot yet'
         self.get_logger().info(response.message)  # a command line shows it on one long line
         return response
 

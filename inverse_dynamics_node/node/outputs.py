@@ -12,11 +12,11 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from ..dynamics import EffortTerms
-from ..model import Floats
-from ..rig import Rig
+from ..control.control_loop import Rig
+from ..dynamics.inverse_dynamics import EffortTerms
+from ..robot.model import Floats
 from . import messages
-from .serialized import serialize_numbers
+from .cdr import serialize_numbers
 
 
 class Outputs:

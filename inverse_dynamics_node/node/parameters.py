@@ -10,10 +10,15 @@ from typing import Any, NamedTuple, TYPE_CHECKING
 
 import numpy as np
 
-from ..controller import Mode, PerJoint, Settings, StalePolicy
-from ..dynamics import FRICTION_WIDTH, STANDARD_GRAVITY
+from ..control.controller import (
+    Mode,
+    PerJoint,
+    Settings,
+    StalePolicy,
+)
+from ..control.external_loads import LoadSettings
+from ..dynamics.inverse_dynamics import FRICTION_WIDTH, STANDARD_GRAVITY
 from ..errors import ConfigurationError, did_you_mean
-from ..loads import LoadSettings
 
 if TYPE_CHECKING:  # --help prints the parameters without ROS
     from rcl_interfaces.msg import ParameterDescriptor

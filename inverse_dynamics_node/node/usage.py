@@ -8,7 +8,12 @@ import re
 from textwrap import fill
 from typing import Any
 
-from .parameters import LOCKED, Parameter, PARAMETERS, PER_JOINT
+from .parameters import (
+    LOCKED,
+    Parameter,
+    PARAMETERS,
+    PER_JOINT,
+)
 
 _PACKAGE = 'inverse_dynamics_node'
 _WIDTH = 90

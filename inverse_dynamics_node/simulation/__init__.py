@@ -1,1 +1,1 @@
-"""A robot to try the node on: MuJoCo plays the hardware behind joint states and commands."""
+"""MuJoCo as the robot hardware, and the demo."""

@@ -44,12 +44,12 @@ from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Bool, Float64MultiArray
 
-from ..dynamics import InverseDynamics
+from ..dynamics.inverse_dynamics import InverseDynamics
 from ..errors import InverseDynamicsError
-from ..model import Floats
-from ..urdf import load_urdf
-from .mujoco_model import SimulationError
-from .mujoco_robot import MujocoRobot
+from ..robot.model import Floats
+from ..robot.urdf import load_urdf
+from .mujoco.hardware import MujocoRobot
+from .mujoco.model import SimulationError
 from .tilt import rotation_of_rpy, Tilt
 from .trajectory import start_pose
 

@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..dynamics import STANDARD_GRAVITY
-from ..model import Floats
+from ..dynamics.inverse_dynamics import STANDARD_GRAVITY
+from ..robot.model import Floats
 from .trajectory import ease
 
 DURATION = 3.0  # [s], of a change of attitude

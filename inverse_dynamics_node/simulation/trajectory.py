@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..dynamics import InverseDynamics
-from ..model import Booleans, Floats, RobotModel
-from .mujoco_model import SimulationError
+from ..dynamics.inverse_dynamics import InverseDynamics
+from ..robot.model import Booleans, Floats, RobotModel
+from .mujoco.model import SimulationError
 
 LARGEST_SWING = (0.5, 0.1)  # [rad], [m]: enough for all terms of the dynamics to matter
 FREQUENCIES = (0.20, 0.31, 0.24, 0.38, 0.28, 0.43, 0.34)  # [Hz]: no two neighbours in step

@@ -84,7 +84,7 @@ def test_long_names_are_whole_in_a_pipe_and_poses_are_offered_as_a_file(tmp_path
 
 def test_long_names_are_shortened_on_a_terminal(monkeypatch, capsys):
     from inverse_dynamics_node.cli.console import show
-    from inverse_dynamics_node.report import Table
+    from inverse_dynamics_node.report.report import Table
 
     table = Table('t', ('joint', 'value'), ((f'{"a" * 60}_joint', '1' * 60),))
     monkeypatch.setattr(sys.stdout, 'isatty', lambda: True)

@@ -4,8 +4,8 @@ import io
 import re
 
 from inverse_dynamics_node import load_urdf
+from inverse_dynamics_node.analysis.recordings import read_recording
 from inverse_dynamics_node.cli.main import main
-from inverse_dynamics_node.cli.recordings import read_recording
 import numpy as np
 import pytest
 from robot_files import ROOT, STANFORD
@@ -143,7 +143,7 @@ def test_every_count_of_joints_can_be_drawn(here, size_of):
     )
     urdf.write_text(f'<robot name="chain"><link name="l0"/>{links}</robot>')
     from inverse_dynamics_node import InverseDynamics
-    from inverse_dynamics_node.identification import Recording
+    from inverse_dynamics_node.analysis.identification import Recording
     from runs import exciting
 
     robot = load_urdf(urdf)

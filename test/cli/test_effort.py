@@ -4,11 +4,11 @@ import csv
 from pathlib import Path
 import re
 
+from inverse_dynamics_node.analysis.trajectories import read_trajectory
 from inverse_dynamics_node.cli.main import main
-from inverse_dynamics_node.cli.trajectories import read_trajectory
-from inverse_dynamics_node.dynamics import InverseDynamics
+from inverse_dynamics_node.dynamics.inverse_dynamics import InverseDynamics
 from inverse_dynamics_node.errors import TrajectoryError
-from inverse_dynamics_node.urdf import load_urdf
+from inverse_dynamics_node.robot.urdf import load_urdf
 import numpy as np
 import pytest
 from robot_files import STANFORD

@@ -1,11 +1,13 @@
 """Pictures of robots with many joints and branches: legible, complete, nothing overlaps."""
 
-from inverse_dynamics_node.cli import check_picture, compare_picture, effort_picture
+from inverse_dynamics_node.analysis.identification import Recording
 from inverse_dynamics_node.cli.main import main
-from inverse_dynamics_node.cli.pictures import runs_of
-from inverse_dynamics_node.dynamics import InverseDynamics
-from inverse_dynamics_node.identification import Recording
-from inverse_dynamics_node.urdf import load_urdf
+from inverse_dynamics_node.cli.pictures import check as check_picture
+from inverse_dynamics_node.cli.pictures import compare as compare_picture
+from inverse_dynamics_node.cli.pictures import effort as effort_picture
+from inverse_dynamics_node.cli.pictures.style import runs_of
+from inverse_dynamics_node.dynamics.inverse_dynamics import InverseDynamics
+from inverse_dynamics_node.robot.urdf import load_urdf
 from large_robots import three_finger_hand, two_arms
 import numpy as np
 import pytest

@@ -20,7 +20,7 @@ pytest.importorskip('mujoco')
 pytest.importorskip('rosbags')
 
 from inverse_dynamics_node import load_urdf
-from inverse_dynamics_node.simulation.mujoco_model import compile_model
+from inverse_dynamics_node.simulation.mujoco.model import compile_model
 import mujoco
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosbags.rosbag2 import Reader
@@ -42,7 +42,7 @@ def record(domain_id, tmp_path):
 
     def run(path, scenario):
         folder = tmp_path / scenario
-        demo = [sys.executable, '-m', 'inverse_dynamics_node.simulation.demo', str(path)]
+        demo = [sys.executable, '-m', 'inverse_dynamics_node.cli.main', 'demo', str(path)]
         options = ['--scenario', scenario, '--duration', str(DURATION), '--record', str(folder)]
         done = subprocess.run(
             [*demo, *options, '--domain', str(domain_id)],

@@ -20,12 +20,12 @@ pytest.importorskip('mujoco')
 pytest.importorskip('rosbags')
 
 from inverse_dynamics_node import load_urdf
-from inverse_dynamics_node.simulation.commander import resolved_acceleration
-from inverse_dynamics_node.simulation.processes import running, unused_domain
+from inverse_dynamics_node.simulation.demo.commander import resolved_acceleration
+from inverse_dynamics_node.simulation.demo.processes import running, unused_domain
 
 PATIENCE = 90.0  # [s]; a demo that can do nothing gives up by itself before this
 SEVEN_JOINTS = ROOT / 'test' / 'robots' / 'seven_dof.urdf'
-DEMO = 'inverse_dynamics_node.simulation.demo'
+DEMO = ('-m', 'inverse_dynamics_node.cli.main', 'demo')
 MASSLESS = """
 <robot name="massless"><link name="base"/><link name="tip"/>
 <joint name="idle" type="continuous"><parent link="base"/><child link="tip"/></joint></robot>
@@ -36,7 +36,7 @@ MASSLESS = """
 def running_demo(domain_id, *arguments):
     """Run the demo; whatever becomes of the test, nothing stays behind."""
     demo = subprocess.Popen(
-        [sys.executable, '-m', DEMO, '--domain', str(domain_id), *map(str, arguments)],
+        [sys.executable, *DEMO, '--domain', str(domain_id), *map(str, arguments)],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -175,7 +175,7 @@ class TestDemo:
     def test_on_a_terminal_a_table_is_drawn_over_and_over(self, domain_id):
         ours, theirs = pty.openpty()
         environment = {'TERM': 'xterm', 'COLUMNS': '120'}
-        command = [sys.executable, '-m', DEMO, STANFORD, '--domain', str(domain_id)]
+        command = [sys.executable, *DEMO, STANFORD, '--domain', str(domain_id)]
         with subprocess.Popen(
             [*command, '--scenario', 'hold', '--duration', '2'],
             env={**os.environ, **environment},
@@ -198,7 +198,7 @@ class TestDemo:
     def test_demos_at_the_same_time_have_domains_of_their_own(self):
         """They do so even if the terminal sets a domain, as robots' start-up files do."""
         commands = [
-            [sys.executable, '-m', DEMO, path, '--scenario', 'hold', '--duration', '2']
+            [sys.executable, *DEMO, path, '--scenario', 'hold', '--duration', '2']
             for path in (STANFORD, SEVEN_JOINTS)
         ]
         settings = {'stdout': subprocess.PIPE, 'stderr': subprocess.STDOUT, 'text': True}

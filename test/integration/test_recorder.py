@@ -9,7 +9,7 @@ pytest.importorskip('rclpy')
 pytest.importorskip('mujoco')
 pytest.importorskip('rosbags')
 
-from inverse_dynamics_node.simulation.recorder import LATCHED, Recorder, stamp_of
+from inverse_dynamics_node.simulation.demo.recorder import LATCHED, Recorder, stamp_of
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node

@@ -19,7 +19,7 @@ from geometry_msgs.msg import (
     WrenchStamped,
 )
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.simulation.mujoco_robot import MujocoRobot
+from inverse_dynamics_node.simulation.mujoco.hardware import MujocoRobot
 from inverse_dynamics_node.simulation.robot import COMPLAINT_PERIOD, RobotNode
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor

@@ -5,7 +5,7 @@ import math
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.controller import (
+from inverse_dynamics_node.control.controller import (
     Controller,
     IS_WELL,
     Mode,
@@ -14,7 +14,7 @@ from inverse_dynamics_node.controller import (
     Settings,
     StalePolicy,
 )
-from inverse_dynamics_node.state import State
+from inverse_dynamics_node.control.joint_states import State
 import numpy as np
 from robot_files import ROOT
 

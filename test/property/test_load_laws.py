@@ -8,7 +8,7 @@ import sys
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.compilation import IS_COMPILED
+from inverse_dynamics_node.dynamics.jit import IS_COMPILED
 from kinematics import assert_close, derivative, link_inertia, rotation_of_rpy, Tree
 from loads import apply, everything, random_loads, some_links, without_any
 import numpy as np
@@ -374,7 +374,8 @@ def test_batches_with_loads_give_what_single_states_give(case, rng):
 
 PRINT_EVERYTHING = """
 import json
-from inverse_dynamics_node import compilation, InverseDynamics, load_urdf
+from inverse_dynamics_node import InverseDynamics, load_urdf
+from inverse_dynamics_node.dynamics import jit as compilation
 from loads import apply, everything, random_loads
 import numpy as np
 from random_trees import random_chain, urdf_of

@@ -5,7 +5,7 @@ from copy import deepcopy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from inverse_dynamics_node.errors import UrdfError
-from inverse_dynamics_node.urdf import load_urdf
+from inverse_dynamics_node.robot.urdf import load_urdf
 from lxml import etree
 import numpy as np
 import pytest

@@ -3,7 +3,12 @@
 from hypothesis import given
 from hypothesis import strategies as st
 from inverse_dynamics_node import load_urdf
-from inverse_dynamics_node.alternation import alternating, LATENESS, make_tracks, track
+from inverse_dynamics_node.control.alternation import (
+    alternating,
+    LATENESS,
+    make_tracks,
+    track,
+)
 import numpy as np
 import pytest
 

@@ -5,7 +5,7 @@ import shutil
 import subprocess
 import sys
 
-from inverse_dynamics_node import compilation
+from inverse_dynamics_node.dynamics import jit as compilation
 import pytest
 from robot_files import ROOT, STANFORD
 
@@ -14,7 +14,8 @@ needs_numba = pytest.mark.skipif(not compilation.IS_COMPILED, reason='numba is n
 # Efforts of the Stanford arm, to be printed by another interpreter to the last bit.
 PRINT_EFFORTS = f"""
 import numpy as np
-from inverse_dynamics_node import compilation, InverseDynamics, load_urdf
+from inverse_dynamics_node import InverseDynamics, load_urdf
+from inverse_dynamics_node.dynamics import jit as compilation
 robot = load_urdf({str(STANFORD)!r})
 dynamics = InverseDynamics(robot)
 q, qd, qdd = np.random.default_rng(7).normal(size=(3, 6))

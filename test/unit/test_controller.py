@@ -3,7 +3,7 @@
 import math
 
 from inverse_dynamics_node import ConfigurationError, InverseDynamics, load_urdf
-from inverse_dynamics_node.controller import (
+from inverse_dynamics_node.control.controller import (
     Controller,
     Mode,
     Phase,
@@ -11,7 +11,7 @@ from inverse_dynamics_node.controller import (
     Settings,
     StalePolicy,
 )
-from inverse_dynamics_node.state import State
+from inverse_dynamics_node.control.joint_states import State
 import numpy as np
 import pytest
 from robot_files import NOTHING_MOVES

@@ -1,10 +1,15 @@
 """What a trajectory demands of the joints, and states between its points."""
 
-from inverse_dynamics_node.demands import demands_of
-from inverse_dynamics_node.dynamics import InverseDynamics
+from inverse_dynamics_node.analysis.requirements import demands_of
+from inverse_dynamics_node.dynamics.inverse_dynamics import InverseDynamics
+from inverse_dynamics_node.dynamics.trajectory import (
+    complete,
+    refine,
+    smooth,
+    Trajectory,
+)
 from inverse_dynamics_node.errors import TrajectoryError
-from inverse_dynamics_node.trajectory import complete, refine, smooth, Trajectory
-from inverse_dynamics_node.urdf import load_urdf
+from inverse_dynamics_node.robot.urdf import load_urdf
 import numpy as np
 import pytest
 from robot_files import ROOT, STANFORD

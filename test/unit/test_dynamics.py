@@ -2,7 +2,12 @@
 
 from pathlib import Path
 
-from inverse_dynamics_node import ConfigurationError, InverseDynamics, JointStateError, load_urdf
+from inverse_dynamics_node import (
+    ConfigurationError,
+    InverseDynamics,
+    JointStateError,
+    load_urdf,
+)
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest

@@ -5,16 +5,16 @@ import math
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.compilation import IS_COMPILED
-from inverse_dynamics_node.errors import ConfigurationError, RecordingError
-from inverse_dynamics_node.identification import (
+from inverse_dynamics_node.analysis.identification import (
     friction_parameters,
     FrictionFit,
     identify,
     Recording,
 )
-from inverse_dynamics_node.identification.loads import tip_links
-from inverse_dynamics_node.identification.signals import derive
+from inverse_dynamics_node.analysis.identification.loads import tip_links
+from inverse_dynamics_node.analysis.identification.signals import derive
+from inverse_dynamics_node.dynamics.jit import IS_COMPILED
+from inverse_dynamics_node.errors import ConfigurationError, RecordingError
 import numpy as np
 import pytest
 from robot_files import ROOT

@@ -1,8 +1,8 @@
 """Where the bodies are, told by what gravity does: efforts are the slope of the height."""
 
-from inverse_dynamics_node.dynamics import InverseDynamics
-from inverse_dynamics_node.kinematics import body_frames, rotation
-from inverse_dynamics_node.urdf import load_urdf
+from inverse_dynamics_node.dynamics.inverse_dynamics import InverseDynamics
+from inverse_dynamics_node.robot.kinematics import body_frames, rotation
+from inverse_dynamics_node.robot.urdf import load_urdf
 import numpy as np
 import pytest
 from robot_files import ROOT

@@ -6,10 +6,10 @@ from inverse_dynamics_node import (
     ConfigurationError,
     InverseDynamics,
     JointStateError,
-    lanes,
     load_urdf,
 )
-from inverse_dynamics_node.compilation import simd_step
+from inverse_dynamics_node.dynamics import batch as lanes
+from inverse_dynamics_node.dynamics.jit import simd_step
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest

@@ -1,6 +1,11 @@
 """What is said of loads that no robot can have, and that a refused one changes nothing."""
 
-from inverse_dynamics_node import ConfigurationError, InverseDynamics, JointStateError, load_urdf
+from inverse_dynamics_node import (
+    ConfigurationError,
+    InverseDynamics,
+    JointStateError,
+    load_urdf,
+)
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -195,8 +200,8 @@ def test_a_robot_with_fixed_joints_only_has_a_base_wrench():
     robot = load_urdf(
         '<robot name="r"><link name="base"><inertial><origin xyz="0.1 0 0"/><mass value="2"/>'
         '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
-        '<link name="plate"/><joint name="mount" type="fixed">'
-        '<parent link="base"/><child link="plate"/></joint></robot>'
+        '<link name="plate"/><joint name="mount" type="fixed"><parent link="base"/>'
+        '<child link="plate"/></joint></robot>'
     )
     dynamics = InverseDynamics(robot, (0.0, 0.0, -10.0))
     dynamics.set_payload('base', 1.0, (0.4, 0.0, 0.0))

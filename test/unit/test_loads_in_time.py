@@ -7,7 +7,7 @@ import math
 from hypothesis import given
 from hypothesis import strategies as st
 from inverse_dynamics_node import ConfigurationError, InverseDynamics, load_urdf
-from inverse_dynamics_node.loads import Loads, LoadSettings, rotation_of
+from inverse_dynamics_node.control.external_loads import Loads, LoadSettings, rotation_of
 import numpy as np
 import pytest
 from robot_files import ROOT, STANFORD

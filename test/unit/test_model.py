@@ -3,9 +3,9 @@
 import dataclasses
 import math
 
-from inverse_dynamics_node.model import RobotModel
-from inverse_dynamics_node.urdf import load_urdf
-from inverse_dynamics_node.urdf.bodies import Joint, Mimic, resolve_mimics
+from inverse_dynamics_node.robot.model import RobotModel
+from inverse_dynamics_node.robot.urdf import load_urdf
+from inverse_dynamics_node.robot.urdf.bodies import Joint, Mimic, resolve_mimics
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest

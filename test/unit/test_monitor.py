@@ -3,8 +3,15 @@
 import dataclasses
 
 from inverse_dynamics_node import load_urdf
-from inverse_dynamics_node.controller import Command, Mode, Reference, Settings, StalePolicy
-from inverse_dynamics_node.monitor import (
+from inverse_dynamics_node.control.control_loop import Rig
+from inverse_dynamics_node.control.controller import (
+    Command,
+    Mode,
+    Reference,
+    Settings,
+    StalePolicy,
+)
+from inverse_dynamics_node.control.monitor import (
     activity,
     Level,
     Monitor,
@@ -12,7 +19,6 @@ from inverse_dynamics_node.monitor import (
     SimulatedTime,
     Surroundings,
 )
-from inverse_dynamics_node.rig import Rig
 import numpy as np
 import pytest
 from robot_files import ROOT, STANFORD

@@ -3,7 +3,7 @@
 import math
 
 from inverse_dynamics_node import load_urdf
-from inverse_dynamics_node.plausibility import (
+from inverse_dynamics_node.robot.plausibility import (
     describe_implausible_position,
     implausible_positions,
 )

@@ -1,9 +1,9 @@
 """What the report says of a robot, and that it stays readable."""
 
-from inverse_dynamics_node.advice import ADVICE, advise
-from inverse_dynamics_node.dynamics import InverseDynamics
+from inverse_dynamics_node.dynamics.inverse_dynamics import InverseDynamics
 from inverse_dynamics_node.errors import ConfigurationError, JointStateError, UrdfError
-from inverse_dynamics_node.report import (
+from inverse_dynamics_node.report.advice import ADVICE, advise
+from inverse_dynamics_node.report.report import (
     all_shortened,
     as_text,
     concerns_of,
@@ -15,7 +15,7 @@ from inverse_dynamics_node.report import (
     Table,
     WIDTH,
 )
-from inverse_dynamics_node.urdf import load_urdf
+from inverse_dynamics_node.robot.urdf import load_urdf
 import numpy as np
 import pytest
 from robot_files import NOTHING_MOVES, real_robots, ROOT, STANFORD

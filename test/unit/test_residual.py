@@ -1,7 +1,7 @@
 """Measured effort minus model: nothing where the model is right, minus the push where not."""
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.residual import EffortResidual
+from inverse_dynamics_node.control.external_efforts import EffortResidual
 import numpy as np
 import pytest
 from robot_files import STANFORD

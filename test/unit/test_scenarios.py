@@ -14,18 +14,29 @@ pytest.importorskip('rclpy')
 pytest.importorskip('mujoco')
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.simulation import verdicts
-from inverse_dynamics_node.simulation.commander import KD, resolved_acceleration
-from inverse_dynamics_node.simulation.demo import judge_tracking, told_of_rotors
-from inverse_dynamics_node.simulation.history import History
-from inverse_dynamics_node.simulation.mujoco_model import SimulationError
-from inverse_dynamics_node.simulation.mujoco_robot import MujocoRobot
-from inverse_dynamics_node.simulation.picture import draw
-from inverse_dynamics_node.simulation.scenarios import SCENARIOS, Script, TILT
-from inverse_dynamics_node.simulation.stage import DEFLECTION, GRIP, KP, Stage
+from inverse_dynamics_node.simulation.demo import picture as demo_picture
+from inverse_dynamics_node.simulation.demo import verdicts
+from inverse_dynamics_node.simulation.demo.commander import KD, resolved_acceleration
+from inverse_dynamics_node.simulation.demo.history import History
+from inverse_dynamics_node.simulation.demo.main import judge_tracking, told_of_rotors
+from inverse_dynamics_node.simulation.demo.picture import draw
+from inverse_dynamics_node.simulation.demo.scenarios import SCENARIOS, Script, TILT
+from inverse_dynamics_node.simulation.demo.stage import (
+    DEFLECTION,
+    GRIP,
+    KP,
+    Stage,
+)
+from inverse_dynamics_node.simulation.demo.view import (
+    bar,
+    error_share,
+    Moment,
+    View,
+)
+from inverse_dynamics_node.simulation.demo.without_imu import held_without_imu
+from inverse_dynamics_node.simulation.mujoco.hardware import MujocoRobot
+from inverse_dynamics_node.simulation.mujoco.model import SimulationError
 from inverse_dynamics_node.simulation.trajectory import EFFORT_USED, effort_used, start_pose
-from inverse_dynamics_node.simulation.view import bar, error_share, Moment, View
-from inverse_dynamics_node.simulation.without_imu import held_without_imu
 from rich.console import Console
 from simulated_runs import with_friction
 
@@ -473,7 +484,7 @@ def test_legend_fits_beside_long_names(tmp_path, path, monkeypatch):
     robot = replace(
         stage.robot, joint_names=tuple(f'left_arm_{n}_of_it' for n in stage.robot.joint_names)
     )
-    monkeypatch.setattr('inverse_dynamics_node.simulation.picture.slides', lambda r: [False] * 99)
+    monkeypatch.setattr(demo_picture, 'slides', lambda r: [False] * 99)
     figures = []
     monkeypatch.setattr(Figure, 'savefig', lambda figure, path: figures.append(figure))
     script = SCENARIOS['hold'].prepare(stage)

@@ -15,8 +15,8 @@ from robot_files import OUR_ROBOTS, real_robots, ROOT
 pytest.importorskip('mujoco')
 
 from inverse_dynamics_node import InverseDynamics, load_urdf, UrdfError
-from inverse_dynamics_node.simulation.mujoco_model import SimulationError
-from inverse_dynamics_node.simulation.mujoco_robot import MujocoRobot
+from inverse_dynamics_node.simulation.mujoco.hardware import MujocoRobot
+from inverse_dynamics_node.simulation.mujoco.model import SimulationError
 from inverse_dynamics_node.simulation.tilt import rotation, rotation_of_rpy, Tilt
 from inverse_dynamics_node.simulation.trajectory import (
     EFFORT_USED,

@@ -7,10 +7,10 @@ from inverse_dynamics_node import (
     InverseDynamics,
     JointStateError,
     load_urdf,
-    specialise,
     Specialised,
 )
-from inverse_dynamics_node.compilation import IS_COMPILED
+from inverse_dynamics_node.dynamics import codegen as specialise
+from inverse_dynamics_node.dynamics.jit import IS_COMPILED
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest

@@ -6,8 +6,8 @@ import tracemalloc
 
 from hypothesis import given
 from hypothesis import strategies as st
+from inverse_dynamics_node.control.joint_states import JointStateCollector
 from inverse_dynamics_node.errors import ConfigurationError, JointStateError
-from inverse_dynamics_node.state import JointStateCollector
 import numpy as np
 import pytest
 

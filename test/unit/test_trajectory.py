@@ -5,8 +5,9 @@ import contextlib
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from inverse_dynamics_node import InverseDynamics, lanes, load_urdf, TrajectoryError
-from inverse_dynamics_node.trajectory import complete, Trajectory, trajectory_efforts
+from inverse_dynamics_node import InverseDynamics, load_urdf, TrajectoryError
+from inverse_dynamics_node.dynamics import batch as lanes
+from inverse_dynamics_node.dynamics.trajectory import complete, Trajectory, trajectory_efforts
 import numpy as np
 import pytest
 from robot_files import ROOT, STANFORD

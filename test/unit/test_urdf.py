@@ -6,8 +6,8 @@ from pathlib import Path
 import time
 
 from inverse_dynamics_node.errors import ConfigurationError, UrdfError
-from inverse_dynamics_node.urdf import load_urdf
-from inverse_dynamics_node.urdf import xml as urdf_xml
+from inverse_dynamics_node.robot.urdf import load_urdf
+from inverse_dynamics_node.robot.urdf import xml as urdf_xml
 import numpy as np
 import pytest
 from robot_files import NOTHING_MOVES, OUR_ROBOTS

@@ -2,10 +2,15 @@
 
 import math
 
-from inverse_dynamics_node.dynamics import InverseDynamics
+from inverse_dynamics_node.analysis.workspace import (
+    explore,
+    joint_ranges,
+    payload_left,
+)
+from inverse_dynamics_node.dynamics.inverse_dynamics import InverseDynamics
 from inverse_dynamics_node.errors import ConfigurationError
-from inverse_dynamics_node.urdf import load_urdf
-from inverse_dynamics_node.workspace import explore, joint_ranges, last_link, payload_left
+from inverse_dynamics_node.robot.hand import last_link
+from inverse_dynamics_node.robot.urdf import load_urdf
 import numpy as np
 import pytest
 from robot_files import NOTHING_MOVES, OUR_ROBOTS, real_robots, ROOT, STANFORD

@@ -1,0 +1,135 @@
+"""The picture of `compare`: measured and modelled efforts over time, and what is left."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...analysis.identification import Findings
+from ...robot.model import Floats
+from ..compare import percent
+from .style import (
+    BLUE,
+    fitting,
+    GREY,
+    legend_below,
+    ORANGE,
+    save,
+    set_title,
+    style,
+    WIDTH,
+)
+
+_MOST_ROWS = 10
+"""Joints with a row of their own; more of them are drawn as small pictures."""
+_ACROSS = 3
+_POINTS = 1500
+_NAME_LETTERS = 21
+"""Letters of a name that fit above a small picture."""
+
+
+def draw(findings: Findings, source: str, title: str, path: Path) -> None:
+    """Draw all joints and write them as a PNG."""
+    count = len(findings.joints)
+    with style() as pyplot:
+        if count <= _MOST_ROWS:
+            figure, lines = _rows(pyplot, findings)
+        else:
+            figure, lines = _small(pyplot, findings)
+        set_title(figure, source, title)
+        legend_below(figure, lines, _labels(findings), ncols=3)
+        save(figure, path)
+
+
+def _labels(findings: Findings) -> list[str]:
+    found = ' and with what was found' if findings.diagnoses else ''
+    return ['measured', 'modelled', f'modelled, with fitted friction{found}']
+
+
+def _rows(pyplot: Any, findings: Findings) -> tuple[Any, list[Any]]:
+    """Draw a row for each joint: efforts, and what is left of them."""
+    count = len(findings.joints)
+    figure, axes = pyplot.subplots(
+        count,
+        2,
+        sharex=True,
+        squeeze=False,
+        figsize=(WIDTH, 1.3 + max(1.15, 2.2 / count) * count),
+        width_ratios=(1.6, 1.0),
+    )
+    names = fitting([joint.name for joint in findings.joints], 40)
+    for c, (left, right) in enumerate(axes):
+        joint = findings.joints[c]
+        lines = _draw_efforts(left, findings, c)
+        _draw_left(right, findings, c)
+        left.set_ylabel('[N]' if joint.slides else '[N m]', fontsize=9)
+        left.set_title(names[c], fontsize=9.5, pad=3)
+        shares = f'explained {percent(joint.explained)}, {percent(joint.explained_in_the_end)}'
+        left.set_title(shares, loc='right', fontsize=8.5, pad=3, color=GREY)
+        _fewer_ticks(left, right)
+    axes[0, 1].set_title('measured minus modelled', fontsize=9.5, pad=3)
+    for ax in axes[-1]:
+        ax.set_xlabel('time [s]')
+    figure.align_ylabels(axes[:, 0])
+    return figure, lines
+
+
+def _small(pyplot: Any, findings: Findings) -> tuple[Any, list[Any]]:
+    """Draw a small picture for each joint, of efforts only."""
+    count = len(findings.joints)
+    rows = -(-count // _ACROSS)
+    figure, axes = pyplot.subplots(
+        rows, _ACROSS, sharex=True, squeeze=False, figsize=(WIDTH, 1.3 + 1.15 * rows)
+    )
+    names = fitting([joint.name for joint in findings.joints], _NAME_LETTERS)
+    for c, ax in enumerate(axes.flat):
+        if c >= count:
+            ax.set_axis_off()
+            continue
+        joint = findings.joints[c]
+        lines = _draw_efforts(ax, findings, c)
+        ax.set_title(f'{names[c]} [{"N" if joint.slides else "N m"}]', fontsize=8.5, pad=3)
+        share = percent(joint.explained_in_the_end)
+        ax.set_title(share, loc='right', fontsize=8, pad=3, color=GREY)
+        _fewer_ticks(ax)
+    for ax in axes.flat[count - _ACROSS : count]:
+        ax.tick_params(labelbottom=True)
+    for ax in axes[-1]:
+        ax.set_xlabel('time [s]')
+    return figure, lines
+
+
+def _draw_efforts(ax: Any, findings: Findings, c: int) -> list[Any]:
+    """Draw measured and modelled efforts; the measured one broad, so that all are seen."""
+    times = findings.motion.times
+    signals = (
+        (findings.measured, {'color': GREY, 'linewidth': 3.2, 'alpha': 0.55}),
+        (findings.modelled, {'color': BLUE, 'linewidth': 1.1}),
+        (findings.in_the_end, {'color': ORANGE, 'linewidth': 1.1}),
+    )
+    return [ax.plot(*_thinned(times, values[:, c]), **look)[0] for values, look in signals]
+
+
+def _draw_left(ax: Any, findings: Findings, c: int) -> None:
+    measured, times = findings.measured[:, c], findings.motion.times
+    for modelled, colour in ((findings.modelled, BLUE), (findings.in_the_end, ORANGE)):
+        left = _thinned(times, measured - modelled[:, c])
+        ax.plot(*left, color=colour, linewidth=0.9)
+
+
+def _thinned(times: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Leave as many points as can be seen, with a break at every gap."""
+    step = max(1, len(times) // _POINTS)
+    t, y = times[::step], values[::step].copy()
+    gaps = np.flatnonzero(np.diff(t) > 1.5 * step * np.median(np.diff(times)))
+    y[gaps] = np.nan
+    return t, y
+
+
+def _fewer_ticks(*axes: Any) -> None:
+    for ax in axes:
+        ax.tick_params(labelsize=8.5)
+        ax.locator_params(axis='y', nbins=4)
+        ax.margins(x=0.01)

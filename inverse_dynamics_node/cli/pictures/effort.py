@@ -1,0 +1,107 @@
+"""The picture of `effort`: efforts over time, joint by joint, against the limits."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...analysis.requirements import Demands
+from ...dynamics.trajectory import Trajectory
+from ...report.report import effort_unit, number
+from ...robot.model import RobotModel
+from .style import (
+    BLUE,
+    fitting,
+    GREEN,
+    GREY,
+    legend_below,
+    ORANGE,
+    PINK,
+    RED,
+    save,
+    set_title,
+    style,
+    WIDTH,
+)
+
+_PARTS = {
+    'gravity': GREEN,
+    'inertial': ORANGE,
+    'velocity': PINK,
+    'friction': GREY,
+}
+_NAME_LETTERS = {1: 80, 2: 50, 3: 32}
+"""Letters of a name that fit above a panel, by the number of panels across."""
+_NEGLIGIBLE = 1e-6
+"""Efforts smaller than this fraction of the largest one are rounding errors."""
+_MOST_DRAWN = 1500
+"""States drawn: more cannot be told apart."""
+
+
+def draw(robot: RobotModel, fine: Trajectory, demands: Demands, title: str, path: Path) -> None:
+    """Draw a panel for each joint and write them as a PNG."""
+    m = len(fine.joint_names)
+    columns = 1 if m == 1 else 2 if m <= 12 else 3
+    rows = math.ceil(m / columns)
+    height = min(60.0, 1.3 + 1.7 * rows if rows > 1 else 3.6)
+    with style() as pyplot:
+        figure, grid = pyplot.subplots(
+            rows, columns, figsize=(WIDTH, height), sharex=True, squeeze=False
+        )
+        panels = grid.ravel()
+        names = fitting(fine.joint_names, _NAME_LETTERS[columns])
+        for k, axes in enumerate(panels[:m]):
+            _draw_joint(axes, robot, fine, demands, k, names[k])
+        for axes in panels[m:]:
+            axes.set_visible(False)
+        for axes in panels[max(0, m - columns) : m]:
+            axes.tick_params(labelbottom=True)
+        for axes in grid[-1]:
+            axes.set_xlabel('time [s]')
+        legend_below(figure, *panels[0].get_legend_handles_labels(), ncols=6)
+        set_title(figure, *title.splitlines())
+        save(figure, path)
+
+
+def _draw_joint(
+    axes: Any, robot: RobotModel, fine: Trajectory, demands: Demands, k: int, name: str
+) -> None:
+    shown = _shown(fine, demands, k)
+    times = fine.times[shown]
+    for part, colour in _PARTS.items():
+        term = getattr(demands.terms, part)
+        if part != 'friction' or np.any(demands.terms.friction):
+            label = 'inertia' if part == 'inertial' else part
+            axes.plot(times, term[shown, k], color=colour, linewidth=1.1, label=label)
+    colour = RED if demands.is_too_strong[k] else BLUE
+    axes.plot(times, demands.efforts[shown, k], color=BLUE, linewidth=2.0, label='effort')
+    axes.plot(demands.peak_time[k], demands.peak[k], 'D', color=colour, markersize=5, zorder=5)
+
+    limit, peak = float(demands.effort_limits[k]), abs(float(demands.peak[k]))
+    low, high = axes.get_ylim()
+    # Limits far off would flatten the curves: the title tells them.
+    if limit < 2.5 * peak:
+        for end in (-limit, limit):
+            if low - limit < end < high + limit and end * demands.peak[k] >= 0.0:
+                axes.axhline(end, color=RED, linestyle='--', linewidth=1.2)
+    if peak <= _NEGLIGIBLE * float(np.max(np.abs(demands.peak))):
+        axes.set_ylim(-1.0, 1.0)  # rounding errors only
+        peak = 0.0
+    unit = effort_unit(robot, robot.joint_names.index(fine.joint_names[k])).strip()
+    of = f'of {number(limit)} {unit}' if math.isfinite(limit) else f'{unit}, no limit'
+    # The name has a line of its own: with many joints it is as wide as the panel.
+    axes.set_title(f'{name}\npeak {peak:.3g} {of}', fontsize=9, color=colour, pad=3)
+    axes.tick_params(labelsize=8.5)
+    axes.locator_params(axis='y', nbins=5)
+
+
+def _shown(fine: Trajectory, demands: Demands, k: int) -> Any:
+    """Choose states to draw: evenly, and the peak."""
+    count = len(fine.times)
+    if count <= _MOST_DRAWN:
+        return slice(None)
+    peak = int(np.argmax(np.abs(demands.efforts[:, k])))
+    return np.unique(np.append(np.linspace(0, count - 1, _MOST_DRAWN).astype(int), peak))

@@ -1,0 +1,156 @@
+"""How the pictures of the commands look: legible in a README, colours that all tell apart."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from ...report.report import all_shortened, wrapped
+
+BLUE, ORANGE, GREEN, PINK, SKY, RED, YELLOW = (
+    '#0072B2',
+    '#E69F00',
+    '#009E73',
+    '#CC79A7',
+    '#56B4E9',
+    '#D55E00',
+    '#F0E442',
+)
+"""Okabe and Ito: told apart by the colour-blind too."""
+COLOURS = (BLUE, ORANGE, GREEN, PINK, SKY, RED)
+GREY, PALE, DARK = '#8a8a8a', '#dddddd', '#333333'
+WIDTH = 9.0
+"""Of a picture [inch]; at 100 dots an inch the text is legible in a README."""
+DPI = 100
+_TITLE_LETTERS = 105
+"""Letters of a title line that fit in the width."""
+
+_HOW_TO_GET_PICTURES = (
+    "'sudo apt install python3-matplotlib', or 'pip install matplotlib' in a virtual environment, "
+    'enables pictures; --no-picture turns this note off.'
+)
+
+_STYLE = {
+    'axes.edgecolor': GREY,
+    'axes.grid': True,
+    'axes.labelcolor': DARK,
+    'axes.prop_cycle': COLOURS,  # made a cycler below: matplotlib is imported late
+    'axes.spines.right': False,
+    'axes.spines.top': False,
+    'axes.titlelocation': 'left',
+    'axes.titlesize': 11,
+    'figure.constrained_layout.use': True,
+    'font.size': 10,
+    'grid.color': PALE,
+    'grid.linewidth': 0.7,
+    'legend.fontsize': 9,
+    'legend.frameon': False,
+    'lines.linewidth': 1.6,
+    'text.color': DARK,
+    'xtick.color': DARK,
+    'ytick.color': DARK,
+}
+
+
+@contextmanager
+def style() -> Iterator[Any]:
+    """Draw what is drawn within in our style; yields pyplot, with no window to open."""
+    import matplotlib
+
+    matplotlib.use('Agg')
+    from cycler import cycler
+    from matplotlib import pyplot
+
+    settings = {**_STYLE, 'axes.prop_cycle': cycler(color=_STYLE['axes.prop_cycle'])}
+    with matplotlib.rc_context(settings):
+        try:
+            yield pyplot
+        finally:
+            pyplot.close('all')
+
+
+def set_title(figure: Any, *paragraphs: str, most_lines: int = 5) -> None:
+    """
+    Write the title of a figure, each paragraph on lines of its own.
+
+    Lines are broken between words only, so that numbers and names stay whole.
+
+    """
+    lines = [line for text in paragraphs for line in wrapped(text, _TITLE_LETTERS)]
+    if len(lines) > most_lines:
+        lines = [*lines[:most_lines], '...']
+    figure.suptitle('\n'.join(lines), x=0.01, ha='left', fontsize=11)
+
+
+def runs_of(numbers: Sequence[int]) -> str:
+    """List numbers, with a dash for three or more in a row: '1, 3-6'."""
+    runs: list[list[int]] = []
+    for number in sorted(numbers):
+        if runs and number == runs[-1][-1] + 1:
+            runs[-1].append(number)
+        else:
+            runs.append([number])
+    return ', '.join(
+        f'{run[0]}-{run[-1]}' if len(run) > 2 else ', '.join(map(str, run)) for run in runs
+    )
+
+
+def try_to_draw(draw: Callable[[Path], None], requested: Path | None, default: str) -> Path | None:
+    """
+    Draw a picture; where matplotlib is missing, print how to install it instead.
+
+    Parameters
+    ----------
+    draw : callable
+        Draws the picture and writes it to the path that is passed to it.
+    requested : pathlib.Path, optional
+        Path from the command line.
+    default : str
+        Path to use if none was requested.
+
+    Returns
+    -------
+    path : pathlib.Path or None
+        Path of the picture; None if matplotlib is missing.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        If matplotlib is missing and the picture was requested.
+
+    """
+    path = requested or Path(default)
+    try:
+        draw(path)
+    except ImportError as error:  # also raised by a build for another version of numpy
+        if requested:
+            raise ModuleNotFoundError(str(error), name='matplotlib') from error
+        print(f'no picture: matplotlib cannot be imported ({error}). {_HOW_TO_GET_PICTURES}')
+        return None
+    return path
+
+
+def legend_below(
+    figure: Any, handles: Sequence[Any], labels: Sequence[str], **options: Any
+) -> None:
+    """
+    Place a legend below all axes.
+
+    Its ``loc`` is not 'outside lower center', because matplotlib 3.6 does not have that.
+
+    """
+    legend = figure.legend(handles, labels, **{'loc': 'lower center', **options})
+    height = legend.get_window_extent().height / figure.bbox.height
+    figure.get_layout_engine().set(rect=(0.0, height, 1.0, 1.0 - height))
+
+
+def save(figure: Any, path: str | Path) -> None:
+    """Write a figure, as the kind of picture that its suffix says."""
+    figure.savefig(path, dpi=DPI)
+
+
+def fitting(names: Sequence[str], longest: int = 26) -> list[str]:
+    """Cut names to what fits beside an axis, in their middle."""
+    return all_shortened(names, longest)

@@ -1,0 +1,1 @@
+"""From joint states and references to commands. No ROS, no clock."""

@@ -1,0 +1,299 @@
+"""
+Commands from computed efforts: scale, offset, limits, and no jump between one and the next.
+
+No ROS, and no clock: the time since the last command comes in as an argument.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import enum
+import math
+from typing import Any
+
+import numpy as np
+
+from ..dynamics.jit import compile_for, compiled
+from ..robot.model import Booleans, Floats
+
+_BRIEF = 0.03  # [s]; a pause of the computed efforts that is no longer needs no blend
+LARGEST = 1e300
+"""Efforts beyond this are refused, so that sums and differences of two are finite."""
+# Rows of `Blending._rows`, one column per commanded joint.
+_INDEX, _ADDED, _SCALE, _OFFSET, _LIMIT, _RATE, _WANTED, _JUMP, _EXCESS, _COMMAND = range(10)
+
+
+class _Way(enum.Enum):
+    """Where the last command came from."""
+
+    FOLLOWING = enum.auto()
+    HOLDING = enum.auto()
+    FALLING = enum.auto()
+
+
+class Blending:
+    """
+    Turns computed efforts into commands, each of which continues from the one before.
+
+    `follow`, `hold` and `fall` each produce one command. The start ramp multiplies the computed
+    efforts by `gain`. A blend adds the difference between the last command and the computed
+    efforts, and lets it fade. The stop ramp scales the command at which it began. Every
+    change of direction starts from the last command sent.
+
+    After a brief pause, such as a joint state that comes a little late, there is no new blend.
+    Intermittent states would otherwise restart it again and again, and a blend that restarts
+    repeats the last command instead of following the joints.
+
+    Parameters
+    ----------
+    index : sequence of int
+        Positions of the m commanded joints among the n joints of the robot.
+
+    """
+
+    def __init__(self, index: Sequence[int]) -> None:
+        m = len(index)
+        self._rows = np.zeros((10, m))
+        self._rows[_INDEX] = index
+        self.command: Floats = self._rows[_COMMAND]
+        """The last command, shape (m,) [N m or N]; the next one is written in its place."""
+        self.added: Floats = self._rows[_ADDED]
+        """Efforts to add to the computed ones, shape (m,) [N m or N]."""
+        self._flags = np.zeros((2, m), dtype=bool)
+        self.is_saturated: Booleans = self._flags[0]
+        """Which of the last efforts were cut to their limits, shape (m,)."""
+        self.is_slowed: Booleans = self._flags[1]
+        """Which of them may not change as fast as computed, shape (m,)."""
+        self.gain = 0.0
+        """Share of the computed efforts in the command: 0 before the start ramp, 1 after it."""
+        self._has_rates = False
+        self._start_ramp = self._stop_ramp = 0.0
+        self._way = _Way.HOLDING
+        self._is_new = False  # whether a blend begins with the next command
+        self._left = self._duration = 0.0  # share of the blend that is left, and its length [s]
+        self._pause = math.inf  # [s] since computed efforts were followed; inf: blend in any case
+        # Command, gain and share of the blend before the stop ramp.
+        self._top, self._top_gain, self._top_left = np.zeros(m), 0.0, 0.0
+        self._fallen = self._fall_time = 0.0  # [s]
+        compile_for(blend_efforts, 'b1(f8[::1], f8[:,::1], b1[:,::1], f8, f8, b1, b1, f8)')
+
+    def configure(
+        self,
+        scale: Floats,
+        offset: Floats,
+        limits: Floats,
+        rate_limits: Floats,
+        start_ramp: float,
+        stop_ramp: float,
+    ) -> None:
+        """
+        Change the settings; the next command still continues from the last one.
+
+        Parameters
+        ----------
+        scale : ndarray, shape (m,)
+            Factors for the computed efforts.
+        offset : ndarray, shape (m,)
+            Added to the scaled efforts [N m or N].
+        limits : ndarray, shape (m,)
+            Largest magnitudes of the commands; may be infinite [N m or N].
+        rate_limits : ndarray, shape (m,)
+            Fastest changes of the commands; may be infinite [N m/s or N/s].
+        start_ramp : float
+            Time of the start ramp and of blends [s].
+        stop_ramp : float
+            Time of the stop ramp [s]; one that is under way keeps its time.
+
+        """
+        self._rows[[_SCALE, _OFFSET, _LIMIT]] = scale, offset, limits
+        # Finite, because 0 s times infinity is NaN.
+        self._rows[_RATE] = np.minimum(rate_limits, LARGEST)
+        self._has_rates = bool(np.isfinite(rate_limits).any())
+        self._start_ramp, self._stop_ramp = start_ramp, stop_ramp
+        self.begin()
+
+    def begin(self) -> None:
+        """
+        Blend from the last command into the computed efforts, within the start ramp.
+
+        A blend that is under way does not end sooner because of it. On the way down there is
+        nothing to blend into. The next computed efforts begin a blend.
+
+        """
+        if self._way is _Way.FALLING:
+            self._pause = math.inf
+        else:
+            # The start ramp begins with a blend, so that neither ends sooner.
+            self._duration = max(self._start_ramp, self._left * self._duration)
+            self._is_new = self._duration > 0.0
+            self._left = 1.0 if self._is_new else 0.0
+
+    def reset(self) -> None:
+        """Begin at zero with the next command."""
+        self.command[:] = 0.0
+        self.gain = self._left = self._duration = 0.0
+        self._way, self._is_new, self._pause = _Way.HOLDING, False, math.inf
+
+    def continue_from(self, other: Blending) -> None:
+        """Continue from the last command of another robot description with the same joints."""
+        self.command[:], self._top[:] = other.command, other._top
+        self.gain, self._top_gain, self._top_left = other.gain, other._top_gain, other._top_left
+        self._left, self._duration = other._left, other._duration
+        self._fallen, self._fall_time = other._fallen, other._fall_time
+        self._way = other._way
+        self.begin()
+
+    def follow(self, tau: Floats, elapsed: float) -> bool:
+        """
+        Command computed efforts.
+
+        Parameters
+        ----------
+        tau : ndarray, shape (n,)
+            Computed efforts of all joints [N m or N].
+        elapsed : float
+            Time since the last command [s].
+
+        Returns
+        -------
+        are_finite : bool
+            False if an effort is not finite or beyond `LARGEST`; nothing has changed then.
+
+        """
+        gain, left, duration = self.gain, self._left, self._duration
+        is_new = self._is_new
+        is_brief = self._pause + elapsed <= _BRIEF and not is_new
+        if self._way is _Way.FOLLOWING or is_brief:
+            gain = min(1.0, gain + _share(elapsed, self._start_ramp))
+            if left and not is_new:
+                left = max(0.0, left - elapsed / duration)
+        else:
+            duration = max(self._start_ramp, left * duration)
+            is_new = duration > 0.0
+            left = 1.0 if is_new else 0.0
+            gain = gain if self._start_ramp else 1.0
+        are_finite: bool = blend_efforts(
+            tau, self._rows, self._flags, gain, left, is_new, self._has_rates, elapsed
+        )
+        if are_finite:
+            self._way, self._is_new = _Way.FOLLOWING, False
+            self.gain, self._left, self._duration = gain, left, duration
+        return are_finite
+
+    def hold(self, elapsed: float) -> None:
+        """Repeat the last command; if it is beyond a new limit, bring it within, as blends do."""
+        if self._way is _Way.FALLING:
+            self._way, self._pause = _Way.HOLDING, math.inf
+            self.begin()
+        elif self._way is _Way.FOLLOWING:
+            self._way, self._pause = _Way.HOLDING, 0.0
+        else:
+            self._pause += elapsed
+        command, limit, excess = self.command, self._rows[_LIMIT], self._rows[_EXCESS]
+        if self._is_new:
+            excess[:] = np.maximum(0.0, np.abs(command) - limit)
+            self._is_new, self._pause = False, math.inf
+        elif self._left and self._pause > _BRIEF:
+            self._left = max(0.0, self._left - elapsed / self._duration)
+        change = np.maximum(0.0, np.abs(command) - limit - self._left * excess)
+        if self._has_rates:
+            change = np.minimum(change, self._rows[_RATE] * elapsed)
+        command -= np.copysign(change, command)
+        self._flags[:] = False
+
+    def fall(self, elapsed: float) -> None:
+        """Let the commands fall to zero along the stop ramp, which begins at the last one."""
+        if self._way is _Way.FALLING:
+            self._fallen += elapsed
+            self._pause += elapsed
+        else:
+            self._pause = 0.0 if self._way is _Way.FOLLOWING and not self._is_new else math.inf
+            self._way, self._is_new = _Way.FALLING, False
+            self._top[:] = self.command
+            self._top_gain, self._top_left = self.gain, self._left
+            self._fallen, self._fall_time = 0.0, self._stop_ramp
+        share = max(0.0, 1.0 - _share(self._fallen, self._fall_time))
+        # These too, so that computed efforts continue from this command after a brief pause.
+        self.gain, self._left = share * self._top_gain, share * self._top_left
+        np.multiply(self._top, share, out=self.command)
+        self._flags[:] = False
+
+
+@compiled
+def blend_efforts(
+    tau: Any,
+    rows: Any,
+    flags: Any,
+    gain: float,
+    left: float,
+    is_new: bool,
+    has_rates: bool,
+    elapsed: float,
+) -> bool:
+    """
+    Turn computed efforts into the next command if all are finite; otherwise change nothing.
+
+    Parameters
+    ----------
+    tau : ndarray, shape (n,)
+        Computed efforts of all joints [N m or N].
+    rows : ndarray, shape (10, m)
+        One column per commanded joint: its position among the n, the effort to add, scale,
+        offset, limit and rate limit; then four rows that are written: the computed effort, the
+        difference and the excess over the limit at the start of a blend, and the command, which
+        holds the last one until then.
+    flags : ndarray of bool, shape (2, m)
+        Receives which efforts are cut to their limits, and which are slowed by a rate limit.
+    gain : float
+        Share of the computed efforts.
+    left : float
+        Share of the difference that is left.
+    is_new : bool
+        Whether a blend begins, so that the command repeats the last one.
+    has_rates : bool
+        Whether there are rate limits.
+    elapsed : float
+        Time since the last command [s].
+
+    Returns
+    -------
+    are_finite : bool
+
+    """
+    # As floats: without numba, that is faster than numpy's own numbers, and does not warn.
+    m = rows.shape[1]
+    for k in range(m):
+        effort = float(tau[int(rows[_INDEX, k])]) + float(rows[_ADDED, k])
+        effort = effort * float(rows[_SCALE, k]) + float(rows[_OFFSET, k])
+        if not abs(effort) <= LARGEST:  # nor if it is NaN
+            return False
+        rows[_WANTED, k] = effort
+    for k in range(m):
+        wanted, limit = float(rows[_WANTED, k]), float(rows[_LIMIT, k])
+        last = float(rows[_COMMAND, k])
+        effort = min(max(wanted, -limit), limit)
+        flags[0, k] = effort != wanted
+        effort *= gain
+        if is_new:
+            rows[_JUMP, k] = last - effort
+            # A command beyond a limit that has just been tightened stays there at first.
+            rows[_EXCESS, k] = max(0.0, abs(last) - limit)
+            effort = last
+        elif left != 0.0:
+            bound = limit + left * float(rows[_EXCESS, k])
+            blended = effort + left * float(rows[_JUMP, k])
+            effort = min(max(blended, -bound), bound)
+            flags[0, k] |= effort != blended
+        if has_rates:
+            change = float(rows[_RATE, k]) * elapsed
+            wanted = effort
+            effort = min(max(wanted, last - change), last + change)
+            flags[1, k] = effort != wanted
+        rows[_COMMAND, k] = effort
+    if not has_rates:
+        flags[1, :] = False
+    return True
+
+
+def _share(elapsed: float, ramp: float) -> float:
+    return min(1.0, elapsed / ramp) if ramp > 0.0 else 1.0

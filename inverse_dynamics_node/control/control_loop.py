@@ -1,0 +1,219 @@
+"""All that is made for one robot description, and the one step through it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..dynamics.inverse_dynamics import (
+    EffortTerms,
+    InverseDynamics,
+    JointWrenches,
+    STANDARD_GRAVITY,
+)
+from ..robot.model import Floats, RobotModel
+from ..robot.plausibility import implausible_positions, ImplausiblePosition
+from .controller import (
+    Command,
+    Controller,
+    Reference,
+    Settings,
+)
+from .external_efforts import EffortResidual
+from .external_loads import Loads, LoadSettings
+from .joint_states import JointStateCollector
+
+
+class Rig:
+    """
+    A robot that is commanded: what is known of it, what acts on it, and the controller.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        With n joints.
+    joints : sequence of str
+        The m joints to command, in the order of the commands; empty for all.
+    settings : Settings
+        Of the controller.
+    period : float
+        Time between steps [s]; 0 if there is a step for every joint state.
+    load_settings : LoadSettings
+        How loads come and go.
+    gravity : array_like, shape (3,)
+        Free-fall acceleration in the frame of the base link [m/s^2].
+    base_link : str
+        See `Loads`.
+    locked : mapping of str to float
+        See `JointStateCollector`; none of them may be commanded.
+    has_imu : bool
+        Whether the motion of the base is measured, so that no step can be before it is known.
+
+    Raises
+    ------
+    ConfigurationError
+        If something does not fit the robot.
+
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        joints: Sequence[str] = (),
+        settings: Settings | None = None,
+        period: float = 0.0,
+        load_settings: LoadSettings | None = None,
+        gravity: ArrayLike = STANDARD_GRAVITY,
+        base_link: str = '',
+        locked: Mapping[str, float] | None = None,
+        has_imu: bool = False,
+    ) -> None:
+        self.robot = robot
+        self.base_link = base_link or robot.body_names[0]
+        self.dynamics = InverseDynamics(robot)
+        self.controller = Controller(self.dynamics, joints, settings, period)
+        commanded = self.controller.joints
+        self.collector = JointStateCollector(robot.joint_names, locked, commanded, robot)
+        self.collector.check_free(commanded)
+        self.loads = Loads(self.dynamics, load_settings, gravity, base_link)
+        self.residual = EffortResidual(self.dynamics)
+        self.reference: Reference | None = None
+        self.has_imu = has_imu
+        self.index = [robot.joint_names.index(name) for name in self.controller.joints]
+
+    def start(self) -> None:
+        """Let efforts rise from zero; what was asked for before does not count."""
+        self.reference = None
+        self.controller.start()
+
+    def step(self, now: float) -> Command | None:
+        """
+        Compute the command for one time.
+
+        Parameters
+        ----------
+        now : float
+            The time [s].
+
+        Returns
+        -------
+        command : Command or None
+            None as long as something is unknown without which there can be none: see `missing`.
+
+        """
+        self.collector.rest_late(now, self.controller.settings.uncommanded_state_timeout)
+        if self.loads.update(now) or self.collector.has_jumped:
+            self.collector.has_jumped = False
+            self.controller.blend()
+        state = None if self.lacks_imu else self.collector.state()
+        return self.controller.step(now, state, self.reference)
+
+    def set_base_motion(
+        self, now: float, specific_force: ArrayLike, angular_velocity: ArrayLike
+    ) -> None:
+        """Take in the motion of the base; parameters and errors are those of `Loads`."""
+        if self.loads.set_base_motion(now, specific_force, angular_velocity):
+            self.controller.blend()
+
+    def missing(self, states: str = 'joint_states', imu: str = 'imu') -> list[str]:
+        """
+        Describe the inputs without which there is no command yet.
+
+        Parameters
+        ----------
+        states, imu : str
+            Names of the topics, as they should appear in the text.
+
+        """
+        joints = self.collector.missing()
+        word = 'position' if len(joints) == 1 else 'positions'
+        similar = ', '.join(map(repr, self.collector.similar_names()))
+        hint = f' (received similar names: {similar})' if similar else ''
+        missing = [f'the {word} of {", ".join(joints)} on {states}{hint}'] if joints else []
+        return [*missing, f'the motion of the base on {imu}'] if self.lacks_imu else missing
+
+    def implausible_positions(self) -> list[ImplausiblePosition]:
+        """Find joints that are further outside their position limits than makes sense."""
+        collector = self.collector
+        known = np.where(collector.times > -math.inf, collector.q, math.nan)
+        return implausible_positions(self.robot, known)
+
+    def take_over(self, other: Rig) -> list[str]:
+        """
+        Go on where the rig of another description of the robot is, without a jump.
+
+        Parameters
+        ----------
+        other : Rig
+            Not to be used any more.
+
+        Returns
+        -------
+        dropped : list of str
+            Links that are no more, and so carry no payload any more.
+
+        Raises
+        ------
+        ConfigurationError
+            If it commands other joints; nothing has changed then.
+
+        """
+        self.controller.take_over(other.controller)
+        self.reference = other.reference
+        return self.inherit(other)
+
+    def inherit(self, other: Rig) -> list[str]:
+        """Know what the rig of another description was told, whatever it commands: as above."""
+        self.collector.take_over(other.collector)
+        return self.loads.take_over(other.loads)
+
+    def calibrated(self, index: Sequence[int], efforts: Floats) -> Floats:
+        """
+        Scale and shift efforts as commands are.
+
+        Parameters
+        ----------
+        index : sequence of int
+            Which of the robot's joints they are for; those not commanded stay as they are.
+        efforts : ndarray, shape (k, len(index))
+            [N m or N].
+
+        """
+        scale, offset = np.ones_like(self.collector.q), np.zeros_like(self.collector.q)
+        scale[self.index], offset[self.index] = self.controller.scale, self.controller.offset
+        calibrated: Floats = scale[index] * efforts + offset[index]
+        return calibrated
+
+    def beyond_limits(self, index: Sequence[int], efforts: Floats) -> list[str]:
+        """Name the joints whose efforts exceed their limits somewhere; as for `calibrated`."""
+        limits = self.robot.effort_limits.copy()
+        limits[self.index] = self.controller.limits
+        is_beyond = (np.abs(efforts) > limits[index]).any(axis=0)
+        pairs = zip(index, is_beyond, strict=True)
+        return [self.robot.joint_names[i] for i, is_one in pairs if is_one]
+
+    def effort_terms(self) -> EffortTerms:
+        """Compute what the last efforts are made of, each of shape (m,) [N m or N]."""
+        q = self.collector.q
+        return EffortTerms(
+            *(term[self.index] for term in self.dynamics.effort_terms(q, *self.controller.motion))
+        )
+
+    def base_wrench(self) -> tuple[Floats, Floats]:
+        """Compute the force and moment that the mount exerts on the base link, in its frame."""
+        q = self.collector.q
+        wrenches: JointWrenches = self.dynamics.joint_wrenches(q, *self.controller.motion)
+        return self.loads.at_base_link(wrenches.force[0], wrenches.moment[0])
+
+    def external_efforts(self) -> Floats:
+        """Compare the last measured efforts with the model: shape (n,), NaN where not measured."""
+        collector = self.collector
+        return self.residual.update(collector.time, collector.q, collector.qd, collector.efforts)
+
+    @property
+    def lacks_imu(self) -> bool:
+        """Whether the motion of the base is measured, but no measurement has arrived yet."""
+        return self.has_imu and self.loads.imu_time == -math.inf

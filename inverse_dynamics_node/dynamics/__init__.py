@@ -1,0 +1,1 @@
+"""Joint efforts by the recursion of Luh, Walker and Paul."""

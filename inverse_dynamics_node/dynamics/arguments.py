@@ -1,0 +1,135 @@
+"""What callers give, read into arrays; what does not fit is told by name, with its value."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import ConfigurationError, JointStateError
+from ..robot.model import Floats
+
+
+def read_vectors(name: str, values: ArrayLike, n: int) -> Floats:
+    """Read an array whose last dimension is one number a joint."""
+    try:
+        found = np.asarray(values)
+    except ValueError as error:
+        raise JointStateError(f'{name} is no array of numbers: {error}') from None
+    if found.dtype.kind not in 'fiub':
+        raise JointStateError(f'{name} is no array of real numbers, but of {found.dtype}')
+    # Writable, by a copy where need be: the compiled functions take no other.
+    vectors = np.require(found, np.float64, ['C', 'W'])
+    if vectors.shape[-1:] != (n,):
+        raise JointStateError(f'{name} has shape {vectors.shape}, the robot has {n} joints')
+    return vectors
+
+
+def broadcast(n: int, **arguments: ArrayLike) -> tuple[list[Floats], tuple[int, ...]]:
+    """Read arguments as tables of as many vectors each; return their common shape too."""
+    vectors = [read_vectors(name, values, n) for name, values in arguments.items()]
+    try:
+        shape = np.broadcast_shapes(*(vector.shape for vector in vectors))
+    except ValueError:
+        shapes = ', '.join(str(vector.shape) for vector in vectors)
+        names = ', '.join(arguments)
+        raise JointStateError(f'{names} of shapes {shapes} do not fit together') from None
+    return [_rows(vector, shape) for vector in vectors], shape
+
+
+def _rows(vectors: Floats, shape: tuple[int, ...]) -> Floats:
+    if vectors.shape != shape:
+        vectors = np.array(np.broadcast_to(vectors, shape), order='C')
+    return vectors.reshape(math.prod(shape[:-1]), shape[-1])
+
+
+def explain(
+    joint_names: Sequence[str],
+    out: Floats | None = None,
+    shape: tuple[int, ...] | None = None,
+    **arguments: ArrayLike,
+) -> JointStateError:
+    """Say which argument is at fault: its shape, else its first value that is not finite."""
+    n = len(joint_names)
+    for name, values in arguments.items():
+        vectors = read_vectors(name, values, n)
+        bad = np.argwhere(~np.isfinite(vectors))
+        if len(bad):
+            where = tuple(int(index) for index in bad[0])
+            sample = f' (sample {where[:-1]})' if where[:-1] else ''
+            joint = joint_names[where[-1]]
+            return JointStateError(f"{name} of joint '{joint}' is {vectors[where]}{sample}")
+    if out is not None:
+        check_out(out, shape or (n,))
+    return JointStateError(
+        'the efforts overflow: a position, velocity or acceleration is finite, but beyond all '
+        'reason'
+    )
+
+
+def check_out(out: Floats, shape: tuple[int, ...]) -> None:
+    """Refuse an array that cannot take the result."""
+    if not isinstance(out, np.ndarray) or out.dtype != np.float64 or not out.flags.writeable:
+        kind = out.dtype if isinstance(out, np.ndarray) else type(out).__name__
+        raise JointStateError(f'out is of {kind}, expected a writable array of float64')
+    if out.shape != shape:
+        raise JointStateError(f'out has shape {out.shape}, the result has {shape}')
+
+
+def is_free(out: Floats, others: Sequence[Floats]) -> bool:
+    """Tell whether results may be written as they come: into numbers side by side, nobody's."""
+    return out.flags.c_contiguous and not any(np.may_share_memory(out, x) for x in others)
+
+
+def read_threads(threads: int) -> int:
+    """Read how many threads may work side by side."""
+    if not isinstance(threads, int) or threads < 1:
+        raise ConfigurationError(f'threads is {threads!r}, expected a whole number of at least 1')
+    return threads
+
+
+def read_joints(name: str, values: ArrayLike, n: int) -> Floats:
+    """Read one number a joint, or one for all; none below zero."""
+    try:
+        numbers = np.broadcast_to(np.asarray(values, dtype=np.float64), (n,))
+    except (TypeError, ValueError):
+        raise ConfigurationError(
+            f'{name} is {values!r}, expected one number, or one for each of {n} joints'
+        ) from None
+    if not (np.isfinite(numbers) & (numbers >= 0.0)).all():
+        raise ConfigurationError(f'{name} is {values!r}, expected finite numbers of at least 0')
+    return numbers
+
+
+def read_vector(name: str, values: ArrayLike, unit: str) -> Floats:
+    """Read three numbers."""
+    try:
+        vector = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        vector = np.empty(0)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise ConfigurationError(f'{name} is {values!r}, expected three finite numbers [{unit}]')
+    return vector
+
+
+def read_inertial(mass: float, com: ArrayLike, inertia: ArrayLike) -> tuple[float, Floats, Floats]:
+    """Read what describes a rigid body, if there can be such a body."""
+    try:
+        number, moments = float(mass), np.array(inertia, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ConfigurationError(
+            f'mass is {mass!r}, inertia is {inertia!r}, expected numbers'
+        ) from None
+    if not (math.isfinite(number) and number >= 0.0):
+        raise ConfigurationError(f'mass is {mass!r}, expected a finite number of at least 0 [kg]')
+    if moments.shape != (3, 3) or not np.isfinite(moments).all():
+        raise ConfigurationError(f'inertia is {inertia!r}, expected 3 by 3 finite numbers')
+    # To the largest moment: turning a matrix leaves rounding where there was a zero.
+    largest = np.abs(moments).max()
+    if np.abs(moments - moments.T).max() > 1e-6 * largest:
+        raise ConfigurationError(f'inertia is {inertia!r}, expected a symmetric matrix')
+    if np.min(np.linalg.eigvalsh(moments)) < -1e-9 * largest:
+        raise ConfigurationError(f'inertia is {inertia!r}, expected no negative principal moment')
+    return number, read_vector('com', com, 'm'), moments

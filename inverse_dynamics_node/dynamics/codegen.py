@@ -1,0 +1,321 @@
+"""
+Machine code for one robot: the passes of `newton_euler`, written out.
+
+Nothing is derived a second time. The functions of `newton_euler` run here as they stand, once, but
+on numbers of another kind: arithmetic on a `RunTimeNumber` does not compute, it writes the
+instruction that will. What the robot's table holds for good (parents, kinds of joints, rotations,
+offsets) stays plain numbers, which steer the functions as ever. So no loop and no branch is left,
+and no product with a zero of the robot: one straight line of code.
+
+What may change while it runs is read from the table at each call. There is no code only for what
+was zero when the code was written; `Specialised` sees to that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import math
+from types import FunctionType
+from typing import Any, NamedTuple, NoReturn
+import warnings
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..robot.model import Floats
+from . import columns, equations, newton_euler
+from .inverse_dynamics import InverseDynamics
+from .jit import IS_COMPILED
+from .newton_euler import NOT_FINITE, OK, WRONG_SIZE
+
+if IS_COMPILED:
+    import numba
+    from numba.extending import intrinsic
+
+
+class State(NamedTuple):
+    """One state of n joints, each of shape (n,), to be written to in place."""
+
+    q: Floats
+    """Joint positions [rad or m]."""
+    qd: Floats
+    """Joint velocities [rad/s or m/s]."""
+    qdd: Floats
+    """Joint accelerations [rad/s^2 or m/s^2]."""
+    tau: Floats
+    """Joint efforts [N m or N]."""
+
+
+class Code(NamedTuple):
+    """What `write_out` compiles; both return a status, as `newton_euler.inverse_dynamics` does."""
+
+    in_block: Callable[[], int]
+    in_arrays: Callable[[Any, Any, Any, Any], int]
+
+
+DOES_NOT_FIT = -1
+NO_CODE = Code(lambda: DOES_NOT_FIT, lambda *_: DOES_NOT_FIT)
+
+
+class Specialised:
+    """
+    Inverse dynamics of one robot by code of its own, for a control loop.
+
+    Computes what `InverseDynamics.efforts` does, but for rounding: multiplications and additions
+    are fused where the processor can. What is set on the dynamics counts here at once, without
+    compiling: gravity, motion of the base, payloads, wrenches, friction, armature. Where a number
+    is set that was zero when this object was made (a base that begins to turn, say), the dynamics
+    do the work until it is zero again. Without numba they always do.
+
+    Parameters
+    ----------
+    dynamics : InverseDynamics
+        With all set that is usual in the loop.
+
+    Attributes
+    ----------
+    state : State
+        Named tuple of arrays ``q, qd, qdd, tau`` for `update`.
+
+    Notes
+    -----
+    Every object compiles, for tenths of a second: its code holds the addresses of its arrays.
+
+    """
+
+    def __init__(self, dynamics: InverseDynamics) -> None:
+        block = np.zeros((4, len(dynamics.robot.joint_names)))
+        # Views of the block: numpy does not let anyone resize what the code has the address of.
+        self.state = State(*block)
+        self._tau = self.state.tau
+        self._dynamics = dynamics
+        self._table = dynamics.table
+        self._traced = _acting(self._table)
+        self._revision = dynamics.revision
+        self._code = NO_CODE
+        if IS_COMPILED:
+            try:
+                self._code = write_out(self._table, block)
+            except Exception as error:  # it reaches deep into numba, whose versions differ
+                warnings.warn(f'no code of its own for this robot: {error!r}', stacklevel=2)
+        self._in_block, self._in_arrays = self._code
+
+    def update(self) -> Floats:
+        """
+        Compute the efforts of ``state.q, state.qd, state.qdd``: the fastest way from Python.
+
+        Returns
+        -------
+        tau : ndarray, shape (n,)
+            ``state.tau``, written anew.
+
+        Raises
+        ------
+        JointStateError
+            If a value is not finite.
+
+        """
+        if self._revision != self._dynamics.revision:
+            self._look_again()
+        if self._in_block() != OK:
+            # The dynamics take any robot, and tell what is wrong with a state.
+            return self._dynamics.efforts(*self.state)
+        return self._tau
+
+    def efforts(
+        self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: Floats | None = None
+    ) -> Floats:
+        """
+        Compute the efforts of a state that stands elsewhere.
+
+        Takes, returns and raises what `InverseDynamics.efforts` does.
+
+        """
+        if self._revision != self._dynamics.revision:
+            self._look_again()
+        try:
+            tau = np.empty_like(self._tau) if out is None else out
+            if self._in_arrays(q, qd, qdd, tau) == OK:
+                return tau
+        except (TypeError, ValueError):  # lists, integers, batches, views with strides
+            pass
+        return self._dynamics.efforts(q, qd, qdd, out)
+
+    def _look_again(self) -> None:
+        """Use the code only while there is a place in it for all that acts on the robot."""
+        self._revision = self._dynamics.revision
+        is_new = _acting(self._table) & ~self._traced
+        self._in_block, self._in_arrays = NO_CODE if is_new.any() else self._code
+
+    def __reduce__(self) -> NoReturn:
+        raise TypeError('code is bound to its arrays, and not to be copied: make another')
+
+
+def _acting(table: Floats) -> Any:
+    """Tell which numbers of a table may change between calls, and are not zero now."""
+    mask = np.zeros(table.shape, dtype=bool)
+    for part in (
+        columns.MASS,
+        columns.COM_COLUMNS,
+        columns.INERTIA_COLUMNS,
+        columns.EXTERNAL_COLUMNS,
+        columns.JOINT_TERM_COLUMNS,
+    ):
+        mask[:, part] = True
+    mask[0, columns.BASE_MOTION_COLUMNS] = True
+    return mask & (table != 0.0)
+
+
+def write_out(table: Floats, block: Floats) -> Code:
+    """
+    Compile `newton_euler.inverse_dynamics` for one robot.
+
+    Parameters
+    ----------
+    table : ndarray, shape (b, COLUMNS)
+        From `robot_table`.
+    block : ndarray, shape (4, n)
+        Rows q, qd, qdd, tau, for `Code.in_block`.
+
+    Returns
+    -------
+    code : Code
+        Must not outlive the two arrays: their addresses are part of it.
+
+    """
+    n = block.shape[1]
+
+    @intrinsic  # type: ignore[untyped-decorator, unused-ignore]
+    def straight_line(_: Any, q: Any, qd: Any, qdd: Any, tau: Any) -> Any:
+        def write(context: Any, builder: Any, _: Any, addresses: Any) -> Any:
+            writer = Writer(context, builder)
+            base = writer.integer(table.ctypes.data)
+            robot = table.tolist()
+            for i, k in np.argwhere(_acting(table)):
+                robot[i][k] = writer.load(base, i * columns.COLUMNS + k)
+            q, qd, qdd, tau = ([writer.load(row, k) for k in range(n)] for row in addresses)
+            functions = _functions_that_write(writer, [*q, *qd, *qdd])
+            status = functions['inverse_dynamics'](q, qd, qdd, tau, robot)
+            for k, effort in enumerate(tau):
+                writer.store(effort, addresses[3], k)
+            return status
+
+        return numba.int64(q, qd, qdd, tau), write
+
+    q_row, qd_row, qdd_row, tau_row = (row.ctypes.data for row in block)
+
+    def in_block() -> Any:
+        return straight_line(q_row, qd_row, qdd_row, tau_row)
+
+    def in_arrays(q: Floats, qd: Floats, qdd: Floats, tau: Floats) -> Any:
+        if len(q) != n or len(qd) != n or len(qdd) != n or len(tau) != n:
+            return WRONG_SIZE
+        return straight_line(q.ctypes.data, qd.ctypes.data, qdd.ctypes.data, tau.ctypes.data)
+
+    return Code(
+        _compile(in_block, 'int64()'),
+        _compile(in_arrays, 'int64(f8[::1], f8[::1], f8[::1], f8[::1])'),
+    )
+
+
+def _compile(function: Callable[..., int], signature: str) -> Any:
+    compiled = numba.njit(signature)(function)
+    compiled.disable_compile()  # a call with arguments of other kinds is a TypeError
+    return compiled
+
+
+class RunTimeNumber:
+    """
+    A number that is not known before the code runs: arithmetic on it writes an instruction.
+
+    Sums with 0 and products with 0 or 1 need none. To Python it equals no plain number: where
+    `newton_euler` asks whether it is zero, what is written is the way of a number that is not.
+
+    """
+
+    def __init__(self, writer: Writer, value: Any) -> None:
+        self.writer = writer
+        self.value = value
+
+    def __add__(self, other: Any) -> Any:
+        return self if other == 0.0 else self.writer.operation('fadd', self, other)
+
+    def __sub__(self, other: Any) -> Any:
+        return self if other == 0.0 else self.writer.operation('fsub', self, other)
+
+    def __rsub__(self, other: Any) -> Any:
+        return self.writer.operation('fsub', other, self)
+
+    def __mul__(self, other: Any) -> Any:
+        if other == 0.0:
+            return 0.0
+        return self if other == 1.0 else self.writer.operation('fmul', self, other)
+
+    __radd__ = __add__
+    __rmul__ = __mul__
+
+
+class Writer:
+    """Writes instructions for numbers of both kinds, into a function that numba compiles."""
+
+    def __init__(self, context: Any, builder: Any) -> None:
+        self.context = context
+        self.builder = builder
+
+    def operation(self, name: str, *numbers: Any) -> RunTimeNumber:
+        write = getattr(self.builder, name)
+        return RunTimeNumber(self, write(*map(self._value, numbers), flags=('contract',)))
+
+    def load(self, address: Any, k: int) -> RunTimeNumber:
+        """Read number k of those that begin at an address."""
+        return RunTimeNumber(self, self.builder.load(self._pointer(address, k)))
+
+    def store(self, number: Any, address: Any, k: int) -> None:
+        self.builder.store(self._value(number), self._pointer(address, k))
+
+    def elementary(self, function: Callable[[float], float]) -> Callable[[Any], Any]:
+        """Make a function of `math` one that takes numbers of both kinds."""
+        call = self.context.get_function(function, numba.float64(numba.float64))
+
+        def write(number: Any) -> Any:
+            if not isinstance(number, RunTimeNumber):
+                return function(number)
+            return RunTimeNumber(self, call(self.builder, [number.value]))
+
+        return write
+
+    def status(self, number: Any) -> Any:
+        """Choose a status: whether a number is one, or a NaN."""
+        value = self._value(number)
+        is_nan = self.builder.fcmp_unordered('uno', value, value)
+        return self.builder.select(is_nan, *(self.integer(x) for x in (NOT_FINITE, OK)))
+
+    def _value(self, number: Any) -> Any:
+        if isinstance(number, RunTimeNumber):
+            return number.value
+        return self.context.get_constant(numba.float64, number)
+
+    def integer(self, number: int) -> Any:
+        return self.context.get_constant(numba.intp, number)
+
+    def _pointer(self, address: Any, k: int) -> Any:
+        kind = self.context.get_value_type(numba.float64).as_pointer()
+        first = self.builder.inttoptr(address, kind)
+        return self.builder.gep(first, [self.integer(k)])
+
+
+def _functions_that_write(writer: Writer, inputs: list[RunTimeNumber]) -> dict[str, Any]:
+    """Take the functions of `newton_euler` as they were before numba, with others to call."""
+    # Where a zero was left out, no NaN or infinity reaches an effort: inputs are checked as well.
+    zero_if_finite = sum(x - x for x in inputs)
+
+    def check(tau: list[Any]) -> Any:
+        return writer.status(sum((x - x for x in reversed(tau)), zero_if_finite))
+
+    functions = {**vars(columns), **vars(equations), **vars(newton_euler), 'check': check}
+    for function in (math.cos, math.sin, math.tanh):
+        functions[function.__name__] = writer.elementary(function)
+    for name, function in functions.items():
+        if hasattr(function, 'py_func'):
+            functions[name] = FunctionType(function.py_func.__code__, functions)
+    return functions

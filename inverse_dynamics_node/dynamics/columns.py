@@ -1,0 +1,154 @@
+"""
+The robot table of the passes: a row for each body, the base first, and a name for each column.
+
+The frame of every body is turned so that its joint's axis is z. A row holds the properties of the
+body, the loads on it, and scratch space for the passes. A vector occupies three columns, of which
+the first has the name.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..robot.model import Floats, RobotModel
+from .jit import simd_inline
+
+# The body and its joint
+ROTATION = 0  # nine columns: R_PL at joint position 0, row by row
+OFFSET = 9  # p_PL at joint position 0 [m]
+MASS = 12
+COM = 13
+INERTIA = 16  # six columns: about the centre of mass: xx, xy, xz, yy, yz, zz
+PARENT = 22
+JOINT = 23
+MULTIPLIER = 24
+POSITION_OFFSET = 25
+SLIDES = 26  # 1.0 for a prismatic joint, 0.0 for a revolute one
+# Loads
+EXTERNAL_FORCE = 27  # that the world exerts on the body [N]
+EXTERNAL_MOMENT = 30  # about the body's origin [N m]
+# Joint k, in row k + 1 because there are more bodies than joints
+ARMATURE = 33
+DAMPING = 34
+COULOMB = 35
+INVERSE_WIDTH = 36  # of the smoothed step of Coulomb friction [s/rad or s/m]
+# The robot, in the row of the base
+JOINT_COUNT = 37
+HAS_JOINT_TERMS = 38
+# Scratch space of the passes, except for the motion of the base, which is an input
+COSINE = 39  # of the angle by which the joint has turned
+SINE = 40
+LENGTH = 41  # by which the joint has slid [m]
+OMEGA = 42
+OMEGA_DOT = 45
+ACCEL = 48
+FORCE = 51
+MOMENT = 54
+COMPOSITE = 57  # ten columns, used by `composite_body` only
+COLUMNS = 67
+
+# Ranges of columns, to set them together
+COM_COLUMNS = slice(COM, COM + 3)
+INERTIA_COLUMNS = slice(INERTIA, INERTIA + 6)
+EXTERNAL_COLUMNS = slice(EXTERNAL_FORCE, EXTERNAL_MOMENT + 3)
+JOINT_TERM_COLUMNS = slice(ARMATURE, INVERSE_WIDTH + 1)
+BASE_MOTION_COLUMNS = slice(OMEGA, ACCEL + 3)
+BASE_ACCELERATION_COLUMNS = slice(OMEGA_DOT, ACCEL + 3)
+
+
+@simd_inline
+def vector(row: Any, first: int) -> Any:
+    """Read three columns."""
+    return row[first], row[first + 1], row[first + 2]
+
+
+@simd_inline
+def store(row: Any, first: int, v: Any) -> None:
+    """Write three columns."""
+    row[first], row[first + 1], row[first + 2] = v
+
+
+@simd_inline
+def rotation(row: Any) -> Any:
+    """Read R_PL at joint position 0, row by row."""
+    k = ROTATION
+    return (
+        row[k], row[k + 1], row[k + 2],
+        row[k + 3], row[k + 4], row[k + 5],
+        row[k + 6], row[k + 7], row[k + 8],
+    )  # fmt: skip
+
+
+@simd_inline
+def inertia(row: Any) -> Any:
+    """Read the inertia about the centre of mass: xx, xy, xz, yy, yz, zz."""
+    k = INERTIA
+    return row[k], row[k + 1], row[k + 2], row[k + 3], row[k + 4], row[k + 5]
+
+
+_UPPER = np.triu_indices(3)
+
+
+def robot_table(robot: RobotModel) -> Floats:
+    """
+    Make the table of a robot at rest, without gravity and without loads.
+
+    Returns
+    -------
+    table : ndarray, shape (b, COLUMNS)
+        The argument ``robot`` of the functions in `newton_euler`, and their scratch space.
+
+    """
+    table = np.zeros((len(robot.parent), COLUMNS))
+    R_ZL = rotations_to_z(robot)
+    R_ZL_of_parent = R_ZL[robot.parent]
+    table[:, ROTATION : ROTATION + 9] = (
+        R_ZL_of_parent @ robot.R_PL @ R_ZL.transpose(0, 2, 1)
+    ).reshape(-1, 9)
+    table[:, OFFSET : OFFSET + 3] = rotate(R_ZL_of_parent, robot.p_PL)
+    for i in range(len(table)):
+        write_inertial(table[i], R_ZL[i], robot.mass[i], robot.com[i], robot.inertia[i])
+    table[:, PARENT] = robot.parent
+    table[:, JOINT] = robot.joint_index
+    table[0, JOINT_COUNT] = len(robot.joint_names)
+    table[:, MULTIPLIER] = robot.multiplier
+    table[:, POSITION_OFFSET] = robot.offset
+    table[:, SLIDES] = robot.is_prismatic
+    return table
+
+
+def write_inertial(row: Floats, R_ZL: Floats, mass: float, com: Floats, inertia: Floats) -> None:
+    """Set a body's mass, centre of mass and inertia about it, given in the frame of the URDF."""
+    row[MASS] = mass
+    row[COM : COM + 3] = R_ZL @ com
+    row[INERTIA : INERTIA + 6] = (R_ZL @ inertia @ R_ZL.T)[_UPPER]
+
+
+def rotations_to_z(robot: RobotModel) -> Floats:
+    """Return R_ZL of every body: from the URDF's frame (L) to the one with z on the axis (Z)."""
+    return np.array([_rotation_of_z_to(axis).T for axis in robot.axis])
+
+
+def rotate(rotations: Floats, vectors: Floats) -> Floats:
+    """Rotate every vector by its own rotation: shapes (b, 3, 3) and (b, 3)."""
+    return np.asarray(np.einsum('kij,kj->ki', rotations, vectors))
+
+
+def _rotation_of_z_to(axis: Floats) -> Floats:
+    """Return a rotation of z onto a unit vector, exact if that is +-x, +-y or +-z."""
+    if not axis.any():  # the base has no joint
+        return np.eye(3)
+    if axis[2] < 0.0:  # half a turn about x first keeps the formula below well conditioned
+        half_turn = np.diag([1.0, -1.0, -1.0])
+        return np.asarray(half_turn @ _rotation_of_z_to(half_turn @ axis))
+    x, y, z = axis
+    k = 1.0 / (1.0 + z)
+    return np.array(
+        [
+            [1.0 - k * x * x, -k * x * y, x],
+            [-k * x * y, 1.0 - k * y * y, y],
+            [-x, -y, z],
+        ]
+    )

@@ -1,0 +1,180 @@
+r"""
+The equations of Luh, Walker and Paul, each link in its own frame, as functions of 3-vectors.
+
+Cited as LWP, with the equation numbers of the 1979 paper:
+
+    J. Y. S. Luh, M. W. Walker, R. P. C. Paul, "Newton-Euler formulation of manipulator dynamics
+    for computer control", IFAC, 1979, 165-172.
+
+=============  ================================================================  ============
+name here      meaning, in coordinates of the link's own frame                   unit
+=============  ================================================================  ============
+omega          angular velocity of the link                                      rad/s
+omega_dot      angular acceleration of the link                                  rad/s^2
+accel          acceleration of the link's origin, minus gravity                  m/s^2
+accel_com      acceleration of the link's centre of mass, minus gravity          m/s^2
+force_net      resultant force on the link                                       N
+moment_net     resultant moment on the link, about its centre of mass            N m
+force          force that the parent exerts on the link                          N
+moment         moment that the parent exerts on the link, about its own origin   N m
+=============  ================================================================  ============
+
+Outward, from base to tips: (36), (37), (40), (44), (41), (42). Inward: (45), (46), (47).
+
+Three equations of the paper are not needed. (38) is the angular acceleration in base coordinates,
+of which (37) is the form in link coordinates. (39) is the linear velocity, on which no force
+depends. (43) is the effort in base coordinates, of which (47) is the form in link coordinates.
+
+Gravity is not a separate term: the base accelerates with -g (31), and every link inherits it.
+
+The frames of a URDF differ from those of the paper. In the paper's Denavit-Hartenberg frames the
+axis of joint i + 1 is z of frame i. Here joint i turns about, or slides along, z of link i's own
+frame. Therefore the offset p from the parent's origin is constant in the parent's frame (a sliding
+joint adds its position along the axis), moments are taken about the link's own origin, and terms
+with z apply after the parent's motion has been rotated into the link's frame.
+
+Every joint has two rates here, ``turn`` about z and ``slide`` along z, one of which is zero. So
+each equation of the paper with one case for rotational joints and one for translational joints is
+a single expression.
+
+Vectors are tuples, so that the functions work for numbers (compiled or not), for lanes of numbers
+that the compiler vectorises, for numpy arrays of many states, and for the symbols of `codegen`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from .jit import simd_inline
+
+Vector = tuple[Any, Any, Any]
+
+# Outward pass
+
+
+@simd_inline
+def angular_velocity(omega_P: Vector, turn: Any) -> Vector:
+    """(36): R_LP omega_P + z turn, where omega_P has been rotated into the link's frame."""
+    return omega_P[0], omega_P[1], omega_P[2] + turn
+
+
+@simd_inline
+def angular_acceleration(omega_P: Vector, omega_dot_P: Vector, turn: Any, turn_dot: Any) -> Vector:
+    """(37): R_LP omega_dot_P + z turn_dot + R_LP omega_P x z turn, rotated as for (36)."""
+    x, y, z = omega_dot_P
+    return x + omega_P[1] * turn, y - omega_P[0] * turn, z + turn_dot
+
+
+@simd_inline
+def point_acceleration(p: Vector, omega: Vector, omega_dot: Vector, accel: Vector) -> Vector:
+    """
+    Acceleration of the point p of a body whose origin has the acceleration accel.
+
+    (40) without the joint's own rates: accel + omega_dot x p + omega x (omega x p), with p the
+    origin of the next link. (44) is the same with p the centre of mass.
+
+    """
+    return add(accel, add(cross(omega_dot, p), cross(omega, cross(omega, p))))
+
+
+@simd_inline
+def sliding_acceleration(accel: Vector, omega: Vector, slide: Any, slide_dot: Any) -> Vector:
+    """(40) for a translational joint: add z slide_dot + 2 omega x z slide."""
+    x, y, z = accel
+    return x + 2.0 * omega[1] * slide, y - 2.0 * omega[0] * slide, z + slide_dot
+
+
+@simd_inline
+def net_force(mass: Any, accel_com: Vector) -> Vector:
+    """(41): m accel_com."""
+    return mass * accel_com[0], mass * accel_com[1], mass * accel_com[2]
+
+
+@simd_inline
+def net_moment(J: Any, omega: Vector, omega_dot: Vector) -> Vector:
+    """(42): J omega_dot + omega x (J omega), J about the centre of mass."""
+    return add(symmetric(J, omega_dot), cross(omega, symmetric(J, omega)))
+
+
+# Inward pass
+
+
+@simd_inline
+def own_moment(com: Vector, force_net: Vector, moment_net: Vector) -> Vector:
+    """(46), the link's own part, about its origin: moment_net + com x force_net."""
+    return add(moment_net, cross(com, force_net))
+
+
+@simd_inline
+def moment_about_parent(p: Vector, force: Vector, moment: Vector) -> Vector:
+    """(46), a child's part, in the parent's frame: R_PL moment + p x (R_PL force)."""
+    return add(moment, cross(p, force))
+
+
+@simd_inline
+def joint_effort(force: Vector, moment: Vector, slides: Any) -> Any:
+    """(47): z . moment for a rotational joint, z . force for a translational one."""
+    return slides * force[2] + (1.0 - slides) * moment[2]
+
+
+# Frames. R is R_PL at joint position 0, row by row; c and s are the cosine and sine of the angle
+# by which the joint has turned from there.
+
+
+@simd_inline
+def origin_in_parent(R: Any, p: Vector, length: Any) -> Vector:
+    """p_PL of a link that has slid by a length along its axis, the third column of R."""
+    return add(p, (R[2] * length, R[5] * length, R[8] * length))
+
+
+@simd_inline
+def to_link(R: Any, c: Any, s: Any, v: Vector) -> Vector:
+    """R_LP v."""
+    x = R[0] * v[0] + R[3] * v[1] + R[6] * v[2]
+    y = R[1] * v[0] + R[4] * v[1] + R[7] * v[2]
+    z = R[2] * v[0] + R[5] * v[1] + R[8] * v[2]
+    return c * x + s * y, c * y - s * x, z
+
+
+@simd_inline
+def to_parent(R: Any, c: Any, s: Any, v: Vector) -> Vector:
+    """R_PL v."""
+    x, y, z = c * v[0] - s * v[1], s * v[0] + c * v[1], v[2]
+    return (
+        R[0] * x + R[1] * y + R[2] * z,
+        R[3] * x + R[4] * y + R[5] * z,
+        R[6] * x + R[7] * y + R[8] * z,
+    )
+
+
+# Vectors
+
+
+@simd_inline
+def add(a: Vector, b: Vector) -> Vector:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+@simd_inline
+def subtract(a: Vector, b: Vector) -> Vector:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@simd_inline
+def cross(a: Vector, b: Vector) -> Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@simd_inline
+def dot(a: Vector, b: Vector) -> Any:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@simd_inline
+def symmetric(J: Any, v: Vector) -> Vector:
+    """J v, where J is a symmetric matrix: xx, xy, xz, yy, yz, zz."""
+    return (
+        J[0] * v[0] + J[1] * v[1] + J[2] * v[2],
+        J[1] * v[0] + J[3] * v[1] + J[4] * v[2],
+        J[2] * v[0] + J[4] * v[1] + J[5] * v[2],
+    )

@@ -1,0 +1,651 @@
+"""Inverse dynamics of one robot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import ConfigurationError
+from ..robot.model import Floats, RobotModel
+from . import (
+    batch as lanes,
+)
+from . import (
+    batch_mass_matrix,
+    columns,
+    mass_matrix,
+    newton_euler,
+)
+from .arguments import (
+    broadcast,
+    check_out,
+    explain,
+    is_free,
+    read_inertial,
+    read_joints,
+    read_threads,
+    read_vector,
+)
+from .jit import compile_for, IS_COMPILED
+from .loaded_robot import LoadedRobot
+from .newton_euler import OK
+
+_V, _M = 'f8[::1]', 'f8[:,::1]'  # a vector and a table of float64, to numba
+
+STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
+"""Free-fall acceleration in a base frame whose z points up [m/s^2]; ISO 80000-3."""
+
+FRICTION_WIDTH = 0.01
+"""Speed at which smoothed Coulomb friction has 76 % of its value [rad/s or m/s]."""
+
+
+class EffortTerms(NamedTuple):
+    """Terms of the joint efforts, each of shape (..., n) [N m or N]; their sum is the effort."""
+
+    inertial: Floats
+    """M(q) qdd, including armature."""
+    velocity: Floats
+    """C(q, qd) qd: Coriolis and centrifugal efforts, including those of a rotating base."""
+    gravity: Floats
+    """g(q), and the efforts due to the acceleration and rotation of the base."""
+    friction: Floats
+    """Viscous and Coulomb friction."""
+    external: Floats
+    """Minus the efforts that the external wrenches exert."""
+
+
+class JointWrenches(NamedTuple):
+    """
+    Force and moment at every joint, of shape (..., b, 3), in the order of ``robot.body_names``.
+
+    A row is the wrench that the parent of the body exerts on it, in the URDF frame of the joint
+    between them and about its origin. The first row is the wrench of the mount on the base.
+
+    """
+
+    force: Floats
+    """[N]."""
+    moment: Floats
+    """[N m]."""
+
+
+class InverseDynamics:
+    r"""
+    Inverse dynamics of one robot: accelerations in, joint efforts out.
+
+    Evaluates :math:`\tau = M(q)\,\ddot q + C(q, \dot q)\,\dot q + g(q)` in one pass out along the
+    tree and one pass back, without forming M, C or g. Armature, friction, payloads, external
+    wrenches and base motion are set once and apply to all later calls.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        Tree of n joints and b bodies, from `load_urdf`.
+    gravity : array_like, shape (3,)
+        Free-fall acceleration in the base frame [m/s^2].
+
+    Raises
+    ------
+    ConfigurationError
+        If gravity is not three finite numbers.
+
+    Notes
+    -----
+    The first object on a machine compiles for some seconds; the machine code is cached on disk. An
+    object contains scratch space: each thread needs its own.
+
+    References
+    ----------
+    .. [LWP] J. Y. S. Luh, M. W. Walker, R. P. C. Paul, "Newton-Euler formulation of manipulator
+       dynamics for computer control", IFAC, 1979, 165-172: equations (36)-(47).
+
+    """
+
+    def __init__(self, robot: RobotModel, gravity: ArrayLike = STANDARD_GRAVITY) -> None:
+        self.robot = robot
+        self._zeros = np.zeros(len(robot.joint_names))
+        self._inverse_dynamics = _ready(newton_euler.inverse_dynamics, _V, _V, _V, _V, _M)
+        self._batch = _ready(newton_euler.inverse_dynamics_batch, _M, _M, _M, _M, _M)
+        self._gravity_efforts = _ready(newton_euler.gravity_efforts, _V, _V, _M)
+        self._mass_matrix = _ready(mass_matrix.mass_matrix, _V, _M, _M)
+        self._joint_wrenches = _ready(newton_euler.joint_wrenches, _V, _V, _V, _V, _M, _M, _M)
+        self._loaded = LoadedRobot(robot)
+        self._table = self._loaded.table
+        self._R_LZ = np.ascontiguousarray(self._loaded.R_ZL.transpose(0, 2, 1))
+        self.set_gravity(gravity)
+
+    @property
+    def gravity(self) -> Floats:
+        """Free-fall acceleration in the base frame, shape (3,) [m/s^2]; read-only."""
+        return self._loaded.gravity
+
+    @property
+    def revision(self) -> int:
+        """A number that changes whenever something that acts on the robot is set."""
+        return self._loaded.revision
+
+    @property
+    def table(self) -> Floats:
+        """The table of `columns` with the robot and its loads; not to be modified."""
+        return self._loaded.numbers
+
+    def link_index(self, name: str) -> int:
+        """Find a link among ``robot.link_names``, or raise a ConfigurationError."""
+        return self._loaded.link_index(name)
+
+    # Gravity, loads, friction
+
+    def set_gravity(self, gravity: ArrayLike) -> None:
+        """
+        Set gravity.
+
+        Parameters
+        ----------
+        gravity : array_like, shape (3,)
+            Free-fall acceleration in the base frame [m/s^2].
+
+        Raises
+        ------
+        ConfigurationError
+            If gravity is not three finite numbers.
+
+        """
+        vector = read_vector('gravity', gravity, 'm/s^2')
+        vector.setflags(write=False)
+        self._loaded.set_gravity(vector)
+
+    def set_base_motion(
+        self,
+        angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
+        angular_acceleration: ArrayLike = (0.0, 0.0, 0.0),
+        linear_acceleration: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> None:
+        """
+        Set the motion of the base: omega_0, omega_dot_0 and v_dot_0 of LWP.
+
+        Parameters
+        ----------
+        angular_velocity, angular_acceleration, linear_acceleration : array_like, shape (3,)
+            Motion of the base frame and its origin, in the base frame [rad/s], [rad/s^2],
+            [m/s^2]. The linear acceleration does not include gravity; an accelerometer on the
+            base measures the linear acceleration minus gravity.
+
+        Raises
+        ------
+        ConfigurationError
+            If one is not three finite numbers.
+
+        """
+        motion = [
+            read_vector('angular_velocity', angular_velocity, 'rad/s'),
+            read_vector('angular_acceleration', angular_acceleration, 'rad/s^2'),
+            read_vector('linear_acceleration', linear_acceleration, 'm/s^2'),
+        ]
+        self._loaded.set_base_motion(np.array(motion))
+
+    def set_payload(
+        self,
+        link: str,
+        mass: float,
+        com: ArrayLike = (0.0, 0.0, 0.0),
+        inertia: ArrayLike = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+    ) -> None:
+        """
+        Attach a rigid body to a link, replacing the payload that the link had.
+
+        Parameters
+        ----------
+        link : str
+            Any link of the robot description.
+        mass : float
+            Mass of the payload [kg]; 0 removes it.
+        com : array_like, shape (3,)
+            Centre of mass in the link's frame [m].
+        inertia : array_like, shape (3, 3)
+            Inertia about the centre of mass, along the axes of the link's frame [kg m^2].
+
+        Raises
+        ------
+        ConfigurationError
+            If the link does not exist, or no rigid body has such a mass and inertia.
+
+        """
+        self._loaded.link_index(link)
+        self._loaded.set_payload(link, *read_inertial(mass, com, inertia))
+
+    def set_external_wrench(
+        self,
+        link: str,
+        force: ArrayLike = (0.0, 0.0, 0.0),
+        moment: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> None:
+        """
+        Set the wrench that the world exerts on a link, replacing the previous one.
+
+        Parameters
+        ----------
+        link : str
+            Any link of the robot description.
+        force, moment : array_like, shape (3,)
+            In the link's frame, about its origin [N], [N m].
+
+        Raises
+        ------
+        ConfigurationError
+            If the link does not exist, or an argument is not three finite numbers.
+
+        """
+        self._loaded.link_index(link)
+        vectors = read_vector('force', force, 'N'), read_vector('moment', moment, 'N m')
+        self._loaded.set_external_wrench(link, *vectors)
+
+    def set_friction(
+        self,
+        damping: ArrayLike | None = None,
+        coulomb: ArrayLike | None = None,
+        width: ArrayLike = FRICTION_WIDTH,
+    ) -> None:
+        r"""
+        Set the friction of the joints: :math:`d\,\dot q + c \tanh(\dot q / w)`.
+
+        Parameters
+        ----------
+        damping : array_like, shape (n,) or ()
+            Viscous friction d [N m s/rad or N s/m]; by default, that of the robot description.
+        coulomb : array_like, shape (n,) or ()
+            Coulomb friction c [N m or N]; by default, that of the robot description.
+        width : array_like, shape (n,) or ()
+            Speed w over which Coulomb friction is smoothed [rad/s or m/s].
+
+        Raises
+        ------
+        ConfigurationError
+            If a value is negative or not finite, or the width is zero.
+
+        """
+        n = len(self._zeros)
+        damping = self.robot.damping if damping is None else damping
+        coulomb = self.robot.friction if coulomb is None else coulomb
+        damping = read_joints('damping', damping, n)
+        coulomb = read_joints('coulomb', coulomb, n)
+        speeds = read_joints('width', width, n)
+        if not (speeds >= np.finfo(float).tiny).all():  # the inverse of less may be infinite
+            raise ConfigurationError(f'width is {width!r}, expected speeds above 0')
+        # All arguments have been checked: a call that fails changes nothing.
+        self._loaded.set_joints(columns.DAMPING, damping)
+        self._loaded.set_joints(columns.COULOMB, coulomb)
+        self._loaded.set_joints(columns.INVERSE_WIDTH, 1.0 / speeds)
+
+    def set_armature(self, armature: ArrayLike) -> None:
+        """
+        Set the reflected inertia of rotors and gears.
+
+        Parameters
+        ----------
+        armature : array_like, shape (n,) or ()
+            Rotor inertia times the square of the gear ratio [kg m^2 or kg].
+
+        Raises
+        ------
+        ConfigurationError
+            If a value is negative or not finite.
+
+        """
+        values = read_joints('armature', armature, len(self._zeros))
+        self._loaded.set_joints(columns.ARMATURE, values)
+
+    # Quantities
+
+    def efforts(
+        self,
+        q: ArrayLike,
+        qd: ArrayLike,
+        qdd: ArrayLike,
+        out: Floats | None = None,
+        threads: int = 1,
+    ) -> Floats:
+        """
+        Compute the joint efforts that produce the joint accelerations.
+
+        Parameters
+        ----------
+        q, qd, qdd : array_like, shape (..., n)
+            Joint positions [rad or m], velocities [rad/s or m/s] and accelerations [rad/s^2 or
+            m/s^2], in the order of ``robot.joint_names``. Leading dimensions are a batch; they
+            broadcast against each other.
+        out : ndarray, optional
+            Receives the result: C-contiguous float64 of the shape of the result.
+        threads : int
+            Maximum number of threads for a large batch. The results do not depend on it.
+
+        Returns
+        -------
+        tau : ndarray, shape (..., n)
+            Joint efforts [N m or N], positive along the joint axis; ``out`` if it was given.
+
+        Raises
+        ------
+        JointStateError
+            If a shape does not fit the robot, or a value is not finite.
+        ConfigurationError
+            If ``threads`` is not a positive integer.
+
+        Notes
+        -----
+        Outward pass: LWP (36)-(44); inward pass: LWP (45)-(47). With arrays of float64 as
+        arguments and ``out``, nothing is allocated.
+
+        Batches of 64 states and more are computed in blocks. The results differ from those of
+        single states by rounding, less than 1e-12 of the largest effort. The first such batch
+        compiles for seconds; the machine code is cached on disk.
+
+        """
+        try:
+            # Checked first, because numba takes as long to reject a batch as for 100 states.
+            if q.ndim == 1:  # type: ignore[union-attr]
+                tau = np.empty_like(self._zeros) if out is None else out
+                if self._inverse_dynamics(q, qd, qdd, tau, self._table):
+                    raise explain(self.robot.joint_names, out, q=q, qd=qd, qdd=qdd)
+                return tau
+        except (AttributeError, TypeError, ValueError):  # lists, integers, views with strides
+            pass
+        return self._efforts_of_any(self._table, q, qd, qdd, out, read_threads(threads))
+
+    def gravity_efforts(self, q: ArrayLike, out: Floats | None = None) -> Floats:
+        """
+        Compute the joint efforts that hold the robot still.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., n)
+            Joint positions [rad or m].
+        out : ndarray, optional
+            As for `efforts`.
+
+        Returns
+        -------
+        tau : ndarray, shape (..., n)
+            Joint efforts [N m or N]: `efforts` for velocities and accelerations of zero.
+
+        Raises
+        ------
+        JointStateError
+            If the shape does not fit the robot, or a value is not finite.
+
+        """
+        if not self._loaded.base_motion[:2].any():
+            try:
+                if q.ndim == 1:  # type: ignore[union-attr]
+                    tau = np.empty_like(self._zeros) if out is None else out
+                    if self._gravity_efforts(q, tau, self._table):
+                        raise explain(self.robot.joint_names, out, q=q)
+                    return tau
+            except (AttributeError, TypeError, ValueError):
+                pass
+        return self._efforts_of_any(self._table, q, self._zeros, self._zeros, out)
+
+    def coriolis_efforts(self, q: ArrayLike, qd: ArrayLike, out: Floats | None = None) -> Floats:
+        """
+        Compute C(q, qd) qd: the Coriolis and centrifugal efforts.
+
+        Parameters
+        ----------
+        q, qd : array_like, shape (..., n)
+            Joint positions [rad or m] and velocities [rad/s or m/s].
+        out : ndarray, optional
+            As for `efforts`.
+
+        Returns
+        -------
+        tau : ndarray, shape (..., n)
+            Joint efforts [N m or N], including those due to the rotation of the base.
+
+        Raises
+        ------
+        JointStateError
+            If a shape does not fit the robot, or a value is not finite.
+
+        """
+        moving = self._loaded.without(
+            columns.BASE_ACCELERATION_COLUMNS,
+            columns.EXTERNAL_COLUMNS,
+            columns.JOINT_TERM_COLUMNS,
+            columns.HAS_JOINT_TERMS,
+        )
+        tau = self._efforts_in(moving, q, qd, self._zeros, out)
+        if self._loaded.base_motion[0].any():
+            tau -= self._efforts_in(moving, q, self._zeros, self._zeros)
+        return tau
+
+    def mass_matrix(self, q: ArrayLike, out: Floats | None = None) -> Floats:
+        """
+        Compute the mass matrix M(q).
+
+        Parameters
+        ----------
+        q : array_like, shape (..., n)
+            Joint positions [rad or m].
+        out : ndarray, optional
+            Receives the result: C-contiguous float64 of the shape of the result.
+
+        Returns
+        -------
+        mass_matrix : ndarray, shape (..., n, n)
+            Symmetric to the last bit [kg m^2, kg m or kg, depending on the kinds of joints].
+            Includes payloads and armature.
+
+        Raises
+        ------
+        JointStateError
+            If the shape does not fit the robot, or a value is not finite.
+
+        Notes
+        -----
+        The composite-rigid-body algorithm; see `mass_matrix` for its references.
+
+        """
+        n = len(self._zeros)
+        try:
+            if q.ndim == 1:  # type: ignore[union-attr]
+                matrix = np.empty((n, n)) if out is None else out
+                if self._mass_matrix(q, matrix, self._table):
+                    raise explain(self.robot.joint_names, out, (n, n), q=q)
+                return matrix
+        except (AttributeError, TypeError, ValueError):
+            pass
+        (rows,), shape = broadcast(n, q=q)
+        shape = (*shape, n)
+        if out is not None:
+            check_out(out, shape)
+        matrices = np.empty(shape) if out is None or not is_free(out, [rows]) else out
+        flat = matrices.reshape(len(rows), n, n)
+        if n and len(rows) >= lanes.FEWEST:
+            status = batch_mass_matrix.mass_matrix_many(rows, flat, self._loaded.numbers)
+        else:
+            pairs = zip(rows, flat, strict=True)
+            status = max((self._mass_matrix(*pair, self._table) for pair in pairs), default=OK)
+        if status != OK:
+            raise explain(self.robot.joint_names, q=q)
+        if out is None or matrices is out:
+            return matrices
+        out[...] = matrices
+        return out
+
+    def effort_terms(
+        self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: Floats | None = None
+    ) -> EffortTerms:
+        """
+        Compute the joint efforts term by term.
+
+        Parameters
+        ----------
+        q, qd, qdd : array_like, shape (..., n)
+            As for `efforts`.
+        out : ndarray, shape (5, ..., n), optional
+            Receives the terms.
+
+        Returns
+        -------
+        terms : EffortTerms
+            Named tuple of arrays of shape (..., n) [N m or N]; their sum is `efforts`.
+
+        Raises
+        ------
+        JointStateError
+            If a shape does not fit the robot, or a value is not finite.
+
+        """
+        _, shape = broadcast(len(self._zeros), q=q, qd=qd, qdd=qdd)
+        if out is not None:
+            check_out(out, (5, *shape))
+        terms = EffortTerms(*(np.empty((5, *shape)) if out is None else out))
+        zeros = self._zeros if shape == self._zeros.shape else np.zeros(shape)
+        loaded = self._loaded
+        no_bodies = (columns.MASS, columns.INERTIA_COLUMNS, columns.BASE_MOTION_COLUMNS)
+        inertia = loaded.without(
+            columns.BASE_MOTION_COLUMNS, columns.EXTERNAL_COLUMNS, columns.DAMPING, columns.COULOMB
+        )
+        weight = loaded.without(columns.EXTERNAL_COLUMNS, columns.JOINT_TERM_COLUMNS)
+        friction = loaded.without(*no_bodies, columns.EXTERNAL_COLUMNS, columns.ARMATURE)
+        external = loaded.without(*no_bodies, columns.JOINT_TERM_COLUMNS)
+        self._efforts_in(inertia, q, zeros, qdd, terms.inertial)
+        terms.velocity[...] = self.coriolis_efforts(q, np.broadcast_to(qd, shape))
+        self._efforts_in(weight, q, zeros, zeros, terms.gravity)
+        self._efforts_in(friction, q, qd, zeros, terms.friction)
+        self._efforts_in(external, q, zeros, zeros, terms.external)
+        return terms
+
+    def joint_wrenches(
+        self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: Floats | None = None
+    ) -> JointWrenches:
+        """
+        Compute the force and moment at every joint, the reaction of the mount first.
+
+        Parameters
+        ----------
+        q, qd, qdd : array_like, shape (..., n)
+            As for `efforts`.
+        out : ndarray, shape (..., b, 6), optional
+            Receives force and moment: C-contiguous float64.
+
+        Returns
+        -------
+        wrenches : JointWrenches
+            Named tuple of ``force`` [N] and ``moment`` [N m], each of shape (..., b, 3).
+
+        Raises
+        ------
+        JointStateError
+            If a shape does not fit the robot, or a value is not finite.
+
+        Notes
+        -----
+        LWP (45) and (46). The moment about the axis of a revolute joint, or the force along the
+        axis of a prismatic one, is the joint's effort without armature and friction, which act
+        inside the joint.
+
+        """
+        rows, shape = broadcast(len(self._zeros), q=q, qd=qd, qdd=qdd)
+        b = len(self.robot.parent)
+        shape = (*shape[:-1], b, 6)
+        if out is not None:
+            check_out(out, shape)
+        wrenches = np.empty(shape) if out is None or not is_free(out, rows) else out
+        flat = wrenches.reshape(-1, b, 6)
+        if self._zeros.size and len(flat) >= lanes.FEWEST:
+            states = (*rows, np.empty_like(rows[0]))
+            status = lanes.inverse_dynamics_many(states, self._loaded.numbers, wrenches=flat)
+            in_link = flat.reshape(-1, b, 2, 3)
+            in_link[...] = np.einsum('bij,kbwj->kbwi', self._R_LZ, in_link)
+        else:
+            tau, R_LZ = np.empty_like(self._zeros), self._R_LZ.reshape(b, 9)
+            status = OK
+            for *state, wrench in zip(*rows, flat, strict=True):
+                found = self._joint_wrenches(*state, tau, R_LZ, wrench, self._table)
+                status = max(status, found)
+        if status != OK:
+            raise explain(self.robot.joint_names, q=q, qd=qd, qdd=qdd)
+        if out is not None and wrenches is not out:
+            out[...] = wrenches
+            wrenches = out
+        return JointWrenches(wrenches[..., :3], wrenches[..., 3:])
+
+    def _efforts_in(
+        self,
+        table: Any,
+        q: ArrayLike,
+        qd: ArrayLike,
+        qdd: ArrayLike,
+        out: Floats | None = None,
+    ) -> Floats:
+        """Compute efforts with a table of `LoadedRobot`, quickly if the arguments are arrays."""
+        try:
+            if q.ndim == 1:  # type: ignore[union-attr]
+                tau = np.empty_like(self._zeros) if out is None else out
+                if self._inverse_dynamics(q, qd, qdd, tau, table):
+                    raise explain(self.robot.joint_names, out, q=q, qd=qd, qdd=qdd)
+                return tau
+        except (AttributeError, TypeError, ValueError):
+            pass
+        return self._efforts_of_any(table, q, qd, qdd, out)
+
+    def _efforts_of_any(
+        self,
+        table: Any,
+        q: ArrayLike,
+        qd: ArrayLike,
+        qdd: ArrayLike,
+        out: Floats | None = None,
+        threads: int = 1,
+    ) -> Floats:
+        """Compute efforts of anything that numpy can read as rows of n numbers."""
+        rows, shape = broadcast(len(self._zeros), q=q, qd=qd, qdd=qdd)
+        if out is not None:
+            check_out(out, shape)
+        tau = np.empty(shape) if out is None or not is_free(out, rows) else out
+        states = (*rows, tau.reshape(rows[0].shape))
+        if tau.size and len(rows[0]) >= lanes.FEWEST:
+            status = lanes.inverse_dynamics_many(states, np.asarray(table), threads)
+        else:
+            status = self._batch(*states, table)
+        if status != OK:
+            raise explain(self.robot.joint_names, q=q, qd=qd, qdd=qdd)
+        if out is None or tau is out:
+            return tau
+        out[...] = tau
+        return out
+
+
+def _ready(function: Callable[..., int], *kinds: str) -> Callable[..., int]:
+    """
+    Prepare a function of `newton_euler` for arrays: compile it, or run it on lists of floats.
+
+    Either way it raises a TypeError for arguments of other types.
+
+    """
+    if IS_COMPILED:
+        compile_for(function, f'({", ".join(kinds)})')
+        return function
+    dimensions = [kind.count(',') + 1 for kind in kinds[:-1]]
+
+    def on_lists(*arguments: Any) -> int:
+        # Python reads a list several times faster than an array.
+        *arrays, robot = arguments
+        for values, dimension in zip(arrays, dimensions, strict=True):
+            if not isinstance(values, np.ndarray) or values.ndim != dimension:
+                raise TypeError
+            if values.dtype != np.float64:
+                raise TypeError
+        lists = [values.tolist() for values in arrays]
+        try:
+            status = function(*lists, robot)
+        except ValueError:  # Python's sine of infinity
+            return newton_euler.NOT_FINITE
+        if arrays[-1].size:
+            arrays[-1][...] = lists[-1]
+        return status
+
+    return on_lists

@@ -1,0 +1,135 @@
+"""A robot and everything that acts on it, as the table that the passes read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..errors import ConfigurationError, shortened
+from ..robot.model import Floats, join_bodies, RobotModel
+from . import columns
+from .jit import IS_COMPILED
+
+
+class LoadedRobot:
+    """
+    Robot table with payloads, external wrenches, base motion, gravity and joint terms.
+
+    Values are not checked here; see `InverseDynamics`.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        Tree of n joints and b bodies.
+
+    """
+
+    def __init__(self, robot: RobotModel) -> None:
+        self.robot = robot
+        self.numbers = columns.robot_table(robot)
+        """Table of shape (b, COLUMNS); to be modified by the methods only."""
+        self.table = runnable(self.numbers)
+        """The same as the passes expect it: an array, or lists without numba."""
+        self.revision = 0
+        """Changes with every change of the table."""
+        self.R_ZL = columns.rotations_to_z(robot)
+        self.base_motion: Floats = np.zeros((3, 3))
+        """Angular velocity, angular acceleration and linear acceleration, by rows."""
+        self.gravity: Floats = np.zeros(3)
+        self._payloads: dict[str, tuple[float, Floats, Floats]] = {}
+        self._wrenches: dict[str, tuple[Floats, Floats]] = {}
+        self._reduced: dict[tuple[Any, ...], tuple[int, Any]] = {}
+
+    def set_gravity(self, gravity: Floats) -> None:
+        self.gravity = gravity
+        self._write_base()
+
+    def set_base_motion(self, motion: Floats) -> None:
+        self.base_motion = motion
+        self._write_base()
+
+    def set_payload(self, link: str, mass: float, com: Floats, inertia: Floats) -> None:
+        k = self.link_index(link)
+        self._payloads.pop(link, None)
+        if mass > 0.0:
+            rotation = self.robot.link_rotation[k]
+            centre = rotation @ com + self.robot.link_position[k]
+            self._payloads[link] = mass, centre, rotation @ inertia @ rotation.T
+        self._write_inertial(int(self.robot.link_body[k]))
+
+    def set_external_wrench(self, link: str, force: Floats, moment: Floats) -> None:
+        k = self.link_index(link)
+        rotation = self.robot.link_rotation[k]
+        force, moment = rotation @ force, rotation @ moment
+        self._wrenches[link] = force, moment + np.cross(self.robot.link_position[k], force)
+        self._write_external(int(self.robot.link_body[k]))
+
+    def set_joints(self, column: int, values: Floats) -> None:
+        """Set a column of all joints."""
+        rows = self.numbers[1 : 1 + len(values)]
+        rows[:, column] = values
+        has_terms = rows[:, [columns.ARMATURE, columns.DAMPING, columns.COULOMB]].any()
+        self.numbers[0, columns.HAS_JOINT_TERMS] = float(has_terms)
+        for i in range(1 + len(values)):
+            self._update(i)
+
+    def link_index(self, name: str) -> int:
+        """Find a link among ``robot.link_names``, or raise a ConfigurationError."""
+        if name not in self.robot.link_names:
+            links = ', '.join(self.robot.link_names)
+            raise ConfigurationError(f"link '{shortened(name)}' does not exist; links are {links}")
+        return self.robot.link_names.index(name)
+
+    def without(self, *parts: int | slice) -> Any:
+        """Return the table with zeros in some columns; kept until the table changes."""
+        key = tuple(part if isinstance(part, int) else (part.start, part.stop) for part in parts)
+        revision, table = self._reduced.get(key, (-1, None))
+        if revision != self.revision:
+            numbers = self.numbers.copy()
+            for part in parts:
+                numbers[:, part] = 0.0
+            table = runnable(numbers)
+            self._reduced[key] = self.revision, table
+        return table
+
+    def _write_base(self) -> None:
+        self.numbers[0, columns.BASE_MOTION_COLUMNS] = self.base_motion.ravel()
+        self.numbers[0, columns.ACCEL : columns.ACCEL + 3] -= self.gravity  # LWP (31)
+        self._update(0)
+
+    def _write_inertial(self, body: int) -> None:
+        """Combine a body of the robot with the payloads on it."""
+        robot = self.robot
+        parts = [(robot.mass[body], robot.com[body], robot.inertia[body])]
+        parts += self._on_body(self._payloads, body)
+        columns.write_inertial(self.numbers[body], self.R_ZL[body], *join_bodies(parts))
+        self._update(body)
+
+    def _write_external(self, body: int) -> None:
+        wrenches = self._on_body(self._wrenches, body)
+        row, R_ZL = self.numbers[body], self.R_ZL[body]
+        force = sum((f for f, _ in wrenches), np.zeros(3))
+        moment = sum((n for _, n in wrenches), np.zeros(3))
+        columns.store(row, columns.EXTERNAL_FORCE, R_ZL @ force)
+        columns.store(row, columns.EXTERNAL_MOMENT, R_ZL @ moment)
+        self._update(body)
+
+    def _on_body(self, loads: dict[str, Any], body: int) -> Sequence[Any]:
+        robot = self.robot
+        return [
+            load
+            for link, load in loads.items()
+            if robot.link_body[robot.link_names.index(link)] == body
+        ]
+
+    def _update(self, body: int) -> None:
+        self.revision += 1
+        if not IS_COMPILED:
+            self.table[body] = self.numbers[body].tolist()
+
+
+def runnable(numbers: Floats) -> Any:
+    """Return a table as the passes expect it: an array for numba, lists of floats for Python."""
+    return numbers if IS_COMPILED else numbers.tolist()

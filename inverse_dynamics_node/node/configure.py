@@ -1,0 +1,121 @@
+"""From parameters to a rig, and what of it changes while it runs."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..control.control_loop import Rig
+from ..control.controller import of_joints, PerJoint
+from ..dynamics.trajectory import complete, Trajectory
+from ..errors import ConfigurationError
+from ..robot.model import Floats, RobotModel
+from ..robot.urdf import load_urdf
+from .description_file import load_file
+from .parameters import BaseMotion, Configuration, PER_JOINT
+
+
+def make_rig(configuration: Configuration, description: str) -> Rig:
+    """
+    Load the robot description and make all that is made for it.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        From the parameters.
+    description : str
+        From the topic; counts where the parameters give none.
+
+    Returns
+    -------
+    rig : Rig
+        Compiled, and with a first call behind it: that takes longer than those that follow.
+
+    Raises
+    ------
+    InverseDynamicsError
+        If the description or the parameters are of no use.
+
+    """
+    robot = _load_robot(configuration, description)
+    rig = Rig(
+        robot,
+        configuration.joints,
+        configuration.settings,
+        configuration.period,
+        configuration.load_settings,
+        configuration.gravity,
+        configuration.base_link,
+        configuration.locked_positions,
+        configuration.base_motion is BaseMotion.IMU,
+    )
+    apply_configuration(rig, configuration)
+    rig.dynamics.gravity_efforts(np.zeros(len(robot.joint_names)))
+    complete(Trajectory(('x',), np.arange(2.0), np.zeros((2, 1))))  # loads what splines need
+    return rig
+
+
+def apply_configuration(
+    rig: Rig, configuration: Configuration, before: Configuration | None = None
+) -> None:
+    """
+    Tell a rig what parameters say that may change while it runs.
+
+    Parameters
+    ----------
+    rig : Rig
+        Of the same robot description and joints.
+    configuration : Configuration
+        To count from now on.
+    before : Configuration, optional
+        What counted until now: only a changed gravity takes the place of what the topic said.
+
+    Raises
+    ------
+    ConfigurationError
+        If a list does not have one number for each commanded joint; nothing has changed then.
+
+    """
+    m, n = len(rig.controller.joints), len(rig.robot.joint_names)
+
+    def of_robot(name: str, values: PerJoint, others: Floats) -> Floats:
+        given = of_joints(name, values, m)
+        chosen: Floats = others.copy()
+        chosen[rig.index] = np.where(given < 0.0, others[rig.index], given)
+        return chosen
+
+    damping = of_robot('damping', configuration.damping, rig.robot.damping)
+    coulomb = of_robot('coulomb', configuration.coulomb, rig.robot.friction)
+    armature = of_robot('armature', configuration.armature, np.zeros(n))
+    rig.controller.apply(configuration.settings)
+    share = 1.0 if configuration.include_friction else 0.0
+    rig.dynamics.set_friction(share * damping, share * coulomb, configuration.coulomb_width)
+    rig.dynamics.set_armature(armature)
+    rig.loads.apply(configuration.load_settings, configuration.include_gravity)
+    rig.residual.cutoff = configuration.external_efforts_cutoff
+    is_new = before is not None and before.gravity != configuration.gravity
+    if is_new and not rig.has_imu:
+        rig.loads.set_gravity(configuration.gravity)
+
+
+def check_configuration(rig: Rig, configuration: Configuration) -> None:
+    """Refuse, with a ConfigurationError, what would not fit the joints that are commanded."""
+    for name, values in {**vars(configuration), **vars(configuration.settings)}.items():
+        if name in PER_JOINT:
+            of_joints(name, values, len(rig.controller.joints))
+
+
+def _load_robot(configuration: Configuration, description: str) -> RobotModel:
+    missing = configuration.on_missing_inertial.value
+    if configuration.robot_description_file:
+        return load_file(configuration.robot_description_file, missing)
+    text = configuration.robot_description or description
+    if not text:
+        raise ConfigurationError(
+            'no robot description: none on the topic, and neither parameter is set'
+        )
+    return load_urdf(_as_xml(text), missing)
+
+
+def _as_xml(text: str) -> str:
+    """Keep a robot description that is no XML from being taken for the name of a file."""
+    return text if text.lstrip('\ufeff \t\r\n').startswith('<') else f'<!-- -->{text}'

@@ -1,0 +1,1 @@
+"""Robot models, and reading them from URDF."""

@@ -1,0 +1,175 @@
+"""URDF source to an XML tree, by a parser that trusts nothing: no DTD, network or repair."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import stat
+from typing import Any, NamedTuple
+
+from lxml import etree
+
+from ...errors import UrdfError
+
+Element = Any
+"""An lxml element; lxml comes without types."""
+
+MAX_BYTES = 16 * 2**20
+"""Ten times the largest real robot descriptions, and parsed in seconds."""
+
+_FOREIGN_ROOTS = {'sdf': 'SDF', 'model': 'a part of SDF', 'mujoco': 'MJCF', 'html': 'HTML'}
+
+_BOM = '\ufeff'
+_DECLARATION = re.compile(rb'(?:\xef\xbb\xbf)?\s*<\?xml(?:\s[^>]*)?\?>')
+_SOUND_DECLARATION = re.compile(rb'(?:\xef\xbb\xbf)?<\?xml\s+version\s*=\s*["\']1\.\d')
+_ENCODING = re.compile(rb'encoding\s*=\s*["\']([^"\']*)')
+_FIRST_START_TAG = re.compile(rb'<[A-Za-z_]')
+
+
+class Source(NamedTuple):
+    """The bytes of a robot description, and where they come from."""
+
+    name: str
+    data: bytes
+    encoding: str | None
+    """None where the bytes say it themselves, by a BOM or a declaration."""
+
+
+def read_source(path_or_xml: str | os.PathLike[str]) -> Source:
+    """Read a path, or take XML text as it is."""
+    if isinstance(path_or_xml, str) and path_or_xml.lstrip(f'{_BOM} \t\r\n').startswith('<'):
+        # Text is decoded already: an encoding that it declares says nothing about these bytes.
+        data = path_or_xml.lstrip(_BOM).encode('utf-8', 'surrogatepass')
+        source, kind, size = Source('URDF', data, 'utf-8'), 'text', len(data)
+    elif isinstance(path_or_xml, str) and not path_or_xml.strip():
+        raise UrdfError(['the robot description is empty: expected a path or XML text'])
+    else:
+        data, size = _read_file(path_or_xml)
+        source, kind = Source(shortened(os.fspath(path_or_xml), 250), data, None), 'file'
+
+    if len(source.data) > MAX_BYTES:
+        found, limit = math.ceil(size / 2**20), MAX_BYTES // 2**20
+        raise UrdfError([f'{kind} is {found} MiB, limit is {limit} MiB'], source.name)
+    if not source.data.strip(b'\xef\xbb\xbf \t\r\n'):
+        raise UrdfError([f'{kind} is empty'], source.name)
+    return source
+
+
+def _read_file(path: str | os.PathLike[str]) -> tuple[bytes, int]:
+    """Return at most one byte more than the limit, and the size of the file."""
+    if not isinstance(os.fspath(path), str):
+        raise TypeError(f'expected a path or XML text as str, got {type(path).__name__}')
+    name = shortened(os.fspath(path), 250)
+    try:
+        status = os.stat(path)
+        if stat.S_ISDIR(status.st_mode):
+            raise UrdfError(['is a directory, expected a URDF file'], name)
+        if not stat.S_ISREG(status.st_mode):
+            # Opening a pipe would wait for a writer, a device may never end.
+            raise UrdfError(['is not a regular file'], name)
+        with open(path, 'rb') as file:
+            data = file.read(MAX_BYTES + 1)
+    except OSError as error:
+        hint = "; XML text would start with '<'" if isinstance(path, str) else ''
+        raise UrdfError([f'cannot be read: {error.strerror}{hint}'], name) from error
+    except ValueError as error:  # a NUL or a lone surrogate in the path
+        raise UrdfError([f'cannot be read: {error}'], name) from error
+    return data, max(status.st_size, len(data))
+
+
+def shortened(text: str, length: int = 80) -> str:
+    """Return a text, or the start of a long one."""
+    return text if len(text) <= length else f'{text[:length]}...'
+
+
+def parse(source: Source) -> tuple[Element, list[str]]:
+    """Return the <robot> element and what was odd about the XML; refuse anything else."""
+    source, warnings = _without_odd_declaration(source)
+    try:
+        parser = _hardened_parser(source.encoding)
+        root = etree.fromstring(source.data, parser)
+    except LookupError:
+        problem = f"not well-formed XML: unknown encoding '{source.encoding}', line 1"
+        raise UrdfError([problem], source.name) from None
+    except etree.XMLSyntaxError as error:
+        prefixes = _undeclared_prefixes(parser.error_log)
+        if not prefixes:
+            raise UrdfError(_syntax_problems(source, error), source.name) from error
+        # Every URDF tool of ROS reads these files, so the prefixed parts can only be ornament.
+        root = etree.fromstring(source.data, _hardened_parser(source.encoding, recover=True))
+        warnings += prefixes
+
+    if root.getroottree().docinfo.internalDTD is not None:
+        raise UrdfError([_NO_DOCTYPE], source.name)
+    if tag(root) != 'robot':
+        known = _FOREIGN_ROOTS.get(tag(root).lower())
+        hint = f' (this is {known})' if known else ''
+        raise UrdfError([f'root element is <{tag(root)}>, expected <robot>{hint}'], source.name)
+    return root, warnings
+
+
+def tag(element: Element) -> str:
+    """Return an element's name as it is written, with its prefix."""
+    # A default namespace (<robot xmlns="...">) changes nothing for any URDF tool.
+    local_name = element.tag.rpartition('}')[2]
+    return f'{element.prefix}:{local_name}' if element.prefix else local_name
+
+
+def is_xacro(text: str) -> bool:
+    """Return whether an attribute still waits for xacro."""
+    return '${' in text or '$(' in text
+
+
+def _hardened_parser(encoding: str | None, recover: bool = False) -> Any:
+    return etree.XMLParser(
+        encoding=encoding,
+        recover=recover,
+        resolve_entities=False,
+        load_dtd=False,
+        dtd_validation=False,
+        attribute_defaults=False,
+        no_network=True,
+        huge_tree=False,  # keeps libxml2's limits on depth and amplification
+        remove_comments=True,
+        remove_pis=True,
+    )
+
+
+def _without_odd_declaration(source: Source) -> tuple[Source, list[str]]:
+    """Blank out an XML declaration that only libxml2 minds, keeping lines and columns."""
+    found = _DECLARATION.match(source.data)
+    if not found or _SOUND_DECLARATION.match(source.data):
+        return source, []
+    blank = re.sub(rb'[^\r\n]', b' ', found[0])
+    encoding = _ENCODING.search(found[0])
+    declared = encoding[1].decode('ascii', 'replace') if encoding else 'utf-8'
+    written = found[0].removeprefix(b'\xef\xbb\xbf').strip().decode('ascii', 'replace')
+    data = blank + source.data[found.end() :]
+    warning = f"line 1: odd XML declaration {written} ignored; write <?xml version='1.0'?>"
+    return source._replace(data=data, encoding=source.encoding or declared), [warning]
+
+
+def _undeclared_prefixes(log: Any) -> list[str]:
+    """Describe undeclared namespace prefixes, if nothing else is wrong."""
+    errors = [entry for entry in log if entry.level >= etree.ErrorLevels.ERROR]
+    if any(entry.type != etree.ErrorTypes.NS_ERR_UNDEFINED_NAMESPACE for entry in errors):
+        return []
+    first_lines: dict[str, int] = {}
+    for entry in errors:
+        first_lines.setdefault(entry.message, entry.line)
+    return [f'line {line}: {message}; ignored' for message, line in first_lines.items()]
+
+
+_NO_DOCTYPE = 'DOCTYPE/DTD is not allowed in a URDF'
+
+
+def _syntax_problems(source: Source, error: Any) -> list[str]:
+    problems = [f'not well-formed XML: {error.msg}']
+    start_tag = _FIRST_START_TAG.search(source.data)
+    head = source.data[: start_tag.start()] if start_tag else source.data
+    if b'<!doctype' in head.lower():
+        problems.insert(0, _NO_DOCTYPE)
+    if source.data.startswith(b'version https://git-lfs'):
+        problems[0] += ' (this is a git-lfs pointer: run git lfs pull)'
+    return problems

@@ -1,0 +1,219 @@
+"""A run as a picture: what happened over time, errors, efforts, and contact where it counts."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+import math
+from pathlib import Path
+from textwrap import wrap
+from typing import Any
+
+import matplotlib
+import numpy as np
+
+from ...robot.model import Floats, RobotModel
+from ..trajectory import slides
+from .history import History
+from .scenarios import Script
+
+matplotlib.use('Agg')
+from matplotlib.figure import Figure
+
+WIDTH, DPI = 9.0, 100  # [inch]: 900 pixels
+MOST_POINTS = 1500
+LEAST_ERROR = 0.01  # [mrad, mm]: less is nothing, however large a picture may make it
+ACROSS = 115  # letters that fit beside each other over the axes
+LEGEND, KEY = 120, 8  # letters that fit beside each other, and those that a line takes
+COLOURS = ('#0072B2', '#E69F00', '#009E73', '#CC79A7', '#56B4E9', '#D55E00', '#333333')
+"""Distinct for the colour-blind too."""
+DASHES = ('-', (0, (5, 1.5)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)), (0, (8, 1.5, 1, 1.5, 1, 1.5)))
+"""Line styles: with the colours, 35 joints look different."""
+MOST_IN_ONE = 10
+"""Joints whose efforts are drawn in one frame; more of them get a row each."""
+LEAST_SHARE = 1e-3
+"""Efforts below this fraction of the limit, or of the largest effort, are drawn as almost zero."""
+MOST_LINES, LINE = 6, 0.19  # of the title, and how high one is [inch]
+SHADES = ('#ffffff', '#fff1d6', '#e3f2e1', '#e8ecf7')
+
+
+def draw(
+    path: str | Path, robot: RobotModel, title: str, script: Script, history: History
+) -> None:
+    """
+    Draw a run and save it.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        Of the picture; its suffix says which kind.
+    robot : RobotModel
+        Whose joints.
+    title : str
+        What the run was.
+    script : Script
+        What happened when.
+    history : History
+        What came of it.
+
+    """
+    panels = [_errors, _efforts] + ([_contact] if script.expected else [])
+    lines = [part for line in title.splitlines() for part in _wrapped(line)]
+    if len(lines) > MOST_LINES:
+        lines = [*lines[: MOST_LINES - 1], '...']
+    count, columns = len(robot.joint_names), _columns(robot, history)
+    heights = [2.2] * len(panels)
+    rows = len(lines)
+    if count > MOST_IN_ONE:
+        heights[1] = LINE * (count + 2)
+    else:
+        rows += math.ceil(count / columns)
+    height = 2.2 + sum(heights) + LINE * max(0, rows - 4)
+    figure: Any = Figure(figsize=(WIDTH, height), dpi=DPI, layout='constrained')
+    all_axes = np.atleast_1d(figure.subplots(len(panels), sharex=True, height_ratios=heights))
+    for panel, axes in zip(panels, all_axes, strict=True):
+        panel(axes, robot, script, history)
+        _shade(axes, script, history)
+        axes.grid(alpha=0.3)
+        axes.margins(x=0.0)
+    all_axes[-1].set_xlabel('time [s]')
+    _explain(all_axes[0], script)
+    figure.suptitle('\n'.join(lines), fontsize=11)
+    handles, labels = all_axes[1].get_legend_handles_labels()
+    if handles:
+        legend = figure.legend(handles, labels, loc='lower center', ncols=columns, fontsize=9)
+        # matplotlib 3.6 has no 'outside lower center': make room for the legend here.
+        room = legend.get_window_extent().height / figure.bbox.height
+        figure.get_layout_engine().set(rect=(0.0, room, 1.0, 1.0 - room))
+    figure.savefig(path)
+
+
+def _wrapped(line: str) -> list[str]:
+    """Break a line of the title between words only: numbers and names stay whole."""
+    return wrap(line, 110, break_long_words=False, break_on_hyphens=False)
+
+
+def _look(i: int) -> dict[str, Any]:
+    """Return colour and line style of a joint."""
+    return {
+        'color': COLOURS[i % len(COLOURS)],
+        'ls': DASHES[i // len(COLOURS) % len(DASHES)],
+    }
+
+
+def _largest(history: History) -> Floats:
+    """Return the largest commanded effort of each joint, without sign [N m or N]."""
+    largest: Floats = np.max(np.abs(np.nan_to_num(history.commands.rows)), axis=0, initial=0.0)
+    return largest
+
+
+def _label(robot: RobotModel, history: History, i: int) -> str:
+    limit, largest = robot.effort_limits[i], _largest(history)[i]
+    unit = 'N' if slides(robot)[i] else 'N m'
+    of = f'of {limit:g} {unit}' if math.isfinite(limit) else f'{unit}, no limit'
+    return f'{robot.joint_names[i]}: {largest:.3g} {of}'
+
+
+def _columns(robot: RobotModel, history: History) -> int:
+    """Count the columns that the legend has room for."""
+    longest = max(len(_label(robot, history, i)) for i in range(len(robot.joint_names)))
+    return max(1, min(4, LEGEND // (longest + KEY)))
+
+
+def _thin(times: Floats, rows: Floats) -> tuple[Floats, Floats]:
+    """Leave out what a picture cannot show; break lines where nothing was heard for a while."""
+    step = max(1, len(times) // MOST_POINTS)
+    times, rows = times[::step], rows[::step]
+    gaps = np.flatnonzero(np.diff(times) > 0.2) + 1
+    times = np.insert(times, gaps, times[gaps - 1])
+    return times, np.insert(rows, gaps, np.nan, axis=0)
+
+
+def _errors(axes: Any, robot: RobotModel, script: Script, history: History) -> None:
+    times, rows = _thin(history.states.times, history.states.rows)
+    errors = 1000.0 * (rows[:, 1] - rows[:, 0])
+    for i in range(len(robot.joint_names)):
+        axes.plot(times, errors[:, i], lw=1.4, **_look(i))
+    if script.without is not None:
+        times, errors = _thin(*script.without)
+        for i in range(len(robot.joint_names)):
+            axes.plot(times, 1000.0 * errors[:, i], color=_look(i)['color'], lw=1.0, ls=':')
+        axes.plot([], [], color='gray', lw=1.0, ls=':', label='without the IMU (calculated)')
+        axes.plot([], [], color='gray', lw=1.4, label='with it')
+        axes.legend(loc='upper left', fontsize=9)
+    axes.set_ylabel('error [mrad, mm]')
+    axes.update_datalim([(0.0, -LEAST_ERROR), (0.0, LEAST_ERROR)])
+    axes.autoscale_view()
+
+
+def _efforts(axes: Any, robot: RobotModel, script: Script, history: History) -> None:
+    """
+    Draw the commands, also while no joint state comes, each joint to its own scale.
+
+    Joints that use a few per cent of their limit, and joints without one, are legible too; the
+    legend, or the label of the row, names the largest effort and the limit.
+
+    """
+    times, rows = _thin(history.commands.times, history.commands.rows)
+    largest = _largest(history)
+    least = np.where(np.isfinite(robot.effort_limits), robot.effort_limits, np.max(largest))
+    scale = np.maximum(largest, LEAST_SHARE * least)
+    scale[scale == 0.0] = 1.0
+    count = len(robot.joint_names)
+    labels = [_label(robot, history, i) for i in range(count)]
+    if count > MOST_IN_ONE:
+        # A row for each joint: so many lines in one frame cannot be followed.
+        for i in range(count):
+            axes.plot(times, i - 0.45 * rows[:, i] / scale[i], lw=1.2, **_look(i))
+        axes.set_yticks(range(count), labels, fontsize=8)
+        axes.set_ylim(count - 0.4, -0.6)
+        axes.set_title('commanded efforts, with the largest', fontsize=9, loc='left')
+        return
+    for i, label in enumerate(labels):
+        axes.plot(times, 100.0 * rows[:, i] / scale[i], lw=1.2, label=label, **_look(i))
+    axes.set_ylabel('commanded effort\n[% of its largest, below]')
+
+
+def _contact(axes: Any, robot: RobotModel, script: Script, history: History) -> None:
+    assert script.expected is not None
+    times, rows = _thin(history.external.times, history.external.rows)
+    for i in range(len(robot.joint_names)):
+        axes.plot(times, rows[:, i], lw=1.4, **_look(i))
+    times, states = _thin(history.states.times, history.states.rows)
+    known = ~np.isnan(states[:, 0]).any(axis=1)
+    times = times[known]
+    expected = script.expected(times, states[known, 0])
+    for i in range(len(robot.joint_names)):
+        axes.plot(times, expected[:, i], color='black', lw=0.9, ls='--')
+    axes.plot([], [], color='gray', lw=1.4, label='found by the node')
+    axes.plot([], [], color='black', lw=0.9, ls='--', label='$-J^T F$')
+    axes.legend(loc='upper left', fontsize=9)
+    axes.set_ylabel('external efforts\n[N m, N]')
+
+
+def _edges(script: Script) -> list[float]:
+    return [0.0, *(event.time for event in script.events)]
+
+
+def _shade(axes: Any, script: Script, history: History) -> None:
+    edges = [*_edges(script), float(history.states.times[-1])]
+    for i, (begin, end) in enumerate(pairwise(edges)):
+        axes.axvspan(begin, end, color=SHADES[i % len(SHADES)], zorder=-10, lw=0)
+        if i:
+            axes.axvline(begin, color='black', lw=0.8)
+
+
+def _explain(axes: Any, script: Script) -> None:
+    """Write what is happening above the first panel, each where it begins."""
+    words = [script.begins, *(event.words for event in script.events)]
+    end = axes.get_xlim()[1]
+    for i, (time, text) in enumerate(zip(_edges(script), words, strict=True)):
+        fits = time / end + len(text) / ACROSS < 1.0
+        axes.annotate(
+            text,
+            (time if fits else end, 1.0),
+            (2 if fits else 0, 4 + 13 * (len(words) - 1 - i)),
+            xycoords=('data', 'axes fraction'),
+            textcoords='offset points',
+            fontsize=9,
+            horizontalalignment='left' if fits else 'right',
+        )

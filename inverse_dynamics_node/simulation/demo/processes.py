@@ -1,0 +1,129 @@
+"""Child processes that end with their parent, and ROS settings that stay on this machine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+import ctypes
+import os
+import random
+import signal
+import socket
+import subprocess
+import sys
+import threading
+
+from ..mujoco.model import SimulationError
+
+LOCK_PORT = 32768  # plus a domain: the port that domain_coordinator binds to reserve it for a test
+STOP_TIMEOUT = 5.0  # [s]: a node ramps its efforts down before it ends
+PR_SET_PDEATHSIG = 1  # Linux's prctl(2): the signal to get when the parent dies
+
+Processes = dict[str, 'subprocess.Popen[bytes]']
+
+
+@contextmanager
+def running(
+    commands: Mapping[str, Sequence[str]], tell: Callable[[str], None] | None = None
+) -> Iterator[Processes]:
+    """
+    Run commands for as long as the context lasts; end the last one started first.
+
+    Parameters
+    ----------
+    commands : mapping of str to sequence of str
+        Arguments of ``python -m``, by the name of the process.
+    tell : callable, optional
+        Takes the lines that they print, in threads of its own; without it they go where those of
+        this process go.
+
+    Yields
+    ------
+    processes : dict of str to subprocess.Popen
+        By the same names.
+
+    """
+    processes: Processes = {}
+    try:
+        for name, command in commands.items():
+            # A session of its own: Ctrl-C reaches the parent alone, which then ends all in order.
+            processes[name] = subprocess.Popen(
+                [sys.executable, '-m', *command],
+                start_new_session=True,
+                stdout=subprocess.PIPE if tell else None,
+                stderr=subprocess.STDOUT if tell else None,
+                preexec_fn=_end_with_parent if sys.platform == 'linux' else None,
+            )
+            if tell:
+                threading.Thread(target=_forward, args=(processes[name], tell)).start()
+        yield processes
+    finally:
+        for process in reversed(processes.values()):
+            _end(process)
+
+
+def _forward(process: subprocess.Popen[bytes], tell: Callable[[str], None]) -> None:
+    assert process.stdout is not None
+    for line in process.stdout:
+        tell(line.decode(errors='replace').rstrip())
+
+
+def _end_with_parent() -> None:
+    """Ask to be ended with the parent, even if that is killed and cannot say so."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    if process.poll() is None:
+        process.send_signal(signal.SIGINT)
+    try:
+        process.wait(STOP_TIMEOUT)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
+def stay_on_this_machine() -> None:
+    """Keep ROS traffic of this process and its children local, unless the user set a range."""
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+
+
+@contextmanager
+def unused_domain() -> Iterator[int]:
+    """
+    Reserve a ROS domain that no other process of this machine uses.
+
+    Other demos, and tests that use domain_coordinator, leave it alone as long as the context
+    lasts.
+
+    Yields
+    ------
+    domain : int
+        From 1 to 100.
+
+    Raises
+    ------
+    SimulationError
+        If all of them are in use.
+
+    """
+    for domain in random.sample(range(1, 101), 100):
+        with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as reservation:
+            try:
+                reservation.bind(('', LOCK_PORT + domain))
+            except OSError:
+                continue
+            if _is_unused(domain):
+                yield domain
+                return
+    raise SimulationError('all ROS domains from 1 to 100 are in use; choose one with --domain')
+
+
+def _is_unused(domain: int) -> bool:
+    first_participant = 7400 + 250 * domain + 10  # DDSI-RTPS 9.6.1: its port for unicast discovery
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind(('127.0.0.1', first_participant))
+        except OSError:
+            return False
+    return True

@@ -1,0 +1,52 @@
+"""What a base that tilts does to an arm whose controller takes it for level."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...dynamics.inverse_dynamics import InverseDynamics
+from ...robot.model import Floats
+from ..mujoco.hardware import MujocoRobot
+from ..tilt import Tilt
+from .stage import KD, KP, Stage
+
+PERIOD = 0.002  # [s]
+
+
+def held_without_imu(stage: Stage, attitude: ArrayLike, began: float) -> tuple[Floats, Floats]:
+    """
+    Hold an arm by computed torque on a base that tilts unnoticed.
+
+    Parameters
+    ----------
+    stage : Stage
+        The robot, its pose, and for how long.
+    attitude : array_like, shape (3,)
+        Rotation vector of the base from level, in the end [rad].
+    began : float
+        When the base begins to tilt [s].
+
+    Returns
+    -------
+    times : ndarray, shape (k,)
+        [s].
+    errors : ndarray, shape (k, n)
+        How far the joints are off [rad or m].
+
+    """
+    simulated = MujocoRobot(stage.urdf, stage.robot, stage.start, friction=False)
+    simulated.brakes_on = False
+    dynamics = InverseDynamics(stage.robot)
+    order = [simulated.state_names.index(name) for name in stage.robot.joint_names]
+    tilt = Tilt()
+    tilt.turn_to(attitude, began)
+    times = np.arange(0.0, stage.duration, PERIOD)
+    errors = np.zeros((len(times), len(stage.start)))
+    for time, error in zip(times, errors, strict=True):
+        q, qd = (values[order] for values in simulated.state()[:2])
+        error[:] = stage.start - q
+        simulated.command(dynamics.efforts(q, qd, KP * error - KD * qd))
+        simulated.world.set_base_motion(*tilt.motion(float(time)))
+        simulated.advance(PERIOD)
+    return times, errors

@@ -1,0 +1,178 @@
+"""A robot's hardware, played by MuJoCo: efforts in, joint positions and velocities out."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+import math
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...robot.model import Booleans, Floats, RobotModel
+from .model import compile_model, LARGEST_STEP, SimulationError
+from .world import World
+
+LEAST_INERTIA = 1e-9  # [kg m^2 or kg]: a thousandth of the smallest finger joint's
+LEAST_INDEPENDENCE = 1e-9  # of joints; rounding leaves about 1e-16 where two move as one
+HELD_STIFFNESS = (2.0 * math.pi * 10.0) ** 2  # [1/s^2], of joints that hold themselves: 10 Hz
+
+
+class MujocoRobot:
+    """
+    One simulated robot, held by its brakes until they are released.
+
+    Parameters
+    ----------
+    urdf : str or pathlib.Path
+        Path of a URDF, or its text.
+    robot : RobotModel
+        The same URDF as `load_urdf` reads it, for the order of joints, effort limits and mimics.
+    start : array_like, shape (n,)
+        Joint positions to start from [rad or m], in the order of ``robot.joint_names``.
+    friction : bool
+        Whether joints have the damping and Coulomb friction of the URDF, or none.
+    held : collection of str
+        Joints that no command moves: they stay where they start by drives of their own, as
+        springs do that are stiff for their load.
+    armature : array_like, shape (n,) or ()
+        Inertia of rotors and gears at the joints [kg m^2 or kg].
+
+    Attributes
+    ----------
+    world : World
+        Puts loads on the robot, pushes it, and tilts its base.
+    command_names : tuple of str
+        The joints that commands are for, in their order.
+    brakes_on : bool
+        Whether brakes hold every joint where it is, whatever the efforts.
+    state_names : tuple of str
+        Every joint that moves, mimicking ones too, sorted by name as many drivers do.
+
+    Raises
+    ------
+    SimulationError
+        If MuJoCo cannot simulate the robot.
+
+    """
+
+    def __init__(
+        self,
+        urdf: str | Path,
+        robot: RobotModel,
+        start: ArrayLike,
+        friction: bool = True,
+        held: Collection[str] = (),
+        armature: ArrayLike = 0.0,
+    ) -> None:
+        self.robot = robot
+        self.brakes_on = True
+        self._model = compile_model(urdf, friction)
+        self._data = mujoco.MjData(self._model)
+        self.world = World(self._model, self._data, robot.body_names[0])
+        address = {
+            self._model.joint(i).name: int(self._model.jnt_dofadr[i])
+            for i in range(self._model.njnt)
+        }
+        self.state_names = tuple(sorted(address))
+        self._state_order = [address[name] for name in self.state_names]
+        self._order = [address[name] for name in robot.joint_names]
+        self._model.dof_armature[self._order] = armature
+        unknown = sorted(set(held) - set(robot.joint_names))
+        if unknown:
+            raise SimulationError(
+                f'there is no joint {unknown[0]!r} to hold; joints are '
+                f'{", ".join(robot.joint_names)}'
+            )
+        free = [i for i, name in enumerate(robot.joint_names) if name not in held]
+        self.command_names = tuple(robot.joint_names[i] for i in free)
+        self._command_order = [self._order[i] for i in free]
+        self._command_limits = robot.effort_limits[free]
+        moving = [address[name] for name in robot.body_names[1:]]
+        self._coupling = np.zeros((len(moving), len(robot.joint_names)))
+        self._coupling[moving, robot.joint_index[1:]] = robot.multiplier[1:]
+        self._data.qpos[:] = self._coupling @ np.asarray(start)
+        self._data.qpos[moving] += robot.offset[1:]
+        mujoco.mj_forward(self._model, self._data)
+        require_inertia(robot, self.mass_matrix())
+        self._hold(held)
+
+    def state(self) -> tuple[Floats, Floats, Floats]:
+        """Positions, velocities and applied efforts of the joints of ``state_names``."""
+        order, data = self._state_order, self._data
+        return data.qpos[order], data.qvel[order], data.qfrc_applied[order]
+
+    def command(self, efforts: ArrayLike) -> None:
+        """Apply efforts [N m or N], in the order of ``command_names``, until the next call."""
+        limits = self._command_limits  # no drive gives more than it can
+        self._data.qfrc_applied[self._command_order] = np.clip(efforts, -limits, limits)
+
+    def advance(self, duration: float) -> None:
+        """Let time pass [s]."""
+        if self.brakes_on:
+            self._data.qvel[:] = 0.0
+            return
+        steps = math.ceil(duration / LARGEST_STEP)
+        self._model.opt.timestep = duration / steps
+        self.world.act()
+        mujoco.mj_step(self._model, self._data, nstep=steps)
+        if not np.isfinite(self._data.qacc).all():
+            raise SimulationError('the simulated robot became unstable: it was driven too hard')
+
+    def accelerations(self) -> Floats:
+        """Accelerations of the joints of ``robot.joint_names`` as they stand, brakes or not."""
+        mujoco.mj_forward(self._model, self._data)
+        self.world.act()
+        mujoco.mj_forward(self._model, self._data)
+        accelerations: Floats = self._data.qacc[self._order]
+        return accelerations
+
+    def mass_matrix(self) -> Floats:
+        """Joint-space inertia of the robot as it stands, shape (n, n), mimics folded in."""
+        velocities = self._coupling.T.copy()
+        momenta = np.zeros(velocities.shape)
+        for row, velocity in zip(momenta, velocities, strict=True):
+            mujoco.mj_mulM(self._model, self._data, row, velocity)
+        inertia: Floats = momenta @ self._coupling
+        return inertia
+
+    def bias_efforts(self) -> Floats:
+        """Joint efforts that gravity and velocities take, shape (n,), mimics folded in."""
+        efforts: Floats = self._coupling.T @ self._data.qfrc_bias
+        return efforts
+
+    def _hold(self, joints: Collection[str]) -> None:
+        """Give joints springs and dampers, critically damped with what they move alone."""
+        inertia, load = self.mass_matrix().diagonal(), self.bias_efforts()
+        for name in joints:
+            i = self.robot.joint_names.index(name)
+            dof = self._order[i]
+            joint = self._model.dof_jntid[dof]
+            stiffness = HELD_STIFFNESS * inertia[i]
+            self._model.jnt_stiffness[joint] = stiffness
+            self._model.dof_damping[dof] = 2.0 * math.sqrt(HELD_STIFFNESS) * inertia[i]
+            self._model.qpos_spring[dof] = self._data.qpos[dof] + load[i] / stiffness
+
+
+def require_inertia(robot: RobotModel, mass_matrix: Floats) -> None:
+    """Refuse joints that move nothing: the least effort would accelerate them endlessly."""
+    idle = _without_inertia(mass_matrix)
+    if idle.any():
+        names = ', '.join(repr(robot.joint_names[i]) for i in np.flatnonzero(idle))
+        raise SimulationError(
+            f'no mass resists the motion of joint {names}: give the links it moves an '
+            '<inertial> with mass and inertia, or make the joint fixed'
+        )
+
+
+def _without_inertia(inertia: Floats) -> Booleans:
+    """Tell which joints move nothing by themselves, or nothing but what others move the same."""
+    diagonal = inertia.diagonal()
+    idle: Booleans = np.asarray(diagonal < LEAST_INERTIA)
+    if idle.any():
+        return idle
+    scale = 1.0 / np.sqrt(diagonal)
+    independence, mixtures = np.linalg.eigh(inertia * np.outer(scale, scale))
+    singular = mixtures[:, independence < LEAST_INDEPENDENCE]
+    return np.asarray((abs(singular) > 0.1).any(axis=1))

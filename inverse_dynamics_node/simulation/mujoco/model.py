@@ -1,0 +1,172 @@
+"""
+URDF to MuJoCo model, with nothing of the robot's dynamics lost or invented.
+
+MuJoCo reads the file itself, so that a mistake in our own reading shows as a tracking error. Four
+things are done for it: shapes go (they need mesh files, and would be given a mass), quaternions
+become roll, pitch and yaw (MuJoCo ignores ``quat_xyzw``), links held by fixed joints stay bodies
+of their own (fusing them drops inertia without mass), and links that MuJoCo refuses to weigh are
+weighed after it has compiled the rest.
+"""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any
+
+from lxml import etree
+import mujoco
+import numpy as np
+
+from ...dynamics.inverse_dynamics import STANDARD_GRAVITY
+from ...errors import InverseDynamicsError
+from ...robot.model import Floats
+from ...robot.urdf.quaternions import rpy_of_quaternion
+from ...robot.urdf.xml import (
+    Element,
+    parse,
+    read_source,
+    tag,
+)
+
+OLDEST_MUJOCO = (3, 17)  # 3.13 turns inertias the wrong way, and before that it ignores <mimic>
+LARGEST_STEP = 0.00025  # [s]: what it costs in accuracy is far below one sample's latency
+STIFFEST = 0.9999  # MuJoCo's upper bound for the rigidity of a constraint
+LEAST_PLAUSIBLE = 1e-12  # [kg or kg m^2]: MuJoCo refuses to compile anything below 1e-15
+
+logger = logging.getLogger(__name__)
+
+
+class SimulationError(InverseDynamicsError):
+    """A robot that cannot be simulated, or a simulation that went wrong."""
+
+
+def compile_model(urdf: str | Path, friction: bool = True) -> Any:
+    """
+    Compile a URDF for MuJoCo.
+
+    Parameters
+    ----------
+    urdf : str or pathlib.Path
+        Path of a URDF that `load_urdf` accepts, or its text.
+    friction : bool
+        Whether joints have the damping and Coulomb friction of the URDF, or none.
+
+    Returns
+    -------
+    model : mujoco.MjModel
+        One body per link but the root, one degree of freedom per moving joint; mimicking joints
+        are coupled by equality constraints.
+
+    Raises
+    ------
+    SimulationError
+        If MuJoCo is too old, or refuses the robot all the same.
+
+    """
+    if tuple(map(int, mujoco.__version__.split('.')[:2])) < OLDEST_MUJOCO:
+        raise SimulationError(f'MuJoCo is {mujoco.__version__}, expected 3.17 or newer')
+    # By default MuJoCo appends its remarks to a file in the working directory.
+    mujoco.set_mju_user_warning(logger.info)
+    root, _ = parse(read_source(urdf))
+    _strip_shapes(root)
+    _write_quaternions_as_rpy(root)
+    set_aside = _set_implausible_inertias_aside(root)
+    settings = etree.SubElement(root, 'mujoco')
+    etree.SubElement(settings, 'compiler', fusestatic='false')
+    try:
+        model = mujoco.MjModel.from_xml_string(etree.tostring(root, encoding='unicode'))
+    except ValueError as error:
+        raise SimulationError(f'MuJoCo refuses this robot: {error}') from error
+    _restore_inertias(model, set_aside)
+    _set_options(model)
+    if not friction:
+        model.dof_damping[:] = 0.0
+        model.dof_frictionloss[:] = 0.0
+    return model
+
+
+def _strip_shapes(root: Element) -> None:
+    for element in root.iter():
+        if element.prefix is None:
+            element.tag = tag(element)  # without the default namespace, which MuJoCo ignores
+    for element in list(root):
+        if tag(element) not in ('link', 'joint'):
+            root.remove(element)
+    for link in root.iter('link'):
+        for element in list(link):
+            if tag(element) != 'inertial':
+                link.remove(element)
+
+
+def _write_quaternions_as_rpy(root: Element) -> None:
+    for origin in root.iter('origin'):
+        if 'quat_xyzw' in origin.attrib:
+            origin.set('rpy', rpy_of_quaternion(origin.attrib.pop('quat_xyzw')))
+
+
+def _set_implausible_inertias_aside(root: Element) -> dict[str, tuple[float, Floats]]:
+    """Give links that no real body could be a placeholder; return their masses and inertias."""
+    set_aside = {}
+    for link in root.iter('link'):
+        mass, inertia = _mass_and_inertia(link)
+        moments = np.linalg.eigvalsh(inertia)
+        if min(mass, moments[0]) < LEAST_PLAUSIBLE or moments.sum() <= 2.0 * moments[2]:
+            set_aside[link.get('name')] = mass, inertia
+            _write_placeholder(link)
+    return set_aside
+
+
+def _mass_and_inertia(link: Element) -> tuple[float, Floats]:
+    element = link.find('inertial/inertia')
+    if element is None:
+        return 0.0, np.zeros((3, 3))
+    xx, xy, xz, yy, yz, zz = (
+        float(element.get(name, 0.0)) for name in ('ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz')
+    )
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    return float(link.find('inertial/mass').get('value')), inertia
+
+
+def _write_placeholder(link: Element) -> None:
+    """Write a mass and moments that MuJoCo accepts; where they act stays as it is."""
+    inertial = link.find('inertial')
+    if inertial is None:
+        inertial = etree.SubElement(link, 'inertial')
+    for name in ('mass', 'inertia'):
+        for element in inertial.findall(name):
+            inertial.remove(element)
+    etree.SubElement(inertial, 'mass', value='1')
+    # Distinct and falling, as MuJoCo sorts them: it keeps these axes, and tells where they point.
+    moments = {'ixx': '1.3', 'iyy': '1.2', 'izz': '1.1', 'ixy': '0', 'ixz': '0', 'iyz': '0'}
+    etree.SubElement(inertial, 'inertia', **moments)
+
+
+def _restore_inertias(model: Any, set_aside: dict[str, tuple[float, Floats]]) -> None:
+    for link, (mass, inertia) in set_aside.items():
+        body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, link)
+        if body <= 0:
+            continue  # the root link is the ground: its mass moves nothing
+        moments, axes = np.linalg.eigh(inertia)
+        axes *= np.linalg.det(axes)  # a rotation, not a reflection
+        principal, turned = np.zeros(4), np.zeros(4)
+        mujoco.mju_mat2Quat(principal, axes.ravel())
+        mujoco.mju_mulQuat(turned, model.body_iquat[body], principal)
+        model.body_mass[body] = mass
+        model.body_inertia[body] = moments
+        model.body_iquat[body] = turned
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def _set_options(model: Any) -> None:
+    model.opt.gravity[:] = STANDARD_GRAVITY
+    model.opt.timestep = LARGEST_STEP
+    # Friction of a small joint can be stiff against its inertia: damping must be implicit.
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    # A state that blows up must be an error, not a jump back to the start.
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    # A joint that mimics stops where its master does. Files have limits of its own that disagree.
+    model.jnt_limited[model.eq_obj1id] = False
+    model.eq_solimp[:, :2] = STIFFEST
+    model.eq_solref[:, 0] = 2.0 * LARGEST_STEP  # the fastest that MuJoCo considers stable
+    model.dof_solimp[:, :2] = STIFFEST  # or Coulomb friction would creep

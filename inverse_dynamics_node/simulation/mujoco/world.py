@@ -1,0 +1,199 @@
+"""
+What the world does to a simulated robot: loads on its links, pushes, a base that tilts.
+
+MuJoCo's world is the frame of the robot's base here, so a base that moves is a world whose gravity
+turns, with the forces that a turning frame of reference adds.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...dynamics.inverse_dynamics import STANDARD_GRAVITY
+from ...robot.model import Floats
+from .model import SimulationError
+
+POINT = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))  # the inertia of one
+
+
+class World:
+    """
+    All that acts on a robot, its drives apart.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+        With a body for every link but the root; its inertias and gravity are changed.
+    data : mujoco.MjData
+        Its ``xfrc_applied`` is written.
+    root : str
+        The link that is fastened to the ground, whatever acts on it.
+
+    """
+
+    def __init__(self, model: Any, data: Any, root: str) -> None:
+        self._model, self._data, self._root = model, data, root
+        self._alone = {
+            body: (
+                float(model.body_mass[body]),
+                model.body_ipos[body].copy(),
+                _inertia(model, body),
+            )
+            for body in range(1, model.nbody)
+        }
+        self._wrenches: dict[int, tuple[Floats, Floats]] = {}
+        self._angular_velocity: Floats = np.zeros(3)
+        self._angular_acceleration: Floats = np.zeros(3)
+        self.gravity: Floats = np.array(STANDARD_GRAVITY)
+
+    def set_payload(
+        self, link: str, mass: float, com: ArrayLike = (0.0, 0.0, 0.0), inertia: ArrayLike = POINT
+    ) -> None:
+        """
+        Fasten a rigid load to a link, in place of any that it had; a mass of 0 takes it off.
+
+        Parameters
+        ----------
+        link : str
+            Any link of the robot.
+        mass : float
+            Of the load [kg].
+        com : array_like, shape (3,)
+            Its centre of mass in the link's frame [m].
+        inertia : array_like, shape (3, 3)
+            About that, along the link's axes [kg m^2].
+
+        Raises
+        ------
+        SimulationError
+            If there is no such link.
+
+        """
+        body = self._body(link)
+        if not body:
+            return
+        own_mass, own_com, own_inertia = self._alone[body]
+        com = np.asarray(com, float)
+        total = own_mass + mass
+        centre = own_com + mass * (com - own_com) / total if mass else own_com
+        tensor = own_inertia + _steiner(own_mass, own_com - centre)
+        if mass:
+            tensor = tensor + np.asarray(inertia) + _steiner(mass, com - centre)
+        _write_inertial(self._model, body, total, centre, tensor)
+
+    def set_external_wrench(
+        self, link: str, force: ArrayLike = (0.0, 0.0, 0.0), moment: ArrayLike = (0.0, 0.0, 0.0)
+    ) -> None:
+        """
+        Push or pull a link until told otherwise.
+
+        Parameters
+        ----------
+        link : str
+            Any link of the robot.
+        force, moment : array_like, shape (3,)
+            What the world exerts on the robot, in the link's frame, about its origin [N], [N m].
+
+        Raises
+        ------
+        SimulationError
+            If there is no such link.
+
+        """
+        body = self._body(link)
+        if body:
+            self._wrenches[body] = np.array(force, float), np.array(moment, float)
+
+    def set_base_motion(
+        self,
+        gravity: ArrayLike,
+        angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
+        angular_acceleration: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> None:
+        """
+        Turn the base about its origin, which stays where it is.
+
+        Parameters
+        ----------
+        gravity : array_like, shape (3,)
+            Free-fall acceleration in the base frame [m/s^2].
+        angular_velocity, angular_acceleration : array_like, shape (3,)
+            Of the base, in the base frame [rad/s], [rad/s^2].
+
+        """
+        self.gravity = np.array(gravity, float)
+        self._model.opt.gravity[:] = self.gravity
+        self._angular_velocity = np.asarray(angular_velocity, float)
+        self._angular_acceleration = np.asarray(angular_acceleration, float)
+
+    def act(self) -> None:
+        """Write the forces on all bodies for the state that the data hold."""
+        data = self._data
+        data.xfrc_applied[:] = 0.0
+        if self._angular_velocity.any() or self._angular_acceleration.any():
+            data.xfrc_applied[:] = self._of_turning_frame()
+        for body, (force, moment) in self._wrenches.items():
+            R = data.xmat[body].reshape(3, 3)  # from the link's frame
+            arm = data.xpos[body] - data.xipos[body]  # MuJoCo wants it about the centre of mass
+            data.xfrc_applied[body, :3] += R @ force
+            data.xfrc_applied[body, 3:] += R @ moment + np.cross(arm, R @ force)
+
+    def _of_turning_frame(self) -> Floats:
+        """Centrifugal, Coriolis and Euler forces and moments about the centres of mass."""
+        model, data = self._model, self._data
+        base, base_dot = self._angular_velocity, self._angular_acceleration
+        r, omega = data.xipos, data.cvel[:, :3]
+        v = data.cvel[:, 3:] + np.cross(omega, r - data.subtree_com[model.body_rootid])
+        accel = np.cross(base_dot, r) + np.cross(base, 2.0 * v + np.cross(base, r))
+        force = -model.body_mass[:, np.newaxis] * accel
+        R = data.ximat.reshape(-1, 3, 3)
+        tensor = np.einsum('bij,bj,bkj->bik', R, model.body_inertia, R)
+
+        def spin(vectors: Floats) -> Floats:
+            product: Floats = np.einsum('bij,bj->bi', tensor, vectors)
+            return product
+
+        total = base + omega
+        moment = spin(base_dot + np.cross(base, omega))
+        moment += np.cross(total, spin(total)) - np.cross(omega, spin(omega))
+        return np.hstack([force, -moment])
+
+    def _body(self, link: str) -> int:
+        """Find the body of a link; 0 for the root, which nothing moves."""
+        if link == self._root:
+            return 0
+        body: int = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_BODY, link)
+        if body <= 0:
+            raise SimulationError(f'the simulated robot has no link {link!r}')
+        return body
+
+
+def _inertia(model: Any, body: int) -> Floats:
+    """Return a body's inertia about its centre of mass, along the axes of its frame."""
+    R = np.zeros(9)
+    mujoco.mju_quat2Mat(R, model.body_iquat[body])
+    R_LC = R.reshape(3, 3)
+    inertia: Floats = R_LC @ np.diag(model.body_inertia[body]) @ R_LC.T
+    return inertia
+
+
+def _steiner(mass: float, arm: Floats) -> Floats:
+    """Return the inertia of a point at the end of an arm."""
+    about: Floats = mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    return about
+
+
+def _write_inertial(model: Any, body: int, mass: float, com: Floats, inertia: Floats) -> None:
+    moments, axes = np.linalg.eigh(inertia)
+    axes *= np.linalg.det(axes)  # a rotation, not a reflection
+    model.body_mass[body] = mass
+    model.body_ipos[body] = com
+    model.body_inertia[body] = moments
+    mujoco.mju_mat2Quat(model.body_iquat[body], axes.ravel())
+    # Short cuts that the compiler took for the link without its load.
+    model.body_sameframe[body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+    mujoco.mj_setConst(model, mujoco.MjData(model))
