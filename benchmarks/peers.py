@@ -13,7 +13,7 @@ from pathlib import Path
 import tempfile
 from typing import Any
 
-from inverse_dynamics_node import InverseDynamics, Specialised
+from inverse_dynamics_node import GeneratedDynamics, InverseDynamics
 from inverse_dynamics_node.dynamics.inverse_dynamics import STANDARD_GRAVITY
 from inverse_dynamics_node.robot.model import Floats
 import numpy as np
@@ -54,7 +54,7 @@ def ours_new_array(robot: Robot, states: Floats) -> Contender:
 
 def ours_written_out(robot: Robot, states: Floats) -> Contender:
     """Time code of the robot's own, with the caller's arrays."""
-    efforts = Specialised(InverseDynamics(robot.model)).efforts
+    efforts = GeneratedDynamics(InverseDynamics(robot.model)).efforts
     out = np.empty(robot.n)
 
     def sweep(states: States) -> None:
@@ -67,7 +67,7 @@ def ours_written_out(robot: Robot, states: Floats) -> Contender:
 
 def ours_in_place(robot: Robot, states: Floats) -> Contender:
     """Time code of the robot's own, its state where it wants it."""
-    loop = Specialised(InverseDynamics(robot.model))
+    loop = GeneratedDynamics(InverseDynamics(robot.model))
     update = loop.update
 
     def sweep(states: States) -> None:

@@ -8,7 +8,7 @@ from importlib import import_module
 from typing import Any, TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from .dynamics.codegen import Specialised
+    from .dynamics.codegen import GeneratedDynamics
     from .dynamics.inverse_dynamics import InverseDynamics
     from .errors import (
         ConfigurationError,
@@ -26,7 +26,7 @@ _HOMES = {
     'InverseDynamicsError': 'errors',
     'JointStateError': 'errors',
     'RobotModel': 'robot.model',
-    'Specialised': 'dynamics.codegen',
+    'GeneratedDynamics': 'dynamics.codegen',
     'TrajectoryError': 'errors',
     'UrdfError': 'errors',
     'load_urdf': 'robot.urdf',
@@ -34,11 +34,11 @@ _HOMES = {
 
 __all__ = [
     'ConfigurationError',
+    'GeneratedDynamics',
     'InverseDynamics',
     'InverseDynamicsError',
     'JointStateError',
     'RobotModel',
-    'Specialised',
     'TrajectoryError',
     'UrdfError',
     'load_urdf',

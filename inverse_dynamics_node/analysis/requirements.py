@@ -1,4 +1,4 @@
-"""What a trajectory demands of the joints: the figures that motors and gears are chosen by."""
+"""The efforts, speeds and powers that a trajectory requires, for choosing motors and gears."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _ROUNDING = 1e-6
 """A limit is not exceeded by what a file with six digits rounds away."""
 
 
-class Demands(NamedTuple):
+class EffortRequirements(NamedTuple):
     """Efforts at k times of a trajectory of m joints, and what follows from them."""
 
     efforts: Floats
@@ -47,11 +47,11 @@ class Demands(NamedTuple):
     """Whether a position is beyond its limits, shape (m,)."""
 
 
-def demands_of(
+def effort_requirements(
     dynamics: InverseDynamics, trajectory: Trajectory, others: Floats | None = None
-) -> Demands:
+) -> EffortRequirements:
     """
-    Compute what a trajectory demands of the joints that it moves.
+    Compute the requirements of a trajectory on the joints that it moves.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def demands_of(
 
     Returns
     -------
-    demands : Demands
+    requirements : EffortRequirements
         In the order of the trajectory's joints.
 
     Raises
@@ -84,7 +84,7 @@ def demands_of(
     power = efforts * velocities
     speed = np.max(np.abs(velocities), axis=0)
     peak = efforts[largest, range(len(index))]
-    return Demands(
+    return EffortRequirements(
         efforts=efforts,
         terms=terms,
         peak=peak,

@@ -1,4 +1,4 @@
-"""The command `effort`: what a trajectory demands of the joints, for choosing motors."""
+"""The command `effort`: the efforts that a trajectory requires, for choosing motors."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..analysis.requirements import Demands, demands_of
+from ..analysis.requirements import effort_requirements, EffortRequirements
 from ..analysis.trajectories import FORMATS, read_trajectory, Source
 from ..analysis.trajectory_files import write_table, write_trajectory
 from ..analysis.workspace import joint_ranges
@@ -162,11 +162,11 @@ def run(options: argparse.Namespace) -> int:
     else:
         whole, derived = complete(source.trajectory)
     fine, points = refine(whole, 1.0 / options.rate if options.rate else math.inf)
-    demands = demands_of(dynamics, fine, others)
-    show(_summary(options, link, source, derived, fine), *demand_tables(robot, fine, demands))
+    requirements = effort_requirements(dynamics, fine, others)
+    show(_summary(options, link, source, derived, fine), *demand_tables(robot, fine, requirements))
     concerns = (
         *position_concerns(robot, fine.positions, fine.joint_names),
-        *_peak_concerns(fine, demands),
+        *_peak_concerns(fine, requirements),
     )
     if concerns:
         show_concerns(concerns)
@@ -174,22 +174,22 @@ def run(options: argparse.Namespace) -> int:
 
     stem = options.trajectory.stem
     written = [options.csv or Path(f'{stem}_efforts.csv')]
-    write_table(written[0], fine, demands.efforts)
+    write_table(written[0], fine, requirements.efforts)
     if options.trajectory_out:
         written.append(options.trajectory_out)
-        write_trajectory(options.trajectory_out, whole, demands.efforts[points])
+        write_trajectory(options.trajectory_out, whole, requirements.efforts[points])
     if not options.no_picture:
         from .pictures.effort import draw
 
         load = f"\npayload {options.payload[0]:g} kg on link '{link}'" if options.payload else ''
         title = f'{robot.name}: efforts along {options.trajectory.name}{load}'
         path = try_to_draw(
-            partial(draw, robot, fine, demands, title), options.picture, f'{stem}_efforts.png'
+            partial(draw, robot, fine, requirements, title), options.picture, f'{stem}_efforts.png'
         )
         if path:
             written.append(path)
     print('\n'.join(f'written: {path}' for path in written))
-    is_exceeded = demands.is_too_strong | demands.is_too_fast | demands.is_too_far
+    is_exceeded = requirements.is_too_strong | requirements.is_too_fast | requirements.is_too_far
     return _EXCEEDED if options.strict and is_exceeded.any() else 0
 
 
@@ -244,13 +244,13 @@ def _summary(
     return Table(f'trajectory {options.trajectory}', notes=notes)
 
 
-def _peak_concerns(fine: Trajectory, demands: Demands) -> tuple[Concern, ...]:
+def _peak_concerns(fine: Trajectory, requirements: EffortRequirements) -> tuple[Concern, ...]:
     """Warn of efforts and speeds so far beyond their limits that a unit must be wrong."""
     found = []
     for k, name in enumerate(fine.joint_names):
         shares = (
-            ('effort', abs(float(demands.peak[k])) / float(demands.effort_limits[k])),
-            ('speed', float(demands.speed[k]) / float(demands.velocity_limits[k])),
+            ('effort', abs(float(requirements.peak[k])) / float(requirements.effort_limits[k])),
+            ('speed', float(requirements.speed[k]) / float(requirements.velocity_limits[k])),
         )
         beyond = [f'{what} {share:.3g} times' for what, share in shares if share > _FAR_BEYOND]
         if beyond:
@@ -266,40 +266,42 @@ def _count(number: int, noun: str) -> str:
     return f'{number} {noun}' if number == 1 else f'{number} {noun}s'
 
 
-def demand_tables(robot: RobotModel, fine: Trajectory, demands: Demands) -> list[Table]:
+def demand_tables(
+    robot: RobotModel, fine: Trajectory, requirements: EffortRequirements
+) -> list[Table]:
     """Write out peaks and means against the limits, and what the efforts are made of."""
     sliding = slides(robot)
     index = [robot.joint_names.index(name) for name in fine.joint_names]
-    places = decimals(demands.peak)
+    places = decimals(requirements.peak)
     rows, parts = [], []
     for k, (name, i) in enumerate(zip(fine.joint_names, index, strict=True)):
         unit = effort_unit(robot, i)
         rows.append(
             (
                 name,
-                f'{round(demands.peak[k], places) + 0.0:.{places}f} {unit}',
-                f'{demands.peak_time[k]:.2f} s',
-                number(demands.effort_limits[k]),
-                share(demands.peak[k], demands.effort_limits[k]),
-                f'{demands.rms[k]:.{places}f}',
-                f'{demands.speed[k]:.3g} {"m/s  " if sliding[i] else "rad/s"}',
-                number(demands.velocity_limits[k]),
-                f'{demands.power[k]:.3g} W',
-                _marks(demands, k),
+                f'{round(requirements.peak[k], places) + 0.0:.{places}f} {unit}',
+                f'{requirements.peak_time[k]:.2f} s',
+                number(requirements.effort_limits[k]),
+                share(requirements.peak[k], requirements.effort_limits[k]),
+                f'{requirements.rms[k]:.{places}f}',
+                f'{requirements.speed[k]:.3g} {"m/s  " if sliding[i] else "rad/s"}',
+                number(requirements.velocity_limits[k]),
+                f'{requirements.power[k]:.3g} W',
+                _marks(requirements, k),
             )
         )
         parts.append(
             (
                 name,
-                *(f'{demands.rms_terms[t, k]:.{places}f}' for t in range(len(_TERMS))),
-                f'{demands.rms[k]:.{places}f} {unit}',
+                *(f'{requirements.rms_terms[t, k]:.{places}f}' for t in range(len(_TERMS))),
+                f'{requirements.rms[k]:.{places}f} {unit}',
             )
         )
     columns = ('joint', 'peak effort', 'at', 'limit', 'share', 'RMS', 'speed', 'limit', 'power')
     is_marked = any(row[-1] for row in rows)
     notes = (
-        (f'takes back up to {np.max(demands.braking):.3g} W at a joint, when braking',)
-        if np.max(demands.braking) > 0.0
+        (f'takes back up to {np.max(requirements.braking):.3g} W at a joint, when braking',)
+        if np.max(requirements.braking) > 0.0
         else ()
     )
     return [
@@ -319,11 +321,11 @@ def demand_tables(robot: RobotModel, fine: Trajectory, demands: Demands) -> list
     ]
 
 
-def _marks(demands: Demands, k: int) -> str:
+def _marks(requirements: EffortRequirements, k: int) -> str:
     marks = (
-        (demands.is_too_strong[k], 'effort'),
-        (demands.is_too_fast[k], 'speed'),
-        (demands.is_too_far[k], 'position'),
+        (requirements.is_too_strong[k], 'effort'),
+        (requirements.is_too_fast[k], 'speed'),
+        (requirements.is_too_far[k], 'position'),
     )
     beyond = [what for is_beyond, what in marks if is_beyond]
     return f'beyond: {", ".join(beyond)}' if beyond else ''

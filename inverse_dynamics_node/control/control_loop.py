@@ -22,12 +22,12 @@ from .controller import (
     Reference,
     Settings,
 )
-from .external_efforts import EffortResidual
-from .external_loads import Loads, LoadSettings
+from .external_efforts import ExternalEffortEstimator
+from .external_loads import ExternalLoads, LoadSettings
 from .joint_states import JointStateCollector
 
 
-class Rig:
+class ControlLoop:
     """
     A robot that is commanded: what is known of it, what acts on it, and the controller.
 
@@ -46,7 +46,7 @@ class Rig:
     gravity : array_like, shape (3,)
         Free-fall acceleration in the frame of the base link [m/s^2].
     base_link : str
-        See `Loads`.
+        See `ExternalLoads`.
     locked : mapping of str to float
         See `JointStateCollector`; none of them may be commanded.
     has_imu : bool
@@ -78,8 +78,8 @@ class Rig:
         commanded = self.controller.joints
         self.collector = JointStateCollector(robot.joint_names, locked, commanded, robot)
         self.collector.check_free(commanded)
-        self.loads = Loads(self.dynamics, load_settings, gravity, base_link)
-        self.residual = EffortResidual(self.dynamics)
+        self.loads = ExternalLoads(self.dynamics, load_settings, gravity, base_link)
+        self.residual = ExternalEffortEstimator(self.dynamics)
         self.reference: Reference | None = None
         self.has_imu = has_imu
         self.index = [robot.joint_names.index(name) for name in self.controller.joints]
@@ -114,7 +114,7 @@ class Rig:
     def set_base_motion(
         self, now: float, specific_force: ArrayLike, angular_velocity: ArrayLike
     ) -> None:
-        """Take in the motion of the base; parameters and errors are those of `Loads`."""
+        """Take in the motion of the base; parameters and errors are those of `ExternalLoads`."""
         if self.loads.set_base_motion(now, specific_force, angular_velocity):
             self.controller.blend()
 
@@ -141,13 +141,13 @@ class Rig:
         known = np.where(collector.times > -math.inf, collector.q, math.nan)
         return implausible_positions(self.robot, known)
 
-    def take_over(self, other: Rig) -> list[str]:
+    def continue_from(self, other: ControlLoop) -> list[str]:
         """
-        Go on where the rig of another description of the robot is, without a jump.
+        Go on where the loop of another description of the robot is, without a jump.
 
         Parameters
         ----------
-        other : Rig
+        other : ControlLoop
             Not to be used any more.
 
         Returns
@@ -161,14 +161,14 @@ class Rig:
             If it commands other joints; nothing has changed then.
 
         """
-        self.controller.take_over(other.controller)
+        self.controller.continue_from(other.controller)
         self.reference = other.reference
-        return self.inherit(other)
+        return self.copy_inputs_from(other)
 
-    def inherit(self, other: Rig) -> list[str]:
-        """Know what the rig of another description was told, whatever it commands: as above."""
-        self.collector.take_over(other.collector)
-        return self.loads.take_over(other.loads)
+    def copy_inputs_from(self, other: ControlLoop) -> list[str]:
+        """Know what the loop of another description was told, whatever it commands: as above."""
+        self.collector.continue_from(other.collector)
+        return self.loads.continue_from(other.loads)
 
     def calibrated(self, index: Sequence[int], efforts: Floats) -> Floats:
         """

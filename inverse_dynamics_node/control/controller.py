@@ -56,7 +56,7 @@ class Phase(enum.Enum):
 _PATIENCE = 0.02  # [s]; how much later than expected a step may come
 _LEAST_RECOVERY = 0.2  # [s]; shortest time without a gap after which lost states are used again
 _TOLERATED_DROP = 0.05  # of the gain; after a loss that cost less, there is nothing to wait for
-IS_WELL = (Phase.RUNNING, Phase.HOLDING, Phase.TOO_FAR)
+COMPUTING_PHASES = (Phase.RUNNING, Phase.HOLDING, Phase.TOO_FAR)
 """Phases in which efforts are computed from a fresh state."""
 
 
@@ -267,7 +267,7 @@ class Controller:
         self._blending.reset()
         self.phase = Phase.WAITING
 
-    def take_over(self, other: Controller) -> None:
+    def continue_from(self, other: Controller) -> None:
         """
         Go on where the controller of another description of the robot is, without a jump.
 
@@ -324,7 +324,7 @@ class Controller:
         self.phase = self._next_phase(now, state, reference)
         is_closed = self.settings.mode is Mode.COMPUTED_TORQUE and self.phase is Phase.RUNNING
         self._followed = reference.positions if is_closed and reference else None
-        if state is not None and self.phase in IS_WELL:
+        if state is not None and self.phase in COMPUTING_PHASES:
             followed = reference if self.phase is Phase.RUNNING else None
             if self._compute(state, followed) and self._blending.follow(self._tau, elapsed):
                 return self._result

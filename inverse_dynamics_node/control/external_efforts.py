@@ -12,7 +12,7 @@ from ..robot.model import Floats
 _LONGEST = 0.5  # [s]; after a longer gap between states the filters begin anew
 
 
-class EffortResidual:
+class ExternalEffortEstimator:
     r"""
     Measured effort minus model, smoothed.
 

@@ -53,7 +53,7 @@ class Payload(NamedTuple):
 NO_PAYLOAD = Payload(0.0, np.zeros(3), np.zeros((3, 3)))
 
 
-class Loads:
+class ExternalLoads:
     """
     Keeps the dynamics told of everything that acts on the robot from outside.
 
@@ -262,13 +262,13 @@ class Loads:
         R_B0 = self._R_0B.T
         return R_B0 @ force, R_B0 @ (moment - np.cross(self._p_0B, force))
 
-    def take_over(self, other: Loads) -> list[str]:
+    def continue_from(self, other: ExternalLoads) -> list[str]:
         """
         Take over all that another was told, at once.
 
         Parameters
         ----------
-        other : Loads
+        other : ExternalLoads
             On another description of the robot.
 
         Returns

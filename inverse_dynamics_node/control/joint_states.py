@@ -28,7 +28,7 @@ from .alternation import (
 
 _MOST_STRANGERS = 64  # names of joints of others to remember
 _LONGEST_NAME = 100  # of those [characters]; comparing longer ones takes time
-_NOT_FINITE, _CONSISTENT, _ALTERNATING = range(3)  # results of `take_in`
+_NOT_FINITE, _CONSISTENT, _ALTERNATING = range(3)  # results of `store_joint_state`
 _LONG_AGO = -1e300  # [s]; finite, for no time since then is not a number
 
 
@@ -141,7 +141,9 @@ class JointStateCollector:
         compile_for(find_oldest, 'UniTuple(f8, 2)(f8[::1], b1[::1])')
         self._find_oldest()
         compile_for(track, 'b1(f8[:,::1], i8, f8, f8)')
-        compile_for(take_in, 'i8(f8[:,::1], i8[:,::1], f8[:,::1], f8[:,::1], b1[::1], f8, b1)')
+        compile_for(
+            store_joint_state, 'i8(f8[:,::1], i8[:,::1], f8[:,::1], f8[:,::1], b1[::1], f8, b1)'
+        )
 
     def update(
         self,
@@ -189,10 +191,12 @@ class JointStateCollector:
         if has_efforts:
             heard[2] = efforts
         arguments = (heard, layout.places, self._known, self._tracks, self._is_commanded)
-        result = take_in(*arguments, now, has_efforts) if layout.is_measured else _NOT_FINITE
+        result = (
+            store_joint_state(*arguments, now, has_efforts) if layout.is_measured else _NOT_FINITE
+        )
         if result == _NOT_FINITE:
             self._check(layout)
-            result = take_in(*arguments, now, has_efforts)
+            result = store_joint_state(*arguments, now, has_efforts)
         if result == _ALTERNATING or self._has_alternating:
             self._find_alternating()
         if layout.is_of_concern:
@@ -234,7 +238,7 @@ class JointStateCollector:
             if not self.is_free[self._index[name]]:
                 raise ConfigurationError(f"joint '{name}' is both commanded and locked")
 
-    def take_over(self, other: JointStateCollector) -> None:
+    def continue_from(self, other: JointStateCollector) -> None:
         """Take over all that another has heard of the same joints."""
         for name, i in self._index.items():
             k = other._index.get(name)
@@ -403,7 +407,7 @@ def find_oldest(times: Any, is_commanded: Any) -> tuple[float, float]:
 
 
 @compiled
-def take_in(
+def store_joint_state(
     heard: Any,
     places: Any,
     known: Any,

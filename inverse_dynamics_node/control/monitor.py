@@ -12,10 +12,10 @@ import numpy as np
 
 from ..robot.model import Booleans, Floats
 from ..robot.plausibility import describe_implausible_position
-from .control_loop import Rig
+from .control_loop import ControlLoop
 from .controller import (
     Command,
-    IS_WELL,
+    COMPUTING_PHASES,
     Mode,
     Phase,
     StalePolicy,
@@ -73,7 +73,7 @@ class SimulatedTime(NamedTuple):
     """Of /clock."""
 
 
-class Surroundings(NamedTuple):
+class GraphInfo(NamedTuple):
     """What the node sees of others."""
 
     receivers: int
@@ -164,7 +164,7 @@ class Monitor:
         self.rejected[text] += 1
         self._news['rejected'] += 1
 
-    def report(self, now: float, rig: Rig | None, around: Surroundings) -> list[Status]:
+    def report(self, now: float, loop: ControlLoop | None, around: GraphInfo) -> list[Status]:
         """
         Judge all parts of the node by what happened since the last report.
 
@@ -172,9 +172,9 @@ class Monitor:
         ----------
         now : float
             The time [s].
-        rig : Rig or None
+        loop : ControlLoop or None
             None as long as the node is not configured.
-        around : Surroundings
+        around : GraphInfo
             See there.
 
         Returns
@@ -183,21 +183,21 @@ class Monitor:
             One for each part.
 
         """
-        statuses = [self._of_loop(now, rig, around), self._of_messages(), _of_others(around)]
+        statuses = [self._of_loop(now, loop, around), self._of_messages(), _of_others(around)]
         if around.simulated is not None:
             statuses.append(_of_clock(around.simulated))
-        if rig is not None:
+        if loop is not None:
             statuses += [
-                _of_states(now, rig, around),
-                _of_reference(now, rig, around),
-                self._of_efforts(now, rig, around),
-                _of_model(now, rig),
+                _of_states(now, loop, around),
+                _of_reference(now, loop, around),
+                self._of_efforts(now, loop, around),
+                _of_model(now, loop),
             ]
         self._periods, self._times = [], []
         self._news.clear()
         return statuses
 
-    def _of_loop(self, now: float, rig: Rig | None, around: Surroundings) -> Status:
+    def _of_loop(self, now: float, loop: ControlLoop | None, around: GraphInfo) -> Status:
         total = sum(self._periods)
         rate = len(self._periods) / total if total > 0.0 else 0.0
         values = {
@@ -209,14 +209,14 @@ class Monitor:
             'compute time p99 [ms]': _in_ms(self._times, 99.0),
             'overruns': str(self.overruns),
         }
-        if not around.is_active or rig is None:
+        if not around.is_active or loop is None:
             return Status('loop', Level.OK, around.state, values)
-        values['mode'] = rig.controller.settings.mode.value
-        values['phase'] = rig.controller.phase.value
-        values['gain'] = f'{rig.controller.gain:.3f}'
+        values['mode'] = loop.controller.settings.mode.value
+        values['phase'] = loop.controller.phase.value
+        values['gain'] = f'{loop.controller.gain:.3f}'
         if self.period and total > 0.0 and rate * self.period < _SLOW:
             return Status('loop', Level.WARN, f'only {rate:.1f} commands/s', values)
-        return Status('loop', Level.OK, activity(now, rig), values)
+        return Status('loop', Level.OK, activity(now, loop), values)
 
     def _of_messages(self) -> Status:
         values = {text: str(count) for text, count in self.rejected.items()}
@@ -226,7 +226,7 @@ class Monitor:
         total = sum(self.rejected.values())
         return Status('messages', Level.OK, f'{total} rejected in all', values)
 
-    def _of_efforts(self, now: float, rig: Rig, around: Surroundings) -> Status:
+    def _of_efforts(self, now: float, loop: ControlLoop, around: GraphInfo) -> Status:
         values = {'receivers': str(around.receivers)}
         for what, counter in (('cut to limit', self.clamped), ('slowed', self.slowed)):
             values |= {f'{name} {what}': str(count) for name, count in counter.items()}
@@ -239,10 +239,10 @@ class Monitor:
             return Status('efforts', Level.WARN, message, values)
         if cut:
             return Status('efforts', Level.WARN, f'cut to its limit: {", ".join(cut)}', values)
-        return Status('efforts', Level.OK, activity(now, rig), values)
+        return Status('efforts', Level.OK, activity(now, loop), values)
 
 
-def _of_others(around: Surroundings) -> Status:
+def _of_others(around: GraphInfo) -> Status:
     others = around.others
     values = {
         'commands': others.commands,
@@ -287,7 +287,7 @@ def _of_clock(clock: SimulatedTime) -> Status:
     return Status('clock', Level.WARN, message, values)
 
 
-def activity(now: float, rig: Rig) -> str:
+def activity(now: float, loop: ControlLoop) -> str:
     """
     Describe what the controller is doing, and why.
 
@@ -295,20 +295,20 @@ def activity(now: float, rig: Rig) -> str:
     ----------
     now : float
         The time [s].
-    rig : Rig
+    loop : ControlLoop
         The active robot.
 
     """
-    controller = rig.controller
+    controller = loop.controller
     phase, settings = controller.phase, controller.settings
     if phase is Phase.HOLDING:
-        return f'{phase.value}: {_reason_to_hold(rig)}'
+        return f'{phase.value}: {_reason_to_hold(loop)}'
     if phase is Phase.TOO_FAR:
         return (
             'holding position: the reference starts or jumps more than max_position_jump '
             f'({settings.max_position_jump:g} rad or m) away'
         )
-    if phase in IS_WELL or phase is Phase.WAITING:
+    if phase in COMPUTING_PHASES or phase is Phase.WAITING:
         return str(phase.value)
     if not controller.has_effort:
         consequence = 'stopped, zeros sent'
@@ -316,38 +316,38 @@ def activity(now: float, rig: Rig) -> str:
         consequence = 'ramping efforts down'
     else:
         consequence = 'keeping the last efforts'
-    return f'{consequence}: {_reason_to_stop(now, rig)}'
+    return f'{consequence}: {_reason_to_stop(now, loop)}'
 
 
-def _reason_to_hold(rig: Rig) -> str:
-    settings = rig.controller.settings
+def _reason_to_hold(loop: ControlLoop) -> str:
+    settings = loop.controller.settings
     if settings.mode is Mode.GRAVITY_COMPENSATION:
         return 'the reference is not used in mode gravity_compensation'
-    if rig.reference is None:
+    if loop.reference is None:
         return 'no reference'
     return f'no reference for more than {settings.reference_timeout:g} s'
 
 
-def _reason_to_stop(now: float, rig: Rig) -> str:
-    if rig.controller.phase is Phase.STOPPED:
+def _reason_to_stop(now: float, loop: ControlLoop) -> str:
+    if loop.controller.phase is Phase.STOPPED:
         return 'disabled by ~/enable'
-    if rig.controller.phase is Phase.NO_SOLUTION:
-        return str(rig.controller.phase.value)
-    if rig.lacks_imu:
+    if loop.controller.phase is Phase.NO_SOLUTION:
+        return str(loop.controller.phase.value)
+    if loop.lacks_imu:
         return 'no message on imu yet'
-    if not rig.collector.is_consistent:
-        return '; '.join(describe_alternating(rig).values())
-    if rig.collector.missing():
-        return f'no joint state of {", ".join(rig.collector.missing())} yet'
-    timeout = rig.controller.settings.state_timeout
-    joints = ', '.join(rig.collector.stale(now, timeout))
-    return f'no joint state of {joints} for more than {timeout:g} s' if joints else _recovery(rig)
+    if not loop.collector.is_consistent:
+        return '; '.join(describe_alternating(loop).values())
+    if loop.collector.missing():
+        return f'no joint state of {", ".join(loop.collector.missing())} yet'
+    timeout = loop.controller.settings.state_timeout
+    joints = ', '.join(loop.collector.stale(now, timeout))
+    return f'no joint state of {joints} for more than {timeout:g} s' if joints else _recovery(loop)
 
 
-def _of_states(now: float, rig: Rig, around: Surroundings) -> Status:
-    collector = rig.collector
-    timeout = rig.controller.settings.state_timeout
-    slow = rig.controller.settings.uncommanded_state_timeout
+def _of_states(now: float, loop: ControlLoop, around: GraphInfo) -> Status:
+    collector = loop.collector
+    timeout = loop.controller.settings.state_timeout
+    slow = loop.controller.settings.uncommanded_state_timeout
     values = {
         'age [s]': _age(now, collector.time),
         'publishers': str(around.publishers),
@@ -358,31 +358,31 @@ def _of_states(now: float, rig: Rig, around: Surroundings) -> Status:
     stale = collector.stale(now, timeout)
     if collector.missing():
         level = Level.ERROR if around.is_active else Level.WARN
-        message = f'waiting for {rig.missing()[0]}'
+        message = f'waiting for {loop.missing()[0]}'
         return Status('joint states', level, message + describe_silence(around), values)
     if stale:
         level = Level.ERROR if around.is_active else Level.WARN
         message = f'lost: {", ".join(stale)}'
         return Status('joint states', level, message + describe_silence(around), values)
-    conflicts = describe_alternating(rig, around.state_publishers)
+    conflicts = describe_alternating(loop, around.state_publishers)
     if conflicts:
         return Status('joint states', Level.ERROR, '; '.join(conflicts.values()), values)
-    if rig.controller.phase is Phase.STATE_LOST:
+    if loop.controller.phase is Phase.STATE_LOST:
         level = Level.ERROR if around.is_active else Level.WARN
-        return Status('joint states', level, _recovery(rig), values)
-    warnings = [*describe_late(rig, now), *describe_implausible(rig).values()]
+        return Status('joint states', level, _recovery(loop), values)
+    warnings = [*describe_late(loop, now), *describe_implausible(loop).values()]
     if warnings:
         return Status('joint states', Level.WARN, '; '.join(warnings), values)
     if collector.unseen():
         return Status('joint states', Level.WARN, 'some joints count as locked', values)
-    if rig.controller.settings.mode is Mode.COMPUTED_TORQUE and collector.without_velocity():
+    if loop.controller.settings.mode is Mode.COMPUTED_TORQUE and collector.without_velocity():
         return Status('joint states', Level.WARN, 'no velocity, no damping of the loop', values)
     return Status('joint states', Level.OK, 'fresh', values)
 
 
-def _of_reference(now: float, rig: Rig, around: Surroundings) -> Status:
-    controller = rig.controller
-    time = -math.inf if rig.reference is None else rig.reference.time
+def _of_reference(now: float, loop: ControlLoop, around: GraphInfo) -> Status:
+    controller = loop.controller
+    time = -math.inf if loop.reference is None else loop.reference.time
     values = {'age [s]': _age(now, time), 'mode': controller.settings.mode.value}
     if around.is_active and controller.phase is Phase.TOO_FAR:
         return Status('reference', Level.WARN, controller.phase.value, values)
@@ -392,19 +392,19 @@ def _of_reference(now: float, rig: Rig, around: Surroundings) -> Status:
     return Status('reference', Level.OK, message, values)
 
 
-def _of_model(now: float, rig: Rig) -> Status:
-    robot, loads = rig.robot, rig.loads
+def _of_model(now: float, loop: ControlLoop) -> Status:
+    robot, loads = loop.robot, loop.loads
     payloads = [f'{load.mass:g} kg on {link}' for link, load in loads.payloads.items()]
     values = {
         'robot': robot.name,
         'mass [kg]': f'{np.sum(robot.mass):.4g}',
-        'joints': ', '.join(rig.controller.joints),
+        'joints': ', '.join(loop.controller.joints),
         'payload': ', '.join(payloads) or 'none',
         'gravity [m/s^2]': _listed(loads.gravity) if loads.include_gravity else 'not included',
     }
     values |= {f'warning {k}': text for k, text in enumerate(robot.warnings, start=1)}
-    if rig.has_imu and not loads.is_base_known(now):
-        since = 'yet' if rig.lacks_imu else f'for more than {loads.settings.imu_timeout:g} s'
+    if loop.has_imu and not loads.is_base_known(now):
+        since = 'yet' if loop.lacks_imu else f'for more than {loads.settings.imu_timeout:g} s'
         message = f'the motion of the base is not known: no message on imu {since}'
         return Status('model', Level.ERROR, message, values)
     if robot.warnings:
@@ -413,13 +413,13 @@ def _of_model(now: float, rig: Rig) -> Status:
     return Status('model', Level.OK, f"robot '{robot.name}'", values)
 
 
-def describe_alternating(rig: Rig, publishers: Sequence[str] = ()) -> dict[str, str]:
+def describe_alternating(loop: ControlLoop, publishers: Sequence[str] = ()) -> dict[str, str]:
     """
     Describe the joints whose positions alternate faster than they can move, by name.
 
     Parameters
     ----------
-    rig : Rig
+    loop : ControlLoop
         The robot.
     publishers : sequence of str
         Nodes that publish joint states, if known.
@@ -431,13 +431,13 @@ def describe_alternating(rig: Rig, publishers: Sequence[str] = ()) -> dict[str, 
     return {
         joint: f'positions of {joint} alternate between {min(pair):.4g} and {max(pair):.4g} '
         f'faster than it can move ({question})'
-        for joint, pair in rig.collector.alternating().items()
+        for joint, pair in loop.collector.alternating().items()
     }
 
 
-def _recovery(rig: Rig) -> str:
+def _recovery(loop: ControlLoop) -> str:
     """Say when efforts will rise again after joint states were lost."""
-    controller = rig.controller
+    controller = loop.controller
     return (
         'joint states were lost or contradictory; efforts rise after '
         f'{controller.recovery_time:g} s without a gap longer than state_timeout '
@@ -445,7 +445,7 @@ def _recovery(rig: Rig) -> str:
     )
 
 
-def describe_silence(around: Surroundings) -> str:
+def describe_silence(around: GraphInfo) -> str:
     """Describe connected publishers from which nothing arrives; empty if there are none."""
     if not around.publishers or around.silence < _LONG_SILENCE:
         return ''
@@ -456,20 +456,20 @@ def describe_silence(around: Surroundings) -> str:
     )
 
 
-def describe_late(rig: Rig, now: float) -> list[str]:
+def describe_late(loop: ControlLoop, now: float) -> list[str]:
     """Name the late joints that are not commanded, with their ages and the remedies."""
-    timeout = rig.controller.settings.uncommanded_state_timeout
+    timeout = loop.controller.settings.uncommanded_state_timeout
     return [
         f"joint '{name}' (not commanded) was last reported {age:.1f} s ago: taken to be at rest "
         f'where it was; raise uncommanded_state_timeout ({timeout:g} s) or set '
         f'locked_positions.{name}'
-        for name, age in rig.collector.late(now, timeout).items()
+        for name, age in loop.collector.late(now, timeout).items()
     ]
 
 
-def describe_implausible(rig: Rig) -> dict[str, str]:
+def describe_implausible(loop: ControlLoop) -> dict[str, str]:
     """Describe joints far outside their position limits, by name."""
-    findings = rig.implausible_positions()
+    findings = loop.implausible_positions()
     return {finding.joint: describe_implausible_position(finding) for finding in findings}
 
 

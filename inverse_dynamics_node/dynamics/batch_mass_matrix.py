@@ -57,7 +57,7 @@ def mass_matrix_many(q: Floats, matrices: Floats, robot: Floats) -> int:
     Parameters
     ----------
     q : ndarray, shape (N, n)
-        Joint positions [rad or m]; N is at least `lanes.FEWEST`.
+        Joint positions [rad or m]; N is at least `batch.FEWEST`.
     matrices : ndarray, shape (N, n, n)
         Receives the mass matrices.
     robot : ndarray

@@ -8,7 +8,7 @@ offsets) stays plain numbers, which steer the functions as ever. So no loop and 
 and no product with a zero of the robot: one straight line of code.
 
 What may change while it runs is read from the table at each call. There is no code only for what
-was zero when the code was written; `Specialised` sees to that.
+was zero when the code was written; `GeneratedDynamics` sees to that.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ DOES_NOT_FIT = -1
 NO_CODE = Code(lambda: DOES_NOT_FIT, lambda *_: DOES_NOT_FIT)
 
 
-class Specialised:
+class GeneratedDynamics:
     """
     Inverse dynamics of one robot by code of its own, for a control loop.
 

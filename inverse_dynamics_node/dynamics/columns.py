@@ -26,7 +26,7 @@ JOINT = 23
 MULTIPLIER = 24
 POSITION_OFFSET = 25
 SLIDES = 26  # 1.0 for a prismatic joint, 0.0 for a revolute one
-# Loads
+# ExternalLoads
 EXTERNAL_FORCE = 27  # that the world exerts on the body [N]
 EXTERNAL_MOMENT = 30  # about the body's origin [N m]
 # Joint k, in row k + 1 because there are more bodies than joints

@@ -11,9 +11,7 @@ from numpy.typing import ArrayLike
 from ..errors import ConfigurationError
 from ..robot.model import Floats, RobotModel
 from . import (
-    batch as lanes,
-)
-from . import (
+    batch,
     batch_mass_matrix,
     columns,
     mass_matrix,
@@ -462,7 +460,7 @@ class InverseDynamics:
             check_out(out, shape)
         matrices = np.empty(shape) if out is None or not is_free(out, [rows]) else out
         flat = matrices.reshape(len(rows), n, n)
-        if n and len(rows) >= lanes.FEWEST:
+        if n and len(rows) >= batch.FEWEST:
             status = batch_mass_matrix.mass_matrix_many(rows, flat, self._loaded.numbers)
         else:
             pairs = zip(rows, flat, strict=True)
@@ -555,9 +553,9 @@ class InverseDynamics:
             check_out(out, shape)
         wrenches = np.empty(shape) if out is None or not is_free(out, rows) else out
         flat = wrenches.reshape(-1, b, 6)
-        if self._zeros.size and len(flat) >= lanes.FEWEST:
+        if self._zeros.size and len(flat) >= batch.FEWEST:
             states = (*rows, np.empty_like(rows[0]))
-            status = lanes.inverse_dynamics_many(states, self._loaded.numbers, wrenches=flat)
+            status = batch.inverse_dynamics_many(states, self._loaded.numbers, wrenches=flat)
             in_link = flat.reshape(-1, b, 2, 3)
             in_link[...] = np.einsum('bij,kbwj->kbwi', self._R_LZ, in_link)
         else:
@@ -607,8 +605,8 @@ class InverseDynamics:
             check_out(out, shape)
         tau = np.empty(shape) if out is None or not is_free(out, rows) else out
         states = (*rows, tau.reshape(rows[0].shape))
-        if tau.size and len(rows[0]) >= lanes.FEWEST:
-            status = lanes.inverse_dynamics_many(states, np.asarray(table), threads)
+        if tau.size and len(rows[0]) >= batch.FEWEST:
+            status = batch.inverse_dynamics_many(states, np.asarray(table), threads)
         else:
             status = self._batch(*states, table)
         if status != OK:

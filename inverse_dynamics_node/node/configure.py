@@ -1,10 +1,10 @@
-"""From parameters to a rig, and what of it changes while it runs."""
+"""From parameters to a loop, and what of it changes while it runs."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from ..control.control_loop import Rig
+from ..control.control_loop import ControlLoop
 from ..control.controller import of_joints, PerJoint
 from ..dynamics.trajectory import complete, Trajectory
 from ..errors import ConfigurationError
@@ -14,7 +14,7 @@ from .description_file import load_file
 from .parameters import BaseMotion, Configuration, PER_JOINT
 
 
-def make_rig(configuration: Configuration, description: str) -> Rig:
+def make_loop(configuration: Configuration, description: str) -> ControlLoop:
     """
     Load the robot description and make all that is made for it.
 
@@ -27,7 +27,7 @@ def make_rig(configuration: Configuration, description: str) -> Rig:
 
     Returns
     -------
-    rig : Rig
+    loop : ControlLoop
         Compiled, and with a first call behind it: that takes longer than those that follow.
 
     Raises
@@ -37,7 +37,7 @@ def make_rig(configuration: Configuration, description: str) -> Rig:
 
     """
     robot = _load_robot(configuration, description)
-    rig = Rig(
+    loop = ControlLoop(
         robot,
         configuration.joints,
         configuration.settings,
@@ -48,21 +48,21 @@ def make_rig(configuration: Configuration, description: str) -> Rig:
         configuration.locked_positions,
         configuration.base_motion is BaseMotion.IMU,
     )
-    apply_configuration(rig, configuration)
-    rig.dynamics.gravity_efforts(np.zeros(len(robot.joint_names)))
+    apply_configuration(loop, configuration)
+    loop.dynamics.gravity_efforts(np.zeros(len(robot.joint_names)))
     complete(Trajectory(('x',), np.arange(2.0), np.zeros((2, 1))))  # loads what splines need
-    return rig
+    return loop
 
 
 def apply_configuration(
-    rig: Rig, configuration: Configuration, before: Configuration | None = None
+    loop: ControlLoop, configuration: Configuration, before: Configuration | None = None
 ) -> None:
     """
-    Tell a rig what parameters say that may change while it runs.
+    Tell a loop what parameters say that may change while it runs.
 
     Parameters
     ----------
-    rig : Rig
+    loop : ControlLoop
         Of the same robot description and joints.
     configuration : Configuration
         To count from now on.
@@ -75,33 +75,33 @@ def apply_configuration(
         If a list does not have one number for each commanded joint; nothing has changed then.
 
     """
-    m, n = len(rig.controller.joints), len(rig.robot.joint_names)
+    m, n = len(loop.controller.joints), len(loop.robot.joint_names)
 
     def of_robot(name: str, values: PerJoint, others: Floats) -> Floats:
         given = of_joints(name, values, m)
         chosen: Floats = others.copy()
-        chosen[rig.index] = np.where(given < 0.0, others[rig.index], given)
+        chosen[loop.index] = np.where(given < 0.0, others[loop.index], given)
         return chosen
 
-    damping = of_robot('damping', configuration.damping, rig.robot.damping)
-    coulomb = of_robot('coulomb', configuration.coulomb, rig.robot.friction)
+    damping = of_robot('damping', configuration.damping, loop.robot.damping)
+    coulomb = of_robot('coulomb', configuration.coulomb, loop.robot.friction)
     armature = of_robot('armature', configuration.armature, np.zeros(n))
-    rig.controller.apply(configuration.settings)
+    loop.controller.apply(configuration.settings)
     share = 1.0 if configuration.include_friction else 0.0
-    rig.dynamics.set_friction(share * damping, share * coulomb, configuration.coulomb_width)
-    rig.dynamics.set_armature(armature)
-    rig.loads.apply(configuration.load_settings, configuration.include_gravity)
-    rig.residual.cutoff = configuration.external_efforts_cutoff
+    loop.dynamics.set_friction(share * damping, share * coulomb, configuration.coulomb_width)
+    loop.dynamics.set_armature(armature)
+    loop.loads.apply(configuration.load_settings, configuration.include_gravity)
+    loop.residual.cutoff = configuration.external_efforts_cutoff
     is_new = before is not None and before.gravity != configuration.gravity
-    if is_new and not rig.has_imu:
-        rig.loads.set_gravity(configuration.gravity)
+    if is_new and not loop.has_imu:
+        loop.loads.set_gravity(configuration.gravity)
 
 
-def check_configuration(rig: Rig, configuration: Configuration) -> None:
+def check_configuration(loop: ControlLoop, configuration: Configuration) -> None:
     """Refuse, with a ConfigurationError, what would not fit the joints that are commanded."""
     for name, values in {**vars(configuration), **vars(configuration.settings)}.items():
         if name in PER_JOINT:
-            of_joints(name, values, len(rig.controller.joints))
+            of_joints(name, values, len(loop.controller.joints))
 
 
 def _load_robot(configuration: Configuration, description: str) -> RobotModel:

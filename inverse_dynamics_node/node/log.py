@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ..control.control_loop import Rig
-from ..control.controller import Command, IS_WELL, Phase
+from ..control.control_loop import ControlLoop
+from ..control.controller import Command, COMPUTING_PHASES, Phase
 from ..control.monitor import (
     activity,
     describe_alternating,
@@ -91,9 +91,9 @@ class NodeLog:
         if self._is_due(key):
             self._logger.warning(text if isinstance(text, str) else text())
 
-    def tell_conflicts(self, rig: Rig, publishers: Sequence[str]) -> None:
+    def tell_conflicts(self, loop: ControlLoop, publishers: Sequence[str]) -> None:
         """Report joints whose positions contradict, and the nodes that publish them."""
-        for joint, text in describe_alternating(rig, publishers).items():
+        for joint, text in describe_alternating(loop, publishers).items():
             if self._is_due(f'conflict {joint}'):
                 self._logger.error(text)
 
@@ -102,9 +102,9 @@ class NodeLog:
         if text and self._is_due('silence'):
             self._logger.error(text.lstrip('; '))
 
-    def introduce(self, rig: Rig) -> None:
+    def introduce(self, loop: ControlLoop) -> None:
         """Say what has been loaded, and what looks wrong about it."""
-        robot, joints = rig.robot, rig.controller.joints
+        robot, joints = loop.robot, loop.controller.joints
         for warning in robot.warnings:
             self._logger.warning(warning)
         others = [name for name in robot.joint_names if name not in joints]
@@ -132,38 +132,38 @@ class NodeLog:
                 self._logger.warning(status.message)
         self._last_statuses[status.part] = this
 
-    def tell(self, now: float, rig: Rig, command: Command) -> None:
+    def tell(self, now: float, loop: ControlLoop, command: Command) -> None:
         """Report a change of activity, and repeat the reason as long as efforts are withheld."""
-        controller = rig.controller
+        controller = loop.controller
         phase = controller.phase
         # The end of a ramp down is a change within a phase; that of a ramp up is not reported.
-        key = (phase, phase in IS_WELL or controller.has_effort)
+        key = (phase, phase in COMPUTING_PHASES or controller.has_effort)
         if key != self._last_activity or phase in _ALARMS:
-            self._tell_activity(now, rig, key)
-        if rig.collector.late_count:
-            self.warn('late', lambda: '; '.join(describe_late(rig, now)))
+            self._tell_activity(now, loop, key)
+        if loop.collector.late_count:
+            self.warn('late', lambda: '; '.join(describe_late(loop, now)))
         if np.count_nonzero(command.is_saturated):  # any() takes longer
             joints = command.is_saturated.tobytes().hex()  # others are news
-            self.warn(f'saturated {joints}', lambda: _what_is_saturated(rig, command))
+            self.warn(f'saturated {joints}', lambda: _what_is_saturated(loop, command))
 
-    def tell_implausible(self, rig: Rig) -> None:
+    def tell_implausible(self, loop: ControlLoop) -> None:
         """Warn of joints far outside their position limits, now and then while they are there."""
-        for joint, text in describe_implausible(rig).items():
+        for joint, text in describe_implausible(loop).items():
             if self._is_due(f'implausible {joint}', _LONG_PERIOD):
                 self._logger.warning(text)
 
-    def _tell_activity(self, now: float, rig: Rig, key: tuple[Phase, bool]) -> None:
+    def _tell_activity(self, now: float, loop: ControlLoop, key: tuple[Phase, bool]) -> None:
         if self._last_activity is None:
-            for name in rig.collector.without_velocity():
+            for name in loop.collector.without_velocity():
                 self._logger.warning(f"joint_states: no velocity of '{name}', taken as zero")
-            for name in rig.collector.unseen():
+            for name in loop.collector.unseen():
                 self._logger.warning(f"joint_states: '{name}' not seen, taken as locked")
-            self.tell_implausible(rig)
+            self.tell_implausible(loop)
             self._last_activity = Phase.WAITING, False
         if not self._is_due(f'activity {key[0].name} {key[1]}'):
             return  # asked again at the next step, so that the latest activity is never missed
         self._last_activity = key
-        text = activity(now, rig)
+        text = activity(now, loop)
         if key[0] in _ALARMS:
             self._logger.error(text)
         elif key[0] is Phase.TOO_FAR:
@@ -181,7 +181,7 @@ class NodeLog:
         return True
 
 
-def _what_is_saturated(rig: Rig, command: Command) -> str:
-    joints = rig.controller.joints
+def _what_is_saturated(loop: ControlLoop, command: Command) -> str:
+    joints = loop.controller.joints
     cut = [name for name, cut in zip(joints, command.is_saturated, strict=True) if cut]
     return f'effort cut to its limit: {", ".join(cut)}'

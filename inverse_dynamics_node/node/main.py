@@ -107,7 +107,7 @@ def _run(args: list[str], stop: _Stop, startup: StartupWatch) -> int:
     from .watchdog import Watchdog
 
     try:
-        node = InverseDynamicsNode(is_in_a_hurry=lambda: stop.count > 1)
+        node = InverseDynamicsNode(skip_ramp=lambda: stop.count > 1)
     except Exception as error:
         for problem in (str(error) or repr(error)).splitlines():
             rclpy.logging.get_logger('inverse_dynamics').fatal(problem)

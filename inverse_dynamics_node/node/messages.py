@@ -78,7 +78,7 @@ def read_reference(message: JointTrajectory, joints: Sequence[str], now: float) 
 
 
 class PayloadMessage(NamedTuple):
-    """A rigid load, as arguments of `Loads.set_payload`."""
+    """A rigid load, as arguments of `ExternalLoads.set_payload`."""
 
     link: str
     mass: float

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from ..control.control_loop import Rig
+from ..control.control_loop import ControlLoop
 from ..errors import JointStateError
 from ..report.report import model_report
 from ..robot.model import Floats
 
 
-def describe_robot(rig: Rig) -> str:
+def describe_robot(loop: ControlLoop) -> str:
     """Describe the robot, and the efforts that hold it in its present pose, if that is known."""
-    missing = rig.missing()
+    missing = loop.missing()
     if missing:
-        return f'{_report(rig, None)}\n\nNot known yet: {", ".join(missing)}.'
+        return f'{_report(loop, None)}\n\nNot known yet: {", ".join(missing)}.'
     try:
-        return _report(rig, rig.collector.q)
+        return _report(loop, loop.collector.q)
     except JointStateError as error:
-        return f'{_report(rig, None)}\n\nNot known: {error}.'
+        return f'{_report(loop, None)}\n\nNot known: {error}.'
 
 
-def _report(rig: Rig, q: Floats | None) -> str:
-    return model_report(rig.dynamics, rig.controller.joints, q, rig.controller.limits)
+def _report(loop: ControlLoop, q: Floats | None) -> str:
+    return model_report(loop.dynamics, loop.controller.joints, q, loop.controller.limits)

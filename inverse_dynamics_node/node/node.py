@@ -1,4 +1,4 @@
-"""The managed node: messages in, `Rig.step`, messages out."""
+"""The managed node: messages in, `ControlLoop.step`, messages out."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from ..control.control_loop import Rig
-from ..control.controller import IS_WELL, Reference
+from ..control.control_loop import ControlLoop
+from ..control.controller import COMPUTING_PHASES, Reference
 from ..control.external_loads import rotation_of
-from ..control.monitor import describe_silence, Monitor, Surroundings
+from ..control.monitor import describe_silence, GraphInfo, Monitor
 from ..dynamics.trajectory import complete, joint_index, trajectory_efforts
 from ..errors import (
     ConfigurationError,
@@ -40,7 +40,7 @@ from ..errors import (
 from ..robot.model import Floats
 from . import messages
 from .cdr import JointStateReader
-from .configure import apply_configuration, check_configuration, make_rig
+from .configure import apply_configuration, check_configuration, make_loop
 from .containment import contain_errors
 from .diagnostics import diagnostic_array
 from .graph import Graph
@@ -81,28 +81,28 @@ class InverseDynamicsNode(LifecycleNode):
     """
     Publishes the joint efforts that produce the accelerations asked for.
 
-    Publishers, subscriptions and services live as long as the node; what configuring makes (rig,
+    Publishers, subscriptions and services live as long as the node; what configuring makes (loop,
     timers) goes with cleaning up.
 
     """
 
-    def __init__(self, is_in_a_hurry: Callable[[], bool] = lambda: False, **kwargs: Any) -> None:
+    def __init__(self, skip_ramp: Callable[[], bool] = lambda: False, **kwargs: Any) -> None:
         super().__init__('inverse_dynamics', **kwargs)
         contain_errors(self)
-        self._is_in_a_hurry = is_in_a_hurry
+        self._is_in_a_hurry = skip_ramp
         declare_parameters(self)
         self._configuration = read_configuration(self)
         for problem in unknown_parameters(self):
             self.get_logger().warning(f'ignored {problem}')
         self.is_finalized = False
-        self._rig: Rig | None = None
+        self._loop: ControlLoop | None = None
         self._is_active = False
         self._has_commanded = False
         self._reason_to_stop = 'deactivated'
         self._may_autostart = self._configuration.autostart
         self._description = ''  # the latest from the topic
         self._loader = ThreadPoolExecutor(1, 'robot_description')
-        self._loading: Future[Rig] | None = None
+        self._loading: Future[ControlLoop] | None = None
         self._log = NodeLog(self.get_logger())
         self._monitor = Monitor()
         self._reader = JointStateReader()
@@ -207,14 +207,14 @@ class InverseDynamicsNode(LifecycleNode):
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start to command, from zero."""
-        assert self._rig is not None
+        assert self._loop is not None
         result = super().on_activate(state)
-        self._rig.start()
+        self._loop.start()
         self._monitor.pause()
         self._outputs.look_for_listeners()
         self._log.begin()
         self._is_active = result == _SUCCESS
-        joints = ', '.join(self._rig.controller.joints)
+        joints = ', '.join(self._loop.controller.joints)
         self.get_logger().info(f'efforts for {joints} to {self._graph.with_subscribers()}')
         self._may_autostart = False  # from now on, who takes it down brings it up
         self._has_commanded = False
@@ -265,7 +265,7 @@ class InverseDynamicsNode(LifecycleNode):
 
     def _configure(self) -> None:
         self._configuration = configuration = read_configuration(self)
-        rig = make_rig(configuration, self._description)
+        loop = make_loop(configuration, self._description)
         self._forget_robot()
         self._graph.expect_discovery()
         self._warn_of_long_stop(configuration.settings.stop_ramp)
@@ -277,7 +277,7 @@ class InverseDynamicsNode(LifecycleNode):
         self._pace = [self._watch]
         if configuration.period:
             self._pace.append(self.create_timer(configuration.period, self._on_timer, clock=clock))
-        self._use(rig)
+        self._use(loop)
 
     def _warn_of_long_stop(self, stop_ramp: float) -> None:
         if stop_ramp >= _LAUNCH_SIGTERM_TIMEOUT:
@@ -287,13 +287,13 @@ class InverseDynamicsNode(LifecycleNode):
                 'sigterm_timeout of the launch action'
             )
 
-    def _use(self, rig: Rig) -> None:
-        self._rig = rig
+    def _use(self, loop: ControlLoop) -> None:
+        self._loop = loop
         self._R_BS = rotation_of(*self._configuration.imu_orientation)
-        self._log.introduce(rig)
+        self._log.introduce(loop)
 
     def _forget_robot(self) -> None:
-        self._rig = None
+        self._loop = None
         self._is_active = False
         self._loading = None
         for timer in self._pace:
@@ -311,7 +311,7 @@ class InverseDynamicsNode(LifecycleNode):
                 if parameter.name in changed and parameter.type_ is Parameter.Type.NOT_SET:
                     raise ConfigurationError(f"parameter '{parameter.name}' cannot be unset")
             configuration = checked_configuration({**ours, **changed})
-            if self._rig is not None:
+            if self._loop is not None:
                 for name, value in changed.items():
                     is_live = name in PARAMETERS and PARAMETERS[name].is_live
                     if not is_live and value != ours[name]:
@@ -319,7 +319,7 @@ class InverseDynamicsNode(LifecycleNode):
                             f"parameter '{name}' is read when the node is configured; deactivate "
                             'and clean up first'
                         )
-                check_configuration(self._rig, configuration)
+                check_configuration(self._loop, configuration)
         except InverseDynamicsError as error:
             return SetParametersResult(successful=False, reason=shortened_lines(str(error)))
         return SetParametersResult(successful=True)
@@ -329,10 +329,10 @@ class InverseDynamicsNode(LifecycleNode):
         if not any(parameter.name in ours for parameter in parameters):
             return
         before, self._configuration = self._configuration, read_configuration(self)
-        if self._rig is None:
+        if self._loop is None:
             self.autostart()
             return
-        apply_configuration(self._rig, self._configuration, before)
+        apply_configuration(self._loop, self._configuration, before)
         self._watch_after(self._watch_period)
         self._R_BS = rotation_of(*self._configuration.imu_orientation)
 
@@ -345,24 +345,24 @@ class InverseDynamicsNode(LifecycleNode):
         if message.data == self._description:
             return
         self._description = message.data
-        if self._rig is None:
+        if self._loop is None:
             self.autostart()
             return
         self.get_logger().info('a new robot description came')
         if self._loading is not None:
             self._loading.cancel()  # of several in a row, the last will do
         # Loading takes tenths of a second, in which the robot must not go without commands.
-        self._loading = self._loader.submit(make_rig, configuration, message.data)
+        self._loading = self._loader.submit(make_loop, configuration, message.data)
         self._watch_after(self._watch_period)
 
-    def _reload(self, loading: Future[Rig]) -> None:
+    def _reload(self, loading: Future[ControlLoop]) -> None:
         """Go on with another description of the robot; or with the old one, if that is better."""
-        assert self._rig is not None
+        assert self._loop is not None
         try:
-            rig = loading.result()
-            apply_configuration(rig, self._configuration)
-            take_over = rig.take_over if self._is_active else rig.inherit
-            for link in take_over(self._rig):
+            loop = loading.result()
+            apply_configuration(loop, self._configuration)
+            continue_from = loop.continue_from if self._is_active else loop.copy_inputs_from
+            for link in continue_from(self._loop):
                 self.get_logger().warning(f"link '{link}' is no more; its payload is dropped")
         except Exception as error:  # of a thread that nobody else asks
             self.get_logger().error(
@@ -370,19 +370,19 @@ class InverseDynamicsNode(LifecycleNode):
             )
             self._monitor.reject('robot_description', str(error).partition('\n')[0])
             return
-        self._use(rig)
+        self._use(loop)
 
     # Messages in
 
     def _on_joint_state(self, data: bytes) -> None:
         self._last_message = time.monotonic()
-        if self._rig is None:
+        if self._loop is None:
             return
         now = self._now()
         try:
             names, positions, velocities, measured = self._reader.read(data)
             efforts = self._efforts(len(names), measured)
-            is_ours = self._rig.collector.update(now, names, positions, velocities, efforts)
+            is_ours = self._loop.collector.update(now, names, positions, velocities, efforts)
         except JointStateError as error:
             self._reject('joint_states', error)
             return
@@ -406,58 +406,58 @@ class InverseDynamicsNode(LifecycleNode):
         self._take_reference('~/reference', messages.read_reference, message)
 
     def _take_reference(self, topic: str, read: Callable[..., Reference], message: Any) -> None:
-        if self._rig is None or not self._is_active:
+        if self._loop is None or not self._is_active:
             return
         now = self._now()
         try:
-            self._rig.reference = read(message, self._rig.controller.joints, now)
+            self._loop.reference = read(message, self._loop.controller.joints, now)
         except JointStateError as error:
             self._reject(topic, error)
 
     def _on_payload(self, message: InertiaStamped) -> None:
-        def take(rig: Rig, now: float) -> None:
+        def take(loop: ControlLoop, now: float) -> None:
             payload = messages.read_payload(message)
-            if rig.loads.set_payload(now, *payload):
+            if loop.loads.set_payload(now, *payload):
                 self.get_logger().info(f"payload on link '{payload.link}': {payload.mass:g} kg")
 
-        self._take('~/payload', take)
+        self._handle('~/payload', take)
 
     def _on_external_wrench(self, message: WrenchStamped) -> None:
-        self._take(
+        self._handle(
             '~/external_wrench',
-            lambda rig, now: rig.loads.set_external_wrench(now, *messages.read_wrench(message)),
+            lambda loop, now: loop.loads.set_external_wrench(now, *messages.read_wrench(message)),
         )
 
     def _on_gravity(self, message: Vector3Stamped) -> None:
-        def take(rig: Rig, now: float) -> None:
+        def take(loop: ControlLoop, now: float) -> None:
             frame = message.header.frame_id
-            if frame not in ('', rig.base_link):
+            if frame not in ('', loop.base_link):
                 raise ConfigurationError(
                     f"frame_id is '{shortened(frame)}', expected that of the base, "
-                    f"'{rig.base_link}'"
+                    f"'{loop.base_link}'"
                 )
-            if rig.has_imu:
+            if loop.has_imu:
                 raise ConfigurationError("gravity is measured: parameter 'base_motion' is imu")
-            rig.loads.set_gravity(messages.vector(message.vector))
+            loop.loads.set_gravity(messages.vector(message.vector))
 
-        self._take('~/gravity', take)
+        self._handle('~/gravity', take)
 
     def _on_imu(self, message: Imu) -> None:
         if self._configuration.base_motion is not BaseMotion.IMU:
             return
-        self._take(
+        self._handle(
             'imu',
-            lambda rig, now: rig.set_base_motion(now, *messages.read_imu(message, self._R_BS)),
+            lambda loop, now: loop.set_base_motion(now, *messages.read_imu(message, self._R_BS)),
         )
 
-    def _take(self, topic: str, take: Callable[[Rig, float], None]) -> None:
-        """Let the rig take in a message, or tell why not."""
+    def _handle(self, topic: str, take: Callable[[ControlLoop, float], None]) -> None:
+        """Let the loop take in a message, or tell why not."""
         now = self._now()
-        if self._rig is None:
+        if self._loop is None:
             self._reject(topic, 'there is no robot yet')
             return
         try:
-            take(self._rig, now)
+            take(self._loop, now)
         except InverseDynamicsError as error:
             self._reject(topic, error)
 
@@ -466,40 +466,40 @@ class InverseDynamicsNode(LifecycleNode):
         self._log.warn(topic, f'{topic}: message dropped: {reason}')
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
-        self._take('~/joint_trajectory_in', lambda rig, now: self._fill(rig, message))
+        self._handle('~/joint_trajectory_in', lambda loop, now: self._fill(loop, message))
 
-    def _fill(self, rig: Rig, message: JointTrajectory) -> None:
+    def _fill(self, loop: ControlLoop, message: JointTrajectory) -> None:
         """Publish a trajectory with the efforts that it takes, if somebody wants it."""
         if not self._trajectories.get_subscription_count():
             raise TrajectoryError('nobody listens to ~/joint_trajectory_out')
         trajectory, derived = complete(messages.read_trajectory(message))
         for words in derived:
             self._log.warn(words, f'~/joint_trajectory_in: {words}')
-        efforts = trajectory_efforts(rig.dynamics, trajectory, rig.collector.q)
-        index = joint_index(trajectory.joint_names, rig.robot.joint_names)
-        efforts = rig.calibrated(index, efforts)
-        for name in rig.beyond_limits(index, efforts):
+        efforts = trajectory_efforts(loop.dynamics, trajectory, loop.collector.q)
+        index = joint_index(trajectory.joint_names, loop.robot.joint_names)
+        efforts = loop.calibrated(index, efforts)
+        for name in loop.beyond_limits(index, efforts):
             words = f"~/joint_trajectory_in: efforts of '{name}' go beyond its limit"
             self._log.warn(words, words)
         self._trajectories.publish(messages.write_trajectory(message, trajectory, efforts))
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> Any:
-        if self._rig is None or not self._is_active:
+        if self._loop is None or not self._is_active:
             response.message = 'the node is not active'
             return response
         if request.data:
-            self._rig.controller.resume()
+            self._loop.controller.resume()
         else:
-            self._rig.controller.stop()
-            self._rig.reference = None
+            self._loop.controller.stop()
+            self._loop.reference = None
         response.success = True
         response.message = f'efforts {"rise" if request.data else "fall to zero"} along the ramp'
         self.get_logger().info(response.message)
         return response
 
     def _on_check_model(self, request: Trigger.Request, response: Trigger.Response) -> Any:
-        response.success = self._rig is not None
-        response.message = describe_robot(self._rig) if self._rig else 'there is no robot yet'
+        response.success = self._loop is not None
+        response.message = describe_robot(self._loop) if self._loop else 'there is no robot yet'
         self.get_logger().info(response.message)  # a command line shows it on one long line
         return response
 
@@ -507,7 +507,7 @@ class InverseDynamicsNode(LifecycleNode):
 
     def catch_up(self) -> None:
         """Take the latest joint state and do what the timers would do, if they are late."""
-        if self._rig is None:
+        if self._loop is None:
             return
         with self._states.handle:
             message = self._states.handle.take_message(JointState, True)
@@ -530,9 +530,9 @@ class InverseDynamicsNode(LifecycleNode):
             self._reload(loading)
         wait = self._watch_period
         if self._is_active:
-            assert self._rig is not None
+            assert self._loop is not None
             now = self._now()
-            state = self._rig.collector.state()
+            state = self._loop.collector.state()
             timeout = self._configuration.settings.state_timeout
             if state is None or not 0.0 <= now - state.time <= timeout:
                 self._step(now)
@@ -549,56 +549,56 @@ class InverseDynamicsNode(LifecycleNode):
             self._watch.reset()
 
     def _step(self, now: float) -> None:
-        assert self._rig is not None
+        assert self._loop is not None
         began = time.perf_counter()
-        command = self._rig.step(now)
+        command = self._loop.step(now)
         if command is None:
             self._log.tell_waiting(self._missing)
             return
         self._has_commanded = True
-        self._outputs.publish_command(self._rig, command.efforts)
+        self._outputs.publish_command(self._loop, command.efforts)
         took = time.perf_counter() - began
-        self._monitor.step(now, took, command, self._rig.controller.joints)
-        self._log.tell(now, self._rig, command)
-        if self._rig.controller.phase in IS_WELL:
+        self._monitor.step(now, took, command, self._loop.controller.joints)
+        self._log.tell(now, self._loop, command)
+        if self._loop.controller.phase in COMPUTING_PHASES:
             self._explain()
 
     def _missing(self) -> list[str]:
-        assert self._rig is not None
-        return self._rig.missing(
+        assert self._loop is not None
+        return self._loop.missing(
             self._graph.with_publishers('joint_states'), self._graph.with_publishers('imu')
         )
 
     def _explain(self) -> None:
-        assert self._rig is not None
+        assert self._loop is not None
         try:
-            self._outputs.publish_explanation(self._rig)
+            self._outputs.publish_explanation(self._loop)
         except JointStateError as error:
             self._log.warn('explanation', str(error))
 
     def _ramp_down(self) -> None:
         """Publish falling efforts, then zeros, from within one callback: nothing else runs."""
-        assert self._rig is not None
+        assert self._loop is not None
         self._is_active = False
         if not self._has_commanded:
             return  # who holds the robot now, it is not this node
         self.get_logger().info(f'ramping efforts down: {self._reason_to_stop}')
         try:
-            self._follow_stop_ramp(self._rig)
+            self._follow_stop_ramp(self._loop)
         finally:
-            self._outputs.publish_zeros(self._rig)
+            self._outputs.publish_zeros(self._loop)
         self.get_logger().info(f'stopped, zeros sent: {self._reason_to_stop}')
 
-    def _follow_stop_ramp(self, rig: Rig) -> None:
-        rig.controller.stop()
+    def _follow_stop_ramp(self, loop: ControlLoop) -> None:
+        loop.controller.stop()
         start, steady_start = self._now(), time.monotonic()
-        while rig.controller.has_effort and not self._is_in_a_hurry():
+        while loop.controller.has_effort and not self._is_in_a_hurry():
             time.sleep(self._watch_period)
             # A simulated clock stands still meanwhile.
             now = start + time.monotonic() - steady_start
-            command = rig.step(now)
+            command = loop.step(now)
             assert command is not None
-            self._outputs.publish_command(rig, command.efforts)
+            self._outputs.publish_command(loop, command.efforts)
 
     # How it goes
 
@@ -611,10 +611,10 @@ class InverseDynamicsNode(LifecycleNode):
     def _on_diagnostics(self) -> None:
         self._last_diagnostics = time.monotonic()
         publishers = []
-        if self._rig is not None and self._rig.collector.has_alternating:
+        if self._loop is not None and self._loop.collector.has_alternating:
             publishers = self._graph.publishers('joint_states')
-            self._log.tell_conflicts(self._rig, publishers)
-        around = Surroundings(
+            self._log.tell_conflicts(self._loop, publishers)
+        around = GraphInfo(
             receivers=self._outputs.receivers,
             publishers=self.count_publishers(self.resolve_topic_name('joint_states')),
             is_active=self._is_active,
@@ -626,9 +626,9 @@ class InverseDynamicsNode(LifecycleNode):
         )
         if self._is_active:
             self._log.tell_silence(describe_silence(around))
-        if self._rig is not None:
-            self._log.tell_implausible(self._rig)
-        statuses = self._monitor.report(self._now(), self._rig, around)
+        if self._loop is not None:
+            self._log.tell_implausible(self._loop)
+        statuses = self._monitor.report(self._now(), self._loop, around)
         for status in statuses:
             if status.part in ('other nodes', 'clock'):
                 self._log.tell_status(status)
@@ -636,7 +636,7 @@ class InverseDynamicsNode(LifecycleNode):
             diagnostic_array(
                 self.get_clock().now().to_msg(),
                 self.get_fully_qualified_name(),
-                self._rig.robot.name if self._rig else '',
+                self._loop.robot.name if self._loop else '',
                 statuses,
             )
         )

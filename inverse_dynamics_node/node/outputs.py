@@ -12,7 +12,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from ..control.control_loop import Rig
+from ..control.control_loop import ControlLoop
 from ..dynamics.inverse_dynamics import EffortTerms
 from ..robot.model import Floats
 from . import messages
@@ -70,13 +70,13 @@ class Outputs:
         """Whether someone listens to what is made of measured efforts."""
         return self._external_efforts in self._listeners
 
-    def publish_command(self, rig: Rig, efforts: Floats) -> None:
+    def publish_command(self, loop: ControlLoop, efforts: Floats) -> None:
         """
         Publish efforts of the commanded joints.
 
         Parameters
         ----------
-        rig : Rig
+        loop : ControlLoop
             Whose joints they are for.
         efforts : ndarray, shape (m,)
             [N m or N].
@@ -84,33 +84,33 @@ class Outputs:
         """
         self.commands.publish(serialize_numbers(efforts))
         if self._joint_efforts in self._listeners:
-            self._publish_efforts(self._joint_efforts, rig.controller.joints, efforts)
+            self._publish_efforts(self._joint_efforts, loop.controller.joints, efforts)
 
-    def publish_zeros(self, rig: Rig) -> None:
+    def publish_zeros(self, loop: ControlLoop) -> None:
         """Publish zeros, and see that they arrive."""
         for _ in range(3):  # once is enough where messages are acknowledged
-            self.publish_command(rig, np.zeros(len(rig.controller.joints)))
+            self.publish_command(loop, np.zeros(len(loop.controller.joints)))
         for publisher in (self.commands, self._joint_efforts):
             publisher.wait_for_all_acked(Duration(seconds=1))
 
-    def publish_explanation(self, rig: Rig) -> None:
+    def publish_explanation(self, loop: ControlLoop) -> None:
         """Publish what the last command is made of, and what was measured beside it."""
         if not self._listeners.isdisjoint(self._terms):
-            for publisher, term in zip(self._terms, rig.effort_terms(), strict=True):
+            for publisher, term in zip(self._terms, loop.effort_terms(), strict=True):
                 if publisher in self._listeners:
-                    self._publish_efforts(publisher, rig.controller.joints, term)
+                    self._publish_efforts(publisher, loop.controller.joints, term)
         if self._base_wrench in self._listeners:
-            messages.write_wrench(self._wrench, rig.base_link, *rig.base_wrench())
+            messages.write_wrench(self._wrench, loop.base_link, *loop.base_wrench())
             self._wrench.header.stamp = self._clock.now().to_msg()
             self._base_wrench.publish(self._wrench)
         if self._external_efforts in self._listeners:
-            self._publish_external_efforts(rig)
+            self._publish_external_efforts(loop)
 
-    def _publish_external_efforts(self, rig: Rig) -> None:
-        efforts = rig.external_efforts()
+    def _publish_external_efforts(self, loop: ControlLoop) -> None:
+        efforts = loop.external_efforts()
         measured = np.flatnonzero(np.isfinite(efforts))
         if len(measured):
-            names = [rig.robot.joint_names[i] for i in measured]
+            names = [loop.robot.joint_names[i] for i in measured]
             self._publish_efforts(self._external_efforts, names, efforts[measured])
 
     def _publish_efforts(self, publisher: Any, joints: Any, efforts: Floats) -> None:

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.control.controller import (
+    COMPUTING_PHASES,
     Controller,
-    IS_WELL,
     Mode,
     Phase,
     Reference,
@@ -74,7 +74,7 @@ class Watched:
             ours.blend()
         elif event == 'other robot':
             self.controller = Controller(InverseDynamics(ROBOT), (), ours.settings)
-            self.controller.take_over(ours)
+            self.controller.continue_from(ours)
         else:
             ours.apply(Settings(**event))
 
@@ -92,7 +92,7 @@ class Watched:
         efforts = command.efforts.copy()
         assert np.isfinite(efforts).all()
         longest = ours.settings.state_timeout + LATE
-        if ours.phase in IS_WELL:
+        if ours.phase in COMPUTING_PHASES:
             self.check_followed(efforts, elapsed if 0.0 <= elapsed <= longest else 0.0)
             self.was_falling = False
         elif ours.phase is Phase.STOPPED or ours.settings.on_stale_state is StalePolicy.ZERO:
@@ -178,7 +178,7 @@ def test_every_stop_ends_at_zero_and_every_blend_at_the_computed_efforts(
     fresh = Controller(ours.dynamics, (), Settings(**last | {'start_ramp': 0.0}))
     reference = Reference(watched.accelerations, np.zeros(2), 0.0)
     expected = fresh.step(0.0, State(Q, QD, 0.0), reference).efforts
-    assert ours.phase in IS_WELL
+    assert ours.phase in COMPUTING_PHASES
     assert np.allclose(watched.last, expected, rtol=0.0, atol=ROUNDING)
     assert (np.abs(watched.last) <= ours.limits).all()
     watched.happen('stop')

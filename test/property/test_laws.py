@@ -2,7 +2,7 @@
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from inverse_dynamics_node import InverseDynamics, load_urdf, Specialised
+from inverse_dynamics_node import GeneratedDynamics, InverseDynamics, load_urdf
 from kinematics import assert_close, rotation_about
 import numpy as np
 from numpy.testing import assert_allclose
@@ -165,10 +165,10 @@ def let_everything_act(dynamics, rng):
 def test_code_for_one_robot_gives_what_that_for_all_gives(case):
     _, robot, vectors = case
     dynamics = InverseDynamics(robot)
-    specialised = Specialised(dynamics)
-    for array, vector in zip(specialised.state, vectors, strict=False):
+    generated = GeneratedDynamics(dynamics)
+    for array, vector in zip(generated.state, vectors, strict=False):
         array[:] = vector
-    assert_close(specialised.update(), dynamics.efforts(*vectors), 1e-13)
+    assert_close(generated.update(), dynamics.efforts(*vectors), 1e-13)
 
 
 def potential_energy(robot, q):

@@ -375,7 +375,7 @@ def test_batches_with_loads_give_what_single_states_give(case, rng):
 PRINT_EVERYTHING = """
 import json
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.dynamics import jit as compilation
+from inverse_dynamics_node.dynamics import jit
 from loads import apply, everything, random_loads
 import numpy as np
 from random_trees import random_chain, urdf_of
@@ -388,7 +388,7 @@ for seed in range(5):
     for shape in (1 + seed,), (3, 1 + seed):
         values = everything(dynamics, *rng.uniform(-3.0, 3.0, (3, *shape)))
         found.append({name: array.ravel().tolist() for name, array in values.items()})
-print(json.dumps([compilation.IS_COMPILED, found]))
+print(json.dumps([jit.IS_COMPILED, found]))
 """
 
 

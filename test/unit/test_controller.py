@@ -662,11 +662,11 @@ def test_another_description_of_the_robot_is_taken_over_without_a_jump():
     time = settled(lift)
     heavier = InverseDynamics(load_urdf(LIFT.replace('"2"', '"4"')), gravity=(0.0, 0.0, -10.0))
     other = Controller(heavier, (), lift.settings)
-    other.take_over(lift)
+    other.continue_from(lift)
     assert efforts_after(other, time, 0.05) == pytest.approx(HOLD)
     assert efforts_after(other, time + 0.05, 0.5) == pytest.approx(HOLD + np.array([20.0, 0.0]))
     with pytest.raises(ConfigurationError, match='joints to command are now high'):
-        Controller(heavier, ['high']).take_over(lift)
+        Controller(heavier, ['high']).continue_from(lift)
 
 
 def test_says_which_efforts_may_not_change_as_fast_as_they_should():
@@ -701,7 +701,7 @@ def test_another_description_is_blended_in_along_the_start_ramp():
     time = settled(lift)
     heavier = InverseDynamics(load_urdf(LIFT.replace('"2"', '"3"')), gravity=(0.0, 0.0, -10.0))
     other = Controller(heavier, (), lift.settings)
-    other.take_over(lift)
+    other.continue_from(lift)
     other.step(time, state(time), None)
     assert efforts_after(other, time, 0.25) == pytest.approx(HOLD + np.array([5.0, 0.0]))
 
@@ -711,7 +711,7 @@ def test_a_stop_goes_on_with_another_description():
     lift.step(0.0, state(0.0), None)
     lift.stop()
     other = Controller(lift.dynamics, (), lift.settings)
-    other.take_over(lift)
+    other.continue_from(lift)
     assert other.is_stopping
     other.step(0.05, state(0.05), None)
     assert other.phase is Phase.STOPPED

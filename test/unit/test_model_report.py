@@ -1,7 +1,8 @@
 """The answer of ~/check_model."""
 
 from inverse_dynamics_node import load_urdf
-from inverse_dynamics_node.control.control_loop import Rig
+from inverse_dynamics_node.control.control_loop import ControlLoop
+from inverse_dynamics_node.control.controller import Settings
 from inverse_dynamics_node.node.model_report import describe_robot
 import numpy as np
 from robot_files import STANFORD
@@ -10,12 +11,19 @@ MODEL = load_urdf(STANFORD)
 
 
 def test_positions_without_finite_efforts_are_reported():
-    rig = Rig(MODEL)
-    rig.collector.update(1.0, MODEL.joint_names, np.full(6, 1.7e308), np.zeros(6))
-    assert 'Not known: the efforts overflow' in describe_robot(rig)
+    loop = ControlLoop(MODEL)
+    loop.collector.update(1.0, MODEL.joint_names, np.full(6, 1.7e308), np.zeros(6))
+    assert 'Not known: the efforts overflow' in describe_robot(loop)
 
 
 def test_joints_that_have_not_been_reported_are_named():
-    rig = Rig(MODEL)
-    rig.collector.update(1.0, MODEL.joint_names[1:], np.zeros(5), np.zeros(5))
-    assert f'Not known yet: the position of {MODEL.joint_names[0]}' in describe_robot(rig)
+    loop = ControlLoop(MODEL)
+    loop.collector.update(1.0, MODEL.joint_names[1:], np.zeros(5), np.zeros(5))
+    assert f'Not known yet: the position of {MODEL.joint_names[0]}' in describe_robot(loop)
+
+
+def test_the_report_shows_the_efforts_to_hold_the_arm_and_the_tightened_limits():
+    loop = ControlLoop(MODEL, settings=Settings(effort_limits=12.625))
+    loop.collector.update(0.0, MODEL.joint_names, np.zeros(6), np.zeros(6))
+    assert '12.62' in describe_robot(loop)
+    assert 'Not known' not in describe_robot(loop)

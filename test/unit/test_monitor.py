@@ -3,7 +3,7 @@
 import dataclasses
 
 from inverse_dynamics_node import load_urdf
-from inverse_dynamics_node.control.control_loop import Rig
+from inverse_dynamics_node.control.control_loop import ControlLoop
 from inverse_dynamics_node.control.controller import (
     Command,
     Mode,
@@ -13,11 +13,11 @@ from inverse_dynamics_node.control.controller import (
 )
 from inverse_dynamics_node.control.monitor import (
     activity,
+    GraphInfo,
     Level,
     Monitor,
     Others,
     SimulatedTime,
-    Surroundings,
 )
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ from robot_files import ROOT, STANFORD
 
 ROBOT = load_urdf(ROOT / 'test/robots/planar_2r.urdf')
 JOINTS = ROBOT.joint_names
-FINE = Surroundings(receivers=1, publishers=1, is_active=True, state='active')
+FINE = GraphInfo(receivers=1, publishers=1, is_active=True, state='active')
 NEITHER = np.zeros(2, dtype=bool)
 SECOND = np.array([False, True])
 
@@ -39,11 +39,11 @@ def part(statuses, name):
 
 
 @pytest.fixture
-def rig():
-    rig = Rig(ROBOT)
-    rig.collector.update(0.0, JOINTS, [0.1, 0.2], [0.0, 0.0])
-    rig.step(0.0)
-    return rig
+def loop():
+    loop = ControlLoop(ROBOT)
+    loop.collector.update(0.0, JOINTS, [0.1, 0.2], [0.0, 0.0])
+    loop.step(0.0)
+    return loop
 
 
 @pytest.fixture(autouse=True)
@@ -65,33 +65,33 @@ def complete_reports(monkeypatch):
     monkeypatch.setattr(Monitor, 'report', checked)
 
 
-def test_measures_rate_and_periods(rig):
+def test_measures_rate_and_periods(loop):
     monitor = Monitor(0.01)
-    monitor.report(0.0, rig, FINE)
+    monitor.report(0.0, loop, FINE)
     for k in range(100):
         late = 0.008 if k == 50 else 0.0
         monitor.step(0.01 * k + late, 1e-4 * (1.0 + k), command(), JOINTS)
-    values = part(monitor.report(1.0, rig, FINE), 'loop').values
+    values = part(monitor.report(1.0, loop, FINE), 'loop').values
     assert values['rate [Hz]'] == '100.0'
     assert values['rate asked for [Hz]'] == '100'
     assert values['period worst [ms]'] == '18.000'
     assert 10.0 < float(values['period p99 [ms]']) < 18.0
     assert float(values['compute time p99 [ms]']) == pytest.approx(9.9, abs=0.05)
     assert values['overruns'] == '1'
-    assert part(monitor.report(1.5, rig, FINE), 'loop').values['rate [Hz]'] == '0.0'
+    assert part(monitor.report(1.5, loop, FINE), 'loop').values['rate [Hz]'] == '0.0'
 
 
-def test_warns_of_a_rate_that_is_not_reached(rig):
+def test_warns_of_a_rate_that_is_not_reached(loop):
     monitor = Monitor(0.01)
-    monitor.report(0.0, rig, FINE)
+    monitor.report(0.0, loop, FINE)
     for k in range(90):
         monitor.step(0.011 * k, 1e-4, command(), JOINTS)
-    status = part(monitor.report(1.0, rig, FINE), 'loop')
+    status = part(monitor.report(1.0, loop, FINE), 'loop')
     assert status.level is Level.WARN
     assert status.message == 'only 90.9 commands/s'
 
 
-def test_a_pause_and_a_clock_put_back_are_no_overrun(rig):
+def test_a_pause_and_a_clock_put_back_are_no_overrun(loop):
     monitor = Monitor(0.01)
     monitor.step(5.0, 1e-4, command(), JOINTS)
     monitor.pause()
@@ -100,21 +100,21 @@ def test_a_pause_and_a_clock_put_back_are_no_overrun(rig):
     assert monitor.overruns == 0
 
 
-def test_counts_every_clamp_and_warns_as_long_as_it_is_news(rig):
+def test_counts_every_clamp_and_warns_as_long_as_it_is_news(loop):
     monitor = Monitor()
     for _ in range(3):
         monitor.step(0.0, 1e-4, command(SECOND, SECOND), JOINTS)
-    status = part(monitor.report(1.0, rig, FINE), 'efforts')
+    status = part(monitor.report(1.0, loop, FINE), 'efforts')
     assert status.level is Level.WARN
     assert status.message == f'cut to its limit: {JOINTS[1]}'
     assert status.values[f'{JOINTS[1]} cut to limit'] == '3'
     assert status.values[f'{JOINTS[1]} slowed'] == '3'
-    status = part(monitor.report(2.0, rig, FINE), 'efforts')
+    status = part(monitor.report(2.0, loop, FINE), 'efforts')
     assert status.level is Level.OK
     assert status.values[f'{JOINTS[1]} cut to limit'] == '3'
 
 
-def test_counts_rejected_messages_by_reason_but_not_without_end(rig):
+def test_counts_rejected_messages_by_reason_but_not_without_end(loop):
     monitor = Monitor()
     monitor.reject('imu', 'broken')
     monitor.reject('imu', 'broken')
@@ -123,9 +123,9 @@ def test_counts_rejected_messages_by_reason_but_not_without_end(rig):
     assert monitor.rejected['imu: broken'] == 2
     assert len(monitor.rejected) <= 21
     assert sum(monitor.rejected.values()) == 1002
-    status = part(monitor.report(1.0, rig, FINE), 'messages')
+    status = part(monitor.report(1.0, loop, FINE), 'messages')
     assert (status.level, status.message) == (Level.WARN, '1002 rejected lately')
-    status = part(monitor.report(2.0, rig, FINE), 'messages')
+    status = part(monitor.report(2.0, loop, FINE), 'messages')
     assert (status.level, status.message) == (Level.OK, '1002 rejected in all')
 
 
@@ -142,8 +142,8 @@ def test_counts_rejected_messages_by_reason_but_not_without_end(rig):
         (0.05, FINE._replace(is_active=False, state='inactive'), 'loop', Level.OK, 'inactive'),
     ],
 )
-def test_judges_by_what_a_user_must_do(rig, now, around, name, level, words):
-    status = part(Monitor().report(now, rig, around), name)
+def test_judges_by_what_a_user_must_do(loop, now, around, name, level, words):
+    status = part(Monitor().report(now, loop, around), name)
     assert status.level is level
     assert words in status.message
 
@@ -158,85 +158,85 @@ def test_without_a_robot_there_is_little_to_tell():
     ]
 
 
-def test_all_values_are_texts(rig):
-    for status in Monitor(0.01).report(0.05, rig, FINE):
+def test_all_values_are_texts(loop):
+    for status in Monitor(0.01).report(0.05, loop, FINE):
         assert all(isinstance(x, str) for pair in status.values.items() for x in pair)
 
 
-def test_a_loop_that_began_within_the_second_is_not_slow(rig):
+def test_a_loop_that_began_within_the_second_is_not_slow(loop):
     monitor = Monitor(0.01)
-    monitor.report(0.0, rig, FINE)
+    monitor.report(0.0, loop, FINE)
     monitor.pause()
     for k in range(40):
         monitor.step(0.6 + 0.01 * k, 1e-4, command(), JOINTS)
-    status = part(monitor.report(1.0, rig, FINE), 'loop')
+    status = part(monitor.report(1.0, loop, FINE), 'loop')
     assert status.level is Level.OK
     assert status.values['rate [Hz]'] == '100.0'
 
 
 def test_warns_of_a_loop_without_damping():
-    rig = Rig(ROBOT, settings=Settings(mode=Mode.COMPUTED_TORQUE))
-    rig.collector.update(0.0, JOINTS, [0.1, 0.2], [])
-    status = part(Monitor().report(0.0, rig, FINE), 'joint states')
+    loop = ControlLoop(ROBOT, settings=Settings(mode=Mode.COMPUTED_TORQUE))
+    loop.collector.update(0.0, JOINTS, [0.1, 0.2], [])
+    status = part(Monitor().report(0.0, loop, FINE), 'joint states')
     assert status.level is Level.WARN
     assert status.message == 'no velocity, no damping of the loop'
     assert status.values['without velocity'] == ', '.join(JOINTS)
-    rig.collector.update(0.0, JOINTS, [0.1, 0.2], [0.0, 0.0])
-    assert part(Monitor().report(0.0, rig, FINE), 'joint states').level is Level.OK
+    loop.collector.update(0.0, JOINTS, [0.1, 0.2], [0.0, 0.0])
+    assert part(Monitor().report(0.0, loop, FINE), 'joint states').level is Level.OK
 
 
-def test_activity_names_the_reason_to_hold(rig):
-    assert activity(0.0, rig) == 'holding position: no reference'
+def test_activity_names_the_reason_to_hold(loop):
+    assert activity(0.0, loop) == 'holding position: no reference'
     rest = np.zeros(2)
-    rig.reference = Reference(rest, rest, 0.0)
-    rig.step(0.05)
-    assert activity(0.05, rig) == 'following the reference'
-    rig.collector.update(1.0, JOINTS, [0.1, 0.2], [0.0, 0.0])
-    rig.step(1.0)
-    assert activity(1.0, rig) == 'holding position: no reference for more than 0.5 s'
-    rig.controller.apply(Settings(mode=Mode.GRAVITY_COMPENSATION))
-    assert 'not used in mode gravity_compensation' in activity(1.0, rig)
-    rig.controller.apply(Settings(mode=Mode.COMPUTED_TORQUE, max_position_jump=0.2))
-    rig.reference = Reference(rest, rest, 1.0, positions=rest + 1.0)
-    rig.step(1.0)
-    assert 'starts or jumps more than max_position_jump (0.2 rad or m) away' in activity(1.0, rig)
+    loop.reference = Reference(rest, rest, 0.0)
+    loop.step(0.05)
+    assert activity(0.05, loop) == 'following the reference'
+    loop.collector.update(1.0, JOINTS, [0.1, 0.2], [0.0, 0.0])
+    loop.step(1.0)
+    assert activity(1.0, loop) == 'holding position: no reference for more than 0.5 s'
+    loop.controller.apply(Settings(mode=Mode.GRAVITY_COMPENSATION))
+    assert 'not used in mode gravity_compensation' in activity(1.0, loop)
+    loop.controller.apply(Settings(mode=Mode.COMPUTED_TORQUE, max_position_jump=0.2))
+    loop.reference = Reference(rest, rest, 1.0, positions=rest + 1.0)
+    loop.step(1.0)
+    assert 'starts or jumps more than max_position_jump (0.2 rad or m) away' in activity(1.0, loop)
 
 
-def step_until(rig, start, end):
+def step_until(loop, start, end):
     for now in np.arange(start, end, 0.05):
-        rig.step(float(now))
+        loop.step(float(now))
 
 
-def test_activity_names_the_joints_that_stop_the_arm(rig):
-    step_until(rig, 0.0, 0.2)
+def test_activity_names_the_joints_that_stop_the_arm(loop):
+    step_until(loop, 0.0, 0.2)
     reason = f'no joint state of {JOINTS[0]}, {JOINTS[1]} for more than 0.1 s'
-    assert activity(0.2, rig) == f'ramping efforts down: {reason}'
-    step_until(rig, 0.2, 2.0)
-    assert activity(2.0, rig) == f'stopped, zeros sent: {reason}'
+    assert activity(0.2, loop) == f'ramping efforts down: {reason}'
+    step_until(loop, 0.2, 2.0)
+    assert activity(2.0, loop) == f'stopped, zeros sent: {reason}'
 
 
-def test_activity_distinguishes_the_policy_for_lost_states(rig):
-    step_until(rig, 0.0, 0.1)
-    rig.controller.apply(Settings(on_stale_state=StalePolicy.HOLD))
-    step_until(rig, 0.1, 2.0)
-    assert activity(2.0, rig).startswith('keeping the last efforts: no joint state of ')
+def test_activity_distinguishes_the_policy_for_lost_states(loop):
+    step_until(loop, 0.0, 0.1)
+    loop.controller.apply(Settings(on_stale_state=StalePolicy.HOLD))
+    step_until(loop, 0.1, 2.0)
+    assert activity(2.0, loop).startswith('keeping the last efforts: no joint state of ')
 
 
-def test_activity_while_disabled(rig):
-    step_until(rig, 0.0, 0.1)
-    rig.controller.stop()
-    rig.step(0.1)
-    rig.step(0.15)
-    assert activity(0.15, rig) == 'ramping efforts down: disabled by ~/enable'
-    step_until(rig, 0.2, 2.0)
-    assert activity(2.0, rig) == 'stopped, zeros sent: disabled by ~/enable'
+def test_activity_while_disabled(loop):
+    step_until(loop, 0.0, 0.1)
+    loop.controller.stop()
+    loop.step(0.1)
+    loop.step(0.15)
+    assert activity(0.15, loop) == 'ramping efforts down: disabled by ~/enable'
+    step_until(loop, 0.2, 2.0)
+    assert activity(2.0, loop) == 'stopped, zeros sent: disabled by ~/enable'
 
 
 def test_a_missing_imu_is_not_blamed_on_the_joint_states():
-    rig = Rig(ROBOT, has_imu=True)
-    rig.collector.update(0.0, JOINTS, [0.1, 0.2], [0.0, 0.0])
-    assert rig.missing('/joint_states', '/base/imu') == ['the motion of the base on /base/imu']
-    statuses = Monitor().report(0.0, rig, FINE)
+    loop = ControlLoop(ROBOT, has_imu=True)
+    loop.collector.update(0.0, JOINTS, [0.1, 0.2], [0.0, 0.0])
+    assert loop.missing('/joint_states', '/base/imu') == ['the motion of the base on /base/imu']
+    statuses = Monitor().report(0.0, loop, FINE)
     assert part(statuses, 'joint states').level is Level.OK
     assert part(statuses, 'model').level is Level.ERROR
     assert part(statuses, 'model').message.endswith('no message on imu yet')
@@ -257,25 +257,25 @@ NAMESAKES = Others('/arm', '/commands', namesakes=1)
         (NAMESAKES._replace(namesakes=2), True, Level.ERROR, '2 other nodes with the name /arm'),
     ],
 )
-def test_nodes_that_interfere_are_named(rig, others, is_active, level, words):
+def test_nodes_that_interfere_are_named(loop, others, is_active, level, words):
     around = FINE._replace(others=others, is_active=is_active)
-    status = part(Monitor().report(0.05, rig, around), 'other nodes')
+    status = part(Monitor().report(0.05, loop, around), 'other nodes')
     assert status.level is level
     assert words in status.message
 
 
-def test_subscribers_that_do_not_match_are_named(rig):
+def test_subscribers_that_do_not_match_are_named(loop):
     others = Others('/arm', '/commands', subscribers=('/bridge',))
     around = FINE._replace(receivers=0, others=others)
-    status = part(Monitor().report(0.05, rig, around), 'efforts')
+    status = part(Monitor().report(0.05, loop, around), 'efforts')
     assert status.level is Level.WARN
     assert status.message.startswith('nobody receives')
     assert '/bridge subscribes with another type or quality of service' in status.message
 
 
-def test_of_many_nodes_only_the_first_are_named(rig):
+def test_of_many_nodes_only_the_first_are_named(loop):
     others = Others('/arm', '/commands', rivals=tuple(f'/n{k}' for k in range(100)))
-    status = part(Monitor().report(0.0, rig, FINE._replace(others=others)), 'other nodes')
+    status = part(Monitor().report(0.0, loop, FINE._replace(others=others)), 'other nodes')
     assert '/n0, /n1, /n2, /n3, /n4 and 95 more' in status.message
 
 
@@ -292,21 +292,21 @@ def test_of_many_nodes_only_the_first_are_named(rig):
         (SimulatedTime(9.0, 6.0, 0), Level.ERROR, 'has not advanced for more than 5 s'),
     ],
 )
-def test_simulated_time_that_stands_still_is_reported(rig, clock, level, words):
-    status = part(Monitor().report(0.05, rig, FINE._replace(simulated=clock)), 'clock')
+def test_simulated_time_that_stands_still_is_reported(loop, clock, level, words):
+    status = part(Monitor().report(0.05, loop, FINE._replace(simulated=clock)), 'clock')
     assert status.level is level
     assert words in status.message
 
 
-def test_there_is_no_clock_status_without_simulated_time(rig):
-    assert 'clock' not in [status.part for status in Monitor().report(0.05, rig, FINE)]
+def test_there_is_no_clock_status_without_simulated_time(loop):
+    assert 'clock' not in [status.part for status in Monitor().report(0.05, loop, FINE)]
 
 
-def test_reports_that_states_were_lost_until_they_have_been_fresh_for_a_while(rig):
+def test_reports_that_states_were_lost_until_they_have_been_fresh_for_a_while(loop):
     def status_at(now, arrival):
-        rig.collector.update(arrival, JOINTS, [0.1, 0.2], [0.0, 0.0])
-        rig.step(now)
-        return part(Monitor().report(now, rig, FINE), 'joint states')
+        loop.collector.update(arrival, JOINTS, [0.1, 0.2], [0.0, 0.0])
+        loop.step(now)
+        return part(Monitor().report(now, loop, FINE), 'joint states')
 
     for k in range(10):
         assert status_at(0.1 * k, 0.1 * k).level is Level.OK
@@ -324,9 +324,9 @@ def test_reports_that_states_were_lost_until_they_have_been_fresh_for_a_while(ri
 
 def test_warns_of_joints_far_outside_their_limits():
     robot = load_urdf(STANFORD)
-    rig = Rig(robot)
-    rig.collector.update(0.0, robot.joint_names, [0.0, 57.3, 0.5, 0.0, 4.0, 0.0], [0.0] * 6)
-    status = part(Monitor().report(0.0, rig, FINE), 'joint states')
+    loop = ControlLoop(robot)
+    loop.collector.update(0.0, robot.joint_names, [0.0, 57.3, 0.5, 0.0, 4.0, 0.0], [0.0] * 6)
+    status = part(Monitor().report(0.0, loop, FINE), 'joint states')
     assert status.level is Level.WARN
     assert status.message == (
         'joint_2 at 57.3 rad, limits -1.745 to 1.745: degrees?; '
@@ -334,23 +334,23 @@ def test_warns_of_joints_far_outside_their_limits():
     )
 
 
-def test_contradictory_positions_are_an_error_with_the_publishers(rig):
+def test_contradictory_positions_are_an_error_with_the_publishers(loop):
     for k in range(100):
-        rig.collector.update(0.001 * k, JOINTS, [0.1, 1.5 * (k % 2)], [0.0, 0.0])
-        rig.step(0.001 * k)
+        loop.collector.update(0.001 * k, JOINTS, [0.1, 1.5 * (k % 2)], [0.0, 0.0])
+        loop.step(0.001 * k)
     words = f'positions of {JOINTS[1]} alternate between 0 and 1.5 faster than it can move'
     around = FINE._replace(state_publishers=('/robot', '/joint_state_publisher'))
-    status = part(Monitor().report(0.1, rig, around), 'joint states')
+    status = part(Monitor().report(0.1, loop, around), 'joint states')
     assert status.level is Level.ERROR
     assert status.message == f'{words} (published by /robot, /joint_state_publisher)'
-    assert f'{words} (does more than one node publish it?)' in activity(0.1, rig)
+    assert f'{words} (does more than one node publish it?)' in activity(0.1, loop)
 
 
-def test_no_command_is_late_without_a_period(rig):
+def test_no_command_is_late_without_a_period(loop):
     monitor = Monitor()
     for now in (0.0, 0.0, 1.0):
         monitor.step(now, 1e-4, command(), JOINTS)
-    values = part(monitor.report(1.0, rig, FINE), 'loop').values
+    values = part(monitor.report(1.0, loop, FINE), 'loop').values
     assert values['overruns'] == '0'
     assert values['rate [Hz]'] == '2.0'
     assert values['rate asked for [Hz]'] == 'of joint states'
@@ -363,118 +363,118 @@ def test_a_command_that_is_late_by_half_a_period_is_no_overrun():
     assert monitor.overruns == 1
 
 
-def test_a_loop_without_commands_yet_is_not_slow(rig):
-    assert part(Monitor(0.01).report(0.0, rig, FINE), 'loop').level is Level.OK
+def test_a_loop_without_commands_yet_is_not_slow(loop):
+    assert part(Monitor(0.01).report(0.0, loop, FINE), 'loop').level is Level.OK
 
 
-def test_rejected_messages_are_listed_with_their_numbers(rig):
+def test_rejected_messages_are_listed_with_their_numbers(loop):
     monitor = Monitor()
     for _ in range(3):
         monitor.reject('imu', 'broken')
-    assert part(monitor.report(0.0, rig, FINE), 'messages').values == {'imu: broken': '3'}
+    assert part(monitor.report(0.0, loop, FINE), 'messages').values == {'imu: broken': '3'}
 
 
-def test_other_nodes_are_listed(rig):
+def test_other_nodes_are_listed(loop):
     others = Others('/arm', '/commands')
-    values = part(Monitor().report(0.0, rig, FINE._replace(others=others)), 'other nodes').values
+    values = part(Monitor().report(0.0, loop, FINE._replace(others=others)), 'other nodes').values
     assert list(values.values()) == ['/commands', 'none', 'none', '0']
     others = Others('/arm', '/commands', ('/bridge',), ('/rival',), 3)
-    values = part(Monitor().report(0.0, rig, FINE._replace(others=others)), 'other nodes').values
+    values = part(Monitor().report(0.0, loop, FINE._replace(others=others)), 'other nodes').values
     assert list(values.values()) == ['/commands', '/bridge', '/rival', '3']
 
 
-def test_the_clock_and_the_numbers_of_nodes_are_reported(rig):
+def test_the_clock_and_the_numbers_of_nodes_are_reported(loop):
     around = FINE._replace(receivers=2, publishers=3, simulated=SimulatedTime(12.5, 0.25, 4))
-    statuses = Monitor().report(0.0, rig, around)
+    statuses = Monitor().report(0.0, loop, around)
     assert list(part(statuses, 'clock').values.values()) == ['12.500', '0.2', '4']
     assert part(statuses, 'efforts').values['receivers'] == '2'
     assert part(statuses, 'joint states').values['publishers'] == '3'
 
 
 @pytest.mark.parametrize(('count', 'end'), [(5, '/n4'), (6, '/n4 and 1 more')])
-def test_a_few_nodes_are_all_named(rig, count, end):
+def test_a_few_nodes_are_all_named(loop, count, end):
     others = Others('/arm', '/commands', tuple(f'/n{k}' for k in range(count)))
-    values = part(Monitor().report(0.0, rig, FINE._replace(others=others)), 'other nodes').values
+    values = part(Monitor().report(0.0, loop, FINE._replace(others=others)), 'other nodes').values
     assert any(value.endswith(end) for value in values.values())
 
 
 @pytest.mark.parametrize(('is_active', 'level'), [(True, Level.ERROR), (False, Level.WARN)])
 def test_joints_that_were_never_reported_are_named(is_active, level):
-    rig = Rig(ROBOT)
-    rig.step(0.0)
+    loop = ControlLoop(ROBOT)
+    loop.step(0.0)
     around = FINE._replace(is_active=is_active)
-    status = part(Monitor().report(0.0, rig, around), 'joint states')
+    status = part(Monitor().report(0.0, loop, around), 'joint states')
     assert status.level is level
     assert ', '.join(JOINTS) in status.message
     assert status.values['age [s]'] == 'never'
 
 
-def test_states_that_were_lost_are_no_error_while_inactive(rig):
-    step_until(rig, 0.0, 0.5)
-    rig.collector.update(0.5, JOINTS, [0.1, 0.2], [0.0, 0.0])
-    rig.step(0.5)
+def test_states_that_were_lost_are_no_error_while_inactive(loop):
+    step_until(loop, 0.0, 0.5)
+    loop.collector.update(0.5, JOINTS, [0.1, 0.2], [0.0, 0.0])
+    loop.step(0.5)
     for is_active, level in ((True, Level.ERROR), (False, Level.WARN)):
         around = FINE._replace(is_active=is_active)
-        assert part(Monitor().report(0.5, rig, around), 'joint states').level is level
+        assert part(Monitor().report(0.5, loop, around), 'joint states').level is level
 
 
 def test_locked_and_late_joints_are_named():
     robot = load_urdf(STANFORD)
     names = robot.joint_names
-    rig = Rig(robot, names[:4], locked={names[4]: 0.0})
+    loop = ControlLoop(robot, names[:4], locked={names[4]: 0.0})
     q = [0.0, 0.0, 0.5, 0.0, 0.0]
-    rig.collector.update(0.0, [*names[:4], names[5]], q, [0.0] * 5)
-    rig.step(0.0)
-    status = part(Monitor().report(0.05, rig, FINE), 'joint states')
+    loop.collector.update(0.0, [*names[:4], names[5]], q, [0.0] * 5)
+    loop.step(0.0)
+    status = part(Monitor().report(0.05, loop, FINE), 'joint states')
     assert status.level is Level.WARN
     assert 'locked' in status.message
     assert status.values['age [s]'] == '0.050'
     assert status.values['locked, not seen'] == names[4]
     assert status.values['late, not commanded'] == 'none'
     assert status.values['without velocity'] == 'none'
-    rig.collector.update(9.0, names[:4], q[:4], [0.0] * 4)
-    rig.step(9.0)
-    status = part(Monitor().report(9.0, rig, FINE), 'joint states')
+    loop.collector.update(9.0, names[:4], q[:4], [0.0] * 4)
+    loop.step(9.0)
+    status = part(Monitor().report(9.0, loop, FINE), 'joint states')
     assert status.level is Level.WARN
     assert status.values['late, not commanded'] == names[5]
 
 
-def test_the_reference_is_judged_by_its_use(rig):
+def test_the_reference_is_judged_by_its_use(loop):
     rest = np.zeros(2)
-    assert part(Monitor().report(0.05, rig, FINE), 'reference').values['age [s]'] == 'never'
-    rig.reference = Reference(rest, rest, 0.02)
-    rig.step(0.05)
-    status = part(Monitor().report(0.05, rig, FINE), 'reference')
+    assert part(Monitor().report(0.05, loop, FINE), 'reference').values['age [s]'] == 'never'
+    loop.reference = Reference(rest, rest, 0.02)
+    loop.step(0.05)
+    status = part(Monitor().report(0.05, loop, FINE), 'reference')
     assert (status.level, status.message) == (Level.OK, 'followed')
     assert status.values == {'age [s]': '0.030', 'mode': 'inverse_dynamics'}
-    rig.controller.apply(Settings(mode=Mode.COMPUTED_TORQUE))
-    rig.reference = Reference(rest, rest, 0.05, positions=rest + 3.0)
-    rig.step(0.06)
-    status = part(Monitor().report(0.06, rig, FINE), 'reference')
+    loop.controller.apply(Settings(mode=Mode.COMPUTED_TORQUE))
+    loop.reference = Reference(rest, rest, 0.05, positions=rest + 3.0)
+    loop.step(0.06)
+    status = part(Monitor().report(0.06, loop, FINE), 'reference')
     assert status.level is Level.WARN
     assert 'too far away' in status.message
-    rig.controller.stop()
-    rig.step(0.07)
-    status = part(Monitor().report(0.07, rig, FINE), 'reference')
+    loop.controller.stop()
+    loop.step(0.07)
+    status = part(Monitor().report(0.07, loop, FINE), 'reference')
     assert (status.level, status.message) == (Level.OK, 'disabled')
 
 
-def test_the_model_is_described(rig):
-    status = part(Monitor().report(0.05, rig, FINE), 'model')
+def test_the_model_is_described(loop):
+    status = part(Monitor().report(0.05, loop, FINE), 'model')
     assert status.level is Level.OK
     assert ROBOT.name in status.message
     assert status.values['payload'] == 'none'
     assert status.values['gravity [m/s^2]'].endswith('-9.807')
-    rig.loads.set_payload(0.0, ROBOT.link_names[-1], 2.5, np.zeros(3), np.zeros((3, 3)))
-    rig.loads.apply(rig.loads.settings, include_gravity=False)
-    values = part(Monitor().report(0.05, rig, FINE), 'model').values
+    loop.loads.set_payload(0.0, ROBOT.link_names[-1], 2.5, np.zeros(3), np.zeros((3, 3)))
+    loop.loads.apply(loop.loads.settings, include_gravity=False)
+    values = part(Monitor().report(0.05, loop, FINE), 'model').values
     assert values['payload'] == f'2.5 kg on {ROBOT.link_names[-1]}'
     assert values['gravity [m/s^2]'] == 'not included'
 
 
 def test_warnings_about_the_description_are_listed():
     robot = dataclasses.replace(ROBOT, warnings=('first', 'second'))
-    status = part(Monitor().report(0.0, Rig(robot), FINE), 'model')
+    status = part(Monitor().report(0.0, ControlLoop(robot), FINE), 'model')
     assert status.level is Level.WARN
     assert status.message.startswith('2 warnings')
     assert status.values['robot'] == ROBOT.name
@@ -483,33 +483,33 @@ def test_warnings_about_the_description_are_listed():
 
 
 def test_an_imu_that_is_lost_is_an_error_until_it_is_back():
-    rig = Rig(ROBOT, has_imu=True)
-    rig.set_base_motion(0.0, (0.0, 0.0, 9.8), np.zeros(3))
-    assert part(Monitor().report(0.1, rig, FINE), 'model').level is Level.OK
-    status = part(Monitor().report(0.5, rig, FINE), 'model')
+    loop = ControlLoop(ROBOT, has_imu=True)
+    loop.set_base_motion(0.0, (0.0, 0.0, 9.8), np.zeros(3))
+    assert part(Monitor().report(0.1, loop, FINE), 'model').level is Level.OK
+    status = part(Monitor().report(0.5, loop, FINE), 'model')
     assert status.level is Level.ERROR
     assert status.message.endswith('no message on imu for more than 0.2 s')
 
 
-def test_activity_names_a_joint_that_only_a_new_description_has(rig):
+def test_activity_names_a_joint_that_only_a_new_description_has(loop):
     link = ROBOT.link_names[-1]
     extra = (
         f'<link name="jaw"/><joint name="jaw" type="continuous"><parent link="{link}"/>'
         '<child link="jaw"/></joint></robot>'
     )
     text = (ROOT / 'test/robots/planar_2r.urdf').read_text().replace('</robot>', extra)
-    other = Rig(load_urdf(text), JOINTS)
-    other.take_over(rig)
+    other = ControlLoop(load_urdf(text), JOINTS)
+    other.continue_from(loop)
     other.step(0.01)
     assert activity(0.01, other).endswith('no joint state of jaw yet')
 
 
-def test_activity_without_usable_efforts_and_while_states_are_fresh_again(rig):
-    rig.reference = Reference(np.full(2, 1.7e308), np.zeros(2), 0.0)
-    rig.step(0.01)
-    assert activity(0.01, rig).endswith('no usable efforts for this joint state and reference')
-    rig.reference = None
-    step_until(rig, 0.05, 0.5)
-    rig.collector.update(0.5, JOINTS, [0.1, 0.2], [0.0, 0.0])
-    rig.step(0.5)
-    assert 'efforts rise after 0.2 s' in activity(0.5, rig)
+def test_activity_without_usable_efforts_and_while_states_are_fresh_again(loop):
+    loop.reference = Reference(np.full(2, 1.7e308), np.zeros(2), 0.0)
+    loop.step(0.01)
+    assert activity(0.01, loop).endswith('no usable efforts for this joint state and reference')
+    loop.reference = None
+    step_until(loop, 0.05, 0.5)
+    loop.collector.update(0.5, JOINTS, [0.1, 0.2], [0.0, 0.0])
+    loop.step(0.5)
+    assert 'efforts rise after 0.2 s' in activity(0.5, loop)

@@ -117,7 +117,7 @@ def test_stays_within_its_width_and_advises_on_every_warning(path):
 
 
 def test_advice_is_on_warnings_that_there_are():
-    folder = ROOT / 'inverse_dynamics_node' / 'urdf'
+    folder = ROOT / 'inverse_dynamics_node' / 'robot' / 'urdf'
     code = ' '.join(path.read_text() for path in folder.glob('*.py'))
     code += code.replace('{name}', 'effort') + code.replace('{name}', 'velocity')
     for words, _ in ADVICE:

@@ -30,7 +30,7 @@ from inverse_dynamics_node.simulation.demo.stage import (
 from inverse_dynamics_node.simulation.demo.view import (
     bar,
     error_share,
-    Moment,
+    Snapshot,
     View,
 )
 from inverse_dynamics_node.simulation.demo.without_imu import held_without_imu
@@ -278,7 +278,7 @@ class TestVerdicts:
 class TestView:
     def moment(self, stage, words='the arm stands', off=0.001):
         start = stage.start
-        return Moment(1.2, 500.0, words, start + off, start, start, brakes_on=True)
+        return Snapshot(1.2, 500.0, words, start + off, start, start, brakes_on=True)
 
     def terminal(self):
         return Console(file=io.StringIO(), force_terminal=True, width=100, height=40)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from inverse_dynamics_node import InverseDynamics, load_urdf, TrajectoryError
-from inverse_dynamics_node.dynamics import batch as lanes
+from inverse_dynamics_node.dynamics import batch
 from inverse_dynamics_node.dynamics.trajectory import complete, Trajectory, trajectory_efforts
 import numpy as np
 import pytest
@@ -152,6 +152,6 @@ def test_a_long_trajectory_compiles_nothing(monkeypatch):
     def compile_now(*_):
         raise AssertionError('in a control loop')
 
-    monkeypatch.setattr(lanes, 'inverse_dynamics_many', compile_now)
+    monkeypatch.setattr(batch, 'inverse_dynamics_many', compile_now)
     efforts = trajectory_efforts(dynamics, Trajectory(names, np.arange(200.0), *states))
     assert efforts == pytest.approx(expected)

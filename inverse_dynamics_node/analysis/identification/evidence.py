@@ -35,7 +35,7 @@ MODEL, GRAVITY, WEIGHT, ACCELERATION, SPEED, DIRECTION, ONE, LOADS = 0, 1, 2, 5,
 """The model with gravity; gravity's part; that of 1 m/s^2 along x, y, z; what friction follows."""
 
 
-class Twist(NamedTuple):
+class Distortion(NamedTuple):
     """What became of one joint's effort on its way into the recording."""
 
     is_swapped: bool = False
@@ -54,14 +54,14 @@ class Twist(NamedTuple):
         return -1 if self.is_swapped else 1
 
 
-PLAIN = Twist()
-TWISTS = tuple(Twist(*flags) for flags in product((False, True), repeat=4))
+PLAIN = Distortion()
+TWISTS = tuple(Distortion(*flags) for flags in product((False, True), repeat=4))
 
 
 class Fit(NamedTuple):
     """One joint's effort, explained by a base and a twist."""
 
-    twist: Twist
+    twist: Distortion
     cost: float
     left: float
     """Share of the squares of the measured effort that is left."""
@@ -76,7 +76,7 @@ class Fit(NamedTuple):
     """In the model's unit [N m or N]."""
 
 
-class Base(NamedTuple):
+class Hypothesis(NamedTuple):
     """What the whole robot's efforts are made of."""
 
     kind: str
@@ -94,7 +94,7 @@ class Base(NamedTuple):
 class Explanation(NamedTuple):
     """A base, and a fit of every joint to it."""
 
-    base: Base
+    base: Hypothesis
     fits: tuple[Fit, ...]
     source: tuple[int, ...]
     """Which measured effort belongs to each joint."""
@@ -113,7 +113,7 @@ class Explanation(NamedTuple):
 
 
 @dataclass
-class Table:
+class JointSamples:
     """One joint's samples, reduced: `triangle` has the scalar products of all columns."""
 
     triangle: Floats
@@ -124,7 +124,7 @@ class Table:
     def __post_init__(self) -> None:
         self.squares = np.sum(self.triangle**2, axis=0)
 
-    def fit(self, base: Floats, measured: int, twist: Twist) -> Fit:
+    def fit(self, base: Floats, measured: int, twist: Distortion) -> Fit:
         """Fit a twist to a measured effort, by the number of its column."""
         from scipy.optimize import nnls
 
@@ -198,17 +198,17 @@ class Table:
         )
 
     def _does_without(
-        self, measured: int, twist: Twist, left: float, most: float = FLOOR**2
+        self, measured: int, twist: Distortion, left: float, most: float = FLOOR**2
     ) -> bool:
         """Tell whether next to nothing more is left without the model."""
         return self.fit(np.zeros(1), measured, twist).left <= 2.0 * left + most
 
 
-def make_table(columns: Floats, moves: bool) -> Table:
+def make_table(columns: Floats, moves: bool) -> JointSamples:
     """Reduce samples, shape (K, p), to what their least squares need."""
     triangle: Floats = np.asarray(np.linalg.qr(columns, mode='r'))
     triangle = triangle / math.sqrt(len(columns))
-    return Table(triangle, moves)
+    return JointSamples(triangle, moves)
 
 
 class Evidence:
@@ -217,7 +217,7 @@ class Evidence:
 
     Parameters
     ----------
-    tables : sequence of Table
+    tables : sequence of JointSamples
         Of n joints.
     links : mapping of str to float
         What may carry a load, and the mass of the body that it is part of [kg]; their regressors
@@ -231,7 +231,7 @@ class Evidence:
 
     def __init__(
         self,
-        tables: Sequence[Table],
+        tables: Sequence[JointSamples],
         links: Mapping[str, float],
         gravity: Floats,
         samples: float,
@@ -242,7 +242,7 @@ class Evidence:
         self.gravity = gravity
         self.samples = samples
         self.width = LOADS + PARAMETERS * len(links)
-        self.as_is = Base('as_is', self._columns({MODEL: 1.0}), 0)
+        self.as_is = Hypothesis('as_is', self._columns({MODEL: 1.0}), 0)
 
     def explain(self) -> Explanation:
         """Find the explanation that costs least."""
@@ -271,16 +271,16 @@ class Evidence:
             columns[column] = weight
         return columns
 
-    def _weightless(self) -> Base:
+    def _weightless(self) -> Hypothesis:
         columns = self._columns({MODEL: 1.0, GRAVITY: -1.0})
-        return Base('weightless', columns, 1, is_weightless=True)
+        return Hypothesis('weightless', columns, 1, is_weightless=True)
 
-    def _fitted(self, base: Base) -> Explanation:
+    def _fitted(self, base: Hypothesis) -> Explanation:
         fits = [table.best(base.columns, self.width + j) for j, table in enumerate(self.tables)]
         return Explanation(base, tuple(fits), tuple(range(len(fits))))
 
     def _iterate(
-        self, make: Callable[[list[Fit]], Base | None], fits: list[Fit]
+        self, make: Callable[[list[Fit]], Hypothesis | None], fits: list[Fit]
     ) -> list[Explanation]:
         """Fit a base to joints and joints to the base, in turn."""
         found: list[Explanation] = []
@@ -315,7 +315,7 @@ class Evidence:
             targets.append(weight * target)
         return (np.vstack(tables), np.concatenate(targets)) if tables else None
 
-    def _mounting(self, fits: list[Fit]) -> Base | None:
+    def _mounting(self, fits: list[Fit]) -> Hypothesis | None:
         fixed = self._columns({MODEL: 1.0, GRAVITY: -1.0})
         rows = self._rows(fits, fixed)
         if rows is None:
@@ -331,9 +331,9 @@ class Evidence:
             return None
         columns = fixed.copy()
         columns[WEIGHT : WEIGHT + 3] = gravity
-        return Base('mounting', columns, 3, solution=tuple(gravity.tolist()))
+        return Hypothesis('mounting', columns, 3, solution=tuple(gravity.tolist()))
 
-    def _payload(self, k: int, under: Base, fits: list[Fit]) -> Base | None:
+    def _payload(self, k: int, under: Hypothesis, fits: list[Fit]) -> Hypothesis | None:
         rows = self._rows(fits, under.columns)
         if rows is None:
             return None
@@ -346,7 +346,7 @@ class Evidence:
             return None
         columns = under.columns.copy()
         columns[where] = parameters_of(float(solution[0]), solution[1:])
-        return Base(
+        return Hypothesis(
             'payload',
             columns,
             4 + under.numbers,

@@ -16,8 +16,8 @@ from .evidence import (
     CREDIBLE,
     Evidence,
     Explanation,
+    JointSamples,
     make_table,
-    Table,
 )
 from .friction import (
     fit_friction,
@@ -268,7 +268,7 @@ class _Comparison:
             [InverseDynamics(robot, axis).gravity_efforts(states[0]) for axis in np.eye(3)], -1
         )
         loads = [payload_regressors(robot, gravity, link, states) for link in self.links]
-        tables: list[Table] = []
+        tables: list[JointSamples] = []
         measured = self.measured[some][:, live]
         for c in live:
             i = self.index[c]

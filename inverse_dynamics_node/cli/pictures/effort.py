@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...analysis.requirements import Demands
+from ...analysis.requirements import EffortRequirements
 from ...dynamics.trajectory import Trajectory
 from ...report.report import effort_unit, number
 from ...robot.model import RobotModel
@@ -41,7 +41,9 @@ _MOST_DRAWN = 1500
 """States drawn: more cannot be told apart."""
 
 
-def draw(robot: RobotModel, fine: Trajectory, demands: Demands, title: str, path: Path) -> None:
+def draw(
+    robot: RobotModel, fine: Trajectory, requirements: EffortRequirements, title: str, path: Path
+) -> None:
     """Draw a panel for each joint and write them as a PNG."""
     m = len(fine.joint_names)
     columns = 1 if m == 1 else 2 if m <= 12 else 3
@@ -54,7 +56,7 @@ def draw(robot: RobotModel, fine: Trajectory, demands: Demands, title: str, path
         panels = grid.ravel()
         names = fitting(fine.joint_names, _NAME_LETTERS[columns])
         for k, axes in enumerate(panels[:m]):
-            _draw_joint(axes, robot, fine, demands, k, names[k])
+            _draw_joint(axes, robot, fine, requirements, k, names[k])
         for axes in panels[m:]:
             axes.set_visible(False)
         for axes in panels[max(0, m - columns) : m]:
@@ -67,27 +69,34 @@ def draw(robot: RobotModel, fine: Trajectory, demands: Demands, title: str, path
 
 
 def _draw_joint(
-    axes: Any, robot: RobotModel, fine: Trajectory, demands: Demands, k: int, name: str
+    axes: Any,
+    robot: RobotModel,
+    fine: Trajectory,
+    requirements: EffortRequirements,
+    k: int,
+    name: str,
 ) -> None:
-    shown = _shown(fine, demands, k)
+    shown = _shown(fine, requirements, k)
     times = fine.times[shown]
     for part, colour in _PARTS.items():
-        term = getattr(demands.terms, part)
-        if part != 'friction' or np.any(demands.terms.friction):
+        term = getattr(requirements.terms, part)
+        if part != 'friction' or np.any(requirements.terms.friction):
             label = 'inertia' if part == 'inertial' else part
             axes.plot(times, term[shown, k], color=colour, linewidth=1.1, label=label)
-    colour = RED if demands.is_too_strong[k] else BLUE
-    axes.plot(times, demands.efforts[shown, k], color=BLUE, linewidth=2.0, label='effort')
-    axes.plot(demands.peak_time[k], demands.peak[k], 'D', color=colour, markersize=5, zorder=5)
+    colour = RED if requirements.is_too_strong[k] else BLUE
+    axes.plot(times, requirements.efforts[shown, k], color=BLUE, linewidth=2.0, label='effort')
+    axes.plot(
+        requirements.peak_time[k], requirements.peak[k], 'D', color=colour, markersize=5, zorder=5
+    )
 
-    limit, peak = float(demands.effort_limits[k]), abs(float(demands.peak[k]))
+    limit, peak = float(requirements.effort_limits[k]), abs(float(requirements.peak[k]))
     low, high = axes.get_ylim()
     # Limits far off would flatten the curves: the title tells them.
     if limit < 2.5 * peak:
         for end in (-limit, limit):
-            if low - limit < end < high + limit and end * demands.peak[k] >= 0.0:
+            if low - limit < end < high + limit and end * requirements.peak[k] >= 0.0:
                 axes.axhline(end, color=RED, linestyle='--', linewidth=1.2)
-    if peak <= _NEGLIGIBLE * float(np.max(np.abs(demands.peak))):
+    if peak <= _NEGLIGIBLE * float(np.max(np.abs(requirements.peak))):
         axes.set_ylim(-1.0, 1.0)  # rounding errors only
         peak = 0.0
     unit = effort_unit(robot, robot.joint_names.index(fine.joint_names[k])).strip()
@@ -98,10 +107,10 @@ def _draw_joint(
     axes.locator_params(axis='y', nbins=5)
 
 
-def _shown(fine: Trajectory, demands: Demands, k: int) -> Any:
+def _shown(fine: Trajectory, requirements: EffortRequirements, k: int) -> Any:
     """Choose states to draw: evenly, and the peak."""
     count = len(fine.times)
     if count <= _MOST_DRAWN:
         return slice(None)
-    peak = int(np.argmax(np.abs(demands.efforts[:, k])))
+    peak = int(np.argmax(np.abs(requirements.efforts[:, k])))
     return np.unique(np.append(np.linspace(0, count - 1, _MOST_DRAWN).astype(int), peak))

@@ -17,7 +17,7 @@ from ..mujoco.model import SimulationError
 from .commander import Commander
 from .processes import Processes
 from .scenarios import NODE, Scenario, Script
-from .view import Moment, View
+from .view import Snapshot, View
 
 START_TIMEOUT = 60.0  # [s]: the first run on a machine compiles the dynamics
 SILENCE_TIMEOUT = 5.0  # [s]
@@ -105,12 +105,12 @@ class Run:
                 line = math.floor(commander.now) + 1.0
                 last = time.monotonic()
 
-    def _moment(self, since: float) -> Moment:
+    def _moment(self, since: float) -> Snapshot:
         commander = self.commander
         rate = commander.history.command_rate(since)
         assert commander.state is not None
         q, _, effort = commander.state
-        return Moment(
+        return Snapshot(
             commander.now, rate, self.words, q, commander.desired, effort, commander.brakes_on
         )
 

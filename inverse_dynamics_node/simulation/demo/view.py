@@ -25,7 +25,7 @@ WIDTH = 12  # of a bar
 
 
 @dataclass(frozen=True, eq=False)
-class Moment:
+class Snapshot:
     """
     How things stand.
 
@@ -94,13 +94,13 @@ class View:
         """Whether a terminal shows it as it goes."""
         return bool(self._console.is_terminal)
 
-    def draw(self, moment: Moment) -> None:
+    def draw(self, moment: Snapshot) -> None:
         """Draw how things stand, over what was drawn before."""
         assert self._live is not None
         self._due = time.monotonic() + LIVE_PERIOD
         self._live.update(self.render(moment), refresh=True)
 
-    def render(self, moment: Moment) -> Group:
+    def render(self, moment: Snapshot) -> Group:
         """Lay out how things stand."""
         head = Text.assemble(
             (self.title, 'bold'),
@@ -138,7 +138,7 @@ class View:
         if not self.is_live:
             print(f'\n{time_:.1f} s: {words}', flush=True)
 
-    def print_progress(self, moment: Moment) -> None:
+    def print_progress(self, moment: Snapshot) -> None:
         """Print where the joints are, should be, and the efforts that take them there."""
         print(f'\nt = {moment.time:.1f} s   {moment.rate:.1f} commands/s')
         wide = name_width(self._robot)

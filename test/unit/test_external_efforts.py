@@ -1,7 +1,7 @@
 """Measured effort minus model: nothing where the model is right, minus the push where not."""
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.control.external_efforts import EffortResidual
+from inverse_dynamics_node.control.external_efforts import ExternalEffortEstimator
 import numpy as np
 import pytest
 from robot_files import STANFORD
@@ -27,7 +27,7 @@ def dynamics():
 
 
 def run(dynamics, measured_of, steps=1000):
-    residual = EffortResidual(InverseDynamics(dynamics.robot))
+    residual = ExternalEffortEstimator(InverseDynamics(dynamics.robot))
     for k in range(steps):
         q, qd, qdd = motion(DT * k)
         found = residual.update(DT * k, q, qd, measured_of(q, qd, qdd))
@@ -51,7 +51,7 @@ def test_a_push_shows_with_the_sign_of_the_external_term(dynamics):
 
 
 def test_what_is_not_measured_is_not_a_number_until_it_is(dynamics):
-    residual = EffortResidual(dynamics)
+    residual = ExternalEffortEstimator(dynamics)
     q, qd, _ = motion(0.0)
     measured = dynamics.gravity_efforts(q)
     partly = measured.copy()
@@ -64,7 +64,7 @@ def test_what_is_not_measured_is_not_a_number_until_it_is(dynamics):
 
 
 def test_the_same_state_twice_and_a_clock_put_back_are_no_matter(dynamics):
-    residual = EffortResidual(dynamics)
+    residual = ExternalEffortEstimator(dynamics)
     q, qd, _ = motion(0.3)
     for time in (5.0, 5.0, 5.002, 1.0, 1.002):
         assert np.isfinite(residual.update(time, q, qd, np.zeros(6))).all()
@@ -72,7 +72,7 @@ def test_the_same_state_twice_and_a_clock_put_back_are_no_matter(dynamics):
 
 def test_the_first_state_is_compared_without_smoothing(dynamics):
     q, qd, _ = motion(0.3)
-    residual = EffortResidual(dynamics)
+    residual = ExternalEffortEstimator(dynamics)
     push = np.arange(1.0, 7.0)
     measured = dynamics.efforts(q, qd, np.zeros(6)) + push
     assert residual.update(7.0, q, qd, measured) == pytest.approx(push)
@@ -85,7 +85,7 @@ def test_the_first_state_is_compared_without_smoothing(dynamics):
 
 def test_a_push_rises_with_the_time_constant_of_the_low_pass(dynamics):
     q = motion(0.0)[0]
-    residual = EffortResidual(dynamics)
+    residual = ExternalEffortEstimator(dynamics)
     hold, push = dynamics.gravity_efforts(q), np.arange(1.0, 7.0)
     residual.update(0.0, q, np.zeros(6), hold)
     time_constant = 1.0 / (2.0 * np.pi * 10.0)

@@ -5,23 +5,23 @@ import shutil
 import subprocess
 import sys
 
-from inverse_dynamics_node.dynamics import jit as compilation
+from inverse_dynamics_node.dynamics import jit
 import pytest
 from robot_files import ROOT, STANFORD
 
-needs_numba = pytest.mark.skipif(not compilation.IS_COMPILED, reason='numba is not in use')
+needs_numba = pytest.mark.skipif(not jit.IS_COMPILED, reason='numba is not in use')
 
 # Efforts of the Stanford arm, to be printed by another interpreter to the last bit.
 PRINT_EFFORTS = f"""
 import numpy as np
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.dynamics import jit as compilation
+from inverse_dynamics_node.dynamics import jit
 robot = load_urdf({str(STANFORD)!r})
 dynamics = InverseDynamics(robot)
 q, qd, qdd = np.random.default_rng(7).normal(size=(3, 6))
 efforts = [*dynamics.efforts(q, qd, qdd), *dynamics.mass_matrix(q).ravel()]
 efforts += [*dynamics.efforts(np.tile(q, (3, 1)), qd, qdd).ravel()]
-print(compilation.IS_COMPILED, *efforts)
+print(jit.IS_COMPILED, *efforts)
 """
 
 
@@ -48,7 +48,7 @@ def test_plain_python_gives_the_same_efforts():
 
 @pytest.fixture(autouse=True)
 def no_warning_yet(monkeypatch):
-    monkeypatch.setattr(compilation, '_has_warned', False)
+    monkeypatch.setattr(jit, '_has_warned', False)
 
 
 @needs_numba
@@ -56,14 +56,14 @@ def test_function_without_a_place_for_its_cache_is_a_warning():
     namespace = {}
     exec('def twice(x):\n    return 2.0 * x', namespace)  # from no file: nowhere to keep it
     with pytest.warns(UserWarning, match='not kept between runs'):
-        twice = compilation.compiled(namespace['twice'])
-    compilation.compile_for(twice, '(f8,)')
+        twice = jit.compiled(namespace['twice'])
+    jit.compile_for(twice, '(f8,)')
     assert twice(4.0) == 8.0
 
 
 @needs_numba
 def test_full_disk_is_a_warning(monkeypatch, tmp_path):
-    @compilation.compiled
+    @jit.compiled
     def twice(x):
         return 2.0 * x
 
@@ -73,7 +73,7 @@ def test_full_disk_is_a_warning(monkeypatch, tmp_path):
     monkeypatch.setattr(twice._cache, 'save_overload', refuse)
     monkeypatch.setattr(twice._cache, 'load_overload', lambda *_: None)
     with pytest.warns(UserWarning, match='No space left'):
-        compilation.compile_for(twice, '(f8,)')
+        jit.compile_for(twice, '(f8,)')
     assert twice(4.0) == 8.0
 
 
@@ -91,11 +91,11 @@ def test_damaged_cache_is_a_warning(tmp_path):
 
 @needs_numba
 def test_nothing_compiles_once_prepared():
-    @compilation.compiled
+    @jit.compiled
     def twice(x):
         return 2.0 * x
 
-    compilation.compile_for(twice, '(f8,)')
+    jit.compile_for(twice, '(f8,)')
     with pytest.raises(TypeError):
         twice('a text')
 

@@ -7,7 +7,7 @@ import math
 from hypothesis import given
 from hypothesis import strategies as st
 from inverse_dynamics_node import ConfigurationError, InverseDynamics, load_urdf
-from inverse_dynamics_node.control.external_loads import Loads, LoadSettings, rotation_of
+from inverse_dynamics_node.control.external_loads import ExternalLoads, LoadSettings, rotation_of
 import numpy as np
 import pytest
 from robot_files import ROOT, STANFORD
@@ -27,7 +27,7 @@ def dynamics():
 
 @pytest.fixture
 def loads(dynamics):
-    loads = Loads(dynamics)
+    loads = ExternalLoads(dynamics)
     loads.update(0.0)
     return loads
 
@@ -80,7 +80,7 @@ def test_a_payload_in_place_of_one_that_was_not_all_there_makes_no_jump(loads, d
 )
 def test_half_a_payload_is_a_body_too(share, one, other, coms):
     dynamics = InverseDynamics(load_urdf(STANFORD))
-    loads = Loads(dynamics)
+    loads = ExternalLoads(dynamics)
     point = np.zeros((3, 3))
     loads.set_payload(0.0, TIP, one, coms[:3], point)
     loads.update(1.0)
@@ -120,7 +120,7 @@ def test_gravity_that_changes_slowly_is_followed_at_once(loads, dynamics):
 
 
 def test_without_ramps_all_counts_at_once(dynamics):
-    loads = Loads(dynamics, LoadSettings(load_ramp=0.0))
+    loads = ExternalLoads(dynamics, LoadSettings(load_ramp=0.0))
     loads.update(0.0)
     loads.set_payload(0.0, TIP, 2.0, (0.0, 0.1, 0.05), INERTIA)
     loads.set_gravity((1.0, 2.0, 3.0))
@@ -189,11 +189,11 @@ def test_vectors_are_in_the_frame_of_the_base_link():
         '<axis xyz="0 1 0"/></joint></robot>'
     )
     dynamics = InverseDynamics(robot)
-    Loads(dynamics, gravity=(0.0, 0.0, -9.8), base_link='mount')
+    ExternalLoads(dynamics, gravity=(0.0, 0.0, -9.8), base_link='mount')
     assert dynamics.gravity == pytest.approx([0.0, 9.8, 0.0])
     assert dynamics.gravity_efforts([0.0])[0] == pytest.approx(-0.5 * 9.8)
     with pytest.raises(ConfigurationError, match=r"'arm', expected .*: world, mount"):
-        Loads(dynamics, base_link='arm')
+        ExternalLoads(dynamics, base_link='arm')
 
 
 @pytest.mark.parametrize(
@@ -218,7 +218,7 @@ def test_vectors_are_in_the_frame_of_the_base_link():
         (lambda x: x.set_external_wrench(0.0, TIP, [2e9, 0, 0], DOWN), 'at most 1e.09 N in'),
         (lambda x: x.set_external_wrench(0.0, TIP, DOWN, [2e9, 0, 0]), '^moment .* 1e.09 N m'),
         (lambda x: x.set_gravity([1e9, 0.0, 0.0]), '^gravity is'),
-        (lambda x: Loads(x.dynamics, gravity=[math.nan] * 3), '^gravity is .*m/s.2'),
+        (lambda x: ExternalLoads(x.dynamics, gravity=[math.nan] * 3), '^gravity is .*m/s.2'),
         (lambda x: x.set_payload(0.0, TIP, 1.0, Q[:3], SLENDER), 'one exceeds the sum'),
     ],
 )
@@ -247,7 +247,7 @@ WILD = st.sampled_from([0.0, -1e-300, 1e-20, 0.3, -1.0, 7.0, 1e9, -1e9, 1e150, 1
 @given(st.lists(st.tuples(WILD, *[WILD] * 9), min_size=1, max_size=4))
 def test_what_was_taken_in_never_fails_later(messages):
     dynamics = InverseDynamics(load_urdf(STANFORD))
-    loads = Loads(dynamics)
+    loads = ExternalLoads(dynamics)
     now = 0.0
     for mass, *com, ixx, iyy, izz, ixy, ixz, iyz in messages:
         inertia = [[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]]
@@ -267,7 +267,7 @@ def test_what_was_taken_in_never_fails_later(messages):
 
 def test_a_ramp_between_flat_bodies_never_fails():
     # Each has a moment below zero by just what rounding is allowed to leave.
-    loads = Loads(InverseDynamics(load_urdf(STANFORD)))
+    loads = ExternalLoads(InverseDynamics(load_urdf(STANFORD)))
     loads.set_payload(0.0, TIP, 1.0, np.zeros(3), np.diag([0.3, 0.3, -0.3e-9]))
     loads.update(1.0)
     loads.set_payload(1.0, TIP, 1.0, np.zeros(3), np.diag([0.7, 0.7, -0.7e-9]))
@@ -309,7 +309,7 @@ def test_the_largest_values_are_accepted(loads):
 
 
 def test_without_an_imu_the_base_is_never_lost(dynamics):
-    loads = Loads(dynamics)
+    loads = ExternalLoads(dynamics)
     assert not any(loads.update(now) for now in (0.0, 0.1, 5.0))
 
 
@@ -322,14 +322,14 @@ def test_a_gap_between_messages_of_the_imu_is_a_loss_even_without_a_step(loads):
 
 
 def test_the_time_out_of_the_imu_includes_its_end(dynamics):
-    loads = Loads(dynamics, LoadSettings(imu_timeout=0.25))
+    loads = ExternalLoads(dynamics, LoadSettings(imu_timeout=0.25))
     loads.set_base_motion(1.0, (0.0, 0.0, 9.0), np.zeros(3))
     assert loads.is_base_known(1.25)
     assert not loads.set_base_motion(1.25, (0.0, 0.0, 9.0), np.zeros(3))
 
 
 def test_the_motion_of_the_base_is_not_smoothed_without_a_cutoff(dynamics):
-    loads = Loads(dynamics, LoadSettings(imu_filter_cutoff=0.0))
+    loads = ExternalLoads(dynamics, LoadSettings(imu_filter_cutoff=0.0))
     loads.set_base_motion(0.0, (0.0, 0.0, 10.0), np.zeros(3))
     loads.set_base_motion(0.01, (1.0, 0.0, 11.0), np.zeros(3))
     assert loads.gravity == pytest.approx([-1.0, 0.0, -11.0])
@@ -342,7 +342,7 @@ def test_the_motion_of_the_base_is_not_smoothed_across_a_clock_put_back(loads):
 
 
 def test_without_a_ramp_a_wrench_acts_until_its_time_out(dynamics):
-    loads = Loads(dynamics, LoadSettings(load_ramp=0.0, wrench_timeout=0.125))
+    loads = ExternalLoads(dynamics, LoadSettings(load_ramp=0.0, wrench_timeout=0.125))
     before = dynamics.gravity_efforts(Q)
     loads.set_external_wrench(0.0, TIP, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3))
     whole = dynamics.gravity_efforts(Q) - before
@@ -358,8 +358,8 @@ def test_all_loads_act_on_another_description_at_once(loads, dynamics):
     loads.set_external_wrench(0.8, TIP, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3))
     loads.set_base_motion(0.8, (1.0, 2.0, 9.0), (0.1, 0.2, 0.3))
     loads.update(0.8)
-    other = Loads(InverseDynamics(load_urdf(STANFORD)))
-    assert other.take_over(loads) == []
+    other = ExternalLoads(InverseDynamics(load_urdf(STANFORD)))
+    assert other.continue_from(loads) == []
     assert other.dynamics.mass_matrix(Q) == pytest.approx(dynamics.mass_matrix(Q))
     for now in (0.8, 0.95, 1.2, 2.0):
         assert other.dynamics.gravity_efforts(Q) == pytest.approx(dynamics.gravity_efforts(Q))
@@ -369,8 +369,8 @@ def test_all_loads_act_on_another_description_at_once(loads, dynamics):
 def test_a_wrench_on_a_link_that_no_longer_exists_is_dropped(loads):
     loads.set_external_wrench(0.0, TIP, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3))
     text = STANFORD.read_text().replace(f'"{TIP}"', '"hand"')
-    other = Loads(InverseDynamics(load_urdf(text)))
+    other = ExternalLoads(InverseDynamics(load_urdf(text)))
     before = other.dynamics.gravity_efforts(Q)
-    assert other.take_over(loads) == []
+    assert other.continue_from(loads) == []
     other.update(0.0)
     assert other.dynamics.gravity_efforts(Q) == pytest.approx(before)

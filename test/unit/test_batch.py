@@ -8,7 +8,7 @@ from inverse_dynamics_node import (
     JointStateError,
     load_urdf,
 )
-from inverse_dynamics_node.dynamics import batch as lanes
+from inverse_dynamics_node.dynamics import batch
 from inverse_dynamics_node.dynamics.jit import simd_step
 import numpy as np
 from numpy.testing import assert_allclose
@@ -22,7 +22,7 @@ NAMES = ('q', 'qd', 'qdd')
 @simd_step  # and not kept on disk: that would not see a change of what it calls
 def cosines_and_sines(x, cosines, sines):
     for k in range(len(x)):
-        cosines[k], sines[k] = lanes.cosine_and_sine(x[k])
+        cosines[k], sines[k] = batch.cosine_and_sine(x[k])
 
 
 def loaded(robot):
@@ -86,8 +86,8 @@ def test_any_number_of_states(size, rng):
 
 
 def test_blocks_larger_than_one(rng, monkeypatch):
-    if lanes.LANES == 1:
-        monkeypatch.setattr(lanes, 'BLOCK', 50)
+    if batch.LANES == 1:
+        monkeypatch.setattr(batch, 'BLOCK', 50)
     assert_lanes_agree(chain(), rng.uniform(-3.0, 3.0, (3, 130, 5)))
 
 

@@ -1,6 +1,6 @@
-"""What a trajectory demands of the joints, and states between its points."""
+"""What a trajectory requirements of the joints, and states between its points."""
 
-from inverse_dynamics_node.analysis.requirements import demands_of
+from inverse_dynamics_node.analysis.requirements import effort_requirements
 from inverse_dynamics_node.dynamics.inverse_dynamics import InverseDynamics
 from inverse_dynamics_node.dynamics.trajectory import (
     complete,
@@ -27,22 +27,22 @@ def swing(count=400, names=('joint_4', 'joint_2')):
 
 def test_figures_are_those_of_the_definitions():
     trajectory = swing()
-    demands = demands_of(ARM, trajectory)
+    requirements = effort_requirements(ARM, trajectory)
     q, qd, qdd = np.zeros((3, 400, 6))
     for whole, part in zip((q, qd, qdd), trajectory[2:], strict=True):
         whole[:, [3, 1]] = part
     efforts = ARM.efforts(q, qd, qdd)[:, [3, 1]]
-    assert demands.efforts == pytest.approx(efforts)
-    assert sum(demands.terms) == pytest.approx(efforts)
-    assert np.abs(demands.peak) == pytest.approx(np.max(np.abs(efforts), axis=0))
+    assert requirements.efforts == pytest.approx(efforts)
+    assert sum(requirements.terms) == pytest.approx(efforts)
+    assert np.abs(requirements.peak) == pytest.approx(np.max(np.abs(efforts), axis=0))
     power = efforts * trajectory.velocities
-    assert demands.power == pytest.approx(np.max(power, axis=0))
-    assert demands.braking == pytest.approx(-np.min(power, axis=0))
-    assert demands.speed == pytest.approx([np.pi, 2.0 * np.pi])
-    assert demands.is_too_fast.tolist() == [False, True]
+    assert requirements.power == pytest.approx(np.max(power, axis=0))
+    assert requirements.braking == pytest.approx(-np.min(power, axis=0))
+    assert requirements.speed == pytest.approx([np.pi, 2.0 * np.pi])
+    assert requirements.is_too_fast.tolist() == [False, True]
     for k in range(2):
-        at = np.searchsorted(trajectory.times, demands.peak_time[k])
-        assert efforts[at, k] == demands.peak[k]
+        at = np.searchsorted(trajectory.times, requirements.peak_time[k])
+        assert efforts[at, k] == requirements.peak[k]
 
 
 def test_means_are_over_time_however_the_points_lie():
@@ -52,28 +52,28 @@ def test_means_are_over_time_however_the_points_lie():
             ('joint_2',), times[:, 0], -0.75 * times, np.full_like(times, -0.75), 0.0 * times
         )
 
-    even = demands_of(ARM, lowered(np.linspace(0.0, 2.0, 2001)))
+    even = effort_requirements(ARM, lowered(np.linspace(0.0, 2.0, 2001)))
     # The first half, in which there is less to hold, told ten times as finely.
     fine, coarse = np.linspace(0.0, 1.0, 5000, endpoint=False), np.linspace(1.0, 2.0, 500)
-    uneven = demands_of(ARM, lowered(np.concatenate([fine, coarse])))
+    uneven = effort_requirements(ARM, lowered(np.concatenate([fine, coarse])))
     assert uneven.rms == pytest.approx(even.rms, rel=1e-3)
     assert np.sqrt(np.mean(uneven.efforts**2)) < 0.8 * even.rms
 
 
 def test_a_single_point_has_figures_too():
     point = Trajectory(('joint_2',), np.zeros(1), np.array([[-1.5]]))
-    demands = demands_of(ARM, complete(point)[0])
-    assert demands.rms == pytest.approx(np.abs(demands.peak))
-    assert demands.power == demands.braking == 0.0
+    requirements = effort_requirements(ARM, complete(point)[0])
+    assert requirements.rms == pytest.approx(np.abs(requirements.peak))
+    assert requirements.power == requirements.braking == 0.0
 
 
 def test_limits_are_minded():
     trajectory = Trajectory(('joint_2',), np.array([0.0, 0.1]), np.array([[0.0], [2.5]]))
-    demands = demands_of(ARM, refine(complete(trajectory)[0], 0.001)[0])
-    assert demands.is_too_strong.all()
-    assert demands.is_too_fast.all()
-    assert demands.is_too_far.all()
-    calm = demands_of(ARM, complete(trajectory._replace(positions=np.zeros((2, 1))))[0])
+    requirements = effort_requirements(ARM, refine(complete(trajectory)[0], 0.001)[0])
+    assert requirements.is_too_strong.all()
+    assert requirements.is_too_fast.all()
+    assert requirements.is_too_far.all()
+    calm = effort_requirements(ARM, complete(trajectory._replace(positions=np.zeros((2, 1))))[0])
     assert not (calm.is_too_strong | calm.is_too_fast | calm.is_too_far).any()
 
 
@@ -148,10 +148,10 @@ def test_demands_of_a_pendulum_by_hand():
         np.full((101, 1), 2.0 * np.pi),
         np.zeros((101, 1)),
     )
-    demands = demands_of(InverseDynamics(robot), turning)
+    requirements = effort_requirements(InverseDynamics(robot), turning)
     level = robot.mass[1] * np.linalg.norm(robot.com[1]) * 9.80665
     # One turn at one speed: a sine of effort, and as much power given as taken back.
-    assert np.abs(demands.peak) == pytest.approx([level], rel=1e-3)
-    assert demands.rms == pytest.approx([level / np.sqrt(2.0)])
-    assert demands.power == pytest.approx(demands.braking, rel=1e-3)
-    assert demands.power == pytest.approx([2.0 * np.pi * level], rel=1e-3)
+    assert np.abs(requirements.peak) == pytest.approx([level], rel=1e-3)
+    assert requirements.rms == pytest.approx([level / np.sqrt(2.0)])
+    assert requirements.power == pytest.approx(requirements.braking, rel=1e-3)
+    assert requirements.power == pytest.approx([2.0 * np.pi * level], rel=1e-3)

@@ -1,0 +1,413 @@
+"""One step through everything, and going on with another description of the robot."""
+
+import math
+
+from inverse_dynamics_node import ConfigurationError, InverseDynamics, load_urdf
+from inverse_dynamics_node.control.control_loop import ControlLoop
+from inverse_dynamics_node.control.controller import Phase, Reference, Settings
+from inverse_dynamics_node.control.external_efforts import ExternalEffortEstimator
+from inverse_dynamics_node.control.external_loads import LoadSettings
+import numpy as np
+import pytest
+from robot_files import ROOT, STANFORD
+
+MODEL = load_urdf(STANFORD)
+NAMES = MODEL.joint_names
+TIP = MODEL.link_names[-1]
+Q = np.array([0.3, 0.8, 0.5, -0.4, 0.6, 0.2])
+AT_ONCE = Settings(start_ramp=0.0)
+
+
+def heard(loop, now=0.0):
+    loop.collector.update(now, loop.robot.joint_names, Q, np.zeros(6))
+    return loop
+
+
+def test_a_payload_is_in_the_next_command():
+    loop = heard(ControlLoop(MODEL, settings=AT_ONCE))
+    loop.step(0.0)
+    loop.loads.set_payload(0.0, TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
+    loop.collector.update(0.5, NAMES, Q, np.zeros(6))
+    expected = InverseDynamics(MODEL)
+    expected.set_payload(TIP, 2.0)
+    assert loop.step(0.5).efforts == pytest.approx(expected.gravity_efforts(Q))
+
+
+def test_without_the_motion_of_the_base_there_is_no_command():
+    loop = heard(ControlLoop(MODEL, settings=AT_ONCE, has_imu=True))
+    assert loop.step(0.0) is None
+    assert loop.missing() == ['the motion of the base on imu']
+    loop.set_base_motion(0.0, (0.0, 0.0, 9.80665), np.zeros(3))
+    assert loop.step(0.0).efforts == pytest.approx(InverseDynamics(MODEL).gravity_efforts(Q))
+    assert loop.missing() == []
+
+
+def test_terms_are_of_the_commanded_joints_and_of_the_motion_asked_for():
+    joints = [NAMES[4], NAMES[1]]
+    loop = heard(ControlLoop(MODEL, joints, AT_ONCE))
+    loop.reference = Reference(np.array([1.0, 2.0]), np.zeros(2), 0.0)
+    efforts = loop.step(0.0).efforts
+    assert sum(loop.effort_terms()) == pytest.approx(efforts)
+    qdd = np.zeros(6)
+    qdd[[4, 1]] = 1.0, 2.0
+    assert loop.effort_terms().inertial == pytest.approx(
+        (InverseDynamics(MODEL).mass_matrix(Q) @ qdd)[[4, 1]]
+    )
+
+
+def test_starting_anew_forgets_what_was_asked_for():
+    loop = heard(ControlLoop(MODEL, settings=AT_ONCE))
+    loop.reference = Reference(np.ones(6), np.zeros(6), 0.0)
+    loop.start()
+    loop.step(0.0)
+    assert loop.controller.phase is Phase.HOLDING
+
+
+def test_goes_on_with_another_description_where_it_was():
+    loop = heard(ControlLoop(MODEL))
+    for now in np.arange(0.0, 1.0, 0.05):
+        heard(loop, now)
+        loop.step(now)
+    last = loop.controller.step(now, loop.collector.state(), None).efforts.copy()
+    loop.loads.set_payload(now, TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
+    text = STANFORD.read_text().replace('"joint_6"', '"wrist"')
+    with pytest.raises(ConfigurationError, match='joints to command are now'):
+        ControlLoop(load_urdf(text)).continue_from(loop)
+    other = ControlLoop(MODEL)
+    assert other.continue_from(loop) == []
+    assert other.collector.missing() == []
+    assert other.loads.payloads[TIP].mass == 2.0
+    assert other.step(now).efforts == pytest.approx(last)
+
+
+def test_a_payload_on_a_link_that_is_no_more_is_told():
+    loop = heard(ControlLoop(MODEL))
+    loop.loads.set_payload(0.0, TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
+    text = STANFORD.read_text().replace(f'"{TIP}"', '"hand"')
+    other = ControlLoop(load_urdf(text))
+    assert other.continue_from(loop) == [TIP]
+    assert other.loads.payloads == {}
+
+
+def test_scale_and_offset_of_a_trajectory_are_those_of_the_commands():
+    settings = Settings(effort_scale=(2.0, 3.0), effort_offset=(0.5, 0.0), effort_limits=40.0)
+    loop = ControlLoop(MODEL, [NAMES[4], NAMES[1]], settings)
+    index = [0, 1, 4]
+    efforts = loop.calibrated(index, np.array([[1.0, 10.0, 20.0], [1.0, -20.0, 0.0]]))
+    assert efforts == pytest.approx(np.array([[1.0, 30.0, 40.5], [1.0, -60.0, 0.5]]))
+    assert loop.beyond_limits(index, efforts) == [NAMES[1], NAMES[4]]
+
+
+def test_base_wrench_is_about_the_base_link():
+    text = (ROOT / 'test/robots/pendulum.urdf').read_text()
+    base = load_urdf(text).body_names[0]
+    extra = (
+        f'<link name="mount"/><joint name="f" type="fixed"><parent link="{base}"/>'
+        '<child link="mount"/><origin xyz="2 0 0" rpy="0 0 1.5707963267948966"/></joint></robot>'
+    )
+    robot = load_urdf(text.replace('</robot>', extra))
+    plain, turned = ControlLoop(robot), ControlLoop(robot, base_link='mount')
+    for loop in (plain, turned):
+        loop.collector.update(0.0, robot.joint_names, [0.4], [0.0])
+        loop.step(0.0)
+    (force, moment), (other_force, other_moment) = plain.base_wrench(), turned.base_wrench()
+    assert other_force == pytest.approx([force[1], -force[0], force[2]])
+    about = moment - np.cross([2.0, 0.0, 0.0], force)
+    assert other_moment == pytest.approx([about[1], -about[0], about[2]])
+
+
+def test_a_joint_that_only_the_new_description_has_lets_the_efforts_fall_until_it_is_heard_of():
+    # Not silence: who holds the last command would hold it for ever.
+    joints = NAMES[:4]
+    extra = (
+        '<link name="jaw"><inertial><mass value="0.1"/><inertia ixx="1e-4" iyy="1e-4" izz="1e-4" '
+        f'ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="jaw" type="prismatic"><parent '
+        f'link="{TIP}"/><child link="jaw"/><limit effort="1" velocity="1"/></joint></robot>'
+    )
+    loop = heard(ControlLoop(MODEL, joints, AT_ONCE))
+    before = np.abs(loop.step(0.0).efforts)
+    other = ControlLoop(
+        load_urdf(STANFORD.read_text().replace('</robot>', extra)), joints, AT_ONCE
+    )
+    assert other.continue_from(loop) == []
+    heard(loop, 0.01)
+    commands = []
+    for now in np.arange(0.01, 0.7, 0.01):
+        other.collector.update(now, NAMES, Q, np.zeros(6))
+        commands.append(np.abs(other.step(now).efforts))
+    assert other.controller.phase is Phase.STATE_LOST
+    assert (np.diff([before, *commands], axis=0) <= 0.0).all()
+    assert commands[0] == pytest.approx(before)
+    assert commands[1] == pytest.approx(0.98 * before)
+    assert not commands[-1].any()
+    other.collector.update(now, ['jaw'], [0.0], [0.0])
+    assert other.step(now).efforts[1] != 0.0
+
+
+def test_what_was_told_outlives_another_description_of_other_joints():
+    loop = heard(ControlLoop(MODEL))
+    loop.loads.set_payload(0.0, TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
+    loop.loads.set_gravity((0.0, 3.0, 0.0))
+    for now in (0.0, 9.0, 18.0):
+        loop.loads.update(now)
+    other = ControlLoop(MODEL, NAMES[:2])
+    assert other.copy_inputs_from(loop) == []
+    assert other.loads.payloads[TIP].mass == 2.0
+    assert other.loads.gravity == pytest.approx([0.0, 3.0, 0.0])
+    assert other.missing() == []
+    assert other.controller.phase is Phase.WAITING
+
+
+def test_a_locked_joint_that_is_heard_of_makes_no_jump():
+    others = [k for k in range(6) if k != 2]
+    names = [NAMES[k] for k in others]
+    loop = ControlLoop(MODEL, names, Settings(start_ramp=0.5), locked={NAMES[2]: 0.2})
+    for now in np.arange(0.0, 1.0, 0.05):
+        loop.collector.update(now, names, Q[others], np.zeros(5))
+        last = loop.step(now).efforts.copy()
+    heard(loop, now)
+    assert loop.step(now).efforts == pytest.approx(last)
+    for later in np.arange(now, now + 1.0, 0.05):
+        heard(loop, later)
+        loop.step(later)
+    expected = InverseDynamics(MODEL).gravity_efforts(Q)[others]
+    assert loop.step(later).efforts == pytest.approx(expected)
+    assert np.abs(expected - last).max() > 1.0
+
+
+def step_with_slow_joint(loop, period, seconds, velocity=0.0, start=0.0):
+    """Step at 100 Hz with states of five joints, and one of the last joint every period."""
+    efforts, last = [], -math.inf
+    for now in start + np.arange(0.0, seconds, 0.01):
+        loop.collector.update(now, NAMES[:5], Q[:5], np.zeros(5))
+        if now - last >= period - 1e-6:
+            loop.collector.update(now, NAMES[5:], Q[5:], [velocity])
+            last = now
+        command = loop.step(now)
+        efforts.append(command.efforts.copy())
+    return np.array(efforts)
+
+
+@pytest.mark.parametrize('period', [0.2, 0.9, 1.3, 1e9])
+def test_a_slow_joint_that_is_not_commanded_does_not_stop_the_arm(period):
+    loop = ControlLoop(MODEL, NAMES[:5], Settings(start_ramp=0.0))
+    efforts = step_with_slow_joint(loop, period, 4.0)
+    hold = InverseDynamics(MODEL).gravity_efforts(Q)[:5]
+    assert efforts == pytest.approx(np.tile(hold, (len(efforts), 1)))
+
+
+def test_a_late_joint_that_is_not_commanded_is_named():
+    loop = ControlLoop(
+        MODEL, NAMES[:4], Settings(uncommanded_state_timeout=0.5), locked={NAMES[4]: 0.1}
+    )
+    heard(loop)
+    loop.collector.update(0.6, NAMES[:4], Q[:4], np.zeros(4))
+    assert loop.step(0.6) is not None
+    assert loop.collector.late(0.6, 0.5) == {NAMES[5]: 0.6}
+    assert loop.collector.late_count == 1
+    heard(loop, 0.7)
+    loop.step(0.7)
+    assert loop.collector.late(0.7, 0.5) == {}
+    assert loop.collector.late_count == 0
+
+
+@pytest.mark.parametrize('cutoff', [0.0, 1.0])
+@pytest.mark.parametrize('locked', [{}, {NAMES[5]: 0.2}])
+def test_a_late_joint_keeps_its_position_but_not_its_velocity(locked, cutoff):
+    settings = Settings(
+        start_ramp=0.0, uncommanded_state_timeout=0.5, velocity_filter_cutoff=cutoff
+    )
+    loop = ControlLoop(MODEL, NAMES[:5], settings, locked=locked)
+    # A fast wrist makes velocity terms at the other joints.
+    for k in range(5):
+        step_with_slow_joint(loop, 1e9, 0.11, 30.0, 0.1 * k)
+    moving = loop.controller.motion[0][5]
+    assert moving > 10.0
+    loop.collector.update(0.8, NAMES[:5], Q[:5], np.zeros(5))
+    loop.step(0.8)
+    assert loop.controller.motion[0][5] == moving
+    loop.collector.update(1.1, NAMES[:5], Q[:5], np.zeros(5))
+    efforts = loop.step(1.1).efforts
+    assert loop.controller.motion[0][5] == 0.0
+    assert efforts == pytest.approx(InverseDynamics(MODEL).gravity_efforts(Q)[:5])
+    loop.collector.update(1.2, NAMES[5:], Q[5:], [2.0])
+    loop.step(1.2)
+    assert loop.controller.motion[0][5] == 2.0
+
+
+def test_a_late_joint_that_has_moved_makes_no_jump():
+    loop = ControlLoop(MODEL, NAMES[:5], Settings(start_ramp=0.5))
+    last = step_with_slow_joint(loop, 1e9, 2.0)[-1].copy()
+    loop.collector.update(2.0, NAMES[5:], Q[5:] + 2.0, [0.0])
+    loop.collector.update(2.0, NAMES[:5], Q[:5], np.zeros(5))
+    assert loop.step(2.0).efforts == pytest.approx(last)
+
+
+def test_the_first_command_needs_a_slow_joint_once():
+    loop = ControlLoop(MODEL, NAMES[:5], AT_ONCE)
+    loop.collector.update(0.0, NAMES[:5], Q[:5], np.zeros(5))
+    assert loop.step(0.0) is None
+    assert loop.collector.late(0.0, 1.0) == {}
+    loop.collector.update(0.0, NAMES[5:], Q[5:], [0.0])
+    assert loop.step(0.0) is not None
+
+
+def test_a_misnamed_joint_is_mentioned():
+    loop = ControlLoop(MODEL)
+    names = [name.replace('joint_', 'joint') for name in NAMES[:1]] + list(NAMES[1:])
+    loop.collector.update(0.0, names, Q, np.zeros(6))
+    text = f"the position of {NAMES[0]} on joint_states (received similar names: '{names[0]}')"
+    assert loop.missing() == [text]
+
+
+def test_positions_of_joints_that_were_never_reported_are_not_judged():
+    loop = ControlLoop(MODEL, NAMES[:5], locked={NAMES[5]: 500.0})
+    bounded = next(k for k in range(5) if np.isfinite(MODEL.upper[k]))
+    assert [finding.joint for finding in loop.implausible_positions()] in ([], [NAMES[5]])
+    loop.collector.update(0.0, [NAMES[bounded]], [1000.0], [0.0])
+    assert NAMES[bounded] in [finding.joint for finding in loop.implausible_positions()]
+
+
+def step_with_two_publishers(loop, start, seconds, joint, offset, rate=200.0):
+    """Step with states by two publishers in turn, of which the second differs in one joint."""
+    efforts = []
+    other = Q.copy()
+    other[joint] += offset
+    for k, now in enumerate(start + np.arange(0.0, seconds, 1.0 / rate)):
+        loop.collector.update(now, NAMES, other if k % 2 else Q, np.zeros(6))
+        efforts.append(loop.step(now).efforts.copy())
+    return np.array(efforts)
+
+
+def test_contradictory_positions_of_a_commanded_joint_ramp_the_efforts_to_zero():
+    loop = ControlLoop(MODEL, settings=Settings(start_ramp=0.0, stop_ramp=0.2))
+    step_with_two_publishers(loop, 0.0, 1.0, 1, 0.0)
+    efforts = step_with_two_publishers(loop, 1.0, 2.0, 1, 0.7)
+    is_changing = np.abs(np.diff(efforts[:, 1])) > 1.0
+    assert np.count_nonzero(is_changing) <= 6
+    assert (efforts[60:] == 0.0).all()
+    assert loop.controller.phase is Phase.STATE_LOST
+    assert loop.collector.alternating() == {
+        NAMES[1]: (pytest.approx(0.8), pytest.approx(1.5))
+    } or (loop.collector.alternating() == {NAMES[1]: (pytest.approx(1.5), pytest.approx(0.8))})
+    # Consistent again: the alarm ends after at most 1 s, then states must be fresh for 0.2 s.
+    efforts = step_with_two_publishers(loop, 3.0, 1.5, 1, 0.0)
+    assert not efforts[100:140].all(axis=1).any()
+    assert efforts[-1] == pytest.approx(InverseDynamics(MODEL).gravity_efforts(Q))
+    assert loop.collector.alternating() == {}
+
+
+def test_contradictory_positions_of_another_joint_do_not_move_or_stop_the_arm():
+    joints = [name for k, name in enumerate(NAMES) if k != 4]
+    loop = ControlLoop(MODEL, joints, Settings(start_ramp=0.0))
+    step_with_two_publishers(loop, 0.0, 1.0, 4, 1.5)
+    efforts = step_with_two_publishers(loop, 1.0, 1.0, 4, 1.5)
+    assert np.ptp(efforts, axis=0).max() == 0.0
+    assert np.abs(efforts).max() > 1.0
+    assert list(loop.collector.alternating()) == [NAMES[4]]
+    assert loop.collector.is_consistent
+    last = efforts[-1]
+    efforts = step_with_two_publishers(loop, 2.0, 2.0, 4, 0.0)
+    assert loop.collector.alternating() == {}
+    assert efforts[0] == pytest.approx(last)
+
+
+def test_contradictory_positions_stay_so_with_another_description():
+    loop = ControlLoop(MODEL)
+    step_with_two_publishers(loop, 0.0, 1.0, 1, 0.7)
+    other = ControlLoop(MODEL)
+    other.continue_from(loop)
+    assert not other.collector.is_consistent
+    other.step(1.0)
+    assert other.controller.phase is Phase.STATE_LOST
+
+
+def test_a_joint_cannot_be_both_commanded_and_locked():
+    with pytest.raises(ConfigurationError, match=f"joint '{NAMES[2]}' is both commanded and lock"):
+        ControlLoop(MODEL, NAMES, locked={NAMES[2]: 0.0})
+
+
+def test_the_base_link_is_the_root_unless_another_one_is_set():
+    assert ControlLoop(MODEL).base_link == MODEL.body_names[0]
+    fixed = '<link name="mount"/><joint name="f" type="fixed"><parent link="mount"/>'
+    fixed += f'<child link="{MODEL.body_names[0]}"/></joint></robot>'
+    robot = load_urdf(STANFORD.read_text().replace('</robot>', fixed))
+    assert ControlLoop(robot).base_link == 'mount'
+    assert ControlLoop(robot, base_link=MODEL.body_names[0]).base_link == MODEL.body_names[0]
+
+
+def test_ramps_advance_at_the_period_of_a_slow_loop():
+    loop = ControlLoop(MODEL, settings=Settings(start_ramp=2.0), period=0.5)
+    for now in (0.0, 0.5, 1.0):
+        heard(loop, now).step(now)
+    assert loop.controller.gain == pytest.approx(0.5)
+
+
+def test_the_ramp_of_loads_can_be_set():
+    loop = heard(ControlLoop(MODEL, settings=AT_ONCE, load_settings=LoadSettings(load_ramp=0.0)))
+    loop.loads.set_payload(0.0, TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
+    expected = InverseDynamics(MODEL)
+    expected.set_payload(TIP, 2.0)
+    assert loop.step(0.0).efforts == pytest.approx(expected.gravity_efforts(Q))
+
+
+def test_external_efforts_are_measured_minus_modelled_efforts():
+    loop = ControlLoop(MODEL)
+    hold, push = InverseDynamics(MODEL).gravity_efforts(Q), np.arange(6.0)
+    loop.collector.update(0.0, NAMES, Q, np.zeros(6), hold + push)
+    assert loop.external_efforts() == pytest.approx(push)
+    time_constant = 1.0 / (2.0 * math.pi * 10.0)
+    qd = np.full(6, 0.01)
+    loop.collector.update(time_constant, NAMES, Q, qd, hold)
+    found, alike = loop.external_efforts(), ExternalEffortEstimator(InverseDynamics(MODEL))
+    alike.update(0.0, Q, np.zeros(6), hold + push)
+    assert found == pytest.approx(alike.update(time_constant, Q, qd, hold))
+
+
+def test_efforts_rise_from_zero_after_a_start():
+    loop = ControlLoop(MODEL, settings=Settings(start_ramp=0.5))
+    for now in np.arange(0.0, 1.0, 0.05):
+        assert heard(loop, now).step(now) is not None
+    loop.start()
+    assert not heard(loop, 1.0).step(1.0).efforts.any()
+
+
+def test_the_first_motion_of_the_base_makes_no_jump():
+    loop = ControlLoop(MODEL, settings=Settings(start_ramp=0.5))
+    for now in np.arange(0.0, 1.0, 0.05):
+        last = heard(loop, now).step(now).efforts.copy()
+    loop.set_base_motion(1.0, (3.0, 0.0, 5.0), np.zeros(3))
+    assert heard(loop, 1.0).step(1.0).efforts == pytest.approx(last)
+
+
+def test_the_reference_is_followed_with_another_description():
+    loop = heard(ControlLoop(MODEL, settings=AT_ONCE))
+    loop.reference = Reference(np.ones(6), np.zeros(6), 0.0)
+    efforts = loop.step(0.0).efforts
+    other = ControlLoop(MODEL, settings=AT_ONCE)
+    other.continue_from(loop)
+    assert other.step(0.0).efforts == pytest.approx(efforts)
+    assert other.controller.phase is Phase.RUNNING
+
+
+def test_missing_joints_are_listed():
+    loop = ControlLoop(MODEL)
+    loop.collector.update(0.0, NAMES[2:], Q[2:], np.zeros(4))
+    missing = f'the positions of {NAMES[0]}, {NAMES[1]} on joint_states'
+    assert loop.missing() == [missing]
+
+
+def test_an_effort_at_the_limit_is_not_beyond_it():
+    loop = ControlLoop(MODEL, settings=Settings(effort_limits=10.0, use_urdf_effort_limits=False))
+    assert loop.beyond_limits([0, 1], np.array([[10.0, -10.0], [0.0, -10.5]])) == [NAMES[1]]
+
+
+def test_base_wrench_carries_the_weight_of_all_links():
+    robot = load_urdf(ROOT / 'test/robots/planar_2r.urdf')
+    loop = ControlLoop(robot)
+    loop.collector.update(0.0, robot.joint_names, [0.4, 0.3], [0.0, 0.0])
+    loop.step(0.0)
+    wrenches = InverseDynamics(robot).joint_wrenches([0.4, 0.3], np.zeros(2), np.zeros(2))
+    force, moment = loop.base_wrench()
+    assert force == pytest.approx(wrenches.force[0])
+    assert moment == pytest.approx(wrenches.moment[0])
