@@ -9,6 +9,7 @@ import numpy as np
 from ..robot.model import Floats
 from .batch import (
     BLOCK,
+    holds_nan,
     lane,
     LANES,
     place_link,
@@ -114,7 +115,7 @@ def _blocks(all_q: Any, all_matrices: Any, robot: Any, rows: Any) -> int:
         check(matrix, residue)
         transpose(matrix, all_matrices[..., block])
     for k in range(LANES):
-        if np.any(residue[0, k] != 0.0):
+        if holds_nan(residue[0, k]):
             return NOT_FINITE
     return OK
 
