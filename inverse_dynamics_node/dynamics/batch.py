@@ -43,13 +43,13 @@ from .equations import (
     add,
     angular_acceleration,
     angular_velocity,
+    child_force,
+    child_moment,
     joint_effort,
-    moment_about_parent,
     origin_in_parent,
     point_acceleration,
     sliding_acceleration,
     to_link,
-    to_parent,
     Vector,
 )
 from .jit import (
@@ -304,8 +304,8 @@ def inward_step(robot: Any, i: int, place: Any, wrench: Any, parent: int, parent
     for k in range(LANES):
         c, s, length = lane(place, i, 0, k)
         p = origin_in_parent(R, offset, length)
-        force = to_parent(R, c, s, lane(wrench, i, 0, k))
-        moment = moment_about_parent(p, force, to_parent(R, c, s, lane(wrench, i, 3, k)))
+        force = child_force(R, c, s, lane(wrench, i, 0, k))
+        moment = child_moment(R, c, s, p, force, lane(wrench, i, 3, k))
         store_lane(parents, parent, 0, k, add(lane(parents, parent, 0, k), force))
         store_lane(parents, parent, 3, k, add(lane(parents, parent, 3, k), moment))
 

@@ -27,10 +27,10 @@ from .columns import (
     vector,
 )
 from .equations import (
+    child_force,
+    child_moment,
     joint_effort,
-    moment_about_parent,
     origin_in_parent,
-    to_parent,
 )
 from .jit import (
     compile_for,
@@ -170,8 +170,8 @@ def move_wrench(robot: Any, i: int, place: Any, wrench: Any, side: int, moved: A
     for k in range(LANES):
         c, s, length = lane(place, i, 0, k)
         p = origin_in_parent(R, offset, length)
-        force = to_parent(R, c, s, lane(wrench, side, 0, k))
-        moment = moment_about_parent(p, force, to_parent(R, c, s, lane(wrench, side, 3, k)))
+        force = child_force(R, c, s, lane(wrench, side, 0, k))
+        moment = child_moment(R, c, s, p, force, lane(wrench, side, 3, k))
         store_lane(moved, 1 - side, 0, k, force)
         store_lane(moved, 1 - side, 3, k, moment)
 

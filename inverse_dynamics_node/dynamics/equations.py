@@ -96,7 +96,13 @@ def net_moment(J: Any, omega: Vector, omega_dot: Vector) -> Vector:
     return add(symmetric(J, omega_dot), cross(omega, symmetric(J, omega)))
 
 
-# Inward pass
+# Inward pass. In a tree, a link adds the parts of all its children to its own.
+
+
+@simd_inline
+def child_force(R: Any, c: Any, s: Any, force: Vector) -> Vector:
+    """(45), a child's part in the parent's frame: R_PL force. The link's own part is (41)."""
+    return to_parent(R, c, s, force)
 
 
 @simd_inline
@@ -106,9 +112,9 @@ def own_moment(com: Vector, force_net: Vector, moment_net: Vector) -> Vector:
 
 
 @simd_inline
-def moment_about_parent(p: Vector, force: Vector, moment: Vector) -> Vector:
-    """(46), a child's part, in the parent's frame: R_PL moment + p x (R_PL force)."""
-    return add(moment, cross(p, force))
+def child_moment(R: Any, c: Any, s: Any, p: Vector, force: Vector, moment: Vector) -> Vector:
+    """(46), a child's part in the parent's frame: R_PL moment + p x force, force from (45)."""
+    return add(to_parent(R, c, s, moment), cross(p, force))
 
 
 @simd_inline

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,7 +26,7 @@ from .arguments import (
     read_threads,
     read_vector,
 )
-from .jit import compile_for, IS_COMPILED
+from .kernels import prepared
 from .loaded_robot import LoadedRobot
 from .newton_euler import OK
 
@@ -105,11 +104,11 @@ class InverseDynamics:
     def __init__(self, robot: RobotModel, gravity: ArrayLike = STANDARD_GRAVITY) -> None:
         self.robot = robot
         self._zeros = np.zeros(len(robot.joint_names))
-        self._inverse_dynamics = _ready(newton_euler.inverse_dynamics, _V, _V, _V, _V, _M)
-        self._batch = _ready(newton_euler.inverse_dynamics_batch, _M, _M, _M, _M, _M)
-        self._gravity_efforts = _ready(newton_euler.gravity_efforts, _V, _V, _M)
-        self._mass_matrix = _ready(mass_matrix.mass_matrix, _V, _M, _M)
-        self._joint_wrenches = _ready(newton_euler.joint_wrenches, _V, _V, _V, _V, _M, _M, _M)
+        self._inverse_dynamics = prepared(newton_euler.inverse_dynamics, _V, _V, _V, _V, _M)
+        self._batch = prepared(newton_euler.inverse_dynamics_batch, _M, _M, _M, _M, _M)
+        self._gravity_efforts = prepared(newton_euler.gravity_efforts, _V, _V, _M)
+        self._mass_matrix = prepared(mass_matrix.mass_matrix, _V, _M, _M)
+        self._joint_wrenches = prepared(newton_euler.joint_wrenches, _V, _V, _V, _V, _M, _M, _M)
         self._loaded = LoadedRobot(robot)
         self._table = self._loaded.table
         self._R_LZ = np.ascontiguousarray(self._loaded.R_ZL.transpose(0, 2, 1))
@@ -413,9 +412,12 @@ class InverseDynamics:
             columns.JOINT_TERM_COLUMNS,
             columns.HAS_JOINT_TERMS,
         )
+        if not self._loaded.base_motion[0].any():
+            return self._efforts_in(moving, q, qd, self._zeros, out)
+        # Computed first, because `out` may be q.
+        resting = self._efforts_in(moving, q, self._zeros, self._zeros)
         tau = self._efforts_in(moving, q, qd, self._zeros, out)
-        if self._loaded.base_motion[0].any():
-            tau -= self._efforts_in(moving, q, self._zeros, self._zeros)
+        tau -= resting
         return tau
 
     def mass_matrix(self, q: ArrayLike, out: Floats | None = None) -> Floats:
@@ -615,35 +617,3 @@ class InverseDynamics:
             return tau
         out[...] = tau
         return out
-
-
-def _ready(function: Callable[..., int], *kinds: str) -> Callable[..., int]:
-    """
-    Prepare a function of `newton_euler` for arrays: compile it, or run it on lists of floats.
-
-    Either way it raises a TypeError for arguments of other types.
-
-    """
-    if IS_COMPILED:
-        compile_for(function, f'({", ".join(kinds)})')
-        return function
-    dimensions = [kind.count(',') + 1 for kind in kinds[:-1]]
-
-    def on_lists(*arguments: Any) -> int:
-        # Python reads a list several times faster than an array.
-        *arrays, robot = arguments
-        for values, dimension in zip(arrays, dimensions, strict=True):
-            if not isinstance(values, np.ndarray) or values.ndim != dimension:
-                raise TypeError
-            if values.dtype != np.float64:
-                raise TypeError
-        lists = [values.tolist() for values in arrays]
-        try:
-            status = function(*lists, robot)
-        except ValueError:  # Python's sine of infinity
-            return newton_euler.NOT_FINITE
-        if arrays[-1].size:
-            arrays[-1][...] = lists[-1]
-        return status
-
-    return on_lists

@@ -39,9 +39,10 @@ from .columns import (
 )
 from .equations import (
     add,
+    child_force,
+    child_moment,
     dot,
     joint_effort,
-    moment_about_parent,
     origin_in_parent,
     symmetric,
     to_parent,
@@ -103,8 +104,8 @@ def mass_matrix(q: Sequence[float], matrix: Any, robot: Any) -> int:
             moved = composite_in_parent(R, c, s, p, body)
             store_composite(parent, combined(composite(parent), moved))
         while int(link[PARENT]) > 0:
-            force, moment = to_parent(R, c, s, force), to_parent(R, c, s, moment)
-            moment = moment_about_parent(p, force, moment)
+            force = child_force(R, c, s, force)
+            moment = child_moment(R, c, s, p, force, moment)
             link = robot[int(link[PARENT])]
             # If one of the two joints mimics the other, both entries are on the diagonal.
             other = int(link[JOINT])

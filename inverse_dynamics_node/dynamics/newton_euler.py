@@ -46,9 +46,10 @@ from .equations import (
     add,
     angular_acceleration,
     angular_velocity,
+    child_force,
+    child_moment,
     cross,
     joint_effort,
-    moment_about_parent,
     net_force,
     net_moment,
     origin_in_parent,
@@ -193,6 +194,8 @@ def gravity_efforts(q: Sequence[float], tau: Any, robot: Any) -> int:
     n = int(robot[0][JOINT_COUNT])
     if len(q) != n or len(tau) != n:
         return WRONG_SIZE
+    store(robot[0], FORCE, (0.0, 0.0, 0.0))
+    store(robot[0], MOMENT, (0.0, 0.0, 0.0))
     for i in range(1, len(robot)):
         link = robot[i]
         c, s, _ = place_link(link, q[int(link[JOINT])])
@@ -263,12 +266,11 @@ def inward_pass(tau: Any, robot: Any) -> None:
         # The effort of a mimic joint adds to its master's: equal power.
         tau[int(link[JOINT])] += link[MULTIPLIER] * joint_effort(force, moment, link[SLIDES])
 
-        # In a tree, the parent sums over all its children.
         R, c, s = rotation(link), link[COSINE], link[SINE]
         p = origin_in_parent(R, vector(link, OFFSET), link[LENGTH])
-        force, moment = to_parent(R, c, s, force), to_parent(R, c, s, moment)  # (45)
+        force = child_force(R, c, s, force)
+        moment = child_moment(R, c, s, p, force, moment)
         store(parent, FORCE, add(vector(parent, FORCE), force))
-        moment = moment_about_parent(p, force, moment)
         store(parent, MOMENT, add(vector(parent, MOMENT), moment))
 
 
