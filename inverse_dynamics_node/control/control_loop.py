@@ -16,15 +16,11 @@ from ..dynamics.inverse_dynamics import (
 )
 from ..robot.model import Floats, RobotModel
 from ..robot.plausibility import implausible_positions, ImplausiblePosition
-from .controller import (
-    Command,
-    Controller,
-    Reference,
-    Settings,
-)
+from .controller import Command, Controller, Reference
 from .external_efforts import ExternalEffortEstimator
-from .external_loads import ExternalLoads, LoadSettings
+from .external_loads import ExternalLoads
 from .joint_states import JointStateCollector
+from .settings import LoadSettings, Settings
 
 
 class ControlLoop:
@@ -79,7 +75,7 @@ class ControlLoop:
         self.collector = JointStateCollector(robot.joint_names, locked, commanded, robot)
         self.collector.check_free(commanded)
         self.loads = ExternalLoads(self.dynamics, load_settings, gravity, base_link)
-        self.residual = ExternalEffortEstimator(self.dynamics)
+        self.external_effort_estimator = ExternalEffortEstimator(self.dynamics)
         self.reference: Reference | None = None
         self.has_imu = has_imu
         self.index = [robot.joint_names.index(name) for name in self.controller.joints]
@@ -211,7 +207,9 @@ class ControlLoop:
     def external_efforts(self) -> Floats:
         """Compare the last measured efforts with the model: shape (n,), NaN where not measured."""
         collector = self.collector
-        return self.residual.update(collector.time, collector.q, collector.qd, collector.efforts)
+        return self.external_effort_estimator.update(
+            collector.time, collector.q, collector.qd, collector.efforts
+        )
 
     @property
     def lacks_imu(self) -> bool:

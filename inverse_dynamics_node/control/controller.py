@@ -7,7 +7,7 @@ No ROS, and no clock: time comes in as an argument.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 import enum
 import math
 from typing import Any, NamedTuple
@@ -19,26 +19,7 @@ from ..errors import ConfigurationError, JointStateError
 from ..robot.model import Booleans, Floats, RobotModel
 from .blending import Blending
 from .joint_states import State
-
-
-class Mode(enum.Enum):
-    """What the efforts are for."""
-
-    INVERSE_DYNAMICS = 'inverse_dynamics'
-    """The accelerations of the reference."""
-    COMPUTED_TORQUE = 'computed_torque'
-    """Those, and back to the reference's positions and velocities where the arm strays."""
-    GRAVITY_COMPENSATION = 'gravity_compensation'
-    """To hold the arm where it is; the reference does not count."""
-
-
-class StalePolicy(enum.Enum):
-    """What becomes of the efforts when the joint state is lost."""
-
-    ZERO = 'zero'
-    """They go to zero, along the stop ramp."""
-    HOLD = 'hold'
-    """They stay what they were: for an arm that would fall, if its sensors can be trusted."""
+from .settings import expand_per_joint, Mode, Settings, StalePolicy
 
 
 class Phase(enum.Enum):
@@ -84,45 +65,6 @@ class Command(NamedTuple):
     """Which of the efforts were cut to their limits, shape (m,)."""
     is_slowed: Booleans
     """Which of them may not change as fast as they should, shape (m,)."""
-
-
-PerJoint = float | tuple[float, ...]
-"""One number for all commanded joints, or one for each."""
-
-
-@dataclass(frozen=True)
-class Settings:
-    """How the controller treats its inputs and outputs. Times in [s]."""
-
-    mode: Mode = Mode.INVERSE_DYNAMICS
-    state_timeout: float = 0.1
-    """A state of a commanded joint older than this is lost."""
-    uncommanded_state_timeout: float = 1.0
-    """A joint that is not commanded and was last reported longer ago is taken to be at rest."""
-    reference_timeout: float = 0.5
-    """A reference older than this counts no more; 0: a reference holds until the next."""
-    on_stale_state: StalePolicy = StalePolicy.ZERO
-    start_ramp: float = 0.5
-    """Time for the efforts to rise from zero to their full values, and for jumps to fade."""
-    stop_ramp: float = 0.5
-    """Time for the efforts to fall from their full values to zero."""
-    kp: PerJoint = 100.0
-    """Of computed torque: acceleration for a distance [1/s^2]."""
-    kd: PerJoint = 20.0
-    """Of computed torque: acceleration for a difference of velocities [1/s]."""
-    max_position_jump: float = 0.5
-    """Of computed torque: how far a reference may start away, or jump [rad or m]; 0: anywhere."""
-    velocity_filter_cutoff: float = 0.0
-    """Of a first-order low-pass for measured velocities [Hz]; 0: none."""
-    effort_scale: PerJoint = 1.0
-    effort_offset: PerJoint = 0.0
-    """Added after scaling [N m or N]."""
-    use_urdf_effort_limits: bool = True
-    """Whether the efforts stay within the limits in the robot description."""
-    effort_limits: PerJoint = math.inf
-    """Tighter limits [N m or N]."""
-    effort_rate_limits: PerJoint = math.inf
-    """How fast an effort may change [N m/s or N/s]."""
 
 
 class Controller:
@@ -191,7 +133,7 @@ class Controller:
         """
         m = len(self.joints)
         arrays = {
-            field.name: of_joints(field.name, getattr(settings, field.name), m)
+            field.name: expand_per_joint(field.name, getattr(settings, field.name), m)
             for field in fields(settings)
             if field.type == 'PerJoint'
         }
@@ -447,16 +389,6 @@ class Controller:
                 error = velocities - qd[self._index]
                 qdd = qdd + self._of_joint['kd'] * error
         return qdd
-
-
-def of_joints(name: str, values: PerJoint, m: int) -> Floats:
-    """Spread one number over all commanded joints, or check that there is one for each."""
-    numbers = np.atleast_1d(np.asarray(values, dtype=np.float64))
-    if numbers.shape not in ((1,), (m,)):
-        raise ConfigurationError(
-            f'{name} has {numbers.size} numbers, expected one, or one for each of {m} joints'
-        )
-    return np.array(np.broadcast_to(numbers, (m,)))
 
 
 def _shortest(index: list[int]) -> Any:

@@ -8,7 +8,6 @@ an argument.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 import math
 from typing import NamedTuple
 
@@ -19,24 +18,11 @@ from ..dynamics.arguments import read_inertial, read_vector
 from ..dynamics.inverse_dynamics import InverseDynamics, STANDARD_GRAVITY
 from ..errors import ConfigurationError
 from ..robot.model import Floats, join_bodies
+from .settings import LoadSettings
 
 STRONGEST = 500.0  # [m/s^2], [rad/s]; beyond fifty times gravity a sensor is broken
 _ROUNDING = 1e-3  # of the moments of a flat body, as in a robot description
 _LARGEST = 1e9  # [kg], [m], [kg m^2], [N], [N m]; sums and products of what is less are finite
-
-
-@dataclass(frozen=True)
-class LoadSettings:
-    """How fast loads come and go. Times in [s]."""
-
-    load_ramp: float = 0.5
-    """Time for a payload to come in, for gravity to change by its own size, for a wrench to go."""
-    wrench_timeout: float = 0.1
-    """An external wrench that was not renewed for so long begins to fade."""
-    imu_timeout: float = 0.2
-    """A motion of the base older than this is lost."""
-    imu_filter_cutoff: float = 20.0
-    """Of a first-order low-pass for the motion of the base [Hz]; 0: none."""
 
 
 class Payload(NamedTuple):

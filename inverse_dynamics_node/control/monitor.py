@@ -13,13 +13,8 @@ import numpy as np
 from ..robot.model import Booleans, Floats
 from ..robot.plausibility import describe_implausible_position
 from .control_loop import ControlLoop
-from .controller import (
-    Command,
-    COMPUTING_PHASES,
-    Mode,
-    Phase,
-    StalePolicy,
-)
+from .controller import Command, COMPUTING_PHASES, Phase
+from .settings import Mode, StalePolicy
 
 _LONG_SILENCE = 5.0  # [s]; after which connected publishers are suspicious
 _MOST_REASONS = 20  # distinct ones to tell apart

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..control.control_loop import ControlLoop
-from ..control.controller import of_joints, PerJoint
+from ..control.settings import expand_per_joint, PerJoint
 from ..dynamics.trajectory import complete, Trajectory
 from ..errors import ConfigurationError
 from ..robot.model import Floats, RobotModel
@@ -78,7 +78,7 @@ def apply_configuration(
     m, n = len(loop.controller.joints), len(loop.robot.joint_names)
 
     def of_robot(name: str, values: PerJoint, others: Floats) -> Floats:
-        given = of_joints(name, values, m)
+        given = expand_per_joint(name, values, m)
         chosen: Floats = others.copy()
         chosen[loop.index] = np.where(given < 0.0, others[loop.index], given)
         return chosen
@@ -87,11 +87,11 @@ def apply_configuration(
     coulomb = of_robot('coulomb', configuration.coulomb, loop.robot.friction)
     armature = of_robot('armature', configuration.armature, np.zeros(n))
     loop.controller.apply(configuration.settings)
-    share = 1.0 if configuration.include_friction else 0.0
-    loop.dynamics.set_friction(share * damping, share * coulomb, configuration.coulomb_width)
+    factor = 1.0 if configuration.include_friction else 0.0
+    loop.dynamics.set_friction(factor * damping, factor * coulomb, configuration.coulomb_width)
     loop.dynamics.set_armature(armature)
     loop.loads.apply(configuration.load_settings, configuration.include_gravity)
-    loop.residual.cutoff = configuration.external_efforts_cutoff
+    loop.external_effort_estimator.cutoff = configuration.external_efforts_cutoff
     is_new = before is not None and before.gravity != configuration.gravity
     if is_new and not loop.has_imu:
         loop.loads.set_gravity(configuration.gravity)
@@ -101,7 +101,7 @@ def check_configuration(loop: ControlLoop, configuration: Configuration) -> None
     """Refuse, with a ConfigurationError, what would not fit the joints that are commanded."""
     for name, values in {**vars(configuration), **vars(configuration.settings)}.items():
         if name in PER_JOINT:
-            of_joints(name, values, len(loop.controller.joints))
+            expand_per_joint(name, values, len(loop.controller.joints))
 
 
 def _load_robot(configuration: Configuration, description: str) -> RobotModel:

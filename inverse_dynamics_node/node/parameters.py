@@ -10,13 +10,7 @@ from typing import Any, NamedTuple, TYPE_CHECKING
 
 import numpy as np
 
-from ..control.controller import (
-    Mode,
-    PerJoint,
-    Settings,
-    StalePolicy,
-)
-from ..control.external_loads import LoadSettings
+from ..control.settings import LoadSettings, Mode, PerJoint, Settings, StalePolicy
 from ..dynamics.inverse_dynamics import FRICTION_WIDTH, STANDARD_GRAVITY
 from ..errors import ConfigurationError, did_you_mean
 

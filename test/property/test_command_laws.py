@@ -5,16 +5,9 @@ import math
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.control.controller import (
-    COMPUTING_PHASES,
-    Controller,
-    Mode,
-    Phase,
-    Reference,
-    Settings,
-    StalePolicy,
-)
+from inverse_dynamics_node.control.controller import COMPUTING_PHASES, Controller, Phase, Reference
 from inverse_dynamics_node.control.joint_states import State
+from inverse_dynamics_node.control.settings import Mode, Settings, StalePolicy
 import numpy as np
 from robot_files import ROOT
 

@@ -4,9 +4,9 @@ import math
 
 from inverse_dynamics_node import ConfigurationError, InverseDynamics, load_urdf
 from inverse_dynamics_node.control.control_loop import ControlLoop
-from inverse_dynamics_node.control.controller import Phase, Reference, Settings
+from inverse_dynamics_node.control.controller import Phase, Reference
 from inverse_dynamics_node.control.external_efforts import ExternalEffortEstimator
-from inverse_dynamics_node.control.external_loads import LoadSettings
+from inverse_dynamics_node.control.settings import LoadSettings, Settings
 import numpy as np
 import pytest
 from robot_files import ROOT, STANFORD

@@ -3,15 +3,9 @@
 import math
 
 from inverse_dynamics_node import ConfigurationError, InverseDynamics, load_urdf
-from inverse_dynamics_node.control.controller import (
-    Controller,
-    Mode,
-    Phase,
-    Reference,
-    Settings,
-    StalePolicy,
-)
+from inverse_dynamics_node.control.controller import Controller, Phase, Reference
 from inverse_dynamics_node.control.joint_states import State
+from inverse_dynamics_node.control.settings import Mode, Settings, StalePolicy
 import numpy as np
 import pytest
 from robot_files import NOTHING_MOVES

@@ -7,7 +7,8 @@ import math
 from hypothesis import given
 from hypothesis import strategies as st
 from inverse_dynamics_node import ConfigurationError, InverseDynamics, load_urdf
-from inverse_dynamics_node.control.external_loads import ExternalLoads, LoadSettings, rotation_of
+from inverse_dynamics_node.control.external_loads import ExternalLoads, rotation_of
+from inverse_dynamics_node.control.settings import LoadSettings
 import numpy as np
 import pytest
 from robot_files import ROOT, STANFORD

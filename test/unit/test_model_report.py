@@ -2,7 +2,7 @@
 
 from inverse_dynamics_node import load_urdf
 from inverse_dynamics_node.control.control_loop import ControlLoop
-from inverse_dynamics_node.control.controller import Settings
+from inverse_dynamics_node.control.settings import Settings
 from inverse_dynamics_node.node.model_report import describe_robot
 import numpy as np
 from robot_files import STANFORD

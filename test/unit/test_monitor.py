@@ -4,13 +4,7 @@ import dataclasses
 
 from inverse_dynamics_node import load_urdf
 from inverse_dynamics_node.control.control_loop import ControlLoop
-from inverse_dynamics_node.control.controller import (
-    Command,
-    Mode,
-    Reference,
-    Settings,
-    StalePolicy,
-)
+from inverse_dynamics_node.control.controller import Command, Reference
 from inverse_dynamics_node.control.monitor import (
     activity,
     GraphInfo,
@@ -19,6 +13,7 @@ from inverse_dynamics_node.control.monitor import (
     Others,
     SimulatedTime,
 )
+from inverse_dynamics_node.control.settings import Mode, Settings, StalePolicy
 import numpy as np
 import pytest
 from robot_files import ROOT, STANFORD
