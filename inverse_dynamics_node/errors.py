@@ -1,28 +1,30 @@
-"""One family of errors: what is wrong, where, what was expected, and the value found."""
+"""The exceptions of the package, and the parts that their messages have in common."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 import difflib
+from itertools import islice
 
 _LONGEST_LINE = 1000  # characters
 _MOST_LINES = 1000
+_MOST_LISTED = 12  # names
 
 
 class InverseDynamicsError(Exception):
-    """Root of every error this package raises on purpose."""
+    """Base class of the exceptions of this package."""
 
 
 class UrdfError(InverseDynamicsError):
     """
-    A robot description that cannot be used.
+    A robot description cannot be used.
 
     Attributes
     ----------
     source : str
-        The file, or ``'URDF'`` where the description came as text.
+        Path of the file, or ``'URDF'`` if the description was passed as text.
     problems : tuple of str
-        Everything that is wrong with it, in file order; never empty.
+        Every problem found, in file order; never empty.
 
     """
 
@@ -39,53 +41,90 @@ class UrdfError(InverseDynamicsError):
 
 
 class JointStateError(InverseDynamicsError):
-    """A joint vector of the wrong size, or with a value that is not finite."""
+    """A joint vector has the wrong size, or contains a value that is not finite."""
 
 
 class ConfigurationError(InverseDynamicsError):
-    """A setting that cannot be used with this robot, or at all; one line for each problem."""
+    """A setting is invalid, or does not fit the robot; one argument per problem."""
 
     def __str__(self) -> str:
         return '\n'.join(map(str, self.args))
 
 
 class TrajectoryError(InverseDynamicsError):
-    """A trajectory that cannot be followed, or not by this robot."""
+    """A trajectory is invalid, or does not fit the robot."""
 
 
 class RecordingError(InverseDynamicsError):
-    """A recorded run that cannot be read, or not be held against this robot."""
+    """A recording cannot be read, or does not fit the robot."""
 
 
 def did_you_mean(name: str, names: Iterable[str]) -> str:
     """
-    Suggest the closest of several names.
+    Suggest the valid name that is closest to an invalid one.
+
+    Parameters
+    ----------
+    name : str
+        The invalid name.
+    names : iterable of str
+        The valid names.
 
     Returns
     -------
     hint : str
-        To be appended to a message; empty if no name is close.
+        Text to append to a message; empty if no name is close.
 
     """
     closest = difflib.get_close_matches(name, names, 1)
     return f"; did you mean '{closest[0]}'?" if closest else ''
 
 
+def unknown_name(kind: str, name: str, names: Collection[str]) -> str:
+    """
+    Report that a name does not exist, and list the names that do.
+
+    Parameters
+    ----------
+    kind : str
+        The kind of thing in the singular, such as ``'link'`` or ``'joint'``.
+    name : str
+        The name that does not exist.
+    names : collection of str
+        The valid names.
+
+    Returns
+    -------
+    text : str
+        Such as ``link 'x' does not exist; links are a, b``.
+
+    """
+    # A list that is cut short may lack the name that was meant.
+    hint = did_you_mean(name, names) if len(names) > _MOST_LISTED else ''
+    return f"{kind} '{shortened(name)}' does not exist; {kind}s are {listed(names)}{hint}"
+
+
+def listed(names: Collection[str], most: int = _MOST_LISTED) -> str:
+    """Join names by commas; of more than ``most`` names, only the first ones and their number."""
+    shown = ', '.join(shortened(name) for name in islice(names, most))
+    return f'{shown}, ... ({len(names)} in all)' if len(names) > most else shown
+
+
 def shortened(text: str, most: int = 60) -> str:
     """
-    Make text from outside fit for a message.
+    Shorten text from a message or a file, and escape control characters in it.
 
     Parameters
     ----------
     text : str
-        A name from a message, a parameter or a file, of any length.
+        Text of any length, such as the name of a joint.
     most : int
-        Characters to keep.
+        Number of characters to keep.
 
     Returns
     -------
     shortened : str
-        Printable; with the full length at its end if it was cut.
+        Printable text, which ends with the original length if it was cut.
 
     """
     start = text[:most]
@@ -97,6 +136,6 @@ def shortened(text: str, most: int = 60) -> str:
 
 
 def shortened_lines(text: str) -> str:
-    """Bound the length of a whole message: each of its lines, and their number."""
+    """Limit the number of lines of a message, and the length of each line."""
     lines = text[: _MOST_LINES * _LONGEST_LINE].split('\n', _MOST_LINES)
     return '\n'.join(shortened(line, _LONGEST_LINE) for line in lines)

@@ -22,7 +22,7 @@ from ..dynamics.trajectory import (
     smooth,
     Trajectory,
 )
-from ..errors import ConfigurationError
+from ..errors import ConfigurationError, unknown_name
 from ..report.advice import Concern
 from ..report.report import (
     decimals,
@@ -216,8 +216,7 @@ def _others(robot: RobotModel, places: Sequence[tuple[str, float]]) -> Floats:
     positions: Floats = np.clip(0.0, *joint_ranges(robot))
     for name, position in places:
         if name not in robot.joint_names:
-            names = ', '.join(robot.joint_names)
-            raise ConfigurationError(f"--at: joint '{name}' does not exist; joints are {names}")
+            raise ConfigurationError(f'--at: {unknown_name("joint", name, robot.joint_names)}')
         positions[robot.joint_names.index(name)] = position
     return positions
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import ConfigurationError, shortened
+from ..errors import ConfigurationError, unknown_name
 from ..robot.model import Floats, join_bodies, RobotModel
 from . import columns
 from .jit import IS_COMPILED
@@ -78,8 +78,7 @@ class LoadedRobot:
     def link_index(self, name: str) -> int:
         """Find a link among ``robot.link_names``, or raise a ConfigurationError."""
         if name not in self.robot.link_names:
-            links = ', '.join(self.robot.link_names)
-            raise ConfigurationError(f"link '{shortened(name)}' does not exist; links are {links}")
+            raise ConfigurationError(unknown_name('link', name, self.robot.link_names))
         return self.robot.link_names.index(name)
 
     def without(self, *parts: int | slice) -> Any:

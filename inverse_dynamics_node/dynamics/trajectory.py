@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..errors import shortened, TrajectoryError
+from ..errors import shortened, TrajectoryError, unknown_name
 from ..robot.model import Floats, Integers
 from .batch import FEWEST
 from .inverse_dynamics import InverseDynamics
@@ -295,9 +295,7 @@ def joint_index(names: Sequence[str], known: Sequence[str]) -> list[int]:
         raise TrajectoryError('no joint names')
     unknown = [name for name in names if name not in known]
     if unknown:
-        raise TrajectoryError(
-            f"the robot has no joint '{shortened(unknown[0])}' to move; it has {', '.join(known)}"
-        )
+        raise TrajectoryError(unknown_name('joint', unknown[0], known))
     if len(set(names)) != len(names):
         twice = next(name for k, name in enumerate(names) if name in names[:k])
         raise TrajectoryError(f"joint '{shortened(twice)}' is named twice")

@@ -17,7 +17,7 @@ from ..dynamics.trajectory import Trajectory
 from ..errors import (
     ConfigurationError,
     JointStateError,
-    shortened,
+    listed,
     TrajectoryError,
 )
 from ..robot.model import Floats
@@ -53,7 +53,7 @@ def read_reference(message: JointTrajectory, joints: Sequence[str], now: float) 
     names = list(message.joint_names)
     if sorted(names) != sorted(joints):
         raise JointStateError(
-            f'joint_names are {_listed(names) or "empty"}, expected {_listed(joints)}'
+            f'joint_names are {listed(names) or "empty"}, expected {listed(joints)}'
         )
     order = [names.index(joint) for joint in joints]
     point = message.points[0]
@@ -201,15 +201,9 @@ def _frame(message: Any) -> str:
 def _finite(what: str, values: Sequence[float], names: Sequence[str]) -> Floats:
     numbers = np.array(values, dtype=np.float64)
     if len(numbers) != len(names):
-        raise JointStateError(f'{len(numbers)} {what}s, expected {len(names)}: {_listed(names)}')
+        raise JointStateError(f'{len(numbers)} {what}s, expected {len(names)}: {listed(names)}')
     is_finite = np.isfinite(numbers)
     if not is_finite.all():
         k = int(np.argmin(is_finite))
         raise JointStateError(f"{what} of joint '{names[k]}' is {numbers[k]}")
     return numbers
-
-
-def _listed(names: Sequence[str]) -> str:
-    """List names, but not a hundred thousand."""
-    more = f', and {len(names) - 12} more' if len(names) > 12 else ''
-    return ', '.join(shortened(name) for name in names[:12]) + more

@@ -155,7 +155,7 @@ class TestDemo:
         with running_demo(domain_id, STANFORD, '--link', 'nope') as demo:
             code, output = finish(demo)
         assert code == 1
-        assert "no link 'nope'; links are base_link, link_1" in output
+        assert "link 'nope' does not exist; links are base_link, link_1" in output
 
     def test_arm_survives_a_time_without_joint_states(self, domain_id, tmp_path):
         picture = tmp_path / 'lost.png'

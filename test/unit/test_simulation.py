@@ -338,7 +338,7 @@ class TestWorld:
         assert state_of(simulation)[0] == pytest.approx([0.1, 0.4], abs=0.002)
 
     def test_joint_to_hold_that_is_not_there_is_named(self):
-        with pytest.raises(SimulationError, match="no joint 'nope' to hold"):
+        with pytest.raises(SimulationError, match="joint 'nope' does not exist; joints are"):
             MujocoRobot(PENDULUM, load_urdf(PENDULUM), [0.0], held=['nope'])
 
     def test_brakes_stop_what_moves(self):

@@ -111,7 +111,7 @@ def test_refuses_what_is_no_trajectory(change, words):
     ('names', 'words'),
     [
         ((), 'no joint names'),
-        (('nope',), "no joint 'nope' to move; it has joint_1"),
+        (('nope',), "joint 'nope' does not exist; joints are joint_1"),
         (('joint_1', 'joint_1'), "'joint_1' is named twice"),
     ],
 )

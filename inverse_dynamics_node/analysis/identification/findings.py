@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...dynamics.inverse_dynamics import FRICTION_WIDTH, InverseDynamics
-from ...errors import ConfigurationError, RecordingError
+from ...errors import ConfigurationError, RecordingError, unknown_name
 from ...robot.model import Booleans, Floats, RobotModel
 from .diagnoses import constant, describe, Diagnosis
 from .evidence import (
@@ -122,9 +122,7 @@ def identify(
     """
     robot = dynamics.robot
     if link is not None and link not in robot.link_names:
-        raise ConfigurationError(
-            f"link '{link}' does not exist; links are {', '.join(robot.link_names)}"
-        )
+        raise ConfigurationError(unknown_name('link', link, robot.link_names))
     index = _index_of(recording.joint_names, robot)
     turning = [j for j, i in enumerate(index) if robot.is_continuous[i]]
     if turning:

@@ -14,12 +14,8 @@ import re
 
 import numpy as np
 
-from .findings import (
-    Findings,
-    label,
-    listed,
-    quoted,
-)
+from ...errors import listed
+from .findings import Findings, label, quoted
 from .rules import (
     CHILDREN,
     CHILDREN_OF_FIXED,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from itertools import islice
 import math
 
 from .xml import Element, shortened, tag
@@ -45,12 +43,6 @@ def _with_line(element: Element, text: str) -> tuple[float, str]:
 def label(element: Element) -> str:
     """Name a link or joint in a message."""
     return f"{tag(element)} '{element.get('name', '')}'"
-
-
-def listed(names: Collection[str], limit: int = 12) -> str:
-    """List names for a message that stays readable with a thousand of them."""
-    shown = ', '.join(islice(names, limit))
-    return f'{shown}, ... ({len(names)} in all)' if len(names) > limit else shown
 
 
 def quoted(text: str) -> str:

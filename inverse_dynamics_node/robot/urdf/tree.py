@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Mapping
 
-from .findings import Findings, label, listed
+from ...errors import listed, unknown_name
+from .findings import Findings, label
 from .xml import Element, is_xacro, tag
 
 
@@ -50,7 +51,7 @@ def _check_ends(
         if name in links:
             ends.append(name)
         elif not is_xacro(name):
-            text = f"{where}: {end} link '{name}' does not exist; links are {listed(links)}"
+            text = f'{where}: {end} {unknown_name("link", name, links)}'
             findings.problem(element, text)
     if len(ends) < 2:
         return None

@@ -20,6 +20,7 @@ import rclpy
 from rclpy.signals import SignalHandlerOptions
 
 from ...dynamics.inverse_dynamics import InverseDynamics
+from ...errors import unknown_name
 from ...robot.urdf import load_urdf
 from ..mujoco.model import SimulationError
 from ..trajectory import slides, start_pose
@@ -78,9 +79,7 @@ def run(options: argparse.Namespace, stopped: Callable[[], bool]) -> bool:
     urdf = str(options.urdf.resolve())
     robot = load_urdf(urdf)
     if options.link and options.link not in robot.link_names:
-        raise SimulationError(
-            f'there is no link {options.link!r}; links are {", ".join(robot.link_names)}'
-        )
+        raise SimulationError(unknown_name('link', options.link, robot.link_names))
     # The node needs the same compiled dynamics: made here first, it finds them ready.
     start = start_pose(robot, InverseDynamics(robot))
     stage = Stage(urdf, robot, start, options.duration, options.link, options.friction)

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...errors import unknown_name
 from ...robot.model import Booleans, Floats, RobotModel
 from .model import compile_model, LARGEST_STEP, SimulationError
 from .world import World
@@ -81,10 +82,7 @@ class MujocoRobot:
         self._model.dof_armature[self._order] = armature
         unknown = sorted(set(held) - set(robot.joint_names))
         if unknown:
-            raise SimulationError(
-                f'there is no joint {unknown[0]!r} to hold; joints are '
-                f'{", ".join(robot.joint_names)}'
-            )
+            raise SimulationError(unknown_name('joint', unknown[0], robot.joint_names))
         free = [i for i, name in enumerate(robot.joint_names) if name not in held]
         self.command_names = tuple(robot.joint_names[i] for i in free)
         self._command_order = [self._order[i] for i in free]
