@@ -18,7 +18,7 @@ from ..analysis.identification import (
     JointFinding,
     Recording,
 )
-from ..analysis.recordings import read_recording
+from ..analysis.measured_states import read_measured_states
 from ..dynamics.inverse_dynamics import FRICTION_WIDTH, InverseDynamics, STANDARD_GRAVITY
 from ..errors import ConfigurationError, RecordingError
 from ..report.advice import Concern
@@ -121,7 +121,7 @@ def run(options: argparse.Namespace) -> int:
     dynamics = _dynamics(options, load_dynamics(options.urdf, options.gravity))
     robot = dynamics.robot
     with progress('reading') as tell:
-        recording, notes = read_recording(
+        recording, notes = read_measured_states(
             options.recording, robot.joint_names, options.topic, tell
         )
     recording = _between(recording, options.start, options.end)

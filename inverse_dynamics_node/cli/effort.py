@@ -12,8 +12,13 @@ from typing import Any
 import numpy as np
 
 from ..analysis.requirements import effort_requirements, EffortRequirements
-from ..analysis.trajectories import FORMATS, read_trajectory, Source
-from ..analysis.trajectory_files import write_table, write_trajectory
+from ..analysis.trajectory_files import (
+    FORMATS,
+    LoadedTrajectory,
+    read_trajectory,
+    write_table,
+)
+from ..analysis.trajectory_yaml import write_trajectory
 from ..analysis.workspace import joint_ranges
 from ..dynamics.inverse_dynamics import STANDARD_GRAVITY
 from ..dynamics.trajectory import (
@@ -224,7 +229,7 @@ def _others(robot: RobotModel, places: Sequence[tuple[str, float]]) -> Floats:
 def _summary(
     options: argparse.Namespace,
     link: str,
-    source: Source,
+    source: LoadedTrajectory,
     derived: tuple[str, ...],
     fine: Trajectory,
 ) -> Table:
@@ -239,7 +244,7 @@ def _summary(
     if options.payload:
         loads.append(f"payload {options.payload[0]:g} kg on link '{link}'")
     loads.append('friction of the URDF counted' if options.friction else 'friction not counted')
-    notes = (count, '; '.join(loads), *source.remarks, *derived)
+    notes = (count, '; '.join(loads), *source.notes, *derived)
     return Table(f'trajectory {options.trajectory}', notes=notes)
 
 

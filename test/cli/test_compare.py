@@ -4,7 +4,7 @@ import io
 import re
 
 from inverse_dynamics_node import load_urdf
-from inverse_dynamics_node.analysis.recordings import read_recording
+from inverse_dynamics_node.analysis.measured_states import read_measured_states
 from inverse_dynamics_node.cli.main import main
 import numpy as np
 import pytest
@@ -186,7 +186,7 @@ def test_bags_and_their_files_and_tables_read_alike(short, storage, here):
     suffix = {'mcap': 'mcap', 'sqlite3': 'db3'}[storage]
     told = []
     for path in ('run', f'run/run.{suffix}', 'run.csv'):
-        found, notes = read_recording(here / path, JOINTS, tell=told.append)
+        found, notes = read_measured_states(here / path, JOINTS, progress=told.append)
         assert notes == ()
         assert found.joint_names == JOINTS
         assert found.times == pytest.approx(short.times - short.times[0], abs=2e-9)
@@ -198,7 +198,7 @@ def test_bags_and_their_files_and_tables_read_alike(short, storage, here):
 
 def test_finds_the_topic_that_has_efforts(short, here, capsys):
     write_bag(here / 'run', short, topic='/arm/joint_states', extra=('/desired', '/gui'))
-    assert read_recording(here / 'run', JOINTS)[0].efforts.shape == (1500, 6)
+    assert read_measured_states(here / 'run', JOINTS)[0].efforts.shape == (1500, 6)
     assert compare('run', '--no-picture', '--topic', '/desired') == 1
     assert 'no message has an effort' in capsys.readouterr().err
     assert compare('run', '--no-picture', '--topic', 'arm/joint_states') == 0
@@ -206,7 +206,7 @@ def test_finds_the_topic_that_has_efforts(short, here, capsys):
 
 def test_unstamped_messages_have_the_time_of_the_recorder(short, here):
     write_bag(here / 'run', short, is_stamped=False)
-    found, notes = read_recording(here / 'run', JOINTS)
+    found, notes = read_measured_states(here / 'run', JOINTS)
     assert 'no stamp' in notes[0]
     assert found.times == pytest.approx(short.times - short.times[0], abs=1e-3)
 
@@ -231,8 +231,8 @@ def test_other_joints_and_missing_ones_are_told(short, here, capsys):
     write_csv(here / 'run.csv', short._replace(joint_names=names))
     assert compare('run.csv', '--no-picture') == 0
     output = ' '.join(capsys.readouterr().out.split())
-    assert 'joints that the robot does not have, left out: finger' in output
-    assert 'joints that were not recorded, taken to rest at zero: joint_1' in output
+    assert 'ignored joints that the robot does not have: finger' in output
+    assert 'joints that were not recorded, assumed to rest at zero: joint_1' in output
 
 
 def broken(short, here, how):
@@ -250,6 +250,8 @@ def broken(short, here, how):
         path.write_text('time,joint_1.position,joint_1.effort\n0,1,2\n0.1,1,oops\n')
     elif how == 'row':
         path.write_text('time,joint_1.position,joint_1.effort\n0,1\n')
+    elif how == 'bytes':
+        path.write_bytes(b'\xff\xfe\x00')
     elif how == 'no time':
         path.write_text('t,joint_1.position\n0,1\n')
     elif how == 'semicolons':
@@ -284,11 +286,12 @@ def broken(short, here, how):
         ('no positions', "joint 'joint_1' never has a position"),
         ('text', "line 3, column 'joint_1.effort': 'oops' is not a number"),
         ('row', 'line 2 has 2 values, the header 3 columns'),
+        ('bytes', 'run.csv: is not a CSV file'),
         (
             'no time',
-            "no column 'time'; the columns are t, joint_1.position; expected 'time' [s] and, per "
-            "joint, '<joint>' or '<joint>.position', '<joint>.velocity', '<joint>.effort'; the "
-            'joints are joint_1, joint_2',
+            "no column 'time'; the columns are t, joint_1.position; expected 'time' [s] and, for "
+            "each joint, '<joint>' or '<joint>.position', '<joint>.velocity', '<joint>.effort'; "
+            'the joints are joint_1, joint_2',
         ),
         (
             'semicolons',
@@ -298,7 +301,7 @@ def broken(short, here, how):
         ('two topics', 'several topics of type sensor_msgs/msg/JointState, /a, /b; none of them'),
         ('no topic', 'has no topic of type sensor_msgs/msg/JointState; it has /joint_states'),
         ('half a file', 'half.mcap: '),
-        ('no metadata', 'has no metadata.yaml, expected a rosbag2 folder; or give one of its'),
+        ('no metadata', 'has no metadata.yaml, expected a rosbag2 folder; or pass one of its'),
         ('kind', "is a '.bagpipe' file, expected a rosbag2 folder, .mcap, .db3 or .csv"),
         ('nothing', 'no such file or folder'),
     ],

@@ -4,7 +4,7 @@ import csv
 from pathlib import Path
 import re
 
-from inverse_dynamics_node.analysis.trajectories import read_trajectory
+from inverse_dynamics_node.analysis.trajectory_files import read_trajectory
 from inverse_dynamics_node.cli.main import main
 from inverse_dynamics_node.dynamics.inverse_dynamics import InverseDynamics
 from inverse_dynamics_node.errors import TrajectoryError
@@ -222,13 +222,13 @@ def test_what_does_not_fit_the_robot_is_told(write, capsys, options, words):
 
 
 def test_reads_what_ros2_topic_echo_prints(write):
-    trajectory, remarks = read(write(ECHO))
+    trajectory, notes = read(write(ECHO))
     assert trajectory.joint_names == ('joint_2', 'joint_3')
     assert trajectory.times.tolist() == [0.0, 1.5]
     assert trajectory.positions.tolist() == [[-1.0, 0.4], [-1.5, 0.9]]
     assert trajectory.velocities.tolist() == [[0.0, 0.0], [0.0, 0.0]]
     assert trajectory.accelerations is None
-    assert remarks == ()
+    assert notes == ()
 
 
 def test_reads_goals_and_answers_that_hold_a_trajectory(write):
@@ -238,13 +238,13 @@ def test_reads_goals_and_answers_that_hold_a_trajectory(write):
 
 
 def test_takes_the_first_of_several_and_says_so(write):
-    assert read(write(ECHO + ECHO)).remarks == ('the first of 2 trajectories',)
+    assert read(write(ECHO + ECHO)).notes == ('the first of 2 trajectories',)
 
 
 def test_derivatives_of_some_points_only_are_not_used(write):
-    trajectory, remarks = read(write(ECHO.replace('  - 0.0\n  - 0.0\n', '    []\n', 1)))
+    trajectory, notes = read(write(ECHO.replace('  - 0.0\n  - 0.0\n', '    []\n', 1)))
     assert trajectory.velocities is None
-    assert remarks == ('only 1 of 2 points have velocities: not used',)
+    assert notes == ('only 1 of 2 points have velocities: not used',)
 
 
 @pytest.mark.parametrize(
@@ -277,18 +277,18 @@ def test_reads_csv_by_its_header(write):
     text = (
         'time, joint_3,joint_1,joint_3.velocity,joint_1.velocity,note\n0,1,2,3,4,5\n1,2,3,4,5,6\n'
     )
-    trajectory, remarks = read(write(text, 'a.csv'))
+    trajectory, notes = read(write(text, 'a.csv'))
     assert trajectory.joint_names == ('joint_3', 'joint_1')
     assert trajectory.positions.tolist() == [[1.0, 2.0], [2.0, 3.0]]
     assert trajectory.velocities.tolist() == [[3.0, 4.0], [4.0, 5.0]]
     assert trajectory.accelerations is None
-    assert remarks == ('columns not used: note',)
+    assert notes == ('columns not used: note',)
 
 
 def test_positions_may_be_called_so(write):
-    trajectory, remarks = read(write('time,joint_1.position,joint_1.effort\n0,1,2\n', 'a.csv'))
+    trajectory, notes = read(write('time,joint_1.position,joint_1.effort\n0,1,2\n', 'a.csv'))
     assert trajectory.positions.tolist() == [[1.0]]
-    assert remarks == ('columns not used: joint_1.effort',)
+    assert notes == ('columns not used: joint_1.effort',)
 
 
 @pytest.mark.parametrize(
@@ -297,17 +297,20 @@ def test_positions_may_be_called_so(write):
         ('', 'no rows'),
         (
             't,joint_1\n0,1\n',
-            "no column 'time'; the columns are t, joint_1; expected 'time' .s. and, per joint, "
-            "'<joint>' or '<joint>.position', '<joint>.velocity', '<joint>.acceleration'; the "
-            'joints are joint_1, ',
+            "no column 'time'; the columns are t, joint_1; expected 'time' .s. and, for each "
+            "joint, '<joint>' or '<joint>.position', '<joint>.velocity', '<joint>.acceleration'; "
+            'the joints are joint_1, ',
         ),
         ('time;joint_1\n0;1\n', "separated by ';', expected ','; the columns are time, joint_1;"),
         ('time\tjoint_1\n0\t1\n', "separated by tabs, expected ','; the columns are time, "),
-        ('time,elbow\n0,1\n', 'no column is named as a joint; the columns are time, elbow'),
+        (
+            'time,elbow\n0,1\n',
+            'no column has the positions of a joint of this robot; the columns are time, elbow',
+        ),
         ('time,joint_1,joint_2.velocity\n0,1,2\n', "joint 'joint_2' has no column of positions"),
-        ('time,joint_1,joint_1\n0,1,2\n', "two columns are named 'joint_1'"),
-        ('time,joint_1\n0,1\n1\n', 'row 3 has 1 cells, expected 2'),
-        ('time,joint_1\n0,one\n', "row 2, column 'joint_1': 'one' is no number"),
+        ('time,joint_1,joint_1\n0,1,2\n', "two columns hold the position of joint 'joint_1'"),
+        ('time,joint_1\n0,1\n1\n', 'line 3 has 1 values, the header 2 columns'),
+        ('time,joint_1\n0,one\n', "line 2, column 'joint_1': 'one' is not a number"),
     ],
 )
 def test_csv_that_is_no_trajectory_is_refused(write, text, words):
@@ -390,10 +393,10 @@ def test_reads_a_recorded_trajectory(record, capsys):
             recording.write('/controller/joint_trajectory', moving, 2.0 - start)
 
     bag = record(messages)
-    trajectory, remarks = read(bag)
+    trajectory, notes = read(bag)
     assert trajectory.times.tolist() == [0.0, 1.5]
     assert trajectory.positions.tolist() == [[-1.0, 0.4], [-1.5, 0.9]]
-    assert remarks == ('topic /controller/joint_trajectory: trajectory 1 of 2',)
+    assert notes == ('topic /controller/joint_trajectory: trajectory 1 of 2',)
     (file,) = [path for path in bag.iterdir() if path.suffix in ('.mcap', '.db3')]
     assert np.array_equal(read(file).trajectory.positions, trajectory.positions)
     assert main(['effort', str(STANFORD), str(bag), '--no-picture']) == 0
@@ -410,17 +413,17 @@ def test_reads_recorded_joint_states(record):
                 recording.write('/joint_states', gripper, 7.1 + k)
         recording.write('/joint_states', recording.state(5.0, positions), 60.0)
 
-    trajectory, remarks = read(record(messages))
+    trajectory, notes = read(record(messages))
     assert trajectory.joint_names == ('joint_3', 'joint_2')
     assert trajectory.times == pytest.approx(0.1 * np.arange(50))
     assert trajectory.positions[:, 1] == pytest.approx(-0.02 * np.arange(50))
     assert trajectory.velocities is None
-    assert remarks == (
+    assert notes == (
         'topic /joint_states',
         '50 joint states',
-        '1 joint states left out: no later than the one before',
+        'ignored 1 joint states that are not later than the previous one',
         'not joints of the robot: wheel',
-        'states of other publishers not used: of joint_6',
+        'ignored joint states of other publishers: joint_6',
     )
 
 
@@ -446,7 +449,7 @@ def test_asks_which_topic(record):
             recording.write(f'/{name}/joint_states', recording.state(1.0, {'joint_1': 0.0}), 1.0)
 
     bag = record(messages)
-    with pytest.raises(TrajectoryError, match='which --topic'):
+    with pytest.raises(TrajectoryError, match='choose one with --topic'):
         read(bag)
     assert len(read(bag, '/left/joint_states').trajectory.times) == 1
     with pytest.raises(TrajectoryError, match=r"on topic '/up'; topics are /left/joint_states"):
@@ -472,10 +475,10 @@ def stream_references(recording):
 
 def test_a_stream_of_single_points_gives_way_to_the_joint_states(record, capsys):
     bag = record(stream_references)
-    trajectory, remarks = read(bag)
+    trajectory, notes = read(bag)
     assert len(trajectory.times) == 5
-    assert remarks[0] == 'topic /joint_states'
-    assert remarks[-1] == 'not used, single points only: /node/reference'
+    assert notes[0] == 'topic /joint_states'
+    assert notes[-1] == 'not used, single points only: /node/reference'
     command = ['effort', str(STANFORD), str(bag), '--no-picture', '--topic', '/node/reference']
     assert main(command) == 0
     output = capsys.readouterr().out
@@ -492,9 +495,9 @@ def test_the_longest_trajectory_is_taken_and_the_others_are_named(record):
             moving = recording.trajectory([float(i) for i in range(count)], rows)
             recording.write('/controller/joint_trajectory', moving, 2.0 + k)
 
-    trajectory, remarks = read(record(messages))
+    trajectory, notes = read(record(messages))
     assert len(trajectory.times) == 4
-    assert remarks == (
+    assert notes == (
         'topic /controller/joint_trajectory: trajectory 2 of 3',
         'other topics: /node/reference (1 point); choose with --topic',
     )
@@ -504,7 +507,7 @@ def test_recordings_without_a_trajectory_are_refused(record):
     def messages(recording):
         recording.write('/joint_states', recording.state(1.0, {'wheel': 0.0}), 1.0)
 
-    with pytest.raises(TrajectoryError, match='tell nothing of the robot; of wheel'):
+    with pytest.raises(TrajectoryError, match='have no joint of this robot, only wheel'):
         read(record(messages))
 
 
@@ -513,7 +516,8 @@ def test_what_is_no_recording_is_refused(tmp_path, capsys):
     (tmp_path / 'noise.mcap').write_bytes(b'noise')
     (tmp_path / 'noise.db3').write_bytes(b'noise')
     (tmp_path / 'noise.bin').write_bytes(b'\xff\xfe\x00')
-    for name in ('empty', 'noise.mcap', 'noise.db3', 'noise.bin', 'nothing.mcap'):
+    (tmp_path / 'noise.csv').write_bytes(b'\xff\xfe\x00')
+    for name in ('empty', 'noise.mcap', 'noise.db3', 'noise.bin', 'noise.csv', 'nothing.mcap'):
         assert main(['effort', str(STANFORD), str(tmp_path / name)]) == 1, name
         error = capsys.readouterr().err
         assert name in error
@@ -524,6 +528,6 @@ def test_the_example_of_the_help_is_one(write, capsys):
     with pytest.raises(SystemExit):
         main(['effort', '--help'])
     text = capsys.readouterr().out.split('Or plain lists:\n')[1].split('  .csv')[0]
-    lines = [line.split('    maybe')[0].strip() for line in text.splitlines()]
+    lines = [line.split('    optional')[0].strip() for line in text.splitlines()]
     lists = '\n'.join(lines).replace('[a, b]', '[joint_1, joint_4]')
     assert len(read(write(lists)).trajectory.times) == 2

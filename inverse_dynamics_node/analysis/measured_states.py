@@ -1,0 +1,226 @@
+"""Reads measured joint states from rosbag2 recordings and CSV files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import islice
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..errors import RecordingError
+from ..robot.model import Floats
+from .identification import Recording
+from .recordings import Bag, BAG_SUFFIXES, JOINT_STATE, open_bag, read_csv
+
+_QUANTITIES = ('position', 'velocity', 'effort')
+_FIRST_MESSAGES = 100
+"""Messages of a topic that are searched for efforts."""
+
+
+class Sample(NamedTuple):
+    """One message: the states of some joints at one time."""
+
+    stamp: int
+    """Stamp of the header [ns]; 0 if the driver does not set it."""
+    received: int
+    """Time at which the message was recorded [ns]."""
+    names: tuple[str, ...]
+    values: tuple[Any, Any, Any]
+    """Position, velocity and effort: each either empty or one number per name."""
+
+
+def read_measured_states(
+    path: Path,
+    joint_names: Sequence[str],
+    topic: str | None = None,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> tuple[Recording, tuple[str, ...]]:
+    """
+    Read the recorded joint states of a robot.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        A rosbag2 folder, an .mcap or .db3 file, or a .csv file.
+    joint_names : sequence of str
+        The robot's joints; other joints are ignored.
+    topic : str, optional
+        A topic of type sensor_msgs/msg/JointState; default: the only one with efforts.
+    progress : callable
+        Called now and then with the fraction read so far, 0 to 1.
+
+    Returns
+    -------
+    recording : Recording
+        The joints that were recorded, in the order of ``joint_names``; times start at zero.
+    notes : tuple of str
+        Sentences about ignored and missing data.
+
+    Raises
+    ------
+    RecordingError
+        If the recording cannot be read, or has no efforts of any of these joints.
+
+    """
+    if not path.exists():
+        raise RecordingError(f'{path}: no such file or folder, expected a recording')
+    if path.suffix == '.csv':
+        if topic is not None:
+            raise RecordingError(f'{path}: a CSV file has no topic {topic}')
+        return _from_csv(path, joint_names)
+    if path.is_file() and path.suffix not in BAG_SUFFIXES:
+        raise RecordingError(
+            f"{path}: is a '{path.suffix or path.name}' file, expected a rosbag2 folder, .mcap, "
+            '.db3 or .csv'
+        )
+    with open_bag(path) as bag:
+        chosen = _choose_topic(bag, topic)
+        samples = _samples(bag, chosen, progress)
+        return _from_samples(f'{path} {chosen}', samples, joint_names)
+
+
+def _from_csv(path: Path, joint_names: Sequence[str]) -> tuple[Recording, tuple[str, ...]]:
+    times, columns, _ = read_csv(path, joint_names, _QUANTITIES, allow_empty=True)
+    if not len(times):
+        raise RecordingError(f'{path}: no rows below its header')
+    values = np.full((len(times), 3, len(joint_names)), np.nan)
+    index = {name: j for j, name in enumerate(joint_names)}
+    for (joint, quantity), column in columns.items():
+        if joint in index:
+            values[:, _QUANTITIES.index(quantity), index[joint]] = column
+    recorded = dict.fromkeys(joint for joint, _ in columns)
+    return _recording(str(path), times, values, joint_names, recorded)
+
+
+def _choose_topic(bag: Bag, requested: str | None) -> str:
+    topics = sorted(name for name, kind in bag.types.items() if kind == JOINT_STATE)
+    if requested is not None:
+        topic = bag.find_topic(requested)
+        if topic is None:
+            raise RecordingError(
+                f'{bag.path}: has no topic {requested}; topics of type {JOINT_STATE}: '
+                f'{", ".join(topics) or "none"}'
+            )
+        if bag.types[topic] != JOINT_STATE:
+            raise RecordingError(
+                f'{bag.path}: topic {topic} is of type {bag.types[topic]}, expected {JOINT_STATE}'
+            )
+        return topic
+    if not topics:
+        found = ', '.join(f'{name} ({kind})' for name, kind in sorted(bag.types.items()))
+        raise RecordingError(
+            f'{bag.path}: has no topic of type {JOINT_STATE}; it has {found or "no topics"}'
+        )
+    return topics[0] if len(topics) == 1 else _only_topic_with_efforts(bag, topics)
+
+
+def _only_topic_with_efforts(bag: Bag, topics: list[str]) -> str:
+    useful = []
+    for topic in topics:
+        first = islice(_samples(bag, topic), _FIRST_MESSAGES)
+        if any(len(sample.values[0]) and len(sample.values[2]) for sample in first):
+            useful.append(topic)
+    if len(useful) == 1:
+        return useful[0]
+    found = f'{", ".join(useful)} have efforts' if useful else 'none of them has efforts'
+    raise RecordingError(
+        f'{bag.path}: several topics of type {JOINT_STATE}, {", ".join(topics)}; {found}; '
+        'choose one with --topic'
+    )
+
+
+def _samples(
+    bag: Bag, topic: str, progress: Callable[[float], None] = lambda fraction: None
+) -> Iterator[Sample]:
+    for received, message in bag.messages(topic, progress):
+        stamp = message.header.stamp
+        values = message.position, message.velocity, message.effort
+        nanoseconds = stamp.sec * 1_000_000_000 + stamp.nanosec
+        yield Sample(nanoseconds, received, tuple(message.name), values)
+
+
+def _from_samples(
+    where: str, samples: Iterable[Sample], joint_names: Sequence[str]
+) -> tuple[Recording, tuple[str, ...]]:
+    """Convert messages with any joints in any order to arrays."""
+    index = {name: j for j, name in enumerate(joint_names)}
+    layouts: dict[tuple[str, ...], tuple[list[int], list[int]]] = {}
+    stamps: list[tuple[int, int]] = []
+    rows: list[Floats] = []
+    for k, sample in enumerate(samples):
+        layout = layouts.get(sample.names)
+        if layout is None:
+            columns = [i for i, name in enumerate(sample.names) if name in index]
+            joints = [index[sample.names[i]] for i in columns]
+            layout = layouts[sample.names] = columns, joints
+        columns, joints = layout
+        row = np.full((3, len(joint_names)), np.nan)
+        for quantity, values, target in zip(_QUANTITIES, sample.values, row, strict=True):
+            if len(values) == 0:
+                continue
+            if len(values) != len(sample.names):
+                raise RecordingError(
+                    f'{where}: message {k} has {len(values)} values of {quantity} for '
+                    f'{len(sample.names)} names'
+                )
+            target[joints] = np.asarray(values, dtype=float)[columns]
+        stamps.append((sample.stamp, sample.received))
+        rows.append(row)
+    if not rows:
+        raise RecordingError(f'{where}: no messages')
+    recorded = dict.fromkeys(name for names in layouts for name in names)
+    stamped_and_received = np.array(stamps)
+    is_stamped = bool(stamped_and_received[:, 0].any())
+    nanoseconds = stamped_and_received[:, 0 if is_stamped else 1]
+    # Subtract integers: seconds since 1970 as a float resolve less than a microsecond.
+    times = 1e-9 * (nanoseconds - nanoseconds[0])
+    recording, notes = _recording(where, times, np.array(rows), joint_names, recorded)
+    if not is_stamped:
+        notes += ('messages have no stamp: used the times at which they were recorded',)
+    return recording, notes
+
+
+def _recording(
+    where: str, times: Floats, values: Floats, joint_names: Sequence[str], recorded: Iterable[str]
+) -> tuple[Recording, tuple[str, ...]]:
+    """Select the joints of the robot that were recorded; describe the others in notes."""
+    recorded = list(recorded)
+    known = [j for j, name in enumerate(joint_names) if name in recorded]
+    if not known:
+        found = 'no joint names'
+        if recorded:
+            found = f'no joint of this robot, only {", ".join(recorded)}'
+        raise RecordingError(f'{where}: has {found}; expected some of {", ".join(joint_names)}')
+    finite = np.isfinite(values)
+    if not finite[:, 2, known].any():
+        raise RecordingError(
+            f'{where}: no message has an effort of any joint of this robot (empty, or NaN); '
+            'expected measured efforts'
+        )
+    without_position = [j for j in known if not finite[:, 0, j].any()]
+    if without_position:
+        name = joint_names[without_position[0]]
+        raise RecordingError(f"{where}: joint '{name}' never has a position (empty, or NaN)")
+    velocities = values[:, 1, known] if finite[:, 1, known].any() else None
+    recording = Recording(
+        tuple(joint_names[j] for j in known),
+        times - times[0],
+        values[:, 0, known],
+        velocities,
+        values[:, 2, known],
+    )
+    lists = {
+        'ignored joints that the robot does not have': [
+            name for name in recorded if name not in joint_names
+        ],
+        'joints that were not recorded, assumed to rest at zero': [
+            name for name in joint_names if name not in recorded
+        ],
+        'joints without a measured effort, not compared': [
+            joint_names[j] for j in known if not finite[:, 2, j].any()
+        ],
+    }
+    notes = (f'{text}: {", ".join(names)}' for text, names in lists.items() if names)
+    return recording, tuple(notes)
