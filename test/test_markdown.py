@@ -1,0 +1,71 @@
+"""Rules for all Markdown files: width, code blocks, links and paths."""
+
+import re
+
+import pytest
+from robot_files import ROOT
+
+WIDTH = 100
+PAGES = [ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *sorted((ROOT / 'doc').glob('*.md'))]
+TEMPLATES = sorted((ROOT / 'benchmarks').glob('*.md'))
+# The first two are written by the benchmarks, from templates that are tested.
+EXEMPT = ('benchmarks.md', 'loop.md', 'interface.md')
+
+
+def prose_of(text):
+    """Yield number and text of each line that is not in a code block, a table or a lone link."""
+    is_code = False
+    for number, line in enumerate(text.splitlines(), start=1):
+        if line.lstrip().startswith('```'):
+            is_code = not is_code
+        elif not (is_code or line.startswith('|') or re.fullmatch(r'!?\[[^]]*\]\(\S*\)', line)):
+            yield number, line
+
+
+def name_of(path):
+    return str(path.relative_to(ROOT))
+
+
+@pytest.mark.parametrize(
+    'path', TEMPLATES + [path for path in PAGES if path.name not in EXEMPT], ids=name_of
+)
+def test_prose_is_at_most_100_columns_wide(path):
+    long = [number for number, line in prose_of(path.read_text()) if len(line) > WIDTH]
+    assert not long, f'{name_of(path)}: lines {long} are longer than {WIDTH} columns'
+
+
+def test_prose_excludes_code_tables_and_links():
+    text = 'a\n```text\nb\n```\n| c |\n![d](e.png)\nsee [f](g.md)\n'
+    assert list(prose_of(text)) == [(1, 'a'), (7, 'see [f](g.md)')]
+
+
+@pytest.mark.parametrize('path', PAGES, ids=name_of)
+def test_code_blocks_are_fenced_and_have_a_language(path):
+    fences = re.findall(r'^ *```(.*)$', path.read_text(), re.M)
+    assert len(fences) % 2 == 0
+    assert all(fences[::2])
+    assert not any(fences[1::2])
+    without_fences = '\n'.join(line for _, line in prose_of(path.read_text()))
+    assert not re.search(r'(?:^|\n\n)    \S.*', without_fences)
+
+
+@pytest.mark.parametrize('path', PAGES, ids=name_of)
+def test_links_lead_to_files_and_headings(path):
+    for link in re.findall(r'\]\(([^):]+)\)', path.read_text()):
+        file, _, heading = link.partition('#')
+        target = path.parent / file if file else path
+        assert target.resolve().exists(), link
+        if heading:
+            titles = re.findall(r'^#+ (.*)$', target.read_text(), re.M)
+            assert heading in [anchor(title) for title in titles], link
+
+
+@pytest.mark.parametrize('path', PAGES, ids=name_of)
+def test_files_in_the_text_exist(path):
+    for name in re.findall(r'`((?:test|config|doc|benchmarks)/[\w./]+)`', path.read_text()):
+        assert (ROOT / name).exists(), name
+
+
+def anchor(title):
+    """Return the anchor that GitHub gives a heading."""
+    return re.sub(r'[^\w -]', '', title.lower()).replace(' ', '-')
