@@ -1,15 +1,15 @@
 """
-Joint states as they come off the wire, read where they lie; commands as they go onto it.
+Reads serialized joint states and writes serialized commands.
 
-To make a message of the bytes takes longer than the dynamics. But a publisher sends the same names
-forever: only its first message is deserialized. It tells where the numbers are in those that are
-like it in all but numbers and time.
+Deserializing a message takes longer than the dynamics. A publisher, however, always sends the same
+joint names. Only its first message is deserialized; later ones have the same layout, and their
+numbers are read in place.
 """
 
 from __future__ import annotations
 
 import struct
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from rclpy.serialization import deserialize_message
@@ -19,14 +19,14 @@ from ..errors import JointStateError
 from ..robot.model import Floats
 
 _CDR_LITTLE_ENDIAN = b'\x00\x01\x00\x00'
-_HEADER = len(_CDR_LITTLE_ENDIAN)  # what follows is aligned from here on
-_STAMP = 8  # bytes
+_HEADER = len(_CDR_LITTLE_ENDIAN)  # alignment is relative to the end of the header
+_STAMP = 8  # [bytes]
 _NUMBER = np.dtype('<f8')
-_MOST_LAYOUTS = 16  # more publishers than that are no publishers
+_MAX_LAYOUTS = 16  # more than this many layouts mean that names change with every message
 
 
 class JointStateArrays(NamedTuple):
-    """What a joint state says; lengths and values are not checked."""
+    """Contents of a joint state; lengths and values are not checked."""
 
     names: tuple[str, ...]
     positions: Floats
@@ -35,7 +35,7 @@ class JointStateArrays(NamedTuple):
 
 
 class JointStateReader:
-    """Reads serialized joint states, fast if they are like one of the last."""
+    """Reads serialized joint states, fast if the layout of the message is known."""
 
     def __init__(self) -> None:
         self._layouts: list[_Layout] = []
@@ -47,40 +47,46 @@ class JointStateReader:
         Parameters
         ----------
         data : bytes
-            As a raw subscription gets them.
+            The message as received by a raw subscription.
 
         Returns
         -------
         arrays : JointStateArrays
-            Not to be written to: views of the data, most often.
+            Read-only: usually these are views of `data`.
 
         Raises
         ------
         JointStateError
-            If it is no joint state.
+            If `data` is not a JointState.
 
         """
         for layout in self._layouts:
             if layout.fits(data):
                 return layout.arrays(data)
-        return self._read_anew(data)
+        return self._deserialize(data)
 
-    def _read_anew(self, data: bytes) -> JointStateArrays:
+    def _deserialize(self, data: bytes) -> JointStateArrays:
         try:
             message = deserialize_message(data, JointState)
-        except Exception:  # each middleware has its own
-            raise JointStateError(f'{len(data)} bytes that are no JointState') from None
+        except Exception:  # the type depends on the middleware
+            raise JointStateError(f'{len(data)} bytes are not a JointState') from None
         numbers = [np.asarray(x) for x in (message.position, message.velocity, message.effort)]
         arrays = JointStateArrays(tuple(message.name), *numbers)
-        layout = _layout(message.header.frame_id, arrays, len(data))
-        if layout.fits(data) and all(
-            here.tobytes() == there.tobytes()
-            for here, there in zip(layout.arrays(data)[1:], numbers, strict=True)
-        ):
-            if len(self._layouts) >= _MOST_LAYOUTS:
+        if data.startswith(_CDR_LITTLE_ENDIAN):
+            self._remember(data, arrays)
+        return arrays
+
+    def _remember(self, data: bytes, arrays: JointStateArrays) -> None:
+        try:
+            layout = _find_layout(data, arrays.names)
+        except struct.error:
+            return
+        # A middleware that aligns numbers differently gets no fast path.
+        found = zip(arrays[1:], layout.arrays(data)[1:], strict=True)
+        if all(expected.tobytes() == actual.tobytes() for expected, actual in found):
+            if len(self._layouts) >= _MAX_LAYOUTS:
                 self._layouts.clear()
             self._layouts.append(layout)
-        return arrays
 
 
 def serialize_numbers(numbers: Floats) -> bytes:
@@ -90,32 +96,32 @@ def serialize_numbers(numbers: Floats) -> bytes:
     Parameters
     ----------
     numbers : ndarray, shape (m,)
-        Its data.
+        The `data` of the message.
 
     Returns
     -------
     data : bytes
-        For a publisher of that type.
+        Serialized message, for a publisher of this type.
 
     """
-    # No dimensions, no offset, a count, a gap.
+    # No dimensions, data_offset 0, number of values, padding.
     head = struct.pack('<4s3I4x', _CDR_LITTLE_ENDIAN, 0, 0, len(numbers))
     return head + numbers.astype(_NUMBER, copy=False).tobytes()
 
 
 class _Layout(NamedTuple):
-    """Where the numbers are, and all else that a message of this kind holds."""
+    """Places of the arrays in a message, and everything that identifies messages like it."""
 
-    size: int
-    mask: int
-    """Of the message as one large number: the bits that are always the same."""
-    fixed: int
+    pattern: struct.Struct
+    """Unpacks texts and counts; skips the stamp, padding and numbers."""
+    fixed: tuple[Any, ...]
+    """Texts and counts."""
     names: tuple[str, ...]
     places: tuple[tuple[int, int], ...]
     """Count and offset of positions, velocities and efforts."""
 
     def fits(self, data: bytes) -> bool:
-        return len(data) == self.size and int.from_bytes(data, 'little') & self.mask == self.fixed
+        return len(data) == self.pattern.size and self.pattern.unpack(data) == self.fixed
 
     def arrays(self, data: bytes) -> JointStateArrays:
         positions, velocities, efforts = self.places
@@ -127,44 +133,35 @@ class _Layout(NamedTuple):
         )
 
 
-def _layout(frame_id: str, arrays: JointStateArrays, size: int) -> _Layout:
-    """Lay a message out as little-endian CDR does, and mask stamp, numbers and gaps."""
-    fixed = bytearray(_CDR_LITTLE_ENDIAN)
-    mask = bytearray(b'\xff' * _HEADER)
-
-    def align(size: int) -> None:
-        add(bytes((_HEADER - len(fixed)) % size), b'\x00')
-
-    def add(content: bytes, keep: bytes = b'\xff') -> None:
-        fixed.extend(content)
-        mask.extend(keep * len(content))
-
-    def add_count(count: int) -> None:
-        align(4)
-        add(struct.pack('<I', count))
-
-    def add_text(text: str) -> None:
-        content = text.encode() + b'\x00'
-        add_count(len(content))
-        add(content)
-
-    add(bytes(_STAMP), b'\x00')
-    add_text(frame_id)
-    add_count(len(arrays.names))
-    for name in arrays.names:
-        add_text(name)
+def _find_layout(data: bytes, names: tuple[str, ...]) -> _Layout:
+    """Walk through a message that could be deserialized, and note where everything is."""
+    pattern, at = [f'<{_HEADER}s{_STAMP}x'], _HEADER + _STAMP
     places = []
-    for numbers in arrays[1:]:
-        add_count(len(numbers))
-        if len(numbers):
-            align(_NUMBER.itemsize)
-        places.append((len(numbers), len(fixed)))
-        add(bytes(_NUMBER.itemsize * len(numbers)), b'\x00')
-    add(bytes(max(0, size - len(fixed))), b'\x00')  # a serializer may leave more than it needs
-    return _Layout(
-        len(fixed),
-        int.from_bytes(mask, 'little'),
-        int.from_bytes(fixed, 'little'),
-        arrays.names,
-        tuple(places),
-    )
+
+    def read_count() -> int:
+        nonlocal at
+        padding = -at % 4
+        (count,) = struct.unpack_from('<I', data, at + padding)
+        pattern.append(f'{padding}xI')
+        at += padding + 4
+        return int(count)
+
+    def read_text() -> None:
+        nonlocal at
+        size = read_count()
+        pattern.append(f'{size}s')
+        at += size
+
+    read_text()  # frame_id
+    for _ in range(read_count()):
+        read_text()  # names
+    for _ in ('positions', 'velocities', 'efforts'):
+        count = read_count()
+        padding = (_HEADER - at) % _NUMBER.itemsize if count else 0
+        places.append((count, at + padding))
+        size = padding + count * _NUMBER.itemsize
+        pattern.append(f'{size}x')
+        at += size
+    pattern.append(f'{len(data) - at}x')  # a serializer may append bytes
+    whole = struct.Struct(''.join(pattern))
+    return _Layout(whole, whole.unpack(data), names, tuple(places))

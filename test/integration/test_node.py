@@ -97,7 +97,7 @@ def test_bytes_that_are_no_joint_state_are_dropped_with_words(run_node, robot):
     robot.wait_for_command(HOLD)
     robot.state = None
     robot._states.publish(b'\x00\x01\x00\x00' + b'\xff' * 40)
-    robot.wait_for_text(node, '44 bytes that are no JointState')
+    robot.wait_for_text(node, '44 bytes are not a JointState')
     count = len(robot.commands)
     publish_shuffled_state(robot)
     robot.wait_until(lambda: len(robot.commands) > count, 'another command')
