@@ -91,7 +91,8 @@ class GeneratedDynamics:
         self._dynamics = dynamics
         self._table = dynamics.table
         self._traced = _acting(self._table)
-        self._revision = dynamics.revision
+        self._loaded = dynamics.loaded
+        self._revision = self._loaded.revision
         self._code = NO_CODE
         if IS_COMPILED:
             try:
@@ -115,7 +116,7 @@ class GeneratedDynamics:
             If a value is not finite.
 
         """
-        if self._revision != self._dynamics.revision:
+        if self._revision != self._loaded.revision:
             self._look_again()
         if self._in_block() != OK:
             # The dynamics take any robot, and tell what is wrong with a state.
@@ -131,7 +132,7 @@ class GeneratedDynamics:
         Takes, returns and raises what `InverseDynamics.efforts` does.
 
         """
-        if self._revision != self._dynamics.revision:
+        if self._revision != self._loaded.revision:
             self._look_again()
         try:
             tau = np.empty_like(self._tau) if out is None else out
@@ -143,7 +144,7 @@ class GeneratedDynamics:
 
     def _look_again(self) -> None:
         """Use the code only while there is a place in it for all that acts on the robot."""
-        self._revision = self._dynamics.revision
+        self._revision = self._loaded.revision
         is_new = _acting(self._table) & ~self._traced
         self._in_block, self._in_arrays = NO_CODE if is_new.any() else self._code
 

@@ -109,29 +109,25 @@ class InverseDynamics:
         self._gravity_efforts = prepared(newton_euler.gravity_efforts, _V, _V, _M)
         self._mass_matrix = prepared(mass_matrix.mass_matrix, _V, _M, _M)
         self._joint_wrenches = prepared(newton_euler.joint_wrenches, _V, _V, _V, _V, _M, _M, _M)
-        self._loaded = LoadedRobot(robot)
-        self._table = self._loaded.table
-        self._R_LZ = np.ascontiguousarray(self._loaded.R_ZL.transpose(0, 2, 1))
+        self.loaded = LoadedRobot(robot)
+        """The robot with its loads, as the passes read it; to be modified by the setters only."""
+        self._table = self.loaded.table
+        self._R_LZ = np.ascontiguousarray(self.loaded.R_ZL.transpose(0, 2, 1))
         self.set_gravity(gravity)
 
     @property
     def gravity(self) -> Floats:
         """Free-fall acceleration in the base frame, shape (3,) [m/s^2]; read-only."""
-        return self._loaded.gravity
-
-    @property
-    def revision(self) -> int:
-        """A number that changes whenever something that acts on the robot is set."""
-        return self._loaded.revision
+        return self.loaded.gravity
 
     @property
     def table(self) -> Floats:
         """The table of `columns` with the robot and its loads; not to be modified."""
-        return self._loaded.numbers
+        return self.loaded.numbers
 
     def link_index(self, name: str) -> int:
         """Find a link among ``robot.link_names``, or raise a ConfigurationError."""
-        return self._loaded.link_index(name)
+        return self.loaded.link_index(name)
 
     # Gravity, loads, friction
 
@@ -152,7 +148,7 @@ class InverseDynamics:
         """
         vector = read_vector('gravity', gravity, 'm/s^2')
         vector.setflags(write=False)
-        self._loaded.set_gravity(vector)
+        self.loaded.set_gravity(vector)
 
     def set_base_motion(
         self,
@@ -181,7 +177,7 @@ class InverseDynamics:
             read_vector('angular_acceleration', angular_acceleration, 'rad/s^2'),
             read_vector('linear_acceleration', linear_acceleration, 'm/s^2'),
         ]
-        self._loaded.set_base_motion(np.array(motion))
+        self.loaded.set_base_motion(np.array(motion))
 
     def set_payload(
         self,
@@ -210,8 +206,8 @@ class InverseDynamics:
             If the link does not exist, or no rigid body has such a mass and inertia.
 
         """
-        self._loaded.link_index(link)
-        self._loaded.set_payload(link, *read_inertial(mass, com, inertia))
+        self.loaded.link_index(link)
+        self.loaded.set_payload(link, *read_inertial(mass, com, inertia))
 
     def set_external_wrench(
         self,
@@ -235,9 +231,9 @@ class InverseDynamics:
             If the link does not exist, or an argument is not three finite numbers.
 
         """
-        self._loaded.link_index(link)
+        self.loaded.link_index(link)
         vectors = read_vector('force', force, 'N'), read_vector('moment', moment, 'N m')
-        self._loaded.set_external_wrench(link, *vectors)
+        self.loaded.set_external_wrench(link, *vectors)
 
     def set_friction(
         self,
@@ -272,9 +268,9 @@ class InverseDynamics:
         if not (speeds >= np.finfo(float).tiny).all():  # the inverse of less may be infinite
             raise ConfigurationError(f'width is {width!r}, expected speeds above 0')
         # All arguments have been checked: a call that fails changes nothing.
-        self._loaded.set_joints(columns.DAMPING, damping)
-        self._loaded.set_joints(columns.COULOMB, coulomb)
-        self._loaded.set_joints(columns.INVERSE_WIDTH, 1.0 / speeds)
+        self.loaded.set_joints(columns.DAMPING, damping)
+        self.loaded.set_joints(columns.COULOMB, coulomb)
+        self.loaded.set_joints(columns.INVERSE_WIDTH, 1.0 / speeds)
 
     def set_armature(self, armature: ArrayLike) -> None:
         """
@@ -292,7 +288,7 @@ class InverseDynamics:
 
         """
         values = read_joints('armature', armature, len(self._zeros))
-        self._loaded.set_joints(columns.ARMATURE, values)
+        self.loaded.set_joints(columns.ARMATURE, values)
 
     # Quantities
 
@@ -373,7 +369,7 @@ class InverseDynamics:
             If the shape does not fit the robot, or a value is not finite.
 
         """
-        if not self._loaded.base_motion[:2].any():
+        if not self.loaded.base_motion[:2].any():
             try:
                 if q.ndim == 1:  # type: ignore[union-attr]
                     tau = np.empty_like(self._zeros) if out is None else out
@@ -406,13 +402,13 @@ class InverseDynamics:
             If a shape does not fit the robot, or a value is not finite.
 
         """
-        moving = self._loaded.without(
+        moving = self.loaded.without(
             columns.BASE_ACCELERATION_COLUMNS,
             columns.EXTERNAL_COLUMNS,
             columns.JOINT_TERM_COLUMNS,
             columns.HAS_JOINT_TERMS,
         )
-        if not self._loaded.base_motion[0].any():
+        if not self.loaded.base_motion[0].any():
             return self._efforts_in(moving, q, qd, self._zeros, out)
         # Computed first, because `out` may be q.
         resting = self._efforts_in(moving, q, self._zeros, self._zeros)
@@ -463,7 +459,7 @@ class InverseDynamics:
         matrices = np.empty(shape) if out is None or not is_free(out, [rows]) else out
         flat = matrices.reshape(len(rows), n, n)
         if n and len(rows) >= batch.FEWEST:
-            status = batch_mass_matrix.mass_matrix_many(rows, flat, self._loaded.numbers)
+            status = batch_mass_matrix.mass_matrix_many(rows, flat, self.loaded.numbers)
         else:
             pairs = zip(rows, flat, strict=True)
             status = max((self._mass_matrix(*pair, self._table) for pair in pairs), default=OK)
@@ -503,7 +499,7 @@ class InverseDynamics:
             check_out(out, (5, *shape))
         terms = EffortTerms(*(np.empty((5, *shape)) if out is None else out))
         zeros = self._zeros if shape == self._zeros.shape else np.zeros(shape)
-        loaded = self._loaded
+        loaded = self.loaded
         no_bodies = (columns.MASS, columns.INERTIA_COLUMNS, columns.BASE_MOTION_COLUMNS)
         inertia = loaded.without(
             columns.BASE_MOTION_COLUMNS, columns.EXTERNAL_COLUMNS, columns.DAMPING, columns.COULOMB
@@ -557,7 +553,7 @@ class InverseDynamics:
         flat = wrenches.reshape(-1, b, 6)
         if self._zeros.size and len(flat) >= batch.FEWEST:
             states = (*rows, np.empty_like(rows[0]))
-            status = batch.inverse_dynamics_many(states, self._loaded.numbers, wrenches=flat)
+            status = batch.inverse_dynamics_many(states, self.loaded.numbers, wrenches=flat)
             in_link = flat.reshape(-1, b, 2, 3)
             in_link[...] = np.einsum('bij,kbwj->kbwi', self._R_LZ, in_link)
         else:
