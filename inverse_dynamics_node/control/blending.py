@@ -164,7 +164,7 @@ class Blending:
         is_new = self._is_new
         is_brief = self._pause + elapsed <= _BRIEF and not is_new
         if self._way is _Way.FOLLOWING or is_brief:
-            gain = min(1.0, gain + _share(elapsed, self._start_ramp))
+            gain = min(1.0, gain + ramp_fraction(elapsed, self._start_ramp))
             if left and not is_new:
                 left = max(0.0, left - elapsed / duration)
         else:
@@ -212,7 +212,7 @@ class Blending:
             self._top[:] = self.command
             self._top_gain, self._top_left = self.gain, self._left
             self._fallen, self._fall_time = 0.0, self._stop_ramp
-        share = max(0.0, 1.0 - _share(self._fallen, self._fall_time))
+        share = max(0.0, 1.0 - ramp_fraction(self._fallen, self._fall_time))
         # These too, so that computed efforts continue from this command after a brief pause.
         self.gain, self._left = share * self._top_gain, share * self._top_left
         np.multiply(self._top, share, out=self.command)
@@ -295,5 +295,6 @@ def blend_efforts(
     return True
 
 
-def _share(elapsed: float, ramp: float) -> float:
+def ramp_fraction(elapsed: float, ramp: float) -> float:
+    """Return how much of a ramp has passed, 0 to 1; times in [s]."""
     return min(1.0, elapsed / ramp) if ramp > 0.0 else 1.0

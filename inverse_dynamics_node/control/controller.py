@@ -18,6 +18,7 @@ from ..dynamics.inverse_dynamics import InverseDynamics
 from ..errors import ConfigurationError, JointStateError
 from ..robot.model import Booleans, Floats, RobotModel
 from .blending import Blending
+from .filters import LowPass
 from .joint_states import State
 from .settings import expand_per_joint, Mode, Settings, StalePolicy
 
@@ -107,7 +108,7 @@ class Controller:
         self._index = _shortest(index)
         self._is_continuous = dynamics.robot.is_continuous[self._index]
         n = len(dynamics.robot.joint_names)
-        self._qdd, self._qd, self._tau = np.zeros((3, n))
+        self._qdd, self._tau = np.zeros((2, n))
         self._rest = self._velocities = np.zeros(n)
         self._blending = Blending(index)
         self._result = Command(
@@ -115,7 +116,7 @@ class Controller:
         )
         self._is_stopping = False
         self._time = math.inf
-        self._filter_times = np.full(n, -1e300)  # long ago, but at a finite time
+        self._velocity_filter = LowPass(np.zeros(n))
         self._lost_gain = 0.0  # gain at which the states were lost
         self._fresh_since = math.inf  # arrival of the first state after the last gap
         self._followed: Floats | None = None  # where a loop closed here was to be, last step
@@ -141,9 +142,10 @@ class Controller:
         if settings.use_urdf_effort_limits:
             limits = np.minimum(limits, self.dynamics.robot.effort_limits[self._index])
         self.settings, self._of_joint = settings, arrays
-        self._timeouts = np.full(len(self._qd), settings.uncommanded_state_timeout)
+        self._timeouts = np.full(len(self._qdd), settings.uncommanded_state_timeout)
         self._timeouts[self._index] = settings.state_timeout
         self.limits = limits
+        self._velocity_filter.cutoff = settings.velocity_filter_cutoff
         self._blending.configure(
             self.scale,
             self.offset,
@@ -205,7 +207,7 @@ class Controller:
         """Let the efforts rise from zero at the next step with a fresh state."""
         self._is_stopping = False
         self._time = math.inf  # at the first step nothing has elapsed
-        self._filter_times[:] = -1e300
+        self._velocity_filter.reset()
         self._blending.reset()
         self.phase = Phase.WAITING
 
@@ -338,22 +340,13 @@ class Controller:
         return np.where(self._is_continuous, distance - 2.0 * math.pi * turns, distance)
 
     def _smooth(self, state: State) -> Floats:
-        """Smooth the measured velocities, each joint's as time passes for that joint."""
-        cutoff = self.settings.velocity_filter_cutoff
-        if not cutoff:
+        """Low-pass the measured velocities."""
+        if not self._velocity_filter.cutoff:
             return state.qd
         times = np.asarray(state.time if state.times is None else state.times)
-        elapsed = times - self._filter_times
-        # A joint that is late has been set to rest, which must not wait for its next state.
-        is_new = (
-            (elapsed < 0.0) | (elapsed > self._timeouts) | (self._time - times > self._timeouts)
-        )
-        share = np.where(is_new, 1.0, 1.0 - np.exp(-2.0 * math.pi * cutoff * np.abs(elapsed)))
-        with np.errstate(all='ignore'):  # nothing that was absurd may stay for ever
-            smooth = self._qd + share * (state.qd - self._qd)
-        self._qd[:] = np.where(is_new | ~np.isfinite(smooth), state.qd, smooth)
-        self._filter_times += elapsed
-        return self._qd
+        # A late joint has been set to rest: apply that without waiting for its next state.
+        is_late = self._time - times > self._timeouts
+        return self._velocity_filter.update(times, state.qd, self._timeouts, is_late)
 
     def _compute(self, state: State, reference: Reference | None) -> bool:
         """Compute the efforts of all joints; return whether there is a solution."""

@@ -1,4 +1,4 @@
-"""What the measured efforts have that the model does not explain: contact, most likely."""
+"""Estimates external joint efforts (contact) as measured minus modelled effort."""
 
 from __future__ import annotations
 
@@ -8,51 +8,54 @@ import numpy as np
 
 from ..dynamics.inverse_dynamics import InverseDynamics
 from ..robot.model import Floats
+from .filters import LowPass
 
-_LONGEST = 0.5  # [s]; after a longer gap between states the filters begin anew
+_LONGEST_GAP = 0.5  # [s]; after a longer gap between states the filter restarts
 
 
 class ExternalEffortEstimator:
     r"""
-    Measured effort minus model, smoothed.
+    Low-pass filtered difference between measured and modelled joint efforts.
 
-    Velocities are differentiated by the same low-pass that smooths the efforts: with :math:`L` for
-    it, :math:`L[\tau - C(q, \dot q)\,\dot q - g(q) - ...] - M(q)\,\frac{d}{dt} L[\dot q]`. So both
-    sides lag alike, and a motion that the model explains leaves nothing.
+    Accelerations are not measured. They are derived from velocities that went through the same
+    low-pass :math:`L` as the efforts: :math:`L[\tau - C(q, \dot q)\,\dot q - g(q) - ...] -
+    M(q)\,\frac{d}{dt} L[\dot q]`. Both terms lag alike, so that they cancel for a motion that the
+    model explains.
 
     Parameters
     ----------
     dynamics : InverseDynamics
-        The robot, with n joints; what acts on it counts as part of the model.
+        The robot, with n joints; its payloads, wrenches and friction are part of the model.
     cutoff : float
-        Of the first-order low-pass [Hz].
+        Cutoff of the first-order low-pass [Hz].
 
     """
 
     def __init__(self, dynamics: InverseDynamics, cutoff: float = 10.0) -> None:
         self.dynamics = dynamics
-        self.cutoff = cutoff
         n = len(dynamics.robot.joint_names)
-        self._velocities, self._accelerations, self._unexplained, self._rest = np.zeros((4, n))
+        self.filter = LowPass(np.zeros((2, n)), cutoff)
+        """Filters velocities and measured minus modelled efforts at zero acceleration."""
+        self._rest = self._accelerations = np.zeros(n)
         self._time = math.inf
 
     def update(self, time: float, q: Floats, qd: Floats, measured: Floats) -> Floats:
         """
-        Take in one state.
+        Update the estimate with one joint state.
 
         Parameters
         ----------
         time : float
-            Of the state [s].
+            Time of the state [s].
         q, qd, measured : ndarray, shape (n,)
             Positions [rad or m], velocities [rad/s or m/s], efforts [N m or N]; NaN for efforts
             that are not measured.
 
         Returns
         -------
-        residual : ndarray, shape (n,)
-            [N m or N]; minus what the world does for the joints, as far as the model is right. NaN
-            where nothing is measured.
+        efforts : ndarray, shape (n,)
+            Measured minus modelled efforts [N m or N]: external forces appear with the opposite
+            sign, and so do errors of the model. NaN where no effort is measured.
 
         Raises
         ------
@@ -61,18 +64,15 @@ class ExternalEffortEstimator:
 
         """
         elapsed = time - self._time
-        unexplained = measured - self.dynamics.efforts(q, qd, self._rest)
-        share = 1.0
-        if not 0.0 <= elapsed <= _LONGEST:
-            self._accelerations = self._rest
-        else:
-            share = -math.expm1(-2.0 * math.pi * self.cutoff * elapsed)
-            if elapsed:
-                self._accelerations = share * (qd - self._velocities) / elapsed
         self._time = time
-        self._velocities = self._velocities + share * (qd - self._velocities)
-        # Where a joint begins to be measured, there is nothing to smooth with.
-        before = np.where(np.isnan(self._unexplained), unexplained, self._unexplained)
-        self._unexplained = before + share * (unexplained - before)
-        residual: Floats = self._unexplained - self.dynamics.mass_matrix(q) @ self._accelerations
-        return residual
+        unexplained = measured - self.dynamics.efforts(q, qd, self._rest)
+        last_velocities, _ = self.filter.value
+        # A joint whose effort is measured for the first time restarts: NaN is not finite.
+        sample = np.array([qd, unexplained])
+        velocities, unexplained = self.filter.update(time, sample, _LONGEST_GAP)
+        if not 0.0 <= elapsed <= _LONGEST_GAP:
+            self._accelerations = self._rest
+        elif elapsed:
+            self._accelerations = (velocities - last_velocities) / elapsed
+        efforts: Floats = unexplained - self.dynamics.mass_matrix(q) @ self._accelerations
+        return efforts

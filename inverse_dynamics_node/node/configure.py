@@ -91,7 +91,7 @@ def apply_configuration(
     loop.dynamics.set_friction(factor * damping, factor * coulomb, configuration.coulomb_width)
     loop.dynamics.set_armature(armature)
     loop.loads.apply(configuration.load_settings, configuration.include_gravity)
-    loop.external_effort_estimator.cutoff = configuration.external_efforts_cutoff
+    loop.external_effort_estimator.filter.cutoff = configuration.external_efforts_cutoff
     is_new = before is not None and before.gravity != configuration.gravity
     if is_new and not loop.has_imu:
         loop.loads.set_gravity(configuration.gravity)

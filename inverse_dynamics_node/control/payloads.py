@@ -1,0 +1,87 @@
+"""Rigid loads on links."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..dynamics.arguments import read_inertial
+from ..errors import ConfigurationError
+from ..robot.model import Floats, join_bodies
+
+_LARGEST = 1e9  # [kg], [m], [kg m^2]; sums and products of smaller numbers are finite
+_ROUNDING = 1e-3  # of the moments of a flat body, as in a robot description
+
+
+class Payload(NamedTuple):
+    """A rigid load on a link."""
+
+    mass: float
+    """[kg]."""
+    com: Floats
+    """Centre of mass in the link's frame, shape (3,) [m]."""
+    inertia: Floats
+    """Inertia about the centre of mass, along the link's axes, shape (3, 3) [kg m^2]."""
+
+
+NO_PAYLOAD = Payload(0.0, np.zeros(3), np.zeros((3, 3)))
+
+
+def read_payload(mass: float, com: ArrayLike, inertia: ArrayLike) -> Payload:
+    """
+    Validate a payload.
+
+    Parameters
+    ----------
+    mass, com, inertia
+        As for `InverseDynamics.set_payload`.
+
+    Returns
+    -------
+    payload : Payload
+        `NO_PAYLOAD` if the mass is zero.
+
+    Raises
+    ------
+    ConfigurationError
+        If no rigid body has this mass and inertia, or a number is beyond 1e9.
+
+    """
+    payload = Payload(*read_inertial(mass, com, inertia))
+    largest = max(
+        payload.mass, float(np.abs(payload.com).max()), float(np.abs(payload.inertia).max())
+    )
+    if largest > _LARGEST:
+        raise ConfigurationError(
+            f'payload has {largest:g} for its mass, centre of mass or inertia, expected at most '
+            f'{_LARGEST:g} kg, m, kg m^2'
+        )
+    if not payload.mass:
+        return NO_PAYLOAD
+    principal = np.linalg.eigvalsh(payload.inertia)
+    if principal[0] + principal[1] < principal[2] - _ROUNDING * np.sum(principal):
+        moments = ', '.join(f'{moment:.3g}' for moment in principal)
+        raise ConfigurationError(
+            f'payload has an inertia that is physically impossible: one of its principal moments '
+            f'{moments} kg m^2 exceeds the sum of the others'
+        )
+    # Remove a moment that rounding left below zero: blends of two such inertias would be rejected.
+    shift = max(0.0, -float(principal[0]))
+    return payload._replace(inertia=payload.inertia + shift * np.eye(3))
+
+
+def is_same(one: Payload, other: Payload) -> bool:
+    """Return whether two payloads are exactly equal."""
+    return (
+        one.mass == other.mass
+        and np.array_equal(one.com, other.com)
+        and np.array_equal(one.inertia, other.inertia)
+    )
+
+
+def blend_payloads(old: Payload, new: Payload, fraction: float) -> Payload:
+    """Return the body that consists of a fraction of the new payload and the rest of the old."""
+    parts = (1.0 - fraction, old), (fraction, new)
+    return Payload(*join_bodies([(w * x.mass, x.com, w * x.inertia) for w, x in parts]))
