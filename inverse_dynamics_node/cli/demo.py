@@ -36,7 +36,7 @@ def add_parser(subparsers: Any) -> None:
 def main(arguments: list[str] | None = None) -> int:
     """Run the demo from the command line; return the exit code."""
     # Imported here, because no other command needs ROS.
-    from ..simulation.demo.main import run
+    from ..simulation.demo.demo import run_demo
     from ..simulation.demo.processes import stay_on_this_machine, unused_domain
 
     options = _parse(arguments)
@@ -47,7 +47,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         with unused_domain() if options.domain is None else nullcontext(options.domain) as domain:
             os.environ['ROS_DOMAIN_ID'] = str(domain)
-            return 0 if run(options, lambda: bool(stops)) else 1
+            return 0 if run_demo(options, lambda: bool(stops)) else 1
     except KeyboardInterrupt:
         print('stopped')
         return 128 + stops[0]

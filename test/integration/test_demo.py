@@ -34,7 +34,7 @@ MASSLESS = """
 
 @contextmanager
 def running_demo(domain_id, *arguments):
-    """Run the demo; whatever becomes of the test, nothing stays behind."""
+    """Run the demo; end it even if the test fails."""
     demo = subprocess.Popen(
         [sys.executable, *DEMO, '--domain', str(domain_id), *map(str, arguments)],
         stdout=subprocess.PIPE,
@@ -79,7 +79,7 @@ def is_gone(number):
     return True
 
 
-def test_unused_domain_is_nobody_elses(domain_id):
+def test_unused_domains_differ_from_those_in_use(domain_id):
     with contextlib.ExitStack() as stack:
         domains = {stack.enter_context(unused_domain()) for _ in range(5)}
     assert len(domains) == 5
@@ -91,7 +91,7 @@ class TestDemo:
         with running_demo(domain_id, STANFORD, '--duration', 6) as demo:
             code, output = finish(demo)
         assert 'Traceback' not in output
-        # How many commands a busy machine manages is no matter here; where the joints are is.
+        # A busy machine may miss the command rate, but not the limits of the errors.
         failures = re.findall(r'^FAILED: (.*)', output, re.MULTILINE)
         assert all('commands/s received' in words for words in failures), output
         assert code == bool(failures)
@@ -116,7 +116,7 @@ class TestDemo:
         ],
         ids=['massless', 'nothing moves', 'not a URDF', 'empty'],
     )
-    def test_robot_that_cannot_be_simulated_is_refused_in_words(
+    def test_robot_that_cannot_be_simulated_is_rejected_with_the_reason(
         self, domain_id, tmp_path, text, words
     ):
         path = tmp_path / 'robot.urdf'
@@ -128,7 +128,7 @@ class TestDemo:
         assert 'Traceback' not in output
 
     @pytest.mark.parametrize('arguments', [['--rate', '0'], ['--duration', 'nan']])
-    def test_settings_out_of_range_are_refused(self, domain_id, arguments):
+    def test_options_out_of_range_are_rejected(self, domain_id, arguments):
         with running_demo(domain_id, STANFORD, *arguments) as demo:
             code, output = finish(demo)
         assert code == 2
@@ -145,19 +145,19 @@ class TestDemo:
             (['--domain', '233'], '--domain 233 is not from 0 to 232'),
         ],
     )
-    def test_options_that_make_no_sense_are_refused(self, domain_id, arguments, words):
+    def test_invalid_options_are_rejected(self, domain_id, arguments, words):
         with running_demo(domain_id, STANFORD, *arguments) as demo:
             code, output = finish(demo)
         assert code == 2
         assert words in output
 
-    def test_link_that_is_not_there_is_refused(self, domain_id):
+    def test_unknown_link_is_rejected(self, domain_id):
         with running_demo(domain_id, STANFORD, '--link', 'nope') as demo:
             code, output = finish(demo)
         assert code == 1
         assert "link 'nope' does not exist; links are base_link, link_1" in output
 
-    def test_arm_survives_a_time_without_joint_states(self, domain_id, tmp_path):
+    def test_arm_stays_in_place_without_joint_states(self, domain_id, tmp_path):
         picture = tmp_path / 'lost.png'
         arguments = '--scenario', 'sensor-lost', '--duration', 10, '--picture', picture
         with running_demo(domain_id, STANFORD, *arguments) as demo:
@@ -172,7 +172,7 @@ class TestDemo:
             assert words in output
         assert picture.stat().st_size > 10_000
 
-    def test_on_a_terminal_a_table_is_drawn_over_and_over(self, domain_id):
+    def test_a_terminal_shows_a_live_table(self, domain_id):
         ours, theirs = pty.openpty()
         environment = {'TERM': 'xterm', 'COLUMNS': '120'}
         command = [sys.executable, *DEMO, STANFORD, '--domain', str(domain_id)]
@@ -184,9 +184,9 @@ class TestDemo:
         ) as demo:
             os.close(theirs)
             output = b''
-            with contextlib.suppress(OSError):  # how the end of a terminal is told
-                while came := os.read(ours, 65536):
-                    output += came
+            with contextlib.suppress(OSError):  # raised when the terminal is closed
+                while received := os.read(ours, 65536):
+                    output += received
             assert demo.wait(PATIENCE) == 0
         os.close(ours)
         text = output.decode()
@@ -195,8 +195,8 @@ class TestDemo:
         assert '\x1b[' in text
         assert re.search(r'^PASSED: no joint moved', text, re.MULTILINE)
 
-    def test_demos_at_the_same_time_have_domains_of_their_own(self):
-        """They do so even if the terminal sets a domain, as robots' start-up files do."""
+    def test_simultaneous_demos_use_different_domains(self):
+        """They do so even if the terminal sets a domain, as the start-up file of a robot may."""
         commands = [
             [sys.executable, *DEMO, path, '--scenario', 'hold', '--duration', '2']
             for path in (STANFORD, SEVEN_JOINTS)
@@ -213,7 +213,7 @@ class TestDemo:
         assert len(set(domains)) == 2
 
     @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-    def test_signal_ends_all_of_it_in_peace(self, domain_id, number):
+    def test_signal_ends_all_processes_cleanly(self, domain_id, number):
         with running_demo(domain_id, STANFORD) as demo:
             read_until(demo, 't = 1.0')
             children = children_of(demo)
@@ -224,7 +224,7 @@ class TestDemo:
         assert len(children) == 2
         assert all(map(is_gone, children))
 
-    def test_killed_demo_leaves_nobody_behind(self, domain_id):
+    def test_killed_demo_leaves_no_processes_behind(self, domain_id):
         with running_demo(domain_id, STANFORD) as demo:
             read_until(demo, 't = 1.0')
             children = children_of(demo)
@@ -245,7 +245,7 @@ class TestDemo:
 
 
 def test_resolved_acceleration_brings_an_error_to_zero():
-    """Integrated with the effect it asks for, an error of a radian is gone after a second."""
+    """An error of 1 rad is gone after one second of ideal response."""
     q, qd, step = np.array([1.0]), np.array([0.0]), 0.001
     for _ in range(1000):
         zero = np.zeros(1)
@@ -255,7 +255,7 @@ def test_resolved_acceleration_brings_an_error_to_zero():
     assert abs(q[0]) < 1e-6
 
 
-def test_lines_of_processes_are_handed_on(tmp_path):
+def test_lines_of_processes_are_forwarded(tmp_path):
     lines = []
     with running({'one': ['platform']}, lines.append) as processes:
         assert processes['one'].wait(PATIENCE) == 0

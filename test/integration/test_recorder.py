@@ -32,8 +32,8 @@ def test_recorder_keeps_messages_at_their_own_times(domain_id, tmp_path, storage
     recorder = Recorder(node, topics, latched=('commands',))
     states = node.create_publisher(JointState, 'joint_states', 10)
     commands = node.create_publisher(Float64MultiArray, 'commands', LATCHED)
-    heard = []
-    node.create_subscription(Float64MultiArray, 'commands', heard.append, 10)
+    received = []
+    node.create_subscription(Float64MultiArray, 'commands', received.append, 10)
 
     def wait_until(is_true):
         deadline = time.monotonic() + PATIENCE
@@ -50,16 +50,16 @@ def test_recorder_keeps_messages_at_their_own_times(domain_id, tmp_path, storage
     commands.publish(Float64MultiArray(data=[8.0]))
     wait_until(lambda: recorder.count == 2)
     recorder.begin()
-    assert recorder.count == 1  # what is kept for who comes late
-    wait_until(lambda: len(heard) == 1)
-    heard.clear()
+    assert recorder.count == 1  # the latched command
+    wait_until(lambda: len(received) == 1)
+    received.clear()
     for i in range(3):
         state = JointState(name=['a'], position=[0.5 * i])
         state.header.stamp.sec, state.header.stamp.nanosec = 100 + i, 7
         states.publish(state)
         wait_until(lambda i=i: recorder.latest == (100 + i) * 10**9 + 7)
         commands.publish(Float64MultiArray(data=[float(i)]))
-        wait_until(lambda i=i: len(heard) == i + 1)
+        wait_until(lambda i=i: len(received) == i + 1)
     wait_until(lambda: recorder.count == 7)
     assert recorder.write(tmp_path / 'bag', storage) == 7
     executor.shutdown()

@@ -1,4 +1,4 @@
-"""What scenarios do to a robot, how they are judged, shown and drawn."""
+"""The scenarios of the demo: loads and pushes, verdicts, the live view and pictures."""
 
 from dataclasses import replace
 import io
@@ -17,8 +17,8 @@ from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.simulation.demo import picture as demo_picture
 from inverse_dynamics_node.simulation.demo import verdicts
 from inverse_dynamics_node.simulation.demo.commander import KD, resolved_acceleration
+from inverse_dynamics_node.simulation.demo.demo import describe_rotors
 from inverse_dynamics_node.simulation.demo.history import History
-from inverse_dynamics_node.simulation.demo.main import judge_tracking, told_of_rotors
 from inverse_dynamics_node.simulation.demo.picture import draw
 from inverse_dynamics_node.simulation.demo.scenarios import SCENARIOS, Script, TILT
 from inverse_dynamics_node.simulation.demo.stage import (
@@ -27,9 +27,15 @@ from inverse_dynamics_node.simulation.demo.stage import (
     KP,
     Stage,
 )
+from inverse_dynamics_node.simulation.demo.tracking import (
+    find_failures,
+    judge_tracking,
+    RATE_LIMIT,
+    tracking_limits,
+)
 from inverse_dynamics_node.simulation.demo.view import (
     bar,
-    error_share,
+    error_fraction,
     Snapshot,
     View,
 )
@@ -59,7 +65,7 @@ def any_stage(request):
 
 
 def history_of(stage, *phases):
-    """Make up a history: phases of (end, error of the first joint)."""
+    """Return a history from phases of (end, error of the first joint)."""
     history = History()
     ends, errors = zip(*phases, strict=True)
     for time in np.arange(0.0, stage.duration, 0.01):
@@ -82,7 +88,7 @@ class TestStage:
         assert stage.push()[0] == link
 
     @pytest.mark.parametrize('robot', ['z1', 'tiago_no_hand', 'kinova', 'pr2', 'a1'])
-    def test_loads_are_worth_mentioning(self, robot):
+    def test_loads_of_real_robots_have_at_least_a_hundredth_of_their_mass(self, robot):
         path = next((path for path in real_robots() if path.stem == robot), None)
         if path is None:
             pytest.skip('example-robot-data is not installed')
@@ -90,7 +96,7 @@ class TestStage:
         link, mass, _ = stage.load()
         assert 0.01 * stage.robot.mass.sum() <= mass < stage.capacity(link)
         body = stage.robot.link_body[stage.robot.link_names.index(link)]
-        assert body > 0  # the base carries everything
+        assert body > 0  # not the base
         assert 'finger' not in link
         assert 'gripper' not in stage.robot.body_names[body].lower()
 
@@ -108,7 +114,7 @@ class TestStage:
         assert script.note == expected
         assert f"{mass:g} kg at '{link}'" in script.events[0].words
 
-    def test_joints_that_move_no_mass_are_refused_in_words(self):
+    def test_joints_that_move_no_mass_are_rejected_by_name(self):
         text = (
             '<robot name="massless"><link name="base"/><link name="tip"/>'
             '<joint name="idle" type="continuous"><parent link="base"/><child link="tip"/></joint>'
@@ -118,7 +124,7 @@ class TestStage:
         with pytest.raises(SimulationError, match="no mass resists the motion of joint 'idle'"):
             Stage('', robot, np.zeros(1), 10.0).load()
 
-    def test_loads_and_pushes_are_what_the_robot_stands(self, any_stage):
+    def test_robot_withstands_its_loads_and_pushes(self, any_stage):
         robot, start = any_stage.robot, any_stage.start
         alone = InverseDynamics(robot)
         link, mass, inertia = any_stage.load()
@@ -136,7 +142,7 @@ class TestStage:
             error = np.linalg.solve(alone.mass_matrix(start), difference) / KP
             assert abs(error).max() <= 1.06 * DEFLECTION  # rounded to two digits
 
-    def test_arms_feel_what_is_done_to_them(self, stage):
+    def test_loads_and_pushes_change_the_efforts(self, stage):
         link, mass, _ = stage.load()
         dynamics = InverseDynamics(stage.robot)
         alone = dynamics.gravity_efforts(stage.start)
@@ -155,7 +161,7 @@ class TestScripts:
         for time in 0.0, 0.5 * stage.duration:
             assert np.isfinite(script.trajectory.sample(time)).all()
 
-    def test_push_is_expected_while_it_lasts(self, stage):
+    def test_external_efforts_are_expected_during_the_push_only(self, stage):
         script = SCENARIOS['push'].prepare(stage)
         began, ended = (event.time for event in script.events)
         times = np.array([began - 0.1, began + 0.1, ended - 0.1, ended + 0.1])
@@ -169,9 +175,9 @@ class TestScripts:
 
 
 class TestVerdicts:
-    def test_tracking_within_the_limits_is_well(self):
+    def test_tracking_within_the_limits_has_no_failures(self):
         small = np.full(2, 1e-4)
-        assert verdicts.find_failures(('a', 'b'), small, small, 499.0, 500.0) == []
+        assert find_failures(('a', 'b'), small, small, 499.0, 500.0) == []
 
     @pytest.mark.parametrize(
         ('moving', 'rest', 'rate', 'words'),
@@ -184,9 +190,9 @@ class TestVerdicts:
             (0.0, 0.0, math.nan, 'nan commands/s received'),
         ],
     )
-    def test_each_limit_missed_in_tracking_is_told(self, moving, rest, rate, words):
+    def test_each_limit_exceeded_in_tracking_is_reported(self, moving, rest, rate, words):
         errors = np.array([moving, 0.0]), np.array([rest, 0.0])
-        (failure,) = verdicts.find_failures(('a', 'b'), *errors, rate, 500.0)
+        (failure,) = find_failures(('a', 'b'), *errors, rate, 500.0)
         assert words in failure
 
     @pytest.mark.parametrize('duration', [3.0, 15.0])
@@ -198,7 +204,7 @@ class TestVerdicts:
         due = np.arange(max(stalled, -0.13) if stalled < 0.0 else 0.0, duration, 0.002)
         waited = (due >= stalled) & (due < resumed)
         history.arrivals = np.where(waited, resumed, due).tolist()
-        assert history.command_rate() == pytest.approx(500.0, rel=0.5 * verdicts.RATE_LIMIT)
+        assert history.command_rate() == pytest.approx(500.0, rel=0.5 * RATE_LIMIT)
 
     def test_commands_that_are_missing_lower_the_rate(self):
         history = History()
@@ -210,7 +216,7 @@ class TestVerdicts:
         history.arrivals = [1.0, 1.0, 1.0]
         assert history.command_rate() == 0.0
 
-    def test_errors_of_other_times_do_not_count(self, stage):
+    def test_largest_error_ignores_other_times(self, stage):
         history = history_of(stage, (2.0, 0.1), (4.0, -0.2), (99.0, 0.3))
         assert history.largest_error(2.5, 3.5) == pytest.approx([0.2, 0, 0, 0, 0, 0])
         assert np.isnan(history.largest_error(20.0, 30.0)).all()
@@ -219,8 +225,8 @@ class TestVerdicts:
         ('errors', 'words'),
         [
             ((0.001, 0.2, 0.001), ''),
-            ((0.02, 0.2, 0.001), '20 mrad off before'),
-            ((0.001, 0.2, 0.02), '20 mrad off although'),
+            ((0.02, 0.2, 0.001), 'a joint was 20 mrad off before'),
+            ((0.001, 0.2, 0.02), 'a joint was 20 mrad off although'),
             ((0.001, 0.001, 0.001), '1.0 times better'),
         ],
     )
@@ -232,25 +238,25 @@ class TestVerdicts:
         assert str(verdict).startswith('FAILED' if words else 'PASSED')
 
     @pytest.mark.parametrize(
-        ('share', 'words'),
+        ('scale', 'words'),
         [(1.0, ''), (1.04, ''), (1.1, 'found 10.0% off'), (-1.0, 'found 200.0% off'), (0, '100')],
     )
-    def test_push(self, stage, share, words):
+    def test_push(self, stage, scale, words):
         link, force = stage.push()
         history = history_of(stage, (99.0, 0.0))
         history.external = type(history.external)()
         expected = stage.external_efforts(link, force, stage.start)
         for time in history.states.times:
-            history.external.add(time, share * expected * (3.0 <= time < 6.0))
+            history.external.add(time, scale * expected * (3.0 <= time < 6.0))
         verdict = verdicts.judge_push(stage, history, link, force, 3.0, 6.0)
         assert words in str(verdict)
         assert len(verdict.failures) == bool(words)
 
-    def test_push_of_which_nothing_is_told_fails(self, stage):
+    def test_push_without_external_efforts_fails(self, stage):
         history = history_of(stage, (99.0, 0.0))
         history.external = type(history.external)()
         verdict = verdicts.judge_push(stage, history, *stage.push(), 3.0, 6.0)
-        assert 'told nothing' in str(verdict)
+        assert 'published no external efforts' in str(verdict)
 
     @pytest.mark.parametrize(
         ('errors', 'count'), [((0.005, 0.0001), 0), ((0.02, 0.0001), 1), ((0.005, 0.002), 1)]
@@ -276,27 +282,27 @@ class TestVerdicts:
 
 
 class TestView:
-    def moment(self, stage, words='the arm stands', off=0.001):
+    def snapshot(self, stage, words='the arm stands still', off=0.001):
         start = stage.start
         return Snapshot(1.2, 500.0, words, start + off, start, start, brakes_on=True)
 
     def terminal(self):
         return Console(file=io.StringIO(), force_terminal=True, width=100, height=40)
 
-    def test_terminal_shows_every_joint_and_what_happens(self, stage):
+    def test_terminal_shows_every_joint_and_the_current_event(self, stage):
         console = self.terminal()
         view = View(stage.robot, 'stanford: push', console)
         with view.open():
             assert view.is_live
             assert view.is_due
-            view.draw(self.moment(stage, 'somebody pushes'))
+            view.draw(self.snapshot(stage, 'a push of 5 N'))
             assert not view.is_due
         text = console.file.getvalue()
-        for words in (*stage.robot.joint_names, 'stanford: push', 'somebody pushes', 'BRAKES ON'):
+        for words in (*stage.robot.joint_names, 'stanford: push', 'a push of 5 N', 'BRAKES ON'):
             assert words in text
         assert '█' in text
 
-    def test_elsewhere_nothing_is_drawn(self, stage):
+    def test_nothing_is_drawn_in_a_pipe(self, stage):
         console = Console(file=io.StringIO())
         view = View(stage.robot, 'stanford: push', console)
         with view.open():
@@ -304,38 +310,38 @@ class TestView:
             assert not view.is_due
         assert console.file.getvalue() == ''
 
-    def test_lines_name_units(self, stage, capsys):
-        View(stage.robot, '', Console(file=io.StringIO())).print_progress(self.moment(stage))
+    def test_lines_have_units(self, stage, capsys):
+        View(stage.robot, '', Console(file=io.StringIO())).print_progress(self.snapshot(stage))
         lines = capsys.readouterr().out.splitlines()
         assert lines[1] == 't = 1.2 s   500.0 commands/s'
         assert 'mrad' in lines[3]
         assert ' mm ' in lines[5]
 
-    def test_units_stand_below_each_other(self, stage):
+    def test_units_are_aligned(self, stage):
         console = Console(file=io.StringIO(), width=110)
-        console.print(View(stage.robot, '').render(self.moment(stage)))
+        console.print(View(stage.robot, '').render(self.snapshot(stage)))
         rows = [line for line in console.file.getvalue().splitlines() if 'joint_' in line]
         assert len({row.index('m' if 'N  ' in row else 'rad') for row in rows}) == 1
 
-    def test_lines_are_in_columns_however_long_the_names(self, stage, capsys):
+    def test_columns_are_aligned_with_long_names(self, stage, capsys):
         names = tuple(f'the_{name}_of_the_robot_on_the_left' for name in stage.robot.joint_names)
         robot = replace(
             stage.robot, joint_names=names, body_names=(stage.robot.body_names[0], *names)
         )
-        View(robot, '', Console(file=io.StringIO())).print_progress(self.moment(stage))
+        View(robot, '', Console(file=io.StringIO())).print_progress(self.snapshot(stage))
         head, *rows = capsys.readouterr().out.splitlines()[2:]
         assert {len(row) for row in rows} == {len(head)}
 
-    @pytest.mark.parametrize(('error', 'share'), [(0.1, 1.0), (-0.01, 0.75), (1e-5, 0.0)])
-    def test_error_bar_goes_by_factors(self, error, share):
-        assert error_share(error) == pytest.approx(share)
+    @pytest.mark.parametrize(('error', 'fraction'), [(0.1, 1.0), (-0.01, 0.75), (1e-5, 0.0)])
+    def test_error_bar_is_logarithmic(self, error, fraction):
+        assert error_fraction(error) == pytest.approx(fraction)
 
     @pytest.mark.parametrize(
-        ('share', 'text', 'colour'),
+        ('fraction', 'text', 'colour'),
         [(0.0, '·' * 12, 'green'), (0.8, '█' * 10 + '·' * 2, 'yellow'), (9.0, '█' * 12, 'red')],
     )
-    def test_bar_fills_and_warns(self, share, text, colour):
-        drawn = bar(share, 0.7, 0.9)
+    def test_bar_fills_and_changes_its_colour(self, fraction, text, colour):
+        drawn = bar(fraction, 0.7, 0.9)
         assert drawn.plain == text
         assert str(drawn.spans[0].style if drawn.spans else colour) in (colour, 'bright_black')
 
@@ -343,7 +349,7 @@ class TestView:
 class TestFriction:
     @pytest.fixture
     def rubbing(self, tmp_path):
-        """A wrist of which hardly anything is left when its friction is overcome."""
+        """A robot with friction in every joint and hardly any inertia in its wrist."""
         path = tmp_path / 'rubbing.urdf'
         names = load_urdf(STANFORD).joint_names
         path.write_text(with_friction(STANFORD, [0.1] * len(names), [1.0] * len(names)))
@@ -351,15 +357,15 @@ class TestFriction:
         start = start_pose(robot, InverseDynamics(robot))
         return Stage(str(path), robot, start, 10.0, friction=True)
 
-    def test_joints_that_rub_and_weigh_nothing_get_rotors(self, rubbing):
+    def test_joints_with_friction_and_hardly_any_inertia_get_rotors(self, rubbing):
         assert rubbing.armature[0] == 0.0
         assert rubbing.armature[5] == pytest.approx(0.1 - rubbing.inertia[5])
-        words = ' '.join(told_of_rotors(rubbing).split())
+        words = ' '.join(describe_rotors(rubbing).split())
         assert 'joint_1' not in words
         assert 'joint_6 0.1 kg m^2' in words
         assert not np.any(replace(rubbing, friction=False).armature)
 
-    def test_the_arm_is_within_what_friction_holds(self, rubbing):
+    def test_friction_widens_errors_by_the_slack_at_most(self, rubbing):
         real = MujocoRobot(rubbing.urdf, rubbing.robot, rubbing.start, armature=rubbing.armature)
         real.brakes_on = False
         order = [real.state_names.index(name) for name in rubbing.robot.joint_names]
@@ -379,7 +385,7 @@ class TestFriction:
 
     @pytest.mark.parametrize('beyond', [False, True])
     def test_table_and_verdict_have_the_same_limits(self, rubbing, beyond, capsys):
-        moving, rest = (1000.0 * limits for limits in verdicts.tracking_limits(rubbing.slack))
+        moving, rest = (1000.0 * limits for limits in tracking_limits(rubbing.slack))
         history = History()
         for time in np.arange(0.0, rubbing.duration, 0.002):
             q = rubbing.start.copy()
@@ -404,11 +410,11 @@ class TestFriction:
     def test_slack_widens_the_limits_of_its_joint_alone(self):
         moving, rest = np.array([0.03, 0.03]), np.array([0.0, 0.0])
         slack = np.array([0.03, 0.0])
-        (failure,) = verdicts.find_failures(('a', 'b'), moving, rest, 500.0, 500.0, slack)
+        (failure,) = find_failures(('a', 'b'), moving, rest, 500.0, 500.0, slack)
         assert "'b' was 30.00" in failure
 
 
-def test_a_busy_machine_is_told_beside_a_failure():
+def test_a_failure_on_a_busy_machine_says_so():
     history = History()
     for time in (0.0, 0.002, 0.004):
         history.commands.add(time, np.ones(1))
@@ -434,7 +440,7 @@ def test_picture_is_drawn(tmp_path, path, name):
 
 
 @pytest.mark.parametrize('name', SCENARIOS)
-def test_captions_of_events_fit_beside_long_names(tmp_path, name, monkeypatch, stage):
+def test_captions_of_events_with_long_names_fit(tmp_path, name, monkeypatch, stage):
     script = SCENARIOS[name].prepare(stage)
     mount = 'at left_arm_gripper_mount_link'
     events = tuple(replace(event, words=f'{event.words} {mount}') for event in script.events)
@@ -450,7 +456,7 @@ def test_captions_of_events_fit_beside_long_names(tmp_path, name, monkeypatch, s
         assert box.x1 <= figure.bbox.width
 
 
-def test_many_joints_look_different_and_need_no_limit(tmp_path, monkeypatch):
+def test_many_joints_without_limits_are_distinguishable(tmp_path, monkeypatch):
     robot = load_urdf(two_arms())
     n = len(robot.joint_names)
     history = History()
@@ -479,7 +485,7 @@ def test_many_joints_look_different_and_need_no_limit(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize('path', OUR_ROBOTS, ids=lambda path: path.stem)
-def test_legend_fits_beside_long_names(tmp_path, path, monkeypatch):
+def test_legend_with_long_names_fits(tmp_path, path, monkeypatch):
     stage = stage_of(path)
     robot = replace(
         stage.robot, joint_names=tuple(f'left_arm_{n}_of_it' for n in stage.robot.joint_names)

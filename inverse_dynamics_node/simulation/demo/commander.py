@@ -1,9 +1,9 @@
 """
-The node's user: asks something of it for every joint state, and takes note of what happens.
+The commander: sends a reference to the node for every joint state, and records the motion.
 
-Asked for accelerations, the node turns them into efforts, and the loop is closed here, by resolved
-acceleration: with the dynamics of the robot cancelled, every joint's error obeys
-``e'' + kd e' + kp e = 0``, whatever the robot. Asked for a reference, the node closes it itself.
+It sends either accelerations or a full reference. With accelerations, it closes the loop here, by
+resolved acceleration: the node cancels the dynamics of the robot, so the error of every joint
+obeys ``e'' + kd e' + kp e = 0``. With a full reference, the node closes the loop.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from .history import History
 # Critically damped at 20 rad/s: stiff enough that two samples of latency cost less than a
 # millirad, soft enough that holding one command for 20 ms does no harm.
 KP, KD = 400.0, 40.0
-SILENT = 0.05  # [s]: without joint states for so long, time is that of the machine
+SILENT = 0.05  # [s]: after this long without joint states, use the clock of the machine
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -37,7 +37,7 @@ def resolved_acceleration(
     reference: tuple[Floats, Floats, Floats], q: Floats, qd: Floats, kp: float, kd: float
 ) -> Floats:
     """
-    Compute the acceleration that brings joints back to their reference.
+    Compute the accelerations that bring the joints back to their reference.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def resolved_acceleration(
     Returns
     -------
     qdd : ndarray, shape (n,)
-        Acceleration to ask for [rad/s^2 or m/s^2].
+        Accelerations to send to the node [rad/s^2 or m/s^2].
 
     """
     q_ref, qd_ref, qdd_ref = reference
@@ -60,40 +60,40 @@ def resolved_acceleration(
 
 class Commander(Node):
     """
-    Watches a robot, and asks the node to move it once it has a trajectory.
+    Records the robot's motion, and sends references once it has a trajectory.
 
     Parameters
     ----------
     joint_names : tuple of str
         The n joints to move, in the node's order.
-    asks_for : str
-        What to send for every joint state: 'accelerations', 'reference' or nothing.
+    sends : str
+        Message to send for every joint state: 'accelerations', 'reference', or '' for none.
     kp, kd : float
-        Gains of the loop that is closed here [1/s^2] and [1/s].
+        Gains of resolved acceleration [1/s^2] and [1/s].
 
     Attributes
     ----------
     state : tuple of three ndarrays, shape (n,), or None
-        Newest positions [rad or m], velocities and efforts [N m or N]; None before the first.
+        Latest positions [rad or m], velocities and efforts [N m or N]; None before the first.
     time : float
-        Since the trajectory began, by the stamp of the newest joint state [s].
+        Time from the start of the trajectory to the stamp of the latest joint state [s].
     desired : ndarray, shape (n,)
-        Where the joints should be at that time [rad or m].
+        Desired positions at that time [rad or m].
     command : ndarray, shape (m,)
-        The efforts that the node sent last [N m or N]; empty before the first.
+        Latest command of the node [N m or N]; empty before the first.
     commands : int
-        How many commands the node has sent.
+        Number of commands received from the node.
     brakes_on : bool
-        What the robot said last about its brakes.
+        Latest state of the brakes.
     history : History
-        What has happened since the trajectory began.
+        Everything recorded since the start of the trajectory.
 
     """
 
     def __init__(
         self,
         joint_names: tuple[str, ...],
-        asks_for: str = 'accelerations',
+        sends: str = 'accelerations',
         kp: float = KP,
         kd: float = KD,
     ) -> None:
@@ -111,66 +111,70 @@ class Commander(Node):
         self._order: list[int] = []
         self._trajectory: Trajectory | None = None
         self._began: int | None = None
-        self._heard = math.inf
+        self._last_state = math.inf
         self._now = 0.0
-        self._told: dict[str, Any] = {}
-        self._ask = self._asker(asks_for)
+        self._event_publishers: dict[str, Any] = {}
+        self._send = self._make_sender(sends)
         self.create_subscription(JointState, 'joint_states', self._on_state, NEWEST)
         self.create_subscription(Bool, 'brakes', self._on_brakes, LATCHED)
-        # Deep and reliable: these are counted.
+        # A deep, reliable queue, because the commands are counted.
         self.create_subscription(
             Float64MultiArray, 'inverse_dynamics/commands', self._on_command, 1000
         )
 
-    def watch_external_efforts(self) -> None:
-        """Take note of what the node tells of contact, too."""
+    def record_external_efforts(self) -> None:
+        """Record the external efforts that the node estimates, too."""
         self.create_subscription(
             JointState, 'inverse_dynamics/external_efforts', self._on_external, 100
         )
 
-    def will_tell(self, messages: Mapping[str, Any]) -> None:
-        """Get ready to publish messages on their topics."""
+    def advertise(self, messages: Mapping[str, Any]) -> None:
+        """Create publishers for messages, by topic."""
         for topic, message in messages.items():
-            if topic not in self._told:
-                self._told[topic] = self.create_publisher(type(message), topic, 10)
+            if topic not in self._event_publishers:
+                self._event_publishers[topic] = self.create_publisher(type(message), topic, 10)
 
-    def without_listener(self) -> list[str]:
-        """Return the topics to publish on that nobody has subscribed to yet."""
-        return [t for t, told in self._told.items() if not told.get_subscription_count()]
+    def topics_without_subscriber(self) -> list[str]:
+        """Return the advertised topics that have no subscriber yet."""
+        return [
+            topic
+            for topic, publisher in self._event_publishers.items()
+            if not publisher.get_subscription_count()
+        ]
 
-    def tell(self, topic: str, message: Any) -> None:
-        """Publish a message, with the stamp of the newest joint state if it has any."""
+    def publish(self, topic: str, message: Any) -> None:
+        """Publish a message; a header gets the stamp of the latest joint state."""
         if hasattr(message, 'header'):
             message.header.stamp = self._stamp
-        self._told[topic].publish(message)
+        self._event_publishers[topic].publish(message)
 
     def follow(self, trajectory: Trajectory) -> None:
-        """Track a trajectory from the next joint state on."""
+        """Follow a trajectory, which starts at the next joint state."""
         self._began = None
         self._now = self.time = 0.0
         self._trajectory = trajectory
 
     @property
     def silence(self) -> float:
-        """How long ago the newest joint state came [s]."""
-        return time.monotonic() - self._heard
+        """Time since the latest joint state [s]."""
+        return time.monotonic() - self._last_state
 
     @property
     def now(self) -> float:
-        """Since the trajectory began [s]; also while no joint states come; it never goes back."""
+        """Time since the start of the trajectory [s]; advances without joint states too."""
         waited = self.silence if self.silence > SILENT else 0.0
         self._now = max(self._now, self.time + waited)
         return self._now
 
-    def _asker(self, asks_for: str) -> Callable[[tuple[Floats, Floats, Floats]], None]:
-        """Return what to do with a sample of the trajectory."""
-        if asks_for == 'accelerations':
+    def _make_sender(self, sends: str) -> Callable[[tuple[Floats, Floats, Floats]], None]:
+        """Return the function that sends a sample of the trajectory."""
+        if sends == 'accelerations':
             self._accelerations = self.create_publisher(
                 Float64MultiArray, 'inverse_dynamics/desired_accelerations', 10
             )
             self._message = Float64MultiArray()
-            return self._ask_accelerations
-        if asks_for == 'reference':
+            return self._send_accelerations
+        if sends == 'reference':
             self._reference = self.create_publisher(
                 JointTrajectory, 'inverse_dynamics/reference', 10
             )
@@ -178,16 +182,16 @@ class Commander(Node):
             self._points = JointTrajectory(
                 joint_names=list(self._joint_names), points=[self._point]
             )
-            return self._ask_reference
+            return self._send_reference
         return lambda sample: None
 
-    def _ask_accelerations(self, sample: tuple[Floats, Floats, Floats]) -> None:
+    def _send_accelerations(self, sample: tuple[Floats, Floats, Floats]) -> None:
         assert self.state is not None
         q, qd, _ = self.state
         self._message.data = resolved_acceleration(sample, q, qd, *self._gains).tolist()
         self._accelerations.publish(self._message)
 
-    def _ask_reference(self, sample: tuple[Floats, Floats, Floats]) -> None:
+    def _send_reference(self, sample: tuple[Floats, Floats, Floats]) -> None:
         positions, velocities, accelerations = sample
         self._point.positions = positions.tolist()
         self._point.velocities = velocities.tolist()
@@ -205,7 +209,7 @@ class Commander(Node):
             for values in (message.position, message.velocity, message.effort)
         )
         self.state = q, qd, effort
-        self._heard = time.monotonic()
+        self._last_state = time.monotonic()
         if self._trajectory is None:
             return
         stamp = Time.from_msg(message.header.stamp).nanoseconds
@@ -215,7 +219,7 @@ class Commander(Node):
         sample = self._trajectory.sample(self.time)
         self.desired = sample[0]
         self._stamp = message.header.stamp
-        self._ask(sample)
+        self._send(sample)
         self.history.states.add(self.time, (q, self.desired, effort))
 
     def _learn_order(self, names: list[str]) -> None:

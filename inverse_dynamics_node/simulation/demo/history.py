@@ -1,4 +1,4 @@
-"""What happened in a run, over time."""
+"""The recorded history of a run."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from ...robot.model import Floats
 
 
 class Series:
-    """Rows of equal shape, each with a time [s] that never goes back."""
+    """Rows of equal shape with ascending times [s]."""
 
     def __init__(self) -> None:
         self._times: list[float] = []
         self._rows: list[ArrayLike] = []
 
     def add(self, time: float, row: ArrayLike) -> None:
-        """Take note of a row, which must not change any more."""
+        """Append a row, which must not be modified afterwards."""
         self._times.append(time)
         self._rows.append(row)
 
@@ -28,23 +28,23 @@ class Series:
 
     @property
     def times(self) -> Floats:
-        """Shape (k,) [s]."""
+        """Times of the rows, shape (k,) [s]."""
         return np.array(self._times)
 
     @property
     def rows(self) -> Floats:
-        """Shape (k, ...)."""
+        """All rows, shape (k, ...)."""
         return np.array(self._rows, dtype=float)
 
     def between(self, begin: float, end: float) -> Floats:
-        """Return the rows from a time to just before another [s], shape (k, ...)."""
+        """Return the rows with begin <= time < end [s], shape (k, ...)."""
         first, last = np.searchsorted(self.times, (begin, end))
         return np.array(self._rows[first:last], dtype=float)
 
 
 class History:
     """
-    What a commander saw of n joints; times count from the beginning of the motion [s].
+    The motion of n joints and the commands of the node; times start with the motion [s].
 
     Attributes
     ----------
@@ -52,14 +52,14 @@ class History:
         Positions [rad or m], desired positions and measured efforts [N m or N]; rows of shape
         (3, n).
     commands : Series
-        Efforts that the node sent [N m or N]; rows of shape (m,).
+        Commanded efforts [N m or N]; rows of shape (m,).
     external : Series
-        Efforts that the node lays on contact [N m or N], NaN for joints it does not tell; rows of
-        shape (n,).
+        Estimated external efforts [N m or N], NaN for joints without an estimate; rows of shape
+        (n,).
     brakes : Series
         1 where the brakes went on, 0 where they opened.
     arrivals : list of float
-        When the commands were received, on the steady clock [s].
+        Times at which the commands were received, on the steady clock [s].
 
     """
 
@@ -72,16 +72,16 @@ class History:
 
     def command_rate(self, begin: float = -math.inf) -> float:
         """
-        Return the rate at which commands came since a time on the steady clock [Hz].
+        Return the rate of the commands since a time on the steady clock [Hz].
 
-        This is the slope of a line through the arrivals. A queue that is worked off in one go, or
-        a pause that is made up for, moves the line but hardly turns it, whereas a quotient of
-        count and time would include the commands of a queue that filled up before ``begin``.
+        This is the slope of a line fitted to the arrivals. Commands that arrive in one burst after
+        a pause shift this line but hardly change its slope, whereas the number of commands divided
+        by the time would include those that were queued before ``begin``.
 
         Parameters
         ----------
         begin : float
-            Time on the steady clock [s]; without it, the beginning of the motion.
+            Time on the steady clock [s]; by default the start of the motion.
 
         """
         times = np.array(self.arrivals[bisect_left(self.arrivals, begin) :])
@@ -93,7 +93,7 @@ class History:
         return float(since @ count) / spread if spread > 0.0 else 0.0
 
     def largest_error(self, begin: float, end: float) -> Floats:
-        """Return how far the joints were off at most from a time to another, shape (n,)."""
+        """Return the largest position error of each joint between two times, shape (n,)."""
         rows = self.states.between(begin, end)
         if not len(rows):
             return np.full(self.states.rows.shape[2:] or (1,), math.nan)

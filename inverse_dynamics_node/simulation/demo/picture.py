@@ -1,4 +1,4 @@
-"""A run as a picture: what happened over time, errors, efforts, and contact where it counts."""
+"""A picture of a run: errors, efforts and events over time, and external efforts of a push."""
 
 from __future__ import annotations
 
@@ -21,18 +21,21 @@ from matplotlib.figure import Figure
 
 WIDTH, DPI = 9.0, 100  # [inch]: 900 pixels
 MOST_POINTS = 1500
-LEAST_ERROR = 0.01  # [mrad, mm]: less is nothing, however large a picture may make it
-ACROSS = 115  # letters that fit beside each other over the axes
-LEGEND, KEY = 120, 8  # letters that fit beside each other, and those that a line takes
+LEAST_ERROR = 0.01  # [mrad, mm]: smallest range of the error axis
+ACROSS = 115  # letters that fit on a line above the axes
+LEGEND, KEY = (
+    120,
+    8,
+)  # letters that fit on a line of the legend, and those that a line sample takes
 COLOURS = ('#0072B2', '#E69F00', '#009E73', '#CC79A7', '#56B4E9', '#D55E00', '#333333')
-"""Distinct for the colour-blind too."""
+"""A palette that readers with colour vision deficiency can distinguish."""
 DASHES = ('-', (0, (5, 1.5)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)), (0, (8, 1.5, 1, 1.5, 1, 1.5)))
-"""Line styles: with the colours, 35 joints look different."""
+"""Line styles; with the colours they distinguish 35 joints."""
 MOST_IN_ONE = 10
-"""Joints whose efforts are drawn in one frame; more of them get a row each."""
-LEAST_SHARE = 1e-3
+"""Most joints whose efforts share one frame; more joints get one row each."""
+LEAST_FRACTION = 1e-3
 """Efforts below this fraction of the limit, or of the largest effort, are drawn as almost zero."""
-MOST_LINES, LINE = 6, 0.19  # of the title, and how high one is [inch]
+MOST_LINES, LINE = 6, 0.19  # lines of the title, and the height of a line [inch]
 SHADES = ('#ffffff', '#fff1d6', '#e3f2e1', '#e8ecf7')
 
 
@@ -45,15 +48,15 @@ def draw(
     Parameters
     ----------
     path : str or pathlib.Path
-        Of the picture; its suffix says which kind.
+        Path of the picture; its suffix selects the format.
     robot : RobotModel
-        Whose joints.
+        Robot whose joints are drawn.
     title : str
-        What the run was.
+        Title of the picture.
     script : Script
-        What happened when.
+        Script of the run, with its events.
     history : History
-        What came of it.
+        Recorded history of the run.
 
     """
     panels = [_errors, _efforts] + ([_contact] if script.expected else [])
@@ -88,7 +91,7 @@ def draw(
 
 
 def _wrapped(line: str) -> list[str]:
-    """Break a line of the title between words only: numbers and names stay whole."""
+    """Break a line of the title between words, never within numbers and names."""
     return wrap(line, 110, break_long_words=False, break_on_hyphens=False)
 
 
@@ -101,7 +104,7 @@ def _look(i: int) -> dict[str, Any]:
 
 
 def _largest(history: History) -> Floats:
-    """Return the largest commanded effort of each joint, without sign [N m or N]."""
+    """Return the largest magnitude of the commanded effort of each joint [N m or N]."""
     largest: Floats = np.max(np.abs(np.nan_to_num(history.commands.rows)), axis=0, initial=0.0)
     return largest
 
@@ -114,13 +117,13 @@ def _label(robot: RobotModel, history: History, i: int) -> str:
 
 
 def _columns(robot: RobotModel, history: History) -> int:
-    """Count the columns that the legend has room for."""
+    """Return the number of columns that fit into the legend."""
     longest = max(len(_label(robot, history, i)) for i in range(len(robot.joint_names)))
     return max(1, min(4, LEGEND // (longest + KEY)))
 
 
 def _thin(times: Floats, rows: Floats) -> tuple[Floats, Floats]:
-    """Leave out what a picture cannot show; break lines where nothing was heard for a while."""
+    """Reduce the number of points for drawing, and break lines at gaps in the data."""
     step = max(1, len(times) // MOST_POINTS)
     times, rows = times[::step], rows[::step]
     gaps = np.flatnonzero(np.diff(times) > 0.2) + 1
@@ -147,21 +150,21 @@ def _errors(axes: Any, robot: RobotModel, script: Script, history: History) -> N
 
 def _efforts(axes: Any, robot: RobotModel, script: Script, history: History) -> None:
     """
-    Draw the commands, also while no joint state comes, each joint to its own scale.
+    Draw the commands, those without joint states too, each joint to its own scale.
 
-    Joints that use a few per cent of their limit, and joints without one, are legible too; the
-    legend, or the label of the row, names the largest effort and the limit.
+    This keeps joints legible that use a small part of their limit, or have none. The legend, or
+    the label of the row, states the largest effort and the limit.
 
     """
     times, rows = _thin(history.commands.times, history.commands.rows)
     largest = _largest(history)
     least = np.where(np.isfinite(robot.effort_limits), robot.effort_limits, np.max(largest))
-    scale = np.maximum(largest, LEAST_SHARE * least)
+    scale = np.maximum(largest, LEAST_FRACTION * least)
     scale[scale == 0.0] = 1.0
     count = len(robot.joint_names)
     labels = [_label(robot, history, i) for i in range(count)]
     if count > MOST_IN_ONE:
-        # A row for each joint: so many lines in one frame cannot be followed.
+        # One row per joint, because this many lines in one frame are illegible.
         for i in range(count):
             axes.plot(times, i - 0.45 * rows[:, i] / scale[i], lw=1.2, **_look(i))
         axes.set_yticks(range(count), labels, fontsize=8)
@@ -203,7 +206,7 @@ def _shade(axes: Any, script: Script, history: History) -> None:
 
 
 def _explain(axes: Any, script: Script) -> None:
-    """Write what is happening above the first panel, each where it begins."""
+    """Write the descriptions of the events above the first panel, where they begin."""
     words = [script.begins, *(event.words for event in script.events)]
     end = axes.get_xlim()[1]
     for i, (time, text) in enumerate(zip(_edges(script), words, strict=True)):

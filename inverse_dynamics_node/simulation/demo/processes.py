@@ -24,52 +24,52 @@ Processes = dict[str, 'subprocess.Popen[bytes]']
 
 @contextmanager
 def running(
-    commands: Mapping[str, Sequence[str]], tell: Callable[[str], None] | None = None
+    commands: Mapping[str, Sequence[str]], print_line: Callable[[str], None] | None = None
 ) -> Iterator[Processes]:
     """
-    Run commands for as long as the context lasts; end the last one started first.
+    Run child processes within a context; end them in reverse order at its end.
 
     Parameters
     ----------
     commands : mapping of str to sequence of str
         Arguments of ``python -m``, by the name of the process.
-    tell : callable, optional
-        Takes the lines that they print, in threads of its own; without it they go where those of
-        this process go.
+    print_line : callable, optional
+        Called with every line that a process prints, from one thread per process. By default the
+        processes inherit the standard output of this one.
 
     Yields
     ------
     processes : dict of str to subprocess.Popen
-        By the same names.
+        The running processes, by the same names.
 
     """
     processes: Processes = {}
     try:
         for name, command in commands.items():
-            # A session of its own: Ctrl-C reaches the parent alone, which then ends all in order.
+            # In its own session, so that Ctrl-C reaches only the parent, which ends the children.
             processes[name] = subprocess.Popen(
                 [sys.executable, '-m', *command],
                 start_new_session=True,
-                stdout=subprocess.PIPE if tell else None,
-                stderr=subprocess.STDOUT if tell else None,
+                stdout=subprocess.PIPE if print_line else None,
+                stderr=subprocess.STDOUT if print_line else None,
                 preexec_fn=_end_with_parent if sys.platform == 'linux' else None,
             )
-            if tell:
-                threading.Thread(target=_forward, args=(processes[name], tell)).start()
+            if print_line:
+                threading.Thread(target=_forward, args=(processes[name], print_line)).start()
         yield processes
     finally:
         for process in reversed(processes.values()):
             _end(process)
 
 
-def _forward(process: subprocess.Popen[bytes], tell: Callable[[str], None]) -> None:
+def _forward(process: subprocess.Popen[bytes], print_line: Callable[[str], None]) -> None:
     assert process.stdout is not None
     for line in process.stdout:
-        tell(line.decode(errors='replace').rstrip())
+        print_line(line.decode(errors='replace').rstrip())
 
 
 def _end_with_parent() -> None:
-    """Ask to be ended with the parent, even if that is killed and cannot say so."""
+    """Have the kernel end this process with its parent, even if the parent is killed."""
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
@@ -84,17 +84,16 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 
 
 def stay_on_this_machine() -> None:
-    """Keep ROS traffic of this process and its children local, unless the user set a range."""
+    """Keep ROS traffic on this machine, unless the user has set a discovery range."""
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 
 
 @contextmanager
 def unused_domain() -> Iterator[int]:
     """
-    Reserve a ROS domain that no other process of this machine uses.
+    Reserve a ROS domain that no other process on this machine uses.
 
-    Other demos, and tests that use domain_coordinator, leave it alone as long as the context
-    lasts.
+    Other demos, and tests that use domain_coordinator, do not use it while the context lasts.
 
     Yields
     ------
@@ -104,7 +103,7 @@ def unused_domain() -> Iterator[int]:
     Raises
     ------
     SimulationError
-        If all of them are in use.
+        If all domains are in use.
 
     """
     for domain in random.sample(range(1, 101), 100):

@@ -1,7 +1,7 @@
 """
-Keep what is said on topics, and write it as a bag that ROS 2 tools read.
+Record topics, and write them as a bag that ROS 2 tools read.
 
-Messages are kept as they come, and written in the end: a disk must not hold up a loop.
+Messages are kept in memory and written at the end, so that the disk cannot delay the control loop.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 class Recorder:
     """
-    Records topics of one node's neighbourhood.
+    Records topics through the subscriptions of one node.
 
-    A message with a header is recorded at the time of its stamp. Others get that of the latest
-    joint state, so that they stand with what they belong to.
+    A message with a header is recorded at the time of its stamp; any other message at the stamp of
+    the latest joint state, which it most likely responds to.
 
     Parameters
     ----------
     node : rclpy.node.Node
-        Subscribes.
+        Node that subscribes.
     topics : mapping of str to message class
-        What to record.
+        Topics to record.
     latched : collection of str
-        Those of them whose last message is kept for who comes late.
+        Those topics that are transient local: a late subscriber gets the latest message.
 
     """
 
@@ -72,30 +72,30 @@ class Recorder:
         return keep
 
     def begin(self) -> None:
-        """Forget what was said so far, but for what would be told to who comes late."""
+        """Drop the messages so far, except the latest one of each latched topic."""
         for name, messages in self._messages.items():
             del messages[: -1 if name in self._latched else None]
 
     @property
     def count(self) -> int:
-        """How many messages there are so far."""
+        """Number of messages so far."""
         return sum(map(len, self._messages.values()))
 
     def write(self, folder: str | Path, storage: str = 'mcap') -> int:
         """
-        Write all that was recorded, in the order of time.
+        Write all messages, sorted by time.
 
         Parameters
         ----------
         folder : str or pathlib.Path
-            To be made; it must not be there yet.
+            Folder to create; it must not exist yet.
         storage : str
             'mcap' or 'sqlite3'.
 
         Returns
         -------
         count : int
-            How many messages.
+            Number of messages written.
 
         """
         typestore = get_typestore(Stores.ROS2_JAZZY)

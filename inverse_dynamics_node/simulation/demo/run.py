@@ -1,4 +1,4 @@
-"""One run: wait for robot and node, let a script happen, and keep an eye on everything."""
+"""One run: wait for robot and node, perform a script, and supervise both processes."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ SILENCE_TIMEOUT = 5.0  # [s]
 
 class Run:
     """
-    A scenario with the processes that it takes.
+    A scenario, and the processes that it needs.
 
     Parameters
     ----------
     robot : RobotModel
-        The robot that all of them load.
+        The robot that all processes load.
     scenario : Scenario
-        What to ask of the node.
+        The scenario to perform.
     processes : dict of str to subprocess.Popen
-        What must stay alive, by the name to print.
+        Processes that must not end before the run does, by the name to print.
     stopped : callable
-        Whether the user wants to end it.
+        Returns whether the user has asked to stop.
 
     """
 
@@ -47,7 +47,7 @@ class Run:
         processes: Processes,
         stopped: Callable[[], bool],
     ) -> None:
-        self.commander = Commander(robot.joint_names, scenario.asks_for)
+        self.commander = Commander(robot.joint_names, scenario.sends)
         self.words = ''
         self._processes = processes
         self._stopped = stopped
@@ -61,7 +61,7 @@ class Run:
         self.commander.destroy_node()
 
     def wait_until_ready(self) -> Floats:
-        """Wait until the node holds the robot and the brakes are open; return where it is."""
+        """Wait until the node holds the robot and the brakes are open; return the positions."""
         commander = self.commander
         self._wait(lambda: commander.state is not None, 'the robot sends no joint states')
         self._wait(lambda: commander.commands > 0, 'the node sends no commands')
@@ -70,18 +70,18 @@ class Run:
         return commander.state[0]
 
     def perform(self, script: Script, duration: float, view: View) -> None:
-        """Run a script to its end."""
+        """Perform a script from start to end."""
         commander = self.commander
         for event in script.events:
-            commander.will_tell(event.messages)
+            commander.advertise(event.messages)
         if script.expected is not None:
-            commander.watch_external_efforts()
+            commander.record_external_efforts()
         self._wait(
-            lambda: not commander.without_listener(),
-            lambda: f'nobody listens to {", ".join(commander.without_listener())}',
+            lambda: not commander.topics_without_subscriber(),
+            lambda: f'no subscriber on {", ".join(commander.topics_without_subscriber())}',
         )
         self.words = script.begins
-        view.tell(0.0, self.words)
+        view.announce(0.0, self.words)
         commander.follow(script.trajectory)
         events = list(script.events)
         last = time.monotonic()
@@ -94,18 +94,18 @@ class Run:
                 event = events.pop(0)
                 self.words = event.words
                 for topic, message in event.messages.items():
-                    commander.tell(topic, message)
-                view.tell(event.time, event.words)
+                    commander.publish(topic, message)
+                view.announce(event.time, event.words)
             is_second = commander.now >= min(line, duration)
             if is_second and not view.is_live:
-                view.print_progress(self._moment(last))
+                view.print_progress(self._snapshot(last))
             elif view.is_due:
-                view.draw(self._moment(time.monotonic() - 1.0))
+                view.draw(self._snapshot(time.monotonic() - 1.0))
             if is_second:
                 line = math.floor(commander.now) + 1.0
                 last = time.monotonic()
 
-    def _moment(self, since: float) -> Snapshot:
+    def _snapshot(self, since: float) -> Snapshot:
         commander = self.commander
         rate = commander.history.command_rate(since)
         assert commander.state is not None
@@ -123,7 +123,7 @@ class Run:
             self._spin()
 
     def _spin(self) -> None:
-        """Do what is due, or wait a little; end where something or somebody has."""
+        """Handle pending events for a moment; raise if a process ended or the user stopped."""
         if self._stopped():
             raise KeyboardInterrupt
         for name, process in self._processes.items():
@@ -133,20 +133,20 @@ class Run:
 
 
 def topics_of(scenario: Scenario, script: Script) -> dict[str, Any]:
-    """List what is worth recording of a run: message classes by topic."""
+    """Return the topics of a run that are worth recording, with their message classes."""
     topics: dict[str, Any] = {
         'joint_states': JointState,
         'brakes': Bool,
         f'{NODE}/commands': Float64MultiArray,
         f'{NODE}/joint_efforts': JointState,
     }
-    if scenario.asks_for == 'accelerations':
+    if scenario.sends == 'accelerations':
         topics[f'{NODE}/desired_accelerations'] = Float64MultiArray
-    elif scenario.asks_for == 'reference':
+    elif scenario.sends == 'reference':
         topics[f'{NODE}/reference'] = JointTrajectory
     if script.expected is not None:
         topics[f'{NODE}/external_efforts'] = JointState
     if 'base_motion' in scenario.parameters:
         topics['imu'] = Imu
-    told = {topic: type(m) for event in script.events for topic, m in event.messages.items()}
-    return topics | told
+    events = {topic: type(m) for event in script.events for topic, m in event.messages.items()}
+    return topics | events

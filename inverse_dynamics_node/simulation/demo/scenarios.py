@@ -1,8 +1,8 @@
 """
-What can happen to the robot in a demo: scenarios by name, as data.
+The scenarios of the demo, by name.
 
-A scenario says how the node is set up and what to ask of it. Its script, made for one robot, says
-what happens when, and how to judge the outcome.
+A scenario defines the settings of the node and the kind of reference that it gets. A script,
+prepared for one robot, defines the trajectory, the events with their times, and the verdict.
 """
 
 from __future__ import annotations
@@ -34,19 +34,19 @@ from .stage import (
     KP,
     Stage,
 )
+from .tracking import REST_FRACTION
 from .verdicts import Verdict
 from .without_imu import held_without_imu
 
-NODE, ROBOT = 'inverse_dynamics', 'simulated_robot'  # whose topics
+NODE, ROBOT = 'inverse_dynamics', 'simulated_robot'  # prefixes of topics
 TILT = math.radians(30.0) * np.array([1.0, 1.0, 0.0]) / math.sqrt(2.0)  # [rad]
-IMU_ORIENTATION = (0.2, -0.3, 1.1)  # [rad]: nobody mounts one straight
+IMU_ORIENTATION = (0.2, -0.3, 1.1)  # [rad]: askew, as on a real robot
 LOST = 2.0  # [s] without joint states
-REST = 0.2  # share of the duration; its second half is judged
 
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happens: when [s], in words, and the messages by topic that make it so."""
+    """An event: its time [s], its description, and the messages that cause it, by topic."""
 
     time: float
     words: str
@@ -56,24 +56,25 @@ class Event:
 @dataclass(frozen=True, eq=False)
 class Script:
     """
-    What happens to one robot.
+    A scenario prepared for one robot.
 
     Attributes
     ----------
     trajectory : Trajectory
-        Where the joints should be.
+        Desired motion of the joints.
     judge : callable
-        Takes what happened, returns a `Verdict`.
+        Returns the `Verdict` for a `History`.
     events : tuple of Event
-        In the order of their times.
+        Events, sorted by time.
     begins : str
-        What is going on at first.
+        Description of the time before the first event.
     note : str
         A line to print before the start.
     expected : callable or None
-        External efforts that should be found, for times and positions of shapes (k,) and (k, n).
+        Returns the external efforts that the node should find, for times of shape (k,) and
+        positions of shape (k, n).
     without : tuple of two ndarrays, or None
-        Times [s], shape (k,), and errors that a lesser node would have made, shape (k, n).
+        Times [s], shape (k,), and simulated errors without the IMU, shape (k, n).
 
     """
 
@@ -94,23 +95,23 @@ class Scenario:
     Attributes
     ----------
     summary : str
-        What it shows.
+        Description for the help text.
     prepare : callable
-        Makes a `Script` for a `Stage`.
-    asks_for : str
-        What the commander sends: 'accelerations', 'reference' or nothing.
+        Returns the `Script` for a `Stage`.
+    sends : str
+        Message that the commander sends: 'accelerations', 'reference', or '' for none.
     parameters : mapping of str to str
-        Of the node.
+        Parameters of the node.
     robot : tuple of str
         Options of the simulated robot.
     least_duration : float
-        Shorter it makes no sense [s].
+        Shortest duration that is long enough for all events [s].
 
     """
 
     summary: str
     prepare: Callable[[Stage], Script]
-    asks_for: str = 'reference'
+    sends: str = 'reference'
     parameters: Mapping[str, str] = field(default_factory=dict)
     robot: tuple[str, ...] = ()
     least_duration: float = 10.0
@@ -122,17 +123,17 @@ def _standing(stage: Stage) -> Trajectory:
 
 
 def hold(stage: Stage) -> Script:
-    """Nothing happens at all."""
+    """Hold the start pose without a reference."""
     return Script(
         _standing(stage),
         lambda history: verdicts.judge_hold(stage, history),
-        begins='nobody asks for anything: gravity is compensated',
+        begins='no reference: gravity compensation',
     )
 
 
 def track(stage: Stage) -> Script:
-    """Move, and rest; judged by the demo, joint by joint."""
-    moving = (1.0 - REST) * stage.duration
+    """Move, then rest; `judge_tracking` gives the verdict."""
+    moving = (1.0 - REST_FRACTION) * stage.duration
     trajectory = plan(stage.robot, stage.dynamics(), stage.start, moving)
     return Script(
         trajectory,
@@ -142,7 +143,7 @@ def track(stage: Stage) -> Script:
 
 
 def payload(stage: Stage) -> Script:
-    """Pick up a load on the way, and tell the node later."""
+    """Pick up a load during the motion, and send it to the node later."""
     link, mass, inertia = stage.load()
     loaded = stage.dynamics()
     loaded.set_payload(link, mass, GRIP, inertia)
@@ -158,17 +159,17 @@ def payload(stage: Stage) -> Script:
     )
     capacity = stage.capacity(link)
     most = f'{capacity:.2g} kg' if math.isfinite(capacity) else 'any mass'
-    picked_up, told = 0.3 * stage.duration, 0.6 * stage.duration
+    picked_up, sent = 0.3 * stage.duration, 0.6 * stage.duration
     return Script(
         plan(stage.robot, loaded, stage.start, stage.duration),
-        lambda history: verdicts.judge_payload(stage, history, picked_up, told),
+        lambda history: verdicts.judge_payload(stage, history, picked_up, sent),
         (
             Event(
                 picked_up,
-                f'{mass:g} kg at {link!r}; the node does not know',
+                f'{mass:g} kg at {link!r}, unknown to the node',
                 {f'{ROBOT}/payload': load},
             ),
-            Event(told, 'the node is told of the load', {f'{NODE}/payload': load}),
+            Event(sent, 'the node receives the load', {f'{NODE}/payload': load}),
         ),
         'the arm follows a trajectory',
         note=f'load: {mass:g} kg at {link!r}, where the drives could hold {most}',
@@ -176,7 +177,7 @@ def payload(stage: Stage) -> Script:
 
 
 def push(stage: Stage) -> Script:
-    """Push for a while."""
+    """Push a link for a while."""
     link, force = stage.push()
     began, ended = 0.3 * stage.duration, 0.6 * stage.duration
     x, y, z = force.tolist()
@@ -194,18 +195,18 @@ def push(stage: Stage) -> Script:
         (
             Event(
                 began,
-                f'somebody pushes {link!r} with {np.linalg.norm(force):.3g} N',
+                f'a push of {np.linalg.norm(force):.3g} N on {link!r}',
                 {f'{ROBOT}/push': pushed},
             ),
-            Event(ended, 'nobody pushes', {f'{ROBOT}/push': WrenchStamped(header=header)}),
+            Event(ended, 'the push ends', {f'{ROBOT}/push': WrenchStamped(header=header)}),
         ),
-        'the arm stands',
+        'the arm stands still',
         expected=expected,
     )
 
 
 def tilted(stage: Stage) -> Script:
-    """Tilt the base, and leave it so."""
+    """Tilt the base, and keep it tilted."""
     began = 0.25 * stage.duration
     settled = began + tilt.DURATION + verdicts.SETTLED
     without = held_without_imu(stage, TILT, began)
@@ -215,15 +216,15 @@ def tilted(stage: Stage) -> Script:
         lambda history: verdicts.judge_tilt(stage, history, settled, without),
         (
             Event(began, 'the base tilts by 30 degrees', {f'{ROBOT}/tilt': attitude}),
-            Event(began + tilt.DURATION, 'the base stands tilted', {}),
+            Event(began + tilt.DURATION, 'the base stays tilted', {}),
         ),
-        'the arm stands on level ground',
+        'the base is level',
         without=without,
     )
 
 
 def sensor_lost(stage: Stage) -> Script:
-    """Joint states stop, and come back."""
+    """Stop the joint states, and resume them later."""
     lost = 0.3 * stage.duration
     back = lost + LOST
     sensors = f'{ROBOT}/sensors'
@@ -232,15 +233,15 @@ def sensor_lost(stage: Stage) -> Script:
         lambda history: verdicts.judge_sensor_lost(stage, history, lost, back),
         (
             Event(lost, 'joint states stop, brakes go on', {sensors: Bool(data=False)}),
-            Event(back, 'joint states are back', {sensors: Bool(data=True)}),
+            Event(back, 'joint states resume', {sensors: Bool(data=True)}),
         ),
-        'the arm stands',
+        'the arm stands still',
     )
 
 
 _COMPUTED_TORQUE = {'mode': 'computed_torque', 'kp': str(KP), 'kd': str(KD)}
-# The simulated hardware shares the machine with all else that runs there: it may stall for longer
-# than real hardware does.
+# The simulated hardware shares the machine with other processes and may pause for longer than real
+# hardware does.
 _PATIENT = {'state_timeout': '0.5'}
 SCENARIOS = {
     'track': Scenario(
@@ -254,17 +255,17 @@ SCENARIOS = {
         least_duration=2.0,
     ),
     'payload': Scenario(
-        'pick up a load: an error that goes when the node is told',
+        'pick up a load: the error vanishes when the node receives it on ~/payload',
         payload,
         parameters={**_COMPUTED_TORQUE, **_PATIENT},
     ),
     'push': Scenario(
-        'a push by hand, and how the node feels it',
+        'push a link: the push appears in ~/external_efforts',
         push,
         parameters={**_COMPUTED_TORQUE, **_PATIENT},
     ),
     'tilt': Scenario(
-        'the base tilts, an IMU tells the node',
+        'tilt the base: the node uses an IMU to hold the arm still',
         tilted,
         parameters={
             **_COMPUTED_TORQUE,
@@ -275,6 +276,8 @@ SCENARIOS = {
         robot=('--imu-orientation', *map(str, IMU_ORIENTATION)),
     ),
     'sensor-lost': Scenario(
-        'joint states stop for a while', sensor_lost, parameters=_COMPUTED_TORQUE
+        'stop the joint states for a while: efforts ramp to zero',
+        sensor_lost,
+        parameters=_COMPUTED_TORQUE,
     ),
 }

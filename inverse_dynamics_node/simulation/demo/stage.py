@@ -1,8 +1,8 @@
 """
-Where a scenario takes place: a robot in its start pose, and how much it can take there.
+The stage of a scenario: a robot in its start pose, and the loads and pushes it can withstand.
 
-Loads and pushes are sized by the robot: each brings some joint off its place by what can be seen,
-with the gains that the node has, and leaves every drive something to give.
+Loads and pushes are sized by the robot: large enough to deflect some joint visibly with the gains
+of the node, small enough to leave every drive a reserve.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from ...robot.model import Floats, RobotModel
 from ..mujoco.hardware import require_inertia
 from ..trajectory import EFFORT_USED, effort_used
 
-KP, KD = 400.0, 40.0  # of the node's own loop; see the commander's [1/s^2], [1/s]
-DEFLECTION = 0.2  # [rad or m]: what a load or a push may do to a joint
+KP, KD = 400.0, 40.0  # gains of the node's loop [1/s^2], [1/s], equal to the commander's
+DEFLECTION = 0.2  # [rad or m]: largest deflection of a joint by a load or a push
 HEAVIEST = 5.0  # [kg]
-LEAST_LOAD = 0.01  # of the robot's mass
+LEAST_LOAD = 0.01  # fraction of the robot's mass
 HARDEST, FIRM = 20.0, 5.0  # [N]
-LEAST_INERTIA = 0.1  # [kg m^2 per N m, kg per N] of dry friction: motors with gears have as much
-LEAST_DECAY = 0.02  # [s]: viscous friction may not stop a joint sooner than the loop can tell
-BOX = 0.1  # [m], the side of a load
-GRIP = (0.0, 0.0, 0.05)  # [m], its centre in the frame of the link
+LEAST_INERTIA = 0.1  # [kg m^2 per N m, kg per N] of dry friction, as of motors with gears
+LEAST_DECAY = 0.02  # [s]: viscous friction must not stop a joint faster than the loop reacts
+BOX = 0.1  # [m], side of a cubic load
+GRIP = (0.0, 0.0, 0.05)  # [m], centre of the load in the frame of the link
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,17 +38,17 @@ class Stage:
     Attributes
     ----------
     urdf : str
-        Path of its description.
+        Path of the robot description.
     robot : RobotModel
-        The same, loaded.
+        The robot loaded from it.
     start : ndarray, shape (n,)
-        Where it is [rad or m].
+        Start pose [rad or m].
     duration : float
-        How long it will take [s].
+        Duration of the run [s].
     link : str
-        What is loaded and pushed; empty: the hand, as far as can be told.
+        Link to load and to push; empty to choose the hand, or a link near it.
     friction : bool
-        Whether the joints have the friction of the URDF, and the node overcomes it.
+        Whether the joints have the friction of the URDF and the node compensates it.
 
     """
 
@@ -62,10 +62,10 @@ class Stage:
     @cached_property
     def armature(self) -> Floats:
         """
-        Inertia of rotors that the URDF leaves out, shape (n,) [kg m^2 or kg].
+        Rotor inertia that the URDF leaves out, shape (n,) [kg m^2 or kg].
 
-        None without friction. With it, a joint that rubs has a motor and gears: where next to
-        no inertia is left once friction is overcome, the least delay would throw the joint about.
+        Zero without friction. A joint with friction has a motor and gears. If it has hardly any
+        inertia, the smallest delay in compensating the friction would make it oscillate.
 
         """
         robot = self.robot
@@ -76,22 +76,22 @@ class Stage:
 
     @cached_property
     def inertia(self) -> Floats:
-        """What each joint moves at the start while the others are free, shape (n,)."""
+        """Inertia of each joint at the start while the others are free, shape (n,)."""
         mass_matrix = self._mass_matrix(InverseDynamics(self.robot))
-        felt: Floats = 1.0 / np.diagonal(np.linalg.inv(mass_matrix))
-        return felt
+        effective: Floats = 1.0 / np.diagonal(np.linalg.inv(mass_matrix))
+        return effective
 
     @cached_property
     def slack(self) -> Floats:
-        """How far dry friction may hold joints off their places, shape (n,) [rad or m]."""
+        """Largest position error that dry friction can sustain, shape (n,) [rad or m]."""
         if not self.friction:
             return np.zeros(len(self.start))
         compliance = np.abs(np.linalg.inv(self._mass_matrix(self.dynamics()))) / KP
-        held: Floats = compliance @ self.robot.friction
-        return held
+        error: Floats = compliance @ self.robot.friction
+        return error
 
     def dynamics(self) -> InverseDynamics:
-        """Make what the node has for a model."""
+        """Return a new model, equal to that of the node."""
         dynamics = InverseDynamics(self.robot)
         if self.friction:
             dynamics.set_friction()
@@ -106,13 +106,13 @@ class Stage:
 
     def load(self) -> tuple[str, float, Floats]:
         """
-        Choose a load: the link, the mass [kg], the inertia about its centre, shape (3, 3).
+        Choose a load: its link, mass [kg], and inertia about its centre of mass, shape (3, 3).
 
-        A last joint without the inertia of a rotor gives way to a few grams: the nearest link to
-        the hand is loaded that takes a load worth mentioning.
+        A last joint without rotor inertia deflects under a few grams. The load therefore hangs on
+        the link closest to the hand that withstands 1 % of the robot's mass.
 
         """
-        links = [self.link] if self.link else up_from(self.robot, last_link(self.robot))
+        links = [self.link] if self.link else links_towards_base(self.robot)
         unit = np.eye(3) * BOX**2 / 6.0
         chosen, heaviest = links[0], 0.0
         for link in links:
@@ -128,7 +128,7 @@ class Stage:
         return chosen, heaviest, heaviest * unit
 
     def capacity(self, link: str) -> float:
-        """Return the mass at a link that brings a drive to its limit at the start [kg]."""
+        """Return the mass on a link that takes a drive to its limit in the start pose [kg]."""
         dynamics = InverseDynamics(self.robot)
         alone = dynamics.gravity_efforts(self.start)
         dynamics.set_payload(link, 1.0, GRIP)
@@ -139,13 +139,13 @@ class Stage:
 
     def push(self) -> tuple[str, Floats]:
         """
-        Choose a push: the link, and the force in its frame [N], shape (3,).
+        Choose a push: its link, and the force in the frame of the link [N], shape (3,).
 
-        Wrists may give way to almost nothing: the nearest link to the hand that stands a firm
-        push is pushed.
+        A wrist may deflect under hardly any force. The push therefore acts on the link closest to
+        the hand that withstands a firm one.
 
         """
-        links = [self.link] if self.link else up_from(self.robot, last_link(self.robot))
+        links = [self.link] if self.link else links_towards_base(self.robot)
         direction = np.ones(3) / np.sqrt(3.0)
         chosen, hardest = links[0], 0.0
         for link in links:
@@ -161,14 +161,14 @@ class Stage:
         return chosen, hardest * direction
 
     def external_efforts(self, link: str, force: Floats, q: Floats) -> Floats:
-        """Compute what joint efforts must make up for while a link is pushed: -J^T F."""
+        """Compute the joint efforts that balance a push on a link: -J^T F."""
         pushed, alone = InverseDynamics(self.robot), InverseDynamics(self.robot)
         pushed.set_external_wrench(link, force)
         difference: Floats = pushed.gravity_efforts(q) - alone.gravity_efforts(q)
         return difference
 
     def _most(self, put: Callable[[InverseDynamics, float], None], limit: float) -> float:
-        """Find the most of something, up to a limit, that the joints and drives stand."""
+        """Find the largest load or push, up to a limit, that joints and drives withstand."""
         robot, start = self.robot, self.start
         dynamics = InverseDynamics(robot)
         alone = dynamics.gravity_efforts(start)
@@ -176,15 +176,16 @@ class Stage:
         change = dynamics.gravity_efforts(start) - alone
         deflection = np.linalg.solve(self._mass_matrix(self.dynamics()), change) / KP
         most = min(limit, DEFLECTION / max(float(np.max(np.abs(deflection))), 1e-9))
-        alone = np.where(np.abs(change) > 1e-9, alone, 0.0)  # other joints do not matter
+        alone = np.where(np.abs(change) > 1e-9, alone, 0.0)  # ignore joints without a change
         spare = max(0.8 * EFFORT_USED, 0.5 * (EFFORT_USED + effort_used(robot, alone)))
         while effort_used(robot, alone + most * change) > spare and most > 1e-3:
             most *= 0.8
-        return float(f'{most:.2g}')  # a load as people would tell it
+        return float(f'{most:.2g}')  # a round number
 
 
-def up_from(robot: RobotModel, link: str) -> list[str]:
-    """List links from one towards the base, one for every joint on the way."""
+def links_towards_base(robot: RobotModel) -> list[str]:
+    """Return the links from the hand towards the base, one per joint on the way."""
+    link = last_link(robot)
     body = int(robot.link_body[robot.link_names.index(link)])
     links = [link]
     while (body := int(robot.parent[body])) > 0:

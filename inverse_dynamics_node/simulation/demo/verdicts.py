@@ -1,4 +1,4 @@
-"""Whether a run went as it should: figures held against limits, in words."""
+"""The verdicts on runs: measurements compared with limits."""
 
 from __future__ import annotations
 
@@ -13,22 +13,21 @@ from .history import History
 from .stage import Stage
 
 MOVING_LIMIT, REST_LIMIT = 0.010, 0.001  # [rad or m]
-RATE_LIMIT = 0.02  # share of the rate asked for
-HARMLESS = 0.05  # [s]: for so long the loop may do without a new command
-SETTLED = 1.5  # [s]: after a change, the node's loop has come to rest
-STOPPED = 1.0  # [s]: the node's state timeout and stop ramp, and as much again to be fair
-LEAST_FACTOR = 5.0  # by which telling the node of a load must help
-CONTACT_LIMIT = 0.05  # share of the largest joint effort of a push
+HARMLESS = 0.05  # [s]: longest gap between commands that leaves the tracking errors within limits
+SETTLED = 1.5  # [s]: time after a change until the errors have settled
+STOPPED = 1.0  # [s]: twice the sum of the node's state timeout and stop ramp
+LEAST_FACTOR = 5.0  # least ratio of the errors without and with the node's knowledge of a load
+CONTACT_LIMIT = 0.05  # fraction of the largest joint effort of a push
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """How a run went: what to say, and what went wrong, if anything did."""
+    """The outcome of a run: words if it passed, and its failures if it did not."""
 
     words: str
     failures: tuple[str, ...] = ()
     excuse: str = ''
-    """What else may have been to blame; empty if nothing was seen."""
+    """Another possible cause of a failure; empty if there is none."""
 
     def __str__(self) -> str:
         if self.failures:
@@ -38,112 +37,50 @@ class Verdict:
 
 
 class Distance(NamedTuple):
-    """How far off the joint was that was furthest off."""
+    """The largest error of all joints."""
 
     value: float
-    """[rad or m]; NaN where nothing was measured."""
+    """Error [rad or m]; NaN if nothing was measured."""
     words: str
+    """The same with its unit [mrad or mm]."""
 
 
 def worst(stage: Stage, errors: Floats) -> Distance:
-    """Find the largest of n errors, shape (n,) [rad or m]."""
-    i = int(np.argmax(errors))  # NaN counts as the largest
+    """Return the largest of the errors of n joints, shape (n,) [rad or m]."""
+    i = int(np.argmax(errors))  # argmax prefers NaN
     unit = 'mm' if slides(stage.robot)[i] else 'mrad'
-    # Nobody asks for less than a thousandth of it.
+    # Errors below a thousandth of a unit are printed as that.
     return Distance(float(errors[i]), f'{max(1000.0 * float(errors[i]), 0.001):.3g} {unit}')
 
 
 def judge(words: str, *checks: tuple[bool, str]) -> Verdict:
-    """Pass if all checks hold; each has words for when it does not."""
-    return Verdict(words, tuple(otherwise for is_well, otherwise in checks if not is_well))
-
-
-def tracking_limits(slack: Floats) -> tuple[Floats, Floats]:
-    """
-    Return how far joints may be off in motion and at rest.
-
-    Parameters
-    ----------
-    slack : ndarray, shape (n,)
-        How far dry friction may hold the joints off their places [rad or m].
-
-    Returns
-    -------
-    moving, rest : ndarray, shape (n,)
-        Limits [rad or m].
-
-    """
-    # A joint that dry friction lets go of swings as far beyond as it was held back.
-    return MOVING_LIMIT + 2.0 * slack, REST_LIMIT + slack
-
-
-def tracking_words(slack: Floats) -> str:
-    """Describe the limits of tracking."""
-    parts = []
-    for limits, when in zip(tracking_limits(slack), ('mrad (mm) moving', 'at rest'), strict=True):
-        least, most = (f'{1000.0 * limit:.3g}' for limit in (limits.min(), limits.max()))
-        parts.append(f'{least} {when}' if least == most else f'{least} to {most} {when}')
-    words = f'every joint within {" and ".join(parts)}'
-    if np.any(slack):
-        words = f'{words} (its limit in the table, wider where dry friction holds it)'
-    return f'{words}, rate within {RATE_LIMIT:.0%}'
-
-
-def find_failures(
-    joint_names: tuple[str, ...],
-    moving: Floats,
-    rest: Floats,
-    rate: float,
-    asked: float,
-    slack: Floats | float = 0.0,
-) -> list[str]:
-    """List what missed its limit in tracking, in words; friction may take some slack besides."""
-    failures = []
-    moving_limits, rest_limits = tracking_limits(slack + np.zeros(len(joint_names)))
-    for when, errors, limits in (
-        ('moving', moving, moving_limits),
-        ('at rest', rest, rest_limits),
-    ):
-        failures += [
-            f'joint {name!r} was {1000 * error:.2f} mrad or mm off {when}, limit {1000 * most:.3g}'
-            for name, error, most in zip(joint_names, errors, limits, strict=True)
-            if not error <= most  # NaN is a failure: nothing was measured
-        ]
-    if not abs(rate / asked - 1.0) <= RATE_LIMIT:
-        cause = (
-            'another node publishes commands too, or the robot made up for a pause of this machine'
-            if rate > asked
-            else f'this machine is busy, or too slow for --rate {asked:g}'
-        )
-        failures.append(
-            f'{rate:.1f} commands/s received, expected {asked:.1f} +- {RATE_LIMIT:.0%}: {cause}'
-        )
-    return failures
+    """Return a verdict that passes if all checks do; each has the text of its failure."""
+    return Verdict(words, tuple(failure for passed, failure in checks if not passed))
 
 
 def excuse(history: History) -> str:
-    """Say if the machine was too busy for a loop like this."""
+    """Explain a failure by a gap between commands, if there was a long one."""
     waited = float(np.max(np.diff(history.commands.times), initial=0.0))
     if waited <= HARMLESS:
         return ''
     return (
-        f'The machine was busy: once no command came for {1000.0 * waited:.0f} ms, which no loop '
-        'can make up for. Close what else runs, or ask for less: --rate 200.'
+        f'The machine was busy: no command came for {1000.0 * waited:.0f} ms, too long for any '
+        'control loop. Close other programs, or reduce the rate: --rate 200.'
     )
 
 
 def moving_limit(stage: Stage) -> float:
-    """Return how far a joint may be off in motion [rad or m]."""
+    """Return the largest permitted error in motion [rad or m]."""
     return MOVING_LIMIT + float(np.max(stage.slack))
 
 
 def rest_limit(stage: Stage) -> float:
-    """Return how far a joint may be off at rest [rad or m]."""
+    """Return the largest permitted error at rest [rad or m]."""
     return REST_LIMIT + float(np.max(stage.slack))
 
 
 def judge_hold(stage: Stage, history: History) -> Verdict:
-    """Judge an arm of which nobody asks anything: it must not move."""
+    """Judge gravity compensation: the arm must not move."""
     moved = worst(stage, history.largest_error(0.0, np.inf))
     return judge(
         f'no joint moved by more than {moved.words}',
@@ -151,27 +88,27 @@ def judge_hold(stage: Stage, history: History) -> Verdict:
     )
 
 
-def judge_payload(stage: Stage, history: History, picked_up: float, told: float) -> Verdict:
-    """Judge a load: unknown it shows as an error, which goes when the node is told."""
+def judge_payload(stage: Stage, history: History, picked_up: float, sent: float) -> Verdict:
+    """Judge a load: it causes an error until the node receives it."""
     before = worst(stage, history.largest_error(0.0, picked_up))
-    unknown = worst(stage, history.largest_error(picked_up, told))
-    known = worst(stage, history.largest_error(told + SETTLED, np.inf))
+    unknown = worst(stage, history.largest_error(picked_up, sent))
+    known = worst(stage, history.largest_error(sent + SETTLED, np.inf))
     factor = unknown.value / known.value
     return judge(
-        f'the load put a joint {unknown.words} off; told of it, the node kept all within '
-        f'{known.words}: {factor:.0f} times better',
+        f'the unknown load deflected a joint by {unknown.words}; once the node knew it, all '
+        f'joints stayed within {known.words}: {factor:.0f} times better',
         (
             before.value <= moving_limit(stage),
-            f'{before.words} off before there was a load',
+            f'a joint was {before.words} off before the load was picked up',
         ),
         (
             known.value <= moving_limit(stage),
-            f'{known.words} off although the node knew the load',
+            f'a joint was {known.words} off although the node knew the load',
         ),
         (
             factor >= LEAST_FACTOR,
-            f'telling the load made {unknown.words} to {known.words}: {factor:.1f} times '
-            f'better, expected {LEAST_FACTOR:g}',
+            f'knowing the load reduced the error from {unknown.words} to {known.words}: '
+            f'{factor:.1f} times better, expected {LEAST_FACTOR:g}',
         ),
     )
 
@@ -179,11 +116,11 @@ def judge_payload(stage: Stage, history: History, picked_up: float, told: float)
 def judge_push(
     stage: Stage, history: History, link: str, force: Floats, began: float, ended: float
 ) -> Verdict:
-    """Judge a push: it shows at every joint as what must make up for it, until it ends."""
+    """Judge a push: the external efforts equal -J^T F while it lasts, and are zero before."""
     window = began + SETTLED, ended
     rows, states = history.external.between(*window), history.states.between(*window)
     if not len(rows) or not len(states):
-        return Verdict('', ('the node told nothing of external efforts',))
+        return Verdict('', ('the node published no external efforts during the push',))
     found = np.mean(rows, axis=0)
     expected = stage.external_efforts(link, force, np.mean(states[:, 0], axis=0))
     size = float(np.max(np.abs(expected)))
@@ -193,18 +130,18 @@ def judge_push(
     given = worst(stage, history.largest_error(began, ended))
     after = worst(stage, history.largest_error(ended + SETTLED, np.inf))
     return judge(
-        f'{np.linalg.norm(force):.3g} N at {link!r} moved a joint by {given.words}, and was found '
-        f'within {max(100.0 * off, 0.01):.2g} % of -J^T F (up to {size:.3g} N m or N)',
+        f'{np.linalg.norm(force):.3g} N at {link!r} moved a joint by {given.words}, and the node '
+        f'found -J^T F (up to {size:.3g} N m or N) within {max(100.0 * off, 0.01):.2g} %',
         (off <= CONTACT_LIMIT, f'the push was found {off:.1%} off, limit {CONTACT_LIMIT:.0%}'),
-        (noise <= CONTACT_LIMIT, f'{noise:.1%} of the push was seen before there was any'),
-        (after.value <= rest_limit(stage), f'{after.words} off after the push'),
+        (noise <= CONTACT_LIMIT, f'{noise:.1%} of the push was found before it began'),
+        (after.value <= rest_limit(stage), f'a joint was {after.words} off after the push'),
     )
 
 
 def judge_tilt(
     stage: Stage, history: History, settled: float, without: tuple[Floats, Floats]
 ) -> Verdict:
-    """Judge a base that tilts: it must not move the arm."""
+    """Judge a tilting base: the arm must not move."""
     moved = worst(stage, history.largest_error(0.0, np.inf))
     rest = worst(stage, history.largest_error(settled, np.inf))
     lesser = worst(stage, np.max(np.abs(without[1]), axis=0))
@@ -213,16 +150,20 @@ def judge_tilt(
         f'would have been {lesser.words}',
         (
             moved.value <= moving_limit(stage),
-            f'{moved.words} off while the base tilted',
+            f'a joint was {moved.words} off while the base tilted',
         ),
-        (rest.value <= rest_limit(stage), f'{rest.words} off on the tilted base'),
-        (lesser.value >= LEAST_FACTOR * moved.value, f'without the IMU: {lesser.words} only'),
+        (rest.value <= rest_limit(stage), f'a joint was {rest.words} off on the tilted base'),
+        (
+            lesser.value >= LEAST_FACTOR * moved.value,
+            f'without the IMU the error would have been only {lesser.words}',
+        ),
     )
 
 
 def judge_sensor_lost(stage: Stage, history: History, lost: float, back: float) -> Verdict:
-    """Judge a time without joint states: no efforts, and afterwards the arm is where it was."""
-    # Until just before: the clock of the stamps, which is back then, may be a little behind.
+    """Judge an interruption of the joint states: efforts are zero, and the arm stays in place."""
+    # End a little early: history times follow the stamps again as soon as states resume, and
+    # those may lag behind the clock of the machine.
     commands = np.abs(history.commands.between(lost + STOPPED, back - 0.1))
     left = float(np.max(commands, initial=0.0))
     before = float(np.max(np.abs(history.commands.between(0.0, lost)), initial=0.0))
@@ -233,12 +174,12 @@ def judge_sensor_lost(stage: Stage, history: History, lost: float, back: float) 
     moved = worst(stage, history.largest_error(0.0, np.inf))
     end = worst(stage, history.largest_error(stage.duration - 1.0, np.inf))
     return judge(
-        f'efforts were zero {zero_after:.2f} s after the last joint state, and brakes held; moved '
-        f'by {moved.words} in all, {end.words} off in the end',
-        (before > 0.0, 'there were no efforts to begin with'),
-        (len(commands) > 0, 'the node fell silent when joint states stopped'),
+        f'efforts were zero {zero_after:.2f} s after the last joint state, and the brakes held; '
+        f'joints moved by {moved.words} at most and were {end.words} off at the end',
+        (before > 0.0, 'efforts were zero before the joint states stopped'),
+        (len(commands) > 0, 'the node published nothing while joint states were missing'),
         (left == 0.0, f'efforts of up to {left:.3g} N m or N {STOPPED:g} s after the last state'),
-        (brakes == [True, False], f'brakes should go on and open again, they went {brakes}'),
-        (moved.value <= moving_limit(stage), f'{moved.words} off on the way'),
-        (end.value <= rest_limit(stage), f'{end.words} off in the end'),
+        (brakes == [True, False], f'brakes must go on and then open, but went {brakes}'),
+        (moved.value <= moving_limit(stage), f'a joint was {moved.words} off during the run'),
+        (end.value <= rest_limit(stage), f'a joint was {end.words} off at the end'),
     )

@@ -1,4 +1,4 @@
-"""What a base that tilts does to an arm whose controller takes it for level."""
+"""Simulate an arm on a tilting base whose controller assumes that the base is level."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ PERIOD = 0.002  # [s]
 
 def held_without_imu(stage: Stage, attitude: ArrayLike, began: float) -> tuple[Floats, Floats]:
     """
-    Hold an arm by computed torque on a base that tilts unnoticed.
+    Hold an arm by computed torque on a tilting base without an IMU.
 
     Parameters
     ----------
     stage : Stage
-        The robot, its pose, and for how long.
+        The robot, its pose and the duration.
     attitude : array_like, shape (3,)
-        Rotation vector of the base from level, in the end [rad].
+        Final rotation vector of the base from level [rad].
     began : float
-        When the base begins to tilt [s].
+        Time at which the base begins to tilt [s].
 
     Returns
     -------
     times : ndarray, shape (k,)
-        [s].
+        Times [s].
     errors : ndarray, shape (k, n)
-        How far the joints are off [rad or m].
+        Position errors of the joints [rad or m].
 
     """
     simulated = MujocoRobot(stage.urdf, stage.robot, stage.start, friction=False)
