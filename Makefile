@@ -1,13 +1,13 @@
-# `make demo`, `make test`, `make bench`, `make bench-loop` and `make storm` set up what they need
-# in .venv and run it.
+# `make demo`, `make test`, `make bench`, `make bench-loop` and `make storm` set up .venv and run.
+# ARGS='...' is passed on: `make test ARGS=test/unit` runs some of the tests.
 
 PYTHON ?= python3
 ROBOT ?= config/stanford.urdf
 VENV := .venv
 BIN := $(VENV)/bin
 
-# A sourced ROS would have its libraries loaded in place of those in the environment made here.
-# Nothing that is started here sends a packet to another machine.
+# Without these variables, a sourced ROS cannot replace the libraries in the environment made here.
+# Nothing started here sends a packet to another machine.
 CLEAN := env -u PYTHONPATH -u LD_LIBRARY_PATH -u AMENT_PREFIX_PATH -u COLCON_PREFIX_PATH \
     -u CMAKE_PREFIX_PATH -u RMW_IMPLEMENTATION -u ROS_DISTRO -u _ROS_WHEELS_BOOTSTRAP_COMPLETE \
     -u FASTDDS_DEFAULT_PROFILES_FILE -u FASTRTPS_DEFAULT_PROFILES_FILE -u ROS_DISCOVERY_SERVER \
@@ -19,7 +19,7 @@ CLEAN := env -u PYTHONPATH -u LD_LIBRARY_PATH -u AMENT_PREFIX_PATH -u COLCON_PRE
 demo: $(VENV)/demo.done
 	@$(CLEAN) $(BIN)/python -m inverse_dynamics_node.cli.main demo '$(ROBOT)' $(ARGS)
 
-# Two at a time: most tests of the node wait for processes to start and to find each other.
+# Two processes: most tests of the node wait for processes to start and to discover each other.
 PYTEST := --timeout 300 --numprocesses 2 --dist loadscope --quiet
 
 test: $(VENV)/test.done
@@ -27,10 +27,13 @@ test: $(VENV)/test.done
 	@$(CLEAN) $(BIN)/ruff format --check .
 	@$(CLEAN) $(BIN)/mypy inverse_dynamics_node
 	@$(CLEAN) $(BIN)/python -m pytest $(PYTEST) $(ARGS)
+ifndef ARGS
 	@echo 'The same without numba:'
 	@$(CLEAN) NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest $(PYTEST) test/unit test/property test/parity
+endif
 
-# In an environment of its own, with the versions of $(OLDEST). numba 0.58.1 ends at Python 3.11.
+# Tests the versions in $(OLDEST), in a separate environment. The newest Python for numba 0.58.1 is
+# 3.11.
 OLDEST := test/oldest.txt
 PYTHON_OLDEST ?= python3.11
 
@@ -46,7 +49,7 @@ bench: $(VENV)/bench.done
 bench-loop: $(VENV)/test.done
 	@$(CLEAN) PYTHONPATH=test $(BIN)/python -m benchmarks.loop --doc doc $(ARGS)
 
-# A million messages, most of them useless: ARGS='--messages 100000' for fewer.
+# Sends a million messages, most of them invalid; ARGS='--messages 100000' sends fewer.
 storm: $(VENV)/test.done
 	@$(CLEAN) $(BIN)/python -m benchmarks.storm $(ARGS)
 
@@ -62,10 +65,10 @@ $(VENV)/pip.done:
 EXTRAS_demo := ros,demo
 EXTRAS_test := ros,demo,cli,test
 EXTRAS_bench := bench
-# Not every machine has a wheel of these; the tables show who is missing.
+# These have no wheels for some machines; the tables show which are missing.
 PEERS := drake roboticstoolbox-python
 
-# The package itself is installed as links to this tree: a change counts at once.
+# The package itself is installed in editable mode, so changes of the source take effect at once.
 $(VENV)/%.done: $(VENV)/pip.done setup.py pyproject.toml $(CONSTRAINED)
 	@$(CLEAN) $(BIN)/pip install --quiet $(addprefix --constraint ,$(CONSTRAINED)) --editable '.[$(EXTRAS_$*)]'
 	@$(if $(filter bench,$*),$(foreach peer,$(PEERS), \

@@ -8,7 +8,7 @@ package_name = 'inverse_dynamics_node'
 
 ros = ['ros-jazzy-rclpy[fastrtps]==7.1.6', 'ros-jazzy-common-interfaces==5.3.6']
 cli = ['matplotlib>=3.6.3', 'PyYAML>=6.0.1', 'rich>=13.7.1', 'rosbags>=0.11.7']
-demo = [*cli, 'mujoco>=3.17']  # before, mimic joints of a URDF were left out
+demo = [*cli, 'mujoco>=3.17']  # earlier versions ignore mimic joints of a URDF
 test = [
     'colcon-common-extensions',
     'example-robot-data>=6',
@@ -40,8 +40,8 @@ setup(
         (f'share/{package_name}/config', glob('config/*')),
     ],
     python_requires='>=3.10',
-    # ROS is no entry here: a sourced ROS must not be shadowed, and the core does without.
-    # Tested by `make test-oldest`, with the versions in test/oldest.txt.
+    # ROS is not listed: a sourced ROS must not be shadowed, and the library does not need it.
+    # `make test-oldest` tests the oldest versions, which are listed in test/oldest.txt.
     install_requires=[
         'lxml>=5.2.1',
         'numba>=0.58.1',
@@ -53,8 +53,8 @@ setup(
     zip_safe=True,
     maintainer='inverse_dynamics_node maintainers',
     maintainer_email='maintainers@inverse-dynamics-node.example',
-    description='Joint efforts for the joint accelerations you ask for: inverse dynamics, gravity '
-    'compensation and computed torque for any URDF, as a ROS 2 node',
+    description='ROS 2 node that computes joint efforts for requested joint accelerations: '
+    'inverse dynamics, gravity compensation and computed torque for any URDF',
     license='Apache-2.0',
     entry_points={
         'console_scripts': [
