@@ -1,5 +1,5 @@
 """
-Positions that alternate faster than a joint can move, as when two publishers report one joint.
+Detects positions that alternate faster than a joint can move: two publishers report one joint.
 
 Only the distance that a position goes *back* is added up, and what the joint could have covered
 since is subtracted. A single jump (homing, an encoder reset) thus adds nothing, and neither does
@@ -19,13 +19,13 @@ from ..dynamics.jit import compiled
 from ..robot.model import Floats, RobotModel
 
 LATENESS = 1.0
-"""How late messages may arrive without raising an alarm [s]."""
-_FACTOR = 2.0  # by which joints may exceed their speed limits
+"""How late messages may arrive without being mistaken for alternation [s]."""
+_FACTOR = 2.0  # by which a joint may exceed its speed limit
 _LEAST_COUNT = 4  # of turns: A, B, A, B, A, B
 _SPEEDS = ((1.0, 10.0, 30.0), (0.1, 2.0, 5.0))
-# Smallest speed limit to believe, the one to assume if there is none, and the largest to believe:
-# of revolute [rad/s] and of prismatic joints [m/s].
-_NOISE = (0.02, 0.005)  # steps up to this are ignored [rad, m]
+# Smallest plausible speed limit, the limit to assume if there is none, and the largest plausible
+# one: of revolute [rad/s] and of prismatic joints [m/s].
+_NOISE = (0.02, 0.005)  # smaller steps are ignored [rad, m]
 
 # Rows of tracks, one column per joint.
 _SPEED, _IGNORED, _IS_CONTINUOUS, _LAST, _STEP, _RAW_STEP, _EXCESS, _COUNT, _OTHER, _FLAG = range(
@@ -35,14 +35,14 @@ _SPEED, _IGNORED, _IS_CONTINUOUS, _LAST, _STEP, _RAW_STEP, _EXCESS, _COUNT, _OTH
 
 def make_tracks(n: int, robot: RobotModel | None = None) -> Floats:
     """
-    Make what `track` needs to know and to remember.
+    Make the array of constants and memory of `track`.
 
     Parameters
     ----------
     n : int
         Number of joints.
     robot : RobotModel, optional
-        Gives the speed limits of its n joints; otherwise plausible ones of revolute joints.
+        Provides the speed limits of its n joints; otherwise those assumed for revolute joints.
 
     Returns
     -------
@@ -67,7 +67,7 @@ def copy_track(target: Floats, i: int, source: Floats, k: int) -> None:
 
 
 def alternating(tracks: Floats) -> dict[int, tuple[float, float]]:
-    """Return the joints whose positions alternate, each with the last two of them."""
+    """Return the joints whose positions alternate, each with its last two positions."""
     return {
         int(i): (float(tracks[_OTHER, i]), float(tracks[_LAST, i]))
         for i in np.flatnonzero(tracks[_FLAG])
@@ -84,17 +84,17 @@ def track(tracks: Any, i: int, position: float, elapsed: float) -> bool:
     tracks : ndarray, shape (10, n)
         See `make_tracks`.
     i : int
-        The joint.
+        Index of the joint.
     position : float
-        As just reported [rad or m].
+        Reported position [rad or m].
     elapsed : float
         Time since the last report of this joint [s]; negative if there was none.
 
     Returns
     -------
     does_alternate : bool
-        Whether its positions alternate. Once they do, that is so until they have been consistent
-        for as long as it takes to cover the distance at twice the speed limit, at most 1 s.
+        Whether its positions alternate. This ends when they have been consistent for as long as
+        it takes to cover the distance at twice the speed limit, at most 1 s.
 
     """
     raw = position - tracks[_LAST, i]

@@ -1,7 +1,7 @@
 """
-Commands from computed efforts: scale, offset, limits, and no jump between one and the next.
+Turns computed efforts into commands: scale, offset, limits, and no jump between commands.
 
-No ROS, and no clock: the time since the last command comes in as an argument.
+No ROS, and no clock: the time since the last command is an argument.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ import numpy as np
 from ..dynamics.jit import compile_for, compiled
 from ..robot.model import Booleans, Floats
 
-_BRIEF = 0.03  # [s]; a pause of the computed efforts that is no longer needs no blend
+_BRIEF = 0.03  # [s]; after a pause of the computed efforts up to this long there is no blend
 LARGEST = 1e300
-"""Efforts beyond this are refused, so that sums and differences of two are finite."""
+"""Larger efforts are rejected, so that sums and differences of two are finite."""
 # Rows of `Blending._rows`, one column per commanded joint.
 _INDEX, _ADDED, _SCALE, _OFFSET, _LIMIT, _RATE, _WANTED, _JUMP, _EXCESS, _COMMAND = range(10)
 
 
 class _Way(enum.Enum):
-    """Where the last command came from."""
+    """How the last command was produced."""
 
     FOLLOWING = enum.auto()
     HOLDING = enum.auto()
@@ -37,8 +37,8 @@ class Blending:
 
     `follow`, `hold` and `fall` each produce one command. The start ramp multiplies the computed
     efforts by `gain`. A blend adds the difference between the last command and the computed
-    efforts, and lets it fade. The stop ramp scales the command at which it began. Every
-    change of direction starts from the last command sent.
+    efforts, and lets it fade. The stop ramp scales the command at which it began. Each of
+    them starts from the last command sent.
 
     After a brief pause, such as a joint state that comes a little late, there is no new blend.
     Intermittent states would otherwise restart it again and again, and a blend that restarts
@@ -61,18 +61,18 @@ class Blending:
         """Efforts to add to the computed ones, shape (m,) [N m or N]."""
         self._flags = np.zeros((2, m), dtype=bool)
         self.is_saturated: Booleans = self._flags[0]
-        """Which of the last efforts were cut to their limits, shape (m,)."""
+        """Which efforts of the last command were cut to their limits, shape (m,)."""
         self.is_slowed: Booleans = self._flags[1]
-        """Which of them may not change as fast as computed, shape (m,)."""
+        """Which efforts of the last command were slowed by a rate limit, shape (m,)."""
         self.gain = 0.0
-        """Share of the computed efforts in the command: 0 before the start ramp, 1 after it."""
+        """Factor of the computed efforts: 0 before the start ramp, 1 after it."""
         self._has_rates = False
         self._start_ramp = self._stop_ramp = 0.0
         self._way = _Way.HOLDING
         self._is_new = False  # whether a blend begins with the next command
-        self._left = self._duration = 0.0  # share of the blend that is left, and its length [s]
+        self._left = self._duration = 0.0  # fraction of the blend that is left, and its length [s]
         self._pause = math.inf  # [s] since computed efforts were followed; inf: blend in any case
-        # Command, gain and share of the blend before the stop ramp.
+        # Command, gain and fraction of the blend before the stop ramp.
         self._top, self._top_gain, self._top_left = np.zeros(m), 0.0, 0.0
         self._fallen = self._fall_time = 0.0  # [s]
         compile_for(blend_efforts, 'b1(f8[::1], f8[:,::1], b1[:,::1], f8, f8, b1, b1, f8)')
@@ -102,7 +102,7 @@ class Blending:
         start_ramp : float
             Time of the start ramp and of blends [s].
         stop_ramp : float
-            Time of the stop ramp [s]; one that is under way keeps its time.
+            Time of the stop ramp [s]; a ramp under way keeps its time.
 
         """
         self._rows[[_SCALE, _OFFSET, _LIMIT]] = scale, offset, limits
@@ -116,8 +116,8 @@ class Blending:
         """
         Blend from the last command into the computed efforts, within the start ramp.
 
-        A blend that is under way does not end sooner because of it. On the way down there is
-        nothing to blend into. The next computed efforts begin a blend.
+        A blend under way does not end sooner because of it. During a stop ramp, the blend waits
+        for the next computed efforts.
 
         """
         if self._way is _Way.FALLING:
@@ -129,7 +129,7 @@ class Blending:
             self._left = 1.0 if self._is_new else 0.0
 
     def reset(self) -> None:
-        """Begin at zero with the next command."""
+        """Start at zero with the next command."""
         self.command[:] = 0.0
         self.gain = self._left = self._duration = 0.0
         self._way, self._is_new, self._pause = _Way.HOLDING, False, math.inf
@@ -181,7 +181,7 @@ class Blending:
         return are_finite
 
     def hold(self, elapsed: float) -> None:
-        """Repeat the last command; if it is beyond a new limit, bring it within, as blends do."""
+        """Repeat the last command; if a limit was tightened, reduce it along a blend."""
         if self._way is _Way.FALLING:
             self._way, self._pause = _Way.HOLDING, math.inf
             self.begin()
@@ -202,7 +202,7 @@ class Blending:
         self._flags[:] = False
 
     def fall(self, elapsed: float) -> None:
-        """Let the commands fall to zero along the stop ramp, which begins at the last one."""
+        """Ramp the commands down to zero, starting from the last one."""
         if self._way is _Way.FALLING:
             self._fallen += elapsed
             self._pause += elapsed
@@ -212,10 +212,10 @@ class Blending:
             self._top[:] = self.command
             self._top_gain, self._top_left = self.gain, self._left
             self._fallen, self._fall_time = 0.0, self._stop_ramp
-        share = max(0.0, 1.0 - ramp_fraction(self._fallen, self._fall_time))
-        # These too, so that computed efforts continue from this command after a brief pause.
-        self.gain, self._left = share * self._top_gain, share * self._top_left
-        np.multiply(self._top, share, out=self.command)
+        fraction = max(0.0, 1.0 - ramp_fraction(self._fallen, self._fall_time))
+        # Scale gain and blend too: after a brief pause, computed efforts continue from there.
+        self.gain, self._left = fraction * self._top_gain, fraction * self._top_left
+        np.multiply(self._top, fraction, out=self.command)
         self._flags[:] = False
 
 
@@ -238,16 +238,16 @@ def blend_efforts(
     tau : ndarray, shape (n,)
         Computed efforts of all joints [N m or N].
     rows : ndarray, shape (10, m)
-        One column per commanded joint: its position among the n, the effort to add, scale,
-        offset, limit and rate limit; then four rows that are written: the computed effort, the
-        difference and the excess over the limit at the start of a blend, and the command, which
-        holds the last one until then.
+        One column per commanded joint. Inputs: its index among the n joints, the effort to add,
+        scale, offset, limit and rate limit. Outputs: the computed effort, the difference and the
+        excess over the limit at the start of a blend, and the command, which is the last command
+        on entry.
     flags : ndarray of bool, shape (2, m)
         Receives which efforts are cut to their limits, and which are slowed by a rate limit.
     gain : float
-        Share of the computed efforts.
+        Factor of the computed efforts.
     left : float
-        Share of the difference that is left.
+        Fraction of the difference that is left.
     is_new : bool
         Whether a blend begins, so that the command repeats the last one.
     has_rates : bool
@@ -260,12 +260,12 @@ def blend_efforts(
     are_finite : bool
 
     """
-    # As floats: without numba, that is faster than numpy's own numbers, and does not warn.
+    # Convert to float: without numba, this is faster than numpy scalars, and does not warn.
     m = rows.shape[1]
     for k in range(m):
         effort = float(tau[int(rows[_INDEX, k])]) + float(rows[_ADDED, k])
         effort = effort * float(rows[_SCALE, k]) + float(rows[_OFFSET, k])
-        if not abs(effort) <= LARGEST:  # nor if it is NaN
+        if not abs(effort) <= LARGEST:  # also false for NaN
             return False
         rows[_WANTED, k] = effort
     for k in range(m):

@@ -1,4 +1,4 @@
-"""All that is made for one robot description, and the one step through it."""
+"""The control loop for one robot description."""
 
 from __future__ import annotations
 
@@ -25,33 +25,34 @@ from .settings import LoadSettings, Settings
 
 class ControlLoop:
     """
-    A robot that is commanded: what is known of it, what acts on it, and the controller.
+    Connects joint states, external loads, dynamics and controller of one robot.
 
     Parameters
     ----------
     robot : RobotModel
-        With n joints.
+        The robot, with n joints.
     joints : sequence of str
         The m joints to command, in the order of the commands; empty for all.
-    settings : Settings
-        Of the controller.
+    settings : Settings, optional
+        Settings of the controller.
     period : float
         Time between steps [s]; 0 if there is a step for every joint state.
-    load_settings : LoadSettings
-        How loads come and go.
+    load_settings : LoadSettings, optional
+        Settings of the external loads.
     gravity : array_like, shape (3,)
         Free-fall acceleration in the frame of the base link [m/s^2].
     base_link : str
-        See `ExternalLoads`.
+        Link whose frame is the base frame, see `ExternalLoads`.
     locked : mapping of str to float
-        See `JointStateCollector`; none of them may be commanded.
+        Positions of locked joints, see `JointStateCollector`; none of them may be commanded.
     has_imu : bool
-        Whether the motion of the base is measured, so that no step can be before it is known.
+        Whether the motion of the base is measured; there is no command before the first
+        measurement.
 
     Raises
     ------
     ConfigurationError
-        If something does not fit the robot.
+        If an argument does not fit the robot.
 
     """
 
@@ -81,7 +82,7 @@ class ControlLoop:
         self.index = [robot.joint_names.index(name) for name in self.controller.joints]
 
     def start(self) -> None:
-        """Let efforts rise from zero; what was asked for before does not count."""
+        """Let the efforts rise from zero; an earlier reference is dropped."""
         self.reference = None
         self.controller.start()
 
@@ -97,7 +98,7 @@ class ControlLoop:
         Returns
         -------
         command : Command or None
-            None as long as something is unknown without which there can be none: see `missing`.
+            None as long as a necessary input is missing: see `missing`.
 
         """
         self.collector.rest_late(now, self.controller.settings.uncommanded_state_timeout)
@@ -110,18 +111,18 @@ class ControlLoop:
     def set_base_motion(
         self, now: float, specific_force: ArrayLike, angular_velocity: ArrayLike
     ) -> None:
-        """Take in the motion of the base; parameters and errors are those of `ExternalLoads`."""
+        """Set the motion of the base; see `ExternalLoads.set_base_motion`."""
         if self.loads.set_base_motion(now, specific_force, angular_velocity):
             self.controller.blend()
 
     def missing(self, states: str = 'joint_states', imu: str = 'imu') -> list[str]:
         """
-        Describe the inputs without which there is no command yet.
+        Describe the necessary inputs that have not arrived yet.
 
         Parameters
         ----------
         states, imu : str
-            Names of the topics, as they should appear in the text.
+            Names of the topics, for the text.
 
         """
         joints = self.collector.missing()
@@ -132,24 +133,24 @@ class ControlLoop:
         return [*missing, f'the motion of the base on {imu}'] if self.lacks_imu else missing
 
     def implausible_positions(self) -> list[ImplausiblePosition]:
-        """Find joints that are further outside their position limits than makes sense."""
+        """Find joints that are implausibly far outside their position limits."""
         collector = self.collector
         known = np.where(collector.times > -math.inf, collector.q, math.nan)
         return implausible_positions(self.robot, known)
 
     def continue_from(self, other: ControlLoop) -> list[str]:
         """
-        Go on where the loop of another description of the robot is, without a jump.
+        Continue from the last command and the inputs of the loop of another robot description.
 
         Parameters
         ----------
         other : ControlLoop
-            Not to be used any more.
+            Must not be used afterwards.
 
         Returns
         -------
         dropped : list of str
-            Links that are no more, and so carry no payload any more.
+            Links that no longer exist, so that their payloads were dropped.
 
         Raises
         ------
@@ -162,20 +163,20 @@ class ControlLoop:
         return self.copy_inputs_from(other)
 
     def copy_inputs_from(self, other: ControlLoop) -> list[str]:
-        """Know what the loop of another description was told, whatever it commands: as above."""
+        """Copy joint states and loads from the loop of another robot description, see above."""
         self.collector.continue_from(other.collector)
         return self.loads.continue_from(other.loads)
 
     def calibrated(self, index: Sequence[int], efforts: Floats) -> Floats:
         """
-        Scale and shift efforts as commands are.
+        Apply scale and offset of the commands to efforts.
 
         Parameters
         ----------
         index : sequence of int
-            Which of the robot's joints they are for; those not commanded stay as they are.
+            Joints of the robot; efforts of joints that are not commanded stay unchanged.
         efforts : ndarray, shape (k, len(index))
-            [N m or N].
+            Computed efforts [N m or N].
 
         """
         scale, offset = np.ones_like(self.collector.q), np.zeros_like(self.collector.q)
@@ -184,7 +185,7 @@ class ControlLoop:
         return calibrated
 
     def beyond_limits(self, index: Sequence[int], efforts: Floats) -> list[str]:
-        """Name the joints whose efforts exceed their limits somewhere; as for `calibrated`."""
+        """Return the joints whose efforts exceed their limits; arguments as for `calibrated`."""
         limits = self.robot.effort_limits.copy()
         limits[self.index] = self.controller.limits
         is_beyond = (np.abs(efforts) > limits[index]).any(axis=0)
@@ -192,7 +193,7 @@ class ControlLoop:
         return [self.robot.joint_names[i] for i, is_one in pairs if is_one]
 
     def effort_terms(self) -> EffortTerms:
-        """Compute what the last efforts are made of, each of shape (m,) [N m or N]."""
+        """Compute the terms of the last efforts, each of shape (m,) [N m or N]."""
         q = self.collector.q
         return EffortTerms(
             *(term[self.index] for term in self.dynamics.effort_terms(q, *self.controller.motion))
@@ -205,7 +206,7 @@ class ControlLoop:
         return self.loads.at_base_link(wrenches.force[0], wrenches.moment[0])
 
     def external_efforts(self) -> Floats:
-        """Compare the last measured efforts with the model: shape (n,), NaN where not measured."""
+        """Estimate external efforts from the last state: shape (n,), NaN where not measured."""
         collector = self.collector
         return self.external_effort_estimator.update(
             collector.time, collector.q, collector.qd, collector.efforts

@@ -1,13 +1,12 @@
 """
-From state and reference to command: modes, limits, ramps, and what to do when an input is lost.
+The controller: computes commands from joint states and references, and handles lost inputs.
 
-No ROS, and no clock: time comes in as an argument.
+No ROS, and no clock: time is an argument.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields
 import enum
 import math
 from typing import Any, NamedTuple
@@ -20,60 +19,60 @@ from ..robot.model import Booleans, Floats, RobotModel
 from .blending import Blending
 from .filters import LowPass
 from .joint_states import State
-from .settings import expand_per_joint, Mode, Settings, StalePolicy
+from .settings import Mode, Settings, StalePolicy
 
 
 class Phase(enum.Enum):
-    """What the controller is doing."""
+    """State of the controller."""
 
     WAITING = 'waiting for the first complete joint state'
     RUNNING = 'following the reference'
     HOLDING = 'holding position'
     TOO_FAR = 'holding position: the reference is too far away'
     STATE_LOST = 'joint states lost'
-    NO_SOLUTION = 'no usable efforts for this joint state and reference'
+    NO_SOLUTION = 'no finite efforts for this joint state and reference'
     STOPPED = 'stopped'
 
 
 _PATIENCE = 0.02  # [s]; how much later than expected a step may come
 _LEAST_RECOVERY = 0.2  # [s]; shortest time without a gap after which lost states are used again
-_TOLERATED_DROP = 0.05  # of the gain; after a loss that cost less, there is nothing to wait for
+_TOLERATED_DROP = 0.05  # of the gain; a loss that lowered it by less ends with the next state
 COMPUTING_PHASES = (Phase.RUNNING, Phase.HOLDING, Phase.TOO_FAR)
 """Phases in which efforts are computed from a fresh state."""
 
 
 class Reference(NamedTuple):
-    """What the commanded joints are to do."""
+    """Desired motion of the commanded joints."""
 
     accelerations: Floats
     """Shape (m,) [rad/s^2 or m/s^2]."""
     efforts: Floats
     """Added to the command, shape (m,) [N m or N]."""
     time: float
-    """When it arrived [s]."""
+    """Time of arrival [s]."""
     positions: Floats | None = None
-    """Shape (m,) [rad or m]; None where the reference has none."""
+    """Shape (m,) [rad or m]; None if the reference has none."""
     velocities: Floats | None = None
-    """Shape (m,) [rad/s or m/s]; None where the reference has none."""
+    """Shape (m,) [rad/s or m/s]; None if the reference has none."""
 
 
 class Command(NamedTuple):
-    """What to send to the robot."""
+    """Efforts to send to the robot."""
 
     efforts: Floats
     """Shape (m,) [N m or N]; finite; valid until the next step."""
     is_saturated: Booleans
-    """Which of the efforts were cut to their limits, shape (m,)."""
+    """Which efforts were cut to their limits, shape (m,)."""
     is_slowed: Booleans
-    """Which of them may not change as fast as they should, shape (m,)."""
+    """Which efforts were slowed by a rate limit, shape (m,)."""
 
 
 class Controller:
     """
-    Computes one command a step; the same inputs always give the same commands.
+    Computes one command per step; the same inputs always produce the same commands.
 
-    All joints of the robot count in the dynamics; those that are not commanded are taken to keep
-    their velocity.
+    The dynamics include all joints of the robot; those that are not commanded are assumed to have
+    zero acceleration.
 
     Parameters
     ----------
@@ -81,8 +80,8 @@ class Controller:
         The robot, with n joints.
     joints : sequence of str
         The m joints to command, in the order of the commands; empty for all, in the robot's order.
-    settings : Settings
-        See there.
+    settings : Settings, optional
+        Modes, limits, ramps and timeouts.
     period : float
         Time between steps [s]; 0 if there is a step for every joint state.
 
@@ -105,7 +104,7 @@ class Controller:
         self.phase = Phase.WAITING
         self._period = period
         index = _index_of(self.joints, dynamics.robot)
-        self._index = _shortest(index)
+        self._index = _compact(index)
         self._is_continuous = dynamics.robot.is_continuous[self._index]
         n = len(dynamics.robot.joint_names)
         self._qdd, self._tau = np.zeros((2, n))
@@ -119,7 +118,7 @@ class Controller:
         self._velocity_filter = LowPass(np.zeros(n))
         self._lost_gain = 0.0  # gain at which the states were lost
         self._fresh_since = math.inf  # arrival of the first state after the last gap
-        self._followed: Floats | None = None  # where a loop closed here was to be, last step
+        self._followed: Floats | None = None  # reference positions of the last step with feedback
         self.apply(settings or Settings())
 
     def apply(self, settings: Settings) -> None:
@@ -132,12 +131,7 @@ class Controller:
             If a list does not have one number for each commanded joint; nothing has changed then.
 
         """
-        m = len(self.joints)
-        arrays = {
-            field.name: expand_per_joint(field.name, getattr(settings, field.name), m)
-            for field in fields(settings)
-            if field.type == 'PerJoint'
-        }
+        arrays = settings.expanded(len(self.joints))
         limits = arrays['effort_limits']
         if settings.use_urdf_effort_limits:
             limits = np.minimum(limits, self.dynamics.robot.effort_limits[self._index])
@@ -157,17 +151,17 @@ class Controller:
 
     def blend(self) -> None:
         """
-        Let the next command continue from the last one, and the difference fade.
+        Continue from the last command, and fade out the difference within the start ramp.
 
-        For changes of the computed efforts that are not motion: settings, the robot description,
-        gravity. The difference fades within the start ramp.
+        To be called after changes of the computed efforts that are not motion, such as settings,
+        the robot description or gravity.
 
         """
         self._blending.begin()
 
     @property
     def gain(self) -> float:
-        """Share of the computed efforts in the command: 0 to 1 along the start ramp."""
+        """Factor of the computed efforts: rises from 0 to 1 along the start ramp."""
         return self._blending.gain
 
     @property
@@ -177,34 +171,34 @@ class Controller:
 
     @property
     def scale(self) -> Floats:
-        """What every computed effort is multiplied with, shape (m,)."""
+        """Factors for the computed efforts, shape (m,)."""
         return self._of_joint['effort_scale']
 
     @property
     def offset(self) -> Floats:
-        """What is added to it then, shape (m,) [N m or N]."""
+        """Added to the scaled efforts, shape (m,) [N m or N]."""
         return self._of_joint['effort_offset']
 
     @property
     def motion(self) -> tuple[Floats, Floats]:
-        """Velocities and accelerations that the last efforts are for, each of shape (n,)."""
+        """Velocities and accelerations of the last computed efforts, each of shape (n,)."""
         return self._velocities, self._qdd
 
     @property
     def is_stopping(self) -> bool:
-        """Whether the efforts are told to be zero."""
+        """Whether the efforts are to be zero; they may still be ramping down."""
         return self._is_stopping
 
     def stop(self) -> None:
-        """Let the efforts fall to zero from the next step on, and stay there."""
+        """Ramp the efforts to zero from the next step on, and keep them there."""
         self._is_stopping = True
 
     def resume(self) -> None:
-        """Let the efforts rise again, from wherever a stop has got them to."""
+        """Let the efforts rise again after a stop, starting from the last command."""
         self._is_stopping = False
 
     def start(self) -> None:
-        """Let the efforts rise from zero at the next step with a fresh state."""
+        """Let the efforts rise from zero, beginning at the next step with a fresh state."""
         self._is_stopping = False
         self._time = math.inf  # at the first step nothing has elapsed
         self._velocity_filter.reset()
@@ -213,12 +207,12 @@ class Controller:
 
     def continue_from(self, other: Controller) -> None:
         """
-        Go on where the controller of another description of the robot is, without a jump.
+        Continue from the last command of the controller of another robot description.
 
         Parameters
         ----------
         other : Controller
-            Of the same commanded joints; not to be used any more.
+            Must command the same joints, and must not be used afterwards.
 
         Raises
         ------
@@ -243,7 +237,7 @@ class Controller:
         Parameters
         ----------
         now : float
-            The time, of the same clock as those of state and reference [s].
+            The time, on the clock of state and reference [s].
         state : State or None
             The latest joint state; None if there has been no complete one.
         reference : Reference or None
@@ -274,15 +268,15 @@ class Controller:
                 return self._result
             self.phase = Phase.NO_SOLUTION
         if self.phase is Phase.STOPPED or self.settings.on_stale_state is StalePolicy.ZERO:
-            # Late steps shorten the stop ramp by no more than they may be late, but do shorten it:
-            # on a machine that is always late, the efforts still get to zero.
+            # A late step advances the stop ramp by at most `longest`, but it does advance it: on a
+            # machine that is always late, the efforts still reach zero.
             self._blending.fall(min(max(0.0, since), longest))
         else:
             self._blending.hold(elapsed)
         return self._result
 
     def _next_phase(self, now: float, state: State | None, reference: Reference | None) -> Phase:
-        """Judge the inputs by their age; one below zero is from before the clock was reset."""
+        """Choose the phase by the age of the inputs; after a clock reset an age is negative."""
         if self._is_stopping:
             return Phase.STOPPED
         if self._is_lost(now, state) or state is None:
@@ -303,8 +297,8 @@ class Controller:
         """
         Return whether the state is too old or inconsistent, or was until recently.
 
-        Intermittent states would otherwise raise and lower the efforts without end, which shakes
-        the arm.
+        Intermittent states would otherwise raise and lower the efforts again and again, which
+        shakes the arm.
 
         """
         was_lost = self.phase is Phase.STATE_LOST
@@ -324,18 +318,17 @@ class Controller:
         return state.time - self._fresh_since < self.recovery_time
 
     def _is_far(self, state: State, reference: Reference) -> bool:
-        """Tell whether following the reference would be a jump: from the joints, or under way."""
+        """Return whether the reference is too far from the joints, or has jumped too far."""
         limit = self.settings.max_position_jump
-        if not limit or self.settings.mode is not Mode.COMPUTED_TORQUE:
+        is_closed = self.settings.mode is Mode.COMPUTED_TORQUE
+        if not limit or not is_closed or reference.positions is None:
             return False
-        if reference.positions is None:
-            return False
-        come_from = state.q[self._index] if self._followed is None else self._followed
-        return bool(np.abs(self._distance(come_from, reference.positions)).max() > limit)
+        start = state.q[self._index] if self._followed is None else self._followed
+        return bool(np.abs(self._distance(start, reference.positions)).max() > limit)
 
-    def _distance(self, come_from: Floats, go_to: Floats) -> Floats:
-        """Return how far the joints have to go; the short way round for continuous ones."""
-        distance = go_to - come_from
+    def _distance(self, start: Floats, target: Floats) -> Floats:
+        """Return target minus start; continuous joints take the shorter way."""
+        distance = target - start
         turns = np.round(distance / (2.0 * math.pi))
         return np.where(self._is_continuous, distance - 2.0 * math.pi * turns, distance)
 
@@ -359,7 +352,7 @@ class Controller:
         else:
             qdd = reference.accelerations
             if mode is Mode.COMPUTED_TORQUE:
-                qdd = self._resolved(state.q, qd, reference)
+                qdd = self._with_feedback(state.q, qd, reference)
             self._qdd[self._index] = qdd
             added[:] = reference.efforts
         try:
@@ -368,8 +361,8 @@ class Controller:
             return False
         return True
 
-    def _resolved(self, q: Floats, qd: Floats, reference: Reference) -> Floats:
-        """Return the accelerations that also take the joints back to the reference."""
+    def _with_feedback(self, q: Floats, qd: Floats, reference: Reference) -> Floats:
+        """Return the accelerations of computed torque."""
         qdd = reference.accelerations
         with np.errstate(all='ignore'):
             if reference.positions is not None:
@@ -377,15 +370,15 @@ class Controller:
                 qdd = qdd + self._of_joint['kp'] * distance
             velocities: Floats | float | None = reference.velocities
             if velocities is None and reference.positions is not None:
-                velocities = 0.0  # without damping the arm would swing for ever
+                velocities = 0.0  # without damping the arm would swing forever
             if velocities is not None:
                 error = velocities - qd[self._index]
                 qdd = qdd + self._of_joint['kd'] * error
         return qdd
 
 
-def _shortest(index: list[int]) -> Any:
-    """Return an index as a slice, where it is one: numpy takes a third of the time for it."""
+def _compact(index: list[int]) -> Any:
+    """Return consecutive indices as a slice, with which numpy takes a third of the time."""
     first = index[0]
     if index == list(range(first, first + len(index))):
         return slice(first, first + len(index))
@@ -393,11 +386,11 @@ def _shortest(index: list[int]) -> Any:
 
 
 def _index_of(joints: Sequence[str], robot: RobotModel) -> list[int]:
-    """Find the joints to command among those of the robot."""
+    """Return the indices of the commanded joints among those of the robot."""
     if not joints:
         raise ConfigurationError(f"robot '{robot.name}' has no movable joints")
     if len(set(joints)) != len(joints):
-        raise ConfigurationError(f'joints names a joint twice: {", ".join(joints)}')
+        raise ConfigurationError(f'joints lists a joint twice: {", ".join(joints)}')
     unknown = [name for name in joints if name not in robot.joint_names]
     if unknown:
         raise ConfigurationError(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 import enum
 import math
 
@@ -73,6 +73,14 @@ class Settings:
     """Tighter limits [N m or N]."""
     effort_rate_limits: PerJoint = math.inf
     """Fastest change of an effort [N m/s or N/s]."""
+
+    def expanded(self, m: int) -> dict[str, Floats]:
+        """Return the settings per joint by name, each of shape (m,); see `expand_per_joint`."""
+        return {
+            field.name: expand_per_joint(field.name, getattr(self, field.name), m)
+            for field in fields(self)
+            if field.type == 'PerJoint'
+        }
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from ..control.monitor import Status
+from ..control.status import Status
 from ..errors import shortened
 
 _LONGEST = 1000  # characters; names come from messages and robot descriptions

@@ -8,7 +8,8 @@ from typing import Any
 
 from rclpy.lifecycle import LifecycleNode
 
-from ..control.monitor import join_names, Others, SimulatedTime
+from ..control.activity import join_names
+from ..control.graph_info import Others, SimulatedTime
 
 _DISCOVERY = 1.0  # [s]; no publishers may only mean that they have not been discovered yet
 _LOOKS = 10  # how often to wait for the name of a node whose subscription is known already

@@ -9,16 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from ..control.activity import activity, describe_alternating, describe_implausible, describe_late
 from ..control.control_loop import ControlLoop
 from ..control.controller import Command, COMPUTING_PHASES, Phase
-from ..control.monitor import (
-    activity,
-    describe_alternating,
-    describe_implausible,
-    describe_late,
-    Level,
-    Status,
-)
+from ..control.status import Level, Status
 from ..errors import shortened_lines
 
 _PERIOD = 2.0  # [s]; how often it repeats what lasts
@@ -100,7 +94,7 @@ class NodeLog:
     def tell_silence(self, text: str) -> None:
         """Report that connected publishers of joint states are not heard."""
         if text and self._is_due('silence'):
-            self._logger.error(text.lstrip('; '))
+            self._logger.error(text)
 
     def introduce(self, loop: ControlLoop) -> None:
         """Say what has been loaded, and what looks wrong about it."""

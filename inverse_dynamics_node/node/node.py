@@ -24,10 +24,12 @@ from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
+from ..control.activity import describe_silence
 from ..control.control_loop import ControlLoop
 from ..control.controller import COMPUTING_PHASES, Reference
 from ..control.external_loads import rotation_of
-from ..control.monitor import describe_silence, GraphInfo, Monitor
+from ..control.graph_info import GraphInfo
+from ..control.monitor import Monitor
 from ..dynamics.trajectory import complete, joint_index, trajectory_efforts
 from ..errors import (
     ConfigurationError,

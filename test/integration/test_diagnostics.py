@@ -63,7 +63,7 @@ def test_tells_how_it_goes(run_node, robot, wait_for_status):
     values = wait_for_status('loop', OK, 'following the reference', 'rate [Hz]', '')
     assert values['state'] == 'active'
     assert values['mode'] == 'inverse_dynamics'
-    assert values['rate asked for [Hz]'] == '100'
+    assert values['requested rate [Hz]'] == '100'
     # The first report may be of a part of a second only; none is of an idle loop for ever.
     values = wait_for_status('loop', OK, 'following the reference', 'rate [Hz]', '')
     assert 0.0 < float(values['compute time p99 [ms]']) < 1000.0
@@ -95,8 +95,12 @@ def test_counts_what_is_cut_and_what_is_dropped(run_node, robot, wait_for_status
     assert int(wait_for_status('efforts', WARN, NAMES[1])[key]) > first > 0
     robot.publish_accelerations([math.nan] * 6)
     key = f"~/desired_accelerations: acceleration of joint '{NAMES[0]}' is nan"
-    first = int(wait_for_status('messages', WARN, 'rejected lately', key)[key])
-    assert int(wait_for_status('messages', WARN, 'rejected lately', key)[key]) > first > 0
+    first = int(wait_for_status('messages', WARN, 'rejected since the last report', key)[key])
+    assert (
+        int(wait_for_status('messages', WARN, 'rejected since the last report', key)[key])
+        > first
+        > 0
+    )
 
 
 def test_tells_of_payload_and_of_what_is_odd_about_the_model(run_node, robot, wait_for_status):
@@ -127,7 +131,7 @@ def test_goes_on_while_inactive_and_tells_what_that_is(run_node, robot, wait_for
 def test_tells_that_the_base_is_lost(run_node, robot, wait_for_status):
     run_node(**PATIENT, base_motion='imu')
     robot.publish_state(NAMES, Q, np.zeros(6))
-    wait_for_status('model', ERROR, 'motion of the base is not known: no message on imu yet')
+    wait_for_status('model', ERROR, 'motion of the base is unknown: no message on imu yet')
     wait_for_status('joint states', OK, 'fresh')
 
 

@@ -240,7 +240,7 @@ def test_same_inputs_give_the_same_commands():
     ('joints', 'words'),
     [
         (['low', 'middle'], "'middle', which robot 'lift' does not have .* it has low, high"),
-        (['low', 'low'], 'names a joint twice: low, low'),
+        (['low', 'low'], 'lists a joint twice: low, low'),
     ],
 )
 def test_tells_which_joint_cannot_be_commanded(joints, words):

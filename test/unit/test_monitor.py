@@ -3,17 +3,13 @@
 import dataclasses
 
 from inverse_dynamics_node import load_urdf
+from inverse_dynamics_node.control.activity import activity
 from inverse_dynamics_node.control.control_loop import ControlLoop
 from inverse_dynamics_node.control.controller import Command, Reference
-from inverse_dynamics_node.control.monitor import (
-    activity,
-    GraphInfo,
-    Level,
-    Monitor,
-    Others,
-    SimulatedTime,
-)
+from inverse_dynamics_node.control.graph_info import GraphInfo, Others, SimulatedTime
+from inverse_dynamics_node.control.monitor import Monitor
 from inverse_dynamics_node.control.settings import Mode, Settings, StalePolicy
+from inverse_dynamics_node.control.status import Level
 import numpy as np
 import pytest
 from robot_files import ROOT, STANFORD
@@ -68,7 +64,7 @@ def test_measures_rate_and_periods(loop):
         monitor.step(0.01 * k + late, 1e-4 * (1.0 + k), command(), JOINTS)
     values = part(monitor.report(1.0, loop, FINE), 'loop').values
     assert values['rate [Hz]'] == '100.0'
-    assert values['rate asked for [Hz]'] == '100'
+    assert values['requested rate [Hz]'] == '100'
     assert values['period worst [ms]'] == '18.000'
     assert 10.0 < float(values['period p99 [ms]']) < 18.0
     assert float(values['compute time p99 [ms]']) == pytest.approx(9.9, abs=0.05)
@@ -119,9 +115,9 @@ def test_counts_rejected_messages_by_reason_but_not_without_end(loop):
     assert len(monitor.rejected) <= 21
     assert sum(monitor.rejected.values()) == 1002
     status = part(monitor.report(1.0, loop, FINE), 'messages')
-    assert (status.level, status.message) == (Level.WARN, '1002 rejected lately')
+    assert (status.level, status.message) == (Level.WARN, '1002 rejected since the last report')
     status = part(monitor.report(2.0, loop, FINE), 'messages')
-    assert (status.level, status.message) == (Level.OK, '1002 rejected in all')
+    assert (status.level, status.message) == (Level.OK, '1002 rejected in total')
 
 
 @pytest.mark.parametrize(
@@ -131,7 +127,13 @@ def test_counts_rejected_messages_by_reason_but_not_without_end(loop):
         (5.0, FINE, 'joint states', Level.ERROR, 'lost: '),
         (5.0, FINE._replace(is_active=False), 'joint states', Level.WARN, 'lost: '),
         (0.05, FINE, 'efforts', Level.OK, 'holding position: no reference'),
-        (0.05, FINE._replace(receivers=0), 'efforts', Level.WARN, 'nobody receives'),
+        (
+            0.05,
+            FINE._replace(receivers=0),
+            'efforts',
+            Level.WARN,
+            'the commands have no subscribers',
+        ),
         (0.05, FINE, 'reference', Level.OK, 'none'),
         (0.05, FINE, 'loop', Level.OK, 'holding position: no reference'),
         (0.05, FINE._replace(is_active=False, state='inactive'), 'loop', Level.OK, 'inactive'),
@@ -174,7 +176,7 @@ def test_warns_of_a_loop_without_damping():
     loop.collector.update(0.0, JOINTS, [0.1, 0.2], [])
     status = part(Monitor().report(0.0, loop, FINE), 'joint states')
     assert status.level is Level.WARN
-    assert status.message == 'no velocity, no damping of the loop'
+    assert status.message == 'no velocities: computed_torque has no damping'
     assert status.values['without velocity'] == ', '.join(JOINTS)
     loop.collector.update(0.0, JOINTS, [0.1, 0.2], [0.0, 0.0])
     assert part(Monitor().report(0.0, loop, FINE), 'joint states').level is Level.OK
@@ -264,7 +266,7 @@ def test_subscribers_that_do_not_match_are_named(loop):
     around = FINE._replace(receivers=0, others=others)
     status = part(Monitor().report(0.05, loop, around), 'efforts')
     assert status.level is Level.WARN
-    assert status.message.startswith('nobody receives')
+    assert status.message.startswith('the commands have no subscribers')
     assert '/bridge subscribes with another type or quality of service' in status.message
 
 
@@ -348,7 +350,7 @@ def test_no_command_is_late_without_a_period(loop):
     values = part(monitor.report(1.0, loop, FINE), 'loop').values
     assert values['overruns'] == '0'
     assert values['rate [Hz]'] == '2.0'
-    assert values['rate asked for [Hz]'] == 'of joint states'
+    assert values['requested rate [Hz]'] == 'that of the joint states'
 
 
 def test_a_command_that_is_late_by_half_a_period_is_no_overrun():
@@ -424,7 +426,7 @@ def test_locked_and_late_joints_are_named():
     assert status.level is Level.WARN
     assert 'locked' in status.message
     assert status.values['age [s]'] == '0.050'
-    assert status.values['locked, not seen'] == names[4]
+    assert status.values['locked, never reported'] == names[4]
     assert status.values['late, not commanded'] == 'none'
     assert status.values['without velocity'] == 'none'
     loop.collector.update(9.0, names[:4], q[:4], [0.0] * 4)
@@ -502,7 +504,7 @@ def test_activity_names_a_joint_that_only_a_new_description_has(loop):
 def test_activity_without_usable_efforts_and_while_states_are_fresh_again(loop):
     loop.reference = Reference(np.full(2, 1.7e308), np.zeros(2), 0.0)
     loop.step(0.01)
-    assert activity(0.01, loop).endswith('no usable efforts for this joint state and reference')
+    assert activity(0.01, loop).endswith('no finite efforts for this joint state and reference')
     loop.reference = None
     step_until(loop, 0.05, 0.5)
     loop.collector.update(0.5, JOINTS, [0.1, 0.2], [0.0, 0.0])

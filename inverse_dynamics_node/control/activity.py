@@ -1,0 +1,144 @@
+"""Describes what the control loop is doing, and why."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ..robot.plausibility import describe_implausible_position
+from .control_loop import ControlLoop
+from .controller import COMPUTING_PHASES, Phase
+from .graph_info import GraphInfo
+from .settings import Mode, StalePolicy
+
+_LONG_SILENCE = 5.0  # [s]; after which connected publishers are suspicious
+_MOST_NAMES = 5  # of nodes, in one message
+
+
+def activity(now: float, loop: ControlLoop) -> str:
+    """
+    Describe what the controller is doing, and why.
+
+    Parameters
+    ----------
+    now : float
+        The time [s].
+    loop : ControlLoop
+        The active control loop.
+
+    """
+    controller = loop.controller
+    phase, settings = controller.phase, controller.settings
+    if phase is Phase.HOLDING:
+        return f'{phase.value}: {_reason_to_hold(loop)}'
+    if phase is Phase.TOO_FAR:
+        return (
+            'holding position: the reference starts or jumps more than max_position_jump '
+            f'({settings.max_position_jump:g} rad or m) away'
+        )
+    if phase in COMPUTING_PHASES or phase is Phase.WAITING:
+        return str(phase.value)
+    if not controller.has_effort:
+        consequence = 'stopped, zeros sent'
+    elif phase is Phase.STOPPED or settings.on_stale_state is StalePolicy.ZERO:
+        consequence = 'ramping efforts down'
+    else:
+        consequence = 'keeping the last efforts'
+    return f'{consequence}: {_reason_to_stop(now, loop)}'
+
+
+def _reason_to_hold(loop: ControlLoop) -> str:
+    settings = loop.controller.settings
+    if settings.mode is Mode.GRAVITY_COMPENSATION:
+        return 'the reference is not used in mode gravity_compensation'
+    if loop.reference is None:
+        return 'no reference'
+    return f'no reference for more than {settings.reference_timeout:g} s'
+
+
+def _reason_to_stop(now: float, loop: ControlLoop) -> str:
+    if loop.controller.phase is Phase.STOPPED:
+        return 'disabled by ~/enable'
+    if loop.controller.phase is Phase.NO_SOLUTION:
+        return str(loop.controller.phase.value)
+    if loop.lacks_imu:
+        return 'no message on imu yet'
+    if not loop.collector.is_consistent:
+        return '; '.join(describe_alternating(loop).values())
+    if loop.collector.missing():
+        return f'no joint state of {", ".join(loop.collector.missing())} yet'
+    timeout = loop.controller.settings.state_timeout
+    joints = ', '.join(loop.collector.stale(now, timeout))
+    if joints:
+        return f'no joint state of {joints} for more than {timeout:g} s'
+    return describe_recovery(loop)
+
+
+def describe_recovery(loop: ControlLoop) -> str:
+    """Describe when efforts will rise again after joint states were lost."""
+    controller = loop.controller
+    return (
+        'joint states were lost or contradictory; efforts rise after '
+        f'{controller.recovery_time:g} s without a gap longer than state_timeout '
+        f'({controller.settings.state_timeout:g} s)'
+    )
+
+
+def describe_alternating(loop: ControlLoop, publishers: Sequence[str] = ()) -> dict[str, str]:
+    """
+    Describe the joints whose positions alternate faster than they can move.
+
+    Parameters
+    ----------
+    loop : ControlLoop
+        The control loop.
+    publishers : sequence of str
+        Nodes that publish joint states, if known.
+
+    Returns
+    -------
+    descriptions : dict of str to str
+        By name of the joint.
+
+    """
+    question = 'does more than one node publish it?'
+    if publishers:
+        question = f'published by {join_names(publishers)}'
+    return {
+        joint: f'positions of {joint} alternate between {min(pair):.4g} and {max(pair):.4g} '
+        f'faster than it can move ({question})'
+        for joint, pair in loop.collector.alternating().items()
+    }
+
+
+def describe_silence(around: GraphInfo) -> str:
+    """Describe publishers that are connected but send nothing; empty if there are none."""
+    if not around.publishers or around.silence < _LONG_SILENCE:
+        return ''
+    return (
+        f'no message on joint_states for {around.silence:.0f} s, although '
+        f'{around.publishers} publishers are connected: if they do publish (ros2 topic hz), '
+        'restart this node; if it happens again, set FASTDDS_BUILTIN_TRANSPORTS=UDPv4'
+    )
+
+
+def describe_late(loop: ControlLoop, now: float) -> list[str]:
+    """Describe the late joints that are not commanded, with their ages and the remedies."""
+    timeout = loop.controller.settings.uncommanded_state_timeout
+    return [
+        f"joint '{name}' (not commanded) was last reported {age:.1f} s ago and is assumed to be "
+        f'at rest at its last position; raise uncommanded_state_timeout ({timeout:g} s) or set '
+        f'locked_positions.{name}'
+        for name, age in loop.collector.late(now, timeout).items()
+    ]
+
+
+def describe_implausible(loop: ControlLoop) -> dict[str, str]:
+    """Describe the joints far outside their position limits, by name."""
+    findings = loop.implausible_positions()
+    return {finding.joint: describe_implausible_position(finding) for finding in findings}
+
+
+def join_names(names: Sequence[str]) -> str:
+    """Join the first few names, and say how many more there are."""
+    more = len(names) - _MOST_NAMES
+    return ', '.join(names[:_MOST_NAMES]) + (f' and {more} more' if more > 0 else '')

@@ -1,0 +1,116 @@
+"""Compiled functions on the arrays of the joint state collector."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from ..dynamics.jit import compile_for, compiled
+from .alternation import track
+
+LONG_AGO = -1e300
+"""Time of a locked joint that was never reported [s]; finite, so that differences are numbers."""
+# Rows of the known state, one column per joint of the robot.
+POSITION, VELOCITY, TIME, EFFORT = range(4)
+# Rows of a message, one column per joint in the message.
+_POSITION, _VELOCITY, _EFFORT = range(3)
+# Results of `store_joint_state`.
+NOT_FINITE, CONSISTENT, ALTERNATING = range(3)
+
+
+def compile_kernels() -> None:
+    """Compile all functions here, so that nothing compiles in the loop."""
+    compile_for(find_oldest, 'UniTuple(f8, 2)(f8[::1], b1[::1])')
+    compile_for(track, 'b1(f8[:,::1], i8, f8, f8)')
+    compile_for(
+        store_joint_state, 'i8(f8[:,::1], i8[:,::1], f8[:,::1], f8[:,::1], b1[::1], f8, b1)'
+    )
+
+
+@compiled
+def find_oldest(times: Any, is_commanded: Any) -> tuple[float, float]:
+    """
+    Find the oldest arrivals.
+
+    Parameters
+    ----------
+    times : ndarray, shape (n,)
+        Arrival of each joint's state [s].
+    is_commanded : ndarray of bool, shape (n,)
+        Which joints are commanded.
+
+    Returns
+    -------
+    commanded, others : float
+        Oldest arrival among the commanded joints and among the others, without locked joints that
+        were never reported; inf if there are none [s].
+
+    """
+    commanded = others = math.inf
+    for i in range(len(times)):
+        if is_commanded[i]:
+            commanded = min(commanded, times[i])
+        elif times[i] != LONG_AGO:
+            others = min(others, times[i])
+    return commanded, others
+
+
+@compiled
+def store_joint_state(
+    received: Any,
+    places: Any,
+    known: Any,
+    tracks: Any,
+    is_commanded: Any,
+    now: float,
+    has_efforts: bool,
+) -> int:
+    """
+    Store the joint states of a message if all are finite; otherwise change nothing.
+
+    Parameters
+    ----------
+    received : ndarray, shape (3, l)
+        Positions, velocities and efforts of the l joints of a message.
+    places : ndarray, shape (2, k)
+        Indices of the k joints to store: among the n joints of the robot, and among the l.
+    known : ndarray, shape (4, n)
+        Receives positions, velocities, times and efforts. A joint that is not commanded keeps its
+        position, at rest, while its positions alternate.
+    tracks : ndarray, shape (10, n)
+        See `alternation.make_tracks`.
+    is_commanded : ndarray of bool, shape (n,)
+        Which joints are commanded.
+    now : float
+        The time [s].
+    has_efforts : bool
+        Whether the message has efforts.
+
+    Returns
+    -------
+    result : int
+        `NOT_FINITE` if a position or velocity is not finite, `ALTERNATING` if positions of a
+        joint alternate faster than it can move, otherwise `CONSISTENT`.
+
+    """
+    in_robot, in_message = places[0], places[1]
+    for k in range(len(in_robot)):
+        j = in_message[k]
+        if not (math.isfinite(received[_POSITION, j]) and math.isfinite(received[_VELOCITY, j])):
+            return NOT_FINITE
+    result = CONSISTENT
+    for k in range(len(in_robot)):
+        i, j = in_robot[k], in_message[k]
+        elapsed = max(0.0, now - known[TIME, i]) if known[TIME, i] > LONG_AGO else -1.0
+        is_alternating = track(tracks, i, received[_POSITION, j], elapsed)
+        if is_alternating:
+            result = ALTERNATING
+        if is_alternating and not is_commanded[i]:
+            known[VELOCITY, i] = 0.0
+        else:
+            known[POSITION, i] = received[_POSITION, j]
+            known[VELOCITY, i] = received[_VELOCITY, j]
+        known[TIME, i] = now
+        if has_efforts:
+            known[EFFORT, i] = received[_EFFORT, j]
+    return result
