@@ -14,7 +14,7 @@ CLEAN := env -u PYTHONPATH -u LD_LIBRARY_PATH -u AMENT_PREFIX_PATH -u COLCON_PRE
     -u ROS_STATIC_PEERS -u ROS_LOCALHOST_ONLY -u ROS_SECURITY_ENABLE -u ROS_SECURITY_STRATEGY \
     ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
 
-.PHONY: demo test test-oldest bench bench-loop storm clean
+.PHONY: demo test test-oldest bench bench-loop storm parameters clean
 
 demo: $(VENV)/demo.done
 	@$(CLEAN) $(BIN)/python -m inverse_dynamics_node.cli.main demo '$(ROBOT)' $(ARGS)
@@ -52,6 +52,10 @@ bench-loop: $(VENV)/test.done
 # Sends a million messages, most of them invalid; ARGS='--messages 100000' sends fewer.
 storm: $(VENV)/test.done
 	@$(CLEAN) $(BIN)/python -m benchmarks.storm $(ARGS)
+
+# Writes the parameter file and the table of parameters after a change of their declaration.
+parameters: $(VENV)/test.done
+	@$(CLEAN) $(BIN)/python -m inverse_dynamics_node.node.parameter_files --write
 
 $(VENV)/pip.done:
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))' || \

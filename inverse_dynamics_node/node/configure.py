@@ -98,10 +98,24 @@ def apply_configuration(
 
 
 def check_configuration(loop: ControlLoop, configuration: Configuration) -> None:
-    """Refuse, with a ConfigurationError, what would not fit the joints that are commanded."""
-    for name, values in {**vars(configuration), **vars(configuration.settings)}.items():
-        if name in PER_JOINT:
-            expand_per_joint(name, values, len(loop.controller.joints))
+    """
+    Check lists against the number of commanded joints.
+
+    Parameters
+    ----------
+    loop : ControlLoop
+        The loop that would use the configuration.
+    configuration : Configuration
+        The new values.
+
+    Raises
+    ------
+    ConfigurationError
+        If a list does not have one number for each commanded joint.
+
+    """
+    for name in PER_JOINT:
+        expand_per_joint(name, getattr(configuration, name), len(loop.controller.joints))
 
 
 def _load_robot(configuration: Configuration, description: str) -> RobotModel:

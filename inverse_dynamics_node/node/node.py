@@ -49,12 +49,10 @@ from .graph import Graph
 from .log import BoundedLogger, NodeLog
 from .model_report import describe_robot
 from .outputs import Outputs
-from .parameters import (
-    BaseMotion,
+from .parameters import BaseMotion, Configuration, PARAMETERS
+from .ros_parameters import (
     checked_configuration,
-    Configuration,
     declare_parameters,
-    PARAMETERS,
     read_configuration,
     unknown_parameters,
     unused_qos_overrides,

@@ -1,22 +1,29 @@
-"""The node's parameters: one table, checked before any value is used."""
+"""
+The parameters of the node, each declared once.
+
+The fields of `Configuration` are the declaration. The ROS parameters, the text of ``--help``,
+config/inverse_dynamics.yaml and the table in doc/interface.md are generated from them;
+`make parameters` writes the two files.
+
+"""
+
+# ruff: noqa: RUF009 -- parameter() returns a dataclasses.field
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from enum import Enum
 import math
-from typing import Any, NamedTuple, TYPE_CHECKING
-
-import numpy as np
+from typing import get_type_hints
 
 from ..control.settings import LoadSettings, Mode, PerJoint, Settings, StalePolicy
 from ..dynamics.inverse_dynamics import FRICTION_WIDTH, STANDARD_GRAVITY
-from ..errors import ConfigurationError, did_you_mean
+from .parameter_types import kind_of, NUMBER, Parameter, parameter
 
-if TYPE_CHECKING:  # --help prints the parameters without ROS
-    from rcl_interfaces.msg import ParameterDescriptor
-    from rclpy.node import Node
+_SETTINGS = Settings()
+_LOADS = LoadSettings()
+VALUE_OF_URDF = -1.0
+"""Of `damping` and `coulomb`: use the value in the robot description."""
 
 
 class BaseMotion(Enum):
@@ -24,535 +31,278 @@ class BaseMotion(Enum):
 
     FIXED = 'fixed'
     IMU = 'imu'
-    """As an inertial measurement unit on it says."""
+    """As measured by an inertial measurement unit on the base."""
 
 
 class MissingInertial(Enum):
-    """What to do about links that have a shape, but no mass."""
+    """How to treat links that have a shape, but no mass."""
 
     WARN = 'warn'
     REFUSE = 'refuse'
 
 
 class Executor(Enum):
-    """What spins the node."""
+    """The executor that spins the node."""
 
     EVENTS = 'events'
     SINGLE_THREADED = 'single_threaded'
 
 
-class _Kind(NamedTuple):
-    expected: str
-    convert: Callable[[Any], Any]
-    """Returns the value as the node uses it; raises TypeError or ValueError."""
+@dataclass(frozen=True)
+class Configuration:
+    """The checked values of all parameters."""
 
-
-def _text(value: Any) -> str:
-    if not isinstance(value, str):
-        raise TypeError
-    return value
-
-
-def _flag(value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise TypeError
-    return value
-
-
-def _number(value: Any) -> float:
-    """Take 500 for 500.0: on a command line it is what people type."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise TypeError
-    return float(value)
-
-
-def _vector(value: Any) -> tuple[float, ...]:
-    if isinstance(value, str) or len(value) != 3:
-        raise ValueError
-    return tuple(_number(x) for x in value)
-
-
-def _names(value: Any) -> tuple[str, ...]:
-    """Take an empty list, which ROS passes on as no value, and one of an empty name, for none."""
-    if isinstance(value, str):
-        raise TypeError
-    return tuple(_text(name) for name in value or () if name)
-
-
-def _numbers(value: Any) -> PerJoint:
-    """Take one number for all joints, or one for each."""
-    if isinstance(value, int | float):
-        return _number(value)
-    if isinstance(value, str) or not len(value):
-        raise TypeError
-    return tuple(_number(x) for x in value)
-
-
-def _choice(kind: type[Enum]) -> _Kind:
-    return _Kind(f'one of {", ".join(choice.value for choice in kind)}', kind)
-
-
-_TEXT = _Kind('a text', _text)
-_FLAG = _Kind('true or false', _flag)
-_NUMBER = _Kind('a finite number', _number)
-_VECTOR = _Kind('three finite numbers, all with a decimal point or all without', _vector)
-_NUMBERS = _Kind('a finite number, or a list of one for each commanded joint', _numbers)
-_NAMES = _Kind('a list of names', _names)
-
-
-class Parameter(NamedTuple):
-    """One parameter: what it may be, and what it is for."""
-
-    kind: _Kind
-    default: Any
-    description: str
-    minimum: float = -1e9
-    maximum: float = 1e9
-    is_live: bool = True
-    """Whether a change applies at once; if not, when the node is configured again."""
-    is_read_only: bool = False
-    """Whether the value is read when the process starts, and never again."""
-
-    @property
-    def range(self) -> tuple[float, float] | None:
-        """Smallest and largest number; None if the values are not numbers."""
-        if self.kind in (_NUMBER, _NUMBERS, _VECTOR):
-            return self.minimum, self.maximum
-        return None
-
-    def check(self, value: Any) -> Any:
-        """Return the value as the node uses it, or raise a ConfigurationError."""
-        try:
-            converted = self.kind.convert(value)
-        except (TypeError, ValueError):
-            raise ConfigurationError(f'is {value!r}, expected {self.kind.expected}') from None
-        if self.range:
-            numbers = converted if isinstance(converted, tuple) else (converted,)
-            if not all(self.minimum <= number <= self.maximum for number in numbers):
-                raise ConfigurationError(
-                    f'is {value}, expected {self.minimum:g} to {self.maximum:g}'
-                )
-        return converted
-
-    def descriptor(self) -> ParameterDescriptor:
-        from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
-
-        if self.is_read_only:
-            applies = 'read when the process starts'
-        else:
-            applies = 'applies at once' if self.is_live else 'read when the node is configured'
-        # Dynamic typing, because rclpy would refuse 500 for 500.0; check() makes up for it. It
-        # also checks the range of integers and lists: rclpy does so for single doubles only.
-        descriptor = ParameterDescriptor(
-            description=self.description,
-            additional_constraints=f'expected {self.kind.expected}; {applies}',
-            dynamic_typing=True,
-            read_only=self.is_read_only,
-        )
-        if self.range:
-            lowest, highest = self.range
-            descriptor.floating_point_range = [
-                FloatingPointRange(from_value=lowest, to_value=highest)
-            ]
-        return descriptor
-
-
-_OF_URDF = -1.0
-_SETTINGS = Settings()
-_LOADS = LoadSettings()
-LOCKED = 'locked_positions'
-_QOS = 'qos_overrides'  # of rclpy
-PARAMETERS = {
-    'robot_description': Parameter(
-        _TEXT,
+    robot_description: str = parameter(
         '',
-        'The URDF, as XML text. Empty: from robot_description_file, else from the topic',
+        'The URDF, as XML text',
+        'If empty, it comes from `robot_description_file`, else from the topic',
         is_live=False,
-    ),
-    'robot_description_file': Parameter(
-        _TEXT,
-        '',
-        'URDF file: a path, package://PACKAGE/PATH or file:///PATH',
-        is_live=False,
-    ),
-    'joints': Parameter(
-        _NAMES,
+    )
+    robot_description_file: str = parameter(
+        '', 'URDF file: a path, `package://PACKAGE/PATH` or `file:///PATH`', is_live=False
+    )
+    joints: tuple[str, ...] = parameter(
         [''],
-        'The joints to command, in the order of ~/commands and ~/desired_accelerations. '
-        'Empty: every movable joint, in the order of the URDF. The dynamics include all '
-        'joints',
+        'The joints to command, in the order of `~/commands` and `~/desired_accelerations`',
+        'If empty, every movable joint, in the order of the URDF. The dynamics include all joints',
         is_live=False,
-    ),
-    'base_link': Parameter(
-        _TEXT,
+    )
+    base_link: str = parameter(
         '',
-        'Link in whose frame gravity, imu and ~/base_wrench are expressed; not moved by any '
-        'joint. Empty: the root link',
+        'Link in whose frame gravity, `imu` and `~/base_wrench` are expressed. Empty: root link',
+        'No movable joint may lie between it and the root link',
         is_live=False,
-    ),
-    'on_missing_inertial': Parameter(
-        _choice(MissingInertial),
+    )
+    on_missing_inertial: MissingInertial = parameter(
         MissingInertial.WARN.value,
-        'warn, or refuse a robot description with links that have a shape, but no <inertial>',
+        'Warn of, or refuse, robot descriptions with links that have a shape, but no `<inertial>`',
         is_live=False,
-    ),
-    'update_rate': Parameter(
-        _NUMBER,
+    )
+    update_rate: float = parameter(
         0.0,
-        'Commands per second [Hz], at least 1; 0: one for every joint state',
-        0.0,
-        10_000.0,
+        'Commands per second, at least 1. 0: one for every joint state',
+        unit='Hz',
+        minimum=0.0,
+        maximum=10_000.0,
         is_live=False,
-    ),
-    'mode': Parameter(
-        _choice(Mode),
+    )
+    mode: Mode = parameter(
         _SETTINGS.mode.value,
-        'inverse_dynamics: the accelerations of the reference. computed_torque: these, with '
-        'feedback of position and velocity. gravity_compensation: hold the arm and ignore the'
-        ' reference',
-    ),
-    'gravity': Parameter(
-        _VECTOR,
+        'How the reference is used',
+        '`inverse_dynamics`: its accelerations. `computed_torque`: these, with feedback of '
+        'position and velocity. `gravity_compensation`: not at all; the arm is held',
+    )
+    gravity: tuple[float, float, float] = parameter(
         list(STANDARD_GRAVITY),
-        'Free-fall acceleration in the frame of the base link [m/s^2]; ~/gravity changes it too',
-        -100.0,
-        100.0,
-    ),
-    'base_motion': Parameter(
-        _choice(BaseMotion),
+        'Free-fall acceleration in the frame of the base link. `~/gravity` changes it too',
+        unit='m/s^2',
+        minimum=-100.0,
+        maximum=100.0,
+    )
+    base_motion: BaseMotion = parameter(
         BaseMotion.FIXED.value,
-        'fixed: at rest, with gravity from the parameter. imu: as measured on imu, which '
-        'replaces gravity',
+        'Motion of the base',
+        '`fixed`: at rest, with gravity from the parameter. `imu`: as measured on the topic '
+        '`imu`, which replaces gravity; there is no command before the first message',
         is_live=False,
-    ),
-    'imu_orientation': Parameter(
-        _VECTOR,
+    )
+    imu_orientation: tuple[float, float, float] = parameter(
         [0.0, 0.0, 0.0],
-        'Roll, pitch and yaw of the IMU in the frame of the base link [rad]',
-        -7.0,
-        7.0,
-    ),
-    'imu_filter_cutoff': Parameter(
-        _NUMBER,
+        'Roll, pitch and yaw of the IMU in the frame of the base link, as in a URDF',
+        unit='rad',
+        minimum=-7.0,
+        maximum=7.0,
+    )
+    imu_filter_cutoff: float = parameter(
         _LOADS.imu_filter_cutoff,
-        'Cutoff of a first-order low-pass for the motion of the base [Hz]; 0: no filter',
-        0.0,
-    ),
-    'imu_timeout': Parameter(
-        _NUMBER,
+        'Cutoff of the first-order low-pass for the motion of the base. 0: no filter',
+        unit='Hz',
+        minimum=0.0,
+    )
+    imu_timeout: float = parameter(
         _LOADS.imu_timeout,
-        'Without a message on imu for this long, gravity stays and the angular velocity is '
-        'zero [s]',
-        0.005,
-        60.0,
-    ),
-    'load_ramp': Parameter(
-        _NUMBER,
+        'Time without a message on `imu` after which the motion of the base is lost',
+        'While it is lost, gravity stays as it was, and the angular velocity is taken as zero',
+        unit='s',
+        minimum=0.005,
+        maximum=60.0,
+    )
+    load_ramp: float = parameter(
         _LOADS.load_ramp,
-        'Time in which a payload is ramped in, gravity changes by 9.8 m/s^2, or a lost '
-        'external wrench fades out [s]',
-        0.0,
-        60.0,
-    ),
-    'wrench_timeout': Parameter(
-        _NUMBER,
+        'Time in which a payload is ramped in, or a lost external wrench fades out',
+        'Gravity changes by 9.8 m/s^2 in this time',
+        unit='s',
+        minimum=0.0,
+        maximum=60.0,
+    )
+    wrench_timeout: float = parameter(
         _LOADS.wrench_timeout,
-        'An external wrench that is not renewed for this long fades out [s]',
-        0.0,
-        60.0,
-    ),
-    'external_efforts_cutoff': Parameter(
-        _NUMBER,
+        'An external wrench that is not renewed for this long fades out',
+        unit='s',
+        minimum=0.0,
+        maximum=60.0,
+    )
+    external_efforts_cutoff: float = parameter(
         10.0,
-        'Cutoff of the first-order low-pass of ~/external_efforts [Hz]',
-        0.01,
-        10_000.0,
-    ),
-    'include_gravity': Parameter(
-        _FLAG, True, 'False if the driver compensates gravity itself: UR, Franka, KUKA FRI'
-    ),
-    'include_friction': Parameter(
-        _FLAG, False, 'Add the efforts that overcome friction: damping and coulomb'
-    ),
-    'damping': Parameter(
-        _NUMBERS,
-        _OF_URDF,
-        'Viscous friction of the commanded joints [N m s/rad, N s/m]; -1: that of the URDF',
-        _OF_URDF,
-    ),
-    'coulomb': Parameter(
-        _NUMBERS,
-        _OF_URDF,
-        'Coulomb friction of the commanded joints [N m, N]; -1: that of the URDF',
-        _OF_URDF,
-    ),
-    'coulomb_width': Parameter(
-        _NUMBER,
+        'Cutoff of the first-order low-pass of `~/external_efforts`',
+        unit='Hz',
+        minimum=0.01,
+        maximum=10_000.0,
+    )
+    include_gravity: bool = parameter(
+        True, 'Set to false if the driver compensates gravity itself: UR, Franka, KUKA FRI'
+    )
+    include_friction: bool = parameter(
+        False, 'Add the efforts that overcome friction: `damping` and `coulomb`'
+    )
+    damping: PerJoint = parameter(
+        VALUE_OF_URDF,
+        'Viscous friction of the commanded joints. -1: value in the URDF',
+        unit='N m s/rad, N s/m',
+        minimum=VALUE_OF_URDF,
+    )
+    coulomb: PerJoint = parameter(
+        VALUE_OF_URDF,
+        'Coulomb friction of the commanded joints. -1: value in the URDF',
+        unit='N m, N',
+        minimum=VALUE_OF_URDF,
+    )
+    coulomb_width: float = parameter(
         FRICTION_WIDTH,
-        'Speed over which Coulomb friction is smoothed [rad/s, m/s]',
-        1e-6,
-        100.0,
-    ),
-    'armature': Parameter(
-        _NUMBERS,
+        'Speed over which Coulomb friction is smoothed',
+        unit='rad/s, m/s',
+        minimum=1e-6,
+        maximum=100.0,
+    )
+    armature: PerJoint = parameter(
         0.0,
-        'Inertia of rotors and gears, reflected to the commanded joints [kg m^2, kg]',
-        0.0,
-    ),
-    'kp': Parameter(_NUMBERS, _SETTINGS.kp, 'Position gain of computed_torque [1/s^2]', 0.0),
-    'kd': Parameter(
-        _NUMBERS,
-        _SETTINGS.kd,
-        'Velocity gain of computed_torque [1/s]',
-        0.0,
-    ),
-    'max_position_jump': Parameter(
-        _NUMBER,
+        'Inertia of rotors and gears, reflected to the commanded joints',
+        unit='kg m^2, kg',
+        minimum=0.0,
+    )
+    kp: PerJoint = parameter(
+        _SETTINGS.kp, 'Position gain of `computed_torque`', unit='1/s^2', minimum=0.0
+    )
+    kd: PerJoint = parameter(
+        _SETTINGS.kd, 'Velocity gain of `computed_torque`', unit='1/s', minimum=0.0
+    )
+    max_position_jump: float = parameter(
         _SETTINGS.max_position_jump,
-        'computed_torque: largest distance of a new reference from the measured position, and'
-        ' largest step of a reference [rad, m]; 0: unlimited',
-        0.0,
-    ),
-    'velocity_filter_cutoff': Parameter(
-        _NUMBER,
+        'Largest step of a reference of `computed_torque`. 0: unlimited',
+        'Also the largest distance of a new reference from the measured position',
+        unit='rad, m',
+        minimum=0.0,
+    )
+    velocity_filter_cutoff: float = parameter(
         _SETTINGS.velocity_filter_cutoff,
-        'Cutoff of a first-order low-pass for measured velocities [Hz]; 0: no filter',
+        'Cutoff of the first-order low-pass for measured velocities. 0: no filter',
+        unit='Hz',
+        minimum=0.0,
+    )
+    effort_scale: PerJoint = parameter(_SETTINGS.effort_scale, 'Factor for the efforts')
+    effort_offset: PerJoint = parameter(
+        _SETTINGS.effort_offset, 'Added to the scaled efforts', unit='N m, N'
+    )
+    use_urdf_effort_limits: bool = parameter(
+        _SETTINGS.use_urdf_effort_limits, 'Keep efforts within `<limit effort>` of the URDF'
+    )
+    effort_limits: PerJoint = parameter(
         0.0,
-    ),
-    'effort_scale': Parameter(_NUMBERS, _SETTINGS.effort_scale, 'Factor for the efforts'),
-    'effort_offset': Parameter(
-        _NUMBERS, _SETTINGS.effort_offset, 'Added to the scaled efforts [N m, N]'
-    ),
-    'use_urdf_effort_limits': Parameter(
-        _FLAG,
-        _SETTINGS.use_urdf_effort_limits,
-        'Keep efforts within <limit effort> of the URDF',
-    ),
-    'effort_limits': Parameter(
-        _NUMBERS, 0.0, 'Tighter limits of the efforts [N m, N]; 0: none', 0.0
-    ),
-    'effort_rate_limits': Parameter(
-        _NUMBERS,
+        'Tighter limits of the efforts. 0: none',
+        'A changed limit applies along the start ramp',
+        unit='N m, N',
+        minimum=0.0,
+    )
+    effort_rate_limits: PerJoint = parameter(
         0.0,
-        'How fast efforts may change, except along the stop ramp [N m/s, N/s]; 0: unlimited',
-        0.0,
-    ),
-    'state_timeout': Parameter(
-        _NUMBER,
+        'Fastest change of the efforts, except along the stop ramp. 0: unlimited',
+        unit='N m/s, N/s',
+        minimum=0.0,
+    )
+    state_timeout: float = parameter(
         _SETTINGS.state_timeout,
-        'A state of a commanded joint older than this is lost [s]',
-        0.005,
-        60.0,
-    ),
-    'uncommanded_state_timeout': Parameter(
-        _NUMBER,
+        'A state of a commanded joint older than this is lost',
+        unit='s',
+        minimum=0.005,
+        maximum=60.0,
+    )
+    uncommanded_state_timeout: float = parameter(
         _SETTINGS.uncommanded_state_timeout,
-        'A joint that is not commanded and was last reported longer ago is taken to be at rest '
-        'where it was [s]; it never stops the arm',
-        0.005,
-        60.0,
-    ),
-    'reference_timeout': Parameter(
-        _NUMBER,
+        'Joints that are not commanded are taken to be at rest after this time without a state',
+        'Such joints keep their last position and never stop the arm',
+        unit='s',
+        minimum=0.005,
+        maximum=60.0,
+    )
+    reference_timeout: float = parameter(
         _SETTINGS.reference_timeout,
-        'A reference older than this is ignored: accelerations are zero [s]; 0: it holds '
-        'until the next',
-        0.0,
-        3600.0,
-    ),
-    'on_stale_state': Parameter(
-        _choice(StalePolicy),
+        'A reference older than this is ignored. 0: a reference is used until the next one',
+        'Without a reference, the accelerations are zero',
+        unit='s',
+        minimum=0.0,
+        maximum=3600.0,
+    )
+    on_stale_state: StalePolicy = parameter(
         _SETTINGS.on_stale_state.value,
-        'Efforts after the joint state is lost: zero (along the stop ramp), or hold (the last'
-        ' ones)',
-    ),
-    'start_ramp': Parameter(
-        _NUMBER,
+        'Efforts after the joint state is lost',
+        '`zero`: ramp to zero within `stop_ramp`. `hold`: keep the last efforts',
+    )
+    start_ramp: float = parameter(
         _SETTINGS.start_ramp,
-        'Time for the efforts to rise from zero, and for blends after live changes [s]',
-        0.0,
-        60.0,
-    ),
-    'stop_ramp': Parameter(
-        _NUMBER,
+        'Time for the efforts to rise from zero, and for blends after live changes',
+        unit='s',
+        minimum=0.0,
+        maximum=60.0,
+    )
+    stop_ramp: float = parameter(
         _SETTINGS.stop_ramp,
-        'Time for the efforts to fall to zero [s]; ros2 launch cuts it short after 5 s',
-        0.0,
-        60.0,
-    ),
-    'autostart': Parameter(
-        _FLAG,
+        'Time for the efforts to fall to zero',
+        'A ramp that has started keeps its time. `ros2 launch` ends the ramp after 5 s',
+        unit='s',
+        minimum=0.0,
+        maximum=60.0,
+    )
+    autostart: bool = parameter(
         True,
         'Configure and activate once, as soon as there is a robot description',
         is_live=False,
         is_read_only=True,
-    ),
-    'executor': Parameter(
-        _choice(Executor),
+    )
+    executor: Executor = parameter(
         Executor.EVENTS.value,
-        'events, or single_threaded, which is slower',
+        'The executor of rclpy. `single_threaded` is slower',
         is_live=False,
         is_read_only=True,
-    ),
-    'allow_unknown_parameters': Parameter(
-        _FLAG,
+    )
+    allow_unknown_parameters: bool = parameter(
         False,
-        'Ignore parameters that this node does not have, for a file that several nodes share. '
-        'False: the node does not start with them, because a mistyped limit is not a limit',
+        'Ignore parameters that this node does not have, in a file that several nodes share',
+        'By default they prevent the start, because a mistyped limit is not a limit',
         is_live=False,
         is_read_only=True,
-    ),
-}
-PER_JOINT = frozenset(name for name, p in PARAMETERS.items() if p.kind is _NUMBERS)
-"""Parameters with one number for all commanded joints, or one for each."""
+    )
+    locked_positions: dict[str, float] = field(default_factory=dict)
+    """Positions of joints that are not commanded, until they are reported, by name [rad or m]."""
 
+    @property
+    def settings(self) -> Settings:
+        """The parameters of the controller."""
+        values = {each.name: getattr(self, each.name) for each in fields(Settings)}
+        for name in ('effort_limits', 'effort_rate_limits'):
+            values[name] = _unlimited_where_zero(values[name])
+        return Settings(**values)
 
-@dataclass(frozen=True)
-class Configuration:
-    """All parameters, checked."""
-
-    robot_description: str
-    robot_description_file: str
-    joints: tuple[str, ...]
-    base_link: str
-    on_missing_inertial: MissingInertial
-    update_rate: float
-    gravity: tuple[float, float, float]
-    base_motion: BaseMotion
-    imu_orientation: tuple[float, float, float]
-    external_efforts_cutoff: float
-    include_gravity: bool
-    include_friction: bool
-    damping: PerJoint
-    coulomb: PerJoint
-    coulomb_width: float
-    armature: PerJoint
-    autostart: bool
-    executor: Executor
-    allow_unknown_parameters: bool
-    settings: Settings
-    load_settings: LoadSettings
-    locked_positions: dict[str, float]
-    """By joint [rad or m]."""
+    @property
+    def load_settings(self) -> LoadSettings:
+        """The parameters of external loads."""
+        return LoadSettings(
+            **{each.name: getattr(self, each.name) for each in fields(LoadSettings)}
+        )
 
     @property
     def period(self) -> float:
-        """Time between commands [s]; 0 for one for every joint state."""
+        """Time between commands [s]; 0: one command for every joint state."""
         return 1.0 / self.update_rate if self.update_rate else 0.0
-
-
-def declare_parameters(node: Node) -> None:
-    """
-    Declare every parameter, with the values from the command line and parameter files.
-
-    Raises
-    ------
-    ConfigurationError
-        Naming every parameter that is unknown, or whose value cannot be used.
-
-    """
-    from rcl_interfaces.msg import ParameterDescriptor
-
-    given = {name: parameter.value for name, parameter in node._parameter_overrides.items()}
-    locked = [name for name in given if name.startswith(f'{LOCKED}.')]
-    values = {name: parameter.default for name, parameter in PARAMETERS.items()}
-    values.update({name: given[name] for name in (*PARAMETERS, *locked) if name in given})
-    problems = _problems(values)
-    if values['allow_unknown_parameters'] is not True:
-        unknown = unknown_parameters(node)
-        problems += unknown
-        if unknown:
-            problems.append(
-                'to ignore unknown parameters, for example in a file that several nodes share, '
-                'set allow_unknown_parameters to true'
-            )
-    if problems:
-        # Before anything is declared, where rclpy would stop at the first value out of range.
-        raise ConfigurationError(*problems)
-    for name, parameter in PARAMETERS.items():
-        try:
-            node.declare_parameter(name, parameter.default, parameter.descriptor())
-        except Exception as error:
-            raise ConfigurationError(f"parameter '{name}': {error}") from None
-    # The joints are known when a robot description has been loaded; until then, allow any.
-    for name in locked:
-        node.declare_parameter(
-            name,
-            0.0,
-            ParameterDescriptor(
-                description='Position of this joint until joint_states reports it [rad or m]',
-                dynamic_typing=True,
-            ),
-        )
-
-
-def values_of(node: Node) -> dict[str, Any]:
-    """Return the values of all parameters, by name."""
-    locked = node.get_parameters_by_prefix(LOCKED)
-    names = [*PARAMETERS, *(f'{LOCKED}.{joint}' for joint in locked)]
-    return {name: node.get_parameter(name).value for name in names}
-
-
-def read_configuration(node: Node) -> Configuration:
-    """
-    Read all parameters.
-
-    Raises
-    ------
-    ConfigurationError
-        Naming every parameter that cannot be used.
-
-    """
-    return checked_configuration(values_of(node))
-
-
-def checked_configuration(values: dict[str, Any]) -> Configuration:
-    """Check all values as a whole, and report all problems at once."""
-    problems = _problems(values)
-    if problems:
-        raise ConfigurationError(*problems)
-    checked = {name: parameter.check(values[name]) for name, parameter in PARAMETERS.items()}
-    locked = {
-        name.removeprefix(f'{LOCKED}.'): _number(value)
-        for name, value in values.items()
-        if name not in PARAMETERS
-    }
-    for name in ('effort_limits', 'effort_rate_limits'):
-        checked[name] = _unlimited_where_zero(checked[name])
-    settings = Settings(**{name: checked.pop(name) for name in vars(_SETTINGS)})
-    loads = LoadSettings(**{name: checked.pop(name) for name in vars(_LOADS)})
-    return Configuration(
-        **checked, settings=settings, load_settings=loads, locked_positions=locked
-    )
-
-
-def _problems(values: dict[str, Any]) -> list[str]:
-    """Describe each value that cannot be used, alone or beside the others."""
-    checked: dict[str, Any] = {}
-    problems = []
-    for name, parameter in PARAMETERS.items():
-        try:
-            checked[name] = parameter.check(values[name])
-        except ConfigurationError as error:
-            problems.append(f"parameter '{name}' {error}")
-    for name, value in values.items():
-        if name not in PARAMETERS:
-            try:
-                _number(value)
-            except TypeError:
-                problems.append(f"parameter '{name}' is {value!r}, expected a finite number")
-    if checked.get('robot_description') and checked.get('robot_description_file'):
-        problems.append('parameters robot_description and robot_description_file are both set')
-    if 0.0 < checked.get('update_rate', 0.0) < 1.0:
-        problems.append(
-            f"parameter 'update_rate' is {checked['update_rate']:g}, expected 0 or at least 1"
-        )
-    # These must not be negative, except for the -1 that stands for the value in the URDF.
-    for name in ('damping', 'coulomb'):
-        numbers = np.atleast_1d(checked.get(name, 0.0))
-        if ((numbers < 0.0) & (numbers != _OF_URDF)).any():
-            problems.append(f"parameter '{name}' is {values[name]}, expected -1 or numbers from 0")
-    return problems
 
 
 def _unlimited_where_zero(numbers: PerJoint) -> PerJoint:
@@ -561,32 +311,24 @@ def _unlimited_where_zero(numbers: PerJoint) -> PerJoint:
     return numbers or math.inf
 
 
-def unknown_parameters(node: Node) -> list[str]:
-    """
-    Describe each given name that is not a parameter of this node, with the closest name.
-
-    To be called when rclpy has declared its own parameters.
-
-    """
-    known = [*PARAMETERS, *node._parameters, LOCKED]
-    problems = []
-    for name in node._parameter_overrides:
-        head, dot, tail = name.partition('.')
-        if name in known or (dot and head in (LOCKED, _QOS)):
-            continue
-        hint = did_you_mean(name, known) or did_you_mean(head, known)
-        if LOCKED in hint:
-            hint = f"; did you mean '{LOCKED}.{tail or '<joint>'}'?"
-        problems.append(f"unknown parameter '{name}'{hint}")
-    return problems
-
-
-def unused_qos_overrides(node: Node) -> list[str]:
-    """Describe each QoS override that no publisher or subscription of the node has declared."""
-    declared = [name for name in node._parameters if name.startswith(f'{_QOS}.')]
-    return [
-        f"parameter '{name}' matches no publisher or subscription of this node"
-        + did_you_mean(name, declared)
-        for name in node._parameter_overrides
-        if name.startswith(f'{_QOS}.') and name not in declared
-    ]
+LOCKED = 'locked_positions'
+"""Prefix of the parameters ``locked_positions.<joint>``."""
+LOCKED_POSITION = Parameter(
+    NUMBER,
+    None,
+    'Position of a joint that is not commanded, until `joint_states` reports it',
+    'Such a joint is never missing or lost',
+    unit='rad, m',
+    minimum=-math.inf,
+    maximum=math.inf,
+    is_live=False,
+)
+_HINTS = get_type_hints(Configuration)
+PARAMETERS = {
+    each.name: Parameter(kind_of(_HINTS[each.name]), **each.metadata)
+    for each in fields(Configuration)
+    if each.metadata
+}
+"""All parameters by name, except those that start with ``locked_positions``."""
+PER_JOINT = frozenset(name for name, p in PARAMETERS.items() if p.is_per_joint)
+"""Parameters with one number for all commanded joints, or one for each."""

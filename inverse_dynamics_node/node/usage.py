@@ -6,18 +6,12 @@ from importlib import metadata
 from pathlib import Path
 import re
 from textwrap import fill
-from typing import Any
 
-from .parameters import (
-    LOCKED,
-    Parameter,
-    PARAMETERS,
-    PER_JOINT,
-)
+from .parameter_types import Parameter
+from .parameters import LOCKED, LOCKED_POSITION, PARAMETERS
 
 _PACKAGE = 'inverse_dynamics_node'
 _WIDTH = 90
-_UNBOUNDED = 1e9  # numbers as large as this stand for no limit
 
 USAGE = """\
 usage: inverse_dynamics_node [-h] [--version]
@@ -80,9 +74,7 @@ def help_text() -> str:
             'parameters, with defaults ("live": a change applies at once; "per joint": one number '
             'for all\ncommanded joints, or a list with one for each):',
             *(_parameter(name, parameter) for name, parameter in PARAMETERS.items()),
-            f'  {LOCKED}.<joint>: (none)\n'
-            '      Position of a joint that is not commanded, until joint_states reports it '
-            '[rad or m].',
+            _parameter(f'{LOCKED}.<joint>', LOCKED_POSITION),
         ]
     )
 
@@ -103,14 +95,11 @@ def _table(title: str, rows: dict[str, tuple[str, str]]) -> str:
 
 
 def _parameter(name: str, parameter: Parameter) -> str:
-    remarks = []
-    if parameter.range:
-        lowest, highest = parameter.range
-        if highest < _UNBOUNDED:
-            remarks.append(f'{lowest:g} to {highest:g}')
-        elif lowest > -_UNBOUNDED:
-            remarks.append(f'at least {lowest:g}')
-    if name in PER_JOINT:
+    default = parameter.default_text
+    if parameter.default in ('', [''], None):
+        default = '(none)' if parameter.default is None else '(empty)'
+    remarks = [parameter.range_text] if parameter.range and parameter.range_text else []
+    if parameter.is_per_joint:
         remarks.append('per joint')
     if parameter.is_live:
         remarks.append('live')
@@ -119,12 +108,4 @@ def _parameter(name: str, parameter: Parameter) -> str:
     text = fill(
         f'{parameter.description}.', _WIDTH, initial_indent=indent, subsequent_indent=indent
     )
-    return f'  {name}: {_yaml(parameter.default)}{notes}\n{text}'
-
-
-def _yaml(value: Any) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if value in ('', ['']):
-        return '(empty)'
-    return str(value)
+    return f'  {name}: {default}{notes}\n{text}'

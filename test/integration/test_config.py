@@ -13,7 +13,7 @@ def parameters(path):
     return next(iter(yaml.safe_load(path.read_text()).values()))['ros__parameters']
 
 
-def test_every_parameter_is_there_with_its_default():
+def test_the_file_of_all_parameters_has_their_defaults():
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     from inverse_dynamics_node.node.parameters import PARAMETERS
 

@@ -1,0 +1,194 @@
+"""
+One parameter of the node: its type, default, unit and range, and the check of a value.
+
+Nothing here needs ROS, so that ``--help`` works without it.
+
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import Enum
+import math
+from typing import Any
+
+from ..control.settings import PerJoint
+from ..errors import ConfigurationError
+
+UNBOUNDED = 1e9
+"""Largest magnitude of a number without a range of its own."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A type of parameter."""
+
+    expected: str
+    """Describes the accepted values in messages."""
+    convert: Callable[[Any], Any]
+    """Converts a value for the `Configuration`; raises TypeError or ValueError."""
+    choices: tuple[str, ...] = ()
+    is_numeric: bool = False
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise TypeError
+    return value
+
+
+def _flag(value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise TypeError
+    return value
+
+
+def _number(value: Any) -> float:
+    """Accept integers too: on a command line, users type 500 instead of 500.0."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise TypeError
+    return float(value)
+
+
+def _vector(value: Any) -> tuple[float, ...]:
+    if isinstance(value, str) or len(value) != 3:
+        raise ValueError
+    return tuple(_number(x) for x in value)
+
+
+def _numbers(value: Any) -> PerJoint:
+    if isinstance(value, int | float):
+        return _number(value)
+    if isinstance(value, str) or not len(value):
+        raise TypeError
+    return tuple(_number(x) for x in value)
+
+
+def _names(value: Any) -> tuple[str, ...]:
+    """Accept None, which is how rclpy reports an empty list, and drop empty names."""
+    if isinstance(value, str):
+        raise TypeError
+    return tuple(_text(name) for name in value or () if name)
+
+
+TEXT = Kind('a text', _text)
+FLAG = Kind('true or false', _flag)
+NUMBER = Kind('a finite number', _number, is_numeric=True)
+VECTOR = Kind(
+    'three finite numbers, all with a decimal point or all without', _vector, is_numeric=True
+)
+NUMBERS = Kind(
+    'a finite number, or a list of one for each commanded joint', _numbers, is_numeric=True
+)
+NAMES = Kind('a list of names', _names)
+_KINDS = {
+    str: TEXT,
+    bool: FLAG,
+    float: NUMBER,
+    tuple[float, float, float]: VECTOR,
+    PerJoint: NUMBERS,
+    tuple[str, ...]: NAMES,
+}
+
+
+def kind_of(annotation: Any) -> Kind:
+    """Return the kind of parameter for the type of a field of `Configuration`."""
+    if isinstance(annotation, type) and issubclass(annotation, Enum):
+        choices = tuple(choice.value for choice in annotation)
+        return Kind(f'one of {", ".join(choices)}', annotation, choices)
+    return _KINDS[annotation]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """Declaration of one parameter."""
+
+    kind: Kind
+    default: Any
+    """The value as in a parameter file."""
+    summary: str
+    """One or two short sentences in Markdown without the last full stop, for tables."""
+    details: str = ''
+    """More sentences, also without the last full stop."""
+    unit: str = ''
+    minimum: float = -UNBOUNDED
+    maximum: float = UNBOUNDED
+    is_live: bool = True
+    """Whether a change applies at once; otherwise when the node is configured again."""
+    is_read_only: bool = False
+    """Whether the value is read only when the process starts."""
+
+    @property
+    def description(self) -> str:
+        """Summary with the unit after its first sentence, then the details, as plain text."""
+        first, stop, rest = self.summary.partition('. ')
+        unit = f' [{self.unit}]' if self.unit else ''
+        text = f'{first}{unit}{stop}{rest}' + (f'. {self.details}' if self.details else '')
+        return text.replace('`', '')
+
+    @property
+    def range(self) -> tuple[float, float] | None:
+        """Smallest and largest number; None if there is no range."""
+        has_range = self.kind.is_numeric and math.isfinite(self.minimum)
+        return (self.minimum, self.maximum) if has_range else None
+
+    @property
+    def range_text(self) -> str:
+        """The range or the choices as text; empty if there are none."""
+        if not self.range:
+            return ', '.join(self.kind.choices)
+        if self.maximum < UNBOUNDED:
+            return f'{self.minimum:g} to {self.maximum:g}'
+        return f'at least {self.minimum:g}' if self.minimum > -UNBOUNDED else ''
+
+    @property
+    def default_text(self) -> str:
+        """The default as in a parameter file."""
+        if isinstance(self.default, bool):
+            return str(self.default).lower()
+        return repr(self.default)
+
+    @property
+    def is_per_joint(self) -> bool:
+        """Whether the value is one number for all commanded joints, or a list."""
+        return self.kind is NUMBERS
+
+    @property
+    def applies(self) -> str:
+        """When a new value is used."""
+        if self.is_read_only:
+            return 'read when the process starts'
+        return 'applies at once' if self.is_live else 'read when the node is configured'
+
+    def check(self, value: Any) -> Any:
+        """Return the value for the `Configuration`, or raise a ConfigurationError."""
+        try:
+            converted = self.kind.convert(value)
+        except (TypeError, ValueError):
+            raise ConfigurationError(f'is {value!r}, expected {self.kind.expected}') from None
+        if self.kind.is_numeric:
+            numbers = converted if isinstance(converted, tuple) else (converted,)
+            if not all(self.minimum <= number <= self.maximum for number in numbers):
+                raise ConfigurationError(
+                    f'is {value}, expected {self.minimum:g} to {self.maximum:g}'
+                )
+        return converted
+
+
+def parameter(default: Any, summary: str, details: str = '', **properties: Any) -> Any:
+    """
+    Declare a parameter as a field of a dataclass.
+
+    Parameters
+    ----------
+    default : object
+        The value as in a parameter file.
+    summary, details : str
+        See `Parameter`.
+    **properties
+        Further fields of `Parameter`.
+
+    """
+    declaration = {'default': default, 'summary': summary, 'details': details, **properties}
+    return field(metadata=declaration)

@@ -1,0 +1,201 @@
+"""Declares, reads and checks the parameters of the node with rclpy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+from rclpy.node import Node
+
+from ..errors import ConfigurationError, did_you_mean
+from .parameter_types import Parameter
+from .parameters import (
+    Configuration,
+    LOCKED,
+    LOCKED_POSITION,
+    PARAMETERS,
+    VALUE_OF_URDF,
+)
+
+_QOS = 'qos_overrides'  # prefix of parameters that rclpy declares
+
+
+def declare_parameters(node: Node) -> None:
+    """
+    Declare every parameter, with the values from the command line and parameter files.
+
+    Parameters
+    ----------
+    node : Node
+        The node that gets the parameters.
+
+    Raises
+    ------
+    ConfigurationError
+        Naming every parameter that is unknown or has an invalid value.
+
+    """
+    given = {name: parameter.value for name, parameter in node._parameter_overrides.items()}
+    locked = [name for name in given if name.startswith(f'{LOCKED}.')]
+    values = {name: parameter.default for name, parameter in PARAMETERS.items()}
+    values.update({name: given[name] for name in (*PARAMETERS, *locked) if name in given})
+    problems = _problems(values)
+    if values['allow_unknown_parameters'] is not True:
+        unknown = unknown_parameters(node)
+        problems += unknown
+        if unknown:
+            problems.append(
+                'to ignore unknown parameters, for example in a file that several nodes share, '
+                'set allow_unknown_parameters to true'
+            )
+    if problems:
+        # Checked before anything is declared: rclpy would stop at the first value out of range.
+        raise ConfigurationError(*problems)
+    for name, parameter in PARAMETERS.items():
+        try:
+            node.declare_parameter(name, parameter.default, _descriptor(parameter))
+        except Exception as error:
+            raise ConfigurationError(f"parameter '{name}': {error}") from None
+    # The joints are known only after a robot description has been loaded, so any name is accepted.
+    for name in locked:
+        node.declare_parameter(name, 0.0, _descriptor(LOCKED_POSITION))
+
+
+def values_of(node: Node) -> dict[str, Any]:
+    """Return the values of all parameters, by name."""
+    locked = node.get_parameters_by_prefix(LOCKED)
+    names = [*PARAMETERS, *(f'{LOCKED}.{joint}' for joint in locked)]
+    return {name: node.get_parameter(name).value for name in names}
+
+
+def read_configuration(node: Node) -> Configuration:
+    """
+    Read all parameters.
+
+    Parameters
+    ----------
+    node : Node
+        The node with the declared parameters.
+
+    Returns
+    -------
+    configuration : Configuration
+        The checked values.
+
+    Raises
+    ------
+    ConfigurationError
+        Naming every parameter with an invalid value.
+
+    """
+    return checked_configuration(values_of(node))
+
+
+def checked_configuration(values: dict[str, Any]) -> Configuration:
+    """
+    Check all values together.
+
+    Parameters
+    ----------
+    values : dict
+        Values of all parameters, by name.
+
+    Returns
+    -------
+    configuration : Configuration
+        The checked values.
+
+    Raises
+    ------
+    ConfigurationError
+        Naming every parameter with an invalid value.
+
+    """
+    problems = _problems(values)
+    if problems:
+        raise ConfigurationError(*problems)
+    checked = {name: parameter.check(values[name]) for name, parameter in PARAMETERS.items()}
+    locked = {
+        name.removeprefix(f'{LOCKED}.'): LOCKED_POSITION.check(value)
+        for name, value in values.items()
+        if name not in PARAMETERS
+    }
+    return Configuration(**checked, locked_positions=locked)
+
+
+def unknown_parameters(node: Node) -> list[str]:
+    """
+    Describe each given name that is not a parameter of this node, with the closest name.
+
+    Parameters
+    ----------
+    node : Node
+        A node whose own parameters, those of rclpy, have been declared.
+
+    Returns
+    -------
+    problems : list of str
+        One sentence for each name.
+
+    """
+    known = [*PARAMETERS, *node._parameters, LOCKED]
+    problems = []
+    for name in node._parameter_overrides:
+        head, dot, tail = name.partition('.')
+        if name in known or (dot and head in (LOCKED, _QOS)):
+            continue
+        hint = did_you_mean(name, known) or did_you_mean(head, known)
+        if LOCKED in hint:
+            hint = f"; did you mean '{LOCKED}.{tail or '<joint>'}'?"
+        problems.append(f"unknown parameter '{name}'{hint}")
+    return problems
+
+
+def unused_qos_overrides(node: Node) -> list[str]:
+    """Describe each QoS override that no publisher or subscription of the node has declared."""
+    declared = [name for name in node._parameters if name.startswith(f'{_QOS}.')]
+    return [
+        f"parameter '{name}' matches no publisher or subscription of this node"
+        + did_you_mean(name, declared)
+        for name in node._parameter_overrides
+        if name.startswith(f'{_QOS}.') and name not in declared
+    ]
+
+
+def _descriptor(parameter: Parameter) -> ParameterDescriptor:
+    # Dynamic typing, because rclpy would reject 500 for 500.0. Parameter.check() checks the type
+    # instead, and the range of integers and lists, which rclpy checks for single doubles only.
+    descriptor = ParameterDescriptor(
+        description=parameter.description,
+        additional_constraints=f'expected {parameter.kind.expected}; {parameter.applies}',
+        dynamic_typing=True,
+        read_only=parameter.is_read_only,
+    )
+    if parameter.range:
+        lowest, highest = parameter.range
+        descriptor.floating_point_range = [FloatingPointRange(from_value=lowest, to_value=highest)]
+    return descriptor
+
+
+def _problems(values: dict[str, Any]) -> list[str]:
+    """Describe each invalid value and each invalid combination of values."""
+    checked: dict[str, Any] = {}
+    problems = []
+    for name, value in values.items():
+        try:
+            checked[name] = PARAMETERS.get(name, LOCKED_POSITION).check(value)
+        except ConfigurationError as error:
+            problems.append(f"parameter '{name}' {error}")
+    if checked.get('robot_description') and checked.get('robot_description_file'):
+        problems.append('parameters robot_description and robot_description_file are both set')
+    if 0.0 < checked.get('update_rate', 0.0) < 1.0:
+        problems.append(
+            f"parameter 'update_rate' is {checked['update_rate']:g}, expected 0 or at least 1"
+        )
+    # The range includes -1 for the value in the URDF; other negative numbers are invalid.
+    for name in ('damping', 'coulomb'):
+        numbers = np.atleast_1d(checked.get(name, 0.0))
+        if ((numbers < 0.0) & (numbers != VALUE_OF_URDF)).any():
+            problems.append(f"parameter '{name}' is {values[name]}, expected -1 or numbers from 0")
+    return problems

@@ -1,0 +1,52 @@
+"""The files generated from the declaration of the parameters."""
+
+import re
+import subprocess
+import sys
+
+from inverse_dynamics_node.node.parameter_files import parameter_files, parameter_table
+from inverse_dynamics_node.node.parameters import (
+    LOCKED_POSITION,
+    PARAMETERS,
+)
+import pytest
+from robot_files import ROOT
+
+
+@pytest.mark.parametrize('path', parameter_files(), ids=str)
+def test_the_generated_parts_are_up_to_date(path):
+    assert (ROOT / path).read_text() == parameter_files()[path], 'run `make parameters`'
+
+
+def test_the_generator_lists_the_files_that_change_and_needs_no_ros():
+    code = (
+        "import sys; sys.modules.update(dict.fromkeys(['rclpy', 'rcl_interfaces']));"
+        'from inverse_dynamics_node.node.parameter_files import main; main()'
+    )
+    result = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True)
+    assert (result.returncode, result.stdout, result.stderr) == (0, '', '')
+
+
+def test_cells_of_the_table_are_short():
+    for row in parameter_table().splitlines():
+        for cell in row.strip('|').split('|'):
+            assert len(cell) < 120
+
+
+@pytest.mark.parametrize('name', PARAMETERS)
+def test_every_default_is_valid_and_described(name):
+    parameter = PARAMETERS[name]
+    parameter.check(parameter.default)
+    assert parameter.summary
+    for text in (parameter.summary, parameter.details):
+        assert not text.endswith('.')
+        assert text.count('`') % 2 == 0
+    # Each number is a quantity with a unit, except for factors.
+    assert bool(parameter.unit) == (parameter.kind.is_numeric and name != 'effort_scale')
+
+
+def test_the_unit_follows_the_first_sentence():
+    assert PARAMETERS['kp'].description == 'Position gain of computed_torque [1/s^2]'
+    description = PARAMETERS['effort_limits'].description
+    assert description.startswith('Tighter limits of the efforts [N m, N]. 0: none. A changed')
+    assert re.search(r'reports it \[rad, m\]\. ', LOCKED_POSITION.description)
