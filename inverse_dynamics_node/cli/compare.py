@@ -194,7 +194,7 @@ def _between(recording: Recording, start: float | None, end: float | None) -> Re
 def verdict(findings: Findings) -> str:
     """Say in a line what the comparison comes to."""
     explains = f'{percent(findings.explained)} of the measured effort'
-    in_the_end = percent(findings.explained_in_the_end)
+    in_the_end = percent(findings.explained_corrected)
     if findings.diagnoses:
         what = '; '.join(diagnosis.headline for diagnosis in findings.diagnoses)
         # A sentence begins with a capital, the name of a joint does not.
@@ -231,10 +231,10 @@ def comparison_table(findings: Findings, notes: tuple[str, ...]) -> Table:
             f'{joint.rms_measured:.4g}',
             f'{joint.rms_modelled:.4g}',
             f'{joint.rms_residual:.3g}',
-            'N' if joint.slides else 'N m',
+            'N' if joint.is_prismatic else 'N m',
             percent(joint.explained),
             percent(joint.explained_with_mean),
-            percent(joint.explained_in_the_end),
+            percent(joint.explained_corrected),
             _or_dash(joint.scale, '.3f'),
             _or_dash(joint.offset, '.3g'),
         )
@@ -262,7 +262,7 @@ def friction_table(findings: Findings) -> Table:
     for joint in findings.joints:
         fit = joint.friction
         numbers = ('-', '-', '-')
-        if not fit.cannot_tell:
+        if not fit.unknown_because:
             numbers = (
                 _with_error(fit.damping, fit.damping_error),
                 _with_error(fit.coulomb, fit.coulomb_error),
@@ -274,9 +274,9 @@ def friction_table(findings: Findings) -> Table:
         'N m s/rad and N m, N s/m and N where the joint slides; with standard errors, of chance '
         'only.',
         *(
-            f'{joint.name}: cannot tell, {joint.friction.cannot_tell}.'
+            f'{joint.name}: unknown, {joint.friction.unknown_because}.'
             for joint in findings.joints
-            if joint.friction.cannot_tell
+            if joint.friction.unknown_because
         ),
     )
     columns = ('joint', 'damping', 'Coulomb', 'offset')

@@ -79,7 +79,7 @@ def test_names_currents(recorded, here, capsys):
     write_bag(here / 'run', with_efforts(recorded, lambda tau: np.multiply(tau, FACTORS, tau)))
     assert compare('run', '--no-picture') == 0
     output = capsys.readouterr().out
-    assert output.startswith('The efforts are no torques or forces, but proportional to them. ')
+    assert output.startswith('The efforts are not torques or forces, but proportional to them. ')
     assert '1 warning\n' in output
     assert 'joint_2 0.0' in ' '.join(output.split())
 
@@ -88,7 +88,7 @@ def test_names_a_payload_and_it_is_gone_when_it_is_told(here, capsys):
     write_bag(here / 'run', simulate_with_a_gripper())
     assert compare('run', '--no-picture') == 0
     output = capsys.readouterr().out
-    assert output.startswith("Link 'tool0' carries 1.20 kg that the model does not know. ")
+    assert output.startswith("Link 'tool0' carries 1.20 kg that the model does not have. ")
     assert '1 warning\n' in output
     again = ' '.join(output.split()).split('To see what is left then: ')[1].split()[:4]
     assert again[:3] == ['--link', 'tool0', '--payload']

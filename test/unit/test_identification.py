@@ -56,7 +56,7 @@ def test_a_healthy_recording_is_explained_and_nothing_is_found(name, has_velocit
 def test_any_rate_will_do(name, rate):
     findings = identify(*run(name, rate=rate, has_velocities=False, friction=friction_of(name)))
     assert kinds(findings) == []
-    assert findings.explained_in_the_end > 0.995
+    assert findings.explained_corrected > 0.995
 
 
 @EVERY_ROBOT
@@ -67,10 +67,10 @@ def test_friction_is_found_within_its_errors(name, has_velocities):
     findings = identify(*recording)
     assert kinds(findings) == []
     assert findings.explained < 0.97
-    assert findings.explained_in_the_end > 0.998
+    assert findings.explained_corrected > 0.998
     for joint, d, c in zip(findings.joints, damping, coulomb, strict=True):
         fit = joint.friction
-        assert fit.cannot_tell == ''
+        assert fit.unknown_because == ''
         assert abs(fit.damping - d) < 5.0 * fit.damping_error
         assert abs(fit.coulomb - c) < 5.0 * fit.coulomb_error
         assert fit.damping == pytest.approx(d, rel=0.05)
@@ -105,9 +105,9 @@ def test_a_joint_held_by_friction_does_not_spoil_the_rest():
     efforts[:, 2] = 5.0 * np.sin(times)
     findings = identify(dynamics, Recording(dynamics.robot.joint_names, times, q, qd, efforts))
     held = next(joint for joint in findings.joints if joint.name == 'joint_3')
-    assert 'never faster' in held.friction.cannot_tell
+    assert 'never faster' in held.friction.unknown_because
     assert held.explained < 0.1
-    assert findings.explained_in_the_end > 0.998
+    assert findings.explained_corrected > 0.998
 
 
 def test_friction_that_the_model_has_is_no_friction_less():
@@ -130,7 +130,7 @@ def test_names_the_joint_whose_sign_is_swapped(name):
         findings = identify(dynamics, recording._replace(efforts=efforts))
         assert [(d.kind, d.joints) for d in findings.diagnoses] == [('sign', (joint,))]
         assert findings.diagnoses[0].headline == f'{joint} has its sign swapped'
-        assert findings.explained_in_the_end > 0.998
+        assert findings.explained_corrected > 0.998
 
 
 def test_names_all_signs_at_once():
@@ -155,7 +155,7 @@ def test_names_currents_with_their_factors():
     # Friction is told in N m, not in the unit of the recording.
     assert findings.joints[1].friction.coulomb == pytest.approx(2.0, rel=0.1)
     if 'wrist_roll' not in found:
-        assert 'unit' in findings.joints[-1].friction.cannot_tell
+        assert 'unit' in findings.joints[-1].friction.unknown_because
 
 
 def test_names_another_unit():
@@ -172,7 +172,7 @@ def test_names_gravity_that_the_driver_compensates(name):
     lacking = recording.efforts - dynamics.gravity_efforts(recording.positions)
     findings = identify(dynamics, recording._replace(efforts=lacking))
     assert kinds(findings) == ['gravity_compensated']
-    assert findings.explained_in_the_end > 0.99
+    assert findings.explained_corrected > 0.99
 
 
 @EVERY_ROBOT
@@ -186,7 +186,7 @@ def test_names_a_payload(name, mass, com):
     assert (diagnosis.kind, diagnosis.link) == ('payload', TIP[name])
     assert diagnosis.values[0] == pytest.approx(mass, rel=0.03)
     assert diagnosis.values[1:] == pytest.approx(com, abs=0.01)
-    assert findings.explained_in_the_end > 0.998
+    assert findings.explained_corrected > 0.998
 
 
 def test_a_payload_on_another_link_is_told_of_that_link():
@@ -253,7 +253,7 @@ def test_names_another_order(name):
     findings = identify(dynamics, recording._replace(efforts=efforts))
     (diagnosis,) = findings.diagnoses
     assert (diagnosis.kind, diagnosis.joints) == ('order', recording.joint_names[1:3])
-    assert findings.explained_in_the_end > 0.998
+    assert findings.explained_corrected > 0.998
 
 
 @pytest.mark.parametrize('value', [0.0, 3.5])
@@ -264,7 +264,7 @@ def test_names_a_driver_that_does_not_measure(value):
     findings = identify(dynamics, recording._replace(efforts=efforts))
     (diagnosis,) = findings.diagnoses
     assert (diagnosis.kind, diagnosis.joints) == ('constant', ('shoulder_lift',))
-    assert findings.joints[1].friction.cannot_tell == 'its effort was not measured'
+    assert findings.joints[1].friction.unknown_because == 'its effort was not measured'
     all_zero = identify(dynamics, recording._replace(efforts=np.zeros_like(efforts)))
     assert kinds(all_zero) == ['constant']
     assert math.isnan(all_zero.explained)
@@ -276,7 +276,7 @@ def test_names_what_nothing_explains(rng):
     efforts[:, 3] = 0.1 * np.cumsum(rng.standard_normal(len(efforts)))
     findings = identify(dynamics, recording._replace(efforts=efforts))
     assert [(d.kind, d.joints) for d in findings.diagnoses] == [('unexplained', ('elbow',))]
-    assert findings.joints[3].friction.cannot_tell == 'its effort is not explained'
+    assert findings.joints[3].friction.unknown_because == 'its effort is not explained'
 
 
 def test_names_two_faults_at_once():
@@ -352,7 +352,7 @@ def swinging(positions, velocities, accelerations):
 def test_a_joint_that_rests_tells_nothing_of_friction():
     findings = identify(*swinging(np.ones(5000), np.zeros(5000), np.zeros(5000)))
     fit = findings.joints[0].friction
-    assert 'never faster' in fit.cannot_tell
+    assert 'never faster' in fit.unknown_because
     assert (fit.damping, fit.coulomb) == (0.0, 0.0)
     assert math.isnan(findings.joints[0].explained)
 
@@ -361,14 +361,14 @@ def test_motion_one_way_tells_nothing_of_coulomb_friction():
     t = 0.002 * np.arange(5000)
     findings = identify(*swinging(0.3 * t - 0.05 * np.cos(t), 0.3 + 0.05 * np.sin(t),
                                   0.05 * np.cos(t)))  # fmt: skip
-    assert '0 s back' in findings.joints[0].friction.cannot_tell
+    assert 'back for 0 s' in findings.joints[0].friction.unknown_because
 
 
 def test_one_speed_tells_not_damping_from_coulomb_friction():
     t = 0.002 * np.arange(5000)
     sign = np.where(t % 4.0 < 2.0, 1.0, -1.0)
     findings = identify(*swinging(0.3 * np.abs(t % 4.0 - 2.0), -0.3 * sign, np.zeros(5000)))
-    assert 'look alike' in findings.joints[0].friction.cannot_tell
+    assert 'does not distinguish' in findings.joints[0].friction.unknown_because
 
 
 # ---- Recordings as they are ----------------------------------------------------------------
@@ -383,8 +383,8 @@ def test_jitter_duplicates_and_lost_samples_do_no_harm(rng):
     mangled = only(recording._replace(times=times), keep)
     findings = identify(dynamics, mangled)
     assert kinds(findings) == []
-    assert findings.explained_in_the_end > 0.99
-    assert any('twice' in note for note in findings.motion.notes)
+    assert findings.explained_corrected > 0.99
+    assert any('duplicate' in note for note in findings.motion.notes)
     assert findings.joints[0].friction.damping == pytest.approx(1.0, rel=0.1)
 
 
@@ -542,4 +542,4 @@ def test_parameters_are_yaml_that_ros_takes_as_decimals():
         'coulomb_width': 0.01,
     }
     assert all(isinstance(x, float) for x in parameters['damping'] + parameters['coulomb'])
-    assert 'it"s: cannot tell, it rested' in text
+    assert 'it"s: unknown, it rested' in text

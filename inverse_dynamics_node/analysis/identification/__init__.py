@@ -1,12 +1,13 @@
 """
-A recorded run against the model: how much of the efforts it explains, and what the rest tells.
+Compares a recording with the model, fits friction and diagnoses the differences.
 
-Arrays in, findings out: `identify` derives the motion from what was recorded, fits friction, and
-names what would explain the difference between modelled and measured efforts.
+`identify` derives the motion from the recorded joint states, fits friction, and searches for an
+explanation of the difference between measured and modelled efforts.
 """
 
+from .comparison import identify
 from .diagnoses import Diagnosis
-from .findings import Findings, identify, JointFinding
+from .findings import Findings, JointFinding
 from .friction import friction_parameters, FrictionFit
 from .signals import Motion, Recording
 

@@ -1,8 +1,7 @@
 """
-Friction of one joint, fitted to what the model leaves: damping, Coulomb friction and an offset.
+Fits damping, Coulomb friction and an offset to the efforts of one joint that the model leaves.
 
-Near zero speed dry friction is anything up to its full value, whatever a formula says: samples
-from there are left out.
+Near zero speed dry friction can have any value up to its maximum: such samples are not used.
 """
 
 from __future__ import annotations
@@ -15,46 +14,46 @@ import numpy as np
 
 from ...robot.model import Booleans, Floats
 
-SURELY_MOVING = 3.0  # widths: there tanh has 99.5 % of its end value
-LEAST_MOVING = 1.0  # [s] each way, or Coulomb friction cannot be told from an offset
-SPREAD = 1.5  # largest over smallest speed, or damping cannot be told from Coulomb friction
-BLOCKS = 12  # the recording is cut in so many to see how much the fit depends on which
+SURELY_MOVING = 3.0  # widths; at this speed tanh has 99.5 % of its final value
+LEAST_MOVING = 1.0  # [s] in each direction, to distinguish Coulomb friction from an offset
+SPREAD = 1.5  # largest over smallest speed, to distinguish damping from Coulomb friction
+BLOCKS = 12  # parts of the recording whose differences give the standard errors
 
 
 class FrictionFit(NamedTuple):
     """Friction of one joint: ``damping * qd + coulomb * tanh(qd / width)``, and an offset."""
 
     damping: float
-    """[N m s/rad or N s/m]; 0 where it cannot be told."""
+    """[N m s/rad or N s/m]; 0 if unknown."""
     coulomb: float
-    """[N m or N]; 0 where it cannot be told."""
+    """[N m or N]; 0 if unknown."""
     offset: float
     """[N m or N]."""
     damping_error: float
-    """Standard error of ``damping``, the dependence of neighbouring samples included."""
+    """Standard error of ``damping``, for dependent samples."""
     coulomb_error: float
     offset_error: float
-    cannot_tell: str
-    """Why nothing can be said of this joint's friction; empty if something can."""
+    unknown_because: str
+    """Why the friction of this joint cannot be identified; empty if it was fitted."""
 
     @classmethod
     def unknown(cls, reason: str, offset: float = 0.0) -> FrictionFit:
-        """Return a fit that cannot tell."""
+        """Return a fit without friction, and the reason."""
         return cls(0.0, 0.0, offset, math.nan, math.nan, math.nan, reason)
 
     def efforts(self, qd: Floats, direction: Floats) -> Floats:
-        """Return friction and offset, at speeds and their smoothed directions."""
+        """Return the efforts of friction and offset for velocities and smoothed directions."""
         efforts: Floats = self.damping * qd + self.coulomb * direction + self.offset
         return efforts
 
 
 def is_moving(qd: Floats, width: float) -> Booleans:
-    """Tell where a joint surely slides, by its speeds, so that dry friction has one value."""
+    """Return where a joint moves fast enough for dry friction to have its full value."""
     return np.asarray(np.abs(qd) > SURELY_MOVING * width)
 
 
-def why_not(qd: Floats, period: float, width: float) -> str:
-    """Say what keeps a motion from telling friction; nothing if it does not."""
+def obstacle(qd: Floats, period: float, width: float) -> str:
+    """Return why friction cannot be identified from a motion; empty if it can."""
     fast = SURELY_MOVING * width
     fastest = float(np.max(np.abs(qd)))
     if fastest <= fast:
@@ -62,12 +61,16 @@ def why_not(qd: Floats, period: float, width: float) -> str:
     forth, back = period * (qd > fast).sum(), period * (qd < -fast).sum()
     if min(forth, back) < LEAST_MOVING:
         return (
-            f'it moved {forth:.2g} s forth and {back:.2g} s back, expected {LEAST_MOVING:g} s each'
+            f'it moved forward for {forth:.2g} s and back for {back:.2g} s, expected '
+            f'{LEAST_MOVING:g} s each'
         )
     speeds = np.abs(qd[is_moving(qd, width)])
     slow, quick = np.quantile(speeds, [0.05, 0.95])
     if quick < SPREAD * slow:
-        return f'its speed was {slow:.2g} to {quick:.2g}: damping and Coulomb friction look alike'
+        return (
+            f'its speed was always between {slow:.2g} and {quick:.2g}, which does not distinguish '
+            'damping from Coulomb friction'
+        )
     return ''
 
 
@@ -80,37 +83,37 @@ def fit_friction(
     width: float,
 ) -> FrictionFit:
     """
-    Fit friction and an offset to the efforts that the model leaves.
+    Fit friction and an offset to the efforts that the model does not explain.
 
     Parameters
     ----------
     qd : ndarray, shape (K,)
-        Speeds of the joint [rad/s or m/s].
+        Velocities of the joint [rad/s or m/s].
     direction : ndarray, shape (K,)
-        ``tanh(qd / width)``, smoothed as the measured efforts are.
+        ``tanh(qd / width)``, smoothed in the same way as the measured efforts.
     residual : ndarray, shape (K,)
-        Measured minus modelled effort, friction out of the model [N m or N].
+        Measured minus modelled effort without friction [N m or N].
     period : float
         Time between samples [s].
     window : int
-        Samples that were smoothed over.
+        Number of samples of the smoothing window.
     width : float
         Speed over which Coulomb friction is smoothed [rad/s or m/s].
 
     Returns
     -------
     fit : FrictionFit
-        Neither damping nor Coulomb friction below zero.
+        Neither damping nor Coulomb friction is negative.
 
     """
     from scipy.optimize import nnls
 
-    reason = why_not(qd, period, width)
+    reason = obstacle(qd, period, width)
     if reason:
         return FrictionFit.unknown(reason, float(np.median(residual)))
     moving = is_moving(qd, width)
     features = np.column_stack([qd, direction, np.ones_like(qd)])[moving]
-    # Offsets may be negative: two columns for one number.
+    # Offsets may be negative: two columns for one parameter.
     both = np.column_stack([features, -features[:, 2]])
     scale = np.linalg.norm(both, axis=0)
     samples = np.column_stack([both / scale, residual[moving]])
@@ -123,19 +126,19 @@ def fit_friction(
 
 
 def _standard_errors(
-    features: Floats, left: Floats, moving: Booleans, window: int
+    features: Floats, residual: Floats, moving: Booleans, window: int
 ) -> tuple[float, float, float]:
     """
-    Estimate standard errors from how differently blocks of the recording pull at the fit.
+    Estimate standard errors from the differences between blocks of the recording.
 
-    Smoothed samples are not independent, and neither is what a model lacks: counting samples
-    would promise far too much.
+    Smoothed samples are not independent, and neither are the errors of the model: the formula for
+    independent samples would give far too small errors.
 
     """
     blocks = int(min(BLOCKS, max(2, len(moving) // (2 * window))))
     block = (np.flatnonzero(moving) * blocks) // len(moving)
     bread = np.linalg.pinv(features.T @ features)
-    pulls = np.array([features[block == b].T @ left[block == b] for b in range(blocks)])
+    pulls = np.array([features[block == b].T @ residual[block == b] for b in range(blocks)])
     free = max(blocks - features.shape[1], 1)
     meat = pulls.T @ pulls * blocks / free
     variances = np.maximum(np.diagonal(bread @ meat @ bread), 0.0)
@@ -147,14 +150,14 @@ def friction_parameters(
     joint_names: Sequence[str], fits: Sequence[FrictionFit], width: float
 ) -> str:
     """
-    Write friction as parameters of the node, in YAML.
+    Return friction as parameters of the node, in YAML.
 
     Parameters
     ----------
     joint_names : sequence of str
         The joints, in the order of the lists.
     fits : sequence of FrictionFit
-        One for each; where one cannot tell, the node is to use the friction of the URDF.
+        One per joint; for an unknown friction, the node uses that of the URDF.
     width : float
         Speed over which Coulomb friction is smoothed [rad/s or m/s].
 
@@ -165,12 +168,12 @@ def friction_parameters(
 
     """
     unknown = [
-        f'# {name}: cannot tell, {fit.cannot_tell}; -1.0 is the friction of the URDF.'
+        f'# {name}: unknown, {fit.unknown_because}; -1.0 selects the friction of the URDF.'
         for name, fit in zip(joint_names, fits, strict=True)
-        if fit.cannot_tell
+        if fit.unknown_because
     ]
-    damping = ', '.join(_number(-1.0 if fit.cannot_tell else fit.damping) for fit in fits)
-    coulomb = ', '.join(_number(-1.0 if fit.cannot_tell else fit.coulomb) for fit in fits)
+    damping = ', '.join(_number(-1.0 if fit.unknown_because else fit.damping) for fit in fits)
+    coulomb = ', '.join(_number(-1.0 if fit.unknown_because else fit.coulomb) for fit in fits)
     names = ', '.join("'" + name.replace("'", "''") + "'" for name in joint_names)
     lines = [
         '# Friction, fitted to a recording: damping [N m s/rad, N s/m] and Coulomb friction '
@@ -188,7 +191,7 @@ def friction_parameters(
 
 
 def _number(value: float) -> str:
-    """Write a number with a decimal point, which tells ROS that a list is one of decimals."""
+    """Write a number with a decimal point, so that ROS reads a list of numbers as decimals."""
     text = f'{value:.5g}'
     if 'e' in text:
         mantissa, exponent = text.split('e')

@@ -1,9 +1,9 @@
 """
-Recorded signals made comparable: on common uniform times, smoothed alike, with accelerations.
+Resamples recorded signals at uniform times, smooths them and derives accelerations.
 
-A Savitzky-Golay filter fits a polynomial to a window of samples about each time: its value and its
-derivatives at that time are the smoothed signal and its rates. It delays nothing, and measured
-efforts go through the same window, so that the two sides of a comparison keep in step.
+A Savitzky-Golay filter fits a polynomial to a window of samples around each time; its value and
+its derivatives are the smoothed signal and its rates. It has no delay. Measured efforts are
+smoothed over the same window, so that they remain comparable with the modelled ones.
 """
 
 from __future__ import annotations
@@ -16,38 +16,41 @@ from ...errors import RecordingError
 from ...robot.model import Floats, Integers
 
 WINDOWS = {1: (0.10, 3), 2: (0.15, 5)}
-"""Window [s] and degree of the polynomial, by how often there is to differentiate: at 3 Hz they
-weaken accelerations by 0.2 and 0.5 %; of an encoder's noise of 1e-4 rad at 500 Hz, the second
-makes 0.05 rad/s^2."""
-SLACK = 4  # samples of the window beyond the degree, at least: or nothing would be smoothed
-GAP = 5.0  # periods without a sample: nothing is said of the time in between
-TWICE = 0.25  # periods: what is closer together is one sample that came twice
-JUMP_BACK = 10.0  # periods: stamps that go back by less are sorted
-SLOWEST = 20.0  # [Hz]: below this, accelerations of a robot cannot be told
-TRUSTED = 0.5  # velocities that differ by more of their RMS from the rate of positions are none
-STILL = 1e-3  # [rad/s or m/s]: a joint that is slower proves no velocity wrong
+"""
+Window [s] and degree of the polynomial, by the number of differentiations.
+
+At 3 Hz they attenuate accelerations by 0.2 and 0.5 %. With the second one, encoder noise of 1e-4
+rad at 500 Hz leads to noise of 0.05 rad/s^2.
+"""
+MIN_SLACK = 4  # samples of the window beyond the degree; with fewer, nothing is smoothed
+GAP = 5.0  # periods without a sample; signals are not interpolated across a gap
+DUPLICATE = 0.25  # periods; samples that are closer together are duplicates
+JUMP_BACK = 10.0  # periods; samples whose stamps go back by less are sorted
+MIN_RATE = 20.0  # [Hz]; accelerations cannot be derived from slower recordings
+MAX_DIFFERENCE = 0.5  # fraction of the RMS by which velocities may differ from derived ones
+MIN_SPEED = 1e-3  # [rad/s or m/s]; the velocities of a slower joint are not checked
 
 
 class Recording(NamedTuple):
-    """What was measured of m joints at k times."""
+    """Measured states of m joints at k times."""
 
     joint_names: tuple[str, ...]
     times: Floats
-    """Shape (k,) [s]; as stamped, jitter, gaps and duplicates included."""
+    """Stamps, shape (k,) [s]; may have jitter, gaps and duplicates."""
     positions: Floats
-    """Shape (k, m) [rad or m]; NaN where a joint was not told of."""
+    """Shape (k, m) [rad or m]; NaN if a message lacks the joint."""
     velocities: Floats | None
-    """Shape (k, m) [rad/s or m/s]; NaN where there is none, None where there is none at all."""
+    """Shape (k, m) [rad/s or m/s]; NaN if a message lacks it; None if no velocity was recorded."""
     efforts: Floats
-    """Shape (k, m) [N m or N]; NaN where there is none."""
+    """Shape (k, m) [N m or N]; NaN if a message lacks it."""
 
 
 class Motion(NamedTuple):
-    """The same m joints at K uniform times, gaps apart."""
+    """Smoothed states of m joints at K times, which are uniform except at gaps."""
 
     joint_names: tuple[str, ...]
     times: Floats
-    """Shape (K,) [s], from the first stamp on."""
+    """Shape (K,), since the first stamp [s]."""
     q: Floats
     """Shape (K, m) [rad or m]."""
     qd: Floats
@@ -55,48 +58,48 @@ class Motion(NamedTuple):
     qdd: Floats
     """Shape (K, m) [rad/s^2 or m/s^2]."""
     efforts: Floats
-    """Shape (K, m) [N m or N]; NaN for joints without."""
+    """Shape (K, m) [N m or N]; NaN for joints without measured effort."""
     window: int
-    """Samples that are smoothed over; neighbours within it are not independent."""
+    """Samples of the smoothing window; samples within a window are dependent."""
     degree: int
-    """Of the polynomials that smooth."""
+    """Degree of the smoothing polynomials."""
     method: str
-    """How it was derived, in words."""
+    """Description of the filter."""
     notes: tuple[str, ...]
-    """What was left out or mended, in words."""
+    """Descriptions of ignored or repaired data."""
 
 
 def derive(recording: Recording) -> Motion:
     """
-    Derive velocities and accelerations where they are missing, and smooth everything alike.
+    Smooth all signals, and derive missing velocities and all accelerations.
 
     Parameters
     ----------
     recording : Recording
-        Of m joints.
+        Recording of m joints.
 
     Returns
     -------
     motion : Motion
-        Without the ends that the window spoils, and without the time around gaps.
+        Motion without half a window at the start, at the end and around gaps.
 
     Raises
     ------
     RecordingError
-        If shapes do not fit, a joint has no position, times go back, or too little is left.
+        If shapes differ, a joint has no position, times go back, or the recording is too short.
 
     """
     times = _checked(recording)
     columns = [_Column(recording, times, j) for j in range(len(recording.joint_names))]
     period = max(column.period for column in columns)
-    if 1.0 / period < SLOWEST:
+    if 1.0 / period < MIN_RATE:
         raise RecordingError(
-            f'the recording has {1.0 / period:.3g} samples/s, expected at least {SLOWEST:g}: '
-            'accelerations cannot be told from so few'
+            f'the recording has {1.0 / period:.3g} samples/s, expected at least {MIN_RATE:g}: '
+            'accelerations cannot be derived'
         )
-    orders, mistrusted = _orders(columns, period)
+    orders, inconsistent = _orders(columns, period)
     seconds, degree = WINDOWS[max(orders)]
-    half = max(round(0.5 * seconds / period), (degree + SLACK) // 2)
+    half = max(round(0.5 * seconds / period), (degree + MIN_SLACK) // 2)
     pieces, lost = [], 0.0
     for begin, end in _common_spans(columns):
         count = int((end - begin) / period + 1e-6) + 1
@@ -112,23 +115,23 @@ def derive(recording: Recording) -> Motion:
             f'{duration:.3g} s): too little to differentiate'
         )
     instants, q, qd, qdd, efforts = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
-    notes = _notes(columns, mistrusted, len(pieces), lost)
+    notes = _notes(columns, inconsistent, len(pieces), lost)
     method = _method(orders, period, 2 * half + 1, degree)
     window = 2 * half + 1
     names = recording.joint_names
     return Motion(names, instants - times[0], q, qd, qdd, efforts, window, degree, method, notes)
 
 
-def smooth_alike(motion: Motion, values: Floats) -> Floats:
+def smooth_like_efforts(motion: Motion, values: Floats) -> Floats:
     """
-    Smooth what was computed from a motion as its measured efforts were smoothed.
+    Smooth signals in the same way as the measured efforts of a motion.
 
     Parameters
     ----------
     motion : Motion
-        At K times.
+        Motion at K times.
     values : ndarray, shape (K, c)
-        What turns too quickly to be taken as smooth already: Coulomb friction.
+        Signals that change as fast as Coulomb friction at a reversal.
 
     Returns
     -------
@@ -149,56 +152,56 @@ def smooth_alike(motion: Motion, values: Floats) -> Floats:
 
 
 class _Column:
-    """One joint's samples, in order of time, those that came twice made one."""
+    """Samples of one joint in order of time, without duplicates."""
 
     def __init__(self, recording: Recording, times: Floats, joint: int) -> None:
         self.name = recording.joint_names[joint]
         q, tau = recording.positions[:, joint], recording.efforts[:, joint]
         self.has_effort = bool(np.isfinite(tau).any())
-        there = np.isfinite(q) & (np.isfinite(tau) | (not self.has_effort))
-        if there.sum() < 2:
+        is_complete = np.isfinite(q) & (np.isfinite(tau) | (not self.has_effort))
+        if is_complete.sum() < 2:
             raise RecordingError(
-                f"joint '{self.name}' has {int(there.sum())} samples with a position"
+                f"joint '{self.name}' has {int(is_complete.sum())} samples with a position"
                 + (' and an effort' if self.has_effort else '')
-                + ', expected many'
+                + ', expected at least 2'
             )
-        t = times[there]
+        t = times[is_complete]
         steps = np.diff(t)
         self.period = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else np.inf
         back = np.min(steps)
         if back < -JUMP_BACK * self.period:
             at = float(t[int(np.argmin(steps))] - times[0])
             raise RecordingError(
-                f'time goes back by {-back:.3g} s, {at:.3g} s after the start: are these two '
-                'recordings in one? Choose one with a start and an end'
+                f'time goes back by {-back:.3g} s, {at:.3g} s after the start; if these are two '
+                'recordings in one file, select one of them by its start and end'
             )
         order = np.argsort(t, kind='stable')
         signals = [q, tau]
         if recording.velocities is not None:
             signals.append(recording.velocities[:, joint])
-        values = np.column_stack([t, *(signal[there] for signal in signals)])[order]
-        values, self.merged = _merge(values, TWICE * self.period)
+        values = np.column_stack([t, *(signal[is_complete] for signal in signals)])[order]
+        values, self.merged = _merge(values, DUPLICATE * self.period)
         self.t, self.q, self.tau = values[:, 0], values[:, 1], values[:, 2]
         self.qd: Floats | None = values[:, 3] if values.shape[1] == 4 else None
         if self.qd is not None and not np.isfinite(self.qd).all():
             self.qd = None
 
     def spans(self) -> list[tuple[float, float]]:
-        """Return the times from gap to gap."""
+        """Return begin and end of the intervals without gaps."""
         breaks = np.flatnonzero(np.diff(self.t) > GAP * self.period)
         starts = [0, *(breaks + 1)]
         ends = [*breaks, len(self.t) - 1]
         return [(self.t[a], self.t[b]) for a, b in zip(starts, ends, strict=True)]
 
     def at(self, values: Floats, grid: Floats) -> Floats:
-        """Interpolate to uniform times that no gap is within."""
-        from scipy.interpolate import CubicSpline  # a third of a second, for who needs it only
+        """Interpolate to uniform times between two gaps."""
+        from scipy.interpolate import CubicSpline  # the import takes 0.3 s
 
         a = max(int(np.searchsorted(self.t, grid[0] - 1e-9)) - 1, 0)
         b = int(np.searchsorted(self.t, grid[-1] + 1e-9)) + 1
         inside = slice(a, b)
         t = self.t[inside]
-        # A knot on the far side of a gap would pull at the last samples before it.
+        # A knot beyond a gap would distort the spline near the last samples before it.
         near = (t >= grid[0] - 1e-9) & (t <= grid[-1] + self.period)
         found: Floats = CubicSpline(t[near], values[inside][near])(grid)
         return found
@@ -215,16 +218,16 @@ def _checked(recording: Recording) -> Floats:
         if values is not None and values.shape != shape:
             raise RecordingError(f'{what} have shape {values.shape}, expected {shape}')
     if len(times) < 2:
-        raise RecordingError(f'{len(times)} samples, expected many')
+        raise RecordingError(f'{len(times)} samples, expected at least 2')
     if not np.isfinite(times).all():
         raise RecordingError(f'a time is {times[~np.isfinite(times)][0]}, expected finite times')
     if not np.isfinite(recording.efforts).any():
-        raise RecordingError('no joint has a measured effort: there is nothing to compare')
+        raise RecordingError('no joint has a measured effort')
     return times
 
 
 def _merge(values: Floats, closest: float) -> tuple[Floats, int]:
-    """Make one row of rows whose times, the first column, are nearly the same."""
+    """Average rows with nearly the same time, which is the first column."""
     is_new = np.append(True, np.diff(values[:, 0]) > closest)
     if is_new.all():
         return values, 0
@@ -235,10 +238,10 @@ def _merge(values: Floats, closest: float) -> tuple[Floats, int]:
 
 
 def _orders(columns: list[_Column], period: float) -> tuple[list[int], list[str]]:
-    """Find how often to differentiate each column: once where it has velocities to trust."""
+    """Return how often to differentiate each column: once if its velocities are consistent."""
     from scipy.signal import savgol_filter
 
-    orders, mistrusted = [], []
+    orders, inconsistent = [], []
     for column in columns:
         if column.qd is None:
             orders.append(2)
@@ -252,24 +255,23 @@ def _orders(columns: list[_Column], period: float) -> tuple[list[int], list[str]
             continue
         q = column.at(column.q, grid)
         rate = savgol_filter(q, 2 * half + 1, 3, 1, period)
-        told = savgol_filter(column.at(column.qd, grid), 2 * half + 1, 3)
-        size, difference = _rms(rate), _rms(rate - told)
-        is_wrong = size > STILL and difference > TRUSTED * size
+        recorded = savgol_filter(column.at(column.qd, grid), 2 * half + 1, 3)
+        size, difference = _rms(rate), _rms(rate - recorded)
+        is_wrong = size > MIN_SPEED and difference > MAX_DIFFERENCE * size
         orders.append(2 if is_wrong else 1)
         if is_wrong:
-            mistrusted.append(column.name)
-    return orders, mistrusted
+            inconsistent.append(column.name)
+    return orders, inconsistent
 
 
 def _common_spans(columns: list[_Column]) -> list[tuple[float, float]]:
-    """Return the times that no column has a gap in."""
+    """Return the intervals in which no column has a gap."""
     spans = columns[0].spans()
     for column in columns[1:]:
-        theirs = column.spans()
-        both = [
-            (max(a, c), min(b, d)) for a, b in spans for c, d in theirs if max(a, c) < min(b, d)
+        others = column.spans()
+        spans = [
+            (max(a, c), min(b, d)) for a, b in spans for c, d in others if max(a, c) < min(b, d)
         ]
-        spans = both
     return spans
 
 
@@ -280,7 +282,7 @@ def _smooth(
     period: float,
     window: tuple[int, int],
 ) -> tuple[Floats, ...]:
-    """Smooth every column over a uniform grid, and cut off the ends that have half a window."""
+    """Smooth every column on a uniform grid, and remove half a window from both ends."""
     from scipy.signal import savgol_filter
 
     def smooth(values: Floats, order: int = 0) -> Floats:
@@ -297,8 +299,8 @@ def _smooth(
     qd, qdd = smooth(q, 1), smooth(q, 2)
     for j, (column, order) in enumerate(zip(columns, orders, strict=True)):
         if order == 1 and column.qd is not None:
-            told = column.at(column.qd, grid)
-            qd[:, j], qdd[:, j] = smooth(told), smooth(told, 1)
+            recorded = column.at(column.qd, grid)
+            qd[:, j], qdd[:, j] = smooth(recorded), smooth(recorded, 1)
     tau = smooth(tau)
     tau[:, [not column.has_effort for column in columns]] = np.nan
     inner = slice(window[0] // 2, len(grid) - window[0] // 2)
@@ -311,7 +313,7 @@ def _method(orders: list[int], period: float, window: int, degree: int) -> str:
     elif set(orders) == {2}:
         source = 'the recorded positions, differentiated twice'
     else:
-        source = 'the recorded velocities where there are any to trust, else of positions'
+        source = 'the recorded velocities if they are consistent, else of positions'
     return (
         f'accelerations of {source}: Savitzky-Golay, polynomials of degree {degree} over '
         f'{window} samples ({window * period * 1e3:.0f} ms at {1.0 / period:.4g} Hz); efforts '
@@ -320,21 +322,21 @@ def _method(orders: list[int], period: float, window: int, degree: int) -> str:
 
 
 def _notes(
-    columns: list[_Column], mistrusted: list[str], pieces: int, lost: float
+    columns: list[_Column], inconsistent: list[str], pieces: int, lost: float
 ) -> tuple[str, ...]:
     notes = []
-    if mistrusted:
+    if inconsistent:
         notes.append(
-            f'velocities of {", ".join(mistrusted)} are not the rate of the positions; derived '
-            'from positions instead'
+            f'velocities of {", ".join(inconsistent)} contradict the positions; derived from '
+            'positions instead'
         )
     merged = max(column.merged for column in columns)
     if merged:
-        notes.append(f'{merged} samples came twice (same stamp): averaged')
+        notes.append(f'averaged {merged} duplicate samples with the same stamp')
     if pieces > 1:
-        notes.append(f'{pieces - 1} gaps in the recording: derived on each side by itself')
+        notes.append(f'{pieces - 1} gaps in the recording: each part was derived separately')
     if lost > 0.0:
-        notes.append(f'{lost:.2g} s between gaps are too short to differentiate: left out')
+        notes.append(f'ignored {lost:.2g} s between gaps that are too short to differentiate')
     return tuple(notes)
 
 

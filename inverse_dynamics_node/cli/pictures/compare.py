@@ -64,9 +64,9 @@ def _rows(pyplot: Any, findings: Findings) -> tuple[Any, list[Any]]:
         joint = findings.joints[c]
         lines = _draw_efforts(left, findings, c)
         _draw_left(right, findings, c)
-        left.set_ylabel('[N]' if joint.slides else '[N m]', fontsize=9)
+        left.set_ylabel('[N]' if joint.is_prismatic else '[N m]', fontsize=9)
         left.set_title(names[c], fontsize=9.5, pad=3)
-        shares = f'explained {percent(joint.explained)}, {percent(joint.explained_in_the_end)}'
+        shares = f'explained {percent(joint.explained)}, {percent(joint.explained_corrected)}'
         left.set_title(shares, loc='right', fontsize=8.5, pad=3, color=GREY)
         _fewer_ticks(left, right)
     axes[0, 1].set_title('measured minus modelled', fontsize=9.5, pad=3)
@@ -90,8 +90,8 @@ def _small(pyplot: Any, findings: Findings) -> tuple[Any, list[Any]]:
             continue
         joint = findings.joints[c]
         lines = _draw_efforts(ax, findings, c)
-        ax.set_title(f'{names[c]} [{"N" if joint.slides else "N m"}]', fontsize=8.5, pad=3)
-        share = percent(joint.explained_in_the_end)
+        ax.set_title(f'{names[c]} [{"N" if joint.is_prismatic else "N m"}]', fontsize=8.5, pad=3)
+        share = percent(joint.explained_corrected)
         ax.set_title(share, loc='right', fontsize=8, pad=3, color=GREY)
         _fewer_ticks(ax)
     for ax in axes.flat[count - _ACROSS : count]:
@@ -107,14 +107,14 @@ def _draw_efforts(ax: Any, findings: Findings, c: int) -> list[Any]:
     signals = (
         (findings.measured, {'color': GREY, 'linewidth': 3.2, 'alpha': 0.55}),
         (findings.modelled, {'color': BLUE, 'linewidth': 1.1}),
-        (findings.in_the_end, {'color': ORANGE, 'linewidth': 1.1}),
+        (findings.corrected, {'color': ORANGE, 'linewidth': 1.1}),
     )
     return [ax.plot(*_thinned(times, values[:, c]), **look)[0] for values, look in signals]
 
 
 def _draw_left(ax: Any, findings: Findings, c: int) -> None:
     measured, times = findings.measured[:, c], findings.motion.times
-    for modelled, colour in ((findings.modelled, BLUE), (findings.in_the_end, ORANGE)):
+    for modelled, colour in ((findings.modelled, BLUE), (findings.corrected, ORANGE)):
         left = _thinned(times, measured - modelled[:, c])
         ax.plot(*left, color=colour, linewidth=0.9)
 

@@ -1,0 +1,333 @@
+"""Compares a recorded motion with the model of the robot."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...dynamics.inverse_dynamics import FRICTION_WIDTH, InverseDynamics
+from ...errors import ConfigurationError, RecordingError, unknown_name
+from ...robot.model import Booleans, Floats, RobotModel
+from .diagnoses import describe, diagnose_constant, Diagnosis
+from .evidence import Evidence, Explanation
+from .findings import explained_fraction, Findings, JointFinding
+from .friction import fit_friction, FrictionFit, is_moving, obstacle
+from .joint_samples import CREDIBLE, JointSamples, reduce_samples
+from .loads import payload_regressors, point_mass_parameters, tip_links
+from .signals import derive, Motion, Recording, smooth_like_efforts
+
+SAMPLES_PER_WINDOW = 8  # used by fits; the samples of a smoothing window are dependent
+CONSTANT = 1e-9  # fraction of the largest effort; smaller variations are rounding errors
+
+
+def identify(
+    dynamics: InverseDynamics,
+    recording: Recording,
+    others: ArrayLike | None = None,
+    link: str | None = None,
+    width: float = FRICTION_WIDTH,
+) -> Findings:
+    """
+    Compare a recording with the model.
+
+    Parameters
+    ----------
+    dynamics : InverseDynamics
+        The robot with n joints, and all known loads on it.
+    recording : Recording
+        Recording of any m of its joints, in any order.
+    others : array_like, shape (n,), optional
+        Positions of the joints that were not recorded [rad or m]; default: zero.
+    link : str, optional
+        Link that may carry an unknown load; default: the tips of the tree.
+    width : float
+        Speed over which Coulomb friction is smoothed [rad/s or m/s].
+
+    Returns
+    -------
+    findings : Findings
+
+    Raises
+    ------
+    RecordingError
+        If the robot does not have a recorded joint, or the recording is not usable.
+    ConfigurationError
+        If the link does not exist.
+
+    """
+    robot = dynamics.robot
+    if link is not None and link not in robot.link_names:
+        raise ConfigurationError(unknown_name('link', link, robot.link_names))
+    index = _indices(recording.joint_names, robot)
+    continuous = [j for j, i in enumerate(index) if robot.is_continuous[i]]
+    if continuous:
+        positions = recording.positions.copy()
+        for j in continuous:
+            is_known = np.isfinite(positions[:, j])
+            positions[is_known, j] = np.unwrap(positions[is_known, j])
+        recording = recording._replace(positions=positions)
+    motion = derive(recording)
+    return _Comparison(dynamics, motion, index, others, link, width).findings()
+
+
+def _indices(names: tuple[str, ...], robot: RobotModel) -> list[int]:
+    unknown = [name for name in names if name not in robot.joint_names]
+    if unknown:
+        raise RecordingError(
+            f"the recording has joint '{unknown[0]}', which robot '{robot.name}' does not have; "
+            f'it has {", ".join(robot.joint_names)}'
+        )
+    if len(set(names)) != len(names):
+        raise RecordingError(f'a joint is recorded twice: {", ".join(names)}')
+    return [robot.joint_names.index(name) for name in names]
+
+
+class _Comparison:
+    """The efforts of one motion, measured and modelled; columns are the compared joints."""
+
+    def __init__(
+        self,
+        dynamics: InverseDynamics,
+        motion: Motion,
+        index: list[int],
+        others: ArrayLike | None,
+        link: str | None,
+        width: float,
+    ) -> None:
+        self.dynamics, self.motion, self.width = dynamics, motion, width
+        robot = self.robot = dynamics.robot
+        self.links = (link,) if link is not None else tip_links(robot)
+        K, n = len(motion.times), len(robot.joint_names)
+        q, qd, qdd = np.zeros((3, K, n))
+        if others is not None:
+            q[:] = others
+        q[:, index], qd[:, index], qdd[:, index] = motion.q, motion.qd, motion.qdd
+        self.states = q, qd, qdd
+        self.compared = [j for j in range(len(index)) if np.isfinite(motion.efforts[:, j]).all()]
+        self.index = [index[j] for j in self.compared]
+        self.names = [motion.joint_names[j] for j in self.compared]
+        self.measured = motion.efforts[:, self.compared]
+        self.qd, self.qdd = motion.qd[:, self.compared], motion.qdd[:, self.compared]
+        self.direction = smooth_like_efforts(motion, np.tanh(self.qd / width))
+        self.period = float(np.median(np.diff(motion.times)))
+        self.modelled: Floats = dynamics.efforts(*self.states)[:, self.index]
+        # Friction is fitted again, to efforts without the friction that the dynamics may have.
+        terms = dynamics.effort_terms(*self.states)
+        self.rigid: Floats = self.modelled - terms.friction[:, self.index]
+        self.gravity: Floats = terms.gravity[:, self.index]
+        self.varying = self._varying()
+        self.constant = self._unexpectedly_constant()
+
+    def findings(self) -> Findings:
+        evidence = self._evidence()
+        explanation = evidence.explain() if self.varying else None
+        measured, efforts = self._corrected(explanation)
+        fits = self._friction(measured - efforts, self._obscured(explanation))
+        for c, fit in enumerate(fits):
+            efforts[:, c] += fit.efforts(self.qd[:, c], self.direction[:, c])
+        when = self._when_comparable(fits)
+        return Findings(
+            motion=self.motion,
+            compared=tuple(self.compared),
+            joints=tuple(
+                self._joint_finding(c, fits[c], measured[when[c], c], efforts[when[c], c])
+                for c in range(len(fits))
+            ),
+            measured=self.measured,
+            modelled=self.modelled,
+            corrected=self._as_recorded(efforts, explanation),
+            diagnoses=self._diagnoses(explanation),
+            explained=self._explained(self.measured, self.modelled, self.varying),
+            explained_corrected=self._explained(measured, efforts, self._moving(), when),
+            width=self.width,
+        )
+
+    def _varying(self) -> list[int]:
+        """Return the columns whose measured effort varies by more than rounding errors."""
+        # Compare with all joints: the effort of a joint without load is rounding errors only.
+        largest = max(float(np.max(np.abs(self.measured))), float(np.max(np.abs(self.rigid))))
+        variation = np.ptp(self.measured, axis=0)
+        return [c for c in range(len(self.names)) if variation[c] > CONSTANT * largest]
+
+    def _unexpectedly_constant(self) -> list[int]:
+        """Return the columns whose measured effort is constant, but not the modelled one."""
+        least = 0.01 * float(np.max(np.abs(self.rigid)))
+        constant = sorted(set(range(len(self.names))) - set(self.varying))
+        return [c for c in constant if np.ptp(self.rigid[:, c]) > least]
+
+    def _evidence(self) -> Evidence:
+        step = max(1, self.motion.window // SAMPLES_PER_WINDOW)
+        some = slice(None, None, step)
+        states = (self.states[0][some], self.states[1][some], self.states[2][some])
+        robot, gravity = self.robot, self.dynamics.gravity
+        weight = np.stack(
+            [InverseDynamics(robot, axis).gravity_efforts(states[0]) for axis in np.eye(3)], -1
+        )
+        loads = [payload_regressors(robot, gravity, link, states) for link in self.links]
+        joints: list[JointSamples] = []
+        measured = self.measured[some][:, self.varying]
+        for c in self.varying:
+            i = self.index[c]
+            qd = self.qd[some, c]
+            columns = np.column_stack(
+                [
+                    self.rigid[some, c],
+                    self.gravity[some, c],
+                    weight[:, i],
+                    self.qdd[some, c],
+                    qd,
+                    self.direction[some, c],
+                    np.ones_like(qd),
+                    *(load[:, i] for load in loads),
+                    measured,
+                ]
+            )
+            moves = not obstacle(self.qd[:, c], self.period, self.width)
+            if moves:
+                columns = columns[is_moving(qd, self.width)]
+            joints.append(reduce_samples(columns, moves))
+        sample_count = len(self.motion.times) / self.motion.window
+        bodies = [robot.link_body[robot.link_names.index(link)] for link in self.links]
+        masses = {k: float(robot.mass[b]) for k, b in zip(self.links, bodies, strict=True)}
+        return Evidence(joints, masses, gravity, sample_count)
+
+    def _corrected(self, explanation: Explanation | None) -> tuple[Floats, Floats]:
+        """Return measured efforts without distortions, and modelled ones with the hypothesis."""
+        measured, efforts = self.measured.copy(), self.rigid.copy()
+        if explanation is None:
+            return measured, efforts
+        efforts += self._correction(explanation)
+        for j, (c, fit) in enumerate(zip(self.varying, explanation.fits, strict=True)):
+            source = self.measured[:, self.varying[explanation.source[j]]]
+            measured[:, c] = fit.distortion.sign * source / fit.scale
+            efforts[:, c] += fit.rotor * self.qdd[:, c]
+        return measured, efforts
+
+    def _correction(self, explanation: Explanation) -> Floats:
+        """Return the efforts that the hypothesis adds to the model."""
+        hypothesis = explanation.hypothesis
+        if hypothesis.kind == 'mounting':
+            turned = InverseDynamics(self.robot, hypothesis.solution)
+            return turned.gravity_efforts(self.states[0])[:, self.index] - self.gravity
+        correction: Floats = np.zeros_like(self.rigid)
+        if hypothesis.is_weightless:
+            correction -= self.gravity
+        if hypothesis.kind == 'payload':
+            mass, *com = hypothesis.solution
+            regressors = payload_regressors(
+                self.robot, self.dynamics.gravity, hypothesis.link, self.states
+            )
+            efforts = regressors @ point_mass_parameters(mass, np.array(com))
+            correction += efforts[:, self.index]
+        return correction
+
+    def _as_recorded(self, efforts: Floats, explanation: Explanation | None) -> Floats:
+        """Distort efforts in the way in which the driver distorts them."""
+        recorded: Floats = efforts.copy()
+        if explanation is not None:
+            for j, (c, fit) in enumerate(zip(self.varying, explanation.fits, strict=True)):
+                source = self.varying[explanation.source[j]]
+                recorded[:, source] = fit.distortion.sign * fit.scale * efforts[:, c]
+        return recorded
+
+    def _friction(self, residual: Floats, obscured: dict[int, str]) -> list[FrictionFit]:
+        fits = []
+        for c in range(len(self.names)):
+            fit = fit_friction(
+                self.qd[:, c],
+                self.direction[:, c],
+                residual[:, c],
+                self.period,
+                self.motion.window,
+                self.width,
+            )
+            if c in obscured:
+                fit = FrictionFit.unknown(obscured[c], fit.offset if fit.unknown_because else 0.0)
+            fits.append(fit)
+        return fits
+
+    def _obscured(self, explanation: Explanation | None) -> dict[int, str]:
+        """Return why the friction of some columns is unknown even if they moved enough."""
+        reasons = dict.fromkeys(self.constant, 'its effort was not measured')
+        if explanation is None:
+            return reasons
+        is_scaled = any(fit.distortion.is_scaled for fit in explanation.fits)
+        for c, fit in zip(self.varying, explanation.fits, strict=True):
+            if fit.moves and fit.remaining > CREDIBLE:
+                reasons[c] = 'its effort is not explained'
+            elif is_scaled and fit.is_friction_only:
+                reasons[c] = 'the unit of its effort is unknown'
+        return reasons
+
+    def _when_comparable(self, fits: list[FrictionFit]) -> list[Booleans]:
+        """Select the samples of every column at which fitted friction is valid."""
+        every = np.ones(len(self.qd), dtype=bool)
+        return [
+            every if fit.unknown_because else is_moving(self.qd[:, c], self.width)
+            for c, fit in enumerate(fits)
+        ]
+
+    def _moving(self) -> list[int]:
+        """Leave out joints that friction may have held all the time, unless it may hold all."""
+        moving = [c for c in self.varying if not obstacle(self.qd[:, c], self.period, self.width)]
+        return moving or self.varying
+
+    def _joint_finding(
+        self, c: int, friction: FrictionFit, corrected_measured: Floats, corrected: Floats
+    ) -> JointFinding:
+        measured, modelled = self.measured[:, c], self.modelled[:, c]
+        residual = measured - modelled
+        is_varying = c in self.varying
+        has_line = is_varying and np.ptp(modelled) > CONSTANT * np.max(np.abs(modelled))
+        scale, offset = np.polyfit(modelled, measured, 1) if has_line else (math.nan, math.nan)
+        squares = float(np.mean(measured**2))
+        return JointFinding(
+            name=self.names[c],
+            is_prismatic=self._is_prismatic([c])[0],
+            rms_measured=math.sqrt(squares),
+            rms_modelled=float(np.sqrt(np.mean(modelled**2))),
+            rms_residual=float(np.sqrt(np.mean(residual**2))),
+            explained=explained_fraction(measured, modelled) if is_varying else math.nan,
+            explained_with_mean=1.0 - float(np.mean(residual**2)) / squares
+            if squares
+            else math.nan,
+            scale=float(scale),
+            offset=float(offset),
+            friction=friction,
+            explained_corrected=explained_fraction(corrected_measured, corrected)
+            if is_varying
+            else math.nan,
+        )
+
+    def _diagnoses(self, explanation: Explanation | None) -> tuple[Diagnosis, ...]:
+        constant = {self.names[c]: float(self.measured[0, c]) for c in self.constant}
+        names = [self.names[c] for c in self.varying]
+        return (
+            *diagnose_constant(constant),
+            *describe(explanation, names, self._is_prismatic(self.varying), self.dynamics.gravity),
+        )
+
+    def _is_prismatic(self, columns: list[int]) -> list[bool]:
+        robot = self.robot
+        return [
+            bool(robot.is_prismatic[robot.body_names.index(self.names[c], 1)]) for c in columns
+        ]
+
+    def _explained(
+        self,
+        measured: Floats,
+        modelled: Floats,
+        columns: list[int],
+        when: list[Booleans] | None = None,
+    ) -> float:
+        """Return the explained fraction: the mean of that of revolute and of prismatic joints."""
+        every = np.ones(len(measured), dtype=bool)
+        variance, remaining = {False: 0.0, True: 0.0}, {False: 0.0, True: 0.0}
+        for c, is_prismatic in zip(columns, self._is_prismatic(columns), strict=True):
+            chosen = every if when is None else when[c]
+            variance[is_prismatic] += float(np.var(measured[chosen, c]))
+            remaining[is_prismatic] += float(np.var(measured[chosen, c] - modelled[chosen, c]))
+        fractions = [1.0 - remaining[kind] / variance[kind] for kind in variance if variance[kind]]
+        return float(np.mean(fractions)) if fractions else math.nan

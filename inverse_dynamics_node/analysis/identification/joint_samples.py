@@ -1,0 +1,208 @@
+"""
+Samples of one joint, reduced so that any combination of columns can be fitted quickly.
+
+A *distortion* is the way in which the recorded effort of a joint differs from its actual effort,
+such as a swapped sign.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import product
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ...robot.model import Floats
+
+PARAMETER_COST = math.log(2.0)
+"""A parameter must halve the remaining squares to be accepted."""
+FLOOR = 0.03  # fraction of a joint's RMS effort; models are not more accurate than this
+SAME_SCALE = (0.8, 1.25)  # scales in this range are model errors, not another unit
+CREDIBLE = 0.3  # fraction of the squares; if more remains, the effort is not explained
+FRICTION_ONLY = 0.01  # fraction of the squares; an effort of friction alone shows no unit
+MIN_OFFSET = 0.05  # fraction of a joint's RMS effort
+
+# Columns of the samples of a joint; those of loads and of all measured efforts follow.
+MODEL, GRAVITY, WEIGHT, ACCELERATION, SPEED, DIRECTION, ONE, LOADS = 0, 1, 2, 5, 6, 7, 8, 9
+"""
+Efforts of the model, of gravity, and of 1 m/s^2 of gravity along x, y and z; acceleration,
+velocity and direction of the joint; ones; efforts of loads.
+"""
+
+
+class Distortion(NamedTuple):
+    """How the measured effort of one joint differs from its actual effort."""
+
+    is_swapped: bool = False
+    is_scaled: bool = False
+    has_rotor: bool = False
+    """Whether an inertia that the model lacks acts on this joint only."""
+    has_offset: bool = False
+
+    @property
+    def parameters(self) -> int:
+        """Number of parameters; a scale has the weight of two, because it is rarely wrong."""
+        return sum(self) + self.is_scaled
+
+    @property
+    def sign(self) -> int:
+        """Sign of the measured effort."""
+        return -1 if self.is_swapped else 1
+
+
+UNDISTORTED = Distortion()
+DISTORTIONS = tuple(Distortion(*flags) for flags in product((False, True), repeat=4))
+
+
+class Fit(NamedTuple):
+    """A distortion fitted to the effort of one joint."""
+
+    distortion: Distortion
+    cost: float
+    remaining: float
+    """Fraction of the squares of the measured effort that is not explained."""
+    moves: bool = True
+    """Whether the joint moved enough to identify its friction."""
+    is_friction_only: bool = False
+    """Whether friction alone explains as much, so that sign and unit cannot be identified."""
+    scale: float = 1.0
+    rotor: float = 0.0
+    """Inertia [kg m^2 or kg]."""
+    offset: float = 0.0
+    """Effort in the unit of the model [N m or N]."""
+
+
+@dataclass
+class JointSamples:
+    """The samples of one joint, reduced to the scalar products of all columns."""
+
+    triangle: Floats
+    """Triangular factor of the samples, of shape (p, p) for p columns."""
+    moves: bool
+    """Whether friction and offsets can be identified."""
+    squares: Floats = field(init=False)
+    """Mean square of each column."""
+
+    def __post_init__(self) -> None:
+        self.squares = np.sum(self.triangle**2, axis=0)
+
+    def fit(self, weights: Floats, measured: int, distortion: Distortion) -> Fit:
+        """
+        Fit a distortion to a measured effort.
+
+        Parameters
+        ----------
+        weights : ndarray
+            Factors of the first columns: the hypothesis.
+        measured : int
+            Column of the measured effort.
+        distortion : Distortion
+            The parameters to fit.
+
+        Returns
+        -------
+        fit : Fit
+
+        """
+        from scipy.optimize import nnls
+
+        R = self.triangle
+        model = R[:, : len(weights)] @ weights
+        target = distortion.sign * R[:, measured]
+        columns = [R[:, [SPEED, DIRECTION]]] if self.moves else []
+        columns += [R[:, [ACCELERATION]]] if distortion.has_rotor else []
+        columns += [R[:, [ONE]], -R[:, [ONE]]] if distortion.has_offset else []
+        if distortion.is_scaled:
+            columns += [model[:, None]]
+        else:
+            target = target - model
+        solution = np.zeros(0)
+        if columns:
+            features = np.hstack(columns)
+            lengths = np.linalg.norm(features, axis=0)
+            lengths[lengths == 0.0] = 1.0
+            solution = nnls(features / lengths, target)[0] / lengths
+            target = target - features @ solution
+        remaining = float(np.sum(target**2) / self.squares[measured])
+        cost = math.log(remaining + FLOOR**2) + PARAMETER_COST * distortion.parameters
+        values: list[float] = solution[2 if self.moves else 0 :].tolist()
+        rotor = values.pop(0) if distortion.has_rotor else 0.0
+        offset = values.pop(0) - values.pop(0) if distortion.has_offset else 0.0
+        scale = values.pop(0) if distortion.is_scaled else 1.0
+        per_scale = scale or 1.0
+        return Fit(
+            distortion,
+            cost,
+            remaining,
+            self.moves,
+            scale=scale,
+            rotor=rotor / per_scale,
+            offset=offset / per_scale,
+        )
+
+    def best_fit(self, weights: Floats, measured: int) -> Fit:
+        """Fit the best credible distortion to a measured effort, none if no other is credible."""
+        rms = math.sqrt(self.squares[measured])
+        best = self.fit(weights, measured, UNDISTORTED)
+        for distortion in DISTORTIONS[1:]:
+            if not self.moves and (distortion.has_rotor or distortion.has_offset):
+                continue
+            fit = self.fit(weights, measured, distortion)
+            is_small = abs(fit.offset * fit.scale) < MIN_OFFSET * rms
+            is_credible = (
+                fit.cost < best.cost
+                and fit.remaining < CREDIBLE
+                and not self._is_arbitrary(measured, fit)
+                and not (distortion.is_scaled and SAME_SCALE[0] < fit.scale < SAME_SCALE[1])
+                and not (distortion.has_offset and is_small)
+            )
+            best = fit if is_credible else best
+        is_friction_only = not best.distortion.is_scaled and self._needs_no_model(
+            measured, best.distortion, best.remaining, FRICTION_ONLY
+        )
+        return best._replace(is_friction_only=is_friction_only)
+
+    def _is_arbitrary(self, measured: int, fit: Fit) -> bool:
+        """Return whether friction alone explains as much, so that sign and scale are arbitrary."""
+        distortion = fit.distortion
+        # Friction that accelerates the joint shows a swapped sign, even without the model.
+        if distortion.is_swapped and self._needs_no_model(
+            measured, distortion._replace(is_swapped=False, is_scaled=False), fit.remaining
+        ):
+            return True
+        return distortion.is_scaled and self._needs_no_model(
+            measured, distortion._replace(is_scaled=False), fit.remaining
+        )
+
+    def _needs_no_model(
+        self,
+        measured: int,
+        distortion: Distortion,
+        remaining: float,
+        tolerance: float = FLOOR**2,
+    ) -> bool:
+        """Return whether hardly more remains without the model."""
+        without = self.fit(np.zeros(1), measured, distortion).remaining
+        return without <= 2.0 * remaining + tolerance
+
+
+def reduce_samples(columns: Floats, moves: bool) -> JointSamples:
+    """
+    Reduce samples to their triangular factor.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (K, p)
+        One row per sample.
+    moves : bool
+        Whether the joint moved enough to identify its friction.
+
+    Returns
+    -------
+    samples : JointSamples
+
+    """
+    triangle: Floats = np.asarray(np.linalg.qr(columns, mode='r'))
+    return JointSamples(triangle / math.sqrt(len(columns)), moves)
