@@ -50,6 +50,7 @@ from .equations import (
     point_acceleration,
     sliding_acceleration,
     to_link,
+    to_parent,
     Vector,
 )
 from .jit import (
@@ -60,21 +61,19 @@ from .jit import (
     simd_step,
 )
 from .newton_euler import NOT_FINITE, OK, own_wrench
+from .trigonometry import cosine_and_sine, LARGEST_ANGLE
 
 LANES = 64 if IS_COMPILED else 1
 BLOCK = LANES if IS_COMPILED else 2048  # states in a block
 FEWEST = 64  # states from which on blocks are faster than one state after the other
 CACHE_LINE = 8  # numbers in a line of the processor's cache
 LEAST_PIECE = 1024  # states from which on another thread saves time
-LARGEST_ANGLE = 1e5  # limit of `cosine_and_sine` [rad]
-ROUNDER = 1.5 * 2.0**52  # adding and subtracting it rounds to a whole number
 
-_SIGNATURE = f'({"f8[:,:], " * 5}f8[:,::1], UniTuple(f8[:,::1], 8))'
+_NO_ROTATIONS = np.empty((0, 9))
+_SIGNATURE = f'({"f8[:,:], " * 5}f8[:,::1], f8[:,::1], UniTuple(f8[:,::1], 8))'
 
 
-def inverse_dynamics_many(
-    states: Sequence[Floats], robot: Floats, threads: int = 1, wrenches: Floats | None = None
-) -> int:
+def inverse_dynamics_many(states: Sequence[Floats], robot: Floats, threads: int = 1) -> int:
     """
     Compute the joint efforts of many states; see `newton_euler.inverse_dynamics`.
 
@@ -86,8 +85,6 @@ def inverse_dynamics_many(
         Table from `robot_table`; read only.
     threads : int
         Maximum number of threads. The results do not depend on it.
-    wrenches : ndarray, shape (N, b, 6), optional
-        Receives the force and moment on every body, as `newton_euler.joint_wrenches` does.
 
     Returns
     -------
@@ -95,20 +92,42 @@ def inverse_dynamics_many(
         `OK` or `NOT_FINITE`.
 
     """
-    compile_for(_blocks, _SIGNATURE)
-    N, b = len(states[0]), len(robot)
-    flat = np.empty((N, 0)) if wrenches is None else wrenches.reshape(N, 6 * b)
-    states = (*states, flat)
+    N = len(states[0])
+    states = (*states, np.empty((N, 0)))
     pieces = min(4 * threads, N // LEAST_PIECE)
     others = min(threads, pieces) - 1
     if others < 1:
-        return _piece(states, robot)
+        return _piece(states, _NO_ROTATIONS, robot)
     bounds = [N * k // pieces for k in range(pieces + 1)]
     work = deque([v[first:last] for v in states] for first, last in pairwise(bounds))
     shares = [_pool(others).submit(_share, work, robot) for _ in range(others)]
     status = _share(work, robot)
     # A thread that has not started by now has nothing left to do.
     return max(status, *(OK if share.cancel() else share.result() for share in shares))
+
+
+def joint_wrenches_many(
+    states: Sequence[Floats], wrenches: Floats, R_LZ: Floats, robot: Floats
+) -> int:
+    """
+    Compute the force and moment on every body; see `newton_euler.joint_wrenches`.
+
+    Parameters
+    ----------
+    states, robot
+        As for `inverse_dynamics_many`.
+    wrenches : ndarray, shape (N, b, 6)
+        Receives force and moment.
+    R_LZ : ndarray, shape (b, 9)
+        Rotations into the frames of the wrenches, from the frames of the table.
+
+    Returns
+    -------
+    status : int
+        `OK` or `NOT_FINITE`.
+
+    """
+    return _piece((*states, wrenches.reshape(len(wrenches), -1)), R_LZ, robot)
 
 
 @cache
@@ -125,28 +144,36 @@ def _share(work: deque[list[Floats]], robot: Floats) -> int:
             states = work.popleft()
         except IndexError:
             return status
-        status = max(status, _piece(states, robot))
+        status = max(status, _piece(states, _NO_ROTATIONS, robot))
 
 
-def _piece(states: Sequence[Floats], robot: Floats) -> int:
+def _piece(states: Sequence[Floats], R_LZ: Floats, robot: Floats) -> int:
     """Compute one piece in newly allocated rows."""
+    compile_for(_blocks, _SIGNATURE)
     q, qd, qdd, tau, wrenches = (values.T for values in states)
     n, b = len(q), len(robot)
     shapes = ((b, 3), (b, 9), (b, 6), (n, 1), (n, 1), (n, 1), (n, 1), (1, 1))
     kind = np.float64 if IS_COMPILED else np.object_
     rows = tuple([np.empty((i, j * LANES), kind) for i, j in shapes])
     if IS_COMPILED:
-        return int(_blocks(q, qd, qdd, tau, wrenches, robot, rows))
+        return int(_blocks(q, qd, qdd, tau, wrenches, R_LZ, robot, rows))
     q, qd, qdd = (np.ascontiguousarray(values)[:, None] for values in (q, qd, qdd))
     with np.errstate(over='ignore', invalid='ignore'):
-        return int(_blocks(q, qd, qdd, tau[:, None], wrenches[:, None], robot, rows))
+        return int(_blocks(q, qd, qdd, tau[:, None], wrenches[:, None], R_LZ, robot, rows))
 
 
 @simd_kernel
 def _blocks(
-    all_q: Any, all_qd: Any, all_qdd: Any, all_tau: Any, all_wrenches: Any, robot: Any, rows: Any
+    all_q: Any,
+    all_qd: Any,
+    all_qdd: Any,
+    all_tau: Any,
+    all_wrenches: Any,
+    R_LZ: Any,
+    robot: Any,
+    rows: Any,
 ) -> int:
-    """Compute block after block; the states are columns here."""
+    """Compute block after block; the states are columns here. Wrenches only if R_LZ has rows."""
     place, motion, wrench, q, qd, qdd, tau, residue = rows
     size = min(BLOCK, all_q.shape[-1])
     last = all_q.shape[-1] - size
@@ -160,12 +187,13 @@ def _blocks(
         transpose(all_qd[..., block], qd)
         transpose(all_qdd[..., block], qdd)
         outward_pass(q, qd, qdd, robot, place, motion, wrench)
-        if len(all_wrenches) > 0:
+        if len(R_LZ) > 0:
             own_wrenches(robot, 0, motion, wrench)
-        inward_pass(tau, robot, place, wrench, len(all_wrenches) > 0)
+        inward_pass(tau, robot, place, wrench, len(R_LZ) > 0)
         finish(qd, qdd, tau, robot, residue)
         transpose(tau, all_tau[..., block])
-        if len(all_wrenches) > 0:
+        if len(R_LZ) > 0:
+            rotate_wrenches(R_LZ, wrench)
             transpose_wrenches(wrench, all_wrenches[..., block])
     for k in range(LANES):
         if holds_nan(residue[0, k]):
@@ -191,12 +219,24 @@ def transpose(source: Any, target: Any) -> None:
 
 
 @simd_step
-def transpose_wrenches(wrench: Any, target: Any) -> None:
-    """Copy forces and moments, state by state."""
+def rotate_wrenches(R_LZ: Any, wrench: Any) -> None:
+    """Rotate force and moment on every body."""
     for i in range(len(wrench)):
-        for j in range(6):
-            for k in range(LANES):
-                target[6 * i + j, k] = wrench[i, j * LANES + k]
+        R = rotation(R_LZ[i])
+        for k in range(LANES):
+            force, moment = lane(wrench, i, 0, k), lane(wrench, i, 3, k)
+            store_lane(wrench, i, 0, k, to_parent(R, 1.0, 0.0, force))
+            store_lane(wrench, i, 3, k, to_parent(R, 1.0, 0.0, moment))
+
+
+@simd_step
+def transpose_wrenches(wrench: Any, target: Any) -> None:
+    """Copy forces and moments; see `transpose`."""
+    for first in range(0, LANES, CACHE_LINE):
+        for i in range(len(wrench)):
+            for j in range(6):
+                for k in range(first, min(first + CACHE_LINE, LANES)):
+                    target[6 * i + j, k] = wrench[i, j * LANES + k]
 
 
 @simd_step
@@ -342,41 +382,6 @@ def holds_nan(residue: Any) -> bool:
     if IS_COMPILED:
         return bool(residue != 0.0)
     return bool(np.any(residue != 0.0))
-
-
-@simd_inline
-def cosine_and_sine(x: Any) -> tuple[Any, Any]:
-    """
-    Compute both to 2 units in the last place, without a branch.
-
-    The angle minus a whole number of quarter turns is at most pi/4. In that range the polynomials,
-    minimax by Remez' algorithm, have an error of 4e-18 before rounding.
-
-    """
-    if not IS_COMPILED:
-        return np.cos(x), np.sin(x)
-    quarters = (x * 0.6366197723675814 + ROUNDER) - ROUNDER
-    # pi/2 in three parts of 33, 33 and 53 bits, so that the first two products are exact.
-    near = x - quarters * 1.5707963267341256
-    second = quarters * 6.077100506303966e-11
-    r = near - second
-    rounded = (near - r) - second
-    r = r + (rounded - quarters * 2.0222662487959506e-21)
-    z = r * r
-    s = -2.505074748976053e-08 + z * 1.5896213905538575e-10
-    s = -0.00019841269829584776 + z * (2.7557313619688146e-06 + z * s)
-    s = -0.1666666666666663 + z * (0.008333333333322113 + z * s)
-    s = r + r * z * s
-    c = 2.0875723479154387e-09 - z * 1.1359658852901971e-11
-    c = 2.4801587289487012e-05 + z * (-2.7557314353789556e-07 + z * c)
-    c = 0.0416666666666666 + z * (-0.0013888888888874131 + z * c)
-    c = 1.0 - (0.5 * z - z * z * c)
-    # The quarter is -2 to 2, where -2 and 2 are the same.
-    quarter = quarters - 4.0 * ((quarters * 0.25 + ROUNDER) - ROUNDER)
-    odd, opposite = abs(quarter) == 1.0, abs(quarter) == 2.0
-    cosine, sine = (s, c) if odd else (c, s)
-    cosine = -cosine if opposite or quarter == 1.0 else cosine
-    return cosine, -sine if opposite or quarter == -1.0 else sine
 
 
 # Vectors in rows of lanes

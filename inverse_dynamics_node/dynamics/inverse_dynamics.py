@@ -112,7 +112,9 @@ class InverseDynamics:
         self.loaded = LoadedRobot(robot)
         """The robot with its loads, as the passes read it; to be modified by the setters only."""
         self._table = self.loaded.table
-        self._R_LZ = np.ascontiguousarray(self.loaded.R_ZL.transpose(0, 2, 1))
+        self._tau = np.empty_like(self._zeros)
+        R_LZ = self.loaded.R_ZL.transpose(0, 2, 1)
+        self._R_LZ = np.ascontiguousarray(R_LZ).reshape(len(R_LZ), 9)
         self.set_gravity(gravity)
 
     @property
@@ -369,7 +371,7 @@ class InverseDynamics:
             If the shape does not fit the robot, or a value is not finite.
 
         """
-        if not self.loaded.base_motion[:2].any():
+        if not self.loaded.is_rotating:
             try:
                 if q.ndim == 1:  # type: ignore[union-attr]
                     tau = np.empty_like(self._zeros) if out is None else out
@@ -402,17 +404,12 @@ class InverseDynamics:
             If a shape does not fit the robot, or a value is not finite.
 
         """
-        moving = self.loaded.without(
-            columns.BASE_ACCELERATION_COLUMNS,
-            columns.EXTERNAL_COLUMNS,
-            columns.JOINT_TERM_COLUMNS,
-            columns.HAS_JOINT_TERMS,
-        )
-        if not self.loaded.base_motion[0].any():
-            return self._efforts_in(moving, q, qd, self._zeros, out)
+        table = self.loaded.only('velocity')
+        if not self.loaded.is_rotating:
+            return self._efforts_in(table, q, qd, self._zeros, out)
         # Computed first, because `out` may be q.
-        resting = self._efforts_in(moving, q, self._zeros, self._zeros)
-        tau = self._efforts_in(moving, q, qd, self._zeros, out)
+        resting = self._efforts_in(table, q, self._zeros, self._zeros)
+        tau = self._efforts_in(table, q, qd, self._zeros, out)
         tau -= resting
         return tau
 
@@ -494,24 +491,18 @@ class InverseDynamics:
             If a shape does not fit the robot, or a value is not finite.
 
         """
-        _, shape = broadcast(len(self._zeros), q=q, qd=qd, qdd=qdd)
+        rows, shape = broadcast(len(self._zeros), q=q, qd=qd, qdd=qdd)
+        q, qd, qdd = (row.reshape(shape) for row in rows)
         if out is not None:
             check_out(out, (5, *shape))
         terms = EffortTerms(*(np.empty((5, *shape)) if out is None else out))
         zeros = self._zeros if shape == self._zeros.shape else np.zeros(shape)
-        loaded = self.loaded
-        no_bodies = (columns.MASS, columns.INERTIA_COLUMNS, columns.BASE_MOTION_COLUMNS)
-        inertia = loaded.without(
-            columns.BASE_MOTION_COLUMNS, columns.EXTERNAL_COLUMNS, columns.DAMPING, columns.COULOMB
-        )
-        weight = loaded.without(columns.EXTERNAL_COLUMNS, columns.JOINT_TERM_COLUMNS)
-        friction = loaded.without(*no_bodies, columns.EXTERNAL_COLUMNS, columns.ARMATURE)
-        external = loaded.without(*no_bodies, columns.JOINT_TERM_COLUMNS)
-        self._efforts_in(inertia, q, zeros, qdd, terms.inertial)
-        terms.velocity[...] = self.coriolis_efforts(q, np.broadcast_to(qd, shape))
-        self._efforts_in(weight, q, zeros, zeros, terms.gravity)
-        self._efforts_in(friction, q, qd, zeros, terms.friction)
-        self._efforts_in(external, q, zeros, zeros, terms.external)
+        only = self.loaded.only
+        self._efforts_in(only('inertial'), q, zeros, qdd, terms.inertial)
+        self.coriolis_efforts(q, qd, terms.velocity)
+        self._efforts_in(only('gravity'), q, zeros, zeros, terms.gravity)
+        self._efforts_in(only('friction'), q, qd, zeros, terms.friction)
+        self._efforts_in(only('external'), q, zeros, zeros, terms.external)
         return terms
 
     def joint_wrenches(
@@ -544,23 +535,30 @@ class InverseDynamics:
         inside the joint.
 
         """
-        rows, shape = broadcast(len(self._zeros), q=q, qd=qd, qdd=qdd)
-        b = len(self.robot.parent)
+        n, b = len(self._zeros), len(self.robot.parent)
+        try:
+            if q.ndim == 1:  # type: ignore[union-attr]
+                wrenches = np.empty((b, 6)) if out is None else out
+                if wrenches.shape == (b, 6) and len(q) == len(qd) == len(qdd) == n:  # type: ignore[arg-type]
+                    arguments = (q, qd, qdd, self._tau, self._R_LZ, wrenches, self._table)
+                    if self._joint_wrenches(*arguments):
+                        raise explain(self.robot.joint_names, q=q, qd=qd, qdd=qdd)
+                    return JointWrenches(wrenches[:, :3], wrenches[:, 3:])
+        except (AttributeError, TypeError, ValueError):
+            pass
+        rows, shape = broadcast(n, q=q, qd=qd, qdd=qdd)
         shape = (*shape[:-1], b, 6)
         if out is not None:
             check_out(out, shape)
         wrenches = np.empty(shape) if out is None or not is_free(out, rows) else out
         flat = wrenches.reshape(-1, b, 6)
-        if self._zeros.size and len(flat) >= batch.FEWEST:
+        status = OK
+        if n and len(flat) >= batch.FEWEST:
             states = (*rows, np.empty_like(rows[0]))
-            status = batch.inverse_dynamics_many(states, self.loaded.numbers, wrenches=flat)
-            in_link = flat.reshape(-1, b, 2, 3)
-            in_link[...] = np.einsum('bij,kbwj->kbwi', self._R_LZ, in_link)
+            status = batch.joint_wrenches_many(states, flat, self._R_LZ, self.loaded.numbers)
         else:
-            tau, R_LZ = np.empty_like(self._zeros), self._R_LZ.reshape(b, 9)
-            status = OK
             for *state, wrench in zip(*rows, flat, strict=True):
-                found = self._joint_wrenches(*state, tau, R_LZ, wrench, self._table)
+                found = self._joint_wrenches(*state, self._tau, self._R_LZ, wrench, self._table)
                 status = max(status, found)
         if status != OK:
             raise explain(self.robot.joint_names, q=q, qd=qd, qdd=qdd)

@@ -12,6 +12,26 @@ from ..robot.model import Floats, join_bodies, RobotModel
 from . import columns
 from .jit import IS_COMPILED
 
+_NO_BODIES = (columns.MASS, columns.INERTIA_COLUMNS, columns.BASE_MOTION_COLUMNS)
+TERMS: dict[str, tuple[int | slice, ...]] = {
+    'inertial': (
+        columns.BASE_MOTION_COLUMNS,
+        columns.EXTERNAL_COLUMNS,
+        columns.DAMPING,
+        columns.COULOMB,
+    ),
+    'velocity': (
+        columns.BASE_ACCELERATION_COLUMNS,
+        columns.EXTERNAL_COLUMNS,
+        columns.JOINT_TERM_COLUMNS,
+        columns.HAS_JOINT_TERMS,
+    ),
+    'gravity': (columns.EXTERNAL_COLUMNS, columns.JOINT_TERM_COLUMNS, columns.HAS_JOINT_TERMS),
+    'friction': (*_NO_BODIES, columns.EXTERNAL_COLUMNS, columns.ARMATURE),
+    'external': (*_NO_BODIES, columns.JOINT_TERM_COLUMNS, columns.HAS_JOINT_TERMS),
+}
+"""Terms of the efforts, and the columns that are zero in the table that computes each of them."""
+
 
 class LoadedRobot:
     """
@@ -37,10 +57,12 @@ class LoadedRobot:
         self.R_ZL = columns.rotations_to_z(robot)
         self.base_motion: Floats = np.zeros((3, 3))
         """Angular velocity, angular acceleration and linear acceleration, by rows."""
+        self.is_rotating = False
+        """Whether the base has an angular velocity or acceleration."""
         self.gravity: Floats = np.zeros(3)
         self._payloads: dict[str, tuple[float, Floats, Floats]] = {}
         self._wrenches: dict[str, tuple[Floats, Floats]] = {}
-        self._reduced: dict[tuple[Any, ...], tuple[int, Any]] = {}
+        self._reduced: dict[str, tuple[int, Any]] = {}
 
     def set_gravity(self, gravity: Floats) -> None:
         self.gravity = gravity
@@ -48,6 +70,7 @@ class LoadedRobot:
 
     def set_base_motion(self, motion: Floats) -> None:
         self.base_motion = motion
+        self.is_rotating = bool(motion[:2].any())
         self._write_base()
 
     def set_payload(self, link: str, mass: float, com: Floats, inertia: Floats) -> None:
@@ -81,16 +104,15 @@ class LoadedRobot:
             raise ConfigurationError(unknown_name('link', name, self.robot.link_names))
         return self.robot.link_names.index(name)
 
-    def without(self, *parts: int | slice) -> Any:
-        """Return the table with zeros in some columns; kept until the table changes."""
-        key = tuple(part if isinstance(part, int) else (part.start, part.stop) for part in parts)
-        revision, table = self._reduced.get(key, (-1, None))
+    def only(self, term: str) -> Any:
+        """Return a table that leaves one of the `TERMS`; kept until the table changes."""
+        revision, table = self._reduced.get(term, (-1, None))
         if revision != self.revision:
             numbers = self.numbers.copy()
-            for part in parts:
+            for part in TERMS[term]:
                 numbers[:, part] = 0.0
             table = runnable(numbers)
-            self._reduced[key] = self.revision, table
+            self._reduced[term] = self.revision, table
         return table
 
     def _write_base(self) -> None:
