@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+import threading
 from typing import Any, cast, TypeVar
 import warnings
 
@@ -21,6 +22,7 @@ FAST_MATH = {'contract', 'nsz', 'arcp'}
 Function = TypeVar('Function', bound=Callable[..., Any])
 
 _cached: list[Any] = []
+_compiling = threading.Lock()
 _has_warned = False
 
 
@@ -63,16 +65,19 @@ def compile_for(function: Any, *signatures: str) -> None:
     """
     if not IS_COMPILED or not function._can_compile:
         return
-    for signature in signatures:
-        try:
-            function.compile(signature)
-        except Exception as error:
-            # A full disk, or files that a power failure has left incomplete.
-            _warn(error)
-            for dispatcher in _cached:
-                dispatcher._cache = numba.core.caching.NullCache()
-            function.compile(signature)
-    function.disable_compile()
+    with _compiling:
+        if not function._can_compile:  # another thread has compiled it meanwhile
+            return
+        for signature in signatures:
+            try:
+                function.compile(signature)
+            except Exception as error:
+                # A full disk, or files that a power failure has left incomplete.
+                _warn(error)
+                for dispatcher in _cached:
+                    dispatcher._cache = numba.core.caching.NullCache()
+                function.compile(signature)
+        function.disable_compile()
 
 
 def _kept(function: Function, **options: Any) -> Function:

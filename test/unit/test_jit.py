@@ -1,9 +1,11 @@
 """Compiled where numba is, plain where it is not, and never an error because of a cache."""
 
+from concurrent.futures import ThreadPoolExecutor
 import os
 import shutil
 import subprocess
 import sys
+import threading
 
 from inverse_dynamics_node.dynamics import jit
 import pytest
@@ -113,3 +115,20 @@ def test_cached_code_is_not_used_after_a_change_of_the_equations(tmp_path):
     equations.write_text(doubled)
     _, *after = run(PRINT_EFFORTS, tmp_path, NUMBA_CACHE_DIR=cache).stdout.split()
     assert after != before
+
+
+@needs_numba
+def test_threads_may_ask_for_the_same_compilation():
+    @jit.compiled
+    def twice(x):
+        return 2.0 * x
+
+    start = threading.Barrier(4)
+
+    def compile_and_call(_):
+        start.wait()
+        jit.compile_for(twice, '(f8,)')
+        return twice(4.0)
+
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(compile_and_call, range(4))) == [8.0] * 4
