@@ -18,22 +18,15 @@ from ..analysis.workspace import (
     Workspace,
 )
 from ..dynamics.inverse_dynamics import STANDARD_GRAVITY
-from ..report.advice import Concern
-from ..report.report import (
-    concerns_of,
-    decimals,
-    effort_unit,
-    model_tables,
-    number,
-    share,
-    slides,
-    Table,
-    WIDTH,
-)
+from ..report.quantities import decimals, effort_unit, fraction, number
+from ..report.robot_tables import model_tables
+from ..report.tables import Table, WIDTH
+from ..report.warnings import warnings_about
 from ..robot.hand import last_link
 from ..robot.model import Floats, RobotModel
+from ..robot.model_warning import ModelWarning
 from .arguments import output_path, picture_path
-from .console import progress, show, show_concerns
+from .console import progress, show, show_warnings
 from .pictures.style import try_to_draw
 from .robots import HELP, load_dynamics, stem_of
 
@@ -111,15 +104,15 @@ def run(options: argparse.Namespace) -> int:
     dynamics = load_dynamics(options.urdf, options.gravity)
     robot = dynamics.robot
     show(*model_tables(dynamics))
-    concerns = concerns_of(robot)
+    warnings = warnings_about(robot)
     if robot.joint_names:
         link = options.link or last_link(robot)
         with progress('looking at poses') as tell:
             workspace = explore(dynamics, options.samples, progress=tell)
             payload = payload_left(dynamics, workspace, link)
         show(workspace_table(workspace, payload))
-        concerns += beyond_limits(workspace)
-    show_concerns(concerns)
+        warnings += beyond_limits(workspace)
+    show_warnings(warnings)
     if robot.joint_names and options.poses:
         write_poses(workspace, options.poses)
     if robot.joint_names and not options.no_picture:
@@ -133,7 +126,7 @@ def run(options: argparse.Namespace) -> int:
         )
         if path:
             print(f'picture: {path}')
-    return _WARNED if options.strict and concerns else 0
+    return _WARNED if options.strict and warnings else 0
 
 
 def workspace_table(workspace: Workspace, payload: Payload) -> Table:
@@ -151,12 +144,12 @@ def workspace_table(workspace: Workspace, payload: Payload) -> Table:
                 f'{round(worst, places) + 0.0:.{places}f} {effort_unit(robot, i)}',
                 f'{median:.{places}f}',
                 number(limits[i]),
-                share(worst, limits[i]),
+                fraction(worst, limits[i]),
                 'beyond its limit' if abs(worst) > limits[i] else '',
                 _short_pose(workspace.poses[workspace.worst[i]]),
             )
         )
-    columns = ('joint', 'worst', 'median', 'limit', 'share', '', 'pose of the worst [rad, m]')
+    columns = ('joint', 'worst', 'median', 'limit', 'ratio', '', 'pose of the worst [rad, m]')
     shown = [k for k in range(len(columns)) if k < 5 or any(row[k] for row in rows)]
     widths = [max(len(row[k]) for row in [columns, *rows]) + 2 for k in shown]
     is_too_wide = sum(widths) > WIDTH
@@ -178,6 +171,7 @@ def workspace_table(workspace: Workspace, payload: Payload) -> Table:
         tuple(tuple(row[k] for k in shown) for row in rows),
         notes,
         frozenset({5, 6}),
+        frozenset(np.flatnonzero(workspace.peaks > limits).tolist()),
     )
 
 
@@ -194,7 +188,7 @@ def payload_in_words(robot: RobotModel, payload: Payload) -> str:
 
 def pose_in_words(robot: RobotModel, pose: Floats, most: int = 8) -> str:
     """Name the joints that are not at zero, those far away first if there are many."""
-    units = ['m' if slide else 'rad' for slide in slides(robot)]
+    units = ['m' if slide else 'rad' for slide in robot.is_prismatic_joint]
     away = [i for i in np.argsort(-np.abs(pose)) if abs(pose[i]) >= 5e-4]
     shown = [f'{robot.joint_names[i]} {pose[i]:.3f} {units[i]}' for i in sorted(away[:most])]
     if not shown:
@@ -203,20 +197,23 @@ def pose_in_words(robot: RobotModel, pose: Floats, most: int = 8) -> str:
     return ', '.join(shown) + (f' and {rest} more' if rest else '') + ', the others 0'
 
 
-def beyond_limits(workspace: Workspace) -> tuple[Concern, ...]:
+def beyond_limits(workspace: Workspace) -> tuple[ModelWarning, ...]:
     """Warn of joints that cannot hold the robot everywhere."""
-    found = tuple(
-        f"joint '{name}': gravity takes {peak / limit:.0%} of its effort limit in the worst pose"
+    hint = (
+        'check masses and limit; if both are right, the arm falls in such poses unless springs '
+        'help, which a URDF does not describe'
+    )
+    return tuple(
+        ModelWarning(
+            f'gravity takes {peak / limit:.0%} of its effort limit in the worst pose',
+            hint,
+            f"joint '{name}'",
+        )
         for name, peak, limit in zip(
             workspace.robot.joint_names, workspace.peaks, workspace.limits, strict=True
         )
         if peak > limit
     )
-    advice = (
-        'check masses and limit; if both are right, the arm falls in such poses unless springs '
-        'help, which a URDF does not tell'
-    )
-    return (Concern(advice, found),) if found else ()
 
 
 def _short_pose(pose: Floats) -> str:

@@ -21,15 +21,16 @@ from ..analysis.identification import (
 from ..analysis.measured_states import read_measured_states
 from ..dynamics.inverse_dynamics import FRICTION_WIDTH, InverseDynamics, STANDARD_GRAVITY
 from ..errors import ConfigurationError, RecordingError
-from ..report.advice import Concern
-from ..report.report import position_concerns, Table
+from ..report.tables import Table
 from ..robot.hand import last_link
+from ..robot.model_warning import ModelWarning
+from ..robot.plausibility import position_warnings
 from .arguments import output_path, payload, picture_path
 from .console import (
     progress,
     say,
     show,
-    show_concerns,
+    show_warnings,
 )
 from .pictures.style import try_to_draw
 from .robots import HELP, load_dynamics
@@ -128,12 +129,12 @@ def run(options: argparse.Namespace) -> int:
     findings = identify(dynamics, recording, link=options.link, width=options.coulomb_width)
     say(verdict(findings))
     print()
-    concerns = [
-        *position_concerns(robot, recording.positions, recording.joint_names),
-        *map(concern, findings.diagnoses),
+    warnings = [
+        *position_warnings(robot, recording.positions, recording.joint_names),
+        *map(diagnosis_warning, findings.diagnoses),
     ]
-    if concerns:
-        show_concerns(concerns)
+    if warnings:
+        show_warnings(warnings)
         print()
     show(comparison_table(findings, notes), friction_table(findings))
     if options.parameters:
@@ -152,7 +153,7 @@ def run(options: argparse.Namespace) -> int:
         )
         if path:
             print(f'picture: {path}')
-    return _FOUND if options.strict and concerns else 0
+    return _FOUND if options.strict and warnings else 0
 
 
 def _dynamics(options: argparse.Namespace, dynamics: InverseDynamics) -> InverseDynamics:
@@ -206,8 +207,8 @@ def verdict(findings: Findings) -> str:
     return f'The model explains {explains}; with fitted friction, {in_the_end}.'
 
 
-def concern(diagnosis: Diagnosis) -> Concern:
-    """Put a diagnosis as one of the things to be concerned about, with what to try next."""
+def diagnosis_warning(diagnosis: Diagnosis) -> ModelWarning:
+    """Return a diagnosis as a warning, with a suggestion for the next run."""
     numbers = [
         0.0 if abs(value) < 5e-4 or math.isnan(value) else value for value in diagnosis.values
     ]
@@ -218,8 +219,8 @@ def concern(diagnosis: Diagnosis) -> Concern:
     }.get(diagnosis.kind, '')
     if diagnosis.kind == 'payload' and numbers[0] < 0.0:
         again = ''
-    advice = diagnosis.advice + (f' To see what is left then: {again}' if again else '')
-    return Concern(advice, (f'{diagnosis.headline}: {diagnosis.evidence}',))
+    hint = diagnosis.advice + (f' To see what is left then: {again}' if again else '')
+    return ModelWarning(f'{diagnosis.headline}: {diagnosis.evidence}', hint)
 
 
 def comparison_table(findings: Findings, notes: tuple[str, ...]) -> Table:

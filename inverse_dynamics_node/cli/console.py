@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 import sys
 from typing import Any
 
-from ..report.advice import Concern
-from ..report.report import (
-    as_text,
-    concerns_as_text,
-    Table,
-    WIDTH,
-    wrapped,
-)
+from ..report.tables import as_text, Line, Style, Table, table_lines, WIDTH, wrapped
+from ..report.warnings import warning_lines, warnings_as_text
+from ..robot.model_warning import ModelWarning
 
-_MARKS = ('beyond', 'outside')
-"""Words that make a row red."""
+_COLOURS = {
+    Style.TITLE: 'bold',
+    Style.COLUMNS: 'cyan',
+    Style.MARKED_ROW: 'bold red',
+    Style.NOTE: 'dim',
+    Style.WARNINGS: 'bold yellow',
+    Style.NO_WARNINGS: 'bold green',
+    Style.HINT: 'cyan',
+}
 
 
 def show(*tables: Table) -> None:
@@ -27,23 +29,18 @@ def show(*tables: Table) -> None:
         if terminal is None:
             print(as_text(table, whole_names=not sys.stdout.isatty()), end='\n\n')
         else:
-            _print_in_colour(terminal, table)
+            # Lines that are longer than the terminal is wide wrap.
+            _print_in_colour(terminal, table_lines(table, terminal.width), soft_wrap=True)
+            terminal.print()
 
 
-def show_concerns(concerns: Sequence[Concern]) -> None:
-    """Print what looks wrong, and what to do about it."""
+def show_warnings(warnings: Sequence[ModelWarning]) -> None:
+    """Print warnings with their hints."""
     terminal = _terminal()
     if terminal is None:
-        print(concerns_as_text(concerns))
-        return
-    from rich.text import Text
-
-    head, *lines = concerns_as_text(concerns, min(WIDTH, terminal.width)).splitlines()
-    terminal.print(Text(head, style='bold yellow' if concerns else 'bold green'))
-    is_advice = False
-    for line in lines:
-        is_advice = line.startswith('    ->') or (is_advice and line.startswith('       '))
-        terminal.print(Text(line, style='cyan' if is_advice else ''))
+        print(warnings_as_text(warnings))
+    else:
+        _print_in_colour(terminal, warning_lines(warnings, min(WIDTH, terminal.width)))
 
 
 def say(text: str) -> None:
@@ -87,20 +84,9 @@ def _terminal(stderr: bool = False) -> Any:
     return Console(stderr=stderr, highlight=False)  # minds NO_COLOR by itself
 
 
-def _print_in_colour(terminal: Any, table: Table) -> None:
-    """Print the lines of the plain table, in the terminal's width; too long ones wrap."""
+def _print_in_colour(terminal: Any, lines: Iterable[Line], soft_wrap: bool = False) -> None:
+    """Print lines in the colours of their styles."""
     from rich.text import Text
 
-    lines = as_text(table, terminal.width).splitlines()
-    rows = 1 + len(table.rows) if table.rows else 0
-    for k, line in enumerate(lines):
-        if k == 0:
-            style = 'bold'
-        elif k > rows:
-            style = 'dim'
-        elif k == 1:
-            style = 'cyan'
-        else:
-            style = 'bold red' if any(mark in line for mark in _MARKS) else ''
-        terminal.print(Text(line, style=style), soft_wrap=True)
-    terminal.print()
+    for text, style in lines:
+        terminal.print(Text(text, style=_COLOURS.get(style, '')), soft_wrap=soft_wrap)

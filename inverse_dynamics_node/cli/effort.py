@@ -28,20 +28,14 @@ from ..dynamics.trajectory import (
     Trajectory,
 )
 from ..errors import ConfigurationError, unknown_name
-from ..report.advice import Concern
-from ..report.report import (
-    decimals,
-    effort_unit,
-    number,
-    position_concerns,
-    share,
-    slides,
-    Table,
-)
+from ..report.quantities import decimals, effort_unit, fraction, number
+from ..report.tables import Table
 from ..robot.hand import last_link
 from ..robot.model import Floats, RobotModel
+from ..robot.model_warning import ModelWarning
+from ..robot.plausibility import position_warnings
 from .arguments import output_path, payload, picture_path
-from .console import progress, show, show_concerns
+from .console import progress, show, show_warnings
 from .pictures.style import try_to_draw
 from .robots import HELP, load_dynamics
 
@@ -169,12 +163,12 @@ def run(options: argparse.Namespace) -> int:
     fine, points = refine(whole, 1.0 / options.rate if options.rate else math.inf)
     requirements = effort_requirements(dynamics, fine, others)
     show(_summary(options, link, source, derived, fine), *demand_tables(robot, fine, requirements))
-    concerns = (
-        *position_concerns(robot, fine.positions, fine.joint_names),
-        *_peak_concerns(fine, requirements),
+    warnings = (
+        *position_warnings(robot, fine.positions, fine.joint_names),
+        *_peak_warnings(fine, requirements),
     )
-    if concerns:
-        show_concerns(concerns)
+    if warnings:
+        show_warnings(warnings)
         print()
 
     stem = options.trajectory.stem
@@ -248,9 +242,13 @@ def _summary(
     return Table(f'trajectory {options.trajectory}', notes=notes)
 
 
-def _peak_concerns(fine: Trajectory, requirements: EffortRequirements) -> tuple[Concern, ...]:
+def _peak_warnings(fine: Trajectory, requirements: EffortRequirements) -> tuple[ModelWarning, ...]:
     """Warn of efforts and speeds so far beyond their limits that a unit must be wrong."""
     found = []
+    hint = (
+        'check the units: positions in rad (degrees are 57 times as large) or m, times in s; for '
+        'measured states, try --smooth 10'
+    )
     for k, name in enumerate(fine.joint_names):
         shares = (
             ('effort', abs(float(requirements.peak[k])) / float(requirements.effort_limits[k])),
@@ -258,12 +256,9 @@ def _peak_concerns(fine: Trajectory, requirements: EffortRequirements) -> tuple[
         )
         beyond = [f'{what} {share:.3g} times' for what, share in shares if share > _FAR_BEYOND]
         if beyond:
-            found.append(f'{name}: {" and ".join(beyond)} its limit')
-    advice = (
-        'check the units: positions in rad (degrees are 57 times as large) or m, times in s; for '
-        'measured states, try --smooth 10'
-    )
-    return (Concern(advice, tuple(found)),) if found else ()
+            text = f'{" and ".join(beyond)} its limit'
+            found.append(ModelWarning(text, hint, name))
+    return tuple(found)
 
 
 def _count(number: int, noun: str) -> str:
@@ -274,21 +269,21 @@ def demand_tables(
     robot: RobotModel, fine: Trajectory, requirements: EffortRequirements
 ) -> list[Table]:
     """Write out peaks and means against the limits, and what the efforts are made of."""
-    sliding = slides(robot)
     index = [robot.joint_names.index(name) for name in fine.joint_names]
     places = decimals(requirements.peak)
     rows, parts = [], []
     for k, (name, i) in enumerate(zip(fine.joint_names, index, strict=True)):
         unit = effort_unit(robot, i)
+        speed_unit = 'm/s  ' if robot.is_prismatic_joint[i] else 'rad/s'
         rows.append(
             (
                 name,
                 f'{round(requirements.peak[k], places) + 0.0:.{places}f} {unit}',
                 f'{requirements.peak_time[k]:.2f} s',
                 number(requirements.effort_limits[k]),
-                share(requirements.peak[k], requirements.effort_limits[k]),
+                fraction(requirements.peak[k], requirements.effort_limits[k]),
                 f'{requirements.rms[k]:.{places}f}',
-                f'{requirements.speed[k]:.3g} {"m/s  " if sliding[i] else "rad/s"}',
+                f'{requirements.speed[k]:.3g} {speed_unit}',
                 number(requirements.velocity_limits[k]),
                 f'{requirements.power[k]:.3g} W',
                 _marks(requirements, k),
@@ -301,7 +296,7 @@ def demand_tables(
                 f'{requirements.rms[k]:.{places}f} {unit}',
             )
         )
-    columns = ('joint', 'peak effort', 'at', 'limit', 'share', 'RMS', 'speed', 'limit', 'power')
+    columns = ('joint', 'peak effort', 'at', 'limit', 'ratio', 'RMS', 'speed', 'limit', 'power')
     is_marked = any(row[-1] for row in rows)
     notes = (
         (f'takes back up to {np.max(requirements.braking):.3g} W at a joint, when braking',)
@@ -315,6 +310,7 @@ def demand_tables(
             tuple(row if is_marked else row[:-1] for row in rows),
             notes,
             frozenset({9}),
+            frozenset(k for k, row in enumerate(rows) if row[-1]),
         ),
         Table(
             'What the efforts are made of (RMS)',

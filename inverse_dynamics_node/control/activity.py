@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ..robot.plausibility import describe_implausible_position
 from .control_loop import ControlLoop
 from .controller import COMPUTING_PHASES, Phase
 from .graph_info import GraphInfo
@@ -134,8 +133,7 @@ def describe_late(loop: ControlLoop, now: float) -> list[str]:
 
 def describe_implausible(loop: ControlLoop) -> dict[str, str]:
     """Describe the joints far outside their position limits, by name."""
-    findings = loop.implausible_positions()
-    return {finding.joint: describe_implausible_position(finding) for finding in findings}
+    return {found.joint: str(found) for found in loop.implausible_positions()}
 
 
 def join_names(names: Sequence[str]) -> str:

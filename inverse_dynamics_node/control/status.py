@@ -108,7 +108,7 @@ def model_status(now: float, loop: ControlLoop) -> Status:
         'payload': ', '.join(payloads) or 'none',
         'gravity [m/s^2]': _listed(loads.gravity) if loads.include_gravity else 'not included',
     }
-    values |= {f'warning {k}': text for k, text in enumerate(robot.warnings, start=1)}
+    values |= {f'warning {k}': str(warning) for k, warning in enumerate(robot.warnings, start=1)}
     if loop.has_imu and not loads.is_base_known(now):
         since = 'yet' if loop.lacks_imu else f'for more than {loads.settings.imu_timeout:g} s'
         message = f'the motion of the base is unknown: no message on imu {since}'

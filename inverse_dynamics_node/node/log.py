@@ -100,7 +100,7 @@ class NodeLog:
         """Say what has been loaded, and what looks wrong about it."""
         robot, joints = loop.robot, loop.controller.joints
         for warning in robot.warnings:
-            self._logger.warning(warning)
+            self._logger.warning(str(warning))
         others = [name for name in robot.joint_names if name not in joints]
         self._logger.info(
             f"robot '{robot.name}', {np.sum(robot.mass):.3g} kg; commands {', '.join(joints)}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ..control.control_loop import ControlLoop
 from ..errors import JointStateError
-from ..report.report import model_report
+from ..report.model_report import model_report
 from ..robot.model import Floats
 
 

@@ -1,19 +1,22 @@
 """
-A robot as values: flat, read-only arrays, parents before children.
+A robot as flat, read-only arrays, parents before children.
 
-Links that fixed joints hold together are one *body*. Body 0 is the base; every other body is moved
-by one joint, and its frame is the URDF frame of that joint: the origin on the joint's axis. Frames
-are written in monogram notation: ``R_PL`` takes coordinates from body L to its parent P, ``p_PL``
-is the position of L's origin in P.
+Links that fixed joints hold together are one *body*. Body 0 is the base. Each other body is moved
+by one joint and has the URDF frame of that joint, with its origin on the joint axis. Frames are
+written in monogram notation: ``R_PL`` transforms vectors from body L to its parent P, ``p_PL`` is
+the position of the origin of L in P.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+
+from .model_warning import ModelWarning
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -33,20 +36,20 @@ class RobotModel:
 
     name: str
     joint_names: tuple[str, ...]
-    """The n movable joints that mimic no other: depth first, in file order among siblings."""
+    """The n movable, non-mimic joints: depth first, in file order among siblings."""
 
     lower: Floats
-    """Lower position limit, shape (n,) [rad or m]; -inf where there is none."""
+    """Lower position limit, shape (n,) [rad or m]; -inf if there is none."""
     upper: Floats
-    """Upper position limit, shape (n,) [rad or m]; inf where there is none."""
+    """Upper position limit, shape (n,) [rad or m]; inf if there is none."""
     velocity_limits: Floats
-    """Largest speed, shape (n,) [rad/s or m/s]; inf where there is none."""
+    """Largest speed, shape (n,) [rad/s or m/s]; inf if there is none."""
     effort_limits: Floats
-    """Largest effort, shape (n,) [N m or N]; inf where there is none."""
+    """Largest effort, shape (n,) [N m or N]; inf if there is none."""
     damping: Floats
-    """Viscous friction, shape (n,) [N m s/rad or N s/m]; mimicking joints folded in."""
+    """Viscous friction, shape (n,) [N m s/rad or N s/m]; including that of mimicking joints."""
     friction: Floats
-    """Coulomb friction, shape (n,) [N m or N]; mimicking joints folded in."""
+    """Coulomb friction, shape (n,) [N m or N]; including that of mimicking joints."""
     is_continuous: Booleans
     """Whether positions that differ by a whole turn are the same, shape (n,)."""
 
@@ -57,7 +60,7 @@ class RobotModel:
     is_prismatic: Booleans
     """Whether the body slides along its axis instead of turning about it, shape (b,)."""
     joint_index: Integers
-    """Which entry of ``joint_names`` moves the body, shape (b,); -1 for the base."""
+    """Index in ``joint_names`` of the joint that moves the body, shape (b,); -1 for the base."""
     multiplier: Floats
     """Body position is ``multiplier * q[joint_index] + offset``, shape (b,); 1 without mimic."""
     offset: Floats
@@ -69,14 +72,14 @@ class RobotModel:
     axis: Floats
     """Unit vector of the joint axis in the body's frame, shape (b, 3); zero for the base."""
     mass: Floats
-    """Shape (b,) [kg]."""
+    """Mass of each body, shape (b,) [kg]."""
     com: Floats
     """Centre of mass in the body's frame, shape (b, 3) [m]."""
     inertia: Floats
     """About the centre of mass, along the body's axes, shape (b, 3, 3) [kg m^2]."""
 
     link_names: tuple[str, ...]
-    """Every URDF link, merged ones too, in file order; length k."""
+    """All URDF links, including merged ones, in file order; length k."""
     link_body: Integers
     """The body that a link is part of, shape (k,)."""
     link_rotation: Floats
@@ -84,16 +87,25 @@ class RobotModel:
     link_position: Floats
     """Origin of the link in its body's frame, shape (k, 3) [m]."""
     link_mass: Floats
-    """What the link adds to its body's mass, shape (k,) [kg]; 0 where it has no inertial."""
+    """Mass of the link alone, shape (k,) [kg]; 0 if it has no inertial."""
 
-    warnings: tuple[str, ...] = ()
-    """What loaded, but looks wrong."""
+    warnings: tuple[ModelWarning, ...] = ()
+    """What looks wrong although it could be loaded, in file order."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
             if isinstance(value, np.ndarray):
                 value.setflags(write=False)
+
+    @cached_property
+    def is_prismatic_joint(self) -> Booleans:
+        """Whether each joint is prismatic instead of revolute, shape (n,)."""
+        # The first name is that of a link, which a joint may share.
+        bodies = [self.body_names.index(name, 1) for name in self.joint_names]
+        found: Booleans = self.is_prismatic[bodies]
+        found.setflags(write=False)
+        return found
 
     def __repr__(self) -> str:
         return f'RobotModel({self.name!r}, joints={", ".join(self.joint_names)})'

@@ -1,4 +1,4 @@
-"""Positions far outside the limits of the robot description: wrong units, most often."""
+"""Positions far outside the limits of the robot description, usually because of wrong units."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .model import Floats, RobotModel
+from .model_warning import ModelWarning
 
 _MARGIN = 0.1
 """Tolerated distance outside the limits, as a fraction of their range."""
@@ -32,6 +33,15 @@ class ImplausiblePosition(NamedTuple):
     """Whether the position would be plausible if it were in degrees."""
     is_prismatic: bool = False
     """Whether the unit is m instead of rad."""
+
+    def __str__(self) -> str:
+        """Return a sentence such as 'joint2 at 57.3 rad, limits -2.97 to 2.97: degrees?'."""
+        unit = 'm' if self.is_prismatic else 'rad'
+        sentence = (
+            f'{self.joint} at {self.position:.4g} {unit}, '
+            f'limits {self.lower:.4g} to {self.upper:.4g}'
+        )
+        return f'{sentence}: degrees?' if self.looks_like_degrees else sentence
 
 
 def implausible_positions(
@@ -56,7 +66,7 @@ def implausible_positions(
 
     Returns
     -------
-    findings : list of ImplausiblePosition
+    found : list of ImplausiblePosition
         At most one for each joint, in the order of the columns.
 
     """
@@ -67,35 +77,56 @@ def implausible_positions(
     table = table.reshape(-1, len(names))
     known = [k for k, name in enumerate(names) if name in robot.joint_names]
     rows = [robot.joint_names.index(names[k]) for k in known]
-    is_prismatic = _prismatic_joints(robot)
-    findings = []
+    found = []
     for k, i in zip(known, rows, strict=True):
         lower, upper = float(robot.lower[i]), float(robot.upper[i])
         worst = _worst(table[:, k], lower, upper)
         if not lower < upper or worst is None:
             continue
-        margin = _margin(lower, upper, is_prismatic[i])
+        is_prismatic = bool(robot.is_prismatic_joint[i])
+        margin = _margin(lower, upper, is_prismatic)
         if lower - margin <= worst <= upper + margin:
             continue
         looks_like_degrees = (
-            not is_prismatic[i]
+            not is_prismatic
             and abs(worst) > _FULL_TURN  # below, an offset is at least as likely
             and lower - margin <= math.radians(worst) <= upper + margin
         )
-        findings.append(
-            ImplausiblePosition(names[k], worst, lower, upper, looks_like_degrees, is_prismatic[i])
+        found.append(
+            ImplausiblePosition(names[k], worst, lower, upper, looks_like_degrees, is_prismatic)
         )
-    return findings
+    return found
 
 
-def describe_implausible_position(finding: ImplausiblePosition) -> str:
-    """Return a sentence such as 'joint2 at 57.3 rad, limits -2.97 to 2.97: degrees?'."""
-    unit = 'm' if finding.is_prismatic else 'rad'
-    sentence = (
-        f'{finding.joint} at {finding.position:.4g} {unit}, '
-        f'limits {finding.lower:.4g} to {finding.upper:.4g}'
+def position_warnings(
+    robot: RobotModel, positions: ArrayLike, joint_names: Sequence[str] = ()
+) -> tuple[ModelWarning, ...]:
+    """
+    Return warnings about positions that are further outside the limits than makes sense.
+
+    Parameters
+    ----------
+    robot, positions, joint_names
+        As for `implausible_positions`.
+
+    Returns
+    -------
+    warnings : tuple of ModelWarning
+        First those of positions that seem to be in degrees; empty if all are plausible.
+
+    """
+    hints = {
+        True: 'convert the positions to radians',
+        False: 'check units (rad, m), zero positions and the order of the joints, and that the '
+        'limits belong to this robot',
+    }
+    found = implausible_positions(robot, positions, joint_names)
+    return tuple(
+        ModelWarning(str(each), hint)
+        for in_degrees, hint in hints.items()
+        for each in found
+        if each.looks_like_degrees is in_degrees
     )
-    return f'{sentence}: degrees?' if finding.looks_like_degrees else sentence
 
 
 def _worst(positions: Floats, lower: float, upper: float) -> float | None:
@@ -109,8 +140,3 @@ def _worst(positions: Floats, lower: float, upper: float) -> float | None:
 def _margin(lower: float, upper: float, is_prismatic: bool) -> float:
     least = _LEAST_MARGINS[is_prismatic]
     return max(least, _MARGIN * (upper - lower)) if math.isfinite(upper - lower) else least
-
-
-def _prismatic_joints(robot: RobotModel) -> list[bool]:
-    bodies = [robot.body_names.index(name, 1) for name in robot.joint_names]
-    return [bool(robot.is_prismatic[body]) for body in bodies]

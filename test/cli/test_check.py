@@ -44,8 +44,8 @@ def test_without_limits_it_draws_and_warns(tmp_path, capsys):
     assert main(['check', str(urdf), '--samples', '16']) == 0
     assert main(['check', str(urdf), '--samples', '16', '--strict', '--no-picture']) == 3
     output = capsys.readouterr().out
-    assert 'taken as not known' in output
-    assert '-> write the effort that the joint can give' in output
+    assert '0 is read as unknown' in output
+    assert '-> write the largest effort of the joint' in output
 
 
 def test_gravity_beyond_a_limit_is_a_warning(tmp_path, capsys):
@@ -84,7 +84,7 @@ def test_long_names_are_whole_in_a_pipe_and_poses_are_offered_as_a_file(tmp_path
 
 def test_long_names_are_shortened_on_a_terminal(monkeypatch, capsys):
     from inverse_dynamics_node.cli.console import show
-    from inverse_dynamics_node.report.report import Table
+    from inverse_dynamics_node.report.tables import Table
 
     table = Table('t', ('joint', 'value'), ((f'{"a" * 60}_joint', '1' * 60),))
     monkeypatch.setattr(sys.stdout, 'isatty', lambda: True)

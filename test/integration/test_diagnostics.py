@@ -114,7 +114,9 @@ def test_tells_of_payload_and_of_what_is_odd_about_the_model(run_node, robot, wa
     )
     level = WARN if model.warnings else OK
     values = wait_for_status('model', level, '', 'payload', f'1.25 kg on {link}')
-    assert [v for k, v in values.items() if k.startswith('warning')] == list(model.warnings)
+    assert [v for k, v in values.items() if k.startswith('warning')] == [
+        str(warning) for warning in model.warnings
+    ]
 
 
 def test_goes_on_while_inactive_and_tells_what_that_is(run_node, robot, wait_for_status):

@@ -10,6 +10,7 @@ from inverse_dynamics_node.control.graph_info import GraphInfo, Others, Simulate
 from inverse_dynamics_node.control.monitor import Monitor
 from inverse_dynamics_node.control.settings import Mode, Settings, StalePolicy
 from inverse_dynamics_node.control.status import Level
+from inverse_dynamics_node.robot.model_warning import ModelWarning
 import numpy as np
 import pytest
 from robot_files import ROOT, STANFORD
@@ -470,7 +471,8 @@ def test_the_model_is_described(loop):
 
 
 def test_warnings_about_the_description_are_listed():
-    robot = dataclasses.replace(ROBOT, warnings=('first', 'second'))
+    warnings = tuple(ModelWarning(text, 'hint') for text in ('first', 'second'))
+    robot = dataclasses.replace(ROBOT, warnings=warnings)
     status = part(Monitor().report(0.0, ControlLoop(robot), FINE), 'model')
     assert status.level is Level.WARN
     assert status.message.startswith('2 warnings')

@@ -4,7 +4,6 @@ import math
 
 from inverse_dynamics_node import load_urdf
 from inverse_dynamics_node.robot.plausibility import (
-    describe_implausible_position,
     implausible_positions,
 )
 import numpy as np
@@ -35,14 +34,14 @@ def robot():
 
 def sentences(robot, positions, names=()):
     findings = implausible_positions(robot, positions, names)
-    return [describe_implausible_position(finding) for finding in findings]
+    return [str(finding) for finding in findings]
 
 
 def test_degrees_are_recognised(robot):
     (finding,) = implausible_positions(robot, [0.0, 57.3, 0.0, 0.0])
     assert finding[:5] == ('joint2', 57.3, -2.97, 2.97, True)
     text = 'joint2 at 57.3 rad, limits -2.97 to 2.97: degrees?'
-    assert describe_implausible_position(finding) == text
+    assert str(finding) == text
 
 
 @pytest.mark.parametrize('q2', [-3.5, 2.97, 3.5, math.nan, math.inf])

@@ -1,20 +1,14 @@
-"""What the report says of a robot, and that it stays readable."""
+"""The report describes a robot completely and stays readable."""
 
 from inverse_dynamics_node.dynamics.inverse_dynamics import InverseDynamics
 from inverse_dynamics_node.errors import ConfigurationError, JointStateError, UrdfError
-from inverse_dynamics_node.report.advice import ADVICE, advise
-from inverse_dynamics_node.report.report import (
-    all_shortened,
-    as_text,
-    concerns_of,
-    effort_unit,
-    model_report,
-    model_tables,
-    shortened,
-    slides,
-    Table,
-    WIDTH,
-)
+from inverse_dynamics_node.report.model_report import model_report
+from inverse_dynamics_node.report.quantities import effort_unit
+from inverse_dynamics_node.report.robot_tables import model_tables
+from inverse_dynamics_node.report.short_names import all_shortened, shortened
+from inverse_dynamics_node.report.tables import as_text, Style, Table, table_lines, WIDTH
+from inverse_dynamics_node.report.warnings import warnings_about, warnings_as_text
+from inverse_dynamics_node.robot.model_warning import ModelWarning
 from inverse_dynamics_node.robot.urdf import load_urdf
 import numpy as np
 import pytest
@@ -27,7 +21,7 @@ def report_of(robot, **options):
     return model_report(InverseDynamics(robot), **options)
 
 
-def test_tells_masses_limits_and_what_is_merged():
+def test_report_contains_masses_limits_and_merged_links():
     text = report_of(ARM)
     assert '20.77 kg' in text
     rows = {line.split()[0]: line.split() for line in text.splitlines() if line.strip()}
@@ -47,7 +41,7 @@ def test_order_of_the_commands_leads_to_the_urdf():
     text = report_of(ARM, joints=['joint_4', 'joint_2'])
     assert '0        joint_4                  3' in text
     assert '1        joint_2                  1' in text
-    assert 'not commanded, but counted: joint_1, joint_3, joint_5, joint_6' in text
+    assert 'not commanded, but taken into account: joint_1, joint_3, joint_5, joint_6' in text
 
 
 def test_efforts_at_rest_are_those_of_the_dynamics():
@@ -58,15 +52,20 @@ def test_efforts_at_rest_are_those_of_the_dynamics():
     assert table.rows[1][3:5] == ('100', '12%')
 
 
-def test_what_is_out_of_bounds_is_marked():
+def test_joints_beyond_their_limits_are_marked():
     q = [0.0, 1.3, 2.0, 0.0, 0.6, 0.0]
     limits = [60.0, 1.0, 200.0, 10.0, 10.0, 5.0]
-    rows = model_tables(InverseDynamics(ARM), q=q, effort_limits=limits)[-1].rows
-    assert rows[2][-1] == 'outside its range'
-    assert rows[1][-1] == 'beyond its limit'
+    table = model_tables(InverseDynamics(ARM), q=q, effort_limits=limits)[-1]
+    assert table.rows[2][-1] == 'outside its range'
+    assert table.rows[1][-1] == 'beyond its limit'
+    assert table.marked == {1, 2}
+    styles = [line.style for line in table_lines(table)]
+    assert styles[:5] == [
+        Style.TITLE, Style.COLUMNS, Style.ROW, Style.MARKED_ROW, Style.MARKED_ROW,
+    ]  # fmt: skip
 
 
-def test_limits_given_are_of_the_commanded_joints():
+def test_given_limits_apply_to_the_commanded_joints():
     text = report_of(ARM, joints=['joint_4', 'joint_2'], effort_limits=[7.5, np.inf])
     rows = {line.split()[0]: line.split() for line in text.splitlines() if line.strip()}
     assert rows['joint_4'][6] == '7.5'
@@ -81,22 +80,22 @@ def test_limits_given_are_of_the_commanded_joints():
         ({'q': [1.0]}, JointStateError, 'q has shape'),
     ],
 )
-def test_refuses_in_words(options, error, words):
+def test_invalid_options_are_reported(options, error, words):
     with pytest.raises(error, match=words):
         report_of(ARM, **options)
 
 
-def test_missing_effort_limits_are_warned_of_once():
+def test_missing_effort_limits_are_reported_once():
     text = STANFORD.read_text().replace('effort="200"', 'effort="0"')
-    (concern,) = concerns_of(load_urdf(text))
-    assert len(concern.findings) == 1
+    (warning,) = warnings_about(load_urdf(text))
+    assert warning.text == '0 is read as unknown: the effort is not limited'
     robot = load_urdf(ROOT / 'test' / 'robots' / 'continuous.urdf')
     unlimited = int(np.count_nonzero(np.isinf(robot.effort_limits)))
-    told = [text for concern in concerns_of(robot) for text in concern.findings]
-    assert sum('no effort limit' in text for text in told) == unlimited
+    warnings = [str(warning) for warning in warnings_about(robot)]
+    assert sum('effort limit: missing' in text for text in warnings) == unlimited
 
 
-def test_a_chain_goes_straight_down_and_a_branch_is_indented():
+def test_only_branches_are_indented():
     arm = model_tables(InverseDynamics(ARM))[1]
     assert [row[0] for row in arm.rows] == ['base_link', *ARM.joint_names]
     robot = load_urdf(ROOT / 'test' / 'robots' / 'branched.urdf')
@@ -106,38 +105,47 @@ def test_a_chain_goes_straight_down_and_a_branch_is_indented():
 
 
 @pytest.mark.parametrize('path', real_robots()[::6], ids=lambda path: path.stem)
-def test_stays_within_its_width_and_advises_on_every_warning(path):
+def test_report_stays_within_its_width_and_has_a_hint_for_every_warning(path):
     try:
         robot = load_urdf(path)
     except UrdfError:
-        pytest.skip('refused, as it should be')
+        pytest.skip('not a valid URDF')
     text = report_of(robot, joints=robot.joint_names[::-1], q=np.zeros(len(robot.joint_names)))
     assert max(map(len, text.splitlines())) <= WIDTH
-    assert all('look at that line' not in concern.advice for concern in advise(robot.warnings))
+    assert all(warning.hint for warning in warnings_about(robot))
 
 
-def test_advice_is_on_warnings_that_there_are():
-    folder = ROOT / 'inverse_dynamics_node' / 'robot' / 'urdf'
-    code = ' '.join(path.read_text() for path in folder.glob('*.py'))
-    code += code.replace('{name}', 'effort') + code.replace('{name}', 'velocity')
-    for words, _ in ADVICE:
-        assert words in code
+def test_warnings_with_the_same_hint_are_grouped():
+    warnings = [
+        ModelWarning('no <axis>', 'write it', "joint 'a'", 3),
+        ModelWarning('too long', 'shorten it'),
+        ModelWarning('no <axis>', 'write it', "joint 'b'"),
+    ]
+    assert warnings_as_text(warnings).splitlines() == [
+        '3 warnings',
+        "  line 3: joint 'a': no <axis>",
+        "  joint 'b': no <axis>",
+        '    -> write it',
+        '  too long',
+        '    -> shorten it',
+    ]
+    assert warnings_as_text([]) == 'No warnings.'
 
 
-def test_a_joint_may_share_its_name_with_the_base():
+def test_a_joint_may_have_the_name_of_the_base():
     text = (ROOT / 'test' / 'robots' / 'cartesian.urdf').read_text()
     base = load_urdf(text).body_names[0]
     robot = load_urdf(text.replace('x_axis', base))
-    assert slides(robot) == [True] * 3
+    assert robot.is_prismatic_joint.tolist() == [True] * 3
     assert effort_unit(robot, 0).strip() == 'N'
 
 
-def test_robots_without_joints_are_described_too():
+def test_robots_without_joints_are_described():
     text = report_of(load_urdf(NOTHING_MOVES), q=[])
     assert 'no joint can move' in text
 
 
-def test_long_names_give_way_in_their_middle():
+def test_long_names_are_shortened_in_their_middle():
     assert shortened('gripper_left_finger_1', 15) == 'gripper…inger_1'
     assert shortened('arm_left_1_joint', 12) == 'arm_left_1…'
     assert shortened('gripper_left_joint', 12) == 'gripp…_left…'
@@ -146,14 +154,14 @@ def test_long_names_give_way_in_their_middle():
     assert max(map(len, as_text(table).splitlines())) <= WIDTH
 
 
-def test_names_stay_whole_for_programs():
+def test_names_are_not_shortened_for_programs():
     names = [f'left_arm_with_a_long_name_{k}_joint' for k in 'ab']
     table = Table('t', ('joint', 'value'), tuple((name, '1' * 80) for name in names))
     assert not any(name in as_text(table) for name in names)
     assert all(name in as_text(table, whole_names=True) for name in names)
 
 
-def test_names_and_numbers_with_hyphens_are_not_broken():
+def test_names_and_numbers_with_hyphens_are_not_divided():
     words = ['left-arm-joint', 'at', '1.5e-05'] * 20
     lines = as_text(Table('t', notes=(' '.join(words),))).splitlines()[1:]
     assert ' '.join(lines).split() == words
@@ -189,38 +197,37 @@ def chain_of(count, limit='{k}', mass='{k}', inertia=(1, 1, 1)):
             chain_of(5, mass='1', inertia=(0.1, 0.2, 0.2)),
             '5 of 5 links with mass have a mass of 1',
         ),
-        (chain_of(5, limit='1000'), '5 of 5 effort limits of turning joints are 1000 N m'),
+        (chain_of(5, limit='1000'), '5 of 5 effort limits of revolute joints are 1000 N m'),
         (
             chain_of(3, limit='5000{k}'),
-            "joint 'j2': effort limit 50002 N m, but the whole robot, stretched out, takes at",
+            "joint 'j2' effort limit: 50002 N m, but holding the whole robot stretched out",
         ),
     ],
 )
-def test_placeholders_are_warned_of(urdf, words):
-    found = [text for each in concerns_of(load_urdf(urdf)) for text in each.findings]
-    (text,) = [text for text in found if words in text]
-    assert text.endswith('looks like a placeholder')
-    text = report_of(load_urdf(urdf))
-    assert 'look at that line' not in text
+def test_placeholders_are_reported(urdf, words):
+    found = warnings_about(load_urdf(urdf))
+    (warning,) = [warning for warning in found if words in str(warning)]
+    assert warning.text.endswith('looks like a placeholder')
+    assert warning.hint
 
 
 def test_equal_modules_are_not_placeholders():
     urdf = chain_of(6, limit='20', mass='0.5', inertia=(0.001, 0.002, 0.002))
     assert load_urdf(urdf).warnings == ()
-    assert concerns_of(load_urdf(urdf)) == ()
+    assert warnings_about(load_urdf(urdf)) == ()
 
 
-def test_only_real_robots_with_placeholders_are_warned_of_them():
+def test_only_real_robots_with_placeholders_have_warnings_about_them():
     paths = real_robots()
     if not paths:
         pytest.skip('example-robot-data is not installed')
     warned = set()
     for path in paths:
         try:
-            concerns = concerns_of(load_urdf(path))
+            warnings = warnings_about(load_urdf(path))
         except UrdfError:
             continue
-        if any('placeholder' in text for each in concerns for text in each.findings):
+        if any('placeholder' in warning.text for warning in warnings):
             warned.add(path.stem)
     # Limits of 1000 N m on legs of 3 kg, of 50000 N m on a neck; inertias of 1 1 1 kg m^2.
     assert warned <= {
@@ -237,7 +244,7 @@ def test_only_real_robots_with_placeholders_are_warned_of_them():
     assert {'solo12', 'baxter', 'simple_humanoid'} <= warned
 
 
-def test_shortened_names_can_be_told_apart():
+def test_shortened_names_are_distinct():
     names = [f'scara_{part}_rotation_joint' for part in ('inner_arm', 'outer_arm', 'spindle')]
     short = all_shortened(names, 15)
     assert len(set(short)) == 3

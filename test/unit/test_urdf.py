@@ -401,11 +401,11 @@ ELEMENT_PROBLEMS = [
     ),
     (
         [VERSION_1_1, (J2_ORIGIN, '<origin quat_xyzw="0 0 0 0"/>')],
-        "joint 'j2' origin quat_xyzw '0 0 0 0' has norm 0, expected 1",
+        "joint 'j2' origin quat_xyzw: '0 0 0 0' has norm 0, expected 1",
     ),
     (
         [VERSION_1_1, ('rpy="0 0 0"', 'quat_xyzw="0 0 90 1"')],
-        "link 'l1' inertial origin quat_xyzw '0 0 90 1' has norm 90.0056, expected 1",
+        "link 'l1' inertial origin quat_xyzw: '0 0 90 1' has norm 90.0056, expected 1",
     ),
     # axis
     ([(J2_AXIS, '<axis xyz="0 0 0"/>')], "joint 'j2': axis has (near) zero length: '0 0 0'"),
@@ -607,7 +607,7 @@ STILL_LOADS = {
 @pytest.mark.parametrize('edit', STILL_LOADS.values(), ids=STILL_LOADS.keys())
 def test_still_loads(edit):
     robot, good = load_urdf(edited(edit)), load_urdf(GOOD)
-    assert not [text for text in robot.warnings if 'counts as massless' not in text]
+    assert all('treated as massless' in warning.text for warning in robot.warnings)
     np.testing.assert_array_equal(robot.p_PL, good.p_PL)
     np.testing.assert_array_equal(robot.mass, good.mass)
 
@@ -670,10 +670,10 @@ def test_chain_of_1500_joints_that_mimic_each_other():
 # ---- Warnings ------------------------------------------------------------------------------
 
 WARNINGS = [
-    ([('<?xml version="1.0"?>', '<?xml version="0.0" ?>')], 'line 1: odd XML declaration'),
-    ([('<?xml version="1.0"?>', '<?xml?>')], 'odd XML declaration <?xml?> ignored'),
-    ([('<?xml version="1.0"?>', '\n<?xml version="1.0"?>')], 'odd XML declaration'),
-    ([('<?xml version="1.0"?>', '<?xml encoding="utf-8"?>')], 'odd XML declaration'),
+    ([('<?xml version="1.0"?>', '<?xml version="0.0" ?>')], 'line 1: invalid XML declaration'),
+    ([('<?xml version="1.0"?>', '<?xml?>')], 'invalid XML declaration <?xml?> ignored'),
+    ([('<?xml version="1.0"?>', '\n<?xml version="1.0"?>')], 'invalid XML declaration'),
+    ([('<?xml version="1.0"?>', '<?xml encoding="utf-8"?>')], 'invalid XML declaration'),
     (
         [(J2_AXIS, f'{J2_AXIS}<drake:rotor value="1"/>')],
         'line 28: Namespace prefix drake on rotor is not defined; ignored',
@@ -691,7 +691,7 @@ WARNINGS = [
     ),
     (
         [(L1_INERTIA, L1_INERTIA.replace('0.01"', '0.05"'))],
-        "line 5: link 'l1' inertial: no body has this inertia: of its principal moments "
+        "line 5: link 'l1' inertial: impossible inertia: of its principal moments "
         '0.02, 0.02, 0.05 kg m^2',
     ),
     (
@@ -730,17 +730,18 @@ WARNINGS = [
     ([('lower="0" upper="0.5"', 'upper="0.5"')], "joint 'j2': <limit> has no lower; 0 is used"),
     (
         [('effort="20"', 'effort="0"')],
-        "line 29: joint 'j2': limit effort is 0, taken as not known",
+        "line 29: joint 'j2' effort limit: 0 is read as unknown: the effort is not limited",
     ),
-    ([('velocity="1"', 'velocity="0"')], "joint 'j2': limit velocity is 0, taken as not known"),
+    ([('velocity="1"', 'velocity="0"')], "joint 'j2' velocity limit: 0 is read as unknown"),
 ]
 
 
 @pytest.mark.parametrize(('edits', 'words'), WARNINGS)
-def test_warning_is_told(edits, words):
+def test_odd_descriptions_have_one_warning_with_a_hint(edits, words):
     robot = load_urdf(edited(*edits))
     assert len(robot.warnings) == 1
-    assert words in robot.warnings[0]
+    assert words in str(robot.warnings[0])
+    assert robot.warnings[0].hint
 
 
 def test_rounded_inertia_of_a_plate_is_not_warned_of():
@@ -753,30 +754,28 @@ def test_joint_that_moves_no_mass():
         ('type="fixed"', 'type="continuous"'),
         ('<child link="l3"/>', '<child link="l3"/><axis xyz="0 0 1"/>'),
     )
-    assert load_urdf(text).warnings == (
-        "joint 'jf' moves no mass: its gravity effort is always zero",
-    )
+    (warning,) = load_urdf(text).warnings
+    assert str(warning) == "joint 'jf': moves no mass: its gravity effort is always zero"
 
 
 def test_robot_that_moves_no_mass():
     text = '\n'.join(
         [*GOOD.splitlines()[:4], '</link>', '<link name="l2"/>', *GOOD.splitlines()[16:]]
     )
-    assert load_urdf(text).warnings == (
-        'no joint moves any mass: every gravity effort is zero; links lack <inertial>',
-    )
+    (warning,) = load_urdf(text).warnings
+    assert str(warning) == 'no joint moves any mass: every gravity effort is zero'
 
 
 def test_robot_that_cannot_move():
     robot = load_urdf(NOTHING_MOVES)
     assert robot.joint_names == ()
-    assert robot.warnings == ('no joint can move: there is no effort to compute',)
+    (warning,) = robot.warnings
+    assert str(warning) == 'no joint can move: there is no effort to compute'
 
 
 def test_warnings_come_in_file_order():
     text = edited((J2_AXIS, ''), (L1_MASS, '<mass value="0"/>'), ('upper="1"', 'upper="99"'))
-    lines = [warning.partition(':')[0] for warning in load_urdf(text).warnings]
-    assert lines == ['line 5', 'line 22', 'line 24']
+    assert [warning.line for warning in load_urdf(text).warnings] == [5, 22, 24]
 
 
 def test_odd_declaration_keeps_line_numbers():
@@ -853,7 +852,7 @@ def test_our_robots_load_with_the_warnings_they_are_made_for(path):
     words = {'fixed_chain': 'zero mass with inertia', 'skew_axes': 'normalised'}.get(path.stem)
     robot = load_urdf(path)
     assert bool(robot.warnings) == (words is not None)
-    assert all(words in warning for warning in robot.warnings)
+    assert all(words in warning.text for warning in robot.warnings)
 
 
 SHAPED = """
@@ -871,8 +870,10 @@ SHAPED = """
 
 
 def test_a_shape_without_mass_is_told_or_refused():
-    words = "line 6: link 'finger' has a shape, but no <inertial>: it counts as massless"
-    assert load_urdf(SHAPED).warnings == (words,)
+    words = "line 6: link 'finger': has a shape but no <inertial>; it is treated as massless"
+    (warning,) = load_urdf(SHAPED).warnings
+    assert str(warning) == words
+    assert (warning.line, warning.subject) == (6, "link 'finger'")
     with pytest.raises(UrdfError) as caught:
         load_urdf(SHAPED, on_missing_inertial='refuse')
     assert caught.value.problems == (words,)

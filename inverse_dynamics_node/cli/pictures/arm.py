@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...dynamics.inverse_dynamics import InverseDynamics
-from ...report.report import shortened
+from ...report.short_names import shortened
 from ...robot.kinematics import body_frames
 from ...robot.model import Floats, RobotModel
 from .style import (

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...analysis.workspace import Payload, Workspace
 from ...dynamics.inverse_dynamics import InverseDynamics
-from ...report.report import effort_unit, number
+from ...report.quantities import effort_unit, number
 from ...robot.model import Floats
 from .arm import draw_arm
 from .style import (

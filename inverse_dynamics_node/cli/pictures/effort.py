@@ -10,7 +10,7 @@ import numpy as np
 
 from ...analysis.requirements import EffortRequirements
 from ...dynamics.trajectory import Trajectory
-from ...report.report import effort_unit, number
+from ...report.quantities import effort_unit, number
 from ...robot.model import RobotModel
 from .style import (
     BLUE,

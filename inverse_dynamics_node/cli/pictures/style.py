@@ -7,7 +7,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from ...report.report import all_shortened, wrapped
+from ...report.short_names import all_shortened
+from ...report.tables import wrapped
 
 BLUE, ORANGE, GREEN, PINK, SKY, RED, YELLOW = (
     '#0072B2',

@@ -1,8 +1,9 @@
 """
-Links and joints to bodies: what fixed joints hold together moves, and is computed, as one.
+Links and joints to bodies: links that fixed joints hold together form one body.
 
-The values come in the terms of URDF: a joint's frame is its child link's frame, given in the
-parent link's; a link's inertia is about its centre of mass, along the link's axes.
+The values follow the conventions of URDF: the frame of a joint is the frame of its child link and
+is given in the frame of the parent link. The inertia of a link is about its centre of mass, along
+the axes of the link.
 """
 
 from __future__ import annotations
@@ -13,10 +14,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ..model import Floats, RobotModel
+from ..model_warning import ModelWarning
 
 
 class Link(NamedTuple):
-    """A rigid part, by itself."""
+    """A link of the URDF."""
 
     name: str
     mass: float
@@ -25,7 +27,7 @@ class Link(NamedTuple):
 
 
 class Mimic(NamedTuple):
-    """Position is ``multiplier * position of master + offset``."""
+    """A joint position that follows another: ``multiplier * position of master + offset``."""
 
     master: str
     multiplier: float
@@ -33,7 +35,7 @@ class Mimic(NamedTuple):
 
 
 class Joint(NamedTuple):
-    """A joint, by itself; the limits are infinite where there is none."""
+    """A joint of the URDF; missing limits are infinite."""
 
     name: str
     kind: str
@@ -52,7 +54,7 @@ class Joint(NamedTuple):
 
 
 class _Placement(NamedTuple):
-    """The body that a link is part of, and where in that body's frame."""
+    """The body that a link is part of, and the pose of the link in the frame of that body."""
 
     body: int
     rotation: Floats
@@ -60,7 +62,7 @@ class _Placement(NamedTuple):
 
 
 class _Body(NamedTuple):
-    """A joint that moves, and where its frame is in the parent body's at position 0."""
+    """A movable joint, and its pose at position 0 in the frame of the parent body."""
 
     joint: Joint
     parent: int
@@ -69,7 +71,10 @@ class _Body(NamedTuple):
 
 
 def build_model(
-    name: str, links: Sequence[Link], joints: Sequence[Joint], warnings: Iterable[str] = ()
+    name: str,
+    links: Sequence[Link],
+    joints: Sequence[Joint],
+    warnings: Iterable[ModelWarning] = (),
 ) -> RobotModel:
     """
     Merge links into bodies and resolve mimicking joints.
@@ -77,11 +82,11 @@ def build_model(
     Parameters
     ----------
     name : str
-        Of the robot.
+        Name of the robot.
     links, joints : sequence of Link, sequence of Joint
         One tree, in file order.
-    warnings : iterable of str
-        What was odd so far; what is odd about the masses is added.
+    warnings : iterable of ModelWarning
+        Warnings so far; those about joints that move no mass are added.
 
     Returns
     -------
@@ -131,7 +136,7 @@ def build_model(
 def _place(
     links: Sequence[Link], joints: Sequence[Joint]
 ) -> tuple[str, list[_Body], dict[str, _Placement]]:
-    """Walk the tree depth first, children in file order: a body for every joint that moves."""
+    """Walk the tree depth first, children in file order, with a body for every movable joint."""
     children: dict[str, list[Joint]] = {link.name: [] for link in links}
     for joint in joints:
         children[joint.parent].append(joint)
@@ -141,7 +146,7 @@ def _place(
     bodies: list[_Body] = []
     placements = {root: _Placement(0, np.eye(3), np.zeros(3))}
     waiting = children[root][::-1]
-    while waiting:  # a stack of our own: a chain may be longer than Python's
+    while waiting:  # not recursive: a chain may be longer than Python's recursion limit
         joint = waiting.pop()
         parent = placements[joint.parent]
         rotation = parent.rotation @ joint.rotation
@@ -176,7 +181,7 @@ def _merge(
 
 
 def resolve_mimics(joints: Iterable[Joint]) -> dict[str, Mimic]:
-    """Express every joint's position by that of a joint that mimics no other."""
+    """Express the position of every joint by that of a joint that is not a mimic joint."""
     by_name = {joint.name: joint for joint in joints}
     resolved: dict[str, Mimic] = {}
     for start in by_name.values():
@@ -197,10 +202,11 @@ def _folded_friction(
     bodies: Sequence[_Body], drives: Mapping[str, Mimic], index: Mapping[str, int]
 ) -> tuple[list[float], list[float]]:
     """
-    Return damping and friction at the joints, those of mimicking joints seen through them.
+    Return damping and friction at the joints, with those of mimicking joints added.
 
-    A mimicking joint turns m times as fast and its effort counts m times: viscous friction
-    enters with m squared. Coulomb friction keeps its size and turns its sign with m: |m|.
+    A joint that mimics with multiplier m moves m times as fast, and its effort acts on its master
+    m times: viscous friction is multiplied by m squared. The size of Coulomb friction does not
+    depend on the speed, but its sign follows m: it is multiplied by |m|.
 
     """
     damping, friction = [0.0] * len(index), [0.0] * len(index)
@@ -211,14 +217,18 @@ def _folded_friction(
     return damping, friction
 
 
-def _massless(bodies: Sequence[_Body], parents: Sequence[int], mass: Floats) -> list[str]:
+def _massless(bodies: Sequence[_Body], parents: Sequence[int], mass: Floats) -> list[ModelWarning]:
     """Warn of joints that move no mass: their gravity effort is zero in every position."""
     if not bodies:
-        return ['no joint can move: there is no effort to compute']
+        text = 'no joint can move: there is no effort to compute'
+        return [ModelWarning(text, 'check that this is the whole robot: every joint is fixed')]
     carried = mass.tolist()
     for body in range(len(bodies), 0, -1):
         carried[parents[body]] += carried[body]
     idle = [body.joint.name for i, body in enumerate(bodies, 1) if carried[i] == 0.0]
     if len(idle) == len(bodies):
-        return ['no joint moves any mass: every gravity effort is zero; links lack <inertial>']
-    return [f"joint '{name}' moves no mass: its gravity effort is always zero" for name in idle]
+        text = 'no joint moves any mass: every gravity effort is zero'
+        return [ModelWarning(text, 'write <inertial>; without masses, all efforts are zero')]
+    text = 'moves no mass: its gravity effort is always zero'
+    hint = 'write <inertial> for the links that it moves, unless they are only frames'
+    return [ModelWarning(text, hint, f"joint '{name}'") for name in idle]

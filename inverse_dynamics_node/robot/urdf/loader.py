@@ -1,8 +1,8 @@
 """
-URDF to `RobotModel`: read, parse, check, strip, take the values, merge.
+URDF to `RobotModel`: read, parse, check, strip, evaluate, merge.
 
-The checks come first and are ours, because the loader that reads the values forgives: it repairs
-broken XML, fills in missing inertias, and looks at neither types nor references.
+The file is checked before yourdfpy reads the values, because yourdfpy is tolerant: it repairs
+broken XML, fills in missing inertias, and checks neither types nor references.
 """
 
 from __future__ import annotations
@@ -17,21 +17,11 @@ import numpy as np
 
 from ...errors import ConfigurationError, UrdfError
 from ..model import RobotModel
-from .bodies import (
-    build_model,
-    Joint,
-    Link,
-    Mimic,
-)
+from .bodies import build_model, Joint, Link, Mimic
 from .checks import check
 from .quaternions import rpy_of_quaternion
 from .rules import CHILDREN, CHILDREN_OF_FIXED, RULES
-from .xml import (
-    Element,
-    parse,
-    read_source,
-    tag,
-)
+from .xml import Element, parse, read_source, tag
 
 
 def load_urdf(
@@ -40,36 +30,37 @@ def load_urdf(
     """
     Load a robot from a URDF file or from URDF text.
 
-    Nothing but the file is opened: no meshes, no network. Links without ``<inertial>`` have no
-    mass; fixed joints merge their links; mimicking joints follow their master.
+    Only this file is opened: no meshes, no network. Links without ``<inertial>`` have no mass,
+    fixed joints merge their links, and mimicking joints follow their master.
 
     Parameters
     ----------
     path_or_xml : str or path-like
-        A path, or XML text: a str that starts with ``<``, space and byte order mark aside.
+        A path, or XML text: a str that starts with ``<``, after white space and a byte order
+        mark if there are any.
     on_missing_inertial : {'warn', 'refuse'}
-        What to do about links that have a shape, but no ``<inertial>``; the root apart.
+        Whether a link other than the root that has a shape but no ``<inertial>`` is a warning or
+        an error.
 
     Returns
     -------
     robot : RobotModel
-        What loaded but looks wrong is told in ``robot.warnings``.
+        ``robot.warnings`` lists what looks wrong although it could be loaded.
 
     Raises
     ------
     UrdfError
-        If there is no such file, or it does not describe one tree of revolute, continuous,
+        If the file cannot be read, or does not describe one tree of revolute, continuous,
         prismatic and fixed joints with complete inertias and limits. A single link without
-        joints is not a robot. All problems are listed,
-        with their lines.
+        joints is an error too. All problems are listed, with their lines.
     ConfigurationError
         If ``on_missing_inertial`` is neither of the two.
 
     Notes
     -----
-    Conventions are those of urdfdom, the parser of ROS: lower and upper limits default to 0, the
-    axis to x. An effort or velocity limit of 0 is read as not known, hence infinite. Versions 1.0
-    to 1.2 of the format are read; ``quat_xyzw`` of an origin from 1.1 on.
+    The conventions are those of urdfdom, the parser of ROS: lower and upper limits default to 0,
+    the axis to x. An effort or velocity limit of 0 is read as unknown, hence infinite. Versions
+    1.0 to 1.2 of the format are supported; ``quat_xyzw`` of an origin from 1.1 on.
 
     """
     if on_missing_inertial not in ('warn', 'refuse'):
@@ -78,21 +69,21 @@ def load_urdf(
         )
     source = read_source(path_or_xml)
     root, warnings = parse(source)
-    findings = check(root, needs_inertials=on_missing_inertial == 'refuse')
-    if findings.problems:
-        raise UrdfError(findings.problems, source.name)
+    problems = check(root, needs_inertials=on_missing_inertial == 'refuse')
+    if problems.errors:
+        raise UrdfError(problems.errors, source.name)
     links, joints = _values(_stripped(root))
-    # Too large a number shows up as infinite, below, where it can be told which.
+    # A number that is too large becomes infinite, which _overflows reports with its name.
     with np.errstate(all='ignore'):
-        robot = build_model(root.get('name'), links, joints, [*warnings, *findings.warnings])
-    problems = _overflows(robot)
-    if problems:
-        raise UrdfError(problems, source.name)
+        robot = build_model(root.get('name'), links, joints, [*warnings, *problems.warnings])
+    overflows = _overflows(robot)
+    if overflows:
+        raise UrdfError(overflows, source.name)
     return robot
 
 
 def _stripped(root: Element) -> bytes:
-    """Serialise what dynamics need, which is what has been checked, and nothing else."""
+    """Serialise only the elements and attributes that have been checked."""
     clean = etree.Element('robot')
     waiting = [(root, clean)]
     while waiting:
@@ -112,7 +103,7 @@ def _stripped(root: Element) -> bytes:
 
 
 def _values(clean: bytes) -> tuple[list[Link], list[Joint]]:
-    import yourdfpy  # here, because it takes half a second: a bad file fails without it
+    import yourdfpy  # here, because it takes half a second, which a bad file need not wait for
 
     robot = yourdfpy.URDF.load(
         io.BytesIO(clean),
@@ -151,7 +142,7 @@ def _joint(joint: Any) -> Joint:
         upper=(limit.upper or 0.0) if is_bounded else math.inf,
         velocity=(limit and limit.velocity) or math.inf,
         effort=(limit and limit.effort) or math.inf,
-        # The loader leaves these two as text.
+        # yourdfpy leaves these two as text.
         damping=float((dynamics and dynamics.damping) or 0.0),
         friction=float((dynamics and dynamics.friction) or 0.0),
         mimic=mimic and Mimic(mimic.joint, mimic.multiplier, mimic.offset),
@@ -159,7 +150,7 @@ def _joint(joint: Any) -> Joint:
 
 
 def _overflows(robot: RobotModel) -> list[str]:
-    """Name what came out infinite though every number of the file is finite."""
+    """Describe values that overflowed although every number in the file is finite."""
     rows = {
         robot.body_names: ('p_PL', 'mass', 'com', 'inertia', 'multiplier', 'offset'),
         robot.joint_names: ('damping', 'friction'),

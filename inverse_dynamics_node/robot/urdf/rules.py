@@ -1,9 +1,11 @@
-"""The part of URDF that dynamics need, as tables: elements, their attributes, what these hold."""
+"""The part of URDF that the dynamics need, as tables of elements and their attributes."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+
+from .xml import Element
 
 SUPPORTED_TYPES = ('revolute', 'continuous', 'prismatic', 'fixed')
 
@@ -11,9 +13,16 @@ VERSIONS = ('1.0', '1.1', '1.2')
 """
 Versions of the format that are read, as in urdfdom 6.
 
-1.1 adds quaternions and capsules, 1.2 adds limits that inverse dynamics do not need.
+1.1 adds quaternions and capsules, 1.2 adds limits that inverse dynamics does not need.
 """
 VERSIONS_WITH_QUATERNIONS = ('1.1', '1.2')
+
+
+def version_of(element: Element) -> str:
+    """Return the version of URDF that the document of an element declares."""
+    version: str = element.getroottree().getroot().get('version', '1.0')
+    return version
+
 
 CHILDREN = {
     'robot': ('link', 'joint'),
@@ -30,10 +39,10 @@ CHILDREN = {
         'safety_controller',
     ),
 }
-"""The elements that dynamics need; at most one of each, links and joints aside."""
+"""The elements that the dynamics need; at most one of each, except links and joints."""
 
 CHILDREN_OF_FIXED = ('parent', 'child', 'origin')
-"""Nothing else means anything on a fixed joint, so nothing else is looked at there."""
+"""Other elements have no meaning on a fixed joint and are not checked there."""
 
 
 @dataclass(frozen=True)
@@ -42,11 +51,11 @@ class Rule:
 
     names: tuple[str, ...] = ()
     numbers: Mapping[str, int] = field(default_factory=dict)
-    """How many numbers each attribute holds."""
+    """Attributes with numbers, and how many numbers each of them holds."""
     required: tuple[str, ...] = ()
     not_negative: tuple[str, ...] = ()
     is_open: bool = False
-    """Whether makers add attributes of their own: others are a slip of the pen."""
+    """Whether other attributes are allowed; if not, an unknown one is probably misspelt."""
 
 
 def _scalars(*names: str) -> dict[str, int]:

@@ -1,4 +1,4 @@
-"""Checks of what refers to what: the links are one tree, and mimicking joints have a master."""
+"""Checks of references: the links form one tree, and mimicking joints have a master."""
 
 from __future__ import annotations
 
@@ -6,40 +6,40 @@ from collections import defaultdict
 from collections.abc import Mapping
 
 from ...errors import listed, unknown_name
-from .findings import Findings, label
+from .problems import label, Problems
 from .xml import Element, is_xacro, tag
 
 
-def check_tree(root: Element, links: Mapping[str, Element], findings: Findings) -> None:
-    """Check that the joints make one tree of the links."""
+def check_tree(root: Element, links: Mapping[str, Element], problems: Problems) -> None:
+    """Check that the joints connect the links to one tree."""
     holders: dict[str, Element] = {}
     children: defaultdict[str, list[str]] = defaultdict(list)
     all_ends_known = True
     for joint in root:
         if tag(joint) != 'joint':
             continue
-        ends = _check_ends(joint, links, findings)
+        ends = _check_ends(joint, links, problems)
         if ends is None:
             all_ends_known = False
             continue
         parent, child = ends
         if child in holders:
             pair = f"'{holders[child].get('name')}' and '{joint.get('name')}'"
-            findings.problem(joint, f"link '{child}' has two parent joints: {pair}")
+            problems.error(joint, f"link '{child}' has two parent joints: {pair}")
             continue
         holders[child] = joint
         children[parent].append(child)
 
     if not links:
-        findings.problem_of_all('the robot has no links')
+        problems.error_of_all('the robot has no links')
     elif len(links) == 1 and not any(tag(element) == 'joint' for element in root):
-        findings.problem_of_all('the robot has one link and no joints: nothing to command')
-    elif all_ends_known:  # otherwise the broken joint explains a link that hangs in the air
-        _check_roots([name for name in links if name not in holders], links, children, findings)
+        problems.error_of_all('the robot has one link and no joints: nothing to command')
+    elif all_ends_known:  # otherwise a broken joint explains why a link is not connected
+        _check_roots([name for name in links if name not in holders], links, children, problems)
 
 
 def _check_ends(
-    joint: Element, links: Mapping[str, Element], findings: Findings
+    joint: Element, links: Mapping[str, Element], problems: Problems
 ) -> tuple[str, str] | None:
     """Return the names of parent and child link, if both exist."""
     where, ends = label(joint), []
@@ -52,11 +52,11 @@ def _check_ends(
             ends.append(name)
         elif not is_xacro(name):
             text = f'{where}: {end} {unknown_name("link", name, links)}'
-            findings.problem(element, text)
+            problems.error(element, text)
     if len(ends) < 2:
         return None
     if ends[0] == ends[1]:
-        findings.problem(joint, f"{where}: parent and child are the same link '{ends[0]}'")
+        problems.error(joint, f"{where}: parent and child are the same link '{ends[0]}'")
         return None
     return ends[0], ends[1]
 
@@ -65,14 +65,14 @@ def _check_roots(
     roots: list[str],
     links: Mapping[str, Element],
     children: Mapping[str, list[str]],
-    findings: Findings,
+    problems: Problems,
 ) -> None:
     if not roots:
-        findings.problem_of_all('no root link: the links form a cycle')
+        problems.error_of_all('no root link: the links form a cycle')
         return
     if len(roots) > 1:
         names = listed([f"'{name}'" for name in roots])
-        findings.problem_of_all(f'{len(roots)} root links: {names}; expected one')
+        problems.error_of_all(f'{len(roots)} root links: {names}; expected one')
     reached, waiting = set(roots), list(roots)
     while waiting:
         found = [name for name in children.get(waiting.pop(), ()) if name not in reached]
@@ -81,11 +81,11 @@ def _check_roots(
     adrift = [f"'{name}'" for name in links if name not in reached]
     if adrift:
         text = f"{len(adrift)} links are not connected to root '{roots[0]}' (cycle)"
-        findings.problem_of_all(f'{text}: {listed(adrift)}')
+        problems.error_of_all(f'{text}: {listed(adrift)}')
 
 
 def check_mimic(
-    joint: Element, mimic: Element, joints: Mapping[str, Element], findings: Findings
+    joint: Element, mimic: Element, joints: Mapping[str, Element], problems: Problems
 ) -> None:
     """Check that the master exists and moves."""
     where, master = label(joint), mimic.get('joint')
@@ -93,14 +93,14 @@ def check_mimic(
         return
     if master not in joints:
         text = f"{where} mimics unknown joint '{master}'; joints are {listed(joints)}"
-        findings.problem(mimic, text)
+        problems.error(mimic, text)
     elif master == joint.get('name'):
-        findings.problem(mimic, f'{where} mimics itself')
+        problems.error(mimic, f'{where} mimics itself')
     elif joints[master].get('type') == 'fixed':
-        findings.problem(mimic, f"{where} mimics '{master}' of type fixed")
+        problems.error(mimic, f"{where} mimics '{master}' of type fixed")
 
 
-def check_mimic_loops(joints: Mapping[str, Element], findings: Findings) -> None:
+def check_mimic_loops(joints: Mapping[str, Element], problems: Problems) -> None:
     """Check that every chain of mimicking joints ends."""
     masters = {}
     for name, joint in joints.items():
@@ -117,7 +117,7 @@ def check_mimic_loops(joints: Mapping[str, Element], findings: Findings) -> None
         if name in path:
             members = list(path)
             loop = [*members[members.index(name) :], name]
-            findings.problem(joints[name], f'mimic loop: {" -> ".join(loop)}')
+            problems.error(joints[name], f'mimic loop: {" -> ".join(loop)}')
         settled.update(path)
 
 

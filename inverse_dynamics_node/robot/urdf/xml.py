@@ -1,4 +1,4 @@
-"""URDF source to an XML tree, by a parser that trusts nothing: no DTD, network or repair."""
+"""URDF source to an XML tree, with a hardened parser: no DTD, network or repair."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from typing import Any, NamedTuple
 from lxml import etree
 
 from ...errors import UrdfError
+from ..model_warning import ModelWarning
 
 Element = Any
 """An lxml element; lxml comes without types."""
 
 MAX_BYTES = 16 * 2**20
-"""Ten times the largest real robot descriptions, and parsed in seconds."""
+"""Ten times the size of the largest real robot descriptions; parsed in seconds."""
 
 _FOREIGN_ROOTS = {'sdf': 'SDF', 'model': 'a part of SDF', 'mujoco': 'MJCF', 'html': 'HTML'}
 
@@ -33,13 +34,13 @@ class Source(NamedTuple):
     name: str
     data: bytes
     encoding: str | None
-    """None where the bytes say it themselves, by a BOM or a declaration."""
+    """None if a byte order mark or a declaration in the bytes defines it."""
 
 
 def read_source(path_or_xml: str | os.PathLike[str]) -> Source:
-    """Read a path, or take XML text as it is."""
+    """Read a file; XML text is used as it is."""
     if isinstance(path_or_xml, str) and path_or_xml.lstrip(f'{_BOM} \t\r\n').startswith('<'):
-        # Text is decoded already: an encoding that it declares says nothing about these bytes.
+        # Text has been decoded: an encoding that it declares does not apply to these bytes.
         data = path_or_xml.lstrip(_BOM).encode('utf-8', 'surrogatepass')
         source, kind, size = Source('URDF', data, 'utf-8'), 'text', len(data)
     elif isinstance(path_or_xml, str) and not path_or_xml.strip():
@@ -66,7 +67,7 @@ def _read_file(path: str | os.PathLike[str]) -> tuple[bytes, int]:
         if stat.S_ISDIR(status.st_mode):
             raise UrdfError(['is a directory, expected a URDF file'], name)
         if not stat.S_ISREG(status.st_mode):
-            # Opening a pipe would wait for a writer, a device may never end.
+            # Opening a pipe would wait for a writer, and a device may never end.
             raise UrdfError(['is not a regular file'], name)
         with open(path, 'rb') as file:
             data = file.read(MAX_BYTES + 1)
@@ -83,8 +84,8 @@ def shortened(text: str, length: int = 80) -> str:
     return text if len(text) <= length else f'{text[:length]}...'
 
 
-def parse(source: Source) -> tuple[Element, list[str]]:
-    """Return the <robot> element and what was odd about the XML; refuse anything else."""
+def parse(source: Source) -> tuple[Element, list[ModelWarning]]:
+    """Return the <robot> element and warnings about the XML; raise UrdfError for other input."""
     source, warnings = _without_odd_declaration(source)
     try:
         parser = _hardened_parser(source.encoding)
@@ -96,7 +97,7 @@ def parse(source: Source) -> tuple[Element, list[str]]:
         prefixes = _undeclared_prefixes(parser.error_log)
         if not prefixes:
             raise UrdfError(_syntax_problems(source, error), source.name) from error
-        # Every URDF tool of ROS reads these files, so the prefixed parts can only be ornament.
+        # All URDF tools of ROS read these files, so the prefixed parts cannot be essential.
         root = etree.fromstring(source.data, _hardened_parser(source.encoding, recover=True))
         warnings += prefixes
 
@@ -111,13 +112,13 @@ def parse(source: Source) -> tuple[Element, list[str]]:
 
 def tag(element: Element) -> str:
     """Return an element's name as it is written, with its prefix."""
-    # A default namespace (<robot xmlns="...">) changes nothing for any URDF tool.
+    # All URDF tools ignore a default namespace (<robot xmlns="...">).
     local_name = element.tag.rpartition('}')[2]
     return f'{element.prefix}:{local_name}' if element.prefix else local_name
 
 
 def is_xacro(text: str) -> bool:
-    """Return whether an attribute still waits for xacro."""
+    """Return whether an attribute contains unprocessed xacro."""
     return '${' in text or '$(' in text
 
 
@@ -136,8 +137,8 @@ def _hardened_parser(encoding: str | None, recover: bool = False) -> Any:
     )
 
 
-def _without_odd_declaration(source: Source) -> tuple[Source, list[str]]:
-    """Blank out an XML declaration that only libxml2 minds, keeping lines and columns."""
+def _without_odd_declaration(source: Source) -> tuple[Source, list[ModelWarning]]:
+    """Blank out an XML declaration that only libxml2 rejects, keeping lines and columns."""
     found = _DECLARATION.match(source.data)
     if not found or _SOUND_DECLARATION.match(source.data):
         return source, []
@@ -146,19 +147,24 @@ def _without_odd_declaration(source: Source) -> tuple[Source, list[str]]:
     declared = encoding[1].decode('ascii', 'replace') if encoding else 'utf-8'
     written = found[0].removeprefix(b'\xef\xbb\xbf').strip().decode('ascii', 'replace')
     data = blank + source.data[found.end() :]
-    warning = f"line 1: odd XML declaration {written} ignored; write <?xml version='1.0'?>"
+    text = f'invalid XML declaration {shortened(written)} ignored'
+    warning = ModelWarning(text, "harmless; write <?xml version='1.0'?>", line=1)
     return source._replace(data=data, encoding=source.encoding or declared), [warning]
 
 
-def _undeclared_prefixes(log: Any) -> list[str]:
-    """Describe undeclared namespace prefixes, if nothing else is wrong."""
+def _undeclared_prefixes(log: Any) -> list[ModelWarning]:
+    """Return warnings about undeclared namespace prefixes, if there are no other errors."""
     errors = [entry for entry in log if entry.level >= etree.ErrorLevels.ERROR]
     if any(entry.type != etree.ErrorTypes.NS_ERR_UNDEFINED_NAMESPACE for entry in errors):
         return []
     first_lines: dict[str, int] = {}
     for entry in errors:
         first_lines.setdefault(entry.message, entry.line)
-    return [f'line {line}: {message}; ignored' for message, line in first_lines.items()]
+    hint = 'harmless; declare the namespace, or remove the element or attribute'
+    return [
+        ModelWarning(f'{message}; ignored', hint, line=line)
+        for message, line in first_lines.items()
+    ]
 
 
 _NO_DOCTYPE = 'DOCTYPE/DTD is not allowed in a URDF'

@@ -1,0 +1,41 @@
+"""Numbers, units and kinds of joints as text."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..robot.model import Floats, RobotModel
+
+
+def kind_of(robot: RobotModel, body: int) -> str:
+    """Return the kind of the joint that moves a body."""
+    if robot.is_prismatic[body]:
+        return 'prismatic'
+    return 'continuous' if robot.is_continuous[robot.joint_index[body]] else 'revolute'
+
+
+def effort_unit(robot: RobotModel, joint: int) -> str:
+    """Return the unit of a joint's effort, padded to a common length."""
+    return 'N  ' if robot.is_prismatic_joint[joint] else 'N m'
+
+
+def number(value: float) -> str:
+    """Write a limit; a dash if it is not finite."""
+    if not math.isfinite(value):
+        return '-'
+    return f'{value:.0f}' if 1e4 <= abs(value) < 1e7 else f'{value:.4g}'
+
+
+def fraction(effort: float, limit: float) -> str:
+    """Write the ratio of an effort to its limit in percent; a dash if there is no limit."""
+    return f'{abs(effort) / limit:.0%}' if math.isfinite(limit) else '-'
+
+
+def decimals(values: Floats, digits: int = 4) -> int:
+    """Return the number of decimals, 1 to 6, that gives the largest value so many digits."""
+    largest = float(np.max(np.abs(values), initial=0.0))
+    if not 0.0 < largest < math.inf:
+        return 1
+    return min(6, max(1, digits - 1 - math.floor(math.log10(largest))))

@@ -1,0 +1,211 @@
+"""Tables that describe a robot: masses, tree, limits, order of the commands, gravity efforts."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..dynamics.inverse_dynamics import InverseDynamics
+from ..errors import ConfigurationError
+from ..robot.model import Floats, Integers, RobotModel
+from .quantities import decimals, effort_unit, fraction, kind_of, number
+from .tables import Table, wrapped
+
+
+def model_tables(
+    dynamics: InverseDynamics,
+    joints: Sequence[str] = (),
+    q: ArrayLike | None = None,
+    effort_limits: ArrayLike | None = None,
+) -> list[Table]:
+    """
+    Describe the robot.
+
+    Parameters
+    ----------
+    dynamics : InverseDynamics
+        The robot, with n joints, and the loads on it.
+    joints : sequence of str
+        The m joints to command, in the order of the commands; empty for all, in the robot's order.
+    q : array_like, shape (n,), optional
+        Joint positions [rad or m]; adds a table of the gravity efforts there.
+    effort_limits : array_like, shape (m,), optional
+        Largest efforts of the commanded joints [N m or N]; default: those of the URDF.
+
+    Returns
+    -------
+    tables : list of Table
+
+    Raises
+    ------
+    ConfigurationError
+        If a joint does not exist, or the limits do not have shape (m,).
+    JointStateError
+        If q does not have shape (n,), or is not finite.
+
+    """
+    robot = dynamics.robot
+    commanded = tuple(joints) or robot.joint_names
+    limits = _limits(robot, commanded, effort_limits)
+    tables = [_summary(dynamics), _tree(robot, limits), *_merged(robot)]
+    if joints:
+        tables.append(_order(robot, commanded))
+    if q is not None:
+        tables.append(_at_rest(dynamics, np.asarray(q, dtype=np.float64), limits))
+    return tables
+
+
+def _summary(dynamics: InverseDynamics) -> Table:
+    robot = dynamics.robot
+    kinds = Counter(kind_of(robot, body) for body in range(1, len(robot.parent)))
+    moving, count = float(np.sum(robot.mass[1:])), len(robot.joint_names)
+    listed = ', '.join(f'{number} {kind}' for kind, number in kinds.items())
+    mimics = len(robot.parent) - 1 - count
+    followers = f', {mimics} of them mimic another' if mimics else ''
+    has_friction = int(np.count_nonzero(robot.damping + robot.friction))
+    massless = [
+        name
+        for name, mass, body in zip(
+            robot.link_names, robot.link_mass, robot.link_body, strict=True
+        )
+        if mass == 0.0 and body > 0
+    ]
+    notes = [
+        f'{np.sum(robot.mass):.4g} kg, of which {moving:.4g} kg move; {len(robot.link_names)} '
+        f'links in {len(robot.parent)} rigid bodies; joints: {listed or "none"}{followers}',
+        f'gravity: {" ".join(f"{g:g}" for g in dynamics.gravity)} m/s^2 in the frame of '
+        f"'{robot.body_names[0]}'; the URDF has friction for {has_friction} of {count} joints",
+    ]
+    if massless:
+        notes.append(
+            f'moving links without mass, correct if they are only frames: {", ".join(massless)}'
+        )
+    return Table(f"robot '{robot.name}'", notes=tuple(notes))
+
+
+def _tree(robot: RobotModel, limits: Floats) -> Table:
+    columns = ('joint', 'kind', 'axis', 'from', 'to', 'speed', 'effort', 'mass [kg]')
+    prefixes = _branches(robot.parent)
+    rows: list[tuple[str, ...]] = [
+        (robot.body_names[0], 'base', '', '', '', '', '', f'{robot.mass[0]:.4g}')
+    ]
+    followers: dict[str, list[str]] = {}
+    notes = [
+        'axis: in the frame of the joint. From, to [rad, m], speed [rad/s, m/s] and effort '
+        '[N m, N]: limits, - if there is none. Mass: links between this joint and the next.'
+    ]
+    for body in range(1, len(robot.parent)):
+        name, joint = robot.body_names[body], int(robot.joint_index[body])
+        of_joint: tuple[str, ...] = ('', '', '', '')
+        if name == robot.joint_names[joint]:
+            ends = robot.lower[joint], robot.upper[joint]
+            of_joint = (*map(number, ends), number(robot.velocity_limits[joint]),
+                        number(limits[joint]))  # fmt: skip
+        else:
+            rule = f'{name} ({robot.multiplier[body]:g} q {robot.offset[body]:+g})'
+            followers.setdefault(robot.joint_names[joint], []).append(rule.replace(' +0)', ')'))
+        kind, axis = kind_of(robot, body), _axis(robot.axis[body])
+        rows.append((prefixes[body] + name, kind, axis, *of_joint, f'{robot.mass[body]:.4g}'))
+    notes += [
+        f'These mimic the position q of {master}, and their efforts are added to its effort: '
+        + ', '.join(rules)
+        for master, rules in followers.items()
+    ]
+    title = 'Joints, from the base outwards'
+    return Table(title, columns, tuple(rows), tuple(notes), frozenset({1, 2}))
+
+
+def _merged(robot: RobotModel) -> list[Table]:
+    """List the links that fixed joints hold together, with their masses."""
+    rows = []
+    for body, name in enumerate(robot.body_names):
+        members = [int(k) for k in np.flatnonzero(robot.link_body == body)]
+        if len(members) < 2:
+            continue
+        listed = ', '.join(
+            f'{robot.link_names[k]} {robot.link_mass[k]:.4g}' if robot.link_mass[k] else
+            robot.link_names[k] for k in members
+        )  # fmt: skip
+        lines = wrapped(listed, 62)
+        rows += [(name if i == 0 else '', line) for i, line in enumerate(lines)]
+    if not rows:
+        return []
+    columns = ('moves with', 'links, with mass [kg] if not zero')
+    title = 'Links that fixed joints hold together'
+    return [Table(title, columns, tuple(rows), words=frozenset({1}))]
+
+
+def _order(robot: RobotModel, commanded: Sequence[str]) -> Table:
+    index = {name: i for i, name in enumerate(robot.joint_names)}
+    rows = tuple((str(k), name, str(index[name])) for k, name in enumerate(commanded))
+    rest = [name for name in robot.joint_names if name not in commanded]
+    notes = (f'not commanded, but taken into account: {", ".join(rest)}',) if rest else ()
+    columns = ('command', 'joint', 'index in the URDF')
+    return Table('Order of the commands', columns, rows, notes, frozenset({1}))
+
+
+def _at_rest(dynamics: InverseDynamics, q: Floats, limits: Floats) -> Table:
+    robot = dynamics.robot
+    efforts = dynamics.gravity_efforts(q)
+    places, rows, marked = decimals(efforts), [], set()
+    efforts = np.round(efforts, places) + 0.0  # avoids -0.0
+    for i, name in enumerate(robot.joint_names):
+        marks = []
+        if not robot.lower[i] <= q[i] <= robot.upper[i]:
+            marks.append('outside its range')
+        if abs(efforts[i]) > limits[i]:
+            marks.append('beyond its limit')
+        unit = effort_unit(robot, i)
+        if marks:
+            marked.add(i)
+        rows.append((name, f'{q[i]:.4f}', f'{efforts[i]:.{places}f} {unit}', number(limits[i]),
+                     fraction(efforts[i], limits[i]), ', '.join(marks)))  # fmt: skip
+    columns = ('joint', 'position', 'gravity effort', 'limit', 'share', '')
+    title = 'Efforts that hold the robot where it is'
+    return Table(title, columns, tuple(rows), (), frozenset({5}), frozenset(marked))
+
+
+def _limits(
+    robot: RobotModel, commanded: Sequence[str], effort_limits: ArrayLike | None
+) -> Floats:
+    """Return the limits of all joints, with the given ones for the commanded joints."""
+    unknown = [name for name in commanded if name not in robot.joint_names]
+    if unknown:
+        names = ', '.join(robot.joint_names)
+        raise ConfigurationError(f"joint '{unknown[0]}' does not exist; joints are {names}")
+    limits: Floats = robot.effort_limits.copy()
+    if effort_limits is not None:
+        given = np.asarray(effort_limits, dtype=np.float64)
+        if given.shape != (len(commanded),):
+            raise ConfigurationError(
+                f'effort_limits have shape {given.shape}, expected ({len(commanded)},)'
+            )
+        limits[[robot.joint_names.index(name) for name in commanded]] = given
+    return limits
+
+
+def _axis(axis: Floats) -> str:
+    for direction, letter in zip(np.eye(3), 'xyz', strict=True):
+        for sign, mark in ((1.0, ''), (-1.0, '-')):
+            if np.allclose(axis, sign * direction, atol=1e-3):
+                return mark + letter
+    return ' '.join(f'{x:.2f}'.removesuffix('.00') for x in axis + 0.0)
+
+
+def _branches(parent: Integers) -> list[str]:
+    """Return the prefixes that draw the tree; only branches are indented, so chains stay flat."""
+    children: list[list[int]] = [[] for _ in parent]
+    for body in range(1, len(parent)):
+        children[int(parent[body])].append(body)
+    first = [''] * len(parent)  # before the name of the body
+    below = [''] * len(parent)  # before the names of its descendants
+    for body, group in enumerate(children):
+        for child in group:
+            is_last = child == group[-1]
+            alone = len(group) == 1
+            first[child] = below[body] + ('' if alone else '└ ' if is_last else '├ ')
+            below[child] = below[body] + ('' if alone else '  ' if is_last else '│ ')
+    return first
