@@ -2,6 +2,7 @@
 
 import re
 
+from inverse_dynamics_node.dynamics import equations
 import pytest
 from robot_files import ROOT
 
@@ -69,3 +70,13 @@ def test_files_in_the_text_exist(path):
 def anchor(title):
     """Return the anchor that GitHub gives a heading."""
     return re.sub(r'[^\w -]', '', title.lower()).replace(' ', '-')
+
+
+def test_notation_lists_the_functions_of_each_equation():
+    rows = re.findall(
+        r'^\| \((\d+)\) \|.*\| (.*) \|$', (ROOT / 'doc/notation.md').read_text(), re.M
+    )
+    assert [int(number) for number, _ in rows] == [31, 36, 37, 40, 44, 41, 42, 45, 46, 47]
+    for number, functions in rows[1:]:
+        for name in re.findall(r'`(\w+)`', functions):
+            assert f'({number})' in getattr(equations, name).__doc__ or name == 'net_force'
