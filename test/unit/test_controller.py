@@ -803,3 +803,119 @@ def test_absurd_references_do_not_print_warnings_in_the_loop():
     lift = controller(mode=Mode.COMPUTED_TORQUE, max_position_jump=0.0)
     lift.step(0.0, state(0.0), tracking(0.0, [1.7e308, 0.0], [-1.7e308, 0.0]))
     assert lift.phase is Phase.NO_SOLUTION
+
+
+def test_the_gain_rises_along_the_start_ramp():
+    lift = controller(start_ramp=0.5)
+    assert lift.gain == 0.0
+    for now in (0.0, 0.05, 0.1):
+        lift.step(now, state(now), None)
+    assert lift.gain == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize('policy', StalePolicy)
+def test_efforts_that_change_during_40_ms_without_states_are_blended_in(policy):
+    lift = controller(start_ramp=0.5, stop_ramp=20.0, on_stale_state=policy)
+    time = settled(lift)
+    for lost in (0.11, 0.13):
+        last = lift.step(time + lost, state(time), None).efforts.copy()
+    assert lift.phase is Phase.STATE_LOST
+    lift.dynamics.set_gravity((0.0, 0.0, -5.0))
+    assert lift.step(time + 0.15, state(time + 0.15), None).efforts == pytest.approx(last)
+
+
+def test_efforts_that_change_while_they_are_held_and_then_stopped_are_blended_in():
+    lift = controller(start_ramp=0.5, stop_ramp=20.0, on_stale_state=StalePolicy.HOLD)
+    time = settled(lift)
+    for k in range(10, 30):
+        lift.step(time + 0.01 * k, state(time), None)
+    lift.stop()
+    last = lift.step(time + 0.3, state(time), None).efforts.copy()
+    lift.dynamics.set_gravity((0.0, 0.0, -5.0))
+    lift.resume()
+    assert lift.step(time + 0.31, state(time + 0.31), None).efforts == pytest.approx(last)
+
+
+def test_a_state_without_a_solution_is_not_answered_with_the_last_efforts():
+    lift = controller()
+    lift.step(0.0, state(0.0), None)
+    absurd = State(np.array([math.nan, 0.0]), np.zeros(2), 0.01)
+    assert not lift.step(0.01, absurd, None).efforts.any()
+    assert lift.phase is Phase.NO_SOLUTION
+
+
+def test_added_efforts_without_end_are_no_solution():
+    lift = controller()
+    lift.step(0.0, state(0.0), None)
+    assert not lift.step(0.01, state(0.01), reference(0.01, [0, 0], [math.inf, 0])).efforts.any()
+    assert lift.phase is Phase.NO_SOLUTION
+
+
+def test_efforts_cut_during_a_blend_are_reported():
+    lift = controller(start_ramp=0.5)
+    time = settled(lift)
+    high, low = (reference(time, [0.0, 0.0], [0.0, effort]) for effort in (4.0, -10.0))
+    lift.blend()
+    for k in range(12):
+        command = lift.step(time + 0.01 * k, state(time + 0.01 * k), high)
+    now = time + 0.5
+    lift.blend()
+    for k, followed in enumerate([low, high, high]):
+        command = lift.step(now + 0.01 * k, state(now + 0.01 * k), followed._replace(time=now))
+    # What is left of the difference would take the effort beyond its limit.
+    assert list(command.is_saturated) == [False, True]
+    assert not command.is_slowed.any()
+
+
+def test_computed_efforts_beyond_a_limit_are_reported_during_a_blend_too():
+    lift = controller(start_ramp=0.5)
+    time = settled(lift)
+    lift.blend()
+    for k in range(5):
+        now = time + 0.01 * k
+        command = lift.step(now, state(now), reference(now, [0.0, 60.0]))
+    assert list(command.is_saturated) == [True, True]
+    command = lift.step(now, state(now), None)
+    assert not command.is_saturated.any()
+
+
+def test_nothing_is_slowed_without_rate_limits():
+    lift = controller(start_ramp=0.5)
+    for now in (0.0, 0.01, 0.02):
+        assert not lift.step(now, state(now), None).is_slowed.any()
+
+
+def test_the_velocity_filter_starts_anew_after_a_gap():
+    lift = controller(
+        velocity_filter_cutoff=0.5,
+        use_urdf_effort_limits=False,
+        on_stale_state=StalePolicy.HOLD,
+    )
+    lift.dynamics.set_friction(damping=1.0, coulomb=0.0)
+    for now, speed in ((0.0, 5.0), (0.01, 5.0), (1.0, -1.0)):
+        efforts = lift.step(now, State(np.zeros(2), np.full(2, speed), now), None).efforts
+    assert efforts == pytest.approx(HOLD - 1.0)
+
+
+def test_the_velocity_filter_takes_each_state_once():
+    lift = controller(velocity_filter_cutoff=1.0, use_urdf_effort_limits=False)
+    lift.dynamics.set_friction(damping=1.0, coulomb=0.0)
+    lift.step(0.0, state(0.0), None)
+    moving = State(np.zeros(2), np.full(2, 5.0), 0.01)
+    efforts = lift.step(0.01, moving, None).efforts.copy()
+    assert np.abs(efforts - HOLD).max() < 1.0
+    assert lift.step(0.02, moving, None).efforts == pytest.approx(efforts)
+
+
+@pytest.mark.filterwarnings('error')
+def test_absurd_velocities_do_not_print_warnings_in_the_loop():
+    lift = controller(velocity_filter_cutoff=10.0)
+    for now, speed in ((0.0, 1.7e308), (0.01, -1.7e308), (0.02, 0.1)):
+        lift.step(now, State(np.zeros(2), np.full(2, speed), now), None)
+    assert lift.phase is not Phase.WAITING
+
+
+def test_a_state_is_fresh_until_the_end_of_its_timeout():
+    lift = controller(state_timeout=0.125)
+    lift.step(0.125, state(0.0), None)
+    assert lift.phase is Phase.HOLDING
