@@ -403,11 +403,16 @@ def test_an_effort_at_the_limit_is_not_beyond_it():
 
 
 def test_base_wrench_carries_the_weight_of_all_links():
-    robot = load_urdf(ROOT / 'test/robots/planar_2r.urdf')
-    loop = ControlLoop(robot)
-    loop.collector.update(0.0, robot.joint_names, [0.4, 0.3], [0.0, 0.0])
+    loop = heard(ControlLoop(MODEL))
     loop.step(0.0)
-    wrenches = InverseDynamics(robot).joint_wrenches([0.4, 0.3], np.zeros(2), np.zeros(2))
+    wrenches = InverseDynamics(MODEL).joint_wrenches(Q, np.zeros(6), np.zeros(6))
     force, moment = loop.base_wrench()
     assert force == pytest.approx(wrenches.force[0])
     assert moment == pytest.approx(wrenches.moment[0])
+
+
+def test_a_gap_in_a_loop_without_a_period_does_not_advance_the_ramps():
+    loop = ControlLoop(MODEL, settings=Settings(start_ramp=2.0))
+    for now in (0.0, 0.5, 1.0):
+        heard(loop, now).step(now)
+    assert loop.controller.gain == 0.0

@@ -152,12 +152,12 @@ def test_a_lost_base_motion_leaves_gravity_and_stops_turning(loads, dynamics):
 
 
 def test_the_motion_of_the_base_is_smoothed(loads):
-    loads.set_base_motion(0.0, (0.0, 0.0, 10.0), (0.0, 0.0, 0.0))
-    assert not loads.set_base_motion(0.01, (0.0, 0.0, 11.0), (1.0, 0.0, 0.0))
+    loads.set_base_motion(0.0, (0.0, 0.0, 10.0), (0.5, 0.0, 0.0))
+    assert not loads.set_base_motion(0.01, (0.0, 0.0, 11.0), (1.5, 0.0, 0.0))
     share = 1.0 - math.exp(-2.0 * math.pi * 20.0 * 0.01)
     assert loads.gravity[2] == pytest.approx(-10.0 - share)
     other = InverseDynamics(load_urdf(STANFORD), (0.0, 0.0, -10.0 - share))
-    other.set_base_motion((share, 0.0, 0.0))
+    other.set_base_motion((0.5 + share, 0.0, 0.0))
     assert loads.dynamics.gravity_efforts(Q) == pytest.approx(other.gravity_efforts(Q))
 
 

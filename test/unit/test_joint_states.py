@@ -231,6 +231,7 @@ def hand(locked=None):
 
 def test_nothing_has_jumped_before_a_joint_was_late_or_locked():
     collector = hand({'thumb': 0.1})
+    assert (collector.has_jumped, collector.late_count) == (False, 0)
     collector.rest_late(0.0, 1.0)
     assert (collector.has_jumped, collector.late_count) == (False, 0)
     collector.update(1.0, HAND[:2], [0.0] * 2, [NAN, NAN])
@@ -307,3 +308,21 @@ def test_the_jump_of_a_late_joint_is_kept_while_another_one_alternates():
     collector.has_jumped = True
     alternate(collector, 'arm', 0.0)
     assert collector.has_jumped
+
+
+def test_a_locked_joint_that_does_not_exist_is_named_with_those_that_do():
+    with pytest.raises(ConfigurationError, match=r'nope.*; joints are arm, finger, thumb'):
+        hand({'nope': 0.0})
+
+
+@pytest.mark.parametrize('locked', [{}, {'arm': 0.0}])
+def test_the_first_position_is_not_taken_for_a_motion(locked):
+    def reports_until_alarm(*positions):
+        collector = JointStateCollector(['arm'], locked)
+        for k in range(1000):
+            collector.update(0.005 * k, ['arm'], [positions[k % 2]], [])
+            if collector.alternating():
+                return k
+        return None
+
+    assert reports_until_alarm(8.0, 0.0) == reports_until_alarm(0.0, 8.0) is not None

@@ -512,3 +512,15 @@ def test_activity_without_usable_efforts_and_while_states_are_fresh_again(loop):
     loop.collector.update(0.5, JOINTS, [0.1, 0.2], [0.0, 0.0])
     loop.step(0.5)
     assert 'efforts rise after 0.2 s' in activity(0.5, loop)
+
+
+@pytest.mark.parametrize(
+    ('publishers', 'silence', 'is_reported'), [(0, 9.0, False), (2, 4.0, False), (2, 9.0, True)]
+)
+def test_connected_publishers_from_which_nothing_arrives_are_reported(
+    publishers, silence, is_reported
+):
+    loop = ControlLoop(ROBOT)
+    around = FINE._replace(publishers=publishers, silence=silence)
+    message = part(Monitor().report(9.0, loop, around), 'joint states').message
+    assert ('2 publishers are connected' in message) is is_reported
