@@ -1,5 +1,5 @@
-# `make demo`, `make test`, `make bench`, `make bench-loop` and `make storm` set up .venv and run.
-# ARGS='...' is passed on: `make test ARGS=test/unit` runs some of the tests.
+# `make demo`, `make test`, `make bench`, `make bench-loop`, `make storm` and `make mutation` set up
+# .venv and run. ARGS='...' is passed on: `make test ARGS=test/unit` runs some of the tests.
 
 PYTHON ?= python3
 ROBOT ?= config/stanford.urdf
@@ -14,7 +14,7 @@ CLEAN := env -u PYTHONPATH -u LD_LIBRARY_PATH -u AMENT_PREFIX_PATH -u COLCON_PRE
     -u ROS_STATIC_PEERS -u ROS_LOCALHOST_ONLY -u ROS_SECURITY_ENABLE -u ROS_SECURITY_STRATEGY \
     ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
 
-.PHONY: demo test test-oldest bench bench-loop storm parameters clean
+.PHONY: demo test test-oldest bench bench-loop storm mutation parameters clean
 
 demo: $(VENV)/demo.done
 	@$(CLEAN) $(BIN)/python -m inverse_dynamics_node.cli.main demo '$(ROBOT)' $(ARGS)
@@ -53,6 +53,10 @@ bench-loop: $(VENV)/test.done
 storm: $(VENV)/test.done
 	@$(CLEAN) $(BIN)/python -m benchmarks.storm $(ARGS)
 
+# Takes about ten minutes on two idle cores: ARGS='*.blending.*' for the mutants of one module.
+mutation: $(VENV)/mutation.done
+	@$(CLEAN) $(BIN)/python test/mutation.py $(ARGS)
+
 # Writes the parameter file and the table of parameters after a change of their declaration.
 parameters: $(VENV)/test.done
 	@$(CLEAN) $(BIN)/python -m inverse_dynamics_node.node.parameter_files --write
@@ -69,6 +73,7 @@ $(VENV)/pip.done:
 EXTRAS_demo := ros,demo
 EXTRAS_test := ros,demo,cli,test
 EXTRAS_bench := bench
+EXTRAS_mutation := mutation
 # These have no wheels for some machines; the tables show which are missing.
 PEERS := drake roboticstoolbox-python
 

@@ -21,6 +21,7 @@ test = [
     'ros-jazzy-domain-coordinator',
     'ruff==0.17.*',
 ]
+mutation = ['hypothesis>=6', 'mutmut==3.8.1', 'pytest>=8']
 bench = [
     'example-robot-data>=6',
     'hypothesis>=6',
@@ -49,7 +50,14 @@ setup(
         'scipy>=1.11.4',
         'yourdfpy>=0.0.56',
     ],
-    extras_require={'ros': ros, 'demo': demo, 'cli': cli, 'test': test, 'bench': bench},
+    extras_require={
+        'ros': ros,
+        'demo': demo,
+        'cli': cli,
+        'test': test,
+        'bench': bench,
+        'mutation': mutation,
+    },
     zip_safe=True,
     maintainer='inverse_dynamics_node maintainers',
     maintainer_email='maintainers@inverse-dynamics-node.example',

@@ -137,3 +137,33 @@ def test_a_motion_and_its_jumps_are_not_an_alternation(data):
     where = data.draw(st.integers(0, len(positions)))
     positions[where:] += data.draw(st.floats(-100.0, 100.0))
     assert first_alarm(SLOW, arrivals, positions) is None
+
+
+def test_full_turns_of_a_wheel_are_no_distance():
+    arrivals = 0.005 * np.arange(1000)
+    for turns in (1, 3):
+        positions = 0.3 + 2.0 * np.pi * turns * (np.arange(1000) % 2)
+        assert first_alarm(WHEEL, arrivals, positions) is None
+
+
+def test_noise_depends_on_the_kind_of_joint():
+    arrivals, positions = 0.001 * np.arange(3000), 0.01 * (np.arange(3000) % 2)
+    assert first_alarm(SLOW, arrivals, positions) is None
+    assert first_alarm(SLIDE, arrivals, positions) is not None
+
+
+def test_a_base_link_with_the_name_of_a_joint_does_not_matter():
+    text = URDF.replace('<link name="slow"/>', '<link name="slide"/>')
+    robot = load_urdf(text.replace('<parent link="slow"/>', '<parent link="slide"/>'))
+    assert (make_tracks(3, robot) == make_tracks(3, ROBOT)).all()
+
+
+def test_speed_limits_that_cannot_be_meant_are_not_believed():
+    tiny = load_urdf(URDF.replace('velocity="2"', 'velocity="0.001"'))
+    none = load_urdf(URDF.replace(' velocity="1"', ' velocity="1e9"'))
+    for robot, joint, jitter in ((tiny, SLOW, 0.1), (none, SLIDE, 0.1)):
+        tracks = make_tracks(3, robot)
+        alarms = [track(tracks, joint, jitter * (k % 2), 0.1 if k else -1.0) for k in range(100)]
+        assert not any(alarms)
+    tracks = make_tracks(3, none)
+    assert any(track(tracks, SLIDE, 0.2 * (k % 2), 0.01 if k else -1.0) for k in range(200))

@@ -403,12 +403,17 @@ def test_an_effort_at_the_limit_is_not_beyond_it():
 
 
 def test_base_wrench_carries_the_weight_of_all_links():
-    loop = heard(ControlLoop(MODEL))
+    robot = load_urdf(ROOT / 'test/robots/massive_root.urdf')
+    loop, n = ControlLoop(robot), len(robot.joint_names)
+    q = np.linspace(0.2, 0.4, n)
+    loop.collector.update(0.0, robot.joint_names, q, np.zeros(n))
     loop.step(0.0)
-    wrenches = InverseDynamics(MODEL).joint_wrenches(Q, np.zeros(6), np.zeros(6))
+    wrenches = InverseDynamics(robot).joint_wrenches(q, np.zeros(n), np.zeros(n))
     force, moment = loop.base_wrench()
     assert force == pytest.approx(wrenches.force[0])
     assert moment == pytest.approx(wrenches.moment[0])
+    assert np.abs(force - wrenches.force[1]).max() > 1.0
+    assert np.abs(moment - wrenches.moment[1]).max() > 0.1
 
 
 def test_a_gap_in_a_loop_without_a_period_does_not_advance_the_ramps():

@@ -704,10 +704,12 @@ def test_a_stop_goes_on_with_another_description():
     lift = controller(stop_ramp=0.2)
     lift.step(0.0, state(0.0), None)
     lift.stop()
+    lift.step(0.05, state(0.05), None)
+    lift.step(0.1, state(0.1), None)
     other = Controller(lift.dynamics, (), lift.settings)
     other.continue_from(lift)
     assert other.is_stopping
-    other.step(0.05, state(0.05), None)
+    assert other.step(0.15, state(0.15), None).efforts == pytest.approx(0.5 * HOLD)
     assert other.phase is Phase.STOPPED
 
 
@@ -863,6 +865,7 @@ def test_efforts_cut_during_a_blend_are_reported():
     for k, followed in enumerate([low, high, high]):
         command = lift.step(now + 0.01 * k, state(now + 0.01 * k), followed._replace(time=now))
     # What is left of the difference would take the effort beyond its limit.
+    assert command.efforts[1] == 15.0
     assert list(command.is_saturated) == [False, True]
     assert not command.is_slowed.any()
 
