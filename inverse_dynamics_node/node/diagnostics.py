@@ -1,34 +1,130 @@
-"""From statuses to a message, as REP-107 has them."""
+"""Publishes ``/diagnostics`` in the format of REP-107, and logs its problems."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock
+from rclpy.lifecycle import LifecycleNode
 
+from ..control.activity import describe_silence
+from ..control.graph_info import GraphInfo
 from ..control.status import Status
 from ..errors import shortened
+from . import qos
+from .graph import Graph
+from .inputs import Inputs
+from .log import NodeLog
+from .outputs import Outputs
+from .runner import LoopRunner
 
-_LONGEST = 1000  # characters; names come from messages and robot descriptions
+_PERIOD = 1.0  # [s]; recommended by REP-107
+_MAX_LENGTH = 1000  # [characters]; texts contain names from messages and robot descriptions
+
+
+class DiagnosticsPublisher:
+    """
+    Publishes the state of the node once a second, in every lifecycle state.
+
+    Parameters
+    ----------
+    node : LifecycleNode
+        The node that publishes.
+    runner, inputs, outputs, graph
+        The parts of the node that are reported on.
+    log : NodeLog
+        For the problems that are also logged.
+    clock : Clock
+        The steady clock.
+
+    """
+
+    def __init__(
+        self,
+        node: LifecycleNode,
+        runner: LoopRunner,
+        inputs: Inputs,
+        outputs: Outputs,
+        graph: Graph,
+        log: NodeLog,
+        clock: Clock,
+    ) -> None:
+        self._node, self._runner, self._inputs = node, runner, inputs
+        self._outputs, self._graph, self._log = outputs, graph, log
+        self._uses_sim_time = bool(node.get_parameter('use_sim_time').value)
+        self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', qos.QUEUED)
+        self._last_time = time.monotonic()
+        node.create_timer(_PERIOD, self._on_timer, clock=clock)
+
+    def publish_if_late(self) -> None:
+        """Publish if the timer is late."""
+        if time.monotonic() > self._last_time + 1.5 * _PERIOD:
+            self._on_timer()
+
+    def _on_timer(self) -> None:
+        self._last_time = time.monotonic()
+        loop, is_active = self._runner.loop, self._runner.is_active
+        graph = self._inspect_graph()
+        if loop is not None and loop.collector.has_alternating:
+            self._log.report_conflicts(loop, graph.state_publishers)
+        if is_active:
+            self._log.report_silence(describe_silence(graph))
+        if loop is not None:
+            self._log.report_implausible(loop)
+        statuses = self._runner.monitor.report(self._runner.now(), loop, graph)
+        for status in statuses:
+            if status.part in ('other nodes', 'clock'):
+                self._log.report_status(status)
+        self._publisher.publish(
+            diagnostic_array(
+                self._node.get_clock().now().to_msg(),
+                self._node.get_fully_qualified_name(),
+                loop.robot.name if loop else '',
+                statuses,
+            )
+        )
+
+    def _inspect_graph(self) -> GraphInfo:
+        node, loop = self._node, self._runner.loop
+        publishers: Sequence[str] = ()
+        if loop is not None and loop.collector.has_alternating:
+            publishers = self._graph.publishers('joint_states')
+        return GraphInfo(
+            receivers=self._outputs.receivers,
+            publishers=node.count_publishers(node.resolve_topic_name('joint_states')),
+            is_active=self._runner.is_active,
+            state=str(node._state_machine.current_state[1]),
+            others=self._graph.others(),
+            state_publishers=tuple(publishers),
+            simulated=self._graph.simulated_time() if self._uses_sim_time else None,
+            silence=time.monotonic() - self._inputs.last_joint_state,
+        )
 
 
 def diagnostic_array(
     stamp: Any, node: str, hardware: str, statuses: Sequence[Status]
 ) -> DiagnosticArray:
     """
-    Make the message for `/diagnostics`.
+    Make the message for ``/diagnostics``.
 
     Parameters
     ----------
     stamp : builtin_interfaces.msg.Time
-        Of the header.
+        Time stamp of the header.
     node : str
-        Fully qualified name of the node, with which the names begin.
+        Fully qualified name of the node; the names of the statuses begin with it.
     hardware : str
         Name of the robot; empty if there is none yet.
     statuses : sequence of Status
         One for each part.
+
+    Returns
+    -------
+    message : DiagnosticArray
+        The message, with long texts shortened.
 
     """
     message = DiagnosticArray()
@@ -37,10 +133,10 @@ def diagnostic_array(
         DiagnosticStatus(
             level=bytes([status.level]),
             name=f'{node.strip("/")}: {status.part}',
-            message=shortened(status.message, _LONGEST),
+            message=shortened(status.message, _MAX_LENGTH),
             hardware_id=shortened(hardware),
             values=[
-                KeyValue(key=shortened(key, _LONGEST), value=shortened(value, _LONGEST))
+                KeyValue(key=shortened(key, _MAX_LENGTH), value=shortened(value, _MAX_LENGTH))
                 for key, value in status.values.items()
             ],
         )

@@ -1,4 +1,4 @@
-"""The other nodes of the ROS graph, as this node sees them."""
+"""Other nodes in the ROS graph."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from ..control.activity import join_names
 from ..control.graph_info import Others, SimulatedTime
 
 _DISCOVERY = 1.0  # [s]; no publishers may only mean that they have not been discovered yet
-_LOOKS = 10  # how often to wait for the name of a node whose subscription is known already
+_MAX_CHECKS = 10  # checks to wait for the name of a node whose subscription is known already
 _UNKNOWN = 'a node of unknown name'
 
 
 class Graph:
     """
-    Answers questions about the ROS graph.
+    Queries the ROS graph.
 
-    A query takes 1 to 50 us in a small graph and more in a large one: ask from slow timers only.
+    A query takes 1 to 50 us in a small graph and more in a large one: use slow timers only.
 
     Parameters
     ----------
     node : LifecycleNode
-        The node that asks.
+        This node.
     commands : publisher
-        Its publisher of the commands.
+        The publisher of its commands.
 
     """
 
@@ -39,11 +39,11 @@ class Graph:
         self._last_time = -1
         self._last_advance = time.monotonic()
         self._has_subscribers = False
-        self._looks_left = _LOOKS
+        self._checks_left = _MAX_CHECKS
         self.expect_discovery()
 
     def expect_discovery(self) -> None:
-        """Report no missing publishers for a second from now."""
+        """Suppress reports of missing publishers for a second."""
         self._discovered_at = time.monotonic() + _DISCOVERY
 
     def with_publishers(self, name: str) -> str:
@@ -65,24 +65,24 @@ class Graph:
         names = join_names(self._subscribers()) if self._has_subscribers else ''
         return f'{self._commands.topic_name} ({names or "no subscriber yet"})'
 
-    def lost_or_found_subscribers(self) -> str:
+    def subscriber_change(self) -> str:
         """
         Report the first subscriber of the commands, or that the last one is gone.
 
         Returns
         -------
-        news : str
-            Empty if nothing has changed since the last call or that of `with_subscribers`.
+        change : str
+            Empty if nothing has changed since the last call of this or of `with_subscribers`.
 
         """
         has_subscribers = bool(self._commands.get_subscription_count())
         if has_subscribers is self._has_subscribers:
-            self._looks_left = _LOOKS
+            self._checks_left = _MAX_CHECKS
             return ''
         topic = self._commands.topic_name
         names = self._subscribers()
-        if has_subscribers and _UNKNOWN in names and self._looks_left:
-            self._looks_left -= 1  # the name arrives a little later than the subscription
+        if has_subscribers and _UNKNOWN in names and self._checks_left:
+            self._checks_left -= 1  # the name arrives a little later than the subscription
             return ''
         self._has_subscribers = has_subscribers
         if has_subscribers:
@@ -93,8 +93,9 @@ class Graph:
         """
         Find nodes that interfere with this one.
 
-        Only those that were there at the previous call too: endpoints are discovered before the
-        names of their nodes, and a node that is shutting down disappears within a second.
+        Only nodes that also existed at the previous call are returned: endpoints are discovered
+        before the names of their nodes, and a node that is shutting down disappears within a
+        second.
 
         """
         topic = self._commands.topic_name
@@ -103,7 +104,7 @@ class Graph:
             for info in self._node.get_publishers_info_by_topic(topic)
             if info.topic_type == 'std_msgs/msg/Float64MultiArray'
         )
-        publishers[self._name] -= 1  # that of this node
+        publishers[self._name] -= 1  # the publisher of this node
         rivals = {name for name, count in publishers.items() if count > 0}
         nodes = Counter(
             _joined(namespace, name)
@@ -121,7 +122,7 @@ class Graph:
         return seen
 
     def simulated_time(self) -> SimulatedTime:
-        """Return the simulated time, and for how long it has not changed."""
+        """Return the simulated time, and the time since it last changed."""
         now = self._node.get_clock().now().nanoseconds
         steady = time.monotonic()
         if now != self._last_time:
@@ -142,6 +143,6 @@ def _name_of(info: Any) -> str:
 
 
 def _joined(namespace: str, name: str) -> str:
-    if name == '_NODE_NAME_UNKNOWN_':  # of the middleware
+    if name == '_NODE_NAME_UNKNOWN_':  # used by the middleware
         return _UNKNOWN
     return f'{namespace.rstrip("/")}/{name}'

@@ -1,4 +1,4 @@
-"""What the node says: what has changed, and now and then what has not and should."""
+"""The log of the node: changes once, and lasting problems from time to time."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from ..control.controller import Command, COMPUTING_PHASES, Phase
 from ..control.status import Level, Status
 from ..errors import shortened_lines
 
-_PERIOD = 2.0  # [s]; how often it repeats what lasts
-_LONG_PERIOD = 10.0  # [s]; the same for problems that only a user can end
+_PERIOD = 2.0  # [s]; between repetitions of a lasting problem
+_LONG_PERIOD = 10.0  # [s]; the same for problems that only a user can solve
 _ALARMS = (Phase.STATE_LOST, Phase.NO_SOLUTION)
-_MOST_KEYS = 1000  # more things to say than that are better said twice than kept
+_MAX_KEYS = 1000  # bounds the memory; beyond it, a message may be repeated early
 
 
 class BoundedLogger:
@@ -28,7 +28,7 @@ class BoundedLogger:
     Parameters
     ----------
     logger : rclpy.impl.rcutils_logger.RcutilsLogger
-        Which writes them.
+        The logger that writes them.
 
     """
 
@@ -57,14 +57,14 @@ class BoundedLogger:
 
 class NodeLog:
     """
-    Says everything once, and again as long as it lasts, but not all the time.
+    Logs a problem once, and repeats it every few seconds while it lasts.
 
-    A logger's own throttle costs 0.2 ms even when it is silent.
+    The throttle of rclpy's logger takes 0.2 ms even for a message that it suppresses.
 
     Parameters
     ----------
     logger : rclpy.impl.rcutils_logger.RcutilsLogger
-        Of the node.
+        The logger of the node.
 
     """
 
@@ -81,23 +81,23 @@ class NodeLog:
             del self._times[key]
 
     def warn(self, key: str, text: str | Callable[[], str]) -> None:
-        """Warn, unless it was said lately; words that take time to find come as a function."""
+        """Warn, unless `key` was logged recently; a function creates the text only if needed."""
         if self._is_due(key):
             self._logger.warning(text if isinstance(text, str) else text())
 
-    def tell_conflicts(self, loop: ControlLoop, publishers: Sequence[str]) -> None:
-        """Report joints whose positions contradict, and the nodes that publish them."""
+    def report_conflicts(self, loop: ControlLoop, publishers: Sequence[str]) -> None:
+        """Report joints with contradicting positions, and the nodes that publish them."""
         for joint, text in describe_alternating(loop, publishers).items():
             if self._is_due(f'conflict {joint}'):
                 self._logger.error(text)
 
-    def tell_silence(self, text: str) -> None:
-        """Report that connected publishers of joint states are not heard."""
+    def report_silence(self, text: str) -> None:
+        """Report that no message arrives from connected publishers of joint states."""
         if text and self._is_due('silence'):
             self._logger.error(text)
 
-    def introduce(self, loop: ControlLoop) -> None:
-        """Say what has been loaded, and what looks wrong about it."""
+    def report_robot(self, loop: ControlLoop) -> None:
+        """Report the robot that has been loaded, and the warnings about it."""
         robot, joints = loop.robot, loop.controller.joints
         for warning in robot.warnings:
             self._logger.warning(str(warning))
@@ -107,12 +107,12 @@ class NodeLog:
             + (f'; takes into account {", ".join(others)}' if others else '')
         )
 
-    def tell_waiting(self, missing: Callable[[], list[str]]) -> None:
-        """Name the inputs without which there is no command yet."""
+    def report_waiting(self, missing: Callable[[], list[str]]) -> None:
+        """Name the inputs that are missing for the first command."""
         self.warn('waiting', lambda: f'no command yet: waiting for {" and ".join(missing())}')
 
-    def tell_status(self, status: Status) -> None:
-        """Report a status that is not OK, now and then while it lasts, and its end."""
+    def report_status(self, status: Status) -> None:
+        """Report a status that is not OK, from time to time while it lasts, and its end."""
         last = self._last_statuses.get(status.part, (Level.OK, ''))
         this = status.level, status.message
         if status.level is Level.OK:
@@ -126,36 +126,38 @@ class NodeLog:
                 self._logger.warning(status.message)
         self._last_statuses[status.part] = this
 
-    def tell(self, now: float, loop: ControlLoop, command: Command) -> None:
-        """Report a change of activity, and repeat the reason as long as efforts are withheld."""
+    def report_step(self, now: float, loop: ControlLoop, command: Command) -> None:
+        """Report a change of activity, and repeat the reason while efforts are held at zero."""
         controller = loop.controller
         phase = controller.phase
         # The end of a ramp down is a change within a phase; that of a ramp up is not reported.
         key = (phase, phase in COMPUTING_PHASES or controller.has_effort)
         if key != self._last_activity or phase in _ALARMS:
-            self._tell_activity(now, loop, key)
+            self._report_activity(now, loop, key)
         if loop.collector.late_count:
             self.warn('late', lambda: '; '.join(describe_late(loop, now)))
         if np.count_nonzero(command.is_saturated):  # any() takes longer
-            joints = command.is_saturated.tobytes().hex()  # others are news
-            self.warn(f'saturated {joints}', lambda: _what_is_saturated(loop, command))
+            joints = (
+                command.is_saturated.tobytes().hex()
+            )  # a change of the joints is reported at once
+            self.warn(f'saturated {joints}', lambda: _describe_saturated(loop, command))
 
-    def tell_implausible(self, loop: ControlLoop) -> None:
-        """Warn of joints far outside their position limits, now and then while they are there."""
+    def report_implausible(self, loop: ControlLoop) -> None:
+        """Warn of joints far outside their position limits, from time to time."""
         for joint, text in describe_implausible(loop).items():
             if self._is_due(f'implausible {joint}', _LONG_PERIOD):
                 self._logger.warning(text)
 
-    def _tell_activity(self, now: float, loop: ControlLoop, key: tuple[Phase, bool]) -> None:
+    def _report_activity(self, now: float, loop: ControlLoop, key: tuple[Phase, bool]) -> None:
         if self._last_activity is None:
             for name in loop.collector.without_velocity():
                 self._logger.warning(f"joint_states: no velocity of '{name}', taken as zero")
             for name in loop.collector.unseen():
                 self._logger.warning(f"joint_states: '{name}' not seen, taken as locked")
-            self.tell_implausible(loop)
+            self.report_implausible(loop)
             self._last_activity = Phase.WAITING, False
         if not self._is_due(f'activity {key[0].name} {key[1]}'):
-            return  # asked again at the next step, so that the latest activity is never missed
+            return  # the next step tries again, so that the latest activity is never missed
         self._last_activity = key
         text = activity(now, loop)
         if key[0] in _ALARMS:
@@ -166,16 +168,16 @@ class NodeLog:
             self._logger.info(text)
 
     def _is_due(self, key: str, period: float = _PERIOD) -> bool:
-        now = time.monotonic()  # simulated time may stand still, or run fast
+        now = time.monotonic()  # simulated time may pause or run fast
         if now - self._times.get(key, -math.inf) < period:
             return False
-        if len(self._times) >= _MOST_KEYS:
+        if len(self._times) >= _MAX_KEYS:
             self._times.clear()
         self._times[key] = now
         return True
 
 
-def _what_is_saturated(loop: ControlLoop, command: Command) -> str:
+def _describe_saturated(loop: ControlLoop, command: Command) -> str:
     joints = loop.controller.joints
     cut = [name for name, cut in zip(joints, command.is_saturated, strict=True) if cut]
     return f'effort cut to its limit: {", ".join(cut)}'

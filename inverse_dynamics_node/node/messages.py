@@ -1,4 +1,4 @@
-"""From messages to arrays and back, every number checked on its way in."""
+"""Converts messages to arrays and back, and checks the numbers that are received."""
 
 from __future__ import annotations
 
@@ -39,13 +39,15 @@ def read_accelerations(message: Float64MultiArray, joints: Sequence[str], now: f
 
 def read_reference(message: JointTrajectory, joints: Sequence[str], now: float) -> Reference:
     """
-    Read what the first point has, by name; what it leaves out is zero, or nothing for a loop.
+    Read the first point of a reference, by joint name.
+
+    Missing accelerations and efforts are zero; missing positions and velocities are None.
 
     Raises
     ------
     JointStateError
-        If there is no point, or nothing in it, a joint is missing or not commanded, or a value is
-        not finite.
+        If there is no point or the first one is empty, a joint is missing or not commanded, or a
+        value is not finite.
 
     """
     if not message.points:
@@ -66,7 +68,7 @@ def read_reference(message: JointTrajectory, joints: Sequence[str], now: float) 
     positions = read('position', point.positions)
     velocities = read('velocity', point.velocities)
     if accelerations is None and positions is None and velocities is None and efforts is None:
-        raise JointStateError('points[0] has no accelerations, nor anything else')
+        raise JointStateError('points[0] is empty, expected accelerations')
     zeros = np.zeros(len(joints))
     return Reference(
         zeros if accelerations is None else accelerations,
@@ -94,22 +96,22 @@ def read_payload(message: InertiaStamped) -> PayloadMessage:
         [body.ixy, body.iyy, body.iyz],
         [body.ixz, body.iyz, body.izz],
     ]
-    return PayloadMessage(_frame(message), body.m, vector(body.com), np.array(inertia))
+    return PayloadMessage(_frame(message), body.m, read_vector(body.com), np.array(inertia))
 
 
 def read_wrench(message: WrenchStamped) -> tuple[str, Floats, Floats]:
     """Read a link, and the force and moment on it."""
-    return _frame(message), vector(message.wrench.force), vector(message.wrench.torque)
+    return _frame(message), read_vector(message.wrench.force), read_vector(message.wrench.torque)
 
 
 def read_imu(message: Imu, R_BS: Floats) -> tuple[Floats, Floats]:
     """
-    Read a specific force and an angular velocity, turned from the sensor's frame to the base's.
+    Read a specific force and an angular velocity, and rotate them into the frame of the base.
 
     Raises
     ------
     ConfigurationError
-        If the sensor says that it does not measure one of them.
+        If the covariance shows that one of them is not measured.
 
     """
     for what, covariance in (
@@ -118,11 +120,13 @@ def read_imu(message: Imu, R_BS: Floats) -> tuple[Floats, Floats]:
     ):
         if covariance[0] == -1.0:
             raise ConfigurationError(f'the covariance says that {what} is not measured')
-    return R_BS @ vector(message.linear_acceleration), R_BS @ vector(message.angular_velocity)
+    return R_BS @ read_vector(message.linear_acceleration), R_BS @ read_vector(
+        message.angular_velocity
+    )
 
 
-def vector(message: Any) -> Floats:
-    """Read what has x, y and z."""
+def read_vector(message: Any) -> Floats:
+    """Read a message with x, y and z, such as Vector3 or Point."""
     return np.array([message.x, message.y, message.z])
 
 
@@ -133,7 +137,7 @@ def read_trajectory(message: JointTrajectory) -> Trajectory:
     Raises
     ------
     TrajectoryError
-        If points differ in what they have, or have no positions.
+        If the points have different fields, or no positions.
 
     """
     names, points = tuple(message.joint_names), message.points
@@ -161,7 +165,7 @@ def read_trajectory(message: JointTrajectory) -> Trajectory:
 def write_trajectory(
     message: JointTrajectory, trajectory: Trajectory, efforts: Floats
 ) -> JointTrajectory:
-    """Make the message of a whole trajectory and its efforts, with header and times of another."""
+    """Make the message of a trajectory with efforts; header and times are those of `message`."""
     result = JointTrajectory(header=message.header, joint_names=message.joint_names)
     rows = (trajectory.positions, trajectory.velocities, trajectory.accelerations, efforts)
     result.points = [
@@ -182,13 +186,13 @@ _FIELDS = ('positions', 'velocities', 'accelerations', 'effort')
 
 
 def write_joint_efforts(message: JointState, joints: Sequence[str], efforts: Floats) -> None:
-    """Put efforts into a message that is used again and again."""
+    """Write efforts into a reused message."""
     message.name = list(joints)
     message.effort = array('d', efforts.tobytes())
 
 
 def write_wrench(message: WrenchStamped, link: str, force: Floats, moment: Floats) -> None:
-    """Put a wrench into a message that is used again and again."""
+    """Write a wrench into a reused message."""
     message.header.frame_id = link
     for part, values in ((message.wrench.force, force), (message.wrench.torque, moment)):
         part.x, part.y, part.z = values.tolist()

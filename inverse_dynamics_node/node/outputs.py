@@ -1,4 +1,4 @@
-"""What the node publishes: messages made once, and only for those who listen."""
+"""The publishers of the control loop; optional topics are sent only if they have subscribers."""
 
 from __future__ import annotations
 
@@ -21,16 +21,18 @@ from .cdr import serialize_numbers
 
 class Outputs:
     """
-    The commands, and beside them what others like to know.
+    Publishes the commands, and on request how they were computed.
+
+    Messages are created once and reused.
 
     Parameters
     ----------
     node : LifecycleNode
-        Which publishes.
+        The node that publishes.
     qos : QoSProfile
-        Of all topics.
+        Quality of service of all topics.
     **options
-        For ``create_lifecycle_publisher``.
+        Passed to ``create_lifecycle_publisher``.
 
     """
 
@@ -45,11 +47,11 @@ class Outputs:
         self._external_efforts = publisher(JointState, '~/external_efforts')
         self._base_wrench = publisher(WrenchStamped, '~/base_wrench')
         self._efforts, self._wrench = JointState(), WrenchStamped()
-        self._listeners: set[Any] = set()
+        self._subscribed: set[Any] = set()
 
-    def look_for_listeners(self) -> None:
-        """See who listens: to ask before every message would cost as much as some of them."""
-        self._listeners = {
+    def find_subscribers(self) -> None:
+        """Note which topics have subscribers; a check before every message would be too slow."""
+        self._subscribed = {
             publisher
             for publisher in (
                 self._joint_efforts,
@@ -62,13 +64,13 @@ class Outputs:
 
     @property
     def receivers(self) -> int:
-        """How many subscribe to the commands."""
+        """Number of subscribers of the commands."""
         return int(self.commands.get_subscription_count())
 
     @property
-    def wants_measured_efforts(self) -> bool:
-        """Whether someone listens to what is made of measured efforts."""
-        return self._external_efforts in self._listeners
+    def uses_measured_efforts(self) -> bool:
+        """Whether a topic that is computed from measured efforts has a subscriber."""
+        return self._external_efforts in self._subscribed
 
     def publish_command(self, loop: ControlLoop, efforts: Floats) -> None:
         """
@@ -77,33 +79,33 @@ class Outputs:
         Parameters
         ----------
         loop : ControlLoop
-            Whose joints they are for.
+            The loop whose joints they are for.
         efforts : ndarray, shape (m,)
-            [N m or N].
+            Efforts [N m or N].
 
         """
         self.commands.publish(serialize_numbers(efforts))
-        if self._joint_efforts in self._listeners:
+        if self._joint_efforts in self._subscribed:
             self._publish_efforts(self._joint_efforts, loop.controller.joints, efforts)
 
     def publish_zeros(self, loop: ControlLoop) -> None:
-        """Publish zeros, and see that they arrive."""
-        for _ in range(3):  # once is enough where messages are acknowledged
+        """Publish zeros, and wait until they have been delivered."""
+        for _ in range(3):  # best-effort subscribers do not acknowledge
             self.publish_command(loop, np.zeros(len(loop.controller.joints)))
         for publisher in (self.commands, self._joint_efforts):
             publisher.wait_for_all_acked(Duration(seconds=1))
 
     def publish_explanation(self, loop: ControlLoop) -> None:
-        """Publish what the last command is made of, and what was measured beside it."""
-        if not self._listeners.isdisjoint(self._terms):
+        """Publish the terms of the last command, the base wrench and the external efforts."""
+        if not self._subscribed.isdisjoint(self._terms):
             for publisher, term in zip(self._terms, loop.effort_terms(), strict=True):
-                if publisher in self._listeners:
+                if publisher in self._subscribed:
                     self._publish_efforts(publisher, loop.controller.joints, term)
-        if self._base_wrench in self._listeners:
+        if self._base_wrench in self._subscribed:
             messages.write_wrench(self._wrench, loop.base_link, *loop.base_wrench())
             self._wrench.header.stamp = self._clock.now().to_msg()
             self._base_wrench.publish(self._wrench)
-        if self._external_efforts in self._listeners:
+        if self._external_efforts in self._subscribed:
             self._publish_external_efforts(loop)
 
     def _publish_external_efforts(self, loop: ControlLoop) -> None:

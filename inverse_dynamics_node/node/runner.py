@@ -1,0 +1,248 @@
+"""Runs the control loop: on joint states, on timers, and down the stop ramp."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import time
+
+from rclpy.clock import Clock
+from rclpy.lifecycle import LifecycleNode
+from rclpy.timer import Timer
+
+from ..control.control_loop import ControlLoop
+from ..control.controller import COMPUTING_PHASES
+from ..control.monitor import Monitor
+from ..errors import JointStateError, shortened_lines
+from .description_loader import DescriptionLoader
+from .graph import Graph
+from .log import NodeLog
+from .outputs import Outputs
+from .parameters import Configuration
+
+_WATCH_PERIOD = 0.01  # [s]; between steps or checks while no joint states arrive
+_MAX_WATCH_PERIOD = 0.1  # [s]; between checks while they do
+
+
+class LoopRunner:
+    """
+    Steps the control loop and publishes its commands.
+
+    Parameters
+    ----------
+    node : LifecycleNode
+        The node that owns the timers.
+    outputs : Outputs
+        Publishers of the commands.
+    graph : Graph
+        For the log: publishers of missing inputs.
+    log : NodeLog
+        For changes of activity and lasting problems.
+    clock : Clock
+        The clock of the timers.
+    now : callable
+        Returns the time of that clock [s].
+    skip_ramp : callable
+        Returns whether to cut the stop ramp short.
+
+    """
+
+    def __init__(
+        self,
+        node: LifecycleNode,
+        outputs: Outputs,
+        graph: Graph,
+        log: NodeLog,
+        clock: Clock,
+        now: Callable[[], float],
+        skip_ramp: Callable[[], bool],
+    ) -> None:
+        self._node, self._outputs, self._graph, self._log = node, outputs, graph, log
+        self._clock, self._skip_ramp = clock, skip_ramp
+        self.now = now
+        self.loop: ControlLoop | None = None
+        """The loop for the current robot description; None while the node is unconfigured."""
+        self.is_active = False
+        self.monitor = Monitor()
+        self.loader = DescriptionLoader()
+        self._has_commanded = False
+        self._timers: list[Timer] = []
+
+    def configure(self, loop: ControlLoop, configuration: Configuration) -> None:
+        """
+        Use a loop for a robot, inactive at first.
+
+        Parameters
+        ----------
+        loop : ControlLoop
+            The compiled loop.
+        configuration : Configuration
+            The parameters that it was made with.
+
+        """
+        self.forget_robot()
+        self.loop = loop
+        self._configuration = configuration
+        self.monitor = Monitor(configuration.period)
+        # This timer notices lost states, whatever the update rate.
+        self._watch_period = min(_WATCH_PERIOD, 0.5 * configuration.state_timeout)
+        self._watch = self._create_timer(self._watch_period, self._on_watch)
+        if configuration.period:
+            self._create_timer(configuration.period, self._on_timer)
+        self._log.report_robot(loop)
+
+    def _create_timer(self, period: float, callback: Callable[[], None]) -> Timer:
+        self._timers.append(self._node.create_timer(period, callback, clock=self._clock))
+        return self._timers[-1]
+
+    def apply(self, configuration: Configuration) -> None:
+        """Use changed parameters; the current wait of the watch timer may not suit them."""
+        self._configuration = configuration
+        self._watch_after(self._watch_period)
+
+    def forget_robot(self) -> None:
+        """Drop the loop and its timers."""
+        self.loop = None
+        self.is_active = False
+        self.loader.drop()
+        for timer in self._timers:
+            self._node.destroy_timer(timer)
+        self._timers = []
+
+    def load_description(self, configuration: Configuration, description: str) -> None:
+        """Load another robot description in the background, and switch to it when it is ready."""
+        self.loader.load(configuration, description)
+        self._watch_after(self._watch_period)
+
+    def start(self) -> None:
+        """Start to command, from zero."""
+        assert self.loop is not None
+        self.loop.start()
+        self.monitor.pause()
+        self._outputs.find_subscribers()
+        self._log.begin()
+        self.is_active = True
+        self._has_commanded = False
+
+    def reject(self, topic: str, reason: object) -> None:
+        """Count and log a message that cannot be used."""
+        self.monitor.reject(topic, shortened_lines(str(reason)))
+        self._log.warn(topic, f'{topic}: message dropped: {reason}')
+
+    def step(self, now: float) -> None:
+        """
+        Compute and publish one command.
+
+        Parameters
+        ----------
+        now : float
+            The time of the step [s].
+
+        """
+        assert self.loop is not None
+        began = time.perf_counter()
+        command = self.loop.step(now)
+        if command is None:
+            self._log.report_waiting(self._missing)
+            return
+        self._has_commanded = True
+        self._outputs.publish_command(self.loop, command.efforts)
+        took = time.perf_counter() - began
+        self.monitor.step(now, took, command, self.loop.controller.joints)
+        self._log.report_step(now, self.loop, command)
+        if self.loop.controller.phase in COMPUTING_PHASES:
+            self._explain(self.loop)
+
+    def _missing(self) -> list[str]:
+        assert self.loop is not None
+        return self.loop.missing(
+            self._graph.with_publishers('joint_states'), self._graph.with_publishers('imu')
+        )
+
+    def _explain(self, loop: ControlLoop) -> None:
+        try:
+            self._outputs.publish_explanation(loop)
+        except JointStateError as error:
+            self._log.warn('explanation', str(error))
+
+    def catch_up(self) -> None:
+        """Do the work of the timers if they are late."""
+        if self._configuration.period:
+            self._on_timer()
+        self._on_watch()
+
+    def _on_timer(self) -> None:
+        if self.is_active:
+            self.step(self.now())
+
+    def _on_watch(self) -> None:
+        """Step while joint states are missing or lost, because none arrives to cause a step."""
+        self._switch_loop()
+        wait = self._watch_period
+        if self.is_active:
+            assert self.loop is not None
+            now = self.now()
+            state = self.loop.collector.state()
+            timeout = self._configuration.state_timeout
+            if state is None or not 0.0 <= now - state.time <= timeout:
+                self.step(now)
+            elif not self.loader.is_loading:
+                # No state can be lost before; a check costs as much as some of the steps.
+                wait = max(wait, min(state.time + timeout - now, _MAX_WATCH_PERIOD))
+        self._watch_after(wait)
+
+    def _watch_after(self, wait: float) -> None:
+        """Set the period of the watch timer [s], and start it anew."""
+        period = round(wait * 1e9)
+        if period != self._watch.timer_period_ns:
+            self._watch.timer_period_ns = period
+            self._watch.reset()
+
+    def _switch_loop(self) -> None:
+        """Switch to the robot description that has been loaded, unless it cannot be used."""
+        assert self.loop is not None
+        if not self.loader.is_ready:
+            return
+        try:
+            loop, dropped = self.loader.take_loop(self.loop, self._configuration, self.is_active)
+        except Exception as error:  # any error of the thread that loaded it
+            self._node.get_logger().error(
+                f'kept the old robot description; the new one cannot be used: {error}'
+            )
+            self.monitor.reject('robot_description', str(error).partition('\n')[0])
+            return
+        for link in dropped:
+            self._node.get_logger().warning(f"link '{link}' no longer exists; dropped its payload")
+        self.loop = loop
+        self._log.report_robot(loop)
+
+    def ramp_down(self, reason: str) -> None:
+        """
+        Publish falling efforts, then zeros, within one callback: nothing else runs meanwhile.
+
+        Parameters
+        ----------
+        reason : str
+            For the log.
+
+        """
+        assert self.loop is not None
+        self.is_active = False
+        if not self._has_commanded:
+            return  # this node has not commanded the robot
+        self._node.get_logger().info(f'ramping efforts down: {reason}')
+        try:
+            self._follow_stop_ramp(self.loop)
+        finally:
+            self._outputs.publish_zeros(self.loop)
+        self._node.get_logger().info(f'stopped, zeros sent: {reason}')
+
+    def _follow_stop_ramp(self, loop: ControlLoop) -> None:
+        loop.controller.stop()
+        start, steady_start = self.now(), time.monotonic()
+        while loop.controller.has_effort and not self._skip_ramp():
+            time.sleep(self._watch_period)
+            # Simulated time does not advance during a callback.
+            now = start + time.monotonic() - steady_start
+            command = loop.step(now)
+            assert command is not None
+            self._outputs.publish_command(loop, command.efforts)
