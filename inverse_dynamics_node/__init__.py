@@ -1,7 +1,8 @@
 """
-Joint efforts for the joint accelerations you ask for, from a URDF. No ROS is imported here.
+Inverse dynamics of robots described by a URDF, and a ROS 2 node that publishes joint efforts.
 
-The names below are imported when they are first used: numpy and numba take half a second.
+This module does not import ROS. The names below are imported on first use, because importing numpy
+and numba takes half a second.
 """
 
 from importlib import import_module

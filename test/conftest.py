@@ -1,11 +1,11 @@
-"""What every test may use: the robots of this package, and a seeded source of numbers."""
+"""Fixtures of all tests: the robots of this package, and a seeded random generator."""
 
 from hypothesis import HealthCheck, settings
 import numpy as np
 import pytest
 from robot_files import OUR_ROBOTS
 
-# A machine under load is no failure, and the same examples everywhere make a failure repeatable.
+# No deadline, because the machine may be busy; the same examples everywhere, to repeat failures.
 settings.register_profile(
     'here',
     deadline=None,
@@ -23,5 +23,5 @@ def rng():
 
 @pytest.fixture(params=OUR_ROBOTS, ids=lambda path: path.stem)
 def urdf_path(request):
-    """Every robot of ours, one after the other."""
+    """Return the path of each of our robots in turn."""
     return request.param

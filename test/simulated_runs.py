@@ -1,4 +1,4 @@
-"""Runs of the simulated robot, without ROS and faster than time, and bags and tables of them."""
+"""Simulated runs without ROS, faster than real time, and bags and tables of them."""
 
 import csv
 import re
@@ -8,8 +8,8 @@ from inverse_dynamics_node.analysis.identification import Recording
 import numpy as np
 from robot_files import STANFORD
 
-KP, KD = 400.0, 40.0  # of the loop around the model, as in the demo
-# Of the Stanford arm. More would hold joint 6, of which the loop asks little.
+KP, KD = 400.0, 40.0  # gains of the loop, as in the demo
+# Friction of the Stanford arm. More would hold joint 6, whose commanded efforts are small.
 DAMPING = [1.5, 2.0, 20.0, 0.2, 0.15, 0.02]
 COULOMB = [1.0, 2.5, 8.0, 0.3, 0.2, 0.002]
 START_STAMP = 1_700_000_000_000_000_000  # [ns]
@@ -41,7 +41,7 @@ def with_load(text, link, mass, com):
 
 def simulate(urdf, real, duration=20.0, rate=500.0):
     """
-    Let a controller that believes a URDF move a robot that is another one, and record it.
+    Record a run of one robot under a controller that has the URDF of another one.
 
     Joint states are those of `MujocoRobot.state`: the effort is the one applied until then.
     """
@@ -64,7 +64,7 @@ def simulate(urdf, real, duration=20.0, rate=500.0):
         qdd = qdd_ref + KD * (qd_ref - qd) + KP * (q_ref - q)
         hardware.command(dynamics.efforts(q, qd, qdd))
         hardware.advance(1.0 / rate)
-    # Before the first command there was none: nothing was measured then.
+    # Leave out the first state, which has no effort yet.
     return Recording(hardware.state_names, times[1:], *states[:, 1:])
 
 
@@ -85,9 +85,9 @@ def write_bag(
     kind='sensor_msgs/msg/JointState',
 ):
     """
-    Write joint states as rosbag2 does; on extra topics, without efforts.
+    Write joint states as rosbag2 does; those on extra topics have no efforts.
 
-    Of another kind, messages are headers only.
+    Messages of another kind contain only a header.
     """
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import get_typestore, Stores
@@ -110,10 +110,10 @@ def write_bag(
             message = header = types['std_msgs/msg/Header'](stamp=stamp, frame_id='')
             for name, connection in topics.items():
                 if kind == 'sensor_msgs/msg/JointState':
-                    told = efforts if has_efforts and name == topic else np.zeros(0)
+                    measured = efforts if has_efforts and name == topic else np.zeros(0)
                     names = list(recording.joint_names)
-                    message = types[kind](header, names, positions, speeds, told)
-                # What reaches the recorder comes late, and not evenly.
+                    message = types[kind](header, names, positions, speeds, measured)
+                # Messages reach the recorder late, with varying delays.
                 logged = now + 300_000 + now // 1000 % 7 * 100_000
                 writer.write(connection, logged, store.serialize_cdr(message, kind))
 

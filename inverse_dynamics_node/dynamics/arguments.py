@@ -1,4 +1,4 @@
-"""What callers give, read into arrays; what does not fit is told by name, with its value."""
+"""Conversion of arguments to arrays, with errors that contain the argument's name and value."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from ..robot.model import Floats
 
 
 def read_vectors(name: str, values: ArrayLike, n: int) -> Floats:
-    """Read an array whose last dimension is one number a joint."""
+    """Convert an array whose last dimension has one number per joint."""
     try:
         found = np.asarray(values)
     except ValueError as error:
-        raise JointStateError(f'{name} is no array of numbers: {error}') from None
+        raise JointStateError(f'{name} is not an array of numbers: {error}') from None
     if found.dtype.kind not in 'fiub':
-        raise JointStateError(f'{name} is no array of real numbers, but of {found.dtype}')
-    # Writable, by a copy where need be: the compiled functions take no other.
+        raise JointStateError(f'{name} is an array of {found.dtype}, expected real numbers')
+    # The compiled functions accept only contiguous, writable arrays: copy others.
     vectors = np.require(found, np.float64, ['C', 'W'])
     if vectors.shape[-1:] != (n,):
         raise JointStateError(f'{name} has shape {vectors.shape}, the robot has {n} joints')
@@ -28,14 +28,16 @@ def read_vectors(name: str, values: ArrayLike, n: int) -> Floats:
 
 
 def broadcast(n: int, **arguments: ArrayLike) -> tuple[list[Floats], tuple[int, ...]]:
-    """Read arguments as tables of as many vectors each; return their common shape too."""
+    """Broadcast arguments to a common shape; return them with two dimensions, and this shape."""
     vectors = [read_vectors(name, values, n) for name, values in arguments.items()]
     try:
         shape = np.broadcast_shapes(*(vector.shape for vector in vectors))
     except ValueError:
         shapes = ', '.join(str(vector.shape) for vector in vectors)
         names = ', '.join(arguments)
-        raise JointStateError(f'{names} of shapes {shapes} do not fit together') from None
+        raise JointStateError(
+            f'{names} have shapes {shapes}, which cannot be broadcast together'
+        ) from None
     return [_rows(vector, shape) for vector in vectors], shape
 
 
@@ -51,7 +53,7 @@ def explain(
     shape: tuple[int, ...] | None = None,
     **arguments: ArrayLike,
 ) -> JointStateError:
-    """Say which argument is at fault: its shape, else its first value that is not finite."""
+    """Return the error of the first argument with a wrong shape or a value that is not finite."""
     n = len(joint_names)
     for name, values in arguments.items():
         vectors = read_vectors(name, values, n)
@@ -64,13 +66,12 @@ def explain(
     if out is not None:
         check_out(out, shape or (n,))
     return JointStateError(
-        'the efforts overflow: a position, velocity or acceleration is finite, but beyond all '
-        'reason'
+        'the efforts overflow: a position, velocity or acceleration is finite, but too large'
     )
 
 
 def check_out(out: Floats, shape: tuple[int, ...]) -> None:
-    """Refuse an array that cannot take the result."""
+    """Raise a JointStateError if an array cannot hold the result."""
     if not isinstance(out, np.ndarray) or out.dtype != np.float64 or not out.flags.writeable:
         kind = out.dtype if isinstance(out, np.ndarray) else type(out).__name__
         raise JointStateError(f'out is of {kind}, expected a writable array of float64')
@@ -79,19 +80,19 @@ def check_out(out: Floats, shape: tuple[int, ...]) -> None:
 
 
 def is_free(out: Floats, others: Sequence[Floats]) -> bool:
-    """Tell whether results may be written as they come: into numbers side by side, nobody's."""
+    """Return whether `out` is contiguous and does not alias an input."""
     return out.flags.c_contiguous and not any(np.may_share_memory(out, x) for x in others)
 
 
 def read_threads(threads: int) -> int:
-    """Read how many threads may work side by side."""
+    """Check a number of threads."""
     if not isinstance(threads, int) or threads < 1:
-        raise ConfigurationError(f'threads is {threads!r}, expected a whole number of at least 1')
+        raise ConfigurationError(f'threads is {threads!r}, expected an integer of at least 1')
     return threads
 
 
 def read_joints(name: str, values: ArrayLike, n: int) -> Floats:
-    """Read one number a joint, or one for all; none below zero."""
+    """Convert one number per joint, or one for all joints, to non-negative numbers."""
     try:
         numbers = np.broadcast_to(np.asarray(values, dtype=np.float64), (n,))
     except (TypeError, ValueError):
@@ -104,7 +105,7 @@ def read_joints(name: str, values: ArrayLike, n: int) -> Floats:
 
 
 def read_vector(name: str, values: ArrayLike, unit: str) -> Floats:
-    """Read three numbers."""
+    """Convert three finite numbers."""
     try:
         vector = np.array(values, dtype=np.float64)
     except (TypeError, ValueError):
@@ -115,7 +116,7 @@ def read_vector(name: str, values: ArrayLike, unit: str) -> Floats:
 
 
 def read_inertial(mass: float, com: ArrayLike, inertia: ArrayLike) -> tuple[float, Floats, Floats]:
-    """Read what describes a rigid body, if there can be such a body."""
+    """Convert and check the mass, centre of mass and inertia of a rigid body."""
     try:
         number, moments = float(mass), np.array(inertia, dtype=np.float64)
     except (TypeError, ValueError):
@@ -126,7 +127,7 @@ def read_inertial(mass: float, com: ArrayLike, inertia: ArrayLike) -> tuple[floa
         raise ConfigurationError(f'mass is {mass!r}, expected a finite number of at least 0 [kg]')
     if moments.shape != (3, 3) or not np.isfinite(moments).all():
         raise ConfigurationError(f'inertia is {inertia!r}, expected 3 by 3 finite numbers')
-    # To the largest moment: turning a matrix leaves rounding where there was a zero.
+    # The tolerances are relative to the largest moment, because rotations leave rounding errors.
     largest = np.abs(moments).max()
     if np.abs(moments - moments.T).max() > 1e-6 * largest:
         raise ConfigurationError(f'inertia is {inertia!r}, expected a symmetric matrix')

@@ -1,14 +1,13 @@
 """
-Machine code for one robot: the passes of `newton_euler`, written out.
+Optional code generation for one robot.
 
-Nothing is derived a second time. The functions of `newton_euler` run here as they stand, once, but
-on numbers of another kind: arithmetic on a `RunTimeNumber` does not compute, it writes the
-instruction that will. What the robot's table holds for good (parents, kinds of joints, rotations,
-offsets) stays plain numbers, which steer the functions as ever. So no loop and no branch is left,
-and no product with a zero of the robot: one straight line of code.
+The equations are not repeated here. The functions of `newton_euler` run once, on symbolic numbers:
+arithmetic on a `RunTimeNumber` emits an instruction instead of computing. Constants of the robot
+(parents, joint types, rotations, offsets) remain plain numbers, so loops and branches over them
+are resolved, and products with zero disappear. The result is straight-line code.
 
-What may change while it runs is read from the table at each call. There is no code only for what
-was zero when the code was written; `GeneratedDynamics` sees to that.
+Numbers that may change at run time are read from the columns at each call. The code omits those
+that were zero when it was generated; `GeneratedDynamics` detects when one of them is set.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ if IS_COMPILED:
 
 
 class State(NamedTuple):
-    """One state of n joints, each of shape (n,), to be written to in place."""
+    """Arrays of shape (n,) for one state of n joints, to be written in place."""
 
     q: Floats
     """Joint positions [rad or m]."""
@@ -47,7 +46,7 @@ class State(NamedTuple):
 
 
 class Code(NamedTuple):
-    """What `write_out` compiles; both return a status, as `newton_euler.inverse_dynamics` does."""
+    """The functions compiled by `write_out`; they return a status as the general kernel does."""
 
     in_block: Callable[[], int]
     in_arrays: Callable[[Any, Any, Any, Any], int]
@@ -59,18 +58,19 @@ NO_CODE = Code(lambda: DOES_NOT_FIT, lambda *_: DOES_NOT_FIT)
 
 class GeneratedDynamics:
     """
-    Inverse dynamics of one robot by code of its own, for a control loop.
+    Inverse dynamics by code generated for one robot, for use in a control loop.
 
-    Computes what `InverseDynamics.efforts` does, but for rounding: multiplications and additions
-    are fused where the processor can. What is set on the dynamics counts here at once, without
-    compiling: gravity, motion of the base, payloads, wrenches, friction, armature. Where a number
-    is set that was zero when this object was made (a base that begins to turn, say), the dynamics
-    do the work until it is zero again. Without numba they always do.
+    Computes the same as `InverseDynamics.efforts` except for rounding: multiplications and
+    additions are fused if the processor can. Gravity, base motion, payloads, wrenches, friction
+    and armature that are set on the dynamics apply at once, without compiling again. If one of
+    them was zero when this object was made and is set later (a base that begins to rotate, for
+    example), the general kernel is used until it is zero again. Without numba, the general kernel
+    is always used.
 
     Parameters
     ----------
     dynamics : InverseDynamics
-        With all set that is usual in the loop.
+        Dynamics with typical values of everything that will be set in the loop.
 
     Attributes
     ----------
@@ -79,13 +79,13 @@ class GeneratedDynamics:
 
     Notes
     -----
-    Every object compiles, for tenths of a second: its code holds the addresses of its arrays.
+    Each object compiles for tenths of a second, because its code contains array addresses.
 
     """
 
     def __init__(self, dynamics: InverseDynamics) -> None:
         block = np.zeros((4, len(dynamics.robot.joint_names)))
-        # Views of the block: numpy does not let anyone resize what the code has the address of.
+        # Views of one block: numpy cannot resize it while they exist, so its address is constant.
         self.state = State(*block)
         self._tau = self.state.tau
         self._dynamics = dynamics
@@ -97,18 +97,18 @@ class GeneratedDynamics:
         if IS_COMPILED:
             try:
                 self._code = write_out(self._table, block)
-            except Exception as error:  # it reaches deep into numba, whose versions differ
-                warnings.warn(f'no code of its own for this robot: {error!r}', stacklevel=2)
+            except Exception as error:  # uses internals of numba, which vary between versions
+                warnings.warn(f'using the general kernel: {error!r}', stacklevel=2)
         self._in_block, self._in_arrays = self._code
 
     def update(self) -> Floats:
         """
-        Compute the efforts of ``state.q, state.qd, state.qdd``: the fastest way from Python.
+        Compute the efforts of ``state.q, state.qd, state.qdd``, the fastest call from Python.
 
         Returns
         -------
         tau : ndarray, shape (n,)
-            ``state.tau``, written anew.
+            The array ``state.tau``, which this call overwrites.
 
         Raises
         ------
@@ -117,9 +117,9 @@ class GeneratedDynamics:
 
         """
         if self._revision != self._loaded.revision:
-            self._look_again()
+            self._select_code()
         if self._in_block() != OK:
-            # The dynamics take any robot, and tell what is wrong with a state.
+            # The general kernel handles every case and raises errors for invalid states.
             return self._dynamics.efforts(*self.state)
         return self._tau
 
@@ -127,13 +127,13 @@ class GeneratedDynamics:
         self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: Floats | None = None
     ) -> Floats:
         """
-        Compute the efforts of a state that stands elsewhere.
+        Compute the efforts of a state in other arrays.
 
-        Takes, returns and raises what `InverseDynamics.efforts` does.
+        Parameters, result and errors are those of `InverseDynamics.efforts`.
 
         """
         if self._revision != self._loaded.revision:
-            self._look_again()
+            self._select_code()
         try:
             tau = np.empty_like(self._tau) if out is None else out
             if self._in_arrays(q, qd, qdd, tau) == OK:
@@ -142,18 +142,18 @@ class GeneratedDynamics:
             pass
         return self._dynamics.efforts(q, qd, qdd, out)
 
-    def _look_again(self) -> None:
-        """Use the code only while there is a place in it for all that acts on the robot."""
+    def _select_code(self) -> None:
+        """Fall back to the general kernel while a term acts that the code left out."""
         self._revision = self._loaded.revision
         is_new = _acting(self._table) & ~self._traced
         self._in_block, self._in_arrays = NO_CODE if is_new.any() else self._code
 
     def __reduce__(self) -> NoReturn:
-        raise TypeError('code is bound to its arrays, and not to be copied: make another')
+        raise TypeError('GeneratedDynamics cannot be copied or pickled; make a new object')
 
 
 def _acting(table: Floats) -> Any:
-    """Tell which numbers of a table may change between calls, and are not zero now."""
+    """Return which numbers of a table may change between calls and are not zero now."""
     mask = np.zeros(table.shape, dtype=bool)
     for part in (
         columns.MASS,
@@ -221,16 +221,16 @@ def write_out(table: Floats, block: Floats) -> Code:
 
 def _compile(function: Callable[..., int], signature: str) -> Any:
     compiled = numba.njit(signature)(function)
-    compiled.disable_compile()  # a call with arguments of other kinds is a TypeError
+    compiled.disable_compile()  # other argument types raise a TypeError
     return compiled
 
 
 class RunTimeNumber:
     """
-    A number that is not known before the code runs: arithmetic on it writes an instruction.
+    A number that is known only at run time: arithmetic on it emits an instruction.
 
-    Sums with 0 and products with 0 or 1 need none. To Python it equals no plain number: where
-    `newton_euler` asks whether it is zero, what is written is the way of a number that is not.
+    Sums with 0 and products with 0 or 1 emit none. It never equals a plain number, so that the
+    code takes the branch for nonzero numbers wherever `newton_euler` compares it with zero.
 
     """
 
@@ -257,7 +257,7 @@ class RunTimeNumber:
 
 
 class Writer:
-    """Writes instructions for numbers of both kinds, into a function that numba compiles."""
+    """Emits instructions for plain and run-time numbers into a function that numba compiles."""
 
     def __init__(self, context: Any, builder: Any) -> None:
         self.context = context
@@ -268,14 +268,14 @@ class Writer:
         return RunTimeNumber(self, write(*map(self._value, numbers), flags=('contract',)))
 
     def load(self, address: Any, k: int) -> RunTimeNumber:
-        """Read number k of those that begin at an address."""
+        """Load number k of an array at an address."""
         return RunTimeNumber(self, self.builder.load(self._pointer(address, k)))
 
     def store(self, number: Any, address: Any, k: int) -> None:
         self.builder.store(self._value(number), self._pointer(address, k))
 
     def elementary(self, function: Callable[[float], float]) -> Callable[[Any], Any]:
-        """Make a function of `math` one that takes numbers of both kinds."""
+        """Return a function of `math` for plain and run-time numbers."""
         call = self.context.get_function(function, numba.float64(numba.float64))
 
         def write(number: Any) -> Any:
@@ -286,7 +286,7 @@ class Writer:
         return write
 
     def status(self, number: Any) -> Any:
-        """Choose a status: whether a number is one, or a NaN."""
+        """Return the status NOT_FINITE if a number is NaN, otherwise OK."""
         value = self._value(number)
         is_nan = self.builder.fcmp_unordered('uno', value, value)
         return self.builder.select(is_nan, *(self.integer(x) for x in (NOT_FINITE, OK)))
@@ -306,8 +306,8 @@ class Writer:
 
 
 def _functions_that_write(writer: Writer, inputs: list[RunTimeNumber]) -> dict[str, Any]:
-    """Take the functions of `newton_euler` as they were before numba, with others to call."""
-    # Where a zero was left out, no NaN or infinity reaches an effort: inputs are checked as well.
+    """Return the Python functions of `newton_euler`, which call the writer's functions."""
+    # Products with zero are left out and would not propagate NaN or inf: check the inputs, too.
     zero_if_finite = sum(x - x for x in inputs)
 
     def check(tau: list[Any]) -> Any:

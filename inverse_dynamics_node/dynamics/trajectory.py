@@ -1,4 +1,4 @@
-"""Whole trajectories: what a planner left out derived by splines, and the efforts all along."""
+"""Trajectories: missing velocities and accelerations from splines, and the efforts."""
 
 from __future__ import annotations
 
@@ -13,48 +13,49 @@ from .batch import FEWEST
 from .inverse_dynamics import InverseDynamics
 
 _FEWEST_TO_SMOOTH = 16
-"""Points: what the filter is run in with is longer than less."""
+"""Fewest points that are longer than the padding of the filter."""
 
 
 class Trajectory(NamedTuple):
-    """Where m joints are to be at k times."""
+    """Desired positions of m joints at k times."""
 
     joint_names: tuple[str, ...]
     times: Floats
-    """Shape (k,) [s], each later than the one before."""
+    """Shape (k,) [s], strictly ascending."""
     positions: Floats
     """Shape (k, m) [rad or m]."""
     velocities: Floats | None = None
-    """Shape (k, m) [rad/s or m/s]; None where they are to be derived."""
+    """Shape (k, m) [rad/s or m/s]; None to derive them from the positions."""
     accelerations: Floats | None = None
-    """Shape (k, m) [rad/s^2 or m/s^2]; None where they are to be derived."""
+    """Shape (k, m) [rad/s^2 or m/s^2]; None to derive them."""
 
 
 def complete(trajectory: Trajectory) -> tuple[Trajectory, tuple[str, ...]]:
     """
-    Derive the velocities and accelerations that a trajectory lacks.
+    Derive missing velocities and accelerations.
 
     Parameters
     ----------
     trajectory : Trajectory
-        With k points of m joints.
+        Trajectory with k points of m joints.
 
     Returns
     -------
     whole : Trajectory
-        With velocities and accelerations.
+        The trajectory with velocities and accelerations.
     derived : tuple of str
-        What was derived, and how, in words; empty if nothing was.
+        A description of each derived quantity; empty if there is none.
 
     Raises
     ------
     TrajectoryError
-        If there is no point, shapes do not fit, times do not rise, or a value is not finite.
+        If there are no points, a shape is wrong, the times do not ascend, or a value is not
+        finite.
 
     Notes
     -----
-    Velocities are those of the cubic spline through the positions that begins and ends at rest;
-    accelerations those of the cubic spline through the velocities whose third derivative is
+    Velocities are those of the cubic spline through the positions that begins and ends at rest.
+    Accelerations are those of the cubic spline through the velocities whose third derivative is
     continuous at the first and last inner points. A single point is at rest.
 
     """
@@ -78,21 +79,21 @@ def complete(trajectory: Trajectory) -> tuple[Trajectory, tuple[str, ...]]:
 
 def refine(whole: Trajectory, longest_step: float) -> tuple[Trajectory, Integers]:
     """
-    Put states between the points of a trajectory that are far apart.
+    Insert states between points of a trajectory that are far apart.
 
     Parameters
     ----------
     whole : Trajectory
-        With velocities and accelerations, from `complete`.
+        Trajectory with velocities and accelerations, from `complete`.
     longest_step : float
-        Time between states of the result, at most [s].
+        Longest time between states of the result [s].
 
     Returns
     -------
     fine : Trajectory
-        All points of the trajectory, and states between them.
+        All points of the trajectory, and the states between them.
     points : ndarray of int, shape (k,)
-        Where the points are in it.
+        Indices of the original points in it.
 
     Raises
     ------
@@ -101,9 +102,9 @@ def refine(whole: Trajectory, longest_step: float) -> tuple[Trajectory, Integers
 
     Notes
     -----
-    Between two points runs the polynomial of fifth degree that meets position, velocity and
-    acceleration at both, as in ros2_control's joint trajectory controller. Where `complete` has
-    derived both from positions, it is the same cubic spline.
+    Two points are connected by the quintic polynomial that matches position, velocity and
+    acceleration at both, as in ros2_control's joint trajectory controller. If `complete` has
+    derived both from the positions, this equals the cubic spline.
 
     """
     times, velocities, accelerations = whole.times, whole.velocities, whole.accelerations
@@ -123,35 +124,36 @@ def refine(whole: Trajectory, longest_step: float) -> tuple[Trajectory, Integers
     spline = BPoly.from_derivatives(times, np.stack(given, axis=1))
     values = [spline(fine, order) for order in range(3)]
     for value, at_points in zip(values, given, strict=True):
-        value[points] = at_points  # to the last bit
+        value[points] = at_points  # exactly, without rounding
     return Trajectory(whole.joint_names, fine, *values), points
 
 
 def smooth(trajectory: Trajectory, cutoff: float) -> Trajectory:
     """
-    Derive velocities and accelerations of measured positions without their noise.
+    Derive velocities and accelerations from noisy measured positions.
 
     Parameters
     ----------
     trajectory : Trajectory
-        With k points of m joints; its velocities and accelerations do not count.
+        Trajectory with k points of m joints; its velocities and accelerations are ignored.
     cutoff : float
-        Faster changes than this are taken for noise [Hz].
+        Cut-off frequency of the low-pass filter [Hz].
 
     Returns
     -------
     smooth : Trajectory
-        With velocities and accelerations, at k evenly spaced times.
+        Trajectory with velocities and accelerations, at k evenly spaced times.
 
     Raises
     ------
     TrajectoryError
-        If the points are too few or too far apart for the cut-off, or not as `complete` has them.
+        If the points are too few or too far apart for the cut-off frequency, or invalid as for
+        `complete`.
 
     Notes
     -----
-    A Butterworth low-pass of second order that runs forwards and backwards, so that nothing comes
-    late; then differences. Gravity efforts, which change with positions, hardly feel it.
+    A second-order Butterworth low-pass runs forwards and backwards, which causes no delay, before
+    central differences. It hardly changes gravity efforts, which depend on positions.
 
     """
     _check(trajectory)
@@ -160,14 +162,14 @@ def smooth(trajectory: Trajectory, cutoff: float) -> Trajectory:
     if k < _FEWEST_TO_SMOOTH or not 0.0 < cutoff < 0.5 * rate:
         raise TrajectoryError(
             f'{k} points at {rate:.3g} Hz cannot be smoothed at {cutoff:g} Hz, expected '
-            f'{_FEWEST_TO_SMOOTH} or more, at more than twice that'
+            f'{_FEWEST_TO_SMOOTH} or more, at more than {2.0 * cutoff:g} Hz'
         )
     from scipy.signal import butter, sosfiltfilt
 
     times = np.linspace(trajectory.times[0], trajectory.times[-1], k)
     even = [np.interp(times, trajectory.times, column) for column in trajectory.positions.T]
     low_pass = butter(2, cutoff, fs=rate, output='sos')
-    run_in = min(k - 1, int(3.0 * rate / cutoff))  # points; what it remembers has faded by then
+    run_in = min(k - 1, int(3.0 * rate / cutoff))  # points; longer than the transient
     positions = sosfiltfilt(low_pass, np.stack(even, axis=1), axis=0, padlen=run_in)
     velocities = np.gradient(positions, times, axis=0, edge_order=2)
     accelerations = np.gradient(velocities, times, axis=0, edge_order=2)
@@ -178,31 +180,31 @@ def trajectory_efforts(
     dynamics: InverseDynamics, trajectory: Trajectory, others: Floats | None = None
 ) -> Floats:
     """
-    Compute the efforts all along a trajectory.
+    Compute the efforts along a trajectory.
 
     Parameters
     ----------
     dynamics : InverseDynamics
-        The robot, with n joints.
+        Dynamics of a robot with n joints.
     trajectory : Trajectory
-        Of any m of them, in any order, with velocities and accelerations.
+        Trajectory of m of these joints, in any order, with velocities and accelerations.
     others : ndarray, shape (n,), optional
-        Positions at which the robot's other joints rest [rad or m]; zero if left out.
+        Positions at which the other joints rest [rad or m], by default zero.
 
     Returns
     -------
     efforts : ndarray, shape (k, m)
-        In the order of the trajectory's joints [N m or N].
+        Efforts in the order of the trajectory's joints [N m or N].
 
     Raises
     ------
     TrajectoryError
-        If the robot has no such joint, or one is named twice.
+        If a joint does not exist, or is named twice.
 
     """
     states, index = whole_states(dynamics, trajectory, others)
     tau = np.empty_like(states[0])
-    # In pieces: the first large batch compiles for seconds, which a control loop does not have.
+    # In pieces, because the first large batch compiles for seconds, too long for a control loop.
     for start in range(0, len(tau), FEWEST - 1):
         q, qd, qdd = (values[start : start + FEWEST - 1] for values in states)
         tau[start : start + FEWEST - 1] = dynamics.efforts(q, qd, qdd)
@@ -214,7 +216,7 @@ def whole_states(
     dynamics: InverseDynamics, trajectory: Trajectory, others: Floats | None = None
 ) -> tuple[tuple[Floats, Floats, Floats], list[int]]:
     """
-    Spread a trajectory over all joints of a robot.
+    Extend a trajectory to all joints of a robot.
 
     Parameters
     ----------
@@ -224,14 +226,14 @@ def whole_states(
     Returns
     -------
     states : tuple of q, qd, qdd
-        Of all joints of the robot at every point, each of shape (k, n).
+        States of all joints of the robot at every point, each of shape (k, n).
     index : list of int
-        Where the trajectory's joints are among the robot's.
+        Indices of the trajectory's joints among those of the robot.
 
     Raises
     ------
     TrajectoryError
-        If the robot has no such joint, or one is named twice.
+        If a joint does not exist, or is named twice.
 
     """
     names = dynamics.robot.joint_names
@@ -249,16 +251,18 @@ def whole_states(
 def _derivative(times: Floats, values: Floats, ends: str, order: int) -> Floats:
     if len(times) == 1:
         return np.zeros_like(values)
-    from scipy.interpolate import CubicSpline  # a third of a second, for who needs it only
+    from scipy.interpolate import CubicSpline  # takes a third of a second to import
 
     try:
         with np.errstate(all='ignore'):
-            # Two or three points have no inner ones enough; scipy takes a line or a parabola then.
+            # For two or three points scipy uses a line or a parabola.
             derivative: Floats = CubicSpline(times, values, bc_type=ends)(times, order)
-    except ValueError:  # of slopes that are not finite
+    except ValueError:  # raised if a slope is not finite
         derivative = np.full_like(values, np.nan)
     if not np.isfinite(derivative).all():
-        raise TrajectoryError('points are too far apart in too short a time for any spline')
+        raise TrajectoryError(
+            'the spline overflows: positions are too far apart for the time between them'
+        )
     return derivative
 
 
@@ -267,15 +271,15 @@ def _check(trajectory: Trajectory) -> None:
     if not len(times):
         raise TrajectoryError('no points, expected at least one')
     shape = len(times), len(names)
-    for what, values in zip(trajectory._fields[2:], trajectory[2:], strict=True):
+    for quantity, values in zip(trajectory._fields[2:], trajectory[2:], strict=True):
         if values is None:
             continue
         if values.shape != shape:
-            raise TrajectoryError(f'{what} have shape {values.shape}, expected {shape}')
+            raise TrajectoryError(f'{quantity} have shape {values.shape}, expected {shape}')
         if not np.isfinite(values).all():
             point, joint = np.argwhere(~np.isfinite(values))[0]
             raise TrajectoryError(
-                f"{what} of joint '{shortened(names[joint])}' at point {point}: "
+                f"{quantity} of joint '{shortened(names[joint])}' at point {point}: "
                 f'{values[point, joint]}, expected a finite number'
             )
     if not np.isfinite(times).all():
@@ -290,7 +294,7 @@ def _check(trajectory: Trajectory) -> None:
 
 
 def joint_index(names: Sequence[str], known: Sequence[str]) -> list[int]:
-    """Find joints among those that are known; raise a TrajectoryError where that cannot be."""
+    """Return the indices of joints among known ones; raise a TrajectoryError if one is invalid."""
     if not names:
         raise TrajectoryError('no joint names')
     unknown = [name for name in names if name not in known]

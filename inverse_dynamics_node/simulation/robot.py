@@ -1,22 +1,23 @@
 """
-The simulated robot as a ROS process: publishes ``joint_states`` and obeys ``commands``.
+The simulated robot as a ROS process: publishes ``joint_states`` and applies ``commands``.
 
-It behaves as an arm behind joint_state_broadcaster and forward_command_controller: joint states
-come at a fixed rate, sorted by name, and the last complete, finite command is held for ever.
+It behaves like an arm behind joint_state_broadcaster and forward_command_controller: it publishes
+joint states at a fixed rate, sorted by name, and holds the last complete, finite command forever.
 
-Brakes hold the arm until commands have come for a while, as they do on an arm that is switched on:
-whatever commands it may start late, and ramp its efforts up, without dropping it. The topic
-``brakes`` says whether they are on. Once open they stay open, also when commands stop, unless the
-sensors are lost.
+As on an arm that is switched on, brakes hold it until commands have arrived for a while. A
+controller may therefore start late and ramp up its efforts without dropping the arm. The topic
+``brakes`` reports whether they are on. Once open they stay open, even if the commands stop, unless
+the sensors are lost.
 
-What happens to it is told by topics of its own, as an exercise wants it:
+Four topics disturb the robot:
 
-- ``~/payload``: a load is fastened to a link, or taken off by a mass of 0;
-- ``~/push``: the world pushes a link, in the link's frame about its origin, until told otherwise;
-- ``~/tilt``: the base turns, within 3 s, to a rotation vector from level [rad];
-- ``~/sensors``: false: joint states stop, and brakes go on, as in drives that lose their encoders.
+- ``~/payload`` attaches a load to a link, or removes it by a mass of 0;
+- ``~/push`` applies a wrench to a link, in the link's frame about its origin, until the next one;
+- ``~/tilt`` turns the base, within 3 s, to a rotation vector from level [rad];
+- ``~/sensors``: false stops the joint states and applies the brakes, as drives do that lose their
+  encoders; true resumes them.
 
-``imu`` tells what a sensor on the base feels, once for every joint state, if anybody listens.
+The topic ``imu`` reports the readings of a sensor on the base, one for every joint state.
 """
 
 from __future__ import annotations
@@ -53,26 +54,26 @@ from .mujoco.model import SimulationError
 from .tilt import rotation_of_rpy, Tilt
 from .trajectory import start_pose
 
-MOST_LAG = 0.5  # [s]: beyond this the simulated time waits for the machine
-COMPLAINT_PERIOD = 5.0  # [s]: a publisher of wrong commands may send thousands per second
-GAP = 0.1  # [s]: commands further apart than this are not a flow that brakes can rely on
+MOST_LAG = 0.5  # [s]: simulated time lags behind the steady clock by this much at most
+COMPLAINT_PERIOD = 5.0  # [s] between errors: invalid commands may arrive at thousands per second
+GAP = 0.1  # [s]: a longer gap between commands restarts the time to the release of the brakes
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class RobotNode(Node):
     """
-    Topics of a simulated robot.
+    Connects a simulated robot to its topics.
 
     Parameters
     ----------
     robot : MujocoRobot
         The hardware.
     brake_release : float
-        How long commands must have come before the brakes open [s].
+        Time for which commands must have arrived before the brakes open [s].
     imu_orientation : array_like, shape (3,)
         Roll, pitch and yaw of the IMU in the base frame [rad].
     **options
-        For rclpy's ``Node``.
+        Arguments of rclpy's ``Node``.
 
     """
 
@@ -101,7 +102,7 @@ class RobotNode(Node):
         self._brakes.publish(Bool(data=robot.brakes_on))
         self._imu = Imu()
         self._imu.header.frame_id = 'imu'
-        self._imu.orientation_covariance[0] = -1.0  # it does not tell any
+        self._imu.orientation_covariance[0] = -1.0  # the sensor reports no orientation
         self._imus = self.create_publisher(Imu, 'imu', 10)
         for message, topic, callback in (
             (Float64MultiArray, 'commands', self._on_command),
@@ -111,18 +112,18 @@ class RobotNode(Node):
             (Bool, '~/sensors', self._on_sensors),
         ):
             self.create_subscription(message, topic, callback, 10)
-        # The first word to a logger takes tens of milliseconds: better now than in the loop.
+        # The first call of a logger takes tens of milliseconds, too long for the loop.
         self.get_logger().info(f'{robot.robot.name!r} stands with its brakes on')
 
     def advance(self, duration: float) -> None:
-        """Let time pass [s] and say where the joints are then."""
+        """Advance the simulation by a duration [s], and publish the new state."""
         self._robot.world.set_base_motion(*self._tilt.motion(self._elapsed))
         self._robot.advance(duration)
         self._elapsed += duration
         if self._began is None:
             self._began = self.get_clock().now().nanoseconds
-        # Stamps count simulated time: after a stall of the machine they tell when the state was
-        # true for the robot, not when the machine got round to it.
+        # Stamps are in simulated time: after a pause of the machine they are the times of the
+        # states, not the later times at which they are published.
         stamp = Time(nanoseconds=self._began + round(self._elapsed * 1e9)).to_msg()
         if self._has_sensors:
             self._publish_state(stamp)
@@ -141,11 +142,11 @@ class RobotNode(Node):
         gravity, angular_velocity, _ = self._tilt.motion(self._elapsed)
         self._imu.header.stamp = stamp
         _write(self._imu.angular_velocity, self._R_BS.T @ angular_velocity)
-        # The base turns about its origin: what is felt there is what keeps it from falling.
+        # The base turns about its origin, where the only acceleration is that of gravity.
         _write(self._imu.linear_acceleration, -self._R_BS.T @ gravity)
         self._imus.publish(self._imu)
 
-    # What happens to the robot
+    # Disturbances
 
     def _on_payload(self, message: InertiaStamped) -> None:
         load = message.inertia
@@ -157,12 +158,12 @@ class RobotNode(Node):
             ]
         )
         link, world = message.header.frame_id, self._robot.world
-        self._do(lambda: world.set_payload(link, load.m, _read(load.com), tensor))
+        self._apply(lambda: world.set_payload(link, load.m, _read(load.com), tensor))
 
     def _on_push(self, message: WrenchStamped) -> None:
         force, moment = _read(message.wrench.force), _read(message.wrench.torque)
         link, world = message.header.frame_id, self._robot.world
-        self._do(lambda: world.set_external_wrench(link, force, moment))
+        self._apply(lambda: world.set_external_wrench(link, force, moment))
 
     def _on_tilt(self, message: Vector3Stamped) -> None:
         self._tilt.turn_to(_read(message.vector), self._elapsed)
@@ -172,9 +173,9 @@ class RobotNode(Node):
         if not message.data:
             self._set_brakes(True)
 
-    def _do(self, what: Callable[[], None]) -> None:
+    def _apply(self, change: Callable[[], None]) -> None:
         try:
-            what()
+            change()
         except SimulationError as error:
             self.get_logger().error(str(error))
 
@@ -197,7 +198,7 @@ class RobotNode(Node):
         return ''
 
     def _ignore(self, fault: str) -> None:
-        """Log a command that is ignored, but not more often than somebody can read."""
+        """Log an ignored command, at most once per complaint period."""
         self._ignored += 1
         now = time.monotonic()
         if now < self._complaint_due:
@@ -231,10 +232,10 @@ def _write(vector: Any, values: Floats) -> None:
 
 def run(node: RobotNode, executor: Executor, rate: float, stop: Callable[[], bool]) -> None:
     """
-    Keep a simulated robot in step with the steady clock.
+    Advance a simulated robot in step with the steady clock.
 
-    When the machine stalls, the robot catches up at twice its speed: no state is left out, and no
-    burst of states overruns a subscriber that keeps only the newest.
+    After a pause of the machine, the robot catches up at twice its speed. No state is skipped, and
+    no burst of states overruns a subscriber that keeps only the latest.
 
     """
     period = 1.0 / rate
@@ -287,32 +288,32 @@ def _serve(hardware: MujocoRobot, options: argparse.Namespace, stop: Callable[[]
 
 def _parse(arguments: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description='A simulated robot behind ROS topics.')
-    parser.add_argument('robot', type=Path, help='its URDF')
-    parser.add_argument('--rate', type=float, default=500.0, help='of joint states [Hz]')
+    parser.add_argument('robot', type=Path, help='URDF of the robot')
+    parser.add_argument('--rate', type=float, default=500.0, help='rate of joint states [Hz]')
     parser.add_argument(
         '--brake-release',
         type=float,
         default=1.5,
-        help='how long commands must have come before the brakes open [s]',
+        help='time for which commands must have arrived before the brakes open [s]',
     )
     parser.add_argument(
         '--friction',
         action='store_true',
-        help='give the joints the damping and friction of the URDF, else they have none',
+        help='give the joints the damping and friction of the URDF; by default they have none',
     )
     parser.add_argument(
         '--held',
         nargs='+',
         default=[],
         metavar='JOINT',
-        help='joints that hold themselves and take no commands, as grippers may',
+        help='joints that hold their position and accept no commands, such as those of a gripper',
     )
     parser.add_argument(
         '--armature',
         type=float,
         nargs='+',
         default=[0.0],
-        help='inertia of rotors and gears at the joints [kg m^2, kg]',
+        help='inertia of rotors and gears at the joints [kg m^2, kg], one number or one per joint',
     )
     parser.add_argument(
         '--imu-orientation',
@@ -320,7 +321,7 @@ def _parse(arguments: list[str]) -> argparse.Namespace:
         nargs=3,
         default=(0.0, 0.0, 0.0),
         metavar=('ROLL', 'PITCH', 'YAW'),
-        help='of the IMU in the base frame [rad]',
+        help='orientation of the IMU in the base frame [rad]',
     )
     return parser.parse_args(arguments)
 

@@ -1,4 +1,4 @@
-"""A base that tilts: smoothly from one attitude to the next, and what its sensors feel."""
+"""A base that tilts smoothly from one attitude to the next."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from ..dynamics.inverse_dynamics import STANDARD_GRAVITY
 from ..robot.model import Floats
 from .trajectory import ease
 
-DURATION = 3.0  # [s], of a change of attitude
+DURATION = 3.0  # [s] of a change of attitude
 
 
 def rotation(vector: ArrayLike) -> Floats:
-    """Return the rotation about a vector, by its length [rad], as a matrix of shape (3, 3)."""
+    """Return the matrix of a rotation vector [rad], shape (3, 3)."""
     quaternion, matrix = np.zeros(4), np.zeros(9)
     vector = np.asarray(vector, float)
     angle = float(np.linalg.norm(vector))
@@ -37,16 +37,16 @@ def rotation_of_rpy(rpy: ArrayLike) -> Floats:
 @dataclass(eq=False)
 class Tilt:
     """
-    The attitude of a base over time; level at first.
+    The attitude of a base over time, initially level.
 
     Attributes
     ----------
     began : float
-        When the base began to turn last [s].
+        Start time of the latest turn [s].
     level : ndarray, shape (3, 3)
-        From the base frame as it was then to the level frame.
+        Rotation from the base frame at that time to the level frame.
     turn : ndarray, shape (3,)
-        Rotation vector of the turn since, in the base frame [rad].
+        Rotation vector of the whole turn, in the base frame [rad].
 
     """
 
@@ -55,7 +55,7 @@ class Tilt:
     turn: Floats = field(default_factory=lambda: np.zeros(3))
 
     def turn_to(self, attitude: ArrayLike, time: float) -> None:
-        """Turn from where the base is at a time [s] to a rotation vector from level [rad]."""
+        """Turn from the attitude at a time [s] to a rotation vector from level [rad]."""
         self.level = self.attitude(time)
         self.began = time
         quaternion, turn = np.zeros(4), np.zeros(3)
@@ -65,13 +65,13 @@ class Tilt:
 
     def attitude(self, time: float) -> Floats:
         """Return the rotation from the base frame at a time [s] to the level one, shape (3, 3)."""
-        share = ease(np.array((time - self.began) / DURATION))[0]
-        matrix: Floats = self.level @ rotation(share * self.turn)
+        progress = ease(np.array((time - self.began) / DURATION))[0]
+        matrix: Floats = self.level @ rotation(progress * self.turn)
         return matrix
 
     def motion(self, time: float) -> tuple[Floats, Floats, Floats]:
         """
-        Tell how the base moves at a time [s].
+        Return gravity and the motion of the base at a time [s].
 
         Returns
         -------

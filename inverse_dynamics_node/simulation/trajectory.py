@@ -1,8 +1,8 @@
 """
-A smooth reference motion for any robot: from rest, back to rest, within every limit.
+A smooth reference motion for any robot that starts and ends at rest and stays within all limits.
 
-Each joint swings about its start with a sine of its own frequency, faded in and out by a quintic,
-so that position, velocity and acceleration begin and end without a step.
+Each joint oscillates about its start by a sine of its own frequency. A quintic fades the sine in
+and out, so that position, velocity and acceleration are continuous at both ends.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ from ..dynamics.inverse_dynamics import InverseDynamics
 from ..robot.model import Booleans, Floats, RobotModel
 from .mujoco.model import SimulationError
 
-LARGEST_SWING = (0.5, 0.1)  # [rad], [m]: enough for all terms of the dynamics to matter
-FREQUENCIES = (0.20, 0.31, 0.24, 0.38, 0.28, 0.43, 0.34)  # [Hz]: no two neighbours in step
-ROOM_USED = 0.8  # of the way to the nearest position limit
-SPEED_USED = 0.5  # of the velocity limit
-EFFORT_USED = 0.9  # of the effort limit; the rest is for feedback
+LARGEST_SWING = (0.5, 0.1)  # [rad], [m]: large enough for all terms of the dynamics to matter
+FREQUENCIES = (0.20, 0.31, 0.24, 0.38, 0.28, 0.43, 0.34)  # [Hz]: neighbours differ
+ROOM_USED = 0.8  # fraction of the distance to the nearest position limit
+SPEED_USED = 0.5  # fraction of the velocity limit
+EFFORT_USED = 0.9  # fraction of the effort limit; the rest is for feedback
 STEEPEST_FADE = 1.875  # slope of the quintic at its middle
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """
-    A motion of n joints that lasts ``moving`` seconds and then rests where it began.
+    A motion of n joints that lasts ``moving`` seconds and ends in its start pose.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Trajectory:
     swing : ndarray, shape (n,)
         Largest distance from ``start`` [rad or m].
     frequency : ndarray, shape (n,)
-        Of each joint's sine [Hz].
+        Frequency of each joint's sine [Hz].
     moving : float
         Duration of the motion [s].
 
@@ -54,17 +54,17 @@ class Trajectory:
 
     def sample(self, time: ArrayLike) -> tuple[Floats, Floats, Floats]:
         """
-        Positions, velocities and accelerations at some times.
+        Return positions, velocities and accelerations.
 
         Parameters
         ----------
         time : array_like, shape (...)
-            Since the motion began [s]; before and after it the joints rest.
+            Times since the start of the motion [s]; before and after it the joints rest.
 
         Returns
         -------
         q, qd, qdd : ndarray, shape (..., n)
-            In rad or m, and per second, and per second squared.
+            In rad or m, per second, and per second squared.
 
         """
         t = np.asarray(time, dtype=float)[..., np.newaxis]
@@ -82,7 +82,7 @@ class Trajectory:
 
 
 def ease(x: Floats) -> tuple[Floats, Floats, Floats]:
-    """Rise from 0 at x = 0 to 1 at x = 1, and its two derivatives, all steady at both ends."""
+    """Return a quintic from 0 at x = 0 to 1 at x = 1 and its first two derivatives."""
     x = np.minimum(np.maximum(x, 0.0), 1.0)
     return (
         x**3 * (10.0 + x * (6.0 * x - 15.0)),
@@ -93,15 +93,15 @@ def ease(x: Floats) -> tuple[Floats, Floats, Floats]:
 
 def start_pose(robot: RobotModel, dynamics: InverseDynamics) -> Floats:
     """
-    Choose a pose within the limits that the drives can hold, and where joints act on their own.
+    Choose a pose within the limits that the drives can hold, with little coupling of the joints.
 
-    Where two joints turn nearly the same mass the same way, as the wrist of a straight arm does,
-    their difference has hardly any inertia, and any delay shows there.
+    If two joints move nearly the same mass in the same way, as in the wrist of a straight arm, a
+    motion in opposite directions has hardly any inertia, and every delay causes large errors.
 
     Raises
     ------
     SimulationError
-        If no joint moves, or the drives are too weak for all poses tried.
+        If no joint can move, or the drives are too weak for all sampled poses.
 
     """
     if not robot.joint_names:
@@ -120,22 +120,22 @@ def start_pose(robot: RobotModel, dynamics: InverseDynamics) -> Floats:
 
 
 def independence(inertia: Floats) -> float:
-    """Return the least inertia of any mix of joints, relative to what they have alone: 0 to 1."""
+    """Return the least eigenvalue of the mass matrix with its diagonal scaled to 1: 0 to 1."""
     scale = 1.0 / np.sqrt(np.maximum(inertia.diagonal(), 1e-12))
     return float(np.linalg.eigvalsh(inertia * np.outer(scale, scale))[0])
 
 
 def _too_weak(robot: RobotModel, efforts: Floats) -> str:
     weak = [
-        f'joint {name!r} takes {abs(effort):.3g} of {limit:g} N m or N'
+        f'joint {name!r} needs {abs(effort):.3g} of {limit:g} N m or N'
         for name, effort, limit in zip(
             robot.joint_names, efforts, robot.effort_limits, strict=True
         )
         if abs(effort) > EFFORT_USED * limit
     ]
     return (
-        'the <limit effort> of the URDF is too small for the robot to hold itself up and move; '
-        f'in the easiest pose tried {", ".join(weak)}'
+        'the <limit effort> of the URDF is too small for the robot to hold its own weight and '
+        f'move; in the easiest of the sampled poses, {", ".join(weak)}'
     )
 
 
@@ -146,13 +146,13 @@ def plan(robot: RobotModel, dynamics: InverseDynamics, start: Floats, moving: fl
     Parameters
     ----------
     robot : RobotModel
-        Whose limits.
+        The robot, for its limits.
     dynamics : InverseDynamics
-        Of the same robot, for the efforts the motion takes.
+        Dynamics of the same robot, for the efforts of the motion.
     start : ndarray, shape (n,)
-        Where the joints are, at rest [rad or m].
+        Start pose [rad or m].
     moving : float
-        Duration [s].
+        Duration of the motion [s].
 
     Raises
     ------
@@ -174,7 +174,7 @@ def plan(robot: RobotModel, dynamics: InverseDynamics, start: Floats, moving: fl
         axis=0,
     )
     if not swing.any():
-        raise SimulationError('no joint can move: every <limit> leaves it no room or no speed')
+        raise SimulationError('no joint can move: each <limit> leaves no room or no velocity')
     times = np.linspace(0.0, moving, 200)
     for _ in range(6):
         trajectory = Trajectory(start, swing, frequency, moving)
@@ -191,7 +191,7 @@ def slides(robot: RobotModel) -> Booleans:
 
 
 def effort_used(robot: RobotModel, efforts: Floats) -> float:
-    """Return the largest share of an effort limit that efforts of shape (..., n) take."""
-    negligible = 1e-6  # [N m or N]: joints with no limit to speak of, and nothing to carry
-    shares = abs(efforts) / np.maximum(robot.effort_limits, negligible)
-    return float(np.max(shares, initial=0.0))
+    """Return the largest ratio of efforts, shape (..., n), to their limits."""
+    negligible = 1e-6  # [N m or N], in place of a limit of 0
+    ratios = abs(efforts) / np.maximum(robot.effort_limits, negligible)
+    return float(np.max(ratios, initial=0.0))

@@ -1,8 +1,8 @@
 """
-The node closes the loop around an arm: what it knows of the world shows in how the arm moves.
+The closed loop of node and simulated arm with loads, tilting bases and contact.
 
-The demo runs as a user runs it, and records; what comes of it is judged here, from the record,
-with nothing of the demo's own judgement. Limits leave room for a machine that is busy elsewhere.
+The demo runs as for a user and records a bag. These tests evaluate the bag independently of the
+demo's own verdict. The limits leave room for a busy machine.
 """
 
 from contextlib import contextmanager
@@ -38,7 +38,7 @@ SETTLED = 1.5  # [s]
 
 @pytest.fixture
 def record(domain_id, tmp_path):
-    """Return a function that runs a scenario and returns what was recorded."""
+    """Return a function that runs a scenario and returns the recording."""
 
     def run(path, scenario):
         folder = tmp_path / scenario
@@ -58,7 +58,7 @@ def record(domain_id, tmp_path):
 
 
 class Record:
-    """A recorded run; times count from its first reference [s], joints are in our order."""
+    """A recorded run; times start at its first reference [s], joints are in the model's order."""
 
     def __init__(self, folder, joint_names):
         self.joint_names = joint_names
@@ -85,7 +85,7 @@ class Record:
         return np.array(rows)
 
     def errors(self):
-        """Return times, and how far the joints were from the reference of the same stamp."""
+        """Return times, and the joint errors relative to the references with the same stamps."""
         references = {
             round(time, 6): message.points[0].positions
             for time, message in zip(
@@ -102,28 +102,28 @@ class Record:
 
 
 def usual(errors, times, begin, end=np.inf):
-    """Return how far off the joints were at most, all but a tenth of the time: machines stall."""
+    """Return the 90 % quantile of the largest joint error: the machine may pause at times."""
     return np.quantile(abs(errors[(times >= begin) & (times < end)]).max(axis=1), 0.9)
 
 
 @pytest.mark.parametrize('path', ARMS)
-def test_load_shows_as_an_error_until_the_node_is_told(record, path):
+def test_payload_causes_an_error_until_the_node_receives_it(record, path):
     run = record(path, 'payload')
     times, errors = run.errors()
-    (picked_up,), (told,) = (
+    (picked_up,), (sent,) = (
         run.times(f'/{node}/payload') for node in ('simulated_robot', 'inverse_dynamics')
     )
     before = usual(errors, times, 0.0, picked_up)
-    unknown = usual(errors, times, picked_up, told)
-    known = usual(errors, times, told + SETTLED)
+    unknown = usual(errors, times, picked_up, sent)
+    known = usual(errors, times, sent + SETTLED)
     assert before < 0.02
-    assert unknown > 0.05, 'the load must be worth telling'
+    assert unknown > 0.05, 'the load is too small for the test'
     assert known < 0.02
     assert unknown > 10.0 * known
 
 
 @pytest.mark.parametrize('path', ARMS)
-def test_arm_holds_still_on_a_base_that_tilts(record, path):
+def test_arm_holds_still_on_a_tilting_base(record, path):
     run = record(path, 'tilt')
     times, errors = run.errors()
     forces = np.array(
@@ -138,7 +138,7 @@ def test_arm_holds_still_on_a_base_that_tilts(record, path):
 
 
 @pytest.mark.parametrize('path', ARMS)
-def test_contact_shows_as_what_must_make_up_for_it(record, path):
+def test_external_efforts_of_a_push_are_minus_jacobian_transposed_times_force(record, path):
     run = record(path, 'push')
     began, ended = run.times('/simulated_robot/push')
     push = run.messages('/simulated_robot/push')[0]
@@ -157,7 +157,7 @@ def test_contact_shows_as_what_must_make_up_for_it(record, path):
 
 
 def joint_efforts_of(path, link, force, q):
-    """Find what a force at a link's origin, in its frame, does for the joints: J^T F by MuJoCo."""
+    """Return J^T F of a force at a link's origin, in its frame, from MuJoCo's Jacobian."""
     robot = load_urdf(path)
     model = compile_model(path, friction=False)
     data = mujoco.MjData(model)
@@ -176,7 +176,7 @@ def joint_efforts_of(path, link, force, q):
 
 @contextmanager
 def simulated(domain_id, path, held):
-    """Run a simulated robot some of whose joints hold themselves."""
+    """Run a simulated robot with some joints held by springs."""
     process = subprocess.Popen(
         [
             *(sys.executable, '-m', 'inverse_dynamics_node.simulation.robot', str(path)),
@@ -192,7 +192,7 @@ def simulated(domain_id, path, held):
 
 
 def without_mass(path, joints):
-    """Write a robot description in which what some joints move weighs nothing."""
+    """Return a robot description without the masses that some joints move."""
     root = etree.parse(str(path)).getroot()
     children = {j.get('name'): j.find('child').get('link') for j in root.iter('joint')}
     mimics = {
@@ -206,18 +206,18 @@ def without_mass(path, joints):
     return etree.tostring(root, encoding='unicode')
 
 
-@pytest.mark.parametrize('counts', [True, False], ids=['counted', 'left out'])
+@pytest.mark.parametrize('has_mass', [True, False], ids=['with mass', 'without mass'])
 @pytest.mark.parametrize(
     ('path', 'held'),
     [(STANFORD, ['joint_4', 'joint_5', 'joint_6']), (GRIPPER_ARM, ['finger_left'])],
     ids=['stanford', 'gripper_arm'],
 )
-def test_mass_of_joints_that_are_not_commanded_counts(
-    domain_id, run_node, robot, tmp_path, path, held, counts
+def test_gravity_compensation_includes_the_mass_of_uncommanded_joints(
+    domain_id, run_node, robot, tmp_path, path, held, has_mass
 ):
-    """An arm that only gravity compensation holds stays where it is, or it does not."""
-    description = tmp_path / 'told.urdf'
-    description.write_text(path.read_text() if counts else without_mass(path, held))
+    """The arm stays in place if the node's description has this mass, and falls without it."""
+    description = tmp_path / 'description.urdf'
+    description.write_text(path.read_text() if has_mass else without_mass(path, held))
     arm = [name for name in load_urdf(path).joint_names if name not in held]
     states, brakes = [], []
     robot.node.create_subscription(JointState, 'joint_states', states.append, 10)
@@ -238,4 +238,4 @@ def test_mass_of_joints_that_are_not_commanded_counts(
         for state in (states[open_at], states[-1])
     )
     moved = abs(after - before).max()
-    assert (moved < 0.01) if counts else (moved > 0.03), moved
+    assert (moved < 0.01) if has_mass else (moved > 0.03), moved

@@ -1,4 +1,4 @@
-"""The same tree by colcon: the executable is where `ros2 run` looks for it, and starts."""
+"""Builds by colcon: `ros2 run` finds the executables, and the node starts."""
 
 import os
 from pathlib import Path
@@ -13,7 +13,7 @@ from robot_files import ROOT
 
 README = (ROOT / 'README.md').read_text()
 COLCON = Path(sysconfig.get_path('scripts')) / 'colcon'
-# Where `ros2 run` looks, and what it needs to have found there.
+# Starts the executable at the path where `ros2 run` looks for it.
 START = """
 . install/setup.sh
 prefix=$(python3 -c 'import ament_index_python as a;
@@ -51,7 +51,7 @@ def test_colcon_build_starts(tmp_path, domain_id, options):
         text=True,
     )
     lines = []
-    for line in process.stdout:  # ends with the process, at the latest
+    for line in process.stdout:  # ends when the process does
         lines.append(line)
         if 'no command yet' in line:
             process.send_signal(signal.SIGINT)
@@ -70,7 +70,7 @@ def test_colcon_build_starts(tmp_path, domain_id, options):
     assert version.stdout == f'inverse_dynamics_node {declared}\n', version.stderr
 
 
-# In the place of /opt/ros/jazzy/setup.sh: PYTHONPATH leads to ROS and to Ubuntu's packages.
+# Replaces /opt/ros/jazzy/setup.sh: PYTHONPATH leads to ROS and to Ubuntu's packages.
 ROS = """
 export PYTHONPATH='{packages}' PATH='{folder}':"$PATH"
 """

@@ -1,4 +1,4 @@
-"""The simulated robot as a controller meets it."""
+"""The topics of the simulated robot, seen by a controller."""
 
 import time
 
@@ -43,12 +43,12 @@ class TestRobotNode:
         sides.close()
         context.try_shutdown()
 
-    def test_states_come_by_name_with_simulated_time(self, arm):
-        def two_came():
+    def test_states_have_names_and_simulated_time(self, arm):
+        def received_two():
             arm.node.advance(0.002)
             return len(arm.states) >= 2
 
-        arm.wait_until(two_came)
+        arm.wait_until(received_two)
         first, second = arm.states[:2]
         assert list(first.name) == list(arm.robot.state_names)
         assert len(first.position) == len(first.velocity) == len(first.effort) == len(first.name)
@@ -58,7 +58,7 @@ class TestRobotNode:
     def test_incomplete_and_not_finite_commands_are_ignored(self, arm):
         efforts = []
 
-        def obeys_the_last():
+        def applies_the_last():
             efforts.append(set(arm.robot.state()[2]))
             return efforts[-1] == {3.0}
 
@@ -66,10 +66,10 @@ class TestRobotNode:
         for wrong in ([2.0] * 5, [2.0] * 7, [], [float('nan')] * 6, [2.0] * 5 + [float('inf')]):
             arm.send(wrong)
         arm.send([3.0] * 6)
-        arm.wait_until(obeys_the_last)
+        arm.wait_until(applies_the_last)
         assert set().union(*efforts) == {0.0, 1.0, 3.0}
 
-    def test_wrong_commands_between_right_ones_do_not_flood_the_log(self, arm, capfd):
+    def test_invalid_commands_between_valid_ones_do_not_flood_the_log(self, arm, capfd):
         began = time.monotonic()
         for i in range(1, 101):
             arm.send([0.01 * i] * (5 + i % 3))
@@ -77,58 +77,53 @@ class TestRobotNode:
         lines = capfd.readouterr().err.count('command ignored: it has')
         assert 1 <= lines <= 1 + (time.monotonic() - began) / COMPLAINT_PERIOD
 
-    def test_brakes_open_once_commands_have_come_for_a_while(self, arm):
-        def command_for(times):
-            for i in range(times):
-                arm.send_and_see([0.1 + 0.1 * i] * 6)
-                arm.node.advance(0.05)
-
+    def test_brakes_open_after_commands_have_arrived_for_a_while(self, arm):
         arm.wait_until(lambda: arm.brakes == [True])
-        command_for(9)
-        arm.node.advance(0.2)  # a gap: the count starts all over
-        command_for(9)
+        arm.command_for(9)
+        arm.node.advance(0.2)  # a gap restarts the time to the release
+        arm.command_for(9)
         assert arm.robot.brakes_on
-        command_for(3)
+        arm.command_for(3)
         assert not arm.robot.brakes_on
         arm.wait_until(lambda: arm.brakes == [True, False])
 
-    def test_load_push_and_tilt_are_felt(self, arm):
+    def test_payload_push_and_tilt_act_on_the_robot(self, arm):
         dynamics = InverseDynamics(arm.robot.robot)
         q = arm.robot.state()[0]
 
-        arm.tell('payload', InertiaStamped(header=at('link_6'), inertia=Inertia(m=2.0)))
+        arm.disturb('payload', InertiaStamped(header=at('link_6'), inertia=Inertia(m=2.0)))
         dynamics.set_payload('link_6', 2.0)
         arm.wait_until(lambda: arm.balance(dynamics, q) < 1e-9)
         wrench = Wrench(force=Vector3(x=3.0), torque=Vector3(z=0.5))
-        arm.tell('push', WrenchStamped(header=at('tool0'), wrench=wrench))
+        arm.disturb('push', WrenchStamped(header=at('tool0'), wrench=wrench))
         dynamics.set_external_wrench('tool0', (3.0, 0.0, 0.0), (0.0, 0.0, 0.5))
         arm.wait_until(lambda: arm.balance(dynamics, q) < 1e-9)
-        arm.tell('tilt', Vector3Stamped(vector=Vector3(x=0.5)))
+        arm.disturb('tilt', Vector3Stamped(vector=Vector3(x=0.5)))
         dynamics.set_gravity((0.0, -9.80665 * np.sin(0.5), -9.80665 * np.cos(0.5)))
         arm.wait_until(lambda: arm.balance(dynamics, q) < 1e-9)
 
-    def test_load_on_a_link_that_is_not_there_changes_nothing(self, arm):
-        arm.tell('payload', InertiaStamped(header=at('nope'), inertia=Inertia(m=2.0)))
+    def test_payload_on_an_unknown_link_changes_nothing(self, arm):
+        arm.disturb('payload', InertiaStamped(header=at('nope'), inertia=Inertia(m=2.0)))
         for _ in range(20):
             arm.executor.spin_once(timeout_sec=0.01)
         dynamics = InverseDynamics(arm.robot.robot)
         assert arm.balance(dynamics, arm.robot.state()[0]) < 1e-9
 
-    def test_imu_feels_the_ground_and_the_turning(self, arm):
+    def test_imu_measures_gravity_and_rotation(self, arm):
         imus = []
         arm.side.create_subscription(Imu, 'imu', imus.append, 1000)
 
         def advance(seconds):
-            came = len(imus)
+            received = len(imus)
             for _ in range(int(seconds / 0.05)):
                 arm.node.advance(0.05)
-            arm.wait_until(lambda: len(imus) >= came + int(seconds / 0.05))
+            arm.wait_until(lambda: len(imus) >= received + int(seconds / 0.05))
 
         arm.wait_until(lambda: arm.node.advance(0.002) or imus)
-        # The sensor's x axis is the base's y axis, its y axis looks up.
+        # The sensor's x axis is the base's y axis; its y axis points up.
         assert read(imus[-1].linear_acceleration) == pytest.approx([0.0, 9.80665, 0.0])
         assert read(imus[-1].angular_velocity) == [0.0, 0.0, 0.0]
-        arm.tell('tilt', Vector3Stamped(vector=Vector3(y=0.5)))
+        arm.disturb('tilt', Vector3Stamped(vector=Vector3(y=0.5)))
         before = len(imus)
         arm.wait_until(lambda: arm.node.advance(0.05) or imus[-1].angular_velocity.x > 0.0)
         advance(4.0)
@@ -139,23 +134,18 @@ class TestRobotNode:
         assert read(imus[-1].linear_acceleration) == pytest.approx([0.0, cosine, -sine])
 
     def test_without_sensors_joint_states_stop_and_brakes_go_on(self, arm):
-        def command_for(times):
-            for i in range(times):
-                arm.send_and_see([0.1 + 0.1 * i] * 6)
-                arm.node.advance(0.05)
-
         arm.wait_until(lambda: arm.brakes == [True])
-        command_for(12)
+        arm.command_for(12)
         arm.wait_until(lambda: arm.brakes == [True, False])
-        arm.tell('sensors', Bool(data=False))
+        arm.disturb('sensors', Bool(data=False))
         arm.wait_until(lambda: arm.brakes == [True, False, True])
-        came = len(arm.states)
-        command_for(12)
-        assert len(arm.states) == came
+        received = len(arm.states)
+        arm.command_for(12)
+        assert len(arm.states) == received
         assert arm.robot.brakes_on
-        arm.tell('sensors', Bool(data=True))
-        arm.wait_until(lambda: arm.node.advance(0.002) or len(arm.states) > came)
-        command_for(12)
+        arm.disturb('sensors', Bool(data=True))
+        arm.wait_until(lambda: arm.node.advance(0.002) or len(arm.states) > received)
+        arm.command_for(12)
         assert not arm.robot.brakes_on
 
 
@@ -168,7 +158,7 @@ def read(vector):
 
 
 class Arm:
-    """A simulated robot whose brakes open after half a second, and who commands it."""
+    """A simulated robot whose brakes open after half a second, and a node that commands it."""
 
     def __init__(self, context):
         self.robot = MujocoRobot(STANFORD, load_urdf(STANFORD), [0, 0, 0.5, 0, 0.5, 0])
@@ -190,14 +180,14 @@ class Arm:
         self.side.destroy_node()
         self.node.destroy_node()
 
-    def tell(self, topic, message):
-        """Publish on a topic of the simulated robot's own."""
+    def disturb(self, topic, message):
+        """Publish on a private topic of the simulated robot."""
         publisher = self.side.create_publisher(type(message), f'simulated_robot/{topic}', 10)
         self.wait_until(lambda: publisher.get_subscription_count() > 0)
         publisher.publish(message)
 
     def balance(self, dynamics, q):
-        """Let time pass with brakes on; return by how much efforts and accelerations disagree."""
+        """Advance with brakes on; return the efforts that the core computes for no command."""
         self.node.advance(0.05)
         accelerations = self.robot.accelerations()
         return abs(dynamics.efforts(q, np.zeros(len(q)), accelerations)).max()
@@ -206,9 +196,15 @@ class Arm:
         self._commands.publish(Float64MultiArray(data=efforts))
 
     def send_and_see(self, efforts):
-        """Send a command, and wait until the robot obeys it."""
+        """Send a command, and wait until the robot applies it."""
         self.send(efforts)
         self.wait_until(lambda: set(self.robot.state()[2]) == set(efforts))
+
+    def command_for(self, steps):
+        """Send a command and advance by 50 ms, several times."""
+        for i in range(steps):
+            self.send_and_see([0.1 + 0.1 * i] * 6)
+            self.node.advance(0.05)
 
     def wait_until(self, is_true):
         deadline = time.monotonic() + PATIENCE

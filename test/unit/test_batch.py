@@ -117,7 +117,7 @@ def test_threads_change_nothing(size, threads, rng):
 
 @pytest.mark.parametrize('threads', [0, -1, 1.5, None, 'two'])
 def test_refuses_threads_that_are_none(threads):
-    with pytest.raises(ConfigurationError, match='expected a whole number of at least 1'):
+    with pytest.raises(ConfigurationError, match='expected an integer of at least 1'):
         chain().efforts(*np.zeros((3, 100, 5)), threads=threads)
 
 

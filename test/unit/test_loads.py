@@ -230,7 +230,7 @@ def test_every_method_tells_which_argument_is_not_finite():
                 dynamics.coriolis_efforts(*state[:2])
     with pytest.raises(JointStateError, match=r'qd has shape \(3,\), the robot has 2 joints'):
         dynamics.joint_wrenches(STATE[0], np.zeros(3), STATE[2])
-    with pytest.raises(JointStateError, match='do not fit together'):
+    with pytest.raises(JointStateError, match='cannot be broadcast together'):
         dynamics.effort_terms(np.zeros((3, 2)), np.zeros((4, 2)), STATE[2])
 
 

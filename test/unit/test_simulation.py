@@ -1,4 +1,4 @@
-"""The robot that plays the hardware: it must be the URDF's robot, and nobody else's."""
+"""The simulated hardware has the dynamics of the URDF and responds to loads as the core does."""
 
 from pathlib import Path
 
@@ -55,7 +55,7 @@ def simulated(urdf, start=None, friction=False):
 
 
 def start_of(robot):
-    """Return a pose off the stops, and off the middle, which is special for many robots."""
+    """Return a pose away from the limits, and from the middle, where many robots are singular."""
     bounded = np.isfinite(robot.lower)
     lower, upper = np.where(bounded, robot.lower, -1.0), np.where(bounded, robot.upper, 1.0)
     return lower + 0.6 * (upper - lower)
@@ -68,7 +68,7 @@ def state_of(simulation):
 
 
 def all_robots():
-    """List our robots, and those real ones that load."""
+    """Return our robots, and the real ones that can be loaded."""
     paths = [*OUR_ROBOTS, *real_robots()]
     return [pytest.param(path, id=path.stem) for path in paths if loads(path)]
 
@@ -81,7 +81,7 @@ def loads(path):
 
 
 class TestSameRobot:
-    def test_inertia_and_gravity_are_the_cores(self, urdf_path, rng):
+    def test_mass_matrix_and_gravity_efforts_agree_with_the_core(self, urdf_path, rng):
         robot = load_urdf(urdf_path)
         dynamics = InverseDynamics(robot)
         q = rng.uniform(-1.0, 1.0, len(robot.joint_names))
@@ -92,8 +92,8 @@ class TestSameRobot:
             simulation.bias_efforts(), dynamics.gravity_efforts(q), rtol=1e-9, atol=1e-10
         )
 
-    def test_motion_takes_the_efforts_that_were_applied(self, urdf_path, rng):
-        """Inverse dynamics of what MuJoCo did gives back what was commanded: all terms agree."""
+    def test_inverse_dynamics_of_the_motion_gives_the_applied_efforts(self, urdf_path, rng):
+        """All terms agree if the efforts computed from MuJoCo's motion are those applied."""
         robot = load_urdf(urdf_path)
         dynamics = InverseDynamics(robot)
         simulation = simulated(urdf_path)
@@ -106,11 +106,11 @@ class TestSameRobot:
         q, qd, applied = state_of(simulation)
         assert abs(qd).min() > 1e-3, 'the test needs velocities'
         efforts = dynamics.efforts(q, qd, simulation.accelerations())
-        # MuJoCo couples joints that mimic by a constraint of finite, if high, stiffness.
+        # MuJoCo couples mimicking joints by a constraint of high but finite stiffness.
         tolerance = 1e-9 if len(simulation.state_names) == len(q) else 2e-2
         assert_allclose(efforts, applied, rtol=0, atol=tolerance * abs(applied).max())
 
-    def test_quaternions_turn_the_links_here_too(self):
+    def test_quaternions_rotate_the_links(self):
         rotated = arm(BODY, BODY).replace('rpy="0.4 0 0"', 'quat_xyzw="{} 0 0 {}"')
         half = 0.5 * 0.4 * np.array([1.0, 1.0])
         words = np.array([np.sin(half), np.cos(half)]).T.ravel().tolist()
@@ -132,7 +132,7 @@ class TestSameRobot:
         ],
         ids=['none', 'zero', 'massless', 'point', 'no triangle', 'negative'],
     )
-    def test_what_mujoco_refuses_to_weigh_is_weighed(self, middle):
+    def test_inertias_that_mujoco_rejects_are_simulated(self, middle):
         urdf = arm(BODY, middle, BODY)
         q = np.array([0.3, -0.8, 0.5])
         simulation = simulated(urdf, q)
@@ -140,7 +140,7 @@ class TestSameRobot:
         assert_allclose(simulation.mass_matrix(), dynamics.mass_matrix(q), rtol=1e-12)
         assert_allclose(simulation.bias_efforts(), dynamics.gravity_efforts(q), rtol=1e-12)
 
-    def test_shapes_are_not_looked_at(self, tmp_path, monkeypatch):
+    def test_shapes_are_ignored(self, tmp_path, monkeypatch):
         monkeypatch.chdir(tmp_path)
         shape = '<visual><geometry><mesh filename="package://none/x.stl"/></geometry></visual>'
         urdf = arm(BODY).replace('</inertial>', f'</inertial>{shape}')
@@ -166,21 +166,21 @@ class TestSameRobot:
 
 
 class TestRefusals:
-    def test_joint_that_moves_nothing_is_named(self):
+    def test_joint_without_inertia_is_named(self):
         with pytest.raises(SimulationError, match=r"no mass resists the motion of joint 'j3'"):
             simulated(arm(BODY, BODY, ''))
 
-    def test_joints_that_move_the_same_are_named(self):
+    def test_joints_that_move_the_same_mass_are_named(self):
         urdf = arm(BODY, '', BODY).replace('xyz="0.3 0 0" rpy="0.4 0 0"', 'xyz="0 0 0"')
         with pytest.raises(SimulationError, match=r"joint 'j2', 'j3'"):
             simulated(urdf)
 
-    def test_mujoco_that_misreads_urdfs_is_refused(self, monkeypatch):
+    def test_mujoco_versions_that_misread_urdfs_are_rejected(self, monkeypatch):
         monkeypatch.setattr('mujoco.__version__', '3.9.0')
         with pytest.raises(SimulationError, match=r'3\.9\.0, expected 3\.17'):
             simulated(PENDULUM)
 
-    def test_simulation_that_blows_up_is_an_error(self):
+    def test_diverging_simulation_is_an_error(self):
         urdf = arm(BODY).replace('effort="90"', 'effort="1e200"')
         simulation = simulated(urdf)
         simulation.brakes_on = False
@@ -190,7 +190,7 @@ class TestRefusals:
 
 
 class TestDrives:
-    def test_brakes_hold_whatever_the_effort(self, urdf_path):
+    def test_brakes_hold_against_any_effort(self, urdf_path):
         simulation = simulated(urdf_path)
         before = simulation.state()
         simulation.command(np.ones(len(simulation.robot.joint_names)))
@@ -222,7 +222,7 @@ class TestDrives:
         assert set(simulation.robot.joint_names) <= set(simulation.state_names)
 
     @pytest.mark.parametrize('friction', [True, False])
-    def test_friction_holds_a_joint_only_where_there_is_some(self, friction):
+    def test_friction_holds_a_joint_if_enabled(self, friction):
         urdf = arm(BODY, axis='0 0 1', extra='<dynamics damping="1" friction="2"/>')
         simulation = simulated(urdf.replace('rpy="0.4 0 0"', ''), [0.0], friction)
         simulation.brakes_on = False
@@ -244,11 +244,11 @@ def trajectories(draw):
 
 
 class TestWorld:
-    """What acts on the simulated robot is what the core computes for the same loads."""
+    """Loads on the simulated robot act as the same loads do in the core."""
 
     @pytest.fixture
     def moving(self, urdf_path, rng):
-        """Return a simulated robot that moves, and our dynamics of it, alike in nothing more."""
+        """Return a moving simulated robot, and the core's dynamics of the same robot."""
         robot = load_urdf(urdf_path)
         if not robot.joint_names:
             pytest.skip('nothing moves')
@@ -262,16 +262,16 @@ class TestWorld:
         return simulation, dynamics
 
     def assert_same(self, moving):
-        """Compare the efforts that are applied with those that the motion takes."""
+        """Compare the applied efforts with those that the core computes from the motion."""
         simulation, dynamics = moving
         q, qd, applied = state_of(simulation)
         efforts = dynamics.efforts(q, qd, simulation.accelerations())
-        # MuJoCo couples joints that mimic by a constraint of finite, if high, stiffness.
+        # MuJoCo couples mimicking joints by a constraint of high but finite stiffness.
         has_mimics = len(simulation.state_names) > len(q)
         tolerance = 3e-2 if has_mimics else 1e-9
         assert_allclose(efforts, applied, rtol=0, atol=tolerance * abs(applied).max())
 
-    def test_payload_is_the_cores(self, moving, rng):
+    def test_payload_agrees_with_the_core(self, moving, rng):
         simulation, dynamics = moving
         for link in simulation.robot.link_names:
             mass, com, box, rpy = random_box(rng)
@@ -282,7 +282,7 @@ class TestWorld:
         before = InverseDynamics(simulation.robot).mass_matrix(q)
         assert abs(dynamics.mass_matrix(q) - before).max() > 0.01, 'the test needs a difference'
 
-    def test_payload_that_is_taken_off_leaves_nothing(self, moving):
+    def test_removed_payload_has_no_effect(self, moving):
         simulation, _ = moving
         simulation.accelerations()
         before = simulation.mass_matrix()
@@ -294,7 +294,7 @@ class TestWorld:
         simulation.accelerations()
         assert_allclose(simulation.mass_matrix(), before, rtol=1e-9, atol=1e-12)
 
-    def test_push_is_the_cores(self, moving, rng):
+    def test_push_agrees_with_the_core(self, moving, rng):
         simulation, dynamics = moving
         for link in simulation.robot.link_names:
             wrench = rng.uniform(-3.0, 3.0, (2, 3))
@@ -302,7 +302,7 @@ class TestWorld:
                 side.set_external_wrench(link, *wrench)
         self.assert_same(moving)
 
-    def test_turning_base_is_the_cores(self, moving, rng):
+    def test_rotating_base_agrees_with_the_core(self, moving, rng):
         simulation, dynamics = moving
         gravity, omega, omega_dot = rng.uniform(-3.0, 3.0, (3, 3))
         simulation.world.set_base_motion(gravity, omega, omega_dot)
@@ -310,7 +310,7 @@ class TestWorld:
         dynamics.set_base_motion(omega, omega_dot)
         self.assert_same(moving)
 
-    def test_push_along_an_axis_moves_that_way(self):
+    def test_push_along_an_axis_moves_the_joint_in_its_direction(self):
         simulation = simulated(CARTESIAN)
         simulation.brakes_on = False
         robot = simulation.robot
@@ -323,9 +323,9 @@ class TestWorld:
         assert moved[np.argmax(np.abs(axes), axis=0)[0]] > 1e-4
         assert moved[np.argmax(np.abs(axes), axis=0)[1]] < -1e-4
 
-    def test_link_that_is_not_there_is_named(self):
+    def test_unknown_link_is_reported(self):
         simulation = simulated(PENDULUM)
-        with pytest.raises(SimulationError, match="no link 'nope'"):
+        with pytest.raises(SimulationError, match="link 'nope' does not exist; links are"):
             simulation.world.set_payload('nope', 1.0)
 
     def test_held_joints_stay_and_are_not_commanded(self):
@@ -337,11 +337,11 @@ class TestWorld:
         simulation.advance(2.0)
         assert state_of(simulation)[0] == pytest.approx([0.1, 0.4], abs=0.002)
 
-    def test_joint_to_hold_that_is_not_there_is_named(self):
+    def test_unknown_held_joint_is_reported(self):
         with pytest.raises(SimulationError, match="joint 'nope' does not exist; joints are"):
             MujocoRobot(PENDULUM, load_urdf(PENDULUM), [0.0], held=['nope'])
 
-    def test_brakes_stop_what_moves(self):
+    def test_brakes_stop_a_moving_joint(self):
         simulation = simulated(PENDULUM, [0.5])
         simulation.brakes_on = False
         simulation.advance(0.1)
@@ -359,14 +359,14 @@ class TestTilt:
         assert_allclose(gravity, 9.80665 * np.array([0.0, -np.sin(0.5), -np.cos(0.5)]))
         assert_array_equal([omega, omega_dot], np.zeros((2, 3)))
 
-    def test_one_turn_follows_another(self):
+    def test_successive_turns_reach_their_attitudes(self):
         tilt = Tilt()
         for i, attitude in enumerate([[0.5, 0.2, 0.0], [0.0, -0.3, 1.0], [0.0, 0.0, 0.0]]):
             tilt.turn_to(attitude, 10.0 * i)
             assert_allclose(tilt.attitude(10.0 * i + 9.0), rotation(attitude), atol=1e-12)
 
     @given(time=st.floats(10.01, 12.99))
-    def test_motion_is_that_of_the_attitude(self, time):
+    def test_motion_is_the_derivative_of_the_attitude(self, time):
         tilt = Tilt()
         tilt.turn_to([0.5, 0.2, -0.1], 0.0)
         tilt.turn_to([-0.2, 0.4, 0.3], 10.0)
@@ -379,16 +379,16 @@ class TestTilt:
         faster = (tilt.motion(time + step)[1] - tilt.motion(time - step)[1]) / (2 * step)
         assert_allclose(omega_dot, faster, atol=1e-8)
 
-    def test_roll_pitch_yaw_is_that_of_a_urdf(self, rng):
+    def test_roll_pitch_yaw_follows_the_urdf_convention(self, rng):
         rpy = rng.uniform(-3.0, 3.0, 3)
         assert_allclose(rotation_of_rpy(rpy), kinematics.rotation_of_rpy(rpy), atol=1e-12)
 
 
 class TestTrajectory:
-    @given(trajectory=trajectories(), share=st.floats(-0.1, 1.1))
-    def test_derivatives_agree_with_differences(self, trajectory, share):
+    @given(trajectory=trajectories(), fraction=st.floats(-0.1, 1.1))
+    def test_derivatives_agree_with_differences(self, trajectory, fraction):
         step = 1e-5
-        times = share * trajectory.moving + np.array([-step, 0.0, step])
+        times = fraction * trajectory.moving + np.array([-step, 0.0, step])
         q, qd, qdd = trajectory.sample(times)
         assert_allclose((q[2] - q[0]) / (2 * step), qd[1], atol=1e-6)
         assert_allclose((qd[2] - qd[0]) / (2 * step), qdd[1], atol=2e-2)  # where jerk jumps
@@ -402,7 +402,7 @@ class TestTrajectory:
             assert_allclose(qdd, 0.0, atol=1e-7)
 
     @given(trajectory=trajectories())
-    def test_never_goes_further_than_its_swing(self, trajectory):
+    def test_never_exceeds_its_swing(self, trajectory):
         q, _, _ = trajectory.sample(np.linspace(0.0, trajectory.moving, 500))
         assert (abs(q - trajectory.start) <= trajectory.swing + 1e-12).all()
 
@@ -415,25 +415,25 @@ class TestTrajectory:
             trajectory = plan(robot, dynamics, start, moving=6.0)
         except SimulationError:
             assert path not in OUR_ROBOTS
-            return  # too weak, or no room: told in words, which other tests read
+            return  # too weak, or no room; other tests check the messages
         q, qd, qdd = trajectory.sample(np.linspace(0.0, 6.0, 1000))
         assert (q >= robot.lower).all()
         assert (q <= robot.upper).all()
         assert (abs(qd) <= SPEED_USED * robot.velocity_limits).all()
-        # A motion is only checked at some times, and limits are met with a margin.
+        # The planner checks the efforts at some times only.
         assert effort_used(robot, dynamics.efforts(q, qd, qdd)) <= EFFORT_USED + 0.05
         assert trajectory.swing.max() > 0.005
 
     def test_weak_drives_are_named(self):
         robot = load_urdf(arm(BODY, limit='lower="-0.2" upper="0.2" effort="0.1" velocity="3"'))
-        with pytest.raises(SimulationError, match=r"too small .* joint 'j1' takes .* of 0\.1"):
+        with pytest.raises(SimulationError, match=r"too small .* joint 'j1' needs .* of 0\.1"):
             start_pose(robot, InverseDynamics(robot))
 
-    def test_robot_without_room_is_refused(self):
+    def test_robot_without_room_is_rejected(self):
         robot = load_urdf(arm(BODY, limit='lower="0.1" upper="0.1" effort="90" velocity="3"'))
         with pytest.raises(SimulationError, match='no joint can move'):
             plan(robot, InverseDynamics(robot), np.array([0.1]), 6.0)
 
-    def test_prismatic_joints_are_told_from_revolute_ones(self):
+    def test_prismatic_joints_slide(self):
         robot = load_urdf(Path(ROOT / 'config' / 'stanford.urdf'))
         assert slides(robot).tolist() == [False, False, True, False, False, False]

@@ -1,4 +1,4 @@
-"""A robot's hardware, played by MuJoCo: efforts in, joint positions and velocities out."""
+"""MuJoCo as the hardware of a robot: efforts in, joint positions and velocities out."""
 
 from __future__ import annotations
 
@@ -15,41 +15,40 @@ from ...robot.model import Booleans, Floats, RobotModel
 from .model import compile_model, LARGEST_STEP, SimulationError
 from .world import World
 
-LEAST_INERTIA = 1e-9  # [kg m^2 or kg]: a thousandth of the smallest finger joint's
-LEAST_INDEPENDENCE = 1e-9  # of joints; rounding leaves about 1e-16 where two move as one
-HELD_STIFFNESS = (2.0 * math.pi * 10.0) ** 2  # [1/s^2], of joints that hold themselves: 10 Hz
+LEAST_INERTIA = 1e-9  # [kg m^2 or kg]: a thousandth of that of the smallest finger joint
+LEAST_INDEPENDENCE = 1e-9  # eigenvalue; rounding leaves about 1e-16 if two joints move as one
+HELD_STIFFNESS = (2.0 * math.pi * 10.0) ** 2  # [1/s^2] of held joints: 10 Hz
 
 
 class MujocoRobot:
     """
-    One simulated robot, held by its brakes until they are released.
+    One simulated robot, held by brakes until they are released.
 
     Parameters
     ----------
     urdf : str or pathlib.Path
         Path of a URDF, or its text.
     robot : RobotModel
-        The same URDF as `load_urdf` reads it, for the order of joints, effort limits and mimics.
+        The robot that `load_urdf` reads from it, for the joint order, effort limits and mimics.
     start : array_like, shape (n,)
-        Joint positions to start from [rad or m], in the order of ``robot.joint_names``.
+        Start positions [rad or m], in the order of ``robot.joint_names``.
     friction : bool
         Whether joints have the damping and Coulomb friction of the URDF, or none.
     held : collection of str
-        Joints that no command moves: they stay where they start by drives of their own, as
-        springs do that are stiff for their load.
+        Joints without commands, which stiff springs hold in their start positions.
     armature : array_like, shape (n,) or ()
         Inertia of rotors and gears at the joints [kg m^2 or kg].
 
     Attributes
     ----------
     world : World
-        Puts loads on the robot, pushes it, and tilts its base.
+        Payloads, pushes and tilts of the base.
     command_names : tuple of str
-        The joints that commands are for, in their order.
+        Commanded joints, in the order of the commands.
     brakes_on : bool
-        Whether brakes hold every joint where it is, whatever the efforts.
+        Whether brakes hold every joint in place, regardless of the efforts.
     state_names : tuple of str
-        Every joint that moves, mimicking ones too, sorted by name as many drivers do.
+        All movable joints, mimicking ones too, sorted by name as by many drivers.
 
     Raises
     ------
@@ -97,17 +96,17 @@ class MujocoRobot:
         self._hold(held)
 
     def state(self) -> tuple[Floats, Floats, Floats]:
-        """Positions, velocities and applied efforts of the joints of ``state_names``."""
+        """Return positions, velocities and applied efforts of the joints ``state_names``."""
         order, data = self._state_order, self._data
         return data.qpos[order], data.qvel[order], data.qfrc_applied[order]
 
     def command(self, efforts: ArrayLike) -> None:
         """Apply efforts [N m or N], in the order of ``command_names``, until the next call."""
-        limits = self._command_limits  # no drive gives more than it can
+        limits = self._command_limits
         self._data.qfrc_applied[self._command_order] = np.clip(efforts, -limits, limits)
 
     def advance(self, duration: float) -> None:
-        """Let time pass [s]."""
+        """Advance the simulation by a duration [s]."""
         if self.brakes_on:
             self._data.qvel[:] = 0.0
             return
@@ -116,10 +115,10 @@ class MujocoRobot:
         self.world.act()
         mujoco.mj_step(self._model, self._data, nstep=steps)
         if not np.isfinite(self._data.qacc).all():
-            raise SimulationError('the simulated robot became unstable: it was driven too hard')
+            raise SimulationError('the simulation became unstable: the efforts are too large')
 
     def accelerations(self) -> Floats:
-        """Accelerations of the joints of ``robot.joint_names`` as they stand, brakes or not."""
+        """Return the accelerations of ``robot.joint_names`` without the effect of brakes."""
         mujoco.mj_forward(self._model, self._data)
         self.world.act()
         mujoco.mj_forward(self._model, self._data)
@@ -127,7 +126,7 @@ class MujocoRobot:
         return accelerations
 
     def mass_matrix(self) -> Floats:
-        """Joint-space inertia of the robot as it stands, shape (n, n), mimics folded in."""
+        """Return the mass matrix at the current positions, shape (n, n), mimics folded in."""
         velocities = self._coupling.T.copy()
         momenta = np.zeros(velocities.shape)
         for row, velocity in zip(momenta, velocities, strict=True):
@@ -136,12 +135,12 @@ class MujocoRobot:
         return inertia
 
     def bias_efforts(self) -> Floats:
-        """Joint efforts that gravity and velocities take, shape (n,), mimics folded in."""
+        """Return the joint efforts of gravity and velocities, shape (n,), mimics folded in."""
         efforts: Floats = self._coupling.T @ self._data.qfrc_bias
         return efforts
 
     def _hold(self, joints: Collection[str]) -> None:
-        """Give joints springs and dampers, critically damped with what they move alone."""
+        """Give joints springs and dampers, critically damped for their own inertia."""
         inertia, load = self.mass_matrix().diagonal(), self.bias_efforts()
         for name in joints:
             i = self.robot.joint_names.index(name)
@@ -154,7 +153,7 @@ class MujocoRobot:
 
 
 def require_inertia(robot: RobotModel, mass_matrix: Floats) -> None:
-    """Refuse joints that move nothing: the least effort would accelerate them endlessly."""
+    """Reject joints without inertia, which any effort would accelerate without bound."""
     idle = _without_inertia(mass_matrix)
     if idle.any():
         names = ', '.join(repr(robot.joint_names[i]) for i in np.flatnonzero(idle))
@@ -165,7 +164,7 @@ def require_inertia(robot: RobotModel, mass_matrix: Floats) -> None:
 
 
 def _without_inertia(inertia: Floats) -> Booleans:
-    """Tell which joints move nothing by themselves, or nothing but what others move the same."""
+    """Return which joints move no mass, or no mass independently of other joints."""
     diagonal = inertia.diagonal()
     idle: Booleans = np.asarray(diagonal < LEAST_INERTIA)
     if idle.any():

@@ -1,11 +1,11 @@
 """
-URDF to MuJoCo model, with nothing of the robot's dynamics lost or invented.
+Compile a URDF to a MuJoCo model with exactly the same dynamics.
 
-MuJoCo reads the file itself, so that a mistake in our own reading shows as a tracking error. Four
-things are done for it: shapes go (they need mesh files, and would be given a mass), quaternions
-become roll, pitch and yaw (MuJoCo ignores ``quat_xyzw``), links held by fixed joints stay bodies
-of their own (fusing them drops inertia without mass), and links that MuJoCo refuses to weigh are
-weighed after it has compiled the rest.
+MuJoCo parses the URDF itself, so that an error in our own loader appears as a tracking error. The
+file needs four changes: shapes are removed (they need mesh files, and MuJoCo would give them a
+mass); quaternions become roll, pitch and yaw (MuJoCo ignores ``quat_xyzw``); links on fixed joints
+remain separate bodies (fusing them drops inertia without mass); and masses and inertias that
+MuJoCo rejects are set after the model has been compiled with placeholders.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from ...robot.urdf.xml import (
     tag,
 )
 
-OLDEST_MUJOCO = (3, 17)  # 3.13 turns inertias the wrong way, and before that it ignores <mimic>
-LARGEST_STEP = 0.00025  # [s]: what it costs in accuracy is far below one sample's latency
-STIFFEST = 0.9999  # MuJoCo's upper bound for the rigidity of a constraint
-LEAST_PLAUSIBLE = 1e-12  # [kg or kg m^2]: MuJoCo refuses to compile anything below 1e-15
+OLDEST_MUJOCO = (3, 17)  # 3.13 rotates inertias the wrong way, and older ones ignore <mimic>
+LARGEST_STEP = 0.00025  # [s]: its error is far below the effect of one sample of latency
+STIFFEST = 0.9999  # MuJoCo's upper bound for the stiffness of a constraint
+LEAST_PLAUSIBLE = 1e-12  # [kg or kg m^2]: MuJoCo rejects values below 1e-15
 
 logger = logging.getLogger(__name__)
 
 
 class SimulationError(InverseDynamicsError):
-    """A robot that cannot be simulated, or a simulation that went wrong."""
+    """A robot cannot be simulated, or a simulation failed."""
 
 
 def compile_model(urdf: str | Path, friction: bool = True) -> Any:
@@ -55,18 +55,18 @@ def compile_model(urdf: str | Path, friction: bool = True) -> Any:
     Returns
     -------
     model : mujoco.MjModel
-        One body per link but the root, one degree of freedom per moving joint; mimicking joints
-        are coupled by equality constraints.
+        One body per link except the root, one degree of freedom per movable joint; equality
+        constraints couple mimicking joints.
 
     Raises
     ------
     SimulationError
-        If MuJoCo is too old, or refuses the robot all the same.
+        If MuJoCo is too old, or rejects the robot.
 
     """
     if tuple(map(int, mujoco.__version__.split('.')[:2])) < OLDEST_MUJOCO:
         raise SimulationError(f'MuJoCo is {mujoco.__version__}, expected 3.17 or newer')
-    # By default MuJoCo appends its remarks to a file in the working directory.
+    # By default MuJoCo appends its warnings to a file in the working directory.
     mujoco.set_mju_user_warning(logger.info)
     root, _ = parse(read_source(urdf))
     _strip_shapes(root)
@@ -77,7 +77,7 @@ def compile_model(urdf: str | Path, friction: bool = True) -> Any:
     try:
         model = mujoco.MjModel.from_xml_string(etree.tostring(root, encoding='unicode'))
     except ValueError as error:
-        raise SimulationError(f'MuJoCo refuses this robot: {error}') from error
+        raise SimulationError(f'MuJoCo rejects this robot: {error}') from error
     _restore_inertias(model, set_aside)
     _set_options(model)
     if not friction:
@@ -106,7 +106,7 @@ def _write_quaternions_as_rpy(root: Element) -> None:
 
 
 def _set_implausible_inertias_aside(root: Element) -> dict[str, tuple[float, Floats]]:
-    """Give links that no real body could be a placeholder; return their masses and inertias."""
+    """Replace masses and inertias that MuJoCo rejects by placeholders; return the originals."""
     set_aside = {}
     for link in root.iter('link'):
         mass, inertia = _mass_and_inertia(link)
@@ -129,7 +129,7 @@ def _mass_and_inertia(link: Element) -> tuple[float, Floats]:
 
 
 def _write_placeholder(link: Element) -> None:
-    """Write a mass and moments that MuJoCo accepts; where they act stays as it is."""
+    """Write a mass and an inertia that MuJoCo accepts; the origin does not change."""
     inertial = link.find('inertial')
     if inertial is None:
         inertial = etree.SubElement(link, 'inertial')
@@ -137,7 +137,7 @@ def _write_placeholder(link: Element) -> None:
         for element in inertial.findall(name):
             inertial.remove(element)
     etree.SubElement(inertial, 'mass', value='1')
-    # Distinct and falling, as MuJoCo sorts them: it keeps these axes, and tells where they point.
+    # Distinct and descending, as MuJoCo sorts them: body_iquat is then the rotation of the origin.
     moments = {'ixx': '1.3', 'iyy': '1.2', 'izz': '1.1', 'ixy': '0', 'ixz': '0', 'iyz': '0'}
     etree.SubElement(inertial, 'inertia', **moments)
 
@@ -146,7 +146,7 @@ def _restore_inertias(model: Any, set_aside: dict[str, tuple[float, Floats]]) ->
     for link, (mass, inertia) in set_aside.items():
         body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, link)
         if body <= 0:
-            continue  # the root link is the ground: its mass moves nothing
+            continue  # the root link is fixed to the ground: its mass has no effect
         moments, axes = np.linalg.eigh(inertia)
         axes *= np.linalg.det(axes)  # a rotation, not a reflection
         principal, turned = np.zeros(4), np.zeros(4)
@@ -161,12 +161,12 @@ def _restore_inertias(model: Any, set_aside: dict[str, tuple[float, Floats]]) ->
 def _set_options(model: Any) -> None:
     model.opt.gravity[:] = STANDARD_GRAVITY
     model.opt.timestep = LARGEST_STEP
-    # Friction of a small joint can be stiff against its inertia: damping must be implicit.
+    # Damping may be large for the inertia of a small joint: integrate it implicitly.
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    # A state that blows up must be an error, not a jump back to the start.
+    # A diverging state must be an error, not a jump back to the start.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    # A joint that mimics stops where its master does. Files have limits of its own that disagree.
+    # A mimicking joint stops with its master. Its own limits in the URDF often contradict that.
     model.jnt_limited[model.eq_obj1id] = False
     model.eq_solimp[:, :2] = STIFFEST
     model.eq_solref[:, 0] = 2.0 * LARGEST_STEP  # the fastest that MuJoCo considers stable
-    model.dof_solimp[:, :2] = STIFFEST  # or Coulomb friction would creep
+    model.dof_solimp[:, :2] = STIFFEST  # otherwise joints creep under Coulomb friction

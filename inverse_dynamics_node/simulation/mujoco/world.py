@@ -1,8 +1,8 @@
 """
-What the world does to a simulated robot: loads on its links, pushes, a base that tilts.
+External influences on a simulated robot: payloads, pushes and a tilting base.
 
-MuJoCo's world is the frame of the robot's base here, so a base that moves is a world whose gravity
-turns, with the forces that a turning frame of reference adds.
+MuJoCo's world frame is the frame of the robot's base. A moving base is therefore simulated by
+rotating gravity and adding the inertial forces of the rotating frame.
 """
 
 from __future__ import annotations
@@ -14,24 +14,25 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...dynamics.inverse_dynamics import STANDARD_GRAVITY
+from ...errors import unknown_name
 from ...robot.model import Floats
 from .model import SimulationError
 
-POINT = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))  # the inertia of one
+POINT = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))  # inertia of a point mass
 
 
 class World:
     """
-    All that acts on a robot, its drives apart.
+    Everything that acts on a robot except its drives.
 
     Parameters
     ----------
     model : mujoco.MjModel
-        With a body for every link but the root; its inertias and gravity are changed.
+        Model with a body for every link except the root; its inertias and gravity are modified.
     data : mujoco.MjData
-        Its ``xfrc_applied`` is written.
+        Simulation data; ``xfrc_applied`` is overwritten.
     root : str
-        The link that is fastened to the ground, whatever acts on it.
+        Link that is fixed to the ground; loads and pushes on it have no effect.
 
     """
 
@@ -54,23 +55,23 @@ class World:
         self, link: str, mass: float, com: ArrayLike = (0.0, 0.0, 0.0), inertia: ArrayLike = POINT
     ) -> None:
         """
-        Fasten a rigid load to a link, in place of any that it had; a mass of 0 takes it off.
+        Attach a rigid load to a link, replacing a previous one; a mass of 0 removes it.
 
         Parameters
         ----------
         link : str
             Any link of the robot.
         mass : float
-            Of the load [kg].
+            Mass of the load [kg].
         com : array_like, shape (3,)
-            Its centre of mass in the link's frame [m].
+            Centre of mass of the load in the link's frame [m].
         inertia : array_like, shape (3, 3)
-            About that, along the link's axes [kg m^2].
+            Inertia of the load about its centre of mass, along the link's axes [kg m^2].
 
         Raises
         ------
         SimulationError
-            If there is no such link.
+            If the link does not exist.
 
         """
         body = self._body(link)
@@ -89,19 +90,19 @@ class World:
         self, link: str, force: ArrayLike = (0.0, 0.0, 0.0), moment: ArrayLike = (0.0, 0.0, 0.0)
     ) -> None:
         """
-        Push or pull a link until told otherwise.
+        Apply a wrench to a link until the next call for this link.
 
         Parameters
         ----------
         link : str
             Any link of the robot.
         force, moment : array_like, shape (3,)
-            What the world exerts on the robot, in the link's frame, about its origin [N], [N m].
+            Force and moment on the link, in the link's frame, about its origin [N], [N m].
 
         Raises
         ------
         SimulationError
-            If there is no such link.
+            If the link does not exist.
 
         """
         body = self._body(link)
@@ -115,14 +116,14 @@ class World:
         angular_acceleration: ArrayLike = (0.0, 0.0, 0.0),
     ) -> None:
         """
-        Turn the base about its origin, which stays where it is.
+        Set gravity and the rotation of the base about its fixed origin.
 
         Parameters
         ----------
         gravity : array_like, shape (3,)
             Free-fall acceleration in the base frame [m/s^2].
         angular_velocity, angular_acceleration : array_like, shape (3,)
-            Of the base, in the base frame [rad/s], [rad/s^2].
+            Angular velocity and acceleration of the base, in the base frame [rad/s], [rad/s^2].
 
         """
         self.gravity = np.array(gravity, float)
@@ -131,19 +132,19 @@ class World:
         self._angular_acceleration = np.asarray(angular_acceleration, float)
 
     def act(self) -> None:
-        """Write the forces on all bodies for the state that the data hold."""
+        """Write the forces on all bodies for the current state."""
         data = self._data
         data.xfrc_applied[:] = 0.0
         if self._angular_velocity.any() or self._angular_acceleration.any():
-            data.xfrc_applied[:] = self._of_turning_frame()
+            data.xfrc_applied[:] = self._inertial_wrenches()
         for body, (force, moment) in self._wrenches.items():
             R = data.xmat[body].reshape(3, 3)  # from the link's frame
-            arm = data.xpos[body] - data.xipos[body]  # MuJoCo wants it about the centre of mass
+            arm = data.xpos[body] - data.xipos[body]  # MuJoCo's moments are about the com
             data.xfrc_applied[body, :3] += R @ force
             data.xfrc_applied[body, 3:] += R @ moment + np.cross(arm, R @ force)
 
-    def _of_turning_frame(self) -> Floats:
-        """Centrifugal, Coriolis and Euler forces and moments about the centres of mass."""
+    def _inertial_wrenches(self) -> Floats:
+        """Return centrifugal, Coriolis and Euler forces and moments about the centres of mass."""
         model, data = self._model, self._data
         base, base_dot = self._angular_velocity, self._angular_acceleration
         r, omega = data.xipos, data.cvel[:, :3]
@@ -163,17 +164,18 @@ class World:
         return np.hstack([force, -moment])
 
     def _body(self, link: str) -> int:
-        """Find the body of a link; 0 for the root, which nothing moves."""
+        """Return the body of a link; 0 for the root, which is fixed."""
         if link == self._root:
             return 0
         body: int = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_BODY, link)
         if body <= 0:
-            raise SimulationError(f'the simulated robot has no link {link!r}')
+            links = [self._root, *(self._model.body(i).name for i in range(1, self._model.nbody))]
+            raise SimulationError(unknown_name('link', link, links))
         return body
 
 
 def _inertia(model: Any, body: int) -> Floats:
-    """Return a body's inertia about its centre of mass, along the axes of its frame."""
+    """Return the inertia of a body about its centre of mass, along the axes of its frame."""
     R = np.zeros(9)
     mujoco.mju_quat2Mat(R, model.body_iquat[body])
     R_LC = R.reshape(3, 3)
@@ -182,7 +184,7 @@ def _inertia(model: Any, body: int) -> Floats:
 
 
 def _steiner(mass: float, arm: Floats) -> Floats:
-    """Return the inertia of a point at the end of an arm."""
+    """Return the inertia of a point mass at the end of an arm (parallel-axis theorem)."""
     about: Floats = mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
     return about
 
@@ -194,6 +196,6 @@ def _write_inertial(model: Any, body: int, mass: float, com: Floats, inertia: Fl
     model.body_ipos[body] = com
     model.body_inertia[body] = moments
     mujoco.mju_mat2Quat(model.body_iquat[body], axes.ravel())
-    # Short cuts that the compiler took for the link without its load.
+    # Clear the optimization flag that MuJoCo's compiler derived from the link without its load.
     model.body_sameframe[body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
     mujoco.mj_setConst(model, mujoco.MjData(model))
