@@ -1,1 +1,1 @@
-"""Timings side by side with peers: `make bench` runs them all and writes doc/benchmarks.md."""
+"""Benchmarks against other libraries: `make bench` runs them and writes doc/benchmarks.md."""

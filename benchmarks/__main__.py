@@ -13,7 +13,7 @@ from . import floor, growth, machine, plot, report, startup, tables
 from .robots import robots
 from .timing import one_core
 
-QUICK = 5  # rounds, to see whether it runs
+QUICK = 5  # rounds, for a check that the benchmarks run
 ROUNDS = 60
 BATCH_ROUNDS = 40
 GROWTH_ROUNDS = 15
@@ -23,9 +23,9 @@ def main() -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(prog='make bench', description=__doc__)
     parser.add_argument('--quick', action='store_true', help='few rounds; writes no page')
-    parser.add_argument('--doc', type=Path, default=ROOT / 'doc', help='where the page belongs')
+    parser.add_argument('--doc', type=Path, default=ROOT / 'doc', help='folder of the page')
     arguments = parser.parse_args()
-    warnings.simplefilter('ignore')  # what libraries say of the robots is not the matter here
+    warnings.simplefilter('ignore')  # libraries warn of the robots
     quick = arguments.quick
     start = perf_counter()
 

@@ -24,10 +24,10 @@ HAS_THREADS = 'threads' in signature(InverseDynamics.efforts).parameters
 def whole(
     name: str, call: Callable[[], Any], result: Callable[[], Floats], threads: int = 1
 ) -> Contender:
-    """Make a contender of a call that takes all states at once, timed by the clock on the wall."""
+    """Make a contender from a call that takes all states at once, timed by the wall clock."""
 
     def where() -> contextlib.AbstractContextManager[None]:
-        # Threads stay on the cores of who starts them, so this matters before the first call.
+        # Threads inherit the cores of the thread that starts them, at the first call.
         return on_cores(CORES) if threads > 1 else contextlib.nullcontext()
 
     def results() -> Floats:
@@ -37,7 +37,7 @@ def whole(
     def seconds(sweeps: int) -> float:
         with where():
             if threads > 1:
-                call()  # lets the threads spread over the cores
+                call()  # gives the threads time to spread over the cores
             start = perf_counter()
             for _ in range(sweeps):
                 call()
@@ -62,7 +62,7 @@ def ours(robot: Robot, states: Floats, threads: int = 1) -> Contender:
 
 
 def pinocchio(robot: Robot, states: Floats, threads: int = 1) -> Contender:
-    """Time Pinocchio's own loop; its arrays have a column a state, the same memory as ours."""
+    """Time Pinocchio's own loop; its arrays have one column per state, the same memory layout."""
     from pinocchio import ModelPool, rneaInParallel
 
     peer = Pinocchio(robot)

@@ -1,4 +1,4 @@
-"""How far a call is from the arithmetic it cannot do without."""
+"""The time of a call relative to the time of its necessary arithmetic."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ TOLERANCE = 1e-8  # of the largest effort: folding rounds the pi of a URDF
 
 
 class Floor(NamedTuple):
-    """Operations and times of one robot."""
+    """Numbers of operations and times for one robot."""
 
     name: str
     written: Operations
@@ -33,7 +33,7 @@ class Floor(NamedTuple):
 
 
 def measure(robot: Robot, rounds: int) -> Floor:
-    """Count the operations of one robot, and time them with ever more around them."""
+    """Count the operations for one robot, and time them alone, in the passes and in a call."""
     states = random_states(robot.n)
     contenders = [
         in_loop(FLOOR, compiled_straight_line(robot.model), states),

@@ -1,4 +1,4 @@
-"""Newton-Euler against the Lagrangian form: on the paper's arm, and as chains grow."""
+"""Newton-Euler and the Lagrangian form, on the paper's arm and on chains of growing length."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ FROM_PYTHON = 'ours, from Python'
 
 
 class Growth(NamedTuple):
-    """Seconds of a call by number of joints, and their ratio to those of Newton-Euler."""
+    """Seconds per call by number of joints, and their ratio to those of Newton-Euler."""
 
     sizes: Floats
     seconds: Floats
     ratios: Floats
 
     def exponent(self, start: int, end: int) -> float:
-        """Fit a power of the number of joints, within a range of it."""
+        """Return the exponent of a power law fitted within a range of the number of joints."""
         within = (self.sizes >= start) & (self.sizes <= end)
         slope, _ = np.polyfit(np.log(self.sizes[within]), np.log(self.seconds[within]), 1)
         return float(slope)
 
 
 def contenders(robot: Robot) -> list[Contender]:
-    """List what computes the efforts of a chain in a compiled loop, checked against each other."""
+    """Return the contenders that run in a compiled loop, checked against each other."""
     states = random_states(robot.n)
     expected = InverseDynamics(robot.model).efforts(*states)
     rows = table_under_gravity(robot.model)
@@ -58,15 +58,15 @@ def contenders(robot: Robot) -> list[Contender]:
 
 
 def on_the_papers_arm(rounds: int) -> dict[str, Timing]:
-    """Time what the paper timed on a PDP-11/45."""
+    """Time the methods that the paper timed on a PDP-11/45."""
     return race(contenders(stanford()), NEWTON_EULER, rounds)
 
 
 def with_joints(sizes: Sequence[int], rounds: int) -> dict[str, Growth]:
     """
-    Time chains of more and more joints, and single calls of ours and Pinocchio's.
+    Time chains of increasing length, and single calls of this package and of Pinocchio.
 
-    A round goes through all sizes, so that a busy spell of the machine bends no line.
+    Each round covers all sizes, so that a temporary load on the machine affects all of them.
 
     """
     names: dict[int, list[str]] = {}

@@ -13,7 +13,7 @@ import PyKDL
 
 
 def main():
-    """Answer the questions on standard input."""
+    """Answer the requests on standard input."""
     task = json.loads(sys.stdin.readline())
     chain = PyKDL.Chain()
     for k, body in enumerate(task['bodies']):
@@ -44,7 +44,7 @@ def segment(name, body):
     tip = PyKDL.Frame(PyKDL.Rotation(*body['rotation']), origin)
     com = PyKDL.Vector(*body['com'])
     xx, xy, xz, yy, yz, zz = body['inertia']
-    # KDL wants it about the centre of mass here, along the axes of the tip frame.
+    # KDL expects the inertia about the centre of mass, along the axes of the tip frame.
     inertia = PyKDL.RotationalInertia(xx, yy, zz, xy, xz, yz)
     return PyKDL.Segment(
         name,

@@ -1,5 +1,5 @@
 r"""
-What the paper compares itself with: the Lagrangian form of Uicker and Kahn, its equation (2).
+The Lagrangian form of Uicker and Kahn, equation (2) of the paper, which it compares itself with.
 
 .. math::
     \tau_i = \sum_j D_{ij} \ddot q_j + \sum_j \sum_k D_{ijk} \dot q_j \dot q_k + D_i
@@ -11,15 +11,15 @@ What the paper compares itself with: the Lagrangian form of Uicker and Kahn, its
 with p from the outermost of the joints named to the tip. T_p is the 4x4 homogeneous transform from
 link p to the base, J_p the pseudo-inertia matrix of link p, r_p its centre of mass.
 
-The sums are written as they stand. What the paper's program did inside them it does not say, so
-there are two readings: the derivatives of all T_p computed once and kept, then n^4 traces; or each
-multiplied out from its factors where a sum names it, which makes n^5 products.
+The sums are implemented literally. The paper does not say how its program computed the derivatives
+in them, so there are two versions: the derivatives of all T_p computed once and kept, followed by
+n^4 traces; or each multiplied out from its factors wherever a sum uses it, with n^5 products.
 
 dA_p/dq is A_p Q_p with a constant Q_p, so a derivative of T_p is the product A_1 ... A_p with Q_j
 put in after A_j. The links' frames are those of `columns`, every joint along its z.
 
-Arrays are indexed down to the number everywhere: 4x4 views of them would keep the compiler from
-doing several numbers at a time, and the comparison from being fair.
+Arrays are always indexed by element, because 4x4 views would prevent vectorization and make the
+comparison unfair.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ if IS_COMPILED:
 
 def compiled(function: Any) -> Any:
     """
-    Compile a function as the package does its own, but keep nothing.
+    Compile a function with the settings of the package, but without a cache on disk.
 
     numba would go on using kept code after a change in newton_euler.py.
 
@@ -49,20 +49,20 @@ def compiled(function: Any) -> Any:
 
 
 class Chain(NamedTuple):
-    """What the equation needs to know of a chain of n links, and room for what it finds."""
+    """The parameters of a chain of n links, and arrays for intermediate results."""
 
     transforms: Floats
     """A_p at position 0, from link p to its parent, shape (n, 4, 4)."""
     generators: Floats
     """Q_p, shape (n, 4, 4)."""
     slides: Floats
-    """1 where the joint slides, shape (n,)."""
+    """1 for prismatic joints, shape (n,)."""
     inertias: Floats
     """J_p, shape (n, 4, 4); its last column is m_p r_p."""
     gravity: Floats
     """Free-fall acceleration in the base frame, shape (3,)."""
     A: Floats
-    """A_p now, shape (n, 4, 4)."""
+    """A_p at the current position, shape (n, 4, 4)."""
     dT: Floats
     """dT_p/dq_j, shape (n, n, 4, 4)."""
     ddT: Floats
@@ -70,11 +70,11 @@ class Chain(NamedTuple):
     X: Floats
     Y: Floats
     Z: Floats
-    """Room for a matrix each, shape (4, 4)."""
+    """Scratch matrices, shape (4, 4)."""
 
 
 def chain_of(robot: RobotModel) -> Chain:
-    """Lay out a chain for the functions below."""
+    """Convert a chain to the arrays of the functions below."""
     rows = columns.robot_table(robot)
     n = len(rows) - 1
     if any(rows[1:, columns.PARENT] != np.arange(n)):
@@ -107,7 +107,7 @@ def pseudo_inertia(row: Floats) -> Floats:
 
 @compiled
 def newton_euler_sweep(q: Any, qd: Any, qdd: Any, tau: Any, robot: Any, times: int) -> None:
-    """Run Newton-Euler over all states a number of times, without a call from Python."""
+    """Run Newton-Euler over all states several times, in a compiled loop."""
     for _ in range(times):
         for k in range(len(q)):
             inverse_dynamics(q[k], qd[k], qdd[k], tau[k], robot)
@@ -115,7 +115,7 @@ def newton_euler_sweep(q: Any, qd: Any, qdd: Any, tau: Any, robot: Any, times: i
 
 @compiled
 def kept_sweep(q: Any, qd: Any, qdd: Any, tau: Any, chain: Any, times: int) -> None:
-    """Run the Lagrangian form likewise, all derivatives kept."""
+    """Run the Lagrangian form in the same way, with all derivatives kept."""
     transforms, generators, slides, inertias, gravity, A, dT, ddT, X, Y, _ = chain
     for _ in range(times):
         for k in range(len(q)):
@@ -126,7 +126,7 @@ def kept_sweep(q: Any, qd: Any, qdd: Any, tau: Any, chain: Any, times: int) -> N
 
 @compiled
 def multiplied_sweep(q: Any, qd: Any, qdd: Any, tau: Any, chain: Any, times: int) -> None:
-    """Run it with derivatives multiplied out where they are named."""
+    """Run the Lagrangian form with derivatives multiplied out in the sums."""
     transforms, generators, slides, inertias, gravity, A, _, _, X, Y, Z = chain
     for _ in range(times):
         for k in range(len(q)):
@@ -136,7 +136,7 @@ def multiplied_sweep(q: Any, qd: Any, qdd: Any, tau: Any, chain: Any, times: int
 
 @compiled
 def sum_kept(qd: Any, qdd: Any, tau: Any, inertias: Any, gravity: Any, dT: Any, ddT: Any) -> None:
-    """Sum up equation (2), derivatives at hand."""
+    """Evaluate equation (2) with precomputed derivatives."""
     n = len(tau)
     for i in range(n):
         effort = 0.0
@@ -168,7 +168,7 @@ def sum_multiplied(
     Y: Any,
     Z: Any,
 ) -> None:
-    """Sum up equation (2), derivatives multiplied out wherever it names one."""
+    """Evaluate equation (2) with derivatives multiplied out in the sums."""
     n = len(tau)
     for i in range(n):
         effort = 0.0
@@ -194,7 +194,7 @@ def sum_multiplied(
 
 @compiled
 def place_links(q: Any, transforms: Any, slides: Any, A: Any) -> None:
-    """Turn or slide every link to where its joint is: A_p."""
+    """Compute A_p of every link at its joint position."""
     for p in range(len(q)):
         c, s = cos(q[p]), sin(q[p])
         for row in range(4):
@@ -209,7 +209,7 @@ def place_links(q: Any, transforms: Any, slides: Any, A: Any) -> None:
 
 @compiled
 def keep_derivatives(A: Any, Q: Any, dT: Any, ddT: Any, T: Any, T_before: Any) -> None:
-    """Compute all first and second derivatives of T_p, each from that of the link before."""
+    """Compute all first and second derivatives of T_p recursively from link to link."""
     copy(A[0], T)
     for p in range(len(A)):
         if p > 0:

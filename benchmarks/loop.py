@@ -1,8 +1,8 @@
 """
-The node's loop: joint state in, command out, beside relays that compute nothing.
+The loop of the node, from joint state to command, and of relays that compute nothing.
 
-`make bench-loop` runs it and writes doc/loop.md. Contenders take turns; who is not at its turn is
-stopped, and takes no time.
+`make bench-loop` runs it and writes doc/loop.md. Contenders take turns; the other processes are
+stopped meanwhile.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ HERE = Path(__file__).resolve().parent
 ROBOT = ROOT / 'test' / 'robots' / 'seven_dof.urdf'
 SEED = 1979
 STATES = 64
-RATE = 1000.0  # [Hz]; where the node goes by a time of its own
-PACED, HURRIED = 1.0 / RATE, 0.0  # [s]; between states, where commands come in time
+RATE = 1000.0  # [Hz]; `update_rate` of the node
+PACED, HURRIED = 1.0 / RATE, 0.0  # [s]; least time between states
 TURN = 1.0  # [s]
-LONG_TURN = 10.0  # [s]; at a rate
+LONG_TURN = 10.0  # [s]; with `update_rate`
 
 OURS = 'this node'
 USUAL = 'usual relay'
@@ -46,9 +46,11 @@ QUANTITIES = ('round trip, median', 'round trip, 99 %', 'CPU per command')
 def main() -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(prog='make bench-loop', description=__doc__)
-    parser.add_argument('--rounds', type=int, default=20, help='of round trips')
-    parser.add_argument('--duration', type=float, default=60.0, help='of each at a rate [s]')
-    parser.add_argument('--doc', type=Path, help='where the page is to be written')
+    parser.add_argument('--rounds', type=int, default=20, help='number of turns of round trips')
+    parser.add_argument(
+        '--duration', type=float, default=60.0, help='time of each contender at a fixed rate [s]'
+    )
+    parser.add_argument('--doc', type=Path, help='folder of the page')
     arguments = parser.parse_args()
     before = machine.describe(PACKAGES)
     trips = round_trips(arguments.rounds)
@@ -73,7 +75,7 @@ def main() -> None:
 
 
 def round_trips(rounds: int) -> dict[float, dict[str, list[Trips]]]:
-    """Let all take turns at answering joint states, at both paces."""
+    """Measure round trips in turns, both at a fixed rate and as fast as possible."""
     with contextlib.ExitStack() as stack:
         contenders = {
             OURS: node(stack),
@@ -87,13 +89,13 @@ def round_trips(rounds: int) -> dict[float, dict[str, list[Trips]]]:
             for pace, turns in found.items():
                 for name, contender in contenders.items():
                     turns[name].append(contender.trips(TURN, pace))
-            told = ', '.join(f'{n} {duration(t[-1].cpu)}' for n, t in found[PACED].items())
-            print(f'round {k + 1}: {told} of CPU; load {machine.load()}', flush=True)
+            times = ', '.join(f'{n} {duration(t[-1].cpu)}' for n, t in found[PACED].items())
+            print(f'round {k + 1}: CPU {times}; load {machine.load()}', flush=True)
     return found
 
 
 def at_a_rate(turns: int, seconds: float) -> dict[str, list[Ticks]]:
-    """Let the node and the usual relay take turns at commanding at a rate."""
+    """Measure the ticks of the node and of the usual relay at a fixed rate, in turns."""
     with contextlib.ExitStack() as stack:
         contenders = {
             OURS: node(stack, update_rate=RATE),
@@ -108,7 +110,7 @@ def at_a_rate(turns: int, seconds: float) -> dict[str, list[Ticks]]:
 
 
 def node(stack: contextlib.ExitStack, **parameters: Any) -> Contender:
-    """Start the node; it is to produce the accelerations asked for."""
+    """Start the node in inverse dynamics mode."""
     settings = {
         'robot_description_file': ROBOT,
         'start_ramp': 0.0,
@@ -154,7 +156,7 @@ def states() -> tuple[Floats, Floats, Floats]:
 
 
 def trips_table(found: dict[str, list[Trips]]) -> str:
-    """Show medians of rounds, and the node's ratio to each relay."""
+    """Format medians over the rounds, and the ratios of the node to each relay."""
     rows = []
     for k, quantity in enumerate(QUANTITIES):
         of = {name: [quantities(turn)[k] for turn in turns] for name, turns in found.items()}
@@ -174,14 +176,14 @@ def quantities(turn: Trips) -> tuple[float, float, float]:
 
 
 def ticks_table(found: dict[str, list[Ticks]]) -> str:
-    """Show how many ticks were late, and what they cost."""
+    """Format the fractions of late ticks, and the CPU load."""
     rows = []
     for name, turns in found.items():
         periods = sum(turn.periods for turn in turns)
-        shares = [sum(getattr(turn, what) for turn in turns) for what in ('missed', 'slept')]
+        counts = [sum(getattr(turn, field) for turn in turns) for field in ('missed', 'slept')]
         cpu = np.mean([turn.cpu for turn in turns])
-        rows.append([name, *(f'{100 * n / periods:.2f} %' for n in shares), f'{100 * cpu:.1f} %'])
-    return grid(['', 'late or missed', 'the same of the states', 'of a core'], rows)
+        rows.append([name, *(f'{100 * n / periods:.2f} %' for n in counts), f'{100 * cpu:.1f} %'])
+    return grid(['', 'late or missed', 'late or missed states', 'CPU of one core'], rows)
 
 
 if __name__ == '__main__':

@@ -1,4 +1,4 @@
-"""What the figures were measured on."""
+"""Description of the machine on which the figures were measured."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PACKAGES = (
 
 
 def describe(packages: Sequence[str] = PACKAGES) -> str:
-    """Name the machine and what else it does, Python and the libraries."""
+    """Describe processor, load, Python and library versions."""
     return (
         f'{processor()}, {os.cpu_count()} cores, load {load()} before the start; '
         f'{platform.system()}, Python {platform.python_version()}; '
@@ -29,7 +29,7 @@ def describe(packages: Sequence[str] = PACKAGES) -> str:
 
 
 def load() -> str:
-    """Say how many processes wanted a core in the last minute: to be asked before any work."""
+    """Return the load average of the last minute; call this before any work."""
     return f'{os.getloadavg()[0]:.1f}' if hasattr(os, 'getloadavg') else '?'
 
 

@@ -1,14 +1,14 @@
 """
-How much arithmetic there is: the passes of `newton_euler`, run on numbers that keep a record.
+Operation counts of the passes of `newton_euler`, from numbers that record their operations.
 
-A number knows the operation it came from, so that afterwards every operation behind the efforts
-can be counted, or written out as straight-line code. Two counts:
+Each number stores the operation that produced it, so that the operations behind the efforts can be
+counted, or compiled as straight-line code. There are two numbers of operations:
 
 - as written: every operation that the passes perform;
-- folded: what is left for one robot when all that its table says is known beforehand. Operations
-  on constants, additions of zero and multiplications by zero and one fall away, and so does what
-  no effort depends on. Rotations in a URDF are written with a rounded pi: what is within 1e-9 of a
-  whole number counts as one here.
+- folded: the operations that remain for one robot if the constants of its table are inserted.
+  Operations on constants, additions of zero and multiplications by zero and one are removed, and
+  so are operations that no effort depends on. Because URDFs contain rounded multiples of pi,
+  numbers within 1e-9 of an integer are taken as that integer.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Operations(NamedTuple):
 
 
 class Number:
-    """A number that remembers where it came from: an operation, an input or a constant."""
+    """A number with its origin: an operation, an input or a constant."""
 
     def __init__(self, record: Record, operation: str, *operands: Any) -> None:
         self.record = record
@@ -78,7 +78,7 @@ class Number:
 
 
 class Record:
-    """All operations that were performed; when folding, in order."""
+    """All operations performed; with folding, in order."""
 
     def __init__(self, folds: bool) -> None:
         self.folds = folds
@@ -86,7 +86,7 @@ class Record:
         self.performed: list[Number] = []
 
     def number(self, operation: str, *operands: Any) -> Number:
-        """Note a number and where it came from."""
+        """Record a number and its origin."""
         self.kinds[operation] += 1
         if not self.folds:
             return Number(self, operation)
@@ -94,11 +94,11 @@ class Record:
         return self.performed[-1]
 
     def inputs(self, name: str, count: int) -> list[Any]:
-        """Make numbers that nobody knows beforehand."""
+        """Make numbers that are known only at run time."""
         return [Number(self, 'input', name, k) for k in range(count)]
 
     def constant(self, value: float) -> Any:
-        """Make a number that is known beforehand."""
+        """Make a constant."""
         if not self.folds:
             return Number(self, 'constant', value)
         return round(value) if abs(value - round(value)) < NEARLY else value
@@ -108,7 +108,7 @@ class Record:
         return self.number(name, x) if isinstance(x, Number) else getattr(math, name)(x)
 
     def combine(self, operation: str, a: Any, b: Any) -> Any:
-        """Add, subtract or multiply; when folding, only if something is left to do."""
+        """Add, subtract or multiply; with folding, leave out redundant operations."""
         if self.folds and operation == '*':
             for factor, other in ((a, b), (b, a)):
                 if _is(factor, 0.0):
@@ -125,7 +125,7 @@ class Record:
         return self.number(operation, a, b)
 
     def count(self, results: Sequence[Any]) -> Operations:
-        """Count operations: when folding, those that the results depend on."""
+        """Count operations; with folding, only those that the results depend on."""
         kinds = self.kinds
         if self.folds:
             kinds = Counter(x.operation for x in self.behind(results))
@@ -164,7 +164,7 @@ def record_newton_euler(robot: RobotModel, folds: bool) -> tuple[Record, list[An
 
 
 def table_under_gravity(robot: RobotModel) -> Floats:
-    """Lay out a robot on a base at rest: LWP (31)."""
+    """Return the table of a robot on a base at rest: LWP (31)."""
     rows = columns.robot_table(robot)
     rows[0, columns.ACCEL : columns.ACCEL + 3] = -np.array(STANDARD_GRAVITY)
     return rows
@@ -178,7 +178,7 @@ def count_newton_euler(robot: RobotModel, folds: bool) -> Operations:
 
 @contextlib.contextmanager
 def uncompiled(record: Record, *modules: Any) -> Iterator[None]:
-    """Let the functions of some modules run as Python, on numbers of a record."""
+    """Return the functions of some modules as plain Python that computes with recorded numbers."""
     before = [dict(vars(module)) for module in modules]
     for module, names in zip(modules, before, strict=True):
         for name, function in names.items():

@@ -1,9 +1,9 @@
 """
-One call from Python: the same robot and states, in the hands of every library that is installed.
+Single calls from Python, with the same robots and states for every installed library.
 
-Each function makes a contender out of one library, or raises what the library raises: an
-ImportError where it is not installed, its own error where it does not take the robot. States are
-put into a library's order and form beforehand, so that only the call itself is timed.
+Each function makes a contender from one library, or raises an ImportError if it is not installed,
+or the library's own error if it does not support the robot. States are converted to the library's
+order and form beforehand, so that only the call itself is timed.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ REFERENCE = 'pin.rnea'
 
 
 def rows(*arrays: Floats) -> list[tuple[Any, ...]]:
-    """Cut batches of vectors into states."""
+    """Split batches of vectors into states."""
     return [tuple(np.ascontiguousarray(x) for x in state) for state in zip(*arrays, strict=True)]
 
 
@@ -42,7 +42,7 @@ def ours(robot: Robot, states: Floats, name: str = 'ours, out=') -> Contender:
 
 
 def ours_new_array(robot: Robot, states: Floats) -> Contender:
-    """Time this package, a new array for every result."""
+    """Time this package with a new array for every result."""
     efforts = InverseDynamics(robot.model).efforts
 
     def sweep(states: States) -> None:
@@ -53,7 +53,7 @@ def ours_new_array(robot: Robot, states: Floats) -> Contender:
 
 
 def ours_written_out(robot: Robot, states: Floats) -> Contender:
-    """Time code of the robot's own, with the caller's arrays."""
+    """Time the generated code with the caller's arrays."""
     efforts = GeneratedDynamics(InverseDynamics(robot.model)).efforts
     out = np.empty(robot.n)
 
@@ -66,7 +66,7 @@ def ours_written_out(robot: Robot, states: Floats) -> Contender:
 
 
 def ours_in_place(robot: Robot, states: Floats) -> Contender:
-    """Time code of the robot's own, its state where it wants it."""
+    """Time the generated code with its own state arrays."""
     loop = GeneratedDynamics(InverseDynamics(robot.model))
     update = loop.update
 
@@ -83,7 +83,7 @@ def ours_in_place(robot: Robot, states: Floats) -> Contender:
 
 
 class Pinocchio:
-    """A robot in Pinocchio, which sorts joints by name and keeps turning ones as cosine, sine."""
+    """A robot in Pinocchio, which orders joints by name and stores continuous ones as cos, sin."""
 
     def __init__(self, robot: Robot) -> None:
         import pinocchio
@@ -98,7 +98,7 @@ class Pinocchio:
         self.inverse = np.argsort(order)
 
     def positions(self, q: Floats) -> Floats:
-        """Put positions of shape (count, n) into Pinocchio's order and form."""
+        """Convert positions of shape (count, n) to Pinocchio's order and form."""
         x = q[:, self.order]
         positions = np.empty((len(q), self.model.nq))
         for k, joint in enumerate(self._joints):
@@ -110,7 +110,7 @@ class Pinocchio:
         return positions
 
     def states(self, states: Floats) -> tuple[Floats, Floats, Floats]:
-        """Put positions, velocities and accelerations into Pinocchio's order and form."""
+        """Convert positions, velocities and accelerations to Pinocchio's order and form."""
         q, qd, qdd = states
         return self.positions(q), qd[:, self.order].copy(), qdd[:, self.order].copy()
 
@@ -171,7 +171,7 @@ def _in_mujoco(
 
 
 def mujoco_rne(robot: Robot, states: Floats) -> Contender:
-    """Time MuJoCo's recursion, with as much before it as it needs."""
+    """Time MuJoCo's recursion with the functions that must run before it."""
     from mujoco import mj_comPos, mj_comVel, mj_kinematics, mj_rne
 
     def calls(model: Any, data: Any, result: Any) -> None:
@@ -184,7 +184,7 @@ def mujoco_rne(robot: Robot, states: Floats) -> Contender:
 
 
 def mujoco_inverse(robot: Robot, states: Floats) -> Contender:
-    """Time MuJoCo's inverse dynamics as documented, contacts and constraints off."""
+    """Time MuJoCo's documented inverse dynamics without contacts and constraints."""
     from mujoco import mj_inverse
 
     def calls(model: Any, data: Any, result: Any) -> None:
@@ -194,7 +194,7 @@ def mujoco_inverse(robot: Robot, states: Floats) -> Contender:
 
 
 def drake(robot: Robot, states: Floats) -> Contender:
-    """Time Drake's multibody plant, gravity as its force elements give it."""
+    """Time Drake's multibody plant with gravity from its force elements."""
     from pydrake.multibody.parsing import Parser
     from pydrake.multibody.plant import MultibodyPlant
     from pydrake.multibody.tree import MultibodyForces
@@ -202,7 +202,7 @@ def drake(robot: Robot, states: Floats) -> Contender:
     plant = MultibodyPlant(0.0)
     Parser(plant).AddModelsFromString(robot.urdf, 'urdf')
     base = robot.model.body_names[0]
-    if base != 'world':  # a link of that name is Drake's own
+    if base != 'world':  # Drake reserves this name
         plant.WeldFrames(plant.world_frame(), plant.GetFrameByName(base))
     plant.mutable_gravity_field().set_gravity_vector(np.array(STANDARD_GRAVITY))
     plant.Finalize()
@@ -227,7 +227,7 @@ def drake(robot: Robot, states: Floats) -> Contender:
 
 
 def toolbox(robot: Robot, states: Floats) -> Contender:
-    """Time the robotics toolbox on the URDF; its faster C code takes DH tables only."""
+    """Time the robotics toolbox with the URDF; its faster C code supports only DH tables."""
     from roboticstoolbox import Robot as ToolboxRobot
 
     with tempfile.TemporaryDirectory() as folder:
@@ -256,7 +256,7 @@ def toolbox(robot: Robot, states: Floats) -> Contender:
 
 
 def gravity(robot: Robot, states: Floats) -> list[Contender]:
-    """Time what holds the robot still: ours and Pinocchio's."""
+    """Time the gravity efforts of this package and of Pinocchio."""
     from pinocchio import computeGeneralizedGravity
 
     peer = Pinocchio(robot)
@@ -283,7 +283,7 @@ def gravity(robot: Robot, states: Floats) -> list[Contender]:
 
 
 def mass_matrix(robot: Robot, states: Floats) -> list[Contender]:
-    """Time the mass matrix: ours column by column, Pinocchio's by composite bodies."""
+    """Time the mass matrix of this package and of Pinocchio."""
     from pinocchio import crba
 
     peer = Pinocchio(robot)

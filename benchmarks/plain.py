@@ -10,7 +10,7 @@ from .robots import random_states, Robot
 
 
 def main() -> None:
-    """Answer the questions on standard input."""
+    """Answer the requests on standard input."""
     task = json.loads(sys.stdin.readline())
     robot = Robot('', task['urdf'])
     if task['batch']:

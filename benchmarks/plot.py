@@ -7,7 +7,7 @@ from pathlib import Path
 from .growth import FROM_PYTHON, Growth, KEPT, MULTIPLIED, NEWTON_EULER
 from .peers import REFERENCE
 
-# Colours that colour-blind readers can tell apart (Okabe and Ito), and the label at the end.
+# Colours of the palette of Okabe and Ito, which colour-blind readers can distinguish, and labels.
 LINES = {
     MULTIPLIED: ('#CC79A7', 'Lagrange,\nmultiplied out'),
     KEPT: ('#D55E00', 'Lagrange,\nderivatives kept'),

@@ -1,5 +1,5 @@
 """
-What the node is measured against: processes that pass positions on, and compute nothing.
+The baseline of the node: processes that pass positions on and compute nothing.
 
 `python -m benchmarks.relays usual [RATE] --ros-args ...` is what a user would write first, `lean`
 is built like the node; without a rate there is a command for every joint state.
@@ -26,7 +26,7 @@ from .wire import EVERY_ONE, NEWEST
 
 
 class UsualRelay:
-    """Typed messages, each made when it is needed."""
+    """A relay with typed messages, each made when it is needed."""
 
     def __init__(self, node: Any, rate: float) -> None:
         self._latest: JointState | None = None
@@ -49,7 +49,7 @@ class UsualRelay:
 
 
 class LeanRelay:
-    """The way of messages into the node and out of it, and nothing in between."""
+    """A relay that reads and writes messages as the node does."""
 
     def __init__(self, node: Any) -> None:
         self._reader = JointStateReader()
@@ -65,7 +65,7 @@ class LeanRelay:
 
 
 def main() -> None:
-    """Relay until told to stop."""
+    """Relay until a signal arrives."""
     stopped: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda number, _: stopped.append(number))

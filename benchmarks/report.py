@@ -1,4 +1,4 @@
-"""The tables of the page; its words are in page.md."""
+"""The tables of the page; page.md contains its text."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PLOT = 'images/benchmarks.png'
 
 
 class Results:
-    """All that was measured, and on what."""
+    """All measurements, and the description of the machine."""
 
     machine: str
     calls: Table
@@ -31,7 +31,7 @@ class Results:
 
 
 def page(results: Results) -> str:
-    """Fill in the page."""
+    """Return the page with all tables."""
     return (
         (HERE / 'page.md')
         .read_text()
@@ -55,13 +55,13 @@ def page(results: Results) -> str:
 
 
 def grid(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Lay out a table, the first column to the left."""
+    """Format a Markdown table with a left-aligned first column."""
     lines = [header, ['---', *['---:'] * (len(header) - 1)], *rows]
     return '\n'.join(f'| {" | ".join(line)} |' for line in lines)
 
 
 def ratios(table: Table, reference: str, calls: int) -> str:
-    """Show the ratios of a race, and the reference's own times."""
+    """Format ratios to the reference, and the times of the reference."""
     robots = tables.names(table)
     rows = [[reference, *(_time(table[reference][robot], calls) for robot in robots)]]
     for name, entries in sorted(table.items(), key=_rank):
@@ -78,16 +78,16 @@ def _rank(row: tuple[str, dict[str, Entry]]) -> float:
 
 
 def agreement(table: Table) -> str:
-    """Say how well those that were timed agree."""
+    """State how well the timed results agree."""
     errors = [e.error for row in table.values() for e in row.values() if e.timing and e.error]
     return (
-        f'Those timed agree with `{peers.REFERENCE}` to {max(errors):.0e} of the largest effort, '
-        'on every robot.'
+        f'All timed results agree with `{peers.REFERENCE}` to {max(errors):.0e} of the largest '
+        'effort, on every robot.'
     )
 
 
 def wrong(table: Table) -> str:
-    """Say who is wrong, where and by how much."""
+    """List wrong results by library, robot and error."""
     lines = [
         f'- {name}, {robot}: off by {_percent(entry.error)} of the largest effort'
         for name, entries in table.items()
@@ -95,12 +95,12 @@ def wrong(table: Table) -> str:
         if entry.note == 'wrong' and entry.error
     ]
     if not lines:
-        return 'Nobody was wrong.'
-    return '\n'.join(['Wrong where all others agree:', '', *lines])
+        return 'No library gave wrong results.'
+    return '\n'.join(['Wrong results, where all others agree:', '', *lines])
 
 
 def pairs(table: Table) -> str:
-    """Show ratios of pairs."""
+    """Format the ratios of this package to Pinocchio."""
     robots = tables.names(table)
     rows = [
         [name, *(_ratio(table[name][robot]) for robot in robots)]
@@ -114,7 +114,7 @@ def pairs(table: Table) -> str:
 
 
 def papers(timings: dict[str, Timing]) -> str:
-    """Show the paper's comparison, theirs and ours."""
+    """Format the paper's comparison and the same comparison on this machine."""
     arm = stanford().model
     counts = {
         growth.NEWTON_EULER: count_newton_euler(arm, folds=False),
@@ -136,7 +136,7 @@ def papers(timings: dict[str, Timing]) -> str:
 
 
 def exponents(found: dict[str, Growth]) -> str:
-    """Fit powers to growth, and to the last stretch of it."""
+    """Format the exponents of power laws fitted to the larger and to the largest sizes."""
     rows = []
     for name, line in found.items():
         end = int(line.sizes[-1])
@@ -148,7 +148,7 @@ def exponents(found: dict[str, Growth]) -> str:
 
 
 def ratio_by_size(found: dict[str, Growth]) -> str:
-    """Show how the Lagrangian form falls behind."""
+    """Format the ratios of the Lagrangian form to Newton-Euler by number of joints."""
     sizes = found[growth.KEPT].sizes.tolist()
     rows = []
     for name in (growth.KEPT, growth.MULTIPLIED):
@@ -158,7 +158,7 @@ def ratio_by_size(found: dict[str, Growth]) -> str:
 
 
 def operations(found: list[Floor]) -> str:
-    """Show the counts."""
+    """Format the numbers of operations."""
     return grid(
         ['multiplications + additions', *(f.name for f in found)],
         [
@@ -169,7 +169,7 @@ def operations(found: list[Floor]) -> str:
 
 
 def floors(found: list[Floor]) -> str:
-    """Show times over the floor."""
+    """Format times and their ratios to the lower bound."""
     rows = []
     for name in (floor.FLOOR, floor.LOOP, floor.CALL, peers.REFERENCE):
         timings = [f.timings[name] for f in found]
@@ -179,11 +179,11 @@ def floors(found: list[Floor]) -> str:
         counts = [f.written if name == floor.LOOP else f.folded for f in found]
         times = [f.timings[name].seconds / c.total for f, c in zip(found, counts, strict=True)]
         rows.append([f'{label}, per operation', *(f'{1e9 * t:.2f} ns' for t in times)])
-    return grid(['time, ratio to the floor', *(f.name for f in found)], rows)
+    return grid(['time, ratio to the lower bound', *(f.name for f in found)], rows)
 
 
 def starts(found: dict[str, dict[str, float]]) -> str:
-    """Show the steps of a start."""
+    """Format the steps of a start."""
     kinds = list(found)
     steps = list(found[kinds[0]])
     rows = [[step, *(_milliseconds(found[kind][step]) for kind in kinds)] for step in steps]
@@ -192,7 +192,7 @@ def starts(found: dict[str, dict[str, float]]) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Write a time with three figures and the unit that fits."""
+    """Format a time with three digits and a suitable unit."""
     for unit, size in (('s', 1.0), ('ms', 1e-3), ('µs', 1e-6)):
         if seconds >= size:
             return f'{_three(seconds / size)} {unit}'
@@ -200,7 +200,7 @@ def duration(seconds: float) -> str:
 
 
 def figures(timing: Timing) -> str:
-    """Write a ratio, and small after it the quartiles."""
+    """Format a ratio, with its quartiles in small print."""
     if timing.low == timing.high:
         return _short(timing.ratio)
     spread = f'{_short(timing.low)}–{_short(timing.high)}'

@@ -1,4 +1,4 @@
-"""The robots that are timed, and the states they are timed in."""
+"""The robots and states of the benchmarks."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from random_trees import random_chain, urdf_of
 from robot_files import real_robots, STANFORD
 
 SEED = 1979
-STATES = 16  # enough that no branch predictor knows them by heart, few enough to stay in cache
+STATES = 16  # too many for a branch predictor to learn, few enough to stay in the cache
 _NOT_DYNAMICS = ('visual', 'collision', 'transmission', 'gazebo', 'dynamics', 'safety_controller')
 
 
 class Robot:
-    """A robot as URDF text that every peer can read, and as our model."""
+    """A robot as URDF text that every library can read, and as a `RobotModel`."""
 
     def __init__(self, name: str, urdf: str) -> None:
         self.name = name
@@ -27,7 +27,7 @@ class Robot:
 
 
 def robots() -> list[Robot]:
-    """List the robots of the tables; real ones only where example-robot-data is installed."""
+    """Return the robots of the tables; real ones only if example-robot-data is installed."""
     real = {path.stem: path for path in real_robots()}
     found = []
     if 'panda' in real:
@@ -46,7 +46,7 @@ def stanford() -> Robot:
 
 
 def chain(count: int) -> Robot:
-    """Make a chain in general position, every third joint sliding."""
+    """Make a chain in general position with every third joint prismatic."""
     return Robot(f'chain {count}', urdf_of(random_chain(np.random.default_rng(count), count)))
 
 
@@ -57,9 +57,9 @@ def random_states(n: int, count: int = STATES) -> Floats:
 
 def bare(path: Path, locked: tuple[str, ...] = ()) -> str:
     """
-    Strip a URDF of all but kinematics and inertia, and lock joints by the start of their names.
+    Remove everything except kinematics and inertia from a URDF; lock joints by name prefix.
 
-    Without meshes every peer can read it, and without damping all compute the same thing.
+    Without meshes every library can read it, and without damping all compute the same efforts.
 
     """
     root = etree.fromstring(path.read_bytes(), etree.XMLParser(remove_comments=True))

@@ -1,4 +1,4 @@
-"""From nothing to the first effort, in fresh processes."""
+"""The time from the start of a process to the first effort."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from time import perf_counter
 import numpy as np
 from robot_files import STANFORD
 
-# Every step pays for what no step before it has loaded.
+# A step includes the imports that no earlier step needed.
 STEPS = (
     ('import numpy', 'import numpy'),
     ('import numba', 'import numba'),
@@ -48,12 +48,12 @@ def run(cache: str, **environment: str) -> dict[str, float]:
 
 
 def best(warm: int, cold: int) -> dict[str, dict[str, float]]:
-    """Time starts with a warm cache, with a cold one, and without compiling at all."""
+    """Time starts with a warm cache, with a cold cache, and without compilation."""
     with tempfile.TemporaryDirectory() as folder:
         caches = [str(Path(folder) / f'{k}') for k in range(cold)]
         kinds = {'first start ever': [run(cache) for cache in caches]}
         kinds['later starts'] = [run(caches[0]) for _ in range(warm)]
-        # numba is imported all the same here; where it is missing, that step is spared too.
+        # numba is still imported here; without numba, that step would take no time.
         plain = [run(caches[0], NUMBA_DISABLE_JIT='1') for _ in range(warm)]
     kinds['without compiling'] = plain
     return {

@@ -1,4 +1,4 @@
-"""Races of many contenders on many robots, and who cannot take part in them."""
+"""Comparisons of all contenders on all robots, and the reasons for gaps in the tables."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from . import batch, peers, workers
 from .robots import random_states, Robot
 from .timing import Contender, CORES, difference, one_core, race, Timing
 
-WRONG = 1e-6  # of the largest effort; those that are right agree to 1e-13
+WRONG = 1e-6  # relative to the largest effort; correct results agree to 1e-13
 
 Maker = Callable[[Robot, Floats], Contender]
 NOT_INSTALLED = 'not installed'
 
 
 class Entry(NamedTuple):
-    """How a contender did on a robot."""
+    """The result of a contender on a robot."""
 
     timing: Timing | None
     error: float | None
-    """Largest difference to the reference, of the largest effort."""
+    """Largest difference from the reference, relative to the largest effort."""
     note: str = ''
-    """Why it was not timed."""
+    """Reason why it was not timed."""
 
 
 Table = dict[str, dict[str, Entry]]
@@ -68,7 +68,7 @@ def batches(robots: Sequence[Robot], rounds: int) -> Table:
 
 
 def other_quantities(robots: Sequence[Robot], rounds: int) -> Table:
-    """Time gravity efforts and mass matrix; the reference of each is Pinocchio's own."""
+    """Time gravity efforts and mass matrix, each relative to Pinocchio's function."""
     table: Table = {}
     for robot in robots:
         states = random_states(robot.n)
@@ -98,20 +98,20 @@ def _table(makers: dict[str, Maker], robots: Sequence[Robot], count: int, rounds
 
 
 def _make(maker: Maker, robot: Robot, states: Floats) -> Contender | str:
-    """Make a contender, or say why it cannot take part."""
+    """Make a contender, or return the reason why it cannot be timed."""
     try:
         return maker(robot, states)
     except ImportError:
         return NOT_INSTALLED
     except workers.OtherRobotsError as error:
         return str(error)
-    except Exception as error:  # whatever a peer's reader raises for a robot it does not take
+    except Exception as error:  # a library may raise anything for a robot that it does not support
         print(f'{robot.name}: {error}')
-        return 'does not take it'
+        return 'not supported'
 
 
 def _entries(ready: Sequence[Contender], reference: Contender, rounds: int) -> dict[str, Entry]:
-    """Compare all with the reference, then time those that agree."""
+    """Compare all results with the reference, then time the contenders that agree."""
     expected = reference.results()
     errors = {c.name: difference(c.results(), expected) for c in ready}
     timings = race([c for c in ready if errors[c.name] < WRONG], reference.name, rounds)
@@ -122,5 +122,5 @@ def _entries(ready: Sequence[Contender], reference: Contender, rounds: int) -> d
 
 
 def names(table: dict[str, Any]) -> list[str]:
-    """List the robots of a table."""
+    """Return the robots of a table."""
     return list(dict.fromkeys(robot for row in table.values() for robot in row))

@@ -1,9 +1,9 @@
 """
-Interleaved timing: every round times every contender once, and ratios are taken inside a round.
+Interleaved timing: every round times every contender once, and ratios are computed per round.
 
-A machine that others use too slows down and speeds up within seconds. Contenders timed one after
-the other would not meet the same machine; two timed in the same round nearly do. And what counts
-is the time that a core spent on the thread, less what others took of it in between.
+The speed of a shared machine changes within seconds. Contenders timed one after the other would
+run under different conditions; those of the same round run under nearly the same. Times are CPU
+times of the thread, which exclude other processes.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from typing import Any, NamedTuple
 from inverse_dynamics_node.robot.model import Floats
 import numpy as np
 
-SLICE = 0.005  # s per contender and round: long for the clock, short for the machine's moods
-SLOW = 0.05  # s for one sweep, from which a contender sits most rounds out
-FEW = 5  # rounds of a slow one
+SLICE = 0.005  # [s] per contender and round: long for the clock, short for changes of the load
+SLOW = 0.05  # [s] per sweep, above which a contender skips most rounds
+FEW = 5  # rounds of a slow contender
 
 States = Sequence[tuple[Any, ...]]
 
@@ -32,25 +32,25 @@ def nothing() -> None:
 
 @dataclass
 class Contender:
-    """Something that computes the same as others, and can be told to do it a number of times."""
+    """An implementation that can be timed over a number of sweeps."""
 
     name: str
     results: Callable[[], Floats]
-    """What it computes, a row a state: to be compared before anything is timed."""
+    """Returns the results, one row per state, for a comparison before the timing."""
     seconds: Callable[[int], float]
-    """Time a number of sweeps over all states; return the seconds of one call."""
+    """Runs a number of sweeps over all states; returns the seconds per call."""
     calls: int
-    """Calls in a sweep."""
+    """Number of calls per sweep."""
     close: Callable[[], None] = nothing
 
 
 class Timing(NamedTuple):
-    """What the rounds say of a contender."""
+    """The timing of a contender over all rounds."""
 
     seconds: float
-    """The best of all rounds: what the machine does when nobody else uses it."""
+    """Best of all rounds, close to the time on an idle machine."""
     ratio: float
-    """To the reference: the median over the rounds, and its quartiles."""
+    """Median of the ratios to the reference, followed by the quartiles."""
     low: float
     high: float
 
@@ -59,9 +59,9 @@ def contender(
     name: str, states: States, sweep: Callable[[States], None], result: Callable[..., Floats]
 ) -> Contender:
     """
-    Make a contender of a loop over states, written out as a user would write it.
+    Make a contender from a loop over states, as a user would write it.
 
-    A loop for each spares all of them the cost of a function between loop and library.
+    Each contender has its own loop, which avoids a function call between loop and library.
 
     """
 
@@ -77,7 +77,7 @@ def contender(
 
 
 def in_loop(name: str, sweep: Callable[..., None], states: Floats, *arguments: Any) -> Contender:
-    """Make a contender of a compiled loop over states: no call from Python is timed."""
+    """Make a contender from a compiled loop over states, without calls from Python."""
     tau = np.empty(states.shape[1:])
 
     def run(sweeps: int) -> Floats:
@@ -93,19 +93,19 @@ def in_loop(name: str, sweep: Callable[..., None], states: Floats, *arguments: A
 
 
 def difference(results: Floats, expected: Floats) -> float:
-    """Compare results: the largest difference, of the largest value."""
+    """Return the largest difference, relative to the largest value."""
     return float(np.abs(results - expected).max() / np.abs(expected).max())
 
 
 def race(contenders: Sequence[Contender], reference: str, rounds: int) -> dict[str, Timing]:
-    """Time contenders against one of them."""
+    """Time contenders, relative to one of them."""
     return compare(run(contenders, (reference,), rounds), reference)
 
 
 def run(
     contenders: Sequence[Contender], references: Sequence[str], rounds: int
 ) -> dict[str, list[float]]:
-    """Time every contender once a round, references in every round; return the seconds of each."""
+    """Return the seconds of every contender; slow ones skip rounds, unless they are references."""
     sweeps = {c.name: _sweeps_in_a_slice(c) for c in contenders}
     taken: dict[str, list[float]] = {c.name: [] for c in contenders}
     with _without_garbage_collection():
@@ -117,14 +117,14 @@ def run(
 
 
 def compare(taken: dict[str, list[float]], reference: str) -> dict[str, Timing]:
-    """Compare the seconds of each with those of the reference in the same round."""
+    """Compute the ratios to the reference in the same round."""
     return {name: _timing(times, taken[reference]) for name, times in taken.items()}
 
 
 def _sweeps_in_a_slice(c: Contender) -> int:
-    """Choose how often a contender sweeps in a round; 0 for once, and in few rounds only."""
-    c.seconds(1)  # the first run pays for what is loaded late
-    for _ in range(3):  # a pause in the middle of one sweep must not make it look slow
+    """Return the number of sweeps per round; 0 for a slow contender, which skips most rounds."""
+    c.seconds(1)  # loads everything that is loaded lazily
+    for _ in range(3):  # one sweep may be slow because of a pause of the machine
         sweep = c.seconds(1) * c.calls
         if sweep < SLICE:
             break
@@ -144,20 +144,20 @@ def missed(times: Sequence[int], period: int) -> int:
     Parameters
     ----------
     times : sequence of int
-        Of events that should come once a period.
+        Times of events that should occur once per period.
     period : int
-        In the same unit. Where periods begin is read from the events themselves.
+        Period in the same unit. Its phase is estimated from the events.
 
     Returns
     -------
     count : int
-        Of the periods from the first event to the last.
+        Number of such periods between the first event and the last.
 
     """
     since = (np.array(times) - times[0]) / period
     begin = np.angle(np.exp(2j * np.pi * since).mean()) / (2.0 * np.pi)
     k = np.round(since - begin)
-    # What comes later than half a period is nearer to the next; not to be taken for its event.
+    # An event late by more than half a period must not be taken for that of the next period.
     is_in_time = since - begin - k > -0.25
     return int(k[-1] - k[0] + 1 - len(np.unique(k[is_in_time])))
 
@@ -167,7 +167,7 @@ CORES: set[int] = os.sched_getaffinity(0) if hasattr(os, 'sched_getaffinity') el
 
 @contextlib.contextmanager
 def on_cores(cores: set[int]) -> Iterator[None]:
-    """Keep this process, and those it starts meanwhile, on some cores; where the system can."""
+    """Keep this process and its new children on some cores, if the system supports that."""
     if not cores:
         yield
         return
@@ -180,7 +180,7 @@ def on_cores(cores: set[int]) -> Iterator[None]:
 
 
 def one_core() -> contextlib.AbstractContextManager[None]:
-    """Keep this process on one core: its caches stay warm."""
+    """Keep this process on one core, whose caches stay warm."""
     return on_cores({max(CORES)} if CORES else set())
 
 

@@ -1,4 +1,4 @@
-"""A process that answers joint states with commands, and the robot's side of the conversation."""
+"""A process that answers joint states with commands, and the robot's side of the measurement."""
 
 from __future__ import annotations
 
@@ -31,31 +31,31 @@ EVERY_ONE = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 """Of commands, as the node has it."""
 
 PATIENCE = 60.0  # [s]; for a process to start, and to be found
-LOST = 0.1  # [s]; a state without an answer for so long gets none
+LOST = 0.1  # [s]; a state without an answer after this time is lost
 WARM_UP = 0.3  # [s]; at the start of a turn, not measured
 
 
 class Trips(NamedTuple):
-    """Round trips of one turn, a state going out when the command for the last has come."""
+    """Round trips of one turn, in which each state waits for the previous command."""
 
     times: Floats
-    """From state to command, shape (commands,) [s]."""
+    """Times from state to command, shape (commands,) [s]."""
     cpu: float
-    """What cores spent on the process, per command [s]."""
+    """CPU time of the process per command [s]."""
     lost: int
-    """States that had no answer."""
+    """Number of states without an answer."""
 
 
 class Ticks(NamedTuple):
-    """Commands of one turn at a rate of their own, states coming at the same rate."""
+    """Commands of one turn at a fixed rate, with states at the same rate."""
 
     missed: int
-    """Periods with no command in their first half."""
+    """Number of periods without a command in their first half."""
     slept: int
-    """The same of the states, which come from a loop that does little but sleep."""
+    """The same for the states, whose loop does little except sleep."""
     periods: int
     cpu: float
-    """What cores spent on the process, per second [s]."""
+    """CPU time of the process per second [s]."""
 
 
 class Contender:
@@ -69,7 +69,7 @@ class Contender:
     arguments : sequence of str
         For it, those for ROS last.
     domain : int
-        Used by nobody else.
+        A domain that no other process uses.
 
     """
 
@@ -144,7 +144,7 @@ class Contender:
         return Trips(times, cpu / max(1, len(times)), lost)
 
     def _exchange(self, seconds: float, period: float) -> int:
-        """Send states and take commands; return how many states had no answer."""
+        """Send states and receive commands; return the number of states without an answer."""
         lost = 0
         due = time.monotonic()
         deadline = due + seconds
@@ -160,7 +160,7 @@ class Contender:
 
     def _on_command(self, data: bytes) -> None:
         now = time.perf_counter_ns()
-        # The node also sends commands unasked, when states have ceased.
+        # The node also sends commands after the states have stopped.
         if math.isclose(_last_number(data), self._expected[self._k], rel_tol=1e-9, abs_tol=1e-12):
             self._times.append(now - self._sent)
             self._is_answered = True
@@ -171,7 +171,7 @@ class Contender:
         self._publisher.publish(self._states[self._k])
 
     def ticks(self, seconds: float, rate: float) -> Ticks:
-        """Send states at a rate [Hz] for a time [s], and take the times of the commands."""
+        """Send states at a rate [Hz] for a time [s], and record the times of the commands."""
         period = round(1e9 / rate)
         with self._turn():
             self._send_at_rate(WARM_UP, period)
@@ -182,7 +182,7 @@ class Contender:
         return Ticks(missed(received, period), missed(sent, period), len(sent), cpu)
 
     def _send_at_rate(self, seconds: float, period: int) -> tuple[list[int], list[int]]:
-        """Return when states were sent and when commands were [ns]."""
+        """Return the times at which states and commands were sent [ns]."""
         sent: list[int] = []
         received: list[int] = []
         due = time.time_ns()
@@ -198,14 +198,14 @@ class Contender:
         return sent, received
 
     def _take(self) -> Floats:
-        """Return the latest command that has come, or NaN."""
+        """Return the latest command, or NaN before the first."""
         numbers = np.array(math.nan)
         while (taken := self._commands.handle.take_message(Float64MultiArray, False)) is not None:
             numbers = np.array(taken[0].data)
         return numbers
 
     def _cpu_time(self) -> float:
-        """Return what cores have spent on all threads of the process [s]."""
+        """Return the CPU time of all threads of the process [s]."""
         return time.clock_gettime((~self._process.pid << 3) | 2)  # clock_getcpuclockid(3)
 
     @contextlib.contextmanager

@@ -1,5 +1,5 @@
 """
-Contenders in interpreters of their own, timed in the same rounds as those in this one.
+Contenders in separate interpreters, timed in the same rounds as the others.
 
 A worker reads a task as one line of JSON and answers with its results. Then it answers every
 number of sweeps with the seconds of one call, and waits: it takes no time in between.
@@ -25,11 +25,11 @@ HERE = Path(__file__).resolve().parent
 
 
 class OtherRobotsError(Exception):
-    """A library is not for robots of this kind."""
+    """A library does not support this kind of robot."""
 
 
 def without_numba(robot: Robot, batch: int = 0) -> Contender:
-    """Run this package as it is where numba is not installed: in plain Python."""
+    """Run this package without numba, in plain Python."""
     command = [sys.executable, '-m', 'benchmarks.plain']
     task = {'urdf': robot.urdf, 'batch': batch}
     calls = 1 if batch else STATES
@@ -37,7 +37,7 @@ def without_numba(robot: Robot, batch: int = 0) -> Contender:
 
 
 def kdl(robot: Robot, states: Floats) -> Contender:
-    """Run KDL in the first interpreter that has PyKDL: the system's, where Debian put it."""
+    """Run KDL in the first interpreter that has PyKDL: that of Debian's package."""
     model = robot.model
     if any(model.parent[1:] != np.arange(len(model.parent) - 1)):
         raise OtherRobotsError('chains only')
@@ -66,7 +66,7 @@ def kdl(robot: Robot, states: Floats) -> Contender:
 def start(
     name: str, command: list[str], task: dict[str, Any], calls: int, **environment: str
 ) -> Contender:
-    """Start a worker, give it its task and say how many calls it makes in a sweep."""
+    """Start a worker for a task with a number of calls per sweep."""
     process = subprocess.Popen(
         command,
         stdin=subprocess.PIPE,

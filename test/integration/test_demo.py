@@ -20,8 +20,10 @@ pytest.importorskip('mujoco')
 pytest.importorskip('rosbags')
 
 from inverse_dynamics_node import load_urdf
-from inverse_dynamics_node.simulation.demo.commander import resolved_acceleration
+from inverse_dynamics_node.simulation.demo.commander import Commander, resolved_acceleration
 from inverse_dynamics_node.simulation.demo.processes import running, unused_domain
+import rclpy
+from std_msgs.msg import Bool
 
 PATIENCE = 90.0  # [s]; a demo that can do nothing gives up by itself before this
 SEVEN_JOINTS = ROOT / 'test' / 'robots' / 'seven_dof.urdf'
@@ -242,6 +244,29 @@ class TestDemo:
         assert code == 1
         assert f'inverse_dynamics: {name} ended early, with exit code -9' in output
         assert all(map(is_gone, children))
+
+
+def test_commander_waits_for_subscriptions_of_other_nodes(domain_id):
+    """The recorder subscribes through the commander, which must not end the wait."""
+    rclpy.init(args=[], domain_id=domain_id)
+    commander, robot = Commander(('joint_1',)), rclpy.create_node('simulated_robot')
+    try:
+        commander.advertise({'simulated_robot/sensors': Bool()})
+        publisher = commander._event_publishers['simulated_robot/sensors']
+        commander.create_subscription(Bool, 'simulated_robot/sensors', print, 10)
+        deadline = time.monotonic() + PATIENCE
+        while publisher.get_subscription_count() < 1:
+            assert time.monotonic() < deadline
+            rclpy.spin_once(commander, timeout_sec=0.02)
+        assert commander.topics_without_subscriber() == ['simulated_robot/sensors']
+        robot.create_subscription(Bool, '~/sensors', print, 10)
+        while commander.topics_without_subscriber():
+            assert time.monotonic() < deadline
+            rclpy.spin_once(commander, timeout_sec=0.02)
+    finally:
+        commander.destroy_node()
+        robot.destroy_node()
+        rclpy.shutdown()
 
 
 def test_resolved_acceleration_brings_an_error_to_zero():

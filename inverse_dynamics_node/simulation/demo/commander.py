@@ -135,11 +135,12 @@ class Commander(Node):
                 self._event_publishers[topic] = self.create_publisher(type(message), topic, 10)
 
     def topics_without_subscriber(self) -> list[str]:
-        """Return the advertised topics that have no subscriber yet."""
+        """Return the advertised topics that no other node has subscribed to yet."""
+        own = [subscription.topic_name for subscription in self.subscriptions]  # recorder's, too
         return [
             topic
             for topic, publisher in self._event_publishers.items()
-            if not publisher.get_subscription_count()
+            if publisher.get_subscription_count() <= own.count(publisher.topic_name)
         ]
 
     def publish(self, topic: str, message: Any) -> None:
