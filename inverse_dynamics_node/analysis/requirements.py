@@ -1,4 +1,4 @@
-"""The efforts, speeds and powers that a trajectory requires, for choosing motors and gears."""
+"""Efforts, speeds and powers that a trajectory requires, for the choice of motors and gears."""
 
 from __future__ import annotations
 
@@ -11,66 +11,66 @@ from ..dynamics.trajectory import Trajectory, whole_states
 from ..robot.model import Booleans, Floats
 
 _ROUNDING = 1e-6
-"""A limit is not exceeded by what a file with six digits rounds away."""
+"""Excess over a limit that is ignored, because files may have only six digits."""
 
 
 class EffortRequirements(NamedTuple):
-    """Efforts at k times of a trajectory of m joints, and what follows from them."""
+    """Requirements of a trajectory with k times and m joints."""
 
     efforts: Floats
-    """Shape (k, m) [N m or N]."""
+    """Joint efforts, shape (k, m) [N m or N]."""
     terms: EffortTerms
-    """What they are made of, each of shape (k, m) [N m or N]."""
+    """Terms of the efforts, each of shape (k, m) [N m or N]."""
     peak: Floats
-    """The largest effort, with its sign, shape (m,) [N m or N]."""
+    """Effort with the largest absolute value, with its sign, shape (m,) [N m or N]."""
     peak_time: Floats
-    """When that is, shape (m,) [s]."""
+    """Time of the peak, shape (m,) [s]."""
     rms: Floats
-    """Root of the mean over time of the squared effort, shape (m,) [N m or N]."""
+    """Root mean square of the effort over time, shape (m,) [N m or N]."""
     rms_terms: Floats
-    """The same for each of the terms, shape (5, m) [N m or N]."""
+    """Root mean square of each term over time, shape (5, m) [N m or N]."""
     speed: Floats
-    """The largest speed, shape (m,) [rad/s or m/s]."""
+    """Largest speed, shape (m,) [rad/s or m/s]."""
     power: Floats
-    """The largest of effort times velocity, shape (m,) [W]; 0 where the joint only brakes."""
+    """Largest product of effort and velocity, shape (m,) [W]; 0 if the joint only brakes."""
     braking: Floats
-    """The largest of what the joint takes back, shape (m,) [W]; 0 where it never does."""
+    """Largest power that the joint absorbs, shape (m,) [W]; 0 if it never brakes."""
     effort_limits: Floats
-    """Shape (m,) [N m or N]; inf where there is none."""
+    """Shape (m,) [N m or N]; inf if there is none."""
     velocity_limits: Floats
-    """Shape (m,) [rad/s or m/s]; inf where there is none."""
+    """Shape (m,) [rad/s or m/s]; inf if there is none."""
     is_too_strong: Booleans
-    """Whether an effort is beyond its limit, shape (m,)."""
+    """Whether the peak effort exceeds its limit, shape (m,)."""
     is_too_fast: Booleans
-    """Whether a speed is beyond its limit, shape (m,)."""
+    """Whether the largest speed exceeds its limit, shape (m,)."""
     is_too_far: Booleans
-    """Whether a position is beyond its limits, shape (m,)."""
+    """Whether a position is outside its limits, shape (m,)."""
 
 
 def effort_requirements(
     dynamics: InverseDynamics, trajectory: Trajectory, others: Floats | None = None
 ) -> EffortRequirements:
     """
-    Compute the requirements of a trajectory on the joints that it moves.
+    Compute the requirements of a trajectory for the joints that it moves.
 
     Parameters
     ----------
     dynamics : InverseDynamics
-        The robot, with n joints, and what acts on it.
+        The robot with n joints, and the loads on it.
     trajectory : Trajectory
-        Of any m of them, in any order, with velocities and accelerations.
+        Trajectory of any m of them, in any order, with velocities and accelerations.
     others : ndarray, shape (n,), optional
-        Positions at which the robot's other joints rest [rad or m]; zero if left out.
+        Positions of the other joints [rad or m]; default: zero.
 
     Returns
     -------
     requirements : EffortRequirements
-        In the order of the trajectory's joints.
+        Requirements of the joints in the order of the trajectory.
 
     Raises
     ------
     TrajectoryError
-        If the robot has no such joint, or one is named twice.
+        If the robot does not have one of the joints, or a joint is named twice.
     JointStateError
         If a value is not finite.
 
@@ -107,10 +107,10 @@ def effort_requirements(
 
 
 def _rms(times: Floats, values: Floats) -> Floats:
-    """Return the root mean square over time, by trapezoids: points need not be equally far."""
+    """Return the root mean square over time by the trapezoidal rule; steps may differ."""
     if len(times) == 1:
-        alone: Floats = np.abs(values[0])
-        return alone
+        single: Floats = np.abs(values[0])
+        return single
     steps = np.diff(times)[:, np.newaxis]
     squares = np.sum(0.5 * steps * (values[1:] ** 2 + values[:-1] ** 2), axis=0)
     rms: Floats = np.sqrt(squares / (times[-1] - times[0]))

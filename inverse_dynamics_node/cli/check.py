@@ -12,8 +12,8 @@ import numpy as np
 
 from ..analysis.workspace import (
     explore,
-    Payload,
-    payload_left,
+    payload_capacity,
+    PayloadCapacity,
     SAMPLES,
     Workspace,
 )
@@ -109,7 +109,7 @@ def run(options: argparse.Namespace) -> int:
         link = options.link or last_link(robot)
         with progress('looking at poses') as tell:
             workspace = explore(dynamics, options.samples, progress=tell)
-            payload = payload_left(dynamics, workspace, link)
+            payload = payload_capacity(dynamics, workspace, link)
         show(workspace_table(workspace, payload))
         warnings += beyond_limits(workspace)
     show_warnings(warnings)
@@ -129,7 +129,7 @@ def run(options: argparse.Namespace) -> int:
     return _WARNED if options.strict and warnings else 0
 
 
-def workspace_table(workspace: Workspace, payload: Payload) -> Table:
+def workspace_table(workspace: Workspace, payload: PayloadCapacity) -> Table:
     """Write out what gravity asks of every joint, where most, and the payload left."""
     robot, limits = workspace.robot, workspace.limits
     places = decimals(workspace.efforts)
@@ -175,7 +175,7 @@ def workspace_table(workspace: Workspace, payload: Payload) -> Table:
     )
 
 
-def payload_in_words(robot: RobotModel, payload: Payload) -> str:
+def payload_in_words(robot: RobotModel, payload: PayloadCapacity) -> str:
     """Say how much can be held, and what stands against more."""
     where = f"at the origin of link '{payload.link}'"
     if payload.joint is None:

@@ -1,4 +1,4 @@
-"""What a trajectory requirements of the joints, and states between its points."""
+"""The requirements of a trajectory, and states between its points."""
 
 from inverse_dynamics_node.analysis.requirements import effort_requirements
 from inverse_dynamics_node.dynamics.inverse_dynamics import InverseDynamics
@@ -25,7 +25,7 @@ def swing(count=400, names=('joint_4', 'joint_2')):
     return Trajectory(names, times, np.sin(phase), w * np.cos(phase), -(w**2) * np.sin(phase))
 
 
-def test_figures_are_those_of_the_definitions():
+def test_results_match_their_definitions():
     trajectory = swing()
     requirements = effort_requirements(ARM, trajectory)
     q, qd, qdd = np.zeros((3, 400, 6))
@@ -45,7 +45,7 @@ def test_figures_are_those_of_the_definitions():
         assert efforts[at, k] == requirements.peak[k]
 
 
-def test_means_are_over_time_however_the_points_lie():
+def test_means_do_not_depend_on_the_spacing_of_points():
     def lowered(times):
         times = times[:, np.newaxis]
         return Trajectory(
@@ -53,21 +53,21 @@ def test_means_are_over_time_however_the_points_lie():
         )
 
     even = effort_requirements(ARM, lowered(np.linspace(0.0, 2.0, 2001)))
-    # The first half, in which there is less to hold, told ten times as finely.
+    # The first half, with smaller efforts, has ten times as many points.
     fine, coarse = np.linspace(0.0, 1.0, 5000, endpoint=False), np.linspace(1.0, 2.0, 500)
     uneven = effort_requirements(ARM, lowered(np.concatenate([fine, coarse])))
     assert uneven.rms == pytest.approx(even.rms, rel=1e-3)
     assert np.sqrt(np.mean(uneven.efforts**2)) < 0.8 * even.rms
 
 
-def test_a_single_point_has_figures_too():
+def test_a_single_point_has_requirements():
     point = Trajectory(('joint_2',), np.zeros(1), np.array([[-1.5]]))
     requirements = effort_requirements(ARM, complete(point)[0])
     assert requirements.rms == pytest.approx(np.abs(requirements.peak))
     assert requirements.power == requirements.braking == 0.0
 
 
-def test_limits_are_minded():
+def test_exceeded_limits_are_marked():
     trajectory = Trajectory(('joint_2',), np.array([0.0, 0.1]), np.array([[0.0], [2.5]]))
     requirements = effort_requirements(ARM, refine(complete(trajectory)[0], 0.001)[0])
     assert requirements.is_too_strong.all()
@@ -77,7 +77,7 @@ def test_limits_are_minded():
     assert not (calm.is_too_strong | calm.is_too_fast | calm.is_too_far).any()
 
 
-def test_refining_keeps_the_points_and_meets_the_curve():
+def test_refining_keeps_the_points_and_follows_the_curve():
     coarse, exact = swing(21), swing(2001)
     fine, points = refine(coarse, 0.001)
     assert fine.times[points] == pytest.approx(coarse.times)
@@ -101,7 +101,7 @@ def test_refining_a_derived_spline_changes_nothing():
     assert fine.accelerations == pytest.approx(spline(fine.times, 2), abs=1e-9)
 
 
-def test_refining_leaves_alone_what_is_fine():
+def test_refining_does_not_change_a_fine_trajectory():
     trajectory = swing()
     fine, points = refine(trajectory, np.inf)
     assert fine is trajectory
@@ -112,11 +112,11 @@ def test_refining_leaves_alone_what_is_fine():
         refine(trajectory._replace(accelerations=None), 0.01)
 
 
-def test_smoothing_finds_the_motion_under_the_noise(rng):
+def test_smoothing_recovers_the_motion_from_noise(rng):
     exact = swing(1001)
     noisy = exact._replace(positions=exact.positions + rng.normal(0.0, 1e-4, (1001, 2)))
     found, naive = smooth(noisy, 10.0), complete(Trajectory(*noisy[:3]))[0]
-    within = slice(50, -50)  # at the ends a filter knows one side only
+    within = slice(50, -50)  # the filter is less accurate at the ends
     error = np.abs(found.accelerations - exact.accelerations)[within]
     assert np.max(error) < 0.5
     assert np.max(np.abs(naive.accelerations - exact.accelerations)[within]) > 50.0
@@ -124,7 +124,7 @@ def test_smoothing_finds_the_motion_under_the_noise(rng):
     assert found.velocities[within] == pytest.approx(exact.velocities[within], abs=0.05)
 
 
-def test_smoothing_lines_up_what_is_uneven(rng):
+def test_smoothing_resamples_at_even_times(rng):
     times = np.sort(rng.uniform(0.0, 2.0, 2000))
     line = Trajectory(('joint_1',), times, 0.5 * times[:, np.newaxis])
     even = smooth(line, 20.0)
@@ -133,12 +133,12 @@ def test_smoothing_lines_up_what_is_uneven(rng):
 
 
 @pytest.mark.parametrize(('count', 'cutoff'), [(10, 1.0), (1, 1.0), (400, 100.0), (400, 0.0)])
-def test_smoothing_refuses_what_it_cannot_do(count, cutoff):
+def test_smoothing_rejects_invalid_arguments(count, cutoff):
     with pytest.raises(TrajectoryError, match='cannot be smoothed'):
         smooth(swing(count), cutoff)
 
 
-def test_demands_of_a_pendulum_by_hand():
+def test_requirements_of_a_pendulum_match_a_manual_calculation():
     robot = load_urdf(ROOT / 'test' / 'robots' / 'pendulum.urdf')
     times = np.linspace(0.0, 1.0, 101)
     turning = Trajectory(
@@ -150,7 +150,7 @@ def test_demands_of_a_pendulum_by_hand():
     )
     requirements = effort_requirements(InverseDynamics(robot), turning)
     level = robot.mass[1] * np.linalg.norm(robot.com[1]) * 9.80665
-    # One turn at one speed: a sine of effort, and as much power given as taken back.
+    # One turn at constant speed: a sinusoidal effort, equal supplied and absorbed power.
     assert np.abs(requirements.peak) == pytest.approx([level], rel=1e-3)
     assert requirements.rms == pytest.approx([level / np.sqrt(2.0)])
     assert requirements.power == pytest.approx(requirements.braking, rel=1e-3)

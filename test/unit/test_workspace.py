@@ -1,11 +1,11 @@
-"""Gravity efforts over the workspace, and the payload they leave."""
+"""Gravity efforts over the workspace, and the payload capacity."""
 
 import math
 
 from inverse_dynamics_node.analysis.workspace import (
     explore,
     joint_ranges,
-    payload_left,
+    payload_capacity,
 )
 from inverse_dynamics_node.dynamics.inverse_dynamics import InverseDynamics
 from inverse_dynamics_node.errors import ConfigurationError
@@ -28,21 +28,21 @@ def test_pendulum_is_worst_when_level():
     assert workspace.peaks == pytest.approx([level], rel=1e-6)
 
 
-def test_finds_the_arm_stretched_out():
+def test_finds_the_extended_arm():
     workspace = explore(ARM)
     assert workspace.robot.joint_names[workspace.hardest] == 'joint_2'
     pose = workspace.poses[workspace.worst[1]]
     assert abs(pose[1]) == pytest.approx(0.5 * math.pi, abs=0.01)
     assert pose[2] == pytest.approx(workspace.robot.upper[2])
     assert pose[3:] == pytest.approx(np.zeros(3), abs=0.01)
-    # No pose on a grid asks more; the search goes beyond what was sampled.
+    # No pose on a grid needs more; the search finds poses between the samples.
     grid = np.stack(np.meshgrid(*[np.linspace(-1.7, 1.7, 9)] * 3), -1).reshape(-1, 3)
     poses = np.insert(np.insert(grid, 1, 0.9144, axis=1), [0, 3], 0.0, axis=1)
     assert np.max(np.abs(ARM.gravity_efforts(poses)[:, 1])) <= workspace.peaks[1]
 
 
 @pytest.mark.parametrize('path', MOVING, ids=lambda path: path.stem)
-def test_poses_are_within_the_ranges_and_efforts_are_theirs(path):
+def test_poses_are_within_the_ranges_and_match_their_efforts(path):
     dynamics = InverseDynamics(load_urdf(path))
     workspace = explore(dynamics, samples=256)
     lower, upper = joint_ranges(dynamics.robot)
@@ -56,7 +56,7 @@ def test_poses_are_within_the_ranges_and_efforts_are_theirs(path):
     assert np.all(workspace.peaks >= np.max(sizes[workspace.sampled], axis=0))
 
 
-def test_is_the_same_every_time():
+def test_results_are_reproducible():
     first, second = explore(ARM, samples=128), explore(ARM, samples=128)
     assert np.array_equal(first.poses, second.poses)
 
@@ -71,9 +71,9 @@ def test_wide_ranges_are_one_turn():
 
 
 @pytest.mark.parametrize('link', ['tool0', 'link_3'])
-def test_at_the_payload_left_one_joint_is_at_its_limit_and_none_beyond(link):
+def test_at_capacity_one_joint_reaches_its_limit_and_none_exceeds_it(link):
     workspace = explore(ARM, samples=1024)
-    payload = payload_left(ARM, workspace, link)
+    payload = payload_capacity(ARM, workspace, link)
     laden = InverseDynamics(ARM.robot)
     laden.set_payload(link, payload.mass)
     poses = np.vstack([workspace.poses, payload.pose])
@@ -82,50 +82,50 @@ def test_at_the_payload_left_one_joint_is_at_its_limit_and_none_beyond(link):
     assert ARM.robot.joint_names[int(np.argmax(np.max(shares, axis=0)))] == payload.joint
 
 
-def test_payload_of_a_pendulum_is_what_is_left_of_its_limit():
+def test_capacity_of_a_pendulum_follows_from_its_limit():
     text = (ROBOTS / 'planar_2r.urdf').read_text()
     dynamics = InverseDynamics(load_urdf(text))
     workspace = explore(dynamics, samples=256)
-    payload = payload_left(dynamics, workspace, last_link(dynamics.robot))
+    payload = payload_capacity(dynamics, workspace, last_link(dynamics.robot))
     laden = InverseDynamics(dynamics.robot)
     laden.set_payload(payload.link, payload.mass)
-    # The exact worst pose is level and straight; the search comes within a millionth.
+    # The exact worst pose is level and straight; the search comes to within a millionth.
     efforts = np.abs(laden.gravity_efforts(payload.pose))
     assert np.max(efforts / workspace.limits) == pytest.approx(1.0, rel=1e-9)
 
 
-def test_a_payload_already_carried_takes_its_share():
+def test_a_present_payload_reduces_the_capacity():
     loaded = InverseDynamics(ARM.robot)
     loaded.set_payload('tool0', 1.0)
-    before = payload_left(ARM, explore(ARM, samples=256), 'tool0')
-    after = payload_left(loaded, explore(loaded, samples=256), 'tool0')
+    before = payload_capacity(ARM, explore(ARM, samples=256), 'tool0')
+    after = payload_capacity(loaded, explore(loaded, samples=256), 'tool0')
     assert after.mass == pytest.approx(before.mass - 1.0, rel=1e-3)
 
 
-def test_no_payload_where_gravity_alone_is_too_much():
+def test_capacity_is_zero_if_gravity_alone_exceeds_a_limit():
     limits = [60.0, 10.0, 200.0, 10.0, 10.0, 5.0]
     workspace = explore(ARM, samples=64, effort_limits=limits)
-    payload = payload_left(ARM, workspace, 'tool0')
+    payload = payload_capacity(ARM, workspace, 'tool0')
     assert (payload.mass, payload.joint) == (0.0, 'joint_2')
 
 
-def test_no_limit_no_answer():
+def test_capacity_is_infinite_without_limits():
     workspace = explore(ARM, samples=64, effort_limits=[math.inf] * 6)
-    assert payload_left(ARM, workspace, 'tool0')[1:3] == (math.inf, None)
+    assert payload_capacity(ARM, workspace, 'tool0')[1:3] == (math.inf, None)
     assert workspace.robot.joint_names[workspace.hardest] == 'joint_3'
 
 
-def test_refuses_in_words():
+def test_invalid_arguments_are_explained():
     with pytest.raises(ConfigurationError, match='expected at least 2'):
         explore(ARM, samples=1)
     with pytest.raises(ConfigurationError, match="link 'tool9' does not exist"):
-        payload_left(ARM, explore(ARM, samples=8), 'tool9')
+        payload_capacity(ARM, explore(ARM, samples=8), 'tool9')
     bolt = InverseDynamics(load_urdf(NOTHING_MOVES))
-    with pytest.raises(ConfigurationError, match='no joint that moves'):
+    with pytest.raises(ConfigurationError, match='no movable joint'):
         explore(bolt)
 
 
-def test_payloads_go_to_the_tool_or_to_the_hand():
+def test_default_link_is_the_tool_or_the_hand():
     assert last_link(ARM.robot) == 'tool0'
     panda = [path for path in real_robots() if path.name == 'panda.urdf']
     if panda:
@@ -142,11 +142,11 @@ def test_payloads_go_to_the_tool_or_to_the_hand():
         ('allegro_right_hand', 'joint_3.0'),  # a hand without an arm: a fingertip
         ('finger_edu', 'finger_middle_to_lower_joint'),
         ('tiago', 'arm_7_joint'),  # fingers of several joints
-        ('g1_29dof_with_hand_rev_1_0', 'left_wrist_yaw_joint'),  # arms part too, at the torso
+        ('g1_29dof_with_hand_rev_1_0', 'left_wrist_yaw_joint'),  # the arms branch at the torso
         ('a1', 'FR_calf_joint'),
     ],
 )
-def test_payloads_do_not_go_to_fingers_or_bases(robot, body):
+def test_default_link_is_not_a_finger_or_a_base(robot, body):
     path = next((path for path in real_robots() if path.stem == robot), None)
     if path is None:
         pytest.skip('example-robot-data is not installed')
@@ -156,7 +156,7 @@ def test_payloads_do_not_go_to_fingers_or_bases(robot, body):
     assert 'finger' not in link or robot == 'finger_edu'
 
 
-def test_tells_how_far_it_is():
+def test_reports_progress():
     shares = []
     explore(ARM, samples=64, progress=shares.append)
     assert shares == sorted(shares)

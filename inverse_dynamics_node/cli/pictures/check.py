@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ...analysis.workspace import Payload, Workspace
+from ...analysis.workspace import PayloadCapacity, Workspace
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...report.quantities import effort_unit, number
 from ...robot.model import Floats
@@ -40,7 +40,11 @@ _MOST_BESIDE_ONE_VIEW = 14
 
 
 def draw(
-    dynamics: InverseDynamics, workspace: Workspace, payload: Payload, source: str, path: Path
+    dynamics: InverseDynamics,
+    workspace: Workspace,
+    payload: PayloadCapacity,
+    source: str,
+    path: Path,
 ) -> None:
     """Draw efforts and robot side by side and write them as a PNG; source names the URDF."""
     count = len(workspace.robot.joint_names)
@@ -61,7 +65,7 @@ def draw(
         save(figure, path)
 
 
-def _title(workspace: Workspace, payload: Payload, source: str) -> list[str]:
+def _title(workspace: Workspace, payload: PayloadCapacity, source: str) -> list[str]:
     title = [f'{workspace.robot.name} ({source}): efforts that hold the robot against gravity']
     if payload.joint is not None:
         title.append(f"payload left: {payload.mass:.3g} kg on link '{payload.link}'")
