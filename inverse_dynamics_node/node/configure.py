@@ -1,4 +1,4 @@
-"""From parameters to a loop, and what of it changes while it runs."""
+"""Makes the control loop from the parameters, and applies changes while it runs."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from .parameters import BaseMotion, Configuration, PER_JOINT
 
 def make_loop(configuration: Configuration, description: str) -> ControlLoop:
     """
-    Load the robot description and make all that is made for it.
+    Load the robot description and make its control loop.
 
     Parameters
     ----------
     configuration : Configuration
-        From the parameters.
+        The parameters.
     description : str
-        From the topic; counts where the parameters give none.
+        The URDF from the topic, used if no parameter gives one.
 
     Returns
     -------
     loop : ControlLoop
-        Compiled, and with a first call behind it: that takes longer than those that follow.
+        The compiled loop. Slow first calls have been made.
 
     Raises
     ------
     InverseDynamicsError
-        If the description or the parameters are of no use.
+        If the description or the parameters cannot be used.
 
     """
     robot = _load_robot(configuration, description)
@@ -50,7 +50,7 @@ def make_loop(configuration: Configuration, description: str) -> ControlLoop:
     )
     apply_configuration(loop, configuration)
     loop.dynamics.gravity_efforts(np.zeros(len(robot.joint_names)))
-    complete(Trajectory(('x',), np.arange(2.0), np.zeros((2, 1))))  # loads what splines need
+    complete(Trajectory(('x',), np.arange(2.0), np.zeros((2, 1))))  # imports the splines
     return loop
 
 
@@ -58,21 +58,22 @@ def apply_configuration(
     loop: ControlLoop, configuration: Configuration, before: Configuration | None = None
 ) -> None:
     """
-    Tell a loop what parameters say that may change while it runs.
+    Apply the parameters that may change while the loop runs.
 
     Parameters
     ----------
     loop : ControlLoop
-        Of the same robot description and joints.
+        The loop for the same robot description and joints.
     configuration : Configuration
-        To count from now on.
+        The new values.
     before : Configuration, optional
-        What counted until now: only a changed gravity takes the place of what the topic said.
+        The previous values. Gravity is applied only if it differs from these, so that a change of
+        another parameter does not undo a message on ~/gravity.
 
     Raises
     ------
     ConfigurationError
-        If a list does not have one number for each commanded joint; nothing has changed then.
+        If a list does not have one number for each commanded joint. Nothing has been changed.
 
     """
     m, n = len(loop.controller.joints), len(loop.robot.joint_names)
@@ -125,11 +126,12 @@ def _load_robot(configuration: Configuration, description: str) -> RobotModel:
     text = configuration.robot_description or description
     if not text:
         raise ConfigurationError(
-            'no robot description: none on the topic, and neither parameter is set'
+            'no robot description: none on the topic, and neither robot_description nor '
+            'robot_description_file is set'
         )
     return load_urdf(_as_xml(text), missing)
 
 
 def _as_xml(text: str) -> str:
-    """Keep a robot description that is no XML from being taken for the name of a file."""
+    """Keep load_urdf from reading text that is not XML as the name of a file."""
     return text if text.lstrip('\ufeff \t\r\n').startswith('<') else f'<!-- -->{text}'

@@ -1,4 +1,4 @@
-"""Standard output and standard error that never block, and work if they were closed."""
+"""Makes standard output and standard error non-blocking, and replaces them if they are closed."""
 
 from __future__ import annotations
 
@@ -51,12 +51,12 @@ def _is_open(number: int) -> bool:
 
 
 def _unblock(number: int) -> None:
-    """Open the same pipe or terminal once more, without blocking: others may share the first."""
+    """Open the same pipe or terminal again, non-blocking: other processes may use the first."""
     mode = os.fstat(number).st_mode
     if stat.S_ISFIFO(mode) or stat.S_ISCHR(mode):
         try:
             _open_as(f'/proc/self/fd/{number}', number, os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY)
-        except OSError:  # a terminal of another user, or a pipe that nobody reads any more
+        except OSError:  # a terminal of another user, or a pipe without a reader
             return
         if stat.S_ISFIFO(mode):
             with contextlib.suppress(OSError):

@@ -17,7 +17,7 @@ _TYPES = {kind.value for kind in Parameter.Type}
 
 def contain_errors(node: LifecycleNode) -> None:
     """
-    Let the services and subscriptions that rclpy has created survive every input.
+    Catch the errors of the services and subscriptions that rclpy has created.
 
     rclpy 7.1 raises out of the executor on a parameter whose type does not exist, a clock before
     zero, or a lifecycle transition that is not possible now.
@@ -25,7 +25,7 @@ def contain_errors(node: LifecycleNode) -> None:
     Parameters
     ----------
     node : LifecycleNode
-        Without entities of its own yet: the errors of those are not for this function to hide.
+        A node without entities of its own yet: their errors must not be hidden.
 
     """
     for service in node.services:
@@ -48,7 +48,7 @@ def _contained(
         try:
             return callback(request, response)
         except Exception as error:
-            node.get_logger().error(f'{name}: request refused: {_line(error)}')
+            node.get_logger().error(f'{name}: request rejected: {_line(error)}')
             return type(response)()
 
     return contained
@@ -62,7 +62,7 @@ def _set_each(callback: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
                 callback(SetParameters.Request(parameters=[parameter]), one)
                 response.results.append(one.results[0])
             except Exception as error:
-                response.results.append(_refusal([parameter], error))
+                response.results.append(_rejection([parameter], error))
         return response
 
     return contained
@@ -73,13 +73,13 @@ def _set_all(callback: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
         try:
             return callback(request, response)
         except Exception as error:
-            response.result = _refusal(request.parameters, error)
+            response.result = _rejection(request.parameters, error)
             return response
 
     return contained
 
 
-def _refusal(parameters: Sequence[Any], error: Exception) -> SetParametersResult:
+def _rejection(parameters: Sequence[Any], error: Exception) -> SetParametersResult:
     for parameter in parameters:
         if parameter.value.type not in _TYPES:
             reason = (
@@ -93,7 +93,7 @@ def _refusal(parameters: Sequence[Any], error: Exception) -> SetParametersResult
 def _contained_subscription(
     node: LifecycleNode, topic: str, callback: Callable[[Any], None]
 ) -> Callable[[Any], None]:
-    reported: set[str] = set()  # a clock may come a thousand times per second
+    reported: set[str] = set()  # /clock may have a thousand messages per second
 
     def contained(message: Any) -> None:
         try:

@@ -1,4 +1,4 @@
-"""The file that holds the robot description: a path, or a URI of ROS."""
+"""Finds the file with the robot description, given as a path or a URI."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..robot.urdf import load_urdf
 
 def load_file(given: str, on_missing_inertial: str) -> RobotModel:
     """
-    Load the robot description that the parameter robot_description_file names.
+    Load the robot description from the parameter robot_description_file.
 
     Parameters
     ----------
@@ -26,12 +26,12 @@ def load_file(given: str, on_missing_inertial: str) -> RobotModel:
     Returns
     -------
     robot : RobotModel
-        The robot.
+        The robot model.
 
     Raises
     ------
     ConfigurationError
-        If there is no such file, or no such package.
+        If the file or the package does not exist.
     UrdfError
         If the file cannot be used.
 

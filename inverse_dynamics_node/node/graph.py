@@ -11,7 +11,7 @@ from rclpy.lifecycle import LifecycleNode
 from ..control.activity import join_names
 from ..control.graph_info import Others, SimulatedTime
 
-_DISCOVERY = 1.0  # [s]; no publishers may only mean that they have not been discovered yet
+_DISCOVERY = 1.0  # [s]; until then, publishers may not have been discovered yet
 _MAX_CHECKS = 10  # checks to wait for the name of a node whose subscription is known already
 _UNKNOWN = 'a node of unknown name'
 

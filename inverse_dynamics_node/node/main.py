@@ -1,4 +1,4 @@
-"""The process: start the node, spin it, and let it leave the robot in peace."""
+"""The process: starts the node, spins it, and ramps the efforts down at the end."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ import warnings
 from .console import prepare_console, report_failure
 from .startup import StartupWatch, warn_of_memory_limit
 
-# rclpy and numpy are imported below, once the signals are ours: that takes most of a second, and
-# who changes his mind within it gets an end in good order too.
+# rclpy and numpy are imported below, after the signal handlers have been installed: the import
+# takes most of a second, and a signal in this time should end the process cleanly too.
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -31,7 +31,7 @@ class _Stop:
     def __init__(self) -> None:
         self.count = 0
         for number in _SIGNALS:
-            # Of a terminal that is closed, nohup does not want to hear.
+            # nohup ignores SIGHUP, and expects its child to do so.
             if number is not signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, self._handle)
 
@@ -40,7 +40,7 @@ class _Stop:
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the node until it is told to stop; return the exit code."""
+    """Run the node until a signal or a shutdown transition; return the exit code."""
     stop = _Stop()
     prepare_console()
     try:
@@ -48,9 +48,9 @@ def main(args: Sequence[str] | None = None) -> int:
     except Exception as error:
         return _fail(_describe(error))
     finally:
-        for number in _SIGNALS:  # nothing is left to be stopped
+        for number in _SIGNALS:  # a signal can no longer change the result
             signal.signal(number, signal.SIG_IGN)
-        gc.freeze()  # the last collection of the interpreter takes seconds on a busy machine
+        gc.freeze()  # the last garbage collection would take seconds on a busy machine
 
 
 def _main(args: list[str], stop: _Stop) -> int:

@@ -9,7 +9,7 @@ from ..robot.model import Floats
 
 
 def describe_robot(loop: ControlLoop) -> str:
-    """Describe the robot, and the efforts that hold it in its present pose, if that is known."""
+    """Describe the robot, and the efforts that hold it in its present pose if it is known."""
     missing = loop.missing()
     if missing:
         return f'{_report(loop, None)}\n\nNot known yet: {", ".join(missing)}.'

@@ -8,8 +8,8 @@ import os
 import re
 from typing import Any
 
-# Names that rcl creates itself, and lists as they are after remapping or not at all.
-_OF_RCL = (
+# Names that rcl creates; it lists them after remapping or not at all.
+_RCL_NAMES = (
     '/clock',
     '/rosout',
     '/parameter_events',
@@ -25,10 +25,10 @@ _HOME = re.compile(r'/root/|/home/[^/]+/')
 
 
 def names_of(node: Any) -> list[str]:
-    """List the topics and services of a node as it names them, before any remapping."""
+    """List the topics and services of a node before remapping."""
     topics = [entity.topic for entity in (*node.publishers, *node.subscriptions)]
     services = [service.srv_name for service in (*node.services, *node.clients)]
-    return [*topics, *services, *_OF_RCL]
+    return [*topics, *services, *_RCL_NAMES]
 
 
 def ineffective_remaps(
@@ -49,7 +49,7 @@ def ineffective_remaps(
     Returns
     -------
     problems : list of str
-        One sentence for each such rule.
+        One sentence for each rule without effect.
 
     """
     own = {_expanded(name, node, namespace) for name in names}
@@ -64,20 +64,18 @@ def ineffective_remaps(
                 f"named '{node}'"
             )
         elif _expanded(match['name'], node, namespace) not in own:
-            advice = _advice_on_tilde(rule) or _alternatives(match['name'], names)
+            hint = _explain_tilde(rule) or _alternatives(match['name'], names)
             problems.append(
                 f'-r {rule} has no effect: this node has no topic or service '
-                f'{_expanded(match["name"], node, namespace)}; {advice}'
+                f'{_expanded(match["name"], node, namespace)}; {hint}'
             )
     return problems
 
 
 def expanded_tildes(arguments: Sequence[str]) -> list[str]:
-    """Explain the remap rules in which the shell has replaced a tilde by the home directory."""
+    """Explain the remap rules in which the shell replaced a tilde by the home directory."""
     return [
-        f'-r {rule}: {_advice_on_tilde(rule)}'
-        for rule in _remaps(arguments)
-        if _advice_on_tilde(rule)
+        f'-r {rule}: {_explain_tilde(rule)}' for rule in _remaps(arguments) if _explain_tilde(rule)
     ]
 
 
@@ -94,7 +92,7 @@ def _remaps(arguments: Sequence[str]) -> Iterator[str]:
             is_rule = is_ros and argument in ('-r', '--remap')
 
 
-def _advice_on_tilde(rule: str) -> str:
+def _explain_tilde(rule: str) -> str:
     name, _, target = rule.partition(':=')
     home = os.path.expanduser('~').rstrip('/') + '/'
     if home == '/' or not name.startswith(home):  # the rule may come from another user's shell
@@ -107,7 +105,7 @@ def _advice_on_tilde(rule: str) -> str:
 
 
 def _alternatives(name: str, names: Sequence[str]) -> str:
-    # Not those of every node: parameter and lifecycle services, /rosout and the like.
+    # Without the names that every node has: parameter and lifecycle services, /rosout.
     remappable = sorted({other for other in names if re.match(r'~/|\w+$|/diagnostics$', other)})
     last = name.rpartition('/')[2]
     similar = [other for other in remappable if other.rpartition('/')[2] == last]
@@ -118,7 +116,7 @@ def _alternatives(name: str, names: Sequence[str]) -> str:
 
 
 def _expanded(name: str, node: str, namespace: str) -> str:
-    """Expand a relative or private name, as rcl does before it compares."""
+    """Expand a relative or private name as rcl does."""
     parent = namespace.rstrip('/')
     if name.startswith('~'):
         return f'{parent}/{node}{name[1:]}'

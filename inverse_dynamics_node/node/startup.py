@@ -1,4 +1,4 @@
-"""Reports what keeps the process from starting."""
+"""Reports causes of a start that hangs or fails."""
 
 from __future__ import annotations
 
@@ -12,15 +12,13 @@ from types import TracebackType
 from .console import report_failure
 
 _PATIENCE = 10.0  # [s]
-_ADDRESS_SPACE = (
-    1500 << 20
-)  # [bytes]; with rclpy, numpy and numba on two cores, 1.2 GB were enough
+_ADDRESS_SPACE = 1500 << 20  # [bytes]; rclpy, numpy and numba on two cores need 1.2 GB
 _SHARED_MEMORY = Path('/dev/shm')
 
 
 class StartupWatch:
     """
-    Explains a start that takes longer than ten seconds, from a process of its own.
+    Explains a start that takes longer than ten seconds, from a separate process.
 
     Creating a ROS node holds Python's global lock: while it hangs, no thread of the same process
     runs, and no signal is handled. Use this as a context manager around the creation, before any
@@ -59,7 +57,7 @@ class StartupWatch:
 
 
 def empty_port_files(directory: Path = _SHARED_MEMORY) -> list[Path]:
-    """Return the ports of Fast DDS in shared memory that were created, but never filled."""
+    """Return the port files of Fast DDS in shared memory that were created but never filled."""
     return sorted(
         path
         for path in directory.glob('fastrtps_port*')
@@ -79,7 +77,7 @@ def warn_of_memory_limit() -> None:
 
 def _watch(reader: int, patience: float, directory: Path) -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)  # it ends with its parent
+        signal.signal(number, signal.SIG_IGN)  # this process ends with its parent
     is_finished, _, _ = select.select([reader], [], [], patience)
     if is_finished:
         return

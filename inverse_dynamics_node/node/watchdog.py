@@ -1,4 +1,4 @@
-"""Keeps the loop and the signals alive while messages arrive faster than they can be handled."""
+"""Keeps the loop and the signals working while messages arrive faster than they are handled."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Any
 
 from rclpy.task import Future
 
-_TIMEOUT = 0.1  # [s]; of a spin that is not interrupted
-_PATIENCE = 0.03  # [s]; how late a spin may return before it is interrupted
+_TIMEOUT = 0.1  # [s]; time-out of a spin that is not interrupted
+_PATIENCE = 0.03  # [s]; a spin that returns later than this is interrupted
 _CHECK_PERIOD = 0.05  # [s]
 _SHORT_TIMEOUT = 0.01  # [s]; the same three while there are too many messages
 _SHORT_PATIENCE = 0.005
@@ -23,8 +23,7 @@ class Watchdog:
     rclpy's EventsExecutor queues one event for each message that arrives, and timers queue behind
     them. Its time-out applies only once the queue is empty. A thread therefore ends the spin
     between two events, and the caller does everything that is overdue. The events stay in the
-    queue: to give the node to a new executor would drop them, but services of rclpy 7.1 do not
-    answer any more after that.
+    queue. A new executor would drop them, but in rclpy 7.1 services no longer answer after that.
 
     """
 
@@ -44,8 +43,8 @@ class Watchdog:
         )
         future = self._future = Future()
         self._deadline = time.monotonic() + timeout + patience
-        # Its spin() never returns in builds against an old C library; with a time-out it does.
-        # spin_once() would return for every message.
+        # spin() never returns in builds against an old C library, and spin_once() would return
+        # for every message.
         executor.spin_until_future_complete(future, timeout_sec=timeout)
         self._deadline = float('inf')
         self.is_congested = future.done()
