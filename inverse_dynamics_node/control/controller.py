@@ -336,7 +336,7 @@ class Controller:
         """Low-pass the measured velocities."""
         if not self._velocity_filter.cutoff:
             return state.qd
-        times = np.asarray(state.time if state.times is None else state.times)
+        times = np.full(len(state.q), state.time) if state.times is None else state.times
         # A late joint has been set to rest: apply that without waiting for its next state.
         is_late = self._time - times > self._timeouts
         return self._velocity_filter.update(times, state.qd, self._timeouts, is_late)

@@ -49,7 +49,7 @@ def test_a_gap_of_the_longest_length_does_not_restart():
 
 def test_each_element_restarts_on_its_own(low_pass):
     restarts = np.array([False, True, False])
-    value = low_pass.update(0.01, STEP, np.array([1.0, 1.0, 0.001]), restarts)
+    value = low_pass.update(np.full(3, 0.01), STEP, np.array([1.0, 1.0, 0.001]), restarts)
     assert value[0] == pytest.approx(1.0 - math.exp(-0.01 / TIME_CONSTANT))
     assert (value[1:] == STEP[1:]).all()
 
