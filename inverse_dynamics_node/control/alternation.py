@@ -1,9 +1,9 @@
 """
 Detects positions that alternate faster than a joint can move: two publishers report one joint.
 
-Only the distance that a position goes *back* is added up, and what the joint could have covered
-since is subtracted. A single jump (homing, an encoder reset) thus adds nothing, and neither does
-a fast motion with several samples between its turning points. Times are those of arrival, and
+Only the distance that a position goes *back* is added up, minus the distance that the joint could
+have covered since. A single jump (homing, an encoder reset) thus adds nothing, and neither does a
+fast motion with several samples between its turning points. Times are those of arrival, and
 messages may arrive late and several at once: a motion within the speed limit stays below the
 threshold as long as no message is later than `LATENESS`.
 """

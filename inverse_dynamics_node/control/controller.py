@@ -107,8 +107,8 @@ class Controller:
         self._index = _compact(index)
         self._is_continuous = dynamics.robot.is_continuous[self._index]
         n = len(dynamics.robot.joint_names)
-        self._qdd, self._tau = np.zeros((2, n))
-        self._rest = self._velocities = np.zeros(n)
+        self._qdd, self._tau, self._rest = np.zeros((3, n))
+        self._velocities = self._rest
         self._blending = Blending(index)
         self._result = Command(
             self._blending.command, self._blending.is_saturated, self._blending.is_slowed
@@ -372,8 +372,7 @@ class Controller:
             if velocities is None and reference.positions is not None:
                 velocities = 0.0  # without damping the arm would swing forever
             if velocities is not None:
-                error = velocities - qd[self._index]
-                qdd = qdd + self._of_joint['kd'] * error
+                qdd = qdd + self._of_joint['kd'] * (velocities - qd[self._index])
         return qdd
 
 

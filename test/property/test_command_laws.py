@@ -1,4 +1,4 @@
-"""Laws that every command keeps, whatever happens between one and the next."""
+"""Laws that every command obeys, whatever happens between two steps."""
 
 import math
 
@@ -43,7 +43,7 @@ scenes = st.lists(st.tuples(events, st.lists(st.tuples(times, inputs), max_size=
 
 
 class Watched:
-    """A controller whose every command is held against the laws."""
+    """Checks every command of a controller against the laws."""
 
     def __init__(self, first, accelerations):
         self.controller = Controller(InverseDynamics(ROBOT), (), Settings(**first))
@@ -72,13 +72,13 @@ class Watched:
             ours.apply(Settings(**event))
 
     def step(self, elapsed, given_input='fresh'):
-        """Let time pass, and check the next command."""
+        """Advance the time, and check the next command."""
         self.now += elapsed
-        heard = State(Q, QD, self.now - (10.0 if given_input == 'lost' else 0.0))
+        received = State(Q, QD, self.now - (10.0 if given_input == 'lost' else 0.0))
         wanted = np.full(2, 1e308) if given_input == 'absurd' else self.accelerations
         reference = Reference(wanted, np.zeros(2), self.now)
         ours = self.controller
-        command = ours.step(self.now, None if given_input == 'none' else heard, reference)
+        command = ours.step(self.now, None if given_input == 'none' else received, reference)
         if command is None:
             assert ours.phase is Phase.WAITING
             return
@@ -105,10 +105,10 @@ class Watched:
         assert (change <= limits + ROUNDING).all()
         if ours.start_ramp:
             # The state and the reference stay the same: only ramps and blends move the efforts.
-            share = 0.0 if self.has_changed else elapsed / SHORTEST
+            fraction = 0.0 if self.has_changed else elapsed / SHORTEST
             # After a brief fall, a limit that cut the efforts before it may cut them later.
             fallen = min(1.0, self.fallen / self.ramp) if self.was_falling and self.ramp else 0.0
-            assert (change <= LARGEST * (3.0 * share + fallen) + ROUNDING).all()
+            assert (change <= LARGEST * (3.0 * fraction + fallen) + ROUNDING).all()
 
     def check_fall(self, efforts, elapsed):
         ramp = self.controller.settings.stop_ramp
@@ -119,11 +119,11 @@ class Watched:
             self.was_falling, self.fallen, self.ramp, self.top = True, 0.0, ramp, self.last
         assert (np.abs(efforts) <= np.abs(self.last)).all()
         assert (efforts * self.last >= 0.0).all()
-        share = max(0.0, 1.0 - self.fallen / ramp) if ramp else 0.0
-        assert np.allclose(efforts, share * self.top, rtol=0.0, atol=ROUNDING)
+        fraction = max(0.0, 1.0 - self.fallen / ramp) if ramp else 0.0
+        assert np.allclose(efforts, fraction * self.top, rtol=0.0, atol=ROUNDING)
         if self.fallen > ramp + ROUNDING:
             assert efforts.tolist() == [0.0, 0.0]
-        if share == 1.0:
+        if fraction == 1.0:
             assert (efforts == self.last).all()
 
     def check_limits(self, efforts):

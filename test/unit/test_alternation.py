@@ -1,4 +1,4 @@
-"""Two publishers that disagree about a joint are noticed; motion never is taken for that."""
+"""Publishers that disagree about a joint are noticed; motion is not mistaken for that."""
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -49,7 +49,7 @@ def test_two_publishers_that_disagree_are_noticed(joint, rate, period):
     times = np.arange(0.0, 3.0, 1.0 / rate)
     positions = np.where(np.arange(len(times)) % period == 0, 0.8, 0.1 * np.sin(times))
     alarm = first_alarm(joint, times, positions)
-    # After the least number of turns, or as soon as they are faster than the joint.
+    # After the minimum number of turns, or as soon as they are faster than the joint.
     assert 4 <= alarm < period * (4 + 4.0 * SPEED[joint])
 
 
@@ -100,7 +100,7 @@ def test_the_alarm_ends_when_positions_agree_for_a_while():
 
 @pytest.mark.parametrize('joint', [WHEEL, SLOW, SLIDE])
 @pytest.mark.parametrize('positions', [[1e308, -1e308], [np.inf, 0.0], [1e17, 0.5]])
-def test_absurd_positions_are_survived(joint, positions):
+def test_absurd_positions_are_accepted(joint, positions):
     tracks = make_tracks(3, ROBOT)
     for k in range(100):
         track(tracks, joint, positions[k % 2], 0.001)
@@ -120,7 +120,7 @@ def reports(draw, speed, lateness=LATENESS):
     positions = np.cumsum(speed * np.array(velocities) * durations)
     stamps = np.cumsum(durations)
     delays = draw(st.lists(st.floats(0.0, lateness), min_size=count, max_size=count))
-    # In the order in which they were sent, and none of them later than that.
+    # Messages arrive in the order in which they were sent, at most this late.
     arrivals = np.maximum.accumulate(stamps + np.array(delays) * draw(st.sampled_from([0.0, 1.0])))
     return arrivals, positions
 

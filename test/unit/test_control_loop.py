@@ -1,4 +1,4 @@
-"""One step through everything, and going on with another description of the robot."""
+"""Steps of the whole control loop, and its continuation with another robot description."""
 
 import math
 
@@ -18,13 +18,13 @@ Q = np.array([0.3, 0.8, 0.5, -0.4, 0.6, 0.2])
 AT_ONCE = Settings(start_ramp=0.0)
 
 
-def heard(loop, now=0.0):
+def report_all(loop, now=0.0):
     loop.collector.update(now, loop.robot.joint_names, Q, np.zeros(6))
     return loop
 
 
-def test_a_payload_is_in_the_next_command():
-    loop = heard(ControlLoop(MODEL, settings=AT_ONCE))
+def test_a_payload_affects_the_next_command():
+    loop = report_all(ControlLoop(MODEL, settings=AT_ONCE))
     loop.step(0.0)
     loop.loads.set_payload(0.0, TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
     loop.collector.update(0.5, NAMES, Q, np.zeros(6))
@@ -34,7 +34,7 @@ def test_a_payload_is_in_the_next_command():
 
 
 def test_without_the_motion_of_the_base_there_is_no_command():
-    loop = heard(ControlLoop(MODEL, settings=AT_ONCE, has_imu=True))
+    loop = report_all(ControlLoop(MODEL, settings=AT_ONCE, has_imu=True))
     assert loop.step(0.0) is None
     assert loop.missing() == ['the motion of the base on imu']
     loop.set_base_motion(0.0, (0.0, 0.0, 9.80665), np.zeros(3))
@@ -42,9 +42,9 @@ def test_without_the_motion_of_the_base_there_is_no_command():
     assert loop.missing() == []
 
 
-def test_terms_are_of_the_commanded_joints_and_of_the_motion_asked_for():
+def test_terms_belong_to_the_commanded_joints_and_the_reference():
     joints = [NAMES[4], NAMES[1]]
-    loop = heard(ControlLoop(MODEL, joints, AT_ONCE))
+    loop = report_all(ControlLoop(MODEL, joints, AT_ONCE))
     loop.reference = Reference(np.array([1.0, 2.0]), np.zeros(2), 0.0)
     efforts = loop.step(0.0).efforts
     assert sum(loop.effort_terms()) == pytest.approx(efforts)
@@ -55,18 +55,18 @@ def test_terms_are_of_the_commanded_joints_and_of_the_motion_asked_for():
     )
 
 
-def test_starting_anew_forgets_what_was_asked_for():
-    loop = heard(ControlLoop(MODEL, settings=AT_ONCE))
+def test_a_start_drops_the_earlier_reference():
+    loop = report_all(ControlLoop(MODEL, settings=AT_ONCE))
     loop.reference = Reference(np.ones(6), np.zeros(6), 0.0)
     loop.start()
     loop.step(0.0)
     assert loop.controller.phase is Phase.HOLDING
 
 
-def test_goes_on_with_another_description_where_it_was():
-    loop = heard(ControlLoop(MODEL))
+def test_another_description_continues_from_the_last_command():
+    loop = report_all(ControlLoop(MODEL))
     for now in np.arange(0.0, 1.0, 0.05):
-        heard(loop, now)
+        report_all(loop, now)
         loop.step(now)
     last = loop.controller.step(now, loop.collector.state(), None).efforts.copy()
     loop.loads.set_payload(now, TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
@@ -80,8 +80,8 @@ def test_goes_on_with_another_description_where_it_was():
     assert other.step(now).efforts == pytest.approx(last)
 
 
-def test_a_payload_on_a_link_that_is_no_more_is_told():
-    loop = heard(ControlLoop(MODEL))
+def test_a_payload_on_a_link_that_no_longer_exists_is_reported():
+    loop = report_all(ControlLoop(MODEL))
     loop.loads.set_payload(0.0, TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
     text = STANFORD.read_text().replace(f'"{TIP}"', '"hand"')
     other = ControlLoop(load_urdf(text))
@@ -116,21 +116,21 @@ def test_base_wrench_is_about_the_base_link():
     assert other_moment == pytest.approx([about[1], -about[0], about[2]])
 
 
-def test_a_joint_that_only_the_new_description_has_lets_the_efforts_fall_until_it_is_heard_of():
-    # Not silence: who holds the last command would hold it for ever.
+def test_efforts_ramp_down_until_a_joint_that_is_new_in_the_description_is_reported():
+    # Not silence: a controller that holds the last command would hold it forever.
     joints = NAMES[:4]
     extra = (
         '<link name="jaw"><inertial><mass value="0.1"/><inertia ixx="1e-4" iyy="1e-4" izz="1e-4" '
         f'ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="jaw" type="prismatic"><parent '
         f'link="{TIP}"/><child link="jaw"/><limit effort="1" velocity="1"/></joint></robot>'
     )
-    loop = heard(ControlLoop(MODEL, joints, AT_ONCE))
+    loop = report_all(ControlLoop(MODEL, joints, AT_ONCE))
     before = np.abs(loop.step(0.0).efforts)
     other = ControlLoop(
         load_urdf(STANFORD.read_text().replace('</robot>', extra)), joints, AT_ONCE
     )
     assert other.continue_from(loop) == []
-    heard(loop, 0.01)
+    report_all(loop, 0.01)
     commands = []
     for now in np.arange(0.01, 0.7, 0.01):
         other.collector.update(now, NAMES, Q, np.zeros(6))
@@ -144,8 +144,8 @@ def test_a_joint_that_only_the_new_description_has_lets_the_efforts_fall_until_i
     assert other.step(now).efforts[1] != 0.0
 
 
-def test_what_was_told_outlives_another_description_of_other_joints():
-    loop = heard(ControlLoop(MODEL))
+def test_inputs_are_kept_for_a_description_with_other_joints():
+    loop = report_all(ControlLoop(MODEL))
     loop.loads.set_payload(0.0, TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
     loop.loads.set_gravity((0.0, 3.0, 0.0))
     for now in (0.0, 9.0, 18.0):
@@ -158,17 +158,17 @@ def test_what_was_told_outlives_another_description_of_other_joints():
     assert other.controller.phase is Phase.WAITING
 
 
-def test_a_locked_joint_that_is_heard_of_makes_no_jump():
+def test_the_first_report_of_a_locked_joint_does_not_cause_a_jump():
     others = [k for k in range(6) if k != 2]
     names = [NAMES[k] for k in others]
     loop = ControlLoop(MODEL, names, Settings(start_ramp=0.5), locked={NAMES[2]: 0.2})
     for now in np.arange(0.0, 1.0, 0.05):
         loop.collector.update(now, names, Q[others], np.zeros(5))
         last = loop.step(now).efforts.copy()
-    heard(loop, now)
+    report_all(loop, now)
     assert loop.step(now).efforts == pytest.approx(last)
     for later in np.arange(now, now + 1.0, 0.05):
-        heard(loop, later)
+        report_all(loop, later)
         loop.step(later)
     expected = InverseDynamics(MODEL).gravity_efforts(Q)[others]
     assert loop.step(later).efforts == pytest.approx(expected)
@@ -200,12 +200,12 @@ def test_a_late_joint_that_is_not_commanded_is_named():
     loop = ControlLoop(
         MODEL, NAMES[:4], Settings(uncommanded_state_timeout=0.5), locked={NAMES[4]: 0.1}
     )
-    heard(loop)
+    report_all(loop)
     loop.collector.update(0.6, NAMES[:4], Q[:4], np.zeros(4))
     assert loop.step(0.6) is not None
     assert loop.collector.late(0.6, 0.5) == {NAMES[5]: 0.6}
     assert loop.collector.late_count == 1
-    heard(loop, 0.7)
+    report_all(loop, 0.7)
     loop.step(0.7)
     assert loop.collector.late(0.7, 0.5) == {}
     assert loop.collector.late_count == 0
@@ -218,7 +218,7 @@ def test_a_late_joint_keeps_its_position_but_not_its_velocity(locked, cutoff):
         start_ramp=0.0, uncommanded_state_timeout=0.5, velocity_filter_cutoff=cutoff
     )
     loop = ControlLoop(MODEL, NAMES[:5], settings, locked=locked)
-    # A fast wrist makes velocity terms at the other joints.
+    # A fast wrist causes Coriolis efforts at the other joints.
     for k in range(5):
         step_with_slow_joint(loop, 1e9, 0.11, 30.0, 0.1 * k)
     moving = loop.controller.motion[0][5]
@@ -235,7 +235,7 @@ def test_a_late_joint_keeps_its_position_but_not_its_velocity(locked, cutoff):
     assert loop.controller.motion[0][5] == 2.0
 
 
-def test_a_late_joint_that_has_moved_makes_no_jump():
+def test_a_late_joint_that_has_moved_does_not_cause_a_jump():
     loop = ControlLoop(MODEL, NAMES[:5], Settings(start_ramp=0.5))
     last = step_with_slow_joint(loop, 1e9, 2.0)[-1].copy()
     loop.collector.update(2.0, NAMES[5:], Q[5:] + 2.0, [0.0])
@@ -312,7 +312,7 @@ def test_contradictory_positions_of_another_joint_do_not_move_or_stop_the_arm():
     assert efforts[0] == pytest.approx(last)
 
 
-def test_contradictory_positions_stay_so_with_another_description():
+def test_contradictory_positions_are_remembered_for_another_description():
     loop = ControlLoop(MODEL)
     step_with_two_publishers(loop, 0.0, 1.0, 1, 0.7)
     other = ControlLoop(MODEL)
@@ -339,12 +339,14 @@ def test_the_base_link_is_the_root_unless_another_one_is_set():
 def test_ramps_advance_at_the_period_of_a_slow_loop():
     loop = ControlLoop(MODEL, settings=Settings(start_ramp=2.0), period=0.5)
     for now in (0.0, 0.5, 1.0):
-        heard(loop, now).step(now)
+        report_all(loop, now).step(now)
     assert loop.controller.gain == pytest.approx(0.5)
 
 
 def test_the_ramp_of_loads_can_be_set():
-    loop = heard(ControlLoop(MODEL, settings=AT_ONCE, load_settings=LoadSettings(load_ramp=0.0)))
+    loop = report_all(
+        ControlLoop(MODEL, settings=AT_ONCE, load_settings=LoadSettings(load_ramp=0.0))
+    )
     loop.loads.set_payload(0.0, TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
     expected = InverseDynamics(MODEL)
     expected.set_payload(TIP, 2.0)
@@ -367,21 +369,21 @@ def test_external_efforts_are_measured_minus_modelled_efforts():
 def test_efforts_rise_from_zero_after_a_start():
     loop = ControlLoop(MODEL, settings=Settings(start_ramp=0.5))
     for now in np.arange(0.0, 1.0, 0.05):
-        assert heard(loop, now).step(now) is not None
+        assert report_all(loop, now).step(now) is not None
     loop.start()
-    assert not heard(loop, 1.0).step(1.0).efforts.any()
+    assert not report_all(loop, 1.0).step(1.0).efforts.any()
 
 
-def test_the_first_motion_of_the_base_makes_no_jump():
+def test_the_first_motion_of_the_base_does_not_cause_a_jump():
     loop = ControlLoop(MODEL, settings=Settings(start_ramp=0.5))
     for now in np.arange(0.0, 1.0, 0.05):
-        last = heard(loop, now).step(now).efforts.copy()
+        last = report_all(loop, now).step(now).efforts.copy()
     loop.set_base_motion(1.0, (3.0, 0.0, 5.0), np.zeros(3))
-    assert heard(loop, 1.0).step(1.0).efforts == pytest.approx(last)
+    assert report_all(loop, 1.0).step(1.0).efforts == pytest.approx(last)
 
 
 def test_the_reference_is_followed_with_another_description():
-    loop = heard(ControlLoop(MODEL, settings=AT_ONCE))
+    loop = report_all(ControlLoop(MODEL, settings=AT_ONCE))
     loop.reference = Reference(np.ones(6), np.zeros(6), 0.0)
     efforts = loop.step(0.0).efforts
     other = ControlLoop(MODEL, settings=AT_ONCE)

@@ -52,24 +52,24 @@ def test_holds_gravity_without_a_reference():
     assert lift.phase is Phase.HOLDING
 
 
-def test_accelerates_as_asked_and_adds_the_efforts_asked_for():
+def test_produces_the_reference_accelerations_and_adds_its_efforts():
     lift = controller()
     command = lift.step(0.0, state(0.0), reference(0.0, [1.0, 2.0], [0.5, 0.25]))
     assert command.efforts == pytest.approx([30.0 + 3.0 + 2.0 + 0.5, 10.0 + 3.0 + 0.25])
     assert lift.phase is Phase.RUNNING
 
 
-def test_commands_in_the_order_asked_for():
+def test_commands_joints_in_the_requested_order():
     lift = controller(['high', 'low'])
     command = lift.step(0.0, state(0.0), reference(0.0, [2.0, 1.0]))
     assert command.efforts == pytest.approx([13.0, 35.0])
 
 
-def test_counts_joints_that_it_does_not_command():
+def test_dynamics_include_joints_that_are_not_commanded():
     assert controller(['low']).step(0.0, state(0.0), None).efforts == pytest.approx([30.0])
 
 
-def test_cuts_efforts_to_the_limits_of_the_urdf_and_says_so():
+def test_cuts_efforts_to_the_limits_of_the_urdf_and_flags_them():
     command = controller().step(0.0, state(0.0), reference(0.0, [-9.0, 60.0]))
     assert command.efforts.tolist() == [50.0, 15.0]
     assert command.is_saturated.tolist() == [True, True]
@@ -79,14 +79,14 @@ def test_cuts_efforts_to_the_limits_of_the_urdf_and_says_so():
     assert command.is_saturated.tolist() == [False, False]
 
 
-def test_leaves_efforts_uncut_when_told_to():
+def test_limits_of_the_urdf_can_be_switched_off():
     lift = controller(use_urdf_effort_limits=False)
     command = lift.step(0.0, state(0.0), reference(0.0, [0.0, 90.0]))
     assert command.efforts == pytest.approx([120.0, 100.0])
     assert not command.is_saturated.any()
 
 
-def test_reference_that_is_lost_leaves_the_arm_floating():
+def test_a_lost_reference_leaves_the_arm_floating():
     lift = controller()
     old = reference(0.0, [1.0, 0.0], [1.0, 1.0])
     assert lift.step(0.5, state(0.5), old).efforts == pytest.approx([34.0, 12.0])
@@ -94,7 +94,7 @@ def test_reference_that_is_lost_leaves_the_arm_floating():
     assert lift.phase is Phase.HOLDING
 
 
-def test_reference_can_hold_for_ever():
+def test_a_reference_can_hold_forever():
     lift = controller(reference_timeout=0.0)
     command = lift.step(1e6, state(1e6), reference(0.0, [1.0, 0.0]))
     assert command.efforts == pytest.approx([33.0, 11.0])
@@ -106,7 +106,7 @@ def test_efforts_rise_along_the_start_ramp():
     assert np.array(shares) == pytest.approx(np.outer([0.0, 0.25, 0.5, 0.75, 1.0, 1.0], [1, 1]))
 
 
-def test_efforts_fall_to_zero_when_the_state_is_lost_and_rise_when_it_is_back():
+def test_efforts_ramp_down_when_the_state_is_lost_and_rise_when_it_returns():
     lift = controller(start_ramp=0.2, stop_ramp=0.2)
     for t in (0.0, 0.05, 0.1, 0.15, 0.2):
         lift.step(t, state(t), None)
@@ -123,7 +123,7 @@ def test_efforts_fall_to_zero_when_the_state_is_lost_and_rise_when_it_is_back():
 
 
 @pytest.mark.parametrize('gap', [0.12, 0.15, 0.4])
-def test_intermittent_states_do_not_pump_the_efforts(gap):
+def test_intermittent_states_do_not_raise_and_lower_the_efforts_repeatedly(gap):
     lift = controller(start_ramp=0.2, stop_ramp=0.2, state_timeout=0.08)
     commands = []
     for k in range(400):
@@ -135,7 +135,7 @@ def test_intermittent_states_do_not_pump_the_efforts(gap):
     assert commands[-1] == 0.0
 
 
-def test_states_without_a_gap_for_twice_the_timeout_end_the_loss():
+def test_a_loss_ends_after_states_without_a_gap_for_twice_the_timeout():
     lift = controller(state_timeout=0.5)
     for now, last, is_well in (
         (0.0, 0.0, True),
@@ -145,7 +145,7 @@ def test_states_without_a_gap_for_twice_the_timeout_end_the_loss():
         (1.4, 1.4, False),
         (1.8, 1.8, False),
         (2.2, 2.2, False),
-        (2.4, 2.2, False),  # no later state than before
+        (2.4, 2.2, False),  # the same state as before
         (2.5, 2.5, True),
     ):
         lift.step(now, state(last), None)
@@ -163,7 +163,7 @@ def test_a_loss_that_hardly_lowered_the_efforts_ends_with_the_next_state(policy)
     assert lift.phase is Phase.HOLDING
 
 
-def test_zeros_come_within_timeout_and_ramp_whatever_the_rate():
+def test_efforts_reach_zero_within_timeout_and_ramp_at_any_rate():
     for period in (0.001, 0.007, 0.03, 0.2, 2.0):
         for timeout in (0.01, 0.1):
             lift = controller(stop_ramp=0.25, state_timeout=timeout, period=period)
@@ -190,14 +190,14 @@ def test_stop_ramps_to_zero_and_start_begins_at_zero():
     assert lift.step(9.05, state(9.05), None).efforts == pytest.approx(HOLD / 2)
 
 
-def test_stall_of_the_process_makes_no_jump():
+def test_a_stall_of_the_process_does_not_cause_a_jump():
     lift = controller(start_ramp=0.0, stop_ramp=1.0)
     lift.step(0.0, state(0.0), None)
     assert lift.step(30.0, state(0.0), None).efforts == pytest.approx(HOLD)
     assert lift.step(30.1, state(0.0), None).efforts == pytest.approx(0.9 * HOLD)
 
 
-def test_clock_that_jumps_back_is_a_lost_state_not_an_error():
+def test_a_clock_that_jumps_back_means_a_lost_state():
     lift = controller(stop_ramp=1.0)
     lift.step(100.0, state(100.0), reference(100.0, [1.0, 1.0]))
     command = lift.step(1.0, state(100.0), reference(100.0, [1.0, 1.0]))
@@ -210,14 +210,14 @@ def test_clock_that_jumps_back_is_a_lost_state_not_an_error():
 def test_absurd_numbers_lead_to_zero_not_to_infinity():
     lift = controller(stop_ramp=0.1, use_urdf_effort_limits=False)
     lift.step(0.0, state(0.0), None)
-    for now, share in ((0.05, 1.0), (0.1, 0.5), (0.151, 0.0)):
+    for now, fraction in ((0.05, 1.0), (0.1, 0.5), (0.151, 0.0)):
         command = lift.step(now, state(now), reference(now, [1e308, 1e308]))
         assert lift.phase is Phase.NO_SOLUTION
-        assert command.efforts == pytest.approx(share * HOLD)
+        assert command.efforts == pytest.approx(fraction * HOLD)
 
 
 @pytest.mark.parametrize('efforts', [[1e308, 0.0], [math.inf, 0.0], [math.nan, 0.0]])
-def test_never_passes_on_what_is_not_finite(efforts):
+def test_never_commands_efforts_that_are_not_finite(efforts):
     lift = controller(use_urdf_effort_limits=False)
     lift.step(0.0, state(0.0), None)
     accelerations = [5e307, 0.0]
@@ -243,12 +243,12 @@ def test_same_inputs_give_the_same_commands():
         (['low', 'low'], 'lists a joint twice: low, low'),
     ],
 )
-def test_tells_which_joint_cannot_be_commanded(joints, words):
+def test_names_the_joint_that_cannot_be_commanded(joints, words):
     with pytest.raises(ConfigurationError, match=words):
         controller(joints)
 
 
-def test_refuses_a_robot_without_joints():
+def test_rejects_a_robot_without_joints():
     rock = load_urdf(NOTHING_MOVES)
     with pytest.raises(ConfigurationError, match="'rock' has no movable joints"):
         Controller(InverseDynamics(rock))
@@ -267,7 +267,7 @@ def test_computed_torque_drives_back_to_the_reference():
     assert command.efforts == pytest.approx([30.0 + 3.0 * low + high, 10.0 + low + high])
 
 
-def test_inverse_dynamics_leaves_the_loop_open():
+def test_inverse_dynamics_ignores_position_errors():
     lift = controller()
     command = lift.step(0.0, state(0.0), tracking(0.0, [0.02, 0.01], [0.1, -0.1], [0.5, 0.0]))
     assert command.efforts == pytest.approx([31.5, 10.5])
@@ -286,15 +286,17 @@ def test_reference_that_starts_too_far_away_is_not_followed():
     assert lift.phase is Phase.TOO_FAR
     lift.step(0.01, state(0.01), tracking(0.01, [0.05, 0.0]))
     assert lift.phase is Phase.RUNNING
-    lift.step(0.02, state(0.02), tracking(0.02, [0.14, 0.0]))  # under way it may lead by more
+    lift.step(
+        0.02, state(0.02), tracking(0.02, [0.14, 0.0])
+    )  # during motion it may be further away
     assert lift.phase is Phase.RUNNING
-    lift.step(0.03, state(0.03), tracking(0.03, [0.3, 0.0]))  # but not jump
+    lift.step(0.03, state(0.03), tracking(0.03, [0.3, 0.0]))  # but it must not jump
     assert lift.phase is Phase.TOO_FAR
 
 
-def test_loop_that_closes_under_way_does_not_start_with_a_jump():
+def test_feedback_that_starts_during_motion_does_not_start_with_a_jump():
     lift = controller(mode=Mode.COMPUTED_TORQUE, max_position_jump=0.1)
-    lift.step(0.0, state(0.0), reference(0.0, [1.0, 0.0]))  # no positions: nothing to be far from
+    lift.step(0.0, state(0.0), reference(0.0, [1.0, 0.0]))  # no positions, so no distance
     assert lift.phase is Phase.RUNNING
     lift.step(0.01, state(0.01), tracking(0.01, [3.0, 0.0]))
     assert lift.phase is Phase.TOO_FAR
@@ -325,7 +327,7 @@ def test_a_tightened_limit_is_reached_along_the_ramp_and_the_rate_limits(is_lost
     assert efforts == [pytest.approx([wanted, wanted]) for wanted in (4.0, 3.0, 3.0)]
 
 
-def test_stop_ramp_takes_its_time_whatever_the_rate_limits():
+def test_rate_limits_do_not_change_the_stop_ramp():
     lift = controller(effort_rate_limits=10.0, stop_ramp=0.2)
     for time in np.arange(0.0, 5.0, 0.05):
         lift.step(time, state(time), None)
@@ -334,7 +336,7 @@ def test_stop_ramp_takes_its_time_whatever_the_rate_limits():
     assert efforts == pytest.approx([30.0, 22.5, 15.0, 7.5, 0.0])
 
 
-def test_stop_on_the_way_up_does_not_go_up_first():
+def test_a_stop_during_the_start_ramp_does_not_raise_the_efforts_first():
     lift = controller(effort_rate_limits=10.0, stop_ramp=1.0)
     for time in np.arange(0.0, 0.5, 0.05):
         before = lift.step(time, state(time), None).efforts.copy()
@@ -343,7 +345,7 @@ def test_stop_on_the_way_up_does_not_go_up_first():
 
 
 def swinging(**settings):
-    """Return a controller whose lower effort is on its way from -21 to 42 N, and the time."""
+    """Return a controller whose lower effort moves from -21 to 42 N, and the time."""
     lift = controller(effort_rate_limits=40.0, stop_ramp=0.2, **settings)
     for k in range(100):
         now = 0.05 * k
@@ -358,14 +360,14 @@ def test_a_stop_never_flips_the_sign_of_an_effort(cause):
     lift, now, last = swinging(state_timeout=0.04)
     if cause == 'stop':
         lift.stop()
-    heard = state(now)
-    for share in (1.0, 0.75, 0.5, 0.25, 0.0):
+    received = state(now)
+    for fraction in (1.0, 0.75, 0.5, 0.25, 0.0):
         now += 0.05
-        fresh = heard if cause == 'lost' else state(now)
+        fresh = received if cause == 'lost' else state(now)
         accelerations = [1e308 if cause == 'absurd' else 4.0, 0.0]
         efforts = lift.step(now, fresh, reference(now, accelerations)).efforts
-        assert efforts == pytest.approx(share * last, abs=1e-9)
-    assert lift.step(now + 0.05, heard, None).efforts.tolist() == [0.0, 0.0]
+        assert efforts == pytest.approx(fraction * last, abs=1e-9)
+    assert lift.step(now + 0.05, received, None).efforts.tolist() == [0.0, 0.0]
 
 
 def test_resuming_in_the_middle_of_a_stop_continues_from_the_last_command():
@@ -407,7 +409,7 @@ def test_a_start_ramp_of_zero_does_not_cut_off_a_blend_or_a_start():
     time = settled(lift)
     lift.apply(Settings(start_ramp=0.5, effort_scale=0.2))
     last = efforts_after(lift, time, 0.3)
-    for _ in range(3):  # as several calls in a row between two steps
+    for _ in range(3):  # several calls between two steps
         lift.apply(Settings(start_ramp=0.0, effort_scale=0.2))
     assert efforts_after(lift, time + 0.3, 0.05) == pytest.approx(last)
     assert efforts_after(lift, time + 0.35, 0.125, 0.025) == pytest.approx(
@@ -420,12 +422,12 @@ def test_a_start_ramp_of_zero_does_not_cut_off_a_blend_or_a_start():
     lift.apply(Settings(start_ramp=0.0))
     assert efforts_after(lift, time + 0.925, 0.05) == pytest.approx(low)
     assert efforts_after(lift, time + 0.975, 0.35) == pytest.approx(HOLD)
-    lift.apply(Settings(start_ramp=0.0, effort_scale=0.5))  # with nothing under way: at once
+    lift.apply(Settings(start_ramp=0.0, effort_scale=0.5))  # no blend under way: applies at once
     assert efforts_after(lift, time + 1.325, 0.05) == pytest.approx(0.5 * HOLD)
 
 
 @pytest.mark.parametrize('policy', StalePolicy)
-def test_states_that_are_a_little_late_leave_the_feedback_alone(policy):
+def test_states_that_are_slightly_late_do_not_weaken_the_feedback(policy):
     lift = controller(
         mode=Mode.COMPUTED_TORQUE, start_ramp=0.5, stop_ramp=0.5, on_stale_state=policy
     )
@@ -440,7 +442,7 @@ def test_states_that_are_a_little_late_leave_the_feedback_alone(policy):
     assert efforts == pytest.approx(HOLD + np.array([3.0, 1.0]))
     lift.step(now + 0.105, state(now), tracking(now, target))
     assert lift.phase is Phase.STATE_LOST
-    # The joint has come closer meanwhile: the next command says so at once.
+    # The joint came closer meanwhile: the next command follows at once.
     efforts = lift.step(now + 0.11, state(now + 0.11), tracking(now + 0.11, 0.5 * target)).efforts
     assert efforts == pytest.approx(HOLD + np.array([1.5, 0.5]))
 
@@ -498,7 +500,7 @@ def test_efforts_held_since_a_stop_ramp_began_stay_where_they_are():
     assert lift.step(1.2, state(0.0), None).efforts == pytest.approx(0.25 * HOLD)
 
 
-def test_velocity_filter_takes_each_joint_in_its_own_time():
+def test_the_velocity_filter_uses_the_arrival_times_of_each_joint():
     lift = controller(velocity_filter_cutoff=50.0, use_urdf_effort_limits=False)
     lift.dynamics.set_friction(damping=1.0, coulomb=0.0)
     for k, time in enumerate(np.arange(0.0, 0.08, 0.002)):
@@ -508,7 +510,7 @@ def test_velocity_filter_takes_each_joint_in_its_own_time():
     assert command.efforts[1] - 10.0 == pytest.approx(1.0, abs=1e-6)
 
 
-def test_continuous_joints_go_the_short_way_round():
+def test_continuous_joints_take_the_shorter_way():
     wheel = load_urdf(LIFT.replace('type="prismatic"', 'type="continuous"').replace('50"', '500"'))
     settings = Settings(
         mode=Mode.COMPUTED_TORQUE, start_ramp=0.0, kp=1.0, kd=0.0, use_urdf_effort_limits=False
@@ -557,11 +559,11 @@ def test_velocity_filter_smooths_noise_and_follows_change():
     steady = [State(np.zeros(2), np.ones(2), t) for t in times + 1.0]
     felt = [lift.step(s.time, s, None).efforts[1] - 10.0 for s in steady]
     assert felt[-1] == pytest.approx(1.0)
-    # First order: after one time constant 63 % of the way.
+    # First order: 63 % of the step after one time constant.
     assert felt[3] == pytest.approx(1.0 - math.exp(-2.0 * math.pi * 5.0 * 0.04), abs=0.1)
 
 
-def test_settings_change_as_a_whole_or_not_at_all():
+def test_settings_change_completely_or_not_at_all():
     lift = controller()
     with pytest.raises(
         ConfigurationError, match='kp has 3 numbers, expected one, or one for each'
@@ -573,7 +575,7 @@ def test_settings_change_as_a_whole_or_not_at_all():
 
 
 def settled(lift):
-    """Bring a controller with a ramp to its full efforts; return the time."""
+    """Step a controller to the end of its start ramp; return the time."""
     for time in np.arange(0.0, 1.0, 0.05):
         lift.step(time, state(time), None)
     assert lift.gain == 1.0
@@ -587,7 +589,7 @@ def efforts_after(lift, time, seconds, period=0.05):
     return efforts.copy()
 
 
-def test_new_settings_make_no_jump_and_count_after_the_ramp():
+def test_new_settings_do_not_cause_a_jump_and_apply_after_the_ramp():
     lift = controller(start_ramp=0.5)
     time = settled(lift)
     lift.apply(Settings(start_ramp=0.5, effort_scale=0.5))
@@ -596,7 +598,7 @@ def test_new_settings_make_no_jump_and_count_after_the_ramp():
     assert efforts_after(lift, time + 0.25, 0.25) == pytest.approx(0.5 * HOLD)
 
 
-def test_gravity_that_changes_is_blended_when_told_so():
+def test_a_change_of_gravity_is_blended_after_a_call_of_blend():
     lift = controller(start_ramp=0.5)
     time = settled(lift)
     lift.dynamics.set_gravity((0.0, 0.0, -5.0))
@@ -605,7 +607,7 @@ def test_gravity_that_changes_is_blended_when_told_so():
     assert efforts_after(lift, time + 0.05, 0.25) == pytest.approx(0.75 * HOLD)
 
 
-def test_a_blend_on_top_of_a_blend_goes_on_from_where_the_efforts_are():
+def test_a_blend_during_a_blend_starts_from_the_last_command():
     lift = controller(start_ramp=0.5)
     time = settled(lift)
     lift.apply(Settings(start_ramp=0.5, effort_scale=0.0))
@@ -614,7 +616,7 @@ def test_a_blend_on_top_of_a_blend_goes_on_from_where_the_efforts_are():
     assert efforts_after(lift, time + 0.3, 0.05) == pytest.approx(last)
 
 
-def test_after_a_stall_the_first_command_is_where_the_last_one_was():
+def test_the_first_command_after_a_stall_equals_the_last_one():
     lift = controller(start_ramp=0.5)
     time = settled(lift)
     lift.dynamics.set_gravity((0.0, 0.0, -4.0))  # as if the arm had moved meanwhile
@@ -623,7 +625,7 @@ def test_after_a_stall_the_first_command_is_where_the_last_one_was():
     assert efforts_after(lift, now, 0.5) == pytest.approx(0.4 * HOLD)
 
 
-def test_after_a_stall_that_made_the_state_old_too_the_stop_ramp_begins_where_it_was():
+def test_the_stop_ramp_starts_from_the_last_command_if_a_stall_made_the_state_stale():
     lift = controller(start_ramp=0.5, stop_ramp=0.2)
     time = settled(lift)
     now = time + 20.0
@@ -633,14 +635,14 @@ def test_after_a_stall_that_made_the_state_old_too_the_stop_ramp_begins_where_it
     assert lift.step(now + 0.2, state(time), None).efforts == pytest.approx(0.0 * HOLD)
 
 
-def test_a_clock_put_back_makes_no_jump_either():
+def test_a_clock_that_is_set_back_does_not_cause_a_jump():
     lift = controller(start_ramp=0.5)
     settled(lift)
     lift.dynamics.set_gravity((0.0, 0.0, -4.0))
     assert lift.step(0.1, state(0.1), None).efforts == pytest.approx(HOLD)
 
 
-def test_a_state_that_comes_back_before_the_efforts_were_gone_makes_no_jump():
+def test_a_state_that_returns_during_the_stop_ramp_does_not_cause_a_jump():
     lift = controller(start_ramp=0.5, stop_ramp=1.0)
     time = settled(lift)
     for now in time + np.array([0.05, 0.1, 0.15, 0.2]):
@@ -651,7 +653,7 @@ def test_a_state_that_comes_back_before_the_efforts_were_gone_makes_no_jump():
     assert back == pytest.approx(low)
 
 
-def test_another_description_of_the_robot_is_taken_over_without_a_jump():
+def test_a_new_robot_description_does_not_cause_a_jump():
     lift = controller(start_ramp=0.5)
     time = settled(lift)
     heavier = InverseDynamics(load_urdf(LIFT.replace('"2"', '"4"')), gravity=(0.0, 0.0, -10.0))
@@ -663,7 +665,7 @@ def test_another_description_of_the_robot_is_taken_over_without_a_jump():
         Controller(heavier, ['high']).continue_from(lift)
 
 
-def test_says_which_efforts_may_not_change_as_fast_as_they_should():
+def test_flags_efforts_that_a_rate_limit_slows():
     lift = controller(effort_rate_limits=(1e6, 1.0))
     lift.step(0.0, state(0.0), None)
     command = lift.step(0.01, state(0.01), None)
@@ -672,14 +674,14 @@ def test_says_which_efforts_may_not_change_as_fast_as_they_should():
     assert not command.is_slowed.any()
 
 
-def test_a_loop_on_positions_alone_is_damped():
+def test_feedback_of_positions_without_velocities_is_damped():
     lift = controller(mode=Mode.COMPUTED_TORQUE, kp=0.0, kd=10.0)
     moving = State(np.zeros(2), np.array([0.1, 0.0]), 0.0)
     positions = Reference(np.zeros(2), np.zeros(2), 0.0, np.zeros(2))
     assert lift.step(0.0, moving, positions).efforts == pytest.approx(HOLD - [3.0, 1.0])
 
 
-def test_the_velocity_filter_forgets_what_was_absurd():
+def test_the_velocity_filter_recovers_from_absurd_velocities():
     lift = controller(velocity_filter_cutoff=1000.0)
     lift.dynamics.set_friction(damping=1.0, coulomb=0.0)
     for now, speed in ((0.0, 1.7e308), (0.01, -1.7e308), (0.02, 0.1), (0.03, 0.1)):
@@ -700,7 +702,7 @@ def test_another_description_is_blended_in_along_the_start_ramp():
     assert efforts_after(other, time, 0.25) == pytest.approx(HOLD + np.array([5.0, 0.0]))
 
 
-def test_a_stop_goes_on_with_another_description():
+def test_a_stop_continues_with_another_description():
     lift = controller(stop_ramp=0.2)
     lift.step(0.0, state(0.0), None)
     lift.stop()
@@ -776,7 +778,7 @@ def test_held_efforts_are_not_reported_as_cut():
     assert not command.is_slowed.any()
 
 
-def test_the_velocity_filter_starts_anew_with_the_efforts():
+def test_a_start_restarts_the_velocity_filter():
     lift = controller(velocity_filter_cutoff=1.0, use_urdf_effort_limits=False)
     lift.dynamics.set_friction(damping=1.0, coulomb=0.0)
     lift.step(0.0, State(np.zeros(2), np.full(2, 5.0), 0.0), None)

@@ -1,4 +1,4 @@
-"""Measured effort minus model: nothing where the model is right, minus the push where not."""
+"""Estimates of external efforts: zero for a correct model, minus the efforts of a push."""
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.control.external_efforts import ExternalEffortEstimator
@@ -27,70 +27,70 @@ def dynamics():
 
 
 def run(dynamics, measured_of, steps=1000):
-    residual = ExternalEffortEstimator(InverseDynamics(dynamics.robot))
+    estimator = ExternalEffortEstimator(InverseDynamics(dynamics.robot))
     for k in range(steps):
         q, qd, qdd = motion(DT * k)
-        found = residual.update(DT * k, q, qd, measured_of(q, qd, qdd))
+        found = estimator.update(DT * k, q, qd, measured_of(q, qd, qdd))
     return found
 
 
-def test_a_motion_that_the_model_explains_leaves_little(dynamics):
+def test_a_motion_that_the_model_explains_causes_small_estimates(dynamics):
     found = run(dynamics, dynamics.efforts)
     size = np.abs(dynamics.effort_terms(*motion(2.0)).inertial)
     assert (np.abs(found) < 0.1 * size + 0.15).all()
 
 
-def test_a_push_shows_with_the_sign_of_the_external_term(dynamics):
+def test_a_push_appears_with_the_sign_of_the_external_term(dynamics):
     pushed = InverseDynamics(dynamics.robot)
     pushed.set_external_wrench('link_6', (5.0, 20.0, -10.0), (0.1, 0.2, 0.3))
     found = run(dynamics, pushed.efforts) - run(dynamics, dynamics.efforts)
     expected = pushed.effort_terms(*motion(DT * 999)).external
     assert np.abs(expected).max() > 5.0
-    # It lags by the time constant of the low-pass, while the arm moves on.
+    # The estimate lags behind the moving arm by the time constant of the low-pass.
     assert found == pytest.approx(expected, rel=0.1, abs=0.3)
 
 
-def test_what_is_not_measured_is_not_a_number_until_it_is(dynamics):
-    residual = ExternalEffortEstimator(dynamics)
+def test_the_estimate_is_nan_until_an_effort_is_measured(dynamics):
+    estimator = ExternalEffortEstimator(dynamics)
     q, qd, _ = motion(0.0)
     measured = dynamics.gravity_efforts(q)
     partly = measured.copy()
     partly[2] = np.nan
-    found = residual.update(0.0, q, 0 * qd, partly)
+    found = estimator.update(0.0, q, 0 * qd, partly)
     assert np.isnan(found[2])
     assert np.delete(found, 2) == pytest.approx(0.0)
-    found = residual.update(0.01, q, 0 * qd, measured)
+    found = estimator.update(0.01, q, 0 * qd, measured)
     assert found == pytest.approx(0.0)
 
 
-def test_the_same_state_twice_and_a_clock_put_back_are_no_matter(dynamics):
-    residual = ExternalEffortEstimator(dynamics)
+def test_repeated_states_and_a_clock_that_is_set_back_are_accepted(dynamics):
+    estimator = ExternalEffortEstimator(dynamics)
     q, qd, _ = motion(0.3)
     for time in (5.0, 5.0, 5.002, 1.0, 1.002):
-        assert np.isfinite(residual.update(time, q, qd, np.zeros(6))).all()
+        assert np.isfinite(estimator.update(time, q, qd, np.zeros(6))).all()
 
 
-def test_the_first_state_is_compared_without_smoothing(dynamics):
+def test_the_first_state_is_not_filtered(dynamics):
     q, qd, _ = motion(0.3)
-    residual = ExternalEffortEstimator(dynamics)
+    estimator = ExternalEffortEstimator(dynamics)
     push = np.arange(1.0, 7.0)
     measured = dynamics.efforts(q, qd, np.zeros(6)) + push
-    assert residual.update(7.0, q, qd, measured) == pytest.approx(push)
-    # A constant velocity from the start on is no acceleration.
-    assert residual.update(7.01, q, qd, measured) == pytest.approx(push)
+    assert estimator.update(7.0, q, qd, measured) == pytest.approx(push)
+    # A velocity that is constant from the start is not an acceleration.
+    assert estimator.update(7.01, q, qd, measured) == pytest.approx(push)
     # The same after a gap.
     measured += push
-    assert residual.update(9.0, q, qd, measured) == pytest.approx(2.0 * push)
+    assert estimator.update(9.0, q, qd, measured) == pytest.approx(2.0 * push)
 
 
 def test_a_push_rises_with_the_time_constant_of_the_low_pass(dynamics):
     q = motion(0.0)[0]
-    residual = ExternalEffortEstimator(dynamics)
+    estimator = ExternalEffortEstimator(dynamics)
     hold, push = dynamics.gravity_efforts(q), np.arange(1.0, 7.0)
-    residual.update(0.0, q, np.zeros(6), hold)
+    estimator.update(0.0, q, np.zeros(6), hold)
     time_constant = 1.0 / (2.0 * np.pi * 10.0)
-    found = residual.update(time_constant, q, np.zeros(6), hold + push)
+    found = estimator.update(time_constant, q, np.zeros(6), hold + push)
     assert found == pytest.approx((1.0 - np.exp(-1.0)) * push)
-    # No time has passed: nothing to smooth in.
-    again = residual.update(time_constant, q, np.zeros(6), hold + 5.0 * push)
+    # No time has passed, so the filter does not move.
+    again = estimator.update(time_constant, q, np.zeros(6), hold + 5.0 * push)
     assert again == pytest.approx(found)

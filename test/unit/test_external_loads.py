@@ -1,4 +1,4 @@
-"""Loads as time passes: payloads ramp, wrenches fade, gravity turns, the base moves."""
+"""Loads over time: ramps of payloads and gravity, wrenches that fade out, motion of the base."""
 
 import contextlib
 from functools import partial
@@ -39,19 +39,19 @@ def with_payload(mass, com=(0.0, 0.0, 0.0), inertia=INERTIA):
     return other.gravity_efforts(Q)
 
 
-def test_a_payload_comes_in_over_the_ramp(loads, dynamics):
+def test_a_payload_is_ramped_in(loads, dynamics):
     before = dynamics.gravity_efforts(Q)
     after = with_payload(2.0, (0.0, 0.1, 0.05))
     loads.set_payload(0.0, TIP, 2.0, (0.0, 0.1, 0.05), INERTIA)
     for time in (0.0, 0.1, 0.25, 0.4, 0.5, 3.0):
         loads.update(time)
-        share = min(1.0, time / 0.5)
-        expected = before + share * (after - before)
+        fraction = min(1.0, time / 0.5)
+        expected = before + fraction * (after - before)
         assert dynamics.gravity_efforts(Q) == pytest.approx(expected)
     assert loads.payloads[TIP].mass == 2.0
 
 
-def test_a_payload_goes_as_it_came(loads, dynamics):
+def test_a_payload_is_ramped_out(loads, dynamics):
     before = dynamics.gravity_efforts(Q)
     loads.set_payload(0.0, TIP, 2.0, (0.0, 0.1, 0.05), INERTIA)
     loads.update(1.0)
@@ -64,7 +64,7 @@ def test_a_payload_goes_as_it_came(loads, dynamics):
     assert loads.payloads == {}
 
 
-def test_a_payload_in_place_of_one_that_was_not_all_there_makes_no_jump(loads, dynamics):
+def test_replacing_a_payload_during_its_ramp_does_not_cause_a_jump(loads, dynamics):
     loads.set_payload(0.0, TIP, 2.0, (0.0, 0.1, 0.05), INERTIA)
     loads.update(0.2)
     before = dynamics.mass_matrix(Q)
@@ -79,18 +79,18 @@ def test_a_payload_in_place_of_one_that_was_not_all_there_makes_no_jump(loads, d
     st.floats(1e-3, 100.0),
     st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6),
 )
-def test_half_a_payload_is_a_body_too(share, one, other, coms):
+def test_a_payload_is_a_physical_body_throughout_its_ramp(fraction, one, other, coms):
     dynamics = InverseDynamics(load_urdf(STANFORD))
     loads = ExternalLoads(dynamics)
     point = np.zeros((3, 3))
     loads.set_payload(0.0, TIP, one, coms[:3], point)
     loads.update(1.0)
     loads.set_payload(1.0, TIP, other, coms[3:], point)
-    loads.update(1.0 + 0.5 * share)
+    loads.update(1.0 + 0.5 * fraction)
     assert np.linalg.eigvalsh(dynamics.mass_matrix(Q)).min() > 0.0
 
 
-def test_a_wrench_counts_at_once_and_fades_when_it_is_not_renewed(loads, dynamics):
+def test_a_wrench_acts_at_once_and_fades_out_when_it_is_not_renewed(loads, dynamics):
     before = dynamics.gravity_efforts(Q)
     loads.set_external_wrench(0.0, TIP, (1.0, 2.0, 3.0), (0.1, 0.2, 0.3))
     loads.update(0.1)
@@ -105,7 +105,7 @@ def test_a_wrench_counts_at_once_and_fades_when_it_is_not_renewed(loads, dynamic
     assert dynamics.gravity_efforts(Q) - before == pytest.approx(whole)
 
 
-def test_gravity_turns_over_a_ramp(loads, dynamics):
+def test_gravity_changes_along_a_ramp(loads, dynamics):
     loads.set_gravity((0.0, 0.0, 9.80665))
     for time in (0.25, 0.5, 0.75, 1.0):
         loads.update(time)
@@ -120,7 +120,7 @@ def test_gravity_that_changes_slowly_is_followed_at_once(loads, dynamics):
     assert dynamics.gravity == pytest.approx([0.05, 0.0, -9.80665])
 
 
-def test_without_ramps_all_counts_at_once(dynamics):
+def test_without_ramps_all_loads_act_at_once(dynamics):
     loads = ExternalLoads(dynamics, LoadSettings(load_ramp=0.0))
     loads.update(0.0)
     loads.set_payload(0.0, TIP, 2.0, (0.0, 0.1, 0.05), INERTIA)
@@ -131,7 +131,7 @@ def test_without_ramps_all_counts_at_once(dynamics):
     assert dynamics.gravity_efforts(Q) == pytest.approx(with_payload(2.0, (0.0, 0.1, 0.05)))
 
 
-def test_the_motion_of_the_base_takes_the_place_of_gravity(loads, dynamics):
+def test_the_motion_of_the_base_replaces_gravity(loads, dynamics):
     assert not loads.is_base_known(0.0)
     assert loads.set_base_motion(0.0, (1.0, 2.0, 9.0), (0.1, 0.2, 0.3))
     loads.update(0.0)
@@ -141,7 +141,7 @@ def test_the_motion_of_the_base_takes_the_place_of_gravity(loads, dynamics):
     assert loads.is_base_known(0.1)
 
 
-def test_a_lost_base_motion_leaves_gravity_and_stops_turning(loads, dynamics):
+def test_a_lost_imu_keeps_gravity_and_ends_the_rotation_of_the_base(loads, dynamics):
     loads.set_base_motion(0.0, (1.0, 2.0, 9.0), (0.1, 0.2, 0.3))
     assert not loads.update(0.2)
     assert loads.update(0.3)
@@ -151,13 +151,13 @@ def test_a_lost_base_motion_leaves_gravity_and_stops_turning(loads, dynamics):
     assert loads.set_base_motion(1.0, (0.0, 0.0, 9.8), (0.0, 0.0, 0.0))
 
 
-def test_the_motion_of_the_base_is_smoothed(loads):
+def test_the_motion_of_the_base_is_filtered(loads):
     loads.set_base_motion(0.0, (0.0, 0.0, 10.0), (0.5, 0.0, 0.0))
     assert not loads.set_base_motion(0.01, (0.0, 0.0, 11.0), (1.5, 0.0, 0.0))
-    share = 1.0 - math.exp(-2.0 * math.pi * 20.0 * 0.01)
-    assert loads.gravity[2] == pytest.approx(-10.0 - share)
-    other = InverseDynamics(load_urdf(STANFORD), (0.0, 0.0, -10.0 - share))
-    other.set_base_motion((0.5 + share, 0.0, 0.0))
+    fraction = 1.0 - math.exp(-2.0 * math.pi * 20.0 * 0.01)
+    assert loads.gravity[2] == pytest.approx(-10.0 - fraction)
+    other = InverseDynamics(load_urdf(STANFORD), (0.0, 0.0, -10.0 - fraction))
+    other.set_base_motion((0.5 + fraction, 0.0, 0.0))
     assert loads.dynamics.gravity_efforts(Q) == pytest.approx(other.gravity_efforts(Q))
 
 
@@ -171,7 +171,7 @@ def test_without_gravity_neither_it_nor_the_base_accelerates(loads, dynamics):
     assert dynamics.gravity == pytest.approx([0.0, 3.0, 0.0])
 
 
-def test_a_clock_that_is_put_back_ends_no_ramp_early_and_none_late(loads, dynamics):
+def test_a_clock_that_is_set_back_neither_shortens_nor_prolongs_ramps(loads, dynamics):
     loads.set_payload(100.0, TIP, 2.0, (0.0, 0.1, 0.05), INERTIA)
     loads.set_external_wrench(100.0, TIP, (1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     loads.update(100.1)
@@ -223,7 +223,7 @@ def test_vectors_are_in_the_frame_of_the_base_link():
         (lambda x: x.set_payload(0.0, TIP, 1.0, Q[:3], SLENDER), 'exceeds the sum of the others'),
     ],
 )
-def test_refuses_what_cannot_be(loads, dynamics, call, words):
+def test_rejects_impossible_loads(loads, dynamics, call, words):
     before = dynamics.table.copy()
     with pytest.raises(ConfigurationError, match=words):
         call(loads)
@@ -231,7 +231,7 @@ def test_refuses_what_cannot_be(loads, dynamics, call, words):
     assert (dynamics.table == before).all()
 
 
-def test_angles_are_those_of_a_urdf():
+def test_angles_have_the_meaning_they_have_in_a_urdf():
     robot = load_urdf(
         (ROOT / 'test/robots/pendulum.urdf')
         .read_text()
@@ -246,20 +246,20 @@ WILD = st.sampled_from([0.0, -1e-300, 1e-20, 0.3, -1.0, 7.0, 1e9, -1e9, 1e150, 1
 
 
 @given(st.lists(st.tuples(WILD, *[WILD] * 9), min_size=1, max_size=4))
-def test_what_was_taken_in_never_fails_later(messages):
+def test_accepted_loads_never_fail_later(messages):
     dynamics = InverseDynamics(load_urdf(STANFORD))
     loads = ExternalLoads(dynamics)
     now = 0.0
     for mass, *com, ixx, iyy, izz, ixy, ixz, iyz in messages:
         inertia = [[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]]
-        for take in (
+        for call in (
             partial(loads.set_payload, now, TIP, mass, com, inertia),
             partial(loads.set_external_wrench, now, TIP, com, com[::-1]),
             partial(loads.set_base_motion, now, com, com[::-1]),
             partial(loads.set_gravity, com),
         ):
             with contextlib.suppress(ConfigurationError):
-                take()
+                call()
         for _ in range(4):
             now += 0.15
             loads.update(now)
@@ -267,7 +267,7 @@ def test_what_was_taken_in_never_fails_later(messages):
 
 
 def test_a_ramp_between_flat_bodies_never_fails():
-    # Each has a moment below zero by just what rounding is allowed to leave.
+    # Each has a moment as far below zero as rounding is allowed to leave it.
     loads = ExternalLoads(InverseDynamics(load_urdf(STANFORD)))
     loads.set_payload(0.0, TIP, 1.0, np.zeros(3), np.diag([0.3, 0.3, -0.3e-9]))
     loads.update(1.0)
@@ -276,7 +276,7 @@ def test_a_ramp_between_flat_bodies_never_fails():
         loads.update(now)
 
 
-def test_a_payload_that_is_told_again_and_again_is_no_news(loads, dynamics):
+def test_repeating_a_payload_changes_nothing(loads, dynamics):
     com = (0.0, 0.1, 0.05)
     assert loads.set_payload(0.0, TIP, 2.0, com, INERTIA)
     for now in np.arange(0.0, 0.6, 0.01):
@@ -314,7 +314,7 @@ def test_without_an_imu_the_base_is_never_lost(dynamics):
     assert not any(loads.update(now) for now in (0.0, 0.1, 5.0))
 
 
-def test_a_gap_between_messages_of_the_imu_is_a_loss_even_without_a_step(loads):
+def test_a_gap_in_the_imu_messages_is_a_loss_even_without_a_step(loads):
     loads.set_base_motion(100.0, (0.0, 0.0, 9.0), np.zeros(3))
     assert not loads.set_base_motion(100.0, (0.0, 0.0, 9.0), np.zeros(3))
     assert not loads.set_base_motion(100.1, (0.0, 0.0, 9.0), np.zeros(3))
@@ -329,14 +329,14 @@ def test_the_time_out_of_the_imu_includes_its_end(dynamics):
     assert not loads.set_base_motion(1.25, (0.0, 0.0, 9.0), np.zeros(3))
 
 
-def test_the_motion_of_the_base_is_not_smoothed_without_a_cutoff(dynamics):
+def test_the_motion_of_the_base_is_not_filtered_without_a_cutoff(dynamics):
     loads = ExternalLoads(dynamics, LoadSettings(imu_filter_cutoff=0.0))
     loads.set_base_motion(0.0, (0.0, 0.0, 10.0), np.zeros(3))
     loads.set_base_motion(0.01, (1.0, 0.0, 11.0), np.zeros(3))
     assert loads.gravity == pytest.approx([-1.0, 0.0, -11.0])
 
 
-def test_the_motion_of_the_base_is_not_smoothed_across_a_clock_put_back(loads):
+def test_the_imu_filter_restarts_when_the_clock_is_set_back(loads):
     loads.set_base_motion(100.0, (0.0, 0.0, 10.0), np.zeros(3))
     assert loads.set_base_motion(1.0, (1.0, 0.0, 11.0), np.zeros(3))
     assert loads.gravity == pytest.approx([-1.0, 0.0, -11.0])

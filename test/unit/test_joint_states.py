@@ -1,4 +1,4 @@
-"""Joint states by name: in any order, in parts, with gaps; never what is not finite."""
+"""Joint states by name: in any order, in parts, with gaps; all values stay finite."""
 
 import contextlib
 import math
@@ -19,7 +19,7 @@ def collector():
     return JointStateCollector(['shoulder', 'elbow', 'wrist'])
 
 
-def test_is_taken_by_name_in_any_order_with_extra_joints(collector):
+def test_joints_are_found_by_name_in_any_order_among_others(collector):
     names = ['wheel', 'wrist', 'shoulder', 'elbow']
     collector.update(1.0, names, [9.0, 3.0, 1.0, 2.0], [8.0, 0.3, 0.1, 0.2])
     state = collector.state()
@@ -28,7 +28,7 @@ def test_is_taken_by_name_in_any_order_with_extra_joints(collector):
     assert state.time == 1.0
 
 
-def test_is_no_state_before_every_joint_was_heard_from(collector):
+def test_there_is_no_state_before_every_joint_was_reported(collector):
     collector.update(1.0, ['wrist', 'shoulder'], [1.0, 2.0], [])
     assert collector.state() is None
     assert collector.missing() == ['elbow']
@@ -50,7 +50,7 @@ def test_a_flood_of_names_is_not_remembered(collector):
     assert collector.similar_names() == []
 
 
-def test_comes_in_parts_and_is_as_old_as_the_oldest(collector):
+def test_a_state_arrives_in_parts_and_is_as_old_as_the_oldest(collector):
     collector.update(1.0, ['wrist', 'shoulder'], [3.0, 1.0], [])
     collector.update(2.0, ['elbow'], [2.0], [])
     collector.update(3.0, ['elbow'], [2.5], [])
@@ -69,7 +69,7 @@ def test_velocity_that_was_never_measured_is_zero_and_named(collector):
 
 
 @pytest.mark.parametrize('velocities', [[NAN], []])
-def test_velocity_that_ceases_is_a_fault(collector, velocities):
+def test_a_velocity_that_disappears_is_rejected(collector, velocities):
     collector.update(1.0, ['elbow'], [2.0], [0.2])
     with pytest.raises(JointStateError, match="velocity of joint 'elbow' is nan"):
         collector.update(2.0, ['elbow'], [2.0], velocities)
@@ -85,7 +85,9 @@ def test_velocity_that_ceases_is_a_fault(collector, velocities):
         ([1.0, 2.0], [1.0], '2 names, but 1 velocities'),
     ],
 )
-def test_tells_what_is_wrong_and_changes_nothing(collector, positions, velocities, words):
+def test_rejects_invalid_states_with_a_reason_and_changes_nothing(
+    collector, positions, velocities, words
+):
     collector.update(1.0, ['wrist', 'elbow'], [3.0, 2.0], [])
     with pytest.raises(JointStateError, match=words):
         collector.update(2.0, ['wrist', 'elbow'], positions, velocities)
@@ -93,13 +95,13 @@ def test_tells_what_is_wrong_and_changes_nothing(collector, positions, velocitie
     assert collector.times.tolist() == [-math.inf, 1.0, 1.0]
 
 
-def test_ignores_joints_of_no_concern_that_are_named_twice(collector):
+def test_ignores_other_joints_that_are_named_twice(collector):
     assert collector.update(1.0, ['wheel', 'wheel', 'elbow'], [1.0, 2.0, 3.0], [])
     assert not collector.update(1.0, ['wheel'], [1.0], [])
     assert collector.missing() == ['shoulder', 'wrist']
 
 
-def test_tells_of_a_joint_named_twice(collector):
+def test_rejects_a_joint_that_is_named_twice(collector):
     with pytest.raises(JointStateError, match="'elbow' is named twice"):
         collector.update(1.0, ['elbow', 'elbow'], [1.0, 2.0], [])
 
@@ -109,7 +111,7 @@ def test_tells_of_a_joint_named_twice(collector):
     st.lists(st.floats(), max_size=6),
     st.lists(st.floats(), max_size=6),
 )
-def test_never_holds_what_is_not_finite(names, positions, velocities):
+def test_never_stores_values_that_are_not_finite(names, positions, velocities):
     collector = JointStateCollector(['shoulder', 'elbow', 'wrist'])
     for _ in range(2):
         with contextlib.suppress(JointStateError):
@@ -118,7 +120,7 @@ def test_never_holds_what_is_not_finite(names, positions, velocities):
         assert np.isfinite(collector.qd).all()
 
 
-def test_a_locked_joint_counts_where_it_is_said_to_be_until_heard_from():
+def test_a_locked_position_is_used_until_the_joint_is_reported():
     collector = JointStateCollector(['arm', 'finger'], {'finger': 0.02})
     assert collector.missing() == ['arm']
     collector.update(1.0, ['arm'], [0.5], [])
@@ -141,7 +143,7 @@ def test_a_locked_joint_is_never_stale():
 
 
 @pytest.mark.parametrize('locked', [{'nope': 0.0}, {'finger': math.nan}])
-def test_refuses_to_lock_what_it_cannot(locked):
+def test_rejects_invalid_locked_positions(locked):
     with pytest.raises(ConfigurationError, match=next(iter(locked))):
         JointStateCollector(['arm', 'finger'], locked)
 
@@ -161,7 +163,7 @@ def test_efforts_of_one_joint_are_kept_and_renewed(collector):
         assert collector.efforts[1] == effort
 
 
-def test_a_position_that_is_not_finite_is_refused_after_measured_velocities(collector):
+def test_a_position_that_is_not_finite_is_rejected_after_measured_velocities(collector):
     collector.update(1.0, ['elbow'], [2.0], [0.1])
     collector.update(1.1, ['elbow'], [2.1], [0.1])
     with pytest.raises(JointStateError, match="position of joint 'elbow' is nan"):
@@ -229,7 +231,7 @@ def hand(locked=None):
     return JointStateCollector(HAND, locked, ['arm'])
 
 
-def test_nothing_has_jumped_before_a_joint_was_late_or_locked():
+def test_there_is_no_jump_before_a_joint_was_late_or_locked():
     collector = hand({'thumb': 0.1})
     assert (collector.has_jumped, collector.late_count) == (False, 0)
     collector.rest_late(0.0, 1.0)
@@ -239,7 +241,7 @@ def test_nothing_has_jumped_before_a_joint_was_late_or_locked():
     assert (collector.has_jumped, collector.late_count) == (False, 0)
 
 
-def test_a_joint_that_is_late_or_back_has_jumped_until_that_was_read():
+def test_a_joint_that_becomes_late_or_returns_sets_the_jump_flag_until_it_is_cleared():
     collector = hand()
     collector.update(5.0, HAND, [0.0] * 3, [1.0] * 3)
     collector.rest_late(5.5, 1.0)
@@ -259,7 +261,7 @@ def test_a_joint_that_is_late_or_back_has_jumped_until_that_was_read():
     assert collector.has_jumped
 
 
-def test_the_first_report_of_a_locked_joint_is_a_jump_until_that_was_read():
+def test_the_first_report_of_a_locked_joint_sets_the_jump_flag_until_it_is_cleared():
     collector = hand({'thumb': 0.1})
     collector.update(1.0, HAND[:2], [0.0] * 2, [])
     assert not collector.has_jumped
@@ -279,7 +281,7 @@ def alternate(collector, joint, start, positions=(0.0, 1.5)):
     return start + 1.0
 
 
-def test_contradictory_positions_of_a_commanded_joint_are_no_jump():
+def test_contradictory_positions_of_a_commanded_joint_do_not_set_the_jump_flag():
     collector = hand()
     alternate(collector, 'arm', 0.0)
     assert list(collector.alternating()) == ['arm']
@@ -287,7 +289,7 @@ def test_contradictory_positions_of_a_commanded_joint_are_no_jump():
     assert not collector.has_jumped
 
 
-def test_contradictory_positions_of_another_joint_are_a_jump_and_hold_it_at_rest():
+def test_contradictory_positions_of_another_joint_set_the_jump_flag_and_hold_it_at_rest():
     collector = hand()
     time = alternate(collector, 'finger', 0.0)
     assert list(collector.alternating()) == ['finger']

@@ -1,4 +1,4 @@
-"""What is said of loads that no robot can have, and that a refused one changes nothing."""
+"""Messages about impossible loads, which change nothing."""
 
 from inverse_dynamics_node import (
     ConfigurationError,
@@ -20,7 +20,7 @@ BOX = np.diag([0.02, 0.03, 0.04])
 
 
 def loaded():
-    """Set everything, so that a call that is refused has something to spoil."""
+    """Set all loads, so that a rejected call could damage them."""
     dynamics = InverseDynamics(ROBOT, (1.0, -2.0, -9.0))
     dynamics.set_base_motion((0.1, 0.2, 0.3), (0.4, 0.5, 0.6), (0.7, 0.8, 0.9))
     dynamics.set_payload(LINK, 1.5, (0.1, 0.0, 0.2), BOX)
@@ -72,7 +72,7 @@ NAN = float('nan')
         ('set_payload', (LINK, 1.0, (0, 0, 0), inertia(xy=0.01)), 'expected a symmetric matrix'),
         ('set_payload', (LINK, 1.0, (0, 0, 0), inertia(zz=-0.01)), 'no negative principal moment'),
         (
-            'set_payload',  # every moment is positive, not so those about turned axes
+            'set_payload',  # the diagonal is positive, the principal moments are not
             (LINK, 1.0, (0, 0, 0), inertia(xy=0.03, yx=0.03)),
             'no negative principal moment',
         ),
@@ -98,13 +98,15 @@ NAN = float('nan')
         ('set_armature', (None,), 'armature is None'),
     ],
 )
-def test_tells_what_is_wrong_with_a_setting_and_keeps_the_last(setter, arguments, words):
+def test_an_invalid_setting_is_rejected_with_a_reason_and_the_last_one_kept(
+    setter, arguments, words
+):
     dynamics = loaded()
     with pytest.raises(ConfigurationError, match=words):
         getattr(dynamics, setter)(*arguments)
     expected = loaded()
     assert (dynamics.efforts(*STATE) == expected.efforts(*STATE)).all()
-    # What a later call makes of it shows what was kept beside the numbers in use.
+    # Later calls write everything again from the stored arguments.
     for either in (dynamics, expected):
         either.set_payload(ROBOT.link_names[0], 1.0)
         either.set_external_wrench(LINK_BEFORE, (1.0, 0.0, 0.0))
@@ -113,7 +115,7 @@ def test_tells_what_is_wrong_with_a_setting_and_keeps_the_last(setter, arguments
     assert (dynamics.efforts(*STATE) == expected.efforts(*STATE)).all()
 
 
-def test_a_refused_payload_does_not_take_off_the_one_before():
+def test_a_rejected_payload_does_not_remove_the_earlier_one():
     links = np.array(MERGED.link_names)
     body = np.argmax(np.bincount(MERGED.link_body))
     first, second = links[MERGED.link_body == body][:2].tolist()
@@ -123,7 +125,7 @@ def test_a_refused_payload_does_not_take_off_the_one_before():
     dynamics.set_payload(first, 2.0)
     with pytest.raises(ConfigurationError):
         dynamics.set_payload(first, -2.0)
-    dynamics.set_payload(second, 3.0)  # what the body weighs is summed anew
+    dynamics.set_payload(second, 3.0)  # sums up the mass of the body again
     added = dynamics.joint_wrenches(still, still, still).force[0] - bare
     assert_allclose(added, [0.0, 0.0, 50.0], atol=1e-9)
 
@@ -146,7 +148,7 @@ def test_friction_is_that_of_the_description_where_none_is_given():
     n = len(FRICTIONAL.joint_names)
     q, qd, qdd = np.random.default_rng(2).uniform(-1.0, 1.0, (3, n))
     dynamics = InverseDynamics(FRICTIONAL)
-    assert not dynamics.effort_terms(q, qd, qdd).friction.any()  # off unless asked for
+    assert not dynamics.effort_terms(q, qd, qdd).friction.any()  # off by default
     dynamics.set_friction()
     expected = FRICTIONAL.damping * qd + FRICTIONAL.friction * np.tanh(qd / 0.01)
     assert_allclose(dynamics.effort_terms(q, qd, qdd).friction, expected, rtol=1e-12)
@@ -179,7 +181,7 @@ def test_arguments_of_settings_may_change_later():
         dynamics.set_armature(joints)
 
     def sum_anew():
-        """Have all be written again from what the object kept."""
+        """Make the object write all loads again from its stored arguments."""
         dynamics.set_gravity(dynamics.gravity)
         dynamics.set_external_wrench(LINK_BEFORE)
         dynamics.set_payload(LINK_BEFORE, 0.0)
@@ -216,7 +218,7 @@ def test_a_robot_with_fixed_joints_only_has_a_base_wrench():
     assert dynamics.effort_terms([], [], []).external.shape == (0,)
 
 
-def test_every_method_tells_which_argument_is_not_finite():
+def test_every_method_names_the_argument_that_is_not_finite():
     dynamics = loaded()
     elbow = ROBOT.joint_names[1]
     for k, name in enumerate(('q', 'qd', 'qdd')):

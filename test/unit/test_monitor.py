@@ -1,4 +1,4 @@
-"""What is counted, and how bad it is."""
+"""Statistics of the monitor, and the levels and texts of its reports."""
 
 import dataclasses
 
@@ -73,7 +73,7 @@ def test_measures_rate_and_periods(loop):
     assert part(monitor.report(1.5, loop, FINE), 'loop').values['rate [Hz]'] == '0.0'
 
 
-def test_warns_of_a_rate_that_is_not_reached(loop):
+def test_warns_if_the_requested_rate_is_not_reached(loop):
     monitor = Monitor(0.01)
     monitor.report(0.0, loop, FINE)
     for k in range(90):
@@ -83,7 +83,7 @@ def test_warns_of_a_rate_that_is_not_reached(loop):
     assert status.message == 'only 90.9 commands/s'
 
 
-def test_a_pause_and_a_clock_put_back_are_no_overrun(loop):
+def test_a_pause_and_a_clock_that_is_set_back_are_not_overruns(loop):
     monitor = Monitor(0.01)
     monitor.step(5.0, 1e-4, command(), JOINTS)
     monitor.pause()
@@ -92,7 +92,7 @@ def test_a_pause_and_a_clock_put_back_are_no_overrun(loop):
     assert monitor.overruns == 0
 
 
-def test_counts_every_clamp_and_warns_as_long_as_it_is_news(loop):
+def test_counts_clamped_commands_and_warns_of_those_since_the_last_report(loop):
     monitor = Monitor()
     for _ in range(3):
         monitor.step(0.0, 1e-4, command(SECOND, SECOND), JOINTS)
@@ -106,7 +106,7 @@ def test_counts_every_clamp_and_warns_as_long_as_it_is_news(loop):
     assert status.values[f'{JOINTS[1]} cut to limit'] == '3'
 
 
-def test_counts_rejected_messages_by_reason_but_not_without_end(loop):
+def test_counts_rejected_messages_by_a_limited_number_of_reasons(loop):
     monitor = Monitor()
     monitor.reject('imu', 'broken')
     monitor.reject('imu', 'broken')
@@ -140,13 +140,13 @@ def test_counts_rejected_messages_by_reason_but_not_without_end(loop):
         (0.05, FINE._replace(is_active=False, state='inactive'), 'loop', Level.OK, 'inactive'),
     ],
 )
-def test_judges_by_what_a_user_must_do(loop, now, around, name, level, words):
+def test_levels_depend_on_whether_the_user_must_act(loop, now, around, name, level, words):
     status = part(Monitor().report(now, loop, around), name)
     assert status.level is level
     assert words in status.message
 
 
-def test_without_a_robot_there_is_little_to_tell():
+def test_without_a_robot_there_are_three_statuses():
     around = FINE._replace(is_active=False, state='unconfigured')
     statuses = Monitor().report(0.0, None, around)
     assert [(status.part, status.level) for status in statuses] == [
@@ -161,7 +161,7 @@ def test_all_values_are_texts(loop):
         assert all(isinstance(x, str) for pair in status.values.items() for x in pair)
 
 
-def test_a_loop_that_began_within_the_second_is_not_slow(loop):
+def test_a_loop_that_started_within_the_second_is_not_slow(loop):
     monitor = Monitor(0.01)
     monitor.report(0.0, loop, FINE)
     monitor.pause()
@@ -230,7 +230,7 @@ def test_activity_while_disabled(loop):
     assert activity(2.0, loop) == 'stopped, zeros sent: disabled by ~/enable'
 
 
-def test_a_missing_imu_is_not_blamed_on_the_joint_states():
+def test_a_missing_imu_is_not_an_error_of_the_joint_states():
     loop = ControlLoop(ROBOT, has_imu=True)
     loop.collector.update(0.0, JOINTS, [0.1, 0.2], [0.0, 0.0])
     assert loop.missing('/joint_states', '/base/imu') == ['the motion of the base on /base/imu']
@@ -271,7 +271,7 @@ def test_subscribers_that_do_not_match_are_named(loop):
     assert '/bridge subscribes with another type or quality of service' in status.message
 
 
-def test_of_many_nodes_only_the_first_are_named(loop):
+def test_only_the_first_of_many_nodes_are_named(loop):
     others = Others('/arm', '/commands', rivals=tuple(f'/n{k}' for k in range(100)))
     status = part(Monitor().report(0.0, loop, FINE._replace(others=others)), 'other nodes')
     assert '/n0, /n1, /n2, /n3, /n4 and 95 more' in status.message
@@ -354,7 +354,7 @@ def test_no_command_is_late_without_a_period(loop):
     assert values['requested rate [Hz]'] == 'that of the joint states'
 
 
-def test_a_command_that_is_late_by_half_a_period_is_no_overrun():
+def test_a_command_that_is_late_by_half_a_period_is_not_an_overrun():
     monitor = Monitor(2.0)
     for now in (0.0, 3.0, 6.5):
         monitor.step(now, 1e-4, command(), JOINTS)
@@ -407,7 +407,7 @@ def test_joints_that_were_never_reported_are_named(is_active, level):
     assert status.values['age [s]'] == 'never'
 
 
-def test_states_that_were_lost_are_no_error_while_inactive(loop):
+def test_lost_states_are_not_an_error_while_inactive(loop):
     step_until(loop, 0.0, 0.5)
     loop.collector.update(0.5, JOINTS, [0.1, 0.2], [0.0, 0.0])
     loop.step(0.5)
@@ -481,7 +481,7 @@ def test_warnings_about_the_description_are_listed():
     assert status.values['warning 2'] == 'second'
 
 
-def test_an_imu_that_is_lost_is_an_error_until_it_is_back():
+def test_a_lost_imu_is_an_error_until_it_returns():
     loop = ControlLoop(ROBOT, has_imu=True)
     loop.set_base_motion(0.0, (0.0, 0.0, 9.8), np.zeros(3))
     assert part(Monitor().report(0.1, loop, FINE), 'model').level is Level.OK
