@@ -421,5 +421,5 @@ def test_base_wrench_carries_the_weight_of_all_links():
 def test_a_gap_in_a_loop_without_a_period_does_not_advance_the_ramps():
     loop = ControlLoop(MODEL, settings=Settings(start_ramp=2.0))
     for now in (0.0, 0.5, 1.0):
-        heard(loop, now).step(now)
+        report_all(loop, now).step(now)
     assert loop.controller.gain == 0.0

@@ -549,6 +549,17 @@ def test_efforts_can_be_held_when_the_state_is_lost():
     assert lift.step(5.1, state(0.0), None).efforts.tolist() == [0.0, 0.0]
 
 
+@pytest.mark.parametrize('start', [0.0, 1e5])
+def test_velocity_filter_starts_with_the_second_state(start):
+    lift = controller(velocity_filter_cutoff=5.0, use_urdf_effort_limits=False)
+    lift.dynamics.set_friction(damping=1.0, coulomb=0.0)
+    for elapsed, velocity in ((0.0, 0.0), (0.03125, 1.0)):
+        now = start + elapsed
+        each = State(np.zeros(2), np.full(2, velocity), now, np.full(2, now))
+        efforts = lift.step(now, each, None).efforts
+    assert efforts - HOLD == pytest.approx(1.0 - math.exp(-2.0 * math.pi * 5.0 * 0.03125))
+
+
 def test_velocity_filter_smooths_noise_and_follows_change():
     lift = controller(velocity_filter_cutoff=5.0, use_urdf_effort_limits=False)
     lift.dynamics.set_friction(damping=1.0, coulomb=0.0)
