@@ -1,4 +1,4 @@
-"""Arguments that several commands share."""
+"""Command-line arguments that several commands have in common."""
 
 from __future__ import annotations
 
@@ -6,18 +6,76 @@ import argparse
 import os
 from pathlib import Path
 
-PICTURES = ('.png', '.svg', '.pdf')
-"""What pictures may be."""
+from ..dynamics.inverse_dynamics import STANDARD_GRAVITY
+
+PICTURE_SUFFIXES = ('.png', '.svg', '.pdf')
+
+
+def add_urdf(parser: argparse.ArgumentParser) -> None:
+    """Add the argument for the robot description."""
+    parser.add_argument(
+        'urdf', type=Path, help="robot description; '-' reads it from standard input, as of xacro"
+    )
+
+
+def add_gravity(parser: argparse.ArgumentParser) -> None:
+    """Add the option --gravity."""
+    parser.add_argument(
+        '--gravity',
+        type=float,
+        nargs=3,
+        default=STANDARD_GRAVITY,
+        metavar=('X', 'Y', 'Z'),
+        help='free-fall acceleration in the frame of the base link [m/s^2] '
+        '(default: 0 0 -9.80665)',
+    )
+
+
+def add_link(parser: argparse.ArgumentParser, role: str = '') -> None:
+    """Add the option --link; a second role of the link is text for the help."""
+    text = 'link that carries the payload (default: tool0, else the end of the longest chain)'
+    parser.add_argument('--link', help=text + role)
+
+
+def add_payload(parser: argparse.ArgumentParser) -> None:
+    """Add the option --payload."""
+    parser.add_argument(
+        '--payload',
+        type=_payload,
+        metavar='MASS[,X,Y,Z]',
+        help='payload [kg] and its centre of mass in the frame of the link [m]',
+    )
+
+
+def add_friction(parser: argparse.ArgumentParser) -> None:
+    """Add the option --friction."""
+    parser.add_argument('--friction', action='store_true', help='include the friction of the URDF')
+
+
+def add_picture(parser: argparse.ArgumentParser, default: str) -> None:
+    """Add the options --picture and --no-picture; the default is text for the help."""
+    parser.add_argument(
+        '--picture',
+        type=picture_path,
+        metavar='FILE',
+        help=f'file for the picture: .png, .svg or .pdf (default: {default})',
+    )
+    parser.add_argument('--no-picture', action='store_true', help='do not write a picture')
+
+
+def add_strict(parser: argparse.ArgumentParser, condition: str) -> None:
+    """Add the option --strict; the condition is text for the help."""
+    parser.add_argument('--strict', action='store_true', help=f'exit with 3 if {condition}')
 
 
 def output_path(text: str) -> Path:
     """
-    Read the name of a file to write.
+    Parse the path of a file to write.
 
     Raises
     ------
     argparse.ArgumentTypeError
-        If it cannot be written there.
+        If the file cannot be written.
 
     """
     path = Path(text)
@@ -25,7 +83,7 @@ def output_path(text: str) -> Path:
     if path.is_dir():
         raise argparse.ArgumentTypeError(f'{text}: is a folder, expected the name of a file')
     if not folder.is_dir():
-        raise argparse.ArgumentTypeError(f"{text}: there is no folder '{folder}'")
+        raise argparse.ArgumentTypeError(f"{text}: folder '{folder}' does not exist")
     if not os.access(path if path.exists() else folder, os.W_OK):
         raise argparse.ArgumentTypeError(f'{text}: no permission to write')
     return path
@@ -33,24 +91,24 @@ def output_path(text: str) -> Path:
 
 def picture_path(text: str) -> Path:
     """
-    Read the name of a picture to write; its suffix says of which kind.
+    Parse the path of a picture to write.
 
     Raises
     ------
     argparse.ArgumentTypeError
-        If it cannot be written there, or is of no kind that can be drawn.
+        If the file cannot be written, or its suffix is not one of `PICTURE_SUFFIXES`.
 
     """
     path = output_path(text)
-    if path.suffix.lower() not in PICTURES:
+    if path.suffix.lower() not in PICTURE_SUFFIXES:
         raise argparse.ArgumentTypeError(
-            f"{text}: is of kind '{path.suffix}', expected .png, .svg or .pdf"
+            f"{text}: has the suffix '{path.suffix}', expected .png, .svg or .pdf"
         )
     return path
 
 
-def payload(text: str) -> list[float]:
-    """Read a mass [kg], and maybe its centre of mass [m], parted by commas."""
+def _payload(text: str) -> list[float]:
+    """Parse a mass [kg] and an optional centre of mass [m], separated by commas."""
     try:
         values = [float(word) for word in text.split(',')]
     except ValueError:

@@ -1,4 +1,4 @@
-"""The command `check`: what a robot description says, and whether its motors are enough."""
+"""The command `check`: a report on a robot description."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from ..analysis.workspace import (
     SAMPLES,
     Workspace,
 )
-from ..dynamics.inverse_dynamics import STANDARD_GRAVITY
 from ..report.quantities import decimals, effort_unit, fraction, number
 from ..report.robot_tables import model_tables
 from ..report.tables import Table, WIDTH
@@ -25,10 +24,17 @@ from ..report.warnings import warnings_about
 from ..robot.hand import last_link
 from ..robot.model import Floats, RobotModel
 from ..robot.model_warning import ModelWarning
-from .arguments import output_path, picture_path
+from .arguments import (
+    add_gravity,
+    add_link,
+    add_picture,
+    add_strict,
+    add_urdf,
+    output_path,
+)
 from .console import progress, show, show_warnings
 from .pictures.style import try_to_draw
-from .robots import HELP, load_dynamics, stem_of
+from .robots import load_dynamics, stem_of
 
 EPILOG = """\
 examples:
@@ -37,12 +43,12 @@ examples:
   inverse_dynamics check wall_mounted.urdf --gravity 9.81 0 0
   xacro my_arm.urdf.xacro | inverse_dynamics check - --strict > report.txt
 
-Looks at the whole range of every joint (one turn, where it has no limits), all joints at once, and
-searches on from the worst poses that it finds there. The payload is a point mass at the origin of
-the link, held at rest: moving it takes more, see `inverse_dynamics effort`.
+Samples poses over the ranges of all joints (one turn for a joint without limits), and searches for
+worse poses near the worst samples. The payload is a point mass at the origin of the link, held at
+rest; moving it takes more effort, see `inverse_dynamics effort`.
 
-exit code: 0 the description can be used; 1 it cannot; 2 wrong arguments; 3 with --strict, when
-there are warnings."""
+exit code: 0 the description can be used; 1 it cannot be used; 2 invalid arguments; 3 there are
+warnings, and --strict was given."""
 
 _WARNED = 3
 
@@ -51,51 +57,36 @@ def add_parser(subparsers: Any) -> None:
     """Add the command."""
     parser: argparse.ArgumentParser = subparsers.add_parser(
         'check',
-        help='what a URDF says: masses, limits, gravity efforts everywhere, payload left',
-        description='Report on a robot description: tree, masses and limits, what looks wrong and '
-        'what to do about it, the gravity efforts over the workspace against the effort limits, '
-        'and the payload that they leave. Writes a picture too.',
+        help='report on a URDF: masses, limits, warnings, gravity efforts, payload capacity',
+        description='Report on a robot description: tree, masses and limits, warnings with hints, '
+        'gravity efforts over the workspace compared with the effort limits, and the payload that '
+        'the limits allow. Also writes a picture.',
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument('urdf', type=Path, help=HELP)
-    parser.add_argument(
-        '--link', help='where the payload is; default: tool0, else the end of the longest chain'
-    )
-    parser.add_argument(
-        '--picture',
-        type=picture_path,
-        metavar='FILE',
-        help='default: <name of the urdf>_check.png, here',
-    )
-    parser.add_argument('--no-picture', action='store_true', help='write no picture')
+    add_urdf(parser)
+    add_link(parser)
+    add_gravity(parser)
+    add_picture(parser, '<name of the URDF>_check.png')
     parser.add_argument(
         '--poses',
         type=output_path,
         metavar='FILE',
-        help='write the worst pose of every joint here, CSV',
+        help='CSV file for the worst pose of every joint',
     )
     parser.add_argument(
         '--samples',
         type=_sample_count,
         default=SAMPLES,
-        help='how many poses to look at, rounded up to a power of two (default: %(default)s)',
+        help='number of poses, rounded up to a power of two (default: %(default)s)',
     )
-    parser.add_argument(
-        '--gravity',
-        type=float,
-        nargs=3,
-        default=STANDARD_GRAVITY,
-        metavar=('X', 'Y', 'Z'),
-        help='free-fall acceleration in the frame of the root link [m/s^2]',
-    )
-    parser.add_argument('--strict', action='store_true', help='exit with 3 if there are warnings')
+    add_strict(parser, 'there are warnings')
     parser.set_defaults(run=run)
 
 
 def _sample_count(text: str) -> int:
     if not text.isdecimal() or not 2 <= int(text) <= 2**20:
-        raise argparse.ArgumentTypeError(f"'{text}' is no whole number from 2 to {2**20}")
+        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from 2 to {2**20}")
     return int(text)
 
 
@@ -107,8 +98,8 @@ def run(options: argparse.Namespace) -> int:
     warnings = warnings_about(robot)
     if robot.joint_names:
         link = options.link or last_link(robot)
-        with progress('looking at poses') as tell:
-            workspace = explore(dynamics, options.samples, progress=tell)
+        with progress('computing poses') as report:
+            workspace = explore(dynamics, options.samples, progress=report)
             payload = payload_capacity(dynamics, workspace, link)
         show(workspace_table(workspace, payload))
         warnings += beyond_limits(workspace)
@@ -130,7 +121,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def workspace_table(workspace: Workspace, payload: PayloadCapacity) -> Table:
-    """Write out what gravity asks of every joint, where most, and the payload left."""
+    """Return the gravity efforts of every joint, the worst poses and the payload capacity."""
     robot, limits = workspace.robot, workspace.limits
     places = decimals(workspace.efforts)
     rows = []
@@ -164,7 +155,7 @@ def workspace_table(workspace: Workspace, payload: PayloadCapacity) -> Table:
     if is_too_wide:
         notes += ('The worst poses are too long for this table: --poses FILE writes them as CSV.',)
     count = len(workspace.poses) - len(rows)
-    title = f'Efforts that hold the robot, over {count} poses and the worst near them'
+    title = f'Efforts that hold the robot, over {count} poses and the worst poses near them'
     return Table(
         title,
         tuple(columns[k] for k in shown),
@@ -176,18 +167,18 @@ def workspace_table(workspace: Workspace, payload: PayloadCapacity) -> Table:
 
 
 def payload_in_words(robot: RobotModel, payload: PayloadCapacity) -> str:
-    """Say how much can be held, and what stands against more."""
+    """Describe how much the robot can hold, and which joint limits it."""
     where = f"at the origin of link '{payload.link}'"
     if payload.joint is None:
-        return f'Payload left {where}: no joint with an effort limit feels it.'
-    at = f'{payload.joint} gives out first, at {pose_in_words(robot, payload.pose)}'
+        return f'Payload left {where}: unlimited, as it loads no joint with an effort limit.'
+    at = f'{payload.joint} reaches its limit first, at {pose_in_words(robot, payload.pose)}'
     if payload.mass == 0.0:
-        return f'Payload left {where}: none, gravity alone is beyond a limit; {at}.'
+        return f'Payload left {where}: none, gravity alone exceeds a limit; {at}.'
     return f'Payload left {where}, at rest in every pose: {payload.mass:.3g} kg; {at}.'
 
 
 def pose_in_words(robot: RobotModel, pose: Floats, most: int = 8) -> str:
-    """Name the joints that are not at zero, those far away first if there are many."""
+    """List the joints that are not at zero; if there are many, those farthest from zero."""
     units = ['m' if slide else 'rad' for slide in robot.is_prismatic_joint]
     away = [i for i in np.argsort(-np.abs(pose)) if abs(pose[i]) >= 5e-4]
     shown = [f'{robot.joint_names[i]} {pose[i]:.3f} {units[i]}' for i in sorted(away[:most])]
@@ -198,7 +189,7 @@ def pose_in_words(robot: RobotModel, pose: Floats, most: int = 8) -> str:
 
 
 def beyond_limits(workspace: Workspace) -> tuple[ModelWarning, ...]:
-    """Warn of joints that cannot hold the robot everywhere."""
+    """Return warnings about joints that cannot hold the robot in every pose."""
     hint = (
         'check masses and limit; if both are right, the arm falls in such poses unless springs '
         'help, which a URDF does not describe'
@@ -221,7 +212,7 @@ def _short_pose(pose: Floats) -> str:
 
 
 def write_poses(workspace: Workspace, path: Path) -> None:
-    """Write the worst pose of every joint as CSV: a joint a row."""
+    """Write the worst pose of every joint as CSV, one row per joint."""
     names = workspace.robot.joint_names
     with path.open('w', newline='', encoding='utf-8') as file:
         rows = csv.writer(file)

@@ -1,4 +1,4 @@
-"""The command `compare`: a recorded run against the model."""
+"""The command `compare`: measured efforts of a recording compared with the model."""
 
 from __future__ import annotations
 
@@ -19,13 +19,22 @@ from ..analysis.identification import (
     Recording,
 )
 from ..analysis.measured_states import read_measured_states
-from ..dynamics.inverse_dynamics import FRICTION_WIDTH, InverseDynamics, STANDARD_GRAVITY
+from ..dynamics.inverse_dynamics import FRICTION_WIDTH
 from ..errors import ConfigurationError, RecordingError
 from ..report.tables import Table
 from ..robot.hand import last_link
 from ..robot.model_warning import ModelWarning
 from ..robot.plausibility import position_warnings
-from .arguments import output_path, payload, picture_path
+from .arguments import (
+    add_friction,
+    add_gravity,
+    add_link,
+    add_payload,
+    add_picture,
+    add_strict,
+    add_urdf,
+    output_path,
+)
 from .console import (
     progress,
     say,
@@ -33,7 +42,7 @@ from .console import (
     show_warnings,
 )
 from .pictures.style import try_to_draw
-from .robots import HELP, load_dynamics
+from .robots import attach_payload, load_dynamics
 
 EPILOG = """\
 examples:
@@ -44,16 +53,16 @@ examples:
 
 The recording is a rosbag2 folder, or one .mcap or .db3 file, with sensor_msgs/msg/JointState that
 has efforts; or a .csv file with a header of `time` [s] and, for each joint, `<joint>.position` (or
-just `<joint>`), `<joint>.velocity` (not needed) and `<joint>.effort`. Twenty seconds with every
-joint moving both ways, at different speeds, tell most.
+just `<joint>`), `<joint>.velocity` (optional) and `<joint>.effort`. Twenty seconds in which every
+joint moves in both directions, at different speeds, are enough.
 
-What it can name: a sign that is swapped; efforts that are currents, or in another unit; gravity
-that the driver compensates; another mounting of the base; a payload; joints in another order;
-inertia of rotors; an offset; a driver that does not measure. Friction is fitted apart from these,
-and written for the node by --parameters.
+Differences that it can diagnose: a swapped sign; efforts that are currents, or in another unit;
+gravity compensated by the driver; a different mounting of the base; a payload; joints in another
+order; inertia of rotors; an offset; a driver that does not measure. Friction is fitted separately,
+and --parameters writes it for the node.
 
-exit code: 0 compared; 1 it cannot be; 2 wrong arguments; 3 with --strict, when something was
-found."""
+exit code: 0 compared; 1 the recording cannot be compared; 2 invalid arguments; 3 there are
+warnings, and --strict was given."""
 
 _FOUND = 3
 
@@ -62,71 +71,59 @@ def add_parser(subparsers: Any) -> None:
     """Add the command."""
     parser: argparse.ArgumentParser = subparsers.add_parser(
         'compare',
-        help='a recorded run against the model: what it explains, friction, what is wrong',
-        description='Hold measured efforts of a recorded run against the modelled ones, fit '
-        'friction, and name what explains the difference. Writes a picture too.',
+        help='compare a recording with the model, fit friction, diagnose differences',
+        description='Compare the measured efforts of a recording with the modelled ones, fit '
+        'friction, and diagnose the differences. Also writes a picture.',
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument('urdf', type=Path, help=HELP)
-    parser.add_argument('recording', type=Path, help='rosbag2 folder, .mcap, .db3 or .csv')
-    parser.add_argument('--topic', help='default: the only joint states with efforts')
-    parser.add_argument('--from', dest='start', type=float, metavar='S', help='leave out before')
-    parser.add_argument('--to', dest='end', type=float, metavar='S', help='leave out after [s]')
-    parser.add_argument('--link', help='where a payload may be; default: the ends of the tree')
+    add_urdf(parser)
+    parser.add_argument('recording', type=Path, help='rosbag2 folder, .mcap, .db3 or .csv file')
     parser.add_argument(
-        '--payload',
-        type=payload,
-        metavar='MASS[,X,Y,Z]',
-        help='what the link carries as far as known [kg], and where in its frame [m]',
+        '--topic', help='topic of the joint states (default: the only one with efforts)'
     )
     parser.add_argument(
-        '--gravity',
-        type=float,
-        nargs=3,
-        default=STANDARD_GRAVITY,
-        metavar=('X', 'Y', 'Z'),
-        help='free-fall acceleration in the frame of the root link [m/s^2]',
+        '--from', dest='start', type=float, metavar='S', help='ignore earlier samples [s]'
     )
     parser.add_argument(
-        '--friction', action='store_true', help='let the model have the friction of the URDF'
+        '--to', dest='end', type=float, metavar='S', help='ignore later samples [s]'
     )
+    add_link(parser, '; the only link searched for an unknown payload (default: all tips)')
+    add_payload(parser)
+    add_gravity(parser)
+    add_friction(parser)
     parser.add_argument(
         '--coulomb-width',
         type=float,
         default=FRICTION_WIDTH,
         metavar='SPEED',
-        help='over which Coulomb friction is smoothed [rad/s, m/s] (default: %(default)s)',
+        help='speed over which Coulomb friction is smoothed [rad/s, m/s] (default: %(default)s)',
     )
     parser.add_argument(
         '--parameters',
         type=output_path,
         metavar='FILE',
-        help='write the fitted friction here, as parameters of the node',
+        help='file for the fitted friction, as parameters of the node',
     )
-    parser.add_argument(
-        '--picture',
-        type=picture_path,
-        metavar='FILE',
-        help='default: <name of the recording>_compare.png, here',
-    )
-    parser.add_argument('--no-picture', action='store_true', help='write no picture')
-    parser.add_argument(
-        '--strict', action='store_true', help='exit with 3 if anything is found to be wrong'
-    )
+    add_picture(parser, '<name of the recording>_compare.png')
+    add_strict(parser, 'there are warnings')
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
-    dynamics = _dynamics(options, load_dynamics(options.urdf, options.gravity))
+    width = _friction_width(options)
+    dynamics = load_dynamics(options.urdf, options.gravity)
     robot = dynamics.robot
-    with progress('reading') as tell:
+    if options.friction:
+        dynamics.set_friction(width=width)
+    load = attach_payload(dynamics, options.link or last_link(robot), options.payload)
+    with progress('reading') as report:
         recording, notes = read_measured_states(
-            options.recording, robot.joint_names, options.topic, tell
+            options.recording, robot.joint_names, options.topic, report
         )
     recording = _between(recording, options.start, options.end)
-    findings = identify(dynamics, recording, link=options.link, width=options.coulomb_width)
+    findings = identify(dynamics, recording, link=options.link, width=width)
     say(verdict(findings))
     print()
     warnings = [
@@ -143,9 +140,7 @@ def run(options: argparse.Namespace) -> int:
     if not options.no_picture:
         from .pictures.compare import draw
 
-        link = options.link or last_link(robot)
-        load = f", payload {options.payload[0]:g} kg on link '{link}'" if options.payload else ''
-        source = f'{robot.name}: {options.recording.name}{load}'
+        source = f'{robot.name}: {", ".join(filter(None, (options.recording.name, load)))}'
         path = try_to_draw(
             partial(draw, findings, source, verdict(findings)),
             options.picture,
@@ -156,22 +151,15 @@ def run(options: argparse.Namespace) -> int:
     return _FOUND if options.strict and warnings else 0
 
 
-def _dynamics(options: argparse.Namespace, dynamics: InverseDynamics) -> InverseDynamics:
-    if not (math.isfinite(options.coulomb_width) and options.coulomb_width > 0.0):
-        raise ConfigurationError(
-            f'--coulomb-width is {options.coulomb_width}, expected a speed above 0'
-        )
-    if options.friction:
-        dynamics.set_friction(width=options.coulomb_width)
-    if options.payload is not None:
-        mass, *com = options.payload
-        link = options.link or last_link(dynamics.robot)
-        dynamics.set_payload(link, mass, com or (0.0, 0.0, 0.0))
-    return dynamics
+def _friction_width(options: argparse.Namespace) -> float:
+    width: float = options.coulomb_width
+    if not (math.isfinite(width) and width > 0.0):
+        raise ConfigurationError(f'--coulomb-width is {width}, expected a speed above 0')
+    return width
 
 
 def _between(recording: Recording, start: float | None, end: float | None) -> Recording:
-    """Cut a recording, by seconds from its first sample."""
+    """Select a part of a recording, in seconds since its first sample."""
     times = recording.times - recording.times[0]
     chosen = np.ones(len(times), dtype=bool)
     if start is not None:
@@ -193,18 +181,18 @@ def _between(recording: Recording, start: float | None, end: float | None) -> Re
 
 
 def verdict(findings: Findings) -> str:
-    """Say in a line what the comparison comes to."""
+    """Summarize the comparison in one sentence."""
     explains = f'{percent(findings.explained)} of the measured effort'
-    in_the_end = percent(findings.explained_corrected)
+    corrected = percent(findings.explained_corrected)
     if findings.diagnoses:
-        what = '; '.join(diagnosis.headline for diagnosis in findings.diagnoses)
-        # A sentence begins with a capital, the name of a joint does not.
-        if what.startswith(('the ', 'every ', 'link ')):
-            what = what[0].upper() + what[1:]
-        return f'{what}. As it is, the model explains {explains}; with that, {in_the_end}.'
+        headlines = '; '.join(diagnosis.headline for diagnosis in findings.diagnoses)
+        # Names of joints keep their first letter.
+        if headlines.startswith(('the ', 'every ', 'link ')):
+            headlines = headlines[0].upper() + headlines[1:]
+        return f'{headlines}. As it is, the model explains {explains}; with that, {corrected}.'
     if math.isnan(findings.explained):
-        return 'The efforts hardly vary: there is too little to compare.'
-    return f'The model explains {explains}; with fitted friction, {in_the_end}.'
+        return 'The efforts hardly vary, so that they cannot be compared.'
+    return f'The model explains {explains}; with fitted friction, {corrected}.'
 
 
 def diagnosis_warning(diagnosis: Diagnosis) -> ModelWarning:
@@ -219,12 +207,12 @@ def diagnosis_warning(diagnosis: Diagnosis) -> ModelWarning:
     }.get(diagnosis.kind, '')
     if diagnosis.kind == 'payload' and numbers[0] < 0.0:
         again = ''
-    hint = diagnosis.advice + (f' To see what is left then: {again}' if again else '')
+    hint = diagnosis.advice + (f' To see the remaining difference: {again}' if again else '')
     return ModelWarning(f'{diagnosis.headline}: {diagnosis.evidence}', hint)
 
 
 def comparison_table(findings: Findings, notes: tuple[str, ...]) -> Table:
-    """Write out measured against modelled efforts, a joint a row."""
+    """Return measured and modelled efforts, one row per joint."""
     motion = findings.motion
     rows = [
         (
@@ -242,15 +230,15 @@ def comparison_table(findings: Findings, notes: tuple[str, ...]) -> Table:
         for joint in findings.joints
     ]
     columns = ('joint', 'measured', 'modelled', 'differ', '', 'explained', 'with mean',
-               'in the end', 'scale', 'offset')  # fmt: skip
-    lasts = motion.times[-1] - motion.times[0]
+               'corrected', 'scale', 'offset')  # fmt: skip
+    duration = motion.times[-1] - motion.times[0]
     remarks = (
-        'RMS of measured and modelled efforts and of their difference; explained: share of the '
-        'variance, and of the squares (with mean); in the end: with fitted friction and offset, '
-        'while the joint moves (at rest, dry friction is anything up to its full value)'
-        + (' and with what was found above' if findings.diagnoses else '')
-        + '; measured is about scale * modelled + offset.',
-        f'{len(motion.times)} samples over {lasts:.3g} s; {motion.method}.',
+        'RMS of measured and modelled efforts and of their difference; explained: fraction of the '
+        'variance, and of the squares (with mean); corrected: with fitted friction and offset'
+        + (', and with the findings above' if findings.diagnoses else '')
+        + ', while the joint moves (at rest, dry friction can have any value up to its maximum); '
+        'measured is about scale * modelled + offset.',
+        f'{len(motion.times)} samples over {duration:.3g} s; {motion.method}.',
         *(f'{note}.' for note in (*motion.notes, *notes)),
     )
     return Table('Measured against modelled efforts', columns, tuple(rows), remarks,
@@ -258,7 +246,7 @@ def comparison_table(findings: Findings, notes: tuple[str, ...]) -> Table:
 
 
 def friction_table(findings: Findings) -> Table:
-    """Write out the fitted friction, with standard errors."""
+    """Return the fitted friction with standard errors."""
     rows = []
     for joint in findings.joints:
         fit = joint.friction
@@ -272,7 +260,7 @@ def friction_table(findings: Findings) -> Table:
         rows.append((joint.name, *numbers))
     notes = (
         f'damping * velocity + Coulomb * tanh(velocity / {findings.width:g}) + offset, in '
-        'N m s/rad and N m, N s/m and N where the joint slides; with standard errors, of chance '
+        'N m s/rad and N m (prismatic joints: N s/m and N); standard errors include random errors '
         'only.',
         *(
             f'{joint.name}: unknown, {joint.friction.unknown_because}.'
@@ -281,11 +269,16 @@ def friction_table(findings: Findings) -> Table:
         ),
     )
     columns = ('joint', 'damping', 'Coulomb', 'offset')
-    return Table('Friction, fitted to what the model leaves', columns, tuple(rows), notes)
+    return Table(
+        'Friction, fitted to the efforts that the model does not explain',
+        columns,
+        tuple(rows),
+        notes,
+    )
 
 
 def write_parameters(findings: Findings, joint_names: tuple[str, ...], path: Path) -> None:
-    """Write friction as parameters of the node, joints in the robot's order."""
+    """Write friction as parameters of the node, with the joints in the order of the robot."""
     joints: list[JointFinding] = sorted(
         findings.joints, key=lambda joint: joint_names.index(joint.name)
     )
@@ -294,20 +287,20 @@ def write_parameters(findings: Findings, joint_names: tuple[str, ...], path: Pat
     path.write_text(text, encoding='utf-8')
 
 
-def percent(share: float) -> str:
-    """Write a share, with a dash for none."""
-    if math.isnan(share):
+def percent(fraction: float) -> str:
+    """Write a fraction in per cent, with a dash for NaN."""
+    if math.isnan(fraction):
         return '-'
-    # 99.96 is not 100, and a model far off is that, whatever the digits.
-    if share < -9.99:
+    # More digits near 100 %, and none for a model that is completely wrong.
+    if fraction < -9.99:
         return '<-999%'
-    if share > 0.9999:
+    if fraction > 0.9999:
         return '>99.99%'
-    return f'{share:.2%}' if share > 0.99 else f'{share:.1%}'
+    return f'{fraction:.2%}' if fraction > 0.99 else f'{fraction:.1%}'
 
 
 def _with_error(value: float, error: float) -> str:
-    """Write a value to the digits that its standard error leaves."""
+    """Write a value with as many digits as its standard error justifies."""
     if not error > 0.0 or not math.isfinite(error):
         return f'{value:.4g}'
     places = min(6, max(0, 1 - math.floor(math.log10(error))))

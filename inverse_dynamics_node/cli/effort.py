@@ -1,4 +1,4 @@
-"""The command `effort`: the efforts that a trajectory requires, for choosing motors."""
+"""The command `effort`: the efforts that a trajectory requires."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ from ..analysis.trajectory_files import (
 )
 from ..analysis.trajectory_yaml import write_trajectory
 from ..analysis.workspace import joint_ranges
-from ..dynamics.inverse_dynamics import STANDARD_GRAVITY
 from ..dynamics.trajectory import (
     complete,
     refine,
@@ -34,10 +33,19 @@ from ..robot.hand import last_link
 from ..robot.model import Floats, RobotModel
 from ..robot.model_warning import ModelWarning
 from ..robot.plausibility import position_warnings
-from .arguments import output_path, payload, picture_path
+from .arguments import (
+    add_friction,
+    add_gravity,
+    add_link,
+    add_payload,
+    add_picture,
+    add_strict,
+    add_urdf,
+    output_path,
+)
 from .console import progress, show, show_warnings
 from .pictures.style import try_to_draw
-from .robots import HELP, load_dynamics
+from .robots import attach_payload, load_dynamics
 
 EPILOG = f"""\
 {FORMATS}
@@ -48,17 +56,17 @@ examples:
   inverse_dynamics effort my_arm.urdf pick.yaml --trajectory-out pick_with_efforts.yaml
   inverse_dynamics effort my_arm.urdf rosbag2_2026_01_31/ --topic /joint_states --smooth 10
 
-What is missing is derived: velocities from a cubic spline through the positions, accelerations
-from one through the velocities. Between points that are far apart run polynomials of fifth degree,
-as in ros2_control's joint trajectory controller. Accelerations derived from measured states carry
-their noise: --smooth 10 takes it away.
+Missing velocities are derived from a cubic spline through the positions, missing accelerations
+from one through the velocities. Points that are far apart are connected by polynomials of fifth
+degree, as in the joint_trajectory_controller of ros2_control. Accelerations that are derived from
+measured states contain noise; --smooth 10 removes it.
 
-exit code: 0 done; 1 something cannot be read or used; 2 wrong arguments; 3 with --strict, when a
-limit of effort, speed or position is exceeded."""
+exit code: 0 done; 1 a file cannot be read or used; 2 invalid arguments; 3 a limit of effort, speed
+or position is exceeded, and --strict was given."""
 
 _EXCEEDED = 3
 _FAR_BEYOND = 10.0
-"""An effort or a speed of so many times its limit is more likely to be in a wrong unit."""
+"""Ratio to the limit above which the unit of an effort or a speed is probably wrong."""
 _TERMS = ('inertia', 'velocity', 'gravity', 'friction')
 
 
@@ -66,76 +74,57 @@ def add_parser(subparsers: Any) -> None:
     """Add the command."""
     parser: argparse.ArgumentParser = subparsers.add_parser(
         'effort',
-        help='efforts, speeds and powers along a trajectory, against the limits',
-        description='Compute the joint efforts along a trajectory: peaks and means against the '
-        'limits, what they are made of, a table of them over time, and a picture.',
+        help='efforts, speeds and powers along a trajectory, compared with the limits',
+        description='Compute the joint efforts along a trajectory: peaks and means compared with '
+        'the limits, their terms, a table over time, and a picture.',
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument('urdf', type=Path, help=HELP)
+    add_urdf(parser)
     parser.add_argument('trajectory', type=Path, help='a file or recording, see below')
-    parser.add_argument('--topic', help='of a recording')
-    parser.add_argument(
-        '--payload',
-        type=payload,
-        metavar='MASS[,X,Y,Z]',
-        help='a load [kg], its centre of mass in the frame of the link [m]',
-    )
-    parser.add_argument(
-        '--link', help='where the payload is; default: tool0, else the end of the longest chain'
-    )
-    parser.add_argument('--friction', action='store_true', help='count the friction of the URDF')
+    parser.add_argument('--topic', help='topic of a recording (default: see below)')
+    add_payload(parser)
+    add_link(parser)
+    add_friction(parser)
     parser.add_argument(
         '--at',
         action='append',
         default=[],
         type=_place,
         metavar='JOINT=POSITION',
-        help='where a joint rests that the trajectory does not move [rad, m]; default: 0, or the '
-        'end of its range next to that; may be repeated',
+        help='position of a joint that the trajectory does not move [rad, m] (default: 0, or the '
+        'nearest end of its range); may be repeated',
     )
     parser.add_argument(
         '--smooth',
         type=_rate,
         metavar='HZ',
-        help='for measured states: take what changes faster for noise, and derive velocities and '
-        'accelerations from the rest of the positions',
+        help='for measured states: remove faster changes from the positions as noise, and derive '
+        'velocities and accelerations from them',
     )
     parser.add_argument(
         '--rate',
         type=_rate,
         default=200.0,
-        help='states a second to look at, at least; 0: the points only (default: %(default)g)',
+        help='least number of evaluated states per second; 0: only the points of the trajectory '
+        '(default: %(default)g)',
     )
-    parser.add_argument(
-        '--gravity',
-        type=float,
-        nargs=3,
-        default=STANDARD_GRAVITY,
-        metavar=('X', 'Y', 'Z'),
-        help='free-fall acceleration in the frame of the root link [m/s^2]',
-    )
+    add_gravity(parser)
     parser.add_argument(
         '--csv',
         type=output_path,
         metavar='FILE',
-        help='default: <name of the trajectory>_efforts.csv',
+        help='file for the efforts over time (default: <name of the trajectory>_efforts.csv)',
     )
-    parser.add_argument(
-        '--picture',
-        type=picture_path,
-        metavar='FILE',
-        help='default: <name of the trajectory>_efforts.png, here',
-    )
-    parser.add_argument('--no-picture', action='store_true', help='write no picture')
+    add_picture(parser, '<name of the trajectory>_efforts.png')
     parser.add_argument(
         '--trajectory-out',
         type=output_path,
         metavar='YAML',
-        help='write the trajectory with velocities, accelerations and effort filled in, as '
-        '`ros2 topic pub` takes it',
+        help='file for the trajectory with velocities, accelerations and efforts, in the format '
+        'of `ros2 topic pub`',
     )
-    parser.add_argument('--strict', action='store_true', help='exit with 3 if it exceeds a limit')
+    add_strict(parser, 'a limit of effort, speed or position is exceeded')
     parser.set_defaults(run=run)
 
 
@@ -143,26 +132,26 @@ def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
     dynamics = load_dynamics(options.urdf, options.gravity)
     robot = dynamics.robot
-    link = options.link or last_link(robot)
-    if options.payload:
-        mass, *com = options.payload
-        dynamics.set_payload(link, mass, com or (0.0, 0.0, 0.0))
+    load = attach_payload(dynamics, options.link or last_link(robot), options.payload)
     if options.friction:
         dynamics.set_friction()
     others = _others(robot, options.at)
-    with progress('reading') as tell:
-        source = read_trajectory(options.trajectory, robot.joint_names, options.topic, tell)
+    with progress('reading') as report:
+        source = read_trajectory(options.trajectory, robot.joint_names, options.topic, report)
     if options.smooth:
         whole = smooth(source.trajectory, options.smooth)
         derived: tuple[str, ...] = (
-            f'evenly spaced and smoothed at {options.smooth:g} Hz; velocities and accelerations '
-            'derived from that',
+            f'resampled evenly and smoothed at {options.smooth:g} Hz; velocities and '
+            'accelerations derived from the result',
         )
     else:
         whole, derived = complete(source.trajectory)
     fine, points = refine(whole, 1.0 / options.rate if options.rate else math.inf)
     requirements = effort_requirements(dynamics, fine, others)
-    show(_summary(options, link, source, derived, fine), *demand_tables(robot, fine, requirements))
+    show(
+        _summary(options, load, source, derived, fine),
+        *requirement_tables(robot, fine, requirements),
+    )
     warnings = (
         *position_warnings(robot, fine.positions, fine.joint_names),
         *_peak_warnings(fine, requirements),
@@ -180,8 +169,7 @@ def run(options: argparse.Namespace) -> int:
     if not options.no_picture:
         from .pictures.effort import draw
 
-        load = f"\npayload {options.payload[0]:g} kg on link '{link}'" if options.payload else ''
-        title = f'{robot.name}: efforts along {options.trajectory.name}{load}'
+        title = f'{robot.name}: efforts along {options.trajectory.name}\n{load}'
         path = try_to_draw(
             partial(draw, robot, fine, requirements, title), options.picture, f'{stem}_efforts.png'
         )
@@ -206,12 +194,12 @@ def _rate(text: str) -> float:
     except ValueError:
         rate = -1.0
     if not 0.0 <= rate <= 1e5:
-        raise argparse.ArgumentTypeError(f"'{text}' is no rate from 0 to 100000 Hz")
+        raise argparse.ArgumentTypeError(f"'{text}' is not a rate from 0 to 100000 Hz")
     return rate
 
 
 def _others(robot: RobotModel, places: Sequence[tuple[str, float]]) -> Floats:
-    """Return where joints are that the trajectory does not move."""
+    """Return positions for the joints that the trajectory does not move."""
     positions: Floats = np.clip(0.0, *joint_ranges(robot))
     for name, position in places:
         if name not in robot.joint_names:
@@ -222,39 +210,36 @@ def _others(robot: RobotModel, places: Sequence[tuple[str, float]]) -> Floats:
 
 def _summary(
     options: argparse.Namespace,
-    link: str,
+    load: str,
     source: LoadedTrajectory,
     derived: tuple[str, ...],
     fine: Trajectory,
 ) -> Table:
     found = source.trajectory
     duration = fine.times[-1] - fine.times[0]
-    count = f'{_count(len(found.times), "point")} in {duration:.3g} s, of ' + _count(
+    count = f'{_count(len(found.times), "point")} in {duration:.3g} s, ' + _count(
         len(found.joint_names), 'joint'
     )
     if len(fine.times) > len(found.times):
-        count += f'; looked at in {len(fine.times)} states'
-    loads = []
-    if options.payload:
-        loads.append(f"payload {options.payload[0]:g} kg on link '{link}'")
-    loads.append('friction of the URDF counted' if options.friction else 'friction not counted')
-    notes = (count, '; '.join(loads), *source.notes, *derived)
+        count += f'; evaluated at {len(fine.times)} states'
+    friction = 'with the friction of the URDF' if options.friction else 'without friction'
+    notes = (count, '; '.join(filter(None, (load, friction))), *source.notes, *derived)
     return Table(f'trajectory {options.trajectory}', notes=notes)
 
 
 def _peak_warnings(fine: Trajectory, requirements: EffortRequirements) -> tuple[ModelWarning, ...]:
-    """Warn of efforts and speeds so far beyond their limits that a unit must be wrong."""
+    """Return warnings about efforts and speeds so large that a unit must be wrong."""
     found = []
     hint = (
         'check the units: positions in rad (degrees are 57 times as large) or m, times in s; for '
         'measured states, try --smooth 10'
     )
     for k, name in enumerate(fine.joint_names):
-        shares = (
+        ratios = (
             ('effort', abs(float(requirements.peak[k])) / float(requirements.effort_limits[k])),
             ('speed', float(requirements.speed[k]) / float(requirements.velocity_limits[k])),
         )
-        beyond = [f'{what} {share:.3g} times' for what, share in shares if share > _FAR_BEYOND]
+        beyond = [f'{name} {ratio:.3g} times' for name, ratio in ratios if ratio > _FAR_BEYOND]
         if beyond:
             text = f'{" and ".join(beyond)} its limit'
             found.append(ModelWarning(text, hint, name))
@@ -265,10 +250,10 @@ def _count(number: int, noun: str) -> str:
     return f'{number} {noun}' if number == 1 else f'{number} {noun}s'
 
 
-def demand_tables(
+def requirement_tables(
     robot: RobotModel, fine: Trajectory, requirements: EffortRequirements
 ) -> list[Table]:
-    """Write out peaks and means against the limits, and what the efforts are made of."""
+    """Return the peaks and means compared with the limits, and the terms of the efforts."""
     index = [robot.joint_names.index(name) for name in fine.joint_names]
     places = decimals(requirements.peak)
     rows, parts = [], []
@@ -299,13 +284,13 @@ def demand_tables(
     columns = ('joint', 'peak effort', 'at', 'limit', 'ratio', 'RMS', 'speed', 'limit', 'power')
     is_marked = any(row[-1] for row in rows)
     notes = (
-        (f'takes back up to {np.max(requirements.braking):.3g} W at a joint, when braking',)
+        (f'a braking joint absorbs up to {np.max(requirements.braking):.3g} W',)
         if np.max(requirements.braking) > 0.0
         else ()
     )
     return [
         Table(
-            'Peaks against the limits',
+            'Peaks compared with the limits',
             (*columns, '') if is_marked else columns,
             tuple(row if is_marked else row[:-1] for row in rows),
             notes,
@@ -313,10 +298,10 @@ def demand_tables(
             frozenset(k for k, row in enumerate(rows) if row[-1]),
         ),
         Table(
-            'What the efforts are made of (RMS)',
-            ('joint', *_TERMS, 'all'),
+            'Terms of the efforts (RMS)',
+            ('joint', *_TERMS, 'total'),
             tuple(parts),
-            ('inertia: of accelerations; velocity: Coriolis and centrifugal',),
+            ('inertia: due to accelerations; velocity: Coriolis and centrifugal',),
         ),
     ]
 
@@ -327,5 +312,5 @@ def _marks(requirements: EffortRequirements, k: int) -> str:
         (requirements.is_too_fast[k], 'speed'),
         (requirements.is_too_far[k], 'position'),
     )
-    beyond = [what for is_beyond, what in marks if is_beyond]
+    beyond = [name for is_beyond, name in marks if is_beyond]
     return f'beyond: {", ".join(beyond)}' if beyond else ''

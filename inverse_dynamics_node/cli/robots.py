@@ -1,7 +1,8 @@
-"""The robot description that a command is given: a file, or standard input."""
+"""Loads the robot on which a command works."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 import sys
 
@@ -11,17 +12,22 @@ from ..robot.model import Floats
 from ..robot.urdf import load_urdf
 from .console import waiting
 
-HELP = "the robot description; '-' reads it from standard input, as from xacro"
-
 
 def load_dynamics(path: Path, gravity: Floats | tuple[float, ...]) -> InverseDynamics:
     """
-    Load a robot and make it ready.
+    Load a robot description, and compile the functions that compute its efforts.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        A file; ``-`` is standard input.
+    gravity : array_like, shape (3,)
+        Free-fall acceleration in the frame of the base link [m/s^2].
 
     Raises
     ------
     UrdfError
-        If there is no such file, or it cannot be used.
+        If the file does not exist, or is not a usable robot description.
     ConfigurationError
         If gravity is not three finite numbers.
 
@@ -29,12 +35,29 @@ def load_dynamics(path: Path, gravity: Floats | tuple[float, ...]) -> InverseDyn
     source: Path | str = path
     if str(path) == '-':
         source = sys.stdin.read()
-        if not source.lstrip('\ufeff \t\r\n').startswith('<'):  # else it would be a path
-            raise UrdfError(['no XML'], 'standard input')
-    with waiting('loading; the first time compiles for some seconds'):
+        if not source.lstrip('\ufeff \t\r\n').startswith('<'):  # otherwise it would be a path
+            raise UrdfError(['is not XML'], 'standard input')
+    with waiting('loading (the first time, compiling takes some seconds)'):
         return InverseDynamics(load_urdf(source), gravity)
 
 
 def stem_of(path: Path) -> str:
-    """Return what files about a robot are named after."""
+    """Return the start of the names of files about a robot."""
     return 'robot' if str(path) == '-' else path.stem
+
+
+def attach_payload(dynamics: InverseDynamics, link: str, payload: Sequence[float] | None) -> str:
+    """
+    Attach the payload of the command line, if there is one, to a link.
+
+    Returns
+    -------
+    description : str
+        Text for titles; empty without a payload.
+
+    """
+    if payload is None:
+        return ''
+    mass, *com = payload
+    dynamics.set_payload(link, mass, com or (0.0, 0.0, 0.0))
+    return f"payload {mass:g} kg on link '{link}'"

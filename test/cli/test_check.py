@@ -15,7 +15,7 @@ def test_tells_what_the_arm_can_hold_and_draws_it(tmp_path, capsys, size_of):
     output = capsys.readouterr().out
     assert "robot 'stanford'" in output
     assert "at the origin of link 'tool0', at rest in every pose: 3.44 kg" in output
-    assert 'joint_5 gives out first' in ' '.join(output.split())
+    assert 'joint_5 reaches its limit first' in ' '.join(output.split())
     assert output.endswith('picture: stanford_check.png\n')
     width, height = size_of(tmp_path / 'stanford_check.png')
     assert 800 <= width <= 1000
@@ -54,14 +54,14 @@ def test_gravity_beyond_a_limit_is_a_warning(tmp_path, capsys):
     assert main(['check', str(urdf), '--no-picture', '--strict']) == 3
     output = capsys.readouterr().out
     assert "joint 'joint_2': gravity takes 161% of its effort limit in the worst pose" in output
-    assert 'none, gravity alone is beyond a limit' in output
+    assert 'none, gravity alone exceeds a limit' in output
 
 
 def test_gravity_may_point_elsewhere(capsys):
     assert main(['check', str(STANFORD), '--no-picture', '--gravity', '0', '0', '0']) == 0
     output = capsys.readouterr().out
     assert 'gravity: 0 0 0 m/s^2' in output
-    assert 'no joint with an effort limit feels it' in output
+    assert 'unlimited, as it loads no joint with an effort limit' in output
 
 
 def test_long_names_are_whole_in_a_pipe_and_poses_are_offered_as_a_file(tmp_path, capsys):
@@ -106,7 +106,7 @@ def test_reads_standard_input(tmp_path, monkeypatch, capsys):
     assert (tmp_path / 'robot_check.png').exists()
     monkeypatch.setattr(sys, 'stdin', io.StringIO('xacro: command not found'))
     assert main(['check', '-']) == 1
-    assert capsys.readouterr().err == 'inverse_dynamics: standard input: no XML\n'
+    assert capsys.readouterr().err == 'inverse_dynamics: standard input: is not XML\n'
 
 
 def test_a_robot_that_cannot_move_is_reported_all_the_same(tmp_path, capsys):

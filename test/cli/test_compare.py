@@ -90,7 +90,7 @@ def test_names_a_payload_and_it_is_gone_when_it_is_told(here, capsys):
     output = capsys.readouterr().out
     assert output.startswith("Link 'tool0' carries 1.20 kg that the model does not have. ")
     assert '1 warning\n' in output
-    again = ' '.join(output.split()).split('To see what is left then: ')[1].split()[:4]
+    again = ' '.join(output.split()).split('To see the remaining difference: ')[1].split()[:4]
     assert again[:3] == ['--link', 'tool0', '--payload']
     assert [float(x) for x in again[3].split(',')] == pytest.approx([1.2, 0, 0.03, 0.06], abs=0.01)
     assert compare('run', '--no-picture', '--strict', *again) == 0

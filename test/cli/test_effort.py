@@ -78,9 +78,9 @@ def read(path, topic=None):
 def test_tells_peaks_and_writes_table_and_picture(tmp_path, write, capsys, size_of):
     assert main(['effort', str(STANFORD), str(write(LISTS))]) == 0
     output = capsys.readouterr().out
-    assert '3 points in 1 s, of 2 joints; looked at in 201 states' in output
+    assert '3 points in 1 s, 2 joints; evaluated at 201 states' in output
     assert 'velocities derived' in output
-    assert 'What the efforts are made of' in output
+    assert 'Terms of the efforts' in output
     assert size_of(tmp_path / 'move_efforts.png')[0] == 900
     with (tmp_path / 'move_efforts.csv').open() as file:
         rows = list(csv.DictReader(file))
@@ -482,7 +482,7 @@ def test_a_stream_of_single_points_gives_way_to_the_joint_states(record, capsys)
     command = ['effort', str(STANFORD), str(bag), '--no-picture', '--topic', '/node/reference']
     assert main(command) == 0
     output = capsys.readouterr().out
-    assert '  1 point in 0 s, of 2 joints\n' in output
+    assert '  1 point in 0 s, 2 joints\n' in output
     assert 'topic /node/reference: trajectory 1 of 5' in output
     assert 'a single point; --topic may be one of /joint_states' in output
 

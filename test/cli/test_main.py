@@ -68,7 +68,7 @@ def test_commands_report_without_matplotlib(run_without_matplotlib, recording, t
     pick = ROOT / 'doc' / 'stanford_pick.yaml'
     for command, report in (
         (['check', STANFORD], 'payload left'),
-        (['effort', STANFORD, pick], 'peaks against the limits'),
+        (['effort', STANFORD, pick], 'peaks compared with the limits'),
         (['compare', STANFORD, recording], 'measured against modelled efforts'),
     ):
         result = run_without_matplotlib(*command)
@@ -158,7 +158,7 @@ def test_the_demo_reads_its_own_arguments(capsys):
 @pytest.mark.parametrize(
     ('name', 'words'),
     [
-        ('nowhere/a.png', "there is no folder 'nowhere'"),
+        ('nowhere/a.png', "folder 'nowhere' does not exist"),
         ('.', 'is a folder'),
         ('a.jpg', 'expected .png, .svg or .pdf'),
     ],
@@ -199,7 +199,7 @@ def test_where_a_file_cannot_go_is_told_before_the_work(command, capsys):
     with pytest.raises(SystemExit) as exit_:
         main([*command, 'nowhere/file'])
     assert exit_.value.code == 2
-    assert "nowhere/file: there is no folder 'nowhere'" in capsys.readouterr().err
+    assert "nowhere/file: folder 'nowhere' does not exist" in capsys.readouterr().err
 
 
 def test_a_picture_is_of_the_kind_that_its_name_says(tmp_path):
