@@ -1,4 +1,4 @@
-"""The node as a process, and a robot's side of the conversation, on a domain of their own."""
+"""The node as a process, and the robot that it is connected to, on their own domain."""
 
 from array import array
 from collections.abc import Callable
@@ -34,8 +34,8 @@ from std_msgs.msg import Float64MultiArray, String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 MAIN = 'inverse_dynamics_node.node.main'
-RUNNING = []  # nodes of the test; what hurts them ends the waiting for them
-PATIENCE = 60.0  # [s]; an order of magnitude above what a loaded machine needs
+RUNNING = []  # nodes of the test; an error in one of them ends the waiting
+PATIENCE = 60.0  # [s]; ten times as long as a loaded machine needs
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ def run_node(domain_id):
 
 @pytest.fixture
 def robot(domain_id):
-    """Return the robot's side: it publishes joint states, and keeps the commands it gets."""
+    """Return a robot that publishes joint states and stores the commands that it receives."""
     context = Context()
     context.init(args=[], domain_id=domain_id)
     side = RobotSide(context)
@@ -71,7 +71,7 @@ def robot(domain_id):
 
 
 def heed_signals():
-    """Undo what nohup, or a shell that starts things in the background, leaves to its children."""
+    """Reset signals that nohup, or a shell with background jobs, ignores in its children."""
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
 
@@ -107,7 +107,7 @@ class NodeProcess:
         self.process.send_signal(number)
 
     def kill(self):
-        """End it for good; politely at first, for it has shared memory to give back."""
+        """End the process; SIGTERM first, so that it removes its shared memory."""
         if self.process.poll() is None:
             self.process.terminate()
             try:
@@ -119,7 +119,7 @@ class NodeProcess:
 
 
 class RobotSide:
-    """Publishes what a robot publishes, while it waits for something to come true."""
+    """Publishes the topics of a robot while it waits for a condition."""
 
     def __init__(self, context):
         self.context = context
@@ -130,7 +130,7 @@ class RobotSide:
         self.command_times = []
         self.joint_efforts = []
         self.peer = 'inverse_dynamics'  # the node whose services are called
-        self.sent = 0  # ticks, of 5 ms or as the machine lets them be
+        self.sent = 0  # timer events, 5 ms apart if the machine is fast enough
         self.state = None
         create_publisher = self.node.create_publisher
         self._states = create_publisher(JointState, 'joint_states', 10)
@@ -162,7 +162,7 @@ class RobotSide:
             publisher.publish(message() if callable(message) else message)
 
     def publish_state(self, names, positions, velocities=(), efforts=()):
-        """Publish a joint state, from now on, 200 times a second."""
+        """Publish a joint state from now on, 200 times a second."""
         self.state = JointState(
             name=list(names),
             position=list(positions),
@@ -171,12 +171,12 @@ class RobotSide:
         )
 
     def keep_publishing(self, topic, message):
-        """Publish a message, from now on, 200 times a second; return what to `cease` with."""
+        """Publish a message from now on, 200 times a second; return the argument of `cease`."""
         self._always.append((self.node.create_publisher(type(message), topic, 10), message))
         return self._always[-1]
 
     def keep_ticking(self, start):
-        """Publish a /clock that runs, 5 ms at a time; return a function that lets it jump."""
+        """Publish a /clock that advances by 5 ms at a time; return a function for jumps."""
         time = [start]
 
         def message():
@@ -190,33 +190,34 @@ class RobotSide:
 
         return jump
 
-    def cease(self, what):
-        self._always.remove(what)
+    def cease(self, publication):
+        """Stop publishing a message."""
+        self._always.remove(publication)
 
     def publish_once(self, topic, message):
-        """Publish a message as soon as somebody listens."""
+        """Publish a message as soon as there is a subscriber."""
         publisher = self.node.create_publisher(type(message), topic, 10)
         self.wait_until(publisher.get_subscription_count, f'subscription to {topic}')
         publisher.publish(message)
 
     def listen(self, kind, topic):
-        """Return a list that gets every message of a topic."""
+        """Return a list to which every message of a topic is appended."""
         received = []
         self.node.create_subscription(kind, topic, received.append, 100)
         return received
 
     def wait_for(self, messages, is_good, what):
-        """Wait for a message that is as wanted; return it."""
+        """Wait for a message that fulfils a condition; return it."""
         self.wait_until(lambda: any(map(is_good, messages)), what)
         return next(filter(is_good, messages))
 
     def publish_accelerations(self, accelerations):
-        """Publish desired accelerations, from now on, 200 times a second."""
+        """Publish desired accelerations from now on, 200 times a second."""
         message = Float64MultiArray(data=list(accelerations))
         self._always = [(self._accelerations, message)]
 
     def publish_reference(self, names, accelerations, effort=(), positions=(), velocities=()):
-        """Publish a reference, from now on, 200 times a second."""
+        """Publish a reference from now on, 200 times a second."""
         point = JointTrajectoryPoint(
             accelerations=list(accelerations),
             effort=list(effort),
@@ -232,14 +233,14 @@ class RobotSide:
         self._description.publish(String(data=text))
 
     def publish_again(self, description):
-        """Publish another description by the same publisher: those of several have no order."""
+        """Publish another description with the same publisher, which keeps them in order."""
         self._description.publish(String(data=description))
 
     def listen_to_joint_efforts(self):
         self.joint_efforts = self.listen(JointState, 'inverse_dynamics/joint_efforts')
 
     def wait_until(self, is_true: Callable[[], bool], what):
-        """Spin until something is true; fail with words if it never is."""
+        """Spin until a condition is true; fail with a description if it never is."""
         deadline = time.monotonic() + PATIENCE
         while not is_true():
             assert time.monotonic() < deadline, f'{what}: not within {PATIENCE:g} s'
@@ -268,10 +269,10 @@ class RobotSide:
         assert text in node.output
 
     def wait_for_end(self, node):
-        """Wait for the node to end, while the robot goes on; return the exit code."""
+        """Wait for the node to end while the robot keeps publishing; return the exit code."""
         self.wait_until(lambda: node.process.poll() is not None, 'end of the node')
         code = node.wait()
-        # What was delivered, but not yet taken.
+        # Handle the messages that have been delivered.
         for _ in range(20):
             self.executor.spin_once(timeout_sec=0.02)
         return code
@@ -284,7 +285,7 @@ class RobotSide:
         return future.result()
 
     def change_state(self, name):
-        """Ask for a lifecycle transition by name; return whether it succeeded."""
+        """Request a lifecycle transition by name; return whether it succeeded."""
         number = getattr(Transition, f'TRANSITION_{name.upper()}')
         request = ChangeState.Request(transition=Transition(id=number))
         return self.call(ChangeState, 'change_state', request).success

@@ -1,4 +1,4 @@
-"""The node's own options: --help, --version, and arguments that it does not have."""
+"""The command line of the node: --help, --version and unrecognized arguments."""
 
 import os
 import re
@@ -35,7 +35,7 @@ def version():
 
 
 @pytest.mark.parametrize('option', ['-h', '--help'])
-def test_help_lists_everything_in_the_documentation_without_ros(option):
+def test_help_lists_the_documented_topics_and_parameters_without_ros(option):
     result = run([sys.executable, '-c', WITHOUT_ROS, option])
     assert (result.returncode, result.stderr) == (0, '')
     assert result.stdout.startswith('usage: inverse_dynamics_node')

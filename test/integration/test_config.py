@@ -1,4 +1,4 @@
-"""The parameter files: one has every parameter, and the node uses the values of each file."""
+"""The parameter files are complete, and the node uses their values."""
 
 import os
 
@@ -27,7 +27,7 @@ def test_the_file_of_all_parameters_has_their_defaults():
 
 
 @pytest.mark.parametrize('path', sorted(CONFIG.glob('*.yaml')), ids=lambda path: path.stem)
-def test_every_value_is_in_force_under_any_name(run_node, robot, path, tmp_path):
+def test_every_value_is_used_under_any_node_name(run_node, robot, path, tmp_path):
     given = parameters(path)
     urdf = STANFORD.read_text()
     for number, name in enumerate(filter(None, given.get('joints', ())), 1):

@@ -1,4 +1,4 @@
-"""Diagnostics: once a second, in every state, and as bad as it is."""
+"""Diagnostics are published in every lifecycle state, with the right level."""
 
 import math
 
@@ -21,7 +21,7 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 
 @pytest.fixture
 def wait_for_status(robot):
-    """Return a function that waits for a part to be as wanted, and returns its values."""
+    """Return a function that waits for a status of a part, and returns its values."""
     heard = robot.listen(DiagnosticArray, '/diagnostics')
 
     def wait(part, level, words, key='', value=''):
@@ -45,7 +45,7 @@ def wait_for_status(robot):
     return wait
 
 
-def test_tells_from_the_start_what_it_waits_for(run_node, robot, wait_for_status):
+def test_missing_inputs_are_reported_from_the_start(run_node, robot, wait_for_status):
     node = run_node()
     wait_for_status('loop', OK, 'unconfigured')
     text = STANFORD.read_text()
@@ -56,7 +56,7 @@ def test_tells_from_the_start_what_it_waits_for(run_node, robot, wait_for_status
     assert node.process.poll() is None
 
 
-def test_tells_how_it_goes(run_node, robot, wait_for_status):
+def test_rates_and_ages_are_reported_while_active(run_node, robot, wait_for_status):
     run_node(**PATIENT, update_rate=100)
     robot.publish_state(NAMES, Q, np.zeros(6))
     robot.publish_accelerations(np.zeros(6))
@@ -64,7 +64,7 @@ def test_tells_how_it_goes(run_node, robot, wait_for_status):
     assert values['state'] == 'active'
     assert values['mode'] == 'inverse_dynamics'
     assert values['requested rate [Hz]'] == '100'
-    # The first report may be of a part of a second only; none is of an idle loop for ever.
+    # The first report may cover a part of a second only.
     values = wait_for_status('loop', OK, 'following the reference', 'rate [Hz]', '')
     assert 0.0 < float(values['compute time p99 [ms]']) < 1000.0
     assert float(values['period worst [ms]']) >= float(values['period p99 [ms]']) > 0.0
@@ -79,7 +79,7 @@ def test_tells_how_it_goes(run_node, robot, wait_for_status):
     assert values['gravity [m/s^2]'] == '0.000, 0.000, -9.807'
 
 
-def test_tells_of_a_lost_state(run_node, robot, wait_for_status):
+def test_a_lost_state_is_an_error(run_node, robot, wait_for_status):
     run_node(**FAST)
     robot.publish_state(NAMES, Q, np.zeros(6))
     wait_for_status('joint states', OK, 'fresh')
@@ -87,7 +87,7 @@ def test_tells_of_a_lost_state(run_node, robot, wait_for_status):
     wait_for_status('joint states', ERROR, f'lost: {NAMES[0]}')
 
 
-def test_counts_what_is_cut_and_what_is_dropped(run_node, robot, wait_for_status):
+def test_limited_efforts_and_dropped_messages_are_counted(run_node, robot, wait_for_status):
     run_node(**PATIENT, effort_limits=1.0)
     robot.publish_state(NAMES, Q, np.zeros(6))
     key = f'{NAMES[1]} cut to limit'
@@ -103,7 +103,7 @@ def test_counts_what_is_cut_and_what_is_dropped(run_node, robot, wait_for_status
     )
 
 
-def test_tells_of_payload_and_of_what_is_odd_about_the_model(run_node, robot, wait_for_status):
+def test_payload_and_warnings_about_the_model_are_reported(run_node, robot, wait_for_status):
     odd = ROOT / 'test/robots/planar_2r.urdf'
     model = load_urdf(odd)
     run_node(**{**PATIENT, 'robot_description_file': odd})
@@ -119,7 +119,7 @@ def test_tells_of_payload_and_of_what_is_odd_about_the_model(run_node, robot, wa
     ]
 
 
-def test_goes_on_while_inactive_and_tells_what_that_is(run_node, robot, wait_for_status):
+def test_every_lifecycle_state_is_reported(run_node, robot, wait_for_status):
     run_node(**PATIENT)
     robot.publish_state(NAMES, Q, np.zeros(6))
     wait_for_status('loop', OK, 'holding position: no reference')
@@ -130,7 +130,7 @@ def test_goes_on_while_inactive_and_tells_what_that_is(run_node, robot, wait_for
     wait_for_status('loop', OK, 'unconfigured')
 
 
-def test_tells_that_the_base_is_lost(run_node, robot, wait_for_status):
+def test_an_unknown_motion_of_the_base_is_an_error(run_node, robot, wait_for_status):
     run_node(**PATIENT, base_motion='imu')
     robot.publish_state(NAMES, Q, np.zeros(6))
     wait_for_status('model', ERROR, 'motion of the base is unknown: no message on imu yet')
@@ -151,7 +151,7 @@ def test_a_slow_joint_that_is_not_commanded_is_reported_while_the_arm_is_held(
     robot.wait_for_text(node, f"joint '{NAMES[5]}' (not commanded) was last reported")
     assert 'raise uncommanded_state_timeout (0.3 s)' in node.output
     count = len(robot.commands)
-    robot.wait_until(lambda: len(robot.commands) > count + 10, 'commands that go on')
+    robot.wait_until(lambda: len(robot.commands) > count + 10, 'further commands')
     assert np.array(robot.commands[count:]) == pytest.approx(np.tile(hold, (11, 1)))
     assert robot.set_parameter('uncommanded_state_timeout', 60.0).successful
     wait_for_status('joint states', OK, 'fresh')
@@ -190,7 +190,7 @@ def test_two_publishers_of_different_positions_are_named(run_node, robot, wait_f
         other.destroy_node()
 
 
-def test_publishers_that_are_not_heard_are_reported(run_node, robot, wait_for_status):
+def test_silent_publishers_are_reported(run_node, robot, wait_for_status):
     node = run_node(**FAST)
     robot.publish_state(NAMES, Q, np.zeros(6))
     wait_for_status('joint states', OK, 'fresh')

@@ -1,4 +1,4 @@
-"""Other nodes and the simulated clock: reported by name, in the log and in the diagnostics."""
+"""Other nodes and the simulated clock are reported in the log and in the diagnostics."""
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from inverse_dynamics_node import load_urdf
@@ -59,7 +59,7 @@ def test_a_node_that_publishes_the_same_commands_is_named(run_node, robot, wait_
     robot.wait_for_text(node, 'no other node publishes the commands')
     assert '[INFO]' in lines(node, 'no other node publishes the commands')[0]
     wait_for_level('other nodes', DiagnosticStatus.OK)
-    # Repeated now and then only.
+    # Repeated from time to time only.
     assert len(lines(node, words)) < 10
 
 
@@ -138,7 +138,7 @@ def test_simulated_time_without_a_clock_is_an_error(run_node, robot, wait_for_le
     robot._always = []  # the publisher remains, as that of a simulation that is paused
     assert 'is the simulation paused?' in wait_for_level('clock', DiagnosticStatus.WARN)
     robot.wait_for_text(node, 'simulated time has not advanced for more than 5 s')
-    # What lasts is repeated by steady time, since the simulated time stands still.
+    # Lasting problems are repeated by steady time, since simulated time has stopped.
     robot.publish_accelerations([1.0])
     words = '1 accelerations, expected 6'
     robot.wait_until(lambda: len(lines(node, words)) > 1, 'another warning')

@@ -1,4 +1,4 @@
-"""Every row of the interface beyond the plain ones: loads, bases, what is told on request."""
+"""Loads, motion of the base, optional topics, locked joints and services."""
 
 import math
 import re
@@ -33,7 +33,7 @@ PATIENT = {
     'start_ramp': 0.0,
     'stop_ramp': 0.2,
     'load_ramp': 0.2,
-    # A busy machine does not reach them between two messages.
+    # Longer than a busy machine needs between two messages.
     'state_timeout': 5.0,
     'reference_timeout': 5.0,
     'imu_timeout': 5.0,
@@ -88,7 +88,7 @@ UNMEASURED.angular_velocity_covariance[0] = -1.0
 # Loads and bases
 
 
-def test_payload_is_carried_until_it_is_taken_off(run_node, robot, dynamics):
+def test_a_payload_is_compensated_until_it_is_removed(run_node, robot, dynamics):
     run_node(**PATIENT)
     robot.publish_state(NAMES, Q, QD)
     before = dynamics.efforts(Q, QD, ZERO)
@@ -98,15 +98,15 @@ def test_payload_is_carried_until_it_is_taken_off(run_node, robot, dynamics):
     robot.publish_once(f'{OWN}/payload', payload(TIP, 1.5, com, moments))
     after = dynamics.efforts(Q, QD, ZERO)
     robot.wait_for_command(after)
-    # It came in bit by bit.
-    shares = [(np.array(c) - before) @ (after - before) for c in robot.commands]
-    shares = np.array(shares) / ((after - before) @ (after - before))
-    assert np.diff(shares).max() < 0.9
+    # The change was ramped.
+    fractions = [(np.array(c) - before) @ (after - before) for c in robot.commands]
+    fractions = np.array(fractions) / ((after - before) @ (after - before))
+    assert np.diff(fractions).max() < 0.9
     robot.publish_once(f'{OWN}/payload', payload(TIP, 0.0))
     robot.wait_for_command(before)
 
 
-def test_external_wrench_counts_as_long_as_it_comes(run_node, robot, dynamics):
+def test_an_external_wrench_is_compensated_while_it_is_renewed(run_node, robot, dynamics):
     run_node(**PATIENT, wrench_timeout=1.0)
     robot.publish_state(NAMES, Q, QD)
     before = dynamics.efforts(Q, QD, ZERO)
@@ -121,7 +121,7 @@ def test_external_wrench_counts_as_long_as_it_comes(run_node, robot, dynamics):
     robot.wait_for_command(before)
 
 
-def test_gravity_turns_as_told(run_node, robot, dynamics):
+def test_gravity_follows_the_topic(run_node, robot, dynamics):
     node = run_node(**PATIENT)
     robot.publish_state(NAMES, Q, QD)
     robot.wait_for_command(dynamics.efforts(Q, QD, ZERO))
@@ -135,7 +135,7 @@ def test_gravity_turns_as_told(run_node, robot, dynamics):
     robot.wait_for_command(dynamics.efforts(Q, QD, ZERO))
 
 
-def test_imu_takes_the_place_of_gravity_whatever_way_it_is_mounted(run_node, robot, dynamics):
+def test_the_imu_replaces_gravity_in_every_orientation(run_node, robot, dynamics):
     node = run_node(
         **PATIENT,
         base_motion='imu',
@@ -153,7 +153,7 @@ def test_imu_takes_the_place_of_gravity_whatever_way_it_is_mounted(run_node, rob
     robot.wait_for_command(dynamics.efforts(Q, QD, ZERO), tolerance=1e-6)
 
 
-def test_lost_imu_leaves_gravity_where_it_was(run_node, robot, dynamics):
+def test_a_lost_imu_leaves_gravity_as_it_was(run_node, robot, dynamics):
     run_node(**{**PATIENT, 'imu_timeout': 1.0}, base_motion='imu', imu_filter_cutoff=0.0)
     robot.publish_state(NAMES, Q, QD)
     measuring = robot.keep_publishing('imu', imu((0.0, 3.0, 9.0), (0.3, 0.0, 0.0)))
@@ -186,7 +186,9 @@ def test_lost_imu_leaves_gravity_where_it_was(run_node, robot, dynamics):
         ('joint_trajectory_in', WILD, 'points are too far apart'),
     ],
 )
-def test_what_cannot_be_is_dropped_with_words(run_node, robot, dynamics, topic, message, words):
+def test_invalid_messages_are_dropped_with_a_reason(
+    run_node, robot, dynamics, topic, message, words
+):
     motion = {'base_motion': 'imu'} if topic == '/imu' or 'measured' in words else {}
     node = run_node(**PATIENT, **motion)
     robot.publish_state(NAMES, Q, QD)
@@ -198,7 +200,7 @@ def test_what_cannot_be_is_dropped_with_words(run_node, robot, dynamics, topic, 
         robot.wait_for_command(dynamics.efforts(Q, QD, ZERO))
 
 
-# What is told beside the commands
+# Optional topics
 
 
 def test_terms_add_up_to_the_efforts(run_node, robot, dynamics):
@@ -235,7 +237,7 @@ def test_external_efforts_are_measured_minus_model(run_node, robot, dynamics):
     assert list(message.name) == NAMES[:4] + NAMES[5:]
 
 
-def test_efforts_that_are_measured_no_more_are_told_no_more(run_node, robot, dynamics):
+def test_external_efforts_are_published_only_while_efforts_are_measured(run_node, robot, dynamics):
     run_node(**PATIENT)
     heard = robot.listen(JointState, f'{OWN}/external_efforts')
     robot.publish_state(NAMES, Q, ZERO, dynamics.efforts(Q, ZERO, ZERO))
@@ -244,14 +246,14 @@ def test_efforts_that_are_measured_no_more_are_told_no_more(run_node, robot, dyn
     robot.wait_for(heard, lambda m: list(m.name) == NAMES[:2], 'those that are measured')
     robot.publish_state(NAMES, Q, ZERO)
     count = len(robot.commands)
-    robot.wait_until(lambda: len(robot.commands) > count + 40, 'commands that go on')
+    robot.wait_until(lambda: len(robot.commands) > count + 40, 'further commands')
     heard.clear()
     count = len(robot.commands)
-    robot.wait_until(lambda: len(robot.commands) > count + 40, 'commands that go on')
+    robot.wait_until(lambda: len(robot.commands) > count + 40, 'further commands')
     assert not heard
 
 
-def test_base_wrench_is_what_the_mount_must_hold(run_node, robot, dynamics):
+def test_the_base_wrench_supports_the_weight_of_the_arm(run_node, robot, dynamics):
     run_node(**PATIENT)
     robot.publish_state(NAMES, Q, ZERO)
     heard = robot.listen(WrenchStamped, f'{OWN}/base_wrench')
@@ -265,8 +267,8 @@ def test_base_wrench_is_what_the_mount_must_hold(run_node, robot, dynamics):
     assert torque == pytest.approx(list(moment[0]), abs=1e-9)
 
 
-def test_nothing_is_told_to_nobody(run_node, robot, dynamics):
-    # A push that nobody listens for is not worked out, and does not get in the way.
+def test_topics_without_subscribers_are_not_computed(run_node, robot, dynamics):
+    # External efforts would overflow, but they are not computed without a subscriber.
     run_node(**PATIENT)
     robot.publish_state(NAMES, Q, QD, np.full(6, 1e308))
     robot.wait_for_command(dynamics.efforts(Q, QD, ZERO))
@@ -296,7 +298,7 @@ def test_trajectory_is_filled_with_efforts(run_node, robot, dynamics, start):
     assert 'derived' not in node.output
 
 
-def test_what_a_trajectory_lacks_is_derived_and_said_so(run_node, robot, dynamics):
+def test_missing_derivatives_of_a_trajectory_are_derived_and_logged(run_node, robot, dynamics):
     node = run_node(**PATIENT)
     robot.wait_for_text(node, 'no command yet')
     heard = robot.listen(JointTrajectory, f'{OWN}/joint_trajectory_out')
@@ -313,7 +315,7 @@ def test_what_a_trajectory_lacks_is_derived_and_said_so(run_node, robot, dynamic
 # Subsets
 
 
-def test_a_joint_that_is_never_seen_counts_where_it_is_locked(run_node, robot, dynamics):
+def test_a_joint_that_is_never_reported_uses_its_locked_position(run_node, robot, dynamics):
     locked = {f'locked_positions.{NAMES[5]}': 0.2, f'locked_positions.{NAMES[2]}': 0.5}
     joints = [NAMES[k] for k in (0, 1, 3, 4)]
     node = run_node(**PATIENT, **locked, joints=f'[{", ".join(joints)}]')
@@ -337,7 +339,7 @@ def test_a_joint_that_is_never_seen_counts_where_it_is_locked(run_node, robot, d
         ({f'locked_positions.{NAMES[5]}': 0.1}, f"'{NAMES[5]}' is both commanded and locked"),
     ],
 )
-def test_what_cannot_be_locked_ends_the_start(run_node, locked, words):
+def test_invalid_locked_positions_end_the_start(run_node, locked, words):
     node = run_node(**PATIENT, **locked)
     assert node.wait() == 1
     assert words in node.output
@@ -381,7 +383,7 @@ def test_enable_ramps_down_and_up(run_node, robot, dynamics):
     assert answer.success
     robot.wait_for_command(ZERO)
     k = len(robot.commands)
-    robot.wait_until(lambda: len(robot.commands) > k + 20, 'zeros that go on')
+    robot.wait_until(lambda: len(robot.commands) > k + 20, 'zeros that continue')
     assert not np.any(robot.commands[k:])
     robot.call(SetBool, 'enable', SetBool.Request(data=True))
     robot.wait_for_command(hold)
@@ -397,7 +399,7 @@ def test_enable_needs_an_active_node(run_node, robot):
     assert 'not active' in answer.message
 
 
-def test_check_model_tells_what_there_is_to_know(run_node, robot, dynamics):
+def test_check_model_reports_the_robot_and_its_holding_efforts(run_node, robot, dynamics):
     joints = NAMES[::-1]
     node = run_node(**PATIENT, joints=f'[{", ".join(joints)}]')
     robot.wait_for_text(node, 'no command yet')

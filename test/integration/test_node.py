@@ -1,4 +1,4 @@
-"""The node as a process, on real ROS: what it must give, and what it must never give."""
+"""The node as a process: commands, invalid inputs, parameters and the life cycle."""
 
 import math
 import re
@@ -24,7 +24,7 @@ PATIENT = {**FAST, 'state_timeout': 5.0, 'reference_timeout': 5.0}
 
 
 def publish_shuffled_state(robot):
-    """Publish the state as drivers do: in another order, with joints of no concern."""
+    """Publish the state as drivers do: in another order, with other joints."""
     order = [4, 0, 3, 5, 1, 2]
     names = ['wheel', *(NAMES[k] for k in order), 'finger']
     robot.publish_state(names, [9.0, *Q[order], 7.0], [math.nan, *QD[order], 0.0])
@@ -46,7 +46,7 @@ def test_reference_by_names_adds_its_effort(run_node, robot):
     robot.wait_for_command(DYNAMICS.efforts(Q, QD, QDD) + effort)
 
 
-def test_commands_some_joints_in_the_order_asked_for(run_node, robot):
+def test_a_subset_of_joints_is_commanded_in_the_requested_order(run_node, robot):
     joints = [NAMES[4], NAMES[1]]
     run_node(**PATIENT, joints=f'[{",".join(joints)}]', gravity='[0, 0, -5]')
     publish_shuffled_state(robot)
@@ -56,14 +56,14 @@ def test_commands_some_joints_in_the_order_asked_for(run_node, robot):
     robot.wait_for_command([tau[4], tau[1]])
 
 
-def test_incomplete_state_gives_no_command_and_names_what_is_missing(run_node, robot):
+def test_an_incomplete_state_gives_no_command_and_names_the_missing_joint(run_node, robot):
     node = run_node(**PATIENT)
     robot.publish_state(NAMES[2:] + NAMES[:1], [0.1] * 5)
     robot.wait_for_text(node, f'waiting for the position of {NAMES[1]} on /joint_states')
     assert robot.commands == []
 
 
-def test_state_may_come_in_parts(run_node, robot):
+def test_a_state_may_be_split_over_several_messages(run_node, robot):
     node = run_node(**{**PATIENT, 'state_timeout': 60.0})
     robot.publish_state(NAMES[:2], Q[:2], QD[:2])
     robot.wait_for_text(node, f'waiting for the positions of {", ".join(NAMES[2:])} on')
@@ -91,7 +91,7 @@ def test_nan_is_never_passed_on(run_node, robot):
     assert {len(command) for command in robot.commands} == {6}
 
 
-def test_bytes_that_are_no_joint_state_are_dropped_with_words(run_node, robot):
+def test_bytes_that_are_not_a_joint_state_are_dropped_with_a_message(run_node, robot):
     node = run_node(**PATIENT)
     publish_shuffled_state(robot)
     robot.wait_for_command(HOLD)
@@ -106,7 +106,7 @@ def test_bytes_that_are_no_joint_state_are_dropped_with_words(run_node, robot):
 @pytest.mark.parametrize(
     ('accelerations', 'words'), [([1.0, 2.0], '2 accelerations, expected 6'), ([], '0 accel')]
 )
-def test_accelerations_of_wrong_length_are_dropped_with_words(
+def test_accelerations_of_wrong_length_are_dropped_with_a_message(
     run_node, robot, accelerations, words
 ):
     node = run_node(**PATIENT)
@@ -116,7 +116,7 @@ def test_accelerations_of_wrong_length_are_dropped_with_words(
     robot.wait_for_command(HOLD)
 
 
-def test_reference_of_other_joints_is_dropped_with_words(run_node, robot):
+def test_reference_of_other_joints_is_dropped_with_a_message(run_node, robot):
     node = run_node(**PATIENT)
     publish_shuffled_state(robot)
     robot.publish_reference([*NAMES[:5], 'nose'], QDD)
@@ -134,22 +134,22 @@ def test_reference_that_is_lost_leaves_the_arm_floating(run_node, robot):
 
 
 @pytest.mark.parametrize('update_rate', [0, 2, 250])
-def test_lost_state_leads_to_zeros_and_publishing_goes_on(run_node, robot, update_rate):
+def test_a_lost_state_leads_to_zeros_that_continue(run_node, robot, update_rate):
     ramp = 2.0
     node = run_node(**{**FAST, 'state_timeout': 0.5, 'stop_ramp': ramp}, update_rate=update_rate)
     publish_shuffled_state(robot)
     robot.wait_for_command(HOLD)
     robot.state = None
     robot.wait_for_command(np.zeros(6), tolerance=0.0)
-    # The last full command was sent no later than the time-out after the last state, and the ramp
-    # takes its time: neither much less, nor half as much again.
-    shares = np.array(robot.commands) @ HOLD / (HOLD @ HOLD)
+    # The last full command was sent within the time-out after the last state, and the ramp takes
+    # neither much less nor much more than stop_ramp.
+    fractions = np.array(robot.commands) @ HOLD / (HOLD @ HOLD)
     times = np.array(robot.command_times)
-    last_full = times[shares > 0.999][-1]
+    last_full = times[fractions > 0.999][-1]
     assert 0.4 * ramp < times[-1] - last_full < 1.5 * ramp + 0.5
-    assert ((shares > 0.2) & (shares < 0.8)).sum() > 10
+    assert ((fractions > 0.2) & (fractions < 0.8)).sum() > 10
     count = len(robot.commands)
-    robot.wait_until(lambda: len(robot.commands) > count + 20, 'zeros that go on')
+    robot.wait_until(lambda: len(robot.commands) > count + 20, 'zeros that continue')
     assert not np.any(robot.commands[count:])
     robot.wait_for_text(node, 'stopped, zeros sent: no joint state of ')
     publish_shuffled_state(robot)
@@ -160,10 +160,10 @@ def test_efforts_rise_along_the_start_ramp(run_node, robot):
     run_node(**{**PATIENT, 'start_ramp': 0.5})
     publish_shuffled_state(robot)
     robot.wait_for_command(HOLD)
-    shares = np.array(robot.commands) @ HOLD / (HOLD @ HOLD)
-    assert shares[0] < 0.2
-    assert (np.diff(shares) >= 0.0).all()
-    assert ((shares > 0.1) & (shares < 0.9)).sum() > 3
+    fractions = np.array(robot.commands) @ HOLD / (HOLD @ HOLD)
+    assert fractions[0] < 0.2
+    assert (np.diff(fractions) >= 0.0).all()
+    assert ((fractions > 0.1) & (fractions < 0.9)).sum() > 3
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
@@ -267,7 +267,7 @@ def test_unknown_parameters_can_be_allowed(run_node, robot):
     assert robot.get_parameter('allow_unknown_parameters') is True
 
 
-def test_robot_description_comes_by_topic_early_or_late(run_node, robot):
+def test_the_robot_description_may_be_published_before_or_after_the_start(run_node, robot):
     node = run_node(start_ramp=0.0, state_timeout=5.0)
     publish_shuffled_state(robot)
     robot.wait_for_text(node, 'waiting for a robot description on /robot_description')
@@ -279,7 +279,7 @@ def test_robot_description_comes_by_topic_early_or_late(run_node, robot):
     node.interrupt()
     robot.wait_for_end(node)
     robot.commands.clear()
-    run_node(start_ramp=0.0, state_timeout=5.0)  # the description is there already
+    run_node(start_ramp=0.0, state_timeout=5.0)  # the description has been published already
     robot.wait_for_command(HOLD)
 
 
@@ -318,7 +318,7 @@ def test_lifecycle_by_hand(run_node, robot):
     assert 'Traceback' not in node.output
 
 
-def test_configure_without_a_description_fails_with_words(run_node, robot):
+def test_configure_without_a_description_fails_with_a_message(run_node, robot):
     node = run_node(autostart=False)
     assert not robot.change_state('configure')
     robot.wait_for_text(node, 'no robot description')
@@ -337,7 +337,9 @@ def test_configure_without_a_description_fails_with_words(run_node, robot):
         ('autostart', False, 'read-only'),
     ],
 )
-def test_parameters_are_refused_with_words(run_node, robot, name, value, words):
+def test_invalid_changes_of_parameters_are_rejected_with_a_reason(
+    run_node, robot, name, value, words
+):
     run_node(**PATIENT)
     publish_shuffled_state(robot)
     robot.wait_for_command(HOLD)
@@ -348,7 +350,7 @@ def test_parameters_are_refused_with_words(run_node, robot, name, value, words):
     robot.wait_for_command(HOLD)
 
 
-def test_what_is_read_at_the_start_cannot_change(run_node, robot):
+def test_parameters_that_are_read_at_the_start_cannot_change(run_node, robot):
     run_node()
     for name, value in (
         ('autostart', False),
@@ -375,7 +377,7 @@ def test_parameters_describe_their_ranges(run_node, robot):
     assert not robot.set_parameter('kp', -1).successful
 
 
-def test_parameters_count_at_once(run_node, robot):
+def test_live_parameters_apply_at_once(run_node, robot):
     run_node(**PATIENT)
     publish_shuffled_state(robot)
     robot.wait_for_command(HOLD)
@@ -406,7 +408,7 @@ def test_computed_torque_does_not_start_with_a_jump(run_node, robot):
     robot.wait_for_command(HOLD)
 
 
-def test_friction_and_rotors_count_when_asked_for(run_node, robot):
+def test_friction_and_armature_are_added_on_request(run_node, robot):
     run_node(**PATIENT, include_friction=True, damping=2, coulomb=0.5, armature=0.3)
     publish_shuffled_state(robot)
     robot.publish_accelerations(QDD)
@@ -414,7 +416,7 @@ def test_friction_and_rotors_count_when_asked_for(run_node, robot):
     robot.wait_for_command(DYNAMICS.efforts(Q, QD, QDD) + own)
 
 
-def test_joint_efforts_carry_names_and_nothing_but_efforts(run_node, robot):
+def test_joint_efforts_contain_names_and_efforts_only(run_node, robot):
     run_node(**PATIENT)
     publish_shuffled_state(robot)
     robot.listen_to_joint_efforts()
@@ -426,7 +428,7 @@ def test_joint_efforts_carry_names_and_nothing_but_efforts(run_node, robot):
     assert message.header.stamp.sec > 0
 
 
-def test_commands_come_at_the_update_rate(run_node, robot):
+def test_commands_are_sent_at_the_update_rate(run_node, robot):
     run_node(**PATIENT, update_rate=50)
     publish_shuffled_state(robot)  # at 200 Hz
     robot.wait_until(lambda: len(robot.commands) > 100, 'commands')
@@ -434,7 +436,7 @@ def test_commands_come_at_the_update_rate(run_node, robot):
     assert 1.0 / np.median(np.diff(times)) == pytest.approx(50.0, rel=0.2)
 
 
-def test_names_can_be_remapped_and_pushed_into_a_namespace(run_node, robot):
+def test_topics_can_be_remapped_and_put_into_a_namespace(run_node, robot):
     node = run_node(
         '-r',
         '__ns:=/left',

@@ -1,4 +1,4 @@
-"""Inputs and circumstances that must neither end nor block the node."""
+"""Inputs and conditions that must neither end nor block the node."""
 
 import fcntl
 import os
@@ -72,7 +72,7 @@ def fill(writer):
 
 
 @pytest.mark.parametrize('channel', [full_pipe, pty.openpty], ids=['pipe', 'terminal'])
-def test_commands_go_on_while_nobody_reads_stderr(domain_id, robot, channel):
+def test_commands_continue_while_stderr_has_no_reader(domain_id, robot, channel):
     reader, writer = channel()
     fill(writer)
     node = start(domain_id, writer, **FAST)
@@ -89,7 +89,7 @@ def test_commands_go_on_while_nobody_reads_stderr(domain_id, robot, channel):
         robot.wait_for_command(ZERO)
         assert node.returncode == 0
         os.set_blocking(writer, False)
-        assert os.get_blocking(reader)  # what others share with the node is as it was
+        assert os.get_blocking(reader)  # other processes may share this end with the node
     finally:
         node.kill()
         node.wait()
@@ -180,7 +180,7 @@ def test_a_clock_before_zero_is_ignored(run_node, robot):
 
 @pytest.fixture
 def storm(domain_id):
-    """Return a function that starts a storm of messages; it ends with the test."""
+    """Return a function that starts a storm of messages, which ends with the test."""
     processes = []
 
     def begin(seconds):
@@ -212,7 +212,7 @@ def storm(domain_id):
         process.wait()
 
 
-def test_a_queue_that_never_empties_is_interrupted(robot):
+def test_a_queue_that_never_becomes_empty_is_interrupted(robot):
     executor = EventsExecutor(context=robot.context)
     count = [0]
 
@@ -240,7 +240,7 @@ def test_lost_states_and_signals_are_noticed_during_a_storm(domain_id, robot, st
         robot.wait_for_command(HOLD)
         processes = storm(60.0)
         sent = robot.sent
-        robot.wait_until(lambda: robot.sent > sent + 300, 'a storm that has got going')
+        robot.wait_until(lambda: robot.sent > sent + 300, 'a storm in progress')
         robot.state = None
         began = time.monotonic()
         robot.wait_for_command(ZERO)

@@ -1,4 +1,4 @@
-"""What could hurt: a process that is stopped or crashes, clocks that jump, new descriptions."""
+"""Suspended and crashing processes, clocks that jump, live changes and new descriptions."""
 
 import ast
 import inspect
@@ -34,7 +34,7 @@ RAMPED = {**PATIENT, 'start_ramp': 2.0}
 
 
 def assert_ramped(robot, since, start, way, ramp=2.0):
-    """Hold every command since a time against the ramp: it may have gone that far, no further."""
+    """Assert that no command since a time is further along its way than the ramp allows."""
     for time_, command in zip(robot.command_times, robot.commands, strict=True):
         if time_ > since:
             gone = np.abs(command - start).max() / np.abs(way).max()
@@ -42,12 +42,12 @@ def assert_ramped(robot, since, start, way, ramp=2.0):
 
 
 @pytest.mark.parametrize('rate', [0, 100])
-def test_a_process_that_was_stopped_goes_on_where_it_was(run_node, robot, rate):
+def test_a_suspended_process_continues_from_its_last_command(run_node, robot, rate):
     node = run_node(**{**RAMPED, 'state_timeout': 0.5, 'stop_ramp': 2.0}, update_rate=rate)
     robot.publish_state(NAMES, Q, ZERO)
     robot.wait_for_command(HOLD)
     node.interrupt(signal.SIGSTOP)
-    robot.publish_state(NAMES, ELSEWHERE, ZERO)  # the arm moves while nobody holds it
+    robot.publish_state(NAMES, ELSEWHERE, ZERO)  # the arm moves while the node is suspended
     ticks = robot.sent
     robot.wait_until(lambda: robot.sent > ticks + 200, 'a second of states')
     since = time.monotonic()
@@ -61,7 +61,7 @@ import sys
 from importlib import import_module
 from inverse_dynamics_node.node import main
 def crash(self, *_):
-    raise RuntimeError('a slip of the programmer')
+    raise RuntimeError('an error in the program')
 module, class_name, method = sys.argv.pop(1).split('.')
 setattr(getattr(import_module(f'inverse_dynamics_node.node.{module}'), class_name), method, crash)
 sys.exit(main.main(sys.argv))
@@ -92,18 +92,18 @@ def test_a_crash_in_a_callback_leaves_zeros(domain_id, robot, where):
             robot.wait_until(lambda: robot.commands, 'commands')
         robot.publish_accelerations(ZERO)
         robot.wait_until(lambda: process.poll() is not None, 'end of the node')
-        for _ in range(20):  # what was delivered, but not yet taken
+        for _ in range(20):  # handle the messages that have been delivered
             robot.executor.spin_once(timeout_sec=0.02)
-        # Before the other crashes, nobody need have been commanded.
+        # The other crashes may happen before the first command.
         assert not robot.commands or robot.commands[-1] == ZERO.tolist()
         assert process.returncode == 1
-        assert 'a slip of the programmer' in process.stderr.read()
+        assert 'an error in the program' in process.stderr.read()
     finally:
         process.kill()
         process.wait()
 
 
-def test_a_clock_that_jumps_makes_no_jump_of_the_efforts(run_node, robot):
+def test_a_jump_of_the_clock_causes_no_jump_of_the_efforts(run_node, robot):
     node = run_node(**RAMPED, use_sim_time=True, update_rate=100)
     jump = robot.keep_ticking(100.0)
     robot.publish_state(NAMES, Q, ZERO)
@@ -119,7 +119,7 @@ def test_a_clock_that_jumps_makes_no_jump_of_the_efforts(run_node, robot):
     assert len(robot.commands) > count + 10
 
 
-def test_two_nodes_side_by_side_know_nothing_of_each_other(run_node, robot):
+def test_two_nodes_command_their_own_joints(run_node, robot):
     names = {'left': NAMES[:3], 'right': NAMES[3:]}
     heard = {}
     for side, joints in names.items():
@@ -132,7 +132,7 @@ def test_two_nodes_side_by_side_know_nothing_of_each_other(run_node, robot):
         )
 
 
-def test_two_arms_in_namespaces_of_their_own(run_node, robot):
+def test_two_arms_in_separate_namespaces(run_node, robot):
     run_node('-r', '__ns:=/left', **PATIENT)
     run_node('-r', '__ns:=/right', '-r', 'joint_states:=/joint_states', **PATIENT)
     left = robot.listen(Float64MultiArray, '/left/inverse_dynamics/commands')
@@ -146,7 +146,7 @@ def heavier(text):
     return re.sub('<mass value="([^"]*)"', lambda m: f'<mass value="{1.2 * float(m[1])}"', text)
 
 
-def test_another_description_takes_over_without_a_jump(run_node, robot):
+def test_another_description_replaces_the_first_without_a_jump(run_node, robot):
     text = STANFORD.read_text()
     other = InverseDynamics(load_urdf(heavier(text)))
     node = run_node(**{k: v for k, v in RAMPED.items() if k != 'robot_description_file'})
@@ -167,7 +167,7 @@ def test_another_description_takes_over_without_a_jump(run_node, robot):
         ((ROOT / 'test/robots/planar_2r.urdf').read_text(), 'the joints to command are now'),
     ],
 )
-def test_a_description_of_no_use_leaves_the_old_one(run_node, robot, text, words):
+def test_a_description_that_cannot_be_used_leaves_the_old_one(run_node, robot, text, words):
     node = run_node(**{k: v for k, v in PATIENT.items() if k != 'robot_description_file'})
     robot.publish_description(STANFORD.read_text())
     robot.publish_state(NAMES, Q, ZERO)
@@ -175,11 +175,11 @@ def test_a_description_of_no_use_leaves_the_old_one(run_node, robot, text, words
     robot.publish_description(text)
     robot.wait_for_text(node, words)
     count = len(robot.commands)
-    robot.wait_until(lambda: len(robot.commands) > count + 10, 'commands that go on')
+    robot.wait_until(lambda: len(robot.commands) > count + 10, 'further commands')
     assert robot.commands[-1] == pytest.approx(list(HOLD))
 
 
-def test_parameters_that_change_make_no_jump(run_node, robot):
+def test_changed_parameters_cause_no_jump(run_node, robot):
     run_node(**RAMPED)
     robot.publish_state(NAMES, Q, ZERO)
     robot.wait_for_command(HOLD)
@@ -190,7 +190,7 @@ def test_parameters_that_change_make_no_jump(run_node, robot):
 
 
 def push_joint(robot, effort):
-    """Ask for an effort of the third joint, and none of the others beyond gravity."""
+    """Request an effort of the third joint; the others only compensate gravity."""
     robot.publish_reference(NAMES, ZERO, [0.0, 0.0, effort - HOLD[2], 0.0, 0.0, 0.0])
 
 
@@ -198,7 +198,7 @@ def test_a_stop_under_rate_limits_never_flips_or_enlarges_an_effort(run_node, ro
     node = run_node(**{**PATIENT, 'state_timeout': 1.0})
 
     def start_to_swing():
-        """Bring the third joint on a slow way from -30 to 30 N; return the commands since."""
+        """Start a slow change of the third effort from -30 to 30 N; return its first index."""
         robot.publish_state(NAMES, Q, ZERO)
         assert robot.set_parameter('effort_rate_limits', 0.0).successful
         push_joint(robot, -30.0)
@@ -245,12 +245,12 @@ def test_the_stop_ramp_starts_when_the_loss_of_states_is_detected(run_node, robo
     robot.wait_for_command(HOLD)
     robot.state, since, count = None, time.monotonic(), len(robot.commands)
     robot.wait_for_command(ZERO, tolerance=0.0)
-    shares = np.array(robot.commands[count:])[:, 2] / HOLD[2]
+    fractions = np.array(robot.commands[count:])[:, 2] / HOLD[2]
     times = np.array(robot.command_times[count:])
-    assert (np.diff(shares) <= 1e-9).all()
-    # A command that takes long to get here is late, never early.
-    assert (shares[times < since + 0.5] >= 0.9).all()
-    assert ((shares > 0.5) & (shares < 0.99)).any()
+    assert (np.diff(fractions) <= 1e-9).all()
+    # A command may arrive late, but never early.
+    assert (fractions[times < since + 0.5] >= 0.9).all()
+    assert ((fractions > 0.5) & (fractions < 0.99)).any()
 
 
 def test_live_changes_start_from_the_last_command(run_node, robot):
@@ -269,7 +269,7 @@ def test_live_changes_start_from_the_last_command(run_node, robot):
             'the effort on its way',
         )
 
-    # Rate limits that end while the effort is far behind.
+    # Rate limits are removed while the effort is far behind.
     assert robot.set_parameter('effort_rate_limits', 2.0).successful
     push_joint(robot, -30.0)
     wait_to_be_under_way()
@@ -278,7 +278,7 @@ def test_live_changes_start_from_the_last_command(run_node, robot):
     robot.wait_for_command(far)
     assert_ramped(robot, since, last, far - last)
 
-    # A tightened limit, and no ramp any more for what follows.
+    # A limit is tightened; then start_ramp is set to zero, which must not affect this blend.
     since = time.monotonic()
     assert robot.set_parameter('effort_limits', 1.0).successful
     wait_to_be_under_way()
@@ -286,7 +286,7 @@ def test_live_changes_start_from_the_last_command(run_node, robot):
     robot.wait_for_command(np.clip(far, -1.0, 1.0))
     assert_ramped(robot, since, far, np.clip(far, -1.0, 1.0) - far)
 
-    # Without a ramp, the rate limits alone.
+    # Without a ramp, only the rate limits apply.
     assert robot.set_parameter('effort_rate_limits', 10.0).successful
     since, count = time.monotonic(), len(robot.commands)
     assert robot.set_parameter('effort_limits', 0.0).successful
@@ -296,7 +296,7 @@ def test_live_changes_start_from_the_last_command(run_node, robot):
 
 
 @pytest.mark.parametrize('executor', ['events', 'single_threaded'])
-def test_either_executor_will_do(run_node, robot, executor):
+def test_both_executors_work(run_node, robot, executor):
     node = run_node(**PATIENT, executor=executor)
     robot.publish_state(NAMES, Q, ZERO)
     robot.wait_for_command(HOLD)
@@ -308,7 +308,7 @@ def test_either_executor_will_do(run_node, robot, executor):
 WITHOUT_FILE = {k: v for k, v in PATIENT.items() if k != 'robot_description_file'}
 
 
-def test_of_many_descriptions_in_a_row_the_last_one_counts(run_node, robot):
+def test_the_last_of_many_descriptions_in_a_row_is_used(run_node, robot):
     text = STANFORD.read_text()
     node = run_node(**WITHOUT_FILE)
     robot.publish_description(text)
@@ -323,7 +323,7 @@ def test_of_many_descriptions_in_a_row_the_last_one_counts(run_node, robot):
     assert node.process.poll() is None
 
 
-def test_a_payload_outlives_a_description_that_comes_while_inactive(run_node, robot):
+def test_a_payload_is_kept_when_a_description_arrives_while_inactive(run_node, robot):
     text = STANFORD.read_text()
     tip = MODEL.link_names[-1]
     node = run_node(**WITHOUT_FILE)
@@ -342,16 +342,16 @@ def test_a_payload_outlives_a_description_that_comes_while_inactive(run_node, ro
     robot.wait_for_command(laden.gravity_efforts(Q))
 
 
-def test_measured_efforts_that_do_not_fit_leave_positions_good(run_node, robot):
+def test_positions_are_used_if_the_number_of_measured_efforts_is_wrong(run_node, robot):
     node = run_node(**PATIENT)
-    robot.listen(JointState, 'inverse_dynamics/external_efforts')  # for which they are needed
+    robot.listen(JointState, 'inverse_dynamics/external_efforts')  # which needs measured efforts
     robot.publish_state(NAMES, Q, ZERO, [1.0, 2.0])
     robot.wait_for_text(node, '6 names, but 2 efforts')
     robot.wait_for_command(HOLD)
 
 
-def test_no_name_of_the_node_is_one_of_rclpy():
-    # rclpy keeps its own things under such names in the same object.
+def test_no_name_of_the_node_is_used_by_rclpy():
+    # rclpy has attributes of its own in the same object.
     ours, theirs = NodeNames(), NodeNames()
     ours.visit(ast.parse((ROOT / 'inverse_dynamics_node/node/node.py').read_text()))
     for module in (rclpy.node, rclpy.lifecycle.node):
@@ -362,7 +362,7 @@ def test_no_name_of_the_node_is_one_of_rclpy():
 
 
 class NodeNames(ast.NodeVisitor):
-    """Collects what is defined in classes, or put into self."""
+    """Collects the names of functions and of attributes of self."""
 
     def __init__(self):
         self.names = set()

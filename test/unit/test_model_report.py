@@ -1,4 +1,4 @@
-"""The answer of ~/check_model."""
+"""The report of ~/check_model."""
 
 from inverse_dynamics_node import load_urdf
 from inverse_dynamics_node.control.control_loop import ControlLoop

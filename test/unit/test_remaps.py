@@ -1,4 +1,4 @@
-"""Remap rules that match nothing: found on the command line, explained with a remedy."""
+"""Remap rules without effect are found on the command line and explained."""
 
 from inverse_dynamics_node.node.remaps import expanded_tildes, ineffective_remaps
 import pytest
