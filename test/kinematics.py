@@ -1,8 +1,8 @@
 """
 Mechanics of a tree of links without a recursion for forces: Jacobians, energy, momentum.
 
-All of it starts from the numbers a `random_trees.Link` writes into its URDF, and shares nothing
-with the package: neither how it reads a URDF nor how it merges links. Positions may be complex, so
+It starts from the numbers that a `random_trees.Link` writes into its URDF, and shares no code
+with the package, neither for reading a URDF nor for merging links. Positions may be complex, so
 derivatives are exact to rounding: f(x + ih) has the imaginary part h f'(x), and h may be tiny.
 """
 
@@ -14,7 +14,7 @@ TINY = 1e-30  # the step into the complex plane; nothing is subtracted, so nothi
 
 
 class Placed(NamedTuple):
-    """Where a link is and how it moves with the joints, in the frame of the first link."""
+    """Pose and Jacobians of a link in the frame of the first link."""
 
     R: np.ndarray
     p: np.ndarray
@@ -22,21 +22,21 @@ class Placed(NamedTuple):
     angular: np.ndarray  # (3, n)
 
     def point(self, x):
-        """Find the position and the Jacobian of a point given in the link's frame."""
+        """Return the position and the Jacobian of a point in the link's frame."""
         arm = self.R @ x
         return self.p + arm, self.linear + np.cross(self.angular.T, arm).T
 
 
 class Tree:
     """
-    Links by themselves.
+    A tree of links without a robot model.
 
-    Parameters
-    ----------
-    links : sequence of random_trees.Link
-        Link i is moved by joint i.
-    joint_names : sequence of str
-        The order of joint vectors.
+        Parameters
+        ----------
+        links : sequence of random_trees.Link
+            Link i is moved by joint i.
+        joint_names : sequence of str
+            The order of joint vectors.
 
     """
 
@@ -51,7 +51,7 @@ class Tree:
         self.inertias = [link_inertia(link) for link in links]
 
     def placed(self, q):
-        """Place every link."""
+        """Return pose and Jacobians of every link."""
         zeros = np.zeros((3, self.n), dtype=np.result_type(q, float))
         placed = [Placed(np.eye(3), np.zeros(3), zeros, zeros)]
         for link, column in zip(self.links[1:], self.column[1:], strict=True):
@@ -67,7 +67,7 @@ class Tree:
                 axis = np.array(link.axis) / np.linalg.norm(link.axis)
                 moves = np.outer(R @ axis, multiplier * np.eye(self.n)[column])
                 if link.kind == 'prismatic':
-                    # It slides along the parent, which carries it around.
+                    # The link slides along its parent, and rotates with it.
                     p, linear = parent.point(
                         np.array(link.xyz) + rotation_of_rpy(link.rpy) @ axis * position
                     )
@@ -79,7 +79,7 @@ class Tree:
         return placed
 
     def mass_matrix(self, q):
-        """Find M from the kinetic energy 1/2 qd M qd = sum 1/2 (m v v + omega I omega)."""
+        """Return M from the kinetic energy 1/2 qd M qd = sum 1/2 (m v v + omega I omega)."""
         matrix = 0.0
         for link, inertia, at in zip(self.links, self.inertias, self.placed(q), strict=True):
             _, linear = at.point(np.array(link.com))
@@ -95,7 +95,7 @@ class Tree:
         return -first_moment @ np.asarray(gravity)
 
     def efforts(self, q, qd, qdd, gravity):
-        """Use Lagrange's equations: d/dt (dT/dqd) - dT/dq + dV/dq."""
+        """Return the efforts by Lagrange's equations: d/dt (dT/dqd) - dT/dq + dV/dq."""
 
         def lagrangian(position):
             kinetic = 0.5 * qd @ self.mass_matrix(position) @ qd
@@ -107,7 +107,7 @@ class Tree:
         return derivative(momentum) - gradient(lagrangian, q)
 
     def energy_growth(self, q, qd, qdd, gravity):
-        """Find d/dt of kinetic and potential energy."""
+        """Return d/dt of kinetic and potential energy."""
 
         def energy(t):
             position, velocity = q + t * qd, qd + t * qdd
@@ -130,7 +130,7 @@ class Tree:
         return np.array([linear, angular])
 
     def carried_by(self, i):
-        """List a link and all that it carries."""
+        """Return a link and all its descendants."""
         carried = {i}
         for k, link in enumerate(self.links):
             if k and link.parent in carried:  # parents stand before their children
@@ -148,14 +148,14 @@ def gradient(f, x):
 
 
 def link_inertia(link):
-    """Find the inertia of a link about its centre of mass, along the axes of its frame."""
+    """Return the inertia of a link about its centre of mass, along the axes of its frame."""
     a, b, c = np.square(link.box)
     R = rotation_of_rpy(link.com_rpy)
     return link.mass / 12.0 * R @ np.diag([b + c, c + a, a + b]) @ R.T
 
 
 def rotation_of_rpy(rpy):
-    """Turn about fixed x, then y, then z: how a URDF tells a rotation."""
+    """Return the rotation about fixed x, then y, then z, as in a URDF."""
     x, y, z = (rotation_about(axis, angle) for axis, angle in zip(np.eye(3), rpy, strict=True))
     return z @ y @ x
 
@@ -167,7 +167,7 @@ def rotation_about(axis, angle):
 
 
 def assert_close(actual, expected, tolerance=1e-10):
-    """Compare on the scale of what is compared, which must not be nothing."""
+    """Compare relative to the largest expected value, which must not be zero."""
     scale = np.abs(expected).max()
     assert scale > 0.0, 'there is nothing to compare'
     np.testing.assert_allclose(actual, expected, rtol=0, atol=tolerance * scale)

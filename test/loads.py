@@ -1,17 +1,40 @@
-"""Everything that can act on a robot, drawn at random, as calls to make in any order."""
+"""Loads on robots: fixed ones, and random ones as calls in any order."""
 
+from functools import cache
+
+from inverse_dynamics_node import InverseDynamics, load_urdf
 from kinematics import rotation_of_rpy
 import numpy as np
+from random_trees import random_chain, urdf_of
+
+
+def loaded_dynamics(robot, angular_velocity=(0.0, 0.0, 0.0), angular_acceleration=(0.0, 0.0, 0.0)):
+    """Return dynamics of a robot with every kind of load."""
+    dynamics = InverseDynamics(robot, (0.4, -1.2, -9.5))
+    link = robot.link_names[-1]
+    dynamics.set_payload(link, 0.7, (0.01, -0.02, 0.1), np.diag((0.02, 0.03, 0.04)))
+    dynamics.set_external_wrench(link, (3.0, -2.0, 1.0), (0.3, 0.2, -0.1))
+    dynamics.set_base_motion(angular_velocity, angular_acceleration, (0.3, 0.1, -0.2))
+    dynamics.set_friction(0.3, 0.8, 0.05)
+    dynamics.set_armature(0.05)
+    return dynamics
+
+
+@cache
+def loaded_chain(*base_rotation):
+    """Return shared dynamics of a chain of five joints with every kind of load."""
+    robot = load_urdf(urdf_of(random_chain(np.random.default_rng(5), 5)))
+    return loaded_dynamics(robot, *base_rotation)
 
 
 def random_loads(robot, rng):
     """
-    Draw calls that between them set everything, on two links each.
+    Draw calls that set every kind of load, payloads and wrenches on two links each.
 
-    Returns
-    -------
-    calls : list of (str, tuple)
-        Name and arguments of methods of `InverseDynamics`; no call undoes another.
+        Returns
+        -------
+        calls : list of (str, tuple)
+            Name and arguments of methods of `InverseDynamics`; no call undoes another.
 
     """
     n = len(robot.joint_names)
@@ -30,7 +53,7 @@ def random_loads(robot, rng):
 
 
 def without_any(calls):
-    """Undo calls, each by its own kind; gravity becomes what it is by default."""
+    """Return the calls that undo others; gravity returns to its default."""
     for name, arguments in calls:
         if name == 'set_payload':
             yield name, (arguments[0], 0.0)
@@ -67,14 +90,14 @@ def random_box(rng):
 
 
 def box_inertia(mass, box, rpy):
-    """Find the inertia of a solid box, turned."""
+    """Return the inertia of a rotated solid box."""
     a, b, c = np.square(box)
     R = rotation_of_rpy(rpy)
     return mass / 12.0 * R @ np.diag([b + c, c + a, a + b]) @ R.T
 
 
 def everything(dynamics, q, qd, qdd):
-    """Compute all there is, by name; every one of them differs from zero on a robot that moves."""
+    """Compute every quantity, by name; all are nonzero for a moving robot."""
     wrenches = dynamics.joint_wrenches(q, qd, qdd)
     return {
         'efforts': dynamics.efforts(q, qd, qdd),

@@ -11,18 +11,18 @@ KINDS = ('revolute', 'continuous', 'prismatic', 'fixed')
 
 @dataclass(frozen=True)
 class Link:
-    """A link, and the joint that holds it; the first link of a tree has no use for the joint."""
+    """A link and its parent joint; the joint of the first link is ignored."""
 
     parent: int
     kind: str
-    mimics: int  # the link whose joint this one's follows; -1 for none
+    mimics: int  # link whose joint this one mimics; -1 for none
     xyz: tuple
     rpy: tuple
     axis: tuple
     mass: float
     com: tuple
     com_rpy: tuple
-    box: tuple  # the sides of a solid box: its inertia is physical, whatever they are
+    box: tuple  # sides of a solid box, whose inertia is always physical
     multiplier: float = 1.0
     offset: float = 0.0
 
@@ -61,7 +61,7 @@ def urdf_of(links):
 
 @st.composite
 def trees(draw, max_links=8, kinds=KINDS, mimics=True):
-    """Draw a tree with at least one joint that moves; its shape shrinks, its numbers do not."""
+    """Draw a tree with at least one movable joint; hypothesis shrinks its shape only."""
     count = draw(st.sampled_from(range(2, max_links + 1)))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     links = [random_link(rng, parent=-1, kind='fixed', mimics=-1)]
@@ -81,14 +81,14 @@ def trees(draw, max_links=8, kinds=KINDS, mimics=True):
 
 @st.composite
 def states(draw, n, vectors=3):
-    """Draw vectors of n numbers of the size of joint positions, velocities, accelerations."""
+    """Draw vectors of n typical joint positions, velocities or accelerations."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     return rng.uniform(-3.0, 3.0, size=(vectors, n))
 
 
 @st.composite
 def robots_with_states(draw, vectors=3, **kwargs):
-    """Draw a tree: its links, what is loaded from them, and vectors of joint numbers."""
+    """Draw a tree: its links, the loaded robot, and joint vectors."""
     links = draw(trees(**kwargs))
     robot = load_urdf(urdf_of(links))
     return links, robot, draw(states(len(robot.joint_names), vectors))
@@ -116,7 +116,7 @@ def _text(numbers):
 
 
 def random_chain(rng, count):
-    """Make a chain of a number of joints, every third of them sliding."""
+    """Make a chain of joints, every third of them prismatic."""
     kinds = ['prismatic' if i % 3 == 2 else 'revolute' for i in range(count)]
     links = [random_link(rng, -1, 'fixed', -1)]
     return links + [random_link(rng, i, kind, -1) for i, kind in enumerate(kinds)]

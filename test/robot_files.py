@@ -1,4 +1,4 @@
-"""Where the robots of this package are."""
+"""Paths of the test robots."""
 
 from importlib.metadata import distribution, PackageNotFoundError
 from pathlib import Path
@@ -14,7 +14,7 @@ NOTHING_MOVES = """
 
 
 def real_robots():
-    """List the URDFs of real robots that the package example-robot-data carries, if it is here."""
+    """Return the URDFs of real robots in example-robot-data, if it is installed."""
     try:
         package = distribution('example-robot-data')
     except PackageNotFoundError:

@@ -1,4 +1,4 @@
-"""Recorded runs made up from the model itself: what was put in has to be found."""
+"""Recordings computed from the model, with known deviations to be found."""
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.analysis.identification import Recording
@@ -13,7 +13,7 @@ ROBOTS = {
 
 
 def exciting(robot, times, rng):
-    """Every joint a sum of three sines about the middle of its range: q, qd, qdd."""
+    """Return q, qd, qdd with a sum of three sines per joint about the middle of its range."""
     n = len(robot.joint_names)
     bounded = np.isfinite(robot.lower) & np.isfinite(robot.upper)
     lower = np.where(bounded, robot.lower, -np.pi)
@@ -46,9 +46,9 @@ def run(
     armature=None,
 ):
     """
-    Return the dynamics of a robot without friction, and a recording of it with.
+    Return the dynamics of a robot without friction, and a recording with friction.
 
-    ``friction`` is damping and Coulomb friction, ``act`` sets what else acts on the recorded one.
+    ``friction`` is damping and Coulomb friction; ``act`` sets other loads of the recorded robot.
     """
     robot = load_urdf(ROBOTS[name])
     rng = np.random.default_rng(seed)

@@ -1,7 +1,7 @@
 """
-A storm of messages over all subscriptions of the node, most of them of no use.
+A storm of messages to all subscriptions of the node, most of them useless.
 
-Run as a program, it publishes until it has sent enough or its time is up:
+As a program, it publishes until it has sent a number of messages or its time has elapsed:
 
     python test/storm.py --messages 100000 --seconds 20 --seed 1 --namespace inverse_dynamics
 """
@@ -31,21 +31,23 @@ from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64MultiArray, Header, String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)  # suits them all
+LATCHED = QoSProfile(
+    depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL
+)  # compatible with all subscriptions
 BAD_NUMBERS = [np.nan, np.inf, -np.inf, 1e300, -1e300, 5e-324, 0.0]
 TEXTS = ['', 'link_1', 'link_6', 'nowhere', 'x' * 10000, 'line\nfeed', '\u00fc\u4e2d\U0001f916']
 
 
 class Weather:
     """
-    Makes messages: useless ones, and now and then a good one.
+    Makes messages, most of them useless, some of them valid.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Where they come from.
-    joints : sequence of str
-        Of the robot.
+        Parameters
+        ----------
+        rng : numpy.random.Generator
+    Source of random numbers.
+        joints : sequence of str
+    Joint names of the robot.
 
     """
 

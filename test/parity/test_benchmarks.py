@@ -1,4 +1,4 @@
-"""What the benchmarks compute, not how fast."""
+"""The results of the benchmarked code, not their speed."""
 
 from benchmarks import growth, operations, timing
 from benchmarks.robots import random_states, stanford
@@ -9,7 +9,7 @@ from parity.test_paper_recursion import paper_efforts, STANDARD_GRAVITY
 import pytest
 from robot_files import ROOT
 
-RELATIVE = 1e-10  # to the largest effort: all round, in another order
+RELATIVE = 1e-10  # to the largest effort; the order of summation differs
 
 
 @pytest.fixture(scope='module')
@@ -17,7 +17,7 @@ def arm():
     return stanford()
 
 
-def test_lagrangian_form_gives_our_efforts_and_the_papers(arm):
+def test_lagrangian_form_gives_the_same_efforts(arm):
     q, qd, qdd = states = random_states(arm.n, 3)
     efforts = InverseDynamics(arm.model).efforts(*states)
     paper = [paper_efforts(*state, STANDARD_GRAVITY) for state in zip(q, qd, qdd, strict=True)]
@@ -39,12 +39,12 @@ def test_operations_of_a_pendulum_are_those_counted_by_hand():
     assert operations.count_newton_euler(pendulum, folds=False).total > folded.total
 
 
-def test_straight_line_code_gives_our_efforts(arm):
+def test_straight_line_code_gives_the_same_efforts(arm):
     states = random_states(arm.n, 3)
     efforts = InverseDynamics(arm.model).efforts(*states)
     tau = np.zeros_like(efforts)
     operations.compiled_straight_line(arm.model)(*states, tau, 1)
-    # Folding takes what is within 1e-9 of a whole number for that number.
+    # Folding takes numbers within 1e-9 of an integer as that integer.
     assert_allclose(tau, efforts, rtol=0, atol=1e-8 * np.abs(efforts).max())
 
 

@@ -1,4 +1,4 @@
-"""MuJoCo as a second opinion, on our own robots."""
+"""Agreement with MuJoCo on our own robots."""
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from kinematics import assert_close
@@ -11,12 +11,12 @@ from robot_files import OUR_ROBOTS
 
 mujoco = pytest.importorskip('mujoco')
 
-RELATIVE = 1e-10  # to the largest effort: both round, in another order
+RELATIVE = 1e-10  # to the largest effort; the order of summation differs
 GRAVITY = (0.4, -1.2, -9.5)
 
 
 def mujoco_model(path, payloads=()):
-    """Compile a URDF as it stands: bodies kept apart, no mass made up from geometry."""
+    """Compile a URDF with separate bodies and without masses from geometry."""
     root = etree.fromstring(path.read_bytes())
     for tag in ('visual', 'collision'):
         for element in root.findall(f'.//{tag}'):
@@ -37,7 +37,7 @@ def mujoco_model(path, payloads=()):
 
 
 class Fold:
-    """MuJoCo's joints as ours move them: mimic joints are independent ones there."""
+    """Conversion of joint vectors: mimic joints are independent joints in MuJoCo."""
 
     def __init__(self, robot, model):
         names = [model.joint(k).name for k in range(model.njnt)]
@@ -84,7 +84,7 @@ def test_payload_push_viscous_friction_and_armature(path, rng):
     robot = load_urdf(path)
     n = len(robot.joint_names)
     dynamics = InverseDynamics(robot, GRAVITY)
-    # It has made the base part of the world, and its links no bodies.
+    # MuJoCo has merged the base into the world, so its links are not bodies.
     moved = [str(link) for link in np.array(robot.link_names)[robot.link_body > 0]]
     payloads, wrenches = [], {}
     for link in dict.fromkeys([moved[0], moved[-1]]):
@@ -98,7 +98,7 @@ def test_payload_push_viscous_friction_and_armature(path, rng):
     dynamics.set_armature(armature)
 
     model = mujoco_model(path, payloads)
-    # Limits, mimicking and dry friction are constraints there.
+    # Limits, mimicking and dry friction are constraints in MuJoCo.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     fold = Fold(robot, model)
     model.dof_damping[:], model.dof_armature[:] = 0.0, 0.0
@@ -113,14 +113,14 @@ def test_payload_push_viscous_friction_and_armature(path, rng):
             body = data.body(link)
             force, moment = wrench @ body.xmat.reshape(3, 3).T
             mujoco.mj_applyFT(model, data, force, moment, body.xpos, body.id, pushed)
-            arm = body.xpos - body.xipos  # what is applied is applied at the centre of mass
+            arm = body.xpos - body.xipos  # MuJoCo applies forces at the centre of mass
             data.xfrc_applied[body.id] = np.r_[force, moment + np.cross(arm, force)]
         assert pushed.any()
-        # Efforts and the push together make the accelerations.
+        # Efforts and push cause the accelerations.
         expected = fold.matrix.T @ (data.qfrc_inverse - pushed)
         assert_close(dynamics.efforts(q, qd, qdd), expected, RELATIVE)
 
-        if len(fold.masters) == model.nv:  # nothing is folded: there and back again
+        if len(fold.masters) == model.nv:  # without mimics: forward dynamics of the result
             data.qfrc_applied[fold.masters] = dynamics.efforts(q, qd, qdd)
             mujoco.mj_forward(model, data)
             assert_close(data.qacc[fold.masters], qdd, 1e-8)

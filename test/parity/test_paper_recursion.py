@@ -1,11 +1,11 @@
 """
-The recursion of Luh, Walker and Paul (1979) as printed, beside the core, on the Stanford arm.
+The recursion of Luh, Walker and Paul (1979) as printed, compared with the core.
 
-The core works in URDF frames, each on the axis of its own joint. Here nothing is shared with it:
+The core works in URDF frames, each on the axis of its own joint. This test shares nothing with it:
 Denavit-Hartenberg frames, where the axis of joint i+1 is z of link i, and a table of the arm
-typed from the literature (doc/stanford.md), not read from the URDF. Agreement checks the core's
-departures from the paper, and config/stanford.urdf: a wrong figure shows in the efforts, or,
-where no joint can feel it, in the comparison of masses.
+typed from the literature (doc/stanford.md), not read from the URDF. Agreement verifies the core's
+departures from the paper, and config/stanford.urdf: a wrong number changes the efforts or, if no
+effort depends on it, the comparison of masses.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from inverse_dynamics_node import InverseDynamics, load_urdf
 import numpy as np
 import pytest
 
-# Of the largest effort of the joint over the states. Both sides add some hundred products of
-# doubles, which leaves 1e-14; one figure of the URDF off by 1e-4 of itself shows at 5e-8 or more.
+# Relative to the largest effort of the joint over the states. Both sides add hundreds of products,
+# which leaves 1e-14; a relative error of 1e-4 in a number of the URDF causes 5e-8 or more.
 TOLERANCE = 1e-10
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
-# Turns the column on its side, so that gravity loads joint 1 too.
+# Tilts the column to its side, so that gravity loads joint 1, too.
 TILTED_GRAVITY = (3.0, -4.0, -8.0)
 
 Z0 = np.array([0.0, 0.0, 1.0])
@@ -30,9 +30,9 @@ QUARTER = np.pi / 2
 
 
 class Link(NamedTuple):
-    """Link i in the literature's terms; the variable of its joint is theta, or d if it slides."""
+    """Link i in the literature's terms; the joint variable is theta, or d of a prismatic joint."""
 
-    theta: float  # rad; the constant part for a joint that slides
+    theta: float  # [rad], constant for a prismatic joint
     d: float  # m
     alpha: float  # rad; the arm has a = 0 everywhere
     slides: bool
@@ -178,8 +178,8 @@ BY_HAND = {
         np.zeros(6),
         (0, -G * BOOM_MOMENT, 0, -G * LINK_4_MOMENT, -G * HAND_MOMENT, 0),
     ),
-    # The boom carries itself, the wrist and the hand. Only the centre of mass of link 4, 5.4 mm
-    # off the boom's axis, loads joint 2.
+    # The boom carries its own weight, the wrist and the hand. Only the centre of mass of link 4,
+    # 5.4 mm off the boom's axis, loads joint 2.
     'boom straight up, at rest': (
         np.array([0.3, 0, 0.6, 0, 0, 0.2]),
         np.zeros(6),
@@ -189,7 +189,7 @@ BY_HAND = {
 
 
 @pytest.mark.parametrize('case', BY_HAND)
-def test_gravity_efforts_are_those_derived_by_hand(robot, case):
+def test_gravity_efforts_agree_with_those_derived_by_hand(robot, case):
     q, still, expected = BY_HAND[case]
     tolerance = TOLERANCE * np.abs(expected).max()
     efforts = InverseDynamics(robot).efforts(q, still, still)
@@ -198,12 +198,12 @@ def test_gravity_efforts_are_those_derived_by_hand(robot, case):
     np.testing.assert_allclose(paper, expected, rtol=0, atol=tolerance)
 
 
-def test_a_boom_that_slides_while_the_arm_turns_feels_coriolis_and_centrifugal_forces(robot):
+def test_a_sliding_boom_on_a_rotating_arm_has_coriolis_and_centrifugal_efforts(robot):
     turn, slide = 2.0, 0.5
     efforts = InverseDynamics(robot).efforts(
         HORIZONTAL, np.array([turn, 0, slide, 0, 0, 0]), np.zeros(6)
     )
-    # Joint 1 gives the masses the angular momentum they gain on their way out; joint 3 keeps
+    # Joint 1 supplies the angular momentum that the masses gain on their way out; joint 3 keeps
     # them on their circle.
     assert efforts[0] == pytest.approx(2 * turn * slide * BOOM_MOMENT, rel=TOLERANCE)
     assert efforts[2] == pytest.approx(-(turn**2) * BOOM_MOMENT, rel=TOLERANCE)

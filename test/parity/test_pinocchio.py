@@ -1,4 +1,4 @@
-"""Pinocchio as the judge: on our robots, on real ones, and on long chains."""
+"""Agreement with Pinocchio on our robots, on real ones, and on long chains."""
 
 import contextlib
 
@@ -6,18 +6,19 @@ from inverse_dynamics_node import InverseDynamics, load_urdf, UrdfError
 from lxml import etree
 import numpy as np
 from numpy.testing import assert_allclose
+from pinocchio_joints import write_positions
 import pytest
 from random_trees import random_chain, urdf_of
 from robot_files import OUR_ROBOTS, real_robots
 
 pinocchio = pytest.importorskip('pinocchio')
 
-RELATIVE = 1e-10  # to the largest effort: both round, in another order
+RELATIVE = 1e-10  # to the largest effort; the order of summation differs
 GRAVITY = np.array([0.4, -1.2, -9.5])
 
 
 class Peer:
-    """The same robot in pinocchio; mimic joints are independent ones there, folded here."""
+    """The same robot in pinocchio, whose mimic joints are independent joints, folded here."""
 
     def __init__(self, robot, urdf):
         self.robot = robot
@@ -25,21 +26,14 @@ class Peer:
         self.model.gravity.linear = GRAVITY
         self.data = self.model.createData()
         self.bodies = [robot.body_names.index(name) for name in list(self.model.names)[1:]]
-        # d(its velocities) / d(ours)
+        # d(velocities in pinocchio) / d(velocities of the robot)
         self.fold = np.zeros((self.model.nv, len(robot.joint_names)))
         for joint, body in zip(list(self.model.joints)[1:], self.bodies, strict=True):
             self.fold[joint.idx_v, robot.joint_index[body]] = robot.multiplier[body]
 
     def positions(self, q):
         positions = np.empty(self.model.nq)
-        for joint, body in zip(list(self.model.joints)[1:], self.bodies, strict=True):
-            x = self.robot.multiplier[body] * q[self.robot.joint_index[body]]
-            x += self.robot.offset[body]
-            # It keeps the cosine and sine of a continuous joint.
-            positions[joint.idx_q : joint.idx_q + joint.nq] = (
-                (np.cos(x), np.sin(x)) if joint.nq == 2 else x
-            )
-        return positions
+        return write_positions(positions, self.robot, list(self.model.joints)[1:], self.bodies, q)
 
     def efforts(self, q, qd, qdd):
         arguments = self.positions(q), self.fold @ qd, self.fold @ qdd
@@ -97,7 +91,7 @@ def test_real_robots(path):
     assert_equal_to_pinocchio(robot, path.read_text(), states=2)
 
 
-def test_most_real_robots_are_for_us():
+def test_most_real_robots_are_supported():
     """The skips above must stay exceptions."""
     paths = real_robots()
     if not paths:

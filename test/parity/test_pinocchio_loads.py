@@ -1,8 +1,8 @@
 """
-Pinocchio as the judge of what acts on a robot, and of what its terms and joint wrenches are.
+Agreement with Pinocchio with loads, in effort terms and in joint wrenches.
 
-The robot floats there, so that its base can move as ours is told to, and what the mount must hold
-is the force of the floating joint.
+The robot has a floating base in pinocchio, which moves as set in the core; the base wrench is the
+wrench of the floating joint.
 """
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
@@ -11,6 +11,7 @@ from kinematics import assert_close
 from loads import apply, everything, random_loads
 import numpy as np
 from numpy.testing import assert_allclose
+from pinocchio_joints import write_positions
 import pytest
 from robot_files import OUR_ROBOTS, real_robots
 
@@ -19,11 +20,11 @@ if not hasattr(pinocchio.Model(), 'armature'):
     pytest.skip(f'pinocchio {pinocchio.__version__}, expected 3 or later', allow_module_level=True)
 
 REAL = [path for path in real_robots() if path.stem in ('panda', 'talos_reduced', 'tiago')]
-BASE = slice(0, 6)  # the floating joint's share of velocities
+BASE = slice(0, 6)  # velocities of the floating joint
 
 
 class FloatingPeer:
-    """The same robot on a floating joint; mimic joints are independent ones there, folded here."""
+    """The same robot on a floating joint, with mimic joints as independent joints, folded here."""
 
     def __init__(self, robot, urdf):
         self.robot = robot
@@ -31,7 +32,7 @@ class FloatingPeer:
         self.joints = list(self.model.joints)[2:]
         self.bodies = [robot.body_names.index(name) for name in list(self.model.names)[2:]]
         n = len(robot.joint_names)
-        # d(its velocities) / d(ours), and which of its velocities are ours as they stand
+        # d(velocities in pinocchio) / d(velocities of the robot), and the indices of master joints
         self.fold = np.zeros((self.model.nv, n))
         self.masters = np.zeros(n, int)
         for joint, body in zip(self.joints, self.bodies, strict=True):
@@ -45,7 +46,7 @@ class FloatingPeer:
         self.model.gravity.linear = np.array(gravity)
 
     def set_base_motion(self, angular_velocity, angular_acceleration, linear_acceleration):
-        # At linear velocity zero its spatial acceleration is the acceleration of the origin.
+        # At zero linear velocity the spatial acceleration is the acceleration of the origin.
         self.velocity = np.r_[np.zeros(3), angular_velocity]
         self.acceleration = np.r_[linear_acceleration, angular_acceleration]
 
@@ -66,21 +67,14 @@ class FloatingPeer:
         return frame.parentJoint, frame.placement
 
     def ready(self):
-        """Make room for results, once everything is set."""
+        """Allocate the results after everything has been set."""
         self.data = self.model.createData()
         return self
 
     def positions(self, q):
         positions = np.zeros(self.model.nq)
         positions[6] = 1.0
-        for joint, body in zip(self.joints, self.bodies, strict=True):
-            x = self.robot.multiplier[body] * q[self.robot.joint_index[body]]
-            x += self.robot.offset[body]
-            # It keeps the cosine and sine of a continuous joint.
-            positions[joint.idx_q : joint.idx_q + joint.nq] = (
-                (np.cos(x), np.sin(x)) if joint.nq == 2 else x
-            )
-        return positions
+        return write_positions(positions, self.robot, self.joints, self.bodies, q)
 
     def efforts(self, q, qd, qdd):
         v, a = self.fold @ qd, self.fold @ qdd
@@ -99,7 +93,7 @@ class FloatingPeer:
 def random_case(path):
     robot = load_urdf(path)
     rng = np.random.default_rng(1979)
-    # It has no friction in its efforts.
+    # The efforts of pinocchio have no friction.
     calls = [call for call in random_loads(robot, rng) if call[0] != 'set_friction']
     return robot, calls, rng.uniform(-2.0, 2.0, (5, 3, len(robot.joint_names)))
 
@@ -119,7 +113,7 @@ def assert_equal_to_pinocchio(dynamics, peer, q, qd, qdd):
 
 
 @each_robot
-def test_everything_set(path):
+def test_all_loads(path):
     robot, calls, states = random_case(path)
     dynamics = apply(InverseDynamics(robot), calls)
     peer = apply(FloatingPeer(robot, path.read_text()), calls).ready()
@@ -132,7 +126,7 @@ def test_everything_set(path):
     ['set_gravity', 'set_base_motion', 'set_armature', 'set_payload', 'set_external_wrench'],
 )
 @each_robot
-def test_one_thing_set(path, setter):
+def test_one_kind_of_load(path, setter):
     robot, calls, states = random_case(path)
     calls = [call for call in calls if call[0] == setter]
     bare = InverseDynamics(robot)
@@ -175,11 +169,11 @@ def test_terms(path):
             assert_allclose(ours, peer.fold.T @ theirs, rtol=0, atol=1e-10 * scale)
     if path in REAL:
         inertial, velocity, gravity, friction, external = np.all(is_nothing, axis=0)
-        assert friction  # none was set
+        assert friction  # no friction was set
         assert not any((inertial, velocity, gravity, external))
 
 
-def test_the_real_robots_are_there():
+def test_the_real_robots_are_installed():
     if not real_robots():
         pytest.skip('example-robot-data is not installed')
     assert {path.stem for path in REAL} == {'panda', 'talos_reduced', 'tiago'}

@@ -1,4 +1,4 @@
-"""Energy judges the recursion: Lagrange's equations, and where friction takes its power."""
+"""The recursion compared with Lagrange's equations, and the power of friction."""
 
 from hypothesis import given, settings
 from inverse_dynamics_node import InverseDynamics, load_urdf
@@ -12,7 +12,7 @@ GRAVITY = (0.6, -1.5, -9.0)
 
 
 @given(robots_with_states(vectors=1))
-def test_mass_matrix_is_that_of_the_kinetic_energy(case):
+def test_mass_matrix_follows_from_the_kinetic_energy(case):
     links, robot, (q,) = case
     expected = Tree(links, robot.joint_names).mass_matrix(q)
     assert_close(InverseDynamics(robot).mass_matrix(q), expected)
@@ -20,7 +20,7 @@ def test_mass_matrix_is_that_of_the_kinetic_energy(case):
 
 @given(robots_with_states())
 @settings(max_examples=30)
-def test_efforts_are_those_of_lagrange(case):
+def test_efforts_follow_from_lagranges_equations(case):
     links, robot, (q, qd, qdd) = case
     expected = Tree(links, robot.joint_names).efforts(q, qd, qdd, GRAVITY)
     assert_close(InverseDynamics(robot, GRAVITY).efforts(q, qd, qdd), expected)
@@ -28,13 +28,13 @@ def test_efforts_are_those_of_lagrange(case):
 
 @given(robots_with_states())
 @settings(max_examples=30)
-def test_every_term_is_its_part_of_lagrange(case):
+def test_effort_terms_follow_from_lagranges_equations(case):
     links, robot, (q, qd, qdd) = case
     tree = Tree(links, robot.joint_names)
     dynamics = InverseDynamics(robot, GRAVITY)
     terms = dynamics.effort_terms(q, qd, qdd)
     assert_close(terms.inertial, tree.mass_matrix(q) @ qdd)
-    # Without gravity and accelerations; nothing for a single joint that slides, hence the scale.
+    # Without gravity and accelerations; zero for a single prismatic joint, hence the scale.
     scale = np.abs(dynamics.efforts(q, qd, qdd)).max()
     expected = tree.efforts(q, qd, 0.0 * qdd, np.zeros(3))
     assert_allclose(terms.velocity, expected, rtol=0, atol=1e-10 * scale)
@@ -48,7 +48,7 @@ def test_every_term_is_its_part_of_lagrange(case):
 
 @given(robots_with_states(vectors=2))
 @settings(max_examples=30)
-def test_velocity_efforts_do_half_the_power_of_the_changing_mass_matrix(case):
+def test_power_of_coriolis_efforts_is_half_that_of_the_changing_mass_matrix(case):
     links, robot, (q, qd) = case
     # qd (Mdot - 2 C) qd = 0, with Mdot from the kinetic energy
     tree = Tree(links, robot.joint_names)
@@ -59,8 +59,8 @@ def test_velocity_efforts_do_half_the_power_of_the_changing_mass_matrix(case):
     assert_allclose(2.0 * qd @ velocity, growth, rtol=0, atol=1e-10 * scale)
 
 
-def test_velocity_efforts_of_these_trees_are_not_nothing():
-    """The comparisons above are to a scale that other terms set; here it is their own."""
+def test_coriolis_efforts_of_these_trees_are_not_zero():
+    """The comparisons above are relative to other terms; this one is not."""
     for seed in range(10):
         links = random_chain(np.random.default_rng(seed), 4)
         robot = load_urdf(urdf_of(links))
@@ -73,7 +73,7 @@ def test_velocity_efforts_of_these_trees_are_not_nothing():
 
 
 def power_lost(links, efforts_of, q, qd, qdd):
-    """Return what joints spend beyond the growth of energy, and what friction should take."""
+    """Return the joint power in excess of the energy rate, and the expected friction power."""
     robot = load_urdf(urdf_of(links))
     damping = np.linspace(0.5, 2.0, len(q))
     tree = Tree(links, robot.joint_names)
@@ -82,7 +82,7 @@ def power_lost(links, efforts_of, q, qd, qdd):
 
 
 def efforts_of_1980(links, robot, damping, q, qd, qdd):
-    """Take the core's efforts: tau = n . z + b qd."""
+    """Return the core's efforts: tau = n . z + b qd."""
     dynamics = InverseDynamics(robot, GRAVITY)
     dynamics.set_friction(damping, coulomb=0.0)
     return dynamics.efforts(q, qd, qdd)
@@ -90,10 +90,10 @@ def efforts_of_1980(links, robot, damping, q, qd, qdd):
 
 def efforts_of_1979(links, robot, damping, q, qd, qdd):
     """
-    Add b qd z to the net force or moment of each link, as LWP (22) and (23) have it.
+        Add b qd z to the net force or moment of each link, as LWP (22) and (23) have it.
 
-    The inward pass hands a net force and moment down to every joint below, which is what a
-    transposed Jacobian does too.
+    The inward pass propagates a net force and moment to every joint below, as does a
+    transposed Jacobian.
 
     """
     tree = Tree(links, robot.joint_names)
@@ -114,7 +114,7 @@ def efforts_of_1979(links, robot, damping, q, qd, qdd):
 
 @given(robots_with_states(mimics=False))
 @settings(max_examples=30)
-def test_joints_spend_on_viscous_friction_what_its_coefficients_take(case):
+def test_power_of_viscous_friction_follows_from_its_coefficients(case):
     links, _, state = case
     lost, expected = power_lost(links, efforts_of_1980, *state)
     assert expected > 0.0
@@ -133,8 +133,8 @@ def test_friction_placed_as_in_1979_breaks_the_balance_of_power(seed):
     assert lost == pytest.approx(expected, rel=1e-9)
 
 
-def test_friction_placed_as_in_1979_forgets_a_joint_between_links_that_turn_back():
-    """Two parallel hinges, the second undoing the turn of the first: both of them rub."""
+def test_friction_placed_as_in_1979_omits_a_joint_whose_link_does_not_rotate():
+    """Two parallel hinges with friction, the second undoing the rotation of the first."""
     first, second = random_chain(np.random.default_rng(1979), 2)[1:]
     base = random_chain(np.random.default_rng(1979), 1)[0]
     straight = {'axis': (0.0, 0.0, 1.0), 'rpy': (0.0, 0.0, 0.0), 'kind': 'revolute'}
@@ -143,6 +143,6 @@ def test_friction_placed_as_in_1979_forgets_a_joint_between_links_that_turn_back
     d1, d2 = 0.5, 2.0  # as in power_lost
     lost, _ = power_lost(links, efforts_of_1980, q, qd, qdd)
     assert lost == pytest.approx((d1 + d2) * 1.5**2, rel=1e-9)
-    # The second link does not turn, so nothing counts of the friction at its joint.
+    # The second link does not rotate, so the friction at its joint is omitted.
     lost, _ = power_lost(links, efforts_of_1979, q, qd, qdd)
     assert lost == pytest.approx(d1 * 1.5**2, rel=1e-9)

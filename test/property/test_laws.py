@@ -1,4 +1,4 @@
-"""Laws of physics on random trees: they find what examples do not think of."""
+"""Laws of physics on random trees."""
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from random_trees import robots_with_states as cases
 from random_trees import urdf_of
 
-DIFFERENCE = 1e-6  # central differences with a step of 1e-5: their own error, and rounding
+DIFFERENCE = 1e-6  # error of central differences with a step of 1e-5
 
 
 @given(cases(vectors=4))
@@ -53,7 +53,7 @@ def test_gravity_efforts_are_the_gradient_of_potential_energy(case):
 
 
 @given(cases())
-def test_power_is_the_growth_of_energy(case):
+def test_power_is_the_rate_of_change_of_energy(case):
     _, robot, (q, qd, qdd) = case
     dynamics = InverseDynamics(robot)
 
@@ -71,11 +71,11 @@ def test_power_is_the_growth_of_energy(case):
 
 
 @given(cases(), st.integers(0, 2**32 - 1))
-def test_turning_base_and_gravity_together_changes_nothing(case, seed):
+def test_rotating_base_and_gravity_together_changes_nothing(case, seed):
     links, robot, (q, qd, qdd) = case
     rotation = random_rotation(np.random.default_rng(seed))
     gravity = np.array([0.3, -2.0, -9.0])
-    # Another base link holds the old one, turned.
+    # A new base link carries the old one, rotated.
     turned = [links[0].moved(mass=0.0, box=(0.0, 0.0, 0.0))]
     rpy = np.array(
         [
@@ -117,16 +117,16 @@ def test_order_of_links_in_the_file_changes_nothing(case):
 
 
 @given(cases(), st.floats(0.1, 0.9))
-def test_splitting_a_link_by_a_fixed_joint_changes_nothing(case, share):
+def test_splitting_a_link_by_a_fixed_joint_changes_nothing(case, fraction):
     links, robot, (q, qd, qdd) = case
     k = int(robot.joint_names[-1].removeprefix('joint'))
     # The part keeps the frame of the whole: two bodies in one place, with the mass of one.
-    rest = links[k].moved(mass=links[k].mass * share)
+    rest = links[k].moved(mass=links[k].mass * fraction)
     part = links[k].moved(
         parent=k,
         kind='fixed',
         mimics=-1,
-        mass=links[k].mass * (1.0 - share),
+        mass=links[k].mass * (1.0 - fraction),
         xyz=(0.0, 0.0, 0.0),
         rpy=(0.0, 0.0, 0.0),
     )
@@ -136,7 +136,7 @@ def test_splitting_a_link_by_a_fixed_joint_changes_nothing(case, share):
 
 
 @given(cases(vectors=12 * 20), st.integers(0, 2**32 - 1))
-def test_batches_give_what_single_states_give(case, seed):
+def test_batches_agree_with_single_states(case, seed):
     _, robot, vectors = case
     q, qd, qdd = vectors.reshape(3, 4, 20, -1)
     dynamics = InverseDynamics(robot)
@@ -162,7 +162,7 @@ def let_everything_act(dynamics, rng):
 
 @settings(max_examples=20)
 @given(cases())
-def test_code_for_one_robot_gives_what_that_for_all_gives(case):
+def test_generated_code_agrees_with_the_general_kernel(case):
     _, robot, vectors = case
     dynamics = InverseDynamics(robot)
     generated = GeneratedDynamics(dynamics)
@@ -172,7 +172,7 @@ def test_code_for_one_robot_gives_what_that_for_all_gives(case):
 
 
 def potential_energy(robot, q):
-    """Sum m g z over the bodies, by forward kinematics of its own."""
+    """Sum m g z over the bodies, by independent forward kinematics."""
     energy = 0.0
     poses = []
     for i, parent in enumerate(robot.parent):

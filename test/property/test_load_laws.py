@@ -1,4 +1,4 @@
-"""Laws of what acts on a robot, on random trees: loads, wrenches, friction, a moving base."""
+"""Laws of loads on random trees: payloads, wrenches, friction, moving bases."""
 
 import json
 import os
@@ -33,20 +33,20 @@ def differs(a, b):
 
 
 def with_payload(dynamics, k, link):
-    """Load link k with what another link would be, welded to it."""
+    """Set a payload on link k that equals another link welded to it."""
     R = rotation_of_rpy(link.rpy)
     com = np.array(link.xyz) + R @ link.com
     dynamics.set_payload(f'link{k}', link.mass, com, R @ link_inertia(link) @ R.T)
 
 
 @given(robots_with_states(), seeds)
-def test_payloads_weigh_what_links_weigh_that_are_welded_on(case, rng):
+def test_payloads_equal_welded_links(case, rng):
     links, robot, (q, qd, qdd) = case
     calls = [call for call in random_loads(robot, rng) if call[0] != 'set_payload']
     loaded = apply(InverseDynamics(robot), calls)
     bare = everything(loaded, q, qd, qdd)
     welded = list(links)
-    for name in some_links(robot, rng):  # the base and links merged into others among them
+    for name in some_links(robot, rng):  # including the base and merged links
         k = int(name.removeprefix('link'))
         welded.append(random_link(rng, k, 'fixed', -1))
         with_payload(loaded, k, random_link(rng, k, 'fixed', -1))  # is replaced
@@ -90,7 +90,7 @@ def test_external_wrenches_act_through_the_transposed_jacobian(case, rng):
 
 
 def test_wrenches_on_every_link_of_a_chain_reach_every_joint():
-    """The base's wrench reaches none, so what is drawn above may compare zeros."""
+    """A wrench on the base reaches none, so the random test above may compare zeros."""
     rng = np.random.default_rng(3)
     links = random_chain(rng, 6)
     robot = load_urdf(urdf_of(links))
@@ -111,7 +111,7 @@ def test_wrenches_on_every_link_of_a_chain_reach_every_joint():
 
 @given(robots_with_states())
 @settings(max_examples=30)
-def test_every_joint_wrench_is_the_growth_of_momentum_of_what_it_carries_and_its_weight(case):
+def test_joint_wrenches_are_momentum_rate_and_weight_of_the_carried_links(case):
     links, robot, (q, qd, qdd) = case
     tree = Tree(links, robot.joint_names)
     placed = tree.placed(q)
@@ -131,7 +131,7 @@ def test_every_joint_wrench_is_the_growth_of_momentum_of_what_it_carries_and_its
 
 
 @given(robots_with_states(vectors=1))
-def test_the_mount_holds_the_weight_of_a_robot_at_rest(case):
+def test_the_base_wrench_is_the_weight_of_a_robot_at_rest(case):
     links, robot, (q,) = case
     force, moment = InverseDynamics(robot, GRAVITY).joint_wrenches(q, 0.0 * q, 0.0 * q)
     placed = Tree(links, robot.joint_names).placed(q)
@@ -142,7 +142,7 @@ def test_the_mount_holds_the_weight_of_a_robot_at_rest(case):
 
 
 @given(robots_with_states(), seeds)
-def test_joint_wrenches_along_the_axes_are_the_efforts_without_what_is_inside_joints(case, rng):
+def test_joint_wrenches_along_the_axes_are_the_efforts_without_friction_and_armature(case, rng):
     links, robot, (q, qd, qdd) = case
     calls = random_loads(robot, rng)
     dynamics = apply(InverseDynamics(robot), calls)
@@ -164,7 +164,7 @@ def test_joint_wrenches_along_the_axes_are_the_efforts_without_what_is_inside_jo
     assert (after.moment == wrenches.moment).all()
 
 
-# What acts inside a joint
+# Friction and armature
 
 
 @given(robots_with_states(), st.data())
@@ -199,11 +199,11 @@ def test_armature_is_inertia_on_the_diagonal(case, rng):
     assert_close(geared.effort_terms(q, qd, qdd).inertial, geared.mass_matrix(q) @ qdd)
 
 
-# What efforts are made of
+# Effort terms
 
 
 @given(robots_with_states(), seeds)
-def test_terms_add_up_and_each_is_what_it_says(case, rng):
+def test_terms_add_up_and_each_has_its_own_cause(case, rng):
     _, robot, (q, qd, qdd) = case
     calls = random_loads(robot, rng)
     settings_of = dict(calls)
@@ -225,7 +225,7 @@ def test_terms_add_up_and_each_is_what_it_says(case, rng):
     apply(dynamics, without_any(call for call in calls if call[0] == 'set_external_wrench'))
     same(terms.external, total - dynamics.efforts(q, qd, qdd))
     assert_close(terms.gravity, dynamics.gravity_efforts(q))
-    # What is left depends on the velocity: nothing of it at rest.
+    # The remainder depends on the velocity and is zero at rest.
     rest = dynamics.effort_terms(q, 0.0 * qd, qdd)
     assert not rest.velocity.any()
     assert not rest.friction.any()
@@ -234,7 +234,7 @@ def test_terms_add_up_and_each_is_what_it_says(case, rng):
 
 @given(robots_with_states(), seeds)
 @settings(max_examples=30)
-def test_velocity_efforts_know_of_the_base_only_that_it_turns(case, rng):
+def test_coriolis_efforts_depend_on_the_base_only_by_its_angular_velocity(case, rng):
     _, robot, (q, qd, _) = case
     dynamics = InverseDynamics(robot)
     expected = dynamics.coriolis_efforts(q, qd)
@@ -249,14 +249,14 @@ def test_velocity_efforts_know_of_the_base_only_that_it_turns(case, rng):
     np.testing.assert_allclose(again, turning, rtol=0, atol=1e-10 * scale)
 
 
-def test_a_turning_base_adds_coriolis_efforts():
+def test_a_rotating_base_adds_coriolis_efforts():
     robot = load_urdf(urdf_of(random_chain(np.random.default_rng(5), 3)))
     q, qd = np.random.default_rng(5).uniform(-3.0, 3.0, (2, 3))
     dynamics = InverseDynamics(robot)
     expected = dynamics.coriolis_efforts(q, qd)
     dynamics.set_base_motion(angular_velocity=(1.0, -2.0, 0.5))
     added = dynamics.coriolis_efforts(q, qd) - expected
-    # The pair of omega and qd: it is linear in either.
+    # The product of omega and qd is linear in both.
     assert np.abs(added).max() > 0.01
     dynamics.set_base_motion(angular_velocity=(2.0, -4.0, 1.0))
     assert_close(dynamics.coriolis_efforts(q, qd) - expected, 2.0 * added)
@@ -279,9 +279,9 @@ def test_accelerating_against_gravity_is_gravity(case, rng):
 
 @given(robots_with_states(), seeds)
 @settings(max_examples=30)
-def test_a_moving_base_is_a_robot_at_the_end_of_another(case, rng):
+def test_a_moving_base_equals_a_robot_carried_by_another(case, rng):
     links, robot, (q, qd, qdd) = case
-    # Three slides and three hinges carry the base, which becomes link 6.
+    # Three prismatic and three revolute joints carry the base, which becomes link 6.
     kinds = ['prismatic'] * 3 + ['revolute'] * 3
     carried = [random_link(rng, -1, 'fixed', -1)]
     carried += [random_link(rng, i, kind, -1) for i, kind in enumerate(kinds[:-1])]
@@ -341,7 +341,7 @@ def test_the_order_of_settings_does_not_matter(case, rng):
 
 @given(robots_with_states(), seeds)
 @settings(max_examples=30)
-def test_what_is_set_and_cleared_leaves_no_trace(case, rng):
+def test_cleared_loads_have_no_effect(case, rng):
     _, robot, state = case
     expected = everything(InverseDynamics(robot), *state)
     calls = random_loads(robot, rng)
@@ -359,7 +359,7 @@ def test_what_is_set_and_cleared_leaves_no_trace(case, rng):
 
 @given(robots_with_states(vectors=12), seeds)
 @settings(max_examples=30)
-def test_batches_with_loads_give_what_single_states_give(case, rng):
+def test_batches_with_loads_agree_with_single_states(case, rng):
     _, robot, vectors = case
     q, qd, qdd = vectors.reshape(3, 2, 2, -1)
     dynamics = apply(InverseDynamics(robot), random_loads(robot, rng))

@@ -1,52 +1,35 @@
-"""Many states at once: any number of them, any number of threads, and a NaN in any of them."""
-
-from functools import cache
+"""Batches of any size, with any number of threads, and with invalid values."""
 
 from inverse_dynamics_node import (
     ConfigurationError,
-    InverseDynamics,
     JointStateError,
     load_urdf,
 )
 from inverse_dynamics_node.dynamics import batch
 from inverse_dynamics_node.dynamics.jit import simd_step
+from loads import loaded_chain, loaded_dynamics
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
-from random_trees import random_chain, urdf_of
 from robot_files import OUR_ROBOTS
 
 NAMES = ('q', 'qd', 'qdd')
 
 
-@simd_step  # and not kept on disk: that would not see a change of what it calls
+BASE_ROTATION = (0.1, -0.3, 0.2), (0.5, 0.4, -0.6)  # velocity [rad/s], acceleration [rad/s^2]
+
+
+@simd_step  # without a cache on disk, which would ignore changes of the functions called
 def cosines_and_sines(x, cosines, sines):
     for k in range(len(x)):
         cosines[k], sines[k] = batch.cosine_and_sine(x[k])
-
-
-def loaded(robot):
-    """Let everything act on a robot that can."""
-    dynamics = InverseDynamics(robot, (0.4, -1.2, -9.5))
-    link = robot.link_names[-1]
-    dynamics.set_payload(link, 0.7, (0.01, -0.02, 0.1), np.diag((0.02, 0.03, 0.04)))
-    dynamics.set_external_wrench(link, (3.0, -2.0, 1.0), (0.3, 0.2, -0.1))
-    dynamics.set_base_motion((0.1, -0.3, 0.2), (0.5, 0.4, -0.6), (0.3, 0.1, -0.2))
-    dynamics.set_friction(0.3, 0.8, 0.05)
-    dynamics.set_armature(0.05)
-    return dynamics
-
-
-@cache
-def chain():
-    return loaded(load_urdf(urdf_of(random_chain(np.random.default_rng(5), 5))))
 
 
 def one_by_one(dynamics, states):
     return np.array([dynamics.efforts(*state) for state in zip(*states, strict=True)])
 
 
-def assert_lanes_agree(dynamics, states):
+def assert_batch_agrees(dynamics, states):
     expected = one_by_one(dynamics, states)
     scale = np.abs(expected).max()
     assert scale > 0.0
@@ -58,7 +41,7 @@ def assert_lanes_agree(dynamics, states):
     [
         np.linspace(-10.0, 10.0, 200_001),
         np.random.default_rng(0).uniform(-1e5, 1e5, 200_000),
-        # Next to the zeros of both, where most digits cancel
+        # Close to the zeros of both, where most digits cancel
         np.nextafter(np.arange(-63_661, 63_661) * (np.pi / 2), np.inf),
         np.arange(-63_661, 63_661) * (np.pi / 2),
         np.arange(-63_661, 63_661) * (np.pi / 4),
@@ -67,7 +50,7 @@ def assert_lanes_agree(dynamics, states):
     ],
     ids=['small', 'large', 'beside zeros', 'zeros', 'eighths', 'tiny', 'ends'],
 )
-def test_cosines_and_sines_are_right_to_two_units_in_the_last_place(x):
+def test_cosines_and_sines_are_accurate_to_two_units_in_the_last_place(x):
     actual = np.empty((2, len(x)))
     cosines_and_sines(x, *actual)
     for function, values in zip((np.cos, np.sin), actual, strict=True):
@@ -80,29 +63,29 @@ def test_cosines_and_sines_are_right_to_two_units_in_the_last_place(x):
 def test_any_number_of_states(size, rng):
     states = rng.uniform(-3.0, 3.0, (3, size, 5))
     if size:
-        assert_lanes_agree(chain(), states)
+        assert_batch_agrees(loaded_chain(*BASE_ROTATION), states)
     else:
-        assert chain().efforts(*states).shape == (0, 5)
+        assert loaded_chain(*BASE_ROTATION).efforts(*states).shape == (0, 5)
 
 
 def test_blocks_larger_than_one(rng, monkeypatch):
     if batch.LANES == 1:
         monkeypatch.setattr(batch, 'BLOCK', 50)
-    assert_lanes_agree(chain(), rng.uniform(-3.0, 3.0, (3, 130, 5)))
+    assert_batch_agrees(loaded_chain(*BASE_ROTATION), rng.uniform(-3.0, 3.0, (3, 130, 5)))
 
 
 @pytest.mark.parametrize('path', OUR_ROBOTS, ids=lambda path: path.stem)
 def test_our_robots(path, rng):
-    dynamics = loaded(load_urdf(path))
+    dynamics = loaded_dynamics(load_urdf(path), *BASE_ROTATION)
     n = len(dynamics.robot.joint_names)
-    assert_lanes_agree(dynamics, rng.uniform(-3.0, 3.0, (3, 70, n)))
+    assert_batch_agrees(dynamics, rng.uniform(-3.0, 3.0, (3, 70, n)))
 
 
-def test_angles_beyond_reduction_are_computed_too(rng):
+def test_very_large_angles_are_computed(rng):
     states = rng.uniform(-3.0, 3.0, (3, 100, 5))
     states[0, 13] = 1e5 + 1.0, -1e9, 1.0, 1e12, 1e6
     states[0, 77] = -1e7
-    assert_lanes_agree(chain(), states)
+    assert_batch_agrees(loaded_chain(*BASE_ROTATION), states)
 
 
 @pytest.mark.parametrize('size', [128, 2047, 2048, 2050, 4096, 9999])
@@ -110,60 +93,61 @@ def test_angles_beyond_reduction_are_computed_too(rng):
 def test_threads_change_nothing(size, threads, rng):
     states = rng.uniform(-3.0, 3.0, (3, size, 5))
     states[0, size // 2, 0] = 1e6
-    alone = chain().efforts(*states)
+    alone = loaded_chain(*BASE_ROTATION).efforts(*states)
     assert np.abs(alone).max() > 0.0
-    assert (chain().efforts(*states, threads=threads) == alone).all()
+    assert (loaded_chain(*BASE_ROTATION).efforts(*states, threads=threads) == alone).all()
 
 
 @pytest.mark.parametrize('threads', [0, -1, 1.5, None, 'two'])
-def test_refuses_threads_that_are_none(threads):
+def test_rejects_an_invalid_number_of_threads(threads):
     with pytest.raises(ConfigurationError, match='expected an integer of at least 1'):
-        chain().efforts(*np.zeros((3, 100, 5)), threads=threads)
+        loaded_chain(*BASE_ROTATION).efforts(*np.zeros((3, 100, 5)), threads=threads)
 
 
 @pytest.mark.parametrize('threads', [1, 2])
 @pytest.mark.parametrize('value', [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize('sample', [0, 40, 127, 128, 199])
-def test_names_the_state_that_is_not_finite(sample, value, threads, rng):
+def test_errors_name_the_state_that_is_not_finite(sample, value, threads, rng):
     for k, name in enumerate(NAMES):
-        for j, joint in enumerate(chain().robot.joint_names):
+        for j, joint in enumerate(loaded_chain(*BASE_ROTATION).robot.joint_names):
             states = rng.uniform(-3.0, 3.0, (3, 200, 5))
             states[k, sample, j] = value
             words = rf"{name} of joint '{joint}' is {value} \(sample \({sample},\)\)"
             with pytest.raises(JointStateError, match=words):
-                chain().efforts(*states, threads=threads)
+                loaded_chain(*BASE_ROTATION).efforts(*states, threads=threads)
 
 
-def test_tells_of_overflow():
+def test_reports_overflow():
     states = np.zeros((3, 100, 5))
     states[1, 70, 0] = 1e200
     with pytest.raises(JointStateError, match='the efforts overflow'):
-        chain().efforts(*states)
+        loaded_chain(*BASE_ROTATION).efforts(*states)
 
 
-def test_earlier_failures_leave_no_trace(rng):
+def test_earlier_failures_have_no_effect(rng):
     states = rng.uniform(-3.0, 3.0, (3, 100, 5))
-    good = chain().efforts(*states)
+    good = loaded_chain(*BASE_ROTATION).efforts(*states)
     with pytest.raises(JointStateError):
-        chain().efforts(np.nan * states[0], *states[1:])
-    assert (chain().efforts(*states) == good).all()
+        loaded_chain(*BASE_ROTATION).efforts(np.nan * states[0], *states[1:])
+    assert (loaded_chain(*BASE_ROTATION).efforts(*states) == good).all()
 
 
 def test_out_may_be_any_array_of_the_shape(rng):
     states = rng.uniform(-3.0, 3.0, (3, 100, 5))
-    expected = chain().efforts(*states)
+    expected = loaded_chain(*BASE_ROTATION).efforts(*states)
     for out in (
         np.empty((100, 5)),
         np.empty((100, 10))[:, ::2],
         np.empty((5, 100)).T,
         states[0],  # its own argument
     ):
-        assert chain().efforts(*states, out=out) is out
+        assert loaded_chain(*BASE_ROTATION).efforts(*states, out=out) is out
         assert (out == expected).all()
 
 
 def test_batches_of_several_dimensions(rng):
     states = rng.uniform(-3.0, 3.0, (3, 7, 11, 5))
-    batch = chain().efforts(*states)
-    assert batch.shape == (7, 11, 5)
-    assert (batch == chain().efforts(*states.reshape(3, 77, 5)).reshape(7, 11, 5)).all()
+    dynamics = loaded_chain(*BASE_ROTATION)
+    efforts = dynamics.efforts(*states)
+    assert efforts.shape == (7, 11, 5)
+    assert (efforts == dynamics.efforts(*states.reshape(3, 77, 5)).reshape(7, 11, 5)).all()

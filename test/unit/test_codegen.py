@@ -1,4 +1,4 @@
-"""Code for one robot: the same efforts, at once whatever is set, and never a wrong one."""
+"""Generated code: the same efforts as the general kernel, with all loads."""
 
 import copy
 import pickle
@@ -37,14 +37,14 @@ def random_state(generated, rng):
 
 
 def two_ways(generated):
-    """Compute in the arrays of the object, and in others."""
+    """Yield efforts computed in the object's own arrays and in other arrays."""
     yield generated.update()
     q, qd, qdd, _ = (array.copy() for array in generated.state)
     out = np.full_like(q, np.nan)
     assert generated.efforts(q, qd, qdd, out) is out
     yield out
     yield generated.efforts(q, qd, qdd)
-    yield generated.efforts(q, qd, qdd, out=q)  # over what it reads
+    yield generated.efforts(q, qd, qdd, out=q)  # overwrites its input
 
 
 def refuse(*_):
@@ -93,7 +93,7 @@ def test_same_efforts_of_a_long_chain(rng):
     assert_same(dynamics, GeneratedDynamics(dynamics), rng)
 
 
-def test_same_efforts_when_all_was_set_before(urdf_path, rng, monkeypatch):
+def test_same_efforts_with_loads_set_before(urdf_path, rng, monkeypatch):
     dynamics = InverseDynamics(load_urdf(urdf_path))
     set_everything(dynamics)
     generated = GeneratedDynamics(dynamics)
@@ -102,7 +102,7 @@ def test_same_efforts_when_all_was_set_before(urdf_path, rng, monkeypatch):
         assert_code_is_used(dynamics, generated, monkeypatch)
 
 
-def test_same_efforts_when_all_is_set_later(urdf_path, rng):
+def test_same_efforts_with_loads_set_later(urdf_path, rng):
     dynamics = InverseDynamics(load_urdf(urdf_path))
     generated = GeneratedDynamics(dynamics)
     set_everything(dynamics)
@@ -110,7 +110,7 @@ def test_same_efforts_when_all_is_set_later(urdf_path, rng):
 
 
 @needs_numba
-def test_what_was_there_may_change_without_leaving_the_code(dynamics, rng, monkeypatch):
+def test_code_is_used_while_existing_loads_change(dynamics, rng, monkeypatch):
     set_everything(dynamics)
     generated = GeneratedDynamics(dynamics)
     for share in (0.5, 2.0, 0.0):
@@ -123,7 +123,7 @@ def test_what_was_there_may_change_without_leaving_the_code(dynamics, rng, monke
 
 
 @needs_numba
-def test_what_was_not_there_is_computed_the_general_way_until_it_goes(dynamics, rng, monkeypatch):
+def test_new_loads_use_the_general_kernel_until_they_are_removed(dynamics, rng, monkeypatch):
     generated = GeneratedDynamics(dynamics)
     assert_code_is_used(dynamics, generated, monkeypatch)
     dynamics.set_external_wrench('tool0', (1.0, 0.0, 0.0))
@@ -139,8 +139,8 @@ def test_what_was_not_there_is_computed_the_general_way_until_it_goes(dynamics, 
 
 @pytest.mark.parametrize('bad', [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize('which', [0, 1, 2])
-def test_values_that_are_not_finite_are_told_by_joint(dynamics, rng, which, bad):
-    """Also the position of a vertical first axis, which reaches no effort."""
+def test_values_that_are_not_finite_are_reported_by_joint(dynamics, rng, which, bad):
+    """This includes the position of a vertical first axis, which affects no effort."""
     generated = GeneratedDynamics(dynamics)
     for joint, name in enumerate(dynamics.robot.joint_names):
         random_state(generated, rng)
@@ -163,7 +163,7 @@ def test_values_that_are_not_finite_are_told_by_joint(dynamics, rng, which, bad)
     ],
     ids=['list', 'batch', 'strided', 'integers', 'single', 'read-only'],
 )
-def test_arrays_of_all_kinds_are_read(dynamics, rng, read):
+def test_arguments_may_be_array_like(dynamics, rng, read):
     generated = GeneratedDynamics(dynamics)
     q, qd, qdd = (read(x) for x in random_state(generated, rng))
     expected = dynamics.efforts(q, qd, qdd)
@@ -175,27 +175,27 @@ def test_arrays_of_all_kinds_are_read(dynamics, rng, read):
 
 @pytest.mark.parametrize('which', [0, 1, 2, 3])
 @pytest.mark.parametrize('n', [0, 5, 7])
-def test_arrays_of_another_size_are_refused(dynamics, which, n):
+def test_arrays_of_wrong_size_are_rejected(dynamics, which, n):
     arrays = [np.zeros(6) for _ in range(4)]
     arrays[which] = np.zeros(n)
     with pytest.raises(JointStateError, match='has shape'):
         GeneratedDynamics(dynamics).efforts(*arrays)
 
 
-def test_overflow_is_told(dynamics):
+def test_overflow_is_reported(dynamics):
     generated = GeneratedDynamics(dynamics)
     generated.state.qd[:] = 1e300
     with pytest.raises(JointStateError, match='finite, but too large'):
         generated.update()
 
 
-def test_efforts_stand_in_the_state(dynamics, rng):
+def test_update_writes_the_efforts_to_the_state(dynamics, rng):
     generated = GeneratedDynamics(dynamics)
     random_state(generated, rng)
     assert generated.update() is generated.state.tau
 
 
-def test_two_objects_of_one_dynamics_do_not_mix(dynamics, rng):
+def test_two_objects_of_one_dynamics_are_independent(dynamics, rng):
     one, other = GeneratedDynamics(dynamics), GeneratedDynamics(dynamics)
     first, second = random_state(one, rng), random_state(other, rng)
     one.update()
@@ -204,11 +204,11 @@ def test_two_objects_of_one_dynamics_do_not_mix(dynamics, rng):
         assert_allclose(generated.state.tau, dynamics.efforts(*vectors), rtol=1e-12)
 
 
-def test_robot_that_cannot_move():
+def test_robot_without_movable_joints():
     assert GeneratedDynamics(InverseDynamics(load_urdf(NOTHING_MOVES))).update().shape == (0,)
 
 
-def test_arrays_stay_where_the_code_knows_them(dynamics):
+def test_arrays_cannot_be_moved(dynamics):
     generated = GeneratedDynamics(dynamics)
     for array in generated.state:
         with pytest.raises(ValueError, match='resize'):
@@ -221,7 +221,7 @@ def test_arrays_stay_where_the_code_knows_them(dynamics):
 
 
 @needs_numba
-def test_another_numba_is_a_warning(dynamics, rng, monkeypatch):
+def test_incompatible_numba_is_a_warning(dynamics, rng, monkeypatch):
     def fail(*_):
         raise AttributeError('as_pointer')
 
@@ -232,8 +232,8 @@ def test_another_numba_is_a_warning(dynamics, rng, monkeypatch):
 
 
 @needs_numba
-def test_no_product_with_a_zero_of_the_robot_is_left():
-    """A wheel about its own axis, without weight: inertia times acceleration, and no sine."""
+def test_products_with_zero_are_left_out():
+    """A balanced wheel without gravity needs only inertia times acceleration, and no sine."""
     robot = load_urdf(
         '<robot name="wheel"><link name="base"/><link name="wheel"><inertial><mass value="1"/>'
         '<inertia ixx="0.5" iyy="0.5" izz="0.5" ixy="0" ixz="0" iyz="0"/></inertial></link>'

@@ -1,4 +1,4 @@
-"""Efforts that can be derived by hand, and what is said of arguments that do not fit."""
+"""Efforts that can be derived by hand, and errors of invalid arguments."""
 
 from pathlib import Path
 
@@ -73,7 +73,7 @@ def test_planar_two_links():
     assert_allclose(dynamics.efforts(q, qd, qdd), matrix @ qdd + velocity + gravity, rtol=1e-12)
 
 
-def test_turntable_with_a_slide_feels_coriolis_and_centrifugal_effort():
+def test_turntable_with_a_slide_has_coriolis_and_centrifugal_efforts():
     robot = robot_of(
         body('table', 1.0, '0 0 0', 0.1),
         body('slide', 2.0, '0 0 0', 0.0),
@@ -103,7 +103,7 @@ def test_mimic_joint_adds_to_its_master():
         joint('left', 'prismatic', 'base', 'a', '0 0 0', '0 0 1'),
         joint('right', 'prismatic', 'base', 'b', '0 0 0', '0 0 1', mimic),
     )
-    # The second body moves by -2 q: its weight lifts the first, its inertia counts four times.
+    # The second body moves by -2 q: its weight lifts the first, its inertia appears four times.
     expected = 1.0 * (G + 1.0) - 2.0 * 3.0 * (G - 2.0)
     assert InverseDynamics(robot).efforts([0.0], [0.0], [1.0]) == pytest.approx([expected])
 
@@ -119,7 +119,7 @@ def test_out_is_written_and_returned():
     assert_allclose(batch, np.tile(dynamics.efforts([0, 0], state, state), (3, 1)))
 
 
-def test_arguments_may_be_anything_like_an_array():
+def test_arguments_may_be_array_like():
     dynamics = InverseDynamics(PLANAR)
     expected = dynamics.efforts(np.array([1.0, 2.0]), np.array([0.0, 1.0]), np.array([3.0, 0.0]))
     frozen = np.array([1.0, 2.0])
@@ -149,7 +149,7 @@ def test_robot_without_movable_joints_has_no_efforts():
     assert dynamics.efforts(np.zeros((4, 0)), [], []).shape == (4, 0)
 
 
-def test_earlier_results_stay_as_they_were():
+def test_earlier_results_do_not_change():
     dynamics = InverseDynamics(PLANAR)
     first = dynamics.efforts([0.0, 0.0], [0.0, 0.0], [1.0, 1.0])
     copy = first.copy()
@@ -157,7 +157,7 @@ def test_earlier_results_stay_as_they_were():
     second = dynamics.efforts([1.0, 0.0], [0.0, 0.0], [1.0, 1.0])
     assert (first == copy).all()
     assert (first != second).any()
-    # The mass matrix sets gravity aside, and puts it back.
+    # The mass matrix does not change gravity.
     assert (dynamics.efforts([0.0, 0.0], [0.0, 0.0], [1.0, 1.0]) == copy).all()
 
 
@@ -176,7 +176,7 @@ def test_earlier_results_stay_as_they_were():
         ((np.zeros(2), np.array([1e200, 0.0]), np.zeros(2)), 'the efforts overflow'),
     ],
 )
-def test_tells_which_argument_is_at_fault(arguments, words):
+def test_errors_name_the_invalid_argument(arguments, words):
     with pytest.raises(JointStateError, match=words):
         InverseDynamics(PLANAR).efforts(*arguments)
 
@@ -185,18 +185,18 @@ def test_tells_which_argument_is_at_fault(arguments, words):
     'out',
     [np.zeros(2, dtype=int), np.zeros(2, dtype=np.float32), [0.0, 0.0], np.broadcast_to(0.0, 2)],
 )
-def test_refuses_out_that_would_lose_digits(out):
+def test_rejects_out_of_lower_precision(out):
     with pytest.raises(JointStateError, match='expected a writable array of float64'):
         InverseDynamics(PLANAR).efforts(np.zeros(2), np.zeros(2), np.zeros(2), out=out)
 
 
 @pytest.mark.parametrize('shape', [(3,), (1, 2), (2, 2)])
-def test_tells_that_out_does_not_fit(shape):
+def test_errors_give_the_shape_of_out(shape):
     with pytest.raises(JointStateError, match=r'out has shape .*, the result has'):
         InverseDynamics(PLANAR).efforts(np.zeros(2), np.zeros(2), np.zeros(2), out=np.empty(shape))
 
 
-def test_nan_reaches_the_error_and_nothing_else():
+def test_nan_has_no_effect_on_later_calls():
     dynamics = InverseDynamics(PLANAR)
     good = dynamics.efforts([0.1, 0.2], [0.3, 0.4], [0.5, 0.6])
     for k in range(3):
@@ -211,13 +211,13 @@ def test_nan_reaches_the_error_and_nothing_else():
 
 
 @pytest.mark.parametrize('gravity', [(0, 0), (0, 0, np.nan), 'down', None, [[0, 0, 1]]])
-def test_refuses_gravity_that_is_no_vector(gravity):
+def test_rejects_gravity_that_is_not_a_vector(gravity):
     with pytest.raises(ConfigurationError, match='expected three finite numbers'):
         InverseDynamics(PLANAR, gravity)
 
 
-def test_loads_what_its_documentation_says():
-    """The example in the README's words."""
+def test_loads_act_as_in_the_readme():
+    """The example of the README."""
     robot = load_urdf(Path(__file__).parents[2] / 'config' / 'stanford.urdf')
     assert robot.joint_names == tuple(f'joint_{k}' for k in range(1, 7))
     assert InverseDynamics(robot).gravity.tolist() == [0.0, 0.0, -G]

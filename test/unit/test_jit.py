@@ -15,9 +15,9 @@ def no_warning_yet(monkeypatch):
 
 
 @needs_numba
-def test_function_without_a_place_for_its_cache_is_a_warning():
+def test_function_that_cannot_be_cached_is_a_warning():
     namespace = {}
-    exec('def twice(x):\n    return 2.0 * x', namespace)  # from no file: nowhere to keep it
+    exec('def twice(x):\n    return 2.0 * x', namespace)  # without a source file
     with pytest.warns(UserWarning, match='not kept between runs'):
         twice = jit.compiled(namespace['twice'])
     jit.compile_for(twice, '(f8,)')

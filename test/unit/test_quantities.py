@@ -1,32 +1,13 @@
 """Quantities beside the efforts: their definition, batches, `out`, and errors."""
 
-from functools import cache
-
-from inverse_dynamics_node import InverseDynamics, JointStateError, load_urdf
+from inverse_dynamics_node import JointStateError, load_urdf
+from loads import loaded_chain, loaded_dynamics
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
-from random_trees import random_chain, urdf_of
 from robot_files import OUR_ROBOTS
 
 LARGE = 150  # states: more than one block
-
-
-def loaded(robot, angular_velocity=(0.0, 0.0, 0.0)):
-    """Apply every kind of load."""
-    dynamics = InverseDynamics(robot, (0.4, -1.2, -9.5))
-    link = robot.link_names[-1]
-    dynamics.set_payload(link, 0.7, (0.01, -0.02, 0.1), np.diag((0.02, 0.03, 0.04)))
-    dynamics.set_external_wrench(link, (3.0, -2.0, 1.0), (0.3, 0.2, -0.1))
-    dynamics.set_base_motion(angular_velocity, linear_acceleration=(0.3, 0.1, -0.2))
-    dynamics.set_friction(0.3, 0.8, 0.05)
-    dynamics.set_armature(0.05)
-    return dynamics
-
-
-@cache
-def chain():
-    return loaded(load_urdf(urdf_of(random_chain(np.random.default_rng(5), 5))))
 
 
 def quantities(dynamics, q, qd, qdd):
@@ -50,7 +31,7 @@ NAMES = tuple(quantities(None, None, None, None))
 @pytest.mark.parametrize('path', OUR_ROBOTS, ids=lambda path: path.stem)
 def test_quantities_follow_from_the_efforts(path, angular_velocity, rng):
     robot = load_urdf(path)
-    dynamics, n = loaded(robot, angular_velocity), len(robot.joint_names)
+    dynamics, n = loaded_dynamics(robot, angular_velocity), len(robot.joint_names)
     q, qd, zeros = *rng.uniform(-2.0, 2.0, (2, n)), np.zeros(n)
     still = dynamics.efforts(q, zeros, zeros)
     assert np.abs(still).max() > 0.0
@@ -70,7 +51,7 @@ def test_quantities_follow_from_the_efforts(path, angular_velocity, rng):
 @pytest.mark.parametrize('path', OUR_ROBOTS, ids=lambda path: path.stem)
 def test_batches_agree_with_single_states(path, name, rng):
     robot = load_urdf(path)
-    dynamics = loaded(robot, (0.1, -0.3, 0.2))
+    dynamics = loaded_dynamics(robot, (0.1, -0.3, 0.2))
     states = rng.uniform(-2.0, 2.0, (3, LARGE, len(robot.joint_names)))
     actual = quantities(dynamics, *states)[name]()
     singles = [quantities(dynamics, *state)[name]() for state in states.transpose(1, 0, 2)]
@@ -84,7 +65,7 @@ def test_batches_agree_with_single_states(path, name, rng):
 @pytest.mark.parametrize('name', NAMES)
 @pytest.mark.parametrize('shape', [(), (3,), (LARGE,), (2, 40), (0,)])
 def test_out_receives_the_result(name, shape, rng):
-    dynamics = chain()
+    dynamics = loaded_chain()
     call = quantities(dynamics, *rng.uniform(-2.0, 2.0, (3, *shape, 5)))[name]
     expected = call()
     out = np.full(expected.shape, np.nan)
@@ -98,7 +79,7 @@ def test_out_receives_the_result(name, shape, rng):
 @pytest.mark.parametrize('name', NAMES)
 @pytest.mark.parametrize('shape', [(), (3,), (LARGE,)])
 def test_out_of_another_shape_or_type_is_an_error(name, shape, rng):
-    dynamics = chain()
+    dynamics = loaded_chain()
     call = quantities(dynamics, *rng.uniform(-2.0, 2.0, (3, *shape, 5)))[name]
     right = call().shape
     with pytest.raises(JointStateError, match='out has shape'):
@@ -113,14 +94,14 @@ def test_out_of_another_shape_or_type_is_an_error(name, shape, rng):
 @pytest.mark.parametrize('size', [1, LARGE])
 @pytest.mark.parametrize('value', [np.nan, np.inf])
 def test_a_position_that_is_not_finite_is_an_error(name, size, value, rng):
-    dynamics = chain()
+    dynamics = loaded_chain()
     for joint in range(5):
         states = rng.uniform(-2.0, 2.0, (3, size, 5))
         states[0, size // 2, joint] = value
         states = states if size > 1 else states[:, 0]
         with pytest.raises(JointStateError, match=rf"q of joint '\w+' is {value}"):
             quantities(dynamics, *states)[name]()
-        # Nothing remains of it in the scratch space.
+        # It leaves nothing in the scratch space.
         states[0] = 0.1
         assert np.isfinite(quantities(dynamics, *states)[name]()).all()
 
@@ -128,18 +109,18 @@ def test_a_position_that_is_not_finite_is_an_error(name, size, value, rng):
 @pytest.mark.parametrize('name', NAMES)
 def test_arguments_of_another_size_are_an_error(name):
     with pytest.raises(JointStateError, match=r'q has shape \(4,\), the robot has 5 joints'):
-        quantities(chain(), *np.zeros((3, 4)))[name]()
+        quantities(loaded_chain(), *np.zeros((3, 4)))[name]()
 
 
 @pytest.mark.parametrize('name', NAMES)
 def test_lists_and_integers_are_accepted(name):
-    lists = quantities(chain(), [1] * 5, [2] * 5, [3] * 5)[name]()
-    arrays = quantities(chain(), np.ones(5), np.full(5, 2.0), np.full(5, 3.0))[name]()
+    lists = quantities(loaded_chain(), [1] * 5, [2] * 5, [3] * 5)[name]()
+    arrays = quantities(loaded_chain(), np.ones(5), np.full(5, 2.0), np.full(5, 3.0))[name]()
     assert (lists == arrays).all()
 
 
 def test_changed_loads_apply_to_the_next_call(rng):
-    dynamics = loaded(chain().robot)
+    dynamics = loaded_dynamics(loaded_chain().robot)
     q, qd = rng.uniform(-2.0, 2.0, (2, 5))
     for name, call in quantities(dynamics, q, qd, qd).items():
         before = call()

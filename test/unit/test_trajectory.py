@@ -1,4 +1,4 @@
-"""Trajectories: what is derived, and the efforts all along."""
+"""Trajectories: derived quantities, and efforts."""
 
 import contextlib
 
@@ -16,7 +16,7 @@ TIMES = np.linspace(0.0, 2.0, 41)
 
 
 def cosine(times=TIMES):
-    """One joint from 0 to 2, at rest at both ends: positions, velocities, accelerations."""
+    """Return positions, velocities and accelerations of a joint from 0 to 2, from rest to rest."""
     w = np.pi / 2.0
     return [x[:, None] for x in (1 - np.cos(w * times), w * np.sin(w * times))] + [
         (w * w * np.cos(w * times))[:, None]
@@ -41,7 +41,7 @@ def test_derives_accelerations_from_velocities():
     assert derived == ('accelerations derived from a cubic spline through the velocities',)
 
 
-def test_leaves_a_whole_trajectory_as_it_is():
+def test_does_not_change_a_complete_trajectory():
     trajectory = Trajectory(('a',), TIMES, *cosine())
     assert complete(trajectory) == (trajectory, ())
 
@@ -54,7 +54,7 @@ def test_few_points_are_enough(points):
     assert whole.velocities[[0, -1]] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_irregular_times_are_no_matter():
+def test_irregular_times_are_accepted():
     times = np.cumsum(np.random.default_rng(3).uniform(0.02, 0.08, 41))
     times *= 2.0 / times[-1]
     times[0] = 0.0
@@ -63,7 +63,7 @@ def test_irregular_times_are_no_matter():
     assert whole.velocities == pytest.approx(qd, abs=2e-4)
 
 
-def test_efforts_are_those_of_every_point_by_name():
+def test_efforts_equal_those_of_each_point_by_name():
     dynamics = InverseDynamics(load_urdf(STANFORD))
     rng = np.random.default_rng(5)
     q, qd, qdd = rng.uniform(-1.0, 1.0, (3, 7, 6))
@@ -74,7 +74,7 @@ def test_efforts_are_those_of_every_point_by_name():
     assert trajectory_efforts(dynamics, trajectory) == pytest.approx(np.array(expected))
 
 
-def test_joints_that_do_not_take_part_rest_where_they_are():
+def test_other_joints_rest_at_their_positions():
     robot = load_urdf(ROOT / 'test/robots/planar_2r.urdf')
     dynamics = InverseDynamics(robot)
     trajectory = Trajectory(robot.joint_names[:1], TIMES, *cosine())
@@ -101,7 +101,7 @@ def test_joints_that_do_not_take_part_rest_where_they_are():
         ({'velocities': np.full((41, 1), np.inf)}, "velocities of joint 'a' at point 0: inf"),
     ],
 )
-def test_refuses_what_is_no_trajectory(change, words):
+def test_rejects_invalid_trajectories(change, words):
     trajectory = Trajectory(('a',), TIMES, *cosine())._replace(**change)
     with pytest.raises(TrajectoryError, match=words):
         complete(trajectory)
@@ -115,7 +115,7 @@ def test_refuses_what_is_no_trajectory(change, words):
         (('joint_1', 'joint_1'), "'joint_1' is named twice"),
     ],
 )
-def test_refuses_joints_that_the_robot_does_not_have(names, words):
+def test_rejects_invalid_joint_names(names, words):
     q = np.zeros((2, len(names)))
     with pytest.raises(TrajectoryError, match=words):
         trajectory_efforts(
@@ -128,7 +128,7 @@ def test_refuses_joints_that_the_robot_does_not_have(names, words):
     arrays(float, 3, elements=st.floats(1e-9, 1e9)),
     st.booleans(),
 )
-def test_whatever_is_finite_is_completed_or_refused_with_words(numbers, steps, has_velocities):
+def test_finite_trajectories_are_completed_or_rejected(numbers, steps, has_velocities):
     times = np.concatenate([[0.0], np.cumsum(steps)])
     velocities = numbers[::-1] if has_velocities else None
     with contextlib.suppress(TrajectoryError):
@@ -137,7 +137,7 @@ def test_whatever_is_finite_is_completed_or_refused_with_words(numbers, steps, h
         assert np.isfinite(whole.accelerations).all()
 
 
-def test_slopes_that_overflow_are_refused():
+def test_overflowing_splines_are_rejected():
     jumps = np.array([[1e308], [-1e308], [1e308]])
     with pytest.raises(TrajectoryError, match='too far apart for the time between'):
         complete(Trajectory(('a',), np.array([0.0, 1e-9, 2e-9]), jumps))
