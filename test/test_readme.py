@@ -84,7 +84,7 @@ def commands(after):
     return re.search(r'```sh\n(.*?)```', README.split(after)[1], re.S).group(1)
 
 
-def test_five_lines_after_the_demo_print_efforts(tmp_path):
+def test_commands_after_the_demo_print_the_efforts_at_rest(tmp_path):
     pytest.importorskip('rclpy')
     pytest.importorskip('matplotlib')
     domain_coordinator = pytest.importorskip('domain_coordinator')
@@ -111,3 +111,11 @@ def test_five_lines_after_the_demo_print_efforts(tmp_path):
     at_rest = InverseDynamics(robot).gravity_efforts(np.clip(0.0, robot.lower, robot.upper))
     assert [float(x) for x in efforts.values()] == pytest.approx(at_rest, abs=6e-4)
     assert 'stopped, zeros sent' in result.stderr
+
+
+def test_verdict_shown_for_the_demo_is_the_verdict_of_the_demo():
+    pytest.importorskip('mujoco')
+    pytest.importorskip('rclpy')
+    from inverse_dynamics_node.simulation.demo.tracking import tracking_words
+
+    assert f'\nPASSED: {tracking_words(np.zeros(6))}\n' in README
