@@ -89,11 +89,7 @@ class PayloadCapacity(NamedTuple):
 def joint_ranges(robot: RobotModel) -> tuple[Floats, Floats]:
     """Return the ends of the joint ranges, of at most one turn, each of shape (n,) [rad or m]."""
     lower, upper = robot.lower.copy(), robot.upper.copy()
-    moved = robot.body_names[1:]
-    turns = np.array(
-        [not robot.is_prismatic[1 + moved.index(name)] for name in robot.joint_names], bool
-    )
-    is_wide = turns & ~(upper - lower <= 2.0 * math.pi)
+    is_wide = ~robot.is_prismatic_joint & ~(upper - lower <= 2.0 * math.pi)
     # The turn around zero, if it is within the limits.
     start = np.clip(-math.pi, lower[is_wide], upper[is_wide] - 2.0 * math.pi)
     lower[is_wide], upper[is_wide] = start, start + 2.0 * math.pi
@@ -227,7 +223,7 @@ def payload_capacity(
     start: Floats = workspace.poses[np.argmin(everywhere)]
     if math.isfinite(np.min(everywhere)):
         lower, upper = joint_ranges(robot)
-        body = int(robot.link_body[robot.link_names.index(link)])
+        body = int(robot.link_body[robot.link_index(link)])
         on_path = np.zeros(len(start), dtype=bool)
         on_path[[j for j in _path(robot, body) if j >= 0]] = True
         start = _climb(shortage, start, np.flatnonzero(on_path), lower, upper)

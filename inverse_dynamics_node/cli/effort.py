@@ -254,7 +254,7 @@ def requirement_tables(
     robot: RobotModel, fine: Trajectory, requirements: EffortRequirements
 ) -> list[Table]:
     """Return the peaks and means compared with the limits, and the terms of the efforts."""
-    index = [robot.joint_names.index(name) for name in fine.joint_names]
+    index = robot.joint_indices(fine.joint_names)
     places = decimals(requirements.peak)
     rows, parts = [], []
     for k, (name, i) in enumerate(zip(fine.joint_names, index, strict=True)):

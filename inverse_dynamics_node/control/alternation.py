@@ -52,8 +52,7 @@ def make_tracks(n: int, robot: RobotModel | None = None) -> Floats:
     tracks = np.zeros((10, n))
     is_prismatic, limits = np.zeros(n, dtype=bool), np.full(n, math.inf)
     if robot is not None:
-        bodies = [robot.body_names.index(name, 1) for name in robot.joint_names]
-        is_prismatic, limits = robot.is_prismatic[bodies], robot.velocity_limits
+        is_prismatic, limits = robot.is_prismatic_joint, robot.velocity_limits
         tracks[_IS_CONTINUOUS] = robot.is_continuous
     slowest, usual, fastest = np.where(is_prismatic, *np.array(_SPEEDS)[::-1, :, None])
     tracks[_SPEED] = np.clip(np.where(np.isfinite(limits), limits, usual), slowest, fastest)

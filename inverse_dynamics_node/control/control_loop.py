@@ -79,7 +79,7 @@ class ControlLoop:
         self.external_effort_estimator = ExternalEffortEstimator(self.dynamics)
         self.reference: Reference | None = None
         self.has_imu = has_imu
-        self.index = [robot.joint_names.index(name) for name in self.controller.joints]
+        self.index = robot.joint_indices(self.controller.joints)
 
     def start(self) -> None:
         """Let the efforts rise from zero; an earlier reference is dropped."""

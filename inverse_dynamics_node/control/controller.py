@@ -396,4 +396,4 @@ def _index_of(joints: Sequence[str], robot: RobotModel) -> list[int]:
             f"joints names '{unknown[0]}', which robot '{robot.name}' does not have or cannot be "
             f'commanded (fixed, or mimicking another); it has {", ".join(robot.joint_names)}'
         )
-    return [robot.joint_names.index(name) for name in joints]
+    return robot.joint_indices(joints)

@@ -17,9 +17,10 @@ from ..dynamics.arguments import read_vector
 from ..dynamics.inverse_dynamics import InverseDynamics, STANDARD_GRAVITY
 from ..errors import ConfigurationError
 from ..robot.model import Floats
+from ..robot.rigid_body import RigidBody
 from .blending import ramp_fraction
 from .filters import LowPass
-from .payloads import blend_payloads, is_same, NO_PAYLOAD, Payload, read_payload
+from .payloads import blend_payloads, is_same, NO_PAYLOAD, read_payload
 from .settings import LoadSettings
 
 STRONGEST = 500.0  # [m/s^2], [rad/s]; beyond fifty times gravity a sensor is broken
@@ -59,13 +60,13 @@ class ExternalLoads:
         self.dynamics = dynamics
         self._R_0B, self._p_0B = _base_pose(dynamics, base_link)
         self.settings = settings or LoadSettings()
-        self.payloads: dict[str, Payload] = {}
+        self.payloads: dict[str, RigidBody] = {}
         """Payload of every link that carries one, as last set; ramps may be under way."""
         self.include_gravity = True
         """Whether gravity and the acceleration of the base act."""
         self.imu_time = -math.inf
         """Time of the last motion of the base [s]."""
-        self._ramps: dict[str, tuple[Payload, Payload, float]] = {}
+        self._ramps: dict[str, tuple[RigidBody, RigidBody, float]] = {}
         self._wrenches: dict[str, tuple[Floats, Floats, float, float]] = {}
         self._gravity = self._target = read_vector('gravity', gravity, 'm/s^2')
         self._angular_velocity: Floats = np.zeros(3)
@@ -98,7 +99,7 @@ class ExternalLoads:
             If the link does not exist, or the payload is invalid: see `read_payload`.
 
         """
-        self.dynamics.link_index(link)
+        self.dynamics.robot.link_index(link)
         payload = read_payload(mass, com, inertia)
         if is_same(payload, self.payloads.get(link, NO_PAYLOAD)):
             return False
@@ -127,7 +128,7 @@ class ExternalLoads:
             If the link does not exist, or force or moment are not three finite numbers up to 1e9.
 
         """
-        self.dynamics.link_index(link)
+        self.dynamics.robot.link_index(link)
         F = _read_bounded('force', force, 'N', _LARGEST)
         N = _read_bounded('moment', moment, 'N m', _LARGEST)
         self._wrenches[link] = F, N, now, 1.0
@@ -274,7 +275,7 @@ class ExternalLoads:
         """Free-fall acceleration in the base frame at present [m/s^2]."""
         return self._gravity
 
-    def _current_payload(self, link: str, now: float) -> Payload:
+    def _current_payload(self, link: str, now: float) -> RigidBody:
         """Return the payload of a link at one time, ramps included."""
         if link not in self._ramps:
             return self.payloads.get(link, NO_PAYLOAD)
@@ -333,20 +334,8 @@ def _base_pose(dynamics: InverseDynamics, base_link: str) -> tuple[Floats, Float
         raise ConfigurationError(
             f"base_link is '{base_link}', expected a link that no joint moves: {', '.join(fixed)}"
         )
-    k = robot.link_names.index(base_link)
+    k = robot.link_index(base_link)
     return robot.link_rotation[k], robot.link_position[k]
-
-
-def rotation_of(roll: float, pitch: float, yaw: float) -> Floats:
-    """Return the rotation matrix of fixed-axis angles about x, y and z, as in a URDF [rad]."""
-    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(a), math.sin(a)) for a in (roll, pitch, yaw))
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
 
 
 def _read_bounded(name: str, values: ArrayLike, unit: str, largest: float = STRONGEST) -> Floats:

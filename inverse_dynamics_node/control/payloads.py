@@ -2,34 +2,21 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..dynamics.arguments import read_inertial
 from ..errors import ConfigurationError
-from ..robot.model import Floats, join_bodies
+from ..robot.rigid_body import combine, RigidBody
 
 _LARGEST = 1e9  # [kg], [m], [kg m^2]; sums and products of smaller numbers are finite
 _ROUNDING = 1e-3  # of the moments of a flat body, as in a robot description
 
 
-class Payload(NamedTuple):
-    """A rigid load on a link."""
-
-    mass: float
-    """[kg]."""
-    com: Floats
-    """Centre of mass in the link's frame, shape (3,) [m]."""
-    inertia: Floats
-    """Inertia about the centre of mass, along the link's axes, shape (3, 3) [kg m^2]."""
+NO_PAYLOAD = RigidBody(0.0, np.zeros(3), np.zeros((3, 3)))
 
 
-NO_PAYLOAD = Payload(0.0, np.zeros(3), np.zeros((3, 3)))
-
-
-def read_payload(mass: float, com: ArrayLike, inertia: ArrayLike) -> Payload:
+def read_payload(mass: float, com: ArrayLike, inertia: ArrayLike) -> RigidBody:
     """
     Validate a payload.
 
@@ -40,7 +27,7 @@ def read_payload(mass: float, com: ArrayLike, inertia: ArrayLike) -> Payload:
 
     Returns
     -------
-    payload : Payload
+    payload : RigidBody
         `NO_PAYLOAD` if the mass is zero.
 
     Raises
@@ -49,7 +36,7 @@ def read_payload(mass: float, com: ArrayLike, inertia: ArrayLike) -> Payload:
         If no rigid body has this mass and inertia, or a number is beyond 1e9.
 
     """
-    payload = Payload(*read_inertial(mass, com, inertia))
+    payload = RigidBody(*read_inertial(mass, com, inertia))
     largest = max(
         payload.mass, float(np.abs(payload.com).max()), float(np.abs(payload.inertia).max())
     )
@@ -72,7 +59,7 @@ def read_payload(mass: float, com: ArrayLike, inertia: ArrayLike) -> Payload:
     return payload._replace(inertia=payload.inertia + shift * np.eye(3))
 
 
-def is_same(one: Payload, other: Payload) -> bool:
+def is_same(one: RigidBody, other: RigidBody) -> bool:
     """Return whether two payloads are exactly equal."""
     return (
         one.mass == other.mass
@@ -81,7 +68,6 @@ def is_same(one: Payload, other: Payload) -> bool:
     )
 
 
-def blend_payloads(old: Payload, new: Payload, fraction: float) -> Payload:
+def blend_payloads(old: RigidBody, new: RigidBody, fraction: float) -> RigidBody:
     """Return the body that consists of a fraction of the new payload and the rest of the old."""
-    parts = (1.0 - fraction, old), (fraction, new)
-    return Payload(*join_bodies([(w * x.mass, x.com, w * x.inertia) for w, x in parts]))
+    return combine([old.scale(1.0 - fraction), new.scale(fraction)])

@@ -127,10 +127,6 @@ class InverseDynamics:
         """The table of `columns` with the robot and its loads; not to be modified."""
         return self.loaded.numbers
 
-    def link_index(self, name: str) -> int:
-        """Find a link among ``robot.link_names``, or raise a ConfigurationError."""
-        return self.loaded.link_index(name)
-
     # Gravity, loads, friction
 
     def set_gravity(self, gravity: ArrayLike) -> None:
@@ -208,7 +204,7 @@ class InverseDynamics:
             If the link does not exist, or no rigid body has such a mass and inertia.
 
         """
-        self.loaded.link_index(link)
+        self.robot.link_index(link)
         self.loaded.set_payload(link, *read_inertial(mass, com, inertia))
 
     def set_external_wrench(
@@ -233,7 +229,7 @@ class InverseDynamics:
             If the link does not exist, or an argument is not three finite numbers.
 
         """
-        self.loaded.link_index(link)
+        self.robot.link_index(link)
         vectors = read_vector('force', force, 'N'), read_vector('moment', moment, 'N m')
         self.loaded.set_external_wrench(link, *vectors)
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import ConfigurationError, unknown_name
-from ..robot.model import Floats, join_bodies, RobotModel
+from ..robot.model import Floats, RobotModel
+from ..robot.rigid_body import combine, RigidBody
 from . import columns
 from .jit import IS_COMPILED
 
@@ -60,7 +60,7 @@ class LoadedRobot:
         self.is_rotating = False
         """Whether the base has an angular velocity or acceleration."""
         self.gravity: Floats = np.zeros(3)
-        self._payloads: dict[str, tuple[float, Floats, Floats]] = {}
+        self._payloads: dict[str, RigidBody] = {}
         self._wrenches: dict[str, tuple[Floats, Floats]] = {}
         self._reduced: dict[str, tuple[int, Any]] = {}
 
@@ -74,16 +74,15 @@ class LoadedRobot:
         self._write_base()
 
     def set_payload(self, link: str, mass: float, com: Floats, inertia: Floats) -> None:
-        k = self.link_index(link)
+        k = self.robot.link_index(link)
         self._payloads.pop(link, None)
         if mass > 0.0:
-            rotation = self.robot.link_rotation[k]
-            centre = rotation @ com + self.robot.link_position[k]
-            self._payloads[link] = mass, centre, rotation @ inertia @ rotation.T
+            payload = RigidBody(mass, com, inertia).rotate(self.robot.link_rotation[k])
+            self._payloads[link] = payload.shift(self.robot.link_position[k])
         self._write_inertial(int(self.robot.link_body[k]))
 
     def set_external_wrench(self, link: str, force: Floats, moment: Floats) -> None:
-        k = self.link_index(link)
+        k = self.robot.link_index(link)
         rotation = self.robot.link_rotation[k]
         force, moment = rotation @ force, rotation @ moment
         self._wrenches[link] = force, moment + np.cross(self.robot.link_position[k], force)
@@ -97,12 +96,6 @@ class LoadedRobot:
         self.numbers[0, columns.HAS_JOINT_TERMS] = float(has_terms)
         for i in range(1 + len(values)):
             self._update(i)
-
-    def link_index(self, name: str) -> int:
-        """Find a link among ``robot.link_names``, or raise a ConfigurationError."""
-        if name not in self.robot.link_names:
-            raise ConfigurationError(unknown_name('link', name, self.robot.link_names))
-        return self.robot.link_names.index(name)
 
     def only(self, term: str) -> Any:
         """Return a table that leaves one of the `TERMS`; kept until the table changes."""
@@ -123,9 +116,9 @@ class LoadedRobot:
     def _write_inertial(self, body: int) -> None:
         """Combine a body of the robot with the payloads on it."""
         robot = self.robot
-        parts = [(robot.mass[body], robot.com[body], robot.inertia[body])]
+        parts = [RigidBody(robot.mass[body], robot.com[body], robot.inertia[body])]
         parts += self._on_body(self._payloads, body)
-        columns.write_inertial(self.numbers[body], self.R_ZL[body], *join_bodies(parts))
+        columns.write_inertial(self.numbers[body], self.R_ZL[body], *combine(parts))
         self._update(body)
 
     def _write_external(self, body: int) -> None:

@@ -16,8 +16,8 @@ from trajectory_msgs.msg import JointTrajectory
 
 from ..control.control_loop import ControlLoop
 from ..control.controller import Reference
-from ..control.external_loads import rotation_of
 from ..errors import ConfigurationError, InverseDynamicsError, JointStateError, shortened
+from ..robot.kinematics import rotation_of_rpy
 from ..robot.model import Floats
 from . import messages, qos
 from .cdr import JointStateReader
@@ -83,7 +83,7 @@ class Inputs:
     def apply(self, configuration: Configuration) -> None:
         """Use changed parameters."""
         self._configuration = configuration
-        self._R_BS = rotation_of(*configuration.imu_orientation)
+        self._R_BS = rotation_of_rpy(*configuration.imu_orientation)
 
     def read_latest_joint_state(self) -> None:
         """Handle the latest joint state before the executor does."""

@@ -172,10 +172,7 @@ def _limits(
     robot: RobotModel, commanded: Sequence[str], effort_limits: ArrayLike | None
 ) -> Floats:
     """Return the limits of all joints, with the given ones for the commanded joints."""
-    unknown = [name for name in commanded if name not in robot.joint_names]
-    if unknown:
-        names = ', '.join(robot.joint_names)
-        raise ConfigurationError(f"joint '{unknown[0]}' does not exist; joints are {names}")
+    indices = robot.joint_indices(commanded)
     limits: Floats = robot.effort_limits.copy()
     if effort_limits is not None:
         given = np.asarray(effort_limits, dtype=np.float64)
@@ -183,7 +180,7 @@ def _limits(
             raise ConfigurationError(
                 f'effort_limits have shape {given.shape}, expected ({len(commanded)},)'
             )
-        limits[[robot.joint_names.index(name) for name in commanded]] = given
+        limits[indices] = given
     return limits
 
 

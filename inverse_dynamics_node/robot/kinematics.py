@@ -1,4 +1,4 @@
-"""Where the bodies of a robot are, for pictures and words; the dynamics do without."""
+"""Poses of the bodies of a robot, and rotation matrices. The dynamics do not use them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .model import Floats, RobotModel
 
 def body_frames(robot: RobotModel, q: Floats) -> tuple[Floats, Floats]:
     """
-    Compute where every body is.
+    Compute the poses of all bodies.
 
     Parameters
     ----------
@@ -23,28 +23,40 @@ def body_frames(robot: RobotModel, q: Floats) -> tuple[Floats, Floats]:
     Returns
     -------
     rotations : ndarray, shape (b, 3, 3)
-        From the body's frame to the base's.
+        Rotations from the body frames to the base frame.
     positions : ndarray, shape (b, 3)
-        Origins of the bodies in the base's frame [m].
+        Origins of the body frames in the base frame [m].
 
     """
     b = len(robot.parent)
     rotations, positions = np.zeros((b, 3, 3)), np.zeros((b, 3))
     rotations[0] = np.eye(3)
     for body in range(1, b):
-        place = robot.multiplier[body] * q[robot.joint_index[body]] + robot.offset[body]
-        slide, turn = (place, 0.0) if robot.is_prismatic[body] else (0.0, place)
+        position = robot.multiplier[body] * q[robot.joint_index[body]] + robot.offset[body]
+        distance, angle = (position, 0.0) if robot.is_prismatic[body] else (0.0, position)
         parent, R_PL = robot.parent[body], robot.R_PL[body]
-        moved = robot.p_PL[body] + R_PL @ (slide * robot.axis[body])
-        positions[body] = positions[parent] + rotations[parent] @ moved
-        rotations[body] = rotations[parent] @ R_PL @ rotation(robot.axis[body], turn)
+        origin = robot.p_PL[body] + R_PL @ (distance * robot.axis[body])
+        positions[body] = positions[parent] + rotations[parent] @ origin
+        rotations[body] = rotations[parent] @ R_PL @ rotation_about(robot.axis[body], angle)
     return rotations, positions
 
 
-def rotation(axis: Floats, angle: float) -> Floats:
-    """Return the matrix of a turn about a unit vector, by Rodrigues' formula."""
+def rotation_about(axis: Floats, angle: float) -> Floats:
+    """Return the matrix of a rotation about a unit vector [rad], by Rodrigues' formula."""
     x, y, z = axis
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     matrix: Floats = np.eye(3) + math.sin(angle) * cross
     matrix += (1.0 - math.cos(angle)) * (cross @ cross)
     return matrix
+
+
+def rotation_of_rpy(roll: float, pitch: float, yaw: float) -> Floats:
+    """Return the rotation about the fixed axes x, then y, then z, as in a URDF [rad]."""
+    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(a), math.sin(a)) for a in (roll, pitch, yaw))
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )

@@ -9,13 +9,14 @@ the position of the origin of L in P.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import ConfigurationError, unknown_name
 from .model_warning import ModelWarning
 
 Floats = NDArray[np.float64]
@@ -107,30 +108,35 @@ class RobotModel:
         found.setflags(write=False)
         return found
 
+    def joint_indices(self, names: Iterable[str]) -> list[int]:
+        """
+        Return the indices of joints in ``joint_names``.
+
+        Raises
+        ------
+        ConfigurationError
+            If the robot does not have one of the joints; the message lists those that it has.
+
+        """
+        return [_index('joint', name, self.joint_names) for name in names]
+
+    def link_index(self, name: str) -> int:
+        """
+        Return the index of a link in ``link_names``.
+
+        Raises
+        ------
+        ConfigurationError
+            If the robot does not have the link; the message lists those that it has.
+
+        """
+        return _index('link', name, self.link_names)
+
     def __repr__(self) -> str:
         return f'RobotModel({self.name!r}, joints={", ".join(self.joint_names)})'
 
 
-def join_bodies(parts: Sequence[tuple[float, Floats, Floats]]) -> tuple[float, Floats, Floats]:
-    """
-    Make one rigid body of several.
-
-    Parameters
-    ----------
-    parts : sequence of (mass, com, inertia)
-        Mass [kg], centre of mass, shape (3,) [m], and inertia about that, shape (3, 3) [kg m^2],
-        all in one frame.
-
-    Returns
-    -------
-    mass, com, inertia
-        Of the whole, in the same frame.
-
-    """
-    mass = sum(part[0] for part in parts)
-    com = sum((part[0] * part[1] for part in parts), np.zeros(3)) / (mass or 1.0)
-    inertia = np.zeros((3, 3))
-    for part_mass, part_com, part_inertia in parts:
-        d = part_com - com
-        inertia += part_inertia + part_mass * (d @ d * np.eye(3) - np.outer(d, d))
-    return mass, com, inertia
+def _index(kind: str, name: str, names: tuple[str, ...]) -> int:
+    if name not in names:
+        raise ConfigurationError(unknown_name(kind, name, names))
+    return names.index(name)

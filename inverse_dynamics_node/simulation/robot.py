@@ -23,7 +23,7 @@ The topic ``imu`` reports the readings of a sensor on the base, one for every jo
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 import math
 from pathlib import Path
 import signal
@@ -33,7 +33,6 @@ from typing import Any
 
 from geometry_msgs.msg import InertiaStamped, Vector3Stamped, WrenchStamped
 import numpy as np
-from numpy.typing import ArrayLike
 import rclpy
 from rclpy.executors import Executor
 from rclpy.experimental import EventsExecutor
@@ -47,11 +46,12 @@ from std_msgs.msg import Bool, Float64MultiArray
 
 from ..dynamics.inverse_dynamics import InverseDynamics
 from ..errors import InverseDynamicsError
+from ..robot.kinematics import rotation_of_rpy
 from ..robot.model import Floats
 from ..robot.urdf import load_urdf
 from .mujoco.hardware import MujocoRobot
 from .mujoco.model import SimulationError
-from .tilt import rotation_of_rpy, Tilt
+from .tilt import Tilt
 from .trajectory import start_pose
 
 MOST_LAG = 0.5  # [s]: simulated time lags behind the steady clock by this much at most
@@ -81,12 +81,12 @@ class RobotNode(Node):
         self,
         robot: MujocoRobot,
         brake_release: float,
-        imu_orientation: ArrayLike = (0.0, 0.0, 0.0),
+        imu_orientation: Sequence[float] = (0.0, 0.0, 0.0),
         **options: Any,
     ) -> None:
         super().__init__('simulated_robot', **options)
         self._robot = robot
-        self._R_BS = rotation_of_rpy(imu_orientation)
+        self._R_BS = rotation_of_rpy(*imu_orientation)
         self._tilt = Tilt()
         self._has_sensors = True
         self._brake_release = brake_release

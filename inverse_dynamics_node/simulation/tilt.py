@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..dynamics.inverse_dynamics import STANDARD_GRAVITY
+from ..robot.kinematics import rotation_about
 from ..robot.model import Floats
 from .trajectory import ease
 
@@ -17,21 +18,9 @@ DURATION = 3.0  # [s] of a change of attitude
 
 def rotation(vector: ArrayLike) -> Floats:
     """Return the matrix of a rotation vector [rad], shape (3, 3)."""
-    quaternion, matrix = np.zeros(4), np.zeros(9)
     vector = np.asarray(vector, float)
     angle = float(np.linalg.norm(vector))
-    mujoco.mju_axisAngle2Quat(quaternion, vector / angle if angle else vector, angle)
-    mujoco.mju_quat2Mat(matrix, quaternion)
-    return matrix.reshape(3, 3)
-
-
-def rotation_of_rpy(rpy: ArrayLike) -> Floats:
-    """Return the rotation about fixed x, then y, then z, shape (3, 3)."""
-    x, y, z = (
-        rotation(angle * axis) for angle, axis in zip(np.array(rpy), np.eye(3), strict=True)
-    )
-    product: Floats = z @ y @ x
-    return product
+    return rotation_about(vector / angle, angle) if angle else np.eye(3)
 
 
 @dataclass(eq=False)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..dynamics.inverse_dynamics import InverseDynamics
-from ..robot.model import Booleans, Floats, RobotModel
+from ..robot.model import Floats, RobotModel
 from .mujoco.model import SimulationError
 
 LARGEST_SWING = (0.5, 0.1)  # [rad], [m]: large enough for all terms of the dynamics to matter
@@ -167,7 +167,7 @@ def plan(robot: RobotModel, dynamics: InverseDynamics, start: Floats, moving: fl
     speed = STEEPEST_FADE / trajectory.fade + 2.0 * np.pi * frequency  # per unit of swing
     swing = np.min(
         [
-            np.where(slides(robot), LARGEST_SWING[1], LARGEST_SWING[0]),
+            np.where(robot.is_prismatic_joint, LARGEST_SWING[1], LARGEST_SWING[0]),
             ROOM_USED * np.maximum(room, 0.0),
             SPEED_USED * robot.velocity_limits / speed,
         ],
@@ -182,12 +182,6 @@ def plan(robot: RobotModel, dynamics: InverseDynamics, start: Floats, moving: fl
             break
         swing = 0.7 * swing
     return trajectory
-
-
-def slides(robot: RobotModel) -> Booleans:
-    """Return which of the n joints are prismatic, shape (n,)."""
-    bodies = [robot.body_names.index(name, 1) for name in robot.joint_names]
-    return robot.is_prismatic[bodies]
 
 
 def effort_used(robot: RobotModel, efforts: Floats) -> float:

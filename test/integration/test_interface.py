@@ -183,7 +183,7 @@ def test_a_lost_imu_leaves_gravity_as_it_was(run_node, robot, dynamics):
         ('payload', payload(TIP, 1e300, (1e200, 0.0, 0.0)), 'payload has 1e+300'),
         ('joint_trajectory_in', JointTrajectory(joint_names=NAMES), 'no positions'),
         ('joint_trajectory_in', trajectory([(0, Q)]), '~/joint_trajectory_out has no subscriber'),
-        ('joint_trajectory_in', WILD, 'points are too far apart'),
+        ('joint_trajectory_in', WILD, 'positions are too far apart'),
     ],
 )
 def test_invalid_messages_are_dropped_with_a_reason(
@@ -448,4 +448,4 @@ def test_a_shape_without_mass_can_be_refused(run_node, tmp_path):
     settings = {**PATIENT, 'robot_description_file': path}
     node = run_node(**settings, on_missing_inertial='refuse')
     assert node.wait() == 1
-    assert "link 'link_3' has a shape, but no <inertial>" in node.output
+    assert "link 'link_3': has a shape but no <inertial>" in node.output

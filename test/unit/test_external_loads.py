@@ -7,11 +7,11 @@ import math
 from hypothesis import given
 from hypothesis import strategies as st
 from inverse_dynamics_node import ConfigurationError, InverseDynamics, load_urdf
-from inverse_dynamics_node.control.external_loads import ExternalLoads, rotation_of
+from inverse_dynamics_node.control.external_loads import ExternalLoads
 from inverse_dynamics_node.control.settings import LoadSettings
 import numpy as np
 import pytest
-from robot_files import ROOT, STANFORD
+from robot_files import STANFORD
 
 Q = np.array([0.3, 1.2, 0.5, 0.4, -0.6, 0.2])
 TIP = 'link_6'
@@ -229,17 +229,6 @@ def test_rejects_impossible_loads(loads, dynamics, call, words):
         call(loads)
     loads.update(9.0)
     assert (dynamics.table == before).all()
-
-
-def test_angles_have_the_meaning_they_have_in_a_urdf():
-    robot = load_urdf(
-        (ROOT / 'test/robots/pendulum.urdf')
-        .read_text()
-        .replace('</robot>', '<link name="s"/><joint name="f" type="fixed"><parent link="base"/>'
-                 '<child link="s"/><origin rpy="0.3 -0.5 2.0"/></joint></robot>')
-    )  # fmt: skip
-    k = robot.link_names.index('s')
-    assert rotation_of(0.3, -0.5, 2.0) == pytest.approx(robot.link_rotation[k])
 
 
 WILD = st.sampled_from([0.0, -1e-300, 1e-20, 0.3, -1.0, 7.0, 1e9, -1e9, 1e150, 1.7e308])

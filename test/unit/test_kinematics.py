@@ -1,8 +1,9 @@
-"""Where the bodies are, told by what gravity does: efforts are the slope of the height."""
+"""The poses of the bodies are consistent with gravity: efforts are the slope of the height."""
 
 from inverse_dynamics_node.dynamics.inverse_dynamics import InverseDynamics
-from inverse_dynamics_node.robot.kinematics import body_frames, rotation
+from inverse_dynamics_node.robot.kinematics import body_frames, rotation_about, rotation_of_rpy
 from inverse_dynamics_node.robot.urdf import load_urdf
+import kinematics
 import numpy as np
 import pytest
 from robot_files import ROOT
@@ -37,7 +38,7 @@ def test_frames_are_right_handed_and_on_the_axes(urdf_path, rng):
     again, elsewhere = body_frames(robot, moved)
     for body in np.flatnonzero(robot.parent == 0):
         turned = robot.R_PL[body] @ robot.axis[body]
-        # The axis of a joint on the base stays where it is, whatever the joint does.
+        # The axis of a joint on the base does not move with the joint.
         assert rotations[body] @ robot.axis[body] == pytest.approx(turned)
         assert again[body] @ robot.axis[body] == pytest.approx(turned)
         if not robot.is_prismatic[body]:
@@ -56,9 +57,27 @@ def test_a_planar_arm_by_hand():
     assert arm @ turned == pytest.approx(0.0, abs=1e-12)
 
 
-def test_rotation_is_about_the_axis():
+def test_rotation_keeps_its_axis():
     axis = np.array([1.0, 2.0, 2.0]) / 3.0
-    assert rotation(axis, 0.7) @ axis == pytest.approx(axis)
-    assert np.trace(rotation(axis, 0.7)) == pytest.approx(1.0 + 2.0 * np.cos(0.7))
-    assert rotation(axis, 0.3) @ rotation(axis, 0.4) == pytest.approx(rotation(axis, 0.7))
-    assert rotation(np.array([0.0, 0.0, 1.0]), 0.5 * np.pi)[1, 0] == pytest.approx(1.0)
+    assert rotation_about(axis, 0.7) @ axis == pytest.approx(axis)
+    assert np.trace(rotation_about(axis, 0.7)) == pytest.approx(1.0 + 2.0 * np.cos(0.7))
+    assert rotation_about(axis, 0.3) @ rotation_about(axis, 0.4) == pytest.approx(
+        rotation_about(axis, 0.7)
+    )
+    assert rotation_about(np.array([0.0, 0.0, 1.0]), 0.5 * np.pi)[1, 0] == pytest.approx(1.0)
+
+
+def test_roll_pitch_yaw_are_about_fixed_axes(rng):
+    rpy = rng.uniform(-3.0, 3.0, 3)
+    assert rotation_of_rpy(*rpy) == pytest.approx(kinematics.rotation_of_rpy(rpy), abs=1e-12)
+
+
+def test_roll_pitch_yaw_are_those_of_a_urdf():
+    text = (ROOT / 'test' / 'robots' / 'pendulum.urdf').read_text()
+    sensor = (
+        '<link name="s"/><joint name="f" type="fixed"><parent link="base"/><child link="s"/>'
+        '<origin rpy="0.3 -0.5 2.0"/></joint></robot>'
+    )
+    robot = load_urdf(text.replace('</robot>', sensor))
+    expected = robot.link_rotation[robot.link_index('s')]
+    assert rotation_of_rpy(0.3, -0.5, 2.0) == pytest.approx(expected)

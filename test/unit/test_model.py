@@ -3,13 +3,14 @@
 import dataclasses
 import math
 
+from inverse_dynamics_node.errors import ConfigurationError
 from inverse_dynamics_node.robot.model import RobotModel
 from inverse_dynamics_node.robot.urdf import load_urdf
 from inverse_dynamics_node.robot.urdf.bodies import Joint, Mimic, resolve_mimics
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
-from robot_files import ROOT
+from robot_files import ROOT, STANFORD
 
 ROUNDING = 1e-12
 """Of a few products of numbers near one, with room to spare."""
@@ -53,6 +54,33 @@ def point_inertia(mass, arm):
             [-x * z, -y * z, x * x + y * y],
         ]
     )
+
+
+# ---- Look-ups ------------------------------------------------------------------------------
+
+
+def test_prismatic_joints_are_marked():
+    stanford = load_urdf(STANFORD)
+    expected = [False, False, True, False, False, False]
+    assert stanford.is_prismatic_joint.tolist() == expected
+    assert not stanford.is_prismatic_joint.flags.writeable
+
+
+def test_joints_and_links_are_found_by_name():
+    planar = robot('planar_2r')
+    assert planar.joint_indices(planar.joint_names[::-1]) == [1, 0]
+    assert [planar.link_index(name) for name in planar.link_names] == list(
+        range(len(planar.link_names))
+    )
+
+
+def test_unknown_names_are_reported_with_the_valid_ones():
+    planar = robot('planar_2r')
+    joints, links = ', '.join(planar.joint_names), ', '.join(planar.link_names)
+    with pytest.raises(ConfigurationError, match=f"joint 'x' does not exist; joints are {joints}"):
+        planar.joint_indices([planar.joint_names[0], 'x'])
+    with pytest.raises(ConfigurationError, match=f"link 'x' does not exist; links are {links}"):
+        planar.link_index('x')
 
 
 # ---- Every robot ---------------------------------------------------------------------------

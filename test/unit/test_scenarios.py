@@ -14,7 +14,6 @@ pytest.importorskip('rclpy')
 pytest.importorskip('mujoco')
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.simulation.demo import picture as demo_picture
 from inverse_dynamics_node.simulation.demo import verdicts
 from inverse_dynamics_node.simulation.demo.commander import KD, resolved_acceleration
 from inverse_dynamics_node.simulation.demo.demo import describe_rotors
@@ -487,10 +486,11 @@ def test_many_joints_without_limits_are_distinguishable(tmp_path, monkeypatch):
 @pytest.mark.parametrize('path', OUR_ROBOTS, ids=lambda path: path.stem)
 def test_legend_with_long_names_fits(tmp_path, path, monkeypatch):
     stage = stage_of(path)
-    robot = replace(
-        stage.robot, joint_names=tuple(f'left_arm_{n}_of_it' for n in stage.robot.joint_names)
+    joints, bodies = (
+        tuple(f'left_arm_{name}_of_it' for name in names)
+        for names in (stage.robot.joint_names, stage.robot.body_names)
     )
-    monkeypatch.setattr(demo_picture, 'slides', lambda r: [False] * 99)
+    robot = replace(stage.robot, joint_names=joints, body_names=bodies)
     figures = []
     monkeypatch.setattr(Figure, 'savefig', lambda figure, path: figures.append(figure))
     script = SCENARIOS['hold'].prepare(stage)

@@ -1,11 +1,8 @@
 """The simulated hardware has the dynamics of the URDF and responds to loads as the core does."""
 
-from pathlib import Path
-
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-import kinematics
 from loads import box_inertia, random_box
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
@@ -17,12 +14,11 @@ pytest.importorskip('mujoco')
 from inverse_dynamics_node import InverseDynamics, load_urdf, UrdfError
 from inverse_dynamics_node.simulation.mujoco.hardware import MujocoRobot
 from inverse_dynamics_node.simulation.mujoco.model import SimulationError
-from inverse_dynamics_node.simulation.tilt import rotation, rotation_of_rpy, Tilt
+from inverse_dynamics_node.simulation.tilt import rotation, Tilt
 from inverse_dynamics_node.simulation.trajectory import (
     EFFORT_USED,
     effort_used,
     plan,
-    slides,
     SPEED_USED,
     start_pose,
     Trajectory,
@@ -379,10 +375,6 @@ class TestTilt:
         faster = (tilt.motion(time + step)[1] - tilt.motion(time - step)[1]) / (2 * step)
         assert_allclose(omega_dot, faster, atol=1e-8)
 
-    def test_roll_pitch_yaw_follows_the_urdf_convention(self, rng):
-        rpy = rng.uniform(-3.0, 3.0, 3)
-        assert_allclose(rotation_of_rpy(rpy), kinematics.rotation_of_rpy(rpy), atol=1e-12)
-
 
 class TestTrajectory:
     @given(trajectory=trajectories(), fraction=st.floats(-0.1, 1.1))
@@ -433,7 +425,3 @@ class TestTrajectory:
         robot = load_urdf(arm(BODY, limit='lower="0.1" upper="0.1" effort="90" velocity="3"'))
         with pytest.raises(SimulationError, match='no joint can move'):
             plan(robot, InverseDynamics(robot), np.array([0.1]), 6.0)
-
-    def test_prismatic_joints_slide(self):
-        robot = load_urdf(Path(ROOT / 'config' / 'stanford.urdf'))
-        assert slides(robot).tolist() == [False, False, True, False, False, False]

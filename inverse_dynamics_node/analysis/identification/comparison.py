@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...dynamics.inverse_dynamics import FRICTION_WIDTH, InverseDynamics
-from ...errors import ConfigurationError, RecordingError, unknown_name
+from ...errors import RecordingError
 from ...robot.model import Booleans, Floats, RobotModel
 from .diagnoses import describe, diagnose_constant, Diagnosis
 from .evidence import Evidence, Explanation
@@ -58,8 +58,8 @@ def identify(
 
     """
     robot = dynamics.robot
-    if link is not None and link not in robot.link_names:
-        raise ConfigurationError(unknown_name('link', link, robot.link_names))
+    if link is not None:
+        robot.link_index(link)  # raises if it does not exist
     index = _indices(recording.joint_names, robot)
     continuous = [j for j, i in enumerate(index) if robot.is_continuous[i]]
     if continuous:
@@ -189,7 +189,7 @@ class _Comparison:
                 columns = columns[is_moving(qd, self.width)]
             joints.append(reduce_samples(columns, moves))
         sample_count = len(self.motion.times) / self.motion.window
-        bodies = [robot.link_body[robot.link_names.index(link)] for link in self.links]
+        bodies = [robot.link_body[robot.link_index(link)] for link in self.links]
         masses = {k: float(robot.mass[b]) for k, b in zip(self.links, bodies, strict=True)}
         return Evidence(joints, masses, gravity, sample_count)
 
@@ -310,10 +310,7 @@ class _Comparison:
         )
 
     def _is_prismatic(self, columns: list[int]) -> list[bool]:
-        robot = self.robot
-        return [
-            bool(robot.is_prismatic[robot.body_names.index(self.names[c], 1)]) for c in columns
-        ]
+        return [bool(self.robot.is_prismatic_joint[self.index[c]]) for c in columns]
 
     def _explained(
         self,

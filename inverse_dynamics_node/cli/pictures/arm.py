@@ -63,7 +63,7 @@ def draw_arm(
     _draw_structure(axes, robot, flat, flat_links, flat_centres)
     _draw_masses(axes, robot, flat_centres)
     places = _draw_joints(axes, robot, flat, joint)
-    mark = flat_links[robot.link_names.index(link)]
+    mark = flat_links[robot.link_index(link)]
     axes.plot(*mark, 'v', color=GREEN, markersize=9, zorder=6, label=shortened(link, 22))
     _frame(axes, np.concatenate([flat, flat_links, flat_centres]))
     axes.set_xlabel('across [m]')

@@ -2,8 +2,7 @@
 Links and joints to bodies: links that fixed joints hold together form one body.
 
 The values follow the conventions of URDF: the frame of a joint is the frame of its child link and
-is given in the frame of the parent link. The inertia of a link is about its centre of mass, along
-the axes of the link.
+is given in the frame of the parent link.
 """
 
 from __future__ import annotations
@@ -15,15 +14,14 @@ import numpy as np
 
 from ..model import Floats, RobotModel
 from ..model_warning import ModelWarning
+from ..rigid_body import combine, RigidBody
 
 
 class Link(NamedTuple):
     """A link of the URDF."""
 
     name: str
-    mass: float
-    com: Floats
-    inertia: Floats
+    inertial: RigidBody
 
 
 class Mimic(NamedTuple):
@@ -128,7 +126,7 @@ def build_model(
         link_body=np.array([place.body for place in placed], np.int64),
         link_rotation=np.array([place.rotation for place in placed]),
         link_position=np.array([place.position for place in placed]),
-        link_mass=np.array([link.mass for link in links], float),
+        link_mass=np.array([link.inertial.mass for link in links], float),
         warnings=(*warnings, *_massless(bodies, parents, mass)),
     )
 
@@ -163,21 +161,18 @@ def _place(
 def _merge(
     placed: Sequence[_Placement], links: Sequence[Link], count: int
 ) -> tuple[Floats, Floats, Floats]:
-    """Return mass, centre of mass and inertia of the bodies, in the bodies' frames."""
-    mass, com, inertia = np.zeros(count), np.zeros((count, 3)), np.zeros((count, 3, 3))
-    pairs = list(zip(placed, links, strict=True))
-    centres = [place.position + place.rotation @ link.com for place, link in pairs]
-    for (place, link), centre in zip(pairs, centres, strict=True):
-        mass[place.body] += link.mass
-        com[place.body] += link.mass * centre
-    heavy = mass > 0.0
-    com[heavy] /= mass[heavy, np.newaxis]
-    for (place, link), centre in zip(pairs, centres, strict=True):
-        # Parallel axes. A link without mass may still have inertia: a rotor, often.
-        arm = centre - com[place.body]
-        inertia[place.body] += place.rotation @ link.inertia @ place.rotation.T
-        inertia[place.body] += link.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-    return mass, com, 0.5 * (inertia + inertia.transpose(0, 2, 1))
+    """Return mass, centre of mass and inertia of the bodies, in the frames of the bodies."""
+    parts: list[list[RigidBody]] = [[] for _ in range(count)]
+    for place, link in zip(placed, links, strict=True):
+        moved = link.inertial.rotate(place.rotation).shift(place.position)
+        parts[place.body].append(moved)
+    bodies = [combine(each) for each in parts]
+    inertia = np.array([body.inertia for body in bodies])
+    return (
+        np.array([body.mass for body in bodies]),
+        np.array([body.com for body in bodies]),
+        0.5 * (inertia + inertia.transpose(0, 2, 1)),
+    )
 
 
 def resolve_mimics(joints: Iterable[Joint]) -> dict[str, Mimic]:

@@ -17,6 +17,7 @@ import numpy as np
 
 from ...errors import ConfigurationError, UrdfError
 from ..model import RobotModel
+from ..rigid_body import RigidBody
 from .bodies import build_model, Joint, Link, Mimic
 from .checks import check
 from .quaternions import rpy_of_quaternion
@@ -118,11 +119,11 @@ def _values(clean: bytes) -> tuple[list[Link], list[Joint]]:
 def _link(link: Any) -> Link:
     inertial = link.inertial
     if inertial is None:
-        return Link(link.name, 0.0, np.zeros(3), np.zeros((3, 3)))
+        return Link(link.name, RigidBody(0.0, np.zeros(3), np.zeros((3, 3))))
     origin = np.eye(4) if inertial.origin is None else inertial.origin
     rotation = origin[:3, :3]
     inertia = rotation @ inertial.inertia @ rotation.T
-    return Link(link.name, inertial.mass, origin[:3, 3], inertia)
+    return Link(link.name, RigidBody(inertial.mass, origin[:3, 3], inertia))
 
 
 def _joint(joint: Any) -> Joint:

@@ -22,7 +22,7 @@ from ...dynamics.inverse_dynamics import InverseDynamics
 from ...errors import unknown_name
 from ...robot.urdf import load_urdf
 from ..mujoco.model import SimulationError
-from ..trajectory import slides, start_pose
+from ..trajectory import start_pose
 from .processes import running
 from .run import Run, topics_of
 from .scenarios import Scenario, SCENARIOS, Script
@@ -111,7 +111,7 @@ def describe_rotors(stage: Stage) -> str:
     rotors = [
         f'{name} {armature:.2g} {"kg" if slide else "kg m^2"}'
         for name, armature, slide in zip(
-            robot.joint_names, stage.armature, slides(robot), strict=True
+            robot.joint_names, stage.armature, robot.is_prismatic_joint, strict=True
         )
         if armature > 0.0
     ]

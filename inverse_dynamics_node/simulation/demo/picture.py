@@ -12,7 +12,6 @@ import matplotlib
 import numpy as np
 
 from ...robot.model import Floats, RobotModel
-from ..trajectory import slides
 from .history import History
 from .scenarios import Script
 
@@ -111,7 +110,7 @@ def _largest(history: History) -> Floats:
 
 def _label(robot: RobotModel, history: History, i: int) -> str:
     limit, largest = robot.effort_limits[i], _largest(history)[i]
-    unit = 'N' if slides(robot)[i] else 'N m'
+    unit = 'N' if robot.is_prismatic_joint[i] else 'N m'
     of = f'of {limit:g} {unit}' if math.isfinite(limit) else f'{unit}, no limit'
     return f'{robot.joint_names[i]}: {largest:.3g} {of}'
 

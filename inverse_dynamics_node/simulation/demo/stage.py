@@ -186,7 +186,7 @@ class Stage:
 def links_towards_base(robot: RobotModel) -> list[str]:
     """Return the links from the hand towards the base, one per joint on the way."""
     link = last_link(robot)
-    body = int(robot.link_body[robot.link_names.index(link)])
+    body = int(robot.link_body[robot.link_index(link)])
     links = [link]
     while (body := int(robot.parent[body])) > 0:
         links.append(robot.link_names[int(np.flatnonzero(robot.link_body == body)[-1])])

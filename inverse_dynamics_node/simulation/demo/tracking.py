@@ -7,7 +7,6 @@ import math
 import numpy as np
 
 from ...robot.model import Floats
-from ..trajectory import slides
 from .history import History
 from .stage import Stage
 from .verdicts import MOVING_LIMIT, REST_LIMIT, Verdict
@@ -29,7 +28,7 @@ def judge_tracking(stage: Stage, history: History, expected_rate: float) -> Verd
     widths = (13, 14, 15, 15) if stage.friction else (13, 15)
     columns = ''.join(f'{word:>{width}}' for word, width in zip(head, widths, strict=True))
     print(f'\n{"largest error":{wide}}{columns}')
-    rows = zip(robot.joint_names, slides(robot), moving, rest, *limits, strict=True)
+    rows = zip(robot.joint_names, robot.is_prismatic_joint, moving, rest, *limits, strict=True)
     for name, slide, moving_error, rest_error, moving_limit, rest_limit in rows:
         unit = 'mm' if slide else 'mrad'
         cells = [f'{1000.0 * moving_error:8.3f} {unit:4}', f'{1000.0 * rest_error:10.4f} {unit:4}']

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from ...robot.model import Floats
-from ..trajectory import slides
 from .history import History
 from .stage import Stage
 
@@ -48,7 +47,7 @@ class Distance(NamedTuple):
 def worst(stage: Stage, errors: Floats) -> Distance:
     """Return the largest of the errors of n joints, shape (n,) [rad or m]."""
     i = int(np.argmax(errors))  # argmax prefers NaN
-    unit = 'mm' if slides(stage.robot)[i] else 'mrad'
+    unit = 'mm' if stage.robot.is_prismatic_joint[i] else 'mrad'
     # Errors below a thousandth of a unit are printed as that.
     return Distance(float(errors[i]), f'{max(1000.0 * float(errors[i]), 0.001):.3g} {unit}')
 

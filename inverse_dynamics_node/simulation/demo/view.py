@@ -16,7 +16,6 @@ from rich.table import Table
 from rich.text import Text
 
 from ...robot.model import Floats, RobotModel
-from ..trajectory import slides
 
 LIVE_PERIOD = 0.2  # [s]: drawing takes a few milliseconds, during which the loop waits
 PLAIN_PERIOD = 1.0  # [s]
@@ -70,7 +69,9 @@ class View:
 
     def __init__(self, robot: RobotModel, title: str, console: Console | None = None) -> None:
         self._robot, self.title = robot, title
-        self._units = [('m', 'mm', 'N') if s else ('rad', 'mrad', 'N m') for s in slides(robot)]
+        self._units = [
+            ('m', 'mm', 'N') if s else ('rad', 'mrad', 'N m') for s in robot.is_prismatic_joint
+        ]
         self._console = console or Console(file=sys.stdout)
         self._live: Live | None = None
         self._due = -math.inf

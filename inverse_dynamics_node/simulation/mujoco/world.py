@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from ...dynamics.inverse_dynamics import STANDARD_GRAVITY
 from ...errors import unknown_name
 from ...robot.model import Floats
+from ...robot.rigid_body import combine, RigidBody
 from .model import SimulationError
 
 POINT = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))  # inertia of a point mass
@@ -39,7 +40,7 @@ class World:
     def __init__(self, model: Any, data: Any, root: str) -> None:
         self._model, self._data, self._root = model, data, root
         self._alone = {
-            body: (
+            body: RigidBody(
                 float(model.body_mass[body]),
                 model.body_ipos[body].copy(),
                 _inertia(model, body),
@@ -77,14 +78,11 @@ class World:
         body = self._body(link)
         if not body:
             return
-        own_mass, own_com, own_inertia = self._alone[body]
-        com = np.asarray(com, float)
-        total = own_mass + mass
-        centre = own_com + mass * (com - own_com) / total if mass else own_com
-        tensor = own_inertia + _steiner(own_mass, own_com - centre)
+        whole = self._alone[body]
         if mass:
-            tensor = tensor + np.asarray(inertia) + _steiner(mass, com - centre)
-        _write_inertial(self._model, body, total, centre, tensor)
+            payload = RigidBody(mass, np.asarray(com, float), np.asarray(inertia, float))
+            whole = combine([whole, payload])
+        _write_inertial(self._model, body, *whole)
 
     def set_external_wrench(
         self, link: str, force: ArrayLike = (0.0, 0.0, 0.0), moment: ArrayLike = (0.0, 0.0, 0.0)
@@ -181,12 +179,6 @@ def _inertia(model: Any, body: int) -> Floats:
     R_LC = R.reshape(3, 3)
     inertia: Floats = R_LC @ np.diag(model.body_inertia[body]) @ R_LC.T
     return inertia
-
-
-def _steiner(mass: float, arm: Floats) -> Floats:
-    """Return the inertia of a point mass at the end of an arm (parallel-axis theorem)."""
-    about: Floats = mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-    return about
 
 
 def _write_inertial(model: Any, body: int, mass: float, com: Floats, inertia: Floats) -> None:
