@@ -39,6 +39,14 @@ def test_a_command_prints_the_output_shown_in_the_gallery(run, command, output):
         assert same(word, found, tolerance), f'{word} is {found} now'
 
 
+def test_a_bad_description_is_rejected_as_shown_in_the_gallery(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    urdf, problems = re.search(r'```xml\n(.*?)```\n\n```text\n(.*?)```', GALLERY, re.S).groups()
+    (tmp_path / 'arm.urdf').write_text(urdf)
+    assert main(['check', 'arm.urdf']) == 1
+    assert capsys.readouterr().err == problems
+
+
 def test_the_gallery_shows_the_pictures_of_all_commands():
     names = re.findall(r'\]\(images/(\w+\.png)\)', GALLERY)
     assert {'check.png', 'effort.png', 'compare.png'} <= set(names)
