@@ -18,7 +18,7 @@ def prepare_console() -> None:
     """
     Make standard output and standard error safe to write to from the control loop.
 
-    If nobody reads them, text is dropped and the writer continues. rclpy's logger writes while it
+    Without a reader, text is dropped and the writer continues. rclpy's logger writes while it
     holds Python's global lock, so that a write that blocks would stop all threads, and no thread
     could take over the writing.
 
