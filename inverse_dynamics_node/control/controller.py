@@ -117,6 +117,7 @@ class Controller:
         self._time = math.inf
         self._velocity_filter = LowPass(np.zeros(n))
         self._lost_gain = 0.0  # gain at which the states were lost
+        self._tolerated_drop = _TOLERATED_DROP  # of the gain, in losses in quick succession
         self._fresh_since = math.inf  # arrival of the first state after the last gap
         self._followed: Floats | None = None  # reference positions of the last step with feedback
         self.apply(settings or Settings())
@@ -194,7 +195,9 @@ class Controller:
         self._is_stopping = True
 
     def resume(self) -> None:
-        """Let the efforts rise again after a stop, starting from the last command."""
+        """Let the efforts rise again from the last command, however short the stop was."""
+        if self._is_stopping:
+            self.blend()  # after a brief stop too: the reference may have been dropped
         self._is_stopping = False
 
     def start(self) -> None:
@@ -228,6 +231,7 @@ class Controller:
         self.phase, self._time = other.phase, other._time
         self._is_stopping = other._is_stopping
         self._lost_gain, self._fresh_since = other._lost_gain, other._fresh_since
+        self._tolerated_drop = other._tolerated_drop
         self._blending.continue_from(other._blending)
 
     def step(self, now: float, state: State | None, reference: Reference | None) -> Command | None:
@@ -310,11 +314,18 @@ class Controller:
         if not (is_fresh and state.is_consistent):
             if not was_lost:
                 self._lost_gain = self.gain
+                if state.time - self._fresh_since >= self.recovery_time:
+                    self._tolerated_drop = _TOLERATED_DROP
             self._fresh_since = math.inf
             return True
-        if not was_lost or self.gain >= self._lost_gain - _TOLERATED_DROP:
-            return False
         self._fresh_since = min(self._fresh_since, state.time)
+        if not was_lost:
+            return False
+        drop = max(0.0, self._lost_gain - self.gain)
+        if drop <= self._tolerated_drop:
+            # Losses in quick succession add up, although each may be too short to matter.
+            self._tolerated_drop -= drop
+            return False
         return state.time - self._fresh_since < self.recovery_time
 
     def _is_far(self, state: State, reference: Reference) -> bool:

@@ -135,6 +135,33 @@ def test_intermittent_states_do_not_raise_and_lower_the_efforts_repeatedly(gap):
     assert commands[-1] == 0.0
 
 
+@pytest.mark.parametrize('gap', [0.12, 0.125, 0.13])
+@pytest.mark.parametrize('stop_ramp', [0.1, 0.5, 2.0])
+def test_short_losses_in_quick_succession_add_up(gap, stop_ramp):
+    lift = controller(start_ramp=0.5, stop_ramp=stop_ramp)
+    commands = []
+    for k in range(1200):
+        now = 0.01 * k
+        last = now if now < 1.0 else 1.0 + gap * ((now - 1.0) // gap)
+        commands.append(lift.step(now, state(last), None).efforts[0])
+    assert commands[100] == pytest.approx(30.0)
+    assert min(commands[-300:]) == max(commands[-300:])  # they neither sag nor shake
+
+
+@pytest.mark.parametrize('pause', [0, 1, 10, 25, 40])  # steps
+def test_efforts_continue_from_the_last_command_after_a_stop_without_the_reference(pause):
+    lift = controller(start_ramp=0.5, stop_ramp=0.5)
+    for k in range(1000):
+        last = lift.step(0.001 * k, state(0.001 * k), reference(0.001 * k, [5.0, 5.0]))
+    efforts = [last.efforts.copy()]
+    lift.stop()
+    for k in range(1000, 1100):
+        if k == 1000 + pause:
+            lift.resume()
+        efforts.append(lift.step(0.001 * k, state(0.001 * k), None).efforts.copy())
+    assert np.abs(np.diff(efforts, axis=0)).max() < 0.2
+
+
 def test_a_loss_ends_after_states_without_a_gap_for_twice_the_timeout():
     lift = controller(state_timeout=0.5)
     for now, last, is_well in (
