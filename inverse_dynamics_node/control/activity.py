@@ -113,9 +113,10 @@ def describe_silence(around: GraphInfo) -> str:
     """Describe publishers that are connected but send nothing; empty if there are none."""
     if not around.publishers or around.silence < _LONG_SILENCE:
         return ''
+    publishers = 'publisher is' if around.publishers == 1 else 'publishers are'
     return (
         f'no message on joint_states for {around.silence:.0f} s, although '
-        f'{around.publishers} publishers are connected: if they do publish (ros2 topic hz), '
+        f'{around.publishers} {publishers} connected: if ros2 topic hz shows messages, '
         'restart this node; if it happens again, set FASTDDS_BUILTIN_TRANSPORTS=UDPv4'
     )
 

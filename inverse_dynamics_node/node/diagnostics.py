@@ -12,6 +12,7 @@ from rclpy.lifecycle import LifecycleNode
 
 from ..control.activity import describe_silence
 from ..control.graph_info import GraphInfo
+from ..control.silence import Silence
 from ..control.status import Status
 from ..errors import shortened
 from . import qos
@@ -57,6 +58,7 @@ class DiagnosticsPublisher:
         self._uses_sim_time = bool(node.get_parameter('use_sim_time').value)
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', qos.QUEUED)
         self._last_time = time.monotonic()
+        self._silence = Silence(self._last_time)
         node.create_timer(_PERIOD, self._on_timer, clock=clock)
 
     def publish_if_late(self) -> None:
@@ -92,15 +94,22 @@ class DiagnosticsPublisher:
         publishers: Sequence[str] = ()
         if loop is not None and loop.collector.has_alternating:
             publishers = self._graph.publishers('joint_states')
+        publisher_count = node.count_publishers(node.resolve_topic_name('joint_states'))
+        simulated = self._graph.simulated_time() if self._uses_sim_time else None
+        is_paused = simulated is not None and simulated.unchanged_for > _PERIOD
         return GraphInfo(
             receivers=self._outputs.receivers,
-            publishers=node.count_publishers(node.resolve_topic_name('joint_states')),
+            publishers=publisher_count,
             is_active=self._runner.is_active,
             state=str(node._state_machine.current_state[1]),
             others=self._graph.others(),
             state_publishers=tuple(publishers),
-            simulated=self._graph.simulated_time() if self._uses_sim_time else None,
-            silence=time.monotonic() - self._inputs.last_joint_state,
+            simulated=simulated,
+            silence=self._silence.update(
+                self._last_time,
+                self._inputs.last_joint_state,
+                is_expected=bool(publisher_count) and not is_paused,
+            ),
         )
 
 

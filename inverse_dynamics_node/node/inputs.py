@@ -63,7 +63,6 @@ class Inputs:
         for kind, topic, callback, profile in (
             (Float64MultiArray, '~/desired_accelerations', self._on_accelerations, qos.RELIABLE),
             (JointTrajectory, '~/reference', self._on_reference, qos.RELIABLE),
-            (JointTrajectory, '~/joint_trajectory_in', self._on_trajectory, qos.RELIABLE),
             # Messages for several links may arrive at once.
             (InertiaStamped, '~/payload', self._on_payload, qos.QUEUED),
             (WrenchStamped, '~/external_wrench', self._on_external_wrench, qos.QUEUED),
@@ -76,6 +75,16 @@ class Inputs:
             'joint_states',
             self._on_joint_state,
             qos.BEST_EFFORT,
+            raw=True,
+            **qos.overridable(),
+        )
+
+        # Raw, because reading a long one takes seconds.
+        node.create_subscription(
+            JointTrajectory,
+            '~/joint_trajectory_in',
+            self._on_trajectory,
+            qos.RELIABLE,
             raw=True,
             **qos.overridable(),
         )
@@ -169,8 +178,11 @@ class Inputs:
             lambda loop, now: loop.set_base_motion(now, *messages.read_imu(message, self._R_BS)),
         )
 
-    def _on_trajectory(self, message: JointTrajectory) -> None:
-        self._handle('~/joint_trajectory_in', lambda loop, now: self._filler.fill(loop, message))
+    def _on_trajectory(self, data: bytes) -> None:
+        self._handle(
+            '~/joint_trajectory_in',
+            lambda loop, now: self._filler.fill(loop, data, self._runner.is_active),
+        )
 
     def _handle(self, topic: str, store: Callable[[ControlLoop, float], None]) -> None:
         """Store a message in the loop, or log why it is dropped."""

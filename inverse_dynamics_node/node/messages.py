@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from geometry_msgs.msg import InertiaStamped, WrenchStamped
 import numpy as np
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -128,6 +129,14 @@ def read_imu(message: Imu, R_BS: Floats) -> tuple[Floats, Floats]:
 def read_vector(message: Any) -> Floats:
     """Read a message with x, y and z, such as Vector3 or Point."""
     return np.array([message.x, message.y, message.z])
+
+
+def deserialize_trajectory(data: bytes) -> JointTrajectory:
+    """Read a trajectory from a raw subscription, or raise a TrajectoryError."""
+    try:
+        return deserialize_message(data, JointTrajectory)
+    except Exception as error:  # RMWError, which is not public
+        raise TrajectoryError(f'{len(data)} bytes that are not a trajectory: {error}') from error
 
 
 def read_trajectory(message: JointTrajectory) -> Trajectory:

@@ -14,6 +14,8 @@ from ..errors import TrajectoryError
 from . import messages
 from .log import NodeLog
 
+_MAX_SIZE = 1_000_000  # [bytes]; takes up to half a second, without commands
+
 
 class TrajectoryFiller:
     """
@@ -38,7 +40,7 @@ class TrajectoryFiller:
             JointTrajectory, '~/joint_trajectory_out', qos, **options
         )
 
-    def fill(self, loop: ControlLoop, message: JointTrajectory) -> None:
+    def fill(self, loop: ControlLoop, data: bytes, is_active: bool) -> None:
         """
         Publish a trajectory with its efforts.
 
@@ -46,8 +48,10 @@ class TrajectoryFiller:
         ----------
         loop : ControlLoop
             The loop whose dynamics and joint positions to use.
-        message : JointTrajectory
-            The trajectory, of any of the joints.
+        data : bytes
+            The serialized trajectory, of any of the joints.
+        is_active : bool
+            Whether the node is active, and must not go without commands for long.
 
         Raises
         ------
@@ -57,6 +61,13 @@ class TrajectoryFiller:
         """
         if not self._publisher.get_subscription_count():
             raise TrajectoryError('~/joint_trajectory_out has no subscriber')
+        if is_active and len(data) > _MAX_SIZE:
+            raise TrajectoryError(
+                f'{len(data)} bytes, expected at most {_MAX_SIZE} while the node is active, '
+                'because no commands are sent until the efforts have been computed: deactivate '
+                'the node first, or split the trajectory'
+            )
+        message = messages.deserialize_trajectory(data)
         trajectory, derived = complete(messages.read_trajectory(message))
         for note in derived:
             self._log.warn(note, f'~/joint_trajectory_in: {note}')

@@ -195,5 +195,5 @@ def test_silent_publishers_are_reported(run_node, robot, wait_for_status):
     robot.publish_state(NAMES, Q, np.zeros(6))
     wait_for_status('joint states', OK, 'fresh')
     robot.state = None  # the publisher stays connected
-    wait_for_status('joint states', ERROR, 'although 1 publishers are connected')
+    wait_for_status('joint states', ERROR, 'although 1 publisher is connected')
     robot.wait_for_text(node, 'FASTDDS_BUILTIN_TRANSPORTS=UDPv4')

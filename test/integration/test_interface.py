@@ -298,6 +298,15 @@ def test_trajectory_is_filled_with_efforts(run_node, robot, dynamics, start):
     assert 'derived' not in node.output
 
 
+def test_a_trajectory_that_would_block_the_loop_is_dropped_while_active(run_node, robot):
+    node = run_node(**PATIENT)
+    robot.publish_state(NAMES, Q, QD)
+    robot.listen(JointTrajectory, f'{OWN}/joint_trajectory_out')
+    robot.wait_until(lambda: robot.commands, 'command')
+    robot.publish_once(f'{OWN}/joint_trajectory_in', trajectory([(k, Q) for k in range(15000)]))
+    robot.wait_for_text(node, 'bytes, expected at most 1000000 while the node is active')
+
+
 def test_missing_derivatives_of_a_trajectory_are_derived_and_logged(run_node, robot, dynamics):
     node = run_node(**PATIENT)
     robot.wait_for_text(node, 'no command yet')
