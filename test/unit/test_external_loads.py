@@ -354,6 +354,16 @@ def test_all_loads_act_on_another_description_at_once(loads, dynamics):
     for now in (0.8, 0.95, 1.2, 2.0):
         assert other.dynamics.gravity_efforts(Q) == pytest.approx(dynamics.gravity_efforts(Q))
         assert other.update(now) == loads.update(now)
+    for each in (loads, other):
+        each.set_base_motion(2.1, (0.0, 3.0, 9.0), (0.3, 0.2, 0.1))
+    assert other.dynamics.gravity_efforts(Q) == pytest.approx(dynamics.gravity_efforts(Q))
+
+
+def test_the_motion_of_the_base_is_not_smoothed_across_a_loss(dynamics):
+    loads = ExternalLoads(dynamics, LoadSettings(imu_filter_cutoff=0.1))
+    loads.set_base_motion(1.0, (0.0, 0.0, 10.0), np.zeros(3))
+    loads.set_base_motion(1.5, (1.0, 0.0, 11.0), np.zeros(3))
+    assert loads.gravity == pytest.approx([-1.0, 0.0, -11.0])
 
 
 def test_a_wrench_on_a_link_that_no_longer_exists_is_dropped(loads):

@@ -524,3 +524,24 @@ def test_connected_publishers_from_which_nothing_arrives_are_reported(
     around = FINE._replace(publishers=publishers, silence=silence)
     message = part(Monitor().report(9.0, loop, around), 'joint states').message
     assert ('2 publishers are connected' in message) is is_reported
+
+
+def test_all_joints_that_were_clamped_since_the_last_report_are_named(loop):
+    monitor = Monitor()
+    for k in range(2):
+        monitor.step(0.1 * k, 1e-4, command(np.arange(2) == k), JOINTS)
+    message = part(monitor.report(0.2, loop, FINE), 'efforts').message
+    assert all(joint in message for joint in JOINTS)
+
+
+def test_messages_rejected_after_a_report_are_in_the_next_one(loop):
+    monitor = Monitor()
+    for _ in range(2):
+        monitor.reject('imu', 'broken')
+        assert part(monitor.report(0.0, loop, FINE), 'messages').level is Level.WARN
+
+
+def test_the_age_of_the_joint_states_is_reported(loop):
+    loop.collector.update(7.0, JOINTS, [0.1, 0.2], [0.0, 0.0])
+    values = part(Monitor().report(7.25, loop, FINE), 'joint states').values
+    assert values['age [s]'] == '0.250'
