@@ -1,7 +1,7 @@
 """
 The baseline of the node: processes that pass positions on and compute nothing.
 
-`python -m benchmarks.relays usual [RATE] --ros-args ...` is what a user would write first, `lean`
+`python -m benchmarks.relays usual [RATE] --ros-args ...` is a straightforward node, and `lean`
 is built like the node; without a rate there is a command for every joint state.
 """
 

@@ -26,9 +26,9 @@ from std_msgs.msg import Float64MultiArray
 from .timing import missed
 
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Of joint states, as the node has it."""
+"""Quality of service of joint states, equal to the node's."""
 EVERY_ONE = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
-"""Of commands, as the node has it."""
+"""Quality of service of commands, equal to the node's."""
 
 PATIENCE = 60.0  # [s]; for a process to start, and to be found
 LOST = 0.1  # [s]; a state without an answer after this time is lost

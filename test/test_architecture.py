@@ -138,7 +138,7 @@ def test_the_core_can_be_imported_without_ros():
         '            raise ImportError(name)\n'
         'sys.meta_path.insert(0, Refuse())\n'
         f'import {NAME}\n'
-        'assert "yourdfpy" not in sys.modules, "half a second for who does not load a URDF"\n'
+        'assert "yourdfpy" not in sys.modules, "imported before a URDF is loaded"\n'
     )
     environment = {**os.environ, 'PYTHONPATH': str(ROOT)}
     subprocess.run([sys.executable, '-c', code], env=environment, check=True, timeout=120)

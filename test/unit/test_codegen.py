@@ -113,11 +113,11 @@ def test_same_efforts_with_loads_set_later(urdf_path, rng):
 def test_code_is_used_while_existing_loads_change(dynamics, rng, monkeypatch):
     set_everything(dynamics)
     generated = GeneratedDynamics(dynamics)
-    for share in (0.5, 2.0, 0.0):
-        dynamics.set_payload(dynamics.robot.link_names[-1], share * 3.0, (0.3, 0.1, 0.2))
-        dynamics.set_external_wrench(dynamics.robot.link_names[-1], (share, 4.0, 0.1))
-        dynamics.set_gravity((share, 0.3, -9.0))
-        dynamics.set_friction(share, share)
+    for scale in (0.5, 2.0, 0.0):
+        dynamics.set_payload(dynamics.robot.link_names[-1], scale * 3.0, (0.3, 0.1, 0.2))
+        dynamics.set_external_wrench(dynamics.robot.link_names[-1], (scale, 4.0, 0.1))
+        dynamics.set_gravity((scale, 0.3, -9.0))
+        dynamics.set_friction(scale, scale)
         assert_same(dynamics, generated, rng)
         assert_code_is_used(dynamics, generated, monkeypatch)
 
