@@ -163,7 +163,7 @@ def _at_rest(dynamics: InverseDynamics, q: Floats, limits: Floats) -> Table:
             marked.add(i)
         rows.append((name, f'{q[i]:.4f}', f'{efforts[i]:.{places}f} {unit}', number(limits[i]),
                      fraction(efforts[i], limits[i]), ', '.join(marks)))  # fmt: skip
-    columns = ('joint', 'position', 'gravity effort', 'limit', 'share', '')
+    columns = ('joint', 'position', 'gravity effort', 'limit', 'ratio', '')
     title = 'Efforts that hold the robot where it is'
     return Table(title, columns, tuple(rows), (), frozenset({5}), frozenset(marked))
 

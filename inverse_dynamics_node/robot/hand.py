@@ -16,10 +16,10 @@ _FINGER_FRACTION = 0.3
 
 def last_link(robot: RobotModel) -> str:
     """
-    Guess where a payload goes: at ``tool0`` if there is one, else at the end of the longest chain.
+    Return the link that probably carries a payload: ``tool0``, or the end of the longest chain.
 
-    Fingers do not belong to that chain: where it ends in a gripper or a hand, the payload goes to
-    the link that carries the fingers.
+    Fingers are not part of that chain: if it ends in a gripper or a hand, the link that carries
+    the fingers is returned.
 
     """
     if 'tool0' in robot.link_names:
@@ -41,12 +41,12 @@ def _without_fingers(robot: RobotModel, chain: Sequence[int]) -> int:
     end = len(chain) - 1
     for i in range(1, len(chain)):
         is_branch = np.count_nonzero(robot.parent == robot.parent[chain[i]]) > 1
-        # Two arms on a torso part as well, but they make up most of the chain.
+        # Two arms also branch from a torso, but each is most of its chain.
         if is_branch and lengths[-1] - lengths[i - 1] < _FINGER_FRACTION * lengths[-1]:
             end = i - 1
             break
     arm = [body for body in chain[: end + 1] if not _moves_finger(robot, body)]
-    return arm[-1] if arm else chain[end]  # a finger on its own is what there is
+    return arm[-1] if arm else chain[end]  # the robot consists of a finger only
 
 
 def _moves_finger(robot: RobotModel, body: int) -> bool:

@@ -102,7 +102,7 @@ class RobotModel:
     @cached_property
     def is_prismatic_joint(self) -> Booleans:
         """Whether each joint is prismatic instead of revolute, shape (n,)."""
-        # The first name is that of a link, which a joint may share.
+        # Skip the first name: it is that of the base link, which may also be the name of a joint.
         bodies = [self.body_names.index(name, 1) for name in self.joint_names]
         found: Booleans = self.is_prismatic[bodies]
         found.setflags(write=False)

@@ -30,8 +30,8 @@ FINITE = (
 LIMITS = ('lower', 'upper', 'velocity_limits', 'effort_limits')
 
 
-def loads_or_tells_why(source):
-    """Return whether it loaded; fail for any other outcome than a sound robot or a UrdfError."""
+def loads_or_raises_urdf_error(source):
+    """Return whether it loaded; fail unless the result is a valid robot or a UrdfError."""
     problems = ()
     try:
         robot = load_urdf(source)
@@ -57,7 +57,7 @@ def text_of(root):
 
 @st.composite
 def mutated(draw):
-    """One of our robots with one to three things changed."""
+    """Return the text of a test robot with one to three changes."""
     root = deepcopy(TREES[draw(st.sampled_from(sorted(TREES)))])
     for _ in range(draw(st.integers(1, 3))):
         elements = list(root.iter())
@@ -136,36 +136,36 @@ CHANGES = {
 
 @settings(max_examples=600)
 @given(mutated())
-def test_mutated_robots(text):
-    loads_or_tells_why(text)
+def test_mutated_elements_load_or_raise_urdf_error(text):
+    loads_or_raises_urdf_error(text)
 
 
 @settings(max_examples=200)
 @given(st.data())
-def test_mutated_bytes(tmp_path_factory, data):
+def test_mutated_bytes_load_or_raise_urdf_error(tmp_path_factory, data):
     source = bytearray(SOURCES[data.draw(st.sampled_from(sorted(SOURCES)))])
     for _ in range(data.draw(st.integers(1, 4))):
         place = data.draw(st.integers(0, len(source) - 1))
         source[place : place + data.draw(st.integers(0, 3))] = data.draw(st.binary(max_size=4))
     path = tmp_path_factory.getbasetemp() / 'mutated.urdf'
     path.write_bytes(source)
-    loads_or_tells_why(path)
+    loads_or_raises_urdf_error(path)
 
 
 @settings(max_examples=100)
 @given(st.text() | st.text('<>/="robot &;!?[]-'))
-def test_any_text(text):
-    assert not loads_or_tells_why(f'<{text}')
+def test_random_text_raises_urdf_error(text):
+    assert not loads_or_raises_urdf_error(f'<{text}')
 
 
-def test_cut_at_every_byte(tmp_path):
+def test_truncated_file_raises_urdf_error(tmp_path):
     source = SOURCES['mimic_gripper'].rstrip()
     path = tmp_path / 'cut.urdf'
     for end in range(len(source)):
         path.write_bytes(source[:end])
-        assert not loads_or_tells_why(path), end
+        assert not loads_or_raises_urdf_error(path), end
     path.write_bytes(source)
-    assert loads_or_tells_why(path)
+    assert loads_or_raises_urdf_error(path)
 
 
 ATTRIBUTES = [
@@ -175,23 +175,23 @@ ATTRIBUTES = [
 ]
 
 
-def test_every_attribute_with_every_bad_value():
-    loaded = refused = 0
+def test_bad_values_of_every_attribute_load_or_raise_urdf_error():
+    loaded = rejected = 0
     for number, name in ATTRIBUTES:
         for value in BAD_VALUES:
             root = deepcopy(TREES['mimic_gripper'])
             list(root.iter())[number].set(name, value)
-            if loads_or_tells_why(text_of(root)):
+            if loads_or_raises_urdf_error(text_of(root)):
                 loaded += 1
             else:
-                refused += 1
-    # Both happen, so neither outcome is the test's own doing.
+                rejected += 1
+    # Both outcomes must occur, otherwise the test itself is broken.
     assert loaded > 0
-    assert refused > loaded
+    assert rejected > loaded
 
 
 @pytest.mark.parametrize(('kind', 'reference'), [('parent', 'link'), ('child', 'link')])
-def test_every_reference_to_nothing_is_named(kind, reference):
+def test_every_reference_to_an_unknown_link_is_named(kind, reference):
     for root in TREES.values():
         for number in range(sum(1 for _ in root.iter(kind))):
             broken = deepcopy(root)
@@ -200,7 +200,7 @@ def test_every_reference_to_nothing_is_named(kind, reference):
                 load_urdf(text_of(broken))
 
 
-def test_every_required_attribute_is_missed():
+def test_every_missing_required_attribute_is_reported():
     required = {
         'mass': ('value',),
         'inertia': ('ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz'),
@@ -217,4 +217,4 @@ def test_every_required_attribute_is_missed():
         for name in required.get(element.tag, ()):
             broken = deepcopy(root)
             del list(broken.iter())[number].attrib[name]
-            assert not loads_or_tells_why(text_of(broken)), (element.tag, name)
+            assert not loads_or_raises_urdf_error(text_of(broken)), (element.tag, name)

@@ -1,4 +1,4 @@
-"""The values of a loaded robot, against numbers worked out by hand."""
+"""The values of loaded robots agree with numbers calculated by hand."""
 
 import dataclasses
 import math
@@ -13,7 +13,7 @@ import pytest
 from robot_files import ROOT, STANFORD
 
 ROUNDING = 1e-12
-"""Of a few products of numbers near one, with room to spare."""
+"""Tolerance for a few products of numbers near one."""
 
 
 def robot(name):
@@ -41,7 +41,7 @@ def turn_x(angle):
 
 
 def rpy(roll, pitch, yaw):
-    """Turn about the fixed axes x, y, z, in this order."""
+    """Rotate about the fixed axes x, y, z, in this order."""
     return turn_z(yaw) @ turn_y(pitch) @ turn_x(roll)
 
 
@@ -86,7 +86,7 @@ def test_unknown_names_are_reported_with_the_valid_ones():
 # ---- Every robot ---------------------------------------------------------------------------
 
 
-def test_shapes_agree(urdf_path):
+def test_shapes_of_the_arrays_are_consistent(urdf_path):
     model = load_urdf(urdf_path)
     n, b, k = len(model.joint_names), len(model.body_names), len(model.link_names)
     rows = {
@@ -122,7 +122,7 @@ def test_base_comes_first_and_parents_before_children(urdf_path):
     assert sorted(set(model.joint_index[1:])) == list(range(len(model.joint_names)))
 
 
-def test_rotations_axes_and_inertias_are_what_they_are_called(urdf_path):
+def test_rotations_axes_and_inertias_are_valid(urdf_path):
     model = load_urdf(urdf_path)
     for rotation in (*model.R_PL, *model.link_rotation):
         assert_allclose(rotation @ rotation.T, np.eye(3), atol=ROUNDING)
@@ -202,7 +202,7 @@ def test_fixed_joints_merge_their_links():
     assert model.link_body.tolist() == [0, 1, 1, 1, 1, 1, 2]
     assert_allclose(model.mass, [0.0, 2.0 + 0.3 + 0.15, 0.6], rtol=ROUNDING)
 
-    # Where the file puts the frames, in the frame of the arm.
+    # Poses of the frames in the file, in the frame of the arm.
     bracket = rpy(0.7, 0, 0), np.array([0.1, 0, 0.06])
     camera = bracket[0] @ rpy(0, -1.1, 0.6), bracket[1] + bracket[0] @ [0.05, 0.02, 0.04]
     flange = rpy(0, math.pi / 2, 0), np.array([0.4, 0, 0])
@@ -230,14 +230,14 @@ def test_fixed_joints_merge_their_links():
         ),
         (0.0, np.zeros(3), rotor[0] @ np.diag([2e-4, 2e-4, 4e-4]) @ rotor[0].T),
     ]
-    # About the origin of the arm everything adds; then back to the centre of mass.
+    # Add all inertias about the origin of the arm, then move the sum to the centre of mass.
     mass = sum(part for part, _, _ in parts)
     com = sum(part * centre for part, centre, _ in parts) / mass
     about_origin = sum(inertia + point_inertia(part, centre) for part, centre, inertia in parts)
     assert_allclose(model.com[1], com, atol=ROUNDING)
     assert_allclose(model.inertia[1], about_origin - point_inertia(mass, com), atol=ROUNDING)
 
-    # The wrist hangs on the flange, its frame is told in the frame of the arm.
+    # The parent of the wrist is the flange, but its pose is given in the frame of the arm.
     assert model.parent.tolist() == [-1, 0, 1]
     assert_allclose(model.p_PL[2], flange[1] + flange[0] @ [0, 0, 0.02], atol=ROUNDING)
     assert_allclose(model.R_PL[2], flange[0] @ rpy(0.1, 0.2, 0.3), atol=ROUNDING)
@@ -262,7 +262,7 @@ def test_mimicking_joints_follow_their_last_master():
     assert model.effort_limits.tolist() == [50.0, 10.0]
 
 
-def test_friction_of_mimicking_joints_folds_into_the_master():
+def test_friction_of_mimicking_joints_is_added_to_the_master():
     model = robot('mimic_gripper')
     # Power at the master's speed w: d_m (m w)^2 = (m^2 d_m) w^2, and c_m |m w| = (|m| c_m) |w|.
     assert_allclose(model.damping, [5.0, 0.04 + 4 * 0.02 + 1 * 0.01])
@@ -278,7 +278,7 @@ def test_seven_dof_arm():
     assert_allclose(model.link_position[-1], [0.0, 0.0, 0.06])
 
 
-def test_effort_limit_of_zero_is_not_known():
+def test_effort_limit_of_zero_means_unlimited():
     text = (ROOT / 'test' / 'robots' / 'pendulum.urdf').read_text()
     model = load_urdf(text.replace('effort="10" velocity="6"', 'effort="0" velocity="0.0"'))
     assert model.effort_limits.tolist() == [math.inf]
@@ -316,7 +316,7 @@ def test_mimic_chains_resolve_in_any_order():
         }
 
 
-def test_models_are_told_apart_by_identity():
+def test_models_are_compared_by_identity():
     first, second = robot('pendulum'), robot('pendulum')
     assert isinstance(first, RobotModel)
     assert first != second

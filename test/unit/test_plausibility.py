@@ -1,11 +1,9 @@
-"""Positions outside the limits are reported if they cannot be meant: degrees, most often."""
+"""Positions far outside the limits are reported, with a hint if they look like degrees."""
 
 import math
 
 from inverse_dynamics_node import load_urdf
-from inverse_dynamics_node.robot.plausibility import (
-    implausible_positions,
-)
+from inverse_dynamics_node.robot.plausibility import implausible_positions
 import numpy as np
 import pytest
 
@@ -49,7 +47,7 @@ def test_positions_close_to_the_limits_are_tolerated(robot, q2):
     assert sentences(robot, [1000.0, q2, 0.049, 5.0]) == []
 
 
-def test_other_positions_outside_the_limits_are_reported_as_such(robot):
+def test_other_positions_outside_the_limits_are_reported_without_a_hint(robot):
     assert sentences(robot, [0.0, 4.0, -0.5, 0.0]) == [
         'joint2 at 4 rad, limits -2.97 to 2.97',
         'slide at -0.5 m, limits 0 to 0.04',
@@ -65,7 +63,7 @@ def test_the_worst_of_many_positions_is_reported(robot):
     assert implausible_positions(robot, table[:, :0]) == []
 
 
-def test_columns_may_be_named(robot):
+def test_names_of_the_columns_may_be_given(robot):
     table = [[57.3, 0.02, 57.3], [0.0, 2.0, 57.3]]
     assert sentences(robot, table, ['joint2', 'slide', 'wheel']) == [
         'joint2 at 57.3 rad, limits -2.97 to 2.97: degrees?',
@@ -76,7 +74,7 @@ def test_columns_may_be_named(robot):
 
 
 @pytest.mark.parametrize('degrees', [-180.0, 180.0])
-def test_degrees_slightly_outside_the_limits_are_recognised_too(robot, degrees):
+def test_degrees_slightly_outside_the_limits_are_recognised(robot, degrees):
     (finding,) = implausible_positions(robot, [0.0, degrees, 0.0, 0.0])
     assert finding.looks_like_degrees
 
@@ -89,7 +87,7 @@ def test_the_position_furthest_outside_is_the_worst_on_either_side(robot):
     assert implausible_positions(robot, table)[0].position == 4.2
 
 
-def test_joints_behind_one_without_limits_are_judged(robot):
+def test_joints_after_one_without_limits_are_checked(robot):
     names = ['stuck', 'joint1', 'joint2']
     assert len(sentences(robot, [5.0, 100.0, 4.0], names)) == 1
 

@@ -1,4 +1,4 @@
-"""What each malformed description gets told, and what must load all the same."""
+"""Malformed descriptions are rejected with their problems; odd but valid ones still load."""
 
 import math
 import os
@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from robot_files import NOTHING_MOVES, OUR_ROBOTS
 
-# Loads without a warning; the tests below break it in one place each.
+# Loads without a warning. Each test below changes one place of it.
 GOOD = """\
 <?xml version="1.0"?>
 <robot name="good" xmlns:xacro="http://www.ros.org/wiki/xacro">
@@ -63,7 +63,7 @@ L1_INERTIA = '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.01"/
 
 
 def edited(*edits, text=GOOD):
-    """Replace each old by its new; an old text that is not there once is a mistake in the test."""
+    """Replace each old text by the new one; each old text must occur exactly once."""
     for old, new in edits:
         assert text.count(old) == 1, old
         text = text.replace(old, new)
@@ -88,7 +88,7 @@ def fixed(name, parent, child):
     )
 
 
-def test_the_good_robot_loads_without_a_warning():
+def test_valid_robot_loads_without_a_warning():
     robot = load_urdf(GOOD)
     assert robot.warnings == ()
     assert robot.joint_names == ('j1', 'j2')
@@ -97,7 +97,7 @@ def test_the_good_robot_loads_without_a_warning():
 # ---- Not a file, not XML, not a URDF -------------------------------------------------------
 
 
-def test_path_and_text_give_the_same(tmp_path):
+def test_path_and_text_load_the_same_robot(tmp_path):
     path = tmp_path / 'good.urdf'
     path.write_text(GOOD)
     for source in (path, str(path), GOOD, f'\ufeff {GOOD}'):
@@ -105,7 +105,7 @@ def test_path_and_text_give_the_same(tmp_path):
 
 
 @pytest.mark.parametrize('make_path', [str, Path])
-def test_what_cannot_be_read(tmp_path, make_path):
+def test_unreadable_paths_are_reported(tmp_path, make_path):
     missing = tmp_path / 'nope.urdf'
     assert 'cannot be read: No such file' in problems_of(make_path(missing))[0]
     assert 'is a directory' in problems_of(make_path(tmp_path))[0]
@@ -115,7 +115,7 @@ def test_what_cannot_be_read(tmp_path, make_path):
         load_urdf(make_path(missing))
 
 
-def test_unreadable_file_says_why(tmp_path, monkeypatch):
+def test_error_contains_the_reason_of_the_operating_system(tmp_path, monkeypatch):
     def refuse(*_):
         raise PermissionError(13, 'Permission denied')
 
@@ -135,18 +135,18 @@ def test_unreadable_file_says_why(tmp_path, monkeypatch):
         ('a\0b', 'cannot be read: '),
     ],
 )
-def test_text_that_is_neither_xml_nor_a_path(text, words):
+def test_text_that_is_neither_xml_nor_a_path_is_rejected(text, words):
     assert words in problems_of(text)[0]
 
 
-def test_what_is_no_text_at_all_is_a_type_error():
+def test_other_types_than_text_and_paths_are_type_errors():
     for source in (None, b'<robot/>', 3):
         with pytest.raises(TypeError):
             load_urdf(source)
 
 
 @pytest.mark.parametrize('data', [b'', b' \n\t', b'\xef\xbb\xbf'])
-def test_empty_file(tmp_path, data):
+def test_empty_file_is_rejected(tmp_path, data):
     path = tmp_path / 'empty.urdf'
     path.write_bytes(data)
     assert problems_of(path) == ('file is empty',)
@@ -175,7 +175,7 @@ def test_empty_file(tmp_path, data):
         ('<robot name="r">' + '<a>' * 300 + '</a>' * 300 + '</robot>', 'Excessive depth'),
     ],
 )
-def test_not_well_formed(tmp_path, data, words):
+def test_malformed_xml_is_one_problem_with_a_line(tmp_path, data, words):
     path = tmp_path / 'broken.urdf'
     path.write_bytes(data if isinstance(data, bytes) else data.encode())
     (problem,) = problems_of(path)
@@ -200,7 +200,7 @@ def test_syntax_error_gives_line_and_column():
         ('<Robot name="r"/>', 'root element is <Robot>, expected <robot>'),
     ],
 )
-def test_wrong_root_element(text, words):
+def test_wrong_root_element_is_named(text, words):
     assert words in problems_of(text)[0]
 
 
@@ -219,7 +219,7 @@ LAUGHS = '<!ENTITY a0 "ha">' + ''.join(
         '<!DOCTYPE robot [<!ENTITY e "3">]>',
     ],
 )
-def test_doctype_is_refused(doctype):
+def test_doctype_is_rejected(doctype):
     for text in (
         edited(('<robot name', f'{doctype}<robot name')),
         edited(('<robot name', f'{doctype}<robot name')).replace('</robot>', ''),
@@ -227,13 +227,13 @@ def test_doctype_is_refused(doctype):
         assert problems_of(text)[0] == 'DOCTYPE/DTD is not allowed in a URDF'
 
 
-def test_html_page_is_refused_for_its_doctype():
+def test_html_page_is_rejected_for_its_doctype():
     page = '<!doctype html>\n<html><p>Not found<br></html>'
     assert problems_of(page)[0] == 'DOCTYPE/DTD is not allowed in a URDF'
 
 
 @pytest.mark.parametrize('body', ['<link name="&a9;"/>', '&a9;'])
-def test_billion_laughs_are_refused_quickly(body):
+def test_billion_laughs_are_rejected_quickly(body):
     started = time.process_time()
     problems = problems_of(f'<!DOCTYPE r [{LAUGHS}]><robot name="r">{body}</robot>')
     assert any('DOCTYPE' in problem or 'amplification' in problem for problem in problems)
@@ -250,7 +250,7 @@ def test_external_entity_is_not_read(tmp_path):
     assert problems_of(text) == ('DOCTYPE/DTD is not allowed in a URDF',)
 
 
-def test_size_limit(tmp_path, monkeypatch):
+def test_size_limit_applies_to_files_and_text(tmp_path, monkeypatch):
     monkeypatch.setattr(urdf_xml, 'MAX_BYTES', 2**20)
     path = tmp_path / 'large.urdf'
     padded = GOOD + ' ' * (2**20 - len(GOOD))
@@ -265,10 +265,10 @@ def test_size_limit_is_16_mib():
     assert urdf_xml.MAX_BYTES == 16 * 1024 * 1024
 
 
-# ---- Well-formed, but no robot -------------------------------------------------------------
+# ---- Well-formed XML, but not a valid robot ------------------------------------------------
 
 ELEMENT_PROBLEMS = [
-    # xacro that nobody ran
+    # unprocessed xacro
     (
         [('<link name="base"/>', '<xacro:property name="h" value="1"/><link name="base"/>')],
         'line 3: unprocessed xacro element <xacro:property>; run xacro first',
@@ -439,7 +439,7 @@ ELEMENT_PROBLEMS = [
     # mimic
     (
         [(J2_AXIS, J2_AXIS + '<mimic joint="nope"/>')],
-        "line 28: joint 'j2' mimics unknown joint 'nope'; joints are j1, j2, jf",
+        "line 28: joint 'j2' mimic: joint 'nope' does not exist; joints are j1, j2, jf",
     ),
     ([(J2_AXIS, J2_AXIS + '<mimic joint="j2"/>')], "joint 'j2' mimics itself"),
     ([(J2_AXIS, J2_AXIS + '<mimic joint="jf"/>')], "joint 'j2' mimics 'jf' of type fixed"),
@@ -501,16 +501,16 @@ def test_one_mistake_gives_one_problem(edits):
     assert len(problems_of(edited(*edits))) == 1
 
 
-def test_robot_with_one_link_has_nothing_to_command():
+def test_single_link_without_joints_is_rejected():
     problems = problems_of('<robot name="r"><link name="base"/></robot>')
     assert problems == ('the robot has one link and no joints: nothing to command',)
 
 
-def test_robot_without_links():
+def test_robot_without_links_is_rejected():
     assert problems_of('<robot name="r"/>') == ('the robot has no links',)
 
 
-def test_all_problems_are_told_in_file_order():
+def test_all_problems_are_listed_in_file_order():
     text = edited(
         ('</robot>', link('island') + '</robot>'),
         (J2_LIMIT, '<limit lower="1" upper="-1" effort="-1" velocity="x"/>'),
@@ -529,12 +529,12 @@ def test_all_problems_are_told_in_file_order():
     )
 
 
-def test_broken_references_stand_among_the_others():
+def test_broken_references_are_listed_in_file_order():
     text = edited(('<child link="l1"/>', '<child link="nope"/>'), ('"jf"', '"j1"'))
     assert [problem.partition(':')[0] for problem in problems_of(text)] == ['line 20', 'line 32']
 
 
-def test_long_lists_and_long_values_are_cut():
+def test_long_lists_and_long_values_are_shortened():
     text = edited(
         ('<link name="l3"/>', '<link name="l3"/>' + ''.join(link(f'x{i}') for i in range(50))),
         ('<parent link="l1"/>', '<parent link="nope"/>'),
@@ -545,13 +545,13 @@ def test_long_lists_and_long_values_are_cut():
     assert max(map(len, problems)) < 300
 
 
-def test_line_numbers_beyond_what_libxml2_counts_are_left_out():
+def test_line_numbers_above_the_limit_of_libxml2_are_omitted():
     text = edited((L1_MASS, '<mass value="-1"/>')).replace('<link name="l1">', '\n' * 70000, 1)
     text = text.replace('<inertial>', '<link name="l1"><inertial>', 1)
     assert problems_of(text) == ("link 'l1' inertial: mass -1 is negative",)
 
 
-# ---- What must load ------------------------------------------------------------------------
+# ---- Descriptions that must load -----------------------------------------------------------
 
 VISUAL = '<link name="l3"><visual>{}</visual><collision>{}</collision></link>'
 STILL_LOADS = {
@@ -605,7 +605,7 @@ STILL_LOADS = {
 
 
 @pytest.mark.parametrize('edit', STILL_LOADS.values(), ids=STILL_LOADS.keys())
-def test_still_loads(edit):
+def test_irrelevant_elements_do_not_prevent_loading(edit):
     robot, good = load_urdf(edited(edit)), load_urdf(GOOD)
     assert all('treated as massless' in warning.text for warning in robot.warnings)
     np.testing.assert_array_equal(robot.p_PL, good.p_PL)
@@ -624,7 +624,7 @@ def test_still_loads(edit):
     ],
     ids=['BOM', 'UTF-16', 'UTF-16 declared', 'Latin-1', 'no declaration', 'CRLF'],
 )
-def test_encodings(tmp_path, data):
+def test_encodings_are_recognised(tmp_path, data):
     path = tmp_path / 'encoded.urdf'
     path.write_bytes(data)
     robot = load_urdf(path)
@@ -633,7 +633,7 @@ def test_encodings(tmp_path, data):
 
 
 @pytest.mark.parametrize('encoding', ['utf-8', 'iso-8859-1', 'utf-16'])
-def test_names_beyond_ascii(tmp_path, encoding):
+def test_names_may_contain_non_ascii_letters(tmp_path, encoding):
     text = edited(('?>', f' encoding="{encoding}"?>'), ('"j1"', '"pivô"'), ('"jf"', '"é &amp; à"'))
     path = tmp_path / 'names.urdf'
     path.write_bytes(text.encode(encoding))
@@ -657,8 +657,8 @@ def chain(count):
     return f'<robot name="chain"><link name="l0"/>{links}{joints}</robot>'
 
 
-def test_chain_of_1500_joints_that_mimic_each_other():
-    load_urdf(GOOD)  # pays for the imports
+def test_chain_of_1500_mimic_joints_loads_quickly():
+    load_urdf(GOOD)  # so that imports are not timed
     started = time.process_time()
     robot = load_urdf(chain(1500))
     assert time.process_time() - started < 3.0  # 0.5 s on an idle machine
@@ -744,12 +744,12 @@ def test_odd_descriptions_have_one_warning_with_a_hint(edits, words):
     assert robot.warnings[0].hint
 
 
-def test_rounded_inertia_of_a_plate_is_not_warned_of():
+def test_rounded_inertia_of_a_plate_is_not_reported():
     plate = L1_INERTIA.replace('0.01"', '0.040001"')  # 0.02 + 0.02, and a digit of rounding
     assert load_urdf(edited((L1_INERTIA, plate))).warnings == ()
 
 
-def test_joint_that_moves_no_mass():
+def test_joint_that_moves_no_mass_is_reported():
     text = edited(
         ('type="fixed"', 'type="continuous"'),
         ('<child link="l3"/>', '<child link="l3"/><axis xyz="0 0 1"/>'),
@@ -758,7 +758,7 @@ def test_joint_that_moves_no_mass():
     assert str(warning) == "joint 'jf': moves no mass: its gravity effort is always zero"
 
 
-def test_robot_that_moves_no_mass():
+def test_robot_that_moves_no_mass_is_reported_once():
     text = '\n'.join(
         [*GOOD.splitlines()[:4], '</link>', '<link name="l2"/>', *GOOD.splitlines()[16:]]
     )
@@ -766,24 +766,24 @@ def test_robot_that_moves_no_mass():
     assert str(warning) == 'no joint moves any mass: every gravity effort is zero'
 
 
-def test_robot_that_cannot_move():
+def test_robot_without_movable_joints_loads_with_a_warning():
     robot = load_urdf(NOTHING_MOVES)
     assert robot.joint_names == ()
     (warning,) = robot.warnings
     assert str(warning) == 'no joint can move: there is no effort to compute'
 
 
-def test_warnings_come_in_file_order():
+def test_warnings_are_in_file_order():
     text = edited((J2_AXIS, ''), (L1_MASS, '<mass value="0"/>'), ('upper="1"', 'upper="99"'))
     assert [warning.line for warning in load_urdf(text).warnings] == [5, 22, 24]
 
 
-def test_odd_declaration_keeps_line_numbers():
+def test_invalid_declaration_keeps_line_numbers():
     text = edited(('<?xml version="1.0"?>', '\n\n<?xml?>'), (L1_MASS, '<mass value="-1"/>'))
     assert problems_of(text) == ("line 9: link 'l1' inertial: mass -1 is negative",)
 
 
-def test_odd_declaration_keeps_its_encoding(tmp_path):
+def test_encoding_of_an_invalid_declaration_is_used(tmp_path):
     path = tmp_path / 'odd.urdf'
     path.write_bytes(
         edited(('"1.0"?>', '"0.0" encoding="iso-8859-1"?>'), ('"j1"', '"pivô"')).encode('latin-1')
@@ -797,7 +797,7 @@ def test_undeclared_prefix_beside_another_error_is_an_error():
 
 
 @pytest.mark.parametrize('version', ['1.0', '1.1', '1.2'])
-def test_versions_that_are_read(version):
+def test_supported_versions_load_without_a_warning(version):
     assert load_urdf(edited((NAME, f'{NAME} version="{version}"'))).warnings == ()
 
 
@@ -813,7 +813,7 @@ def test_versions_that_are_read(version):
         (0.7, math.pi / 2 - 1e-9, -0.2),
     ],
 )
-def test_quaternion_is_the_rotation_that_rpy_would_be(rpy, scale):
+def test_quaternion_and_rpy_of_one_rotation_load_the_same_robot(rpy, scale):
     def robot_with(rotation, *edits):
         return load_urdf(
             edited(
@@ -848,7 +848,7 @@ def test_axis_too_large_for_its_square_is_normalised():
 
 
 @pytest.mark.parametrize('path', OUR_ROBOTS, ids=lambda path: path.stem)
-def test_our_robots_load_with_the_warnings_they_are_made_for(path):
+def test_robots_of_the_tests_load_with_their_intended_warnings(path):
     words = {'fixed_chain': 'zero mass with inertia', 'skew_axes': 'normalised'}.get(path.stem)
     robot = load_urdf(path)
     assert bool(robot.warnings) == (words is not None)
@@ -869,7 +869,7 @@ SHAPED = """
 </robot>"""
 
 
-def test_a_shape_without_mass_is_told_or_refused():
+def test_link_with_a_shape_but_no_mass_is_a_warning_or_an_error():
     words = "line 6: link 'finger': has a shape but no <inertial>; it is treated as massless"
     (warning,) = load_urdf(SHAPED).warnings
     assert str(warning) == words

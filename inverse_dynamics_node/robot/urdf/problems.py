@@ -1,4 +1,4 @@
-"""Errors and warnings found in a URDF, and the words that their messages share."""
+"""Errors and warnings found in a URDF, and common parts of their messages."""
 
 from __future__ import annotations
 

@@ -92,8 +92,7 @@ def check_mimic(
     if master is None or is_xacro(master):
         return
     if master not in joints:
-        text = f"{where} mimics unknown joint '{master}'; joints are {listed(joints)}"
-        problems.error(mimic, text)
+        problems.error(mimic, f'{where} mimic: {unknown_name("joint", master, joints)}')
     elif master == joint.get('name'):
         problems.error(mimic, f'{where} mimics itself')
     elif joints[master].get('type') == 'fixed':
