@@ -1,4 +1,4 @@
-"""What a command prints: tables with colours on a terminal, plain text anywhere else."""
+"""Prints results: in colours on a terminal, as plain text anywhere else."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def show(*tables: Table) -> None:
         if terminal is None:
             print(as_text(table, whole_names=not sys.stdout.isatty()), end='\n\n')
         else:
-            # Lines that are longer than the terminal is wide wrap.
+            # Lines longer than the width of the terminal wrap.
             _print_in_colour(terminal, table_lines(table, terminal.width), soft_wrap=True)
             terminal.print()
 
@@ -50,7 +50,7 @@ def say(text: str) -> None:
 
 @contextmanager
 def waiting(label: str) -> Iterator[None]:
-    """Show that something is going on, where somebody looks on."""
+    """Show a spinner on a terminal while the body runs."""
     terminal = _terminal(stderr=True)
     if terminal is None:
         yield
@@ -61,27 +61,27 @@ def waiting(label: str) -> Iterator[None]:
 
 @contextmanager
 def progress(label: str) -> Iterator[Callable[[float], None]]:
-    """Show how far something is, where somebody looks on; what it yields takes the share done."""
+    """Show a progress bar on a terminal; yield a function that sets the fraction done."""
     terminal = _terminal(stderr=True)
     if terminal is None:
-        yield lambda share: None
+        yield lambda fraction: None
         return
     from rich.progress import Progress
 
     with Progress(console=terminal, transient=True) as bar:
         task = bar.add_task(label, total=1.0)
-        yield lambda share: bar.update(task, completed=share)
+        yield lambda fraction: bar.update(task, completed=fraction)
 
 
 def _terminal(stderr: bool = False) -> Any:
-    """Return a rich console on a terminal; None for a pipe, a file, or where rich is not here."""
+    """Return a rich console; None for a pipe or a file, or if rich is not installed."""
     if not (sys.stderr if stderr else sys.stdout).isatty():
         return None
     try:
         from rich.console import Console
     except ModuleNotFoundError:
         return None
-    return Console(stderr=stderr, highlight=False)  # minds NO_COLOR by itself
+    return Console(stderr=stderr, highlight=False)  # respects NO_COLOR
 
 
 def _print_in_colour(terminal: Any, lines: Iterable[Line], soft_wrap: bool = False) -> None:

@@ -22,11 +22,11 @@ examples:
   inverse_dynamics demo my_arm.urdf --friction --record run
   inverse_dynamics compare my_arm.urdf run
 
-exit code: 0 it went as it should; 1 it did not, or cannot be done; 2 wrong arguments."""
+exit code: 0 passed; 1 failed, or cannot be run; 2 invalid arguments."""
 
 
 def add_parser(subparsers: Any) -> None:
-    """List the command; it parses its own arguments."""
+    """Add the command to the list; it parses its own arguments."""
     parser: argparse.ArgumentParser = subparsers.add_parser(
         'demo', help='run the node on a simulated robot (needs ROS 2 and MuJoCo)', add_help=False
     )
@@ -58,7 +58,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _new_folder(text: str) -> Path:
     if Path(text).exists():
-        raise argparse.ArgumentTypeError(f'{text}: exists already')
+        raise argparse.ArgumentTypeError(f'{text}: already exists')
     return output_path(text)
 
 
@@ -67,38 +67,58 @@ def _parse(arguments: list[str] | None) -> argparse.Namespace:
 
     parser = argparse.ArgumentParser(
         prog='inverse_dynamics demo',
-        description='Run the node on a simulated robot, let something happen, and judge it.',
+        description='Run the node on a simulated robot in a scenario, and check the result.',
         epilog='scenarios:\n'
         + '\n'.join(f'  {name:12} {value.summary}' for name, value in SCENARIOS.items())
         + EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument('urdf', type=Path, help='the robot description')
-    parser.add_argument('--scenario', choices=SCENARIOS, default='track', help='see below')
-    parser.add_argument('--rate', type=float, default=500.0, help='of joint states [Hz]')
-    parser.add_argument('--duration', type=float, default=15.0, help='of it all [s]')
+    parser.add_argument(
+        '--scenario', choices=SCENARIOS, default='track', help='see below (default: %(default)s)'
+    )
+    parser.add_argument(
+        '--rate',
+        type=float,
+        default=500.0,
+        help='rate of joint states [Hz] (default: %(default)g)',
+    )
+    parser.add_argument(
+        '--duration',
+        type=float,
+        default=15.0,
+        help='duration of the run [s] (default: %(default)g)',
+    )
     parser.add_argument(
         '--domain',
         type=int,
         metavar='ID',
-        help='ROS domain, from 0 to 232; without it, one that no other process on this machine '
-        'uses, whatever ROS_DOMAIN_ID is',
+        help='ROS domain, from 0 to 232 (default: one that no other process on this machine uses; '
+        'ROS_DOMAIN_ID is ignored)',
     )
     parser.add_argument(
-        '--link', default='', help='what is loaded or pushed; without it, what will do'
+        '--link', default='', help='link that is loaded or pushed (default: one that is suitable)'
     )
     parser.add_argument(
         '--friction',
         action='store_true',
-        help='give the simulated joints the friction of the URDF, and have the node overcome it: '
-        'well where it is viscous, while Coulomb friction holds a joint at rest off its place',
-    )
-    parser.add_argument('--picture', type=picture_path, metavar='FILE', help='draw what happened')
-    parser.add_argument(
-        '--record', type=_new_folder, metavar='FOLDER', help='write a bag that ROS 2 tools read'
+        help='simulate the friction of the URDF, and let the node compensate it; Coulomb friction '
+        'may hold a joint at rest away from its reference',
     )
     parser.add_argument(
-        '--storage', choices=('mcap', 'sqlite3'), default='mcap', help='of the bag'
+        '--picture',
+        type=picture_path,
+        metavar='FILE',
+        help='file for a picture: .png, .svg or .pdf',
+    )
+    parser.add_argument(
+        '--record', type=_new_folder, metavar='FOLDER', help='folder for a rosbag2 recording'
+    )
+    parser.add_argument(
+        '--storage',
+        choices=('mcap', 'sqlite3'),
+        default='mcap',
+        help='storage of the recording (default: %(default)s)',
     )
     options = parser.parse_args(arguments)
     least = SCENARIOS[options.scenario].least_duration

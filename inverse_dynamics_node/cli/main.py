@@ -1,4 +1,4 @@
-"""`inverse_dynamics COMMAND ...`: the commands, and what becomes of their errors."""
+"""The entry point `inverse_dynamics COMMAND ...`; prints errors in one line."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import sys
 from ..errors import InverseDynamicsError
 
 COMMANDS = ('check', 'effort', 'compare', 'demo')
-"""Modules here. Each has add_parser(subparsers), which sets `run`: from options to exit code."""
+"""Modules of this package; add_parser(subparsers) sets `run`, which returns the exit code."""
 
 EPILOG = """\
 examples:
@@ -34,7 +34,7 @@ _ADVICE = {
     'demo': f"{_HERE} '.[demo]'",
     'ros': f"source an installed ROS 2, or {_HERE} '.[ros,demo]'",
 }
-_INTERRUPTED, _BROKEN_PIPE = 130, 141  # what a shell says of SIGINT and SIGPIPE
+_INTERRUPTED, _BROKEN_PIPE = 130, 141  # as a shell reports SIGINT and SIGPIPE
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return _INTERRUPTED
     except BrokenPipeError:
-        # What is still to be flushed at exit goes nowhere, quietly.
+        # Prevents an error message when Python flushes the output at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _BROKEN_PIPE
     except ModuleNotFoundError as error:
@@ -63,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: list[str]) -> int:
-    if arguments[:1] == ['demo']:  # whose arguments are its own, --help too
+    if arguments[:1] == ['demo']:  # parses its own arguments, including --help
         from .demo import main as run_demo
 
         return run_demo(arguments[1:])
@@ -75,13 +75,13 @@ def _run(arguments: list[str]) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog='inverse_dynamics',
-        description='See what a robot description says of a robot, and what its joints must give.',
+        description='Check robot descriptions, and compute the efforts that motions require.',
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     subparsers = parser.add_subparsers(title='commands', metavar='COMMAND', required=True)
     for command in COMMANDS:
-        # Here, for it takes most of a second: an interrupt in it is to end quietly too.
+        # Imported here: this takes most of a second, and an interrupt must end it cleanly.
         import_module(f'.{command}', __package__).add_parser(subparsers)
     return parser
 

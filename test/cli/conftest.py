@@ -1,11 +1,11 @@
-"""What the tests of the commands share: a place to write to, and what a picture is."""
+"""Fixtures for the tests of the commands: a working directory, and the size of a picture."""
 
 import pytest
 
 
 @pytest.fixture(autouse=True)
 def here(tmp_path, monkeypatch):
-    """Commands write where they are started; they need what the extra `cli` brings."""
+    """Run in a temporary directory; skip without the dependencies of the extra `cli`."""
     for package in ('matplotlib', 'rosbags', 'yaml'):
         pytest.importorskip(package)
     monkeypatch.chdir(tmp_path)

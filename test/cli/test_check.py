@@ -1,4 +1,4 @@
-"""The command `check`, run as people run it."""
+"""The command `check`."""
 
 import io
 import sys
@@ -10,7 +10,7 @@ from robot_files import NOTHING_MOVES, real_robots, ROOT, STANFORD
 ROBOTS = ROOT / 'test' / 'robots'
 
 
-def test_tells_what_the_arm_can_hold_and_draws_it(tmp_path, capsys, size_of):
+def test_reports_the_payload_capacity_and_draws_the_arm(tmp_path, capsys, size_of):
     assert main(['check', str(STANFORD)]) == 0
     output = capsys.readouterr().out
     assert "robot 'stanford'" in output
@@ -37,7 +37,7 @@ def test_draws_a_humanoid(tmp_path, size_of):
     assert size_of(tmp_path / 'p.png')[1] >= 900
 
 
-def test_without_limits_it_draws_and_warns(tmp_path, capsys):
+def test_draws_and_warns_without_limits(tmp_path, capsys):
     urdf = tmp_path / 'lift.urdf'
     text = (ROBOTS / 'pendulum.urdf').read_text()
     urdf.write_text(text.replace('effort="10"', 'effort="0"'))
@@ -57,14 +57,14 @@ def test_gravity_beyond_a_limit_is_a_warning(tmp_path, capsys):
     assert 'none, gravity alone exceeds a limit' in output
 
 
-def test_gravity_may_point_elsewhere(capsys):
+def test_gravity_can_be_set(capsys):
     assert main(['check', str(STANFORD), '--no-picture', '--gravity', '0', '0', '0']) == 0
     output = capsys.readouterr().out
     assert 'gravity: 0 0 0 m/s^2' in output
     assert 'unlimited, as it loads no joint with an effort limit' in output
 
 
-def test_long_names_are_whole_in_a_pipe_and_poses_are_offered_as_a_file(tmp_path, capsys):
+def test_long_names_are_not_shortened_in_a_pipe(tmp_path, capsys):
     names = {
         f'joint_{i}': f'the_joint_number_{i}_of_the_arm_on_the_left_side' for i in range(1, 7)
     }
@@ -109,7 +109,7 @@ def test_reads_standard_input(tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().err == 'inverse_dynamics: standard input: is not XML\n'
 
 
-def test_a_robot_that_cannot_move_is_reported_all_the_same(tmp_path, capsys):
+def test_a_robot_without_movable_joints_is_reported(tmp_path, capsys):
     urdf = tmp_path / 'bolt.urdf'
     urdf.write_text(NOTHING_MOVES)
     assert main(['check', str(urdf)]) == 0

@@ -1,4 +1,4 @@
-"""The command `compare` on recordings of the simulated robot, run as people run it."""
+"""The command `compare` on recordings of the simulated robot."""
 
 import io
 import re
@@ -63,7 +63,7 @@ def test_finds_the_friction_of_the_simulated_robot(recorded, storage, here, caps
     assert 600 <= height <= 1000
 
 
-def test_names_a_joint_whose_sign_is_swapped(recorded, here, capsys):
+def test_finds_a_swapped_sign(recorded, here, capsys):
     column = recorded.joint_names.index('joint_3')
     write_bag(
         here / 'run',
@@ -75,7 +75,7 @@ def test_names_a_joint_whose_sign_is_swapped(recorded, here, capsys):
     assert '1 warning\n' in output
 
 
-def test_names_currents(recorded, here, capsys):
+def test_finds_currents(recorded, here, capsys):
     write_bag(here / 'run', with_efforts(recorded, lambda tau: np.multiply(tau, FACTORS, tau)))
     assert compare('run', '--no-picture') == 0
     output = capsys.readouterr().out
@@ -84,7 +84,7 @@ def test_names_currents(recorded, here, capsys):
     assert 'joint_2 0.0' in ' '.join(output.split())
 
 
-def test_names_a_payload_and_it_is_gone_when_it_is_told(here, capsys):
+def test_finds_a_payload_and_nothing_once_it_is_passed(here, capsys):
     write_bag(here / 'run', simulate_with_a_gripper())
     assert compare('run', '--no-picture') == 0
     output = capsys.readouterr().out
@@ -97,7 +97,7 @@ def test_names_a_payload_and_it_is_gone_when_it_is_told(here, capsys):
     assert 'warning' not in capsys.readouterr().out
 
 
-def test_gravity_that_the_driver_compensates_is_named_and_gone_without(here, capsys):
+def test_finds_compensated_gravity_and_nothing_with_zero_gravity(here, capsys):
     dynamics, recording = made_up('seven_dof', rate=200.0, friction=(1.0, 1.0))
     lacking = recording.efforts - dynamics.gravity_efforts(recording.positions)
     write_csv(here / 'run.csv', recording._replace(efforts=lacking))
@@ -112,7 +112,7 @@ def test_gravity_that_the_driver_compensates_is_named_and_gone_without(here, cap
     assert main([*arguments, '--gravity', '0', '0', '0']) == 0
 
 
-def test_friction_of_the_urdf_counts_when_asked_for(here, capsys):
+def test_friction_option_includes_the_friction_of_the_urdf(here, capsys):
     dynamics, recording = made_up('seven_dof', rate=200.0)
     dynamics.set_friction()
     efforts = (
@@ -123,15 +123,15 @@ def test_friction_of_the_urdf_counts_when_asked_for(here, capsys):
     )
     write_csv(here / 'run.csv', recording._replace(efforts=efforts))
     urdf = ROOT / 'test' / 'robots' / 'seven_dof.urdf'
-    shares = []
+    explained = []
     for options in ([], ['--friction']):
         assert main(['compare', str(urdf), 'run.csv', '--no-picture', *options]) == 0
-        shares.append(float(capsys.readouterr().out.split()[3].strip('>%')))
-    assert shares[1] > shares[0]
-    assert shares[1] > 99.5
+        explained.append(float(capsys.readouterr().out.split()[3].strip('>%')))
+    assert explained[1] > explained[0]
+    assert explained[1] > 99.5
 
 
-def test_every_count_of_joints_can_be_drawn(here, size_of):
+def test_draws_many_joints(here, size_of):
     urdf = here / 'chain.urdf'
     links = ''.join(
         f'<link name="l{i}"><inertial><origin xyz="0 0 0.1"/><mass value="0.5"/><inertia '
@@ -157,7 +157,7 @@ def test_every_count_of_joints_can_be_drawn(here, size_of):
     assert height <= 1800
 
 
-def test_positions_in_degrees_are_warned_of(short, here, capsys):
+def test_warns_about_positions_in_degrees(short, here, capsys):
     positions = np.degrees(short.positions)
     write_csv(here / 'run.csv', short._replace(positions=positions))
     assert compare('run.csv', '--no-picture', '--strict') == 3
@@ -180,20 +180,20 @@ def short(recorded):
 
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
-def test_bags_and_their_files_and_tables_read_alike(short, storage, here):
+def test_bags_their_files_and_csv_give_the_same_recording(short, storage, here):
     write_bag(here / 'run', short, storage)
     write_csv(here / 'run.csv', short)
     suffix = {'mcap': 'mcap', 'sqlite3': 'db3'}[storage]
-    told = []
+    fractions = []
     for path in ('run', f'run/run.{suffix}', 'run.csv'):
-        found, notes = read_measured_states(here / path, JOINTS, progress=told.append)
+        found, notes = read_measured_states(here / path, JOINTS, progress=fractions.append)
         assert notes == ()
         assert found.joint_names == JOINTS
         assert found.times == pytest.approx(short.times - short.times[0], abs=2e-9)
         order = [short.joint_names.index(name) for name in JOINTS]
         for field in ('positions', 'velocities', 'efforts'):
             assert getattr(found, field) == pytest.approx(getattr(short, field)[:, order])
-    assert told[-1] == 1.0
+    assert fractions[-1] == 1.0
 
 
 def test_finds_the_topic_that_has_efforts(short, here, capsys):
@@ -226,7 +226,7 @@ def test_part_of_a_recording_can_be_chosen(short, here, capsys):
     assert 'nothing was recorded from 7 s' in capsys.readouterr().err
 
 
-def test_other_joints_and_missing_ones_are_told(short, here, capsys):
+def test_unknown_and_missing_joints_are_reported(short, here, capsys):
     names = ('finger', *short.joint_names[1:])
     write_csv(here / 'run.csv', short._replace(joint_names=names))
     assert compare('run.csv', '--no-picture') == 0
@@ -236,7 +236,7 @@ def test_other_joints_and_missing_ones_are_told(short, here, capsys):
 
 
 def broken(short, here, how):
-    """Write a recording that something is wrong with; return its path."""
+    """Write an invalid recording; return its path."""
     path = here / 'run.csv'
     if how == 'names':
         write_csv(path, short._replace(joint_names=tuple('abcdef')))
@@ -323,13 +323,13 @@ def test_errors_are_one_line(short, here, how, words, capsys):
         (['--topic', '/joint_states'], 'a CSV file has no topic'),
     ],
 )
-def test_settings_that_do_not_fit_are_told(short, here, arguments, words, capsys):
+def test_invalid_settings_are_reported(short, here, arguments, words, capsys):
     write_csv(here / 'run.csv', short)
     assert compare('run.csv', '--no-picture', *arguments) == 1
     assert words in capsys.readouterr().err
 
 
-def test_the_node_takes_the_parameters(recorded, here):
+def test_the_node_accepts_the_parameters(recorded, here):
     parameters_of_node = pytest.importorskip('inverse_dynamics_node.node.parameters').PARAMETERS
     write_csv(here / 'run.csv', recorded)
     assert compare('run.csv', '--no-picture', '--parameters', 'friction.yaml') == 0

@@ -75,7 +75,7 @@ def read(path, topic=None):
 # ---- The command ---------------------------------------------------------------------------
 
 
-def test_tells_peaks_and_writes_table_and_picture(tmp_path, write, capsys, size_of):
+def test_reports_peaks_and_writes_table_and_picture(tmp_path, write, capsys, size_of):
     assert main(['effort', str(STANFORD), str(write(LISTS))]) == 0
     output = capsys.readouterr().out
     assert '3 points in 1 s, 2 joints; evaluated at 201 states' in output
@@ -93,7 +93,7 @@ def test_tells_peaks_and_writes_table_and_picture(tmp_path, write, capsys, size_
     assert effort == pytest.approx(dynamics.efforts(*state)[1], rel=1e-6)
 
 
-def test_what_it_writes_it_reads_and_says_the_same(tmp_path, write, capsys):
+def test_written_files_give_the_same_report(tmp_path, write, capsys):
     options = ['--no-picture', '--payload', '1.5,0,0,0.1', '--trajectory-out', 'out.yaml']
     peaks = []
     for path in (write(LISTS), 'out.yaml', 'out_efforts.csv'):
@@ -130,7 +130,7 @@ def test_trajectory_out_fills_a_message_of_ros(tmp_path, write):
     points = fields.pop('points')
     for point in points:
         point['time_from_start'] = Duration(**point['time_from_start'])
-    # Checks the types of all that it is given.
+    # The constructor checks the types of all fields.
     message = JointTrajectory(points=[JointTrajectoryPoint(**each) for each in points], **fields)
     assert len(message.points[1].effort) == 2
 
@@ -145,7 +145,7 @@ def test_strict_fails_beyond_a_limit(write, capsys):
     assert main(['effort', str(STANFORD), slow, '--no-picture', '--strict']) == 0
 
 
-def test_positions_in_degrees_are_warned_of(write, capsys):
+def test_warns_about_positions_in_degrees(write, capsys):
     degrees = LISTS.replace('[-1.0, 0.4], [-1.5', '[-57.3, 0.4], [-70').replace('[-1.0', '[-57.3')
     assert main(['effort', str(STANFORD), str(write(degrees)), '--no-picture']) == 0
     output = capsys.readouterr().out
@@ -162,7 +162,7 @@ def test_the_link_of_the_payload_is_named(write, capsys):
         assert f"payload 2 kg on link '{link}'; " in capsys.readouterr().out
 
 
-def test_payload_and_friction_count(tmp_path, write, capsys):
+def test_payload_friction_and_positions_change_the_result(tmp_path, write, capsys):
     urdf = tmp_path / 'rubbing.urdf'
     text = STANFORD.read_text()
     urdf.write_text(text.replace('<limit', '<dynamics damping="5"/><limit'))
@@ -174,7 +174,7 @@ def test_payload_and_friction_count(tmp_path, write, capsys):
 
 
 @pytest.mark.parametrize('count', [1, 12, 30])
-def test_draws_however_many_joints(tmp_path, write, size_of, count):
+def test_draws_any_number_of_joints(tmp_path, write, size_of, count):
     links = ''.join(
         f'<link name="l{i}"><inertial><mass value="1"/><origin xyz="0.1 0 0"/><inertia ixx="0.1" '
         'ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial></link>'
@@ -213,7 +213,7 @@ def test_arguments_are_checked(write, options):
         (['--at', 'joint_9=1'], "joint 'joint_9' does not exist"),
     ],
 )
-def test_what_does_not_fit_the_robot_is_told(write, capsys, options, words):
+def test_arguments_that_do_not_fit_the_robot_are_reported(write, capsys, options, words):
     assert main(['effort', str(STANFORD), str(write(LISTS)), *options]) == 1
     assert words in capsys.readouterr().err
 
@@ -221,7 +221,7 @@ def test_what_does_not_fit_the_robot_is_told(write, capsys, options, words):
 # ---- YAML ----------------------------------------------------------------------------------
 
 
-def test_reads_what_ros2_topic_echo_prints(write):
+def test_reads_output_of_ros2_topic_echo(write):
     trajectory, notes = read(write(ECHO))
     assert trajectory.joint_names == ('joint_2', 'joint_3')
     assert trajectory.times.tolist() == [0.0, 1.5]
@@ -237,7 +237,7 @@ def test_reads_goals_and_answers_that_hold_a_trajectory(write):
     assert len(read(write(f'joint_trajectory:\n    {inner}')).trajectory.times) == 2
 
 
-def test_takes_the_first_of_several_and_says_so(write):
+def test_reads_the_first_of_several_trajectories(write):
     assert read(write(ECHO + ECHO)).notes == ('the first of 2 trajectories',)
 
 
@@ -263,7 +263,7 @@ def test_derivatives_of_some_points_only_are_not_used(write):
         (LISTS.replace('[joint_2, joint_3]', 'joint_2'), 'expected a list of names'),
     ],
 )  # fmt: skip
-def test_yaml_that_is_no_trajectory_is_refused(write, text, words):
+def test_invalid_yaml_is_rejected(write, text, words):
     path = write(text)
     with pytest.raises(TrajectoryError, match=words) as error:
         read(path)
@@ -285,7 +285,7 @@ def test_reads_csv_by_its_header(write):
     assert notes == ('columns not used: note',)
 
 
-def test_positions_may_be_called_so(write):
+def test_reads_columns_with_the_suffix_position(write):
     trajectory, notes = read(write('time,joint_1.position,joint_1.effort\n0,1,2\n', 'a.csv'))
     assert trajectory.positions.tolist() == [[1.0]]
     assert notes == ('columns not used: joint_1.effort',)
@@ -313,12 +313,12 @@ def test_positions_may_be_called_so(write):
         ('time,joint_1\n0,one\n', "line 2, column 'joint_1': 'one' is not a number"),
     ],
 )
-def test_csv_that_is_no_trajectory_is_refused(write, text, words):
+def test_invalid_csv_is_rejected(write, text, words):
     with pytest.raises(TrajectoryError, match=words):
         read(write(text, 'a.csv'))
 
 
-def test_empty_or_backward_trajectories_are_refused(write, capsys):
+def test_empty_or_backward_trajectories_are_rejected(write, capsys):
     assert main(['effort', str(STANFORD), str(write('time,joint_1\n', 'a.csv'))]) == 1
     assert 'no points' in capsys.readouterr().err
     text = 'time,joint_1\n1,0\n0,0\n'
@@ -443,7 +443,7 @@ def test_measured_states_may_be_smoothed(record, rng, capsys):
     assert peaks[1] < 0.7 * peaks[0]
 
 
-def test_asks_which_topic(record):
+def test_several_topics_without_the_default_one_are_an_error(record):
     def messages(recording):
         for name in ('left', 'right'):
             recording.write(f'/{name}/joint_states', recording.state(1.0, {'joint_1': 0.0}), 1.0)
@@ -456,7 +456,7 @@ def test_asks_which_topic(record):
         read(bag, '/up')
 
 
-def test_of_several_topics_the_usual_one_is_taken(record):
+def test_joint_states_is_the_default_of_several_topics(record):
     def messages(recording):
         for k, name in enumerate(('/joint_states', '/node/joint_efforts')):
             recording.write(name, recording.state(1.0, {'joint_1': float(k)}), 1.0)
@@ -465,7 +465,7 @@ def test_of_several_topics_the_usual_one_is_taken(record):
 
 
 def stream_references(recording):
-    """Record what a run of the demo does: references of one point, and joint states."""
+    """Record references with one point and joint states, as in a run of the demo."""
     for k in range(5):
         point = recording.trajectory([0.0], [[-0.01 * k, 0.4]])
         recording.write('/node/reference', point, 1.0 + 0.1 * k)
@@ -473,7 +473,7 @@ def stream_references(recording):
         recording.write('/joint_states', recording.state(1.0 + 0.1 * k, positions), 1.0 + 0.1 * k)
 
 
-def test_a_stream_of_single_points_gives_way_to_the_joint_states(record, capsys):
+def test_joint_states_are_preferred_to_single_points(record, capsys):
     bag = record(stream_references)
     trajectory, notes = read(bag)
     assert len(trajectory.times) == 5
@@ -487,7 +487,7 @@ def test_a_stream_of_single_points_gives_way_to_the_joint_states(record, capsys)
     assert 'a single point; --topic may be one of /joint_states' in output
 
 
-def test_the_longest_trajectory_is_taken_and_the_others_are_named(record):
+def test_reads_the_longest_trajectory_and_lists_the_others(record):
     def messages(recording):
         stream_references(recording)
         for k, count in enumerate((2, 4, 3)):
@@ -503,7 +503,7 @@ def test_the_longest_trajectory_is_taken_and_the_others_are_named(record):
     )
 
 
-def test_recordings_without_a_trajectory_are_refused(record):
+def test_recordings_without_a_trajectory_are_rejected(record):
     def messages(recording):
         recording.write('/joint_states', recording.state(1.0, {'wheel': 0.0}), 1.0)
 
@@ -511,7 +511,7 @@ def test_recordings_without_a_trajectory_are_refused(record):
         read(record(messages))
 
 
-def test_what_is_no_recording_is_refused(tmp_path, capsys):
+def test_invalid_recordings_are_rejected(tmp_path, capsys):
     (tmp_path / 'empty').mkdir()
     (tmp_path / 'noise.mcap').write_bytes(b'noise')
     (tmp_path / 'noise.db3').write_bytes(b'noise')
@@ -524,7 +524,7 @@ def test_what_is_no_recording_is_refused(tmp_path, capsys):
         assert len(error.splitlines()) == 1
 
 
-def test_the_example_of_the_help_is_one(write, capsys):
+def test_the_example_of_the_help_can_be_read(write, capsys):
     with pytest.raises(SystemExit):
         main(['effort', '--help'])
     text = capsys.readouterr().out.split('Or plain lists:\n')[1].split('  .csv')[0]

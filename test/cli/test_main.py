@@ -1,4 +1,4 @@
-"""What all commands share: help, errors, signals, pipes."""
+"""Behaviour that all commands have in common: help, errors, signals, pipes."""
 
 import os
 import signal
@@ -18,7 +18,7 @@ def test_usage_errors_exit_with_2(arguments):
     assert exit_.value.code == 2
 
 
-def test_help_teaches(capsys):
+def test_help_shows_examples(capsys):
     for arguments in (['--help'], ['check', '--help']):
         with pytest.raises(SystemExit) as exit_:
             main(arguments)
@@ -97,7 +97,7 @@ def test_runs_as_a_process_without_colours_in_a_pipe():
     assert 'payload left' in result.stdout.lower()
 
 
-def test_a_reader_that_leaves_early_is_no_error():
+def test_a_closed_pipe_is_not_an_error():
     process = subprocess.Popen(
         COMMAND, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
@@ -115,7 +115,7 @@ def test_an_interrupt_ends_quietly(tmp_path):
         env=ENVIRONMENT,
         stderr=subprocess.PIPE,
         text=True,
-        # A shell lets what it starts in the background ignore interrupts; that is inherited.
+        # A shell makes background processes ignore interrupts, and children inherit this.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     with fifo.open('w'):  # waits until the command reads: it is in the middle of its work
@@ -125,7 +125,7 @@ def test_an_interrupt_ends_quietly(tmp_path):
     process.stderr.close()
 
 
-def test_no_command_but_the_demo_needs_ros():
+def test_only_the_demo_needs_ros():
     code = (
         'import sys\n'
         'class Refuse:\n'
@@ -173,16 +173,16 @@ def test_the_demo_reads_its_own_arguments(capsys):
     ],
     ids=lambda command: command[0],
 )
-def test_where_a_picture_cannot_go_is_told_before_the_work(command, name, words, capsys):
+def test_invalid_picture_paths_are_rejected_before_the_work(command, name, words, capsys):
     if command[0] == 'demo':
         pytest.importorskip('rclpy')
         pytest.importorskip('mujoco')
     with pytest.raises(SystemExit) as exit_:
         main([*command, '--picture', name])
     assert exit_.value.code == 2
-    complaint = capsys.readouterr().err
-    assert f'inverse_dynamics {command[0]}: error: argument --picture: {name}: ' in complaint
-    assert words in complaint
+    error = capsys.readouterr().err
+    assert f'inverse_dynamics {command[0]}: error: argument --picture: {name}: ' in error
+    assert words in error
 
 
 @pytest.mark.parametrize(
@@ -195,20 +195,20 @@ def test_where_a_picture_cannot_go_is_told_before_the_work(command, name, words,
     ],
     ids=lambda command: command[-1],
 )
-def test_where_a_file_cannot_go_is_told_before_the_work(command, capsys):
+def test_invalid_output_paths_are_rejected_before_the_work(command, capsys):
     with pytest.raises(SystemExit) as exit_:
         main([*command, 'nowhere/file'])
     assert exit_.value.code == 2
     assert "nowhere/file: folder 'nowhere' does not exist" in capsys.readouterr().err
 
 
-def test_a_picture_is_of_the_kind_that_its_name_says(tmp_path):
+def test_the_suffix_selects_the_format_of_a_picture(tmp_path):
     for name, start in (('a.png', b'\x89PNG'), ('a.svg', b'<?xml'), ('a.pdf', b'%PDF')):
         assert main(['check', str(STANFORD), '--picture', name]) == 0
         assert (tmp_path / name).read_bytes().startswith(start)
 
 
-def test_a_file_that_is_not_there_is_one_line(capsys):
+def test_a_missing_file_is_reported_in_one_line(capsys):
     assert main(['effort', str(STANFORD), 'nowhere.yaml']) == 1
     assert capsys.readouterr().err == 'inverse_dynamics: nowhere.yaml: No such file or directory\n'
 

@@ -90,14 +90,14 @@ def test_check_gives_each_joint_a_row_of_its_own_scale(robot, drawn):
     title = figure._suptitle.get_text().splitlines()
     assert title[0].startswith(f'{robot.name} (arm.urdf): ')
     assert title[1].startswith('payload left: ')
-    rows, shares, *views = figure.axes
+    rows, ratios, *views = figure.axes
     assert len(rows.get_yticks()) == len(robot.joint_names)
     assert len(views) == (2 if len(robot.joint_names) > 14 else 1)
-    limits = [text.get_text() for text in shares.texts]
+    limits = [text.get_text() for text in ratios.texts]
     for text, limit in zip(limits, robot.effort_limits, strict=True):
         assert (f'of {limit:g} ' in text) == np.isfinite(limit)
         assert ('no limit' in text) == np.isinf(limit)
-    # Every distribution reaches the worst effort of its joint, however small its share is.
+    # Every distribution reaches the worst effort of its joint, however small it is.
     bars = [patch for patch in rows.patches if patch.get_height() > 0.0]
     by_row = {}
     for bar in bars:

@@ -1,4 +1,4 @@
-"""Recordings with something put into them, and what is found of it."""
+"""Diagnoses of simulated recordings with known faults."""
 
 import math
 
@@ -20,7 +20,7 @@ import pytest
 from robot_files import ROOT
 from runs import exciting, ROBOTS, run
 
-# The numbers are those of the compiled functions; without them this takes an hour.
+# Without compiled functions these tests take an hour.
 pytestmark = pytest.mark.skipif(not IS_COMPILED, reason='numba is not here, or off')
 
 TIP = {'stanford': 'tool0', 'seven_dof': 'tool0', 'branched': 'right_forearm'}
@@ -53,7 +53,7 @@ def test_a_healthy_recording_is_explained_and_nothing_is_found(name, has_velocit
 
 @EVERY_ROBOT
 @pytest.mark.parametrize('rate', [40.0, 100.0, 1000.0])
-def test_any_rate_will_do(name, rate):
+def test_recordings_of_any_rate_are_explained(name, rate):
     findings = identify(*run(name, rate=rate, has_velocities=False, friction=friction_of(name)))
     assert kinds(findings) == []
     assert findings.explained_corrected > 0.995
@@ -77,7 +77,7 @@ def test_friction_is_found_within_its_errors(name, has_velocities):
         assert fit.coulomb == pytest.approx(c, rel=0.05)
 
 
-def test_an_arm_that_stands_still_is_told_to_say_nothing():
+def test_an_arm_at_rest_gives_no_diagnosis():
     dynamics = InverseDynamics(load_urdf(ROBOTS['stanford']))
     times = np.arange(0.0, 15.0, 0.002)
     q = np.array([0.3, -0.9, 0.5, 0.7, -0.6, 0.2])
@@ -100,7 +100,7 @@ def test_a_joint_held_by_friction_does_not_spoil_the_rest():
     rng = np.random.default_rng(0)
     times = np.arange(0.0, 20.0, 0.002)
     q, qd, qdd = exciting(dynamics.robot, times, rng)
-    q[:, 2], qd[:, 2], qdd[:, 2] = q[0, 2], 0.0, 0.0  # joint 3 slides, alone
+    q[:, 2], qd[:, 2], qdd[:, 2] = q[0, 2], 0.0, 0.0  # joint 3 is the only prismatic joint
     efforts = dynamics.efforts(q, qd, qdd)
     efforts[:, 2] = 5.0 * np.sin(times)
     findings = identify(dynamics, Recording(dynamics.robot.joint_names, times, q, qd, efforts))
@@ -110,7 +110,7 @@ def test_a_joint_held_by_friction_does_not_spoil_the_rest():
     assert findings.explained_corrected > 0.998
 
 
-def test_friction_that_the_model_has_is_no_friction_less():
+def test_friction_of_the_model_is_included_in_the_fit():
     dynamics, recording = run('seven_dof', friction=(1.0, 2.0))
     dynamics.set_friction(1.0, 2.0)
     findings = identify(dynamics, recording)
@@ -118,11 +118,11 @@ def test_friction_that_the_model_has_is_no_friction_less():
     assert [joint.friction.damping for joint in findings.joints] == pytest.approx([1.0] * 7, 0.1)
 
 
-# ---- What can be wrong ---------------------------------------------------------------------
+# ---- Faults --------------------------------------------------------------------------------
 
 
 @EVERY_ROBOT
-def test_names_the_joint_whose_sign_is_swapped(name):
+def test_finds_the_joint_with_a_swapped_sign(name):
     dynamics, recording = run(name, friction=friction_of(name))
     for j, joint in enumerate(recording.joint_names):
         efforts = recording.efforts.copy()
@@ -133,14 +133,14 @@ def test_names_the_joint_whose_sign_is_swapped(name):
         assert findings.explained_corrected > 0.998
 
 
-def test_names_all_signs_at_once():
+def test_finds_swapped_signs_of_all_joints():
     dynamics, recording = run('stanford', friction=friction_of('stanford'))
     findings = identify(dynamics, recording._replace(efforts=-recording.efforts))
     assert kinds(findings) == ['sign']
     assert 'every joint' in findings.diagnoses[0].headline
 
 
-def test_names_currents_with_their_factors():
+def test_finds_currents_with_their_factors():
     dynamics, recording = run('seven_dof', friction=(2.0, 2.0))
     factors = np.array([0.05, 0.08, 0.1, 0.2, 0.4, 0.6, 0.7])
     findings = identify(dynamics, recording._replace(efforts=recording.efforts * factors))
@@ -148,17 +148,17 @@ def test_names_currents_with_their_factors():
     assert diagnosis.kind == 'scale'
     assert 'proportional' in diagnosis.headline
     found = dict(zip(diagnosis.joints, diagnosis.values, strict=True))
-    # The last joint moves next to no mass: of its unit, friction alone says nothing.
+    # The last joint moves hardly any mass, so that its effort does not show its unit.
     assert set(recording.joint_names) - set(found) <= {'wrist_roll'}
     for joint, factor in zip(recording.joint_names, factors, strict=True):
         assert found.get(joint, factor) == pytest.approx(factor, rel=0.05)
-    # Friction is told in N m, not in the unit of the recording.
+    # Friction is reported in N m, not in the unit of the recording.
     assert findings.joints[1].friction.coulomb == pytest.approx(2.0, rel=0.1)
     if 'wrist_roll' not in found:
         assert 'unit' in findings.joints[-1].friction.unknown_because
 
 
-def test_names_another_unit():
+def test_finds_another_unit():
     dynamics, recording = run('branched', friction=(0.3, 0.3))
     findings = identify(dynamics, recording._replace(efforts=recording.efforts * 1000.0))
     (diagnosis,) = findings.diagnoses
@@ -167,7 +167,7 @@ def test_names_another_unit():
 
 
 @EVERY_ROBOT
-def test_names_gravity_that_the_driver_compensates(name):
+def test_finds_compensated_gravity(name):
     dynamics, recording = run(name, friction=friction_of(name))
     lacking = recording.efforts - dynamics.gravity_efforts(recording.positions)
     findings = identify(dynamics, recording._replace(efforts=lacking))
@@ -177,7 +177,7 @@ def test_names_gravity_that_the_driver_compensates(name):
 
 @EVERY_ROBOT
 @pytest.mark.parametrize(('mass', 'com'), [(1.0, (0.02, 0.03, 0.1)), (3.0, (0.0, 0.0, 0.0))])
-def test_names_a_payload(name, mass, com):
+def test_finds_a_payload(name, mass, com):
     recording = run(
         name, friction=friction_of(name), act=lambda real: real.set_payload(TIP[name], mass, com)
     )
@@ -189,13 +189,13 @@ def test_names_a_payload(name, mass, com):
     assert findings.explained_corrected > 0.998
 
 
-def test_a_payload_on_another_link_is_told_of_that_link():
+def test_finds_a_payload_on_a_given_link():
     recording = run('seven_dof', act=lambda real: real.set_payload('link_4', 2.0, (0.0, -0.1, 0)))
     findings = identify(*recording, link='link_4')
     assert findings.diagnoses[0].values == pytest.approx((2.0, 0.0, -0.1, 0.0), abs=0.05)
 
 
-def test_a_payload_that_the_model_knows_is_no_finding():
+def test_a_payload_of_the_model_is_not_a_fault():
     def load(dynamics):
         dynamics.set_payload('tool0', 1.0, (0.0, 0.0, 0.1))
 
@@ -204,7 +204,7 @@ def test_a_payload_that_the_model_knows_is_no_finding():
     assert kinds(identify(dynamics, recording)) == []
 
 
-def test_names_a_tool_that_is_not_there():
+def test_finds_a_missing_tool():
     dynamics, recording = run('seven_dof', friction=(0.5, 0.5))
     dynamics.set_payload('tool0', 0.45)
     (diagnosis,) = identify(dynamics, recording).diagnoses
@@ -214,7 +214,7 @@ def test_names_a_tool_that_is_not_there():
 
 
 @EVERY_ROBOT
-def test_names_another_mounting(name):
+def test_finds_another_mounting(name):
     gravity = 9.80665 * np.array([0.0, math.sin(0.3), -math.cos(0.3)])
     recording = run(name, friction=friction_of(name), act=lambda real: real.set_gravity(gravity))
     (diagnosis,) = identify(*recording).diagnoses
@@ -224,19 +224,19 @@ def test_names_another_mounting(name):
 
 
 @EVERY_ROBOT
-def test_names_the_inertia_of_rotors(name):
+def test_finds_the_inertia_of_rotors(name):
     n = len(friction_of(name)[0])
     armature = np.linspace(1.0, 0.2, n)
     (diagnosis,) = identify(*run(name, friction=friction_of(name), armature=armature)).diagnoses
     assert diagnosis.kind == 'rotor_inertia'
     found = dict(zip(diagnosis.joints, diagnosis.values, strict=True))
     names = load_urdf(ROBOTS[name]).joint_names
-    assert len(found) >= n - 1  # a kilogram is nothing to the boom of the Stanford arm
+    assert len(found) >= n - 1  # one kilogram is negligible for the boom of the Stanford arm
     for joint, inertia in zip(names, armature, strict=True):
         assert found.get(joint, inertia) == pytest.approx(inertia, rel=0.05)
 
 
-def test_names_an_offset():
+def test_finds_an_offset():
     dynamics, recording = run('seven_dof', friction=friction_of('seven_dof'))
     efforts = recording.efforts.copy()
     efforts[:, 3] += 5.0
@@ -246,7 +246,7 @@ def test_names_an_offset():
 
 
 @EVERY_ROBOT
-def test_names_another_order(name):
+def test_finds_another_order(name):
     dynamics, recording = run(name, friction=friction_of(name))
     efforts = recording.efforts.copy()
     efforts[:, [1, 2]] = efforts[:, [2, 1]]
@@ -257,7 +257,7 @@ def test_names_another_order(name):
 
 
 @pytest.mark.parametrize('value', [0.0, 3.5])
-def test_names_a_driver_that_does_not_measure(value):
+def test_finds_a_driver_that_does_not_measure(value):
     dynamics, recording = run('seven_dof')
     efforts = recording.efforts.copy()
     efforts[:, 1] = value
@@ -270,7 +270,7 @@ def test_names_a_driver_that_does_not_measure(value):
     assert math.isnan(all_zero.explained)
 
 
-def test_names_what_nothing_explains(rng):
+def test_reports_efforts_that_nothing_explains(rng):
     dynamics, recording = run('seven_dof')
     efforts = recording.efforts.copy()
     efforts[:, 3] = 0.1 * np.cumsum(rng.standard_normal(len(efforts)))
@@ -279,7 +279,7 @@ def test_names_what_nothing_explains(rng):
     assert findings.joints[3].friction.unknown_because == 'its effort is not explained'
 
 
-def test_names_two_faults_at_once():
+def test_finds_several_faults_at_once():
     dynamics, recording = run(
         'seven_dof',
         friction=(1.0, 1.0),
@@ -293,7 +293,7 @@ def test_names_two_faults_at_once():
     assert findings.diagnoses[2].values[0] == pytest.approx(1.5, rel=0.03)
 
 
-def test_a_model_that_is_a_little_off_is_no_fault():
+def test_small_model_errors_are_not_faults():
     dynamics, recording = run('seven_dof', friction=(1.0, 1.0))
     efforts = recording.efforts * np.linspace(0.9, 1.1, 7)
     assert kinds(identify(dynamics, recording._replace(efforts=efforts))) == []
@@ -307,7 +307,7 @@ def test_a_model_that_is_a_little_off_is_no_fault():
     com=st.tuples(*3 * [st.floats(-0.1, 0.1)]),
     friction=st.tuples(st.floats(0.0, 2.0), st.floats(0.0, 2.0)),
 )
-def test_what_was_put_in_is_found_on_any_motion(name, seed, mass, com, friction):
+def test_faults_are_found_on_any_motion(name, seed, mass, com, friction):
     dynamics, healthy = run(name, seed, friction=friction, rate=200.0)
     assert kinds(identify(dynamics, healthy)) == []
     j = seed % len(healthy.joint_names)
@@ -326,7 +326,7 @@ def test_what_was_put_in_is_found_on_any_motion(name, seed, mass, com, friction)
     assert diagnosis.values[0] == pytest.approx(mass, rel=0.05)
 
 
-# ---- Friction that cannot be told ----------------------------------------------------------
+# ---- Unknown friction ----------------------------------------------------------------------
 
 
 def only(recording, keep):
@@ -340,7 +340,7 @@ def only(recording, keep):
 
 
 def swinging(positions, velocities, accelerations):
-    """Record a pendulum with friction that moves as told at 500 Hz."""
+    """Return a recording of a pendulum with friction on a given motion at 500 Hz."""
     dynamics = InverseDynamics(load_urdf(ROOT / 'test' / 'robots' / 'pendulum.urdf'))
     dynamics.set_friction(0.5, 0.3)
     states = [np.asarray(x, dtype=float)[:, None] for x in (positions, velocities, accelerations)]
@@ -349,7 +349,7 @@ def swinging(positions, velocities, accelerations):
     return InverseDynamics(dynamics.robot), recording
 
 
-def test_a_joint_that_rests_tells_nothing_of_friction():
+def test_friction_of_a_joint_at_rest_is_unknown():
     findings = identify(*swinging(np.ones(5000), np.zeros(5000), np.zeros(5000)))
     fit = findings.joints[0].friction
     assert 'never faster' in fit.unknown_because
@@ -357,24 +357,24 @@ def test_a_joint_that_rests_tells_nothing_of_friction():
     assert math.isnan(findings.joints[0].explained)
 
 
-def test_motion_one_way_tells_nothing_of_coulomb_friction():
+def test_friction_is_unknown_for_motion_in_one_direction():
     t = 0.002 * np.arange(5000)
     findings = identify(*swinging(0.3 * t - 0.05 * np.cos(t), 0.3 + 0.05 * np.sin(t),
                                   0.05 * np.cos(t)))  # fmt: skip
     assert 'back for 0 s' in findings.joints[0].friction.unknown_because
 
 
-def test_one_speed_tells_not_damping_from_coulomb_friction():
+def test_friction_is_unknown_for_motion_at_one_speed():
     t = 0.002 * np.arange(5000)
     sign = np.where(t % 4.0 < 2.0, 1.0, -1.0)
     findings = identify(*swinging(0.3 * np.abs(t % 4.0 - 2.0), -0.3 * sign, np.zeros(5000)))
     assert 'does not distinguish' in findings.joints[0].friction.unknown_because
 
 
-# ---- Recordings as they are ----------------------------------------------------------------
+# ---- Imperfect recordings ------------------------------------------------------------------
 
 
-def test_jitter_duplicates_and_lost_samples_do_no_harm(rng):
+def test_jitter_duplicates_and_lost_samples_are_tolerated(rng):
     dynamics, recording = run('seven_dof', friction=(1.0, 1.0), has_velocities=False)
     times = recording.times + 0.0003 * rng.standard_normal(len(recording.times))
     keep = np.sort(
@@ -388,7 +388,7 @@ def test_jitter_duplicates_and_lost_samples_do_no_harm(rng):
     assert findings.joints[0].friction.damping == pytest.approx(1.0, rel=0.1)
 
 
-def test_gaps_are_not_bridged():
+def test_signals_are_not_interpolated_across_gaps():
     dynamics, recording = run('branched', has_velocities=False)
     times = recording.times
     findings = identify(dynamics, only(recording, (times < 8.0) | (times > 9.0)))
@@ -398,7 +398,7 @@ def test_gaps_are_not_bridged():
     assert findings.explained > 0.998
 
 
-def test_joints_may_come_in_messages_of_their_own():
+def test_joints_may_be_in_separate_messages():
     dynamics, recording = run('branched')
     q, tau = recording.positions.copy(), recording.efforts.copy()
     q[::2, :3] = tau[::2, :3] = np.nan
@@ -407,7 +407,7 @@ def test_joints_may_come_in_messages_of_their_own():
     assert findings.explained > 0.995
 
 
-def test_joints_without_effort_count_where_they_are():
+def test_positions_of_joints_without_effort_are_used():
     dynamics, recording = run('branched')
     efforts = recording.efforts.copy()
     efforts[:, 0] = np.nan
@@ -416,7 +416,7 @@ def test_joints_without_effort_count_where_they_are():
     assert findings.explained > 0.998
 
 
-def test_joints_in_another_order_are_told_by_name():
+def test_joints_are_identified_by_name():
     dynamics, recording = run('branched')
     order = [3, 1, 4, 0, 2]
     shuffled = recording._replace(
@@ -431,7 +431,7 @@ def test_joints_in_another_order_are_told_by_name():
 
 
 @pytest.mark.parametrize('wrong', [0.0, -1.0])
-def test_velocities_that_are_none_are_not_used(wrong):
+def test_inconsistent_velocities_are_not_used(wrong):
     dynamics, recording = run('seven_dof')
     velocities = recording.velocities.copy()
     velocities[:, 2] *= wrong
@@ -440,7 +440,7 @@ def test_velocities_that_are_none_are_not_used(wrong):
     assert 'arm_roll' in findings.motion.notes[0]
 
 
-def test_turns_of_continuous_joints_are_unrolled():
+def test_positions_of_continuous_joints_are_unwrapped():
     dynamics = InverseDynamics(load_urdf(ROOT / 'test' / 'robots' / 'continuous.urdf'))
     t = 0.002 * np.arange(6000)
     q = np.column_stack([1.5 * t + np.sin(3.0 * t)] * 2)
@@ -453,7 +453,7 @@ def test_turns_of_continuous_joints_are_unrolled():
     assert identify(dynamics, recording).explained > 0.999
 
 
-def test_derivatives_are_right_and_say_how():
+def test_derivatives_are_accurate_and_described():
     _, recording = run('branched', encoder_noise=0.0, has_velocities=False)
     t = recording.times
     positions = np.column_stack([np.sin(2.0 * np.pi * f * t) for f in (0.2, 0.5, 1.0, 1.5, 2.0)])
@@ -480,13 +480,13 @@ def test_derivatives_are_right_and_say_how():
         ({'times': np.tile(0.01 * np.arange(2000), 2)}, 'time goes back by 20 s, 20 s after'),
     ],
 )
-def test_says_what_is_wrong_with_a_recording(change, words):
+def test_invalid_recordings_are_explained(change, words):
     dynamics, recording = run('branched', rate=200.0)
     with pytest.raises(RecordingError, match=words):
         identify(dynamics, recording._replace(**change))
 
 
-def test_says_when_a_recording_is_too_short():
+def test_short_recordings_are_rejected():
     dynamics, recording = run('branched', rate=200.0)
     with pytest.raises(RecordingError, match='too little to differentiate'):
         identify(dynamics, only(recording, recording.times < 0.1))
@@ -514,10 +514,10 @@ def test_a_load_in_the_palm_is_found_while_friction_holds_the_fingers():
     assert diagnosis.values[0] == pytest.approx(0.5, rel=0.05)
 
 
-# ---- The rest ------------------------------------------------------------------------------
+# ---- Links and parameters ------------------------------------------------------------------
 
 
-def test_loads_are_looked_for_at_the_tips():
+def test_tip_links_are_the_default_for_loads():
     assert tip_links(load_urdf(ROBOTS['stanford'])) == ('tool0',)
     assert tip_links(load_urdf(ROBOTS['seven_dof'])) == ('tool0',)
     assert 'right_forearm' in tip_links(load_urdf(ROBOTS['branched']))
@@ -525,7 +525,7 @@ def test_loads_are_looked_for_at_the_tips():
     assert (palm, len(fingers)) == ('palm', 2)
 
 
-def test_parameters_are_yaml_that_ros_takes_as_decimals():
+def test_parameters_are_decimals_in_yaml():
     yaml = pytest.importorskip('yaml')
     fits = [
         FrictionFit(1.0, 2.5, 0.0, 0.1, 0.1, 0.1, ''),

@@ -77,9 +77,9 @@ def test_at_capacity_one_joint_reaches_its_limit_and_none_exceeds_it(link):
     laden = InverseDynamics(ARM.robot)
     laden.set_payload(link, payload.mass)
     poses = np.vstack([workspace.poses, payload.pose])
-    shares = np.abs(laden.gravity_efforts(poses)) / workspace.limits
-    assert np.max(shares) == pytest.approx(1.0, rel=1e-9)
-    assert ARM.robot.joint_names[int(np.argmax(np.max(shares, axis=0)))] == payload.joint
+    ratios = np.abs(laden.gravity_efforts(poses)) / workspace.limits
+    assert np.max(ratios) == pytest.approx(1.0, rel=1e-9)
+    assert ARM.robot.joint_names[int(np.argmax(np.max(ratios, axis=0)))] == payload.joint
 
 
 def test_capacity_of_a_pendulum_follows_from_its_limit():
@@ -157,7 +157,7 @@ def test_default_link_is_not_a_finger_or_a_base(robot, body):
 
 
 def test_reports_progress():
-    shares = []
-    explore(ARM, samples=64, progress=shares.append)
-    assert shares == sorted(shares)
-    assert shares[-1] == 1.0
+    fractions = []
+    explore(ARM, samples=64, progress=fractions.append)
+    assert fractions == sorted(fractions)
+    assert fractions[-1] == 1.0

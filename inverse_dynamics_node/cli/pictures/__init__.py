@@ -1,1 +1,1 @@
-"""Pictures of the results."""
+"""Pictures of the results of the commands."""

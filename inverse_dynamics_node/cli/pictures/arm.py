@@ -1,4 +1,4 @@
-"""A side view of a robot in one pose: joints, what is between them, and where the masses are."""
+"""A side view of a robot in one pose, with joints, links and masses."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from .style import (
 )
 
 _MOST_NUMBERS = 12
-"""Of joints; of more, the one of concern is numbered alone."""
+"""Number of joints; if there are more, only the highlighted joint is numbered."""
 _AROUND = ((0, 16), (0, -16), (24, 0), (-24, 0), (20, 14), (-20, 14), (0, 30), (0, -30))
-"""Where the label of a joint may be, from the joint [points]; the first free place is taken."""
+"""Offsets of the label of a joint [points]; the first free place is used."""
 _LARGEST_MASS = 260.0
-"""Of a disc that shows a mass [square points]."""
+"""Area of the largest disc that shows a mass [square points]."""
 
 
 def draw_arm(
@@ -40,15 +40,15 @@ def draw_arm(
     axes : matplotlib.axes.Axes
         To draw in.
     dynamics : InverseDynamics
-        The robot, and which way things fall: down, in the picture.
+        The robot; its gravity points down in the picture.
     q : ndarray, shape (n,)
         Joint positions [rad or m].
     joint : int
-        The joint to point out.
+        The joint to highlight.
     link : str
-        The link to mark: where a payload is.
+        The link to mark, which carries a payload.
     view : int
-        0 for the side that shows most of the robot, 1 for a view at right angles to that.
+        0 for the side that shows most of the robot, 1 for a view at right angles to it.
 
     """
     robot = dynamics.robot
@@ -74,7 +74,7 @@ def draw_arm(
 
 
 def _frame(axes: Any, points: Floats) -> None:
-    """Show all the points in a square, with the same scale along both sides."""
+    """Show all points in a square, with equal scales of both axes."""
     low, high = np.min(points, axis=0), np.max(points, axis=0)
     half = 0.6 * max(0.1, float(np.max(high - low)))
     middle = 0.5 * (low + high)
@@ -85,7 +85,7 @@ def _frame(axes: Any, points: Floats) -> None:
 
 
 def _side_view(gravity: Floats, points: Floats, view: int) -> Floats:
-    """Return the projection of points to (across, up), shape (3, 2): most spread across first."""
+    """Return the projection to (across, up), shape (3, 2), that shows the points widest."""
     size = float(np.linalg.norm(gravity))
     up = -gravity / size if size > 0.0 else np.array([0.0, 0.0, 1.0])
     spread = points - points[0]
@@ -94,7 +94,7 @@ def _side_view(gravity: Floats, points: Floats, view: int) -> Floats:
     across = directions[0]
     if view == 1 and sizes[0] >= 1e-9:
         across = np.cross(up, across)
-    elif sizes[0] < 1e-9:  # all above each other: any level direction will do
+    elif sizes[0] < 1e-9:  # all on a vertical line: any horizontal direction
         across = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
         across /= np.linalg.norm(across)
     if np.sum(level @ across) < 0.0:
@@ -110,7 +110,7 @@ def _draw_structure(
         ends = flat[[robot.parent[body], body]]
         axes.plot(*ends.T, color=GREY, linewidth=3.5, solid_capstyle='round', zorder=2)
     for body in set(range(1, len(robot.parent))) - set(robot.parent.tolist()):
-        if robot.mass[body] > 0.0:  # where it ends nobody knows; its mass is out there
+        if robot.mass[body] > 0.0:  # its end is unknown; draw it to the centre of mass
             axes.plot(
                 *np.array([flat[body], centres[body]]).T, color=GREY, linewidth=1.5, zorder=1
             )
@@ -129,7 +129,7 @@ def _draw_masses(axes: Any, robot: RobotModel, centres: Floats) -> None:
         *centres.T, s=sizes, color=ORANGE, alpha=0.55, linewidths=0, zorder=4, label=label
     )
     middle = mass @ centres / np.sum(mass)
-    label = f'their centre, {np.sum(mass):.3g} kg'
+    label = f'centre of mass, {np.sum(mass):.3g} kg'
     axes.plot(*middle, 'x', color=DARK, markersize=9, markeredgewidth=2.2, zorder=7, label=label)
 
 
@@ -142,12 +142,12 @@ def _draw_joints(
     places: list[tuple[Floats, list[int]]] = []
     for body in range(1, len(robot.parent)):
         i, spot = int(robot.joint_index[body]), flat[body]
-        is_concern = i == joint
+        is_highlighted = i == joint
         shape = 's' if robot.is_prismatic[body] else 'o'
-        size = 9 if is_concern else 4 if many else 6.5
-        colour = RED if is_concern else BLUE
-        axes.plot(*spot, shape, color=colour, markersize=size, zorder=6 if is_concern else 5)
-        if robot.body_names[body] != robot.joint_names[i] or (many and not is_concern):
+        size = 9 if is_highlighted else 4 if many else 6.5
+        colour = RED if is_highlighted else BLUE
+        axes.plot(*spot, shape, color=colour, markersize=size, zorder=6 if is_highlighted else 5)
+        if robot.body_names[body] != robot.joint_names[i] or (many and not is_highlighted):
             continue
         near = [numbers for place, numbers in places if np.linalg.norm(place - spot) < apart]
         if near:
@@ -159,13 +159,13 @@ def _draw_joints(
 
 def _number(axes: Any, places: Sequence[tuple[Floats, list[int]]]) -> None:
     """
-    Write the numbers of the joints, no two on top of each other.
+    Write the numbers of the joints without overlaps.
 
-    A label that fits nowhere around its place is left out: the rows beside the picture have all.
+    A label without a free place is left out; the rows beside the picture show all numbers.
 
     """
     figure = axes.figure
-    figure.canvas.draw()  # the layout decides where there is room
+    figure.canvas.draw()  # the layout determines the free places
     renderer = figure.canvas.get_renderer()
     taken: list[Any] = []
     for place, numbers in places:

@@ -1,4 +1,4 @@
-"""The picture of `check`: gravity efforts over the workspace, and the arm where they are worst."""
+"""The picture of `check`: gravity efforts over the workspace, and the worst pose."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ from .style import (
 
 _BINS = 80
 _HALF = 0.42
-"""Half the height of a row that a distribution may take."""
+"""Half of the largest height of a distribution, in rows."""
 _REACH = 1.12
 """Ends of a row, as a multiple of the worst effort."""
-_MOST_SHARE = 1.2
-"""End of the bars, as a multiple of the limit: longer ones are cut there, their text is red."""
+_MAX_RATIO = 1.2
+"""End of the bars, as a multiple of the limit; longer bars are cut."""
 _NEGLIGIBLE = 1e-6
 """Efforts smaller than this fraction of the largest one are rounding errors."""
 _MOST_BESIDE_ONE_VIEW = 14
-"""Joints; the rows of more leave room for a second view of the robot."""
+"""Number of joints; with more, there is room for a second view of the robot."""
 
 
 def draw(
@@ -54,7 +54,7 @@ def draw(
         rows = 2 if count > _MOST_BESIDE_ONE_VIEW else 1
         grid = figure.add_gridspec(rows, 3, width_ratios=(1.0, 0.38, 1.25))
         _draw_efforts(figure.add_subplot(grid[:, 0]), workspace)
-        _draw_shares(figure.add_subplot(grid[:, 1]), workspace)
+        _draw_ratios(figure.add_subplot(grid[:, 1]), workspace)
         worst = workspace.poses[workspace.worst[workspace.hardest]]
         views = [figure.add_subplot(grid[row, 2]) for row in range(rows)]
         set_title(figure, *_title(workspace, payload, source))
@@ -73,7 +73,7 @@ def _title(workspace: Workspace, payload: PayloadCapacity, source: str) -> list[
 
 
 def _draw_efforts(axes: Any, workspace: Workspace) -> None:
-    """Draw a row for each joint on its own scale: how often it needs how much."""
+    """Draw the distribution of the efforts of each joint in a row with its own scale."""
     names = workspace.robot.joint_names
     peaks = workspace.peaks
     is_zero = peaks <= _NEGLIGIBLE * np.max(peaks)
@@ -91,27 +91,29 @@ def _draw_efforts(axes: Any, workspace: Workspace) -> None:
     axes.set_xlim(-_REACH, _REACH)
     axes.set_xticks([-1.0, 0.0, 1.0], ['-worst', '0', '+worst'])
     axes.grid(axis='y', visible=False)
-    axes.set_title('how often, own scales', fontsize=9)
+    axes.set_title('distribution, own scales', fontsize=9)
     axes.tick_params(axis='x', labelsize=8.5)
 
 
 def _draw_row(axes: Any, row: int, values: Floats, colour: str) -> None:
     counts, edges = np.histogram(values, _BINS, (-_REACH, _REACH))
-    half = _HALF * np.sqrt(counts / max(1, int(np.max(counts))))  # roots: tails stay visible
+    half = _HALF * np.sqrt(
+        counts / max(1, int(np.max(counts)))
+    )  # the root keeps the tails visible
     width = edges[1] - edges[0]
     middles = edges[:-1] + 0.5 * width
     axes.bar(middles, 2.0 * half, width, row - half, color=colour, alpha=0.45, linewidth=0)
 
 
-def _draw_shares(axes: Any, workspace: Workspace) -> None:
-    """Draw the worst effort of each joint as a bar up to its limit, with both as text."""
+def _draw_ratios(axes: Any, workspace: Workspace) -> None:
+    """Draw the ratio of the worst effort of each joint to its limit, with both as text."""
     count = len(workspace.limits)
     for i, (peak, limit) in enumerate(zip(workspace.peaks, workspace.limits, strict=True)):
         is_beyond = bool(peak > limit)
         colour = RED if is_beyond else BLUE
         if np.isfinite(limit):
             axes.barh(i, 1.0, 0.6, color=PALE, zorder=0)
-            axes.barh(i, min(peak / limit, _MOST_SHARE), 0.6, color=colour, alpha=0.7)
+            axes.barh(i, min(peak / limit, _MAX_RATIO), 0.6, color=colour, alpha=0.7)
         axes.text(
             1.04,
             i,
@@ -123,9 +125,9 @@ def _draw_shares(axes: Any, workspace: Workspace) -> None:
         )
     axes.set_yticks([])
     axes.set_ylim(count - 0.4, -0.6)
-    axes.set_xlim(0.0, _MOST_SHARE)
+    axes.set_xlim(0.0, _MAX_RATIO)
     axes.grid(visible=False)
-    axes.set_title('worst of limit', fontsize=9)
+    axes.set_title('worst / limit', fontsize=9)
     axes.set_xticks([])
     if np.isfinite(workspace.limits).any():
         axes.axvline(1.0, color=RED, linewidth=1.2, linestyle='--')

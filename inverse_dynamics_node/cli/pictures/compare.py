@@ -1,4 +1,4 @@
-"""The picture of `compare`: measured and modelled efforts over time, and what is left."""
+"""The picture of `compare`: measured and modelled efforts over time, and their difference."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from .style import (
 )
 
 _MOST_ROWS = 10
-"""Joints with a row of their own; more of them are drawn as small pictures."""
+"""Number of joints with a row each; with more, every joint has a small picture."""
 _ACROSS = 3
 _POINTS = 1500
 _NAME_LETTERS = 21
-"""Letters of a name that fit above a small picture."""
+"""Largest number of letters in a name above a small picture."""
 
 
 def draw(findings: Findings, source: str, title: str, path: Path) -> None:
@@ -44,12 +44,12 @@ def draw(findings: Findings, source: str, title: str, path: Path) -> None:
 
 
 def _labels(findings: Findings) -> list[str]:
-    found = ' and with what was found' if findings.diagnoses else ''
-    return ['measured', 'modelled', f'modelled, with fitted friction{found}']
+    findings_too = ' and findings' if findings.diagnoses else ''
+    return ['measured', 'modelled', f'modelled, with fitted friction{findings_too}']
 
 
 def _rows(pyplot: Any, findings: Findings) -> tuple[Any, list[Any]]:
-    """Draw a row for each joint: efforts, and what is left of them."""
+    """Draw a row for each joint: efforts and their difference."""
     count = len(findings.joints)
     figure, axes = pyplot.subplots(
         count,
@@ -63,11 +63,11 @@ def _rows(pyplot: Any, findings: Findings) -> tuple[Any, list[Any]]:
     for c, (left, right) in enumerate(axes):
         joint = findings.joints[c]
         lines = _draw_efforts(left, findings, c)
-        _draw_left(right, findings, c)
+        _draw_difference(right, findings, c)
         left.set_ylabel('[N]' if joint.is_prismatic else '[N m]', fontsize=9)
         left.set_title(names[c], fontsize=9.5, pad=3)
-        shares = f'explained {percent(joint.explained)}, {percent(joint.explained_corrected)}'
-        left.set_title(shares, loc='right', fontsize=8.5, pad=3, color=GREY)
+        explained = f'explained {percent(joint.explained)}, {percent(joint.explained_corrected)}'
+        left.set_title(explained, loc='right', fontsize=8.5, pad=3, color=GREY)
         _fewer_ticks(left, right)
     axes[0, 1].set_title('measured minus modelled', fontsize=9.5, pad=3)
     for ax in axes[-1]:
@@ -77,7 +77,7 @@ def _rows(pyplot: Any, findings: Findings) -> tuple[Any, list[Any]]:
 
 
 def _small(pyplot: Any, findings: Findings) -> tuple[Any, list[Any]]:
-    """Draw a small picture for each joint, of efforts only."""
+    """Draw a small picture for each joint, with efforts only."""
     count = len(findings.joints)
     rows = -(-count // _ACROSS)
     figure, axes = pyplot.subplots(
@@ -91,8 +91,8 @@ def _small(pyplot: Any, findings: Findings) -> tuple[Any, list[Any]]:
         joint = findings.joints[c]
         lines = _draw_efforts(ax, findings, c)
         ax.set_title(f'{names[c]} [{"N" if joint.is_prismatic else "N m"}]', fontsize=8.5, pad=3)
-        share = percent(joint.explained_corrected)
-        ax.set_title(share, loc='right', fontsize=8, pad=3, color=GREY)
+        explained = percent(joint.explained_corrected)
+        ax.set_title(explained, loc='right', fontsize=8, pad=3, color=GREY)
         _fewer_ticks(ax)
     for ax in axes.flat[count - _ACROSS : count]:
         ax.tick_params(labelbottom=True)
@@ -102,7 +102,7 @@ def _small(pyplot: Any, findings: Findings) -> tuple[Any, list[Any]]:
 
 
 def _draw_efforts(ax: Any, findings: Findings, c: int) -> list[Any]:
-    """Draw measured and modelled efforts; the measured one broad, so that all are seen."""
+    """Draw measured and modelled efforts; the measured one is wide, so that all are visible."""
     times = findings.motion.times
     signals = (
         (findings.measured, {'color': GREY, 'linewidth': 3.2, 'alpha': 0.55}),
@@ -112,15 +112,15 @@ def _draw_efforts(ax: Any, findings: Findings, c: int) -> list[Any]:
     return [ax.plot(*_thinned(times, values[:, c]), **look)[0] for values, look in signals]
 
 
-def _draw_left(ax: Any, findings: Findings, c: int) -> None:
+def _draw_difference(ax: Any, findings: Findings, c: int) -> None:
     measured, times = findings.measured[:, c], findings.motion.times
     for modelled, colour in ((findings.modelled, BLUE), (findings.corrected, ORANGE)):
-        left = _thinned(times, measured - modelled[:, c])
-        ax.plot(*left, color=colour, linewidth=0.9)
+        difference = _thinned(times, measured - modelled[:, c])
+        ax.plot(*difference, color=colour, linewidth=0.9)
 
 
 def _thinned(times: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Leave as many points as can be seen, with a break at every gap."""
+    """Reduce the number of points to the visible ones, with a break at every gap."""
     step = max(1, len(times) // _POINTS)
     t, y = times[::step], values[::step].copy()
     gaps = np.flatnonzero(np.diff(t) > 1.5 * step * np.median(np.diff(times)))

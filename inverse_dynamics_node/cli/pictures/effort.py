@@ -1,4 +1,4 @@
-"""The picture of `effort`: efforts over time, joint by joint, against the limits."""
+"""The picture of `effort`: efforts of every joint over time, and their limits."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ _PARTS = {
     'friction': GREY,
 }
 _NAME_LETTERS = {1: 80, 2: 50, 3: 32}
-"""Letters of a name that fit above a panel, by the number of panels across."""
+"""Largest number of letters in a name above a panel, by the number of columns."""
 _NEGLIGIBLE = 1e-6
 """Efforts smaller than this fraction of the largest one are rounding errors."""
 _MOST_DRAWN = 1500
-"""States drawn: more cannot be told apart."""
+"""Largest number of states to draw; more are not visible."""
 
 
 def draw(
@@ -91,7 +91,7 @@ def _draw_joint(
 
     limit, peak = float(requirements.effort_limits[k]), abs(float(requirements.peak[k]))
     low, high = axes.get_ylim()
-    # Limits far off would flatten the curves: the title tells them.
+    # Distant limits would flatten the curves; the title shows them.
     if limit < 2.5 * peak:
         for end in (-limit, limit):
             if low - limit < end < high + limit and end * requirements.peak[k] >= 0.0:
@@ -101,14 +101,14 @@ def _draw_joint(
         peak = 0.0
     unit = effort_unit(robot, robot.joint_names.index(fine.joint_names[k])).strip()
     of = f'of {number(limit)} {unit}' if math.isfinite(limit) else f'{unit}, no limit'
-    # The name has a line of its own: with many joints it is as wide as the panel.
+    # The name has its own line, because it may be as wide as the panel.
     axes.set_title(f'{name}\npeak {peak:.3g} {of}', fontsize=9, color=colour, pad=3)
     axes.tick_params(labelsize=8.5)
     axes.locator_params(axis='y', nbins=5)
 
 
 def _shown(fine: Trajectory, requirements: EffortRequirements, k: int) -> Any:
-    """Choose states to draw: evenly, and the peak."""
+    """Select the states to draw: evenly spaced ones, and the peak."""
     count = len(fine.times)
     if count <= _MOST_DRAWN:
         return slice(None)

@@ -1,4 +1,4 @@
-"""How the pictures of the commands look: legible in a README, colours that all tell apart."""
+"""The style of the pictures of the commands: legible in a README and for the colour-blind."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ BLUE, ORANGE, GREEN, PINK, SKY, RED, YELLOW = (
     '#D55E00',
     '#F0E442',
 )
-"""Okabe and Ito: told apart by the colour-blind too."""
+"""The palette of Okabe and Ito, which is also suitable for the colour-blind."""
 COLOURS = (BLUE, ORANGE, GREEN, PINK, SKY, RED)
 GREY, PALE, DARK = '#8a8a8a', '#dddddd', '#333333'
 WIDTH = 9.0
-"""Of a picture [inch]; at 100 dots an inch the text is legible in a README."""
+"""Width of a picture [inch]; at 100 dots per inch the text is legible in a README."""
 DPI = 100
 _TITLE_LETTERS = 105
-"""Letters of a title line that fit in the width."""
+"""Largest number of letters in a line of the title."""
 
 _HOW_TO_GET_PICTURES = (
     "'sudo apt install python3-matplotlib', or 'pip install matplotlib' in a virtual environment, "
@@ -37,7 +37,7 @@ _STYLE = {
     'axes.edgecolor': GREY,
     'axes.grid': True,
     'axes.labelcolor': DARK,
-    'axes.prop_cycle': COLOURS,  # made a cycler below: matplotlib is imported late
+    'axes.prop_cycle': COLOURS,  # converted to a cycler below, as matplotlib is imported late
     'axes.spines.right': False,
     'axes.spines.top': False,
     'axes.titlelocation': 'left',
@@ -57,7 +57,7 @@ _STYLE = {
 
 @contextmanager
 def style() -> Iterator[Any]:
-    """Draw what is drawn within in our style; yields pyplot, with no window to open."""
+    """Apply the style within the body; yield pyplot, which opens no windows."""
     import matplotlib
 
     matplotlib.use('Agg')
@@ -74,9 +74,9 @@ def style() -> Iterator[Any]:
 
 def set_title(figure: Any, *paragraphs: str, most_lines: int = 5) -> None:
     """
-    Write the title of a figure, each paragraph on lines of its own.
+    Write the title of a figure, each paragraph on its own lines.
 
-    Lines are broken between words only, so that numbers and names stay whole.
+    Lines are broken between words only, so that numbers and names are not split.
 
     """
     lines = [line for text in paragraphs for line in wrapped(text, _TITLE_LETTERS)]
@@ -148,10 +148,10 @@ def legend_below(
 
 
 def save(figure: Any, path: str | Path) -> None:
-    """Write a figure, as the kind of picture that its suffix says."""
+    """Write a figure in the format of the suffix of the path."""
     figure.savefig(path, dpi=DPI)
 
 
 def fitting(names: Sequence[str], longest: int = 26) -> list[str]:
-    """Cut names to what fits beside an axis, in their middle."""
+    """Shorten names in their middle, so that they fit beside an axis."""
     return all_shortened(names, longest)
