@@ -149,10 +149,17 @@ def _started(
 
 
 def states() -> tuple[Floats, Floats, Floats]:
-    """Draw positions and velocities, shape (count, 7), and accelerations, shape (7,)."""
+    """
+    Draw positions and velocities, shape (count, 7), and accelerations, shape (7,).
+
+    Neighbouring states differ by less than an arm moves between two messages: the node would take
+    larger steps for two publishers that contradict each other, and stop.
+
+    """
     rng = np.random.default_rng(SEED)
-    q, qd = rng.uniform(-0.5, 0.5, (2, STATES, 7))
-    return q, qd, rng.uniform(-0.5, 0.5, 7)
+    q, qd, qdd = rng.uniform(-0.5, 0.5, (3, 7))
+    vibration = 1e-4 * np.sin(2.0 * np.pi * np.arange(STATES) / STATES)[:, np.newaxis]
+    return q + vibration, qd + vibration, qdd
 
 
 def trips_table(found: dict[str, list[Trips]]) -> str:
