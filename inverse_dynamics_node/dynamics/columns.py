@@ -46,8 +46,12 @@ OMEGA_DOT = 45
 ACCEL = 48
 FORCE = 51
 MOMENT = 54
-COMPOSITE = 57  # ten columns, used by `composite_body` only
-COLUMNS = 67
+COMPOSITE = 57  # ten columns, used by `mass_matrix` only
+POSITION = 67  # of the frame's origin in the base; this and the axes are used by `regressor` only
+X_AXIS = 70  # of the frame, in coordinates of the base
+Y_AXIS = 73
+Z_AXIS = 76
+COLUMNS = 79
 
 # Ranges of columns, to set them together
 COM_COLUMNS = slice(COM, COM + 3)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,9 +14,11 @@ from ..robot.model import Floats, RobotModel
 from . import (
     batch,
     batch_mass_matrix,
+    batch_regressor,
     columns,
     mass_matrix,
     newton_euler,
+    regressor,
 )
 from .arguments import (
     broadcast,
@@ -445,23 +449,13 @@ class InverseDynamics:
                 return matrix
         except (AttributeError, TypeError, ValueError):
             pass
-        (rows,), shape = broadcast(n, q=q)
-        shape = (*shape, n)
-        if out is not None:
-            check_out(out, shape)
-        matrices = np.empty(shape) if out is None or not is_free(out, [rows]) else out
-        flat = matrices.reshape(len(rows), n, n)
-        if n and len(rows) >= batch.FEWEST:
-            status = batch_mass_matrix.mass_matrix_many(rows, flat, self.loaded.numbers)
-        else:
-            pairs = zip(rows, flat, strict=True)
-            status = max((self._mass_matrix(*pair, self._table) for pair in pairs), default=OK)
-        if status != OK:
-            raise explain(self.robot.joint_names, q=q)
-        if out is None or matrices is out:
-            return matrices
-        out[...] = matrices
-        return out
+        return self._matrices(
+            (n, n),
+            lambda states, out: self._mass_matrix(*states, out, self._table),
+            lambda states, out: batch_mass_matrix.mass_matrix_many(states[0], out, self.table),
+            out,
+            q=q,
+        )
 
     def effort_terms(
         self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: Floats | None = None
@@ -542,26 +536,145 @@ class InverseDynamics:
                     return JointWrenches(wrenches[:, :3], wrenches[:, 3:])
         except (AttributeError, TypeError, ValueError):
             pass
-        rows, shape = broadcast(n, q=q, qd=qd, qdd=qdd)
-        shape = (*shape[:-1], b, 6)
+        wrenches = self._matrices(
+            (b, 6),
+            lambda states, out: self._joint_wrenches(
+                *states, self._tau, self._R_LZ, out, self._table
+            ),
+            lambda states, out: batch.joint_wrenches_many(
+                (*states, np.empty_like(states[0])), out, self._R_LZ, self.table
+            ),
+            out,
+            q=q,
+            qd=qd,
+            qdd=qdd,
+        )
+        return JointWrenches(wrenches[..., :3], wrenches[..., 3:])
+
+    def regressor(
+        self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: Floats | None = None
+    ) -> Floats:
+        r"""
+        Compute the regressor Y of the inertial parameters: :math:`\tau = Y(q, qd, qdd)\,\pi`.
+
+        Parameters
+        ----------
+        q, qd, qdd : array_like, shape (..., n)
+            As for `efforts`.
+        out : ndarray, shape (..., n, 10 (b - 1)), optional
+            Receives the result: C-contiguous float64.
+
+        Returns
+        -------
+        regressor : ndarray, shape (..., n, 10 (b - 1))
+            Ten columns for each moving body, in the order of ``robot.body_names[1:]``, which are
+            the names of the joints that move them: for mass [kg], mass times centre of mass (x,
+            y, z) [kg m], and inertia about the origin of the body's frame (xx, xy, yy, xz, yz,
+            zz) [kg m^2], as in Pinocchio. The frame is the URDF frame of the joint.
+
+        Raises
+        ------
+        JointStateError
+            If a shape does not fit the robot, or a value is not finite.
+
+        See Also
+        --------
+        inertial_parameters : pi of this robot.
+
+        Notes
+        -----
+        Links that fixed joints hold together are one body. A body that a mimic joint moves has
+        columns of its own, and adds to the row of the joint that is mimicked. Gravity and the
+        motion of the base are included. Armature, friction and external wrenches are not: the
+        efforts due to them do not depend on pi. Payloads are part of pi and do not change Y.
+
+        The first call on a machine compiles; the machine code is cached on disk.
+
+        """
+        width = 10 * (len(self.robot.parent) - 1)
+        try:
+            if q.ndim == 1:  # type: ignore[union-attr]
+                matrix = np.empty((len(self._zeros), width)) if out is None else out
+                if self._regressor(q, qd, qdd, self._R_LZ, matrix, self._table):
+                    raise explain(
+                        self.robot.joint_names, out, (len(self._zeros), width), q=q, qd=qd, qdd=qdd
+                    )
+                return matrix
+        except (AttributeError, TypeError, ValueError):
+            pass
+        return self._matrices(
+            (len(self._zeros), width),
+            lambda states, out: self._regressor(*states, self._R_LZ, out, self._table),
+            lambda states, out: batch_regressor.regressor_many(
+                states, out, self._R_LZ, self.table
+            ),
+            out,
+            q=q,
+            qd=qd,
+            qdd=qdd,
+        )
+
+    def inertial_parameters(self) -> Floats:
+        """
+        Return the inertial parameters pi of the moving bodies, including payloads.
+
+        Returns
+        -------
+        parameters : ndarray, shape (10 (b - 1),)
+            In the order of the columns of `regressor`. ``regressor(q, qd, qdd) @ parameters`` are
+            the efforts of a robot without armature, friction and external wrenches.
+
+        """
+        bodies = range(1, len(self.robot.parent))
+        parameters = [self.loaded.rigid_body(body).parameters() for body in bodies]
+        return np.array(parameters).reshape(-1)
+
+    @cached_property
+    def _regressor(self) -> Callable[..., int]:
+        """Prepared at the first use, because most programs do not need it."""
+        return prepared(regressor.regressor, _V, _V, _V, _M, _M, _M)
+
+    def _matrices(
+        self,
+        kind: tuple[int, ...],
+        one: Callable[[list[Floats], Floats], int],
+        many: Callable[[list[Floats], Floats], int],
+        out: Floats | None,
+        **arguments: ArrayLike,
+    ) -> Floats:
+        """
+        Compute a quantity of anything that numpy can read as rows of n numbers.
+
+        Parameters
+        ----------
+        kind : tuple of int
+            Shape of the result for one state.
+        one, many : callable
+            Compute the quantity for a state, and for at least `batch.FEWEST` states in blocks;
+            return a status.
+        out : ndarray, optional
+            Receives the result.
+        **arguments : array_like
+            Joint positions and so on, by name.
+
+        """
+        rows, shape = broadcast(len(self._zeros), **arguments)
+        shape = (*shape[:-1], *kind)
         if out is not None:
             check_out(out, shape)
-        wrenches = np.empty(shape) if out is None or not is_free(out, rows) else out
-        flat = wrenches.reshape(-1, b, 6)
-        status = OK
-        if n and len(flat) >= batch.FEWEST:
-            states = (*rows, np.empty_like(rows[0]))
-            status = batch.joint_wrenches_many(states, flat, self._R_LZ, self.loaded.numbers)
+        result = np.empty(shape) if out is None or not is_free(out, rows) else out
+        flat = result.reshape(len(rows[0]), *kind)
+        if self._zeros.size and len(flat) >= batch.FEWEST:
+            status = many(rows, flat)
         else:
-            for *state, wrench in zip(*rows, flat, strict=True):
-                found = self._joint_wrenches(*state, self._tau, self._R_LZ, wrench, self._table)
-                status = max(status, found)
+            states = zip(zip(*rows, strict=True), flat, strict=True)
+            status = max((one(list(state), entry) for state, entry in states), default=OK)
         if status != OK:
-            raise explain(self.robot.joint_names, q=q, qd=qd, qdd=qdd)
-        if out is not None and wrenches is not out:
-            out[...] = wrenches
-            wrenches = out
-        return JointWrenches(wrenches[..., :3], wrenches[..., 3:])
+            raise explain(self.robot.joint_names, None, None, **arguments)
+        if out is None or result is out:
+            return result
+        out[...] = result
+        return out
 
     def _efforts_in(
         self,

@@ -108,17 +108,19 @@ class LoadedRobot:
             self._reduced[term] = self.revision, table
         return table
 
+    def rigid_body(self, body: int) -> RigidBody:
+        """Combine a body of the robot with the payloads on it."""
+        robot = self.robot
+        own = RigidBody(robot.mass[body], robot.com[body], robot.inertia[body])
+        return combine([own, *self._on_body(self._payloads, body)])
+
     def _write_base(self) -> None:
         self.numbers[0, columns.BASE_MOTION_COLUMNS] = self.base_motion.ravel()
         self.numbers[0, columns.ACCEL : columns.ACCEL + 3] -= self.gravity  # LWP (31)
         self._update(0)
 
     def _write_inertial(self, body: int) -> None:
-        """Combine a body of the robot with the payloads on it."""
-        robot = self.robot
-        parts = [RigidBody(robot.mass[body], robot.com[body], robot.inertia[body])]
-        parts += self._on_body(self._payloads, body)
-        columns.write_inertial(self.numbers[body], self.R_ZL[body], *combine(parts))
+        columns.write_inertial(self.numbers[body], self.R_ZL[body], *self.rigid_body(body))
         self._update(body)
 
     def _write_external(self, body: int) -> None:

@@ -48,6 +48,19 @@ class RigidBody(NamedTuple):
         """Return a body of the same shape with a multiple of the density."""
         return RigidBody(factor * self.mass, self.com, factor * self.inertia)
 
+    def parameters(self) -> Floats:
+        """
+        Return the ten inertial parameters, in which efforts are linear, shape (10,).
+
+        Mass [kg], mass times centre of mass (x, y, z) [kg m], and inertia about the origin of the
+        frame instead of the centre of mass (xx, xy, yy, xz, yz, zz) [kg m^2].
+
+        """
+        com = self.com
+        about_origin = self.inertia + self.mass * (com @ com * np.eye(3) - np.outer(com, com))
+        # The lower triangle, row by row.
+        return np.array([self.mass, *(self.mass * com), *about_origin[np.tril_indices(3)]])
+
 
 def combine(bodies: Iterable[RigidBody]) -> RigidBody:
     """

@@ -14,6 +14,7 @@ from robot_files import OUR_ROBOTS, real_robots
 pinocchio = pytest.importorskip('pinocchio')
 
 RELATIVE = 1e-10  # to the largest effort; the order of summation differs
+REGRESSOR = 1e-12  # to the largest entry
 GRAVITY = np.array([0.4, -1.2, -9.5])
 
 
@@ -44,6 +45,13 @@ class Peer:
         matrix = upper + np.triu(upper, 1).T
         return self.fold.T @ matrix @ self.fold
 
+    def regressor(self, q, qd, qdd):
+        arguments = self.positions(q), self.fold @ qd, self.fold @ qdd
+        found = pinocchio.computeJointTorqueRegressor(self.model, self.data, *arguments)
+        found = found.reshape(self.model.nv, -1)  # a vector if there is one joint
+        blocks = (self.fold.T @ found).reshape(len(q), len(self.bodies), 10)
+        return blocks[:, np.argsort(self.bodies)].reshape(len(q), -1)
+
 
 def assert_equal_to_pinocchio(robot, urdf, relative=RELATIVE, states=5):
     peer = Peer(robot, urdf)
@@ -59,6 +67,10 @@ def assert_equal_to_pinocchio(robot, urdf, relative=RELATIVE, states=5):
         assert np.abs(expected).max() > 0.0
         tolerance = relative * np.abs(expected).max()
         assert_allclose(dynamics.mass_matrix(q), expected, rtol=0, atol=tolerance)
+        expected = peer.regressor(q, qd, qdd)
+        assert np.abs(expected).max() > 0.0
+        tolerance = min(relative, REGRESSOR) * np.abs(expected).max()
+        assert_allclose(dynamics.regressor(q, qd, qdd), expected, rtol=0, atol=tolerance)
 
 
 @pytest.mark.parametrize('path', OUR_ROBOTS, ids=lambda path: path.stem)

@@ -1,0 +1,208 @@
+"""The regressors of many states at once: `regressor` on blocks of lanes, see `batch`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..robot.model import Floats
+from .batch import (
+    BLOCK,
+    hold_base,
+    holds_nan,
+    lane,
+    LANES,
+    outward_step,
+    place_link,
+    store_lane,
+    transpose,
+)
+from .columns import (
+    JOINT,
+    MULTIPLIER,
+    OFFSET,
+    PARENT,
+    rotation,
+    SLIDES,
+    vector,
+)
+from .equations import add, origin_in_parent, subtract
+from .jit import (
+    compile_for,
+    IS_COMPILED,
+    simd_inline,
+    simd_kernel,
+    simd_step,
+)
+from .newton_euler import NOT_FINITE, OK
+from .regressor import (
+    axes_in_base,
+    block,
+    combination,
+    in_frame_of_parameters,
+    PARAMETERS,
+    unit_twist,
+)
+
+_SIGNATURE = f'({"f8[:,:], " * 3}f8[:,:,:,:], f8[:,::1], f8[:,::1], UniTuple(f8[:,::1], 9))'
+
+
+def regressor_many(states: Sequence[Floats], matrices: Floats, R_LZ: Floats, robot: Floats) -> int:
+    """
+    Compute the regressors of many states; see `regressor.regressor`.
+
+    Parameters
+    ----------
+    states : q, qd and qdd, each an ndarray of shape (N, n)
+        N is at least `batch.FEWEST`.
+    matrices : ndarray, shape (N, n, 10 (b - 1))
+        Receives the regressors.
+    R_LZ : ndarray, shape (b, 9)
+        Rotations into the frames of the parameters, from the frames of the table.
+    robot : ndarray
+        Table from `robot_table`; read only.
+
+    Returns
+    -------
+    status : int
+        `OK` or `NOT_FINITE`.
+
+    """
+    compile_for(_blocks, _SIGNATURE)
+    (N, n), b = states[0].shape, len(robot)
+    q, qd, qdd = (values.T for values in states)
+    blocks = matrices.reshape(N, n, b - 1, PARAMETERS).transpose(1, 2, 3, 0)
+    shapes = ((b, 3), (b, 9), (b, 12), (1, 18), (1, 10), (n, 1), (n, 1), (n, 1), (1, 1))
+    kind = np.float64 if IS_COMPILED else np.object_
+    rows = tuple([np.empty((i, j * LANES), kind) for i, j in shapes])
+    if IS_COMPILED:
+        return int(_blocks(q, qd, qdd, blocks, R_LZ, robot, rows))
+    q, qd, qdd = (np.ascontiguousarray(values)[:, None] for values in (q, qd, qdd))
+    with np.errstate(over='ignore', invalid='ignore'):
+        return int(_blocks(q, qd, qdd, blocks[..., None, :], R_LZ, robot, rows))
+
+
+@simd_kernel
+def _blocks(
+    all_q: Any, all_qd: Any, all_qdd: Any, all_blocks: Any, R_LZ: Any, robot: Any, rows: Any
+) -> int:
+    """Compute block after block; the states are columns here."""
+    place, motion, frames, turned, factors, q, qd, qdd, residue = rows
+    size = min(BLOCK, all_q.shape[-1])
+    last = all_q.shape[-1] - size
+    hold_base(robot, motion)
+    hold_base_frame(frames)
+    residue[:] = 0.0
+    for start in range(0, last + size, size):
+        # The last block overlaps the one before, so that every block is full.
+        first = min(start, last)
+        states = slice(first, first + size)
+        transpose(all_q[..., states], q)
+        transpose(all_qd[..., states], qd)
+        transpose(all_qdd[..., states], qdd)
+        clear(all_blocks[..., states])
+        for i in range(1, len(robot)):
+            parent, joint = int(robot[i, PARENT]), int(robot[i, JOINT])
+            place_link(q, robot, i, joint, place)
+            outward_step(qd, qdd, robot, i, joint, place, motion, parent, motion)
+            frame_step(robot, i, place, frames, parent, frames)
+            turn(R_LZ, i, motion, frames, turned)
+            mover = i
+            while mover > 0:
+                compute_block(robot, i, mover, frames, turned, factors, residue)
+                add_block(factors, all_blocks[int(robot[mover, JOINT]), i - 1, ..., states])
+                mover = int(robot[mover, PARENT])
+    for k in range(LANES):
+        if holds_nan(residue[0, k]):
+            return NOT_FINITE
+    return OK
+
+
+@simd_step
+def hold_base_frame(frames: Any) -> None:
+    """Set the axes and the origin of the base in every lane."""
+    for k in range(LANES):
+        store_lane(frames, 0, 0, k, (1.0, 0.0, 0.0))
+        store_lane(frames, 0, 3, k, (0.0, 1.0, 0.0))
+        store_lane(frames, 0, 6, k, (0.0, 0.0, 1.0))
+        store_lane(frames, 0, 9, k, (0.0, 0.0, 0.0))
+
+
+@simd_step
+def clear(blocks: Any) -> None:
+    """Set the regressors of a block of states to zero."""
+    for k in range(LANES):
+        for joint in range(blocks.shape[0]):
+            for body in range(blocks.shape[1]):
+                for parameter in range(PARAMETERS):
+                    blocks[joint, body, parameter, k] = 0.0
+
+
+@simd_step
+def frame_step(robot: Any, i: int, place: Any, parents: Any, parent: int, frames: Any) -> None:
+    """Compute the axes and the origin of a link's frame in coordinates of the base."""
+    R, offset = rotation(robot[i]), vector(robot[i], OFFSET)
+    for k in range(LANES):
+        c, s, length = lane(place, i, 0, k)
+        axes_P = lane_axes(parents, parent, k)
+        p = combination(axes_P, origin_in_parent(R, offset, length))
+        store_axes(frames, i, k, axes_in_base(axes_P, R, c, s))
+        store_lane(frames, i, 9, k, add(lane(parents, parent, 9, k), p))
+
+
+@simd_step
+def turn(R_LZ: Any, i: int, motion: Any, frames: Any, turned: Any) -> None:
+    """Turn axes and motion of a link into the frame of its parameters."""
+    R = rotation(R_LZ[i])
+    for k in range(LANES):
+        own = lane(motion, i, 0, k), lane(motion, i, 3, k), lane(motion, i, 6, k)
+        axes, new = in_frame_of_parameters(R, lane_axes(frames, i, k), own)
+        store_axes(turned, 0, k, axes)
+        store_lane(turned, 0, 9, k, new[0])
+        store_lane(turned, 0, 12, k, new[1])
+        store_lane(turned, 0, 15, k, new[2])
+
+
+@simd_step
+def compute_block(
+    robot: Any, i: int, mover: int, frames: Any, turned: Any, factors: Any, residue: Any
+) -> None:
+    """Compute the factors of the parameters of link i in the effort of the joint of a mover."""
+    multiplier, slides = robot[mover, MULTIPLIER], robot[mover, SLIDES]
+    for k in range(LANES):
+        arm = subtract(lane(frames, i, 9, k), lane(frames, mover, 9, k))
+        twist = unit_twist(lane_axes(turned, 0, k), lane(frames, mover, 6, k), arm, slides)
+        motion = lane(turned, 0, 9, k), lane(turned, 0, 12, k), lane(turned, 0, 15, k)
+        f = block(twist, motion)
+        factors[0, k] = multiplier * f[0]
+        store_lane(factors, 0, 1, k, (multiplier * f[1], multiplier * f[2], multiplier * f[3]))
+        store_lane(factors, 0, 4, k, (multiplier * f[4], multiplier * f[5], multiplier * f[6]))
+        store_lane(factors, 0, 7, k, (multiplier * f[7], multiplier * f[8], multiplier * f[9]))
+    for parameter in range(PARAMETERS):
+        for k in range(LANES):
+            # The difference is 0 only for finite numbers, and a NaN stays a NaN.
+            factor = factors[0, parameter * LANES + k]
+            residue[0, k] = residue[0, k] + (factor - factor)
+
+
+@simd_step
+def add_block(factors: Any, target: Any) -> None:
+    """Add factors to the regressors; the row of a mimic joint adds to its master's."""
+    for k in range(LANES):
+        for parameter in range(PARAMETERS):
+            entry = target[parameter, k] + factors[0, parameter * LANES + k]
+            target[parameter, k] = entry
+
+
+@simd_inline
+def lane_axes(rows: Any, i: int, k: int) -> Any:
+    return lane(rows, i, 0, k), lane(rows, i, 3, k), lane(rows, i, 6, k)
+
+
+@simd_inline
+def store_axes(rows: Any, i: int, k: int, axes: Any) -> None:
+    store_lane(rows, i, 0, k, axes[0])
+    store_lane(rows, i, 3, k, axes[1])
+    store_lane(rows, i, 6, k, axes[2])

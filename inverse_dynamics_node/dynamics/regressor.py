@@ -1,0 +1,253 @@
+"""
+The regressor of one state: efforts as a linear function of the inertial parameters.
+
+For a given motion, the net force and moment on a body are linear in its mass, its first moment
+(mass times centre of mass) and its inertia about the origin of its frame. By virtual work, a joint
+that moves the body contributes to its effort the power of this force and moment under a unit rate
+of the joint. So each block of the regressor, for a joint and a body, follows from the motion of
+the body, and from the velocity that the joint gives to it at a unit rate.
+
+References
+----------
+.. [1] C. G. Atkeson, C. H. An, J. M. Hollerbach, "Estimation of inertial parameters of manipulator
+   loads and links", International Journal of Robotics Research 5(3) (1986), 101-119.
+
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from .columns import (
+    ACCEL,
+    COSINE,
+    JOINT,
+    JOINT_COUNT,
+    LENGTH,
+    MULTIPLIER,
+    OFFSET,
+    OMEGA,
+    OMEGA_DOT,
+    PARENT,
+    POSITION,
+    rotation,
+    SINE,
+    SLIDES,
+    store,
+    vector,
+    X_AXIS,
+    Y_AXIS,
+    Z_AXIS,
+)
+from .equations import (
+    add,
+    cross,
+    dot,
+    origin_in_parent,
+    point_acceleration,
+    subtract,
+    Vector,
+)
+from .jit import compiled, simd_inline
+from .newton_euler import NOT_FINITE, OK, outward_pass, WRONG_SIZE
+
+PARAMETERS = 10
+"""Per body: m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz."""
+
+Axes = tuple[Vector, Vector, Vector]
+"""Axes x, y, z of a frame."""
+
+
+@compiled
+def regressor(
+    q: Sequence[float],
+    qd: Sequence[float],
+    qdd: Sequence[float],
+    R_LZ: Any,
+    matrix: Any,
+    robot: Any,
+) -> int:
+    """
+    Compute the regressor of one state.
+
+    Parameters
+    ----------
+    q, qd, qdd, robot
+        As for `newton_euler.inverse_dynamics`.
+    R_LZ : b sequences of 9 floats
+        Rotations into the frames of the parameters, from the frames of the table.
+    matrix : n sequences of 10 (b - 1) floats
+        Receives the regressor.
+
+    Returns
+    -------
+    status : int
+        `OK`, `WRONG_SIZE` (then the matrix is untouched) or `NOT_FINITE`.
+
+    """
+    n, b = int(robot[0][JOINT_COUNT]), len(robot)
+    if len(q) != n or len(qd) != n or len(qdd) != n or len(matrix) != n:
+        return WRONG_SIZE
+    if n > 0 and len(matrix[0]) != PARAMETERS * (b - 1):
+        return WRONG_SIZE
+    for joint in range(n):
+        for k in range(PARAMETERS * (b - 1)):
+            matrix[joint][k] = 0.0
+    outward_pass(q, qd, qdd, robot)
+    place_in_base(robot)
+    residue = 0.0
+    for i in range(1, b):
+        link = robot[i]
+        axes, motion = in_frame_of_parameters(
+            rotation(R_LZ[i]),
+            (vector(link, X_AXIS), vector(link, Y_AXIS), vector(link, Z_AXIS)),
+            (vector(link, OMEGA), vector(link, OMEGA_DOT), vector(link, ACCEL)),
+        )
+        p, first, k = vector(link, POSITION), PARAMETERS * (i - 1), i
+        while k > 0:
+            mover = robot[k]
+            arm = subtract(p, vector(mover, POSITION))
+            twist = unit_twist(axes, vector(mover, Z_AXIS), arm, mover[SLIDES])
+            row = matrix[int(mover[JOINT])]
+            # The row of a mimic joint adds to its master's.
+            residue += add_block(row, first, mover[MULTIPLIER], block(twist, motion))
+            k = int(mover[PARENT])
+    return OK if residue == 0.0 else NOT_FINITE
+
+
+@compiled
+def place_in_base(robot: Any) -> None:
+    """Store the axes and the origin of every link's frame in coordinates of the base."""
+    base = robot[0]
+    store(base, X_AXIS, (1.0, 0.0, 0.0))
+    store(base, Y_AXIS, (0.0, 1.0, 0.0))
+    store(base, Z_AXIS, (0.0, 0.0, 1.0))
+    store(base, POSITION, (0.0, 0.0, 0.0))
+    for i in range(1, len(robot)):
+        link = robot[i]
+        parent = robot[int(link[PARENT])]
+        R = rotation(link)
+        p = origin_in_parent(R, vector(link, OFFSET), link[LENGTH])
+        axes = vector(parent, X_AXIS), vector(parent, Y_AXIS), vector(parent, Z_AXIS)
+        x, y, z = axes_in_base(axes, R, link[COSINE], link[SINE])
+        store(link, X_AXIS, x)
+        store(link, Y_AXIS, y)
+        store(link, Z_AXIS, z)
+        store(link, POSITION, add(vector(parent, POSITION), combination(axes, p)))
+
+
+@simd_inline
+def axes_in_base(axes_P: Axes, R: Any, c: Any, s: Any) -> Axes:
+    """Return the axes of a link's frame, from those of its parent's."""
+    x = c * R[0] + s * R[1], c * R[3] + s * R[4], c * R[6] + s * R[7]
+    y = c * R[1] - s * R[0], c * R[4] - s * R[3], c * R[7] - s * R[6]
+    z = R[2], R[5], R[8]
+    return combination(axes_P, x), combination(axes_P, y), combination(axes_P, z)
+
+
+@simd_inline
+def in_frame_of_parameters(R: Any, axes: Axes, motion: Any) -> Any:
+    """Turn axes (in the base) and motion of a link from its frame in the table by R = R_LZ."""
+    x, y, z = (R[0], R[1], R[2]), (R[3], R[4], R[5]), (R[6], R[7], R[8])
+    turned = combination(axes, x), combination(axes, y), combination(axes, z)
+    omega, omega_dot, accel = motion
+    new = (x, y, z)
+    return turned, (
+        components(new, omega),
+        components(new, omega_dot),
+        components(new, accel),
+    )
+
+
+@simd_inline
+def unit_twist(axes: Axes, z: Vector, arm: Vector, slides: Any) -> tuple[Vector, Vector]:
+    """
+    Return the angular velocity of a body, and the velocity of its origin, for a unit joint rate.
+
+    Parameters
+    ----------
+    axes : three vectors
+        Axes of the body's frame, in coordinates of the base.
+    z, arm : vector
+        Axis of the joint, and the body's origin from the joint's, in coordinates of the base.
+    slides : float
+        1.0 for a prismatic joint, 0.0 for a revolute one.
+
+    Returns
+    -------
+    omega, velocity : vector
+        In the body's frame.
+
+    """
+    axis, swept = components(axes, z), components(axes, cross(z, arm))
+    turns = 1.0 - slides
+    omega = turns * axis[0], turns * axis[1], turns * axis[2]
+    velocity = (
+        slides * axis[0] + turns * swept[0],
+        slides * axis[1] + turns * swept[1],
+        slides * axis[2] + turns * swept[2],
+    )
+    return omega, velocity
+
+
+@simd_inline
+def block(twist: tuple[Vector, Vector], motion: tuple[Vector, Vector, Vector]) -> Any:
+    """
+    Return the factors of the ten parameters of a body in the effort of a joint that moves it.
+
+    With h the first moment and I the inertia about the origin, the net force is m accel +
+    omega_dot x h + omega x (omega x h), and the net moment about the origin is I omega_dot +
+    omega x (I omega) + h x accel. The factors are those of m, h and I in w . moment + v . force,
+    with w and v the angular velocity and the velocity of the origin at a unit rate of the joint.
+
+    """
+    (w, v), (omega, omega_dot, accel) = twist, motion
+    # The force on h is point_acceleration(h, ...); this is its transpose, applied to v.
+    backwards = 0.0 - omega_dot[0], 0.0 - omega_dot[1], 0.0 - omega_dot[2]
+    h = point_acceleration(v, omega, backwards, cross(accel, w))
+    # w . (omega x (I omega)) = u . (I omega)
+    u = cross(w, omega)
+    return (
+        dot(v, accel),
+        h[0],
+        h[1],
+        h[2],
+        w[0] * omega_dot[0] + u[0] * omega[0],
+        w[0] * omega_dot[1] + w[1] * omega_dot[0] + u[0] * omega[1] + u[1] * omega[0],
+        w[1] * omega_dot[1] + u[1] * omega[1],
+        w[0] * omega_dot[2] + w[2] * omega_dot[0] + u[0] * omega[2] + u[2] * omega[0],
+        w[1] * omega_dot[2] + w[2] * omega_dot[1] + u[1] * omega[2] + u[2] * omega[1],
+        w[2] * omega_dot[2] + u[2] * omega[2],
+    )
+
+
+@simd_inline
+def add_block(row: Any, first: int, multiplier: float, factors: Any) -> float:
+    """Add a multiple of ten factors to a row; return NaN if one is not finite, otherwise 0."""
+    residue = 0.0
+    for k in range(PARAMETERS):
+        entry = row[first + k] + multiplier * factors[k]
+        row[first + k] = entry
+        residue += entry - entry
+    return residue
+
+
+# Vectors and frames
+
+
+@simd_inline
+def components(axes: Axes, v: Vector) -> Vector:
+    """Return a vector in the frame with these axes."""
+    return dot(axes[0], v), dot(axes[1], v), dot(axes[2], v)
+
+
+@simd_inline
+def combination(axes: Axes, v: Vector) -> Vector:
+    """Return a vector given in the frame with these axes: x v[0] + y v[1] + z v[2]."""
+    x, y, z = axes
+    return (
+        x[0] * v[0] + y[0] * v[1] + z[0] * v[2],
+        x[1] * v[0] + y[1] * v[1] + z[1] * v[2],
+        x[2] * v[0] + y[2] * v[1] + z[2] * v[2],
+    )
