@@ -181,6 +181,17 @@ class Controller:
         return self._of_joint['effort_offset']
 
     @property
+    def longest_gap(self) -> float:
+        """
+        Longest time between steps [s].
+
+        A longer gap means that the process was suspended or the machine stalled. Ramps resume
+        where they were instead of catching up.
+
+        """
+        return max(self.settings.state_timeout, 2.0 * self._period) + _PATIENCE
+
+    @property
     def motion(self) -> tuple[Floats, Floats]:
         """Velocities and accelerations of the last computed efforts, each of shape (n,)."""
         return self._velocities, self._qdd
@@ -253,9 +264,7 @@ class Controller:
             None before the first complete joint state since the start.
 
         """
-        # A longer gap means that the process was suspended or the machine stalled. Ramps resume
-        # where they were instead of catching up.
-        longest = max(self.settings.state_timeout, 2.0 * self._period) + _PATIENCE
+        longest = self.longest_gap
         since = now - self._time
         elapsed = since if 0.0 <= since <= longest else 0.0
         if elapsed != since:

@@ -172,7 +172,10 @@ class InverseDynamicsNode(LifecycleNode):
         if result == _SUCCESS:
             self._runner.start()
         joints = ', '.join(self._runner.loop.controller.joints)
-        self.get_logger().info(f'efforts for {joints} to {self._graph.with_subscribers()}')
+        to = f'to {self._graph.with_subscribers()}'
+        if self._configuration.dry_run:
+            to = self._outputs.describe_dry_run(to)
+        self.get_logger().info(f'efforts for {joints} {to}')
         self._may_autostart = False
         return result
 

@@ -59,7 +59,10 @@ class Configuration:
         is_live=False,
     )
     robot_description_file: str = parameter(
-        '', 'URDF file: a path, `package://PACKAGE/PATH` or `file:///PATH`', is_live=False
+        '',
+        'URDF or xacro file: a path, `package://PACKAGE/PATH` or `file:///PATH`',
+        'The file name of a xacro file ends in `.xacro`; arguments `name:=value` may follow',
+        is_live=False,
     )
     joints: tuple[str, ...] = parameter(
         [''],
@@ -85,6 +88,12 @@ class Configuration:
         minimum=0.0,
         maximum=10_000.0,
         is_live=False,
+    )
+    dry_run: bool = parameter(
+        False,
+        'Compute, check and publish everything, but send no `~/commands`',
+        'Switched on while the node commands: these fall to zero within `stop_ramp`, zeros follow '
+        'for 0.5 s, then nothing. Switched off: they rise from zero within `start_ramp`',
     )
     mode: Mode = parameter(
         _SETTINGS.mode.value,
