@@ -18,6 +18,7 @@ from typing import get_type_hints
 
 from ..control.settings import LoadSettings, Mode, PerJoint, Settings, StalePolicy
 from ..dynamics.inverse_dynamics import FRICTION_WIDTH, STANDARD_GRAVITY
+from .memory_lock import has_realtime_kernel
 from .parameter_types import kind_of, NUMBER, Parameter, parameter
 
 _SETTINGS = Settings()
@@ -280,6 +281,28 @@ class Configuration:
     executor: Executor = parameter(
         Executor.EVENTS.value,
         'The executor of rclpy. `single_threaded` is slower',
+        is_live=False,
+        is_read_only=True,
+    )
+    thread_priority: int = parameter(
+        50,
+        'Priority of the control loop and the middleware in the scheduling policy `SCHED_FIFO`',
+        'Without the permission they keep normal priority, and a warning is logged',
+        minimum=1,
+        maximum=99,
+        is_live=False,
+        is_read_only=True,
+    )
+    lock_memory: bool = parameter(
+        has_realtime_kernel(),
+        'Keep the memory of the process from being swapped out',
+        is_live=False,
+        is_read_only=True,
+        default_note='true with a real-time kernel, otherwise false',
+    )
+    cpu_affinity: tuple[int, ...] = parameter(
+        -1,
+        'The CPU, or list of CPUs, of the control loop and the middleware. -1: all',
         is_live=False,
         is_read_only=True,
     )
