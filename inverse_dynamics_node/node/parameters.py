@@ -163,7 +163,10 @@ class Configuration:
         True, 'Set to false if the driver compensates gravity itself: UR, Franka, KUKA FRI'
     )
     include_friction: bool = parameter(
-        False, 'Add the efforts that overcome friction: `damping` and `coulomb`'
+        False,
+        'Add the efforts that overcome friction',
+        '`damping` * qd + (`coulomb` + `load_friction` * |load|) * tanh(qd / `coulomb_width`), '
+        'with the load of `load_friction`',
     )
     damping: PerJoint = parameter(
         VALUE_OF_URDF,
@@ -177,12 +180,20 @@ class Configuration:
         unit='N m, N',
         minimum=VALUE_OF_URDF,
     )
-    coulomb_width: float = parameter(
+    coulomb_width: PerJoint = parameter(
         FRICTION_WIDTH,
         'Speed over which Coulomb friction is smoothed',
         unit='rad/s, m/s',
         minimum=1e-6,
         maximum=100.0,
+    )
+    load_friction: PerJoint = parameter(
+        0.0,
+        'Increase of Coulomb friction per load on the gear: 0.05 is 5 % of it',
+        'The load is the effort that moves and holds the links, payloads and external wrenches '
+        'included. `armature` and friction are on the side of the motor and are no part of it',
+        minimum=0.0,
+        maximum=10.0,
     )
     armature: PerJoint = parameter(
         0.0,

@@ -189,6 +189,28 @@ def test_changed_parameters_cause_no_jump(run_node, robot):
     assert_ramped(robot, since, HOLD, HOLD)
 
 
+def test_changed_load_friction_causes_no_jump(run_node, robot):
+    run_node(**RAMPED, include_friction=True, coulomb=1.0, coulomb_width=[0.1, 0.2, *[0.1] * 4])
+    velocities = np.array([-0.2, 0.3, -0.4, 0.1, 0.2, -0.3])
+    dynamics = InverseDynamics(load_urdf(STANFORD))
+    width = [0.1, 0.2, 0.1, 0.1, 0.1, 0.1]
+    eta = [0.9, 0.8, 0.9, 0.9, 0.9, 0.9]
+    dynamics.set_friction(coulomb=1.0, width=width)
+    before = dynamics.efforts(Q, velocities, ZERO)
+    dynamics.set_friction(coulomb=1.0, width=width, load_friction=eta)
+    after = dynamics.efforts(Q, velocities, ZERO)
+    assert np.abs(after - before).max() > 0.5 * np.abs(before).max()
+    robot.publish_state(NAMES, Q, velocities)
+    robot.wait_for_command(before)
+    since = time.monotonic()
+    assert robot.set_parameter('load_friction', eta).successful
+    robot.wait_for_command(after)
+    assert_ramped(robot, since, before, after - before)
+    result = robot.set_parameter('load_friction', [0.1, 0.2])
+    assert 'load_friction has 2 numbers, expected one, or one for each of 6' in result.reason
+    assert 'expected 1e-06 to 100' in robot.set_parameter('coulomb_width', [0.0] * 6).reason
+
+
 def push_joint(robot, effort):
     """Request an effort of the third joint; the others only compensate gravity."""
     robot.publish_reference(NAMES, ZERO, [0.0, 0.0, effort - HOLD[2], 0.0, 0.0, 0.0])
