@@ -69,7 +69,7 @@ def _reason_to_stop(now: float, loop: ControlLoop) -> str:
     if loop.controller.phase is Phase.STOPPED:
         return 'disabled by ~/enable'
     if loop.controller.phase is Phase.NO_SOLUTION:
-        return str(loop.controller.phase.value)
+        return f'{loop.controller.phase.value}: {loop.controller.cause_of_failure()}'
     if loop.lacks_imu:
         return 'no message on imu yet'
     if not loop.collector.is_consistent:

@@ -92,7 +92,7 @@ def apply_configuration(
     widths = configuration.coulomb_width
     width = FRICTION_WIDTH if isinstance(widths, tuple) else widths  # of the other joints
     speeds = of_robot('coulomb_width', widths, np.full(n, width))
-    loop.controller.apply(configuration.settings)
+    configuration.settings.expanded(m)
     factor = 1.0 if configuration.include_friction else 0.0
     loop.dynamics.set_friction(factor * damping, factor * coulomb, speeds, factor * load_friction)
     loop.dynamics.set_armature(armature)
@@ -101,6 +101,7 @@ def apply_configuration(
     is_new = before is not None and before.gravity != configuration.gravity
     if is_new and not loop.has_imu:
         loop.loads.set_gravity(configuration.gravity)
+    loop.controller.apply(configuration.settings)  # blends the effect of the changes above, too
 
 
 def check_configuration(loop: ControlLoop, configuration: Configuration) -> None:

@@ -186,7 +186,9 @@ class LoopRunner:
     def _missing(self) -> list[str]:
         assert self.loop is not None
         return self.loop.missing(
-            self._graph.with_publishers('joint_states'), self._graph.with_publishers('imu')
+            self._graph.with_publishers('joint_states'),
+            self._graph.with_publishers('imu'),
+            self.now(),
         )
 
     def _explain(self, loop: ControlLoop) -> None:
