@@ -13,14 +13,24 @@ from ..robot.urdf import load_urdf
 from .console import waiting
 
 
-def load_dynamics(path: Path, gravity: Floats | tuple[float, ...]) -> InverseDynamics:
+def read_source_text(path: Path | str) -> Path | str:
+    """Return the text of standard input for ``-``, and anything else as it is."""
+    if str(path) != '-':
+        return path
+    text = sys.stdin.read()
+    if not text.lstrip('\ufeff \t\r\n').startswith('<'):  # otherwise it would be a path
+        raise UrdfError(['is not XML'], 'standard input')
+    return text
+
+
+def load_dynamics(path: Path | str, gravity: Floats | tuple[float, ...]) -> InverseDynamics:
     """
     Load a robot description, and compile the functions that compute its efforts.
 
     Parameters
     ----------
-    path : pathlib.Path
-        A file; ``-`` is standard input.
+    path : pathlib.Path or str
+        A file; ``-`` is standard input; or XML text.
     gravity : array_like, shape (3,)
         Free-fall acceleration in the frame of the base link [m/s^2].
 
@@ -32,11 +42,7 @@ def load_dynamics(path: Path, gravity: Floats | tuple[float, ...]) -> InverseDyn
         If gravity is not three finite numbers.
 
     """
-    source: Path | str = path
-    if str(path) == '-':
-        source = sys.stdin.read()
-        if not source.lstrip('\ufeff \t\r\n').startswith('<'):  # otherwise it would be a path
-            raise UrdfError(['is not XML'], 'standard input')
+    source = read_source_text(path)
     with waiting('loading (the first time, compiling takes some seconds)'):
         return InverseDynamics(load_urdf(source), gravity)
 

@@ -13,7 +13,7 @@ _LONG_SILENCE = 5.0  # [s]; after which connected publishers are suspicious
 _MOST_NAMES = 5  # of nodes, in one message
 
 
-def activity(now: float, loop: ControlLoop, *, is_dry_run: bool = False) -> str:
+def activity(now: float, loop: ControlLoop) -> str:
     """
     Describe what the controller is doing, and why.
 
@@ -23,19 +23,10 @@ def activity(now: float, loop: ControlLoop, *, is_dry_run: bool = False) -> str:
         The time [s].
     loop : ControlLoop
         The active control loop.
-    is_dry_run : bool
-        Whether its commands are not sent.
 
     """
-    doing = _computing(loop)
-    if not doing:
-        doing = f'{_consequence(loop, is_dry_run)}: {_reason_to_stop(now, loop)}'
-    return f'dry run: {doing}' if is_dry_run else doing
-
-
-def _computing(loop: ControlLoop) -> str:
-    """Describe how efforts are computed; empty in the phases in which they are not."""
-    phase, settings = loop.controller.phase, loop.controller.settings
+    controller = loop.controller
+    phase, settings = controller.phase, controller.settings
     if phase is Phase.HOLDING:
         return f'{phase.value}: {_reason_to_hold(loop)}'
     if phase is Phase.TOO_FAR:
@@ -43,17 +34,15 @@ def _computing(loop: ControlLoop) -> str:
             'holding position: the reference starts or jumps more than max_position_jump '
             f'({settings.max_position_jump:g} rad or m) away'
         )
-    return str(phase.value) if phase in COMPUTING_PHASES or phase is Phase.WAITING else ''
-
-
-def _consequence(loop: ControlLoop, is_dry_run: bool) -> str:
-    controller = loop.controller
+    if phase in COMPUTING_PHASES or phase is Phase.WAITING:
+        return str(phase.value)
     if not controller.has_effort:
-        return 'stopped' if is_dry_run else 'stopped, zeros sent'
-    is_stopped = controller.phase is Phase.STOPPED
-    if is_stopped or controller.settings.on_stale_state is StalePolicy.ZERO:
-        return 'ramping efforts down'
-    return 'keeping the last efforts'
+        consequence = 'stopped, zeros sent'
+    elif phase is Phase.STOPPED or settings.on_stale_state is StalePolicy.ZERO:
+        consequence = 'ramping efforts down'
+    else:
+        consequence = 'keeping the last efforts'
+    return f'{consequence}: {_reason_to_stop(now, loop)}'
 
 
 def _reason_to_hold(loop: ControlLoop) -> str:
@@ -69,7 +58,7 @@ def _reason_to_stop(now: float, loop: ControlLoop) -> str:
     if loop.controller.phase is Phase.STOPPED:
         return 'disabled by ~/enable'
     if loop.controller.phase is Phase.NO_SOLUTION:
-        return f'{loop.controller.phase.value}: {loop.controller.cause_of_failure()}'
+        return str(loop.controller.phase.value)
     if loop.lacks_imu:
         return 'no message on imu yet'
     if not loop.collector.is_consistent:

@@ -39,3 +39,11 @@ def decimals(values: Floats, digits: int = 4) -> int:
     if not 0.0 < largest < math.inf:
         return 1
     return min(6, max(1, digits - 1 - math.floor(math.log10(largest))))
+
+
+def with_error(value: float, error: float) -> str:
+    """Write a value with as many digits as its standard error justifies."""
+    if not error > 0.0 or not math.isfinite(error):
+        return f'{value:.4g}'
+    places = min(6, max(0, 1 - math.floor(math.log10(error))))
+    return f'{value:.{places}f} ± {error:.{places}f}'

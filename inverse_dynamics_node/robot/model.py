@@ -89,6 +89,14 @@ class RobotModel:
     """Origin of the link in its body's frame, shape (k, 3) [m]."""
     link_mass: Floats
     """Mass of the link alone, shape (k,) [kg]; 0 if it has no inertial."""
+    link_com: Floats
+    """Centre of mass of the link alone in the link's frame, shape (k, 3) [m]."""
+    link_inertia: Floats
+    """
+    Inertia of the link alone about its centre of mass, shape (k, 3, 3) [kg m^2].
+
+    It is expressed along the axes of the link's frame.
+    """
 
     warnings: tuple[ModelWarning, ...] = ()
     """What looks wrong although it could be loaded, in file order."""

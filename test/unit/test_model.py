@@ -92,7 +92,7 @@ def test_shapes_of_the_arrays_are_consistent(urdf_path):
     rows = {
         'lower upper velocity_limits effort_limits damping friction is_continuous': n,
         'parent is_prismatic joint_index multiplier offset R_PL p_PL axis mass com inertia': b,
-        'link_body link_rotation link_position link_mass': k,
+        'link_body link_rotation link_position link_mass link_com link_inertia': k,
     }
     expected = {name: count for names, count in rows.items() for name in names.split()}
     assert {name: len(value) for name, value in arrays(model).items()} == expected

@@ -172,8 +172,8 @@ def friction_parameters(
         for name, fit in zip(joint_names, fits, strict=True)
         if fit.unknown_because
     ]
-    damping = ', '.join(_number(-1.0 if fit.unknown_because else fit.damping) for fit in fits)
-    coulomb = ', '.join(_number(-1.0 if fit.unknown_because else fit.coulomb) for fit in fits)
+    damping = ', '.join(ros_number(-1.0 if fit.unknown_because else fit.damping) for fit in fits)
+    coulomb = ', '.join(ros_number(-1.0 if fit.unknown_because else fit.coulomb) for fit in fits)
     names = ', '.join("'" + name.replace("'", "''") + "'" for name in joint_names)
     lines = [
         '# Friction, fitted to a recording: damping [N m s/rad, N s/m] and Coulomb friction '
@@ -185,12 +185,12 @@ def friction_parameters(
         '    include_friction: true',
         f'    damping: [{damping}]',
         f'    coulomb: [{coulomb}]',
-        f'    coulomb_width: {_number(width)}',
+        f'    coulomb_width: {ros_number(width)}',
     ]
     return '\n'.join(lines) + '\n'
 
 
-def _number(value: float) -> str:
+def ros_number(value: float) -> str:
     """Write a number with a decimal point, so that ROS reads a list of numbers as decimals."""
     text = f'{value:.5g}'
     if 'e' in text:

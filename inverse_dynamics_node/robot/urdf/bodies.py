@@ -127,6 +127,8 @@ def build_model(
         link_rotation=np.array([place.rotation for place in placed]),
         link_position=np.array([place.position for place in placed]),
         link_mass=np.array([link.inertial.mass for link in links], float),
+        link_com=np.array([link.inertial.com for link in links], float),
+        link_inertia=np.array([link.inertial.inertia for link in links], float),
         warnings=(*warnings, *_massless(bodies, parents, mass)),
     )
 

@@ -137,6 +137,24 @@ def _hardened_parser(encoding: str | None, recover: bool = False) -> Any:
     )
 
 
+def declared_encoding(data: bytes) -> str:
+    """Return the encoding of a document: its byte order mark, its declaration, or UTF-8."""
+    for mark, name in ((b'\xff\xfe', 'utf-16'), (b'\xfe\xff', 'utf-16')):
+        if data.startswith(mark):
+            return name
+    found = _DECLARATION.match(data)
+    declared = _ENCODING.search(found[0]) if found else None
+    return declared[1].decode('ascii', 'replace') if declared else 'utf-8'
+
+
+def blank_declaration(data: bytes) -> bytes:
+    """Replace an XML declaration by as many spaces."""
+    found = _DECLARATION.match(data)
+    if not found:
+        return data
+    return re.sub(rb'[^\r\n]', b' ', found[0]) + data[found.end() :]
+
+
 def _without_odd_declaration(source: Source) -> tuple[Source, list[ModelWarning]]:
     """Blank out an XML declaration that only libxml2 rejects, keeping lines and columns."""
     found = _DECLARATION.match(source.data)

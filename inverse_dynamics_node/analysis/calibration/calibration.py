@@ -1,0 +1,203 @@
+"""Identifies the bodies and joints of a robot from recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+
+import numpy as np
+
+from ...dynamics.inverse_dynamics import STANDARD_GRAVITY
+from ...robot.model import Booleans, Floats, RobotModel
+from ..identification.signals import Recording
+from .delay import estimate_delay, shifted
+from .fit import correlation, Equations, Solution, solve
+from .free_bodies import free_bodies
+from .joint_terms import choose_terms, fit_terms, widths_to_try
+from .motions import measured_joints, prepare, Run
+from .result import Calibration
+from .samples import Model, Samples, Setting
+from .selection import choose_gamma, solve_within_reason
+from .summary import summarise
+
+ROUNDS = 3
+FIRST_GAMMA = 1.0
+SMOOTHING_RANGE = (0.1, 0.6)
+"""Shortest and longest smoothing window of the fit [s]."""
+BLOCKS = 8
+LEAST_TRAVEL = {False: 0.02, True: 0.002}
+"""Travel of a joint below which its friction is unknown [rad], prismatic [m]."""
+LEAST_RETURN = 0.1
+"""Fraction of the travel that has to go in the other direction."""
+
+
+class Identification:
+    """
+    The fits to one set of recordings; attributes are filled step by step.
+
+    Parameters
+    ----------
+    setting : Setting
+        The robot and what is identified.
+    runs : sequence of Run
+        The recordings.
+    progress : callable
+        Called with the fraction that is done.
+
+    """
+
+    def __init__(
+        self, setting: Setting, runs: Sequence[Run], progress: Callable[[float], None]
+    ) -> None:
+        self.setting, self.runs, self.progress = setting, runs, progress
+        self.motions = [run.motion for run in runs]
+        self.moving = moving_joints(setting, runs)
+        self.seconds = self._smoothing_window()
+        self.samples = Samples(setting, self.motions, self.seconds, BLOCKS)
+        self.grid = widths_to_try(np.quantile(np.abs(self.samples.qd), 0.95, axis=0))
+        self.delay = self.delay_error = self.delay_removed = 0.0
+        free = setting.free
+        self.weights: Floats
+        self.equations: Equations
+        self.solution: Solution
+        self.used: Booleans
+        self.friction, self.friction_used = choose_terms(
+            self.samples, free.before, self.moving, self.grid, optional=False
+        )
+        progress(0.2)
+        self._iterate(free.reference, np.full(len(free.bodies), FIRST_GAMMA))
+        self._remove_delay()
+        progress(0.6)
+        self.gamma, self.trials = choose_gamma(
+            self.equations, self.weights, self.used, self.solution.model
+        )
+        progress(0.9)
+        self._finish()
+
+    def _smoothing_window(self) -> float:
+        """Choose a window that leaves the motion as it is: fast robots need a short one."""
+        ratios = []
+        for motion in self.motions:
+            for joint, moves in zip(self.setting.joints, self.moving, strict=True):
+                if moves:
+                    qdd = np.sqrt(np.mean(motion.qdd[:, joint] ** 2))
+                    ratios.append(np.sqrt(np.mean(motion.qd[:, joint] ** 2)) / max(qdd, 1e-9))
+        duration = sum(float(np.ptp(motion.times)) for motion in self.motions)
+        typical = 0.7 * float(np.quantile(ratios, 0.25)) if ratios else np.inf
+        return float(np.clip(min(typical, duration / 40.0), *SMOOTHING_RANGE))
+
+    def _iterate(self, bodies: Floats, gammas: Floats, rounds: int = ROUNDS) -> None:
+        """Fit terms and bodies in turn, with weights from the residuals."""
+        samples = self.samples
+        for _ in range(rounds):
+            start, self.used = choose_terms(samples, bodies, self.moving, self.grid)
+            self.weights = weights_of(samples.residual(start))
+            self.equations = Equations(samples, start)
+            self.solution = solve(self.equations, self.weights, gammas, self.used, start)
+            bodies = self.solution.model.bodies
+        self.weights = weights_of(samples.residual(self.solution.model))
+
+    def _remove_delay(self) -> None:
+        for _ in range(3):
+            delay, self.delay_error = estimate_delay(self.samples, self.solution, self.weights)
+            self.delay = self.delay_removed + delay
+            if abs(delay) < max(2.0 * self.delay_error, 2e-4):
+                break
+            self.delay_removed = self.delay
+            self.samples.set_efforts([shifted(motion, self.delay) for motion in self.motions])
+            self._iterate(self.solution.model.bodies, self.solution.prior.weights, 2)
+
+    def _finish(self) -> None:
+        """Fit with the chosen weight of the robot description."""
+        bodies = self.solution.model.bodies
+        self._iterate(bodies, np.full(len(bodies), self.gamma), 2)
+        self.equations = Equations(self.samples, self.solution.model)
+        self.solution, self.told = solve_within_reason(
+            self.equations, self.weights, self.gamma, self.used, self.solution.model
+        )
+
+    def folds(self) -> list[tuple[Model, Model]]:
+        """Return friction and identified models fitted without each of the blocks."""
+        found = []
+        for k in range(self.equations.block_count):
+            rows = (self.samples.block != k) & (self.samples.block >= 0)
+            friction = fit_terms(
+                self.samples, self.setting.free.before, self.friction_used, self.friction.widths,
+                rows,
+            )  # fmt: skip
+            solution = solve(
+                self.equations, self.weights, self.solution.prior.weights, self.used,
+                self.solution.model, k,
+            )  # fmt: skip
+            found.append((friction, solution.model.exported()))
+        return found
+
+
+def weights_of(residual: Floats) -> Floats:
+    """Return the weights of the joints: inverse variances, for dependent samples."""
+    squares = np.mean(residual**2, axis=0)
+    dependent = np.array([correlation(column) for column in residual.T])
+    return np.asarray(1.0 / (np.maximum(squares, 1e-6 * squares.max() + 1e-12) * dependent))
+
+
+def moving_joints(setting: Setting, runs: Sequence[Run]) -> Booleans:
+    """Return which joints moved so that their friction can be identified."""
+    forth = np.zeros(len(setting.joints))
+    back = np.zeros(len(setting.joints))
+    for run in runs:
+        steps = np.diff(run.motion.q[:, setting.joints], axis=0)
+        forth += np.maximum(steps, 0.0).sum(axis=0)
+        back -= np.minimum(steps, 0.0).sum(axis=0)
+    slides = setting.free.robot.is_prismatic_joint[setting.joints]
+    least = np.where(slides, LEAST_TRAVEL[True], LEAST_TRAVEL[False])
+    return np.asarray(np.minimum(forth, back) > np.maximum(least, LEAST_RETURN * (forth + back)))
+
+
+def calibrate(
+    robot: RobotModel,
+    recordings: Sequence[Recording],
+    validation: Sequence[Recording] = (),
+    gravity: Floats | tuple[float, ...] = STANDARD_GRAVITY,
+    payload: tuple[str, float, Sequence[float]] | None = None,
+    kept: Collection[str] = (),
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> Calibration:
+    """
+    Identify inertial parameters, friction and armature of a robot.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        The robot description, which the result stays close to where the recordings say little.
+    recordings : sequence of Recording
+        Recordings to fit.
+    validation : sequence of Recording
+        Recordings to evaluate the result with; by default, blocks of the others that were left
+        out of the fit in turn.
+    gravity : array_like, shape (3,)
+        Free-fall acceleration in the base frame [m/s^2].
+    payload : tuple of link, mass and centre of mass, optional
+        Known payload in all recordings.
+    kept : collection of str
+        Links that do not change.
+    progress : callable
+        Called now and then with the fraction that is done, 0 to 1.
+
+    Returns
+    -------
+    calibration : Calibration
+
+    Raises
+    ------
+    RecordingError
+        If a recording is not usable.
+    ConfigurationError
+        If a link does not exist, or nothing is left to identify.
+
+    """
+    joints = measured_joints(robot, [*recordings, *validation])
+    setting = Setting(free_bodies(robot, kept), joints, np.array(gravity, dtype=float), payload)
+    runs = [prepare(robot, recording, joints) for recording in recordings]
+    unseen = [prepare(robot, recording, joints) for recording in validation]
+    progress(0.1)
+    found = Identification(setting, runs, progress)
+    return summarise(found, unseen)

@@ -1,0 +1,160 @@
+"""
+Chooses the terms of every joint besides its bodies, and the width of its Coulomb friction.
+
+A term is used if it improves the prediction of blocks of the recording that it was not fitted to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...robot.model import Booleans, Floats, Integers
+from .samples import ARMATURE, COULOMB, COUPLINGS, DAMPING, LOAD, Model, OFFSET, Samples, TERMS
+
+FRICTION: tuple[int, ...] = (DAMPING, COULOMB, OFFSET)
+CANDIDATES: tuple[tuple[int, ...], ...] = (
+    (ARMATURE,),
+    (LOAD,),
+    tuple(range(TERMS)[COUPLINGS[0]]),
+    tuple(range(TERMS)[COUPLINGS[1]]),
+)
+SIGNED = np.isin(np.arange(TERMS), [OFFSET, *CANDIDATES[2], *CANDIDATES[3]])
+LEAST_GAIN = np.array([0.01, 0.02, 0.3, 0.3])
+"""Fraction of the squares by which each candidate must improve the prediction."""
+LARGEST_LOAD = 0.1
+"""Load friction of a poor gear [-]: the standard deviation that is expected beforehand."""
+WIDTHS = 10
+"""Widths to try."""
+
+
+def widths_to_try(speeds: Floats, slowest: float = 0.002) -> Floats:
+    """Return widths for joints with fast speeds of shape (m,), shape (WIDTHS, m)."""
+    fast = np.maximum(speeds, 10.0 * slowest)
+    return np.geomspace(np.maximum(0.004 * fast, slowest), 0.4 * fast, WIDTHS)
+
+
+def choose_terms(
+    samples: Samples, bodies: Floats, moving: Booleans, grid: Floats, optional: bool = True
+) -> tuple[Model, Booleans]:
+    """
+    Fit the terms of all joints to what the bodies leave.
+
+    Parameters
+    ----------
+    samples : Samples
+        Samples with blocks.
+    bodies : ndarray, shape (b, 10)
+        Parameters of the bodies.
+    moving : ndarray, shape (m,)
+        Whether friction of the joint can be identified.
+    grid : ndarray, shape (w, m)
+        Widths to choose from.
+    optional : bool
+        Whether to try more than friction.
+
+    Returns
+    -------
+    model : Model
+        With the chosen terms; others are zero.
+    used : ndarray, shape (m, 11)
+        Which terms were chosen.
+
+    """
+    m = len(samples.setting.joints)
+    target = samples.efforts - samples.rigid(bodies)
+    grams = _block_grams(samples, bodies, grid, target)
+    joints, used = np.zeros((m, TERMS)), np.zeros((m, TERMS), dtype=bool)
+    widths = np.zeros(m)
+    for j in range(m):
+        chosen: tuple[int, ...] = (OFFSET,)
+        width = 0
+        if moving[j]:
+            chosen, width = _best(grams[j], optional)
+        used[j, list(chosen)] = True
+        widths[j] = grid[width, j]
+        joints[j, list(chosen)] = _fit(grams[j][width].sum(axis=0), chosen)
+    return Model(bodies, joints, widths), used
+
+
+def fit_terms(
+    samples: Samples, bodies: Floats, used: Booleans, widths: Floats, rows: Booleans
+) -> Model:
+    """Fit chosen terms to some rows of what the bodies leave."""
+    target = samples.efforts - samples.rigid(bodies)
+    terms = samples.terms(widths, bodies)
+    joints = np.zeros(used.shape)
+    for j in range(len(joints)):
+        table = np.column_stack([terms[rows, j], target[rows, j]])
+        chosen = np.flatnonzero(used[j]).tolist()
+        joints[j, chosen] = _fit(table.T @ table, chosen)
+    return Model(bodies, joints, widths)
+
+
+def _block_grams(samples: Samples, bodies: Floats, grid: Floats, target: Floats) -> list[Floats]:
+    """Return products of columns for each joint, shape (w, blocks, 12, 12)."""
+    blocks = [samples.block == k for k in range(samples.block.max() + 1)]
+    found = np.zeros((target.shape[1], len(grid), len(blocks), TERMS + 1, TERMS + 1))
+    for w, widths in enumerate(grid):
+        terms = samples.terms(widths, bodies)
+        for j in range(target.shape[1]):
+            table = np.column_stack([terms[:, j], target[:, j]])
+            for k, rows in enumerate(blocks):
+                found[j, w, k] = table[rows].T @ table[rows]
+    return list(found)
+
+
+def _best(grams: Floats, optional: bool) -> tuple[tuple[int, ...], int]:
+    """Return the terms and the number of the width that predict best."""
+    chosen = FRICTION
+    losses, width = _losses(grams, chosen)
+    candidates = list(range(len(CANDIDATES))) if optional else []
+    while candidates:
+        trials = [(_losses(grams, (*chosen, *CANDIDATES[c])), c) for c in candidates]
+        (new, new_width), best = min(trials, key=lambda trial: trial[0][0].sum())
+        gains = losses - new
+        error = np.sqrt(len(gains)) * gains.std(ddof=1) if len(gains) > 1 else np.inf
+        if gains.sum() < max(LEAST_GAIN[best] * losses.sum(), error):
+            break
+        chosen, losses, width = (*chosen, *CANDIDATES[best]), new, new_width
+        candidates.remove(best)
+    return tuple(sorted(chosen)), width
+
+
+def _losses(grams: Floats, chosen: Sequence[int]) -> tuple[Floats, int]:
+    """Return remaining squares of each block, fitted to the others, for the best width."""
+    best, best_width = np.array([np.inf]), 0
+    for width, blocks in enumerate(grams):
+        total = blocks.sum(axis=0)
+        losses = []
+        for block in blocks:
+            solution = np.zeros(TERMS + 1)
+            solution[-1] = 1.0
+            solution[list(chosen)] = -_fit(total - block if len(blocks) > 1 else total, chosen)
+            losses.append(float(solution @ block @ solution))
+        if sum(losses) < best.sum():
+            best, best_width = np.array(losses), width
+    return best, best_width
+
+
+def _fit(gram: Floats, chosen: Sequence[int]) -> Floats:
+    """Solve least squares with products of columns; unsigned terms are not negative."""
+    from scipy.optimize import nnls
+
+    index: Integers = np.array(chosen)
+    matrix, vector = gram[np.ix_(index, index)], gram[index, -1]
+    matrix = matrix.copy()
+    load = index == LOAD
+    # Without this, the load of a joint that hardly changes stands for Coulomb friction.
+    matrix[load, load] += 0.1 * gram[-1, -1] / LARGEST_LOAD**2 / max(gram[OFFSET, OFFSET], 1.0)
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(matrix), 1e-300))
+    scaled = matrix * np.outer(scale, scale) + 1e-10 * np.eye(len(index))
+    root = np.linalg.cholesky(scaled).T
+    goal = np.linalg.solve(root.T, scale * vector)
+    signed = SIGNED[index]
+    table = np.column_stack([root, -root[:, signed]])
+    solution = nnls(table, goal)[0]
+    result = solution[: len(index)].copy()
+    result[signed] -= solution[len(index) :]
+    return np.asarray(scale * result)

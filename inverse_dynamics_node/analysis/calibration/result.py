@@ -1,0 +1,131 @@
+"""The result of a calibration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from ...robot.model import Floats, RobotModel
+from ...robot.rigid_body import RigidBody
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """RMS of measured minus modelled efforts [N m or N]."""
+
+    urdf: float
+    """The robot description as it is, without friction."""
+    friction: float
+    """With fitted friction and offset."""
+    identified: float
+    """With identified bodies and joints."""
+
+
+@dataclass(frozen=True)
+class JointTerms:
+    """Identified terms of one joint, with their standard errors; NaN if not identified."""
+
+    damping: float = 0.0
+    """[N m s/rad or N s/m]."""
+    coulomb: float = 0.0
+    """[N m or N]."""
+    width: float = 0.0
+    """Speed over which Coulomb friction is smoothed [rad/s or m/s]."""
+    load_friction: float = 0.0
+    """Coulomb friction per effort that loads the gear [-]."""
+    armature: float = 0.0
+    """[kg m^2 or kg]."""
+    offset: float = 0.0
+    """[N m or N]."""
+    errors: dict[str, float] = field(default_factory=dict)
+    """Standard errors by the names above."""
+
+
+@dataclass(frozen=True)
+class JointResult:
+    """One joint with measured efforts."""
+
+    name: str
+    is_prismatic: bool
+    measured: float
+    """RMS of the measured effort on unseen data [N m or N]."""
+    unseen: Residuals
+    training: Residuals
+    noise: float
+    """Noise in the smoothed effort [N m or N]."""
+    terms: JointTerms
+    """Terms of the result: the identified model, or friction alone if it was not accepted."""
+    unknown_because: str
+    """Why its friction could not be identified; empty if it could."""
+    coupled_with: tuple[str, ...]
+    """Joints whose motion acts on it without passing through the links."""
+
+
+@dataclass(frozen=True, eq=False)
+class BodyResult:
+    """One body: a link, or several that fixed joints hold together."""
+
+    link: str
+    """First of its links that have mass."""
+    links: tuple[str, ...]
+    """All of its links that have mass and are identified."""
+    mass_before: float
+    """[kg]."""
+    mass: float
+    mass_error: float
+    com_before: Floats
+    """Centre of mass in the frame of the joint, shape (3,) [m]."""
+    com: Floats
+    com_error: Floats
+    told: float
+    """Fraction of the information about the mass that comes from the recordings."""
+
+
+@dataclass(frozen=True, eq=False)
+class Unseen:
+    """Efforts on data that the models were not fitted to, K samples of m joints."""
+
+    times: Floats
+    """Shape (K,) [s]; recordings follow each other."""
+    measured: Floats
+    urdf: Floats
+    friction: Floats
+    identified: Floats
+    description: str
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """An identified robot, and how well it predicts."""
+
+    robot: RobotModel
+    """The robot description."""
+    calibrated: RobotModel
+    """The robot with the result: identified bodies, or those of the description."""
+    accepted: bool
+    """Whether the identified model predicts unseen data better than friction alone."""
+    verdict: str
+    joints: tuple[JointResult, ...]
+    bodies: tuple[BodyResult, ...]
+    kept: tuple[str, ...]
+    """Links with mass that were not identified, with the reason."""
+    inertials: dict[str, RigidBody]
+    """New inertial of each changed link, in its own frame; empty if not accepted."""
+    unseen: Unseen
+    gamma: float
+    """Weight of the robot description."""
+    trials: tuple[tuple[float, float], ...]
+    """Weights that were tried, and the loss of each on unseen blocks."""
+    delay: float
+    """Time by which measured efforts are late [s]; they were shifted by `delay_removed`."""
+    delay_error: float
+    delay_removed: float
+    smoothing: float
+    """Length of the window over which efforts and columns were smoothed for the fit [s]."""
+    sample_count: int
+    duration: float
+    """[s]."""
+    notes: tuple[str, ...]
+    warnings: tuple[tuple[str, str], ...]
+    """Texts and hints."""
+    advice: tuple[str, ...]
+    """What to record next."""

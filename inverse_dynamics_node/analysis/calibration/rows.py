@@ -1,0 +1,122 @@
+"""
+Smooths and thins out the signals of a motion.
+
+Columns that are fitted to smoothed efforts have to be smoothed in the same way, or the fit is
+biased. The smoothing has no delay, and does not reach across gaps.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...robot.model import Floats, Integers
+
+DEGREE = 3
+"""Degree of the smoothing polynomials."""
+ROWS_PER_WINDOW = 8
+"""Rows in each smoothing window; more would add nothing."""
+
+
+class Motion(NamedTuple):
+    """The uniform motion of one recording of a robot with n joints, m of them with efforts."""
+
+    times: Floats
+    """Shape (K,) [s]; uniform except at gaps."""
+    q: Floats
+    """Shape (K, n) [rad or m]."""
+    qd: Floats
+    """Shape (K, n) [rad/s or m/s]."""
+    qdd: Floats
+    """Shape (K, n) [rad/s^2 or m/s^2]."""
+    efforts: Floats
+    """Shape (K, m) [N m or N]."""
+    window: int
+    """Samples of the window over which all signals have been smoothed."""
+    degree: int
+    """Degree of the polynomials that they have been smoothed with."""
+
+    @property
+    def period(self) -> float:
+        """Time between samples [s]."""
+        return float(np.median(np.diff(self.times)))
+
+
+class Smoothing(NamedTuple):
+    """A smoothing of one motion with K samples to R rows."""
+
+    of_smooth: Any
+    """Sparse matrix for signals that have been smoothed with the motion, shape (R, K)."""
+    of_sharp: Any
+    """The same for signals that have not, such as directions of Coulomb friction."""
+    times: Floats
+    """Times of the rows, shape (R,) [s]."""
+    seconds: float
+    """Length of the window [s]."""
+
+    def __call__(self, values: Floats) -> Floats:
+        """Smooth signals of shape (K, ...) to rows of shape (R, ...)."""
+        return _apply(self.of_smooth, values)
+
+    def sharp(self, values: Floats) -> Floats:
+        """Smooth signals that have not been smoothed with the motion."""
+        return _apply(self.of_sharp, values)
+
+
+def smoothing(motion: Motion, seconds: float) -> Smoothing:
+    """
+    Return the smoothing of a motion.
+
+    Parameters
+    ----------
+    motion : Motion
+        Motion at K times.
+    seconds : float
+        Length of the window [s]; with 0, signals are left as they are in the motion.
+
+    """
+    from scipy.signal import savgol_coeffs
+
+    half = max(round(0.5 * seconds / motion.period), 0)
+    kernel = np.ones(1)
+    if half > 0:
+        half = max(half, (DEGREE + 2) // 2)
+        kernel = savgol_coeffs(2 * half + 1, DEGREE)
+    own = np.ones(1)
+    if motion.window > motion.degree + 1:
+        own = savgol_coeffs(motion.window, motion.degree)
+    sharp = np.convolve(kernel, own)
+    margin = len(sharp) // 2
+    step = max(1, len(kernel) // ROWS_PER_WINDOW)
+    centre: Integers = np.concatenate(
+        [np.arange(begin + margin, end - margin, step) for begin, end in pieces(motion.times)]
+    )
+    return Smoothing(
+        _matrix(kernel, centre, len(motion.q)),
+        _matrix(sharp, centre, len(motion.q)),
+        motion.times[centre],
+        len(kernel) * motion.period,
+    )
+
+
+def pieces(times: Floats) -> list[tuple[int, int]]:
+    """Return begin and end of the parts without gaps."""
+    steps = np.diff(times)
+    breaks = np.flatnonzero(steps > 1.5 * np.median(steps)) + 1
+    return list(zip([0, *breaks], [*breaks, len(times)], strict=True))
+
+
+def _matrix(kernel: Floats, centre: Integers, count: int) -> Any:
+    from scipy.sparse import csr_matrix
+
+    half = len(kernel) // 2
+    columns = centre[:, None] + np.arange(-half, half + 1)
+    data = np.broadcast_to(kernel[::-1], columns.shape)
+    starts = np.arange(len(centre) + 1) * len(kernel)
+    return csr_matrix((data.ravel(), columns.ravel(), starts), (len(centre), count))
+
+
+def _apply(matrix: Any, values: Floats) -> Floats:
+    flat = values.reshape(len(values), -1)
+    return np.asarray(matrix @ flat).reshape(-1, *values.shape[1:])

@@ -1,0 +1,239 @@
+"""Columns of the regression for several recordings of a robot."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ...dynamics.inverse_dynamics import InverseDynamics
+from ...robot.model import Floats, Integers, RobotModel
+from .free_bodies import FreeBodies
+from .pseudo_inertia import PARAMETERS
+from .rows import Motion, smoothing
+
+ARMATURE, DAMPING, COULOMB, LOAD, OFFSET = range(5)
+EXPORTED = 5
+"""Number of terms of a joint that a URDF and the node know."""
+COUPLINGS = (slice(5, 8), slice(8, 11))
+"""Acceleration, velocity and direction of the neighbours nearer to the base and to the tip."""
+TERMS = 11
+"""Columns of each joint besides those of the bodies."""
+_CHUNK = 2000
+"""States whose regressors are computed at once, to limit the memory."""
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """Identified parameters of a robot with b free bodies and m joints with efforts."""
+
+    bodies: Floats
+    """Shape (b, 10)."""
+    joints: Floats
+    """Armature, damping, Coulomb and load friction, offset, couplings, shape (m, 11)."""
+    widths: Floats
+    """Speeds over which Coulomb friction is smoothed, shape (m,) [rad/s or m/s]."""
+
+    def exported(self) -> Model:
+        """Return the model without what neither a URDF nor the node can express."""
+        joints = self.joints.copy()
+        joints[:, EXPORTED:] = 0.0
+        return Model(self.bodies, joints, self.widths)
+
+
+class Setting:
+    """
+    A robot in its surroundings, and the choice of what is identified.
+
+    Parameters
+    ----------
+    free : FreeBodies
+        Bodies to identify.
+    joints : sequence of int
+        Joints with measured efforts, m of them.
+    gravity : ndarray, shape (3,)
+        Free-fall acceleration in the base frame [m/s^2].
+    payload : tuple of link, mass and centre of mass, optional
+        Known payload.
+
+    """
+
+    def __init__(
+        self,
+        free: FreeBodies,
+        joints: Sequence[int],
+        gravity: Floats,
+        payload: tuple[str, float, Sequence[float]] | None = None,
+    ) -> None:
+        self.free, self.joints = free, list(joints)
+        self.gravity, self.payload = gravity, payload
+        self.neighbours = neighbours(free.robot, self.joints)
+
+    def dynamics(self, robot: RobotModel) -> InverseDynamics:
+        """Return the dynamics of a robot with the payload, without friction."""
+        dynamics = InverseDynamics(robot, self.gravity)
+        if self.payload is not None:
+            dynamics.set_payload(*self.payload)
+        dynamics.set_friction(0.0, 0.0)
+        return dynamics
+
+    def efforts(self, robot: RobotModel, motion: Motion) -> Floats:
+        """Return efforts without friction and armature, shape (K, m)."""
+        efforts = self.dynamics(robot).efforts(motion.q, motion.qd, motion.qdd)
+        return efforts[:, self.joints]
+
+    def columns(self, motion: Motion) -> Floats:
+        """Return the columns of the free bodies, shape (K, m, 10 b)."""
+        bodies = np.array(self.free.bodies) - 1
+        index = (PARAMETERS * bodies[:, None] + np.arange(PARAMETERS)).ravel()
+        dynamics = self.dynamics(self.free.robot)
+        chunks = []
+        for k in range(0, len(motion.q), _CHUNK):
+            some = slice(k, k + _CHUNK)
+            regressor = dynamics.regressor(motion.q[some], motion.qd[some], motion.qdd[some])
+            chunks.append(regressor[:, self.joints][:, :, index])
+        return np.concatenate(chunks)
+
+
+class Samples:
+    """
+    Smoothed rows of several motions.
+
+    Parameters
+    ----------
+    setting : Setting
+        The robot, with m joints that have efforts.
+    motions : sequence of Motion
+        The recordings.
+    seconds : float
+        Length of the smoothing window [s].
+    block_count : int
+        Approximate number of contiguous blocks.
+
+    Attributes
+    ----------
+    efforts : ndarray, shape (R, m)
+        Measured efforts.
+    qdd, qd : ndarray, shape (R, m)
+        Columns of armature and damping.
+    block : ndarray, shape (R,)
+        Number of the contiguous block that a row belongs to; -1 for rows at their borders.
+
+    """
+
+    def __init__(
+        self, setting: Setting, motions: Sequence[Motion], seconds: float, block_count: int
+    ) -> None:
+        self.setting, self.motions, self.seconds = setting, list(motions), seconds
+        self.smoothings = [smoothing(motion, seconds) for motion in motions]
+        joints = setting.joints
+        self.qdd = self._smooth([motion.qdd[:, joints] for motion in motions])
+        self.qd = self._smooth([motion.qd[:, joints] for motion in motions])
+        self.set_efforts([motion.efforts for motion in motions])
+        self.block = self._blocks(block_count)
+
+    def set_efforts(self, efforts: Sequence[Floats]) -> None:
+        """Set the measured efforts of every motion, each of shape (K, m)."""
+        self.efforts = self._smooth(efforts)
+
+    @cached_property
+    def bodies(self) -> Floats:
+        """Columns of the free bodies, shape (R, m, 10 b)."""
+        return self._smooth([self.setting.columns(motion) for motion in self.motions])
+
+    @cached_property
+    def known(self) -> Floats:
+        """Efforts of what is not identified, shape (R, m)."""
+        kept = self.setting.free.kept_robot()
+        return self._smooth([self.setting.efforts(kept, motion) for motion in self.motions])
+
+    def rigid(self, bodies: Floats) -> Floats:
+        """Return the efforts of a robot with these bodies, shape (R, m)."""
+        if 'bodies' in self.__dict__:
+            return np.asarray(self.known + self.bodies @ bodies.ravel())
+        robot = self.setting.free.robot_with(bodies)
+        return self._smooth([self.setting.efforts(robot, motion) for motion in self.motions])
+
+    def terms(self, widths: Floats, bodies: Floats) -> Floats:
+        """Return the columns of the joints themselves, shape (R, m, 11)."""
+        robot = self.setting.free.robot_with(bodies)
+        steps = [np.tanh(motion.qd[:, self.setting.joints] / widths) for motion in self.motions]
+        loads = [np.abs(self.setting.efforts(robot, motion)) for motion in self.motions]
+        direction = self._smooth_sharp(steps)
+        loaded = self._smooth_sharp([a * b for a, b in zip(steps, loads, strict=True)])
+        own = [self.qdd, self.qd, direction, loaded, np.ones_like(self.qd)]
+        coupled = [
+            np.where(others >= 0, signal[:, others], 0.0)
+            for others in self.setting.neighbours
+            for signal in (self.qdd, self.qd, direction)
+        ]
+        return np.stack([*own, *coupled], axis=-1)
+
+    def predict(self, model: Model) -> Floats:
+        """Return modelled efforts, shape (R, m)."""
+        terms = self.terms(model.widths, model.bodies)
+        return np.asarray(self.rigid(model.bodies) + (terms * model.joints).sum(axis=-1))
+
+    def residual(self, model: Model) -> Floats:
+        """Return measured minus modelled efforts, shape (R, m)."""
+        return self.efforts - self.predict(model)
+
+    def _smooth(self, signals: Sequence[Floats]) -> Floats:
+        return np.concatenate(
+            [smooth(values) for smooth, values in zip(self.smoothings, signals, strict=True)]
+        )
+
+    def _smooth_sharp(self, signals: Sequence[Floats]) -> Floats:
+        return np.concatenate(
+            [smooth.sharp(values) for smooth, values in zip(self.smoothings, signals, strict=True)]
+        )
+
+    def _blocks(self, count: int) -> Integers:
+        """Return the block of every row; blocks have equal durations and share no rows."""
+        durations = [max(float(np.ptp(motion.times)), 1e-9) for motion in self.motions]
+        numbers: list[Integers] = []
+        first = 0
+        for motion, smooth, duration in zip(self.motions, self.smoothings, durations, strict=True):
+            own = max(1, round(count * duration / sum(durations)))
+            position = (smooth.times - motion.times[0]) / duration * own
+            nearest = np.round(position)
+            is_near = np.abs(position - nearest) * duration / own < 0.5 * smooth.seconds
+            is_border = is_near & (nearest > 0) & (nearest < own)
+            block = np.minimum(position.astype(int), own - 1)
+            numbers.append(np.where(is_border, -1, first + block))
+            first += own
+        return np.concatenate(numbers)
+
+
+def neighbours(robot: RobotModel, joints: Sequence[int]) -> Integers:
+    """
+    Return the joints next to each joint in a chain.
+
+    Returns
+    -------
+    neighbours : ndarray, shape (2, m)
+        Positions in the list of the joint nearer to the base and of the one nearer to the tip;
+        -1 if there is none, or more than one.
+
+    """
+    body_of = {int(robot.joint_index[b]): b for b in range(len(robot.parent) - 1, 0, -1)}
+    found = np.full((2, len(joints)), -1)
+    children = np.zeros(len(joints), dtype=int)
+    for k, joint in enumerate(joints):
+        parent = int(robot.joint_index[robot.parent[body_of[joint]]])
+        if parent in joints:
+            before = list(joints).index(parent)
+            found[0, k], found[1, before] = before, k
+            children[before] += 1
+    found[1, children != 1] = -1
+    return found
+
+
+def moved_by(robot: RobotModel, joint: int, bodies: Sequence[int]) -> list[int]:
+    """Return which of the bodies a joint moves."""
+    moved = np.zeros(len(robot.parent), dtype=bool)
+    for body in range(1, len(moved)):
+        moved[body] = moved[robot.parent[body]] or robot.joint_index[body] == joint
+    return [k for k, body in enumerate(bodies) if moved[body]]

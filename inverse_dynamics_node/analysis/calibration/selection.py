@@ -1,0 +1,92 @@
+"""Chooses how closely the bodies follow the robot description, by blocked cross-validation."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ...robot.model import Booleans, Floats
+from .fit import Equations, Solution, solve
+from .samples import Model
+
+GAMMAS = tuple(10.0 ** np.arange(4.0, -2.1, -0.5))
+"""Weights of the robot description, strongest first."""
+ENOUGH = 0.9
+"""A mass may be more than twice that of the description if the recording determines it so well."""
+MOST_GROWTH = 2.0
+
+
+class Trial(NamedTuple):
+    """One weight of the robot description."""
+
+    gamma: float
+    losses: Floats
+    """Weighted squares of blocks that the fit has not seen, shape (blocks,)."""
+
+
+def choose_gamma(
+    equations: Equations, weights: Floats, used: Booleans, start: Model
+) -> tuple[float, list[Trial]]:
+    """
+    Return the strongest weight whose prediction is not clearly worse than the best one.
+
+    Blocks of the recording are predicted by fits to the other blocks. Clearly is one standard
+    error of the differences between the blocks.
+
+    """
+    trials = []
+    models = [start] * equations.block_count
+    bodies = len(start.bodies)
+    for gamma in GAMMAS:
+        losses = []
+        for k in range(equations.block_count):
+            solution = solve(equations, weights, np.full(bodies, gamma), used, models[k], k)
+            models[k] = solution.model
+            losses.append(float(weights @ equations.squares(solution.model, k)))
+        trials.append(Trial(float(gamma), np.array(losses)))
+    best = min(trials, key=lambda trial: trial.losses.sum())
+    for trial in trials:
+        excess = trial.losses - best.losses
+        error = np.sqrt(len(excess)) * excess.std(ddof=1) if len(excess) > 1 else 0.0
+        if excess.sum() <= min(error, 0.05 * best.losses.sum()):
+            return trial.gamma, trials
+    return best.gamma, trials
+
+
+def solve_within_reason(
+    equations: Equations, weights: Floats, gamma: float, used: Booleans, start: Model
+) -> tuple[Solution, Floats]:
+    """
+    Solve, and hold masses that grow although the recording does not determine them.
+
+    Returns
+    -------
+    solution : Solution
+        Without such masses.
+    told : ndarray, shape (b,)
+        Fraction of the information about the mass of each body that comes from the recording.
+
+    """
+    before = equations.samples.setting.free.before[:, 0]
+    gammas = np.full(len(before), gamma)
+    for _ in range(40):
+        solution = solve(equations, weights, gammas, used, start)
+        told = mass_information(solution)
+        growing = solution.model.bodies[:, 0] > 0.99 * MOST_GROWTH * before
+        held = growing & (told <= ENOUGH)
+        if not held.any():
+            break
+        gammas = np.where(held, 2.0 * gammas, gammas)
+        start = solution.model
+    return solution, told
+
+
+def mass_information(solution: Solution) -> Floats:
+    """Return the fraction of information about each mass that comes from the data."""
+    count = len(solution.model.bodies)
+    covariance = np.linalg.inv(solution.hessian)
+    variances = np.diagonal(covariance)[: 10 * count : 10]
+    # The divergence alone determines a mass with the relative standard error 1 / sqrt(gamma).
+    alone = solution.model.bodies[:, 0] ** 2 / solution.prior.weights
+    return np.clip(1.0 - variances / alone, 0.0, 1.0)

@@ -1,0 +1,285 @@
+"""Evaluates the fits on unseen data, and collects the result of a calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...robot.model import Floats
+from .advice import what_to_record
+from .delay import shifted
+from .motions import Run
+from .pseudo_inertia import PARAMETERS
+from .result import BodyResult, Calibration, JointResult, JointTerms, Residuals, Unseen
+from .samples import (
+    ARMATURE,
+    COULOMB,
+    COUPLINGS,
+    DAMPING,
+    LOAD,
+    Model,
+    OFFSET,
+    Samples,
+    TERMS,
+)
+
+if TYPE_CHECKING:
+    from .calibration import Identification
+
+_NAMES = {
+    'armature': ARMATURE,
+    'damping': DAMPING,
+    'coulomb': COULOMB,
+    'load_friction': LOAD,
+    'offset': OFFSET,
+}
+_NOT_MOVED = 'it did not move far enough in both directions'
+LEAST_GAIN = 0.01
+"""Fraction by which the identified model has to be better than friction alone."""
+
+
+def summarise(found: Identification, validation: Sequence[Run]) -> Calibration:
+    """Return the result of an identification, evaluated on runs or by cross-validation."""
+    setting, free = found.setting, found.setting.free
+    model = found.solution.model
+    training, unseen = _evaluations(found, validation)
+    accepted = _is_better(unseen)
+    chosen = model if accepted else found.friction
+    errors = _standard_errors(found) if accepted else _friction_errors(found)
+    joints = tuple(
+        _joint(found, j, chosen, errors[j], training, unseen) for j in range(len(setting.joints))
+    )
+    bodies = _bodies(found)
+    changed = free.robot_with(model.bodies) if accepted else free.robot
+    runs = found.runs
+    return Calibration(
+        robot=free.robot,
+        calibrated=changed,
+        accepted=accepted,
+        verdict=_verdict(accepted, unseen),
+        joints=joints,
+        bodies=bodies,
+        kept=_kept(found),
+        inertials=free.link_inertials(model.bodies) if accepted else {},
+        unseen=unseen,
+        gamma=found.gamma,
+        trials=tuple((trial.gamma, float(trial.losses.sum())) for trial in found.trials),
+        delay=found.delay,
+        delay_error=found.delay_error,
+        delay_removed=found.delay_removed,
+        smoothing=found.samples.smoothings[0].seconds,
+        sample_count=sum(len(run.motion.times) for run in runs),
+        duration=sum(float(np.ptp(run.motion.times)) for run in runs),
+        notes=tuple(dict.fromkeys(note for run in [*runs, *validation] for note in run.notes)),
+        warnings=_warnings(found),
+        advice=what_to_record(found, bodies),
+    )
+
+
+def rms(values: Floats) -> Floats:
+    """Return the root mean square of columns."""
+    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
+
+
+def _evaluations(found: Identification, validation: Sequence[Run]) -> tuple[Unseen, Unseen]:
+    """Return efforts of the training data, and of data that the models have not seen."""
+    setting = found.setting
+    models = _urdf(found), found.friction, found.solution.model.exported()
+    samples = Samples(setting, found.motions, 0.0, found.equations.block_count)
+    samples.set_efforts([shifted(motion, found.delay_removed) for motion in found.motions])
+    efforts = [samples.predict(model) for model in models]
+    training = _unseen(samples, efforts, 'the training data')
+    if validation:
+        motions = [run.motion for run in validation]
+        samples = Samples(setting, motions, 0.0, 1)
+        samples.set_efforts([shifted(motion, found.delay_removed) for motion in motions])
+        efforts = [samples.predict(model) for model in models]
+        return training, _unseen(samples, efforts, 'recordings that were not used for the fit')
+    friction, identified = efforts[1].copy(), efforts[2].copy()
+    for block, fold in enumerate(found.folds()):
+        rows = samples.block == block
+        for values, model in zip((friction, identified), fold, strict=True):
+            values[rows] = samples.predict(model)[rows]
+    count = found.equations.block_count
+    text = f'blocks of the recordings, each predicted from the others ({count} blocks)'
+    return training, _unseen(samples, [efforts[0], friction, identified], text)
+
+
+def _unseen(samples: Samples, efforts: Sequence[Floats], description: str) -> Unseen:
+    urdf, friction, identified = efforts
+    return Unseen(_times(samples), samples.efforts, urdf, friction, identified, description)
+
+
+def _urdf(found: Identification) -> Model:
+    m = len(found.setting.joints)
+    return Model(found.setting.free.before, np.zeros((m, TERMS)), np.ones(m))
+
+
+def _times(samples: Samples) -> Floats:
+    """Let recordings follow each other, with a second between them."""
+    parts, start = [], 0.0
+    for smooth in samples.smoothings:
+        times = smooth.times - smooth.times[0] + start
+        parts.append(times)
+        start = float(times[-1]) + 1.0
+    return np.concatenate(parts)
+
+
+def _is_better(unseen: Unseen) -> bool:
+    """Compare the residuals over all joints, in N m and relative to each joint."""
+    friction = rms(unseen.measured - unseen.friction)
+    identified = rms(unseen.measured - unseen.identified)
+    total = float(np.linalg.norm(identified) / max(float(np.linalg.norm(friction)), 1e-12))
+    ratio = identified / np.maximum(friction, 1e-3 * rms(unseen.measured) + 1e-12)
+    relative = float(np.exp(np.mean(np.log(np.maximum(ratio, 1e-3)))))
+    return total < 1.0 - LEAST_GAIN and relative < 1.0 + LEAST_GAIN
+
+
+def _verdict(accepted: bool, unseen: Unseen) -> str:
+    totals = [
+        float(np.linalg.norm(rms(unseen.measured - efforts)))
+        for efforts in (unseen.urdf, unseen.friction, unseen.identified)
+    ]
+    urdf, friction, identified = (f'{total:.3g}' for total in totals)
+    if accepted:
+        return (
+            f'On unseen data the identified model leaves {identified} N m, the robot description '
+            f'{urdf}, and with fitted friction {friction} (root of the sum of squares over joints)'
+        )
+    return (
+        f'The identified model does not predict unseen data better ({identified} N m) than the '
+        f'robot description with fitted friction ({friction} N m): masses are kept, and only '
+        'friction is written'
+    )
+
+
+def _joint(
+    found: Identification,
+    j: int,
+    model: Model,
+    errors: dict[str, float],
+    training: Unseen,
+    unseen: Unseen,
+) -> JointResult:
+    setting = found.setting
+    robot, joint = setting.free.robot, setting.joints[j]
+
+    def residuals(data: Unseen) -> Residuals:
+        return Residuals(
+            *(
+                float(rms(data.measured[:, j] - efforts[:, j]))
+                for efforts in (data.urdf, data.friction, data.identified)
+            )
+        )
+
+    values = {name: float(model.joints[j, k]) for name, k in _NAMES.items()}
+    coupled = [
+        robot.joint_names[setting.joints[int(setting.neighbours[side, j])]]
+        for side, columns in enumerate(COUPLINGS)
+        if found.used[j, columns].any() and setting.neighbours[side, j] >= 0
+    ]
+    return JointResult(
+        name=robot.joint_names[joint],
+        is_prismatic=bool(robot.is_prismatic_joint[joint]),
+        measured=float(rms(unseen.measured[:, j])),
+        unseen=residuals(unseen),
+        training=residuals(training),
+        noise=float(np.sqrt(np.mean([run.noise[j] ** 2 for run in found.runs]))),
+        terms=JointTerms(width=float(model.widths[j]), errors=errors, **values),
+        unknown_because='' if found.moving[j] else _NOT_MOVED,
+        coupled_with=tuple(coupled),
+    )
+
+
+def _standard_errors(found: Identification) -> list[dict[str, float]]:
+    """Return standard errors of the terms of every joint, from the curvature of the fit."""
+    solution = found.solution
+    variances = np.diagonal(np.linalg.inv(solution.hessian))
+    first = PARAMETERS * len(solution.model.bodies)
+    return [
+        {
+            name: float(np.sqrt(variances[np.flatnonzero(solution.unknowns == column)[0]]))
+            for name, k in _NAMES.items()
+            if (column := first + TERMS * j + k) in solution.unknowns
+        }
+        for j in range(len(found.setting.joints))
+    ]
+
+
+def _friction_errors(found: Identification) -> list[dict[str, float]]:
+    """Return standard errors of friction that was fitted alone."""
+    from .calibration import weights_of
+
+    samples, model = found.samples, found.friction
+    weights = weights_of(samples.residual(model))
+    terms = samples.terms(model.widths, model.bodies)
+    errors = []
+    for j, used in enumerate(found.friction_used):
+        chosen = np.flatnonzero(used)
+        covariance = np.linalg.pinv(weights[j] * terms[:, j][:, chosen].T @ terms[:, j][:, chosen])
+        deviations = dict(zip(chosen.tolist(), np.sqrt(np.diagonal(covariance)), strict=True))
+        errors.append(
+            {name: float(deviations[k]) for name, k in _NAMES.items() if k in deviations}
+        )
+    return errors
+
+
+def _bodies(found: Identification) -> tuple[BodyResult, ...]:
+    free, solution = found.setting.free, found.solution
+    covariance = np.linalg.inv(solution.hessian)
+    results = []
+    for k, parameters in enumerate(solution.model.bodies):
+        rows = slice(PARAMETERS * k, PARAMETERS * k + 4)
+        own = covariance[rows, rows]
+        mass, com = float(parameters[0]), parameters[1:4] / parameters[0]
+        # The centre of mass is the ratio of the first moment and the mass.
+        jacobian = np.column_stack([-com, np.eye(3)]) / mass
+        before = free.before[k]
+        results.append(
+            BodyResult(
+                link=free.names[k],
+                links=tuple(free.robot.link_names[link] for link in free.links[k]),
+                mass_before=float(before[0]),
+                mass=mass,
+                mass_error=float(np.sqrt(own[0, 0])),
+                com_before=before[1:4] / before[0],
+                com=com,
+                com_error=np.sqrt(np.diagonal(jacobian @ own @ jacobian.T)),
+                told=float(found.told[k]),
+            )
+        )
+    return tuple(results)
+
+
+def _kept(found: Identification) -> tuple[str, ...]:
+    """Return the links with mass that were not identified."""
+    free = found.setting.free
+    robot = free.robot
+    changed = {link for links in free.links for link in links}
+    return tuple(
+        name
+        for k, name in enumerate(robot.link_names)
+        if robot.link_mass[k] > 0.0 and k not in changed and robot.link_body[k] > 0
+    )
+
+
+def _warnings(found: Identification) -> tuple[tuple[str, str], ...]:
+    setting = found.setting
+    names = setting.free.robot.joint_names
+    warnings = []
+    for j, joint in enumerate(setting.joints):
+        for side, columns in enumerate(COUPLINGS):
+            other = int(setting.neighbours[side, j])
+            if other >= 0 and found.used[j, columns].any():
+                warnings.append(
+                    (
+                        f'the effort of {names[joint]} depends on the motion of '
+                        f'{names[setting.joints[other]]} in a way that no link explains',
+                        'probably their drives are coupled, as in many wrists. A URDF cannot '
+                        'express that: it was fitted, so that it does not pass for masses or '
+                        'friction, and is left out of the result',
+                    )
+                )
+    return tuple(warnings)

@@ -1,0 +1,191 @@
+"""The command `identify`: recordings to a calibrated robot description."""
+
+from __future__ import annotations
+
+import argparse
+from functools import partial
+import json
+from pathlib import Path
+from typing import Any
+
+from ..analysis.calibration import calibrate, Calibration
+from ..analysis.calibration.export import as_json, calibrated_urdf, node_parameters
+from ..analysis.identification import Recording
+from ..analysis.measured_states import read_measured_states
+from ..report.calibration_tables import body_table, friction_table, residual_table, summary_lines
+from ..report.tables import Table
+from ..robot.hand import last_link
+from ..robot.model_warning import ModelWarning
+from ..robot.plausibility import position_warnings
+from .arguments import (
+    add_gravity,
+    add_link,
+    add_payload,
+    add_picture,
+    add_strict,
+    add_urdf,
+    output_path,
+)
+from .console import progress, say, show, show_warnings
+from .pictures.style import try_to_draw
+from .robots import load_dynamics, read_source_text, stem_of
+
+EPILOG = """\
+examples:
+  inverse_dynamics identify my_arm.urdf rosbag2_2026_11_21 --output calibrated.urdf
+  inverse_dynamics identify my_arm.urdf run_1 run_2 --validate run_3 --parameters node.yaml
+  inverse_dynamics identify my_arm.urdf run.csv --payload 1.5,0,0,0.05 --link tool0
+  inverse_dynamics identify my_arm.urdf run.mcap --fixed base_link gripper_base
+
+Recordings are those of `inverse_dynamics compare`: rosbag2 folders, .mcap, .db3 or .csv files with
+measured efforts. Good ones move all joints at the same time, in varied poses, slowly and fast, in
+both directions, for 30 s or more; `inverse_dynamics excite` plans such a motion. Without
+--validate, the result is evaluated on blocks of the recordings that were left out in turn.
+
+The result stays close to the URDF where the recordings say little, and is always physical. If it
+does not predict unseen data better than the URDF with fitted friction, only friction is written.
+
+exit code: 0 identified; 1 a recording cannot be used; 2 invalid arguments; 3 the identified model
+was not accepted, and --strict was given."""
+
+_NOT_ACCEPTED = 3
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the command."""
+    parser: argparse.ArgumentParser = subparsers.add_parser(
+        'identify',
+        help='calibrate a URDF: masses, friction and armature from recordings',
+        description='Identify masses, centres of mass, inertias, friction and armature from '
+        'recordings, and write a calibrated URDF. Also writes a picture.',
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_urdf(parser)
+    parser.add_argument(
+        'recordings',
+        type=Path,
+        nargs='+',
+        metavar='RUN',
+        help='rosbag2 folder, .mcap, .db3 or .csv file',
+    )
+    parser.add_argument(
+        '--validate',
+        type=Path,
+        action='append',
+        default=[],
+        metavar='RUN',
+        help='recording to evaluate the result with, not used for the fit; may be repeated',
+    )
+    parser.add_argument(
+        '--output', type=output_path, metavar='FILE', help='file for the calibrated URDF'
+    )
+    parser.add_argument(
+        '--parameters',
+        type=output_path,
+        metavar='FILE',
+        help='file for friction, armature and offsets, as parameters of the node',
+    )
+    parser.add_argument(
+        '--json', type=output_path, metavar='FILE', help='file for the report as JSON'
+    )
+    parser.add_argument(
+        '--fixed',
+        nargs='+',
+        default=[],
+        metavar='LINK',
+        help='links that keep their mass, centre of mass and inertia',
+    )
+    parser.add_argument(
+        '--topic', help='topic of the joint states (default: the only one with efforts)'
+    )
+    add_link(parser)
+    add_payload(parser)
+    add_gravity(parser)
+    add_picture(parser, '<name of the robot>_identify.png')
+    add_strict(parser, 'the identified model is not accepted')
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command; return the exit code."""
+    source = read_source_text(options.urdf)
+    robot = load_dynamics(source, options.gravity).robot
+    payload = None
+    if options.payload is not None:
+        mass, *com = options.payload
+        payload = (options.link or last_link(robot), mass, com or [0.0, 0.0, 0.0])
+    runs, notes = _read(options.recordings, robot.joint_names, options.topic)
+    unseen, more_notes = _read(options.validate, robot.joint_names, options.topic)
+    with progress('identifying') as report:
+        calibration = calibrate(
+            robot, runs, unseen, options.gravity, payload, options.fixed, report
+        )
+    _show(calibration, tuple(dict.fromkeys([*notes, *more_notes])), [*runs, *unseen])
+    _write(calibration, source, options)
+    if not options.no_picture:
+        from .pictures.identify import draw
+
+        names = ', '.join(path.name for path in options.recordings)
+        path = try_to_draw(
+            partial(draw, calibration, f'{robot.name}: {names}'),
+            options.picture,
+            f'{stem_of(options.urdf)}_identify.png',
+        )
+        if path:
+            print(f'picture: {path}')
+    return _NOT_ACCEPTED if options.strict and not calibration.accepted else 0
+
+
+def _read(
+    paths: list[Path], joint_names: tuple[str, ...], topic: str | None
+) -> tuple[list[Recording], list[str]]:
+    recordings: list[Recording] = []
+    notes: list[str] = []
+    for path in paths:
+        with progress(f'reading {path.name}') as report:
+            recording, own_notes = read_measured_states(path, joint_names, topic, report)
+        recordings.append(recording)
+        notes += own_notes
+    return recordings, notes
+
+
+def _show(calibration: Calibration, notes: tuple[str, ...], recordings: list[Recording]) -> None:
+    say(f'{calibration.verdict}.')
+    print()
+    warnings = [
+        *dict.fromkeys(
+            warning
+            for recording in recordings
+            for warning in position_warnings(
+                calibration.robot, recording.positions, recording.joint_names
+            )
+        ),
+        *(ModelWarning(text, hint) for text, hint in calibration.warnings),
+    ]
+    if warnings:
+        show_warnings(warnings)
+        print()
+    lines = (*summary_lines(calibration), *(f'{note}.' for note in notes))
+    show(
+        residual_table(calibration),
+        friction_table(calibration),
+        body_table(calibration),
+        Table('Data', notes=lines),
+    )
+    if calibration.advice:
+        show(Table('To improve the result', notes=tuple(f'- {x}' for x in calibration.advice)))
+
+
+def _write(calibration: Calibration, source: Path | str, options: argparse.Namespace) -> None:
+    if options.output:
+        options.output.write_bytes(calibrated_urdf(calibration, source))
+        what = 'calibrated URDF' if calibration.accepted else 'URDF with fitted friction'
+        print(f'{what}: {options.output}')
+    if options.parameters:
+        options.parameters.write_text(node_parameters(calibration), encoding='utf-8')
+        print(f'parameters of the node: {options.parameters}')
+    if options.json:
+        text = json.dumps(as_json(calibration), indent=2, ensure_ascii=False)
+        options.json.write_text(text + '\n', encoding='utf-8')
+        print(f'report: {options.json}')

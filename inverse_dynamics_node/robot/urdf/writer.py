@@ -1,0 +1,221 @@
+"""
+Writes inertials and friction into the text of a URDF, and leaves everything else as it is.
+
+Only the numbers are replaced. Comments, formatting, unknown elements and the order of attributes
+stay, so that the difference to the original shows nothing but the new values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+import os
+import re
+from typing import NamedTuple
+from xml.parsers import expat
+
+import numpy as np
+
+from ..kinematics import rotation_of_rpy
+from ..model import Floats
+from ..rigid_body import RigidBody
+from .quaternions import rpy_of_quaternion
+from .rules import MOMENTS
+from .xml import blank_declaration, declared_encoding, read_source
+
+_ROWS, _COLUMNS = (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)  # of the moments
+_INDENT = b'  '
+
+
+class Friction(NamedTuple):
+    """Friction of a joint as in `<dynamics>`."""
+
+    damping: float
+    """[N m s/rad or N s/m]."""
+    friction: float
+    """Coulomb friction [N m or N]."""
+
+
+@dataclass
+class _Node:
+    """An element and its place in the text, in bytes."""
+
+    kind: str
+    attributes: dict[str, str]
+    start: int
+    tag_end: int
+    """After the `>` of the start tag."""
+    close: int = 0
+    """Start of the end tag."""
+    children: list[_Node] = field(default_factory=list)
+
+    def first(self, kind: str) -> _Node | None:
+        """Return the first child of a kind, which is the one that is read."""
+        return next((child for child in self.children if child.kind == kind), None)
+
+
+def rewrite(
+    path_or_xml: str | os.PathLike[str],
+    inertials: Mapping[str, RigidBody],
+    friction: Mapping[str, Friction],
+) -> bytes:
+    """
+    Replace inertials and friction in a URDF that `load_urdf` has accepted.
+
+    Parameters
+    ----------
+    path_or_xml : str or path-like
+        As for `load_urdf`.
+    inertials : mapping of str to RigidBody
+        New inertials by link, in the frame of the link. An existing inertial frame keeps its axes.
+    friction : mapping of str to Friction
+        New friction by joint; a missing ``<dynamics>`` is added.
+
+    Returns
+    -------
+    text : bytes
+        In the encoding of the original, numbers with 17 digits.
+
+    """
+    source = read_source(path_or_xml)
+    encoding = source.encoding or declared_encoding(source.data)
+    text = source.data.decode(encoding).encode()
+    edits: list[tuple[int, int, bytes]] = []
+    for node in _parse(blank_declaration(text)).children:
+        name = node.attributes.get('name', '')
+        if node.kind == 'link' and name in inertials:
+            edits += _inertial_edits(text, node, inertials[name])
+        elif node.kind == 'joint' and name in friction:
+            edits += _friction_edits(text, node, friction[name])
+    for start, end, new in sorted(edits, reverse=True):
+        text = text[:start] + new + text[end:]
+    return text.decode().encode(encoding)
+
+
+def _parse(text: bytes) -> _Node:
+    """Return the root element."""
+    roots: list[_Node] = []
+    opened: list[_Node] = []
+    parser = expat.ParserCreate('utf-8')
+
+    def start(kind: str, attributes: dict[str, str]) -> None:
+        begin = parser.CurrentByteIndex
+        node = _Node(kind, attributes, begin, _end_of_tag(text, begin))
+        (opened[-1].children if opened else roots).append(node)
+        opened.append(node)
+
+    def end(kind: str) -> None:
+        opened.pop().close = parser.CurrentByteIndex
+
+    parser.StartElementHandler = start
+    parser.EndElementHandler = end
+    parser.Parse(text, True)
+    return roots[0]
+
+
+def _end_of_tag(text: bytes, start: int) -> int:
+    """Return the index after the `>` of a start tag; values may contain one."""
+    found = re.compile(rb'(?:[^>"\']|"[^"]*"|\'[^\']*\')*>').match(text, start)
+    assert found is not None
+    return found.end()
+
+
+def _inertial_edits(text: bytes, link: _Node, body: RigidBody) -> Iterator[tuple[int, int, bytes]]:
+    inertial = link.first('inertial')
+    if inertial is None:
+        yield _inserted(text, link, _inertial_text(body))
+        return
+    origin = inertial.first('origin')
+    mass, inertia = inertial.first('mass'), inertial.first('inertia')
+    assert mass is not None
+    assert inertia is not None
+    place = {'xyz': _numbers(body.com)}
+    if origin is None:
+        indent = _indent(text, mass.start)
+        yield mass.start, mass.start, _element('origin', place) + indent
+    else:
+        yield _attributes(text, origin, place)
+    rotation = _rotation(origin)
+    yield _attributes(text, mass, {'value': f'{body.mass:.17g}'})
+    yield _attributes(text, inertia, _moments(rotation.T @ body.inertia @ rotation))
+
+
+def _rotation(origin: _Node | None) -> Floats:
+    """Return the rotation of an inertial frame."""
+    if origin is None:
+        return np.eye(3)
+    rpy = origin.attributes.get('rpy', '0 0 0')
+    if 'quat_xyzw' in origin.attributes:
+        rpy = rpy_of_quaternion(origin.attributes['quat_xyzw'])
+    roll, pitch, yaw = (float(word) for word in rpy.split())
+    return rotation_of_rpy(roll, pitch, yaw)
+
+
+def _inertial_text(body: RigidBody) -> list[bytes]:
+    return [
+        b'<inertial>',
+        _INDENT + _element('origin', {'xyz': _numbers(body.com)}),
+        _INDENT + _element('mass', {'value': f'{body.mass:.17g}'}),
+        _INDENT + _element('inertia', _moments(body.inertia)),
+        b'</inertial>',
+    ]
+
+
+def _friction_edits(
+    text: bytes, joint: _Node, friction: Friction
+) -> Iterator[tuple[int, int, bytes]]:
+    values = {name: f'{value:.17g}' for name, value in friction._asdict().items()}
+    dynamics = joint.first('dynamics')
+    if dynamics is None:
+        yield _inserted(text, joint, [_element('dynamics', values)])
+    else:
+        yield _attributes(text, dynamics, values)
+
+
+def _inserted(text: bytes, parent: _Node, lines: list[bytes]) -> tuple[int, int, bytes]:
+    """Insert lines at the end of an element, indented like its other children."""
+    outer = _indent(text, parent.start)
+    inner = outer + _INDENT if outer else b''
+    if parent.children:
+        inner = _indent(text, parent.children[-1].start)
+    block = b''.join(inner + line for line in lines)
+    if text[parent.tag_end - 2 : parent.tag_end] == b'/>':
+        name = re.match(rb'<([^\s/>]+)', text[parent.start : parent.tag_end])
+        assert name is not None
+        return parent.tag_end - 2, parent.tag_end, b'>' + block + outer + b'</' + name[1] + b'>'
+    begin = parent.close
+    while text[begin - 1 : begin].isspace():  # the last line break belongs to the end tag
+        begin -= 1
+    return begin, begin, block
+
+
+def _indent(text: bytes, start: int) -> bytes:
+    """Return the line break and the spaces before an element; empty if it follows another."""
+    found = re.search(rb'\r?\n[ \t]*$', text[:start])
+    return found[0] if found else b''
+
+
+def _attributes(text: bytes, node: _Node, values: Mapping[str, str]) -> tuple[int, int, bytes]:
+    """Replace the values of attributes, and add those that are missing."""
+    tag = text[node.start : node.tag_end]
+    for name, value in values.items():
+        pattern = rb'(\s' + name.encode() + rb'\s*=\s*)(?:"[^"]*"|\'[^\']*\')'
+        new, count = re.subn(pattern, rb'\g<1>"' + value.encode() + b'"', tag, count=1)
+        if not count:
+            new = re.sub(rb'\s*(/?>)$', f' {name}="{value}"'.encode() + rb'\1', tag)
+        tag = new
+    return node.start, node.tag_end, tag
+
+
+def _element(kind: str, values: Mapping[str, str]) -> bytes:
+    attributes = ' '.join(f'{name}="{value}"' for name, value in values.items())
+    return f'<{kind} {attributes}/>'.encode()
+
+
+def _moments(inertia: Floats) -> dict[str, str]:
+    values = inertia[_ROWS, _COLUMNS]
+    return {name: f'{value:.17g}' for name, value in zip(MOMENTS, values, strict=True)}
+
+
+def _numbers(values: Floats) -> str:
+    return ' '.join(f'{value:.17g}' for value in values)
