@@ -36,6 +36,7 @@ def read_measured_states(
     joint_names: Sequence[str],
     topic: str | None = None,
     progress: Callable[[float], None] = lambda fraction: None,
+    mimic_names: Sequence[str] = (),
 ) -> tuple[Recording, tuple[str, ...]]:
     """
     Read the recorded joint states of a robot.
@@ -50,6 +51,8 @@ def read_measured_states(
         A topic of type sensor_msgs/msg/JointState; default: the only one with efforts.
     progress : callable
         Called now and then with the fraction read so far, 0 to 1.
+    mimic_names : sequence of str
+        The robot's joints that mimic others; their positions follow from those of the others.
 
     Returns
     -------
@@ -69,7 +72,7 @@ def read_measured_states(
     if path.suffix == '.csv':
         if topic is not None:
             raise RecordingError(f'{path}: a CSV file has no topic {topic}')
-        return _from_csv(path, joint_names)
+        return _from_csv(path, joint_names, mimic_names)
     if path.is_file() and path.suffix not in BAG_SUFFIXES:
         raise RecordingError(
             f"{path}: is a '{path.suffix or path.name}' file, expected a rosbag2 folder, .mcap, "
@@ -78,10 +81,12 @@ def read_measured_states(
     with open_bag(path) as bag:
         chosen = _choose_topic(bag, topic)
         samples = _samples(bag, chosen, progress)
-        return _from_samples(f'{path} {chosen}', samples, joint_names)
+        return _from_samples(f'{path} {chosen}', samples, joint_names, mimic_names)
 
 
-def _from_csv(path: Path, joint_names: Sequence[str]) -> tuple[Recording, tuple[str, ...]]:
+def _from_csv(
+    path: Path, joint_names: Sequence[str], mimic_names: Sequence[str]
+) -> tuple[Recording, tuple[str, ...]]:
     times, columns, _ = read_csv(path, joint_names, _QUANTITIES, allow_empty=True)
     if not len(times):
         raise RecordingError(f'{path}: no rows below its header')
@@ -91,7 +96,7 @@ def _from_csv(path: Path, joint_names: Sequence[str]) -> tuple[Recording, tuple[
         if joint in index:
             values[:, _QUANTITIES.index(quantity), index[joint]] = column
     recorded = dict.fromkeys(joint for joint, _ in columns)
-    return _recording(str(path), times, values, joint_names, recorded)
+    return _recording(str(path), times, values, joint_names, recorded, mimic_names)
 
 
 def _choose_topic(bag: Bag, requested: str | None) -> str:
@@ -142,7 +147,10 @@ def _samples(
 
 
 def _from_samples(
-    where: str, samples: Iterable[Sample], joint_names: Sequence[str]
+    where: str,
+    samples: Iterable[Sample],
+    joint_names: Sequence[str],
+    mimic_names: Sequence[str],
 ) -> tuple[Recording, tuple[str, ...]]:
     """Convert messages with any joints in any order to arrays."""
     index = {name: j for j, name in enumerate(joint_names)}
@@ -176,14 +184,19 @@ def _from_samples(
     nanoseconds = stamped_and_received[:, 0 if is_stamped else 1]
     # Subtract integers: seconds since 1970 as a float resolve less than a microsecond.
     times = 1e-9 * (nanoseconds - nanoseconds[0])
-    recording, notes = _recording(where, times, np.array(rows), joint_names, recorded)
+    recording, notes = _recording(where, times, np.array(rows), joint_names, recorded, mimic_names)
     if not is_stamped:
         notes += ('messages have no stamp: used the times at which they were recorded',)
     return recording, notes
 
 
 def _recording(
-    where: str, times: Floats, values: Floats, joint_names: Sequence[str], recorded: Iterable[str]
+    where: str,
+    times: Floats,
+    values: Floats,
+    joint_names: Sequence[str],
+    recorded: Iterable[str],
+    mimic_names: Sequence[str],
 ) -> tuple[Recording, tuple[str, ...]]:
     """Select the joints of the robot that were recorded; describe the others in notes."""
     recorded = list(recorded)
@@ -213,7 +226,10 @@ def _recording(
     )
     lists = {
         'ignored joints that the robot does not have': [
-            name for name in recorded if name not in joint_names
+            name for name in recorded if name not in joint_names and name not in mimic_names
+        ],
+        'joints that mimic others, included in the efforts of those': [
+            name for name in recorded if name in mimic_names
         ],
         'joints that were not recorded, assumed to rest at zero': [
             name for name in joint_names if name not in recorded

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from ..analysis.identification import (
-    Diagnosis,
     Findings,
     friction_parameters,
     identify,
@@ -21,9 +20,9 @@ from ..analysis.identification import (
 from ..analysis.measured_states import read_measured_states
 from ..dynamics.inverse_dynamics import FRICTION_WIDTH
 from ..errors import ConfigurationError, RecordingError
-from ..report.tables import Table
+from ..report.compare_report import comparison_table, friction_table, verdict
+from ..report.diagnosis_text import diagnosis_warning
 from ..robot.hand import last_link
-from ..robot.model_warning import ModelWarning
 from ..robot.plausibility import position_warnings
 from .arguments import (
     add_friction,
@@ -120,7 +119,7 @@ def run(options: argparse.Namespace) -> int:
     load = attach_payload(dynamics, options.link or last_link(robot), options.payload)
     with progress('reading') as report:
         recording, notes = read_measured_states(
-            options.recording, robot.joint_names, options.topic, report
+            options.recording, robot.joint_names, options.topic, report, robot.mimic_names
         )
     recording = _between(recording, options.start, options.end)
     findings = identify(dynamics, recording, link=options.link, width=width)
@@ -180,103 +179,6 @@ def _between(recording: Recording, start: float | None, end: float | None) -> Re
     )
 
 
-def verdict(findings: Findings) -> str:
-    """Summarize the comparison in one sentence."""
-    explains = f'{percent(findings.explained)} of the measured effort'
-    corrected = percent(findings.explained_corrected)
-    if findings.diagnoses:
-        headlines = '; '.join(diagnosis.headline for diagnosis in findings.diagnoses)
-        # Names of joints keep their first letter.
-        if headlines.startswith(('the ', 'every ', 'link ')):
-            headlines = headlines[0].upper() + headlines[1:]
-        return f'{headlines}. As it is, the model explains {explains}; with that, {corrected}.'
-    if math.isnan(findings.explained):
-        return 'The efforts hardly vary, so that they cannot be compared.'
-    return f'The model explains {explains}; with fitted friction, {corrected}.'
-
-
-def diagnosis_warning(diagnosis: Diagnosis) -> ModelWarning:
-    """Return a diagnosis as a warning, with a suggestion for the next run."""
-    numbers = [
-        0.0 if abs(value) < 5e-4 or math.isnan(value) else value for value in diagnosis.values
-    ]
-    again = {
-        'gravity_compensated': '--gravity 0 0 0',
-        'mounting': f'--gravity {" ".join(f"{x:.3f}" for x in numbers)}',
-        'payload': f'--link {diagnosis.link} --payload {",".join(f"{x:.3f}" for x in numbers)}',
-    }.get(diagnosis.kind, '')
-    if diagnosis.kind == 'payload' and numbers[0] < 0.0:
-        again = ''
-    hint = diagnosis.advice + (f' To see the remaining difference: {again}' if again else '')
-    return ModelWarning(f'{diagnosis.headline}: {diagnosis.evidence}', hint)
-
-
-def comparison_table(findings: Findings, notes: tuple[str, ...]) -> Table:
-    """Return measured and modelled efforts, one row per joint."""
-    motion = findings.motion
-    rows = [
-        (
-            joint.name,
-            f'{joint.rms_measured:.4g}',
-            f'{joint.rms_modelled:.4g}',
-            f'{joint.rms_residual:.3g}',
-            'N' if joint.is_prismatic else 'N m',
-            percent(joint.explained),
-            percent(joint.explained_with_mean),
-            percent(joint.explained_corrected),
-            _or_dash(joint.scale, '.3f'),
-            _or_dash(joint.offset, '.3g'),
-        )
-        for joint in findings.joints
-    ]
-    columns = ('joint', 'measured', 'modelled', 'differ', '', 'explained', 'with mean',
-               'corrected', 'scale', 'offset')  # fmt: skip
-    duration = motion.times[-1] - motion.times[0]
-    remarks = (
-        'RMS of measured and modelled efforts and of their difference; explained: fraction of the '
-        'variance, and of the squares (with mean); corrected: with fitted friction and offset'
-        + (', and with the findings above' if findings.diagnoses else '')
-        + ', while the joint moves (at rest, dry friction can have any value up to its maximum); '
-        'measured is about scale * modelled + offset.',
-        f'{len(motion.times)} samples over {duration:.3g} s; {motion.method}.',
-        *(f'{note}.' for note in (*motion.notes, *notes)),
-    )
-    return Table('Measured against modelled efforts', columns, tuple(rows), remarks,
-                 frozenset({4}))  # fmt: skip
-
-
-def friction_table(findings: Findings) -> Table:
-    """Return the fitted friction with standard errors."""
-    rows = []
-    for joint in findings.joints:
-        fit = joint.friction
-        numbers = ('-', '-', '-')
-        if not fit.unknown_because:
-            numbers = (
-                _with_error(fit.damping, fit.damping_error),
-                _with_error(fit.coulomb, fit.coulomb_error),
-                _with_error(fit.offset, fit.offset_error),
-            )
-        rows.append((joint.name, *numbers))
-    notes = (
-        f'damping * velocity + Coulomb * tanh(velocity / {findings.width:g}) + offset, in '
-        'N m s/rad and N m (prismatic joints: N s/m and N); standard errors include random errors '
-        'only.',
-        *(
-            f'{joint.name}: unknown, {joint.friction.unknown_because}.'
-            for joint in findings.joints
-            if joint.friction.unknown_because
-        ),
-    )
-    columns = ('joint', 'damping', 'Coulomb', 'offset')
-    return Table(
-        'Friction, fitted to the efforts that the model does not explain',
-        columns,
-        tuple(rows),
-        notes,
-    )
-
-
 def write_parameters(findings: Findings, joint_names: tuple[str, ...], path: Path) -> None:
     """Write friction as parameters of the node, with the joints in the order of the robot."""
     joints: list[JointFinding] = sorted(
@@ -285,27 +187,3 @@ def write_parameters(findings: Findings, joint_names: tuple[str, ...], path: Pat
     names = [joint.name for joint in joints]
     text = friction_parameters(names, [joint.friction for joint in joints], findings.width)
     path.write_text(text, encoding='utf-8')
-
-
-def percent(fraction: float) -> str:
-    """Write a fraction in per cent, with a dash for NaN."""
-    if math.isnan(fraction):
-        return '-'
-    # More digits near 100 %, and none for a model that is completely wrong.
-    if fraction < -9.99:
-        return '<-999%'
-    if fraction > 0.9999:
-        return '>99.99%'
-    return f'{fraction:.2%}' if fraction > 0.99 else f'{fraction:.1%}'
-
-
-def _with_error(value: float, error: float) -> str:
-    """Write a value with as many digits as its standard error justifies."""
-    if not error > 0.0 or not math.isfinite(error):
-        return f'{value:.4g}'
-    places = min(6, max(0, 1 - math.floor(math.log10(error))))
-    return f'{value:.{places}f} ± {error:.{places}f}'
-
-
-def _or_dash(value: float, how: str) -> str:
-    return format(value, how) if math.isfinite(value) else '-'

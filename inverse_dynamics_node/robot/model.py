@@ -116,6 +116,11 @@ class RobotModel:
         found.setflags(write=False)
         return found
 
+    @property
+    def mimic_names(self) -> tuple[str, ...]:
+        """Names of the joints that mimic others, which are not in ``joint_names``."""
+        return tuple(name for name in self.body_names[1:] if name not in self.joint_names)
+
     def joint_indices(self, names: Iterable[str]) -> list[int]:
         """
         Return the indices of joints in ``joint_names``.

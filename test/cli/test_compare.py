@@ -4,6 +4,7 @@ import io
 import re
 
 from inverse_dynamics_node import load_urdf
+from inverse_dynamics_node.analysis.identification import Recording
 from inverse_dynamics_node.analysis.measured_states import read_measured_states
 from inverse_dynamics_node.cli.main import main
 import numpy as np
@@ -52,8 +53,8 @@ def test_finds_the_friction_of_the_simulated_robot(recorded, storage, here, caps
     assert compare('run', '--parameters', 'friction.yaml', '--strict') == 0
     output = capsys.readouterr().out
     assert output.startswith('The model explains ')
-    # '...; with fitted friction, >99.99%.'
-    assert float(output.splitlines()[0].split()[-1].strip('>%.')) > 99.0
+    corrected = re.search(r'with fitted friction, >?([\d.]+)% and', ' '.join(output.split()))
+    assert float(corrected[1]) > 99.0
     parameters = yaml.safe_load((here / 'friction.yaml').read_text())['/**']['ros__parameters']
     assert parameters['joints'] == list(JOINTS)
     assert parameters['damping'] == pytest.approx(DAMPING, rel=0.1)
@@ -143,7 +144,6 @@ def test_draws_many_joints(here, size_of):
     )
     urdf.write_text(f'<robot name="chain"><link name="l0"/>{links}</robot>')
     from inverse_dynamics_node import InverseDynamics
-    from inverse_dynamics_node.analysis.identification import Recording
     from runs import exciting
 
     robot = load_urdf(urdf)
@@ -231,8 +231,22 @@ def test_unknown_and_missing_joints_are_reported(short, here, capsys):
     write_csv(here / 'run.csv', short._replace(joint_names=names))
     assert compare('run.csv', '--no-picture') == 0
     output = ' '.join(capsys.readouterr().out.split())
-    assert 'ignored joints that the robot does not have: finger' in output
-    assert 'joints that were not recorded, assumed to rest at zero: joint_1' in output
+    assert 'Ignored joints that the robot does not have: finger' in output
+    assert 'Joints that were not recorded, assumed to rest at zero: joint_1' in output
+
+
+def test_a_recorded_mimic_joint_is_not_unknown(here, capsys):
+    urdf = ROOT / 'test' / 'robots' / 'mimic_gripper.urdf'
+    robot = load_urdf(urdf)
+    assert robot.mimic_names
+    times = 0.01 * np.arange(600)
+    names = (*robot.joint_names, robot.mimic_names[0], 'stranger')
+    positions = 0.01 * np.sin(times[:, None] + np.arange(len(names)))
+    write_csv(here / 'run.csv', Recording(names, times, positions, None, 1.0 + positions))
+    assert main(['compare', str(urdf), 'run.csv', '--no-picture']) == 0
+    output = ' '.join(capsys.readouterr().out.split())
+    assert 'Ignored joints that the robot does not have: stranger.' in output
+    assert f'Joints that mimic others, included in the efforts of those: {names[-2]}.' in output
 
 
 def broken(short, here, how):

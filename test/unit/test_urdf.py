@@ -53,6 +53,7 @@ GOOD = """\
 """
 
 J2_ORIGIN = '<origin xyz="0 0 0.4" rpy="0 0 0.5"/>'
+L1_ORIGIN = '<origin xyz="0 0 0.2" rpy="0 0 0"/>'
 J2_AXIS = '<axis xyz="0 0 1"/>'
 J2_LIMIT = '<limit lower="0" upper="0.5" effort="20" velocity="1"/>'
 J2_DYNAMICS = '<dynamics damping="0.5" friction="0.25"/>'
@@ -467,7 +468,6 @@ ELEMENT_PROBLEMS = [
     ),
     ([(L1_MASS, L1_MASS * 3)], "link 'l1' inertial: 3 <mass> elements, at most one allowed"),
     ([(J2_AXIS, J2_AXIS * 2)], "joint 'j2': 2 <axis> elements, at most one allowed"),
-    ([(J2_ORIGIN, J2_ORIGIN * 2)], "joint 'j2': 2 <origin> elements, at most one allowed"),
     ([(L1_MASS, '<mass value="1e308"/>'), ('0 0 0.2', '0 0 1e9')], "com of 'j1' is not finite"),
 ]
 
@@ -742,6 +742,25 @@ def test_odd_descriptions_have_one_warning_with_a_hint(edits, words):
     assert len(robot.warnings) == 1
     assert words in str(robot.warnings[0])
     assert robot.warnings[0].hint
+
+
+@pytest.mark.parametrize(
+    'origin',
+    [J2_ORIGIN, L1_ORIGIN],
+    ids=['joint', 'inertial'],
+)
+def test_first_of_two_origins_is_used_with_a_warning(origin):
+    other = '<origin xyz="1 2 3" rpy="1 1 1"/>'
+    robot = load_urdf(edited((origin, f'{origin}\n{other}')))
+    (warning,) = robot.warnings
+    assert str(warning).endswith('2 <origin> elements; only the first one is used')
+    assert warning.hint
+    expected, swapped = load_urdf(GOOD), load_urdf(edited((origin, other + origin)))
+    for field in ('p_PL', 'R_PL', 'com', 'inertia'):
+        assert getattr(robot, field) == pytest.approx(getattr(expected, field), abs=1e-15)
+    assert not np.allclose(swapped.p_PL, expected.p_PL) or not np.allclose(
+        swapped.com, expected.com
+    )
 
 
 def test_rounded_inertia_of_a_plate_is_not_reported():

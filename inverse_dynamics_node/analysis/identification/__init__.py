@@ -6,12 +6,14 @@ explanation of the difference between measured and modelled efforts.
 """
 
 from .comparison import identify
-from .diagnoses import Diagnosis
+from .diagnoses import Change, Diagnosis
 from .findings import Findings, JointFinding
 from .friction import friction_parameters, FrictionFit
-from .signals import Motion, Recording
+from .recorded_column import Recording
+from .signals import Motion
 
 __all__ = [
+    'Change',
     'Diagnosis',
     'Findings',
     'FrictionFit',

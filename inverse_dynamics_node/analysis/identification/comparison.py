@@ -10,15 +10,18 @@ from numpy.typing import ArrayLike
 from ...dynamics.inverse_dynamics import FRICTION_WIDTH, InverseDynamics
 from ...errors import RecordingError
 from ...robot.model import Booleans, Floats, RobotModel
-from .diagnoses import describe, diagnose_constant, Diagnosis
+from .diagnoses import diagnose, diagnose_constant, Diagnosis
 from .evidence import Evidence, Explanation
-from .findings import explained_fraction, Findings, JointFinding
+from .findings import Findings, JointFinding
 from .friction import fit_friction, FrictionFit, is_moving, obstacle
-from .joint_samples import CREDIBLE, JointSamples, reduce_samples
-from .loads import payload_regressors, point_mass_parameters, tip_links
-from .signals import derive, Motion, Recording, smooth_like_efforts
+from .joint_samples import CREDIBLE, JointSamples
+from .loads import moves_with, payload_regressors, point_mass_parameters, tip_links
+from .recorded_column import Recording
+from .signals import derive, Motion, smooth_like_efforts
 
 SAMPLES_PER_WINDOW = 8  # used by fits; the samples of a smoothing window are dependent
+MOVED = 0.02  # [rad or m]; a joint that moved less shows no load
+INERTIAS = 50  # samples at which the effect of noisy accelerations is computed
 CONSTANT = 1e-9  # fraction of the largest effort; smaller variations are rounding errors
 
 
@@ -98,13 +101,16 @@ class _Comparison:
     ) -> None:
         self.dynamics, self.motion, self.width = dynamics, motion, width
         robot = self.robot = dynamics.robot
-        self.links = (link,) if link is not None else tip_links(robot)
         K, n = len(motion.times), len(robot.joint_names)
         q, qd, qdd = np.zeros((3, K, n))
         if others is not None:
             q[:] = others
         q[:, index], qd[:, index], qdd[:, index] = motion.q, motion.qd, motion.qdd
         self.states = q, qd, qdd
+        self.all_index = index
+        links = (link,) if link is not None else tip_links(robot)
+        moved = np.ptp(q, axis=0) > MOVED
+        self.links = tuple(link for link in links if moves_with(robot, link, moved))
         self.compared = [j for j in range(len(index)) if np.isfinite(motion.efforts[:, j]).all()]
         self.index = [index[j] for j in self.compared]
         self.names = [motion.joint_names[j] for j in self.compared]
@@ -117,32 +123,58 @@ class _Comparison:
         terms = dynamics.effort_terms(*self.states)
         self.rigid: Floats = self.modelled - terms.friction[:, self.index]
         self.gravity: Floats = terms.gravity[:, self.index]
+        self.noise = self._noise()
         self.varying = self._varying()
         self.constant = self._unexpectedly_constant()
 
     def findings(self) -> Findings:
         evidence = self._evidence()
-        explanation = evidence.explain() if self.varying else None
+        explanation = self._explain(evidence)
         measured, efforts = self._corrected(explanation)
         fits = self._friction(measured - efforts, self._obscured(explanation))
         for c, fit in enumerate(fits):
             efforts[:, c] += fit.efforts(self.qd[:, c], self.direction[:, c])
+        recorded = self._as_recorded(efforts, explanation)
         when = self._when_comparable(fits)
+        rubbing = self._with_friction_only()
         return Findings(
             motion=self.motion,
             compared=tuple(self.compared),
             joints=tuple(
-                self._joint_finding(c, fits[c], measured[when[c], c], efforts[when[c], c])
+                self._joint_finding(c, fits[c], rubbing[:, c], recorded[:, c], when[c])
                 for c in range(len(fits))
             ),
             measured=self.measured,
             modelled=self.modelled,
-            corrected=self._as_recorded(efforts, explanation),
-            diagnoses=self._diagnoses(explanation),
-            explained=self._explained(self.measured, self.modelled, self.varying),
-            explained_corrected=self._explained(measured, efforts, self._moving(), when),
+            corrected=recorded,
+            diagnoses=self._diagnoses(evidence, explanation),
             width=self.width,
+            is_too_short=evidence.is_too_short,
+            moving=tuple(self._moving()),
         )
+
+    def _explain(self, evidence: Evidence) -> Explanation:
+        """Return the explanation."""
+        return evidence.explain()
+
+    def _with_friction_only(self) -> Floats:
+        """Return the modelled efforts with friction that is fitted without diagnoses."""
+        efforts: Floats = self.rigid.copy()
+        for c, fit in enumerate(self._friction(self.measured - self.rigid, {})):
+            efforts[:, c] += fit.damping * self.qd[:, c]
+            efforts[:, c] += fit.coulomb * self.direction[:, c]
+        return efforts
+
+    def _noise(self) -> Floats:
+        """Return the noise of measured minus modelled efforts, shape (c,)."""
+        some = slice(None, None, max(1, len(self.motion.times) // INERTIAS))
+        inertia = self.dynamics.mass_matrix(self.states[0][some])
+        modelled: Floats = inertia[:, :, self.all_index] * self.motion.qdd_noise
+        squares: Floats = np.mean(np.sum(modelled**2, axis=-1), axis=0)
+        noise: Floats = np.hypot(
+            np.sqrt(squares[self.index]), self.motion.effort_noise[self.compared]
+        )
+        return noise
 
     def _varying(self) -> list[int]:
         """Return the columns whose measured effort varies by more than rounding errors."""
@@ -168,6 +200,7 @@ class _Comparison:
         loads = [payload_regressors(robot, gravity, link, states) for link in self.links]
         joints: list[JointSamples] = []
         measured = self.measured[some][:, self.varying]
+        times = self.motion.times[some]
         for c in self.varying:
             i = self.index[c]
             qd = self.qd[some, c]
@@ -185,23 +218,29 @@ class _Comparison:
                 ]
             )
             moves = not obstacle(self.qd[:, c], self.period, self.width)
-            if moves:
-                columns = columns[is_moving(qd, self.width)]
-            joints.append(reduce_samples(columns, moves))
+            used = is_moving(qd, self.width) if moves else np.ones(len(qd), dtype=bool)
+            joints.append(
+                JointSamples(
+                    columns[used],
+                    times[used],
+                    moves,
+                    float(self.noise[c]),
+                    self._is_prismatic([c])[0],
+                )
+            )
+        duration = len(self.motion.times) * self.period
         sample_count = len(self.motion.times) / self.motion.window
         bodies = [robot.link_body[robot.link_index(link)] for link in self.links]
         masses = {k: float(robot.mass[b]) for k, b in zip(self.links, bodies, strict=True)}
-        return Evidence(joints, masses, gravity, sample_count)
+        return Evidence(joints, masses, gravity, sample_count, duration)
 
-    def _corrected(self, explanation: Explanation | None) -> tuple[Floats, Floats]:
+    def _corrected(self, explanation: Explanation) -> tuple[Floats, Floats]:
         """Return measured efforts without distortions, and modelled ones with the hypothesis."""
-        measured, efforts = self.measured.copy(), self.rigid.copy()
-        if explanation is None:
-            return measured, efforts
-        efforts += self._correction(explanation)
+        measured = self.measured / explanation.unit
+        efforts = self.rigid + self._correction(explanation)
         for j, (c, fit) in enumerate(zip(self.varying, explanation.fits, strict=True)):
             source = self.measured[:, self.varying[explanation.source[j]]]
-            measured[:, c] = fit.distortion.sign * source / fit.scale
+            measured[:, c] = fit.distortion.sign * source / explanation.factor(j)
             efforts[:, c] += fit.rotor * self.qdd[:, c]
         return measured, efforts
 
@@ -223,13 +262,12 @@ class _Comparison:
             correction += efforts[:, self.index]
         return correction
 
-    def _as_recorded(self, efforts: Floats, explanation: Explanation | None) -> Floats:
+    def _as_recorded(self, efforts: Floats, explanation: Explanation) -> Floats:
         """Distort efforts in the way in which the driver distorts them."""
-        recorded: Floats = efforts.copy()
-        if explanation is not None:
-            for j, (c, fit) in enumerate(zip(self.varying, explanation.fits, strict=True)):
-                source = self.varying[explanation.source[j]]
-                recorded[:, source] = fit.distortion.sign * fit.scale * efforts[:, c]
+        recorded: Floats = explanation.unit * efforts
+        for j, (c, fit) in enumerate(zip(self.varying, explanation.fits, strict=True)):
+            source = self.varying[explanation.source[j]]
+            recorded[:, source] = fit.distortion.sign * explanation.factor(j) * efforts[:, c]
         return recorded
 
     def _friction(self, residual: Floats, obscured: dict[int, str]) -> list[FrictionFit]:
@@ -248,11 +286,9 @@ class _Comparison:
             fits.append(fit)
         return fits
 
-    def _obscured(self, explanation: Explanation | None) -> dict[int, str]:
+    def _obscured(self, explanation: Explanation) -> dict[int, str]:
         """Return why the friction of some columns is unknown even if they moved enough."""
         reasons = dict.fromkeys(self.constant, 'its effort was not measured')
-        if explanation is None:
-            return reasons
         is_scaled = any(fit.distortion.is_scaled for fit in explanation.fits)
         for c, fit in zip(self.varying, explanation.fits, strict=True):
             if fit.moves and fit.remaining > CREDIBLE:
@@ -275,56 +311,36 @@ class _Comparison:
         return moving or self.varying
 
     def _joint_finding(
-        self, c: int, friction: FrictionFit, corrected_measured: Floats, corrected: Floats
+        self, c: int, friction: FrictionFit, rubbing: Floats, corrected: Floats, when: Booleans
     ) -> JointFinding:
-        measured, modelled = self.measured[:, c], self.modelled[:, c]
-        residual = measured - modelled
+        measured, modelled = self.measured[when, c], self.modelled[when, c]
         is_varying = c in self.varying
         has_line = is_varying and np.ptp(modelled) > CONSTANT * np.max(np.abs(modelled))
         scale, offset = np.polyfit(modelled, measured, 1) if has_line else (math.nan, math.nan)
-        squares = float(np.mean(measured**2))
         return JointFinding(
             name=self.names[c],
             is_prismatic=self._is_prismatic([c])[0],
-            rms_measured=math.sqrt(squares),
-            rms_modelled=float(np.sqrt(np.mean(modelled**2))),
-            rms_residual=float(np.sqrt(np.mean(residual**2))),
-            explained=explained_fraction(measured, modelled) if is_varying else math.nan,
-            explained_with_mean=1.0 - float(np.mean(residual**2)) / squares
-            if squares
-            else math.nan,
+            rms_measured=_rms(measured),
+            rms_modelled=_rms(modelled),
+            rms_residual=_rms(measured - modelled),
+            rms_friction=_rms(measured - rubbing[when]),
+            rms_corrected=_rms(measured - corrected[when]),
+            noise=math.nan if math.isfinite(self.motion.cut_off) else float(self.noise[c]),
             scale=float(scale),
             offset=float(offset),
             friction=friction,
-            explained_corrected=explained_fraction(corrected_measured, corrected)
-            if is_varying
-            else math.nan,
+            is_varying=is_varying,
         )
 
-    def _diagnoses(self, explanation: Explanation | None) -> tuple[Diagnosis, ...]:
+    def _diagnoses(self, evidence: Evidence, explanation: Explanation) -> tuple[Diagnosis, ...]:
         constant = {self.names[c]: float(self.measured[0, c]) for c in self.constant}
         names = [self.names[c] for c in self.varying]
-        return (
-            *diagnose_constant(constant),
-            *describe(explanation, names, self._is_prismatic(self.varying), self.dynamics.gravity),
-        )
+        found = diagnose(evidence, explanation, names) if self.varying else []
+        return (*diagnose_constant(constant), *found)
 
     def _is_prismatic(self, columns: list[int]) -> list[bool]:
         return [bool(self.robot.is_prismatic_joint[self.index[c]]) for c in columns]
 
-    def _explained(
-        self,
-        measured: Floats,
-        modelled: Floats,
-        columns: list[int],
-        when: list[Booleans] | None = None,
-    ) -> float:
-        """Return the explained fraction: the mean of that of revolute and of prismatic joints."""
-        every = np.ones(len(measured), dtype=bool)
-        variance, remaining = {False: 0.0, True: 0.0}, {False: 0.0, True: 0.0}
-        for c, is_prismatic in zip(columns, self._is_prismatic(columns), strict=True):
-            chosen = every if when is None else when[c]
-            variance[is_prismatic] += float(np.var(measured[chosen, c]))
-            remaining[is_prismatic] += float(np.var(measured[chosen, c] - modelled[chosen, c]))
-        fractions = [1.0 - remaining[kind] / variance[kind] for kind in variance if variance[kind]]
-        return float(np.mean(fractions)) if fractions else math.nan
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))

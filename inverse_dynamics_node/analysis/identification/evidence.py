@@ -20,7 +20,6 @@ from .joint_samples import (
     CREDIBLE,
     DIRECTION,
     Fit,
-    FLOOR,
     GRAVITY,
     JointSamples,
     LOADS,
@@ -31,10 +30,16 @@ from .joint_samples import (
     UNDISTORTED,
     WEIGHT,
 )
-from .loads import fit_payload, PARAMETERS, point_mass_parameters
+from .loads import fit_payload, MAX_REACH, PARAMETERS, point_mass_parameters
 
 COST_TOLERANCE = 0.1  # smaller differences of costs are ignored
 MAX_ITERATIONS = 3  # of fitting the hypothesis and the distortions in turn
+MIN_DURATION = 4.0  # [s] of samples; in less, chance explains too much
+OWN_CONTRIBUTION = 0.7  # of the squares that are left without a hypothesis, to be left at most
+NO_GRAVITY = 0.25  # largest fraction of gravity in efforts that lack gravity
+CONSIDERABLE = 0.3  # fraction of a joint's modelled effort; less gravity may be a wrong model
+SAME_UNIT = 1.25  # largest ratio between the factors of joints with the same unit
+UNIT_PARAMETERS = 2  # a unit has the weight of two parameters, because it is rarely wrong
 
 
 class Hypothesis(NamedTuple):
@@ -63,19 +68,34 @@ class Explanation(NamedTuple):
     fits: tuple[Fit, ...]
     source: tuple[int, ...]
     """Index of the measured effort that belongs to each joint."""
+    unit: float = 1.0
+    """Factor of the measured efforts of all joints."""
 
     @property
     def cost(self) -> float:
         """Logarithm of the remaining squares, plus the cost of all parameters."""
         moved = sum(i != j for i, j in enumerate(self.source))
-        parameters = self.hypothesis.parameters + moved
+        parameters = self.hypothesis.parameters + moved + UNIT_PARAMETERS * (self.unit != 1.0)
         return sum(fit.cost for fit in self.fits) + PARAMETER_COST * parameters
 
     @property
-    def is_plausible(self) -> bool:
-        """Whether it is possible: loads cannot be identified in unknown units."""
-        is_scaled = any(fit.distortion.is_scaled for fit in self.fits)
-        return self.hypothesis.kind in ('as_is', 'weightless') or not is_scaled
+    def is_scaled(self) -> bool:
+        """Whether the effort of a joint has another unit."""
+        return self.unit != 1.0 or any(fit.distortion.is_scaled for fit in self.fits)
+
+    @property
+    def changes_nothing(self) -> bool:
+        """Whether the model with friction is all that there is."""
+        return (
+            self.hypothesis.kind == 'as_is'
+            and self.unit == 1.0
+            and self.source == tuple(range(len(self.source)))
+            and not any(any(fit.distortion) for fit in self.fits)
+        )
+
+    def factor(self, joint: int) -> float:
+        """Return the measured effort of a joint divided by its actual effort, without sign."""
+        return self.unit * self.fits[joint].scale
 
 
 class Evidence:
@@ -93,6 +113,8 @@ class Evidence:
         Gravity of the model in the frame of the base link [m/s^2].
     sample_count : float
         Number of independent samples of a joint.
+    duration : float
+        Time that the samples represent [s].
 
     """
 
@@ -102,22 +124,50 @@ class Evidence:
         links: Mapping[str, float],
         gravity: Floats,
         sample_count: float,
+        duration: float,
     ) -> None:
         self.joints = tuple(joints)
         self.links = tuple(links)
         self.link_masses = tuple(links.values())
         self.gravity = gravity
         self.sample_count = sample_count
+        self.duration = duration
         self.first_measured = LOADS + PARAMETERS * len(links)
         self.as_is = Hypothesis('as_is', self._weights({MODEL: 1.0}), 0)
 
+    def friction_only(self) -> Explanation:
+        """Return the model as it is, with friction."""
+        fits = tuple(
+            samples.fit(self.as_is.weights, self.first_measured + j, UNDISTORTED)
+            for j, samples in enumerate(self.joints)
+        )
+        return Explanation(self.as_is, fits, tuple(range(len(fits))))
+
+    @property
+    def is_too_short(self) -> bool:
+        """Whether there are too few samples for an explanation."""
+        return self.duration < MIN_DURATION
+
     def explain(self) -> Explanation:
-        """Return the explanation with the lowest cost."""
+        """Return the credible explanation with the lowest cost."""
+        if self.is_too_short:
+            return self.friction_only()
         as_is = self._fit_joints(self.as_is)
-        lowest_cost = len(self.joints) * math.log(FLOOR**2)
+        lowest_cost = sum(
+            math.log(samples.floor(self.first_measured + j))
+            for j, samples in enumerate(self.joints)
+        )
         if as_is.cost - lowest_cost < PARAMETER_COST:
             return as_is  # no further parameter can be worth its cost
-        weightless = self._fit_joints(self._weightless())
+        # If an offset of a joint explains as much as missing gravity, prefer missing gravity.
+        found = sorted(
+            self._candidates(as_is),
+            key=lambda each: each.cost - COST_TOLERANCE * each.hypothesis.is_weightless,
+        )
+        return next(each for each in found if each is as_is or self._is_credible(each))
+
+    def _candidates(self, as_is: Explanation) -> list[Explanation]:
+        weightless = self._fit_joints(self.weightless())
         found = [as_is, weightless]
         # Start without distortions, and with those that seem best for the model as it is.
         for start in ([Fit(UNDISTORTED, 0.0, 1.0)] * len(self.joints), list(as_is.fits)):
@@ -125,12 +175,94 @@ class Evidence:
             for k in range(len(self.links)):
                 found += self._iterate(partial(self._payload, k, self.as_is), start)
                 found += self._iterate(partial(self._payload, k, weightless.hypothesis), start)
-        found += self._reordered()
-        # If an offset of a joint explains as much as missing gravity, prefer missing gravity.
-        return min(
-            (explanation for explanation in found if explanation.is_plausible),
-            key=lambda each: each.cost - COST_TOLERANCE * each.hypothesis.is_weightless,
+        return found + self._reordered() + self._common_unit(as_is)
+
+    def _is_credible(self, explanation: Explanation) -> bool:
+        """Return whether a hypothesis is possible, and improves enough by itself."""
+        hypothesis = explanation.hypothesis
+        if hypothesis.kind == 'as_is':
+            return True
+        # Loads and gravity cannot be identified in unknown units.
+        if explanation.is_scaled and hypothesis.kind != 'weightless':
+            return False
+        without = self.refit(explanation, hypothesis=self.as_is)
+        if self.unexplained(explanation) > OWN_CONTRIBUTION * self.unexplained(without):
+            return False
+        return not hypothesis.is_weightless or self._lacks_gravity(explanation)
+
+    def unexplained(self, explanation: Explanation) -> float:
+        """Return the remaining fraction of the squares: mean of revolute and prismatic joints."""
+        remaining = {False: 0.0, True: 0.0}
+        squares = {False: 0.0, True: 0.0}
+        none_moves = not any(samples.moves for samples in self.joints)
+        for j, (samples, fit) in enumerate(zip(self.joints, explanation.fits, strict=True)):
+            # The effort of a joint at rest also contains an unknown dry friction.
+            if not (samples.moves or none_moves):
+                continue
+            measured = self.first_measured + explanation.source[j]
+            square = float(samples.squares[measured]) / explanation.factor(j) ** 2
+            remaining[samples.is_prismatic] += fit.remaining * square
+            squares[samples.is_prismatic] += square
+        return float(
+            np.mean([remaining[kind] / squares[kind] for kind in squares if squares[kind]])
         )
+
+    def _lacks_gravity(self, explanation: Explanation) -> bool:
+        """Return whether the efforts contain hardly any gravity, and are explained without it."""
+        numerator = denominator = 0.0
+        is_shown = False
+        for j, (samples, fit) in enumerate(zip(self.joints, explanation.fits, strict=True)):
+            gravity, target = samples.triangle[:, GRAVITY], self._target(j, explanation)
+            is_heavy = samples.squares[GRAVITY] > CONSIDERABLE**2 * samples.squares[MODEL]
+            if is_heavy and samples.moves and fit.remaining > CREDIBLE:
+                return False
+            # A joint at rest may have any dry friction, which looks like less gravity.
+            is_shown = is_shown or bool(is_heavy and samples.moves)
+            if samples.moves:
+                friction = np.linalg.qr(samples.triangle[:, [SPEED, DIRECTION]])[0]
+                gravity, target = (x - friction @ (friction.T @ x) for x in (gravity, target))
+            measured = self.first_measured + explanation.source[j]
+            variance = fit.remaining + samples.floor(measured)
+            variance *= float(samples.squares[measured]) / explanation.factor(j) ** 2
+            numerator += float(gravity @ target) / variance
+            denominator += float(np.sum(gravity**2)) / variance
+        return is_shown and abs(numerator) < NO_GRAVITY * denominator
+
+    def _target(self, j: int, explanation: Explanation) -> Floats:
+        """Return the reduced effort of a joint that an explanation leaves to friction."""
+        R, fit = self.joints[j].triangle, explanation.fits[j]
+        measured = R[:, self.first_measured + explanation.source[j]]
+        target: Floats = fit.distortion.sign / explanation.factor(j) * measured
+        target = target - R[:, : self.first_measured] @ explanation.hypothesis.weights
+        return target - fit.rotor * R[:, ACCELERATION] - fit.offset * R[:, ONE]
+
+    def refit(
+        self,
+        explanation: Explanation,
+        hypothesis: Hypothesis | None = None,
+        without: str = '',
+    ) -> Explanation:
+        """Fit an explanation again, with another hypothesis or without a kind of distortion."""
+        hypothesis = hypothesis or explanation.hypothesis
+        fits = []
+        for j, (samples, fit) in enumerate(zip(self.joints, explanation.fits, strict=True)):
+            distortion = fit.distortion
+            if without:
+                distortion = distortion._replace(**{without: False})
+            measured = self.first_measured + explanation.source[j]
+            fits.append(samples.fit(hypothesis.weights, measured, distortion, explanation.unit))
+        return explanation._replace(hypothesis=hypothesis, fits=tuple(fits))
+
+    def _common_unit(self, as_is: Explanation) -> list[Explanation]:
+        """Scale the efforts of all joints alike, including those that hardly moved."""
+        factors = [fit.scale for fit in as_is.fits if fit.distortion.is_scaled]
+        middle = float(np.median(factors)) if factors else 1.0
+        alike = [x for x in factors if 1.0 / SAME_UNIT < x / middle < SAME_UNIT]
+        if len(alike) < 2 or 2 * len(alike) < len(factors):
+            return []
+        units = float(np.exp(np.mean(np.log(alike)))) * np.linspace(0.9, 1.1, 21)
+        found = [self._fit_joints(self.as_is, float(unit)) for unit in units]
+        return [min(found, key=lambda each: each.cost)]
 
     def _weights(self, values: dict[int, float]) -> Floats:
         weights = np.zeros(self.first_measured)
@@ -138,16 +270,16 @@ class Evidence:
             weights[column] = value
         return weights
 
-    def _weightless(self) -> Hypothesis:
+    def weightless(self) -> Hypothesis:
         weights = self._weights({MODEL: 1.0, GRAVITY: -1.0})
         return Hypothesis('weightless', weights, 1, is_weightless=True)
 
-    def _fit_joints(self, hypothesis: Hypothesis) -> Explanation:
+    def _fit_joints(self, hypothesis: Hypothesis, unit: float = 1.0) -> Explanation:
         fits = tuple(
-            samples.best_fit(hypothesis.weights, self.first_measured + j)
+            samples.best_fit(hypothesis.weights, self.first_measured + j, unit)
             for j, samples in enumerate(self.joints)
         )
-        return Explanation(hypothesis, fits, tuple(range(len(fits))))
+        return Explanation(hypothesis, fits, tuple(range(len(fits))), unit)
 
     def _iterate(
         self, fit_hypothesis: Callable[[list[Fit]], Hypothesis | None], fits: list[Fit]
@@ -185,7 +317,7 @@ class Evidence:
                 target = target - Q @ (Q.T @ target)
                 columns = columns - Q @ (Q.T @ columns)
             # Joints that are explained well have more weight.
-            variance = min(fit.remaining, 1.0) + FLOOR**2
+            variance = min(fit.remaining, 1.0) + samples.floor(self.first_measured + j)
             variance *= samples.squares[self.first_measured + j]
             weight = math.sqrt(self.sample_count / variance)
             stacked.append(weight * columns)
@@ -222,6 +354,8 @@ class Evidence:
         # A body cannot lack more than its mass.
         least = -self.link_masses[k] - 3.0 * errors[0]
         if abs(solution[0]) < 3.0 * errors[0] or solution[0] < least:
+            return None
+        if np.linalg.norm(solution[1:]) > MAX_REACH:
             return None
         weights = base.weights.copy()
         weights[load] = point_mass_parameters(float(solution[0]), solution[1:])

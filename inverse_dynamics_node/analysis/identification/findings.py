@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+import math
 
 import numpy as np
 
@@ -22,21 +23,34 @@ class JointFinding:
     rms_modelled: float
     rms_residual: float
     """RMS of measured minus modelled effort."""
-    explained: float
-    """Explained fraction of the variance of the measured effort; NaN if it is constant."""
-    explained_with_mean: float
-    """Explained fraction of the squares of the measured effort; NaN if it is zero."""
+    rms_friction: float
+    """The same with fitted friction, but without diagnoses and offset."""
+    rms_corrected: float
+    """The same with fitted friction, offset and the diagnoses."""
+    noise: float
+    """Standard deviation of the noise that smoothing leaves; a smaller residual is explained.
+
+    NaN if the recording was filtered before.
+    """
     scale: float
     """Measured effort is about ``scale * modelled + offset``, by least squares."""
     offset: float
     friction: FrictionFit
-    explained_corrected: float
-    """
-    Like ``explained``, for the model corrected by fitted friction, offset and diagnoses.
+    is_varying: bool
+    """Whether the measured effort varies."""
 
-    If the friction was identified, only while the joint moves: dry friction at rest can have any
-    value up to its maximum.
-    """
+    @property
+    def explained(self) -> float:
+        """Fraction of the squares of the effort that the model explains; NaN if constant."""
+        return self._explained(self.rms_residual)
+
+    @property
+    def explained_corrected(self) -> float:
+        """The same with fitted friction and offset, and the diagnoses."""
+        return self._explained(self.rms_corrected)
+
+    def _explained(self, residual: float) -> float:
+        return 1.0 - (residual / self.rms_measured) ** 2 if self.is_varying else math.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,17 +75,28 @@ class Findings:
     """
     diagnoses: tuple[Diagnosis, ...]
     """Explanations of the difference, most important first; empty if none is needed."""
-    explained: float
-    """Explained fraction of the variance: mean of revolute and of prismatic joints."""
-    explained_corrected: float
-    """The same for the corrected model and the joints whose friction could be identified."""
     width: float
     """Speed over which Coulomb friction is smoothed [rad/s or m/s]."""
+    is_too_short: bool
+    """Whether there are too few samples to diagnose a difference."""
+    moving: tuple[int, ...]
+    """Indices in ``joints`` of those that the sums below contain: those that moved, if any."""
 
+    @property
+    def explained(self) -> float:
+        """Explained fraction of the squares: mean of revolute and of prismatic joints."""
+        return self._mean([joint.rms_residual for joint in self.joints])
 
-def explained_fraction(measured: Floats, modelled: Floats) -> float:
-    """Return the explained fraction of the variance; NaN if the measured effort is constant."""
-    variance = float(np.var(measured))
-    if variance <= (1e-6 * float(np.max(np.abs(measured)))) ** 2:
-        return np.nan
-    return 1.0 - float(np.var(measured - modelled)) / variance
+    @property
+    def explained_corrected(self) -> float:
+        """The same with fitted friction and offset, and the diagnoses."""
+        return self._mean([joint.rms_corrected for joint in self.joints])
+
+    def _mean(self, residuals: list[float]) -> float:
+        measured, remaining = {False: 0.0, True: 0.0}, {False: 0.0, True: 0.0}
+        for c in self.moving:
+            joint = self.joints[c]
+            measured[joint.is_prismatic] += joint.rms_measured**2
+            remaining[joint.is_prismatic] += residuals[c] ** 2
+        fractions = [1.0 - remaining[kind] / measured[kind] for kind in measured if measured[kind]]
+        return float(np.mean(fractions)) if fractions else math.nan

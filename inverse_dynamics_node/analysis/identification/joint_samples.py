@@ -19,10 +19,12 @@ from ...robot.model import Floats
 PARAMETER_COST = math.log(2.0)
 """A parameter must halve the remaining squares to be accepted."""
 FLOOR = 0.03  # fraction of a joint's RMS effort; models are not more accurate than this
+NOISE_FLOOR = 2.0  # times the noise; a smaller RMS residual is explained
 SAME_SCALE = (0.8, 1.25)  # scales in this range are model errors, not another unit
 CREDIBLE = 0.3  # fraction of the squares; if more remains, the effort is not explained
 FRICTION_ONLY = 0.01  # fraction of the squares; an effort of friction alone shows no unit
 MIN_OFFSET = 0.05  # fraction of a joint's RMS effort
+FRICTION = 0.03  # fraction of a joint's RMS effort; Coulomb friction above it is considerable
 
 # Columns of the samples of a joint; those of loads and of all measured efforts follow.
 MODEL, GRAVITY, WEIGHT, ACCELERATION, SPEED, DIRECTION, ONE, LOADS = 0, 1, 2, 5, 6, 7, 8, 9
@@ -67,6 +69,10 @@ class Fit(NamedTuple):
     """Whether the joint moved enough to identify its friction."""
     is_friction_only: bool = False
     """Whether friction alone explains as much, so that sign and unit cannot be identified."""
+    rms: float = 0.0
+    """RMS of the residual, in the unit of the recorded effort."""
+    has_friction: bool = False
+    """Whether Coulomb friction is a considerable part of the effort."""
     scale: float = 1.0
     rotor: float = 0.0
     """Inertia [kg m^2 or kg]."""
@@ -78,17 +84,32 @@ class Fit(NamedTuple):
 class JointSamples:
     """The samples of one joint, reduced to the scalar products of all columns."""
 
-    triangle: Floats
-    """Triangular factor of the samples, of shape (p, p) for p columns."""
+    columns: Floats
+    """One row per sample, shape (K, p)."""
+    times: Floats
+    """Shape (K,) [s]."""
     moves: bool
     """Whether friction and offsets can be identified."""
+    noise: float = 0.0
+    """Standard deviation of the noise of the effort."""
+    is_prismatic: bool = False
+    triangle: Floats = field(init=False)
+    """Triangular factor of the samples, of shape (p, p)."""
     squares: Floats = field(init=False)
     """Mean square of each column."""
 
     def __post_init__(self) -> None:
+        triangle: Floats = np.asarray(np.linalg.qr(self.columns, mode='r'))
+        self.triangle = triangle / math.sqrt(len(self.columns))
         self.squares = np.sum(self.triangle**2, axis=0)
 
-    def fit(self, weights: Floats, measured: int, distortion: Distortion) -> Fit:
+    def floor(self, measured: int) -> float:
+        """Return the fraction of the squares below which an effort is explained."""
+        return float(FLOOR**2 + (NOISE_FLOOR * self.noise) ** 2 / self.squares[measured])
+
+    def fit(
+        self, weights: Floats, measured: int, distortion: Distortion, unit: float = 1.0
+    ) -> Fit:
         """
         Fit a distortion to a measured effort.
 
@@ -100,6 +121,8 @@ class JointSamples:
             Column of the measured effort.
         distortion : Distortion
             The parameters to fit.
+        unit : float
+            Known factor of the measured effort.
 
         Returns
         -------
@@ -110,7 +133,7 @@ class JointSamples:
 
         R = self.triangle
         model = R[:, : len(weights)] @ weights
-        target = distortion.sign * R[:, measured]
+        target = distortion.sign / unit * R[:, measured]
         columns = [R[:, [SPEED, DIRECTION]]] if self.moves else []
         columns += [R[:, [ACCELERATION]]] if distortion.has_rotor else []
         columns += [R[:, [ONE]], -R[:, [ONE]]] if distortion.has_offset else []
@@ -125,9 +148,11 @@ class JointSamples:
             lengths[lengths == 0.0] = 1.0
             solution = nnls(features / lengths, target)[0] / lengths
             target = target - features @ solution
-        remaining = float(np.sum(target**2) / self.squares[measured])
-        cost = math.log(remaining + FLOOR**2) + PARAMETER_COST * distortion.parameters
+        squares = float(self.squares[measured]) / unit**2
+        remaining = float(np.sum(target**2)) / squares
+        cost = math.log(remaining + self.floor(measured)) + PARAMETER_COST * distortion.parameters
         values: list[float] = solution[2 if self.moves else 0 :].tolist()
+        coulomb = float(solution[1]) if self.moves else 0.0
         rotor = values.pop(0) if distortion.has_rotor else 0.0
         offset = values.pop(0) - values.pop(0) if distortion.has_offset else 0.0
         scale = values.pop(0) if distortion.is_scaled else 1.0
@@ -140,16 +165,22 @@ class JointSamples:
             scale=scale,
             rotor=rotor / per_scale,
             offset=offset / per_scale,
+            rms=math.sqrt(remaining * squares) * unit,
+            has_friction=coulomb > FRICTION * math.sqrt(squares),
         )
 
-    def best_fit(self, weights: Floats, measured: int) -> Fit:
+    def best_fit(self, weights: Floats, measured: int, unit: float = 1.0) -> Fit:
         """Fit the best credible distortion to a measured effort, none if no other is credible."""
-        rms = math.sqrt(self.squares[measured])
-        best = self.fit(weights, measured, UNDISTORTED)
+        rms = math.sqrt(self.squares[measured]) / unit
+        best = self.fit(weights, measured, UNDISTORTED, unit)
+        if best.remaining < self.floor(measured):
+            return best._replace(is_friction_only=self._is_friction_only(measured, best))
         for distortion in DISTORTIONS[1:]:
             if not self.moves and (distortion.has_rotor or distortion.has_offset):
                 continue
-            fit = self.fit(weights, measured, distortion)
+            if unit != 1.0 and distortion.is_scaled:
+                continue
+            fit = self.fit(weights, measured, distortion, unit)
             is_small = abs(fit.offset * fit.scale) < MIN_OFFSET * rms
             is_credible = (
                 fit.cost < best.cost
@@ -159,10 +190,12 @@ class JointSamples:
                 and not (distortion.has_offset and is_small)
             )
             best = fit if is_credible else best
-        is_friction_only = not best.distortion.is_scaled and self._needs_no_model(
-            measured, best.distortion, best.remaining, FRICTION_ONLY
+        return best._replace(is_friction_only=self._is_friction_only(measured, best))
+
+    def _is_friction_only(self, measured: int, fit: Fit) -> bool:
+        return not fit.distortion.is_scaled and self._needs_no_model(
+            measured, fit.distortion, fit.remaining, FRICTION_ONLY
         )
-        return best._replace(is_friction_only=is_friction_only)
 
     def _is_arbitrary(self, measured: int, fit: Fit) -> bool:
         """Return whether friction alone explains as much, so that sign and scale are arbitrary."""
@@ -186,23 +219,3 @@ class JointSamples:
         """Return whether hardly more remains without the model."""
         without = self.fit(np.zeros(1), measured, distortion).remaining
         return without <= 2.0 * remaining + tolerance
-
-
-def reduce_samples(columns: Floats, moves: bool) -> JointSamples:
-    """
-    Reduce samples to their triangular factor.
-
-    Parameters
-    ----------
-    columns : ndarray, shape (K, p)
-        One row per sample.
-    moves : bool
-        Whether the joint moved enough to identify its friction.
-
-    Returns
-    -------
-    samples : JointSamples
-
-    """
-    triangle: Floats = np.asarray(np.linalg.qr(columns, mode='r'))
-    return JointSamples(triangle / math.sqrt(len(columns)), moves)

@@ -10,10 +10,12 @@ from __future__ import annotations
 import numpy as np
 
 from ...dynamics.inverse_dynamics import InverseDynamics
-from ...robot.model import Floats, RobotModel
+from ...robot.model import Booleans, Floats, RobotModel
 
 PARAMETERS = 10  # m; m c, three; m c c^T, six
 MOST_LINKS = 6  # links to try if none is named
+MAX_REACH = 0.5  # [m] from the link to the centre of mass; a payload is nearer
+USUAL_REACH = 0.2  # [m]; where a coordinate has hardly any effect, the load is near the link
 MAX_COM_ERROR = 0.05  # [m]; a coordinate with a larger standard error is reported as unknown
 
 
@@ -31,6 +33,16 @@ def tip_links(robot: RobotModel) -> tuple[str, ...]:
         furthest = on_body[reach >= np.max(reach) - 1e-9][-1]
         links.append(robot.link_names[int(furthest)])
     return tuple(links)
+
+
+def moves_with(robot: RobotModel, link: str, moved: Booleans) -> bool:
+    """Return whether a link is moved by one of the joints that moved, given one flag per joint."""
+    body = int(robot.link_body[robot.link_index(link)])
+    while body > 0:
+        if moved[robot.joint_index[body]]:
+            return True
+        body = int(robot.parent[body])
+    return False
 
 
 def _depth(robot: RobotModel, body: int) -> int:
@@ -120,7 +132,8 @@ def fit_payload(
     start = np.array([mass, *np.clip(linear[1:] / mass, -0.5, 0.5)])
 
     def remaining(solution: Floats) -> Floats:
-        return regressors @ point_mass_parameters(float(solution[0]), solution[1:]) - residual
+        efforts = regressors @ point_mass_parameters(float(solution[0]), solution[1:])
+        return np.append(efforts - residual, solution[1:] / USUAL_REACH)
 
     found = least_squares(remaining, start, x_scale=[max(abs(mass), 0.1), 0.1, 0.1, 0.1])
     variance = 2.0 * found.cost / max(sample_count - 4.0, 1.0)

@@ -8,12 +8,17 @@ smoothed over the same window, so that they remain comparable with the modelled 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+import math
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
 from ...errors import RecordingError
-from ...robot.model import Floats, Integers
+from ...robot.model import Floats
+from .recorded_column import RecordedColumn, Recording
+from .signal_quality import cut_off, lag, white_noise
 
 WINDOWS = {1: (0.10, 3), 2: (0.15, 5)}
 """
@@ -23,26 +28,9 @@ At 3 Hz they attenuate accelerations by 0.2 and 0.5 %. With the second one, enco
 rad at 500 Hz leads to noise of 0.05 rad/s^2.
 """
 MIN_SLACK = 4  # samples of the window beyond the degree; with fewer, nothing is smoothed
-GAP = 5.0  # periods without a sample; signals are not interpolated across a gap
-DUPLICATE = 0.25  # periods; samples that are closer together are duplicates
-JUMP_BACK = 10.0  # periods; samples whose stamps go back by less are sorted
 MIN_RATE = 20.0  # [Hz]; accelerations cannot be derived from slower recordings
 MAX_DIFFERENCE = 0.5  # fraction of the RMS by which velocities may differ from derived ones
 MIN_SPEED = 1e-3  # [rad/s or m/s]; the velocities of a slower joint are not checked
-
-
-class Recording(NamedTuple):
-    """Measured states of m joints at k times."""
-
-    joint_names: tuple[str, ...]
-    times: Floats
-    """Stamps, shape (k,) [s]; may have jitter, gaps and duplicates."""
-    positions: Floats
-    """Shape (k, m) [rad or m]; NaN if a message lacks the joint."""
-    velocities: Floats | None
-    """Shape (k, m) [rad/s or m/s]; NaN if a message lacks it; None if no velocity was recorded."""
-    efforts: Floats
-    """Shape (k, m) [N m or N]; NaN if a message lacks it."""
 
 
 class Motion(NamedTuple):
@@ -67,6 +55,14 @@ class Motion(NamedTuple):
     """Description of the filter."""
     notes: tuple[str, ...]
     """Descriptions of ignored or repaired data."""
+    effort_noise: Floats
+    """Noise that is left in the smoothed efforts, shape (m,) [N m or N]; NaN without efforts."""
+    qdd_noise: Floats
+    """Noise of the accelerations, shape (m,) [rad/s^2 or m/s^2]."""
+    lags: Mapping[str, float] = MappingProxyType({})
+    """Recorded velocities that are later than the positions, by joint [s]; they are not used."""
+    cut_off: float = math.inf
+    """Frequency above which the recorded efforts are empty, as after a low-pass filter [Hz]."""
 
 
 def derive(recording: Recording) -> Motion:
@@ -90,17 +86,17 @@ def derive(recording: Recording) -> Motion:
 
     """
     times = _checked(recording)
-    columns = [_Column(recording, times, j) for j in range(len(recording.joint_names))]
+    columns = [RecordedColumn(recording, times, j) for j in range(len(recording.joint_names))]
     period = max(column.period for column in columns)
     if 1.0 / period < MIN_RATE:
         raise RecordingError(
             f'the recording has {1.0 / period:.3g} samples/s, expected at least {MIN_RATE:g}: '
             'accelerations cannot be derived'
         )
-    orders, inconsistent = _orders(columns, period)
+    orders, inconsistent, lags = _orders(columns, period)
     seconds, degree = WINDOWS[max(orders)]
     half = max(round(0.5 * seconds / period), (degree + MIN_SLACK) // 2)
-    pieces, lost = [], 0.0
+    pieces, grids, lost = [], [], 0.0
     for begin, end in _common_spans(columns):
         count = int((end - begin) / period + 1e-6) + 1
         if count < 4 * half:
@@ -108,6 +104,7 @@ def derive(recording: Recording) -> Motion:
             continue
         grid: Floats = begin + period * np.arange(count, dtype=np.float64)
         pieces.append(_smooth(columns, orders, grid, period, (2 * half + 1, degree)))
+        grids.append(grid)
     if not pieces:
         duration = times[-1] - times[0]
         raise RecordingError(
@@ -118,8 +115,30 @@ def derive(recording: Recording) -> Motion:
     notes = _notes(columns, inconsistent, len(pieces), lost)
     method = _method(orders, period, 2 * half + 1, degree)
     window = 2 * half + 1
-    names = recording.joint_names
-    return Motion(names, instants - times[0], q, qd, qdd, efforts, window, degree, method, notes)
+    longest = max(grids, key=len)
+    noise = [
+        _noise(column, order, longest, period, window, degree)
+        for column, order in zip(columns, orders, strict=True)
+    ]
+    cut_offs = [
+        cut_off(column.at(column.tau, longest), period) for column in columns if column.varies
+    ]
+    return Motion(
+        recording.joint_names,
+        instants - times[0],
+        q,
+        qd,
+        qdd,
+        efforts,
+        window,
+        degree,
+        method,
+        notes,
+        effort_noise=np.array([each[0] for each in noise]),
+        qdd_noise=np.array([each[1] for each in noise]),
+        lags=lags,
+        cut_off=float(np.median(cut_offs)) if cut_offs else math.inf,
+    )
 
 
 def smooth_like_efforts(motion: Motion, values: Floats) -> Floats:
@@ -151,62 +170,6 @@ def smooth_like_efforts(motion: Motion, values: Floats) -> Floats:
     return np.concatenate(pieces)
 
 
-class _Column:
-    """Samples of one joint in order of time, without duplicates."""
-
-    def __init__(self, recording: Recording, times: Floats, joint: int) -> None:
-        self.name = recording.joint_names[joint]
-        q, tau = recording.positions[:, joint], recording.efforts[:, joint]
-        self.has_effort = bool(np.isfinite(tau).any())
-        is_complete = np.isfinite(q) & (np.isfinite(tau) | (not self.has_effort))
-        if is_complete.sum() < 2:
-            raise RecordingError(
-                f"joint '{self.name}' has {int(is_complete.sum())} samples with a position"
-                + (' and an effort' if self.has_effort else '')
-                + ', expected at least 2'
-            )
-        t = times[is_complete]
-        steps = np.diff(t)
-        self.period = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else np.inf
-        back = np.min(steps)
-        if back < -JUMP_BACK * self.period:
-            at = float(t[int(np.argmin(steps))] - times[0])
-            raise RecordingError(
-                f'time goes back by {-back:.3g} s, {at:.3g} s after the start; if these are two '
-                'recordings in one file, select one of them by its start and end'
-            )
-        order = np.argsort(t, kind='stable')
-        signals = [q, tau]
-        if recording.velocities is not None:
-            signals.append(recording.velocities[:, joint])
-        values = np.column_stack([t, *(signal[is_complete] for signal in signals)])[order]
-        values, self.merged = _merge(values, DUPLICATE * self.period)
-        self.t, self.q, self.tau = values[:, 0], values[:, 1], values[:, 2]
-        self.qd: Floats | None = values[:, 3] if values.shape[1] == 4 else None
-        if self.qd is not None and not np.isfinite(self.qd).all():
-            self.qd = None
-
-    def spans(self) -> list[tuple[float, float]]:
-        """Return begin and end of the intervals without gaps."""
-        breaks = np.flatnonzero(np.diff(self.t) > GAP * self.period)
-        starts = [0, *(breaks + 1)]
-        ends = [*breaks, len(self.t) - 1]
-        return [(self.t[a], self.t[b]) for a, b in zip(starts, ends, strict=True)]
-
-    def at(self, values: Floats, grid: Floats) -> Floats:
-        """Interpolate to uniform times between two gaps."""
-        from scipy.interpolate import CubicSpline  # the import takes 0.3 s
-
-        a = max(int(np.searchsorted(self.t, grid[0] - 1e-9)) - 1, 0)
-        b = int(np.searchsorted(self.t, grid[-1] + 1e-9)) + 1
-        inside = slice(a, b)
-        t = self.t[inside]
-        # A knot beyond a gap would distort the spline near the last samples before it.
-        near = (t >= grid[0] - 1e-9) & (t <= grid[-1] + self.period)
-        found: Floats = CubicSpline(t[near], values[inside][near])(grid)
-        return found
-
-
 def _checked(recording: Recording) -> Floats:
     names = recording.joint_names
     if not names:
@@ -226,22 +189,21 @@ def _checked(recording: Recording) -> Floats:
     return times
 
 
-def _merge(values: Floats, closest: float) -> tuple[Floats, int]:
-    """Average rows with nearly the same time, which is the first column."""
-    is_new = np.append(True, np.diff(values[:, 0]) > closest)
-    if is_new.all():
-        return values, 0
-    starts: Integers = np.flatnonzero(is_new)
-    counts = np.diff(np.append(starts, len(values)))
-    merged: Floats = np.add.reduceat(values, starts) / counts[:, None]
-    return merged, len(values) - len(merged)
+def _orders(
+    columns: list[RecordedColumn], period: float
+) -> tuple[list[int], list[str], dict[str, float]]:
+    """
+    Return how often to differentiate each column: once if its velocities are consistent.
 
+    Also returns the names of the columns with inconsistent velocities, and the lags of those that
+    are late.
 
-def _orders(columns: list[_Column], period: float) -> tuple[list[int], list[str]]:
-    """Return how often to differentiate each column: once if its velocities are consistent."""
+    """
     from scipy.signal import savgol_filter
 
-    orders, inconsistent = [], []
+    orders: list[int] = []
+    inconsistent: list[str] = []
+    lags: dict[str, float] = {}
     for column in columns:
         if column.qd is None:
             orders.append(2)
@@ -257,14 +219,17 @@ def _orders(columns: list[_Column], period: float) -> tuple[list[int], list[str]
         rate = savgol_filter(q, 2 * half + 1, 3, 1, period)
         recorded = savgol_filter(column.at(column.qd, grid), 2 * half + 1, 3)
         size, difference = _rms(rate), _rms(rate - recorded)
+        late = lag(recorded, rate, period) if size > MIN_SPEED else 0.0
         is_wrong = size > MIN_SPEED and difference > MAX_DIFFERENCE * size
-        orders.append(2 if is_wrong else 1)
-        if is_wrong:
+        orders.append(2 if is_wrong or late else 1)
+        if late:
+            lags[column.name] = late
+        elif is_wrong:
             inconsistent.append(column.name)
-    return orders, inconsistent
+    return orders, inconsistent, lags
 
 
-def _common_spans(columns: list[_Column]) -> list[tuple[float, float]]:
+def _common_spans(columns: list[RecordedColumn]) -> list[tuple[float, float]]:
     """Return the intervals in which no column has a gap."""
     spans = columns[0].spans()
     for column in columns[1:]:
@@ -276,7 +241,7 @@ def _common_spans(columns: list[_Column]) -> list[tuple[float, float]]:
 
 
 def _smooth(
-    columns: list[_Column],
+    columns: list[RecordedColumn],
     orders: list[int],
     grid: Floats,
     period: float,
@@ -307,6 +272,25 @@ def _smooth(
     return grid[inner], smooth(q)[inner], qd[inner], qdd[inner], tau[inner]
 
 
+def _noise(
+    column: RecordedColumn, order: int, grid: Floats, period: float, window: int, degree: int
+) -> tuple[float, float]:
+    """Estimate the noise of the smoothed effort and of the acceleration of a column."""
+    from scipy.signal import savgol_coeffs, savgol_filter
+
+    centre = float(savgol_coeffs(window, degree)[window // 2])
+
+    def noise(values: Floats) -> float:
+        return white_noise(values, savgol_filter(values, window, degree), centre)
+
+    source = column.qd if order == 1 and column.qd is not None else column.q
+    derivative = savgol_coeffs(window, degree, deriv=order, delta=period)
+    # The filter attenuates white noise by the square root of its weight in the middle.
+    gain = float(np.linalg.norm(derivative)) / math.sqrt(centre)
+    effort = noise(column.at(column.tau, grid)) if column.has_effort else math.nan
+    return effort, gain * noise(column.at(source, grid))
+
+
 def _method(orders: list[int], period: float, window: int, degree: int) -> str:
     if set(orders) == {1}:
         source = 'the recorded velocities, differentiated once'
@@ -322,7 +306,7 @@ def _method(orders: list[int], period: float, window: int, degree: int) -> str:
 
 
 def _notes(
-    columns: list[_Column], inconsistent: list[str], pieces: int, lost: float
+    columns: list[RecordedColumn], inconsistent: list[str], pieces: int, lost: float
 ) -> tuple[str, ...]:
     notes = []
     if inconsistent:

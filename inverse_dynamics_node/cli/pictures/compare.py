@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from ...analysis.identification import Findings
+from ...report.compare_report import percent
 from ...robot.model import Floats
-from ..compare import percent
 from .style import (
     BLUE,
     fitting,

@@ -7,7 +7,7 @@ import math
 import re
 
 from .problems import Problems, quoted
-from .rules import RULES
+from .rules import READ_ONCE, RULES
 from .xml import Element, is_xacro, shortened, tag
 
 # Python's float() also accepts '1_000', 'nan', 'infinity' and the digits of other scripts.
@@ -18,7 +18,12 @@ _SPELLING = 'correct the spelling, or remove it'
 def check_children(
     element: Element, where: str, kinds: tuple[str, ...], problems: Problems
 ) -> dict[str, Element]:
-    """Return the children of the given kinds; more than one of a kind is an error."""
+    """
+    Return the children of the given kinds; more than one of a kind is an error.
+
+    Several origins are a warning only: urdfdom, and with it every ROS tool, reads the first one.
+
+    """
     found: defaultdict[str, list[Element]] = defaultdict(list)
     for child in element:
         kind = tag(child)
@@ -28,8 +33,13 @@ def check_children(
             problems.error(child, f'{where}: {text}')
         warn_if_misspelt(child, where, kinds, problems)
     for kind in kinds:
-        if len(found[kind]) > 1:
-            count = f'{len(found[kind])} <{kind}> elements'
+        if len(found[kind]) < 2:
+            continue
+        count = f'{len(found[kind])} <{kind}> elements'
+        if kind == READ_ONCE:
+            hint = 'remove the others; this is the one that ROS tools use'
+            problems.warning(found[kind][1], where, f'{count}; only the first one is used', hint)
+        else:
             problems.error(found[kind][1], f'{where}: {count}, at most one allowed')
     return {kind: found[kind][0] for kind in kinds if found[kind]}
 

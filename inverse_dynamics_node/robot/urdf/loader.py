@@ -21,7 +21,7 @@ from ..rigid_body import RigidBody
 from .bodies import build_model, Joint, Link, Mimic
 from .checks import check
 from .quaternions import rpy_of_quaternion
-from .rules import CHILDREN, CHILDREN_OF_FIXED, RULES
+from .rules import CHILDREN, CHILDREN_OF_FIXED, READ_ONCE, RULES
 from .xml import Element, parse, read_source, tag
 
 
@@ -98,8 +98,9 @@ def _stripped(root: Element) -> bytes:
         is_fixed = tag(element) == 'joint' and element.get('type') == 'fixed'
         kinds = CHILDREN_OF_FIXED if is_fixed else CHILDREN.get(tag(element), ())
         for child in element:
-            if tag(child) in kinds:
-                waiting.append((child, etree.SubElement(copy, tag(child))))
+            kind = tag(child)
+            if kind in kinds and not (kind == READ_ONCE and copy.find(kind) is not None):
+                waiting.append((child, etree.SubElement(copy, kind)))
     return bytes(etree.tostring(clean, encoding='utf-8'))
 
 

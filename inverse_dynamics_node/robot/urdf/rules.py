@@ -41,6 +41,9 @@ CHILDREN = {
 }
 """The elements that the dynamics need; at most one of each, except links and joints."""
 
+READ_ONCE = 'origin'
+"""The element of which the first one is used if there are several."""
+
 CHILDREN_OF_FIXED = ('parent', 'child', 'origin')
 """Other elements have no meaning on a fixed joint and are not checked there."""
 

@@ -1,0 +1,165 @@
+"""The report of `compare`: verdict, tables of efforts and friction."""
+
+from __future__ import annotations
+
+import math
+
+from ..analysis.identification import Findings, JointFinding, Motion
+from .diagnosis_text import amount, sentence
+from .tables import Table
+
+AT_NOISE = 1.5  # times the noise; a smaller residual cannot be distinguished from it
+
+
+def verdict(findings: Findings) -> str:
+    """Summarize the comparison in one or two sentences."""
+    if math.isnan(findings.explained):
+        opening = '. '.join(sentence(each) for each in findings.diagnoses)
+        reason = 'The efforts hardly vary, so that they cannot be compared.'
+        return f'{opening}. {reason}' if opening else reason
+    modelled = (
+        f'the model explains {percent(findings.explained)} of the measured effort and leaves '
+        f'{_total(findings, "rms_residual")} RMS of {_total(findings, "rms_measured")}'
+    )
+    corrected = f'{percent(findings.explained_corrected)} and {_total(findings, "rms_corrected")}'
+    if findings.diagnoses:
+        opening = '; '.join(
+            sentence(each) if k == 0 else sentence(each)[0].lower() + sentence(each)[1:]
+            for k, each in enumerate(findings.diagnoses)
+        )
+        return f'{opening}. As it is, {modelled}; with that and friction, {corrected}.'
+    text = f'{modelled[0].upper()}{modelled[1:]}; with fitted friction, {corrected}.'
+    if findings.is_too_short:
+        motion = findings.motion
+        seconds = motion.times[-1] - motion.times[0]
+        text += f' The recording is too short ({seconds:.2g} s) to diagnose a difference.'
+    return text
+
+
+def _total(findings: Findings, name: str) -> str:
+    """Write the RMS over joints, separately for revolute and prismatic joints."""
+    texts = []
+    for is_prismatic in (False, True):
+        values = [
+            getattr(findings.joints[c], name)
+            for c in findings.moving
+            if findings.joints[c].is_prismatic == is_prismatic
+        ]
+        if values:
+            mean = math.sqrt(sum(x * x for x in values) / len(values))
+            texts.append(amount(mean, is_prismatic))
+    return ' and '.join(texts)
+
+
+def comparison_table(findings: Findings, notes: tuple[str, ...]) -> Table:
+    """Return measured and modelled efforts and the residuals, one row per joint."""
+    rows = [_row(joint) for joint in findings.joints]
+    columns = ('joint', '', 'measured', 'modelled', 'residual', 'friction', 'corrected', 'noise',
+               'explained', 'scale')  # fmt: skip
+    findings_too = ', with the findings above' if findings.diagnoses else ''
+    remarks = (
+        'RMS of measured and modelled efforts; residual: measured minus modelled; friction: the '
+        f'same with fitted friction; corrected: with friction and offset{findings_too}; noise: '
+        'the part of it that smoothing leaves, below which there is nothing to explain. '
+        'explained: 1 - (corrected / measured)^2. scale: measured is about scale * modelled + an '
+        'offset. Only samples at which the joint moves, unless its friction is unknown: at rest, '
+        'dry friction can have any value up to its maximum.',
+        _quality(findings.motion),
+        *(f'{note[0].upper()}{note[1:]}.' for note in (*motion_notes(findings.motion), *notes)),
+    )
+    return Table('Measured against modelled efforts', columns, tuple(rows), remarks,
+                 frozenset({1}))  # fmt: skip
+
+
+def _row(joint: JointFinding) -> tuple[str, ...]:
+    explained = percent(joint.explained_corrected)
+    return (
+        joint.name,
+        'N' if joint.is_prismatic else 'N m',
+        f'{joint.rms_measured:.4g}',
+        f'{joint.rms_modelled:.4g}',
+        f'{joint.rms_residual:.3g}',
+        f'{joint.rms_friction:.3g}',
+        f'{joint.rms_corrected:.3g}',
+        _or_dash(joint.noise, '.2g'),
+        f'{explained} (noise)' if joint.rms_corrected < AT_NOISE * joint.noise else explained,
+        _or_dash(joint.scale, '.3f'),
+    )
+
+
+def _quality(motion: Motion) -> str:
+    duration = motion.times[-1] - motion.times[0]
+    return f'{len(motion.times)} samples over {duration:.3g} s; {motion.method}.'
+
+
+def motion_notes(motion: Motion) -> list[str]:
+    """Return sentences about ignored, repaired and doubtful data, without a full stop."""
+    notes = list(motion.notes)
+    if motion.lags:
+        late = ', '.join(f'{name} {1e3 * value:.0f} ms' for name, value in motion.lags.items())
+        notes.append(
+            f'recorded velocities lag the positions ({late}); velocities were derived from the '
+            'positions instead'
+        )
+    if math.isfinite(motion.cut_off):
+        notes.append(
+            f'the efforts contain nothing above about {motion.cut_off:.0f} Hz, not even noise: '
+            'they were low-pass filtered before they were recorded (or computed without noise). '
+            'Friction at reversals is distorted by that; record what the driver publishes, '
+            'without a filter'
+        )
+    return notes
+
+
+def friction_table(findings: Findings) -> Table:
+    """Return the fitted friction with standard errors."""
+    rows = []
+    for joint in findings.joints:
+        fit = joint.friction
+        numbers = ('-', '-', '-')
+        if not fit.unknown_because:
+            numbers = (
+                _with_error(fit.damping, fit.damping_error),
+                _with_error(fit.coulomb, fit.coulomb_error),
+                _with_error(fit.offset, fit.offset_error),
+            )
+        rows.append((joint.name, *numbers))
+    notes = (
+        f'damping * velocity + Coulomb * tanh(velocity / {findings.width:g}) + offset, in '
+        'N m s/rad and N m (prismatic joints: N s/m and N).',
+        *(
+            f'{joint.name}: unknown, {joint.friction.unknown_because}.'
+            for joint in findings.joints
+            if joint.friction.unknown_because
+        ),
+    )
+    return Table(
+        'Friction, fitted to the residual (± standard errors, of random errors only)',
+        ('joint', 'damping', 'Coulomb', 'offset'),
+        tuple(rows),
+        notes,
+    )
+
+
+def percent(fraction: float) -> str:
+    """Write a fraction in per cent, with a dash for NaN."""
+    if math.isnan(fraction):
+        return '-'
+    # More digits near 100 %, and none for a model that is completely wrong.
+    if fraction < -9.99:
+        return '<-999%'
+    if fraction > 0.9999:
+        return '>99.99%'
+    return f'{fraction:.2%}' if fraction > 0.99 else f'{fraction:.1%}'
+
+
+def _with_error(value: float, error: float) -> str:
+    """Write a value with as many digits as its standard error justifies."""
+    if not error > 0.0 or not math.isfinite(error):
+        return f'{value:.4g}'
+    places = min(6, max(0, 1 - math.floor(math.log10(error))))
+    return f'{value:.{places}f} ± {error:.{places}f}'
+
+
+def _or_dash(value: float, how: str) -> str:
+    return format(value, how) if math.isfinite(value) else '-'

@@ -1,0 +1,214 @@
+"""Findings on simulated recordings with the flaws of real ones: credible ones, and no others."""
+
+import math
+
+from inverse_dynamics_node import InverseDynamics
+from inverse_dynamics_node.analysis.identification import identify
+from inverse_dynamics_node.dynamics.jit import IS_COMPILED
+from inverse_dynamics_node.report.compare_report import (
+    comparison_table,
+    friction_table,
+    motion_notes,
+    verdict,
+)
+from inverse_dynamics_node.report.diagnosis_text import diagnosis_warning
+import numpy as np
+import pytest
+from runs import ROBOTS, run
+from scipy.signal import butter, sosfiltfilt
+
+# Without compiled functions these tests take an hour.
+pytestmark = pytest.mark.skipif(not IS_COMPILED, reason='numba is not here, or off')
+
+EVERY_ROBOT = pytest.mark.parametrize('name', ROBOTS)
+
+
+def kinds(findings):
+    return [diagnosis.kind for diagnosis in findings.diagnoses]
+
+
+def between(recording, begin, end):
+    used = (recording.times >= begin) & (recording.times < end)
+    return recording._replace(
+        times=recording.times[used],
+        positions=recording.positions[used],
+        velocities=None if recording.velocities is None else recording.velocities[used],
+        efforts=recording.efforts[used],
+    )
+
+
+# ---- Credible causes -----------------------------------------------------------------------
+
+
+def test_lack_of_gravity_is_not_reported_for_efforts_that_it_does_not_explain(rng):
+    dynamics, recording = run('seven_dof', rate=200.0)
+    t = recording.times[:, None]
+    q = recording.positions[:1] + 0.1 * np.sin(0.2 * t + np.arange(7))
+    qd = 0.02 * np.cos(0.2 * t + np.arange(7))
+    # A tenth of gravity, as if in another unit, and something else that is not in the model.
+    efforts = 0.1 * dynamics.gravity_efforts(q) + 2.0 * np.sin(0.7 * t + 2.0 * np.arange(7))
+    findings = identify(dynamics, recording._replace(positions=q, velocities=qd, efforts=efforts))
+    assert findings.explained < -1.0
+    assert kinds(findings) == ['unexplained']
+
+
+def test_a_finding_is_credited_without_the_effect_of_friction():
+    dynamics, recording = run('seven_dof', friction=(6.0, 6.0), rate=200.0)
+    efforts = recording.efforts.copy()
+    efforts[:, 3] += 5.0
+    findings = identify(dynamics, recording._replace(efforts=efforts))
+    (diagnosis,) = findings.diagnoses
+    (change,) = diagnosis.changes
+    assert (diagnosis.kind, change.joint) == ('offset', 'elbow')
+    # Friction cannot replace the offset: its RMS is left. Without friction, twice as much is.
+    assert change.before == pytest.approx(5.0, rel=0.1)
+    assert findings.joints[3].rms_residual > 1.5 * change.before
+    assert change.after == pytest.approx(findings.joints[3].rms_corrected, rel=0.2)
+    assert f'from {change.before:.3g} N m to {change.after:.3g} N m' in str(
+        diagnosis_warning(diagnosis)
+    )
+
+
+@pytest.mark.parametrize('quantum', [0.0, 0.1])
+def test_noise_floor_is_reported_and_explained(quantum, rng):
+    dynamics, recording = run('seven_dof', rate=500.0, effort_noise=0.0, encoder_noise=0.0)
+    noise = np.array([0.1, 0.2, 0.3, 0.1, 0.2, 0.5, 5.0])
+    efforts = recording.efforts + noise * rng.standard_normal(recording.efforts.shape)
+    if quantum:
+        efforts = quantum * np.round(efforts / quantum)
+    findings = identify(dynamics, recording._replace(efforts=efforts))
+    # The effort of the last joint is noise, of which the model explains nothing.
+    assert findings.joints[6].explained_corrected < 0.3
+    assert kinds(findings) == []
+    for joint in findings.joints:
+        assert joint.noise == pytest.approx(joint.rms_corrected, rel=0.4)
+    last = comparison_table(findings, ()).rows[6]
+    assert last[-2].endswith('(noise)')
+
+
+def test_residuals_are_beside_percentages_and_the_same_everywhere():
+    findings = identify(*run('seven_dof', friction=(2.0, 2.0), rate=200.0))
+    squares = [(j.rms_measured**2, j.rms_residual**2, j.rms_corrected**2) for j in findings.joints]
+    measured, residual, corrected = np.sum(squares, axis=0)
+    assert findings.explained == pytest.approx(1.0 - residual / measured)
+    assert findings.explained_corrected == pytest.approx(1.0 - corrected / measured)
+    text = verdict(findings)
+    for value in (measured, residual, corrected):
+        assert f'{math.sqrt(value / 7):.3g} N m' in text
+    for joint, row in zip(findings.joints, comparison_table(findings, ()).rows, strict=True):
+        assert row[6] == f'{joint.rms_corrected:.3g}'
+        assert joint.explained_corrected == pytest.approx(
+            1.0 - (joint.rms_corrected / joint.rms_measured) ** 2
+        )
+
+
+def test_no_payload_is_reported_far_from_its_link():
+    recording = run(
+        'seven_dof', rate=200.0, act=lambda real: real.set_payload('tool0', 3.0, (0.2, 0.0, 0.8))
+    )
+    findings = identify(*recording)
+    assert findings.explained < 0.5
+    assert findings.diagnoses
+    for diagnosis in findings.diagnoses:
+        assert diagnosis.kind != 'payload' or np.linalg.norm(diagnosis.values[1:]) < 0.5
+
+
+def test_no_payload_is_reported_at_a_tip_that_did_not_move():
+    dynamics, recording = run('branched', rate=200.0, effort_noise=0.0)
+    robot = dynamics.robot
+    real = InverseDynamics(robot)
+    real.set_payload('right_forearm', 2.0, (0.0, 0.0, 0.1))
+    q, qd = recording.positions.copy(), recording.velocities.copy()
+    qdd = np.gradient(qd, recording.times, axis=0)
+    held = [j for j, name in enumerate(robot.joint_names) if 'right' not in name]
+    q[:, held], qd[:, held], qdd[:, held] = q[0, held], 0.0, 0.0
+    findings = identify(
+        dynamics, recording._replace(positions=q, velocities=qd, efforts=real.efforts(q, qd, qdd))
+    )
+    (diagnosis,) = findings.diagnoses
+    assert (diagnosis.kind, diagnosis.link) == ('payload', 'right_forearm')
+    left = identify(dynamics, recording._replace(positions=q, velocities=qd,
+                    efforts=real.efforts(q, qd, qdd)), link='left_arm')  # fmt: skip
+    assert 'payload' not in kinds(left)
+
+
+@pytest.mark.parametrize('factor', [1000.0, 0.102])
+def test_finds_a_unit_of_all_joints_even_if_some_hardly_moved(factor, rng):
+    dynamics, recording = run('seven_dof', rate=200.0)
+    q, qd = recording.positions.copy(), recording.velocities.copy()
+    qdd = np.gradient(qd, recording.times, axis=0)
+    for j in (0, 2, 4, 5, 6):
+        q[:, j], qd[:, j], qdd[:, j] = q[0, j], 0.0, 0.0
+    real = InverseDynamics(dynamics.robot)
+    real.set_friction(1.0, 1.0)
+    efforts = real.efforts(q, qd, qdd)
+    efforts += 0.2 * np.sin(0.5 * recording.times)[:, None]  # dry friction at rest
+    efforts += 0.02 * rng.standard_normal(efforts.shape)
+    still = recording._replace(positions=q, velocities=qd, efforts=factor * efforts)
+    (diagnosis,) = identify(dynamics, still).diagnoses
+    assert (diagnosis.kind, diagnosis.joints) == ('unit', dynamics.robot.joint_names)
+    assert diagnosis.values[0] == pytest.approx(factor, rel=0.05)
+
+
+@pytest.mark.parametrize(('friction', 'is_motor_side'), [((2.0, 4.0), True), (None, False)])
+def test_advice_for_an_offset_depends_on_the_kind_of_measurement(friction, is_motor_side):
+    dynamics, recording = run('seven_dof', friction=friction, rate=200.0)
+    efforts = recording.efforts.copy()
+    efforts[:, 3] += 5.0
+    (diagnosis,) = identify(dynamics, recording._replace(efforts=efforts)).diagnoses
+    assert diagnosis.is_motor_side is is_motor_side
+    hint = diagnosis_warning(diagnosis).hint
+    assert ('Zero the torque sensors' in hint) is not is_motor_side
+    assert ('motor currents' in hint) is is_motor_side
+
+
+def test_standard_errors_are_limited_to_random_errors_in_the_headline():
+    findings = identify(*run('branched', rate=100.0, friction=(0.5, 0.5)))
+    assert 'standard errors, of random errors only' in friction_table(findings).title
+
+
+@EVERY_ROBOT
+@pytest.mark.parametrize('begin', [0.0, 5.0, 10.0, 15.0])
+def test_nothing_is_found_in_a_short_recording(name, begin):
+    dynamics, recording = run(name, friction=(1.0, 1.0), rate=200.0)
+    efforts = recording.efforts.copy()
+    efforts[:, [1, 2]] = efforts[:, [2, 1]]
+    short = between(recording._replace(efforts=efforts), begin, begin + 2.5)
+    findings = identify(dynamics, short)
+    assert kinds(findings) == []
+    assert 'too short' in verdict(findings)
+
+
+# ---- Flaws of recordings -------------------------------------------------------------------
+
+
+@EVERY_ROBOT
+@pytest.mark.parametrize('lag', [0.02, 0.2])
+def test_velocities_that_lag_the_positions_are_not_used(name, lag):
+    dynamics, recording = run(name, friction=(1.0, 1.0), rate=200.0)
+    shift = round(lag * 200.0)
+    late = np.vstack([np.tile(recording.velocities[:1], (shift, 1)), recording.velocities])
+    findings = identify(dynamics, recording._replace(velocities=late[: len(recording.times)]))
+    assert kinds(findings) == []
+    assert list(findings.motion.lags) == list(recording.joint_names)
+    assert list(findings.motion.lags.values()) == pytest.approx(
+        [lag] * len(recording.joint_names), abs=3e-3
+    )
+    assert findings.explained_corrected > 0.995
+    assert any('lag the positions' in note for note in motion_notes(findings.motion))
+    assert identify(dynamics, recording).motion.lags == {}
+
+
+@EVERY_ROBOT
+@pytest.mark.parametrize('rate', [125.0, 500.0])
+def test_efforts_that_were_filtered_before_are_reported(name, rate):
+    dynamics, recording = run(name, friction=(1.0, 3.0), rate=rate)
+    sos = butter(4, 2.0, fs=rate, output='sos')
+    filtered = sosfiltfilt(sos, recording.efforts, axis=0)
+    findings = identify(dynamics, recording._replace(efforts=filtered))
+    assert 1.0 < findings.motion.cut_off < 5.0
+    assert any('low-pass filtered' in note for note in motion_notes(findings.motion))
+    assert all(math.isnan(joint.noise) for joint in findings.joints)
+    for quantum in (1e-9, 0.05):
+        raw = quantum * np.round(recording.efforts / quantum)
+        assert identify(dynamics, recording._replace(efforts=raw)).motion.cut_off == math.inf
