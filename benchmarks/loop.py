@@ -1,8 +1,8 @@
 """
 The loop of the node, from joint state to command, and of relays that compute nothing.
 
-`make bench-loop` runs it and writes doc/loop.md. Contenders take turns; the other processes are
-stopped meanwhile.
+`make bench-loop` runs it and writes doc/loop.md. Contenders take turns, with and without real-time
+priority, on an idle machine and beside busy processes; the others are stopped meanwhile.
 """
 
 from __future__ import annotations
@@ -20,42 +20,43 @@ import numpy as np
 from robot_files import ROOT
 from sensor_msgs.msg import JointState
 
-from . import machine
-from .report import duration, figures, grid
-from .timing import compare
-from .wire import Contender, Ticks, Trips
+from . import interruptions, loop_tables, machine, priorities
+from .loop_tables import BUSY, IDLE, LEAN, OURS, Task, USUAL
+from .wire import Answers, Contender, Ticks, Trips
 
 HERE = Path(__file__).resolve().parent
 ROBOT = ROOT / 'test' / 'robots' / 'seven_dof.urdf'
 SEED = 1979
-STATES = 64
-RATE = 1000.0  # [Hz]; `update_rate` of the node
-PACED, HURRIED = 1.0 / RATE, 0.0  # [s]; least time between states
+STATES = 128
+RATE = 1000.0  # [Hz]; of the states, and `update_rate` of the node
+BUSY_PROCESSES = 4
 TURN = 1.0  # [s]
-LONG_TURN = 10.0  # [s]; with `update_rate`
+LONG_TURN = 5.0  # [s]; with `update_rate`
 
-OURS = 'this node'
-USUAL = 'usual relay'
-LEAN = 'lean relay'
 NODE = 'inverse_dynamics_node.node.main'
 RELAYS = 'benchmarks.relays'
 PACKAGES = ('inverse_dynamics_node', 'numpy', 'numba', 'ros-jazzy-rclpy', 'ros-rmw-fastrtps-cpp')
-QUANTITIES = ('round trip, median', 'round trip, 99 %', 'CPU per command')
 
 
 def main() -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(prog='make bench-loop', description=__doc__)
-    parser.add_argument('--rounds', type=int, default=20, help='number of turns of round trips')
+    parser.add_argument('--rounds', type=int, default=10, help='number of turns of each contender')
     parser.add_argument(
-        '--duration', type=float, default=60.0, help='time of each contender at a fixed rate [s]'
+        '--duration', type=float, default=15.0, help='time of each contender at a fixed rate [s]'
     )
     parser.add_argument('--doc', type=Path, help='folder of the page')
     arguments = parser.parse_args()
     before = machine.describe(PACKAGES)
-    trips = round_trips(arguments.rounds)
-    turns = max(1, round(arguments.duration / LONG_TURN))
-    ticks = at_a_rate(turns, min(LONG_TURN, arguments.duration))
+    is_permitted = priorities.raise_robot_side()
+    busy = priorities.BusyProcesses(BUSY_PROCESSES)
+    try:
+        answers, trips = at_once(arguments.rounds, is_permitted, busy)
+        turns = max(1, round(arguments.duration / LONG_TURN))
+        ticks = at_a_rate(turns, min(LONG_TURN, arguments.duration), is_permitted, busy)
+        gaps = interrupted(max(1, arguments.rounds // 3), is_permitted, busy)
+    finally:
+        busy.close()
     page = (
         (HERE / 'loop.md')
         .read_text()
@@ -64,9 +65,14 @@ def main() -> None:
             load=machine.load(),
             rounds=arguments.rounds,
             duration=arguments.duration,
-            paced=trips_table(trips[PACED]),
-            hurried=trips_table(trips[HURRIED]),
-            ticks=ticks_table(ticks),
+            busy=BUSY_PROCESSES,
+            permission=loop_tables.permission(is_permitted),
+            idle_answers=loop_tables.answers_table(answers, IDLE, 1.0 / RATE),
+            busy_answers=loop_tables.answers_table(answers, BUSY, 1.0 / RATE),
+            ratios=loop_tables.ratios_table(answers),
+            hurried=loop_tables.trips_table(trips),
+            ticks=loop_tables.ticks_table(ticks),
+            gaps=loop_tables.gaps_table(gaps),
         )
     )
     print('\n' + page)
@@ -74,67 +80,107 @@ def main() -> None:
         (arguments.doc / 'loop.md').write_text(page)
 
 
-def round_trips(rounds: int) -> dict[float, dict[str, list[Trips]]]:
-    """Measure round trips in turns, both at a fixed rate and as fast as possible."""
+def at_once(
+    rounds: int, is_permitted: bool, busy: priorities.BusyProcesses
+) -> tuple[dict[Task, list[Answers]], dict[str, list[Trips]]]:
+    """Measure answers to every joint state in turns: at a fixed rate, and as fast as possible."""
     with contextlib.ExitStack() as stack:
-        contenders = {
-            OURS: node(stack),
-            USUAL: relay(stack, 'usual'),
-            LEAN: relay(stack, 'lean'),
+        contenders = {}
+        for has_priority in (False, True) if is_permitted else (False,):
+            contenders |= {
+                (OURS, has_priority): node(stack, has_priority),
+                (USUAL, has_priority): relay(stack, has_priority, 'usual'),
+                (LEAN, has_priority): relay(stack, has_priority, 'lean'),
+            }
+        answers: dict[Task, list[Answers]] = {
+            Task(*who, load): [] for load in (IDLE, BUSY) for who in contenders
         }
-        found: dict[float, dict[str, list[Trips]]] = {
-            pace: {name: [] for name in contenders} for pace in (PACED, HURRIED)
-        }
+        trips: dict[str, list[Trips]] = {name: [] for name, _ in contenders}
         for k in range(rounds):
-            for pace, turns in found.items():
-                for name, contender in contenders.items():
-                    turns[name].append(contender.trips(TURN, pace))
-            times = ', '.join(f'{n} {duration(t[-1].cpu)}' for n, t in found[PACED].items())
-            print(f'round {k + 1}: CPU {times}; load {machine.load()}', flush=True)
-    return found
+            for task, turns in answers.items():
+                with busy.running(task.load == BUSY):
+                    turns.append(contenders[task[:2]].answers(TURN, 1.0 / RATE))
+            for name, found in trips.items():
+                found.append(contenders[name, False].trips(TURN, 0.0))
+            print(f'round {k + 1}: load {machine.load()}', flush=True)
+            for task, turns in answers.items():
+                late = np.percentile(turns[-1].times, 99)
+                print(f'  {task}: 99 % within {loop_tables.duration(float(late))}', flush=True)
+    return answers, trips
 
 
-def at_a_rate(turns: int, seconds: float) -> dict[str, list[Ticks]]:
+def at_a_rate(
+    turns: int, seconds: float, is_permitted: bool, busy: priorities.BusyProcesses
+) -> dict[Task, list[Ticks]]:
     """Measure the ticks of the node and of the usual relay at a fixed rate, in turns."""
     with contextlib.ExitStack() as stack:
-        contenders = {
-            OURS: node(stack, update_rate=RATE),
-            USUAL: relay(stack, 'usual', f'{RATE}'),
+        contenders = {}
+        for has_priority in (False, True) if is_permitted else (False,):
+            contenders |= {
+                (OURS, has_priority): node(stack, has_priority, update_rate=RATE),
+                (USUAL, has_priority): relay(stack, has_priority, 'usual', f'{RATE}'),
+            }
+        found: dict[Task, list[Ticks]] = {
+            Task(*who, load): [] for load in (IDLE, BUSY) for who in contenders
         }
-        found: dict[str, list[Ticks]] = {name: [] for name in contenders}
         for _ in range(turns):
-            for name, contender in contenders.items():
-                found[name].append(contender.ticks(seconds, RATE))
-                print(f'{RATE:.0f} Hz: {name}, {found[name][-1]}', flush=True)
+            for task, ticks in found.items():
+                with busy.running(task.load == BUSY):
+                    ticks.append(contenders[task[:2]].ticks(seconds, RATE))
+                print(f'{RATE:.0f} Hz: {task}, {ticks[-1]}', flush=True)
     return found
 
 
-def node(stack: contextlib.ExitStack, **parameters: Any) -> Contender:
+def interrupted(
+    rounds: int, is_permitted: bool, busy: priorities.BusyProcesses
+) -> dict[Task, dict[str, list[float]]]:
+    """Measure the longest time without a command while the node has something else to do."""
+    found: dict[Task, dict[str, list[float]]] = {}
+    for has_priority in (False, True) if is_permitted else (False,):
+        with contextlib.ExitStack() as stack:
+            contender = node(stack, has_priority)
+            for load in (IDLE, BUSY):
+                task = Task(OURS, has_priority, load)
+                found[task] = interruptions.measure(contender, ROBOT, rounds, load == BUSY, busy)
+                print(f'longest gaps: {task}, {found[task]}', flush=True)
+    return found
+
+
+def node(stack: contextlib.ExitStack, has_priority: bool, **parameters: Any) -> Contender:
     """Start the node in inverse dynamics mode."""
     settings = {
-        'robot_description_file': ROBOT,
         'start_ramp': 0.0,
         'reference_timeout': 0.0,
+        'state_timeout': 10.0,  # at normal priority, busy processes delay the states too
         **parameters,
     }
     ours = [argument for name, x in settings.items() for argument in ('-p', f'{name}:={x}')]
     q, qd, qdd = states()
     efforts = InverseDynamics(load_urdf(ROBOT)).efforts(q, qd, np.broadcast_to(qdd, q.shape))
-    return _started(stack, NODE, ['--ros-args', '--log-level', 'fatal', *ours], efforts)
+    # The node asks for its priority itself.
+    prepare = priorities.normal if has_priority else priorities.forbidden
+    arguments = ['--ros-args', '--log-level', 'fatal', *ours]
+    return _started(stack, NODE, arguments, efforts, prepare)
 
 
-def relay(stack: contextlib.ExitStack, *arguments: str) -> Contender:
+def relay(stack: contextlib.ExitStack, has_priority: bool, *arguments: str) -> Contender:
     """Start a relay."""
-    return _started(stack, RELAYS, [*arguments, '--ros-args'], states()[0])
+    prepare = priorities.realtime if has_priority else priorities.normal
+    return _started(stack, RELAYS, [*arguments, '--ros-args'], states()[0], prepare)
 
 
 def _started(
-    stack: contextlib.ExitStack, module: str, arguments: Sequence[str], expected: Floats
+    stack: contextlib.ExitStack,
+    module: str,
+    arguments: Sequence[str],
+    expected: Floats,
+    prepare: Any,
 ) -> Contender:
     domain = domain_id()
-    contender = Contender(module, arguments, domain.__enter__())
+    contender = Contender(module, arguments, domain.__enter__(), prepare)
     stack.callback(domain.__exit__, None, None, None)  # it would swallow an exception
     stack.callback(contender.close)
+    contender.publish_description(ROBOT.read_text())
     q, qd, qdd = states()
     names = load_urdf(ROBOT).joint_names
     messages = [
@@ -143,7 +189,7 @@ def _started(
     ]
     for k, message in enumerate(messages):
         message.header.frame_id = 'base_link'
-        message.header.stamp.sec, message.header.stamp.nanosec = 1_700_000_000, 10_000_000 * k
+        message.header.stamp.sec, message.header.stamp.nanosec = 1_700_000_000, 1_000_000 * k
     contender.start(messages, qdd.tolist(), expected)
     return contender
 
@@ -158,39 +204,10 @@ def states() -> tuple[Floats, Floats, Floats]:
     """
     rng = np.random.default_rng(SEED)
     q, qd, qdd = rng.uniform(-0.5, 0.5, (3, 7))
-    vibration = 1e-4 * np.sin(2.0 * np.pi * np.arange(STATES) / STATES)[:, np.newaxis]
+    # No two states are equal: the joints move along circles.
+    phase = 2.0 * np.pi * np.arange(STATES)[:, np.newaxis] / STATES
+    vibration = 1e-4 * np.sin(phase + 0.5 * np.pi * (np.arange(7) % 2))
     return q + vibration, qd + vibration, qdd
-
-
-def trips_table(found: dict[str, list[Trips]]) -> str:
-    """Format medians over the rounds, and the ratios of the node to each relay."""
-    rows = []
-    for k, quantity in enumerate(QUANTITIES):
-        of = {name: [quantities(turn)[k] for turn in turns] for name, turns in found.items()}
-        times = [duration(float(np.median(values))) for values in of.values()]
-        ratios = [figures(compare(of, name)[OURS]) for name in (USUAL, LEAN)]
-        rows.append([quantity, *times, *ratios])
-    counts = [str(sum(len(turn.times) for turn in turns)) for turns in found.values()]
-    lost = [str(sum(turn.lost for turn in turns)) for turns in found.values()]
-    rows += [['commands', *counts, '', ''], ['states without an answer', *lost, '', '']]
-    return grid(['', *found, f'{OURS} / {USUAL}', f'{OURS} / {LEAN}'], rows)
-
-
-def quantities(turn: Trips) -> tuple[float, float, float]:
-    """Return median, 99th percentile and CPU of a turn [s]."""
-    median, late = np.percentile(turn.times, (50, 99))
-    return float(median), float(late), turn.cpu
-
-
-def ticks_table(found: dict[str, list[Ticks]]) -> str:
-    """Format the fractions of late ticks, and the CPU load."""
-    rows = []
-    for name, turns in found.items():
-        periods = sum(turn.periods for turn in turns)
-        counts = [sum(getattr(turn, field) for turn in turns) for field in ('missed', 'slept')]
-        cpu = np.mean([turn.cpu for turn in turns])
-        rows.append([name, *(f'{100 * n / periods:.2f} %' for n in counts), f'{100 * cpu:.1f} %'])
-    return grid(['', 'late or missed', 'late or missed states', 'CPU of one core'], rows)
 
 
 if __name__ == '__main__':

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 import contextlib
 import math
 import os
@@ -18,10 +19,11 @@ import numpy as np
 import rclpy
 from rclpy.context import Context
 from rclpy.experimental.events_executor import EventsExecutor
-from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.serialization import serialize_message
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64MultiArray, String
+from trajectory_msgs.msg import JointTrajectory
 
 from .timing import missed
 
@@ -29,10 +31,13 @@ NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Quality of service of joint states, equal to the node's."""
 EVERY_ONE = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 """Quality of service of commands, equal to the node's."""
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 PATIENCE = 60.0  # [s]; for a process to start, and to be found
 LOST = 0.1  # [s]; a state without an answer after this time is lost
 WARM_UP = 0.3  # [s]; at the start of a turn, not measured
+LONGEST = 60.0  # [s]; for an interruption to end
+RELOAD = 2.0  # [s]; for another robot description to be in use
 
 
 class Trips(NamedTuple):
@@ -44,6 +49,15 @@ class Trips(NamedTuple):
     """CPU time of the process per command [s]."""
     lost: int
     """Number of states without an answer."""
+
+
+class Answers(NamedTuple):
+    """Answers to the states of one turn, which are sent at a fixed rate."""
+
+    times: Floats
+    """Time from each state to a command from it, or from a later state, shape (states,) [s]."""
+    cpu: float
+    """CPU time of the process per second [s]."""
 
 
 class Ticks(NamedTuple):
@@ -70,10 +84,15 @@ class Contender:
         For it, those for ROS last.
     domain : int
         A domain that no other process uses.
+    prepare : callable
+        Runs in the new process before Python starts; sets its priority.
 
     """
 
-    def __init__(self, module: str, arguments: Sequence[str], domain: int) -> None:
+    def __init__(
+        self, module: str, arguments: Sequence[str], domain: int, prepare: Callable[[], None]
+    ) -> None:
+        self.domain = domain
         self._context = Context()
         self._context.init(args=[], domain_id=domain)
         self._node = rclpy.create_node('robot', context=self._context, enable_rosout=False)
@@ -84,6 +103,13 @@ class Contender:
         self._commands = self._node.create_subscription(
             Float64MultiArray, 'contender/commands', self._on_command, 100, raw=True
         )
+        self._description = self._node.create_publisher(String, 'robot_description', LATCHED)
+        self._trajectories = self._node.create_publisher(
+            JointTrajectory, 'contender/joint_trajectory_in', EVERY_ONE
+        )
+        self._filled = self._node.create_subscription(
+            JointTrajectory, 'contender/joint_trajectory_out', _ignore, 1, raw=True
+        )
         self._executor: Any = None
         self._states: list[bytes] = []
         self._expected: list[float] = []
@@ -91,9 +117,12 @@ class Contender:
         self._sent = 0
         self._times: list[int] = []
         self._is_answered = False
+        self._numbers: dict[bytes, int] = {}
+        self._pending: deque[tuple[int, int]] = deque()
         self._process = subprocess.Popen(
             [sys.executable, '-m', module, *arguments, '-r', '__node:=contender'],
             env={**os.environ, 'ROS_DOMAIN_ID': str(domain)},
+            preexec_fn=prepare,
         )
 
     def start(
@@ -119,21 +148,25 @@ class Contender:
         deadline = time.monotonic() + PATIENCE
         for state, command in zip(states, expected, strict=True):
             data = serialize_message(state)
-            while not np.allclose(self._take(), command, rtol=1e-9, atol=1e-12):
+            last = b''
+            while not _is_close(last, command):
                 if time.monotonic() > deadline or self._process.poll() is not None:
-                    raise TimeoutError(f'expected command {command}, last was {self._take()}')
+                    raise TimeoutError(f'expected {command}, last was {_numbers(last)}')
                 self._accelerations.publish(Float64MultiArray(data=accelerations))
                 self._publisher.publish(data)
                 time.sleep(0.005)
+                last = self._take() or last
+            self._numbers[last[-8 * len(command) :]] = len(self._states)
             self._states.append(data)
             self._expected.append(float(command[-1]))
+        if len(self._numbers) != len(self._states):
+            raise ValueError('the commands for several states are equal')
+        self._size = 8 * len(command)
         self._process.send_signal(signal.SIGSTOP)
 
     def trips(self, seconds: float, period: float) -> Trips:
         """Send states for a time [s], one a period [s], none before the last is answered."""
-        if self._executor is None:
-            self._executor = EventsExecutor(context=self._context)
-            self._executor.add_node(self._node)
+        self._create_executor()
         with self._turn():
             self._exchange(WARM_UP, period)
             self._times = []
@@ -142,6 +175,48 @@ class Contender:
             cpu = self._cpu_time() - cpu
         times = np.array(self._times) * 1e-9
         return Trips(times, cpu / max(1, len(times)), lost)
+
+    def _create_executor(self) -> None:
+        if self._executor is None:
+            self._executor = EventsExecutor(context=self._context)
+            self._executor.add_node(self._node)
+
+    def answers(self, seconds: float, period: float) -> Answers:
+        """Send states for a time [s], one a period [s], whether or not they are answered."""
+        self._create_executor()
+        self._pending.clear()
+        with self._turn():
+            self._stream(WARM_UP, period)
+            self._times = []
+            cpu = self._cpu_time()
+            start = time.monotonic()
+            self._stream(seconds, period)
+            cpu = (self._cpu_time() - cpu) / (time.monotonic() - start)
+            times = self._times
+            self._wait_until(time.perf_counter_ns() + round(LOST * 1e9))
+        return Answers(np.array(times) * 1e-9, cpu)
+
+    def _stream(self, seconds: float, period: float) -> None:
+        step = round(period * 1e9)
+        due = time.perf_counter_ns()
+        end = due + round(seconds * 1e9)
+        while due < end:
+            self._wait_until(due)
+            self._send()
+            self._pending.append((self._k, self._sent))
+            due = max(due + step, self._sent)
+
+    def _wait_until(self, due: int) -> None:
+        """Receive commands until a time of the performance counter [ns]."""
+        while (left := due - time.perf_counter_ns()) > 0:
+            self._executor.spin_once(timeout_sec=left * 1e-9)
+
+    def _note_answer(self, data: bytes, now: int) -> None:
+        """Note the time from every state that this command, or an earlier one, is based on."""
+        k = self._numbers.get(data[-self._size :])
+        same = [i for i, (number, _) in enumerate(self._pending) if number == k]
+        for _ in range(same[-1] + 1 if same else 0):
+            self._times.append(now - self._pending.popleft()[1])
 
     def _exchange(self, seconds: float, period: float) -> int:
         """Send states and receive commands; return the number of states without an answer."""
@@ -160,6 +235,9 @@ class Contender:
 
     def _on_command(self, data: bytes) -> None:
         now = time.perf_counter_ns()
+        if self._pending:
+            self._note_answer(data, now)
+            return
         # The node also sends commands after the states have stopped.
         if math.isclose(_last_number(data), self._expected[self._k], rel_tol=1e-9, abs_tol=1e-12):
             self._times.append(now - self._sent)
@@ -197,12 +275,64 @@ class Contender:
                 received.append(taken[1]['source_timestamp'])
         return sent, received
 
-    def _take(self) -> Floats:
-        """Return the latest command, or NaN before the first."""
-        numbers = np.array(math.nan)
-        while (taken := self._commands.handle.take_message(Float64MultiArray, False)) is not None:
-            numbers = np.array(taken[0].data)
-        return numbers
+    def interruption(
+        self, rate: float, expected: int, interrupt: Callable[[], Callable[[], bool]]
+    ) -> float:
+        """
+        Measure the longest time without a command while the process has something else to do.
+
+        Parameters
+        ----------
+        rate : float
+            States per second [Hz].
+        expected : int
+            Least time to send states [s].
+        interrupt : callable
+            Gives the process something to do; returns a function that returns whether it is done.
+
+        Returns
+        -------
+        gap : float
+            Longest time between two commands [s].
+
+        """
+        period = round(1e9 / rate)
+        with self._turn():
+            self._send_at_rate(WARM_UP, period)
+            is_done = interrupt()
+            received: list[int] = []
+            deadline = time.monotonic() + LONGEST
+            while (
+                len(received) < 2 or received[-1] - received[0] < expected * 1e9 or not is_done()
+            ):
+                received += self._send_at_rate(0.1, period)[1]
+                if time.monotonic() > deadline:
+                    raise TimeoutError(f'not done within {LONGEST:g} s')
+        return float(np.diff(received).max()) * 1e-9
+
+    def publish_description(self, text: str) -> None:
+        """Publish a robot description, also for a process that does not subscribe yet."""
+        self._description.publish(String(data=text))
+
+    def reload(self, text: str) -> Callable[[], bool]:
+        """Publish another description; return a function that returns whether it is in use."""
+        self.publish_description(text)
+        due = time.monotonic() + RELOAD  # its commands are the same
+        return lambda: time.monotonic() > due
+
+    def fill(self, trajectory: bytes) -> Callable[[], bool]:
+        """Publish a trajectory; return a function that returns whether it has come back."""
+        while self._filled.handle.take_message(JointTrajectory, True) is not None:
+            pass
+        self._trajectories.publish(trajectory)
+        return lambda: self._filled.handle.take_message(JointTrajectory, True) is not None
+
+    def _take(self) -> bytes:
+        """Return the latest command; empty if there is no new one."""
+        data = b''
+        while (taken := self._commands.handle.take_message(Float64MultiArray, True)) is not None:
+            data = taken[0]
+        return data
 
     def _cpu_time(self) -> float:
         """Return the CPU time of all threads of the process [s]."""
@@ -225,6 +355,20 @@ class Contender:
             self._executor.shutdown()
         self._node.destroy_node()
         self._context.try_shutdown()
+
+
+def _ignore(message: Any) -> None:
+    pass
+
+
+def _numbers(data: bytes) -> Floats:
+    if not data:
+        return np.array(math.nan)
+    return np.array(deserialize_message(data, Float64MultiArray).data)
+
+
+def _is_close(data: bytes, command: Floats) -> bool:
+    return bool(np.allclose(_numbers(data), command, rtol=1e-9, atol=1e-12))
 
 
 def _last_number(data: bytes) -> float:

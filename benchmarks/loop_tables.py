@@ -1,0 +1,151 @@
+"""The tables of doc/loop.md."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from .priorities import PRIORITY
+from .report import duration, figures, grid
+from .timing import compare
+from .wire import Answers, Ticks, Trips
+
+OURS = 'this node'
+USUAL = 'usual relay'
+LEAN = 'lean relay'
+IDLE, BUSY = 'idle', 'busy'
+
+
+class Task(NamedTuple):
+    """A contender with or without real-time priority, and what else the machine does."""
+
+    name: str
+    has_priority: bool
+    load: str
+
+    def __str__(self) -> str:
+        return f'{self.name}, {priority_name(self.has_priority)}, {self.load}'
+
+
+def priority_name(has_priority: bool) -> str:
+    """Name a priority."""
+    return f'SCHED_FIFO {PRIORITY}' if has_priority else 'normal'
+
+
+def permission(is_permitted: bool) -> str:
+    """Describe the priority of the robot's side."""
+    if is_permitted:
+        return "The robot's side has a higher real-time priority than all contenders."
+    return (
+        'Real-time priority is not permitted on this machine: only normal priority is measured, '
+        "and the delays of the robot's side are included."
+    )
+
+
+def answers_table(found: dict[Task, list[Answers]], load: str, period: float) -> str:
+    """Format the times from states to commands, of all turns together."""
+    rows = []
+    for task, turns in found.items():
+        if task.load != load:
+            continue
+        times = np.concatenate([turn.times for turn in turns])
+        quantiles = np.percentile(times, (50, 99, 99.9, 100))
+        rows.append(
+            [
+                task.name,
+                priority_name(task.has_priority),
+                f'{100 * np.mean(times <= period):.2f} %',
+                *(duration(float(time)) for time in quantiles),
+                f'{100 * np.mean([turn.cpu for turn in turns]):.1f} %',
+            ]
+        )
+    quantities = ['within the period', 'median', '99 %', '99.9 %', 'longest', 'CPU of one core']
+    return grid(['', 'priority', *quantities], rows)
+
+
+def ratios_table(found: dict[Task, list[Answers]]) -> str:
+    """Format medians over the rounds of ratios in the same round."""
+    kinds = dict.fromkeys(task[1:] for task in found)
+    rows = []
+    for other in (USUAL, LEAN):
+        for label, quantity in (('median', _median), ('99 %', _late), ('CPU', _cpu)):
+            cells = []
+            for kind in kinds:
+                of = {
+                    name: list(map(quantity, found[Task(name, *kind)])) for name in (OURS, other)
+                }
+                cells.append(figures(compare(of, other)[OURS]))
+            rows.append([f'{OURS} / {other}, {label}', *cells])
+    header = [f'{priority_name(has_priority)}, {load}' for has_priority, load in kinds]
+    of_load = []
+    for name in (OURS, USUAL, LEAN):
+        cells = []
+        for has_priority, load in kinds:
+            late = [_pooled_late(found[Task(name, has_priority, x)]) for x in (load, IDLE)]
+            cells.append('' if load == IDLE else f'{late[0] / late[1]:.1f}')
+        of_load.append([f'{name}, busy / idle, 99 %', *cells])
+    return grid(['', *header], [*rows, *of_load])
+
+
+def _median(turn: Answers) -> float:
+    return float(np.median(turn.times))
+
+
+def _late(turn: Answers) -> float:
+    return float(np.percentile(turn.times, 99))
+
+
+def _cpu(turn: Answers) -> float:
+    return turn.cpu
+
+
+def _pooled_late(turns: list[Answers]) -> float:
+    return float(np.percentile(np.concatenate([turn.times for turn in turns]), 99))
+
+
+def trips_table(found: dict[str, list[Trips]]) -> str:
+    """Format medians over the rounds, and the ratios of the node to each relay."""
+    rows = []
+    for k, quantity in enumerate(('round trip, median', 'round trip, 99 %', 'CPU per command')):
+        of = {name: [_quantities(turn)[k] for turn in turns] for name, turns in found.items()}
+        times = [duration(float(np.median(values))) for values in of.values()]
+        ratios = [figures(compare(of, name)[OURS]) for name in (USUAL, LEAN)]
+        rows.append([quantity, *times, *ratios])
+    counts = [str(sum(len(turn.times) for turn in turns)) for turns in found.values()]
+    lost = [str(sum(turn.lost for turn in turns)) for turns in found.values()]
+    rows += [['commands', *counts, '', ''], ['states without an answer', *lost, '', '']]
+    return grid(['', *found, f'{OURS} / {USUAL}', f'{OURS} / {LEAN}'], rows)
+
+
+def _quantities(turn: Trips) -> tuple[float, float, float]:
+    """Return median, 99th percentile and CPU of a turn [s]."""
+    median, late = np.percentile(turn.times, (50, 99))
+    return float(median), float(late), turn.cpu
+
+
+def ticks_table(found: dict[Task, list[Ticks]]) -> str:
+    """Format the fractions of late ticks, and the CPU load."""
+    rows = []
+    for task, turns in found.items():
+        periods = sum(turn.periods for turn in turns)
+        counts = [sum(getattr(turn, field) for turn in turns) for field in ('missed', 'slept')]
+        cpu = np.mean([turn.cpu for turn in turns])
+        fractions = [f'{100 * n / periods:.2f} %' for n in counts]
+        kind = [task.name, priority_name(task.has_priority), task.load]
+        rows.append([*kind, *fractions, f'{100 * cpu:.1f} %'])
+    quantities = ['late or missed', 'late or missed states', 'CPU of one core']
+    return grid(['', 'priority', 'machine', *quantities], rows)
+
+
+def gaps_table(found: dict[Task, dict[str, list[float]]]) -> str:
+    """Format the longest times without a command: median and maximum over the turns."""
+    rows = []
+    for event in next(iter(found.values())):
+        cells = [
+            f'{duration(float(np.median(gaps[event])))}, {duration(max(gaps[event]))}'
+            for gaps in found.values()
+        ]
+        rows.append([event, *cells])
+    header = [f'{priority_name(task.has_priority)}, {task.load}' for task in found]
+    return grid(['', *header], rows)

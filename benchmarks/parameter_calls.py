@@ -1,0 +1,39 @@
+"""A client that sets a parameter many times."""
+
+from __future__ import annotations
+
+from collections import deque
+import signal
+import sys
+
+from rcl_interfaces.srv import SetParameters
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+
+AT_ONCE = 5  # requests that are not answered yet
+PATIENCE = 20  # [s]; for all calls, including the start of this process
+
+
+def main() -> None:
+    """Call as often as the argument says."""
+    signal.alarm(PATIENCE)
+    rclpy.init(args=[])
+    node = rclpy.create_node('caller')
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    client = node.create_client(SetParameters, '/contender/set_parameters')
+    client.wait_for_service()
+    waiting: deque[rclpy.Future] = deque()
+    for k in range(int(sys.argv[1])):
+        value = Parameter('kp', value=100.0 + k % 2).to_parameter_msg()
+        waiting.append(client.call_async(SetParameters.Request(parameters=[value])))
+        while len(waiting) >= AT_ONCE:
+            executor.spin_until_future_complete(waiting[0])
+            assert waiting.popleft().result().results[0].successful
+    for future in waiting:
+        executor.spin_until_future_complete(future)
+
+
+if __name__ == '__main__':
+    main()
