@@ -6,7 +6,7 @@ from setuptools import find_packages, setup
 
 package_name = 'inverse_dynamics_node'
 
-ros = ['ros-jazzy-rclpy[fastrtps]==7.1.6', 'ros-jazzy-common-interfaces==5.3.6']
+ros = ['ros-jazzy-rclpy[fastrtps]==7.1.6', 'ros-jazzy-common-interfaces==5.3.6', 'xacro>=2']
 cli = ['matplotlib>=3.6.3', 'PyYAML>=6.0.1', 'rich>=13.7.1', 'rosbags>=0.11.7']
 demo = [*cli, 'mujoco>=3.17']  # earlier versions ignore mimic joints of a URDF
 test = [
@@ -39,6 +39,7 @@ setup(
         ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
         (f'share/{package_name}', ['package.xml']),
         (f'share/{package_name}/config', glob('config/*')),
+        (f'share/{package_name}/launch', glob('launch/*')),
     ],
     python_requires='>=3.10',
     # ROS is not listed: a sourced ROS must not be shadowed, and the library does not need it.

@@ -15,7 +15,7 @@ def loaded_dynamics(robot, angular_velocity=(0.0, 0.0, 0.0), angular_acceleratio
     dynamics.set_payload(link, 0.7, (0.01, -0.02, 0.1), np.diag((0.02, 0.03, 0.04)))
     dynamics.set_external_wrench(link, (3.0, -2.0, 1.0), (0.3, 0.2, -0.1))
     dynamics.set_base_motion(angular_velocity, angular_acceleration, (0.3, 0.1, -0.2))
-    dynamics.set_friction(0.3, 0.8, 0.05)
+    dynamics.set_friction(0.3, 0.8, 0.05, 0.2)
     dynamics.set_armature(0.05)
     return dynamics
 
@@ -41,7 +41,7 @@ def random_loads(robot, rng):
     calls = [
         ('set_gravity', (rng.uniform(-9.0, 9.0, 3),)),
         ('set_base_motion', tuple(rng.uniform(-2.0, 2.0, (3, 3)))),
-        ('set_friction', tuple(rng.uniform(0.2, 2.0, (3, n)))),
+        ('set_friction', (*rng.uniform(0.2, 2.0, (3, n)), rng.uniform(0.1, 0.5, n))),
         ('set_armature', (rng.uniform(0.1, 1.0, n),)),
     ]
     for link in some_links(robot, rng):

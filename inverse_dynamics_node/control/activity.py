@@ -13,7 +13,7 @@ _LONG_SILENCE = 5.0  # [s]; after which connected publishers are suspicious
 _MOST_NAMES = 5  # of nodes, in one message
 
 
-def activity(now: float, loop: ControlLoop) -> str:
+def activity(now: float, loop: ControlLoop, *, is_dry_run: bool = False) -> str:
     """
     Describe what the controller is doing, and why.
 
@@ -23,10 +23,19 @@ def activity(now: float, loop: ControlLoop) -> str:
         The time [s].
     loop : ControlLoop
         The active control loop.
+    is_dry_run : bool
+        Whether its commands are not sent.
 
     """
-    controller = loop.controller
-    phase, settings = controller.phase, controller.settings
+    doing = _computing(loop)
+    if not doing:
+        doing = f'{_consequence(loop, is_dry_run)}: {_reason_to_stop(now, loop)}'
+    return f'dry run: {doing}' if is_dry_run else doing
+
+
+def _computing(loop: ControlLoop) -> str:
+    """Describe how efforts are computed; empty in the phases in which they are not."""
+    phase, settings = loop.controller.phase, loop.controller.settings
     if phase is Phase.HOLDING:
         return f'{phase.value}: {_reason_to_hold(loop)}'
     if phase is Phase.TOO_FAR:
@@ -34,15 +43,17 @@ def activity(now: float, loop: ControlLoop) -> str:
             'holding position: the reference starts or jumps more than max_position_jump '
             f'({settings.max_position_jump:g} rad or m) away'
         )
-    if phase in COMPUTING_PHASES or phase is Phase.WAITING:
-        return str(phase.value)
+    return str(phase.value) if phase in COMPUTING_PHASES or phase is Phase.WAITING else ''
+
+
+def _consequence(loop: ControlLoop, is_dry_run: bool) -> str:
+    controller = loop.controller
     if not controller.has_effort:
-        consequence = 'stopped, zeros sent'
-    elif phase is Phase.STOPPED or settings.on_stale_state is StalePolicy.ZERO:
-        consequence = 'ramping efforts down'
-    else:
-        consequence = 'keeping the last efforts'
-    return f'{consequence}: {_reason_to_stop(now, loop)}'
+        return 'stopped' if is_dry_run else 'stopped, zeros sent'
+    is_stopped = controller.phase is Phase.STOPPED
+    if is_stopped or controller.settings.on_stale_state is StalePolicy.ZERO:
+        return 'ramping efforts down'
+    return 'keeping the last efforts'
 
 
 def _reason_to_hold(loop: ControlLoop) -> str:
@@ -58,7 +69,7 @@ def _reason_to_stop(now: float, loop: ControlLoop) -> str:
     if loop.controller.phase is Phase.STOPPED:
         return 'disabled by ~/enable'
     if loop.controller.phase is Phase.NO_SOLUTION:
-        return str(loop.controller.phase.value)
+        return f'{loop.controller.phase.value}: {loop.controller.cause_of_failure()}'
     if loop.lacks_imu:
         return 'no message on imu yet'
     if not loop.collector.is_consistent:

@@ -40,6 +40,11 @@ class Blending:
     efforts, and lets it fade. The stop ramp scales the command at which it began. Each of
     them starts from the last command sent.
 
+    A change during a blend starts a new blend that contains the rest of the old one. As soon as
+    two commands in a row do so, blends advance all the same: however often something changes, the
+    difference fades like that of a first-order low-pass, with the start ramp as its time
+    constant.
+
     After a brief pause, such as a joint state that comes a little late, there is no new blend.
     Intermittent states would otherwise restart it again and again, and a blend that restarts
     repeats the last command instead of following the joints.
@@ -71,6 +76,9 @@ class Blending:
         self._way = _Way.HOLDING
         self._is_new = False  # whether a blend begins with the next command
         self._left = self._duration = 0.0  # fraction of the blend that is left, and its length [s]
+        # Whether ramp and blend do not advance with the next command, and whether they did not
+        # with the last one.
+        self._is_paused = self._was_paused = False
         self._pause = math.inf  # [s] since computed efforts were followed; inf: blend in any case
         # Command, gain and fraction of the blend before the stop ramp.
         self._top, self._top_gain, self._top_left = np.zeros(m), 0.0, 0.0
@@ -87,7 +95,7 @@ class Blending:
         stop_ramp: float,
     ) -> None:
         """
-        Change the settings; the next command still continues from the last one.
+        Change the settings; call `begin` when all changes have been made.
 
         Parameters
         ----------
@@ -110,29 +118,42 @@ class Blending:
         self._rows[_RATE] = np.minimum(rate_limits, LARGEST)
         self._has_rates = bool(np.isfinite(rate_limits).any())
         self._start_ramp, self._stop_ramp = start_ramp, stop_ramp
-        self.begin()
 
-    def begin(self) -> None:
+    def begin(self, tau: Floats | None = None) -> None:
         """
         Blend from the last command into the computed efforts, within the start ramp.
 
         A blend under way does not end sooner because of it. During a stop ramp, the blend waits
         for the next computed efforts.
 
+        Parameters
+        ----------
+        tau : ndarray, shape (n,), optional
+            Efforts computed from the inputs of the last command, after a change of settings
+            [N m or N]. Only the difference to these fades, and the next command contains all
+            that the inputs have changed since. By default, it equals the last command.
+
         """
         if self._way is _Way.FALLING:
             self._pause = math.inf
-        else:
-            # The start ramp begins with a blend, so that neither ends sooner.
-            self._duration = max(self._start_ramp, self._left * self._duration)
-            self._is_new = self._duration > 0.0
-            self._left = 1.0 if self._is_new else 0.0
+            return
+        # The start ramp begins with a blend, so that neither ends sooner.
+        self._duration = max(self._start_ramp, self._left * self._duration)
+        self._left = 1.0 if self._duration > 0.0 else 0.0
+        self._is_paused = self._left > 0.0 and not self._was_paused
+        has_followed = self._way is _Way.FOLLOWING and not self._is_new
+        self._is_new = self._left > 0.0
+        if self._is_new and has_followed and tau is not None:
+            gain = self.gain if self._start_ramp else 1.0
+            if blend_efforts(tau, self._rows, self._flags, gain, 1.0, True, self._has_rates, 0.0):
+                self.gain, self._is_new = gain, False
 
     def reset(self) -> None:
         """Start at zero with the next command."""
         self.command[:] = 0.0
         self.gain = self._left = self._duration = 0.0
         self._way, self._is_new, self._pause = _Way.HOLDING, False, math.inf
+        self._is_paused = self._was_paused = False
 
     def continue_from(self, other: Blending) -> None:
         """Continue from the last command of another robot description with the same joints."""
@@ -140,7 +161,7 @@ class Blending:
         self.gain, self._top_gain, self._top_left = other.gain, other._top_gain, other._top_left
         self._left, self._duration = other._left, other._duration
         self._fallen, self._fall_time = other._fallen, other._fall_time
-        self._way = other._way
+        self._way, self._was_paused = other._way, other._was_paused
         self.begin()
 
     def follow(self, tau: Floats, elapsed: float) -> bool:
@@ -164,10 +185,11 @@ class Blending:
         is_new = self._is_new
         is_brief = self._pause + elapsed <= _BRIEF and not is_new
         if self._way is _Way.FOLLOWING or is_brief:
-            gain = min(1.0, gain + ramp_fraction(elapsed, self._start_ramp))
-            if left and not is_new:
-                left = max(0.0, left - elapsed / duration)
+            if not self._is_paused:
+                gain = min(1.0, gain + ramp_fraction(elapsed, self._start_ramp))
+                left = max(0.0, left - elapsed / duration) if left else 0.0
         else:
+            self._is_paused = False  # a new blend does not advance anyway
             duration = max(self._start_ramp, left * duration)
             is_new = duration > 0.0
             left = 1.0 if is_new else 0.0
@@ -178,6 +200,7 @@ class Blending:
         if are_finite:
             self._way, self._is_new = _Way.FOLLOWING, False
             self.gain, self._left, self._duration = gain, left, duration
+            self._was_paused, self._is_paused = self._is_paused, False
         return are_finite
 
     def hold(self, elapsed: float) -> None:
@@ -193,8 +216,9 @@ class Blending:
         if self._is_new:
             excess[:] = np.maximum(0.0, np.abs(command) - limit)
             self._is_new, self._pause = False, math.inf
-        elif self._left and self._pause > _BRIEF:
+        if self._left and self._pause > _BRIEF and not self._is_paused:
             self._left = max(0.0, self._left - elapsed / self._duration)
+        self._was_paused, self._is_paused = self._is_paused, False
         change = np.maximum(0.0, np.abs(command) - limit - self._left * excess)
         if self._has_rates:
             change = np.minimum(change, self._rows[_RATE] * elapsed)
@@ -209,6 +233,7 @@ class Blending:
         else:
             self._pause = 0.0 if self._way is _Way.FOLLOWING and not self._is_new else math.inf
             self._way, self._is_new = _Way.FALLING, False
+            self._is_paused = self._was_paused = False
             self._top[:] = self.command
             self._top_gain, self._top_left = self.gain, self._left
             self._fallen, self._fall_time = 0.0, self._stop_ramp
@@ -249,7 +274,7 @@ def blend_efforts(
     left : float
         Fraction of the difference that is left.
     is_new : bool
-        Whether a blend begins, so that the command repeats the last one.
+        Whether a blend begins with the difference to the last command.
     has_rates : bool
         Whether there are rate limits.
     elapsed : float
@@ -278,7 +303,8 @@ def blend_efforts(
             rows[_JUMP, k] = last - effort
             # A command beyond a limit that has just been tightened stays there at first.
             rows[_EXCESS, k] = max(0.0, abs(last) - limit)
-            effort = last
+        if is_new and left == 1.0:
+            effort = last  # without rounding
         elif left != 0.0:
             bound = limit + left * float(rows[_EXCESS, k])
             blended = effort + left * float(rows[_JUMP, k])

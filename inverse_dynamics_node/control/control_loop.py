@@ -115,7 +115,9 @@ class ControlLoop:
         if self.loads.set_base_motion(now, specific_force, angular_velocity):
             self.controller.blend()
 
-    def missing(self, states: str = 'joint_states', imu: str = 'imu') -> list[str]:
+    def missing(
+        self, states: str = 'joint_states', imu: str = 'imu', now: float | None = None
+    ) -> list[str]:
         """
         Describe the necessary inputs that have not arrived yet.
 
@@ -123,6 +125,9 @@ class ControlLoop:
         ----------
         states, imu : str
             Names of the topics, for the text.
+        now : float, optional
+            The time [s]. If it is given, positions that arrived too long ago or contradict each
+            other are described too.
 
         """
         joints = self.collector.missing()
@@ -130,6 +135,13 @@ class ControlLoop:
         similar = ', '.join(map(repr, self.collector.similar_names()))
         hint = f' (received similar names: {similar})' if similar else ''
         missing = [f'the {word} of {", ".join(joints)} on {states}{hint}'] if joints else []
+        if now is not None and not missing:
+            joints = self.collector.stale(now, self.controller.settings.state_timeout)
+            if joints:
+                missing = [f'new joint states of {", ".join(joints)} on {states}']
+            elif not self.collector.is_consistent:
+                joints = list(self.collector.alternating())
+                missing = [f'consistent positions of {", ".join(joints)} on {states}']
         return [*missing, f'the motion of the base on {imu}'] if self.lacks_imu else missing
 
     def implausible_positions(self) -> list[ImplausiblePosition]:

@@ -9,16 +9,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 import enum
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from ..dynamics.inverse_dynamics import InverseDynamics
 from ..errors import ConfigurationError, JointStateError
-from ..robot.model import Booleans, Floats, RobotModel
+from ..robot.model import Booleans, Floats
 from .blending import Blending
 from .filters import LowPass
+from .joint_selection import compact_index, joint_index
 from .joint_states import State
+from .overflow import describe_overflow
 from .settings import Mode, Settings, StalePolicy
 
 
@@ -37,6 +39,15 @@ class Phase(enum.Enum):
 _PATIENCE = 0.02  # [s]; how much later than expected a step may come
 _LEAST_RECOVERY = 0.2  # [s]; shortest time without a gap after which lost states are used again
 _TOLERATED_DROP = 0.05  # of the gain; a loss that lowered it by less ends with the next state
+# Settings that change the inputs of the computation; others only change what follows from them.
+_INPUT_SETTINGS = (
+    'mode',
+    'state_timeout',
+    'uncommanded_state_timeout',
+    'reference_timeout',
+    'max_position_jump',
+    'velocity_filter_cutoff',
+)
 COMPUTING_PHASES = (Phase.RUNNING, Phase.HOLDING, Phase.TOO_FAR)
 """Phases in which efforts are computed from a fresh state."""
 
@@ -103,12 +114,15 @@ class Controller:
         self.joints = tuple(joints) or dynamics.robot.joint_names
         self.phase = Phase.WAITING
         self._period = period
-        index = _index_of(self.joints, dynamics.robot)
-        self._index = _compact(index)
+        index = joint_index(self.joints, dynamics.robot)
+        self._index = compact_index(index)
         self._is_continuous = dynamics.robot.is_continuous[self._index]
         n = len(dynamics.robot.joint_names)
         self._qdd, self._tau, self._rest = np.zeros((3, n))
         self._velocities = self._rest
+        self._last_q, self._last_qd = np.zeros((2, n))
+        self._last_reference: Reference | None = None
+        self._has_last_inputs = False  # whether these led to the last command
         self._blending = Blending(index)
         self._result = Command(
             self._blending.command, self._blending.is_saturated, self._blending.is_slowed
@@ -120,11 +134,15 @@ class Controller:
         self._tolerated_drop = _TOLERATED_DROP  # of the gain, in losses in quick succession
         self._fresh_since = math.inf  # arrival of the first state after the last gap
         self._followed: Floats | None = None  # reference positions of the last step with feedback
-        self.apply(settings or Settings())
+        self.settings = settings or Settings()
+        self.apply(self.settings)
 
     def apply(self, settings: Settings) -> None:
         """
         Change the settings from the next step on, which continues from the last command.
+
+        To be called after other changes of the same kind, such as friction: the difference that
+        all of them make to the last efforts fades within the start ramp.
 
         Raises
         ------
@@ -136,6 +154,9 @@ class Controller:
         limits = arrays['effort_limits']
         if settings.use_urdf_effort_limits:
             limits = np.minimum(limits, self.dynamics.robot.effort_limits[self._index])
+        has_same_inputs = all(
+            getattr(settings, name) == getattr(self.settings, name) for name in _INPUT_SETTINGS
+        )
         self.settings, self._of_joint = settings, arrays
         self._timeouts = np.full(len(self._qdd), settings.uncommanded_state_timeout)
         self._timeouts[self._index] = settings.state_timeout
@@ -149,13 +170,18 @@ class Controller:
             settings.start_ramp,
             settings.stop_ramp,
         )
+        if has_same_inputs and self._has_last_inputs:
+            inputs = self._last_q, self._last_qd, self._last_reference
+            self._blending.begin(self._tau if self._set_efforts(*inputs) else None)
+        else:
+            self.blend()
 
     def blend(self) -> None:
         """
         Continue from the last command, and fade out the difference within the start ramp.
 
-        To be called after changes of the computed efforts that are not motion, such as settings,
-        the robot description or gravity.
+        To be called after changes of the computed efforts that are not motion, such as the robot
+        description or gravity.
 
         """
         self._blending.begin()
@@ -181,9 +207,34 @@ class Controller:
         return self._of_joint['effort_offset']
 
     @property
+    def longest_gap(self) -> float:
+        """
+        Longest time between steps [s].
+
+        A longer gap means that the process was suspended or the machine stalled. Ramps resume
+        where they were instead of catching up.
+
+        """
+        return max(self.settings.state_timeout, 2.0 * self._period) + _PATIENCE
+
+    @property
     def motion(self) -> tuple[Floats, Floats]:
         """Velocities and accelerations of the last computed efforts, each of shape (n,)."""
         return self._velocities, self._qdd
+
+    def cause_of_failure(self) -> str:
+        """Name the joint and the value that left the last step without a solution."""
+        added, efforts = np.zeros((2, len(self._tau)))
+        added[self._index] = self._blending.added
+        with np.errstate(all='ignore'):
+            efforts[self._index] = self.scale * (self._tau[self._index] + added[self._index])
+        inputs = {
+            'position': self._last_q,
+            'velocity': self._velocities,
+            'acceleration': self._qdd,
+            'added effort': added,
+        }
+        return describe_overflow(self.dynamics.robot.joint_names, inputs, efforts)
 
     @property
     def is_stopping(self) -> bool:
@@ -206,6 +257,7 @@ class Controller:
         self._time = math.inf  # at the first step nothing has elapsed
         self._velocity_filter.reset()
         self._blending.reset()
+        self._has_last_inputs = False
         self.phase = Phase.WAITING
 
     def continue_from(self, other: Controller) -> None:
@@ -253,15 +305,13 @@ class Controller:
             None before the first complete joint state since the start.
 
         """
-        # A longer gap means that the process was suspended or the machine stalled. Ramps resume
-        # where they were instead of catching up.
-        longest = max(self.settings.state_timeout, 2.0 * self._period) + _PATIENCE
+        longest = self.longest_gap
         since = now - self._time
         elapsed = since if 0.0 <= since <= longest else 0.0
         if elapsed != since:
             self.blend()
         self._time = now
-        if state is None and self.phase is Phase.WAITING:
+        if self.phase is Phase.WAITING and self._is_lost(now, state):
             return None
         self.phase = self._next_phase(now, state, reference)
         is_closed = self.settings.mode is Mode.COMPUTED_TORQUE and self.phase is Phase.RUNNING
@@ -271,6 +321,7 @@ class Controller:
             if self._compute(state, followed) and self._blending.follow(self._tau, elapsed):
                 return self._result
             self.phase = Phase.NO_SOLUTION
+        self._has_last_inputs = False
         if self.phase is Phase.STOPPED or self.settings.on_stale_state is StalePolicy.ZERO:
             # A late step advances the stop ramp by at most `longest`, but it does advance it: on a
             # machine that is always late, the efforts still reach zero.
@@ -354,8 +405,14 @@ class Controller:
 
     def _compute(self, state: State, reference: Reference | None) -> bool:
         """Compute the efforts of all joints; return whether there is a solution."""
-        mode = self.settings.mode
         qd = self._smooth(state)
+        # The arrays of the state change with the next message.
+        self._last_q[:], self._last_qd[:] = state.q, qd
+        self._last_reference, self._has_last_inputs = reference, True
+        return self._set_efforts(state.q, qd, reference)
+
+    def _set_efforts(self, q: Floats, qd: Floats, reference: Reference | None) -> bool:
+        mode = self.settings.mode
         self._velocities = self._rest if mode is Mode.GRAVITY_COMPENSATION else qd
         added = self._blending.added
         if reference is None:
@@ -363,11 +420,11 @@ class Controller:
         else:
             qdd = reference.accelerations
             if mode is Mode.COMPUTED_TORQUE:
-                qdd = self._with_feedback(state.q, qd, reference)
+                qdd = self._with_feedback(q, qd, reference)
             self._qdd[self._index] = qdd
             added[:] = reference.efforts
         try:
-            self.dynamics.efforts(state.q, self._velocities, self._qdd, out=self._tau)
+            self.dynamics.efforts(q, self._velocities, self._qdd, out=self._tau)
         except JointStateError:
             return False
         return True
@@ -385,26 +442,3 @@ class Controller:
             if velocities is not None:
                 qdd = qdd + self._of_joint['kd'] * (velocities - qd[self._index])
         return qdd
-
-
-def _compact(index: list[int]) -> Any:
-    """Return consecutive indices as a slice, with which numpy takes a third of the time."""
-    first = index[0]
-    if index == list(range(first, first + len(index))):
-        return slice(first, first + len(index))
-    return np.array(index)
-
-
-def _index_of(joints: Sequence[str], robot: RobotModel) -> list[int]:
-    """Return the indices of the commanded joints among those of the robot."""
-    if not joints:
-        raise ConfigurationError(f"robot '{robot.name}' has no movable joints")
-    if len(set(joints)) != len(joints):
-        raise ConfigurationError(f'joints lists a joint twice: {", ".join(joints)}')
-    unknown = [name for name in joints if name not in robot.joint_names]
-    if unknown:
-        raise ConfigurationError(
-            f"joints names '{unknown[0]}', which robot '{robot.name}' does not have or cannot be "
-            f'commanded (fixed, or mimicking another); it has {", ".join(robot.joint_names)}'
-        )
-    return robot.joint_indices(joints)

@@ -72,6 +72,7 @@ class ExternalLoads:
         self._angular_velocity: Floats = np.zeros(3)
         self._imu_filter = LowPass(np.zeros((2, 3)))  # gravity and angular velocity
         self._is_base_lost = True
+        self._has_other_axes = False  # since the last motion of the base
         self._time = math.inf
         self._write_base()
 
@@ -179,7 +180,7 @@ class ExternalLoads:
         """
         force = _read_bounded('specific force', specific_force, 'm/s^2')
         turning = _read_bounded('angular velocity', angular_velocity, 'rad/s')
-        was_lost = self._is_base_lost or not self.is_base_known(now)
+        was_lost = self._is_base_lost or self._has_other_axes or not self.is_base_known(now)
         self._imu_filter.cutoff = self.settings.imu_filter_cutoff
         self._imu_filter.value = np.array([self._gravity, self._angular_velocity])
         sample = np.array([-force, turning])
@@ -187,9 +188,13 @@ class ExternalLoads:
             now, sample, restarts=was_lost
         )
         self._target = self._gravity
-        self.imu_time, self._is_base_lost = now, False
+        self.imu_time, self._is_base_lost, self._has_other_axes = now, False, False
         self._write_base()
         return was_lost
+
+    def expect_other_axes(self) -> None:
+        """Restart the filter with the next motion of the base, and blend that one in."""
+        self._has_other_axes = True
 
     def is_base_known(self, now: float) -> bool:
         """Return whether the motion of the base was measured within the timeout."""

@@ -46,5 +46,7 @@ class GraphInfo(NamedTuple):
     """Nodes that publish joint states; empty unless their positions contradict each other."""
     simulated: SimulatedTime | None = None
     """None unless the node uses simulated time."""
+    is_dry_run: bool = False
+    """Whether the commands are not sent."""
     silence: float = 0.0
     """Time since the last message on joint_states, of any joint [s]."""

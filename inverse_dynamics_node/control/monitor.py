@@ -150,10 +150,11 @@ class Monitor:
             return Status('loop', Level.OK, around.state, values)
         values['mode'] = loop.controller.settings.mode.value
         values['phase'] = loop.controller.phase.value
+        values['dry run'] = 'yes' if around.is_dry_run else 'no'
         values['gain'] = f'{loop.controller.gain:.3f}'
         if self.period and total > 0.0 and rate * self.period < _SLOW:
             return Status('loop', Level.WARN, f'only {rate:.1f} commands/s', values)
-        return Status('loop', Level.OK, activity(now, loop), values)
+        return Status('loop', Level.OK, _activity(now, loop, around), values)
 
     def _messages_status(self) -> Status:
         values = {text: str(count) for text, count in self.rejected.items()}
@@ -167,7 +168,7 @@ class Monitor:
         values = {'receivers': str(around.receivers)}
         values |= {f'{name} cut to limit': str(count) for name, count in self.clamped.items()}
         values |= {f'{name} slowed': str(count) for name, count in self.slowed.items()}
-        if around.is_active and not around.receivers:
+        if around.is_active and not around.receivers and not around.is_dry_run:
             message = 'the commands have no subscribers'
             if around.others.subscribers:
                 names = join_names(around.others.subscribers)
@@ -176,7 +177,11 @@ class Monitor:
         if self._clamped_joints:
             message = f'cut to its limit: {", ".join(self._clamped_joints)}'
             return Status('efforts', Level.WARN, message, values)
-        return Status('efforts', Level.OK, activity(now, loop), values)
+        return Status('efforts', Level.OK, _activity(now, loop, around), values)
+
+
+def _activity(now: float, loop: ControlLoop, around: GraphInfo) -> str:
+    return activity(now, loop, is_dry_run=around.is_dry_run)
 
 
 def _selected(joints: Sequence[str], flags: Booleans) -> list[str]:

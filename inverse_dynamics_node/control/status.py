@@ -138,7 +138,7 @@ def other_nodes_status(around: GraphInfo) -> Status:
         message = 'no other node publishes the commands or has this name'
         return Status('other nodes', Level.OK, message, values)
     # Nodes may take turns at publishing on a topic, but must never have the same name.
-    is_error = around.is_active or others.namesakes
+    is_error = (around.is_active and not around.is_dry_run) or others.namesakes
     message = f'{"; ".join(problems)} (stop it; a killed node stays listed for up to 20 s)'
     return Status('other nodes', Level.ERROR if is_error else Level.WARN, message, values)
 

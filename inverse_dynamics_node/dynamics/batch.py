@@ -30,6 +30,7 @@ from .columns import (
     DAMPING,
     INVERSE_WIDTH,
     JOINT,
+    LOAD_FRICTION,
     MULTIPLIER,
     OFFSET,
     OMEGA,
@@ -361,13 +362,16 @@ def project(tau: Any, robot: Any, i: int, joint: int, wrench: Any) -> None:
 
 @simd_step
 def finish(qd: Any, qdd: Any, tau: Any, robot: Any, residue: Any) -> None:
-    """Add the terms of a single joint: rotor inertia, viscous and Coulomb friction; check."""
+    """Add the terms of a single joint: rotor inertia and friction; check."""
     for joint in range(len(tau)):
         armature, damping = robot[joint + 1, ARMATURE], robot[joint + 1, DAMPING]
         coulomb, inverse_width = robot[joint + 1, COULOMB], robot[joint + 1, INVERSE_WIDTH]
-        if coulomb != 0.0:
+        load_friction = robot[joint + 1, LOAD_FRICTION]
+        if coulomb != 0.0 or load_friction != 0.0:
             for k in range(LANES):
-                friction = coulomb * np.tanh(inverse_width * qd[joint, k])
+                # So far, tau contains the efforts that load the gears.
+                bound = coulomb + load_friction * abs(tau[joint, k])
+                friction = bound * np.tanh(inverse_width * qd[joint, k])
                 tau[joint, k] = tau[joint, k] + friction
         for k in range(LANES):
             effort = tau[joint, k] + armature * qdd[joint, k] + damping * qd[joint, k]

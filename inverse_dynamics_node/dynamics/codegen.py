@@ -314,7 +314,7 @@ def _functions_that_write(writer: Writer, inputs: list[RunTimeNumber]) -> dict[s
         return writer.status(sum((x - x for x in reversed(tau)), zero_if_finite))
 
     functions = {**vars(columns), **vars(equations), **vars(newton_euler), 'check': check}
-    for function in (math.cos, math.sin, math.tanh):
+    for function in (math.cos, math.fabs, math.sin, math.tanh):
         functions[function.__name__] = writer.elementary(function)
     for name, function in functions.items():
         if hasattr(function, 'py_func'):

@@ -34,30 +34,35 @@ ARMATURE = 33
 DAMPING = 34
 COULOMB = 35
 INVERSE_WIDTH = 36  # of the smoothed step of Coulomb friction [s/rad or s/m]
+LOAD_FRICTION = 37  # Coulomb friction per effort that the links require
 # The robot, in the row of the base
-JOINT_COUNT = 37
-HAS_JOINT_TERMS = 38
+JOINT_COUNT = 38
+HAS_JOINT_TERMS = 39
+HAS_LOAD_FRICTION = 40
 # Scratch space of the passes, except for the motion of the base, which is an input
-COSINE = 39  # of the angle by which the joint has turned
-SINE = 40
-LENGTH = 41  # by which the joint has slid [m]
-OMEGA = 42
-OMEGA_DOT = 45
-ACCEL = 48
-FORCE = 51
-MOMENT = 54
-COMPOSITE = 57  # ten columns, used by `mass_matrix` only
-POSITION = 67  # of the frame's origin in the base; this and the axes are used by `regressor` only
-X_AXIS = 70  # of the frame, in coordinates of the base
-Y_AXIS = 73
-Z_AXIS = 76
-COLUMNS = 79
+COSINE = 41  # of the angle by which the joint has turned
+SINE = 42
+LENGTH = 43  # by which the joint has slid [m]
+OMEGA = 44
+OMEGA_DOT = 47
+ACCEL = 50
+FORCE = 53
+MOMENT = 56
+STEP = 59  # smoothed direction of joint k, for its friction
+JOINT_TERMS = 60  # sum of the terms of joint k, except for load friction
+COMPOSITE = 61  # ten columns, used by `mass_matrix` only
+POSITION = 71  # of the frame's origin in the base; this and the axes are used by `regressor` only
+X_AXIS = 74  # of the frame, in coordinates of the base
+Y_AXIS = 77
+Z_AXIS = 80
+COLUMNS = 83
 
 # Ranges of columns, to set them together
 COM_COLUMNS = slice(COM, COM + 3)
 INERTIA_COLUMNS = slice(INERTIA, INERTIA + 6)
 EXTERNAL_COLUMNS = slice(EXTERNAL_FORCE, EXTERNAL_MOMENT + 3)
-JOINT_TERM_COLUMNS = slice(ARMATURE, INVERSE_WIDTH + 1)
+JOINT_TERM_COLUMNS = slice(ARMATURE, LOAD_FRICTION + 1)
+FLAG_COLUMNS = slice(HAS_JOINT_TERMS, HAS_LOAD_FRICTION + 1)
 BASE_MOTION_COLUMNS = slice(OMEGA, ACCEL + 3)
 BASE_ACCELERATION_COLUMNS = slice(OMEGA_DOT, ACCEL + 3)
 

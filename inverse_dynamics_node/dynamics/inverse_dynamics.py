@@ -53,7 +53,7 @@ class EffortTerms(NamedTuple):
     gravity: Floats
     """g(q), and the efforts due to the acceleration and rotation of the base."""
     friction: Floats
-    """Viscous and Coulomb friction."""
+    """Viscous and Coulomb friction, including the part that grows with the load."""
     external: Floats
     """Minus the efforts that the external wrenches exert."""
 
@@ -242,9 +242,10 @@ class InverseDynamics:
         damping: ArrayLike | None = None,
         coulomb: ArrayLike | None = None,
         width: ArrayLike = FRICTION_WIDTH,
+        load_friction: ArrayLike = 0.0,
     ) -> None:
         r"""
-        Set the friction of the joints: :math:`d\,\dot q + c \tanh(\dot q / w)`.
+        Set friction: :math:`d\,\dot q + (c + \eta\,|\tau_{load}|) \tanh(\dot q / w)`.
 
         Parameters
         ----------
@@ -254,11 +255,25 @@ class InverseDynamics:
             Coulomb friction c [N m or N]; by default, that of the robot description.
         width : array_like, shape (n,) or ()
             Speed w over which Coulomb friction is smoothed [rad/s or m/s].
+        load_friction : array_like, shape (n,) or ()
+            Increase eta of Coulomb friction per effort that loads the gear [-].
 
         Raises
         ------
         ConfigurationError
             If a value is negative or not finite, or the width is zero.
+
+        Notes
+        -----
+        The effort that loads the gear is what moves and holds the links: inertia, Coriolis and
+        centrifugal efforts, and gravity, with payloads, base motion and external wrenches. It
+        includes neither armature nor friction. Its product with eta is the usual model of gears
+        whose losses are proportional to the transmitted effort [1]_.
+
+        References
+        ----------
+        .. [1] P. Hamon, M. Gautier, P. Garrec, "Dynamic identification of robots with a dry
+           friction model depending on load and velocity", IROS, 2010.
 
         """
         n = len(self._zeros)
@@ -269,10 +284,14 @@ class InverseDynamics:
         speeds = read_joints('width', width, n)
         if not (speeds >= np.finfo(float).tiny).all():  # the inverse of less may be infinite
             raise ConfigurationError(f'width is {width!r}, expected speeds above 0')
+        load_friction = read_joints('load_friction', load_friction, n)
         # All arguments have been checked: a call that fails changes nothing.
         self.loaded.set_joints(columns.DAMPING, damping)
         self.loaded.set_joints(columns.COULOMB, coulomb)
-        self.loaded.set_joints(columns.INVERSE_WIDTH, 1.0 / speeds)
+        # Zero where it has no effect, so that it does not look like a load to generated code.
+        inverse = np.where((coulomb > 0.0) | (load_friction > 0.0), 1.0 / speeds, 0.0)
+        self.loaded.set_joints(columns.INVERSE_WIDTH, inverse)
+        self.loaded.set_joints(columns.LOAD_FRICTION, load_friction)
 
     def set_armature(self, armature: ArrayLike) -> None:
         """
@@ -491,7 +510,13 @@ class InverseDynamics:
         self._efforts_in(only('inertial'), q, zeros, qdd, terms.inertial)
         self.coriolis_efforts(q, qd, terms.velocity)
         self._efforts_in(only('gravity'), q, zeros, zeros, terms.gravity)
-        self._efforts_in(only('friction'), q, qd, zeros, terms.friction)
+        self._efforts_in(only('constant friction'), q, qd, zeros, terms.friction)
+        if self._table[0][columns.HAS_LOAD_FRICTION]:
+            load = self._efforts_in(only('load on gears'), q, qd, qdd)
+            of_joints: Floats = self.loaded.numbers[1 : 1 + len(self._zeros)]
+            step = np.tanh(qd * of_joints[:, columns.INVERSE_WIDTH])
+            friction = terms.friction
+            friction += of_joints[:, columns.LOAD_FRICTION] * np.abs(load) * step
         self._efforts_in(only('external'), q, zeros, zeros, terms.external)
         return terms
 

@@ -13,22 +13,31 @@ from . import columns
 from .jit import IS_COMPILED
 
 _NO_BODIES = (columns.MASS, columns.INERTIA_COLUMNS, columns.BASE_MOTION_COLUMNS)
+_NO_JOINT_TERMS = (columns.JOINT_TERM_COLUMNS, columns.FLAG_COLUMNS)
 TERMS: dict[str, tuple[int | slice, ...]] = {
     'inertial': (
         columns.BASE_MOTION_COLUMNS,
         columns.EXTERNAL_COLUMNS,
         columns.DAMPING,
         columns.COULOMB,
+        columns.LOAD_FRICTION,
+        columns.HAS_LOAD_FRICTION,
     ),
     'velocity': (
         columns.BASE_ACCELERATION_COLUMNS,
         columns.EXTERNAL_COLUMNS,
-        columns.JOINT_TERM_COLUMNS,
-        columns.HAS_JOINT_TERMS,
+        *_NO_JOINT_TERMS,
     ),
-    'gravity': (columns.EXTERNAL_COLUMNS, columns.JOINT_TERM_COLUMNS, columns.HAS_JOINT_TERMS),
-    'friction': (*_NO_BODIES, columns.EXTERNAL_COLUMNS, columns.ARMATURE),
-    'external': (*_NO_BODIES, columns.JOINT_TERM_COLUMNS, columns.HAS_JOINT_TERMS),
+    'gravity': (columns.EXTERNAL_COLUMNS, *_NO_JOINT_TERMS),
+    'constant friction': (
+        *_NO_BODIES,
+        columns.EXTERNAL_COLUMNS,
+        columns.ARMATURE,
+        columns.LOAD_FRICTION,
+        columns.HAS_LOAD_FRICTION,
+    ),
+    'external': (*_NO_BODIES, *_NO_JOINT_TERMS),
+    'load on gears': _NO_JOINT_TERMS,
 }
 """Terms of the efforts, and the columns that are zero in the table that computes each of them."""
 
@@ -92,8 +101,9 @@ class LoadedRobot:
         """Set a column of all joints."""
         rows = self.numbers[1 : 1 + len(values)]
         rows[:, column] = values
-        has_terms = rows[:, [columns.ARMATURE, columns.DAMPING, columns.COULOMB]].any()
-        self.numbers[0, columns.HAS_JOINT_TERMS] = float(has_terms)
+        terms = [columns.ARMATURE, columns.DAMPING, columns.COULOMB, columns.LOAD_FRICTION]
+        self.numbers[0, columns.HAS_JOINT_TERMS] = float(rows[:, terms].any())
+        self.numbers[0, columns.HAS_LOAD_FRICTION] = float(rows[:, columns.LOAD_FRICTION].any())
         for i in range(1 + len(values)):
             self._update(i)
 

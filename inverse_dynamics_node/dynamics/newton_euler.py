@@ -9,7 +9,7 @@ numba, a list of lists for Python, which reads a list several times faster than 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import cos, sin, tanh
+from math import cos, fabs, sin, tanh
 from typing import Any
 
 from .columns import (
@@ -23,11 +23,14 @@ from .columns import (
     EXTERNAL_MOMENT,
     FORCE,
     HAS_JOINT_TERMS,
+    HAS_LOAD_FRICTION,
     inertia,
     INVERSE_WIDTH,
     JOINT,
     JOINT_COUNT,
+    JOINT_TERMS,
     LENGTH,
+    LOAD_FRICTION,
     MASS,
     MOMENT,
     MULTIPLIER,
@@ -39,6 +42,7 @@ from .columns import (
     rotation,
     SINE,
     SLIDES,
+    STEP,
     store,
     vector,
 )
@@ -104,6 +108,8 @@ def inverse_dynamics(
     else:
         clear(tau)
     inward_pass(tau, robot)
+    if robot[0][HAS_LOAD_FRICTION] != 0.0:
+        load_friction(tau, robot)
     return check(tau)
 
 
@@ -287,8 +293,26 @@ def joint_terms(qd: Sequence[float], qdd: Sequence[float], tau: Any, robot: Any)
         row = robot[joint + 1]
         rate = qd[joint]
         tau[joint] = row[ARMATURE] * qdd[joint] + row[DAMPING] * rate
-        if row[COULOMB] != 0.0:
-            tau[joint] += row[COULOMB] * tanh(rate * row[INVERSE_WIDTH])
+        if row[COULOMB] != 0.0 or row[LOAD_FRICTION] != 0.0:
+            row[STEP] = tanh(rate * row[INVERSE_WIDTH])
+            tau[joint] += row[COULOMB] * row[STEP]
+        row[JOINT_TERMS] = tau[joint]
+
+
+@compiled
+def load_friction(tau: Any, robot: Any) -> None:
+    """
+    Add Coulomb friction that grows with the load on the gear to the efforts of the inward pass.
+
+    The load is the effort (47) that links, payloads and external wrenches require. Rotor inertia
+    and friction act on the motor's side of the gear and do not load it.
+
+    """
+    for joint in range(len(tau)):
+        row = robot[joint + 1]
+        if row[LOAD_FRICTION] != 0.0:
+            load = tau[joint] - row[JOINT_TERMS]
+            tau[joint] += row[LOAD_FRICTION] * row[STEP] * fabs(load)
 
 
 @compiled

@@ -6,6 +6,7 @@ import numpy as np
 
 from ..control.control_loop import ControlLoop
 from ..control.settings import expand_per_joint, PerJoint
+from ..dynamics.inverse_dynamics import FRICTION_WIDTH
 from ..dynamics.trajectory import complete, Trajectory
 from ..errors import ConfigurationError
 from ..robot.model import Floats, RobotModel
@@ -86,16 +87,21 @@ def apply_configuration(
 
     damping = of_robot('damping', configuration.damping, loop.robot.damping)
     coulomb = of_robot('coulomb', configuration.coulomb, loop.robot.friction)
+    load_friction = of_robot('load_friction', configuration.load_friction, np.zeros(n))
     armature = of_robot('armature', configuration.armature, np.zeros(n))
-    loop.controller.apply(configuration.settings)
+    widths = configuration.coulomb_width
+    width = FRICTION_WIDTH if isinstance(widths, tuple) else widths  # of the other joints
+    speeds = of_robot('coulomb_width', widths, np.full(n, width))
+    configuration.settings.expanded(m)
     factor = 1.0 if configuration.include_friction else 0.0
-    loop.dynamics.set_friction(factor * damping, factor * coulomb, configuration.coulomb_width)
+    loop.dynamics.set_friction(factor * damping, factor * coulomb, speeds, factor * load_friction)
     loop.dynamics.set_armature(armature)
     loop.loads.apply(configuration.load_settings, configuration.include_gravity)
     loop.external_effort_estimator.filter.cutoff = configuration.external_efforts_cutoff
     is_new = before is not None and before.gravity != configuration.gravity
     if is_new and not loop.has_imu:
         loop.loads.set_gravity(configuration.gravity)
+    loop.controller.apply(configuration.settings)  # blends the effect of the changes above, too
 
 
 def check_configuration(loop: ControlLoop, configuration: Configuration) -> None:

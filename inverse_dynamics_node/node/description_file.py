@@ -1,14 +1,24 @@
-"""Finds the file with the robot description, given as a path or a URI."""
+"""Finds the file with the robot description, given as a path or a URI; runs xacro if needed."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
+import re
+from typing import NamedTuple
 from urllib.parse import unquote, urlsplit
 
 from ..errors import ConfigurationError, UrdfError
 from ..robot.model import RobotModel
 from ..robot.urdf import load_urdf
+
+_XACRO = re.compile(r'(?P<file>.+\.xacro)(?P<arguments>(?:\s+\w+:=\S*)*)\s*', re.S)
+
+
+class _Given(NamedTuple):
+    file: str
+    arguments: dict[str, str] | None
+    """For xacro; None if the file is a URDF."""
 
 
 def load_file(given: str, on_missing_inertial: str) -> RobotModel:
@@ -19,7 +29,8 @@ def load_file(given: str, on_missing_inertial: str) -> RobotModel:
     ----------
     given : str
         An absolute path, a path relative to the working directory or to a home directory (``~``),
-        ``file:///path`` or ``package://package/path``.
+        ``file:///path`` or ``package://package/path``. If it ends in ``.xacro``, the file is
+        processed by xacro first; arguments ``name:=value`` may follow.
     on_missing_inertial : str
         See `load_urdf`.
 
@@ -31,24 +42,53 @@ def load_file(given: str, on_missing_inertial: str) -> RobotModel:
     Raises
     ------
     ConfigurationError
-        If the file or the package does not exist.
+        If the file or the package does not exist, or xacro cannot process the file.
     UrdfError
         If the file cannot be used.
 
     """
+    file, arguments = _split(given)
     try:
-        path = _resolve(given)
-        return load_urdf(path, on_missing_inertial)
+        path = _resolve(file)
+        if arguments is None or not path.exists():
+            return load_urdf(path, on_missing_inertial)
+        return _load_xacro(path, arguments, on_missing_inertial)
     except ConfigurationError as error:
         raise ConfigurationError(f"robot_description_file '{given}': {error}") from None
     except UrdfError as error:
         if not isinstance(error.__cause__, FileNotFoundError):
             raise
         where = ''
-        if given != str(path):
-            is_relative = path == Path.cwd() / given
-            where = f" ('{given}'{f', working directory {Path.cwd()}' if is_relative else ''})"
+        if file != str(path):
+            is_relative = path == Path.cwd() / file
+            where = f" ('{file}'{f', working directory {Path.cwd()}' if is_relative else ''})"
         raise ConfigurationError(f'robot_description_file: no such file: {path}{where}') from None
+
+
+def _split(given: str) -> _Given:
+    match = _XACRO.fullmatch(given)
+    if match is None:
+        return _Given(given, None)
+    pairs = (argument.partition(':=') for argument in match['arguments'].split())
+    return _Given(match['file'], {name: value for name, _, value in pairs})
+
+
+def _load_xacro(path: Path, arguments: dict[str, str], on_missing_inertial: str) -> RobotModel:
+    try:
+        import xacro
+    except ModuleNotFoundError as error:
+        raise ConfigurationError(
+            f'{error}: install xacro (apt install ros-jazzy-xacro, or pip install xacro)'
+        ) from None
+    try:
+        text = xacro.process_file(str(path), mappings=arguments).toprettyxml(indent='  ')
+    except Exception as error:  # any: xacro evaluates Python expressions
+        raise ConfigurationError(f'xacro: {error or repr(error)}') from None
+    try:
+        return load_urdf(text, on_missing_inertial)
+    except UrdfError as error:
+        # The problems have the line numbers of the output of xacro.
+        raise UrdfError(error.problems, f'output of xacro {path}') from None
 
 
 def _resolve(given: str) -> Path:

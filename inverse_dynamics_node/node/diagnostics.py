@@ -21,6 +21,7 @@ from .inputs import Inputs
 from .log import NodeLog
 from .outputs import Outputs
 from .runner import LoopRunner
+from .scheduling import Scheduling
 
 _PERIOD = 1.0  # [s]; recommended by REP-107
 _MAX_LENGTH = 1000  # [characters]; texts contain names from messages and robot descriptions
@@ -40,6 +41,8 @@ class DiagnosticsPublisher:
         For the problems that are also logged.
     clock : Clock
         The steady clock.
+    scheduling : Scheduling
+        Reports the priority of the loop.
 
     """
 
@@ -52,9 +55,11 @@ class DiagnosticsPublisher:
         graph: Graph,
         log: NodeLog,
         clock: Clock,
+        scheduling: Scheduling,
     ) -> None:
         self._node, self._runner, self._inputs = node, runner, inputs
         self._outputs, self._graph, self._log = outputs, graph, log
+        self._scheduling = scheduling
         self._uses_sim_time = bool(node.get_parameter('use_sim_time').value)
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', qos.QUEUED)
         self._last_time = time.monotonic()
@@ -85,7 +90,7 @@ class DiagnosticsPublisher:
                 self._node.get_clock().now().to_msg(),
                 self._node.get_fully_qualified_name(),
                 loop.robot.name if loop else '',
-                statuses,
+                [*statuses, self._scheduling.status()],
             )
         )
 
@@ -101,6 +106,7 @@ class DiagnosticsPublisher:
             receivers=self._outputs.receivers,
             publishers=publisher_count,
             is_active=self._runner.is_active,
+            is_dry_run=not self._runner.gate.is_open,
             state=str(node._state_machine.current_state[1]),
             others=self._graph.others(),
             state_publishers=tuple(publishers),

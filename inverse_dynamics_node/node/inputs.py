@@ -59,6 +59,7 @@ class Inputs:
         self._reader = JointStateReader()
         self.last_joint_state = time.monotonic()
         """Steady time of the last message on joint_states [s]; at first, of the start."""
+        self._R_BS: Floats = np.eye(3)
         self.apply(configuration)
         for kind, topic, callback, profile in (
             (Float64MultiArray, '~/desired_accelerations', self._on_accelerations, qos.RELIABLE),
@@ -92,7 +93,10 @@ class Inputs:
     def apply(self, configuration: Configuration) -> None:
         """Use changed parameters."""
         self._configuration = configuration
-        self._R_BS = rotation_of_rpy(*configuration.imu_orientation)
+        R_BS = rotation_of_rpy(*configuration.imu_orientation)
+        if self._runner.loop is not None and (R_BS != self._R_BS).any():
+            self._runner.loop.loads.expect_other_axes()
+        self._R_BS = R_BS
 
     def read_latest_joint_state(self) -> None:
         """Handle the latest joint state before the executor does."""

@@ -126,14 +126,16 @@ class NodeLog:
                 self._logger.warning(status.message)
         self._last_statuses[status.part] = this
 
-    def report_step(self, now: float, loop: ControlLoop, command: Command) -> None:
+    def report_step(
+        self, now: float, loop: ControlLoop, command: Command, *, is_dry_run: bool
+    ) -> None:
         """Report a change of activity, and repeat the reason while efforts are held at zero."""
         controller = loop.controller
         phase = controller.phase
         # The end of a ramp down is a change within a phase; that of a ramp up is not reported.
         key = (phase, phase in COMPUTING_PHASES or controller.has_effort)
         if key != self._last_activity or phase in _ALARMS:
-            self._report_activity(now, loop, key)
+            self._report_activity(now, loop, key, is_dry_run)
         if loop.collector.late_count:
             self.warn('late', lambda: '; '.join(describe_late(loop, now)))
         if np.count_nonzero(command.is_saturated):  # any() takes longer
@@ -148,7 +150,9 @@ class NodeLog:
             if self._is_due(f'implausible {joint}', _LONG_PERIOD):
                 self._logger.warning(text)
 
-    def _report_activity(self, now: float, loop: ControlLoop, key: tuple[Phase, bool]) -> None:
+    def _report_activity(
+        self, now: float, loop: ControlLoop, key: tuple[Phase, bool], is_dry_run: bool
+    ) -> None:
         if self._last_activity is None:
             for name in loop.collector.without_velocity():
                 self._logger.warning(f"joint_states: no velocity of '{name}', taken as zero")
@@ -159,7 +163,7 @@ class NodeLog:
         if not self._is_due(f'activity {key[0].name} {key[1]}'):
             return  # the next step tries again, so that the latest activity is never missed
         self._last_activity = key
-        text = activity(now, loop)
+        text = activity(now, loop, is_dry_run=is_dry_run)
         if key[0] in _ALARMS:
             self._logger.error(text)
         elif key[0] is Phase.TOO_FAR:

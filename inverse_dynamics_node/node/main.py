@@ -104,10 +104,12 @@ def _run(args: list[str], stop: _Stop, startup: StartupWatch) -> int:
 
     from .node import InverseDynamicsNode
     from .remaps import ineffective_remaps, names_of
+    from .scheduling import Scheduling
     from .watchdog import Watchdog
 
+    scheduling = Scheduling()
     try:
-        node = InverseDynamicsNode(skip_ramp=lambda: stop.count > 1)
+        node = InverseDynamicsNode(lambda: stop.count > 1, scheduling)
     except Exception as error:
         for problem in (str(error) or repr(error)).splitlines():
             rclpy.logging.get_logger('inverse_dynamics').fatal(problem)
@@ -118,14 +120,17 @@ def _run(args: list[str], stop: _Stop, startup: StartupWatch) -> int:
         node.get_logger().warning(problem)
     executor = _make_executor(node.configuration.executor)
     executor.add_node(node)
-    watchdog = Watchdog()
+    watchdog = Watchdog(scheduling.limit_time)
     try:
+        node.apply_scheduling(watchdog.native_id)
         if not stop.count and not node.autostart():
             return 1
         while not stop.count and not node.is_finalized:
             watchdog.spin(executor)
             if watchdog.is_congested:
                 node.catch_up()
+            for text in scheduling.new_reports():
+                node.get_logger().warning(text)
     finally:
         node.shut_down()
         watchdog.close()

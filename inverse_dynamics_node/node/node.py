@@ -32,6 +32,7 @@ from .ros_parameters import (
     values_of,
 )
 from .runner import LoopRunner
+from .scheduling import Scheduling
 from .services import Services
 from .trajectory_filler import TrajectoryFiller
 
@@ -53,12 +54,20 @@ class InverseDynamicsNode(LifecycleNode):
     ----------
     skip_ramp : callable, optional
         Returns whether to cut the stop ramp short.
+    scheduling : Scheduling, optional
+        Sets the priority of the threads; created before the node.
     **kwargs
         Passed to `LifecycleNode`.
 
     """
 
-    def __init__(self, skip_ramp: Callable[[], bool] = lambda: False, **kwargs: Any) -> None:
+    def __init__(
+        self,
+        skip_ramp: Callable[[], bool] = lambda: False,
+        scheduling: Scheduling | None = None,
+        **kwargs: Any,
+    ) -> None:
+        self._scheduling = scheduling or Scheduling()
         super().__init__('inverse_dynamics', **kwargs)
         contain_errors(self)
         declare_parameters(self)
@@ -97,7 +106,14 @@ class InverseDynamicsNode(LifecycleNode):
         self._inputs = Inputs(self, self._runner, self._outputs, filler, self._configuration)
         Services(self, self._runner)
         self._diagnostics = DiagnosticsPublisher(
-            self, self._runner, self._inputs, self._outputs, self._graph, log, steady
+            self,
+            self._runner,
+            self._inputs,
+            self._outputs,
+            self._graph,
+            log,
+            steady,
+            self._scheduling,
         )
         self.create_timer(_SUBSCRIBERS_PERIOD, self._find_subscribers, clock=steady)
 
@@ -109,6 +125,25 @@ class InverseDynamicsNode(LifecycleNode):
     def configuration(self) -> Configuration:
         """The current values of all parameters."""
         return self._configuration
+
+    def apply_scheduling(self, guard: int) -> None:
+        """
+        Set priority and CPUs of the threads, and lock the memory, as the parameters request.
+
+        Parameters
+        ----------
+        guard : int
+            Native id of the thread that calls `Scheduling.limit_time`.
+
+        """
+        values = self._configuration
+        is_well, text = self._scheduling.apply(
+            values.thread_priority, values.cpu_affinity, values.lock_memory, guard
+        )
+        if is_well:
+            self.get_logger().info(text)
+        else:
+            self.get_logger().warning(text)
 
     # Life cycle
 
@@ -172,7 +207,10 @@ class InverseDynamicsNode(LifecycleNode):
         if result == _SUCCESS:
             self._runner.start()
         joints = ', '.join(self._runner.loop.controller.joints)
-        self.get_logger().info(f'efforts for {joints} to {self._graph.with_subscribers()}')
+        to = f'to {self._graph.with_subscribers()}'
+        if self._configuration.dry_run:
+            to = self._outputs.describe_dry_run(to)
+        self.get_logger().info(f'efforts for {joints} {to}')
         self._may_autostart = False
         return result
 
@@ -212,7 +250,8 @@ class InverseDynamicsNode(LifecycleNode):
     def _configure(self) -> None:
         configuration = read_configuration(self)
         self._use_configuration(configuration)
-        loop = make_loop(configuration, self._description)
+        with self._scheduling.normal_priority():
+            loop = make_loop(configuration, self._description)
         self._graph.expect_discovery()
         if configuration.stop_ramp >= _LAUNCH_SIGTERM_TIMEOUT:
             self.get_logger().warning(

@@ -43,6 +43,9 @@ class Outputs:
         self._clock = node.get_clock()
         self.commands = publisher(Float64MultiArray, '~/commands')
         self._joint_efforts = publisher(JointState, '~/joint_efforts')
+        own_name = f'{node.get_fully_qualified_name()}/joint_efforts'
+        self.may_command_by_name: bool = self._joint_efforts.topic_name != own_name
+        """Whether ~/joint_efforts is remapped, as for a robot that takes commands by name."""
         self._terms = [publisher(JointState, f'~/terms/{term}') for term in EffortTerms._fields]
         self._external_efforts = publisher(JointState, '~/external_efforts')
         self._base_wrench = publisher(WrenchStamped, '~/base_wrench')
@@ -72,7 +75,7 @@ class Outputs:
         """Whether a topic that is computed from measured efforts has a subscriber."""
         return self._external_efforts in self._subscribed
 
-    def publish_command(self, loop: ControlLoop, efforts: Floats) -> None:
+    def publish_command(self, loop: ControlLoop, efforts: Floats, sent: Floats | None) -> None:
         """
         Publish efforts of the commanded joints.
 
@@ -81,17 +84,29 @@ class Outputs:
         loop : ControlLoop
             The loop whose joints they are for.
         efforts : ndarray, shape (m,)
-            Efforts [N m or N].
+            Computed efforts [N m or N].
+        sent : ndarray, shape (m,), or None
+            Efforts for the robot [N m or N]; None in a dry run.
 
         """
-        self.commands.publish(serialize_numbers(efforts))
-        if self._joint_efforts in self._subscribed:
-            self._publish_efforts(self._joint_efforts, loop.controller.joints, efforts)
+        if sent is not None:
+            self.commands.publish(serialize_numbers(sent))
+        by_name = sent if self.may_command_by_name else efforts
+        if by_name is not None and self._joint_efforts in self._subscribed:
+            self._publish_efforts(self._joint_efforts, loop.controller.joints, by_name)
+
+    def describe_dry_run(self, to: str) -> str:
+        """Describe where efforts are published in a dry run, and `to` which topic they are not."""
+        if self.may_command_by_name:
+            by_name = self._joint_efforts.topic_name
+            return f'are computed: dry run, nothing is sent {to}, nor to {by_name}'
+        return f'on ~/joint_efforts only: dry run, nothing is sent {to}'
 
     def publish_zeros(self, loop: ControlLoop) -> None:
         """Publish zeros, and wait until they have been delivered."""
+        zeros = np.zeros(len(loop.controller.joints))
         for _ in range(3):  # best-effort subscribers do not acknowledge
-            self.publish_command(loop, np.zeros(len(loop.controller.joints)))
+            self.publish_command(loop, zeros, zeros)
         for publisher in (self.commands, self._joint_efforts):
             publisher.wait_for_all_acked(Duration(seconds=1))
 

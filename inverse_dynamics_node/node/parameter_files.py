@@ -67,8 +67,12 @@ def parameter_file() -> str:
         if parameter.is_live:
             remarks.append('live')
         suffix = f' ({", ".join(remarks)})' if remarks else ''
-        comment = _comment(f'{parameter.description}.{suffix}')
-        parts.append(f'{comment}\n    {name}: {parameter.default_text}\n')
+        note = f' Default: {parameter.default_note}.' if parameter.default_note else ''
+        comment = _comment(f'{parameter.description}.{note}{suffix}')
+        line = f'    {name}: {parameter.default_text}'
+        if parameter.default_note:
+            line = f'    # {name}: false'
+        parts.append(f'{comment}\n{line}\n')
     comment = _comment(f'{LOCKED_POSITION.description}.')
     parts.append(f'{comment}\n    # {LOCKED}:\n    #   gripper_joint: 0.02\n')
     return _YAML_HEADER + '\n'.join(parts)

@@ -51,6 +51,20 @@ def _number(value: Any) -> float:
     return float(value)
 
 
+def _integer(value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise TypeError
+    return value
+
+
+def _cpus(value: Any) -> tuple[int, ...]:
+    if isinstance(value, str):
+        raise TypeError
+    return (
+        () if value == -1 else tuple(map(_integer, [value] if isinstance(value, int) else value))
+    )
+
+
 def _vector(value: Any) -> tuple[float, ...]:
     if isinstance(value, str) or len(value) != 3:
         raise ValueError
@@ -75,6 +89,8 @@ def _names(value: Any) -> tuple[str, ...]:
 TEXT = Kind('a text', _text)
 FLAG = Kind('true or false', _flag)
 NUMBER = Kind('a finite number', _number, is_numeric=True)
+INTEGER = Kind('an integer', _integer, is_numeric=True)
+CPUS = Kind('-1, or an integer or a list of integers from 0', _cpus)
 VECTOR = Kind(
     'three finite numbers, all with a decimal point or all without', _vector, is_numeric=True
 )
@@ -86,6 +102,8 @@ _KINDS = {
     str: TEXT,
     bool: FLAG,
     float: NUMBER,
+    int: INTEGER,
+    tuple[int, ...]: CPUS,
     tuple[float, float, float]: VECTOR,
     PerJoint: NUMBERS,
     tuple[str, ...]: NAMES,
@@ -118,6 +136,8 @@ class Parameter:
     """Whether a change applies at once; otherwise when the node is configured again."""
     is_read_only: bool = False
     """Whether the value is read only when the process starts."""
+    default_note: str = ''
+    """Describes a default that depends on the machine."""
 
     @property
     def description(self) -> str:
@@ -144,7 +164,9 @@ class Parameter:
 
     @property
     def default_text(self) -> str:
-        """The default as in a parameter file."""
+        """The default as in a parameter file, or the note on it."""
+        if self.default_note:
+            return self.default_note
         if isinstance(self.default, bool):
             return str(self.default).lower()
         return repr(self.default)

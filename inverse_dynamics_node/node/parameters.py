@@ -18,6 +18,7 @@ from typing import get_type_hints
 
 from ..control.settings import LoadSettings, Mode, PerJoint, Settings, StalePolicy
 from ..dynamics.inverse_dynamics import FRICTION_WIDTH, STANDARD_GRAVITY
+from .memory_lock import has_realtime_kernel
 from .parameter_types import kind_of, NUMBER, Parameter, parameter
 
 _SETTINGS = Settings()
@@ -59,7 +60,10 @@ class Configuration:
         is_live=False,
     )
     robot_description_file: str = parameter(
-        '', 'URDF file: a path, `package://PACKAGE/PATH` or `file:///PATH`', is_live=False
+        '',
+        'URDF or xacro file: a path, `package://PACKAGE/PATH` or `file:///PATH`',
+        'The file name of a xacro file ends in `.xacro`; arguments `name:=value` may follow',
+        is_live=False,
     )
     joints: tuple[str, ...] = parameter(
         [''],
@@ -85,6 +89,12 @@ class Configuration:
         minimum=0.0,
         maximum=10_000.0,
         is_live=False,
+    )
+    dry_run: bool = parameter(
+        False,
+        'Compute, check and publish everything, but send no `~/commands`',
+        'Switched on while the node commands: these fall to zero within `stop_ramp`, zeros follow '
+        'for 0.5 s, then nothing. Switched off: they rise from zero within `start_ramp`',
     )
     mode: Mode = parameter(
         _SETTINGS.mode.value,
@@ -153,7 +163,10 @@ class Configuration:
         True, 'Set to false if the driver compensates gravity itself: UR, Franka, KUKA FRI'
     )
     include_friction: bool = parameter(
-        False, 'Add the efforts that overcome friction: `damping` and `coulomb`'
+        False,
+        'Add the efforts that overcome friction',
+        '`damping` * qd + (`coulomb` + `load_friction` * |load|) * tanh(qd / `coulomb_width`), '
+        'with the load of `load_friction`',
     )
     damping: PerJoint = parameter(
         VALUE_OF_URDF,
@@ -167,12 +180,20 @@ class Configuration:
         unit='N m, N',
         minimum=VALUE_OF_URDF,
     )
-    coulomb_width: float = parameter(
+    coulomb_width: PerJoint = parameter(
         FRICTION_WIDTH,
         'Speed over which Coulomb friction is smoothed',
         unit='rad/s, m/s',
         minimum=1e-6,
         maximum=100.0,
+    )
+    load_friction: PerJoint = parameter(
+        0.0,
+        'Increase of Coulomb friction per load on the gear: 0.05 is 5 % of it',
+        'The load is the effort that moves and holds the links, payloads and external wrenches '
+        'included. `armature` and friction are on the side of the motor and are no part of it',
+        minimum=0.0,
+        maximum=10.0,
     )
     armature: PerJoint = parameter(
         0.0,
@@ -271,6 +292,28 @@ class Configuration:
     executor: Executor = parameter(
         Executor.EVENTS.value,
         'The executor of rclpy. `single_threaded` is slower',
+        is_live=False,
+        is_read_only=True,
+    )
+    thread_priority: int = parameter(
+        50,
+        'Priority of the control loop and the middleware in the scheduling policy `SCHED_FIFO`',
+        'Without the permission they keep normal priority, and a warning is logged',
+        minimum=1,
+        maximum=99,
+        is_live=False,
+        is_read_only=True,
+    )
+    lock_memory: bool = parameter(
+        has_realtime_kernel(),
+        'Keep the memory of the process from being swapped out',
+        is_live=False,
+        is_read_only=True,
+        default_note='true with a real-time kernel, otherwise false',
+    )
+    cpu_affinity: tuple[int, ...] = parameter(
+        -1,
+        'The CPU, or list of CPUs, of the control loop and the middleware. -1: all',
         is_live=False,
         is_read_only=True,
     )

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 
 from ..errors import ConfigurationError, did_you_mean
-from .parameter_types import Parameter
+from .parameter_types import INTEGER, Parameter
 from .parameters import (
     Configuration,
     LOCKED,
@@ -17,6 +17,7 @@ from .parameters import (
     PARAMETERS,
     VALUE_OF_URDF,
 )
+from .scheduling import available_cpus
 
 _QOS = 'qos_overrides'  # prefix of parameters that rclpy declares
 
@@ -174,7 +175,14 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     )
     if parameter.range:
         lowest, highest = parameter.range
-        descriptor.floating_point_range = [FloatingPointRange(from_value=lowest, to_value=highest)]
+        if parameter.kind is INTEGER:
+            descriptor.integer_range = [
+                IntegerRange(from_value=int(lowest), to_value=int(highest))
+            ]
+        else:
+            descriptor.floating_point_range = [
+                FloatingPointRange(from_value=lowest, to_value=highest)
+            ]
     return descriptor
 
 
@@ -192,6 +200,13 @@ def _problems(values: dict[str, Any]) -> list[str]:
     if 0.0 < checked.get('update_rate', 0.0) < 1.0:
         problems.append(
             f"parameter 'update_rate' is {checked['update_rate']:g}, expected 0 or at least 1"
+        )
+    unknown = sorted(set(checked.get('cpu_affinity', ())) - available_cpus())
+    if unknown:
+        expected = ', '.join(map(str, sorted(available_cpus())))
+        problems.append(
+            f"parameter 'cpu_affinity' contains {unknown[0]}, expected CPUs of this process: "
+            f'{expected}'
         )
     # The range includes -1 for the value in the URDF; other negative numbers are invalid.
     for name in ('damping', 'coulomb'):

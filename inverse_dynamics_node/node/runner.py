@@ -9,8 +9,9 @@ from rclpy.clock import Clock
 from rclpy.lifecycle import LifecycleNode
 from rclpy.timer import Timer
 
+from ..control.command_gate import CommandGate
 from ..control.control_loop import ControlLoop
-from ..control.controller import COMPUTING_PHASES
+from ..control.controller import Command, COMPUTING_PHASES
 from ..control.monitor import Monitor
 from ..errors import JointStateError, shortened_lines
 from .description_loader import DescriptionLoader
@@ -63,8 +64,9 @@ class LoopRunner:
         """The loop for the current robot description; None while the node is unconfigured."""
         self.is_active = False
         self.monitor = Monitor()
+        self.gate = CommandGate()
         self.loader = DescriptionLoader()
-        self._has_commanded = False
+        self._last_step = 0.0
         self._timers: list[Timer] = []
 
     def configure(self, loop: ControlLoop, configuration: Configuration) -> None:
@@ -121,7 +123,7 @@ class LoopRunner:
         self._outputs.find_subscribers()
         self._log.begin()
         self.is_active = True
-        self._has_commanded = False
+        self.gate.reset(is_dry_run=self._configuration.dry_run)
 
     def reject(self, topic: str, reason: object) -> None:
         """Count and log a message that cannot be used."""
@@ -140,22 +142,53 @@ class LoopRunner:
         """
         assert self.loop is not None
         began = time.perf_counter()
+        if self.gate.is_open is self._configuration.dry_run:
+            self._switch_dry_run()
         command = self.loop.step(now)
         if command is None:
             self._log.report_waiting(self._missing)
             return
-        self._has_commanded = True
-        self._outputs.publish_command(self.loop, command.efforts)
+        self._publish(now, command)
         took = time.perf_counter() - began
         self.monitor.step(now, took, command, self.loop.controller.joints)
-        self._log.report_step(now, self.loop, command)
+        self._log.report_step(now, self.loop, command, is_dry_run=not self.gate.is_open)
         if self.loop.controller.phase in COMPUTING_PHASES:
             self._explain(self.loop)
+
+    def _publish(self, now: float, command: Command) -> None:
+        assert self.loop is not None
+        elapsed = min(max(0.0, now - self._last_step), self.loop.controller.longest_gap)
+        self._last_step = now
+        sent = self.gate.select(command.efforts, elapsed)
+        self._outputs.publish_command(self.loop, command.efforts, sent)
+
+    def _switch_dry_run(self) -> None:
+        """Begin a dry run, or end it as soon as the commands are zero."""
+        assert self.loop is not None
+        if self.gate.is_open:
+            has_sent = self.gate.has_sent
+            self.gate.close(self._configuration.stop_ramp)
+            after = f', after the stop ramp ({self._configuration.stop_ramp:g} s)' * has_sent
+            self._node.get_logger().info(f'dry run: no more commands{after}')
+        elif self.gate.may_open:
+            is_disabled = self.loop.controller.is_stopping
+            self.loop.start()
+            if is_disabled:
+                self.loop.controller.stop()
+            self.gate.open()
+            self._node.get_logger().info(
+                f'end of the dry run: efforts rise from zero, to {self._graph.with_subscribers()}'
+            )
+        else:
+            return
+        self._log.begin()
 
     def _missing(self) -> list[str]:
         assert self.loop is not None
         return self.loop.missing(
-            self._graph.with_publishers('joint_states'), self._graph.with_publishers('imu')
+            self._graph.with_publishers('joint_states'),
+            self._graph.with_publishers('imu'),
+            self.now(),
         )
 
     def _explain(self, loop: ControlLoop) -> None:
@@ -227,8 +260,10 @@ class LoopRunner:
         """
         assert self.loop is not None
         self.is_active = False
-        if not self._has_commanded:
-            return  # this node has not commanded the robot
+        if not self.gate.has_sent:  # the robot does not depend on this node
+            if not self.gate.is_open:
+                self._node.get_logger().info(f'stopped: {reason} (dry run: nothing to ramp down)')
+            return
         self._node.get_logger().info(f'ramping efforts down: {reason}')
         try:
             self._follow_stop_ramp(self.loop)
@@ -239,10 +274,10 @@ class LoopRunner:
     def _follow_stop_ramp(self, loop: ControlLoop) -> None:
         loop.controller.stop()
         start, steady_start = self.now(), time.monotonic()
-        while loop.controller.has_effort and not self._skip_ramp():
+        while self.gate.has_effort and not self._skip_ramp():
             time.sleep(self._watch_period)
             # Simulated time does not advance during a callback.
             now = start + time.monotonic() - steady_start
             command = loop.step(now)
             assert command is not None
-            self._outputs.publish_command(loop, command.efforts)
+            self._publish(now, command)

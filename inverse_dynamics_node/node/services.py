@@ -42,6 +42,8 @@ class Services:
             loop.reference = None
         response.success = True
         response.message = f'efforts {"rise" if request.data else "fall to zero"} along the ramp'
+        if not self._runner.gate.is_open:
+            response.message += ' (dry run: nothing is sent)'
         self._logger.info(response.message)
         return response
 

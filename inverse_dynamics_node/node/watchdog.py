@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 import threading
 import time
 from typing import Any
@@ -25,9 +26,15 @@ class Watchdog:
     between two events, and the caller does everything that is overdue. The events stay in the
     queue. A new executor would drop them, but in rclpy 7.1 services no longer answer after that.
 
+    Parameters
+    ----------
+    check : callable, optional
+        Called by the thread about twenty times a second.
+
     """
 
-    def __init__(self) -> None:
+    def __init__(self, check: Callable[[], None] = lambda: None) -> None:
+        self._check = check
         self.is_congested = False
         """Whether the last spin had to be interrupted."""
         self._future = Future()
@@ -49,6 +56,12 @@ class Watchdog:
         self._deadline = float('inf')
         self.is_congested = future.done()
 
+    @property
+    def native_id(self) -> int:
+        """Id of the thread in the kernel."""
+        assert self._thread.native_id is not None
+        return self._thread.native_id
+
     def close(self) -> None:
         """End the thread."""
         self._is_closed.set()
@@ -61,3 +74,4 @@ class Watchdog:
             future = self._future
             if time.monotonic() > self._deadline and not future.done():
                 future.set_result(None)
+            self._check()

@@ -9,6 +9,10 @@ controller may therefore start late and ramp up its efforts without dropping the
 ``brakes`` reports whether they are on. Once open they stay open, even if the commands stop, unless
 the sensors are lost.
 
+With ``--drive``, a position controller holds the arm in place of the brakes, and its efforts are
+those that an arm reports while its own controller holds it. It takes over again when the commands
+stop.
+
 Four topics disturb the robot:
 
 - ``~/payload`` attaches a load to a link, or removes it by a mass of 0;
@@ -49,6 +53,7 @@ from ..errors import InverseDynamicsError
 from ..robot.kinematics import rotation_of_rpy
 from ..robot.model import Floats
 from ..robot.urdf import load_urdf
+from .drive import PositionDrive
 from .mujoco.hardware import MujocoRobot
 from .mujoco.model import SimulationError
 from .tilt import Tilt
@@ -57,6 +62,7 @@ from .trajectory import start_pose
 MOST_LAG = 0.5  # [s]: simulated time lags behind the steady clock by this much at most
 COMPLAINT_PERIOD = 5.0  # [s] between errors: invalid commands may arrive at thousands per second
 GAP = 0.1  # [s]: a longer gap between commands restarts the time to the release of the brakes
+SILENCE = 0.5  # [s]: after this long without commands, a drive takes over
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -72,6 +78,8 @@ class RobotNode(Node):
         Time for which commands must have arrived before the brakes open [s].
     imu_orientation : array_like, shape (3,)
         Roll, pitch and yaw of the IMU in the base frame [rad].
+    drive : PositionDrive, optional
+        Holds the robot in place of the brakes.
     **options
         Arguments of rclpy's ``Node``.
 
@@ -82,10 +90,12 @@ class RobotNode(Node):
         robot: MujocoRobot,
         brake_release: float,
         imu_orientation: Sequence[float] = (0.0, 0.0, 0.0),
+        drive: PositionDrive | None = None,
         **options: Any,
     ) -> None:
         super().__init__('simulated_robot', **options)
         self._robot = robot
+        self._drive = drive
         self._R_BS = rotation_of_rpy(*imu_orientation)
         self._tilt = Tilt()
         self._has_sensors = True
@@ -113,11 +123,16 @@ class RobotNode(Node):
         ):
             self.create_subscription(message, topic, callback, 10)
         # The first call of a logger takes tens of milliseconds, too long for the loop.
-        self.get_logger().info(f'{robot.robot.name!r} stands with its brakes on')
+        held, topic = 'stands with its brakes on', self.resolve_topic_name('commands')
+        if drive is not None:
+            held = f'is held by its position controller; it awaits commands on {topic}'
+        self.get_logger().info(f'{robot.robot.name!r} {held}')
 
     def advance(self, duration: float) -> None:
         """Advance the simulation by a duration [s], and publish the new state."""
         self._robot.world.set_base_motion(*self._tilt.motion(self._elapsed))
+        if self._drive is not None:
+            self._act(self._drive)
         self._robot.advance(duration)
         self._elapsed += duration
         if self._began is None:
@@ -129,6 +144,13 @@ class RobotNode(Node):
             self._publish_state(stamp)
         if self._imus.get_subscription_count():
             self._publish_imu(stamp)
+
+    def _act(self, drive: PositionDrive) -> None:
+        if not drive.is_on and self._elapsed - self._last_command > SILENCE:
+            drive.take_over(self._elapsed)
+            self.get_logger().info('no commands: the position controller of the robot holds it')
+        if drive.is_on:
+            drive.act(self._elapsed)
 
     def _publish_state(self, stamp: Any) -> None:
         positions, velocities, efforts = self._robot.state()
@@ -185,9 +207,10 @@ class RobotNode(Node):
         fault = self._fault(message)
         if fault:
             self._ignore(fault)
-        else:
+            return
+        self._update_brakes()
+        if self._drive is None or not self._drive.is_on:
             self._robot.command(message.data)
-            self._update_brakes()
 
     def _fault(self, message: Float64MultiArray) -> str:
         expected = len(self._robot.command_names)
@@ -212,7 +235,12 @@ class RobotNode(Node):
         if now - self._last_command > GAP or not self._has_sensors:
             self._flow_began = now
         self._last_command = now
-        if self._robot.brakes_on and now - self._flow_began >= self._brake_release:
+        if now - self._flow_began < self._brake_release:
+            return
+        if self._drive is not None and self._drive.is_on:
+            self._drive.is_on = False
+            self.get_logger().info('the robot follows the commands')
+        if self._robot.brakes_on:
             self._set_brakes(False)
 
     def _set_brakes(self, on: bool) -> None:
@@ -275,7 +303,11 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _serve(hardware: MujocoRobot, options: argparse.Namespace, stop: Callable[[], bool]) -> None:
-    node = RobotNode(hardware, options.brake_release, options.imu_orientation)
+    drive = None
+    if options.drive or options.sway:
+        hardware.brakes_on = False
+        drive = PositionDrive(hardware, options.sway)
+    node = RobotNode(hardware, options.brake_release, options.imu_orientation, drive)
     executor = EventsExecutor()
     executor.add_node(node)
     try:
@@ -307,6 +339,12 @@ def _parse(arguments: list[str]) -> argparse.Namespace:
         default=[],
         metavar='JOINT',
         help='joints that hold their position and accept no commands, such as those of a gripper',
+    )
+    parser.add_argument(
+        '--drive', action='store_true', help='a position controller replaces the brakes'
+    )
+    parser.add_argument(
+        '--sway', action='store_true', help='the same, and it moves every joint back and forth'
     )
     parser.add_argument(
         '--armature',

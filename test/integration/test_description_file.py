@@ -1,8 +1,9 @@
 """The parameter robot_description_file: paths, package:// and file://."""
 
 import shutil
+import sys
 
-from inverse_dynamics_node.errors import ConfigurationError
+from inverse_dynamics_node.errors import ConfigurationError, UrdfError
 from inverse_dynamics_node.node.description_file import load_file
 import pytest
 from robot_files import STANFORD
@@ -68,6 +69,59 @@ def test_a_file_that_is_not_there_is_named_in_full(workspace, given, message):
     with pytest.raises(ConfigurationError) as caught:
         load_file(given, 'warn')
     assert message.format(here=workspace) in str(caught.value)
+
+
+XACRO = """<?xml version="1.0"?>
+<robot name="stanford" xmlns:xacro="http://www.ros.org/wiki/xacro">
+  <xacro:arg name="hand" default=""/>
+  <xacro:arg name="mass" default="1.0"/>
+  <link name="base"/>
+  <link name="$(arg hand)tip">
+    <inertial>
+      <mass value="${2 * $(arg mass)}"/>
+      <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>
+    </inertial>
+  </link>
+  <joint name="hinge" type="continuous"><parent link="base"/><child link="$(arg hand)tip"/></joint>
+</robot>
+"""
+
+
+@pytest.mark.parametrize(
+    ('given', 'tip', 'mass'),
+    [
+        ('my arm.urdf.xacro', 'tip', 2.0),
+        ('package://my_robot/urdf/arm.xacro', 'tip', 2.0),
+        ('{here}/my arm.urdf.xacro hand:=left_ mass:=1.5', 'left_tip', 3.0),
+        ('file://{here}/my%20arm.urdf.xacro mass:=4 ', 'tip', 8.0),
+    ],
+)
+def test_xacro_files_are_processed_with_their_arguments(workspace, given, tip, mass):
+    pytest.importorskip('xacro')
+    (workspace / 'my arm.urdf.xacro').write_text(XACRO)
+    (workspace / 'install/share/my_robot/urdf/arm.xacro').write_text(XACRO)
+    robot = load_file(given.format(here=workspace), 'warn')
+    assert robot.link_names[-1] == tip
+    assert robot.mass.sum() == mass
+
+
+def test_problems_of_xacro_files_name_the_file(workspace):
+    pytest.importorskip('xacro')
+    (workspace / 'arm.xacro').write_text(XACRO.replace('2 *', '2 * nope *'))
+    with pytest.raises(ConfigurationError, match=r"'arm.xacro': xacro: .*nope"):
+        load_file('arm.xacro', 'warn')
+    (workspace / 'arm.xacro').write_text(XACRO)
+    with pytest.raises(UrdfError, match=f'output of xacro {workspace}/arm.xacro: .*mass'):
+        load_file('arm.xacro mass:=-1', 'warn')
+    with pytest.raises(ConfigurationError, match=f'no such file: {workspace}/your.xacro'):
+        load_file('your.xacro mass:=1', 'warn')
+
+
+def test_without_xacro_the_message_says_how_to_install_it(workspace, monkeypatch):
+    (workspace / 'arm.xacro').write_text(XACRO)
+    monkeypatch.setitem(sys.modules, 'xacro', None)
+    with pytest.raises(ConfigurationError, match='apt install ros-jazzy-xacro'):
+        load_file('arm.xacro', 'warn')
 
 
 def test_package_without_a_workspace(workspace, monkeypatch):

@@ -204,10 +204,10 @@ def test_invalid_messages_are_dropped_with_a_reason(
 
 
 def test_terms_add_up_to_the_efforts(run_node, robot, dynamics):
-    run_node(**PATIENT, include_friction=True, damping=0.5, coulomb=0.2)
+    run_node(**PATIENT, include_friction=True, damping=0.5, coulomb=0.2, load_friction=0.1)
     robot.publish_state(NAMES, Q, QD)
     robot.publish_accelerations(QDD)
-    dynamics.set_friction(0.5, 0.2)
+    dynamics.set_friction(0.5, 0.2, load_friction=0.1)
     robot.wait_for_command(dynamics.efforts(Q, QD, QDD))
     expected = dynamics.effort_terms(Q, QD, QDD)._asdict()
     total = np.zeros(6)

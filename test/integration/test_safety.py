@@ -13,8 +13,10 @@ from geometry_msgs.msg import Inertia, InertiaStamped
 from inverse_dynamics_node import InverseDynamics, load_urdf
 import numpy as np
 import pytest
+from rcl_interfaces.srv import SetParameters
 import rclpy.lifecycle.node
 import rclpy.node
+from rclpy.parameter import Parameter
 from robot_files import ROOT, STANFORD
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, Header
@@ -142,6 +144,23 @@ def test_two_arms_in_separate_namespaces(run_node, robot):
     assert not left
 
 
+def test_an_activation_waits_for_a_new_joint_state(run_node, robot):
+    node = run_node(**{**FAST, 'state_timeout': 0.5})
+    robot.publish_state(NAMES, Q, ZERO)
+    robot.wait_for_command(HOLD)
+    assert robot.change_state('deactivate')
+    robot.state = None
+    ticks = robot.sent
+    robot.wait_until(lambda: robot.sent > ticks + 120, 'an old joint state')
+    robot.commands.clear()
+    assert robot.change_state('activate')
+    robot.wait_for_text(node, f'no command yet: waiting for new joint states of {NAMES[0]}')
+    assert not robot.commands
+    robot.publish_state(NAMES, Q, ZERO)
+    robot.wait_for_command(HOLD)
+    assert ZERO.tolist() not in robot.commands
+
+
 def heavier(text):
     return re.sub('<mass value="([^"]*)"', lambda m: f'<mass value="{1.2 * float(m[1])}"', text)
 
@@ -187,6 +206,54 @@ def test_changed_parameters_cause_no_jump(run_node, robot):
     assert robot.set_parameter('include_gravity', False).successful
     robot.wait_for_command(ZERO)
     assert_ramped(robot, since, HOLD, HOLD)
+
+
+def test_changed_load_friction_causes_no_jump(run_node, robot):
+    run_node(**RAMPED, include_friction=True, coulomb=1.0, coulomb_width=[0.1, 0.2, *[0.1] * 4])
+    velocities = np.array([-0.2, 0.3, -0.4, 0.1, 0.2, -0.3])
+    dynamics = InverseDynamics(load_urdf(STANFORD))
+    width = [0.1, 0.2, 0.1, 0.1, 0.1, 0.1]
+    eta = [0.9, 0.8, 0.9, 0.9, 0.9, 0.9]
+    dynamics.set_friction(coulomb=1.0, width=width)
+    before = dynamics.efforts(Q, velocities, ZERO)
+    dynamics.set_friction(coulomb=1.0, width=width, load_friction=eta)
+    after = dynamics.efforts(Q, velocities, ZERO)
+    assert np.abs(after - before).max() > 0.5 * np.abs(before).max()
+    robot.publish_state(NAMES, Q, velocities)
+    robot.wait_for_command(before)
+    since = time.monotonic()
+    assert robot.set_parameter('load_friction', eta).successful
+    robot.wait_for_command(after)
+    assert_ramped(robot, since, before, after - before)
+    result = robot.set_parameter('load_friction', [0.1, 0.2])
+    assert 'load_friction has 2 numbers, expected one, or one for each of 6' in result.reason
+    assert 'expected 1e-06 to 100' in robot.set_parameter('coulomb_width', [0.0] * 6).reason
+
+
+def test_efforts_follow_the_joints_while_parameters_change_all_the_time(run_node, robot):
+    run_node(**PATIENT)
+    robot.publish_state(NAMES, Q, ZERO)
+    robot.wait_for_command(HOLD)
+    assert robot.set_parameter('start_ramp', 60.0).successful
+    client = robot.node.create_client(SetParameters, 'inverse_dynamics/set_parameters')
+    robot.wait_until(client.service_is_ready, 'service')
+    futures = []
+
+    def tune():
+        if not futures or futures[-1].done():
+            value = Parameter('kp', value=100.0 + len(futures) % 2).to_parameter_msg()
+            futures.append(client.call_async(SetParameters.Request(parameters=[value])))
+
+    timer = robot.node.create_timer(0.001, tune)
+    first = robot.sent
+    while robot.sent < first + 200:  # the arm moves
+        fraction = (robot.sent - first) / 200
+        robot.publish_state(NAMES, Q + fraction * (ELSEWHERE - Q), ZERO)
+        robot.executor.spin_once(timeout_sec=0.05)
+    robot.publish_state(NAMES, ELSEWHERE, ZERO)
+    robot.wait_for_command(HOLD_ELSEWHERE, tolerance=1e-6)
+    robot.node.destroy_timer(timer)
+    assert len(futures) > 20
 
 
 def push_joint(robot, effort):

@@ -1,5 +1,6 @@
 """Laws that every command obeys, whatever happens between two steps."""
 
+from itertools import chain
 import math
 
 from hypothesis import given, settings
@@ -37,9 +38,13 @@ times = st.one_of(
 )
 inputs = st.sampled_from(['fresh', 'fresh', 'fresh', 'lost', 'none', 'absurd'])
 events = st.one_of(
-    st.sampled_from(['stop', 'resume', 'start', 'heavier', 'other robot']), some_settings
+    st.sampled_from(['stop', 'resume', 'start', 'again', 'heavier', 'other robot']),
+    some_settings,
 )
-scenes = st.lists(st.tuples(events, st.lists(st.tuples(times, inputs), max_size=12)), max_size=12)
+steps = st.tuples(times, inputs)
+tuning = st.lists(steps, max_size=12).map(lambda some: [('again', [step]) for step in some])
+acts = st.tuples(events, st.lists(steps, max_size=12)).map(lambda act: [act])
+scenes = st.lists(st.one_of(acts, acts, tuning), max_size=12).map(lambda some: [*chain(*some)])
 
 
 class Watched:
@@ -49,12 +54,14 @@ class Watched:
         self.controller = Controller(InverseDynamics(ROBOT), (), Settings(**first))
         self.accelerations = np.array(accelerations)
         self.now, self.last = 100.0, np.zeros(2)
-        self.has_changed = self.was_falling = False
+        self.has_changed = self.changed_before = self.was_falling = False
+        self.has_event = False
         self.fallen = 0.0
 
     def happen(self, event):
         ours = self.controller
         self.has_changed = event not in ('stop', 'resume')
+        self.has_event = True
         if event == 'stop':
             ours.stop()
         elif event == 'resume':
@@ -62,6 +69,8 @@ class Watched:
         elif event == 'start':
             ours.start()
             self.last, self.was_falling = np.zeros(2), False
+        elif event == 'again':
+            ours.apply(ours.settings)
         elif event == 'heavier':
             ours.dynamics.set_payload(ROBOT.link_names[-1], 0.5)
             ours.blend()
@@ -95,7 +104,10 @@ class Watched:
             assert (np.abs(efforts) <= np.abs(self.last)).all()
             assert (efforts * self.last >= 0.0).all()
         self.check_limits(efforts)
-        self.last, self.has_changed = efforts, False
+        # If something changes at two steps in a row, the blend advances with the second one.
+        is_gap = not 0.0 <= elapsed <= longest
+        self.changed_before = self.has_event or is_gap
+        self.last, self.has_changed, self.has_event = efforts, False, False
 
     def check_followed(self, efforts, elapsed):
         change = np.abs(efforts - self.last)
@@ -105,7 +117,8 @@ class Watched:
         assert (change <= limits + ROUNDING).all()
         if ours.start_ramp:
             # The state and the reference stay the same: only ramps and blends move the efforts.
-            fraction = 0.0 if self.has_changed else elapsed / SHORTEST
+            is_first = self.has_changed and not self.changed_before
+            fraction = 0.0 if is_first else elapsed / SHORTEST
             # After a brief fall, a limit that cut the efforts before it may cut them later.
             fallen = min(1.0, self.fallen / self.ramp) if self.was_falling and self.ramp else 0.0
             assert (change <= LARGEST * (3.0 * fraction + fallen) + ROUNDING).all()

@@ -156,7 +156,7 @@ def let_everything_act(dynamics, rng):
     inertia = np.diag(rng.uniform(0.1, 0.2, 3))
     dynamics.set_payload(rng.choice(links), 1.5, rng.uniform(-0.3, 0.3, 3), inertia)
     dynamics.set_external_wrench(rng.choice(links), *rng.uniform(-9.0, 9.0, (2, 3)))
-    dynamics.set_friction(*rng.uniform(0.1, 2.0, (3, n)))
+    dynamics.set_friction(*rng.uniform(0.1, 2.0, (3, n)), rng.uniform(0.0, 0.5, n))
     dynamics.set_armature(rng.uniform(0.0, 0.3, n))
 
 

@@ -189,6 +189,27 @@ def test_friction_stays_at_its_joint(case, data):
 
 
 @given(robots_with_states(), seeds)
+def test_friction_never_drives_a_joint(case, rng):
+    _, robot, (q, qd, qdd) = case
+    calls = random_loads(robot, rng)
+    dynamics = apply(InverseDynamics(robot), calls)
+    friction = dynamics.effort_terms(q, qd, qdd).friction
+    # Compared with the efforts without friction: a difference of two calls, with any loads.
+    total = dynamics.efforts(q, qd, qdd)
+    dynamics.set_friction(0.0, 0.0)
+    rigid = dynamics.efforts(q, qd, qdd)
+    dynamics.set_armature(0.0)
+    load = dynamics.efforts(q, qd, qdd)
+    damping, coulomb, width, eta = dict(calls)['set_friction']
+    expected = damping * qd + (coulomb + eta * np.abs(load)) * np.tanh(qd / width)
+    scale = np.abs(total).max()
+    assert (friction * qd >= 0.0).all()
+    assert ((total - rigid) * qd >= -1e-12 * scale * np.abs(qd)).all()
+    np.testing.assert_allclose(friction, expected, rtol=1e-9, atol=1e-12 * scale)
+    np.testing.assert_allclose(total - rigid, expected, rtol=0, atol=1e-12 * scale)
+
+
+@given(robots_with_states(), seeds)
 def test_armature_is_inertia_on_the_diagonal(case, rng):
     _, robot, (q, qd, qdd) = case
     armature = rng.uniform(0.1, 2.0, len(q))
@@ -219,11 +240,14 @@ def test_terms_add_up_and_each_has_its_own_cause(case, rng):
     assert_close(sum(terms), total)
     assert_close(terms.inertial, dynamics.mass_matrix(q) @ qdd)
     same(terms.velocity, coriolis_efforts)
-    damping, coulomb, width = settings_of['set_friction']
-    assert_close(terms.friction, damping * qd + coulomb * np.tanh(qd / width))
+    damping, coulomb, width, eta = settings_of['set_friction']
+    load = total - terms.friction - settings_of['set_armature'][0] * qdd
+    expected = damping * qd + (coulomb + eta * np.abs(load)) * np.tanh(qd / width)
+    same(terms.friction, expected)
 
-    apply(dynamics, without_any(call for call in calls if call[0] == 'set_external_wrench'))
-    same(terms.external, total - dynamics.efforts(q, qd, qdd))
+    for name in ('set_friction', 'set_external_wrench'):
+        apply(dynamics, without_any(call for call in calls if call[0] == name))
+    same(terms.external, total - terms.friction - dynamics.efforts(q, qd, qdd))
     assert_close(terms.gravity, dynamics.gravity_efforts(q))
     # The remainder depends on the velocity and is zero at rest.
     rest = dynamics.effort_terms(q, 0.0 * qd, qdd)

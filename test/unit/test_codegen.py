@@ -79,7 +79,7 @@ def set_everything(dynamics):
     dynamics.set_base_motion((0.1, 0.2, 0.3), (-0.3, 0.1, 0.2), (1.0, -2.0, 0.5))
     dynamics.set_payload(tip, 2.0, (0.1, 0.2, 0.3), np.diag([0.1, 0.2, 0.3]))
     dynamics.set_external_wrench(tip, (1.0, 2.0, 3.0), (0.3, 0.2, 0.1))
-    dynamics.set_friction(0.3, 0.2)
+    dynamics.set_friction(0.3, 0.2, 0.05, 0.1)
     dynamics.set_armature(0.05)
 
 
@@ -117,7 +117,7 @@ def test_code_is_used_while_existing_loads_change(dynamics, rng, monkeypatch):
         dynamics.set_payload(dynamics.robot.link_names[-1], scale * 3.0, (0.3, 0.1, 0.2))
         dynamics.set_external_wrench(dynamics.robot.link_names[-1], (scale, 4.0, 0.1))
         dynamics.set_gravity((scale, 0.3, -9.0))
-        dynamics.set_friction(scale, scale)
+        dynamics.set_friction(scale, scale, 0.1, scale)
         assert_same(dynamics, generated, rng)
         assert_code_is_used(dynamics, generated, monkeypatch)
 
@@ -133,6 +133,11 @@ def test_new_loads_use_the_general_kernel_until_they_are_removed(dynamics, rng, 
     dynamics.set_external_wrench('tool0')
     assert_general_way_is_taken(dynamics, generated, monkeypatch)
     dynamics.set_base_motion()
+    assert_code_is_used(dynamics, generated, monkeypatch)
+    dynamics.set_friction(0.0, 0.0, load_friction=0.1)
+    assert_same(dynamics, generated, rng)
+    assert_general_way_is_taken(dynamics, generated, monkeypatch)
+    dynamics.set_friction(0.0, 0.0)
     assert_same(dynamics, generated, rng)
     assert_code_is_used(dynamics, generated, monkeypatch)
 

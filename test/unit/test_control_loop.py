@@ -399,6 +399,18 @@ def test_missing_joints_are_listed():
     assert loop.missing() == [missing]
 
 
+def test_old_and_contradictory_joint_states_are_listed_as_missing():
+    loop = report_all(ControlLoop(MODEL))
+    assert loop.missing(now=0.1) == []
+    assert loop.missing('/joint_states', now=9.0) == [
+        f'new joint states of {", ".join(NAMES)} on /joint_states'
+    ]
+    for k in range(200):
+        q = [1.5 * (k % 2), *Q[1:]]
+        loop.collector.update(0.005 * k, NAMES, q, np.zeros(6))
+    assert loop.missing(now=1.0) == [f'consistent positions of {NAMES[0]} on joint_states']
+
+
 def test_an_effort_at_the_limit_is_not_beyond_it():
     loop = ControlLoop(MODEL, settings=Settings(effort_limits=10.0, use_urdf_effort_limits=False))
     assert loop.beyond_limits([0, 1], np.array([[10.0, -10.0], [0.0, -10.5]])) == [NAMES[1]]

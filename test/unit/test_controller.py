@@ -703,6 +703,58 @@ def test_a_new_robot_description_does_not_cause_a_jump():
         Controller(heavier, ['high']).continue_from(lift)
 
 
+@pytest.mark.parametrize('every', [1, 2, 10])
+def test_feedback_acts_in_full_while_gains_change_all_the_time(every):
+    ours = {'mode': Mode.COMPUTED_TORQUE, 'start_ramp': 0.5, 'kd': 0.0}
+    lift = controller(kp=100.0, **ours)
+    target, efforts = np.zeros(2), np.zeros(2)
+    for k in range(3000):
+        now = 0.001 * k
+        if k > 1000:
+            target = np.array([0.01 * math.sin(5.0 * now), 0.0])
+            if k % every == 0:
+                lift.apply(Settings(kp=100.0 + 0.01 * (k % 7), **ours))
+        efforts = lift.step(now, state(now), tracking(now, target)).efforts
+        # A change of kp by 0.06 makes a difference of 2 mN here.
+        assert k < 1000 or efforts == pytest.approx(
+            HOLD + 100.0 * target[0] * np.array([3.0, 1.0]), abs=0.01
+        )
+
+
+@pytest.mark.parametrize('every', [1, 2, 3, 50])
+@pytest.mark.parametrize('kind', ['settings', 'filter', 'gravity'])
+def test_a_blend_ends_although_changes_restart_it_all_the_time(every, kind):
+    lift = controller(start_ramp=0.1)
+    time = settled(lift)
+    lift.apply(Settings(start_ramp=0.1, effort_scale=0.5))
+    steps = []
+    for k in range(1200):
+        now = time + 0.001 * k
+        before = lift.step(now, state(now), None).efforts.copy()
+        if k % every == 0:
+            if kind == 'gravity':
+                lift.blend()
+            cutoff = 10.0 + k if kind == 'filter' else 0.0
+            settings = Settings(start_ramp=0.1, effort_scale=0.5, velocity_filter_cutoff=cutoff)
+            lift.apply(settings)
+        steps.append(before)
+    assert before == pytest.approx(0.5 * HOLD, rel=0.01)
+    # No faster than a blend that is not restarted.
+    assert np.abs(np.diff(steps, axis=0)).max() <= 0.5 * HOLD[0] * 0.001 / 0.1 + 1e-9
+
+
+def test_a_tightened_limit_applies_although_changes_restart_the_blend_all_the_time():
+    for is_lost in (False, True):
+        ours = {'start_ramp': 0.1, 'on_stale_state': StalePolicy.HOLD, 'effort_limits': 5.0}
+        lift = controller(start_ramp=0.1, on_stale_state=StalePolicy.HOLD)
+        time = settled(lift)
+        for k in range(1500):
+            now = time + 0.001 * k
+            lift.apply(Settings(effort_offset=1e-3 * (k % 2), **ours))
+            efforts = lift.step(now, state(time if is_lost else now), None).efforts
+        assert (efforts < 5.1).all()
+
+
 def test_flags_efforts_that_a_rate_limit_slows():
     lift = controller(effort_rate_limits=(1e6, 1.0))
     lift.step(0.0, state(0.0), None)
@@ -761,6 +813,19 @@ def test_a_stop_lasts_until_resume_or_start():
         assert lift.is_stopping is True
         let_go()
         assert lift.is_stopping is False
+
+
+@pytest.mark.parametrize('is_consistent', [True, False])
+def test_a_start_waits_for_a_fresh_and_consistent_state(is_consistent):
+    lift = controller(start_ramp=0.1, state_timeout=0.1)
+    old = state(0.0)._replace(is_consistent=is_consistent)
+    for now in (0.101 if is_consistent else 0.0, 5.0):
+        assert lift.step(now, old, None) is None
+        assert lift.phase is Phase.WAITING
+    lift.step(5.01, state(5.0), None)
+    assert lift.step(5.06, state(5.06), None).efforts == pytest.approx(HOLD / 2)
+    lift.start()
+    assert lift.step(6.0, state(5.06), None) is None
 
 
 def test_a_start_waits_for_a_state_even_after_earlier_ones():
@@ -884,6 +949,31 @@ def test_a_state_without_a_solution_is_not_answered_with_the_last_efforts():
     absurd = State(np.array([math.nan, 0.0]), np.zeros(2), 0.01)
     assert not lift.step(0.01, absurd, None).efforts.any()
     assert lift.phase is Phase.NO_SOLUTION
+
+
+@pytest.mark.parametrize(
+    ('received', 'wanted', 'settings', 'words'),
+    [
+        (state(0.01), [0.0, -1.7e308], {}, "the acceleration of joint 'high' is -1.7e+308"),
+        (
+            State(np.array([0.0, math.nan]), np.zeros(2), 0.01),
+            [0.0, 0.0],
+            {},
+            "the position of joint 'high' is nan",
+        ),
+        (
+            state(0.01),
+            [0.0, 0.0],
+            {'effort_scale': (1.0, 1e300), 'effort_offset': (0.0, -1e300)},
+            "the computed effort of joint 'high' is 1e+301",
+        ),
+    ],
+)
+def test_the_cause_of_efforts_that_are_not_finite_is_named(received, wanted, settings, words):
+    lift = controller(**settings)
+    lift.step(0.01, received, reference(0.01, wanted))
+    assert lift.phase is Phase.NO_SOLUTION
+    assert lift.cause_of_failure() == words
 
 
 def test_added_efforts_without_end_are_no_solution():

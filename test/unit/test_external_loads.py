@@ -359,6 +359,16 @@ def test_all_loads_act_on_another_description_at_once(loads, dynamics):
     assert other.dynamics.gravity_efforts(Q) == pytest.approx(dynamics.gravity_efforts(Q))
 
 
+def test_other_axes_of_the_imu_restart_the_filter_once(dynamics):
+    loads = ExternalLoads(dynamics)
+    assert loads.set_base_motion(1.0, [0.0, 0.0, 9.0], [0.0] * 3)
+    loads.expect_other_axes()
+    assert loads.set_base_motion(1.001, [9.0, 0.0, 0.0], [0.0] * 3)
+    assert loads.gravity.tolist() == [-9.0, 0.0, 0.0]
+    assert not loads.set_base_motion(1.002, [0.0, 0.0, 9.0], [0.0] * 3)
+    assert loads.gravity[0] < -7.0
+
+
 def test_the_motion_of_the_base_is_not_smoothed_across_a_loss(dynamics):
     loads = ExternalLoads(dynamics, LoadSettings(imu_filter_cutoff=0.1))
     loads.set_base_motion(1.0, (0.0, 0.0, 10.0), np.zeros(3))

@@ -25,7 +25,7 @@ def loaded():
     dynamics.set_base_motion((0.1, 0.2, 0.3), (0.4, 0.5, 0.6), (0.7, 0.8, 0.9))
     dynamics.set_payload(LINK, 1.5, (0.1, 0.0, 0.2), BOX)
     dynamics.set_external_wrench(LINK, (1.0, 2.0, 3.0), (4.0, 5.0, 6.0))
-    dynamics.set_friction((0.4, 0.5), (0.6, 0.7), (0.1, 0.2))
+    dynamics.set_friction((0.4, 0.5), (0.6, 0.7), (0.1, 0.2), (0.3, 0.2))
     dynamics.set_armature((0.8, 0.9))
     return dynamics
 
@@ -92,6 +92,8 @@ NAN = float('nan')
         ('set_friction', (9, 9, 0.0), 'width is 0.0, expected speeds above 0'),
         ('set_friction', (9, 9, (0.1, 0.0)), r'width is \(0.1, 0.0\), expected speeds above 0'),
         ('set_friction', (9, 9, 5e-324), 'width is 5e-324, expected speeds above 0'),
+        ('set_friction', (9, 9, 9, -0.1), 'load_friction is -0.1, expected finite'),
+        ('set_friction', (9, 9, 9, (1, NAN)), r'load_friction is \(1, nan\)'),
         ('set_armature', ((1, 2, 3),), r'armature is \(1, 2, 3\)'),
         ('set_armature', (-1.0,), 'armature is -1.0'),
         ('set_armature', (INFINITE,), 'armature is inf'),
@@ -159,6 +161,26 @@ def test_friction_is_that_of_the_description_where_none_is_given():
     assert_allclose(dynamics.effort_terms(q, qd, qdd).friction, 3.0 * qd, rtol=1e-12)
 
 
+def test_load_friction_is_a_fraction_of_the_effort_on_the_links():
+    q, qd, qdd = STATE
+    dynamics = InverseDynamics(ROBOT)
+    dynamics.set_payload(LINK, 1.5, (0.1, 0.0, 0.2), BOX)
+    dynamics.set_external_wrench(LINK, (1.0, 2.0, 3.0), (4.0, 5.0, 6.0))
+    load = dynamics.efforts(q, qd, qdd)
+    dynamics.set_armature((0.8, 0.9))
+    bare = dynamics.efforts(q, qd, qdd)
+    assert np.abs(bare - load).min() > 0.1  # the inertia of the rotors does not load the gears
+    for eta in (np.array([0.3, 0.0]), np.array([0.0, 0.2])):
+        dynamics.set_friction(0.0, 0.0, (0.5, 0.8), eta)
+        expected = eta * np.abs(load) * np.tanh(qd / (0.5, 0.8))
+        assert np.abs(expected).max() > 0.1
+        assert_allclose(dynamics.efforts(q, qd, qdd) - bare, expected, rtol=1e-12, atol=1e-13)
+        assert_allclose(dynamics.effort_terms(q, qd, qdd).friction, expected, rtol=1e-12)
+    assert (dynamics.gravity_efforts(q) == dynamics.efforts(q, 0.0 * qd, 0.0 * qdd)).all()
+    dynamics.set_friction(0.0, 0.0)
+    assert (dynamics.efforts(q, qd, qdd) == bare).all()
+
+
 @pytest.mark.parametrize('k', range(3))
 def test_efforts_may_overwrite_an_argument(k):
     dynamics = loaded()
@@ -177,7 +199,7 @@ def test_arguments_of_settings_may_change_later():
         dynamics.set_base_motion(vector, vector, vector)
         dynamics.set_external_wrench(LINK, vector, vector)
         dynamics.set_payload(LINK, 1.0, vector, moments)
-        dynamics.set_friction(joints, joints, joints)
+        dynamics.set_friction(joints, joints, joints, joints)
         dynamics.set_armature(joints)
 
     def sum_anew():

@@ -506,7 +506,10 @@ def test_activity_names_a_joint_that_only_a_new_description_has(loop):
 def test_activity_without_usable_efforts_and_while_states_are_fresh_again(loop):
     loop.reference = Reference(np.full(2, 1.7e308), np.zeros(2), 0.0)
     loop.step(0.01)
-    assert activity(0.01, loop).endswith('no finite efforts for this joint state and reference')
+    assert activity(0.01, loop).endswith(
+        'no finite efforts for this joint state and reference: '
+        "the acceleration of joint 'shoulder' is 1.7e+308"
+    )
     loop.reference = None
     step_until(loop, 0.05, 0.5)
     loop.collector.update(0.5, JOINTS, [0.1, 0.2], [0.0, 0.0])

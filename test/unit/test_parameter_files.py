@@ -41,8 +41,9 @@ def test_every_default_is_valid_and_described(name):
     for text in (parameter.summary, parameter.details):
         assert not text.endswith('.')
         assert text.count('`') % 2 == 0
-    # Each number is a quantity with a unit, except for factors.
-    assert bool(parameter.unit) == (parameter.kind.is_numeric and name != 'effort_scale')
+    # Each number is a quantity with a unit, except for factors and priorities.
+    has_none = name in ('effort_scale', 'load_friction', 'thread_priority')
+    assert bool(parameter.unit) == (parameter.kind.is_numeric and not has_none)
 
 
 def test_the_unit_follows_the_first_sentence():

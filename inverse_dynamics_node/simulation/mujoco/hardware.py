@@ -17,6 +17,7 @@ from .world import World
 
 LEAST_INERTIA = 1e-9  # [kg m^2 or kg]: a thousandth of that of the smallest finger joint
 LEAST_INDEPENDENCE = 1e-9  # eigenvalue; rounding leaves about 1e-16 if two joints move as one
+DRIVE_GAINS = 900.0, 60.0  # [1/s^2], [1/s] of the position controller: critically damped, 5 Hz
 HELD_STIFFNESS = (2.0 * math.pi * 10.0) ** 2  # [1/s^2] of held joints: 10 Hz
 
 
@@ -104,6 +105,19 @@ class MujocoRobot:
         """Apply efforts [N m or N], in the order of ``command_names``, until the next call."""
         limits = self._command_limits
         self._data.qfrc_applied[self._command_order] = np.clip(efforts, -limits, limits)
+
+    def positions(self) -> Floats:
+        """Return the positions of ``robot.joint_names`` [rad or m]."""
+        positions: Floats = self._data.qpos[self._order].copy()
+        return positions
+
+    def hold(self, q: Floats, qd: Floats, qdd: Floats) -> None:
+        """Apply the efforts by which a position controller follows a motion, shapes (n,)."""
+        kp, kd = DRIVE_GAINS
+        error, rate = q - self.positions(), qd - self._data.qvel[self._order]
+        efforts = self.mass_matrix() @ (qdd + kp * error + kd * rate) + self.bias_efforts()
+        free = [self.robot.joint_names.index(name) for name in self.command_names]
+        self.command(efforts[free])
 
     def advance(self, duration: float) -> None:
         """Advance the simulation by a duration [s]."""

@@ -1,0 +1,81 @@
+"""The command `simulate`: a simulated robot alone, to try the node and other commands on."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+EPILOG = """\
+The robot publishes joint_states with efforts, and is held by a position controller. Once commands
+have arrived for 1.5 s it follows them, as behind a forward_command_controller; when they stop, the
+position controller takes over after 0.5 s. Topics of its own change the robot without the node
+being informed: ~/payload (geometry_msgs/InertiaStamped) attaches a load to a link, ~/push
+(geometry_msgs/WrenchStamped) pushes it; ~ is /simulated_robot.
+
+examples:
+  inverse_dynamics simulate my_arm.urdf
+  inverse_dynamics simulate my_arm.urdf --sway --friction
+  inverse_dynamics simulate my_arm.urdf --namespace left --commands inverse_dynamics/commands
+
+It runs until Ctrl-C, in the domain ROS_DOMAIN_ID; messages stay on this machine, unless
+ROS_AUTOMATIC_DISCOVERY_RANGE is set.
+
+exit code: 0 stopped; 1 cannot be run; 2 invalid arguments."""
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the command to the list."""
+    parser: argparse.ArgumentParser = subparsers.add_parser(
+        'simulate',
+        help='simulate a robot to try the node on (needs ROS 2 and MuJoCo)',
+        description='Simulate a robot behind the topics of a real one.',
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument('urdf', type=Path, help='the robot description')
+    parser.add_argument(
+        '--commands',
+        default='forward_effort_controller/commands',
+        metavar='TOPIC',
+        help='topic of the efforts, in the order of the joints in the URDF (default: %(default)s)',
+    )
+    parser.add_argument('--namespace', default='', help='namespace of the topics (default: none)')
+    parser.add_argument(
+        '--sway',
+        action='store_true',
+        help='the position controller moves every joint slowly back and forth',
+    )
+    parser.add_argument(
+        '--friction', action='store_true', help='give the joints the friction of the URDF'
+    )
+    parser.add_argument(
+        '--held',
+        nargs='+',
+        default=[],
+        metavar='JOINT',
+        help='joints that hold their position and accept no commands, such as those of a gripper',
+    )
+    parser.add_argument(
+        '--rate',
+        type=float,
+        default=500.0,
+        help='rate of joint states [Hz] (default: %(default)g)',
+    )
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the robot until SIGINT or SIGTERM; return the exit code."""
+    # Imported here, because no other command needs ROS.
+    from ..simulation.demo.processes import stay_on_this_machine
+    from ..simulation.robot import main
+
+    stay_on_this_machine()
+    arguments = [str(options.urdf), '--drive', '--rate', str(options.rate)]
+    arguments += ['--sway'] * options.sway + ['--friction'] * options.friction
+    arguments += ['--held', *options.held] if options.held else []
+    arguments += ['--ros-args', '-r', f'commands:={options.commands}']
+    namespace = options.namespace.strip('/')
+    arguments += ['-r', f'__ns:=/{namespace}'] if namespace else []
+    return main(arguments)

@@ -1,0 +1,154 @@
+"""In a dry run, the node does everything except that it sends no commands."""
+
+from diagnostic_msgs.msg import DiagnosticArray
+from inverse_dynamics_node import InverseDynamics, load_urdf
+import numpy as np
+import pytest
+from robot_files import STANFORD
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool
+
+MODEL = load_urdf(STANFORD)
+NAMES = list(MODEL.joint_names)
+Q = np.array([0.3, 0.8, 0.5, -0.4, 0.6, 0.2])
+ZERO = np.zeros(6)
+HOLD = InverseDynamics(MODEL).gravity_efforts(Q)
+RAMPED = {
+    'robot_description_file': STANFORD,
+    'start_ramp': 0.4,
+    'stop_ramp': 0.4,
+    'state_timeout': 5.0,
+}
+
+
+def wait_for_efforts(robot, expected):
+    """Wait for a message on ~/joint_efforts from now on."""
+    robot.joint_efforts.clear()
+    robot.wait_for(
+        robot.joint_efforts,
+        lambda message: list(message.effort) == pytest.approx(list(expected), abs=1e-9),
+        'computed efforts',
+    )
+
+
+def wait_for_silence(robot):
+    """Wait until efforts have been computed many times without a command being sent."""
+
+    def is_silent():
+        if len(robot.commands) > count[0]:
+            count[0] = len(robot.commands)
+            robot.joint_efforts.clear()
+        return len(robot.joint_efforts) > 100
+
+    count = [len(robot.commands)]
+    robot.joint_efforts.clear()
+    robot.wait_until(is_silent, 'end of the commands')
+
+
+def assert_falls_to_zero(commands, start):
+    """Assert that no magnitude grows, no sign changes, and the last command is zero."""
+    commands = np.array(commands)
+    assert (np.abs(commands[0]) <= np.abs(start) + 1e-9).all()
+    assert (np.abs(np.diff(commands, axis=0)).max(axis=0) < 0.5 * np.abs(start) + 1e-9).all()
+    assert (np.diff(np.abs(commands), axis=0) <= 1e-12).all()
+    assert (commands * np.sign(start) >= 0.0).all()
+    assert not commands[-1].any()
+
+
+def test_a_dry_run_sends_no_command_and_can_be_switched_off_and_on(run_node, robot):
+    node = run_node(**RAMPED, dry_run=True)
+    robot.listen_to_joint_efforts()
+    diagnostics = robot.listen(DiagnosticArray, '/diagnostics')
+    robot.publish_state(NAMES, Q, ZERO)
+    wait_for_efforts(robot, HOLD)
+    robot.wait_for_text(node, 'on ~/joint_efforts only: dry run, nothing is sent to')
+    robot.wait_for_text(node, 'dry run: holding position: no reference')
+
+    def shows_dry_run(array):
+        statuses = {status.name.partition(': ')[2]: status for status in array.status}
+        values = {pair.key: pair.value for pair in statuses['loop'].values}
+        return values.get('dry run') == 'yes' and statuses['efforts'].message.startswith('dry run')
+
+    robot.wait_for(diagnostics, shows_dry_run, 'dry run in the diagnostics')
+    answer = robot.call(SetBool, 'enable', SetBool.Request(data=True))
+    assert answer.success
+    assert answer.message.endswith('(dry run: nothing is sent)')
+    wait_for_silence(robot)
+    assert robot.commands == []
+
+    assert robot.set_parameter('dry_run', False).successful
+    robot.wait_for_command(HOLD)
+    # Messages may be lost, but not so many that the second half of the ramp is not seen.
+    assert np.abs(robot.commands[0]).max() < 0.5 * np.abs(HOLD).max()
+    robot.wait_for_text(node, 'end of the dry run: efforts rise from zero, to /inverse_dynamics')
+
+    robot.commands.clear()
+    assert robot.set_parameter('dry_run', True).successful
+    wait_for_silence(robot)
+    falling = [command for command in robot.commands if command != pytest.approx(list(HOLD))]
+    assert_falls_to_zero(falling, HOLD)
+    assert sum(not any(command) for command in falling) > 3
+    wait_for_efforts(robot, HOLD)  # the computed efforts have not been affected
+
+    # The end of a dry run does not enable the node.
+    assert robot.call(SetBool, 'enable', SetBool.Request(data=False)).success
+    wait_for_efforts(robot, ZERO)
+    robot.commands.clear()
+    robot.set_parameter('dry_run', False)
+    robot.wait_for_text(node, 'stopped, zeros sent: disabled by ~/enable')
+    robot.wait_until(lambda: len(robot.commands) > 50, 'commands')
+    assert not np.array(robot.commands).any()
+
+    robot.set_parameter('dry_run', True)
+    wait_for_silence(robot)
+    count = len(robot.commands)
+    node.interrupt()
+    assert robot.wait_for_end(node) == 0
+    assert len(robot.commands) == count  # another node may command the robot
+    assert '(dry run: nothing to ramp down)' in node.output
+
+
+def test_a_dry_run_interrupts_a_ramp_neither_up_nor_down(run_node, robot):
+    node = run_node(**{**RAMPED, 'start_ramp': 0.0, 'stop_ramp': 1.0})
+    robot.listen_to_joint_efforts()
+    robot.publish_state(NAMES, Q, ZERO)
+    robot.wait_for_command(HOLD)
+    robot.commands.clear()
+    robot.set_parameter('dry_run', True)
+    robot.wait_until(
+        lambda: abs(robot.commands[-1][1]) < 0.9 * abs(HOLD[1]) if robot.commands else False,
+        'falling commands',
+    )
+    robot.set_parameter('dry_run', False)
+    robot.wait_for_text(node, 'end of the dry run')
+    robot.wait_for_command(HOLD)
+    commands = np.abs(np.array(robot.commands)).max(axis=1)
+    assert commands.min() == 0.0
+    lowest = int(np.argmin(commands))
+    assert (np.diff(commands[:lowest]) <= 1e-12).all()
+
+    # The process ends during the fall: the commands continue to fall from where they are.
+    robot.commands.clear()
+    robot.set_parameter('dry_run', True)
+    robot.wait_until(
+        lambda: abs(robot.commands[-1][1]) < 0.7 * abs(HOLD[1]) if robot.commands else False,
+        'falling commands',
+    )
+    node.interrupt()
+    assert robot.wait_for_end(node) == 0
+    assert (np.diff(np.abs(np.array(robot.commands)), axis=0) <= 1e-12).all()
+    assert robot.commands[-1] == ZERO.tolist()
+    assert 'stopped, zeros sent' in node.output
+
+
+def test_remapped_joint_efforts_are_commands_in_a_dry_run(run_node, robot):
+    """A robot may receive its commands by name, as in Isaac Sim."""
+    node = run_node('-r', '~/joint_efforts:=/joint_command', **RAMPED, dry_run=True)
+    heard = robot.listen(JointState, '/joint_command')
+    terms = robot.listen(JointState, 'inverse_dynamics/terms/gravity')
+    robot.publish_state(NAMES, Q, ZERO)
+    robot.wait_until(lambda: len(terms) > 100, 'terms')
+    assert heard == []
+    robot.wait_for_text(node, ', nor to /joint_command')
+    robot.set_parameter('dry_run', False)
+    robot.wait_for(heard, lambda m: list(m.effort) == pytest.approx(list(HOLD)), 'efforts')

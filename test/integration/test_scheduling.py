@@ -1,0 +1,210 @@
+"""Real-time priority, where the machine permits it and where it does not."""
+
+import ctypes
+import os
+from pathlib import Path
+import resource
+import subprocess
+import sys
+
+from conftest import heed_signals, MAIN, PATIENCE
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from inverse_dynamics_node import InverseDynamics, load_urdf
+import numpy as np
+import pytest
+from robot_files import STANFORD
+
+MODEL = load_urdf(STANFORD)
+NAMES = list(MODEL.joint_names)
+Q = np.array([0.3, 0.8, 0.5, -0.4, 0.6, 0.2])
+ZERO = np.zeros(6)
+HOLD = InverseDynamics(MODEL).gravity_efforts(Q)
+PATIENT = {
+    'robot_description_file': STANFORD,
+    'start_ramp': 0.0,
+    'stop_ramp': 0.2,
+    'state_timeout': 5.0,
+}
+CAP_IPC_LOCK, CAP_SYS_NICE = 14, 23
+PR_CAPBSET_DROP = 24
+REALTIME = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+
+
+def is_permitted():
+    """Try the default priority in another process."""
+    code = 'import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(51))'
+    return subprocess.run([sys.executable, '-c', code], stderr=subprocess.DEVNULL).returncode == 0
+
+
+needs_permission = pytest.mark.skipif(
+    not is_permitted(), reason='SCHED_FIFO is not permitted: neither CAP_SYS_NICE nor rtprio'
+)
+
+
+def forbid():
+    """Take the permissions from a process that is about to start, also from that of root."""
+    heed_signals()
+    libc = ctypes.CDLL(None)
+    for capability in (CAP_IPC_LOCK, CAP_SYS_NICE):
+        libc.prctl(PR_CAPBSET_DROP, capability, 0, 0, 0)
+    resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
+    _, hard = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+    if hard == resource.RLIM_INFINITY or hard > 1 << 20:
+        resource.setrlimit(resource.RLIMIT_MEMLOCK, (1 << 16, 1 << 20))
+
+
+def threads_of(pid):
+    """Return name, policy and priority of every thread, by id."""
+    found = {}
+    for task in Path(f'/proc/{pid}/task').iterdir():
+        tid = int(task.name)
+        policy, priority = os.sched_getscheduler(tid), os.sched_getparam(tid).sched_priority
+        found[tid] = (task / 'comm').read_text().strip(), policy, priority
+    return found
+
+
+def wait_for_scheduling(robot, level, words):
+    """Wait for the status of the scheduling; return its values."""
+    heard = robot.listen(DiagnosticArray, '/diagnostics')
+
+    def find(array):
+        for status in array.status:
+            if status.name == 'inverse_dynamics: scheduling' and words in status.message:
+                assert status.level == level, status
+                return {pair.key: pair.value for pair in status.values}
+        return None
+
+    robot.wait_until(lambda: any(map(find, heard)), f'scheduling: {words}')
+    return next(filter(None, map(find, heard)))
+
+
+@needs_permission
+def test_the_loop_and_the_middleware_get_the_priority_and_others_do_not(run_node, robot):
+    node = run_node(
+        **PATIENT, thread_priority=40, cpu_affinity=f'[{min(os.sched_getaffinity(0))}]'
+    )
+    robot.publish_state(NAMES, Q, ZERO)
+    robot.wait_for_command(HOLD)
+    pid = node.process.pid
+    values = wait_for_scheduling(robot, DiagnosticStatus.OK, 'real-time priority')
+    assert (values['policy'], values['priority']) == ('SCHED_FIFO', '40')
+
+    def others():
+        """Return the threads of rclpy, which have no names of their own."""
+        threads = threads_of(pid)
+        del threads[pid]
+        return [thread for thread in threads.values() if not thread[0].startswith('dds.')]
+
+    # One listens to the graph; the other one is the executor's, for timers, and starts late.
+    robot.wait_until(
+        lambda: [thread[1:] for thread in others()].count((REALTIME, 40)) >= 2,
+        'priority of the threads of rclpy',
+    )
+    threads = threads_of(pid)
+    assert threads[pid][1:] == (REALTIME, 40)
+    assert os.sched_getaffinity(pid) == {min(os.sched_getaffinity(0))}
+    assert values['CPUs'] == str(min(os.sched_getaffinity(0)))
+    middleware = [thread for thread in threads.values() if thread[0].startswith('dds.')]
+    assert {thread[1:] for thread in middleware} == {(REALTIME, 40)}
+    # The watchdog runs while the loop does not sleep; threads of libraries compute in peace.
+    priorities = sorted(priority for _, _, priority in threads.values())
+    assert priorities[-1] == 41
+    assert priorities.count(41) == 1
+    assert priorities[0] == 0
+    assert 'SCHED_FIFO priority 40 for the control loop and the middleware' in node.output
+    assert robot.set_parameter('thread_priority', 41).successful is False
+
+
+BUSY = """
+import os
+from inverse_dynamics_node.node.scheduling import Scheduling
+from inverse_dynamics_node.node.watchdog import Watchdog
+scheduling = Scheduling()
+watchdog = Watchdog(scheduling.limit_time)
+print(scheduling.apply(50, (), False, watchdog.native_id))
+print(os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK)
+while not (reports := scheduling.new_reports()):
+    pass
+print(os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK)
+print(reports, scheduling.status().level.name)
+os._exit(0)
+"""
+
+
+@needs_permission
+def test_a_loop_that_never_sleeps_loses_the_priority():
+    """It would leave no time to other programs, and the kernel would stop it for 50 ms."""
+    busy = subprocess.Popen([sys.executable, '-c', BUSY], stdout=subprocess.PIPE, text=True)
+    try:
+        output, _ = busy.communicate(timeout=PATIENCE)
+    finally:
+        busy.kill()
+    applied, before, after, report = output.splitlines()
+    assert 'SCHED_FIFO priority 50' in applied
+    assert (int(before), int(after)) == (os.SCHED_FIFO, os.SCHED_OTHER)
+    assert '% of a CPU, expected at most 90 %; reduce the rates' in report
+    assert report.endswith('WARN')
+
+
+def test_without_permission_the_node_works_and_says_what_to_do(domain_id, robot):
+    parameters = {**PATIENT, 'lock_memory': True}
+    settings = [x for k, v in parameters.items() for x in ('-p', f'{k}:={v}')]
+    node = subprocess.Popen(
+        [sys.executable, '-m', MAIN, '--ros-args', *settings],
+        env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)},
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=forbid,
+    )
+    try:
+        robot.publish_state(NAMES, Q, ZERO)
+        robot.wait_for_command(HOLD)
+        wait_for_scheduling(robot, DiagnosticStatus.WARN, 'normal priority: SCHED_FIFO 50 is not')
+        assert threads_of(node.pid)[node.pid][1] == os.SCHED_OTHER
+    finally:
+        node.terminate()
+        _, output = node.communicate(timeout=PATIENCE)
+    assert node.returncode == 0
+    lines = [line for line in output.splitlines() if 'SCHED_FIFO' in line]
+    assert len(lines) == 1
+    for words in (
+        'normal priority: SCHED_FIFO 50 is not permitted (rtprio limit 0)',
+        'memory cannot be locked: ',
+        '@realtime - rtprio 99',
+        '--cap-add=SYS_NICE',
+    ):
+        assert words in lines[0]
+
+
+def test_invalid_values_prevent_the_start(run_node):
+    node = run_node(thread_priority=0, cpu_affinity='[0, 1023]', lock_memory=1)
+    assert node.wait() == 1
+    assert "parameter 'thread_priority' is 0, expected 1 to 99" in node.output
+    assert "parameter 'cpu_affinity' contains 1023, expected CPUs of this process: " in node.output
+    assert "parameter 'lock_memory' is 1, expected true or false" in node.output
+    node = run_node(thread_priority=100, cpu_affinity='abc')
+    assert node.wait() == 1
+    assert "parameter 'thread_priority' is 100, expected 1 to 99" in node.output
+    assert "parameter 'cpu_affinity' is 'abc', expected -1, or an integer or a list" in node.output
+
+
+LOCK = """
+from inverse_dynamics_node.node.memory_lock import lock_memory
+import threading
+import numpy
+print(lock_memory())
+numpy.ones(1 << 24)
+thread = threading.Thread(target=lambda: print('a thread can start'))
+thread.start()
+thread.join()
+"""
+
+
+def test_memory_can_be_allocated_after_it_has_been_locked():
+    """With MCL_FUTURE and a limit, an allocation beyond the limit would fail."""
+    result = subprocess.run(
+        [sys.executable, '-c', LOCK], capture_output=True, text=True, check=False
+    )
+    if 'MemoryLockError' in result.stderr:
+        pytest.skip(result.stderr.splitlines()[-1])
+    assert result.stdout.endswith('a thread can start\n'), result.stderr
