@@ -5,14 +5,9 @@ import xml.etree.ElementTree as ElementTree
 
 from inverse_dynamics_node.node.parameters import PARAMETERS
 from inverse_dynamics_node.node.usage import PUBLISHED, SUBSCRIBED
+from launch_arguments import ARGUMENTS, LAUNCH, NODE, ros_arguments, TYPES
 from robot_files import ROOT, STANFORD
-import yaml
 
-PATH = ROOT / 'launch' / 'inverse_dynamics.launch.xml'
-LAUNCH = ElementTree.parse(PATH).getroot()
-NODE = LAUNCH.find('node')
-ARGUMENTS = {arg.get('name'): arg for arg in LAUNCH.findall('arg')}
-SHARE = '$(find-pkg-share inverse_dynamics_node)'
 # Attributes of the elements used here, of those that launch_xml and launch_ros accept.
 ATTRIBUTES = {
     'launch': set(),
@@ -21,35 +16,6 @@ ATTRIBUTES = {
     'param': {'from', 'name', 'value', 'type'},
     'remap': {'from', 'to'},
 }
-TYPES = {'str': str, 'bool': bool}
-
-
-def substituted(text, values):
-    """Replace $(var ...) as launch does."""
-    return re.sub(r'\$\(var (\w+)\)', lambda match: values[match[1]], text)
-
-
-def ros_arguments(**given):
-    """Return the arguments that launch passes to the node."""
-    values = {
-        name: arg.get('default').replace(SHARE, str(ROOT)) for name, arg in ARGUMENTS.items()
-    }
-    values |= given
-    arguments = ['-r', f'__node:={NODE.get("name")}']
-    namespace = substituted(NODE.get('namespace'), values)
-    arguments += ['-r', f'__ns:=/{namespace}'] * bool(namespace)
-    for element in NODE:
-        get = {key: substituted(value, values) for key, value in element.attrib.items()}
-        if element.tag == 'remap':
-            arguments += ['-r', f'{get["from"]}:={get["to"]}']
-        elif 'from' in get:
-            arguments += ['--params-file', get['from']]
-        else:
-            value = get['value']
-            text = f'"{value}"' if get['type'] == 'str' else value
-            assert type(yaml.safe_load(text)) is TYPES[get['type']]
-            arguments += ['-p', f'{get["name"]}:={text}']
-    return arguments
 
 
 def test_elements_attributes_and_substitutions_are_those_of_launch():

@@ -1,0 +1,154 @@
+"""Every command of doc/first_hour.md runs, and what the page shows appears in the outputs."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+
+from inverse_dynamics_node import InverseDynamics, load_urdf
+from inverse_dynamics_node.cli.main import COMMANDS
+import numpy as np
+import pytest
+from robot_files import ROOT, STANFORD
+
+pytest.importorskip('mujoco')
+pytest.importorskip('matplotlib')
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+PAGE = (ROOT / 'doc' / 'first_hour.md').read_text()
+BLOCKS = re.findall(r'^```(sh|text)\n(.*?)^```', PAGE, re.M | re.S)
+PATIENCE = 120.0  # [s]
+LASTING = (
+    'inverse_dynamics simulate',
+    'ros2 launch',
+    'ros2 run',
+    'ros2 topic pub -r',
+    'python examples/',
+)
+MAIN_NODE = 'ros2 launch inverse_dynamics_node inverse_dynamics.launch.xml urdf:=my_arm.urdf dry'
+FASTER = {'watch --for 10': 'watch --for 2', 'move.yaml 0.2': 'move.yaml 2.0'}
+
+
+class Session:
+    """Terminals that share one log."""
+
+    def __init__(self, folder, domain_id):
+        self.folder, self.log = folder, folder / 'session.log'
+        self.lasting = {}
+        self.environment = {
+            **os.environ,
+            'PATH': f'{folder}/bin:{sys.prefix}/bin:{os.environ["PATH"]}',
+            'PYTHONPATH': str(ROOT / 'test'),
+            'ROS_DOMAIN_ID': str(domain_id),
+        }
+        self.shown_from = 0
+        self.log.touch()
+
+    def run(self, script):
+        self.shown_from = len(self.log.read_text())
+        with self.log.open('a') as log:
+            process = subprocess.Popen(
+                ['sh', '-e', '-c', f'exec {script}' if script.startswith(LASTING) else script],
+                cwd=self.folder,
+                env=self.environment,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+            )
+        if script.startswith(LASTING):
+            self.lasting[script] = process
+            return
+        code = process.wait(PATIENCE)
+        # `watch` reports that a simulated robot on a busy machine is slow.
+        assert code == 0 or ('watch' in script and code in (3, 4)), f'{script}: {self.log_text()}'
+
+    def log_text(self):
+        return self.log.read_text()[self.shown_from :]
+
+    def wait_for(self, line):
+        """Wait for a line of the page; any number matches a number."""
+        words = [re.escape(word) for word in line.split()]
+        pattern = r'\s+'.join(re.sub(r'(\\-)?\d[\d.\\]*', r'-?[\\d.]+', word) for word in words)
+        deadline = time.monotonic() + PATIENCE
+        while not re.search(pattern, self.log_text()):
+            assert time.monotonic() < deadline, f'{line!r} is not in:\n{self.log_text()}'
+            for script, process in self.lasting.items():
+                assert process.poll() is None, f'{script} has ended:\n{self.log_text()}'
+            time.sleep(0.05)
+
+    def stop(self, *beginnings):
+        for script in [script for script in self.lasting if script.startswith(beginnings)]:
+            process = self.lasting.pop(script)
+            process.send_signal(signal.SIGINT)
+            try:
+                process.wait(PATIENCE)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+@pytest.fixture
+def session(tmp_path, domain_id):
+    (tmp_path / 'bin').mkdir()
+    (tmp_path / 'bin' / 'ros2').write_text(
+        f'#!/bin/sh\nexec {sys.executable} {ROOT / "test" / "ros2.py"} "$@"\n'
+    )
+    (tmp_path / 'bin' / 'ros2').chmod(0o755)
+    for name in ('config', 'examples'):
+        (tmp_path / name).symlink_to(ROOT / name)
+    (tmp_path / 'my_arm.urdf').write_text(STANFORD.read_text())
+    session = Session(tmp_path, domain_id)
+    yield session
+    session.stop('')
+
+
+def test_every_command_runs_and_prints_what_the_page_shows(session):
+    ran = 0
+    for kind, text in BLOCKS:
+        if kind == 'text':
+            for line in text.splitlines():
+                if 'agree' not in line:
+                    session.wait_for(line)
+            continue
+        if text.startswith('# needs') or ('watch' in text and 'watch' not in COMMANDS):
+            continue
+        for long, short in FASTER.items():
+            text = text.replace(long, short)
+        session.stop('ros2 topic pub -r', 'python')
+        if text.startswith(MAIN_NODE):
+            session.stop(MAIN_NODE)
+        session.run(text)
+        ran += 1
+        if text.startswith('python'):
+            session.wait_for('to the first point')
+            session.stop('python')  # prints the errors so far
+    assert ran > 20
+    assert 'Traceback' not in session.log.read_text()
+
+
+def test_python_block_fills_a_trajectory_with_efforts(tmp_path, monkeypatch):
+    (code,) = re.findall(r'```python\n(.*?)```', PAGE, re.S)
+    (tmp_path / 'my_arm.urdf').write_text(STANFORD.read_text())
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    exec(code, names)
+    robot = load_urdf(STANFORD)
+    rest = dict(zip(robot.joint_names, [0.3, 0.8, 0.5, -0.4, 0.6, 0.2], strict=True))
+    point = JointTrajectoryPoint(
+        positions=[0.1, 0.7], velocities=[0.5, 0.4], accelerations=[1.0, 2.0]
+    )
+    trajectory = JointTrajectory(joint_names=['joint_4', 'joint_2'], points=[point, point])
+    names['add_efforts'](trajectory, rest)
+    q, qd, qdd = np.array([list(rest.values()), np.zeros(6), np.zeros(6)])
+    for vector, (fourth, second) in ((q, (0.1, 0.7)), (qd, (0.5, 0.4)), (qdd, (1.0, 2.0))):
+        vector[3], vector[1] = fourth, second
+    expected = InverseDynamics(robot).efforts(q, qd, qdd)[[3, 1]]
+    assert np.abs(expected).min() > 0.01
+    for point in trajectory.points:
+        assert list(point.effort) == pytest.approx(list(expected))
+
+
+def test_blocks_that_are_not_run_name_the_software_that_they_need():
+    needs = {text.splitlines()[0].partition(':')[0] for _, text in BLOCKS if '# needs' in text}
+    assert needs == {'# needs ros2_control', '# needs Isaac Sim', '# needs a robot that records'}
