@@ -106,7 +106,7 @@ def trajectory_from_points(names: Any, points: Any) -> tuple[Trajectory, tuple[s
     return Trajectory(joints, np.array(times, float), positions, *derivatives), notes
 
 
-def write_trajectory(path: Path, trajectory: Trajectory, efforts: Floats) -> None:
+def write_trajectory(path: Path, trajectory: Trajectory, efforts: Floats | None = None) -> None:
     """
     Write a trajectory_msgs/JointTrajectory as YAML that `ros2 topic pub` accepts.
 
@@ -116,17 +116,19 @@ def write_trajectory(path: Path, trajectory: Trajectory, efforts: Floats) -> Non
         The file.
     trajectory : Trajectory
         With velocities and accelerations, at k times of m joints.
-    efforts : ndarray, shape (k, m)
-        [N m or N].
+    efforts : ndarray, shape (k, m), optional
+        [N m or N]; without them, a controller that does not use efforts accepts the trajectory.
 
     """
     import yaml
 
-    fields = ('positions', *DERIVATIVES, 'effort')
     velocities, accelerations = trajectory.velocities, trajectory.accelerations
     assert velocities is not None
     assert accelerations is not None
-    values = trajectory.positions, velocities, accelerations, efforts
+    fields: tuple[str, ...] = ('positions', *DERIVATIVES)
+    values: tuple[Floats, ...] = trajectory.positions, velocities, accelerations
+    if efforts is not None:
+        fields, values = (*fields, 'effort'), (*values, efforts)
     points = []
     for time, *rows in zip(trajectory.times, *values, strict=True):
         sec, nanosec = divmod(round(1e9 * float(time)), 10**9)

@@ -68,6 +68,23 @@ def add_strict(parser: argparse.ArgumentParser, condition: str) -> None:
     parser.add_argument('--strict', action='store_true', help=f'exit with 3 if {condition}')
 
 
+def joint_position(text: str) -> tuple[str, float]:
+    """
+    Parse the position of a joint.
+
+    Raises
+    ------
+    argparse.ArgumentTypeError
+        If the text is not JOINT=POSITION.
+
+    """
+    name, _, position = text.rpartition('=')
+    try:
+        return name, float(position)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"'{text}' is not JOINT=POSITION") from None
+
+
 def output_path(text: str) -> Path:
     """
     Parse the path of a file to write.

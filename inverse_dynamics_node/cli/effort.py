@@ -41,6 +41,7 @@ from .arguments import (
     add_picture,
     add_strict,
     add_urdf,
+    joint_position,
     output_path,
 )
 from .console import progress, show, show_warnings
@@ -90,7 +91,7 @@ def add_parser(subparsers: Any) -> None:
         '--at',
         action='append',
         default=[],
-        type=_place,
+        type=joint_position,
         metavar='JOINT=POSITION',
         help='position of a joint that the trajectory does not move [rad, m] (default: 0, or the '
         'nearest end of its range); may be repeated',
@@ -178,14 +179,6 @@ def run(options: argparse.Namespace) -> int:
     print('\n'.join(f'written: {path}' for path in written))
     is_exceeded = requirements.is_too_strong | requirements.is_too_fast | requirements.is_too_far
     return _EXCEEDED if options.strict and is_exceeded.any() else 0
-
-
-def _place(text: str) -> tuple[str, float]:
-    name, _, position = text.rpartition('=')
-    try:
-        return name, float(position)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"'{text}' is not JOINT=POSITION") from None
 
 
 def _rate(text: str) -> float:

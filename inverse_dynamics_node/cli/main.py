@@ -10,7 +10,7 @@ import sys
 
 from ..errors import InverseDynamicsError
 
-COMMANDS = ('check', 'effort', 'compare', 'identify', 'demo', 'simulate')
+COMMANDS = ('check', 'effort', 'compare', 'excite', 'identify', 'demo', 'simulate')
 """Modules of this package; add_parser(subparsers) sets `run`, which returns the exit code."""
 
 EPILOG = """\

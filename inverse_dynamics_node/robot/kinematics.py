@@ -41,6 +41,52 @@ def body_frames(robot: RobotModel, q: Floats) -> tuple[Floats, Floats]:
     return rotations, positions
 
 
+def moving_points(robot: RobotModel, q: Floats, direction: Floats) -> Floats:
+    """
+    Compute the positions of links and centres of mass in many poses, along one direction.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        With n joints.
+    q : ndarray, shape (k, n)
+        Joint positions [rad or m].
+    direction : ndarray, shape (3,)
+        Unit vector in the base frame.
+
+    Returns
+    -------
+    distances : ndarray, shape (k, p)
+        From the origin of the base frame along the direction [m]: of the origins of all links
+        that joints move, and of the centres of mass of bodies with a mass.
+
+    """
+    # The direction in the frame of each body, and the distance of its origin
+    directions: list[Floats] = [np.tile(direction, (len(q), 1))]
+    distances: list[Floats] = [np.zeros(len(q))]
+    points = []
+    for body in range(1, len(robot.parent)):
+        parent, axis = robot.parent[body], robot.axis[body]
+        place = robot.multiplier[body] * q[:, robot.joint_index[body]] + robot.offset[body]
+        x, y, z = axis
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        distance = distances[parent] + directions[parent] @ robot.p_PL[body]
+        along = directions[parent] @ robot.R_PL[body]
+        if robot.is_prismatic[body]:
+            distance = distance + place * (along @ axis)
+        else:
+            across = along @ cross
+            sine, cosine = np.sin(place)[:, np.newaxis], np.cos(place)[:, np.newaxis]
+            along = along + sine * across + (1.0 - cosine) * (across @ cross)
+        directions.append(along)
+        distances.append(distance)
+        places = [robot.link_position[robot.link_body == body]]
+        if robot.mass[body] > 0.0:
+            places.append(robot.com[body][np.newaxis])
+        points.append(distance[:, np.newaxis] + along @ np.concatenate(places).T)
+    return np.concatenate(points, axis=1)
+
+
 def rotation_about(axis: Floats, angle: float) -> Floats:
     """Return the matrix of a rotation about a unit vector [rad], by Rodrigues' formula."""
     x, y, z = axis

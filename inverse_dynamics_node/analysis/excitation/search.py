@@ -1,0 +1,341 @@
+"""
+Searches for the motion within the limits whose efforts contain most information.
+
+Maximises the logarithm of the determinant of the information (D-optimal) over the coefficients of
+a Fourier series [1]_. Limits are penalties during the search, and hold exactly afterwards.
+
+References
+----------
+.. [1] J. Swevers, C. Ganseman, D. B. Tukel, J. De Schutter, H. Van Brussel, "Optimal robot
+   excitation and identification", IEEE Transactions on Robotics and Automation 13(5), 1997.
+
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+import math
+
+import numpy as np
+
+from ...dynamics.inverse_dynamics import InverseDynamics
+from ...errors import ConfigurationError, listed
+from ...robot.model import Floats
+from .feasibility import excess
+from .fourier import basis, FourierSeries
+from .information import Unknowns
+from .limits import MotionLimits
+from .states import gradient, States, whole_states
+
+DURATION = 10.0  # [s]
+HARMONICS = 5
+NOISE = 0.01
+"""Assumed standard deviation of measured efforts, as a fraction of the effort limit."""
+SAMPLES_PER_SECOND = 10.0
+"""Rate of independent samples: smoothing removes the rest of the noise [Hz]."""
+_PER_HARMONIC = 16
+"""Samples of the search for each harmonic."""
+_FINE = 8
+"""Samples of the final check of the limits for each sample of the search."""
+_CANDIDATES = 30
+"""Random motions, the best of which starts the search."""
+_POSES = 300
+"""Random poses among which those are found in which the drives hold the robot."""
+_ROUNDS = ((1e1, 60), (1e2, 60), (1e3, 60), (1e4, 60))
+"""Weights of violated limits, relative to one unknown, and iterations."""
+_AIM = 0.99
+"""Fraction of the limits that the search aims at, as penalties permit small violations."""
+_REPAIRS = (0.98, 0.96, 0.92)
+"""Smaller fractions, to aim at if a limit is violated in spite of that."""
+_OF_REPAIR = (1e5, 30)
+_LEAST_NOISE = 1e-6
+"""Smallest assumed noise [N m or N]."""
+_TINY = 1e-9
+"""Added to the scaled information, so that motions without information are comparable."""
+
+
+@dataclass(frozen=True, eq=False)
+class Excitation:
+    """The best motion that was found, and its information."""
+
+    series: FourierSeries
+    limits: MotionLimits
+    unknowns: Unknowns
+    information: Floats
+    """Information of the scaled unknowns, shape (u, u)."""
+    log_det: float
+    """Logarithm of its determinant."""
+    random_log_det: float
+    """Median of the same for random motions within the same limits."""
+
+
+def find_excitation(
+    dynamics: InverseDynamics,
+    limits: MotionLimits,
+    duration: float = DURATION,
+    harmonics: int = HARMONICS,
+    noise: Floats | None = None,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> Excitation:
+    """
+    Find an exciting motion.
+
+    Parameters
+    ----------
+    dynamics : InverseDynamics
+        The robot of n joints, with its loads.
+    limits : MotionLimits
+        The m joints to move, and their limits.
+    duration : float
+        Duration of the motion [s].
+    harmonics : int
+        Number of harmonics of the Fourier series.
+    noise : ndarray, shape (m,) or (), optional
+        Standard deviation of measured efforts [N m or N]; by default `NOISE` of the effort limit,
+        or of the largest effort of random motions for a joint without a limit.
+    progress : callable
+        Called now and then with the fraction done, 0 to 1.
+
+    Returns
+    -------
+    excitation : Excitation
+        Always the same for the same arguments.
+
+    Raises
+    ------
+    ConfigurationError
+        If an argument is invalid, or no pose is within the limits.
+
+    """
+    if not 0.0 < duration < math.inf:
+        raise ConfigurationError(f'duration is {duration!r}, expected a time above 0 [s]')
+    if harmonics < 2:
+        raise ConfigurationError(f'harmonics is {harmonics}, expected at least 2')
+    motions = Motions(dynamics, limits, duration, harmonics)
+    candidates = motions.random(_CANDIDATES, np.random.default_rng(0))
+    if noise is None:
+        noise = _assumed_noise(motions, candidates)
+    unknowns = Unknowns(dynamics, limits, np.broadcast_to(noise, (len(limits.index),)))
+    objective = _Objective(motions, unknowns)
+    scores = [objective.log_det(x) for x in candidates]
+    first = candidates[int(np.argmax(scores))]
+    found = _improved(objective, first, progress)
+    best = max((motions.within_limits(found), first), key=objective.log_det)
+    coefficients = motions.coefficients(best)
+    return Excitation(
+        FourierSeries(limits.joint_names, duration, coefficients),
+        limits,
+        unknowns,
+        objective.information(best) * SAMPLES_PER_SECOND * duration,
+        objective.log_det(best),
+        float(np.median(scores)),
+    )
+
+
+class Motions:
+    """
+    Motions as arrays x of shape (m, 2 h - 1), relative to the middle and half of the ranges.
+
+    Parameters
+    ----------
+    dynamics, limits, duration, harmonics
+        As for `find_excitation`.
+
+    """
+
+    def __init__(
+        self, dynamics: InverseDynamics, limits: MotionLimits, duration: float, harmonics: int
+    ) -> None:
+        self.dynamics, self.limits = dynamics, limits
+        self.shape = len(limits.index), 2 * harmonics - 1
+        count = _PER_HARMONIC * harmonics
+        # Without the end, which equals the start
+        self.basis = basis(_even_times(count, duration), duration, harmonics)
+        self._fine_basis = basis(_even_times(_FINE * count, duration), duration, harmonics)
+
+    def coefficients(self, x: Floats) -> Floats:
+        """Return the coefficients of a `FourierSeries`."""
+        coefficients: Floats = x * self.limits.half[:, np.newaxis]
+        coefficients[:, 0] += self.limits.middle
+        return coefficients
+
+    def states(self, x: Floats) -> States:
+        """Return the states of the search."""
+        return States(*(part @ self.coefficients(x).T for part in self.basis))
+
+    def is_within_limits(self, x: Floats) -> bool:
+        """Return whether a motion is within the limits, at the states of the final check."""
+        states = States(*(part @ self.coefficients(x).T for part in self._fine_basis))
+        return not excess(self.dynamics, self.limits, states).any()
+
+    def random(self, count: int, rng: np.random.Generator) -> list[Floats]:
+        """Draw motions about poses that the drives can hold, as large as the limits permit."""
+        centres = self._poses(rng)
+        found = []
+        for k in range(count):
+            still = np.zeros(self.shape)
+            still[:, 0] = centres[k % len(centres)]
+            swing = rng.normal(size=self.shape)
+            swing[:, 0] = 0.0
+            # Each joint alone may use its range and speed; the efforts are those of all.
+            found.append(self._largest(still, swing / self._size(still, swing)))
+        return found
+
+    def within_limits(self, x: Floats) -> Floats:
+        """Return a motion that is reduced until it is within the limits."""
+        still = np.zeros(self.shape)
+        still[:, 0] = x[:, 0]
+        for factor in np.linspace(1.0, 0.5, 51):
+            reduced: Floats = still + factor * (x - still)
+            if self.is_within_limits(reduced):
+                return reduced
+        return still
+
+    def _largest(self, still: Floats, swing: Floats) -> Floats:
+        """Return the largest motion about a pose, of at most a given swing."""
+        low, high = 0.0, 1.0
+        for _ in range(12):
+            middle = 0.5 * (low + high)
+            if self.is_within_limits(still + middle * swing):
+                low = middle
+            else:
+                high = middle
+        return still + low * swing
+
+    def _size(self, still: Floats, swing: Floats) -> Floats:
+        """Return the swing of each joint relative to its range and speed, shape (m, 1)."""
+        states = States(*(part @ (swing * self.limits.half[:, None]).T for part in self.basis))
+        room = self.limits.half * (1.0 - np.abs(still[:, 0]))
+        ratios = np.maximum(np.abs(states.q) / room, np.abs(states.qd) / self.limits.speeds)
+        size: Floats = np.max(ratios, axis=0)[:, np.newaxis]
+        return size
+
+    def _poses(self, rng: np.random.Generator) -> Floats:
+        """Return poses within the limits, relative to middle and half of the ranges."""
+        poses = rng.uniform(-0.5, 0.5, (_POSES, self.shape[0]))
+        poses[0] = 0.0
+        zeros = np.zeros_like(poses)
+        q = self.limits.middle + self.limits.half * poses
+        beyond = excess(self.dynamics, self.limits, States(q, zeros, zeros))
+        is_within = ~beyond.any(axis=1)
+        if not is_within.any():
+            raise ConfigurationError(self._why(States(q, zeros, zeros)))
+        held: Floats = poses[is_within]
+        return held
+
+    def _why(self, states: States) -> str:
+        """Explain why no pose is within the limits."""
+        limits = self.limits
+        efforts = np.abs(self.dynamics.efforts(*whole_states(limits, states)))
+        least = np.min(efforts, axis=0)
+        names = self.dynamics.robot.joint_names
+        weak = [
+            f"joint '{names[i]}' needs {least[i]:.3g} of {limits.efforts[i]:.3g} N m or N"
+            for i in np.flatnonzero(least > limits.efforts)
+        ]
+        reason = listed(weak, 4) if weak else 'widen the ranges or lower the floor'
+        return f'no sampled pose is within the limits of efforts and floor: {reason}'
+
+
+class _Objective:
+    """The negative logarithm of the determinant of the information, and penalties for limits."""
+
+    def __init__(self, motions: Motions, unknowns: Unknowns) -> None:
+        self.motions, self.unknowns = motions, unknowns
+        self.aim = _AIM
+
+    def information(self, x: Floats) -> Floats:
+        """Return the mean information of a sample, shape (u, u)."""
+        return _information(self.unknowns.weighted(self.motions.states(x)))
+
+    def log_det(self, x: Floats) -> float:
+        """Return the logarithm of the determinant of the mean information."""
+        return float(np.linalg.slogdet(self.information(x))[1])
+
+    def __call__(self, flat: Floats, weight: float) -> tuple[float, Floats]:
+        """Return the value to minimise, and its gradient."""
+        motions, x = self.motions, flat.reshape(self.motions.shape)
+        states = motions.states(x)
+        columns = self.unknowns.weighted(states)
+        information = _information(columns)
+        k, u = len(columns), columns.shape[2]
+        factors: Floats = columns @ np.linalg.inv(information) * (-2.0 / k)
+        information_lost = self.unknowns.weighted_sum(factors)
+
+        def linearised(states: States) -> Floats:
+            sums: Floats = information_lost(states) + weight * u / k * self._violation(states)
+            return sums
+
+        value = -float(np.linalg.slogdet(information)[1])
+        value += weight * u / k * float(np.sum(self._violation(states)))
+        slopes = gradient(linearised, states, motions.limits)
+        of_coefficients = sum(
+            part.T @ slope for part, slope in zip(motions.basis, slopes, strict=True)
+        )
+        of_x = np.asarray(of_coefficients).T * motions.limits.half[:, np.newaxis]
+        return value, of_x.ravel()
+
+    def _violation(self, states: States) -> Floats:
+        beyond = excess(self.motions.dynamics, self.motions.limits, states, self.aim)
+        violation: Floats = np.sum(beyond**2, axis=1)
+        return violation
+
+
+def _even_times(count: int, duration: float) -> Floats:
+    times: Floats = np.arange(count, dtype=float) * (duration / count)
+    return times
+
+
+def _information(columns: Floats) -> Floats:
+    # Sample by sample: these products are too small for BLAS to start threads, which would take
+    # much longer than the products on a machine with other work to do.
+    products = columns.transpose(0, 2, 1) @ columns
+    information: Floats = np.mean(products, axis=0) + _TINY * np.eye(columns.shape[2])
+    return information
+
+
+def _improved(objective: _Objective, x: Floats, progress: Callable[[float], None]) -> Floats:
+    """Return the motion to which the search leads."""
+    from scipy.optimize import minimize
+
+    total = sum(iterations for _, iterations in _ROUNDS)
+    done = 0
+
+    def report(_: Floats) -> None:
+        nonlocal done
+        done += 1
+        progress(min(1.0, done / total))
+
+    def descend(x: Floats, weight: float, iterations: int) -> Floats:
+        result = minimize(
+            objective,
+            x.ravel(),
+            args=(weight,),
+            jac=True,
+            method='L-BFGS-B',
+            callback=report,
+            options={'maxiter': iterations, 'maxcor': 20},
+        )
+        found: Floats = np.asarray(result.x, dtype=float).reshape(x.shape)
+        return found
+
+    for weight, iterations in _ROUNDS:
+        x = descend(x, weight, iterations)
+    for objective.aim in _REPAIRS:
+        if objective.motions.is_within_limits(x):
+            break
+        x = descend(x, *_OF_REPAIR)
+    progress(1.0)
+    return x
+
+
+def _assumed_noise(motions: Motions, candidates: list[Floats]) -> Floats:
+    limits, dynamics = motions.limits, motions.dynamics
+    states = (whole_states(limits, motions.states(x)) for x in candidates)
+    efforts = np.array([dynamics.efforts(*each) for each in states])
+    largest = np.max(np.abs(efforts), axis=(0, 1))[limits.index]
+    given = dynamics.robot.effort_limits[limits.index]
+    of = np.where(np.isfinite(given), given, largest)
+    noise: Floats = np.maximum(NOISE * of, _LEAST_NOISE)
+    return noise

@@ -1,0 +1,150 @@
+"""The picture of `excite`: the path of the hand, and positions, speeds and efforts over time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...analysis.excitation import Excitation, Extent, States, whole_states
+from ...dynamics.inverse_dynamics import InverseDynamics
+from ...dynamics.trajectory import Trajectory
+from ...robot.hand import last_link
+from ...robot.kinematics import body_frames
+from ...robot.model import Floats, RobotModel
+from .style import (
+    BLUE,
+    COLOURS,
+    DARK,
+    fitting,
+    GREEN,
+    GREY,
+    legend_below,
+    ORANGE,
+    RED,
+    save,
+    set_title,
+    style,
+    WIDTH,
+)
+
+_VIEWS = (('side view', 0, 2), ('from above', 0, 1))
+_DASHES = ('-', '--', ':', '-.')
+_MOST_POINTS = 600
+"""Largest number of states to draw; more are not visible."""
+
+
+def draw(
+    dynamics: InverseDynamics,
+    excitation: Excitation,
+    trajectory: Trajectory,
+    efforts: Floats,
+    box: Extent,
+    source: str,
+    path: Path,
+) -> None:
+    """Draw two views of the path, and the motion of all joints; source names the URDF."""
+    robot, limits = dynamics.robot, excitation.limits
+    shown = np.linspace(0, len(trajectory.times) - 1, _MOST_POINTS).round().astype(int)
+    times, q, qd = (
+        np.asarray(values)[shown]
+        for values in (trajectory.times, trajectory.positions, trajectory.velocities)
+    )
+    whole = whole_states(limits, States(q, 0.0 * q, 0.0 * q)).q
+    with style() as pyplot:
+        figure = pyplot.figure(figsize=(WIDTH, 6.6))
+        halves = figure.add_gridspec(1, 2, width_ratios=(1.0, 1.25))
+        left, right = halves[0].subgridspec(2, 1), halves[1].subgridspec(3, 1)
+        hand = last_link(robot)
+        path_of_hand = np.array([_link_position(robot, each, hand) for each in whole])
+        for view, (title, across, up) in enumerate(_VIEWS):
+            axes = figure.add_subplot(left[view])
+            _draw_view(axes, robot, whole[0], path_of_hand, box, across, up)
+            axes.set_title(title, fontsize=9)
+        handles, labels = axes.get_legend_handles_labels()
+        panels: list[tuple[str, Floats]] = [
+            ('position\n[% of range]', (q - limits.middle) / limits.half * 100.0),
+            ('speed\n[% of limit used]', qd / limits.speeds * 100.0),
+            _efforts_panel(efforts[shown], limits.efforts[limits.index]),
+        ]
+        below: Any = None
+        for row, (label, values) in enumerate(panels):
+            below = figure.add_subplot(right[row], sharex=below)
+            _draw_lines(below, times, values, trajectory.joint_names)
+            below.set_ylabel(label, fontsize=9)
+            below.tick_params(labelbottom=row == 2, labelsize=8.5)
+        below.set_xlabel('time [s]')
+        lines, names = below.get_legend_handles_labels()
+        set_title(
+            figure,
+            f'{robot.name} ({source}): exciting motion of {trajectory.times[-1]:g} s, path of '
+            f"link '{hand}'",
+            'Collisions are not checked.',
+        )
+        legend_below(figure, [*handles, *lines], [*labels, *names], ncols=5)
+        save(figure, path)
+
+
+def _link_position(robot: RobotModel, q: Floats, link: str) -> Floats:
+    rotations, positions = body_frames(robot, q)
+    k = robot.link_index(link)
+    body = robot.link_body[k]
+    position: Floats = positions[body] + rotations[body] @ robot.link_position[k]
+    return position
+
+
+def _draw_view(
+    axes: Any,
+    robot: RobotModel,
+    start: Floats,
+    path: Floats,
+    box: Extent,
+    across: int,
+    up: int,
+) -> None:
+    """Draw the box, the path of the hand, and the arm in its start pose."""
+    plane = [across, up]
+    (left, bottom), (right, top) = box.lowest[plane], box.highest[plane]
+    corners = np.array([[left, bottom], [right, bottom], [right, top], [left, top]])
+    axes.fill(*corners.T, facecolor=ORANGE, alpha=0.12, linewidth=0)
+    axes.fill(*corners.T, fill=False, edgecolor=ORANGE, linewidth=1.2, label='space of all links')
+    axes.plot(*path[:, plane].T, color=BLUE, linewidth=1.0, label='path of the hand')
+    _, positions = body_frames(robot, start)
+    for body in range(1, len(robot.parent)):
+        ends = positions[[robot.parent[body], body]][:, plane]
+        axes.plot(*ends.T, color=GREY, linewidth=3.5, solid_capstyle='round')
+    last = int(robot.link_body[robot.link_index(last_link(robot))])
+    axes.plot(*np.array([positions[last], path[0]])[:, plane].T, color=GREY, linewidth=2.0)
+    axes.plot(*positions[0][plane], 's', color=DARK, markersize=8, label='base')
+    axes.plot(*path[0, plane], 'o', color=GREEN, markersize=7, label='start and end')
+    axes.set_aspect('equal', adjustable='datalim')
+    axes.locator_params(nbins=6)
+    axes.set_xlabel(f'{"xyz"[across]} [m]', fontsize=9)
+    axes.set_ylabel(f'{"xyz"[up]} [m]', fontsize=9)
+    axes.tick_params(labelsize=8.5)
+
+
+def _efforts_panel(efforts: Floats, limits: Floats) -> tuple[str, Floats]:
+    """Return efforts relative to the limits used; to their peak for joints without a limit."""
+    peak = np.maximum(np.max(np.abs(efforts), axis=0), 1e-9)
+    has_limit = np.isfinite(limits)
+    of = 'of limit used' if has_limit.all() else 'of limit used, or of peak'
+    return f'effort\n[% {of}]', efforts / np.where(has_limit, limits, peak) * 100.0
+
+
+def _draw_lines(axes: Any, times: Floats, values: Floats, names: tuple[str, ...]) -> None:
+    for end in (-100.0, 100.0):
+        axes.axhline(end, color=RED, linewidth=0.9, linestyle='--')
+    for k, name in enumerate(fitting(names, 22)):
+        dashes = _DASHES[k // len(COLOURS) % len(_DASHES)]
+        axes.plot(
+            times,
+            values[:, k],
+            color=COLOURS[k % len(COLOURS)],
+            linestyle=dashes,
+            linewidth=1.3,
+            label=name,
+        )
+    axes.set_ylim(-112.0, 112.0)
+    axes.margins(x=0.0)

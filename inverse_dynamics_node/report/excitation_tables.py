@@ -1,0 +1,150 @@
+"""Tables that describe an exciting motion, and what its recording will determine."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..analysis.excitation import (
+    Excitation,
+    expected_errors,
+    ExpectedErrors,
+    Extent,
+    SAMPLES_PER_SECOND,
+)
+from ..dynamics.trajectory import Trajectory
+from ..robot.model import Floats, RobotModel
+from .quantities import effort_unit, fraction, number
+from .tables import Table
+
+
+def excitation_tables(
+    robot: RobotModel,
+    excitation: Excitation,
+    trajectory: Trajectory,
+    efforts: Floats,
+    box: Extent,
+) -> list[Table]:
+    """
+    Describe an exciting motion.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        The robot.
+    excitation : Excitation
+        The result of the search.
+    trajectory : Trajectory
+        The motion at the speed at which it was written, k points of m joints.
+    efforts : ndarray, shape (k, m)
+        Modelled efforts [N m or N].
+    box : Extent
+        Space that the robot sweeps.
+
+    """
+    errors = expected_errors(excitation)
+    return [
+        _motion(robot, excitation, trajectory, efforts, box),
+        _joints(robot, excitation, errors),
+        _bodies(errors),
+    ]
+
+
+def _motion(
+    robot: RobotModel,
+    excitation: Excitation,
+    trajectory: Trajectory,
+    efforts: Floats,
+    box: Extent,
+) -> Table:
+    index = robot.joint_indices(trajectory.joint_names)
+    assert trajectory.velocities is not None
+    speeds = np.max(np.abs(trajectory.velocities), axis=0)
+    rows = []
+    for k, i in enumerate(index):
+        unit = 'm  ' if robot.is_prismatic_joint[i] else 'rad'
+        q = trajectory.positions[:, k]
+        peak = float(np.max(np.abs(efforts[:, k])))
+        rows.append(
+            (
+                trajectory.joint_names[k],
+                f'{q[0]:.3f} {unit}',
+                f'{np.min(q):.2f} to {np.max(q):.2f}',
+                f'{number(robot.lower[i])} to {number(robot.upper[i])}',
+                f'{speeds[k]:.3g} {unit.strip()}/s',
+                number(robot.velocity_limits[i]),
+                f'{peak:.3g} {effort_unit(robot, i)}',
+                fraction(peak, robot.effort_limits[i]),
+            )
+        )
+    sides = ', '.join(
+        f'{axis} {low:.2f} to {high:.2f}' for axis, low, high in zip('xyz', *box, strict=True)
+    )
+    notes = [
+        f'{excitation.series.harmonics} harmonics of {1.0 / trajectory.times[-1]:.3g} Hz; at rest '
+        'at both ends, in the pose of the column "start"',
+        f'space of the links and centres of mass: {sides} m in the frame of the base, plus the '
+        'thickness of links and tool',
+        *excitation.limits.notes,
+    ]
+    title = f'Exciting motion of {robot.name}: {trajectory.times[-1]:g} s'
+    columns = ('joint', 'start', 'moves', 'limits', 'speed', 'limit', 'effort', 'of limit')
+    return Table(title, columns, tuple(rows), tuple(notes))
+
+
+def _joints(robot: RobotModel, excitation: Excitation, errors: ExpectedErrors) -> Table:
+    rows = []
+    for k, name in enumerate(errors.joint_names):
+        armature, damping, coulomb, offset = (_number(x) for x in errors.of_joints[k])
+        unit = effort_unit(robot, robot.joint_names.index(name))
+        rows.append(
+            (
+                name,
+                f'{errors.noise[k]:.3g} {unit}',
+                _number(errors.efforts[k]),
+                damping,
+                coulomb,
+                offset,
+                armature,
+            )
+        )
+    duration = excitation.series.duration
+    count = SAMPLES_PER_SECOND * duration
+    gain = math.exp((excitation.log_det - excitation.random_log_det) / (2.0 * errors.count))
+    return Table(
+        'Expected standard errors of one run, by joint',
+        ('joint', 'noise', 'efforts', 'damping', 'Coulomb', 'offset', 'armature'),
+        tuple(rows),
+        (
+            f'assumed: measured efforts with the noise in the first column, {count:g} independent '
+            f'samples in {duration:g} s, and no other errors; more runs reduce all errors, four '
+            'runs by half',
+            'efforts: of the identified model, in random states within the limits',
+            f'{errors.count} unknowns, log det of their information '
+            f'{excitation.log_det + errors.count * math.log(count):.4g}; the errors are '
+            f'{gain:.2g} times smaller (geometric mean) than those of random motions within the '
+            'same limits',
+        ),
+    )
+
+
+def _bodies(errors: ExpectedErrors) -> Table:
+    rows = [
+        (name, *(_number(x) for x in values))
+        for name, values in zip(errors.body_names, errors.of_bodies, strict=True)
+        if not np.isnan(values).all()
+    ]
+    return Table(
+        'Expected standard errors of one run, by the joint that moves the body',
+        ('joint', 'mass [kg]', 'mass x distance [kg m]', 'inertia [kg m^2]'),
+        tuple(rows),
+        (
+            'the largest of each kind; combinations of parameters that only act together are '
+            'listed under one of them, and "-" means that none is left',
+        ),
+    )
+
+
+def _number(value: float) -> str:
+    return '-' if math.isnan(value) else f'{value:.2g}'

@@ -1,0 +1,122 @@
+"""The command `excite`, and the files that it writes."""
+
+from inverse_dynamics_node.analysis.excitation import search
+from inverse_dynamics_node.analysis.trajectory_files import read_trajectory
+from inverse_dynamics_node.cli.main import main
+from inverse_dynamics_node.robot.urdf import load_urdf
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+from robot_files import NOTHING_MOVES, STANFORD
+
+yaml = pytest.importorskip('yaml')
+
+ROBOT = load_urdf(STANFORD)
+NAMES = ROBOT.joint_names
+
+
+@pytest.fixture(autouse=True)
+def brief(monkeypatch):
+    monkeypatch.setattr(search, '_ROUNDS', ((1e2, 4), (1e4, 4)))
+    monkeypatch.setattr(search, '_CANDIDATES', 4)
+
+
+def excite(*arguments):
+    return main(['excite', str(STANFORD), '--no-picture', *arguments])
+
+
+def test_both_files_contain_the_motion_and_a_third_one_leads_to_its_start(here, capsys):
+    assert excite() == 0
+    printed = capsys.readouterr().out
+    table, _ = read_trajectory(here / 'stanford_excite.csv', NAMES)
+    points, _ = read_trajectory(here / 'stanford_excite.yaml', NAMES)
+    start, _ = read_trajectory(here / 'stanford_excite_start.yaml', NAMES)
+    assert table.joint_names == points.joint_names == start.joint_names == NAMES
+    assert table.times[-1] == points.times[-1] == 10.0
+    assert_allclose(table.positions[::5], points.positions, atol=1e-8)
+    assert_allclose(start.positions, table.positions[:1], atol=1e-8)
+    assert start.times[0] >= 5.0
+    for whole in (table, points):
+        assert not whole.velocities[[0, -1]].any()
+        assert not whole.accelerations[[0, -1]].any()
+        assert np.abs(whole.velocities).max(axis=0).min() > 0.01
+    # A controller without effort interfaces rejects a trajectory with efforts.
+    assert 'effort' not in (here / 'stanford_excite.yaml').read_text()
+    for words in (
+        'Expected standard errors of one run',
+        'space of the links',
+        'noise',
+        'Collisions are not checked',
+    ):
+        assert words in printed
+    # The files are those that `effort` reads.
+    assert main(['effort', str(STANFORD), 'stanford_excite.yaml', '--no-picture', '--strict']) == 0
+
+
+def test_a_rehearsal_is_the_same_path_at_another_speed(here):
+    assert excite() == 0
+    assert excite('--speed', '0.2') == 0
+    fast, _ = read_trajectory(here / 'stanford_excite.csv', NAMES)
+    slow, _ = read_trajectory(here / 'stanford_excite_speed_0.2.csv', NAMES)
+    assert slow.times[-1] == 50.0
+    assert_allclose(slow.positions[::5], fast.positions, atol=1e-8)
+    assert_allclose(slow.velocities[::5], 0.2 * fast.velocities, atol=1e-8)
+
+
+def test_the_picture_shows_the_path(here, size_of):
+    assert main(['excite', str(STANFORD), '--picture', 'path.png', '--duration', '5']) == 0
+    width, height = size_of(here / 'path.png')
+    assert width == 900
+    assert height > 500
+
+
+def test_options_restrict_the_motion(here, capsys):
+    options = '--joints', NAMES[1], NAMES[3], '--range', f'{NAMES[1]}=-0.5:0.5'
+    files = '--csv', 'a.csv', '--trajectory-out', 'b.yaml'
+    assert excite(*options, *files, '--at', f'{NAMES[2]}=0.7', '--noise', '0.5') == 0
+    trajectory, _ = read_trajectory(here / 'a.csv', NAMES)
+    assert trajectory.joint_names == (NAMES[1], NAMES[3])
+    assert np.abs(trajectory.positions[:, 0]).max() <= 0.5
+    assert sorted(path.name for path in here.iterdir()) == ['a.csv', 'b.yaml', 'b_start.yaml']
+    assert '0.5 N m' in capsys.readouterr().out
+
+
+def test_a_motion_below_the_base_is_reported_with_the_option_to_avoid_it(here, capsys):
+    urdf = """<robot name="r"><link name="base"/><link name="arm"><inertial>
+    <origin xyz="0.5 0 0"/><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0"
+    iyz="0"/></inertial></link><joint name="hinge" type="revolute"><parent link="base"/>
+    <child link="arm"/><axis xyz="0 1 0"/><limit lower="-1" upper="1" velocity="2" effort="50"/>
+    </joint></robot>"""
+    (here / 'arm.urdf').write_text(urdf)
+    assert main(['excite', 'arm.urdf', '--no-picture']) == 0
+    assert 'm below the base: on a table, add --floor 0.1' in capsys.readouterr().out
+    assert main(['excite', 'arm.urdf', '--no-picture', '--floor', '0']) == 0
+    assert 'below the base' not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'code', 'words'),
+    [
+        (['--speed', '2'], 2, "'2' is not a factor above 0, up to 1"),
+        (['--range', 'joint_1=3'], 2, "'joint_1=3' is not JOINT=LOW:HIGH"),
+        (['--at', 'joint_1'], 2, "'joint_1' is not JOINT=POSITION"),
+        (['--joints', 'hook'], 1, "joint 'hook' does not exist; joints are"),
+        (['--fraction', '0'], 1, 'fraction is 0.0, expected more than 0, up to 1'),
+        (['--harmonics', '1'], 1, 'harmonics is 1, expected at least 2'),
+        (['--floor', '5'], 1, 'widen the ranges or lower the floor'),
+    ],
+)
+def test_invalid_arguments_are_rejected_with_a_reason(here, capsys, arguments, code, words):
+    if code == 2:
+        with pytest.raises(SystemExit, match='2'):
+            excite(*arguments)
+    else:
+        assert excite(*arguments) == code
+    assert words in capsys.readouterr().err
+    assert not list(here.iterdir())
+
+
+def test_a_robot_without_joints_is_rejected(here, capsys):
+    (here / 'rock.urdf').write_text(NOTHING_MOVES)
+    assert main(['excite', 'rock.urdf']) == 1
+    assert "robot 'rock' has no joint that can move" in capsys.readouterr().err

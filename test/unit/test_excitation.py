@@ -1,0 +1,309 @@
+"""Exciting motions: at rest at both ends, within all limits, and better than random ones."""
+
+import math
+
+from inverse_dynamics_node import ConfigurationError, InverseDynamics, load_urdf
+from inverse_dynamics_node.analysis.excitation import (
+    expected_errors,
+    find_excitation,
+    FourierSeries,
+    motion_limits,
+    SAMPLES_PER_SECOND,
+    search,
+    States,
+    swept_box,
+    whole_states,
+)
+from inverse_dynamics_node.robot.kinematics import body_frames, moving_points
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+from random_trees import random_chain, urdf_of
+from robot_files import ROOT, STANFORD
+
+ROBOTS = ROOT / 'test' / 'robots'
+PLANAR = ROBOTS / 'planar_2r.urdf'
+NAMES = 'planar_2r', 'cartesian', 'continuous', 'mimic_gripper'
+SOME = [*(ROBOTS / f'{name}.urdf' for name in NAMES), STANFORD]
+
+
+@pytest.fixture
+def brief(monkeypatch):
+    """Search for a short time; the promises about limits do not depend on it."""
+    monkeypatch.setattr(search, '_ROUNDS', ((1e2, 4), (1e4, 4)))
+    monkeypatch.setattr(search, '_CANDIDATES', 4)
+
+
+def dynamics_of(path):
+    return InverseDynamics(load_urdf(path))
+
+
+def find(dynamics, limits, **options):
+    return find_excitation(dynamics, limits, harmonics=3, **options)
+
+
+def states_of(excitation, count=2001):
+    times = np.linspace(0.0, excitation.series.duration, count)
+    return States(*excitation.series.sample(times))
+
+
+def arm(limit='lower="-1" upper="1" velocity="2" effort="50"', kind='revolute'):
+    """Return a robot of one joint that swings 1 kg at 0.5 m, with limits as attributes."""
+    return load_urdf(
+        f'<robot name="r"><link name="base"/><link name="arm"><inertial>'
+        f'<origin xyz="0.5 0 0"/><mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01" '
+        f'ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="hinge" type="{kind}">'
+        f'<parent link="base"/><child link="arm"/><axis xyz="0 1 0"/><limit {limit}/></joint>'
+        '</robot>'
+    )
+
+
+# Fourier series
+
+
+@pytest.mark.parametrize('harmonics', [2, 3, 5, 8])
+def test_a_series_is_at_rest_at_both_ends_and_its_derivatives_agree(harmonics, rng):
+    series = FourierSeries(('a', 'b'), 7.0, rng.normal(size=(2, 2 * harmonics - 1)))
+    assert series.harmonics == harmonics
+    q, qd, qdd = series.sample(np.array([0.0, 7.0]))
+    assert_allclose(q[0], q[1], atol=1e-12)
+    assert_allclose([qd, qdd], 0.0, atol=1e-11)
+    step = 1e-5
+    times = np.linspace(0.5, 6.5, 20)
+    before, now, after = (series.sample(times + k * step) for k in (-1, 0, 1))
+    assert np.abs(now[1]).min(axis=0).max() > 1e-3
+    assert_allclose((after[0] - before[0]) / (2.0 * step), now[1], atol=1e-6)
+    assert_allclose((after[1] - before[1]) / (2.0 * step), now[2], atol=1e-6)
+
+
+def test_a_rehearsal_follows_the_same_path_slowly(rng):
+    series = FourierSeries(('a',), 10.0, rng.normal(size=(1, 9)))
+    fast, slow = series.trajectory(100.0), series.trajectory(20.0, speed=0.2)
+    assert slow.times[-1] == pytest.approx(50.0)
+    assert (slow.positions == fast.positions).all()
+    assert_allclose(slow.velocities, 0.2 * fast.velocities)
+    assert_allclose(slow.accelerations, 0.04 * fast.accelerations)
+    assert (slow.positions[0] == slow.positions[-1]).all()
+    for values in (fast.velocities, fast.accelerations):
+        assert not values[[0, -1]].any()
+
+
+# Limits
+
+
+@pytest.mark.parametrize('path', SOME, ids=lambda path: path.stem)
+def test_a_motion_is_within_all_limits(path, brief):
+    dynamics = dynamics_of(path)
+    limits = motion_limits(dynamics.robot)
+    excitation = find(dynamics, limits)
+    states = states_of(excitation)
+    robot, index = dynamics.robot, limits.index
+    assert np.ptp(states.q, axis=0).min() > 1e-3
+    assert (states.q >= robot.lower[index] - 1e-12).all()
+    assert (states.q <= robot.upper[index] + 1e-12).all()
+    assert (np.abs(states.qd) <= robot.velocity_limits[index]).all()
+    efforts = dynamics.efforts(*whole_states(limits, states))
+    assert (np.abs(efforts) <= robot.effort_limits).all()
+    assert_allclose([states.qd[[0, -1]], states.qdd[[0, -1]]], 0.0, atol=1e-9)
+    # Every joint with a purpose uses most of its speed or range.
+    used = np.maximum(
+        np.max(np.abs(states.q - limits.middle) / limits.half, axis=0),
+        np.max(np.abs(states.qd) / limits.speeds, axis=0),
+    )
+    assert used.max() > 0.5
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_a_motion_of_a_random_robot_is_within_weak_drives(seed, brief):
+    links = random_chain(np.random.default_rng(seed), 3)
+    dynamics = InverseDynamics(load_urdf(urdf_of(links)))
+    limits = motion_limits(dynamics.robot)
+    # Drives that hold the robot in its worst pose, but hardly accelerate it.
+    poses = np.random.default_rng(seed).uniform(limits.lower, limits.upper, (500, 3))
+    weak = np.max(np.abs(dynamics.gravity_efforts(poses)), axis=0) + 1e-3
+    object.__setattr__(limits, 'efforts', weak)
+    states = states_of(find(dynamics, limits))
+    efforts = np.abs(dynamics.efforts(*states))
+    assert (efforts <= weak).all()
+    assert (np.max(efforts, axis=0) > 0.2 * weak).any()
+
+
+def test_a_floor_keeps_links_and_centres_of_mass_above_it(brief):
+    dynamics = dynamics_of(STANFORD)
+    free = states_of(find(dynamics, motion_limits(dynamics.robot)))
+    floor = float(swept_box(dynamics.robot, free.q).lowest[2]) + 0.1
+    kept = states_of(find(dynamics, motion_limits(dynamics.robot, floor=floor)))
+    assert swept_box(dynamics.robot, kept.q).lowest[2] >= floor
+    assert np.ptp(kept.q, axis=0).min() > 1e-3
+
+
+def test_points_of_a_robot_are_those_of_its_frames(urdf_path, rng):
+    robot = load_urdf(urdf_path)
+    q = rng.uniform(-1.0, 1.0, (5, len(robot.joint_names)))
+    found = np.stack([moving_points(robot, q, axis) for axis in np.eye(3)], axis=2)
+    for pose, points in zip(q, found, strict=True):
+        rotations, positions = body_frames(robot, pose)
+        expected = []
+        for body in range(1, len(robot.parent)):
+            places = list(robot.link_position[robot.link_body == body])
+            places += [robot.com[body]] if robot.mass[body] > 0.0 else []
+            expected += [positions[body] + rotations[body] @ place for place in places]
+        assert_allclose(points, expected, atol=1e-12)
+
+
+def test_missing_limits_are_assumed_and_reported():
+    limits = motion_limits(arm('effort="0" velocity="0"', 'continuous'), fraction=1.0)
+    assert (limits.lower, limits.upper) == (-math.pi, math.pi)
+    assert limits.speeds == 1.0
+    assert np.isinf(limits.efforts).all()
+    notes = ' '.join(limits.notes)
+    assert 'range of more than a turn: moves within one turn: hinge' in notes
+    assert 'no speed limit: 1 rad/s (sliding: 0.25 m/s) assumed: hinge' in notes
+    slide = load_urdf(ROBOTS / 'cartesian.urdf')
+    assert slide.is_prismatic_joint.any()
+    object.__setattr__(slide, 'lower', np.full_like(slide.lower, -np.inf))
+    open_ended = motion_limits(slide, fraction=1.0)
+    assert_allclose(
+        open_ended.upper - open_ended.lower, np.where(slide.is_prismatic_joint, 1, 2 * math.pi)
+    )
+    assert (open_ended.upper <= slide.upper).all()
+
+
+def test_a_range_replaces_the_limits_and_must_be_within_them():
+    limits = motion_limits(arm(), fraction=0.5, ranges={'hinge': (-0.2, 0.9)})
+    assert (limits.lower, limits.upper, limits.speeds) == (-0.2, 0.9, 1.0)
+    for ranges, words in (
+        ({'hinge': (-2.0, 0.5)}, "'hinge' is -2 to 0.5 rad, expected at most the limits -1 to 1"),
+        ({'hinge': (0.5, -0.5)}, 'expected a lower and an upper end'),
+        ({'hook': (0.0, 1.0)}, "joint 'hook' does not exist; joints are hinge"),
+    ):
+        with pytest.raises(ConfigurationError, match=words):
+            motion_limits(arm(), ranges=ranges)
+
+
+def test_only_chosen_joints_move_and_the_others_stay(brief):
+    dynamics = dynamics_of(STANFORD)
+    names = dynamics.robot.joint_names
+    limits = motion_limits(dynamics.robot, names[3:1:-1], rest={names[0]: 0.4})
+    assert limits.joint_names == names[2:4]
+    excitation = find(dynamics, limits)
+    assert excitation.series.joint_names == names[2:4]
+    whole = whole_states(limits, states_of(excitation))
+    assert (whole.q[:, 0] == 0.4).all()
+    assert not whole.qd[:, [0, 1, 4, 5]].any()
+
+
+def test_a_joint_that_cannot_move_is_named():
+    robot = arm('lower="0" upper="0" velocity="2" effort="50"')
+    for joints in ([], ['hinge']):
+        with pytest.raises(ConfigurationError, match=r'hinge.*its range is 0 to 0'):
+            motion_limits(robot, joints)
+
+
+def test_drives_that_are_too_weak_are_named():
+    robot = arm('lower="-1" upper="1" velocity="2" effort="1"')
+    with pytest.raises(ConfigurationError, match=r"joint 'hinge' needs .* of 0.8 N m or N"):
+        find_excitation(InverseDynamics(robot), motion_limits(robot))
+
+
+@pytest.mark.parametrize(
+    ('options', 'words'),
+    [
+        ({'harmonics': 1}, 'harmonics is 1, expected at least 2'),
+        ({'duration': 0.0}, 'duration is 0.0, expected a time above 0'),
+        ({'duration': math.inf}, 'duration is inf'),
+    ],
+)
+def test_invalid_options_are_rejected(options, words):
+    dynamics = dynamics_of(PLANAR)
+    with pytest.raises(ConfigurationError, match=words):
+        find_excitation(dynamics, motion_limits(dynamics.robot), **options)
+    with pytest.raises(ConfigurationError, match=r'fraction is 1\.5, expected more than 0'):
+        motion_limits(dynamics.robot, fraction=1.5)
+
+
+# Information
+
+
+@pytest.fixture(scope='module')
+def planar():
+    """Return an exciting motion of a planar arm."""
+    dynamics = dynamics_of(PLANAR)
+    return find(dynamics, motion_limits(dynamics.robot), noise=np.array([0.5, 0.2]))
+
+
+def test_the_information_is_more_than_that_of_random_motions(planar, rng):
+    """Compared without the code of the search: random series, scaled up to the limits."""
+    limits, dynamics = planar.limits, planar.unknowns.dynamics
+
+    def log_det(series):
+        states = States(*series.sample(np.arange(100) * (series.duration / 100)))
+        columns = planar.unknowns.weighted(states).reshape(-1, len(planar.unknowns.columns))
+        return np.linalg.slogdet(columns.T @ columns)[1]
+
+    best = log_det(planar.series)
+    assert best == pytest.approx(np.linalg.slogdet(planar.information)[1], abs=0.5)
+    for _ in range(20):
+        x = rng.normal(size=planar.series.coefficients.shape)
+        x[:, 0] = 0.0
+        series = FourierSeries(limits.joint_names, planar.series.duration, x)
+        q, qd, _ = (np.abs(v).max(axis=0) for v in series.sample(np.linspace(0, 10, 500)))
+        x /= np.maximum(q / limits.half, qd / limits.speeds)[:, np.newaxis]
+        x[:, 0] = limits.middle
+        efforts = np.abs(dynamics.efforts(*series.sample(np.linspace(0, 10, 500))))
+        assert (efforts < limits.efforts).all()  # the same limits
+        assert log_det(series) < best - 3.0
+
+
+def test_the_number_of_unknowns_is_that_of_base_parameters(planar):
+    # A planar arm in gravity has the inertia of both links, and two first moments of each; the
+    # armature of the first joint adds to its inertia. Each joint has three of friction and offset.
+    kinds = [kind for _, kind in planar.unknowns.names()]
+    assert len(kinds) == 13
+    assert [kinds.count(kind) for kind in ('damping', 'Coulomb', 'offset')] == [2, 2, 2]
+
+
+def test_the_gradient_of_the_search_is_that_of_its_value(planar, rng):
+    limits, dynamics = planar.limits, planar.unknowns.dynamics
+    motions = search.Motions(dynamics, limits, 10.0, 3)
+    objective = search._Objective(motions, planar.unknowns)
+    x = 1.5 * motions.random(1, rng)[0].ravel()  # beyond the limits
+    _, slopes = objective(x, 1e2)
+    step = 1e-5
+    for k in range(len(x)):
+        there = [objective(x + sign * step * np.eye(len(x))[k], 1e2)[0] for sign in (1, -1)]
+        assert slopes[k] == pytest.approx((there[0] - there[1]) / (2.0 * step), rel=1e-3, abs=1e-2)
+    assert np.abs(slopes).min() > 0.1
+
+
+def test_expected_errors_are_those_of_simulated_recordings(planar, rng):
+    unknowns, limits = planar.unknowns, planar.limits
+    count = round(SAMPLES_PER_SECOND * planar.series.duration)
+    states = States(*planar.series.sample(np.arange(count) / SAMPLES_PER_SECOND))
+    columns = unknowns.of_efforts(states) / unknowns.noise[:, np.newaxis]
+    matrix = columns.reshape(-1, columns.shape[2])
+    truth = rng.normal(size=columns.shape[2])
+    found = []
+    for _ in range(200):
+        measured = matrix @ truth + rng.normal(size=len(matrix))
+        found.append(np.linalg.lstsq(matrix, measured, rcond=None)[0])
+    spread = np.std(found, axis=0)
+    errors = expected_errors(planar)
+    kinds = {name: k for k, name in enumerate(('armature', 'damping', 'Coulomb', 'offset'))}
+    compared = 0
+    for u, (joint, kind) in enumerate(unknowns.names()):
+        if kind in kinds:
+            row = limits.joint_names.index(joint)
+            expected = errors.of_joints[row, kinds[kind]]
+            assert spread[u] == pytest.approx(expected, rel=0.25), (joint, kind)
+            compared += 1
+    assert compared >= 6
+    assert (errors.efforts > 0.1 * unknowns.noise).all()
+    assert (errors.efforts < unknowns.noise).all()
+
+
+def test_the_search_finds_the_same_motion_again(planar):
+    again = find(
+        planar.unknowns.dynamics, motion_limits(planar.unknowns.dynamics.robot), noise=[0.5, 0.2]
+    )
+    assert (again.series.coefficients == planar.series.coefficients).all()
