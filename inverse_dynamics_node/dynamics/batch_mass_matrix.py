@@ -16,22 +16,16 @@ from .batch import (
     store_lane,
     transpose,
 )
-from .columns import (
-    ARMATURE,
-    JOINT,
-    MULTIPLIER,
-    OFFSET,
-    PARENT,
-    rotation,
-    SLIDES,
-    vector,
+from .batch_base_axes import (
+    FRAME,
+    frame_step,
+    hold_base_frame,
+    lane_axes,
+    lane_axis,
+    lane_origin,
 )
-from .equations import (
-    child_force,
-    child_moment,
-    joint_effort,
-    origin_in_parent,
-)
+from .columns import ARMATURE, JOINT, MULTIPLIER, PARENT, SLIDES
+from .equations import subtract
 from .jit import (
     compile_for,
     IS_COMPILED,
@@ -40,15 +34,18 @@ from .jit import (
     simd_step,
 )
 from .mass_matrix import (
+    along,
     combined,
     Composite,
-    composite_in_parent,
     composite_of_link,
+    effort_at,
+    in_base_axes,
+    shifted,
     unit_wrench,
 )
 from .newton_euler import NOT_FINITE, OK
 
-_SIGNATURE = '(f8[:,:], f8[:,:], f8[:,::1], UniTuple(f8[:,::1], 6))'
+_SIGNATURE = '(f8[:,:], f8[:,:], f8[:,::1], UniTuple(f8[:,::1], 7))'
 
 
 def mass_matrix_many(q: Floats, matrices: Floats, robot: Floats) -> int:
@@ -74,7 +71,7 @@ def mass_matrix_many(q: Floats, matrices: Floats, robot: Floats) -> int:
     N, n = q.shape
     b = len(robot)
     columns, entries = q.T, matrices.reshape(N, n * n).T
-    shapes = ((b, 3), (b, 10), (2, 6), (n, 1), (n * n, 1), (1, 1))
+    shapes = ((b, 3), (b, FRAME), (b, 10), (1, 6), (n, 1), (n * n, 1), (1, 1))
     kind = np.float64 if IS_COMPILED else np.object_
     rows = tuple([np.empty((i, j * LANES), kind) for i, j in shapes])
     if IS_COMPILED:
@@ -87,9 +84,10 @@ def mass_matrix_many(q: Floats, matrices: Floats, robot: Floats) -> int:
 @simd_kernel
 def _blocks(all_q: Any, all_matrices: Any, robot: Any, rows: Any) -> int:
     """Compute block after block; the states are columns here."""
-    place, bodies, wrench, q, matrix, residue = rows
+    place, frames, bodies, wrench, q, matrix, residue = rows
     size = min(BLOCK, all_q.shape[-1])
     last = all_q.shape[-1] - size
+    hold_base_frame(frames)
     residue[:] = 0.0
     for start in range(0, last + size, size):
         # The last block overlaps the one before, so that every block is full.
@@ -98,21 +96,19 @@ def _blocks(all_q: Any, all_matrices: Any, robot: Any, rows: Any) -> int:
         transpose(all_q[..., block], q)
         begin(q, robot, matrix, residue)
         for i in range(1, len(robot)):
-            place_link(q, robot, i, int(robot[i, JOINT]), place)
-            begin_body(robot, i, bodies)
-        for i in range(len(robot) - 1, 0, -1):
-            begin_wrench(robot, i, bodies, wrench)
-            add_entry(robot, i, i, wrench, 0, matrix, len(q))
-            link, side = i, 0
             parent = int(robot[i, PARENT])
-            if parent > 0:
-                combine(robot, i, place, bodies, parent, bodies)
-            while parent > 0:
-                move_wrench(robot, link, place, wrench, side, wrench)
-                link, side = parent, 1 - side
-                add_entry(robot, i, link, wrench, side, matrix, len(q))
-                parent = int(robot[link, PARENT])
-        check(matrix, residue)
+            place_link(q, robot, i, int(robot[i, JOINT]), place)
+            frame_step(robot, i, place, frames, parent, frames)
+            begin_body(robot, i, frames, bodies)
+        for i in range(len(robot) - 1, 0, -1):
+            mover = int(robot[i, PARENT])
+            if mover > 0:
+                combine(i, frames, bodies, mover, bodies)
+            begin_wrench(robot, i, frames, bodies, wrench, matrix, len(q))
+            while mover > 0:
+                add_entry(robot, i, mover, frames, wrench, matrix, len(q))
+                mover = int(robot[mover, PARENT])
+        check(matrix, len(q), residue)
         transpose(matrix, all_matrices[..., block])
     for k in range(LANES):
         if holds_nan(residue[0, k]):
@@ -135,70 +131,59 @@ def begin(q: Any, robot: Any, matrix: Any, residue: Any) -> None:
 
 
 @simd_step
-def begin_body(robot: Any, i: int, bodies: Any) -> None:
+def begin_body(robot: Any, i: int, frames: Any, bodies: Any) -> None:
     """Set a composite body to the link alone."""
     body = composite_of_link(robot[i])
     for k in range(LANES):
-        store_body(bodies, i, k, body)
+        store_body(bodies, i, k, in_base_axes(lane_axes(frames, i, k), body))
 
 
 @simd_step
-def begin_wrench(robot: Any, i: int, bodies: Any, wrench: Any) -> None:
-    """Compute the force and moment for a unit acceleration of the joint of a link."""
-    slides = robot[i, SLIDES]
-    for k in range(LANES):
-        force, moment = unit_wrench(lane_body(bodies, i, k), slides)
-        store_lane(wrench, 0, 0, k, force)
-        store_lane(wrench, 0, 3, k, moment)
-
-
-@simd_step
-def combine(robot: Any, i: int, place: Any, bodies: Any, parent: int, parents: Any) -> None:
+def combine(i: int, frames: Any, bodies: Any, parent: int, parents: Any) -> None:
     """Add the composite body of a link to its parent's."""
-    R, offset = rotation(robot[i]), vector(robot[i], OFFSET)
     for k in range(LANES):
-        c, s, length = lane(place, i, 0, k)
-        p = origin_in_parent(R, offset, length)
-        moved = composite_in_parent(R, c, s, p, lane_body(bodies, i, k))
+        p = subtract(lane_origin(frames, i, k), lane_origin(frames, parent, k))
+        moved = shifted(p, lane_body(bodies, i, k))
         store_body(parents, parent, k, combined(lane_body(parents, parent, k), moved))
 
 
 @simd_step
-def move_wrench(robot: Any, i: int, place: Any, wrench: Any, side: int, moved: Any) -> None:
-    """Express a force and moment in the frame of the parent; the result is on the other side."""
-    R, offset = rotation(robot[i]), vector(robot[i], OFFSET)
+def begin_wrench(
+    robot: Any, i: int, frames: Any, bodies: Any, wrench: Any, matrix: Any, n: int
+) -> None:
+    """Compute the force and moment for a unit acceleration of the joint of a link."""
+    entry, slides = int(robot[i, JOINT]) * (n + 1), robot[i, SLIDES]
+    multiplier = robot[i, MULTIPLIER] * robot[i, MULTIPLIER]
     for k in range(LANES):
-        c, s, length = lane(place, i, 0, k)
-        p = origin_in_parent(R, offset, length)
-        force = child_force(R, c, s, lane(wrench, side, 0, k))
-        moment = child_moment(R, c, s, p, force, lane(wrench, side, 3, k))
-        store_lane(moved, 1 - side, 0, k, force)
-        store_lane(moved, 1 - side, 3, k, moment)
+        axis = lane_axis(frames, i, k)
+        force, moment = unit_wrench(lane_body(bodies, i, k), axis, slides)
+        store_lane(wrench, 0, 0, k, force)
+        store_lane(wrench, 0, 3, k, moment)
+        effort = multiplier * along(axis, slides, force, moment)
+        matrix[entry, k] = matrix[entry, k] + effort
 
 
 @simd_step
-def add_entry(robot: Any, i: int, j: int, wrench: Any, side: int, matrix: Any, n: int) -> None:
+def add_entry(robot: Any, i: int, j: int, frames: Any, wrench: Any, matrix: Any, n: int) -> None:
     """Add the effort of link j's joint for the acceleration of link i's to the matrix."""
     a, b = int(robot[i, JOINT]), int(robot[j, JOINT])
     multiplier, slides = robot[i, MULTIPLIER] * robot[j, MULTIPLIER], robot[j, SLIDES]
     for k in range(LANES):
-        force, moment = lane(wrench, side, 0, k), lane(wrench, side, 3, k)
-        entry = multiplier * joint_effort(force, moment, slides)
-        matrix[a * n + b, k] = matrix[a * n + b, k] + entry
-    if i != j:
-        for k in range(LANES):
-            force, moment = lane(wrench, side, 0, k), lane(wrench, side, 3, k)
-            entry = multiplier * joint_effort(force, moment, slides)
-            matrix[b * n + a, k] = matrix[b * n + a, k] + entry
+        arm = subtract(lane_origin(frames, i, k), lane_origin(frames, j, k))
+        force, moment = lane(wrench, 0, 0, k), lane(wrench, 0, 3, k)
+        effort = multiplier * effort_at(arm, lane_axis(frames, j, k), slides, force, moment)
+        matrix[a * n + b, k] = matrix[a * n + b, k] + effort
+        matrix[b * n + a, k] = matrix[b * n + a, k] + effort
 
 
 @simd_step
-def check(matrix: Any, residue: Any) -> None:
-    """Note entries that are not finite."""
-    for entry in range(len(matrix)):
+def check(matrix: Any, n: int, residue: Any) -> None:
+    """Note entries that are not finite; see `mass_matrix.check_diagonal`."""
+    for joint in range(n):
         for k in range(LANES):
+            entry = matrix[joint * (n + 1), k]
             # The difference is 0 only for finite numbers, and a NaN stays a NaN.
-            residue[0, k] = residue[0, k] + (matrix[entry, k] - matrix[entry, k])
+            residue[0, k] = residue[0, k] + (entry - entry)
 
 
 @simd_inline

@@ -19,32 +19,20 @@ from .batch import (
     store_lane,
     transpose,
 )
-from .columns import (
-    JOINT,
-    MULTIPLIER,
-    OFFSET,
-    PARENT,
-    rotation,
-    SLIDES,
-    vector,
+from .batch_base_axes import (
+    FRAME,
+    frame_step,
+    hold_base_frame,
+    lane_axes,
+    lane_axis,
+    lane_origin,
+    store_axes,
 )
-from .equations import add, origin_in_parent, subtract
-from .jit import (
-    compile_for,
-    IS_COMPILED,
-    simd_inline,
-    simd_kernel,
-    simd_step,
-)
+from .columns import JOINT, MULTIPLIER, PARENT, rotation, SLIDES
+from .equations import subtract
+from .jit import compile_for, IS_COMPILED, simd_kernel, simd_step
 from .newton_euler import NOT_FINITE, OK
-from .regressor import (
-    axes_in_base,
-    block,
-    combination,
-    in_frame_of_parameters,
-    PARAMETERS,
-    unit_twist,
-)
+from .regressor import block, in_frame_of_parameters, PARAMETERS, unit_twist
 
 _SIGNATURE = f'({"f8[:,:], " * 3}f8[:,:,:,:], f8[:,::1], f8[:,::1], UniTuple(f8[:,::1], 9))'
 
@@ -74,7 +62,7 @@ def regressor_many(states: Sequence[Floats], matrices: Floats, R_LZ: Floats, rob
     (N, n), b = states[0].shape, len(robot)
     q, qd, qdd = (values.T for values in states)
     blocks = matrices.reshape(N, n, b - 1, PARAMETERS).transpose(1, 2, 3, 0)
-    shapes = ((b, 3), (b, 9), (b, 12), (1, 18), (1, 10), (n, 1), (n, 1), (n, 1), (1, 1))
+    shapes = ((b, 3), (b, 9), (b, FRAME), (1, 18), (1, 10), (n, 1), (n, 1), (n, 1), (1, 1))
     kind = np.float64 if IS_COMPILED else np.object_
     rows = tuple([np.empty((i, j * LANES), kind) for i, j in shapes])
     if IS_COMPILED:
@@ -121,16 +109,6 @@ def _blocks(
 
 
 @simd_step
-def hold_base_frame(frames: Any) -> None:
-    """Set the axes and the origin of the base in every lane."""
-    for k in range(LANES):
-        store_lane(frames, 0, 0, k, (1.0, 0.0, 0.0))
-        store_lane(frames, 0, 3, k, (0.0, 1.0, 0.0))
-        store_lane(frames, 0, 6, k, (0.0, 0.0, 1.0))
-        store_lane(frames, 0, 9, k, (0.0, 0.0, 0.0))
-
-
-@simd_step
 def clear(blocks: Any) -> None:
     """Set the regressors of a block of states to zero."""
     for k in range(LANES):
@@ -138,18 +116,6 @@ def clear(blocks: Any) -> None:
             for body in range(blocks.shape[1]):
                 for parameter in range(PARAMETERS):
                     blocks[joint, body, parameter, k] = 0.0
-
-
-@simd_step
-def frame_step(robot: Any, i: int, place: Any, parents: Any, parent: int, frames: Any) -> None:
-    """Compute the axes and the origin of a link's frame in coordinates of the base."""
-    R, offset = rotation(robot[i]), vector(robot[i], OFFSET)
-    for k in range(LANES):
-        c, s, length = lane(place, i, 0, k)
-        axes_P = lane_axes(parents, parent, k)
-        p = combination(axes_P, origin_in_parent(R, offset, length))
-        store_axes(frames, i, k, axes_in_base(axes_P, R, c, s))
-        store_lane(frames, i, 9, k, add(lane(parents, parent, 9, k), p))
 
 
 @simd_step
@@ -172,8 +138,8 @@ def compute_block(
     """Compute the factors of the parameters of link i in the effort of the joint of a mover."""
     multiplier, slides = robot[mover, MULTIPLIER], robot[mover, SLIDES]
     for k in range(LANES):
-        arm = subtract(lane(frames, i, 9, k), lane(frames, mover, 9, k))
-        twist = unit_twist(lane_axes(turned, 0, k), lane(frames, mover, 6, k), arm, slides)
+        arm = subtract(lane_origin(frames, i, k), lane_origin(frames, mover, k))
+        twist = unit_twist(lane_axes(turned, 0, k), lane_axis(frames, mover, k), arm, slides)
         motion = lane(turned, 0, 9, k), lane(turned, 0, 12, k), lane(turned, 0, 15, k)
         f = block(twist, motion)
         factors[0, k] = multiplier * f[0]
@@ -194,15 +160,3 @@ def add_block(factors: Any, target: Any) -> None:
         for parameter in range(PARAMETERS):
             entry = target[parameter, k] + factors[0, parameter * LANES + k]
             target[parameter, k] = entry
-
-
-@simd_inline
-def lane_axes(rows: Any, i: int, k: int) -> Any:
-    return lane(rows, i, 0, k), lane(rows, i, 3, k), lane(rows, i, 6, k)
-
-
-@simd_inline
-def store_axes(rows: Any, i: int, k: int, axes: Any) -> None:
-    store_lane(rows, i, 0, k, axes[0])
-    store_lane(rows, i, 3, k, axes[1])
-    store_lane(rows, i, 6, k, axes[2])

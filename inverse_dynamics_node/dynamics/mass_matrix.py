@@ -5,6 +5,9 @@ From tips to base, each link and all that it carries are combined into one rigid
 and moment that accelerate this body by a unit acceleration of the link's joint, projected onto
 that joint and onto every joint between it and the base, are entries of the mass matrix.
 
+All vectors are in coordinates of the base, but moments are about the origin of the link: bodies
+are combined and forces are projected without rotating them from link to link.
+
 References
 ----------
 .. [1] M. W. Walker, D. E. Orin, "Efficient dynamic computer simulation of robotic mechanisms",
@@ -18,34 +21,35 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from .base_axes import (
+    Axes,
+    axes,
+    hold_base_axes,
+    in_base,
+    place_in_base,
+)
 from .columns import (
     ARMATURE,
     COM,
     COMPOSITE,
-    COSINE,
     inertia,
     JOINT,
     JOINT_COUNT,
-    LENGTH,
     MASS,
     MULTIPLIER,
-    OFFSET,
     PARENT,
-    rotation,
-    SINE,
+    POSITION,
     SLIDES,
     store,
     vector,
+    Z_AXIS,
 )
 from .equations import (
     add,
-    child_force,
-    child_moment,
+    cross,
     dot,
-    joint_effort,
-    origin_in_parent,
+    subtract,
     symmetric,
-    to_parent,
     Vector,
 )
 from .jit import compiled, simd_inline
@@ -87,36 +91,47 @@ def mass_matrix(q: Sequence[float], matrix: Any, robot: Any) -> int:
             matrix[i][j] = 0.0
         # A position that is not finite must not go unnoticed where no entry depends on it.
         matrix[i][i] = robot[i + 1][ARMATURE] + (q[i] - q[i])
+    hold_base_axes(robot[0])
     for i in range(1, len(robot)):
         link = robot[i]
         place_link(link, q[int(link[JOINT])])
-        store_composite(link, composite_of_link(link))
+        place_in_base(link, robot[int(link[PARENT])])
+        store_composite(link, in_base_axes(axes(link), composite_of_link(link)))
     for i in range(len(robot) - 1, 0, -1):
         link = robot[i]
-        body = composite(link)
-        force, moment = unit_wrench(body, link[SLIDES])
+        body, axis = composite(link), vector(link, Z_AXIS)
+        position, slides = vector(link, POSITION), link[SLIDES]
         joint, multiplier = int(link[JOINT]), link[MULTIPLIER]
-        effort = joint_effort(force, moment, link[SLIDES])
-        matrix[joint][joint] += multiplier * multiplier * effort
-        R, c, s, p = frame(link)
-        parent = robot[int(link[PARENT])]
-        if int(link[PARENT]) > 0:
-            moved = composite_in_parent(R, c, s, p, body)
-            store_composite(parent, combined(composite(parent), moved))
-        while int(link[PARENT]) > 0:
-            force = child_force(R, c, s, force)
-            moment = child_moment(R, c, s, p, force, moment)
-            link = robot[int(link[PARENT])]
+        k = int(link[PARENT])
+        if k > 0:
+            moved = shifted(subtract(position, vector(robot[k], POSITION)), body)
+            store_composite(robot[k], combined(composite(robot[k]), moved))
+        force, moment = unit_wrench(body, axis, slides)
+        matrix[joint][joint] += multiplier * multiplier * along(axis, slides, force, moment)
+        while k > 0:
+            arm = subtract(position, vector(robot[k], POSITION))
+            effort = effort_at(arm, vector(robot[k], Z_AXIS), robot[k][SLIDES], force, moment)
+            effort *= multiplier * robot[k][MULTIPLIER]
             # If one of the two joints mimics the other, both entries are on the diagonal.
-            other = int(link[JOINT])
-            effort = multiplier * link[MULTIPLIER] * joint_effort(force, moment, link[SLIDES])
+            other = int(robot[k][JOINT])
             matrix[joint][other] += effort
             matrix[other][joint] += effort
-            R, c, s, p = frame(link)
-    for i in range(n):
-        for j in range(n):
-            if matrix[i][j] - matrix[i][j] != 0.0:  # 0 only for finite numbers
-                return NOT_FINITE
+            k = int(robot[k][PARENT])
+    return check_diagonal(matrix)
+
+
+@compiled
+def check_diagonal(matrix: Any) -> int:
+    """
+    Return `NOT_FINITE` if an entry is.
+
+    It is enough to look at the diagonal: no other entry of a positive definite matrix is larger
+    than the larger of the two entries on the diagonal in its row and column.
+
+    """
+    for i in range(len(matrix)):
+        if matrix[i][i] - matrix[i][i] != 0.0:  # 0 only for finite numbers
+            return NOT_FINITE
     return OK
 
 
@@ -143,39 +158,33 @@ def about_origin(J: Any, com: Vector, first: Vector) -> Any:
 
 
 @simd_inline
-def composite_in_parent(R: Any, c: Any, s: Any, p: Vector, body: Composite) -> Composite:
-    """Return a composite body in the frame of the parent, about the parent's origin."""
-    mass, first, inertia = body
-    h_x, h_y, h_z = to_parent(R, c, s, first)
-    J = rotated(R, c, s, inertia)
-    p_x, p_y, p_z = p
-    # The parallel-axis theorem, with h the first moment about the link's origin
-    g_x, g_y, g_z = 2.0 * h_x + mass * p_x, 2.0 * h_y + mass * p_y, 2.0 * h_z + mass * p_z
-    x, y, z = p_x * g_x, p_y * g_y, p_z * g_z
-    moved = (h_x + mass * p_x, h_y + mass * p_y, h_z + mass * p_z)
-    shifted = (
-        J[0] + y + z,
-        J[1] - p_x * h_y - p_y * moved[0],
-        J[2] - p_x * h_z - p_z * moved[0],
-        J[3] + x + z,
-        J[4] - p_y * h_z - p_z * moved[1],
-        J[5] + x + y,
-    )
-    return mass, moved, shifted
+def in_base_axes(axes: Axes, body: Composite) -> Composite:
+    """Return a composite body along the axes of the base, about the same origin."""
+    mass, first, J = body
+    x, y, z = axes
+    # The rows of the rotation, and the products of J with them
+    a, b, c = (x[0], y[0], z[0]), (x[1], y[1], z[1]), (x[2], y[2], z[2])
+    u, v, w = symmetric(J, a), symmetric(J, b), symmetric(J, c)
+    rotated = dot(u, a), dot(u, b), dot(u, c), dot(v, b), dot(v, c), dot(w, c)
+    return mass, in_base(axes, first), rotated
 
 
 @simd_inline
-def rotated(R: Any, c: Any, s: Any, J: Any) -> Any:
-    """R_PL J R_LP, where J is symmetric: xx, xy, xz, yy, yz, zz."""
-    xx, xy, xz, yy, yz, zz = J
-    # First by the angle of the joint, about z,
-    a, b = c * xx - s * xy, c * xy - s * yy
-    d, e = s * xx + c * xy, s * xy + c * yy
-    J = (c * a - s * b, s * a + c * b, c * xz - s * yz, s * d + c * e, s * xz + c * yz, zz)
-    # then by R: the rows of R J, and their products with the rows of R.
-    x, y, z = (R[0], R[1], R[2]), (R[3], R[4], R[5]), (R[6], R[7], R[8])
-    u, v, w = symmetric(J, x), symmetric(J, y), symmetric(J, z)
-    return dot(u, x), dot(u, y), dot(u, z), dot(v, y), dot(v, z), dot(w, z)
+def shifted(p: Vector, body: Composite) -> Composite:
+    """Return a composite body about another point, from which its origin is at p."""
+    mass, h, J = body
+    # The parallel-axis theorem, with h the first moment about the old origin
+    moved = h[0] + mass * p[0], h[1] + mass * p[1], h[2] + mass * p[2]
+    x, y, z = p[0] * (h[0] + moved[0]), p[1] * (h[1] + moved[1]), p[2] * (h[2] + moved[2])
+    about_point = (
+        J[0] + y + z,
+        J[1] - p[0] * h[1] - p[1] * moved[0],
+        J[2] - p[0] * h[2] - p[2] * moved[0],
+        J[3] + x + z,
+        J[4] - p[1] * h[2] - p[2] * moved[1],
+        J[5] + x + y,
+    )
+    return mass, moved, about_point
 
 
 @simd_inline
@@ -187,26 +196,27 @@ def combined(a: Composite, b: Composite) -> Composite:
 
 
 @simd_inline
-def unit_wrench(body: Composite, slides: Any) -> tuple[Vector, Vector]:
-    """
-    Return the force and moment for a unit acceleration of the joint, the body at rest.
-
-    A rotational joint needs z x h and the third column of the inertia; a translational joint
-    needs m z and h x z, with h the first moment.
-
-    """
+def unit_wrench(body: Composite, axis: Vector, slides: Any) -> tuple[Vector, Vector]:
+    """Return the force and moment for a unit acceleration of the joint, the body at rest."""
     mass, h, J = body
-    turns = 1.0 - slides
-    force = 0.0 - turns * h[1], turns * h[0], slides * mass
-    moment = turns * J[2] + slides * h[1], turns * J[4] - slides * h[0], turns * J[5]
-    return force, moment
+    if slides != 0.0:
+        force = mass * axis[0], mass * axis[1], mass * axis[2]
+        return force, cross(h, axis)
+    return cross(axis, h), symmetric(J, axis)
 
 
 @simd_inline
-def frame(link: Any) -> Any:
-    """Read R, c, s and p of `equations`, as `place_link` has left them."""
-    R = rotation(link)
-    return R, link[COSINE], link[SINE], origin_in_parent(R, vector(link, OFFSET), link[LENGTH])
+def along(axis: Vector, slides: Any, force: Vector, moment: Vector) -> Any:
+    """(47) for any axis: the effort of a joint for a force and moment about its origin."""
+    return dot(axis, force) if slides != 0.0 else dot(axis, moment)
+
+
+@simd_inline
+def effort_at(arm: Vector, axis: Vector, slides: Any, force: Vector, moment: Vector) -> Any:
+    """Return the effort for a force and moment about a point that is at an arm from the joint."""
+    if slides != 0.0:
+        return dot(axis, force)
+    return dot(axis, add(moment, cross(arm, force)))
 
 
 @simd_inline

@@ -19,44 +19,34 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from .base_axes import (
+    Axes,
+    axes,
+    hold_base_axes,
+    in_base,
+    in_frame,
+    place_in_base,
+)
 from .columns import (
     ACCEL,
-    COSINE,
     JOINT,
     JOINT_COUNT,
-    LENGTH,
     MULTIPLIER,
-    OFFSET,
     OMEGA,
     OMEGA_DOT,
     PARENT,
     POSITION,
     rotation,
-    SINE,
     SLIDES,
-    store,
     vector,
-    X_AXIS,
-    Y_AXIS,
     Z_AXIS,
 )
-from .equations import (
-    add,
-    cross,
-    dot,
-    origin_in_parent,
-    point_acceleration,
-    subtract,
-    Vector,
-)
+from .equations import cross, dot, point_acceleration, subtract, Vector
 from .jit import compiled, simd_inline
 from .newton_euler import NOT_FINITE, OK, outward_pass, WRONG_SIZE
 
 PARAMETERS = 10
 """Per body: m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz."""
-
-Axes = tuple[Vector, Vector, Vector]
-"""Axes x, y, z of a frame."""
 
 
 @compiled
@@ -95,20 +85,22 @@ def regressor(
         for k in range(PARAMETERS * (b - 1)):
             matrix[joint][k] = 0.0
     outward_pass(q, qd, qdd, robot)
-    place_in_base(robot)
+    hold_base_axes(robot[0])
+    for i in range(1, b):
+        place_in_base(robot[i], robot[int(robot[i][PARENT])])
     residue = 0.0
     for i in range(1, b):
         link = robot[i]
-        axes, motion = in_frame_of_parameters(
+        own_axes, motion = in_frame_of_parameters(
             rotation(R_LZ[i]),
-            (vector(link, X_AXIS), vector(link, Y_AXIS), vector(link, Z_AXIS)),
+            axes(link),
             (vector(link, OMEGA), vector(link, OMEGA_DOT), vector(link, ACCEL)),
         )
         p, first, k = vector(link, POSITION), PARAMETERS * (i - 1), i
         while k > 0:
             mover = robot[k]
             arm = subtract(p, vector(mover, POSITION))
-            twist = unit_twist(axes, vector(mover, Z_AXIS), arm, mover[SLIDES])
+            twist = unit_twist(own_axes, vector(mover, Z_AXIS), arm, mover[SLIDES])
             row = matrix[int(mover[JOINT])]
             # The row of a mimic joint adds to its master's.
             residue += add_block(row, first, mover[MULTIPLIER], block(twist, motion))
@@ -116,58 +108,28 @@ def regressor(
     return OK if residue == 0.0 else NOT_FINITE
 
 
-@compiled
-def place_in_base(robot: Any) -> None:
-    """Store the axes and the origin of every link's frame in coordinates of the base."""
-    base = robot[0]
-    store(base, X_AXIS, (1.0, 0.0, 0.0))
-    store(base, Y_AXIS, (0.0, 1.0, 0.0))
-    store(base, Z_AXIS, (0.0, 0.0, 1.0))
-    store(base, POSITION, (0.0, 0.0, 0.0))
-    for i in range(1, len(robot)):
-        link = robot[i]
-        parent = robot[int(link[PARENT])]
-        R = rotation(link)
-        p = origin_in_parent(R, vector(link, OFFSET), link[LENGTH])
-        axes = vector(parent, X_AXIS), vector(parent, Y_AXIS), vector(parent, Z_AXIS)
-        x, y, z = axes_in_base(axes, R, link[COSINE], link[SINE])
-        store(link, X_AXIS, x)
-        store(link, Y_AXIS, y)
-        store(link, Z_AXIS, z)
-        store(link, POSITION, add(vector(parent, POSITION), combination(axes, p)))
-
-
 @simd_inline
-def axes_in_base(axes_P: Axes, R: Any, c: Any, s: Any) -> Axes:
-    """Return the axes of a link's frame, from those of its parent's."""
-    x = c * R[0] + s * R[1], c * R[3] + s * R[4], c * R[6] + s * R[7]
-    y = c * R[1] - s * R[0], c * R[4] - s * R[3], c * R[7] - s * R[6]
-    z = R[2], R[5], R[8]
-    return combination(axes_P, x), combination(axes_P, y), combination(axes_P, z)
-
-
-@simd_inline
-def in_frame_of_parameters(R: Any, axes: Axes, motion: Any) -> Any:
+def in_frame_of_parameters(R: Any, axes_Z: Axes, motion: Any) -> Any:
     """Turn axes (in the base) and motion of a link from its frame in the table by R = R_LZ."""
     x, y, z = (R[0], R[1], R[2]), (R[3], R[4], R[5]), (R[6], R[7], R[8])
-    turned = combination(axes, x), combination(axes, y), combination(axes, z)
+    turned = in_base(axes_Z, x), in_base(axes_Z, y), in_base(axes_Z, z)
     omega, omega_dot, accel = motion
     new = (x, y, z)
     return turned, (
-        components(new, omega),
-        components(new, omega_dot),
-        components(new, accel),
+        in_frame(new, omega),
+        in_frame(new, omega_dot),
+        in_frame(new, accel),
     )
 
 
 @simd_inline
-def unit_twist(axes: Axes, z: Vector, arm: Vector, slides: Any) -> tuple[Vector, Vector]:
+def unit_twist(axes_L: Axes, z: Vector, arm: Vector, slides: Any) -> tuple[Vector, Vector]:
     """
     Return the angular velocity of a body, and the velocity of its origin, for a unit joint rate.
 
     Parameters
     ----------
-    axes : three vectors
+    axes_L : three vectors
         Axes of the body's frame, in coordinates of the base.
     z, arm : vector
         Axis of the joint, and the body's origin from the joint's, in coordinates of the base.
@@ -180,7 +142,7 @@ def unit_twist(axes: Axes, z: Vector, arm: Vector, slides: Any) -> tuple[Vector,
         In the body's frame.
 
     """
-    axis, swept = components(axes, z), components(axes, cross(z, arm))
+    axis, swept = in_frame(axes_L, z), in_frame(axes_L, cross(z, arm))
     turns = 1.0 - slides
     omega = turns * axis[0], turns * axis[1], turns * axis[2]
     velocity = (
@@ -231,23 +193,3 @@ def add_block(row: Any, first: int, multiplier: float, factors: Any) -> float:
         row[first + k] = entry
         residue += entry - entry
     return residue
-
-
-# Vectors and frames
-
-
-@simd_inline
-def components(axes: Axes, v: Vector) -> Vector:
-    """Return a vector in the frame with these axes."""
-    return dot(axes[0], v), dot(axes[1], v), dot(axes[2], v)
-
-
-@simd_inline
-def combination(axes: Axes, v: Vector) -> Vector:
-    """Return a vector given in the frame with these axes: x v[0] + y v[1] + z v[2]."""
-    x, y, z = axes
-    return (
-        x[0] * v[0] + y[0] * v[1] + z[0] * v[2],
-        x[1] * v[0] + y[1] * v[1] + z[1] * v[2],
-        x[2] * v[0] + y[2] * v[1] + z[2] * v[2],
-    )
