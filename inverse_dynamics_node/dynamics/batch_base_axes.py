@@ -4,13 +4,35 @@ from __future__ import annotations
 
 from typing import Any
 
+from ..robot.model import Floats
 from .base_axes import Axes, axes_in_base, in_base
 from .batch import lane, LANES, store_lane
-from .columns import OFFSET, rotation, vector
+from .columns import OFFSET, PARENT, rotation, vector
 from .equations import add, origin_in_parent, Vector
-from .jit import simd_inline, simd_step
+from .jit import IS_COMPILED, simd_inline, simd_step
 
 FRAME = 12  # numbers in a lane: axes x, y, z and origin
+
+
+def count_pairs(robot: Floats) -> int:
+    """Count the pairs of a link and a joint that moves it."""
+    depth = [0]
+    for parent in robot[1:, PARENT].astype(int).tolist():
+        depth.append(depth[parent] + 1)
+    return sum(depth)
+
+
+@simd_inline
+def matrices_of(states: Any, matrices: Any) -> Any:
+    """Return the matrices of a block of states; see `arranged`."""
+    if IS_COMPILED:
+        return matrices[states]
+    return matrices[..., states]
+
+
+def arranged(matrices: Floats) -> Floats:
+    """Arrange N matrices as steps index them: by lane, row and column."""
+    return matrices if IS_COMPILED else matrices.transpose(1, 2, 0)[None]
 
 
 @simd_step

@@ -9,6 +9,7 @@ import numpy as np
 from ..robot.model import Floats
 from .batch import (
     BLOCK,
+    CACHE_LINE,
     holds_nan,
     lane,
     LANES,
@@ -17,12 +18,15 @@ from .batch import (
     transpose,
 )
 from .batch_base_axes import (
+    arranged,
+    count_pairs,
     FRAME,
     frame_step,
     hold_base_frame,
     lane_axes,
     lane_axis,
     lane_origin,
+    matrices_of,
 )
 from .columns import ARMATURE, JOINT, MULTIPLIER, PARENT, SLIDES
 from .equations import subtract
@@ -45,7 +49,7 @@ from .mass_matrix import (
 )
 from .newton_euler import NOT_FINITE, OK
 
-_SIGNATURE = '(f8[:,:], f8[:,:], f8[:,::1], UniTuple(f8[:,::1], 7))'
+_SIGNATURE = '(f8[:,:], f8[:,:,::1], f8[:,::1], UniTuple(f8[:,::1], 7))'
 
 
 def mass_matrix_many(q: Floats, matrices: Floats, robot: Floats) -> int:
@@ -68,23 +72,20 @@ def mass_matrix_many(q: Floats, matrices: Floats, robot: Floats) -> int:
 
     """
     compile_for(_blocks, _SIGNATURE)
-    N, n = q.shape
-    b = len(robot)
-    columns, entries = q.T, matrices.reshape(N, n * n).T
-    shapes = ((b, 3), (b, FRAME), (b, 10), (1, 6), (n, 1), (n * n, 1), (1, 1))
+    n, b = q.shape[1], len(robot)
+    pairs = (count_pairs(robot), 1)
+    shapes = ((b, 3), (b, FRAME), (b, 10), (1, 6), pairs, (n, 1), (1, 1))
     kind = np.float64 if IS_COMPILED else np.object_
     rows = tuple([np.empty((i, j * LANES), kind) for i, j in shapes])
-    if IS_COMPILED:
-        return int(_blocks(columns, entries, robot, rows))
+    columns = q.T if IS_COMPILED else np.ascontiguousarray(q.T)[:, None]
     with np.errstate(over='ignore', invalid='ignore'):
-        columns = np.ascontiguousarray(columns)[:, None]
-        return int(_blocks(columns, entries[:, None], robot, rows))
+        return int(_blocks(columns, arranged(matrices), robot, rows))
 
 
 @simd_kernel
 def _blocks(all_q: Any, all_matrices: Any, robot: Any, rows: Any) -> int:
     """Compute block after block; the states are columns here."""
-    place, frames, bodies, wrench, q, matrix, residue = rows
+    place, frames, bodies, wrench, entries, q, residue = rows
     size = min(BLOCK, all_q.shape[-1])
     last = all_q.shape[-1] - size
     hold_base_frame(frames)
@@ -94,22 +95,24 @@ def _blocks(all_q: Any, all_matrices: Any, robot: Any, rows: Any) -> int:
         first = min(start, last)
         block = slice(first, first + size)
         transpose(all_q[..., block], q)
-        begin(q, robot, matrix, residue)
+        check(q, residue)
         for i in range(1, len(robot)):
             parent = int(robot[i, PARENT])
             place_link(q, robot, i, int(robot[i, JOINT]), place)
             frame_step(robot, i, place, frames, parent, frames)
             begin_body(robot, i, frames, bodies)
+        pair = 0
         for i in range(len(robot) - 1, 0, -1):
             mover = int(robot[i, PARENT])
             if mover > 0:
                 combine(i, frames, bodies, mover, bodies)
-            begin_wrench(robot, i, frames, bodies, wrench, matrix, len(q))
+            begin_wrench(robot, i, frames, bodies, wrench, entries, pair, residue)
+            pair += 1
             while mover > 0:
-                add_entry(robot, i, mover, frames, wrench, matrix, len(q))
+                compute_entry(robot, i, mover, frames, wrench, entries, pair)
                 mover = int(robot[mover, PARENT])
-        check(matrix, len(q), residue)
-        transpose(matrix, all_matrices[..., block])
+                pair += 1
+        store_entries(robot, entries, matrices_of(block, all_matrices))
     for k in range(LANES):
         if holds_nan(residue[0, k]):
             return NOT_FINITE
@@ -117,16 +120,11 @@ def _blocks(all_q: Any, all_matrices: Any, robot: Any, rows: Any) -> int:
 
 
 @simd_step
-def begin(q: Any, robot: Any, matrix: Any, residue: Any) -> None:
-    """Set the matrices to the armature, and note positions that are not finite."""
-    n = len(q)
-    for joint in range(len(matrix)):
+def check(q: Any, residue: Any) -> None:
+    """Note positions that are not finite."""
+    for joint in range(len(q)):
         for k in range(LANES):
-            matrix[joint, k] = 0.0
-    for joint in range(n):
-        armature = robot[joint + 1, ARMATURE]
-        for k in range(LANES):
-            matrix[joint * (n + 1), k] = armature
+            # The difference is 0 only for finite numbers, and a NaN stays a NaN.
             residue[0, k] = residue[0, k] + (q[joint, k] - q[joint, k])
 
 
@@ -149,41 +147,64 @@ def combine(i: int, frames: Any, bodies: Any, parent: int, parents: Any) -> None
 
 @simd_step
 def begin_wrench(
-    robot: Any, i: int, frames: Any, bodies: Any, wrench: Any, matrix: Any, n: int
+    robot: Any,
+    i: int,
+    frames: Any,
+    bodies: Any,
+    wrench: Any,
+    entries: Any,
+    pair: int,
+    residue: Any,
 ) -> None:
-    """Compute the force and moment for a unit acceleration of the joint of a link."""
-    entry, slides = int(robot[i, JOINT]) * (n + 1), robot[i, SLIDES]
-    multiplier = robot[i, MULTIPLIER] * robot[i, MULTIPLIER]
+    """Compute force, moment and effort for a unit acceleration of the joint of a link."""
+    multiplier, slides = robot[i, MULTIPLIER] * robot[i, MULTIPLIER], robot[i, SLIDES]
     for k in range(LANES):
         axis = lane_axis(frames, i, k)
         force, moment = unit_wrench(lane_body(bodies, i, k), axis, slides)
         store_lane(wrench, 0, 0, k, force)
         store_lane(wrench, 0, 3, k, moment)
         effort = multiplier * along(axis, slides, force, moment)
-        matrix[entry, k] = matrix[entry, k] + effort
+        entries[pair, k] = effort
+        # It is enough to check the diagonal, see `mass_matrix.check_diagonal`.
+        residue[0, k] = residue[0, k] + (effort - effort)
 
 
 @simd_step
-def add_entry(robot: Any, i: int, j: int, frames: Any, wrench: Any, matrix: Any, n: int) -> None:
-    """Add the effort of link j's joint for the acceleration of link i's to the matrix."""
-    a, b = int(robot[i, JOINT]), int(robot[j, JOINT])
+def compute_entry(
+    robot: Any, i: int, j: int, frames: Any, wrench: Any, entries: Any, pair: int
+) -> None:
+    """Compute the effort of link j's joint for the acceleration of link i's."""
     multiplier, slides = robot[i, MULTIPLIER] * robot[j, MULTIPLIER], robot[j, SLIDES]
     for k in range(LANES):
         arm = subtract(lane_origin(frames, i, k), lane_origin(frames, j, k))
         force, moment = lane(wrench, 0, 0, k), lane(wrench, 0, 3, k)
-        effort = multiplier * effort_at(arm, lane_axis(frames, j, k), slides, force, moment)
-        matrix[a * n + b, k] = matrix[a * n + b, k] + effort
-        matrix[b * n + a, k] = matrix[b * n + a, k] + effort
+        effort = effort_at(arm, lane_axis(frames, j, k), slides, force, moment)
+        entries[pair, k] = multiplier * effort
 
 
 @simd_step
-def check(matrix: Any, n: int, residue: Any) -> None:
-    """Note entries that are not finite; see `mass_matrix.check_diagonal`."""
-    for joint in range(n):
-        for k in range(LANES):
-            entry = matrix[joint * (n + 1), k]
-            # The difference is 0 only for finite numbers, and a NaN stays a NaN.
-            residue[0, k] = residue[0, k] + (entry - entry)
+def store_entries(robot: Any, entries: Any, matrices: Any) -> None:
+    """Write the matrices, a few states at a time, so that they stay in the processor's cache."""
+    n = matrices.shape[1]
+    for first in range(0, LANES, CACHE_LINE):
+        last = min(first + CACHE_LINE, LANES)
+        for k in range(first, last):
+            for row in range(n):
+                for column in range(n):
+                    matrices[k, row, column] = 0.0
+            for joint in range(n):
+                matrices[k, joint, joint] = robot[joint + 1, ARMATURE]
+        pair = 0
+        for i in range(len(robot) - 1, 0, -1):
+            a, mover = int(robot[i, JOINT]), i
+            while mover > 0:
+                b = int(robot[mover, JOINT])
+                for k in range(first, last):
+                    matrices[k, a, b] = matrices[k, a, b] + entries[pair, k]
+                    if mover != i:
+                        matrices[k, b, a] = matrices[k, b, a] + entries[pair, k]
+                mover = int(robot[mover, PARENT])
+                pair += 1
 
 
 @simd_inline

@@ -10,6 +10,7 @@ import numpy as np
 from ..robot.model import Floats
 from .batch import (
     BLOCK,
+    CACHE_LINE,
     hold_base,
     holds_nan,
     lane,
@@ -20,12 +21,15 @@ from .batch import (
     transpose,
 )
 from .batch_base_axes import (
+    arranged,
+    count_pairs,
     FRAME,
     frame_step,
     hold_base_frame,
     lane_axes,
     lane_axis,
     lane_origin,
+    matrices_of,
     store_axes,
 )
 from .columns import JOINT, MULTIPLIER, PARENT, rotation, SLIDES
@@ -34,7 +38,7 @@ from .jit import compile_for, IS_COMPILED, simd_kernel, simd_step
 from .newton_euler import NOT_FINITE, OK
 from .regressor import block, in_frame_of_parameters, PARAMETERS, unit_twist
 
-_SIGNATURE = f'({"f8[:,:], " * 3}f8[:,:,:,:], f8[:,::1], f8[:,::1], UniTuple(f8[:,::1], 9))'
+_SIGNATURE = f'({"f8[:,:], " * 3}f8[:,:,::1], f8[:,::1], f8[:,::1], UniTuple(f8[:,::1], 9))'
 
 
 def regressor_many(states: Sequence[Floats], matrices: Floats, R_LZ: Floats, robot: Floats) -> int:
@@ -59,22 +63,21 @@ def regressor_many(states: Sequence[Floats], matrices: Floats, R_LZ: Floats, rob
 
     """
     compile_for(_blocks, _SIGNATURE)
-    (N, n), b = states[0].shape, len(robot)
+    n, b = states[0].shape[1], len(robot)
     q, qd, qdd = (values.T for values in states)
-    blocks = matrices.reshape(N, n, b - 1, PARAMETERS).transpose(1, 2, 3, 0)
-    shapes = ((b, 3), (b, 9), (b, FRAME), (1, 18), (1, 10), (n, 1), (n, 1), (n, 1), (1, 1))
+    pairs = (count_pairs(robot), PARAMETERS)
+    shapes = ((b, 3), (b, 9), (b, FRAME), (1, 18), pairs, (n, 1), (n, 1), (n, 1), (1, 1))
     kind = np.float64 if IS_COMPILED else np.object_
     rows = tuple([np.empty((i, j * LANES), kind) for i, j in shapes])
-    if IS_COMPILED:
-        return int(_blocks(q, qd, qdd, blocks, R_LZ, robot, rows))
-    q, qd, qdd = (np.ascontiguousarray(values)[:, None] for values in (q, qd, qdd))
+    if not IS_COMPILED:
+        q, qd, qdd = (np.ascontiguousarray(values)[:, None] for values in (q, qd, qdd))
     with np.errstate(over='ignore', invalid='ignore'):
-        return int(_blocks(q, qd, qdd, blocks[..., None, :], R_LZ, robot, rows))
+        return int(_blocks(q, qd, qdd, arranged(matrices), R_LZ, robot, rows))
 
 
 @simd_kernel
 def _blocks(
-    all_q: Any, all_qd: Any, all_qdd: Any, all_blocks: Any, R_LZ: Any, robot: Any, rows: Any
+    all_q: Any, all_qd: Any, all_qdd: Any, all_matrices: Any, R_LZ: Any, robot: Any, rows: Any
 ) -> int:
     """Compute block after block; the states are columns here."""
     place, motion, frames, turned, factors, q, qd, qdd, residue = rows
@@ -90,7 +93,7 @@ def _blocks(
         transpose(all_q[..., states], q)
         transpose(all_qd[..., states], qd)
         transpose(all_qdd[..., states], qdd)
-        clear(all_blocks[..., states])
+        pair = 0
         for i in range(1, len(robot)):
             parent, joint = int(robot[i, PARENT]), int(robot[i, JOINT])
             place_link(q, robot, i, joint, place)
@@ -99,23 +102,14 @@ def _blocks(
             turn(R_LZ, i, motion, frames, turned)
             mover = i
             while mover > 0:
-                compute_block(robot, i, mover, frames, turned, factors, residue)
-                add_block(factors, all_blocks[int(robot[mover, JOINT]), i - 1, ..., states])
+                compute_block(robot, i, mover, frames, turned, factors, pair, residue)
                 mover = int(robot[mover, PARENT])
+                pair += 1
+        store_blocks(robot, factors, matrices_of(states, all_matrices))
     for k in range(LANES):
         if holds_nan(residue[0, k]):
             return NOT_FINITE
     return OK
-
-
-@simd_step
-def clear(blocks: Any) -> None:
-    """Set the regressors of a block of states to zero."""
-    for k in range(LANES):
-        for joint in range(blocks.shape[0]):
-            for body in range(blocks.shape[1]):
-                for parameter in range(PARAMETERS):
-                    blocks[joint, body, parameter, k] = 0.0
 
 
 @simd_step
@@ -133,7 +127,14 @@ def turn(R_LZ: Any, i: int, motion: Any, frames: Any, turned: Any) -> None:
 
 @simd_step
 def compute_block(
-    robot: Any, i: int, mover: int, frames: Any, turned: Any, factors: Any, residue: Any
+    robot: Any,
+    i: int,
+    mover: int,
+    frames: Any,
+    turned: Any,
+    factors: Any,
+    pair: int,
+    residue: Any,
 ) -> None:
     """Compute the factors of the parameters of link i in the effort of the joint of a mover."""
     multiplier, slides = robot[mover, MULTIPLIER], robot[mover, SLIDES]
@@ -142,21 +143,35 @@ def compute_block(
         twist = unit_twist(lane_axes(turned, 0, k), lane_axis(frames, mover, k), arm, slides)
         motion = lane(turned, 0, 9, k), lane(turned, 0, 12, k), lane(turned, 0, 15, k)
         f = block(twist, motion)
-        factors[0, k] = multiplier * f[0]
-        store_lane(factors, 0, 1, k, (multiplier * f[1], multiplier * f[2], multiplier * f[3]))
-        store_lane(factors, 0, 4, k, (multiplier * f[4], multiplier * f[5], multiplier * f[6]))
-        store_lane(factors, 0, 7, k, (multiplier * f[7], multiplier * f[8], multiplier * f[9]))
+        factors[pair, k] = multiplier * f[0]
+        store_lane(factors, pair, 1, k, (multiplier * f[1], multiplier * f[2], multiplier * f[3]))
+        store_lane(factors, pair, 4, k, (multiplier * f[4], multiplier * f[5], multiplier * f[6]))
+        store_lane(factors, pair, 7, k, (multiplier * f[7], multiplier * f[8], multiplier * f[9]))
     for parameter in range(PARAMETERS):
         for k in range(LANES):
             # The difference is 0 only for finite numbers, and a NaN stays a NaN.
-            factor = factors[0, parameter * LANES + k]
+            factor = factors[pair, parameter * LANES + k]
             residue[0, k] = residue[0, k] + (factor - factor)
 
 
 @simd_step
-def add_block(factors: Any, target: Any) -> None:
-    """Add factors to the regressors; the row of a mimic joint adds to its master's."""
-    for k in range(LANES):
-        for parameter in range(PARAMETERS):
-            entry = target[parameter, k] + factors[0, parameter * LANES + k]
-            target[parameter, k] = entry
+def store_blocks(robot: Any, factors: Any, matrices: Any) -> None:
+    """Write the regressors, a few states at a time, so that they stay in the processor's cache."""
+    for first in range(0, LANES, CACHE_LINE):
+        last = min(first + CACHE_LINE, LANES)
+        for k in range(first, last):
+            for row in range(matrices.shape[1]):
+                for column in range(matrices.shape[2]):
+                    matrices[k, row, column] = 0.0
+        pair = 0
+        for i in range(1, len(robot)):
+            mover = i
+            while mover > 0:
+                row, start = int(robot[mover, JOINT]), PARAMETERS * (i - 1)
+                for k in range(first, last):
+                    for j in range(PARAMETERS):
+                        # The row of a mimic joint adds to its master's.
+                        entry = matrices[k, row, start + j] + factors[pair, j * LANES + k]
+                        matrices[k, row, start + j] = entry
+                mover = int(robot[mover, PARENT])
+                pair += 1

@@ -1,10 +1,11 @@
 """
 Optional code generation for one robot.
 
-The equations are not repeated here. The functions of `newton_euler` run once, on symbolic numbers:
-arithmetic on a `RunTimeNumber` emits an instruction instead of computing. Constants of the robot
-(parents, joint types, rotations, offsets) remain plain numbers, so loops and branches over them
-are resolved, and products with zero disappear. The result is straight-line code.
+The equations are not repeated here. The functions of `newton_euler` and `mass_matrix` run once,
+on symbolic numbers: arithmetic on a `RunTimeNumber` emits an instruction instead of computing.
+Constants of the robot (parents, joint types, rotations, offsets) remain plain numbers, so loops
+and branches over them are resolved, and products with zero disappear. The result is straight-line
+code.
 
 Numbers that may change at run time are read from the columns at each call. The code omits those
 that were zero when it was generated; `GeneratedDynamics` detects when one of them is set.
@@ -15,14 +16,14 @@ from __future__ import annotations
 from collections.abc import Callable
 import math
 from types import FunctionType
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, cast, NamedTuple, NoReturn
 import warnings
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..robot.model import Floats
-from . import columns, equations, newton_euler
+from . import base_axes, columns, equations, mass_matrix, newton_euler
 from .inverse_dynamics import InverseDynamics
 from .jit import IS_COMPILED
 from .newton_euler import NOT_FINITE, OK, WRONG_SIZE
@@ -53,14 +54,21 @@ class Code(NamedTuple):
 
 
 DOES_NOT_FIT = -1
-NO_CODE = Code(lambda: DOES_NOT_FIT, lambda *_: DOES_NOT_FIT)
+
+
+def no_code(*_: Any) -> int:
+    """Stand for code that does not apply to the present loads."""
+    return DOES_NOT_FIT
+
+
+NO_CODE = Code(no_code, no_code)
 
 
 class GeneratedDynamics:
     """
     Inverse dynamics by code generated for one robot, for use in a control loop.
 
-    Computes the same as `InverseDynamics.efforts` except for rounding: multiplications and
+    Computes the same as the methods of `InverseDynamics` except for rounding: multiplications and
     additions are fused if the processor can. Gravity, base motion, payloads, wrenches, friction
     and armature that are set on the dynamics apply at once, without compiling again. If one of
     them was zero when this object was made and is set later (a base that begins to rotate, for
@@ -79,7 +87,8 @@ class GeneratedDynamics:
 
     Notes
     -----
-    Each object compiles for tenths of a second, because its code contains array addresses.
+    Each object compiles for tenths of a second, because its code contains array addresses. The
+    first call of `mass_matrix` does so again, so make it before the loop.
 
     """
 
@@ -100,6 +109,8 @@ class GeneratedDynamics:
             except Exception as error:  # uses internals of numba, which vary between versions
                 warnings.warn(f'using the general kernel: {error!r}', stacklevel=2)
         self._in_block, self._in_arrays = self._code
+        self._compiled_mass_matrix: Callable[[Any, Any], int] | None = None
+        self._mass_matrix: Callable[[Any, Any], int] = self._first_mass_matrix
 
     def update(self) -> Floats:
         """
@@ -142,11 +153,41 @@ class GeneratedDynamics:
             pass
         return self._dynamics.efforts(q, qd, qdd, out)
 
+    def mass_matrix(self, q: ArrayLike, out: Floats | None = None) -> Floats:
+        """
+        Compute the mass matrix; the first call compiles.
+
+        Parameters, result and errors are those of `InverseDynamics.mass_matrix`.
+
+        """
+        if self._revision != self._loaded.revision:
+            self._select_code()
+        try:
+            matrix = np.empty(2 * self._tau.shape) if out is None else out
+            if self._mass_matrix(q, matrix) == OK:
+                return matrix
+        except (TypeError, ValueError):
+            pass
+        return self._dynamics.mass_matrix(q, out)
+
+    def _first_mass_matrix(self, q: Any, matrix: Any) -> int:
+        """Compile the code of the mass matrix, and run it."""
+        self._compiled_mass_matrix = no_code
+        if IS_COMPILED:
+            try:
+                self._compiled_mass_matrix = write_out_mass_matrix(self._table, self._traced)
+            except Exception as error:
+                warnings.warn(f'using the general kernel: {error!r}', stacklevel=3)
+        self._select_code()
+        return self._mass_matrix(q, matrix)
+
     def _select_code(self) -> None:
         """Fall back to the general kernel while a term acts that the code left out."""
         self._revision = self._loaded.revision
-        is_new = _acting(self._table) & ~self._traced
-        self._in_block, self._in_arrays = NO_CODE if is_new.any() else self._code
+        is_new = (_acting(self._table) & ~self._traced).any()
+        self._in_block, self._in_arrays = NO_CODE if is_new else self._code
+        if self._compiled_mass_matrix is not None:
+            self._mass_matrix = no_code if is_new else self._compiled_mass_matrix
 
     def __reduce__(self) -> NoReturn:
         raise TypeError('GeneratedDynamics cannot be copied or pickled; make a new object')
@@ -190,10 +231,7 @@ def write_out(table: Floats, block: Floats) -> Code:
     def straight_line(_: Any, q: Any, qd: Any, qdd: Any, tau: Any) -> Any:
         def write(context: Any, builder: Any, _: Any, addresses: Any) -> Any:
             writer = Writer(context, builder)
-            base = writer.integer(table.ctypes.data)
-            robot = table.tolist()
-            for i, k in np.argwhere(_acting(table)):
-                robot[i][k] = writer.load(base, i * columns.COLUMNS + k)
+            robot = _run_time_table(writer, table, _acting(table))
             q, qd, qdd, tau = ([writer.load(row, k) for k in range(n)] for row in addresses)
             functions = _functions_that_write(writer, [*q, *qd, *qdd])
             status = functions['inverse_dynamics'](q, qd, qdd, tau, robot)
@@ -217,6 +255,56 @@ def write_out(table: Floats, block: Floats) -> Code:
         _compile(in_block, 'int64()'),
         _compile(in_arrays, 'int64(f8[::1], f8[::1], f8[::1], f8[::1])'),
     )
+
+
+def write_out_mass_matrix(table: Floats, acting: Any) -> Callable[[Any, Any], int]:
+    """
+    Compile `mass_matrix.mass_matrix` for one robot.
+
+    Parameters
+    ----------
+    table : ndarray, shape (b, COLUMNS)
+        From `robot_table`; must exist as long as the code, which contains its address.
+    acting : ndarray of bool, shape (b, COLUMNS)
+        The numbers that are read at each call.
+
+    Returns
+    -------
+    code : callable
+        Function of q and the matrix that returns a status.
+
+    """
+    n = int(table[0, columns.JOINT_COUNT])
+
+    @intrinsic  # type: ignore[untyped-decorator, unused-ignore]
+    def straight_line(_: Any, q: Any, matrix: Any) -> Any:
+        def write(context: Any, builder: Any, _: Any, addresses: Any) -> Any:
+            writer = Writer(context, builder)
+            robot = _run_time_table(writer, table, acting)
+            q = [writer.load(addresses[0], k) for k in range(n)]
+            matrix = [[0.0] * n for _ in range(n)]
+            status = _functions_that_write(writer, q)['mass_matrix'](q, matrix, robot)
+            for k, entry in enumerate(entry for row in matrix for entry in row):
+                writer.store(entry, addresses[1], k)
+            return status
+
+        return numba.int64(q, matrix), write
+
+    def in_arrays(q: Floats, matrix: Floats) -> Any:
+        if len(q) != n or matrix.shape != (n, n):
+            return WRONG_SIZE
+        return straight_line(q.ctypes.data, matrix.ctypes.data)
+
+    return cast(Callable[[Any, Any], int], _compile(in_arrays, 'int64(f8[::1], f8[:,::1])'))
+
+
+def _run_time_table(writer: Writer, table: Floats, acting: Any) -> list[list[Any]]:
+    """Return the rows of a table, with instructions to load the numbers that act."""
+    base = writer.integer(table.ctypes.data)
+    robot: list[list[Any]] = table.tolist()
+    for i, k in np.argwhere(acting):
+        robot[i][k] = writer.load(base, i * columns.COLUMNS + k)
+    return robot
 
 
 def _compile(function: Callable[..., int], signature: str) -> Any:
@@ -306,14 +394,19 @@ class Writer:
 
 
 def _functions_that_write(writer: Writer, inputs: list[RunTimeNumber]) -> dict[str, Any]:
-    """Return the Python functions of `newton_euler`, which call the writer's functions."""
+    """Return the functions of the passes, which call the writer's functions."""
     # Products with zero are left out and would not propagate NaN or inf: check the inputs, too.
     zero_if_finite = sum(x - x for x in inputs)
 
     def check(tau: list[Any]) -> Any:
         return writer.status(sum((x - x for x in reversed(tau)), zero_if_finite))
 
-    functions = {**vars(columns), **vars(equations), **vars(newton_euler), 'check': check}
+    def check_diagonal(matrix: list[list[Any]]) -> Any:
+        return check([row[k] for k, row in enumerate(matrix)])
+
+    functions = {**vars(columns), **vars(equations), **vars(base_axes)}
+    functions |= {**vars(newton_euler), **vars(mass_matrix)}
+    functions |= {'check': check, 'check_diagonal': check_diagonal}
     for function in (math.cos, math.fabs, math.sin, math.tanh):
         functions[function.__name__] = writer.elementary(function)
     for name, function in functions.items():

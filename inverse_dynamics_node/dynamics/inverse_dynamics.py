@@ -119,6 +119,7 @@ class InverseDynamics:
         self._tau = np.empty_like(self._zeros)
         R_LZ = self.loaded.R_ZL.transpose(0, 2, 1)
         self._R_LZ = np.ascontiguousarray(R_LZ).reshape(len(R_LZ), 9)
+        self._regressor_shape = (len(self._zeros), 10 * (len(R_LZ) - 1))
         self.set_gravity(gravity)
 
     @property
@@ -459,17 +460,17 @@ class InverseDynamics:
         The composite-rigid-body algorithm; see `mass_matrix` for its references.
 
         """
-        n = len(self._zeros)
         try:
             if q.ndim == 1:  # type: ignore[union-attr]
-                matrix = np.empty((n, n)) if out is None else out
+                matrix = np.empty(2 * self._zeros.shape) if out is None else out
                 if self._mass_matrix(q, matrix, self._table):
-                    raise explain(self.robot.joint_names, out, (n, n), q=q)
+                    shape = 2 * self._zeros.shape
+                    raise explain(self.robot.joint_names, out, shape, q=q)
                 return matrix
         except (AttributeError, TypeError, ValueError):
             pass
         return self._matrices(
-            (n, n),
+            2 * self._zeros.shape,
             lambda states, out: self._mass_matrix(*states, out, self._table),
             lambda states, out: batch_mass_matrix.mass_matrix_many(states[0], out, self.table),
             out,
@@ -550,19 +551,18 @@ class InverseDynamics:
         inside the joint.
 
         """
-        n, b = len(self._zeros), len(self.robot.parent)
+        shape = (len(self._R_LZ), 6)
         try:
             if q.ndim == 1:  # type: ignore[union-attr]
-                wrenches = np.empty((b, 6)) if out is None else out
-                if wrenches.shape == (b, 6) and len(q) == len(qd) == len(qdd) == n:  # type: ignore[arg-type]
-                    arguments = (q, qd, qdd, self._tau, self._R_LZ, wrenches, self._table)
-                    if self._joint_wrenches(*arguments):
-                        raise explain(self.robot.joint_names, q=q, qd=qd, qdd=qdd)
-                    return JointWrenches(wrenches[:, :3], wrenches[:, 3:])
+                wrenches = np.empty(shape) if out is None else out
+                arguments = (q, qd, qdd, self._tau, self._R_LZ, wrenches, self._table)
+                if self._joint_wrenches(*arguments):
+                    raise explain(self.robot.joint_names, out, shape, q=q, qd=qd, qdd=qdd)
+                return JointWrenches(wrenches[:, :3], wrenches[:, 3:])
         except (AttributeError, TypeError, ValueError):
             pass
         wrenches = self._matrices(
-            (b, 6),
+            shape,
             lambda states, out: self._joint_wrenches(
                 *states, self._tau, self._R_LZ, out, self._table
             ),
@@ -616,19 +616,17 @@ class InverseDynamics:
         The first call on a machine compiles; the machine code is cached on disk.
 
         """
-        width = 10 * (len(self.robot.parent) - 1)
         try:
             if q.ndim == 1:  # type: ignore[union-attr]
-                matrix = np.empty((len(self._zeros), width)) if out is None else out
+                matrix = np.empty(self._regressor_shape) if out is None else out
                 if self._regressor(q, qd, qdd, self._R_LZ, matrix, self._table):
-                    raise explain(
-                        self.robot.joint_names, out, (len(self._zeros), width), q=q, qd=qd, qdd=qdd
-                    )
+                    shape = self._regressor_shape
+                    raise explain(self.robot.joint_names, out, shape, q=q, qd=qd, qdd=qdd)
                 return matrix
         except (AttributeError, TypeError, ValueError):
             pass
         return self._matrices(
-            (len(self._zeros), width),
+            self._regressor_shape,
             lambda states, out: self._regressor(*states, self._R_LZ, out, self._table),
             lambda states, out: batch_regressor.regressor_many(
                 states, out, self._R_LZ, self.table

@@ -151,6 +151,11 @@ def joint_wrenches(
         As `inverse_dynamics`.
 
     """
+    n = int(robot[0][JOINT_COUNT])
+    if len(q) != n or len(qd) != n or len(qdd) != n or len(tau) != n:
+        return WRONG_SIZE
+    if len(wrenches) != len(robot) or len(wrenches[0]) != 6:
+        return WRONG_SIZE
     outward_pass(q, qd, qdd, robot)
     base = robot[0]
     motion = vector(base, OMEGA), vector(base, OMEGA_DOT), vector(base, ACCEL)

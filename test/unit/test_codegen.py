@@ -250,3 +250,65 @@ def test_products_with_zero_are_left_out():
     instructions = code.inspect_llvm(()).split('\n')
     assert sum(' fmul ' in line for line in instructions) <= 1
     assert not any('@llvm.sin' in line or '@sin' in line for line in instructions)
+
+
+def assert_same_mass_matrix(dynamics, generated, rng):
+    q = rng.uniform(-2.0, 2.0, len(dynamics.robot.joint_names))
+    expected = dynamics.mass_matrix(q)
+    assert expected.any()
+    out = np.full_like(expected, np.nan)
+    assert generated.mass_matrix(q, out) is out
+    for matrix in (out, generated.mass_matrix(q)):
+        assert_allclose(matrix, expected, rtol=0, atol=1e-13 * abs(expected).max())
+        assert (matrix == matrix.T).all()
+
+
+def assert_code_of_mass_matrix_is_used(dynamics, generated, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(dynamics, 'mass_matrix', refuse)
+        generated.mass_matrix(generated.state.q)
+
+
+def test_same_mass_matrix_of_our_robots(urdf_path, rng, monkeypatch):
+    dynamics = InverseDynamics(load_urdf(urdf_path))
+    dynamics.set_armature(0.05)
+    generated = GeneratedDynamics(dynamics)
+    assert_same_mass_matrix(dynamics, generated, rng)
+    if IS_COMPILED:
+        assert_code_of_mass_matrix_is_used(dynamics, generated, monkeypatch)
+
+
+@pytest.mark.parametrize('is_compiled_before', [True, False])
+def test_same_mass_matrix_with_loads_set_later(dynamics, rng, is_compiled_before):
+    tip = dynamics.robot.link_names[-1]
+    generated = GeneratedDynamics(dynamics)
+    if is_compiled_before:
+        assert_same_mass_matrix(dynamics, generated, rng)
+    set_everything(dynamics)
+    assert_same_mass_matrix(dynamics, generated, rng)
+    other = InverseDynamics(dynamics.robot)
+    other.set_payload(tip, 0.5)
+    generated = GeneratedDynamics(other)
+    other.set_payload(tip, 3.0, (0.1, 0.2, 0.3))
+    assert_same_mass_matrix(other, generated, rng)
+
+
+def test_mass_matrix_of_invalid_positions_is_an_error(dynamics):
+    generated = GeneratedDynamics(dynamics)
+    for joint in range(6):
+        for value in (np.nan, np.inf):
+            q = np.zeros(6)
+            q[joint] = value
+            with pytest.raises(JointStateError, match=rf"q of joint '\w+' is {value}"):
+                generated.mass_matrix(q)
+    with pytest.raises(JointStateError, match=r'q has shape \(5,\), the robot has 6 joints'):
+        generated.mass_matrix(np.zeros(5))
+    with pytest.raises(JointStateError, match=r'out has shape \(5, 6\)'):
+        generated.mass_matrix(np.zeros(6), np.empty((5, 6)))
+
+
+def test_mass_matrices_of_lists_and_batches(dynamics, rng):
+    generated = GeneratedDynamics(dynamics)
+    q = rng.uniform(-2.0, 2.0, (3, 6))
+    assert (generated.mass_matrix(q) == dynamics.mass_matrix(q)).all()
+    assert (generated.mass_matrix(q[0].tolist()) == dynamics.mass_matrix(q[0])).all()
