@@ -1,0 +1,264 @@
+"""
+All quantities of this package, each relative to Pinocchio's function for the same numbers.
+
+Where Pinocchio has no such function, its counterpart is a short sequence of calls. Both sides are
+timed for one call, with an array for our result, and for a batch, with a loop in Python on
+Pinocchio's side that stores its results in one array.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from time import thread_time
+from typing import Any, NamedTuple
+
+from inverse_dynamics_node import InverseDynamics
+from inverse_dynamics_node.dynamics.inverse_dynamics import EffortTerms, JointWrenches
+from inverse_dynamics_node.robot.model import Floats
+import numpy as np
+
+from .batch import whole
+from .peers import Pinocchio, rows
+from .robots import random_states, Robot
+from .timing import Contender, contender, States
+
+MOST_STATES = 1024  # in a batch
+MOST_NUMBERS = 1 << 22  # in the results of a batch: 32 MB
+
+OURS, THEIRS = 'ours', 'pin'
+
+Call = Callable[..., Any]
+
+
+class Counterpart(NamedTuple):
+    """Pinocchio's way to a quantity."""
+
+    call: Call
+    """Function of model, data and the arguments."""
+    read: Callable[[Any], Floats]
+    """Converts the result of a call to an array with the joints in the order of this package."""
+    store: Callable[[Floats, Any], None]
+    """Stores the result of a call as one element of the results of a batch."""
+
+
+class Quantity(NamedTuple):
+    """A quantity of this package and its counterpart."""
+
+    method: str
+    """Method of the dynamics."""
+    label: str
+    """Functions of the counterpart."""
+    arity: int
+    """Number of arguments: q; q and qd; or q, qd and qdd."""
+    counterpart: Callable[[Pinocchio], Counterpart]
+
+
+def one_call(quantity: Quantity, robot: Robot, dynamics: Any = None) -> list[Contender]:
+    """Time one call of this package and of Pinocchio."""
+    states = random_states(robot.n)[: quantity.arity]
+    method = getattr(dynamics or InverseDynamics(robot.model), quantity.method)
+    out = np.empty_like(in_one_array(method(*states[:, 0])))
+    peer = Pinocchio(robot)
+    found = quantity.counterpart(peer)
+    theirs = peer.states(random_states(robot.n))[: quantity.arity]
+    return [
+        contender(
+            OURS,
+            rows(*states),
+            _our_sweep(method, out, quantity.arity),
+            lambda *state: common(method(*state)),
+        ),
+        contender(
+            THEIRS,
+            rows(*theirs),
+            _their_sweep(found.call, peer, quantity.arity),
+            lambda *state: found.read(found.call(peer.model, peer.data, *state)),
+        ),
+    ]
+
+
+def batches(quantity: Quantity, robot: Robot) -> list[Contender]:
+    """Time a batch of this package, and a loop over Pinocchio's call."""
+    method = getattr(InverseDynamics(robot.model), quantity.method)
+    size = in_one_array(method(*np.zeros((quantity.arity, robot.n)))).size
+    count = min(MOST_STATES, MOST_NUMBERS // size)
+    states = random_states(robot.n, count)
+    peer = Pinocchio(robot)
+    call, read, store = quantity.counterpart(peer)
+    model, data = peer.model, peer.data
+    theirs = rows(*peer.states(states)[: quantity.arity])
+    states = states[: quantity.arity]
+    out = np.empty_like(in_one_array(method(*states)))
+    results = np.empty((count, *read(call(model, data, *theirs[0])).shape))
+
+    def loop() -> None:
+        for k, state in enumerate(theirs):
+            store(results[k], call(model, data, *state))
+
+    return [
+        whole(
+            OURS,
+            lambda: method(*states, out=out),
+            lambda: common(method(*states)),
+            clock=thread_time,
+        ),
+        whole(
+            THEIRS,
+            loop,
+            lambda: np.array([read(call(model, data, *state)) for state in theirs]),
+            clock=thread_time,
+        ),
+    ]
+
+
+def in_one_array(result: Any) -> Floats:
+    """Return a result in the form of its `out`."""
+    if isinstance(result, JointWrenches):
+        return np.concatenate(result, axis=-1)
+    return np.array(result)
+
+
+def common(result: Any) -> Floats:
+    """Return the part of a result that the counterpart has, too, with the states first."""
+    found = in_one_array(result)
+    if isinstance(result, EffortTerms):
+        return np.moveaxis(found[:3], 0, -2)
+    return found[..., 1:, :] if isinstance(result, JointWrenches) else found
+
+
+def _our_sweep(method: Call, out: Floats, arity: int) -> Callable[[States], None]:
+    def one(states: States) -> None:
+        for (q,) in states:
+            method(q, out=out)
+
+    def two(states: States) -> None:
+        for q, qd in states:
+            method(q, qd, out=out)
+
+    def three(states: States) -> None:
+        for q, qd, qdd in states:
+            method(q, qd, qdd, out=out)
+
+    return (one, two, three)[arity - 1]
+
+
+def _their_sweep(call: Call, peer: Pinocchio, arity: int) -> Callable[[States], None]:
+    model, data = peer.model, peer.data
+
+    def one(states: States) -> None:
+        for (q,) in states:
+            call(model, data, q)
+
+    def two(states: States) -> None:
+        for q, v in states:
+            call(model, data, q, v)
+
+    def three(states: States) -> None:
+        for q, v, a in states:
+            call(model, data, q, v, a)
+
+    return (one, two, three)[arity - 1]
+
+
+# The quantities
+
+
+def _assign(target: Floats, found: Any) -> None:
+    target[...] = found
+
+
+def _vector(peer: Pinocchio, call: Call) -> Counterpart:
+    return Counterpart(call, lambda found: found[peer.inverse], _assign)
+
+
+def _gravity(peer: Pinocchio) -> Counterpart:
+    from pinocchio import computeGeneralizedGravity
+
+    return _vector(peer, computeGeneralizedGravity)
+
+
+def _coriolis(peer: Pinocchio) -> Counterpart:
+    from pinocchio import nonLinearEffects
+
+    peer.model.gravity.setZero()
+    return _vector(peer, nonLinearEffects)
+
+
+def _mass_matrix(peer: Pinocchio) -> Counterpart:
+    from pinocchio import crba
+
+    def full(found: Floats) -> Floats:
+        upper = np.triu(found)  # the other half is not always set
+        return (upper + np.triu(upper, 1).T)[np.ix_(peer.inverse, peer.inverse)]
+
+    return Counterpart(crba, full, _assign)
+
+
+def _terms(peer: Pinocchio) -> Counterpart:
+    from pinocchio import computeGeneralizedGravity, nonLinearEffects, rnea
+
+    weightless = peer.model.copy()
+    weightless.gravity.setZero()
+    rest = np.zeros(weightless.nv)
+
+    def call(model: Any, data: Any, q: Floats, v: Floats, a: Floats) -> Any:
+        return (
+            rnea(weightless, data, q, rest, a).copy(),  # the next call overwrites it
+            nonLinearEffects(weightless, data, q, v),
+            computeGeneralizedGravity(model, data, q),
+        )
+
+    def store(target: Floats, found: Any) -> None:
+        target[0], target[1], target[2] = found
+
+    return Counterpart(call, lambda found: np.array(found)[:, peer.inverse], store)
+
+
+def _wrenches(peer: Pinocchio) -> Counterpart:
+    from pinocchio import rnea
+
+    def call(model: Any, data: Any, q: Floats, v: Floats, a: Floats) -> Any:
+        rnea(model, data, q, v, a)
+        return data.f
+
+    def store(target: Floats, found: Any) -> None:
+        for k, joint in enumerate(peer.order.tolist(), 1):
+            target[joint] = found[k].vector
+
+    def read(found: Any) -> Floats:
+        return np.array([found[k + 1].vector for k in peer.inverse.tolist()])
+
+    return Counterpart(call, read, store)
+
+
+def _wrenches_in_an_array(peer: Pinocchio) -> Counterpart:
+    call, _, store = _wrenches(peer)
+    wrenches = np.empty((len(peer.order), 6))
+
+    def stored(*arguments: Any) -> Floats:
+        store(wrenches, call(*arguments))
+        return wrenches
+
+    return Counterpart(stored, np.copy, _assign)
+
+
+def _regressor(peer: Pinocchio) -> Counterpart:
+    from pinocchio import computeJointTorqueRegressor
+
+    def read(found: Floats) -> Floats:
+        n = len(peer.inverse)
+        blocks = found.reshape(n, n, 10)[np.ix_(peer.inverse, peer.inverse)]
+        return blocks.reshape(n, 10 * n)
+
+    return Counterpart(computeJointTorqueRegressor, read, _assign)
+
+
+QUANTITIES = (
+    Quantity('gravity_efforts', 'computeGeneralizedGravity', 1, _gravity),
+    Quantity('coriolis_efforts', 'nonLinearEffects', 2, _coriolis),
+    Quantity('mass_matrix', 'crba', 1, _mass_matrix),
+    Quantity('effort_terms', 'three calls', 3, _terms),
+    Quantity('joint_wrenches', 'rnea', 3, _wrenches),
+    Quantity('joint_wrenches', 'rnea, read', 3, _wrenches_in_an_array),
+    Quantity('regressor', 'computeJointTorqueRegressor', 3, _regressor),
+)
