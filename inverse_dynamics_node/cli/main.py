@@ -10,7 +10,7 @@ import sys
 
 from ..errors import InverseDynamicsError
 
-COMMANDS = ('check', 'effort', 'compare', 'excite', 'identify', 'demo', 'simulate')
+COMMANDS = ('check', 'effort', 'compare', 'excite', 'identify', 'watch', 'demo', 'simulate')
 """Modules of this package; add_parser(subparsers) sets `run`, which returns the exit code."""
 
 EPILOG = """\
@@ -19,6 +19,7 @@ examples:
   inverse_dynamics effort my_arm.urdf trajectory.yaml --payload 1.5 --link tool0
   inverse_dynamics compare my_arm.urdf rosbag2_2026_11_21
   inverse_dynamics identify my_arm.urdf rosbag2_2026_11_21 --output calibrated.urdf
+  inverse_dynamics watch --for 10
   inverse_dynamics effort --help
 
 The node itself is started by `inverse_dynamics_node`, or `ros2 run inverse_dynamics_node

@@ -69,6 +69,8 @@ class ControlLoop:
         has_imu: bool = False,
     ) -> None:
         self.robot = robot
+        self.description = ''
+        """The URDF as XML text, if known."""
         self.base_link = base_link or robot.body_names[0]
         self.dynamics = InverseDynamics(robot)
         self.controller = Controller(self.dynamics, joints, settings, period)

@@ -39,6 +39,11 @@ class ExternalEffortEstimator:
         self._rest = self._accelerations = np.zeros(n)
         self._time = math.inf
 
+    @property
+    def cutoff(self) -> float:
+        """Cutoff of the low-pass [Hz]."""
+        return self.filter.cutoff
+
     def update(self, time: float, q: Floats, qd: Floats, measured: Floats) -> Floats:
         """
         Update the estimate with one joint state.

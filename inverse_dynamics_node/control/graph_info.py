@@ -31,6 +31,14 @@ class SimulatedTime(NamedTuple):
     """Number of publishers of /clock."""
 
 
+class Topics(NamedTuple):
+    """Resolved names of topics."""
+
+    joint_states: str = ''
+    joint_efforts: str = ''
+    external_efforts: str = ''
+
+
 class GraphInfo(NamedTuple):
     """The state of the node, and its connections."""
 
@@ -50,3 +58,6 @@ class GraphInfo(NamedTuple):
     """Whether the commands are not sent."""
     silence: float = 0.0
     """Time since the last message on joint_states, of any joint [s]."""
+    state_rate: float = 0.0
+    """Updates of all commanded joints since the last report [Hz]."""
+    topics: Topics = Topics()

@@ -165,7 +165,13 @@ class Monitor:
         return Status('messages', Level.OK, f'{total} rejected in total', values)
 
     def _efforts_status(self, now: float, loop: ControlLoop, around: GraphInfo) -> Status:
-        values = {'receivers': str(around.receivers)}
+        values = {
+            'receivers': str(around.receivers),
+            'topic with names': around.topics.joint_efforts,
+            'topic of the external efforts': around.topics.external_efforts,
+            'cutoff of the external efforts [Hz]': f'{loop.external_effort_estimator.cutoff:g}',
+            'limits [N m, N]': ', '.join(f'{limit:g}' for limit in loop.controller.limits),
+        }
         values |= {f'{name} cut to limit': str(count) for name, count in self.clamped.items()}
         values |= {f'{name} slowed': str(count) for name, count in self.slowed.items()}
         if around.is_active and not around.receivers and not around.is_dry_run:

@@ -49,7 +49,10 @@ def joint_states_status(now: float, loop: ControlLoop, around: GraphInfo) -> Sta
     collector = loop.collector
     settings = loop.controller.settings
     values = {
+        'topic': around.topics.joint_states,
+        'rate [Hz]': f'{around.state_rate:.1f}',
         'age [s]': f'{now - collector.time:.3f}' if math.isfinite(collector.time) else 'never',
+        'timeout [s]': f'{settings.state_timeout:g}',
         'publishers': str(around.publishers),
         'late, not commanded': ', '.join(collector.late(now, settings.uncommanded_state_timeout))
         or 'none',
@@ -88,7 +91,11 @@ def reference_status(now: float, loop: ControlLoop, around: GraphInfo) -> Status
     """Report the age of the reference, and whether it is followed."""
     controller = loop.controller
     age = 'never' if loop.reference is None else f'{now - loop.reference.time:.3f}'
-    values = {'age [s]': age, 'mode': controller.settings.mode.value}
+    values = {
+        'age [s]': age,
+        'timeout [s]': f'{controller.settings.reference_timeout:g}',
+        'mode': controller.settings.mode.value,
+    }
     if around.is_active and controller.phase is Phase.TOO_FAR:
         return Status('reference', Level.WARN, controller.phase.value, values)
     if controller.is_stopping:

@@ -37,7 +37,7 @@ def make_loop(configuration: Configuration, description: str) -> ControlLoop:
         If the description or the parameters cannot be used.
 
     """
-    robot = _load_robot(configuration, description)
+    robot, text = _load_robot(configuration, description)
     loop = ControlLoop(
         robot,
         configuration.joints,
@@ -49,6 +49,7 @@ def make_loop(configuration: Configuration, description: str) -> ControlLoop:
         configuration.locked_positions,
         configuration.base_motion is BaseMotion.IMU,
     )
+    loop.description = text
     apply_configuration(loop, configuration)
     loop.dynamics.gravity_efforts(np.zeros(len(robot.joint_names)))
     complete(Trajectory(('x',), np.arange(2.0), np.zeros((2, 1))))  # imports the splines
@@ -125,7 +126,8 @@ def check_configuration(loop: ControlLoop, configuration: Configuration) -> None
         expand_per_joint(name, getattr(configuration, name), len(loop.controller.joints))
 
 
-def _load_robot(configuration: Configuration, description: str) -> RobotModel:
+def _load_robot(configuration: Configuration, description: str) -> tuple[RobotModel, str]:
+    """Return the robot and its URDF."""
     missing = configuration.on_missing_inertial.value
     if configuration.robot_description_file:
         return load_file(configuration.robot_description_file, missing)
@@ -135,7 +137,7 @@ def _load_robot(configuration: Configuration, description: str) -> RobotModel:
             'no robot description: none on the topic, and neither robot_description nor '
             'robot_description_file is set'
         )
-    return load_urdf(_as_xml(text), missing)
+    return load_urdf(_as_xml(text), missing), text
 
 
 def _as_xml(text: str) -> str:

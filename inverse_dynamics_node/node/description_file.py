@@ -8,9 +8,12 @@ import re
 from typing import NamedTuple
 from urllib.parse import unquote, urlsplit
 
+from lxml import etree
+
 from ..errors import ConfigurationError, UrdfError
 from ..robot.model import RobotModel
 from ..robot.urdf import load_urdf
+from ..robot.urdf.xml import parse, read_source
 
 _XACRO = re.compile(r'(?P<file>.+\.xacro)(?P<arguments>(?:\s+\w+:=\S*)*)\s*', re.S)
 
@@ -21,7 +24,7 @@ class _Given(NamedTuple):
     """For xacro; None if the file is a URDF."""
 
 
-def load_file(given: str, on_missing_inertial: str) -> RobotModel:
+def load_file(given: str, on_missing_inertial: str) -> tuple[RobotModel, str]:
     """
     Load the robot description from the parameter robot_description_file.
 
@@ -38,6 +41,8 @@ def load_file(given: str, on_missing_inertial: str) -> RobotModel:
     -------
     robot : RobotModel
         The robot model.
+    description : str
+        The URDF as XML text.
 
     Raises
     ------
@@ -51,7 +56,7 @@ def load_file(given: str, on_missing_inertial: str) -> RobotModel:
     try:
         path = _resolve(file)
         if arguments is None or not path.exists():
-            return load_urdf(path, on_missing_inertial)
+            return load_urdf(path, on_missing_inertial), _text_of(path)
         return _load_xacro(path, arguments, on_missing_inertial)
     except ConfigurationError as error:
         raise ConfigurationError(f"robot_description_file '{given}': {error}") from None
@@ -73,7 +78,9 @@ def _split(given: str) -> _Given:
     return _Given(match['file'], {name: value for name, _, value in pairs})
 
 
-def _load_xacro(path: Path, arguments: dict[str, str], on_missing_inertial: str) -> RobotModel:
+def _load_xacro(
+    path: Path, arguments: dict[str, str], on_missing_inertial: str
+) -> tuple[RobotModel, str]:
     try:
         import xacro
     except ModuleNotFoundError as error:
@@ -85,10 +92,17 @@ def _load_xacro(path: Path, arguments: dict[str, str], on_missing_inertial: str)
     except Exception as error:  # any: xacro evaluates Python expressions
         raise ConfigurationError(f'xacro: {error or repr(error)}') from None
     try:
-        return load_urdf(text, on_missing_inertial)
+        return load_urdf(text, on_missing_inertial), text
     except UrdfError as error:
         # The problems have the line numbers of the output of xacro.
         raise UrdfError(error.problems, f'output of xacro {path}') from None
+
+
+def _text_of(path: Path) -> str:
+    """Return a file that has been loaded, decoded, without comments."""
+    root, _ = parse(read_source(path))
+    etree.strip_tags(root, etree.Comment)
+    return str(etree.tostring(root, encoding='unicode'))
 
 
 def _resolve(given: str) -> Path:

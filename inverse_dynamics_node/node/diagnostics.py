@@ -11,7 +11,7 @@ from rclpy.clock import Clock
 from rclpy.lifecycle import LifecycleNode
 
 from ..control.activity import describe_silence
-from ..control.graph_info import GraphInfo
+from ..control.graph_info import GraphInfo, Topics
 from ..control.silence import Silence
 from ..control.status import Status
 from ..errors import shortened
@@ -63,7 +63,10 @@ class DiagnosticsPublisher:
         self._uses_sim_time = bool(node.get_parameter('use_sim_time').value)
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', qos.QUEUED)
         self._last_time = time.monotonic()
+        self._last_count = 0
         self._silence = Silence(self._last_time)
+        names = ('joint_states', '~/joint_efforts', '~/external_efforts')
+        self._topics = Topics(*(str(node.resolve_topic_name(name)) for name in names))
         node.create_timer(_PERIOD, self._on_timer, clock=clock)
 
     def publish_if_late(self) -> None:
@@ -72,9 +75,10 @@ class DiagnosticsPublisher:
             self._on_timer()
 
     def _on_timer(self) -> None:
-        self._last_time = time.monotonic()
+        now = time.monotonic()
+        elapsed, self._last_time = now - self._last_time, now
         loop, is_active = self._runner.loop, self._runner.is_active
-        graph = self._inspect_graph()
+        graph = self._inspect_graph(elapsed)
         if loop is not None and loop.collector.has_alternating:
             self._log.report_conflicts(loop, graph.state_publishers)
         if is_active:
@@ -94,8 +98,10 @@ class DiagnosticsPublisher:
             )
         )
 
-    def _inspect_graph(self) -> GraphInfo:
+    def _inspect_graph(self, elapsed: float) -> GraphInfo:
         node, loop = self._node, self._runner.loop
+        states = self._inputs.state_count - self._last_count
+        self._last_count = self._inputs.state_count
         publishers: Sequence[str] = ()
         if loop is not None and loop.collector.has_alternating:
             publishers = self._graph.publishers('joint_states')
@@ -116,6 +122,8 @@ class DiagnosticsPublisher:
                 self._inputs.last_joint_state,
                 is_expected=bool(publisher_count) and not is_paused,
             ),
+            state_rate=states / elapsed if elapsed > 0.0 else 0.0,
+            topics=self._topics,
         )
 
 

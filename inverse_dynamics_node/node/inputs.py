@@ -60,6 +60,9 @@ class Inputs:
         self.last_joint_state = time.monotonic()
         """Steady time of the last message on joint_states [s]; at first, of the start."""
         self._R_BS: Floats = np.eye(3)
+        self.state_count = 0
+        """Updates of all commanded joints since the start, by one message or several."""
+        self._last_state = -math.inf
         self.apply(configuration)
         for kind, topic, callback, profile in (
             (Float64MultiArray, '~/desired_accelerations', self._on_accelerations, qos.RELIABLE),
@@ -118,6 +121,9 @@ class Inputs:
         except JointStateError as error:
             self._runner.reject('joint_states', error)
             return
+        if loop.collector.time != self._last_state:
+            self._last_state = loop.collector.time
+            self.state_count += 1
         if is_ours and self._runner.is_active and self._configuration.update_rate == 0.0:
             self._runner.step(now)
 

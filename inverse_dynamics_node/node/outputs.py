@@ -10,13 +10,14 @@ from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64MultiArray, String
 
 from ..control.control_loop import ControlLoop
 from ..dynamics.inverse_dynamics import EffortTerms
 from ..robot.model import Floats
 from . import messages
 from .cdr import serialize_numbers
+from .qos import LATCHED
 
 
 class Outputs:
@@ -48,6 +49,7 @@ class Outputs:
         """Whether ~/joint_efforts is remapped, as for a robot that takes commands by name."""
         self._terms = [publisher(JointState, f'~/terms/{term}') for term in EffortTerms._fields]
         self._external_efforts = publisher(JointState, '~/external_efforts')
+        self._description = node.create_publisher(String, '~/robot_description', LATCHED)
         self._base_wrench = publisher(WrenchStamped, '~/base_wrench')
         self._efforts, self._wrench = JointState(), WrenchStamped()
         self._subscribed: set[Any] = set()
@@ -74,6 +76,10 @@ class Outputs:
     def uses_measured_efforts(self) -> bool:
         """Whether a topic that is computed from measured efforts has a subscriber."""
         return self._external_efforts in self._subscribed
+
+    def publish_description(self, loop: ControlLoop) -> None:
+        """Publish the URDF that the loop was made from, also to later subscribers."""
+        self._description.publish(String(data=loop.description))
 
     def publish_command(self, loop: ControlLoop, efforts: Floats, sent: Floats | None) -> None:
         """

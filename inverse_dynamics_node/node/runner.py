@@ -91,6 +91,7 @@ class LoopRunner:
         if configuration.period:
             self._create_timer(configuration.period, self._on_timer)
         self._log.report_robot(loop)
+        self._outputs.publish_description(loop)
 
     def _create_timer(self, period: float, callback: Callable[[], None]) -> Timer:
         self._timers.append(self._node.create_timer(period, callback, clock=self._clock))
@@ -247,6 +248,7 @@ class LoopRunner:
             self._node.get_logger().warning(f"link '{link}' no longer exists; dropped its payload")
         self.loop = loop
         self._log.report_robot(loop)
+        self._outputs.publish_description(loop)
 
     def ramp_down(self, reason: str) -> None:
         """

@@ -3,6 +3,7 @@
 import shutil
 import sys
 
+from inverse_dynamics_node import load_urdf
 from inverse_dynamics_node.errors import ConfigurationError, UrdfError
 from inverse_dynamics_node.node.description_file import load_file
 import pytest
@@ -36,7 +37,9 @@ def workspace(tmp_path, monkeypatch):
     ],
 )
 def test_every_form_finds_the_file(workspace, given):
-    assert load_file(given.format(here=workspace), 'warn').name == 'stanford'
+    robot, description = load_file(given.format(here=workspace), 'warn')
+    assert robot.name == 'stanford'
+    assert load_urdf(description).joint_names == robot.joint_names
 
 
 @pytest.mark.parametrize(
@@ -100,7 +103,8 @@ def test_xacro_files_are_processed_with_their_arguments(workspace, given, tip, m
     pytest.importorskip('xacro')
     (workspace / 'my arm.urdf.xacro').write_text(XACRO)
     (workspace / 'install/share/my_robot/urdf/arm.xacro').write_text(XACRO)
-    robot = load_file(given.format(here=workspace), 'warn')
+    robot, description = load_file(given.format(here=workspace), 'warn')
+    assert load_urdf(description).name == robot.name
     assert robot.link_names[-1] == tip
     assert robot.mass.sum() == mass
 

@@ -1,0 +1,1 @@
+"""Compares model and robot while the node runs."""

@@ -1,0 +1,327 @@
+"""
+Diagnoses the difference between measured and modelled efforts of the last seconds.
+
+`identify` explains a recording with enough motion more thoroughly. This works on a few seconds,
+also of an arm at rest, and compares with the model of the running node: its payloads, friction and
+gravity are part of the modelled efforts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ...robot.model import Booleans, Floats, RobotModel
+from .hypotheses import Hypothesis, robot_hypotheses
+from .verdict import Cause, Outcome, Size, Verdict
+from .window import LiveSamples
+
+MIN_SAMPLES = 50  # one second at 50 Hz
+MOVING = 0.02  # [rad/s or m/s]; RMS speed above which a joint moves
+AGREEMENT = 0.3  # RMS residual as a fraction of the effort, up to which model and robot agree
+SUSPICIOUS = 0.15  # the same, from which explanations are searched
+FLOOR_OF_LIMIT, FLOOR_OF_LARGEST = 0.02, 0.05
+"""
+Residuals below these fractions of the joint's limit and of the largest modelled effort are
+ignored; the smaller one applies, because limits of URDFs are often placeholders.
+"""
+LEAST_FLOOR = 0.005  # fraction of the limit; sensors are not better
+REST_FACTOR = 2.5  # a joint at rest may be held by dry friction of any size up to breakaway
+FRICTION_AT_REST = 0.1  # fraction of the limit that dry friction may be
+FRICTION_WIDTH = 0.01  # [rad/s or m/s]
+SAME_SCALE = (0.7, 1.4)  # factors in this range are model errors, not another unit
+PARAMETER_COST = 0.7  # about log(2): a parameter must halve the squares of one joint
+MUST_REMAIN = 0.25  # fraction of the squares that an accepted explanation may leave
+SOFTENING = 0.1  # added to mean squares, which are 1 at the tolerance
+SILENT = 1e-9  # fraction of the largest effort; smaller variations are rounding errors
+
+
+class _Fit(NamedTuple):
+    """An explanation of all joints, and the squares that it leaves."""
+
+    cause: Cause
+    cost: float
+    remaining: float
+    """Mean square of residual over tolerance."""
+    swapped: tuple[int, ...] = ()
+    hypothesis: Hypothesis | None = None
+    factors: tuple[float, ...] = ()
+    joints: tuple[int, ...] = ()
+
+
+def diagnose(
+    samples: LiveSamples, robot: RobotModel, gravity: Floats, limits: Floats | None = None
+) -> Verdict:
+    """
+    Compare measured and modelled efforts.
+
+    Parameters
+    ----------
+    samples : LiveSamples
+        Samples of all n joints of the robot, in its order.
+    robot : RobotModel
+        The robot.
+    gravity : ndarray, shape (3,)
+        Free-fall acceleration in the frame of the root link that the model contains [m/s^2].
+    limits : ndarray, shape (n,), optional
+        Largest efforts [N m or N]; default: those of the robot.
+
+    Returns
+    -------
+    verdict : Verdict
+
+    """
+    limits = robot.effort_limits if limits is None else limits
+    is_known = np.isfinite(samples.measured) & np.isfinite(samples.modelled)
+    # At first, efforts are unknown until all topics are connected and the filters have settled.
+    known_rows = is_known.any(axis=1).sum()
+    columns = np.flatnonzero(2 * is_known.sum(axis=0) > known_rows).tolist()
+    if len(samples.times) >= MIN_SAMPLES and not np.isfinite(samples.measured).any():
+        return Verdict(Outcome.UNDECIDED, Cause.NO_EFFORTS)
+    rows = is_known[:, columns].all(axis=1) & np.isfinite(samples.q).all(axis=1)
+    if not columns or rows.sum() < MIN_SAMPLES:
+        return Verdict(Outcome.UNDECIDED, Cause.TOO_FEW_SAMPLES)
+    whole = LiveSamples(samples.joint_names, *(signal[rows] for signal in samples[1:]))
+    return _Comparison(whole, columns, robot, gravity, limits).verdict()
+
+
+class _Comparison:
+    """Complete samples of the c compared joints; columns are these joints."""
+
+    def __init__(
+        self,
+        whole: LiveSamples,
+        columns: list[int],
+        robot: RobotModel,
+        gravity: Floats,
+        limits: Floats,
+    ) -> None:
+        self.whole, self.columns, self.robot, self.gravity = whole, columns, robot, gravity
+        compared = whole.of_joints(columns)
+        self.names = compared.joint_names
+        self.measured, self.modelled = compared.measured, compared.modelled
+        self.qd = np.nan_to_num(compared.qd)
+        self.is_prismatic = robot.is_prismatic_joint[columns]
+        self.limits = limits[columns]
+        self.moves: Booleans = _rms(self.qd) > MOVING
+        self.effort = np.maximum(_rms(self.measured), _rms(self.modelled))
+        self.floor = self._floor()
+        self.residual = self._without_friction(self.measured - self.modelled)
+        self.tolerance = np.maximum(self.floor, SUSPICIOUS * self.effort)
+
+    def verdict(self) -> Verdict:
+        """Return the verdict."""
+        r = _rms(self.residual)
+        is_checked = _rms(self.modelled) > self.floor
+        common = Verdict(
+            Outcome.AGREE,
+            sizes=self._sizes(),
+            unchecked=self._names(~is_checked),
+            is_moving=bool(self.moves.any()),
+        )
+        silent = self._silent(is_checked)
+        if silent.any():
+            if np.array_equal(silent, is_checked):
+                return replace(common, outcome=Outcome.UNDECIDED, cause=Cause.ZERO_EFFORTS)
+            return replace(
+                common,
+                outcome=Outcome.DIFFER,
+                cause=Cause.NOT_MEASURED,
+                joints=self._names(silent),
+            )
+        differs = r > np.maximum(self.floor, AGREEMENT * self.effort)
+        if (r > self.tolerance).any():
+            fit = self._explain()
+            if fit is not None:
+                return self._explained(common, fit)
+        if differs.any():
+            return self._unexplained(common, differs, r)
+        if not is_checked.any():
+            return replace(common, outcome=Outcome.UNDECIDED, cause=Cause.SMALL_EFFORTS)
+        return common
+
+    def _floor(self) -> Floats:
+        """Return the residuals that are ignored, shape (c,)."""
+        largest = np.zeros(len(self.names))
+        for kind in (False, True):
+            same = self.is_prismatic == kind
+            if same.any():
+                largest[same] = np.max(_rms(self.modelled)[same])
+        floor = np.minimum(FLOOR_OF_LIMIT * self.limits, FLOOR_OF_LARGEST * largest)
+        finite = np.where(np.isfinite(self.limits), self.limits, 0.0)
+        floor = np.maximum(floor, LEAST_FLOOR * finite)
+        return np.asarray(np.where(self.moves, floor, REST_FACTOR * floor))
+
+    def _without_friction(self, residual: Floats) -> Floats:
+        """Subtract dry and viscous friction of the joints that moved in both directions."""
+        rest: Floats = residual.copy()
+        for c in np.flatnonzero(self.moves):
+            direction = np.tanh(self.qd[:, c] / FRICTION_WIDTH)
+            if min(np.mean(direction > 0.5), np.mean(direction < -0.5)) < 0.1:
+                continue
+            features = np.column_stack([direction, self.qd[:, c]])
+            solution = np.linalg.lstsq(features, residual[:, c], rcond=None)[0]
+            for column in (0, 1):
+                if solution[column] < 0.0:  # friction does not drive a joint
+                    solution[column] = 0.0
+                    other = features[:, 1 - column]
+                    least = float(other @ residual[:, c] / (other @ other))
+                    solution[1 - column] = max(0.0, least)
+            rest[:, c] -= features @ solution
+        return rest
+
+    def _silent(self, is_checked: Booleans) -> Booleans:
+        """Return which joints measure a constant zero where the model has an effort."""
+        largest = max(float(np.max(np.abs(self.modelled))), SILENT)
+        is_zero = np.max(np.abs(self.measured), axis=0) <= SILENT * largest
+        return np.asarray(is_zero & is_checked)
+
+    def _explain(self) -> _Fit | None:
+        """Return the explanation with the lowest cost, or None if none is good enough."""
+        as_is = self._fit(Cause.NONE, self.measured - self.modelled, 0)
+        swapped = self._swapped()
+        found = [as_is]
+        if len(swapped):
+            # One convention for all joints is as likely as an error of two of them.
+            parameters = 2 if self._is_all(swapped) else len(swapped)
+            found.append(self._fit(Cause.SIGN, self._flipped(swapped), parameters, swapped))
+        found += self._scaled()
+        for flips in {(), swapped}:
+            for hypothesis in self._robot_hypotheses(flips):
+                left = self._flipped(flips) - hypothesis.efforts[:, self.columns]
+                parameters = hypothesis.parameters + len(flips)
+                fit = self._fit(hypothesis.cause, left, parameters, flips)
+                found.append(fit._replace(hypothesis=hypothesis))
+        best = min(found, key=lambda fit: fit.cost)
+        is_good = best is not as_is and best.remaining < MUST_REMAIN * as_is.remaining
+        return best if is_good else None
+
+    def _fit(
+        self, cause: Cause, left: Floats, parameters: int, swapped: tuple[int, ...] = ()
+    ) -> _Fit:
+        squares = float(np.mean((_rms(self._without_friction(left)) / self.tolerance) ** 2))
+        cost = len(self.names) * math.log(squares + SOFTENING) + PARAMETER_COST * parameters
+        return _Fit(cause, cost, squares, swapped)
+
+    def _swapped(self) -> tuple[int, ...]:
+        """Return the columns that the opposite sign explains far better."""
+        as_is, opposite = (
+            _rms(self.residual),
+            _rms(self._without_friction(-self.measured - self.modelled)),
+        )
+        is_swapped = (
+            (_rms(self.modelled) > 0.5 * self.floor)
+            & (as_is > self.tolerance)
+            & (opposite < 0.5 * as_is)
+        )
+        swapped = tuple(np.flatnonzero(is_swapped).tolist())
+        # Several, and all whose sign can be seen: the driver has another convention for all.
+        return tuple(range(len(self.names))) if self._is_all(swapped) else swapped
+
+    def _is_all(self, swapped: tuple[int, ...]) -> bool:
+        visible = np.flatnonzero(_rms(self.modelled) > self.floor)
+        return len(swapped) > 1 and set(visible.tolist()) <= set(swapped)
+
+    def _flipped(self, swapped: tuple[int, ...]) -> Floats:
+        sign = np.ones(len(self.names))
+        sign[list(swapped)] = -1.0
+        left: Floats = sign * self.measured - self.modelled
+        return left
+
+    def _robot_hypotheses(self, flips: tuple[int, ...]) -> list[Hypothesis]:
+        weights = np.zeros(len(self.whole.joint_names))
+        weights[self.columns] = 1.0 / self.tolerance
+        residual = np.zeros_like(self.whole.measured)
+        residual[:, self.columns] = self._flipped(flips)
+        return robot_hypotheses(self.whole, residual, weights, self.robot, self.gravity)
+
+    def _scaled(self) -> list[_Fit]:
+        """
+        Try another unit of the measured efforts.
+
+        A factor of one joint needs efforts that vary; at rest any factor fits.
+
+        """
+        found = []
+        slopes, correlations = self._slopes()
+        significant = _rms(self.modelled) > self.floor
+        varies = np.std(self.modelled, axis=0) > np.maximum(self.floor, 0.1 * self.effort)
+        shared = float(
+            np.sum(np.sum(self.measured * self.modelled, axis=0) / self.tolerance**2)
+            / np.sum(np.sum(self.modelled**2, axis=0) / self.tolerance**2)
+        )
+        if significant.sum() >= 2 and _is_another_unit(shared):
+            left = self.measured / shared - self.modelled
+            # Measured efforts in a small unit have a small residual anyway.
+            fit = self._fit(Cause.SCALE, left, 2)
+            joints = tuple(np.flatnonzero(significant).tolist())
+            found.append(fit._replace(factors=(shared,) * len(joints), joints=joints))
+        wrong = [
+            c
+            for c in np.flatnonzero(varies & (correlations > 0.97)).tolist()
+            if _is_another_unit(slopes[c])
+        ]
+        if wrong:
+            left = self.measured - self.modelled
+            left[:, wrong] = self.measured[:, wrong] / slopes[wrong] - self.modelled[:, wrong]
+            fit = self._fit(Cause.SCALE, left, 2 * len(wrong))
+            found.append(
+                fit._replace(factors=tuple(float(slopes[c]) for c in wrong), joints=tuple(wrong))
+            )
+        return found
+
+    def _slopes(self) -> tuple[Floats, Floats]:
+        squares = np.maximum(np.sum(self.modelled**2, axis=0), 1e-300)
+        slopes: Floats = np.sum(self.measured * self.modelled, axis=0) / squares
+        a = self.measured - self.measured.mean(axis=0)
+        b = self.modelled - self.modelled.mean(axis=0)
+        norm = np.sqrt(np.sum(a**2, axis=0) * np.sum(b**2, axis=0))
+        correlations: Floats = np.sum(a * b, axis=0) / np.maximum(norm, 1e-300)
+        return slopes, correlations
+
+    def _explained(self, common: Verdict, fit: _Fit) -> Verdict:
+        found = replace(common, outcome=Outcome.DIFFER, cause=fit.cause)
+        swapped = self._names(np.isin(np.arange(len(self.names)), fit.swapped))
+        if fit.cause is Cause.SIGN:
+            return replace(found, joints=swapped)
+        found = replace(found, also_swapped=swapped)
+        if fit.hypothesis is not None:
+            return replace(found, values=fit.hypothesis.values, link=fit.hypothesis.link)
+        return replace(found, joints=tuple(self.names[c] for c in fit.joints), values=fit.factors)
+
+    def _unexplained(self, common: Verdict, differs: Booleans, r: Floats) -> Verdict:
+        worst = sorted(np.flatnonzero(differs), key=lambda c: -r[c] / self.tolerance[c])
+        names = tuple(self.names[c] for c in worst)
+        found = replace(common, cause=Cause.UNEXPLAINED, joints=names)
+        may_be_friction = ~self.moves & (r < FRICTION_AT_REST * self.limits)
+        if np.isfinite(self.limits).all() and may_be_friction[differs].all():
+            return replace(found, outcome=Outcome.UNDECIDED, cause=Cause.AT_REST)
+        return replace(found, outcome=Outcome.DIFFER)
+
+    def _sizes(self) -> tuple[Size, ...]:
+        residual = self.measured - self.modelled
+        return tuple(
+            Size(
+                float(np.sqrt(np.mean(residual[:, same] ** 2))),
+                float(np.sqrt(np.mean(self.measured[:, same] ** 2))),
+                kind,
+            )
+            for kind in (False, True)
+            if (same := self.is_prismatic == kind).any()
+        )
+
+    def _names(self, selected: Booleans) -> tuple[str, ...]:
+        return tuple(self.names[c] for c in np.flatnonzero(selected))
+
+
+def _is_another_unit(factor: float) -> bool:
+    return factor > 1e-6 and not SAME_SCALE[0] < factor < SAME_SCALE[1]
+
+
+def _rms(signals: Floats) -> Floats:
+    """Return the root mean square of each column."""
+    result: Floats = np.sqrt(np.mean(signals**2, axis=0))
+    return result

@@ -1,0 +1,92 @@
+"""Judges whether model and robot agree, from the state of the node and the last seconds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+from ...robot.model import Floats, RobotModel
+from .diagnosis import diagnose
+from .verdict import Cause, Outcome, Verdict
+from .window import LiveSamples
+
+DEFAULT_LEAST_RATE = 80.0  # [Hz]; the default of the controller manager of ros2_control is 100
+OF_GIVEN_RATE = 0.8  # fraction of the rate given by the user, below which states are slow
+OF_UPDATE_RATE = 0.5  # the same of update_rate: many drivers are slower than the loop
+
+_STRONGER_THAN_SLOW = (
+    Cause.SIGN,
+    Cause.SCALE,
+    Cause.GRAVITY_COMPENSATED,
+    Cause.PAYLOAD,
+    Cause.MOUNTING,
+)
+"""Causes that are found in slow states too; residuals without a cause may be due to the rate."""
+
+
+class StateRate(NamedTuple):
+    """Rates of joint states [Hz]."""
+
+    measured: float | None
+    """None if unknown."""
+    given: float | None = None
+    """Expected by the user."""
+    update_rate: float | None = None
+    """Requested rate of the commands; None if there is one for each joint state."""
+    is_simulated: bool = False
+    """Whether the node uses simulated time, which may be slower than real time."""
+
+    @property
+    def least(self) -> float:
+        """Rate below which joint states are slow."""
+        if self.given is not None:
+            return OF_GIVEN_RATE * self.given
+        if self.update_rate is not None:
+            return OF_UPDATE_RATE * self.update_rate
+        return 0.0 if self.is_simulated else DEFAULT_LEAST_RATE
+
+    @property
+    def is_slow(self) -> bool:
+        """Whether joint states arrive far too rarely."""
+        return self.measured is not None and self.measured < self.least
+
+
+def judge(
+    reason: str,
+    rate: StateRate,
+    samples: LiveSamples | None,
+    robot: RobotModel | None,
+    gravity: Floats,
+    limits: Floats | None = None,
+) -> Verdict:
+    """
+    Judge whether model and robot agree.
+
+    Parameters
+    ----------
+    reason : str
+        Why the node does not compute efforts; empty if it does.
+    rate : StateRate
+        Rates of joint states.
+    samples : LiveSamples or None
+        The last seconds; None if the robot is unknown.
+    robot, gravity, limits
+        As for `diagnose`.
+
+    Returns
+    -------
+    verdict : Verdict
+
+    """
+    if reason:
+        return Verdict(Outcome.UNDECIDED, Cause.NODE_STATE, reason=reason)
+    if samples is None or robot is None:
+        verdict = Verdict(Outcome.UNDECIDED, Cause.TOO_FEW_SAMPLES)
+    else:
+        verdict = diagnose(samples, robot, gravity, limits)
+    if rate.is_slow and verdict.cause not in _STRONGER_THAN_SLOW:
+        values = (rate.measured or 0.0, rate.least)
+        return replace(
+            verdict, outcome=Outcome.DIFFER, cause=Cause.SLOW_STATES, joints=(), values=values
+        )
+    return verdict

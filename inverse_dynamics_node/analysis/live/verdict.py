@@ -1,0 +1,74 @@
+"""The result of a live comparison of model and robot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import enum
+
+
+class Outcome(enum.Enum):
+    """Whether model and robot agree."""
+
+    AGREE = 'agree'
+    DIFFER = 'differ'
+    UNDECIDED = 'undecided'
+
+
+class Cause(enum.Enum):
+    """Why model and robot do not agree, or why this cannot be decided."""
+
+    NONE = 'none'
+    # They differ:
+    SIGN = 'sign'
+    SCALE = 'scale'
+    NOT_MEASURED = 'not_measured'
+    GRAVITY_COMPENSATED = 'gravity_compensated'
+    PAYLOAD = 'payload'
+    MOUNTING = 'mounting'
+    UNEXPLAINED = 'unexplained'
+    SLOW_STATES = 'slow_states'
+    # It cannot be decided:
+    NO_DIAGNOSTICS = 'no_diagnostics'
+    NODE_STATE = 'node_state'
+    NO_EFFORTS = 'no_efforts'
+    ZERO_EFFORTS = 'zero_efforts'
+    TOO_FEW_SAMPLES = 'too_few_samples'
+    SMALL_EFFORTS = 'small_efforts'
+    AT_REST = 'at_rest'
+
+
+@dataclass(frozen=True)
+class Size:
+    """RMS efforts of all compared joints of one kind over the window [N m or N]."""
+
+    residual: float
+    """Measured minus modelled."""
+    measured: float
+    is_prismatic: bool = False
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether model and robot agree, and why not."""
+
+    outcome: Outcome
+    cause: Cause = Cause.NONE
+    joints: tuple[str, ...] = ()
+    """Joints that differ; empty if the cause concerns the whole robot."""
+    values: tuple[float, ...] = ()
+    """
+    Factor of each joint of a `SCALE`; mass [kg] of a `PAYLOAD`; gravity in the frame of the root
+    link [m/s^2] of a `MOUNTING`; measured and lowest sufficient rate [Hz] of `SLOW_STATES`.
+    """
+    link: str = ''
+    """Link that carries the payload."""
+    reason: str = ''
+    """Message of the node, for `NODE_STATE`."""
+    sizes: tuple[Size, ...] = ()
+    """Revolute joints first."""
+    unchecked: tuple[str, ...] = ()
+    """Joints whose efforts are too small to see a wrong sign."""
+    is_moving: bool = True
+    """Whether a compared joint moved in the window."""
+    also_swapped: tuple[str, ...] = ()
+    """Joints with a swapped sign, beside another cause."""

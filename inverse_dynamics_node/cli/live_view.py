@@ -1,0 +1,273 @@
+"""Shows the state of a node: as a screen, as a line, and as JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import math
+import time
+from typing import Any, TYPE_CHECKING
+
+from ..analysis.live.verdict import Cause, Outcome, Verdict
+from ..report.live_verdict import sentence
+
+if TYPE_CHECKING:
+    from ..node.observed_status import ObservedStatus
+    from ..node.observer import Observer, Sample
+
+BAR = 12  # characters
+NEAR_LIMIT, AT_LIMIT = 0.7, 0.95
+MOST_WARNINGS = 4
+RECENT = 60.0  # [s]; older warnings are not shown
+_COLOURS = {Outcome.AGREE: 'green', Outcome.DIFFER: 'red', Outcome.UNDECIDED: 'yellow'}
+
+
+class LiveView:
+    """A screen that is updated in place; the terminal is restored when the context ends."""
+
+    def __init__(self, console: Any = None) -> None:
+        from rich.console import Console
+        from rich.live import Live
+
+        self._console = console or Console(highlight=False)
+        self._live = Live(console=self._console, screen=True, auto_refresh=False)
+        self.last_words = ''
+        """Printed below the prompt at the end."""
+
+    def __enter__(self) -> LiveView:
+        self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._live.stop()
+        if self.last_words:
+            self._console.print(self.last_words, markup=False, soft_wrap=True)
+
+    def show(self, observer: Observer, sample: Sample | None, verdict: Verdict) -> None:
+        """Show the latest values."""
+        self._live.update(screen(observer, sample, verdict), refresh=True)
+
+
+def screen(observer: Observer, sample: Sample | None, verdict: Verdict) -> Any:
+    """Return the screen as a renderable of rich."""
+    from rich.console import Group
+    from rich.text import Text
+
+    parts: list[Any] = [
+        _headline(observer),
+        Text(sentence(verdict), _COLOURS[verdict.outcome] + ' bold'),
+        Text(''),
+    ]
+    if sample is not None:
+        parts += [_joint_table(observer, sample, verdict), Text('')]
+    if observer.status is not None:
+        parts.append(_node_table(observer.status))
+    parts += _warnings(observer)
+    return Group(*parts)
+
+
+def _headline(observer: Observer) -> Any:
+    from rich.text import Text
+
+    text = Text(observer.name, 'bold')
+    if observer.robot is not None:
+        text.append(f"  robot '{observer.robot.name}'", 'not bold')
+    status = observer.status
+    if status is None:
+        text.append('  waiting for its diagnostics', 'not bold yellow')
+        return text
+    if status.is_dry_run:
+        text.append('  DRY RUN', 'bold cyan')
+    text.append(f'  {status.state}', 'not bold')
+    return text
+
+
+def _joint_table(observer: Observer, sample: Sample, verdict: Verdict) -> Any:
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, pad_edge=False, header_style='cyan')
+    table.add_column('joint', no_wrap=True, overflow='ellipsis')
+    for title in ('position', 'measured', 'modelled', 'residual', 'command'):
+        table.add_column(title, justify='right', no_wrap=True)
+    table.add_column('of its limit', no_wrap=True)
+    for row in joint_rows(observer, sample):
+        marked = row['name'] in (*verdict.joints, *verdict.also_swapped)
+        unit = 'mm' if row['is_prismatic'] else 'deg'
+        position = row['position']
+        if position is not None:
+            position *= 1e3 if row['is_prismatic'] else 180.0 / math.pi
+        effort = 'N' if row['is_prismatic'] else 'N m'
+        table.add_row(
+            row['name'],
+            _number(position, 1) + f' {unit:3}',
+            *(_number(row[key], 2) for key in ('measured', 'modelled', 'residual')),
+            f'{_number(row["command"], 2)} {effort:3}',
+            _bar(row['fraction']),
+            style='bold red' if marked else '',
+        )
+    if not table.rows:
+        table.add_row(Text('no joint yet'))
+    return table
+
+
+def joint_rows(observer: Observer, sample: Sample) -> list[dict[str, Any]]:
+    """Return the values of each joint; None if unknown."""
+    robot, status = observer.robot, observer.status
+    if robot is None:
+        return []
+    limits = dict(zip(robot.joint_names, robot.effort_limits.tolist(), strict=True))
+    if status is not None and len(status.limits) == len(status.joints):
+        limits |= dict(zip(status.joints, status.limits, strict=True))
+    rows = []
+    for i, name in enumerate(robot.joint_names):
+        values = {
+            'position': sample.positions[i],
+            'measured': sample.measured[i],
+            'modelled': sample.modelled[i],
+            'residual': sample.measured[i] - sample.modelled[i],
+            'command': sample.commands[i],
+            'limit': limits[name],
+            'fraction': abs(sample.commands[i]) / limits[name] if limits[name] else math.nan,
+        }
+        if not math.isfinite(limits[name]):
+            values['fraction'] = math.nan
+        rows.append(
+            {'name': name, 'is_prismatic': bool(robot.is_prismatic_joint[i])}
+            | {key: _known(value) for key, value in values.items()}
+        )
+    return rows
+
+
+def _node_table(status: ObservedStatus) -> Any:
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, show_header=False)
+    table.add_column(style='cyan', no_wrap=True)
+    table.add_column()
+    for label, text in node_lines(status):
+        table.add_row(label, text)
+    return table
+
+
+def node_lines(status: ObservedStatus) -> list[tuple[str, str]]:
+    """Return labels and texts about the node."""
+    lines = [('phase', status.activity or status.state)]
+    if status.mode:
+        lines.append(('mode', status.mode))
+    if status.payload:
+        lines.append(('payload', status.payload))
+    if status.commands:
+        count = status.receivers or 0
+        names = f': {status.subscribers}' if count and status.subscribers else ''
+        are = 'not sent, ' if status.is_dry_run else ''
+        subscribers = f'{count} subscriber{"" if count == 1 else "s"}'
+        lines.append(('commands', f'{status.commands}, {are}{subscribers}{names}'))
+    expected = '' if status.requested_rate is None else f' of {status.requested_rate:g}'
+    rates = [f'commands {_number(status.rate, 1)}{expected} Hz']
+    if status.state_rate is not None:
+        rates.append(f'joint states {status.state_rate:.1f} Hz')
+    lines.append(('rates', ', '.join(rates)))
+    ages = [
+        f'{what} {_number(age, 3)} s ({_time_limit(limit)})'
+        for what, age, limit in (
+            ('joint states', status.state_age, status.state_timeout),
+            ('reference', status.reference_age, status.reference_timeout),
+        )
+        if limit is not None
+    ]
+    if ages:
+        lines.append(('ages', ', '.join(ages)))
+    return lines
+
+
+def _warnings(observer: Observer) -> list[Any]:
+    from rich.text import Text
+
+    lines = []
+    if observer.status is not None:
+        for problem in observer.status.problems:
+            style = 'bold red' if problem.level == 'ERROR' else 'yellow'
+            lines.append(Text(f'{problem.level} {problem.part}: {problem.message}', style))
+    now = time.time()
+    for line in [line for line in observer.log if now - line.time < RECENT][-MOST_WARNINGS:]:
+        clock = time.strftime('%H:%M:%S', time.localtime(line.time))
+        lines.append(Text(f'{clock} {line.level} {line.text}', 'yellow'))
+    return [Text(''), *lines] if lines else []
+
+
+def as_line(observer: Observer, verdict: Verdict) -> str:
+    """Return one line for a pipe."""
+    status = observer.status
+    words = [time.strftime('%H:%M:%S'), observer.name]
+    if status is not None:
+        words.append('dry run' if status.is_dry_run else status.state)
+        words.append(f'{_number(status.state_rate, 0)} Hz')
+    return f'{" ".join(words)}: {sentence(verdict)}'
+
+
+def as_json(
+    observer: Observer, sample: Sample | None, verdict: Verdict, codes: Mapping[Outcome, int]
+) -> dict[str, Any]:
+    """Return all values for JSON; doc/watch.md describes the keys."""
+    status = observer.status
+    node: dict[str, Any] = {}
+    if status is not None:
+        node = {
+            'state': status.state,
+            'phase': status.phase or None,
+            'activity': status.activity,
+            'mode': status.mode or None,
+            'dry_run': status.is_dry_run,
+            'payload': status.payload or None,
+            'commands_topic': status.commands or None,
+            'subscribers': status.receivers,
+            'rate': status.rate,
+            'requested_rate': status.requested_rate,
+            'joint_state_rate': status.state_rate,
+            'joint_state_age': status.state_age,
+            'joint_state_timeout': status.state_timeout,
+            'reference_age': status.reference_age,
+            'reference_timeout': status.reference_timeout,
+            'problems': [problem._asdict() for problem in status.problems],
+        }
+    return {
+        'time': time.time(),
+        'node': observer.name,
+        'robot': observer.robot.name if observer.robot else None,
+        'outcome': verdict.outcome.value,
+        'cause': None if verdict.cause is Cause.NONE else verdict.cause.value,
+        'sentence': sentence(verdict),
+        'exit_code': codes[verdict.outcome],
+        'problem_joints': list(verdict.joints),
+        'problem_values': list(verdict.values),
+        'problem_link': verdict.link or None,
+        'unchecked_joints': list(verdict.unchecked),
+        'status': node,
+        'joints': joint_rows(observer, sample) if sample is not None else [],
+        'log': [line._asdict() for line in list(observer.log)[-MOST_WARNINGS:]],
+    }
+
+
+def _bar(fraction: float | None) -> Any:
+    from rich.text import Text
+
+    if fraction is None:
+        return Text('-')
+    filled = min(BAR, round(fraction * BAR))
+    colour = 'red' if fraction >= AT_LIMIT else 'yellow' if fraction >= NEAR_LIMIT else 'green'
+    text = Text('█' * filled, colour)
+    text.append('░' * (BAR - filled), 'dim')
+    text.append(f' {fraction:4.0%}', 'default')
+    return text
+
+
+def _time_limit(seconds: float) -> str:
+    return f'limit {seconds:g} s' if seconds else 'no limit'
+
+
+def _number(value: float | None, decimals: int) -> str:
+    return '-' if value is None else f'{value:.{decimals}f}'
+
+
+def _known(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

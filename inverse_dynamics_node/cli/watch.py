@@ -1,0 +1,278 @@
+"""The command `watch`: a live view of a running node, and whether model and robot agree."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
+import json
+import math
+import os
+import signal
+import sys
+import time
+from typing import Any, TYPE_CHECKING
+
+import numpy as np
+
+from ..analysis.live.judge import judge, StateRate
+from ..analysis.live.verdict import Cause, Outcome, Verdict
+from ..analysis.live.window import LiveWindow
+from ..errors import ConfigurationError
+from ..report.live_verdict import sentence
+from .live_view import as_json, as_line, LiveView
+
+if TYPE_CHECKING:
+    from ..node.observer import Observer, Sample
+
+EPILOG = """\
+examples:
+  inverse_dynamics watch
+  inverse_dynamics watch /left/inverse_dynamics
+  inverse_dynamics watch --for 10 && ros2 param set /inverse_dynamics dry_run false
+  inverse_dynamics watch --json | jq .sentence
+
+exit code of --for: 0 model and robot agree; 3 they differ, or joint states are slow; 4 it cannot
+be decided; 1 there is no such node; 2 invalid arguments. 130 after Ctrl-C."""
+
+CODES = {Outcome.AGREE: 0, Outcome.DIFFER: 3, Outcome.UNDECIDED: 4}
+_POLL = 0.02  # [s]
+_LINE = 1.0  # [s]; between lines and verdicts
+_FRAME = 0.25  # [s]
+_DISCOVERY = 1.5  # [s]; discovery takes up to this long, and longer on a busy machine
+_MOST_DISCOVERY = 10.0  # [s]; until --for reports that there is no node
+_LOST = 3.5  # [s]; diagnostics are published once a second
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the command to the list."""
+    parser: argparse.ArgumentParser = subparsers.add_parser(
+        'watch',
+        help='watch a running node: do model and robot agree? (needs ROS 2)',
+        description='Show the joints and the state of a running node, and whether its model '
+        'agrees with the efforts that the robot measures. Only subscribes. On a terminal the view '
+        'is updated in place; in a pipe there is one line per second.',
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        'node',
+        nargs='?',
+        metavar='NODE',
+        help='name of the node, as in ros2 node list (default: the only one there is)',
+    )
+    parser.add_argument(
+        '--for',
+        dest='duration',
+        type=_positive,
+        metavar='SECONDS',
+        help='end after this time, with an exit code that says whether model and robot agree',
+    )
+    parser.add_argument(
+        '--json', action='store_true', help='print one JSON object per second, see doc/watch.md'
+    )
+    parser.add_argument(
+        '--rate',
+        type=_positive,
+        metavar='HZ',
+        help='rate at which the robot publishes joint states; less than 80 %% of it is a problem '
+        '(default: half of update_rate is sufficient, or 80 Hz without update_rate)',
+    )
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command; return the exit code."""
+    from ..node.observer import Observer, observing_node  # needs ROS
+
+    with _signals_raise(), observing_node() as node:
+        name = _choose_node(node, options)
+        watch = _Watch(Observer(node, name), options)
+        return watch.run()
+
+
+class _Watch:
+    """Follows one node, and shows its state."""
+
+    def __init__(self, observer: Observer, options: argparse.Namespace) -> None:
+        self.observer, self.options = observer, options
+        self.window: LiveWindow | None = None
+        self.sample: Sample | None = None
+        self.verdict = Verdict(Outcome.UNDECIDED, Cause.TOO_FEW_SAMPLES)
+        self._began = time.monotonic()
+        self._first_status = math.inf
+
+    def run(self) -> int:
+        """Show the node until the end; return the exit code."""
+        if self.options.json or not sys.stdout.isatty():
+            self._loop(self._print_line, _LINE)
+        else:
+            with LiveView() as view:
+                try:
+                    self._loop(lambda: view.show(self.observer, self.sample, self.verdict), _FRAME)
+                finally:
+                    view.last_words = f'{self.observer.name}: {sentence(self.verdict)}'
+        return CODES[self.verdict.outcome]
+
+    def _loop(self, show: Any, period: float) -> None:
+        """Poll, judge once a second and show, until the time is over."""
+        next_verdict = next_show = time.monotonic() + period
+        is_over, is_new = False, True
+        while not is_over:
+            now = time.monotonic()
+            self._poll()
+            is_over = now >= self._end(now)
+            if now >= next_verdict or (is_over and now > next_verdict - 0.5 * _LINE):
+                self.verdict = self._judge(now)
+                next_verdict = max(next_verdict + _LINE, now)
+                is_new = True
+            if now >= next_show or (is_over and is_new):
+                show()
+                next_show = max(next_show + period, now)
+                is_new = False
+            if not is_over:
+                time.sleep(_POLL)
+
+    def _end(self, now: float) -> float:
+        """Return the time at which to end: a while after the first diagnostics."""
+        if not self.options.duration:
+            return math.inf
+        if self.observer.status is None:
+            return self._began + _MOST_DISCOVERY
+        if math.isinf(self._first_status):
+            self._first_status = now
+        return float(self._first_status + self.options.duration)
+
+    def _poll(self) -> None:
+        observer = self.observer
+        if observer.poll():
+            robot = observer.robot
+            self.window = LiveWindow(robot.joint_names) if robot else None
+            self.sample = None
+        if self.window is not None:
+            sample = self.sample = observer.sample()
+            self.window.add(sample.time, sample.q, sample.qd, sample.measured, sample.modelled)
+
+    def _judge(self, now: float) -> Verdict:
+        observer, status = self.observer, self.observer.status
+        silence = now - max(observer.status_time, self._began)
+        if status is None or silence > _LOST:
+            reason = (
+                f'no diagnostics from {observer.name} for {silence:.0f} s: it has ended, or '
+                'cannot be reached'
+            )
+            cause = Cause.NO_DIAGNOSTICS if silence > _LOST else Cause.TOO_FEW_SAMPLES
+            return Verdict(Outcome.UNDECIDED, cause, reason=reason)
+        rate = StateRate(
+            observer.state_rate,
+            self.options.rate,
+            status.requested_rate,
+            status.uses_simulated_time,
+        )
+        return judge(
+            self._reason(),
+            rate,
+            self.window.samples() if self.window else None,
+            observer.robot,
+            np.array(status.gravity),
+            self._limits(),
+        )
+
+    def _reason(self) -> str:
+        """Return why the node does not compute efforts, empty if it does."""
+        observer, status = self.observer, self.observer.status
+        assert status is not None
+        if status.is_computing:
+            return observer.robot_problem
+        if status.state != 'active':
+            return f'the node is {status.state}'
+        states = [each.message for each in status.problems if each.part == 'joint states']
+        return f'{status.activity}; {states[0]}' if states else status.activity
+
+    def _limits(self) -> Any:
+        robot, status = self.observer.robot, self.observer.status
+        if robot is None or status is None:
+            return None
+        limits = robot.effort_limits.copy()
+        if len(status.limits) == len(status.joints):
+            for joint, limit in zip(status.joints, status.limits, strict=True):
+                if joint in robot.joint_names:
+                    limits[robot.joint_names.index(joint)] = limit
+        return limits
+
+    def _print_line(self) -> None:
+        if self.options.json:
+            print(json.dumps(as_json(self.observer, self.sample, self.verdict, CODES)), flush=True)
+        else:
+            print(as_line(self.observer, self.verdict), flush=True)
+
+
+def _choose_node(node: Any, options: argparse.Namespace) -> str:
+    """Return the name of the node to watch; wait for it, with --for not for long."""
+    from ..node.observer import find_nodes
+
+    began = time.monotonic()
+    has_announced = False
+    while True:
+        names = find_nodes(node)
+        waited = time.monotonic() - began
+        chosen = [name for name in names if _is_named(name, options.node)]
+        if chosen and (waited > _DISCOVERY or options.node in chosen):
+            break
+        if options.duration and waited > _MOST_DISCOVERY:
+            raise ConfigurationError(_not_found(options.node, names))
+        if waited > _DISCOVERY and not has_announced:
+            print(f'{_not_found(options.node, names)}; waiting for it', file=sys.stderr)
+            has_announced = True
+        time.sleep(0.05)
+    if options.node in chosen:
+        return str(options.node)
+    if len(chosen) > 1:
+        raise ConfigurationError(
+            f'{len(chosen)} nodes: {", ".join(chosen)}; choose one, as in '
+            f'inverse_dynamics watch {chosen[0]}'
+        )
+    return chosen[0]
+
+
+def _is_named(name: str, wanted: str | None) -> bool:
+    return wanted is None or name == wanted or name.endswith(f'/{wanted.lstrip("/")}')
+
+
+def _not_found(wanted: str | None, names: list[str]) -> str:
+    domain = os.environ.get('ROS_DOMAIN_ID', '0')
+    reach = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET')
+    where = f'ROS_DOMAIN_ID is {domain}, ROS_AUTOMATIC_DISCOVERY_RANGE is {reach}'
+    if wanted is None:
+        return f'no inverse dynamics node is running ({where})'
+    others = f'; there are {", ".join(names)}' if names else ''
+    return f"no inverse dynamics node '{wanted}'{others} ({where})"
+
+
+@contextmanager
+def _signals_raise() -> Iterator[None]:
+    """End as on Ctrl-C on SIGTERM and SIGHUP too, so that the terminal is restored."""
+
+    def stop(number: int, _: Any) -> None:
+        raise SystemExit(128 + number)
+
+    def interrupt(number: int, _: Any) -> None:
+        raise KeyboardInterrupt
+
+    handlers = {signal.SIGINT: interrupt, signal.SIGTERM: stop, signal.SIGHUP: stop}
+    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a positive number")
+    return value

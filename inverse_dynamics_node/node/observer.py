@@ -1,0 +1,317 @@
+"""Reads the topics of a running node, which may be on another machine; only subscribes."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+import os
+import time
+from typing import Any, NamedTuple
+
+from diagnostic_msgs.msg import DiagnosticArray
+import numpy as np
+from rcl_interfaces.msg import Log
+import rclpy
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+from ..control.filters import LowPass
+from ..errors import InverseDynamicsError, JointStateError
+from ..robot.model import Floats, RobotModel
+from ..robot.urdf import load_urdf
+from . import qos
+from .cdr import JointStateReader
+from .observed_status import ObservedStatus, read_status
+
+_MOST_WARNINGS = 50
+_RATES = 3  # reports, one per second
+_STALE = 0.5  # [s]; older efforts are unknown
+_LONGEST_GAP = 0.5  # [s]; the filters restart after it, as in the node
+_SETTLING = 0.3  # [s]; until the filters of this process and of the node agree
+_QUEUE = QoSProfile(depth=500, reliability=ReliabilityPolicy.BEST_EFFORT)
+_LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+_LOG = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+_CHECK_MODEL = '/check_model'
+
+
+class LogLine(NamedTuple):
+    """A warning or an error in the log of the node."""
+
+    time: float
+    """Stamp, seconds since 1970."""
+    level: str
+    """``WARN``, ``ERROR`` or ``FATAL``."""
+    text: str
+
+
+class Sample(NamedTuple):
+    """The latest values of all n joints of the robot; NaN if unknown."""
+
+    time: float
+    """Steady time [s]."""
+    positions: Floats
+    """As received, shape (n,) [rad or m]."""
+    q: Floats
+    """The same, low-pass filtered like the signals below."""
+    qd: Floats
+    """Velocities, shape (n,) [rad/s or m/s]."""
+    measured: Floats
+    """Shape (n,) [N m or N]."""
+    modelled: Floats
+    """Efforts of the model for the measured motion, shape (n,) [N m or N]."""
+    commands: Floats
+    """Not filtered, shape (n,) [N m or N]."""
+
+
+@contextmanager
+def observing_node() -> Iterator[Node]:
+    """
+    Yield a hidden node of this process, for `find_nodes` and `Observer`.
+
+    It has no parameter services and no log topic. Signals are left to the caller.
+
+    """
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        node = rclpy.create_node(
+            f'_inverse_dynamics_watch_{os.getpid()}',
+            enable_rosout=False,
+            start_parameter_services=False,
+        )
+        try:
+            yield node
+        finally:
+            node.destroy_node()
+    finally:
+        rclpy.try_shutdown()
+
+
+def find_nodes(node: Node) -> list[str]:
+    """Return the fully qualified names of the running inverse dynamics nodes."""
+    return sorted(
+        name.removesuffix(_CHECK_MODEL)
+        for name, types in node.get_service_names_and_types()
+        if name.endswith(_CHECK_MODEL) and 'std_srvs/srv/Trigger' in types
+    )
+
+
+class Observer:
+    """
+    Collects the messages of one node.
+
+    Messages are taken from the middleware when `poll` is called: an executor would call Python for
+    each of a thousand messages per second.
+
+    Parameters
+    ----------
+    node : Node
+        The node of this process.
+    name : str
+        Fully qualified name of the observed node.
+
+    """
+
+    def __init__(self, node: Node, name: str) -> None:
+        self._node, self.name = node, name
+        self.status: ObservedStatus | None = None
+        """The latest diagnostics; None before the first."""
+        self.status_time = -np.inf
+        """Steady time at which they arrived [s]."""
+        self._state_rates: deque[float] = deque(maxlen=_RATES)
+        self.robot: RobotModel | None = None
+        """The robot of the node; None if it is not known yet."""
+        self.robot_problem = ''
+        """Why the robot description cannot be used."""
+        self.log: deque[LogLine] = deque(maxlen=_MOST_WARNINGS)
+        """Warnings and errors, the latest last."""
+        self._diagnostics = self._subscribe(DiagnosticArray, self._diagnostics_topic(), qos.QUEUED)
+        self._logs = self._subscribe(Log, '/rosout', _LOG)
+        self._descriptions = self._subscribe(String, f'{name}/robot_description', qos.LATCHED)
+        self._topics: dict[str, str] = {}
+        self._subscriptions: dict[str, Any] = {}
+        self._reader = JointStateReader()
+        self._clear()
+
+    def _clear(self) -> None:
+        """Forget all values of joints."""
+        count = len(self.robot.joint_names) if self.robot else 0
+        self._index = {
+            name: i for i, name in enumerate(self.robot.joint_names if self.robot else ())
+        }
+        self._positions, self._external, self._commands = np.full((3, count), np.nan)
+        self._filtered = np.full((3, count), np.nan)
+        self._filters: dict[tuple[str, ...], LowPass] = {}
+        self._external_time = self._commands_time = -np.inf
+        self._settled_at = np.inf
+        self._last_q: tuple[float, Floats] | None = None
+
+    def poll(self) -> bool:
+        """
+        Handle the messages that have arrived.
+
+        Returns
+        -------
+        has_changed : bool
+            Whether the robot has changed, so that earlier samples must not be used.
+
+        """
+        for message, _ in self._take(self._diagnostics, DiagnosticArray):
+            status = read_status(message, self.name)
+            if status is not None:
+                self.status, self.status_time = status, time.monotonic()
+                if status.state_rate is not None:
+                    self._state_rates.append(status.state_rate)
+        for message, _ in self._take(self._logs, Log):
+            self._store_log(message)
+        has_changed = False
+        for message, _ in self._take(self._descriptions, String):
+            has_changed = True
+            self._load_robot(message.data)
+        if self.status is not None:
+            self._follow_topics(self.status)
+        self._read_joint_states()
+        self._read_efforts()
+        return has_changed
+
+    @property
+    def state_rate(self) -> float | None:
+        """
+        Rate of joint states [Hz]: the highest of the last reports.
+
+        A single report may include a time in which the robot was not connected yet, or this
+        machine was suspended. None before the second report.
+
+        """
+        return max(self._state_rates) if len(self._state_rates) > 1 else None
+
+    def sample(self) -> Sample:
+        """Return the latest values."""
+        now = time.monotonic()
+        q, qd, measured = self._filtered.copy()
+        if not np.isfinite(qd).any() and self._last_q is not None:
+            last, last_values = self._last_q
+            if now > last:
+                qd = (q - last_values) / (now - last)
+        self._last_q = now, q
+        external = self._external.copy()
+        if now < self._settled_at or now > self._external_time + _STALE:
+            external[:] = np.nan
+        commands = self._commands.copy()
+        if now > self._commands_time + _STALE:
+            commands[:] = np.nan
+        return Sample(now, self._positions.copy(), q, qd, measured, measured - external, commands)
+
+    def _subscribe(self, kind: Any, topic: str, profile: QoSProfile, raw: bool = False) -> Any:
+        # The callback is never called: no executor spins this node.
+        return self._node.create_subscription(kind, topic, print, profile, raw=raw)
+
+    def _take(
+        self, subscription: Any, kind: Any, raw: bool = False
+    ) -> Iterator[tuple[Any, float]]:
+        """Yield all messages in the queue, and the times at which they were received [s]."""
+        while True:
+            with subscription.handle:
+                taken = subscription.handle.take_message(kind, raw)
+            if taken is None:
+                return
+            message, info = taken
+            yield message, info['received_timestamp'] * 1e-9
+
+    def _diagnostics_topic(self) -> str:
+        namespace, _, name = self.name.rpartition('/')
+        try:
+            published = self._node.get_publisher_names_and_types_by_node(name, namespace or '/')
+        except Exception:  # the node is not known yet; the type depends on the version
+            published = []
+        for topic, types in published:
+            if 'diagnostic_msgs/msg/DiagnosticArray' in types:
+                return str(topic)
+        return '/diagnostics'
+
+    def _store_log(self, message: Any) -> None:
+        name = self.name.strip('/').replace('/', '.')
+        if message.name != name and not message.name.startswith(f'{name}.'):
+            return
+        level = int(message.level)
+        for least, word in ((50, 'FATAL'), (40, 'ERROR'), (30, 'WARN')):
+            if level >= least:
+                stamp = message.stamp.sec + 1e-9 * message.stamp.nanosec
+                self.log.append(LogLine(stamp, word, message.msg))
+                return
+
+    def _load_robot(self, description: str) -> None:
+        self.robot, self.robot_problem = None, ''
+        try:
+            self.robot = load_urdf(description)
+        except InverseDynamicsError as error:
+            self.robot_problem = str(error).partition('\n')[0]
+        self._clear()
+
+    def _follow_topics(self, status: ObservedStatus) -> None:
+        """Subscribe to the topics of the joints, whose names may be remapped."""
+        for name, profile in (
+            ('joint_states', _QUEUE),
+            ('joint_efforts', _LATEST),
+            ('external_efforts', _LATEST),
+        ):
+            topic = status.topics.get(name, '')
+            if topic and topic != self._topics.get(name):
+                if name in self._subscriptions:
+                    self._node.destroy_subscription(self._subscriptions[name])
+                self._topics[name] = topic
+                self._subscriptions[name] = self._subscribe(JointState, topic, profile, raw=True)
+
+    def _read_joint_states(self) -> None:
+        if 'joint_states' not in self._subscriptions:
+            return
+        for data, received in self._take(self._subscriptions['joint_states'], JointState, True):
+            if self._index:
+                self._store_state(data, received or time.monotonic())
+
+    def _store_state(self, data: bytes, received: float) -> None:
+        try:
+            names, positions, velocities, efforts = self._reader.read(data)
+        except JointStateError:
+            return
+        if len(positions) != len(names):
+            return
+        if names not in self._filters:
+            self._filters[names] = LowPass(np.zeros((3, len(names))))
+            self._settled_at = time.monotonic() + _SETTLING
+        unknown = np.full(len(names), np.nan)
+        low_pass = self._filters[names]
+        low_pass.cutoff = self.status.cutoff if self.status else 0.0
+        signals = [
+            values if len(values) == len(names) else unknown
+            for values in (positions, velocities, efforts)
+        ]
+        filtered = low_pass.update(received, np.array(signals), _LONGEST_GAP)
+        ours = [k for k, name in enumerate(names) if name in self._index]
+        index = [self._index[names[k]] for k in ours]
+        self._positions[index] = positions[ours]
+        self._filtered[:, index] = filtered[:, ours]
+
+    def _read_efforts(self) -> None:
+        for name, target in (
+            ('external_efforts', self._external),
+            ('joint_efforts', self._commands),
+        ):
+            if name not in self._subscriptions:
+                continue
+            for data, _ in self._take(self._subscriptions[name], JointState, True):
+                try:
+                    arrays = self._reader.read(data)
+                except JointStateError:
+                    continue
+                target[:] = np.nan
+                for joint, effort in zip(arrays.names, arrays.efforts, strict=False):
+                    if joint in self._index:
+                        target[self._index[joint]] = effort
+                if name == 'external_efforts':
+                    self._external_time = time.monotonic()
+                else:
+                    self._commands_time = time.monotonic()

@@ -1,0 +1,268 @@
+"""The diagnosis of a few seconds of measured and modelled efforts."""
+
+from inverse_dynamics_node import InverseDynamics, load_urdf
+from inverse_dynamics_node.analysis.live.diagnosis import diagnose
+from inverse_dynamics_node.analysis.live.judge import judge, StateRate
+from inverse_dynamics_node.analysis.live.verdict import Cause, Outcome
+from inverse_dynamics_node.analysis.live.window import LiveSamples, LiveWindow
+from inverse_dynamics_node.report.live_verdict import sentence
+import numpy as np
+import pytest
+from runs import exciting, ROBOTS
+
+GRAVITY = np.array([0.0, 0.0, -9.80665])
+JOINTS = ('joint_1', 'joint_2', 'joint_3', 'joint_4', 'joint_5', 'joint_6')
+BOTH = pytest.mark.parametrize('moves', [True, False], ids=['moving', 'at rest'])
+
+
+def samples_of(name='stanford', moves=True, act=None, seed=0):
+    """Return a robot and 10 s of it; `act` changes the real robot."""
+    robot = load_urdf(ROBOTS[name])
+    rng = np.random.default_rng(seed)
+    times = np.arange(0.0, 10.0, 0.02)
+    q, qd, qdd = exciting(robot, times, rng)
+    if not moves:
+        q[:] = q[0]
+        qd, qdd = np.zeros_like(q), np.zeros_like(q)
+    model, real = InverseDynamics(robot), InverseDynamics(robot)
+    if act is not None:
+        act(real)
+    modelled, measured = model.efforts(q, qd, qdd), real.efforts(q, qd, qdd)
+    measured += 0.01 * np.abs(measured).max(axis=0) * rng.standard_normal(measured.shape)
+    return robot, LiveSamples(robot.joint_names, times, q, qd, measured, modelled)
+
+
+def flipped(samples, *joints):
+    measured = samples.measured.copy()
+    measured[:, [samples.joint_names.index(joint) for joint in joints]] *= -1.0
+    return samples._replace(measured=measured)
+
+
+@BOTH
+@pytest.mark.parametrize('name', ROBOTS)
+def test_robot_like_the_model_agrees(name, moves):
+    robot, samples = samples_of(name, moves)
+    verdict = diagnose(samples, robot, GRAVITY)
+    assert verdict.outcome is Outcome.AGREE
+    assert verdict.is_moving == moves
+    assert all(0.0 < size.residual < 0.05 * size.measured for size in verdict.sizes)
+
+
+def test_sentence_of_an_agreement_has_residual_and_effort():
+    robot, samples = samples_of()
+    text = sentence(diagnose(samples, robot, GRAVITY))
+    assert text == (
+        'model and robot agree: 0.13 N m RMS residual of 4.8 N m, 0.75 N RMS residual of 57 N; '
+        'not checked, because the efforts are small: joint_6'
+    )
+
+
+@BOTH
+@pytest.mark.parametrize('joint', ['joint_2', 'joint_3'])
+def test_swapped_sign_of_one_joint_is_named(joint, moves):
+    robot, samples = samples_of(moves=moves)
+    verdict = diagnose(flipped(samples, joint), robot, GRAVITY)
+    assert (verdict.outcome, verdict.cause) == (Outcome.DIFFER, Cause.SIGN)
+    assert verdict.joints == (joint,)
+    assert sentence(verdict) == (
+        f'{joint}: measured and modelled effort have opposite signs; do not go live'
+    )
+
+
+@BOTH
+def test_swapped_signs_of_all_joints_are_not_an_inverted_base(moves):
+    robot, samples = samples_of(moves=moves)
+    verdict = diagnose(flipped(samples, *JOINTS), robot, GRAVITY)
+    assert verdict.cause is Cause.SIGN
+    assert verdict.joints == JOINTS
+
+
+@pytest.mark.parametrize('joint', JOINTS)
+def test_sign_that_is_not_found_is_listed_as_not_checked(joint):
+    robot, samples = samples_of(moves=False)
+    verdict = diagnose(flipped(samples, joint), robot, GRAVITY)
+    assert joint in (*verdict.joints, *verdict.unchecked)
+
+
+@BOTH
+@pytest.mark.parametrize('name', ROBOTS)
+def test_unknown_payload_of_2_kg_is_weighed(name, moves):
+    link = {'stanford': 'tool0', 'seven_dof': 'tool0', 'branched': 'right_forearm'}[name]
+
+    def load(real):
+        real.set_payload(link, 2.0, (0.0, 0.0, 0.05))
+
+    robot, samples = samples_of(name, moves, load)
+    verdict = diagnose(samples, robot, GRAVITY)
+    assert (verdict.outcome, verdict.cause) == (Outcome.DIFFER, Cause.PAYLOAD)
+    assert verdict.link == link
+    assert verdict.values[0] == pytest.approx(2.0, rel=0.2)
+    assert f"link '{link}' carries about 2" in sentence(verdict)
+
+
+def test_payload_and_swapped_sign_are_both_reported():
+    robot, samples = samples_of(act=lambda real: real.set_payload('tool0', 2.0))
+    verdict = diagnose(flipped(samples, 'joint_2'), robot, GRAVITY)
+    assert verdict.cause is Cause.PAYLOAD
+    assert verdict.also_swapped == ('joint_2',)
+    assert 'opposite signs at joint_2; do not go live' in sentence(verdict)
+
+
+def test_payload_that_the_robot_lacks_is_negative():
+    robot, samples = samples_of(act=lambda real: real.set_payload('tool0', 2.0))
+    swapped = samples._replace(measured=samples.modelled, modelled=samples.measured)
+    verdict = diagnose(swapped, robot, GRAVITY)
+    assert verdict.values[0] == pytest.approx(-2.0, rel=0.2)
+    assert "the model has about 2 kg at link 'tool0' that the robot lacks" in sentence(verdict)
+
+
+@BOTH
+def test_tilted_base_is_found(moves):
+    gravity = 9.80665 * np.array([0.0, -np.sin(0.5), -np.cos(0.5)])
+    robot, samples = samples_of(moves=moves, act=lambda real: real.set_gravity(gravity))
+    verdict = diagnose(samples, robot, GRAVITY)
+    assert verdict.cause is Cause.MOUNTING
+    assert verdict.values == pytest.approx(gravity, abs=0.3)
+    assert 'check the parameter gravity' in sentence(verdict)
+
+
+def test_gravity_that_the_driver_compensates_is_found():
+    robot, samples = samples_of(act=lambda real: real.set_gravity((0.0, 0.0, 0.0)))
+    verdict = diagnose(samples, robot, GRAVITY)
+    assert (verdict.outcome, verdict.cause) == (Outcome.DIFFER, Cause.GRAVITY_COMPENSATED)
+    assert 'include_gravity: false' in sentence(verdict)
+
+
+def test_friction_is_not_an_error_of_the_model():
+    robot, samples = samples_of(
+        act=lambda real: real.set_friction([1.0] * 6, [1.0, 2.0, 8.0, 0.2, 0.2, 0.02])
+    )
+    assert diagnose(samples, robot, GRAVITY).outcome is Outcome.AGREE
+
+
+@BOTH
+@pytest.mark.parametrize('factor', [1000.0, 0.1])
+def test_another_unit_is_named_with_its_factor(factor, moves):
+    robot, samples = samples_of(moves=moves)
+    wrong = samples._replace(measured=factor * samples.measured)
+    verdict = diagnose(wrong, robot, GRAVITY)
+    assert verdict.cause is Cause.SCALE
+    assert verdict.values == pytest.approx([factor] * len(verdict.joints), rel=0.02)
+    assert f'is {factor:g} times the modelled one' in sentence(verdict)
+
+
+def test_contact_is_an_unexplained_difference_of_its_joint():
+    robot, samples = samples_of()
+    measured = samples.measured.copy()
+    measured[:, 1] += 30.0 * np.sin(7.0 * samples.times)
+    verdict = diagnose(samples._replace(measured=measured), robot, GRAVITY)
+    assert (verdict.outcome, verdict.cause) == (Outcome.DIFFER, Cause.UNEXPLAINED)
+    assert verdict.joints == ('joint_2',)
+
+
+def test_small_difference_at_rest_may_be_friction():
+    robot, samples = samples_of(moves=False)
+    measured = samples.measured.copy()
+    measured[:, 4] += 0.8
+    verdict = diagnose(samples._replace(measured=measured), robot, GRAVITY)
+    assert (verdict.outcome, verdict.cause) == (Outcome.UNDECIDED, Cause.AT_REST)
+    assert 'move the arm to decide' in sentence(verdict)
+
+
+def test_efforts_that_are_not_measured_cannot_be_compared():
+    robot, samples = samples_of()
+    nothing = samples._replace(measured=np.full_like(samples.measured, np.nan))
+    verdict = diagnose(nothing, robot, GRAVITY)
+    assert (verdict.outcome, verdict.cause) == (Outcome.UNDECIDED, Cause.NO_EFFORTS)
+
+
+def test_zero_efforts_of_an_arm_held_by_brakes_cannot_be_compared():
+    robot, samples = samples_of(moves=False)
+    zero = samples._replace(measured=np.zeros_like(samples.measured))
+    verdict = diagnose(zero, robot, GRAVITY)
+    assert (verdict.outcome, verdict.cause) == (Outcome.UNDECIDED, Cause.ZERO_EFFORTS)
+    assert 'brakes hold the arm' in sentence(verdict)
+
+
+def test_joint_that_always_measures_zero_is_named():
+    robot, samples = samples_of()
+    measured = samples.measured.copy()
+    measured[:, 2] = 0.0
+    verdict = diagnose(samples._replace(measured=measured), robot, GRAVITY)
+    assert (verdict.outcome, verdict.cause) == (Outcome.DIFFER, Cause.NOT_MEASURED)
+    assert verdict.joints == ('joint_3',)
+
+
+def test_joints_without_effort_are_left_out():
+    robot, samples = samples_of()
+    measured = flipped(samples, 'joint_2').measured
+    measured[:, 0] = np.nan
+    verdict = diagnose(samples._replace(measured=measured), robot, GRAVITY)
+    assert verdict.joints == ('joint_2',)
+
+
+def test_efforts_of_an_unloaded_arm_are_too_small_to_compare():
+    robot, samples = samples_of(moves=False)
+    small = samples._replace(measured=1e-3 * samples.measured, modelled=1e-3 * samples.modelled)
+    verdict = diagnose(small, robot, GRAVITY)
+    assert (verdict.outcome, verdict.cause) == (Outcome.UNDECIDED, Cause.SMALL_EFFORTS)
+
+
+def test_half_a_second_is_not_enough():
+    robot, samples = samples_of()
+    short = LiveSamples(samples.joint_names, *(signal[:25] for signal in samples[1:]))
+    assert diagnose(short, robot, GRAVITY).cause is Cause.TOO_FEW_SAMPLES
+
+
+def test_no_sample_is_not_enough():
+    robot, _ = samples_of()
+    verdict = diagnose(LiveWindow(robot.joint_names).samples(), robot, GRAVITY)
+    assert verdict.cause is Cause.TOO_FEW_SAMPLES
+
+
+def test_window_keeps_its_duration():
+    window = LiveWindow(('a', 'b'), 1.0)
+    for k in range(100):
+        window.add(0.1 * k, *np.full((4, 2), float(k)))
+    samples = window.samples()
+    assert samples.times[0] == pytest.approx(8.9)
+    assert len(samples.times) == 11
+    assert samples.modelled[-1].tolist() == [99.0, 99.0]
+
+
+class TestStateRate:
+    """Joint states that arrive at a tenth of the rate are reported."""
+
+    @pytest.mark.parametrize(
+        ('rate', 'is_slow'),
+        [
+            (StateRate(50.0), True),
+            (StateRate(99.0), False),
+            (StateRate(100.0, update_rate=1000.0), True),
+            (StateRate(500.0, update_rate=1000.0), False),
+            (StateRate(30.0, update_rate=50.0), False),
+            (StateRate(100.0, given=1000.0), True),
+            (StateRate(50.0, given=50.0), False),
+            (StateRate(50.0, is_simulated=True), False),
+            (StateRate(None), False),
+        ],
+    )
+    def test_expectation_is_that_of_user_loop_or_ros2_control(self, rate, is_slow):
+        assert rate.is_slow is is_slow
+
+    def test_slow_states_are_a_difference_even_if_efforts_agree(self):
+        robot, samples = samples_of()
+        verdict = judge('', StateRate(50.0), samples, robot, GRAVITY)
+        assert (verdict.outcome, verdict.cause) == (Outcome.DIFFER, Cause.SLOW_STATES)
+        assert 'joint states arrive at 50 Hz, expected at least 80 Hz' in sentence(verdict)
+
+    def test_swapped_sign_is_more_important_than_slow_states(self):
+        robot, samples = samples_of()
+        verdict = judge('', StateRate(50.0), flipped(samples, 'joint_3'), robot, GRAVITY)
+        assert verdict.cause is Cause.SIGN
+
+    def test_node_that_does_not_compute_is_not_judged(self):
+        robot, samples = samples_of()
+        verdict = judge('the node is inactive', StateRate(50.0), samples, robot, GRAVITY)
+        assert verdict.outcome is Outcome.UNDECIDED
+        assert sentence(verdict) == 'not compared: the node is inactive'
