@@ -27,7 +27,17 @@ inverse_dynamics_node`."""
 
 _EXTRAS = {
     **dict.fromkeys(('matplotlib', 'rich', 'rosbags', 'yaml'), 'cli'),
-    **dict.fromkeys(('rclpy', 'sensor_msgs', 'std_msgs', 'trajectory_msgs'), 'ros'),
+    **dict.fromkeys(
+        (
+            'diagnostic_msgs',
+            'rcl_interfaces',
+            'rclpy',
+            'sensor_msgs',
+            'std_msgs',
+            'trajectory_msgs',
+        ),
+        'ros',
+    ),
     'mujoco': 'demo',
 }
 _HERE = 'in a virtual environment, in the folder of the sources: pip install'

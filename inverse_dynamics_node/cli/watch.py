@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 import json
 import math
@@ -83,24 +83,26 @@ def add_parser(subparsers: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
-    from ..node.observer import Observer, observing_node  # needs ROS
+    from ..node.observer import find_nodes, Observer, observing_node  # needs ROS
 
     with _signals_raise(), observing_node() as node:
         name = _choose_node(node, options)
-        watch = _Watch(Observer(node, name), options)
+        watch = _Watch(Observer(node, name), lambda: find_nodes(node), options)
         return watch.run()
 
 
 class _Watch:
     """Follows one node, and shows its state."""
 
-    def __init__(self, observer: Observer, options: argparse.Namespace) -> None:
-        self.observer, self.options = observer, options
+    def __init__(
+        self, observer: Observer, find: Callable[[], list[str]], options: argparse.Namespace
+    ) -> None:
+        self.observer, self.find, self.options = observer, find, options
         self.window: LiveWindow | None = None
         self.sample: Sample | None = None
         self.verdict = Verdict(Outcome.UNDECIDED, Cause.TOO_FEW_SAMPLES)
         self._began = time.monotonic()
-        self._first_status = math.inf
+        self._known_since = math.inf
 
     def run(self) -> int:
         """Show the node until the end; return the exit code."""
@@ -125,6 +127,7 @@ class _Watch:
             if now >= next_verdict or (is_over and now > next_verdict - 0.5 * _LINE):
                 self.verdict = self._judge(now)
                 next_verdict = max(next_verdict + _LINE, now)
+                self._check_choice(now)
                 is_new = True
             if now >= next_show or (is_over and is_new):
                 show()
@@ -133,15 +136,21 @@ class _Watch:
             if not is_over:
                 time.sleep(_POLL)
 
+    def _check_choice(self, now: float) -> None:
+        """Stop if another node is discovered late, and no name was given."""
+        if self.options.node is None and now < self._began + _MOST_DISCOVERY:
+            _only(self.find())
+
     def _end(self, now: float) -> float:
-        """Return the time at which to end: a while after the first diagnostics."""
+        """Return the time at which to end: a while after the state of the node is known."""
         if not self.options.duration:
             return math.inf
-        if self.observer.status is None:
+        status, robot = self.observer.status, self.observer.robot
+        if math.isinf(self._known_since) and status and (robot or not status.is_computing):
+            self._known_since = now
+        if math.isinf(self._known_since):
             return self._began + _MOST_DISCOVERY
-        if math.isinf(self._first_status):
-            self._first_status = now
-        return float(self._first_status + self.options.duration)
+        return float(self._known_since + self.options.duration)
 
     def _poll(self) -> None:
         observer = self.observer
@@ -227,12 +236,16 @@ def _choose_node(node: Any, options: argparse.Namespace) -> str:
         time.sleep(0.05)
     if options.node in chosen:
         return str(options.node)
-    if len(chosen) > 1:
+    return _only(chosen)
+
+
+def _only(names: list[str]) -> str:
+    if len(names) > 1:
         raise ConfigurationError(
-            f'{len(chosen)} nodes: {", ".join(chosen)}; choose one, as in '
-            f'inverse_dynamics watch {chosen[0]}'
+            f'{len(names)} nodes: {", ".join(names)}; choose one, as in '
+            f'inverse_dynamics watch {names[0]}'
         )
-    return chosen[0]
+    return names[0] if names else ''
 
 
 def _is_named(name: str, wanted: str | None) -> bool:

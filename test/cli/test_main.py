@@ -125,17 +125,19 @@ def test_an_interrupt_ends_quietly(tmp_path):
     process.stderr.close()
 
 
-def test_only_the_demo_needs_ros():
+@pytest.mark.parametrize('command', [['demo', str(STANFORD)], ['watch']])
+def test_only_demo_and_watch_need_ros(command):
     code = (
         'import sys\n'
         'class Refuse:\n'
         '    def find_spec(self, name, *_):\n'
-        '        if name.split(".")[0] in ("rclpy", "mujoco"):\n'
+        '        package = name.split(".")[0]\n'
+        '        if package in ("rclpy", "mujoco") or package.endswith("_msgs"):\n'
         '            raise ModuleNotFoundError(f"No module named {name!r}", name=name)\n'
         'sys.meta_path.insert(0, Refuse())\n'
         'from inverse_dynamics_node.cli.main import main\n'
         f'assert main(["check", {str(STANFORD)!r}, "--no-picture"]) == 0\n'
-        f'sys.exit(main(["demo", {str(STANFORD)!r}]))\n'
+        f'sys.exit(main({command!r}))\n'
     )
     result = subprocess.run(
         [sys.executable, '-c', code], env=ENVIRONMENT, capture_output=True, text=True, timeout=120

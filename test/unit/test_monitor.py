@@ -444,7 +444,7 @@ def test_the_reference_is_judged_by_its_use(loop):
     loop.step(0.05)
     status = part(Monitor().report(0.05, loop, FINE), 'reference')
     assert (status.level, status.message) == (Level.OK, 'followed')
-    assert status.values == {'age [s]': '0.030', 'mode': 'inverse_dynamics'}
+    assert status.values == {'age [s]': '0.030', 'timeout [s]': '0.5', 'mode': 'inverse_dynamics'}
     loop.controller.apply(Settings(mode=Mode.COMPUTED_TORQUE))
     loop.reference = Reference(rest, rest, 0.05, positions=rest + 3.0)
     loop.step(0.06)
