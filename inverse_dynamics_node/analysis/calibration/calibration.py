@@ -15,11 +15,15 @@ from .free_bodies import free_bodies
 from .joint_terms import choose_terms, fit_terms, widths_to_try
 from .motions import measured_joints, prepare, Run
 from .result import Calibration
-from .samples import Model, Samples, Setting
+from .samples import Model, Samples, Setting, WIDTH
 from .selection import choose_gamma, solve_within_reason
 from .summary import summarise
 
 ROUNDS = 3
+WIDTH_ROUNDS = 4
+DELAY_ROUNDS = 3
+LEAST_DELAY = 2e-4
+"""Delay that is not worth removing [s]."""
 FIRST_GAMMA = 1.0
 SMOOTHING_RANGE = (0.1, 0.6)
 """Shortest and longest smoothing window of the fit [s]."""
@@ -67,6 +71,7 @@ class Identification:
         self._iterate(free.reference, np.full(len(free.bodies), FIRST_GAMMA))
         self._remove_delay()
         progress(0.6)
+        self.weights = weights_of(self.samples.residual(self.solution.model))
         self.gamma, self.trials = choose_gamma(
             self.equations, self.weights, self.used, self.solution.model
         )
@@ -94,26 +99,43 @@ class Identification:
             self.equations = Equations(samples, start)
             self.solution = solve(self.equations, self.weights, gammas, self.used, start)
             bodies = self.solution.model.bodies
-        self.weights = weights_of(samples.residual(self.solution.model))
 
     def _remove_delay(self) -> None:
-        for _ in range(3):
+        """Shift the efforts by their delay, if that improves the fit."""
+        for _ in range(DELAY_ROUNDS):
             delay, self.delay_error = estimate_delay(self.samples, self.solution, self.weights)
             self.delay = self.delay_removed + delay
-            if abs(delay) < max(2.0 * self.delay_error, 2e-4):
-                break
+            if abs(delay) < max(2.0 * self.delay_error, LEAST_DELAY):
+                return
+            weights, before = self.weights, self._loss(self.weights)
+            self._shift(self.delay)
+            if self._loss(weights) > before:
+                self.delay = self.delay_removed
+                self._shift(self.delay_removed)
+                return
             self.delay_removed = self.delay
-            self.samples.set_efforts([shifted(motion, self.delay) for motion in self.motions])
-            self._iterate(self.solution.model.bodies, self.solution.prior.weights, 2)
+
+    def _shift(self, delay: float) -> None:
+        self.samples.set_efforts([shifted(motion, delay) for motion in self.motions])
+        self._iterate(self.solution.model.bodies, self.solution.prior.weights, 2)
+
+    def _loss(self, weights: Floats) -> float:
+        residual = self.samples.residual(self.solution.model)
+        return float((weights * residual**2).sum())
 
     def _finish(self) -> None:
         """Fit with the chosen weight of the robot description."""
         bodies = self.solution.model.bodies
         self._iterate(bodies, np.full(len(bodies), self.gamma), 2)
-        self.equations = Equations(self.samples, self.solution.model)
-        self.solution, self.told = solve_within_reason(
-            self.equations, self.weights, self.gamma, self.used, self.solution.model
-        )
+        # The widths of friction are fitted with everything else, to first order.
+        self.used[:, WIDTH] = self.moving
+        for _ in range(WIDTH_ROUNDS):
+            self.equations = Equations(self.samples, self.solution.model)
+            self.solution, self.told = solve_within_reason(
+                self.equations, self.weights, self.gamma, self.used, self.solution.model
+            )
+            model = self.solution.model.with_fitted_widths()
+            self.solution = self.solution._replace(model=model)
 
     def folds(self) -> list[tuple[Model, Model]]:
         """Return friction and identified models fitted without each of the blocks."""

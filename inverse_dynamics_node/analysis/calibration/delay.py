@@ -34,7 +34,7 @@ def estimate_delay(samples: Samples, solution: Solution, weights: Floats) -> tup
 
     """
     model = solution.model
-    terms = samples.terms(model.widths, model.bodies)
+    terms = samples.terms(model)
     predicted = samples.rigid(model.bodies) + (terms * model.joints).sum(axis=-1)
     residual = samples.efforts - predicted
     effect = -_rate(samples, predicted)

@@ -18,7 +18,7 @@ class Solution(NamedTuple):
 
     model: Model
     unknowns: Integers
-    """Indices of the unknowns: ten for each body, then eleven for each joint."""
+    """Indices of the unknowns: ten for each body, then twelve for each joint."""
     hessian: Floats
     """Inverse of the covariance of the unknowns."""
     prior: Prior
@@ -42,11 +42,11 @@ class Equations:
     """Normal equations of every joint and block, for given widths and loads."""
 
     def __init__(self, samples: Samples, model: Model) -> None:
-        self.samples, self.widths = samples, model.widths
+        self.samples = samples
         robot, free = samples.setting.free.robot, samples.setting.free
         b, m = len(free.bodies), len(samples.setting.joints)
         self.size, self.block_count = PARAMETERS * b + TERMS * m, int(samples.block.max()) + 1
-        terms = samples.terms(model.widths, model.bodies)
+        terms = samples.terms(model)
         self.index: list[Integers] = []
         self.all: list[Floats] = []
         self.blocks: list[list[Floats]] = []
@@ -107,7 +107,7 @@ def solve(
         Inverse variances of the joints, for dependent samples.
     gamma : ndarray, shape (b,)
         Weight of the divergence of every body.
-    used : ndarray, shape (m, 11)
+    used : ndarray, shape (m, 12)
         Terms that are fitted; the others are zero.
     start : Model
         First guess; its terms set the scales of those that are positive.

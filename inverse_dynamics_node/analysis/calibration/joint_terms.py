@@ -11,7 +11,18 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...robot.model import Booleans, Floats, Integers
-from .samples import ARMATURE, COULOMB, COUPLINGS, DAMPING, LOAD, Model, OFFSET, Samples, TERMS
+from .samples import (
+    ARMATURE,
+    COULOMB,
+    COUPLINGS,
+    DAMPING,
+    LOAD,
+    Model,
+    OFFSET,
+    Samples,
+    TERMS,
+    WIDTH,
+)
 
 FRICTION: tuple[int, ...] = (DAMPING, COULOMB, OFFSET)
 CANDIDATES: tuple[tuple[int, ...], ...] = (
@@ -20,7 +31,7 @@ CANDIDATES: tuple[tuple[int, ...], ...] = (
     tuple(range(TERMS)[COUPLINGS[0]]),
     tuple(range(TERMS)[COUPLINGS[1]]),
 )
-SIGNED = np.isin(np.arange(TERMS), [OFFSET, *CANDIDATES[2], *CANDIDATES[3]])
+SIGNED = np.isin(np.arange(TERMS), [OFFSET, *CANDIDATES[2], *CANDIDATES[3], WIDTH])
 LEAST_GAIN = np.array([0.01, 0.02, 0.3, 0.3])
 """Fraction of the squares by which each candidate must improve the prediction."""
 LARGEST_LOAD = 0.1
@@ -58,7 +69,7 @@ def choose_terms(
     -------
     model : Model
         With the chosen terms; others are zero.
-    used : ndarray, shape (m, 11)
+    used : ndarray, shape (m, 12)
         Which terms were chosen.
 
     """
@@ -83,7 +94,8 @@ def fit_terms(
 ) -> Model:
     """Fit chosen terms to some rows of what the bodies leave."""
     target = samples.efforts - samples.rigid(bodies)
-    terms = samples.terms(widths, bodies)
+    model = Model(bodies, np.zeros(used.shape), widths)
+    terms = samples.terms(model)
     joints = np.zeros(used.shape)
     for j in range(len(joints)):
         table = np.column_stack([terms[rows, j], target[rows, j]])
@@ -93,11 +105,11 @@ def fit_terms(
 
 
 def _block_grams(samples: Samples, bodies: Floats, grid: Floats, target: Floats) -> list[Floats]:
-    """Return products of columns for each joint, shape (w, blocks, 12, 12)."""
+    """Return products of columns for each joint, shape (w, blocks, 13, 13)."""
     blocks = [samples.block == k for k in range(samples.block.max() + 1)]
     found = np.zeros((target.shape[1], len(grid), len(blocks), TERMS + 1, TERMS + 1))
     for w, widths in enumerate(grid):
-        terms = samples.terms(widths, bodies)
+        terms = samples.terms(Model(bodies, np.zeros((target.shape[1], TERMS)), widths))
         for j in range(target.shape[1]):
             table = np.column_stack([terms[:, j], target[:, j]])
             for k, rows in enumerate(blocks):
@@ -124,37 +136,49 @@ def _best(grams: Floats, optional: bool) -> tuple[tuple[int, ...], int]:
 
 def _losses(grams: Floats, chosen: Sequence[int]) -> tuple[Floats, int]:
     """Return remaining squares of each block, fitted to the others, for the best width."""
-    best, best_width = np.array([np.inf]), 0
-    for width, blocks in enumerate(grams):
-        total = blocks.sum(axis=0)
-        losses = []
-        for block in blocks:
-            solution = np.zeros(TERMS + 1)
-            solution[-1] = 1.0
-            solution[list(chosen)] = -_fit(total - block if len(blocks) > 1 else total, chosen)
-            losses.append(float(solution @ block @ solution))
-        if sum(losses) < best.sum():
-            best, best_width = np.array(losses), width
-    return best, best_width
+    others = grams.sum(axis=1, keepdims=True) - grams if grams.shape[1] > 1 else grams
+    factors = np.zeros((*grams.shape[:2], TERMS + 1))
+    factors[..., -1] = 1.0
+    factors[..., list(chosen)] = -_fits(others, chosen)
+    losses = np.einsum('wbi,wbij,wbj->wb', factors, grams, factors)
+    best = int(np.argmin(losses.sum(axis=1)))
+    return losses[best], best
+
+
+def _fits(grams: Floats, chosen: Sequence[int]) -> Floats:
+    """Solve many least squares at once; unsigned terms are not negative."""
+    index: Integers = np.array(chosen)
+    matrices = grams[..., index[:, None], index].copy()
+    _expect_little_load(matrices, grams, index)
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(matrices, axis1=-2, axis2=-1), 1e-300))
+    matrices *= scale[..., None] * scale[..., None, :]
+    matrices += 1e-10 * np.eye(len(index))
+    vectors = scale * grams[..., index, -1]
+    solutions = np.linalg.solve(matrices, vectors[..., None])[..., 0]
+    wrong = (solutions[..., ~SIGNED[index]] < 0.0).any(axis=-1)
+    for at in zip(*np.nonzero(wrong), strict=True):
+        solutions[at] = _nonnegative(matrices[at], vectors[at], SIGNED[index])
+    return np.asarray(scale * solutions)
 
 
 def _fit(gram: Floats, chosen: Sequence[int]) -> Floats:
-    """Solve least squares with products of columns; unsigned terms are not negative."""
+    """Solve least squares with products of columns."""
+    return np.asarray(_fits(gram[None], chosen)[0])
+
+
+def _expect_little_load(matrices: Floats, grams: Floats, index: Integers) -> None:
+    """Expect a small load friction, or a load that hardly changes stands for Coulomb friction."""
+    squares = 0.1 * grams[..., -1, -1] / np.maximum(grams[..., OFFSET, OFFSET], 1.0)
+    for k in np.flatnonzero(index == LOAD):
+        matrices[..., k, k] += squares / LARGEST_LOAD**2
+
+
+def _nonnegative(matrix: Floats, vector: Floats, signed: Booleans) -> Floats:
     from scipy.optimize import nnls
 
-    index: Integers = np.array(chosen)
-    matrix, vector = gram[np.ix_(index, index)], gram[index, -1]
-    matrix = matrix.copy()
-    load = index == LOAD
-    # Without this, the load of a joint that hardly changes stands for Coulomb friction.
-    matrix[load, load] += 0.1 * gram[-1, -1] / LARGEST_LOAD**2 / max(gram[OFFSET, OFFSET], 1.0)
-    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(matrix), 1e-300))
-    scaled = matrix * np.outer(scale, scale) + 1e-10 * np.eye(len(index))
-    root = np.linalg.cholesky(scaled).T
-    goal = np.linalg.solve(root.T, scale * vector)
-    signed = SIGNED[index]
-    table = np.column_stack([root, -root[:, signed]])
-    solution = nnls(table, goal)[0]
-    result = solution[: len(index)].copy()
-    result[signed] -= solution[len(index) :]
-    return np.asarray(scale * result)
+    root = np.linalg.cholesky(matrix).T
+    goal = np.linalg.solve(root.T, vector)
+    solution = nnls(np.column_stack([root, -root[:, signed]]), goal)[0]
+    result: Floats = solution[: len(vector)].copy()
+    result[signed] -= solution[len(vector) :]
+    return result

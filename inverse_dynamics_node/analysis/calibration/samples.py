@@ -19,7 +19,9 @@ EXPORTED = 5
 """Number of terms of a joint that a URDF and the node know."""
 COUPLINGS = (slice(5, 8), slice(8, 11))
 """Acceleration, velocity and direction of the neighbours nearer to the base and to the tip."""
-TERMS = 11
+WIDTH = 11
+"""Effect of a small change of the width of Coulomb friction."""
+TERMS = 12
 """Columns of each joint besides those of the bodies."""
 _CHUNK = 2000
 """States whose regressors are computed at once, to limit the memory."""
@@ -32,9 +34,16 @@ class Model:
     bodies: Floats
     """Shape (b, 10)."""
     joints: Floats
-    """Armature, damping, Coulomb and load friction, offset, couplings, shape (m, 11)."""
+    """Armature, damping, Coulomb and load friction, offset, couplings, width, shape (m, 12)."""
     widths: Floats
     """Speeds over which Coulomb friction is smoothed, shape (m,) [rad/s or m/s]."""
+
+    def with_fitted_widths(self) -> Model:
+        """Return the model with the change of the widths applied to them, within reason."""
+        joints = self.joints.copy()
+        change = np.clip(joints[:, WIDTH], -0.3 * self.widths, 0.4 * self.widths)
+        joints[:, WIDTH] = 0.0
+        return Model(self.bodies, joints, self.widths + change)
 
     def exported(self) -> Model:
         """Return the model without what neither a URDF nor the node can express."""
@@ -156,24 +165,38 @@ class Samples:
         robot = self.setting.free.robot_with(bodies)
         return self._smooth([self.setting.efforts(robot, motion) for motion in self.motions])
 
-    def terms(self, widths: Floats, bodies: Floats) -> Floats:
-        """Return the columns of the joints themselves, shape (R, m, 11)."""
-        robot = self.setting.free.robot_with(bodies)
-        steps = [np.tanh(motion.qd[:, self.setting.joints] / widths) for motion in self.motions]
+    def terms(self, model: Model) -> Floats:
+        """
+        Return the columns of the joints themselves, shape (R, m, 12).
+
+        They depend on the model by the widths of Coulomb friction, by the efforts that load the
+        gears, and by the friction that changes with the width.
+
+        """
+        robot = self.setting.free.robot_with(model.bodies)
+        speeds = [motion.qd[:, self.setting.joints] / model.widths for motion in self.motions]
         loads = [np.abs(self.setting.efforts(robot, motion)) for motion in self.motions]
+        steps = [np.tanh(speed) for speed in speeds]
         direction = self._smooth_sharp(steps)
         loaded = self._smooth_sharp([a * b for a, b in zip(steps, loads, strict=True)])
+        coulomb, per_load = model.joints[:, COULOMB], model.joints[:, LOAD]
+        widening = self._smooth_sharp(
+            [
+                (coulomb + per_load * load) * speed * (step**2 - 1.0) / model.widths
+                for load, speed, step in zip(loads, speeds, steps, strict=True)
+            ]
+        )
         own = [self.qdd, self.qd, direction, loaded, np.ones_like(self.qd)]
         coupled = [
             np.where(others >= 0, signal[:, others], 0.0)
             for others in self.setting.neighbours
             for signal in (self.qdd, self.qd, direction)
         ]
-        return np.stack([*own, *coupled], axis=-1)
+        return np.stack([*own, *coupled, widening], axis=-1)
 
     def predict(self, model: Model) -> Floats:
         """Return modelled efforts, shape (R, m)."""
-        terms = self.terms(model.widths, model.bodies)
+        terms = self.terms(model)
         return np.asarray(self.rigid(model.bodies) + (terms * model.joints).sum(axis=-1))
 
     def residual(self, model: Model) -> Floats:

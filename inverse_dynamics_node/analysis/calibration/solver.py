@@ -24,7 +24,7 @@ from ...robot.model import Floats, Integers
 from .pseudo_inertia import BASIS, PARAMETERS, pseudo_inertias
 
 _MOST_STEPS = 200
-_DECREMENT = 1e-10
+_DECREMENT = 1e-8
 """Predicted decrease of the objective below which the minimum has been found."""
 _TO_EDGE = 0.95
 """Largest fraction of the way to the edge of physics in one step."""
@@ -140,9 +140,9 @@ def minimise(matrix: Floats, vector: Floats, prior: Prior, start: Floats) -> tup
         if decrement < _DECREMENT:
             break
         length = prior.longest_step(x, step)
-        while length > 1e-12:
+        while length > 1e-6:
             trial = _value(matrix, vector, prior, x + length * step)
-            if trial <= value - 1e-4 * length * decrement:
+            if trial <= value - 1e-4 * length * decrement + 1e-14 * abs(value):
                 break
             length *= 0.5
         else:

@@ -214,7 +214,7 @@ def _friction_errors(found: Identification) -> list[dict[str, float]]:
 
     samples, model = found.samples, found.friction
     weights = weights_of(samples.residual(model))
-    terms = samples.terms(model.widths, model.bodies)
+    terms = samples.terms(model)
     errors = []
     for j, used in enumerate(found.friction_used):
         chosen = np.flatnonzero(used)
