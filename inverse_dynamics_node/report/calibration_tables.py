@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from ..analysis.calibration import Calibration, JointResult
+from .compare_report import motion_notes
 from .quantities import with_error
 from .tables import Table
 
@@ -121,8 +122,14 @@ def summary_lines(calibration: Calibration) -> tuple[str, ...]:
         f'{calibration.sample_count} samples over {calibration.duration:.3g} s; efforts and all '
         f'columns of the fit smoothed over {calibration.smoothing * 1e3:.0f} ms; weight of the '
         f'robot description {calibration.gamma:.3g}, by cross-validation{delay}.',
-        *(f'{note}.' for note in calibration.notes),
+        *(f'{note}.' for note in notes_of(calibration)),
     )
+
+
+def notes_of(calibration: Calibration) -> tuple[str, ...]:
+    """Return sentences about ignored, repaired and doubtful data, without a full stop."""
+    notes = [note for motion in calibration.signals for note in motion_notes(motion)]
+    return tuple(dict.fromkeys(notes))
 
 
 def _millimetres(position: object) -> str:

@@ -13,7 +13,7 @@ from .delay import estimate_delay, shifted
 from .fit import correlation, Equations, Solution, solve
 from .free_bodies import free_bodies
 from .joint_terms import choose_terms, fit_terms, widths_to_try
-from .motions import measured_joints, prepare, Run
+from .motions import measured_joints, prepare_all, Run
 from .result import Calibration
 from .samples import Model, Samples, Setting, WIDTH
 from .selection import choose_gamma, solve_within_reason
@@ -218,8 +218,8 @@ def calibrate(
     """
     joints = measured_joints(robot, [*recordings, *validation])
     setting = Setting(free_bodies(robot, kept), joints, np.array(gravity, dtype=float), payload)
-    runs = [prepare(robot, recording, joints) for recording in recordings]
-    unseen = [prepare(robot, recording, joints) for recording in validation]
+    prepared = prepare_all(robot, [*recordings, *validation], joints)
+    runs, unseen = prepared[: len(recordings)], prepared[len(recordings) :]
     progress(0.1)
     found = Identification(setting, runs, progress)
     return summarise(found, unseen)

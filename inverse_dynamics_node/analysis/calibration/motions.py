@@ -9,13 +9,19 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...robot.model import Floats, RobotModel
-from ..identification.signals import derive, Recording
+from ..identification import signals
+from ..identification.recorded_column import Recording
+from ..identification.signals import derive
 from .rows import Motion, pieces
 
 HIGHEST_RATE = 250.0
 """Samples per second that are kept; the smoothed motions contain nothing faster."""
-CONSTANT = 1e-6
-"""Fraction of the largest effort up to which an effort that varies is constant."""
+STRETCHES = (1.0, 1.5, 2.0, 3.0, 4.0)
+"""Factors of the smoothing window to try."""
+CLEAN = 0.05
+"""Noise of an acceleration, as a fraction of its RMS, that does no harm."""
+LEAST_RANGE = 0.02
+"""Range of positions below which a joint is not looked at [rad or m]."""
 
 
 class Run(NamedTuple):
@@ -24,8 +30,8 @@ class Run(NamedTuple):
     motion: Motion
     noise: Floats
     """Noise that is left in the smoothed efforts, shape (m,) [N m or N]."""
-    notes: tuple[str, ...]
-    method: str
+    derived: signals.Motion
+    """The motion of the recorded joints, with what was noticed about the signals."""
 
 
 def measured_joints(robot: RobotModel, recordings: Sequence[Recording]) -> list[int]:
@@ -52,7 +58,75 @@ def measured_joints(robot: RobotModel, recordings: Sequence[Recording]) -> list[
     return sorted(common)
 
 
-def prepare(robot: RobotModel, recording: Recording, joints: Sequence[int]) -> Run:
+def prepare_all(
+    robot: RobotModel, recordings: Sequence[Recording], joints: Sequence[int]
+) -> list[Run]:
+    """
+    Smooth recordings in the same way, as long as their noise requires.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        Robot with n joints; those that were not recorded are assumed to rest at zero.
+    recordings : sequence of Recording
+        The recordings.
+    joints : sequence of int
+        Joints whose efforts are used, m of them.
+
+    """
+    quiet = [without_noisy_velocities(_without_turns(robot, each)) for each in recordings]
+    stretch = max(_stretch(each) for each in quiet)
+    return [_prepare(robot, each, joints, stretch) for each in quiet]
+
+
+def without_noisy_velocities(recording: Recording) -> Recording:
+    """Remove velocities of joints whose positions lead to less noise in the accelerations."""
+    if recording.velocities is None:
+        return recording
+    measured = derive(recording)
+    if not (_relative_noise(measured) > CLEAN).any():
+        return recording
+    derived = derive(recording._replace(velocities=None))
+    is_noisy = derived.qdd_noise < measured.qdd_noise
+    velocities = np.where(is_noisy, np.nan, recording.velocities)
+    return recording._replace(velocities=None if is_noisy.all() else velocities)
+
+
+def _stretch(recording: Recording) -> float:
+    """Return how much longer the smoothing window has to be for quiet accelerations."""
+    chosen = STRETCHES[0]
+    for stretch in STRETCHES:
+        try:
+            motion = derive(recording, stretch)
+        except RecordingError:  # too short for longer windows
+            if stretch == STRETCHES[0]:
+                raise
+            break
+        moves = np.ptp(motion.q, axis=0) > LEAST_RANGE
+        if not moves.any():
+            break
+        changes = _rms(motion.qd[:, moves]) / np.maximum(_rms(motion.qdd[:, moves]), 1e-9)
+        seconds = motion.window * float(np.median(np.diff(motion.times)))
+        if stretch > STRETCHES[0] and seconds > float(np.median(changes)):
+            break  # the motion itself would be smoothed away
+        chosen = stretch
+        if not (_relative_noise(motion)[moves] > CLEAN).any():
+            break
+    return chosen
+
+
+def _relative_noise(motion: signals.Motion) -> Floats:
+    """Return the noise of the accelerations relative to their RMS, shape (m,)."""
+    return np.asarray(motion.qdd_noise / np.maximum(_rms(motion.qdd), 1e-9))
+
+
+def _rms(values: Floats) -> Floats:
+    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
+
+
+def _prepare(
+    robot: RobotModel, recording: Recording, joints: Sequence[int], stretch: float
+) -> Run:
     """
     Smooth a recording and derive velocities and accelerations.
 
@@ -64,10 +138,11 @@ def prepare(robot: RobotModel, recording: Recording, joints: Sequence[int]) -> R
         The recording.
     joints : sequence of int
         Joints whose efforts are used, m of them.
+    stretch : float
+        Factor of the length of the smoothing window.
 
     """
-    recording = _without_turns(robot, recording)
-    derived = derive(recording)
+    derived = derive(recording, stretch)
     n, K = len(robot.joint_names), len(derived.times)
     q, qd, qdd, efforts = np.zeros((4, K, n))
     index = [robot.joint_names.index(name) for name in derived.joint_names]
@@ -86,9 +161,7 @@ def prepare(robot: RobotModel, recording: Recording, joints: Sequence[int]) -> R
         derived.degree,
     )
     columns = [derived.joint_names.index(robot.joint_names[i]) for i in joints]
-    noise = np.array([_noise(recording.efforts[:, c]) for c in columns])
-    return Run(motion, noise * _passed(derived.window, derived.degree), derived.notes,
-               derived.method)  # fmt: skip
+    return Run(motion, derived.effort_noise[columns], derived)
 
 
 def _without_turns(robot: RobotModel, recording: Recording) -> Recording:
@@ -99,18 +172,3 @@ def _without_turns(robot: RobotModel, recording: Recording) -> Recording:
             is_known = np.isfinite(positions[:, j])
             positions[is_known, j] = np.unwrap(positions[is_known, j])
     return recording._replace(positions=positions)
-
-
-def _noise(values: Floats) -> float:
-    """Return the standard deviation of white noise, from differences of the third order."""
-    known = values[np.isfinite(values)]
-    if len(known) < 8:
-        return 0.0
-    return float(np.sqrt(np.mean(np.diff(known, 3) ** 2) / 20.0))
-
-
-def _passed(window: int, degree: int) -> float:
-    """Return the factor by which smoothing reduces white noise."""
-    from scipy.signal import savgol_coeffs
-
-    return float(np.linalg.norm(savgol_coeffs(window, degree)))

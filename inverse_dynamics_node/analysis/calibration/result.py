@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from ...robot.model import Floats, RobotModel
 from ...robot.rigid_body import RigidBody
+from ..identification.signals import Motion
 
 
 @dataclass(frozen=True)
@@ -124,7 +125,14 @@ class Calibration:
     sample_count: int
     duration: float
     """[s]."""
-    notes: tuple[str, ...]
+    signals: tuple[Motion, ...]
+    """The smoothed recordings, with what was noticed about their signals."""
+    base_parameters: tuple[tuple[str, float, float], ...]
+    """
+    Combinations of inertial parameters that efforts depend on, about the frames of the joints.
+
+    Each is named after one of the parameters in it, with value and standard error.
+    """
     warnings: tuple[tuple[str, str], ...]
     """Texts and hints."""
     advice: tuple[str, ...]

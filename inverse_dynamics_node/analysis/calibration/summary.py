@@ -9,6 +9,7 @@ import numpy as np
 
 from ...robot.model import Floats
 from .advice import what_to_record
+from .base_parameters import base_parameters
 from .delay import shifted
 from .motions import Run
 from .pseudo_inertia import PARAMETERS
@@ -72,7 +73,8 @@ def summarise(found: Identification, validation: Sequence[Run]) -> Calibration:
         smoothing=found.samples.smoothings[0].seconds,
         sample_count=sum(len(run.motion.times) for run in runs),
         duration=sum(float(np.ptp(run.motion.times)) for run in runs),
-        notes=tuple(dict.fromkeys(note for run in [*runs, *validation] for note in run.notes)),
+        signals=tuple(run.derived for run in [*runs, *validation]),
+        base_parameters=_base_parameters(found),
         warnings=_warnings(found),
         advice=what_to_record(found, bodies),
     )
@@ -251,6 +253,18 @@ def _bodies(found: Identification) -> tuple[BodyResult, ...]:
             )
         )
     return tuple(results)
+
+
+def _base_parameters(found: Identification) -> tuple[tuple[str, float, float], ...]:
+    """Return names, values and standard errors of the base parameters."""
+    base, solution = base_parameters(found.setting), found.solution
+    first = solution.model.bodies.size
+    values = base.combinations @ solution.model.bodies.ravel()
+    covariance = np.linalg.inv(solution.hessian)[:first, :first]
+    variances = np.einsum('ri,ij,rj->r', base.combinations, covariance, base.combinations)
+    names = base.names(found.setting.free.names)
+    errors = np.sqrt(np.maximum(variances, 0.0))
+    return tuple(zip(names, values.tolist(), errors.tolist(), strict=True))
 
 
 def _kept(found: Identification) -> tuple[str, ...]:

@@ -66,7 +66,7 @@ class Motion(NamedTuple):
     """Frequency above which the recorded efforts are empty, as after a low-pass filter [Hz]."""
 
 
-def derive(recording: Recording) -> Motion:
+def derive(recording: Recording, stretch: float = 1.0) -> Motion:
     """
     Smooth all signals, and derive missing velocities and all accelerations.
 
@@ -74,6 +74,8 @@ def derive(recording: Recording) -> Motion:
     ----------
     recording : Recording
         Recording of m joints.
+    stretch : float
+        Factor of the length of the smoothing window, for noisy recordings of slow motions.
 
     Returns
     -------
@@ -96,7 +98,7 @@ def derive(recording: Recording) -> Motion:
         )
     orders, inconsistent, lags = _orders(columns, period)
     seconds, degree = WINDOWS[max(orders)]
-    half = max(round(0.5 * seconds / period), (degree + MIN_SLACK) // 2)
+    half = max(round(0.5 * stretch * seconds / period), (degree + MIN_SLACK) // 2)
     pieces, grids, lost = [], [], 0.0
     for begin, end in _common_spans(columns):
         count = int((end - begin) / period + 1e-6) + 1
