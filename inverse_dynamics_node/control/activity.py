@@ -83,6 +83,17 @@ def _reason_to_stop(now: float, loop: ControlLoop) -> str:
     return describe_recovery(loop)
 
 
+def describe_lost_imu(now: float, loop: ControlLoop) -> str:
+    """Describe that the motion of the base was measured, but is no more; empty if it is."""
+    loads = loop.loads
+    if not loop.has_imu or loop.lacks_imu or loads.is_base_known(now):
+        return ''
+    return (
+        'the motion of the base is unknown: no message on imu for more than '
+        f'{loads.settings.imu_timeout:g} s'
+    )
+
+
 def describe_recovery(loop: ControlLoop) -> str:
     """Describe when efforts will rise again after joint states were lost."""
     controller = loop.controller

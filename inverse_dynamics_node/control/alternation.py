@@ -6,6 +6,11 @@ have covered since. A single jump (homing, an encoder reset) thus adds nothing, 
 fast motion with several samples between its turning points. Times are those of arrival, and
 messages may arrive late and several at once: a motion within the speed limit stays below the
 threshold as long as no message is later than `LATENESS`.
+
+Three kinds of small steps back are ignored, because they are not contradictions: those of noise
+and of coarse encoders, full turns of joints that turn, and those of a second publisher that relays
+the positions a little late. A relay steps back by a fraction of the way that the joint has just
+covered. If two publishers contradict each other, every step covers the whole way between them.
 """
 
 from __future__ import annotations
@@ -26,11 +31,21 @@ _SPEEDS = ((1.0, 10.0, 30.0), (0.1, 2.0, 5.0))
 # Smallest plausible speed limit, the limit to assume if there is none, and the largest plausible
 # one: of revolute [rad/s] and of prismatic joints [m/s].
 _NOISE = (0.02, 0.005)  # smaller steps are ignored [rad, m]
+_COARSEST = (0.1, 0.02)  # larger steps cannot be those of an encoder [rad, m]
+_COUNTS = 2.5  # steps of an encoder up to this many times its smallest step are ignored
+_LEAST_STEP = 1e-6  # [rad, m]; smaller ones may be rounding errors
+_WINDOW = 0.1  # [s]; the way is that in this time or up to twice as long
+_RELAYED = 0.5  # fraction of the way; thus relays may be up to 50 ms late
+_LARGEST = 1e6  # [rad, m]; larger steps are treated like this one
 
-# Rows of tracks, one column per joint.
-_SPEED, _IGNORED, _IS_CONTINUOUS, _LAST, _STEP, _RAW_STEP, _EXCESS, _COUNT, _OTHER, _FLAG = range(
-    10
-)
+# Rows of tracks, one column per joint: constants, ...
+_CONSTANTS = 4
+_SPEED, _IGNORED, _COARSE, _IS_PRISMATIC = range(_CONSTANTS)
+# ... reported positions and steps, ...
+_LAST, _STEP, _RAW_STEP, _EXCESS, _COUNT, _OTHER, _FLAG, _SMALLEST = range(4, 12)
+# ... and smallest and largest positions relative to the last one, in this window and the last.
+_LOW, _HIGH, _LAST_LOW, _LAST_HIGH, _AGE, _ANY_STEP = range(12, 18)
+_ROWS = 18
 
 
 def make_tracks(n: int, robot: RobotModel | None = None) -> Floats:
@@ -46,23 +61,25 @@ def make_tracks(n: int, robot: RobotModel | None = None) -> Floats:
 
     Returns
     -------
-    tracks : ndarray, shape (10, n)
+    tracks : ndarray, shape (18, n)
 
     """
-    tracks = np.zeros((10, n))
+    tracks = np.zeros((_ROWS, n))
     is_prismatic, limits = np.zeros(n, dtype=bool), np.full(n, math.inf)
     if robot is not None:
         is_prismatic, limits = robot.is_prismatic_joint, robot.velocity_limits
-        tracks[_IS_CONTINUOUS] = robot.is_continuous
+        tracks[_IS_PRISMATIC] = is_prismatic
     slowest, usual, fastest = np.where(is_prismatic, *np.array(_SPEEDS)[::-1, :, None])
     tracks[_SPEED] = np.clip(np.where(np.isfinite(limits), limits, usual), slowest, fastest)
     tracks[_IGNORED] = np.where(is_prismatic, _NOISE[1], _NOISE[0])
+    tracks[_COARSE] = np.where(is_prismatic, _COARSEST[1], _COARSEST[0])
+    tracks[_SMALLEST] = math.inf
     return tracks
 
 
 def copy_track(target: Floats, i: int, source: Floats, k: int) -> None:
     """Continue the track of one joint in the tracks of another robot description."""
-    target[_LAST:, i] = source[_LAST:, k]
+    target[_CONSTANTS:, i] = source[_CONSTANTS:, k]
 
 
 def alternating(tracks: Floats) -> dict[int, tuple[float, float]]:
@@ -73,6 +90,22 @@ def alternating(tracks: Floats) -> dict[int, tuple[float, float]]:
     }
 
 
+def forget_silent(tracks: Floats, ages: Floats) -> None:
+    """
+    End the alarms of joints that are not reported any more.
+
+    Parameters
+    ----------
+    tracks : ndarray, shape (18, n)
+        See `make_tracks`.
+    ages : ndarray, shape (n,)
+        Time since the last report of each joint [s].
+
+    """
+    is_over = tracks[_EXCESS] <= _FACTOR * tracks[_SPEED] * ages
+    tracks[_FLAG, is_over] = tracks[_COUNT, is_over] = tracks[_EXCESS, is_over] = 0.0
+
+
 @compiled
 def track(tracks: Any, i: int, position: float, elapsed: float) -> bool:
     """
@@ -80,7 +113,7 @@ def track(tracks: Any, i: int, position: float, elapsed: float) -> bool:
 
     Parameters
     ----------
-    tracks : ndarray, shape (10, n)
+    tracks : ndarray, shape (18, n)
         See `make_tracks`.
     i : int
         Index of the joint.
@@ -96,19 +129,21 @@ def track(tracks: Any, i: int, position: float, elapsed: float) -> bool:
         it takes to cover the distance at twice the speed limit, at most 1 s.
 
     """
-    raw = position - tracks[_LAST, i]
+    raw = min(max(position - tracks[_LAST, i], -_LARGEST), _LARGEST)
     other, tracks[_LAST, i] = tracks[_LAST, i], position
     if elapsed < 0.0:
         tracks[_STEP, i] = 0.0
         return bool(tracks[_FLAG, i] != 0.0)
     step = raw
-    if tracks[_IS_CONTINUOUS, i] != 0.0:
+    if tracks[_IS_PRISMATIC, i] == 0.0:
+        # Joints that are not continuous may be reported with wraps, too.
         step = raw - 2.0 * math.pi * np.rint(raw / (2.0 * math.pi))
+    ignored = max(ignored_step(tracks, i, step), _RELAYED * way(tracks, i, step, elapsed))
     speed = tracks[_SPEED, i]
     excess = tracks[_EXCESS, i] - _FACTOR * speed * elapsed
     if excess <= 0.0:
         excess = tracks[_COUNT, i] = tracks[_FLAG, i] = 0.0
-    if abs(step) > tracks[_IGNORED, i]:
+    if abs(step) > ignored:
         # A wheel that makes half a turn between two reports only seems to turn back.
         if step * tracks[_STEP, i] < 0.0 and raw * tracks[_RAW_STEP, i] < 0.0:
             excess += min(abs(step), abs(tracks[_STEP, i]))
@@ -120,3 +155,33 @@ def track(tracks: Any, i: int, position: float, elapsed: float) -> bool:
         tracks[_FLAG, i] = 1.0
     tracks[_EXCESS, i] = min(excess, 2.0 * threshold)
     return bool(tracks[_FLAG, i] != 0.0)
+
+
+@compiled
+def ignored_step(tracks: Any, i: int, step: float) -> float:
+    """Return the largest step of a joint that noise or its encoder explains [rad or m]."""
+    # Of two steps, too: if two publishers take turns, only every second position is of one source.
+    for change in (step, step + tracks[_ANY_STEP, i]):
+        if abs(change) > _LEAST_STEP:
+            tracks[_SMALLEST, i] = min(tracks[_SMALLEST, i], abs(change))
+    tracks[_ANY_STEP, i] = step
+    resolution = min(_COUNTS * tracks[_SMALLEST, i], tracks[_COARSE, i])
+    return float(max(resolution, tracks[_IGNORED, i]))
+
+
+@compiled
+def way(tracks: Any, i: int, step: float, elapsed: float) -> float:
+    """Return the distance between the extreme positions that were reported lately [rad or m]."""
+    tracks[_AGE, i] += elapsed
+    if tracks[_AGE, i] > _WINDOW:
+        is_recent = tracks[_AGE, i] <= 2.0 * _WINDOW
+        tracks[_LAST_LOW, i] = tracks[_LOW, i] if is_recent else 0.0
+        tracks[_LAST_HIGH, i] = tracks[_HIGH, i] if is_recent else 0.0
+        tracks[_LOW, i] = tracks[_HIGH, i] = tracks[_AGE, i] = 0.0
+    tracks[_LOW, i] = min(tracks[_LOW, i] - step, 0.0)
+    tracks[_HIGH, i] = max(tracks[_HIGH, i] - step, 0.0)
+    tracks[_LAST_LOW, i] -= step
+    tracks[_LAST_HIGH, i] -= step
+    lowest = min(tracks[_LOW, i], tracks[_LAST_LOW, i])
+    highest = max(tracks[_HIGH, i], tracks[_LAST_HIGH, i])
+    return float(highest - lowest)

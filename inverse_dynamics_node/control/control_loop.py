@@ -77,6 +77,7 @@ class ControlLoop:
         commanded = self.controller.joints
         self.collector = JointStateCollector(robot.joint_names, locked, commanded, robot)
         self.collector.check_free(commanded)
+        self._set_velocity_timeout()
         self.loads = ExternalLoads(self.dynamics, load_settings, gravity, base_link)
         self.external_effort_estimator = ExternalEffortEstimator(self.dynamics)
         self.reference: Reference | None = None
@@ -103,12 +104,17 @@ class ControlLoop:
             None as long as a necessary input is missing: see `missing`.
 
         """
+        self._set_velocity_timeout()
         self.collector.rest_late(now, self.controller.settings.uncommanded_state_timeout)
         if self.loads.update(now) or self.collector.has_jumped:
             self.collector.has_jumped = False
             self.controller.blend()
         state = None if self.lacks_imu else self.collector.state()
         return self.controller.step(now, state, self.reference)
+
+    def _set_velocity_timeout(self) -> None:
+        # Before the state is lost: messages without velocities must not stop the arm.
+        self.collector.velocity_timeout = 0.5 * self.controller.settings.state_timeout
 
     def set_base_motion(
         self, now: float, specific_force: ArrayLike, angular_velocity: ArrayLike

@@ -71,6 +71,11 @@ class Layouts:
             self._layouts[names] = layout
         return layout
 
+    def forget_velocities(self) -> None:
+        """Check the velocities in the next message of every layout."""
+        for layout in self._layouts.values():
+            layout.has_velocities = False
+
     def similar_names(self, missing: Sequence[str]) -> list[str]:
         """Return received names that are not joints of this robot, but resemble missing ones."""
         closest: list[str] = []

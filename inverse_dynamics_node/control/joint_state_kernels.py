@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from ..dynamics.jit import compile_for, compiled
-from .alternation import track
+from .alternation import ignored_step, track, way
 
 LONG_AGO = -1e300
 """Time of a locked joint that was never reported [s]; finite, so that differences are numbers."""
@@ -21,6 +21,8 @@ NOT_FINITE, CONSISTENT, ALTERNATING = range(3)
 def compile_kernels() -> None:
     """Compile all functions here, so that nothing compiles in the loop."""
     compile_for(find_oldest, 'UniTuple(f8, 2)(f8[::1], b1[::1])')
+    compile_for(ignored_step, 'f8(f8[:,::1], i8, f8)')
+    compile_for(way, 'f8(f8[:,::1], i8, f8, f8)')
     compile_for(track, 'b1(f8[:,::1], i8, f8, f8)')
     compile_for(
         store_joint_state, 'i8(f8[:,::1], i8[:,::1], f8[:,::1], f8[:,::1], b1[::1], f8, b1)'
@@ -77,7 +79,7 @@ def store_joint_state(
     known : ndarray, shape (4, n)
         Receives positions, velocities, times and efforts. A joint that is not commanded keeps its
         position, at rest, while its positions alternate.
-    tracks : ndarray, shape (10, n)
+    tracks : ndarray, shape (18, n)
         See `alternation.make_tracks`.
     is_commanded : ndarray of bool, shape (n,)
         Which joints are commanded.

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import ConfigurationError, did_you_mean, JointStateError
 from ..robot.model import Booleans, Floats, Integers, RobotModel
-from .alternation import alternating, copy_track, make_tracks
+from .alternation import alternating, copy_track, forget_silent, make_tracks
 from .joint_layouts import Layout, Layouts
 from .joint_state_kernels import (
     ALTERNATING,
@@ -20,6 +20,8 @@ from .joint_state_kernels import (
     NOT_FINITE,
     store_joint_state,
 )
+
+_VELOCITY_TIMEOUT = 0.05  # [s]
 
 Numbers = Sequence[float] | Floats
 
@@ -81,8 +83,15 @@ class JointStateCollector:
         self.has_jumped = False
         """
         Set when a joint that is not commanded may have jumped, because it was locked or late until
-        now, became late, or was reported by several publishers; cleared by the reader.
+        now, became late, or was reported by several publishers, or when any joint was reported
+        with a velocity for the first time, or is no longer; cleared by the reader.
         """
+        self.velocity_timeout = _VELOCITY_TIMEOUT
+        """
+        Messages without a velocity are rejected for this long after the last one with it [s].
+        """
+        self.lost_velocities: list[str] = []
+        """Joints whose velocities are no longer reported; cleared by the reader."""
         self.late_count = 0
         """Number of joints, neither commanded nor locked, that were late at `rest_late`."""
         self._has_velocity = np.zeros(n, dtype=bool)
@@ -118,7 +127,8 @@ class JointStateCollector:
         now : float
             The time of arrival [s].
         names, positions, velocities : sequences of equal length
-            Velocities may be empty, or NaN for joints that never had one: they are zero then.
+            Velocities may be empty, or NaN: they are zero then, except shortly after one was
+            reported, see `velocity_timeout`.
         efforts : sequence, optional
             Measured efforts: none, or one for each name.
 
@@ -154,7 +164,7 @@ class JointStateCollector:
             else NOT_FINITE
         )
         if result == NOT_FINITE:
-            self._complete(layout)
+            self._complete(layout, now)
             result = store_joint_state(*arguments, now, has_efforts)
         if result == ALTERNATING or self._has_alternating:
             self._find_alternating()
@@ -244,6 +254,12 @@ class JointStateCollector:
         found = alternating(self._tracks)
         return {self.joint_names[i]: positions for i, positions in found.items()}
 
+    def forget_silent(self, now: float) -> None:
+        """Forget that positions alternated if none of them arrives any more; time in [s]."""
+        if self._has_alternating:
+            forget_silent(self._tracks, now - self.times)
+            self._find_alternating()
+
     def rest_late(self, now: float, timeout: float) -> None:
         """
         Set late joints that are not commanded to rest.
@@ -256,6 +272,7 @@ class JointStateCollector:
             Times [s].
 
         """
+        self.forget_silent(now)
         are_fresh = 0.0 <= now - self._other_time <= timeout or self._other_time == math.inf
         if are_fresh and not self._has_resting:
             return
@@ -270,7 +287,7 @@ class JointStateCollector:
         return self._named(self.times == LONG_AGO)
 
     def without_velocity(self) -> list[str]:
-        """Return the joints that were reported, but never with a velocity."""
+        """Return the joints that are reported, but without a velocity."""
         return self._named((self.times > LONG_AGO) & ~self._has_velocity)
 
     def _lock(self, locked: Mapping[str, float]) -> None:
@@ -290,16 +307,24 @@ class JointStateCollector:
             self.q[self._index[name]] = position
             self.times[self._index[name]] = LONG_AGO
 
-    def _complete(self, layout: Layout) -> None:
+    def _complete(self, layout: Layout, now: float) -> None:
         """Replace velocities that are not measured by zeros, or raise a JointStateError."""
         in_robot, in_message = layout.places
         q, qd = layout.received[:2, in_message]
         is_finite = np.isfinite(qd)
         self._reject('position', q, np.isfinite(q), in_robot)
-        # A joint that once had a velocity must have one in every message.
-        self._reject('velocity', qd, is_finite | ~self._has_velocity[in_robot], in_robot)
-        self._has_velocity[in_robot] |= is_finite
-        self.has_jumped |= bool((self.times[in_robot] == LONG_AGO).any())
+        has_velocity, times = self._has_velocity[in_robot], self.times[in_robot]
+        # A velocity that is missing once is a fault. If it is missing for longer, the messages
+        # that had one may have been those of another publisher, such as ros2 topic pub.
+        is_recent = (now >= times) & (now < times + self.velocity_timeout)
+        is_lost = has_velocity & np.isnan(qd) & ~is_recent
+        self._reject('velocity', qd, is_finite | ~has_velocity | is_lost, in_robot)
+        if is_lost.any():
+            self.lost_velocities += self._named_by(in_robot[is_lost])
+            self._layouts.forget_velocities()
+        is_new = is_finite & ~has_velocity & (times > LONG_AGO)
+        self.has_jumped |= bool((is_lost | is_new | (times == LONG_AGO)).any())
+        self._has_velocity[in_robot] = (has_velocity & ~is_lost) | is_finite
         layout.has_velocities = bool(self._has_velocity[in_robot].all())
         layout.received[1, in_message] = np.where(is_finite, qd, 0.0)
 
@@ -312,7 +337,10 @@ class JointStateCollector:
             raise JointStateError(f"{quantity} of joint '{joint}' is {values[k]}")
 
     def _named(self, flags: Booleans) -> list[str]:
-        return [self.joint_names[i] for i in np.flatnonzero(flags)]
+        return self._named_by(np.flatnonzero(flags))
+
+    def _named_by(self, index: Integers) -> list[str]:
+        return [self.joint_names[i] for i in index]
 
     def _is_old(self, now: float, timeout: float) -> Booleans:
         age = now - self.times

@@ -13,6 +13,7 @@ from .activity import (
     describe_alternating,
     describe_implausible,
     describe_late,
+    describe_lost_imu,
     describe_recovery,
     describe_silence,
     join_names,
@@ -116,10 +117,11 @@ def model_status(now: float, loop: ControlLoop) -> Status:
         'gravity [m/s^2]': _listed(loads.gravity) if loads.include_gravity else 'not included',
     }
     values |= {f'warning {k}': str(warning) for k, warning in enumerate(robot.warnings, start=1)}
-    if loop.has_imu and not loads.is_base_known(now):
-        since = 'yet' if loop.lacks_imu else f'for more than {loads.settings.imu_timeout:g} s'
-        message = f'the motion of the base is unknown: no message on imu {since}'
-        return Status('model', Level.ERROR, message, values)
+    unknown = describe_lost_imu(now, loop)
+    if loop.lacks_imu:
+        unknown = 'the motion of the base is unknown: no message on imu yet'
+    if unknown:
+        return Status('model', Level.ERROR, unknown, values)
     if robot.warnings:
         message = f'{len(robot.warnings)} warnings about the robot description'
         return Status('model', Level.WARN, message, values)

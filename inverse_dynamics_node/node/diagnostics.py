@@ -78,6 +78,8 @@ class DiagnosticsPublisher:
         now = time.monotonic()
         elapsed, self._last_time = now - self._last_time, now
         loop, is_active = self._runner.loop, self._runner.is_active
+        if loop is not None:
+            loop.collector.forget_silent(self._runner.now())
         graph = self._inspect_graph(elapsed)
         if loop is not None and loop.collector.has_alternating:
             self._log.report_conflicts(loop, graph.state_publishers)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Sequence
 import math
 import time
@@ -9,7 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from ..control.activity import activity, describe_alternating, describe_implausible, describe_late
+from ..control.activity import (
+    activity,
+    describe_alternating,
+    describe_implausible,
+    describe_late,
+    describe_lost_imu,
+    join_names,
+)
 from ..control.control_loop import ControlLoop
 from ..control.controller import Command, COMPUTING_PHASES, Phase
 from ..control.status import Level, Status
@@ -18,6 +26,7 @@ from ..errors import shortened_lines
 _PERIOD = 2.0  # [s]; between repetitions of a lasting problem
 _LONG_PERIOD = 10.0  # [s]; the same for problems that only a user can solve
 _ALARMS = (Phase.STATE_LOST, Phase.NO_SOLUTION)
+_MOST_CHANGES = 6  # of activity, logged within _PERIOD
 _MAX_KEYS = 1000  # bounds the memory; beyond it, a message may be repeated early
 
 
@@ -72,13 +81,14 @@ class NodeLog:
         self._logger = logger
         self._times: dict[str, float] = {}
         self._last_activity: tuple[Phase, bool] | None = None
+        self._changes: deque[float] = deque(maxlen=_MOST_CHANGES)  # times of the latest ones
+        self._has_reported_imu = False
         self._last_statuses: dict[str, tuple[Level, str]] = {}
 
     def begin(self) -> None:
         """Report the next activity even if it is the same as before the last stop."""
         self._last_activity = None
-        for key in [key for key in self._times if key.startswith('activity ')]:
-            del self._times[key]
+        self._changes.clear()
 
     def warn(self, key: str, text: str | Callable[[], str]) -> None:
         """Warn, unless `key` was logged recently; a function creates the text only if needed."""
@@ -136,6 +146,8 @@ class NodeLog:
         key = (phase, phase in COMPUTING_PHASES or controller.has_effort)
         if key != self._last_activity or phase in _ALARMS:
             self._report_activity(now, loop, key, is_dry_run)
+        if loop.has_imu:
+            self._report_imu(now, loop)
         if loop.collector.late_count:
             self.warn('late', lambda: '; '.join(describe_late(loop, now)))
         if np.count_nonzero(command.is_saturated):  # any() takes longer
@@ -144,11 +156,30 @@ class NodeLog:
             )  # a change of the joints is reported at once
             self.warn(f'saturated {joints}', lambda: _describe_saturated(loop, command))
 
+    def report_lost_velocities(self, joints: Sequence[str], publishers: Sequence[str]) -> None:
+        """Warn of joints that are no longer reported with velocities, and name the cause."""
+        if self._is_due('velocities'):
+            self._logger.warning(
+                f'joint_states: velocities of {", ".join(joints)} are taken as zero: earlier '
+                f'messages had velocities, later ones have none '
+                f'(published by {join_names(publishers)})'
+            )
+
     def report_implausible(self, loop: ControlLoop) -> None:
         """Warn of joints far outside their position limits, from time to time."""
         for joint, text in describe_implausible(loop).items():
             if self._is_due(f'implausible {joint}', _LONG_PERIOD):
                 self._logger.warning(text)
+
+    def _report_imu(self, now: float, loop: ControlLoop) -> None:
+        """Report that the motion of the base is lost, from time to time, and its return."""
+        text = describe_lost_imu(now, loop)
+        if text and self._is_due('imu'):
+            self._has_reported_imu = True
+            self._logger.error(text)
+        elif not text and self._has_reported_imu:
+            self._has_reported_imu = False
+            self._logger.info('the motion of the base is measured again')
 
     def _report_activity(
         self, now: float, loop: ControlLoop, key: tuple[Phase, bool], is_dry_run: bool
@@ -160,8 +191,15 @@ class NodeLog:
                 self._logger.warning(f"joint_states: '{name}' not seen, taken as locked")
             self.report_implausible(loop)
             self._last_activity = Phase.WAITING, False
-        if not self._is_due(f'activity {key[0].name} {key[1]}'):
+        steady = time.monotonic()
+        if key == self._last_activity:
+            is_due = steady - self._changes[-1] >= _PERIOD
+        else:
+            # Several changes may follow each other at once, as when the clock jumps.
+            is_due = len(self._changes) < _MOST_CHANGES or steady - self._changes[0] >= _PERIOD
+        if not is_due:
             return  # the next step tries again, so that the latest activity is never missed
+        self._changes.append(steady)
         self._last_activity = key
         text = activity(now, loop, is_dry_run=is_dry_run)
         if key[0] in _ALARMS:

@@ -153,6 +153,10 @@ class LoopRunner:
         took = time.perf_counter() - began
         self.monitor.step(now, took, command, self.loop.controller.joints)
         self._log.report_step(now, self.loop, command, is_dry_run=not self.gate.is_open)
+        if self.loop.collector.lost_velocities:
+            publishers = self._graph.publishers('joint_states')
+            self._log.report_lost_velocities(self.loop.collector.lost_velocities, publishers)
+            self.loop.collector.lost_velocities = []
         if self.loop.controller.phase in COMPUTING_PHASES:
             self._explain(self.loop)
 

@@ -190,6 +190,20 @@ def test_two_publishers_of_different_positions_are_named(run_node, robot, wait_f
         other.destroy_node()
 
 
+def test_contradictions_end_with_the_publishers_of_a_joint(run_node, robot, wait_for_status):
+    run_node(**{**PATIENT, 'uncommanded_state_timeout': 0.3}, joints=f'[{", ".join(NAMES[:5])}]')
+    robot.publish_state(NAMES[:5], Q[:5], np.zeros(5))
+    publications = [
+        robot.keep_publishing('joint_states', JointState(name=NAMES[5:], position=[position]))
+        for position in (0.2, 1.4)
+    ]
+    words = f'positions of {NAMES[5]} alternate between 0.2 and 1.4'
+    wait_for_status('joint states', ERROR, words)
+    for publication in publications:
+        robot.cease(publication)
+    wait_for_status('joint states', WARN, f"joint '{NAMES[5]}' (not commanded) was last reported")
+
+
 def test_silent_publishers_are_reported(run_node, robot, wait_for_status):
     node = run_node(**FAST)
     robot.publish_state(NAMES, Q, np.zeros(6))

@@ -18,7 +18,7 @@ import rclpy.lifecycle.node
 import rclpy.node
 from rclpy.parameter import Parameter
 from robot_files import ROOT, STANFORD
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64MultiArray, Header
 from std_srvs.srv import SetBool
 
@@ -159,6 +159,46 @@ def test_an_activation_waits_for_a_new_joint_state(run_node, robot):
     robot.publish_state(NAMES, Q, ZERO)
     robot.wait_for_command(HOLD)
     assert ZERO.tolist() not in robot.commands
+
+
+def test_one_message_with_velocities_does_not_stop_an_arm_without_them(run_node, robot):
+    node = run_node(**{**FAST, 'state_timeout': 1.0})
+    robot.publish_state(NAMES, Q)
+    robot.wait_for_command(HOLD)
+    robot.publish_once('joint_states', JointState(name=NAMES, position=Q, velocity=ZERO))
+    robot.wait_for_text(node, f'velocities of {", ".join(NAMES)} are taken as zero: earlier')
+    count = len(robot.commands)
+    robot.wait_until(lambda: len(robot.commands) > count + 250, 'commands for a second')
+    assert np.array(robot.commands[count:]) == pytest.approx(np.tile(HOLD, (251, 1)))
+    assert 'velocities, later ones have none (published by /robot)' in node.output
+
+
+def test_the_log_reports_a_lost_imu_and_its_return(run_node, robot):
+    node = run_node(**PATIENT, base_motion='imu')
+    measured = Imu()
+    measured.linear_acceleration.z = 9.80665
+    publication = robot.keep_publishing('imu', measured)
+    robot.publish_state(NAMES, Q, ZERO)
+    robot.wait_for_command(HOLD)
+    robot.cease(publication)
+    robot.wait_for_text(node, 'the motion of the base is unknown: no message on imu for more')
+    robot.keep_publishing('imu', measured)
+    robot.wait_for_text(node, 'the motion of the base is measured again')
+    robot.wait_for_command(HOLD)
+
+
+def test_the_log_follows_jumps_of_the_clock(run_node, robot):
+    node = run_node(**{**FAST, 'stop_ramp': 0.0}, use_sim_time=True)
+    robot.publish_state(NAMES, Q, ZERO)
+    robot.wait_for_text(node, 'holding position: no reference')
+    robot.keep_ticking(100.0)
+    robot.wait_for_text(node, 'stopped, zeros sent: no joint state')
+    # The commands continue with the next state. Otherwise a text is repeated after 2 s.
+    last = robot.sent + 150  # about 0.75 s
+    robot.wait_until(
+        lambda: node.output.count('holding') == 2 or robot.sent > last, 'holding position'
+    )
+    assert node.output.count('holding') == 2
 
 
 def heavier(text):

@@ -1,8 +1,14 @@
 """Steps of the whole control loop, and its continuation with another robot description."""
 
+import contextlib
 import math
 
-from inverse_dynamics_node import ConfigurationError, InverseDynamics, load_urdf
+from inverse_dynamics_node import (
+    ConfigurationError,
+    InverseDynamics,
+    JointStateError,
+    load_urdf,
+)
 from inverse_dynamics_node.control.control_loop import ControlLoop
 from inverse_dynamics_node.control.controller import Phase, Reference
 from inverse_dynamics_node.control.external_efforts import ExternalEffortEstimator
@@ -409,6 +415,17 @@ def test_old_and_contradictory_joint_states_are_listed_as_missing():
         q = [1.5 * (k % 2), *Q[1:]]
         loop.collector.update(0.005 * k, NAMES, q, np.zeros(6))
     assert loop.missing(now=1.0) == [f'consistent positions of {NAMES[0]} on joint_states']
+
+
+def test_states_without_velocities_are_used_again_before_the_state_is_lost():
+    loop = report_all(ControlLoop(MODEL, settings=Settings(start_ramp=0.0, state_timeout=0.1)))
+    for k in range(1, 200):
+        now = 0.01 * k
+        with contextlib.suppress(JointStateError):
+            loop.collector.update(now, NAMES, Q, [])
+        assert loop.step(now).efforts.any()
+        assert loop.controller.phase is Phase.HOLDING
+    assert loop.collector.lost_velocities == list(NAMES)
 
 
 def test_an_effort_at_the_limit_is_not_beyond_it():

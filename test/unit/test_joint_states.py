@@ -69,10 +69,43 @@ def test_velocity_that_was_never_measured_is_zero_and_named(collector):
 
 
 @pytest.mark.parametrize('velocities', [[NAN], []])
-def test_a_velocity_that_disappears_is_rejected(collector, velocities):
-    collector.update(1.0, ['elbow'], [2.0], [0.2])
+def test_a_velocity_that_disappears_is_rejected_at_first_and_then_zero(collector, velocities):
+    collector.velocity_timeout = 0.25
+    for now in (0.75, 1.0):
+        collector.update(now, ['elbow'], [2.0], [0.2])
+    collector.update(1.0, ['elbow', 'wrist'], [2.0, 3.0], [0.2, 0.3])
+    for now in (1.0, 1.125, 1.2499):
+        with pytest.raises(JointStateError, match="velocity of joint 'elbow' is nan"):
+            collector.update(now, ['elbow'], [2.5], velocities)
+    assert not collector.has_jumped
+    assert (collector.lost_velocities, collector.without_velocity()) == ([], [])
+    for now in (1.25, 1.26):
+        collector.update(now, ['elbow'], [2.5], velocities)
+        assert collector.lost_velocities == ['elbow']
+    assert (collector.q[1], collector.qd[1], collector.times[1]) == (2.5, 0.0, 1.26)
+    assert collector.has_jumped
+    assert collector.without_velocity() == ['elbow']
+    # With another layout, whose messages were complete before.
+    collector.lost_velocities, collector.has_jumped = [], False
+    collector.update(1.27, ['elbow', 'wrist'], [2.5, 3.0], [0.1, 0.3])
+    assert collector.qd.tolist() == [0.0, 0.1, 0.3]
+    assert collector.without_velocity() == []
+    assert collector.has_jumped
     with pytest.raises(JointStateError, match="velocity of joint 'elbow' is nan"):
-        collector.update(2.0, ['elbow'], [2.0], velocities)
+        collector.update(1.28, ['elbow'], [2.5], velocities)
+    assert collector.lost_velocities == []
+
+
+def test_a_velocity_that_is_infinite_is_rejected_after_a_while_too(collector):
+    collector.update(1.0, ['elbow'], [2.0], [0.2])
+    with pytest.raises(JointStateError, match="velocity of joint 'elbow' is inf"):
+        collector.update(9.0, ['elbow'], [2.0], [math.inf])
+
+
+def test_a_velocity_from_before_a_clock_reset_is_not_awaited(collector):
+    collector.update(9.0, ['elbow'], [2.0], [0.2])
+    collector.update(1.0, ['elbow'], [2.5], [])
+    assert collector.q[1] == 2.5
 
 
 @pytest.mark.parametrize(
@@ -303,6 +336,21 @@ def test_contradictory_positions_of_another_joint_set_the_jump_flag_and_hold_it_
         time = alternate(collector, 'finger', time, (0.0, 0.0))
     assert collector.alternating() == {}
     assert collector.has_jumped
+
+
+@pytest.mark.parametrize('joint', HAND[:2])
+def test_contradictory_positions_are_forgotten_when_nobody_reports_them_any_more(joint):
+    collector = hand()
+    time = alternate(collector, joint, 0.0)
+    assert list(collector.alternating()) == [joint]
+    collector.forget_silent(time)
+    assert collector.has_alternating
+    collector.has_jumped = False
+    collector.rest_late(time + 1.1, 60.0)
+    assert collector.alternating() == {}
+    assert collector.is_consistent
+    assert not collector.has_alternating
+    assert collector.has_jumped == (joint == 'finger')
 
 
 def test_the_jump_of_a_late_joint_is_kept_while_another_one_alternates():
