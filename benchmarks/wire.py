@@ -134,6 +134,7 @@ class Contender:
         Parameters
         ----------
         states : sequence of JointState
+            Published one after another.
         accelerations : sequence of float
             Asked for in all of them.
         expected : array_like, shape (count, m)

@@ -31,12 +31,12 @@ class Tree:
     """
     A tree of links without a robot model.
 
-        Parameters
-        ----------
-        links : sequence of random_trees.Link
-            Link i is moved by joint i.
-        joint_names : sequence of str
-            The order of joint vectors.
+    Parameters
+    ----------
+    links : sequence of random_trees.Link
+        Link i is moved by joint i.
+    joint_names : sequence of str
+        The order of joint vectors.
 
     """
 

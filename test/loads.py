@@ -31,10 +31,10 @@ def random_loads(robot, rng):
     """
     Draw calls that set every kind of load, payloads and wrenches on two links each.
 
-        Returns
-        -------
-        calls : list of (str, tuple)
-            Name and arguments of methods of `InverseDynamics`; no call undoes another.
+    Returns
+    -------
+    calls : list of (str, tuple)
+        Name and arguments of methods of `InverseDynamics`; no call undoes another.
 
     """
     n = len(robot.joint_names)

@@ -42,12 +42,12 @@ class Weather:
     """
     Makes messages, most of them useless, some of them valid.
 
-        Parameters
-        ----------
-        rng : numpy.random.Generator
-    Source of random numbers.
-        joints : sequence of str
-    Joint names of the robot.
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Source of random numbers.
+    joints : sequence of str
+        Joint names of the robot.
 
     """
 

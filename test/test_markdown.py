@@ -7,7 +7,7 @@ import pytest
 from robot_files import ROOT
 
 WIDTH = 100
-PAGES = [ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *sorted((ROOT / 'doc').glob('*.md'))]
+PAGES = [*sorted(ROOT.glob('*.md')), *sorted((ROOT / 'doc').glob('*.md'))]
 TEMPLATES = sorted((ROOT / 'benchmarks').glob('*.md'))
 # Written by the benchmarks, from templates that are tested; one line describes the machine.
 GENERATED = ('benchmarks.md', 'loop.md')

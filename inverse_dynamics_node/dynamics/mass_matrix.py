@@ -76,6 +76,7 @@ def mass_matrix(q: Sequence[float], matrix: Any, robot: Any) -> int:
     matrix : n sequences of n floats
         Receives the mass matrix, symmetric to the last bit.
     robot : table from `robot_table`
+        The robot and its loads.
 
     Returns
     -------

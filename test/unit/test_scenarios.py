@@ -348,7 +348,7 @@ class TestView:
 class TestFriction:
     @pytest.fixture
     def rubbing(self, tmp_path):
-        """A robot with friction in every joint and hardly any inertia in its wrist."""
+        """Return a robot with friction in every joint and hardly any inertia in its wrist."""
         path = tmp_path / 'rubbing.urdf'
         names = load_urdf(STANFORD).joint_names
         path.write_text(with_friction(STANFORD, [0.1] * len(names), [1.0] * len(names)))

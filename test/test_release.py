@@ -1,0 +1,70 @@
+"""The files that bloom, rosdep and the package index read are valid and agree with each other."""
+
+import re
+import subprocess
+import sys
+
+from packaging.requirements import Requirement
+import pytest
+from robot_files import ROOT
+
+SETUP = (ROOT / 'setup.py').read_text()
+CHANGELOG = ROOT / 'CHANGELOG.rst'
+SOURCES = ('inverse_dynamics_node', 'test', 'benchmarks', 'examples', 'setup.py')
+
+
+def declared(name):
+    return re.search(rf"^    {name}='([^']*)'", SETUP, re.M)[1]
+
+
+def test_manifest_is_valid_and_agrees_with_setup():
+    catkin_pkg = pytest.importorskip('catkin_pkg.package')
+    package = catkin_pkg.parse_package(str(ROOT))  # raises if it is invalid
+    warnings = []
+    package.validate(warnings=warnings)
+    assert warnings == []
+    assert package.version == declared('version')
+    assert [person.name for person in package.maintainers] == [declared('maintainer')]
+    assert [person.name for person in package.authors] == [declared('author')]
+    assert {url.type for url in package.urls} == {'website', 'repository', 'bugtracker'}
+    assert declared('url') in [url.url for url in package.urls]
+    assert package.licenses[0] == declared('license')
+
+
+def test_libraries_of_the_package_index_are_dependencies_of_the_manifest():
+    text = (ROOT / 'package.xml').read_text()
+    required = re.search(r'install_requires=\[(.*?)\]', SETUP, re.S)[1]
+    names = [Requirement(each).name for each in re.findall("'([^']+)'", required)]
+    assert len(names) >= 5
+    for name in names:
+        assert re.search(rf'<exec_depend>python3-{name}(-pip)?</exec_depend>', text), name
+
+
+def test_bloom_can_read_the_changelog():
+    changelogs = pytest.importorskip('catkin_pkg.changelog')
+    text = CHANGELOG.read_text()
+    # catkin_prepare_release replaces this title; bloom reads the result.
+    assert text.count('\nForthcoming\n-----------\n') == 1
+    title = f'{declared("version")} (2026-11-22)'
+    released = text.replace('Forthcoming\n-----------', f'{title}\n{"-" * len(title)}')
+    changelog = changelogs.Changelog('inverse_dynamics_node')
+    changelogs.populate_changelog_from_rst(changelog, released)
+    (version,) = [version for version, _, _ in changelog.foreach_version()]
+    assert version == declared('version')
+    (items,) = changelog.get_content_of_version(version)
+    assert len(items.bullets) == len(re.findall(r'^\* ', text, re.M)) > 20
+
+
+def test_sources_are_clean_for_ament_pep257():
+    pytest.importorskip('ament_pep257')
+    pytest.importorskip('pydocstyle')
+    command = [
+        sys.executable,
+        '-c',
+        'from ament_pep257.main import main; raise SystemExit(main())',
+    ]
+    result = subprocess.run(
+        [*command, *SOURCES], cwd=ROOT, capture_output=True, text=True, timeout=120
+    )
+    errors = [x for x in result.stdout.splitlines() + result.stderr.splitlines() if ': D' in x]
+    assert result.returncode == 0, '\n'.join(errors)
