@@ -29,6 +29,8 @@ def verdict(findings: Findings) -> str:
         )
         return f'{opening}. As it is, {modelled}; with that and friction, {corrected}.'
     text = f'{modelled[0].upper()}{modelled[1:]}; with fitted friction, {corrected}.'
+    if all(joint.friction.unknown_because for joint in findings.joints):
+        text = f'{modelled[0].upper()}{modelled[1:]}; friction cannot be fitted.'
     if findings.is_too_short:
         motion = findings.motion
         seconds = motion.times[-1] - motion.times[0]

@@ -151,9 +151,13 @@ def _changes(diagnosis: Diagnosis) -> str:
         f'{amount(each.after, each.is_prismatic)}'
         for each in changes
     )
+    cause = 'fitting all links' if diagnosis.kind == 'bodies' else 'this alone'
+    how = 'friction fitted in both cases'
+    if diagnosis.kind == 'bodies':
+        how += ', links fitted to the other half of the recording'
     more = len(diagnosis.changes) - len(changes)
     others = f', and at {more} more {"joints" if more > 1 else "joint"}' if more else ''
-    return f'this alone reduces the RMS residual {left}{others} (friction fitted in both cases)'
+    return f'{cause} reduces the RMS residual {left}{others} ({how})'
 
 
 def _values(diagnosis: Diagnosis, unit: str = '', unit_prismatic: str = '') -> str:

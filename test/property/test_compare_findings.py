@@ -1,5 +1,6 @@
 """Findings on simulated recordings with the flaws of real ones: credible ones, and no others."""
 
+from dataclasses import replace
 import math
 
 from inverse_dynamics_node import InverseDynamics
@@ -25,6 +26,11 @@ EVERY_ROBOT = pytest.mark.parametrize('name', ROBOTS)
 
 def kinds(findings):
     return [diagnosis.kind for diagnosis in findings.diagnoses]
+
+
+def states(recording):
+    q, qd = recording.positions, recording.velocities
+    return q, qd, np.gradient(qd, recording.times, axis=0)
 
 
 def between(recording, begin, end):
@@ -212,3 +218,99 @@ def test_efforts_that_were_filtered_before_are_reported(name, rate):
     for quantum in (1e-9, 0.05):
         raw = quantum * np.round(recording.efforts / quantum)
         assert identify(dynamics, recording._replace(efforts=raw)).motion.cut_off == math.inf
+
+
+# ---- Many wrong links ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(('name', 'seed'), [('seven_dof', 2), ('branched', 0), ('stanford', 0)])
+def test_many_wrong_links_are_not_reported_as_a_payload(name, seed):
+    dynamics, recording = run(name, seed=seed, rate=100.0, friction=(1.0, 1.0))
+    robot, rng = dynamics.robot, np.random.default_rng(seed)
+    factor = np.exp(0.3 * rng.standard_normal(len(robot.mass)))
+    shift = 0.03 * rng.standard_normal(robot.com.shape) * (robot.mass > 0.0)[:, None]
+    inertia = robot.inertia * factor[:, None, None]
+    real = replace(robot, mass=robot.mass * factor, com=robot.com + shift, inertia=inertia)
+    change = InverseDynamics(real).efforts(*states(recording)) - dynamics.efforts(
+        *states(recording)
+    )
+    findings = identify(dynamics, recording._replace(efforts=recording.efforts + change))
+    assert 'payload' not in kinds(findings)
+    assert kinds(findings)[-1] == 'bodies'
+    diagnosis = findings.diagnoses[-1]
+    assert diagnosis.changes[0].after < 0.5 * diagnosis.changes[0].before
+    assert 'inverse_dynamics identify' in diagnosis_warning(diagnosis).hint
+
+
+# ---- Causes that act during a part of the recording ----------------------------------------
+
+
+def under_gravity(robot, q, gravity):
+    """Return gravity efforts for positions and gravity vectors of shape (K, n) and (K, 3)."""
+    parts = [InverseDynamics(robot, axis).gravity_efforts(q) for axis in np.eye(3)]
+    return sum(gravity[:, [k]] * parts[k] for k in range(3))
+
+
+@pytest.mark.parametrize(
+    ('name', 'link', 'begin', 'end'),
+    [('seven_dof', 'tool0', 6.0, 12.0), ('branched', 'right_forearm', 3.0, 20.0)],
+)
+def test_a_load_that_was_picked_up_is_reported_with_its_times(name, link, begin, end):
+    dynamics, recording = run(name, friction=(1.0, 1.0), rate=100.0)
+    real = InverseDynamics(dynamics.robot)
+    real.set_payload(link, 1.5, (0.0, 0.02, 0.05))
+    load = real.efforts(*states(recording)) - dynamics.efforts(*states(recording))
+    carried = (recording.times >= begin) & (recording.times < end)
+    findings = identify(
+        dynamics, recording._replace(efforts=recording.efforts + load * carried[:, None])
+    )
+    (diagnosis,) = findings.diagnoses
+    assert (diagnosis.kind, diagnosis.link) == ('payload', link)
+    assert diagnosis.interval == pytest.approx((begin, end), abs=0.15)
+    assert diagnosis.values == pytest.approx((1.5, 0.0, 0.02, 0.05), abs=0.05)
+    assert findings.explained_corrected > 0.999
+    assert f'From {begin:.1f} s to' in verdict(findings)
+
+
+@pytest.mark.parametrize('name', ['stanford', 'seven_dof'])
+def test_a_push_is_reported_with_its_times(name):
+    dynamics, recording = run(name, friction=(1.0, 1.0), rate=100.0)
+    times = recording.times
+    push = np.where((times >= 4.0) & (times < 9.0), np.sin(np.pi * (times - 4.0) / 5.0), 0.0)
+    strength = np.linspace(8.0, 1.0, len(recording.joint_names))
+    findings = identify(
+        dynamics, recording._replace(efforts=recording.efforts + np.outer(push, strength))
+    )
+    (diagnosis,) = findings.diagnoses
+    assert diagnosis.kind == 'external_force'
+    assert set(recording.joint_names[:2]) <= set(diagnosis.joints)
+    assert diagnosis.interval == pytest.approx((4.0, 9.0), abs=0.4)
+    # Friction is fitted to the rest of the recording.
+    assert findings.joints[0].friction.coulomb == pytest.approx(1.0, rel=0.1)
+    assert findings.explained_corrected > 0.999
+
+
+@pytest.mark.parametrize(('name', 'begin'), [('seven_dof', 0.0), ('branched', 5.0)])
+def test_a_base_that_tilts_is_reported_with_its_times(name, begin):
+    dynamics, recording = run(name, friction=(1.0, 1.0), rate=100.0)
+    times, q = recording.times, recording.positions
+    angle = np.radians(19.0) * np.clip((times - begin) / 7.0, 0.0, 1.0)
+    gravity = 9.80665 * np.column_stack([0.0 * angle, np.sin(angle), -np.cos(angle)])
+    change = under_gravity(dynamics.robot, q, gravity) - dynamics.gravity_efforts(q)
+    findings = identify(dynamics, recording._replace(efforts=recording.efforts + change))
+    (diagnosis,) = findings.diagnoses
+    assert diagnosis.kind == 'mounting'
+    assert math.degrees(diagnosis.angle) == pytest.approx(19.0, abs=2.0)
+    assert begin < diagnosis.interval[0] < begin + 3.0
+    assert diagnosis.interval[1] > 19.0
+    assert findings.explained_corrected > 0.99
+    assert findings.explained_corrected > findings.explained + 0.01
+
+
+def test_a_base_that_does_not_move_is_not_reported_as_tilting():
+    gravity = 9.80665 * np.array([0.0, math.sin(0.3), -math.cos(0.3)])
+    recording = run(
+        'seven_dof', rate=100.0, friction=(1.0, 1.0), act=lambda real: real.set_gravity(gravity)
+    )
+    (diagnosis,) = identify(*recording).diagnoses
+    assert (diagnosis.kind, diagnosis.interval) == ('mounting', None)

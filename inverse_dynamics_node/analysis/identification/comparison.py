@@ -10,18 +10,28 @@ from numpy.typing import ArrayLike
 from ...dynamics.inverse_dynamics import FRICTION_WIDTH, InverseDynamics
 from ...errors import RecordingError
 from ...robot.model import Booleans, Floats, RobotModel
-from .diagnoses import diagnose, diagnose_constant, Diagnosis
+from .bodies import Bodies, wrong_bodies
+from .diagnoses import diagnose, diagnose_bodies, diagnose_constant, diagnose_part, Diagnosis
 from .evidence import Evidence, Explanation
 from .findings import Findings, JointFinding
 from .friction import fit_friction, FrictionFit, is_moving, obstacle
 from .joint_samples import CREDIBLE, JointSamples
 from .loads import moves_with, payload_regressors, point_mass_parameters, tip_links
+from .parts import (
+    best_interval,
+    Cause,
+    changing_gravity_efforts,
+    find_part,
+    MUCH_LOUDER,
+    Part,
+)
 from .recorded_column import Recording
 from .signals import derive, Motion, smooth_like_efforts
 
 SAMPLES_PER_WINDOW = 8  # used by fits; the samples of a smoothing window are dependent
 MOVED = 0.02  # [rad or m]; a joint that moved less shows no load
 INERTIAS = 50  # samples at which the effect of noisy accelerations is computed
+ALL = slice(None)
 CONSTANT = 1e-9  # fraction of the largest effort; smaller variations are rounding errors
 
 
@@ -129,13 +139,25 @@ class _Comparison:
 
     def findings(self) -> Findings:
         evidence = self._evidence()
-        explanation = self._explain(evidence)
-        measured, efforts = self._corrected(explanation)
-        fits = self._friction(measured - efforts, self._obscured(explanation))
+        explanation = evidence.explain()
+        part = find_part(evidence, explanation)
+        bodies = None
+        if part is not None:
+            part = self._refined(part)
+            evidence, explanation = part.evidence, part.outside
+        else:
+            bodies = self._wrong_bodies(evidence, explanation)
+            if bodies is not None:
+                explanation = bodies.explanation
+        measured, efforts = self._corrected(explanation, part)
+        used = np.ones(len(efforts), dtype=bool)
+        if part is not None and part.cause is Cause.FORCE:
+            used = ~self._inside(part)
+        fits = self._friction(measured[used] - efforts[used], self._obscured(explanation), used)
         for c, fit in enumerate(fits):
             efforts[:, c] += fit.efforts(self.qd[:, c], self.direction[:, c])
         recorded = self._as_recorded(efforts, explanation)
-        when = self._when_comparable(fits)
+        when = [used & each for each in self._when_comparable(fits)]
         rubbing = self._with_friction_only()
         return Findings(
             motion=self.motion,
@@ -147,15 +169,57 @@ class _Comparison:
             measured=self.measured,
             modelled=self.modelled,
             corrected=recorded,
-            diagnoses=self._diagnoses(evidence, explanation),
+            diagnoses=self._diagnoses(evidence, explanation, part, bodies),
             width=self.width,
             is_too_short=evidence.is_too_short,
             moving=tuple(self._moving()),
         )
 
-    def _explain(self, evidence: Evidence) -> Explanation:
-        """Return the explanation."""
-        return evidence.explain()
+    def _inside(self, part: Part) -> Booleans:
+        begin, end = part.interval
+        return np.asarray((self.motion.times >= begin) & (self.motion.times <= end))
+
+    def _wrong_bodies(self, evidence: Evidence, explanation: Explanation) -> Bodies | None:
+        """Return the residuals with fitted links if several links are wrong."""
+        if not self.varying:
+            return None
+        some = self._step()
+        states = (self.states[0][some], self.states[1][some], self.states[2][some])
+        rows = [self._used(c)[some] for c in self.varying]
+        index = [self.index[c] for c in self.varying]
+        return wrong_bodies(evidence, explanation, self.dynamics, states, rows, index)
+
+    def _step(self) -> slice:
+        """Return the samples that fits use."""
+        return slice(None, None, max(1, self.motion.window // SAMPLES_PER_WINDOW))
+
+    def _moves(self, c: int) -> bool:
+        return not obstacle(self.qd[:, c], self.period, self.width)
+
+    def _used(self, c: int) -> Booleans:
+        """Return at which times the effort of a joint is compared."""
+        if not self._moves(c):
+            return np.ones(len(self.qd), dtype=bool)
+        return is_moving(self.qd[:, c], self.width)
+
+    def _refined(self, part: Part) -> Part:
+        """Return a part whose begin and end are accurate to a sample."""
+        if part.cause is Cause.TILT:
+            return part
+        is_force = part.cause is Cause.FORCE
+        measured, efforts = self._corrected(part.outside._replace(hypothesis=part.evidence.as_is))
+        load = np.zeros_like(efforts) if is_force else self._correction(part.outside)
+        gain = np.zeros(len(efforts))
+        for j, c in enumerate(self.varying):
+            fit = part.outside.fits[j]
+            if not fit.moves or (is_force and j not in part.joints):
+                continue
+            left = measured[:, c] - efforts[:, c] - fit.offset
+            left -= fit.damping * self.qd[:, c] + fit.coulomb * self.direction[:, c]
+            variance = max((fit.rms / part.outside.factor(j)) ** 2, 1e-12)
+            after = MUCH_LOUDER * variance if is_force else (left - load[:, c]) ** 2
+            gain += (left**2 - after) / variance
+        return part._replace(interval=best_interval(self.motion.times, gain, part.interval))
 
     def _with_friction_only(self) -> Floats:
         """Return the modelled efforts with friction that is fitted without diagnoses."""
@@ -190,8 +254,7 @@ class _Comparison:
         return [c for c in constant if np.ptp(self.rigid[:, c]) > least]
 
     def _evidence(self) -> Evidence:
-        step = max(1, self.motion.window // SAMPLES_PER_WINDOW)
-        some = slice(None, None, step)
+        some = self._step()
         states = (self.states[0][some], self.states[1][some], self.states[2][some])
         robot, gravity = self.robot, self.dynamics.gravity
         weight = np.stack(
@@ -217,13 +280,12 @@ class _Comparison:
                     measured,
                 ]
             )
-            moves = not obstacle(self.qd[:, c], self.period, self.width)
-            used = is_moving(qd, self.width) if moves else np.ones(len(qd), dtype=bool)
+            used = self._used(c)[some]
             joints.append(
                 JointSamples(
                     columns[used],
                     times[used],
-                    moves,
+                    self._moves(c),
                     float(self.noise[c]),
                     self._is_prismatic([c])[0],
                 )
@@ -234,10 +296,20 @@ class _Comparison:
         masses = {k: float(robot.mass[b]) for k, b in zip(self.links, bodies, strict=True)}
         return Evidence(joints, masses, gravity, sample_count, duration)
 
-    def _corrected(self, explanation: Explanation) -> tuple[Floats, Floats]:
+    def _corrected(
+        self, explanation: Explanation, part: Part | None = None
+    ) -> tuple[Floats, Floats]:
         """Return measured efforts without distortions, and modelled ones with the hypothesis."""
         measured = self.measured / explanation.unit
-        efforts = self.rigid + self._correction(explanation)
+        correction = self._correction(explanation)
+        if part is not None and part.cause is Cause.LOAD:
+            correction = correction * self._inside(part)[:, None]
+        if part is not None and part.cause is Cause.TILT:
+            correction = changing_gravity_efforts(
+                part, self.robot, self.states[0], self.motion.times
+            )[:, self.index]
+            correction = correction - self.gravity
+        efforts = self.rigid + correction
         for j, (c, fit) in enumerate(zip(self.varying, explanation.fits, strict=True)):
             source = self.measured[:, self.varying[explanation.source[j]]]
             measured[:, c] = fit.distortion.sign * source / explanation.factor(j)
@@ -270,12 +342,15 @@ class _Comparison:
             recorded[:, source] = fit.distortion.sign * explanation.factor(j) * efforts[:, c]
         return recorded
 
-    def _friction(self, residual: Floats, obscured: dict[int, str]) -> list[FrictionFit]:
+    def _friction(
+        self, residual: Floats, obscured: dict[int, str], used: Booleans | slice = ALL
+    ) -> list[FrictionFit]:
+        """Fit friction to a residual, which consists of the used samples."""
         fits = []
         for c in range(len(self.names)):
             fit = fit_friction(
-                self.qd[:, c],
-                self.direction[:, c],
+                self.qd[used, c],
+                self.direction[used, c],
                 residual[:, c],
                 self.period,
                 self.motion.window,
@@ -307,7 +382,7 @@ class _Comparison:
 
     def _moving(self) -> list[int]:
         """Leave out joints that friction may have held all the time, unless it may hold all."""
-        moving = [c for c in self.varying if not obstacle(self.qd[:, c], self.period, self.width)]
+        moving = [c for c in self.varying if self._moves(c)]
         return moving or self.varying
 
     def _joint_finding(
@@ -332,10 +407,21 @@ class _Comparison:
             is_varying=is_varying,
         )
 
-    def _diagnoses(self, evidence: Evidence, explanation: Explanation) -> tuple[Diagnosis, ...]:
+    def _diagnoses(
+        self,
+        evidence: Evidence,
+        explanation: Explanation,
+        part: Part | None,
+        bodies: Bodies | None,
+    ) -> tuple[Diagnosis, ...]:
         constant = {self.names[c]: float(self.measured[0, c]) for c in self.constant}
         names = [self.names[c] for c in self.varying]
-        found = diagnose(evidence, explanation, names) if self.varying else []
+        found = [] if part is None else diagnose_part(part, names)
+        if self.varying and (part is None or part.cause is Cause.FORCE):
+            found += diagnose(evidence, explanation, names)
+        if bodies is not None:
+            found = [each for each in found if each.kind != 'unexplained']
+            found.append(diagnose_bodies(bodies, evidence, names))
         return (*diagnose_constant(constant), *found)
 
     def _is_prismatic(self, columns: list[int]) -> list[bool]:

@@ -9,9 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .bodies import Bodies
 from .evidence import Evidence, Explanation
 from .joint_samples import CREDIBLE, Fit, UNDISTORTED
 from .loads import MAX_COM_ERROR
+from .parts import Cause, Part
 
 SAME_FACTOR = 1.1  # factors with a smaller ratio are regarded as equal
 CHANGED = 0.9  # of the RMS residual; a joint whose residual falls by less is not affected
@@ -104,6 +106,36 @@ def diagnose(
         *found.distortion('offset', 'has_offset'),
         *found.unexplained(),
     ]
+
+
+def diagnose_part(part: Part, names: Sequence[str]) -> list[Diagnosis]:
+    """Return the diagnosis of a cause that acts during a part of the recording."""
+    if part.cause is Cause.TILT and part.gravity is not None:
+        angles = [angle_between(each, part.evidence.gravity) for each in part.gravity]
+        steepest = int(np.argmax(angles))
+        values = tuple(part.gravity[steepest].tolist())
+        return [
+            Diagnosis('mounting', values=values, angle=angles[steepest], interval=part.interval)
+        ]
+    if part.cause is Cause.LOAD:
+        (payload,) = _Diagnoses(part.evidence, part.outside, names).payload()
+        return [payload._replace(interval=part.interval)]
+    joints = tuple(names[j] for j in part.joints)
+    return [Diagnosis('external_force', joints, interval=part.interval)]
+
+
+def diagnose_bodies(bodies: Bodies, evidence: Evidence, names: Sequence[str]) -> Diagnosis:
+    """Return the diagnosis for several wrong links."""
+    changes = []
+    for j, (before, after) in enumerate(zip(bodies.before, bodies.after, strict=True)):
+        if after < CHANGED * before:
+            samples = evidence.joints[j]
+            measured = math.sqrt(samples.squares[evidence.first_measured + j])
+            change = Change(names[j], samples.is_prismatic, float(before), float(after), measured)
+            changes.append(change)
+    return Diagnosis(
+        'bodies', changes=tuple(sorted(changes, key=lambda each: each.after - each.before))
+    )
 
 
 def diagnose_constant(values: Mapping[str, float]) -> list[Diagnosis]:

@@ -8,6 +8,7 @@ joint may be distorted in addition.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 import math
 from typing import NamedTuple
@@ -135,6 +136,39 @@ class Evidence:
         self.first_measured = LOADS + PARAMETERS * len(links)
         self.as_is = Hypothesis('as_is', self._weights({MODEL: 1.0}), 0)
 
+    def with_joints(self, joints: Sequence[JointSamples], duration: float) -> Evidence:
+        """Return the same evidence with other samples."""
+        links = dict(zip(self.links, self.link_masses, strict=True))
+        sample_count = self.sample_count * duration / self.duration
+        return Evidence(joints, links, self.gravity, sample_count, duration)
+
+    def restricted(self, interval: tuple[float, float], is_inside: bool) -> Evidence:
+        """Return the samples inside or outside of an interval [s]."""
+        begin, end = interval
+        joints = []
+        for samples in self.joints:
+            used = ((samples.times >= begin) & (samples.times <= end)) == is_inside
+            if not used.any():
+                used[:1] = True
+            joints.append(
+                replace(samples, columns=samples.columns[used], times=samples.times[used])
+            )
+        inside = min(end - begin, self.duration)
+        duration = inside if is_inside else self.duration - inside
+        return self.with_joints(joints, max(duration, 1e-9))
+
+    def loads(self, k: int, start: Explanation) -> list[Explanation]:
+        """Fit payloads on link k without distortions."""
+        found: list[Explanation] = []
+        fits = start.fits
+        for _ in range(MAX_ITERATIONS):
+            hypothesis = self._payload(k, self.as_is, list(fits))
+            if hypothesis is None:
+                break
+            found.append(self.refit(start, hypothesis))
+            fits = found[-1].fits
+        return found
+
     def friction_only(self) -> Explanation:
         """Return the model as it is, with friction."""
         fits = tuple(
@@ -142,6 +176,10 @@ class Evidence:
             for j, samples in enumerate(self.joints)
         )
         return Explanation(self.as_is, fits, tuple(range(len(fits))))
+
+    def distorted(self) -> Explanation:
+        """Return the model as it is, with the best distortion of every joint."""
+        return self._fit_joints(self.as_is)
 
     @property
     def is_too_short(self) -> bool:

@@ -110,7 +110,10 @@ def fit_friction(
 
     reason = obstacle(qd, period, width)
     if reason:
-        return FrictionFit.unknown(reason, float(np.median(residual)))
+        middle = float(np.median(residual))
+        # Where friction acts in one direction most of the time, the median is part of it.
+        is_offset = np.var(residual) + (np.mean(residual) - middle) ** 2 < np.mean(residual**2)
+        return FrictionFit.unknown(reason, middle if is_offset else 0.0)
     moving = is_moving(qd, width)
     features = np.column_stack([qd, direction, np.ones_like(qd)])[moving]
     # Offsets may be negative: two columns for one parameter.

@@ -71,6 +71,10 @@ class Fit(NamedTuple):
     """Whether friction alone explains as much, so that sign and unit cannot be identified."""
     rms: float = 0.0
     """RMS of the residual, in the unit of the recorded effort."""
+    damping: float = 0.0
+    """[N m s/rad or N s/m]."""
+    coulomb: float = 0.0
+    """[N m or N]."""
     has_friction: bool = False
     """Whether Coulomb friction is a considerable part of the effort."""
     scale: float = 1.0
@@ -152,7 +156,7 @@ class JointSamples:
         remaining = float(np.sum(target**2)) / squares
         cost = math.log(remaining + self.floor(measured)) + PARAMETER_COST * distortion.parameters
         values: list[float] = solution[2 if self.moves else 0 :].tolist()
-        coulomb = float(solution[1]) if self.moves else 0.0
+        damping, coulomb = (float(x) for x in solution[:2]) if self.moves else (0.0, 0.0)
         rotor = values.pop(0) if distortion.has_rotor else 0.0
         offset = values.pop(0) - values.pop(0) if distortion.has_offset else 0.0
         scale = values.pop(0) if distortion.is_scaled else 1.0
@@ -166,6 +170,8 @@ class JointSamples:
             rotor=rotor / per_scale,
             offset=offset / per_scale,
             rms=math.sqrt(remaining * squares) * unit,
+            damping=damping / per_scale,
+            coulomb=coulomb / per_scale,
             has_friction=coulomb > FRICTION * math.sqrt(squares),
         )
 
