@@ -122,6 +122,10 @@ class InverseDynamics:
         self._regressor_shape = (len(self._zeros), 10 * (len(R_LZ) - 1))
         self.set_gravity(gravity)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the robot and its loads; the compiled functions would be most of the bytes."""
+        return _with_loads, (type(self), self.loaded)
+
     @property
     def gravity(self) -> Floats:
         """Free-fall acceleration in the base frame, shape (3,) [m/s^2]; read-only."""
@@ -743,3 +747,9 @@ class InverseDynamics:
             return tau
         out[...] = tau
         return out
+
+
+def _with_loads(kind: type[InverseDynamics], loaded: LoadedRobot) -> InverseDynamics:
+    dynamics = kind(loaded.robot)
+    dynamics.loaded, dynamics._table = loaded, loaded.table
+    return dynamics

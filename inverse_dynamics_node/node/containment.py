@@ -15,7 +15,7 @@ from ..errors import shortened
 _TYPES = {kind.value for kind in Parameter.Type}
 
 
-def contain_errors(node: LifecycleNode) -> None:
+def contain_errors(node: LifecycleNode, keep_up: Callable[[], None] = lambda: None) -> None:
     """
     Catch the errors of the services and subscriptions that rclpy has created.
 
@@ -26,19 +26,34 @@ def contain_errors(node: LifecycleNode) -> None:
     ----------
     node : LifecycleNode
         A node without entities of its own yet: their errors must not be hidden.
+    keep_up : callable, optional
+        Called after every request. Requests may fill the queue of the executor, and each takes as
+        long as several commands.
 
     """
     for service in node.services:
         if service.srv_type is SetParameters:
-            service.callback = _set_each(service.callback)
+            callback = _set_each(service.callback)
         elif service.srv_type is SetParametersAtomically:
-            service.callback = _set_all(service.callback)
+            callback = _set_all(service.callback)
         else:
-            service.callback = _contained(node, service.srv_name, service.callback)
+            callback = _contained(node, service.srv_name, service.callback)
+        service.callback = _followed_by(keep_up, callback)
     for subscription in node.subscriptions:
         subscription.callback = _contained_subscription(
             node, subscription.topic_name, subscription.callback
         )
+
+
+def _followed_by(
+    keep_up: Callable[[], None], callback: Callable[[Any, Any], Any]
+) -> Callable[[Any, Any], Any]:
+    def followed(request: Any, response: Any) -> Any:
+        response = callback(request, response)
+        keep_up()
+        return response
+
+    return followed
 
 
 def _contained(

@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 
 from ..control.control_loop import ControlLoop
-from .configure import apply_configuration, make_loop
+from ..robot.model import RobotModel
+from .background import Background
+from .configure import build_loop, load_robot
 from .parameters import Configuration
 
 
 class DescriptionLoader:
     """
-    Makes the control loop for a new robot description in a thread.
+    Makes the control loop for a new robot description, which is read in the background.
 
-    This takes tenths of a second, in which the robot must not be left without commands.
+    Reading takes tenths of a second, in which the robot must not be left without commands.
+
+    Parameters
+    ----------
+    background : Background
+        Reads the descriptions.
 
     """
 
-    def __init__(self) -> None:
-        self._thread = ThreadPoolExecutor(1, 'robot_description')
-        self._loading: Future[ControlLoop] | None = None
+    def __init__(self, background: Background) -> None:
+        self._background = background
+        self._loading: Future[tuple[RobotModel, str]] | None = None
 
     @property
     def is_loading(self) -> bool:
@@ -44,10 +51,10 @@ class DescriptionLoader:
 
         """
         self.drop()
-        self._loading = self._thread.submit(make_loop, configuration, description)
+        self._loading = self._background.submit(load_robot, configuration, description)
 
     def drop(self) -> None:
-        """Ignore the description that is being loaded."""
+        """Ignore the description that is being read."""
         if self._loading is not None:
             self._loading.cancel()
             self._loading = None
@@ -83,7 +90,6 @@ class DescriptionLoader:
         """
         assert self._loading is not None
         loading, self._loading = self._loading, None
-        loop = loading.result()
-        apply_configuration(loop, configuration)
+        loop = build_loop(configuration, *loading.result())
         dropped = loop.continue_from(old) if is_active else loop.copy_inputs_from(old)
         return loop, dropped

@@ -191,7 +191,12 @@ class Inputs:
     def _on_trajectory(self, data: bytes) -> None:
         self._handle(
             '~/joint_trajectory_in',
-            lambda loop, now: self._filler.fill(loop, data, self._runner.is_active),
+            lambda loop, now: self._filler.submit(
+                loop,
+                data,
+                self._runner.is_active,
+                lambda error: self._runner.reject('~/joint_trajectory_in', error),
+            ),
         )
 
     def _handle(self, topic: str, store: Callable[[ControlLoop, float], None]) -> None:

@@ -102,17 +102,21 @@ def _start(args: list[str], stop: _Stop, startup: StartupWatch) -> int:
 def _run(args: list[str], stop: _Stop, startup: StartupWatch) -> int:
     import rclpy.logging
 
+    from .background import Background, prepare_to_load
     from .node import InverseDynamicsNode
     from .remaps import ineffective_remaps, names_of
     from .scheduling import Scheduling
     from .watchdog import Watchdog
 
+    prepare_to_load()
+    background = Background(has_process=True)
     scheduling = Scheduling()
     try:
-        node = InverseDynamicsNode(lambda: stop.count > 1, scheduling)
+        node = InverseDynamicsNode(lambda: stop.count > 1, scheduling, background)
     except Exception as error:
         for problem in (str(error) or repr(error)).splitlines():
             rclpy.logging.get_logger('inverse_dynamics').fatal(problem)
+        background.close()
         return 1
     startup.finish()
     remaps = ineffective_remaps(args, names_of(node), node.get_name(), node.get_namespace())
@@ -133,6 +137,7 @@ def _run(args: list[str], stop: _Stop, startup: StartupWatch) -> int:
                 node.get_logger().warning(text)
     finally:
         node.shut_down()
+        background.close()
         watchdog.close()
         executor.remove_node(node)
         executor.shutdown()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+import gc
 import time
 import traceback
 from typing import Any
@@ -15,6 +16,7 @@ from std_msgs.msg import String
 
 from ..errors import ConfigurationError, InverseDynamicsError, shortened_lines
 from . import qos
+from .background import Background
 from .configure import apply_configuration, check_configuration, make_loop
 from .containment import contain_errors
 from .diagnostics import DiagnosticsPublisher
@@ -37,6 +39,7 @@ from .services import Services
 from .trajectory_filler import TrajectoryFiller
 
 _SUBSCRIBERS_PERIOD = 0.2  # [s]; between checks for subscribers
+_BACKGROUND_PERIOD = 0.005  # [s]; between looks for results of long work
 _LAUNCH_SIGTERM_TIMEOUT = 5.0  # [s]; default of ros2 launch
 
 _SUCCESS = TransitionCallbackReturn.SUCCESS
@@ -56,6 +59,8 @@ class InverseDynamicsNode(LifecycleNode):
         Returns whether to cut the stop ramp short.
     scheduling : Scheduling, optional
         Sets the priority of the threads; created before the node.
+    background : Background, optional
+        Does long work while the loop runs; by default in a thread.
     **kwargs
         Passed to `LifecycleNode`.
 
@@ -65,11 +70,13 @@ class InverseDynamicsNode(LifecycleNode):
         self,
         skip_ramp: Callable[[], bool] = lambda: False,
         scheduling: Scheduling | None = None,
+        background: Background | None = None,
         **kwargs: Any,
     ) -> None:
+        self._background = background or Background()
         self._scheduling = scheduling or Scheduling()
         super().__init__('inverse_dynamics', **kwargs)
-        contain_errors(self)
+        contain_errors(self, self._keep_up)
         declare_parameters(self)
         self._configuration = read_configuration(self)
         for problem in unknown_parameters(self):
@@ -94,8 +101,10 @@ class InverseDynamicsNode(LifecycleNode):
         log = NodeLog(self.get_logger())
         self._outputs = Outputs(self, qos.RELIABLE, **qos.overridable())
         self._graph = Graph(self, self._outputs.commands)
-        self._runner = LoopRunner(self, self._outputs, self._graph, log, clock, now, skip_ramp)
-        filler = TrajectoryFiller(self, log, qos.RELIABLE, **qos.overridable())
+        self._runner = LoopRunner(
+            self, self._outputs, self._graph, log, clock, now, skip_ramp, self._background
+        )
+        filler = TrajectoryFiller(self, log, self._background, qos.RELIABLE, **qos.overridable())
         self.create_subscription(
             String,
             'robot_description',
@@ -116,6 +125,8 @@ class InverseDynamicsNode(LifecycleNode):
             self._scheduling,
         )
         self.create_timer(_SUBSCRIBERS_PERIOD, self._find_subscribers, clock=steady)
+        timer = self.create_timer(_BACKGROUND_PERIOD, self._background.poll, clock=steady)
+        self._background.call_while_busy(timer.reset, timer.cancel)
 
     def get_logger(self) -> Any:
         """Return the logger of the node; it shortens long lines."""
@@ -182,8 +193,15 @@ class InverseDynamicsNode(LifecycleNode):
         if self._runner.loop is None:
             return
         self._inputs.read_latest_joint_state()
+        self._background.poll()
         self._runner.catch_up()
         self._diagnostics.publish_if_late()
+
+    def _keep_up(self) -> None:
+        """Answer the latest joint state before the executor handles further requests."""
+        if self._runner.is_active:
+            self._inputs.read_latest_joint_state()
+            self._runner.step_if_late()
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Load the robot description and compile the control loop."""
@@ -260,6 +278,8 @@ class InverseDynamicsNode(LifecycleNode):
                 'sigterm_timeout of the launch action'
             )
         self._runner.configure(loop, configuration)
+        # A full garbage collection of the libraries' objects takes tens of milliseconds.
+        gc.freeze()
 
     def _use_configuration(self, configuration: Configuration) -> None:
         self._configuration = configuration

@@ -14,6 +14,7 @@ from ..control.control_loop import ControlLoop
 from ..control.controller import Command, COMPUTING_PHASES
 from ..control.monitor import Monitor
 from ..errors import JointStateError, shortened_lines
+from .background import Background
 from .description_loader import DescriptionLoader
 from .graph import Graph
 from .log import NodeLog
@@ -44,6 +45,8 @@ class LoopRunner:
         Returns the time of that clock [s].
     skip_ramp : callable
         Returns whether to cut the stop ramp short.
+    background : Background
+        Reads robot descriptions.
 
     """
 
@@ -56,6 +59,7 @@ class LoopRunner:
         clock: Clock,
         now: Callable[[], float],
         skip_ramp: Callable[[], bool],
+        background: Background,
     ) -> None:
         self._node, self._outputs, self._graph, self._log = node, outputs, graph, log
         self._clock, self._skip_ramp = clock, skip_ramp
@@ -65,7 +69,7 @@ class LoopRunner:
         self.is_active = False
         self.monitor = Monitor()
         self.gate = CommandGate()
-        self.loader = DescriptionLoader()
+        self.loader = DescriptionLoader(background)
         self._last_step = 0.0
         self._timers: list[Timer] = []
 
@@ -207,6 +211,12 @@ class LoopRunner:
         if self._configuration.period:
             self._on_timer()
         self._on_watch()
+
+    def step_if_late(self) -> None:
+        """Step if the timer is late by more than half a period."""
+        now, period = self.now(), self._configuration.period
+        if self.is_active and period and now > self._last_step + 1.5 * period:
+            self.step(now)
 
     def _on_timer(self) -> None:
         if self.is_active:

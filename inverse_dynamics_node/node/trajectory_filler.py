@@ -2,19 +2,61 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import Any, NamedTuple
 
 from rclpy.lifecycle import LifecycleNode
 from rclpy.qos import QoSProfile
+from rclpy.serialization import serialize_message
 from trajectory_msgs.msg import JointTrajectory
 
 from ..control.control_loop import ControlLoop
 from ..dynamics.trajectory import complete, joint_index, trajectory_efforts
-from ..errors import TrajectoryError
+from ..errors import InverseDynamicsError, TrajectoryError
 from . import messages
+from .background import Background
 from .log import NodeLog
 
-_MAX_SIZE = 1_000_000  # [bytes]; takes up to half a second, without commands
+_MAX_SIZE = 1_000_000  # [bytes]; takes some milliseconds to receive and to send, without commands
+_MAX_WAITING = 10
+
+
+class Filled(NamedTuple):
+    """A trajectory with its efforts."""
+
+    data: bytes
+    """The serialized message."""
+    notes: tuple[str, ...]
+    """Descriptions of derived quantities."""
+    beyond: list[str]
+    """Joints whose efforts exceed their limits."""
+
+
+def fill(loop: ControlLoop, data: bytes) -> Filled:
+    """
+    Compute the efforts of a trajectory.
+
+    Parameters
+    ----------
+    loop : ControlLoop
+        The loop whose dynamics and joint positions to use.
+    data : bytes
+        The serialized trajectory, of any of the joints.
+
+    Raises
+    ------
+    TrajectoryError
+        If the trajectory cannot be used.
+
+    """
+    message = messages.deserialize_trajectory(data)
+    trajectory, notes = complete(messages.read_trajectory(message))
+    efforts = trajectory_efforts(loop.dynamics, trajectory, loop.collector.q)
+    index = joint_index(trajectory.joint_names, loop.robot.joint_names)
+    efforts = loop.calibrated(index, efforts)
+    filled = messages.write_trajectory(message, trajectory, efforts)
+    return Filled(serialize_message(filled), notes, loop.beyond_limits(index, efforts))
 
 
 class TrajectoryFiller:
@@ -27,6 +69,8 @@ class TrajectoryFiller:
         The node that publishes.
     log : NodeLog
         For warnings.
+    background : Background
+        Computes the efforts.
     qos : QoSProfile
         Quality of service of the topic.
     **options
@@ -34,29 +78,45 @@ class TrajectoryFiller:
 
     """
 
-    def __init__(self, node: LifecycleNode, log: NodeLog, qos: QoSProfile, **options: Any) -> None:
-        self._log = log
+    def __init__(
+        self,
+        node: LifecycleNode,
+        log: NodeLog,
+        background: Background,
+        qos: QoSProfile,
+        **options: Any,
+    ) -> None:
+        self._log, self._background = log, background
+        self._waiting = 0
         self._publisher = node.create_publisher(
             JointTrajectory, '~/joint_trajectory_out', qos, **options
         )
 
-    def fill(self, loop: ControlLoop, data: bytes, is_active: bool) -> None:
+    def submit(
+        self,
+        loop: ControlLoop,
+        data: bytes,
+        is_active: bool,
+        reject: Callable[[InverseDynamicsError], None],
+    ) -> None:
         """
-        Publish a trajectory with its efforts.
+        Publish a trajectory with its efforts as soon as they have been computed.
 
         Parameters
         ----------
         loop : ControlLoop
-            The loop whose dynamics and joint positions to use.
+            The loop whose dynamics and joint positions to use, as they are now.
         data : bytes
             The serialized trajectory, of any of the joints.
         is_active : bool
             Whether the node is active, and must not go without commands for long.
+        reject : callable
+            Called later if the trajectory cannot be used.
 
         Raises
         ------
-        InverseDynamicsError
-            If the trajectory cannot be used, or there is no subscriber.
+        TrajectoryError
+            If the trajectory is too long, there are too many, or there is no subscriber.
 
         """
         if not self._publisher.get_subscription_count():
@@ -64,17 +124,27 @@ class TrajectoryFiller:
         if is_active and len(data) > _MAX_SIZE:
             raise TrajectoryError(
                 f'{len(data)} bytes, expected at most {_MAX_SIZE} while the node is active, '
-                'because no commands are sent until the efforts have been computed: deactivate '
-                'the node first, or split the trajectory'
+                'because no commands are sent while it is received and sent: deactivate the node '
+                'first, or split the trajectory'
             )
-        message = messages.deserialize_trajectory(data)
-        trajectory, derived = complete(messages.read_trajectory(message))
-        for note in derived:
+        if self._waiting >= _MAX_WAITING:
+            raise TrajectoryError(f'{_MAX_WAITING} earlier trajectories are not filled yet')
+        self._waiting += 1
+        future = self._background.submit(fill, loop, data)
+        future.add_done_callback(lambda future: self._finish(future, reject))
+
+    def _finish(
+        self, future: Future[Filled], reject: Callable[[InverseDynamicsError], None]
+    ) -> None:
+        self._waiting -= 1
+        try:
+            filled = future.result()
+        except InverseDynamicsError as error:
+            reject(error)
+            return
+        for note in filled.notes:
             self._log.warn(note, f'~/joint_trajectory_in: {note}')
-        efforts = trajectory_efforts(loop.dynamics, trajectory, loop.collector.q)
-        index = joint_index(trajectory.joint_names, loop.robot.joint_names)
-        efforts = loop.calibrated(index, efforts)
-        for name in loop.beyond_limits(index, efforts):
+        for name in filled.beyond:
             warning = f"~/joint_trajectory_in: efforts of '{name}' exceed its limit"
             self._log.warn(warning, warning)
-        self._publisher.publish(messages.write_trajectory(message, trajectory, efforts))
+        self._publisher.publish(filled.data)
