@@ -25,6 +25,10 @@ examples:
 exit code: 0 passed; 1 failed, or cannot be run; 2 invalid arguments."""
 
 
+CALIBRATE = 'calibrate'
+"""The scenario that needs more than one run, and the analysis of a recording."""
+
+
 def add_parser(subparsers: Any) -> None:
     """Add the command to the list; it parses its own arguments."""
     parser: argparse.ArgumentParser = subparsers.add_parser(
@@ -38,6 +42,7 @@ def main(arguments: list[str] | None = None) -> int:
     # Imported here, because no other command needs ROS.
     from ..simulation.demo.demo import run_demo
     from ..simulation.demo.processes import stay_on_this_machine, unused_domain
+    from .calibration_demo import run_calibration
 
     options = _parse(arguments)
     stay_on_this_machine()
@@ -47,7 +52,8 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         with unused_domain() if options.domain is None else nullcontext(options.domain) as domain:
             os.environ['ROS_DOMAIN_ID'] = str(domain)
-            return 0 if run_demo(options, lambda: bool(stops)) else 1
+            run = run_calibration if options.scenario == CALIBRATE else run_demo
+            return 0 if run(options, lambda: bool(stops)) else 1
     except KeyboardInterrupt:
         print('stopped')
         return 128 + stops[0]
@@ -63,19 +69,23 @@ def _new_folder(text: str) -> Path:
 
 
 def _parse(arguments: list[str] | None) -> argparse.Namespace:
+    from ..simulation.demo.calibration import SUMMARY
     from ..simulation.demo.scenarios import SCENARIOS
+
+    summaries = {name: scenario.summary for name, scenario in SCENARIOS.items()}
+    summaries[CALIBRATE] = SUMMARY
 
     parser = argparse.ArgumentParser(
         prog='inverse_dynamics demo',
         description='Run the node on a simulated robot in a scenario, and check the result.',
         epilog='scenarios:\n'
-        + '\n'.join(f'  {name:12} {value.summary}' for name, value in SCENARIOS.items())
+        + '\n'.join(f'  {name:12} {summary}' for name, summary in summaries.items())
         + EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument('urdf', type=Path, help='the robot description')
     parser.add_argument(
-        '--scenario', choices=SCENARIOS, default='track', help='see below (default: %(default)s)'
+        '--scenario', choices=summaries, default='track', help='see below (default: %(default)s)'
     )
     parser.add_argument(
         '--rate',
@@ -121,7 +131,7 @@ def _parse(arguments: list[str] | None) -> argparse.Namespace:
         help='storage of the recording (default: %(default)s)',
     )
     options = parser.parse_args(arguments)
-    least = SCENARIOS[options.scenario].least_duration
+    least = 5.0 if options.scenario == CALIBRATE else SCENARIOS[options.scenario].least_duration
     if not 50.0 <= options.rate <= 5000.0:
         parser.error(f'--rate {options.rate:g} is not from 50 to 5000 Hz')
     if not least <= options.duration < math.inf:

@@ -285,7 +285,9 @@ def main(arguments: list[str] | None = None) -> int:
         signal.signal(number, lambda number, _: stopped.append(number))
     try:
         robot = load_urdf(options.robot)
-        start = start_pose(robot, InverseDynamics(robot))
+        start = np.array(options.start or start_pose(robot, InverseDynamics(robot)))
+        if len(start) != len(robot.joint_names):
+            raise SimulationError(f'--start: expected {len(robot.joint_names)} numbers')
         if len(options.armature) not in (1, len(start)):
             raise SimulationError(f'--armature: expected 1 or {len(start)} numbers')
         hardware = MujocoRobot(
@@ -322,6 +324,14 @@ def _parse(arguments: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description='A simulated robot behind ROS topics.')
     parser.add_argument('robot', type=Path, help='URDF of the robot')
     parser.add_argument('--rate', type=float, default=500.0, help='rate of joint states [Hz]')
+    parser.add_argument(
+        '--start',
+        type=float,
+        nargs='+',
+        default=[],
+        metavar='POSITION',
+        help='start pose [rad, m], in the order of the URDF (default: one that is easy to hold)',
+    )
     parser.add_argument(
         '--brake-release',
         type=float,

@@ -8,6 +8,7 @@ and out, so that position, velocity and acceleration are continuous at both ends
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,6 +23,13 @@ ROOM_USED = 0.8  # fraction of the distance to the nearest position limit
 SPEED_USED = 0.5  # fraction of the velocity limit
 EFFORT_USED = 0.9  # fraction of the effort limit; the rest is for feedback
 STEEPEST_FADE = 1.875  # slope of the quintic at its middle
+
+
+class Motion(Protocol):
+    """A motion of n joints."""
+
+    def sample(self, time: Any) -> tuple[Floats, Floats, Floats]:
+        """Return positions, velocities and accelerations at one time [s], each of shape (n,)."""
 
 
 @dataclass(frozen=True, eq=False)

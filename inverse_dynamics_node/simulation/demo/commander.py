@@ -22,7 +22,7 @@ from std_msgs.msg import Bool, Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from ...robot.model import Floats
-from ..trajectory import Trajectory
+from ..trajectory import Motion
 from .history import History
 
 # Critically damped at 20 rad/s: stiff enough that two samples of latency cost less than a
@@ -109,7 +109,8 @@ class Commander(Node):
         self._gains = kp, kd
         self._names: list[str] = []
         self._order: list[int] = []
-        self._trajectory: Trajectory | None = None
+        self._trajectory: Motion | None = None
+        self._records = True
         self._began: int | None = None
         self._last_state = math.inf
         self._now = 0.0
@@ -149,8 +150,9 @@ class Commander(Node):
             message.header.stamp = self._stamp
         self._event_publishers[topic].publish(message)
 
-    def follow(self, trajectory: Trajectory) -> None:
-        """Follow a trajectory, which starts at the next joint state."""
+    def follow(self, trajectory: Motion, records: bool = True) -> None:
+        """Follow a trajectory, which starts at the next joint state; fill the history or not."""
+        self._records = records
         self._began = None
         self._now = self.time = 0.0
         self._trajectory = trajectory
@@ -221,7 +223,8 @@ class Commander(Node):
         self.desired = sample[0]
         self._stamp = message.header.stamp
         self._send(sample)
-        self.history.states.add(self.time, (q, self.desired, effort))
+        if self._records:
+            self.history.states.add(self.time, (q, self.desired, effort))
 
     def _learn_order(self, names: list[str]) -> None:
         complete = set(self._joint_names) <= set(names)
@@ -231,17 +234,17 @@ class Commander(Node):
     def _on_command(self, message: Float64MultiArray) -> None:
         self.commands += 1
         self.command = np.array(message.data)
-        if self._began is not None:
+        if self._records and self._began is not None:
             self.history.commands.add(self.now, self.command)
             self.history.arrivals.append(time.monotonic())
 
     def _on_external(self, message: JointState) -> None:
-        if self._began is not None:
+        if self._records and self._began is not None:
             efforts = dict(zip(message.name, message.effort, strict=True))
             row = [efforts.get(name, math.nan) for name in self._joint_names]
             self.history.external.add(self.now, row)
 
     def _on_brakes(self, message: Bool) -> None:
         self.brakes_on = message.data
-        if self._began is not None:
+        if self._records and self._began is not None:
             self.history.brakes.add(self.now, float(message.data))

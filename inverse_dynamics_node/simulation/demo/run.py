@@ -14,6 +14,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from ...robot.model import Floats, RobotModel
 from ..mujoco.model import SimulationError
+from ..trajectory import Motion
 from .commander import Commander
 from .processes import Processes
 from .scenarios import NODE, Scenario, Script
@@ -60,10 +61,21 @@ class Run:
         self._executor.shutdown()
         self.commander.destroy_node()
 
-    def wait_until_ready(self) -> Floats:
-        """Wait until the node holds the robot and the brakes are open; return the positions."""
+    def wait_until_ready(self, standing: Motion | None = None) -> Floats:
+        """
+        Wait until the node holds the robot and the brakes are open; return the positions.
+
+        Parameters
+        ----------
+        standing : Motion, optional
+            Reference for the node from the first joint state on. Without it, the node holds the
+            robot by its model alone.
+
+        """
         commander = self.commander
         self._wait(lambda: commander.state is not None, 'the robot sends no joint states')
+        if standing is not None:
+            commander.follow(standing, records=False)
         self._wait(lambda: commander.commands > 0, 'the node sends no commands')
         self._wait(lambda: not commander.brakes_on, 'the brakes stay on: commands do not flow')
         assert commander.state is not None

@@ -25,7 +25,7 @@ from std_msgs.msg import Bool, Header
 
 from ...robot.model import Floats
 from .. import tilt
-from ..trajectory import plan, Trajectory
+from ..trajectory import Motion, plan, Trajectory
 from . import verdicts
 from .history import History
 from .stage import (
@@ -60,7 +60,7 @@ class Script:
 
     Attributes
     ----------
-    trajectory : Trajectory
+    trajectory : Motion
         Desired motion of the joints.
     judge : callable
         Returns the `Verdict` for a `History`.
@@ -78,7 +78,7 @@ class Script:
 
     """
 
-    trajectory: Trajectory
+    trajectory: Motion
     judge: Callable[[History], Verdict]
     events: tuple[Event, ...] = ()
     begins: str = ''
@@ -239,10 +239,10 @@ def sensor_lost(stage: Stage) -> Script:
     )
 
 
-_COMPUTED_TORQUE = {'mode': 'computed_torque', 'kp': str(KP), 'kd': str(KD)}
+COMPUTED_TORQUE = {'mode': 'computed_torque', 'kp': str(KP), 'kd': str(KD)}
 # The simulated hardware shares the machine with other processes and may pause for longer than real
 # hardware does.
-_PATIENT = {'state_timeout': '0.5'}
+PATIENT = {'state_timeout': '0.5'}
 SCENARIOS = {
     'track': Scenario(
         'follow a trajectory by resolved accelerations', track, 'accelerations', least_duration=2.0
@@ -251,25 +251,25 @@ SCENARIOS = {
         'gravity compensation: the arm stays where it is',
         hold,
         '',
-        {'mode': 'gravity_compensation', **_PATIENT},
+        {'mode': 'gravity_compensation', **PATIENT},
         least_duration=2.0,
     ),
     'payload': Scenario(
         'pick up a load: the error vanishes when the node receives it on ~/payload',
         payload,
-        parameters={**_COMPUTED_TORQUE, **_PATIENT},
+        parameters={**COMPUTED_TORQUE, **PATIENT},
     ),
     'push': Scenario(
         'push a link: the push appears in ~/external_efforts',
         push,
-        parameters={**_COMPUTED_TORQUE, **_PATIENT},
+        parameters={**COMPUTED_TORQUE, **PATIENT},
     ),
     'tilt': Scenario(
         'tilt the base: the node uses an IMU to hold the arm still',
         tilted,
         parameters={
-            **_COMPUTED_TORQUE,
-            **_PATIENT,
+            **COMPUTED_TORQUE,
+            **PATIENT,
             'base_motion': 'imu',
             'imu_orientation': str(list(IMU_ORIENTATION)),
         },
@@ -278,6 +278,6 @@ SCENARIOS = {
     'sensor-lost': Scenario(
         'stop the joint states for a while: efforts ramp to zero',
         sensor_lost,
-        parameters=_COMPUTED_TORQUE,
+        parameters=COMPUTED_TORQUE,
     ),
 }

@@ -1,0 +1,150 @@
+"""The scenario `calibrate` of the demo: excite, record, identify, and follow the motion again."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+import shutil
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+
+import numpy as np
+
+from ..analysis.calibration import calibrate, Calibration
+from ..analysis.calibration.export import calibrated_urdf, node_parameters
+from ..analysis.excitation import Excitation, find_excitation, motion_limits, States, whole_states
+from ..analysis.measured_states import read_measured_states
+from ..dynamics.inverse_dynamics import InverseDynamics
+from ..report.tables import Table
+from ..robot.model import Floats
+from ..robot.urdf import load_urdf
+from ..simulation.demo.calibration import follow, GivenMotion, judge_calibration, rms_errors
+from ..simulation.demo.history import History
+from ..simulation.demo.stage import Stage
+from ..simulation.demo.unknown_robot import unknown_robot, UnknownRobot
+from .console import progress, say, show
+
+_FRACTION = 0.6
+"""Fraction of the limits to use; the errors with the wrong URDF need the rest."""
+
+
+class _Result(NamedTuple):
+    """Both runs, and the calibration between them."""
+
+    histories: tuple[History, History]
+    errors: tuple[Floats, Floats]
+    """Root mean squares of the tracking errors, each of shape (n,) [rad or m]."""
+    calibration: Calibration
+
+
+def run_calibration(options: argparse.Namespace, stopped: Callable[[], bool]) -> bool:
+    """Run the scenario; return whether it passed."""
+    urdf = str(options.urdf.resolve())
+    robot = load_urdf(urdf)
+    dynamics = InverseDynamics(robot)
+    limits = motion_limits(robot, fraction=_FRACTION)
+    print('searching for an exciting motion', flush=True)
+    with progress('searching for an exciting motion') as report:
+        excitation = find_excitation(dynamics, limits, options.duration, progress=report)
+    motion = _motion(excitation)
+    stage = Stage(urdf, robot, motion.start, options.duration, options.link)
+    truth = unknown_robot(stage)
+    say(
+        'The simulated robot has other masses and centres of mass than the URDF, and friction '
+        'and rotors that the URDF leaves out.'
+    )
+    result = _runs(stage, motion, truth, options, stopped)
+    verdict = judge_calibration(stage, *result.errors, result.calibration.accepted)
+    print()
+    show(_table(stage, truth, result))
+    if options.picture:
+        from .pictures.calibration_demo import draw
+
+        title = f'{robot.name}: calibrate. {verdict}'
+        draw(robot.joint_names, result.histories, result.errors, title, options.picture)
+        print(f'picture: {options.picture}')
+    print(verdict, flush=True)
+    return not verdict.failures
+
+
+def _motion(excitation: Excitation) -> GivenMotion:
+    """Return an exciting motion as a motion of all joints."""
+
+    def function(times: Floats) -> tuple[Floats, Floats, Floats]:
+        states = States(*excitation.series.sample(times))
+        q, qd, qdd = whole_states(excitation.limits, states)
+        return q, qd, qdd
+
+    q, _, _ = function(np.zeros(1))
+    return GivenMotion(q[0], function, excitation.series.duration)
+
+
+def _runs(
+    stage: Stage,
+    motion: GivenMotion,
+    truth: UnknownRobot,
+    options: argparse.Namespace,
+    stopped: Callable[[], bool],
+) -> _Result:
+    """Follow the motion with the URDF, identify the recording, and follow it again."""
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        actual, recorded = folder / 'actual.urdf', folder / 'recorded'
+        calibrated, parameters = folder / 'calibrated.urdf', folder / 'node.yaml'
+        actual.write_bytes(truth.urdf)
+        robot = [str(actual), '--friction', '--armature', *(f'{x:.9f}' for x in truth.armature)]
+
+        def run(title: str, record: Path | None, *node: str) -> tuple[History, Floats]:
+            history = follow(stage, motion, robot, [*node], record, options, stopped, title)
+            return history, rms_errors(history, motion.duration)
+
+        before, errors_before = run('with the URDF', recorded, *_description(stage.urdf))
+        if options.record:
+            shutil.copytree(recorded, options.record)
+            print(f'recorded: {options.record}')
+        recording, _ = read_measured_states(recorded, stage.robot.joint_names)
+        print('identifying', flush=True)
+        with progress('identifying') as report:
+            calibration = calibrate(stage.robot, [recording], progress=report)
+        say(f'{calibration.verdict}.')
+        calibrated.write_bytes(calibrated_urdf(calibration, stage.urdf))
+        parameters.write_text(node_parameters(calibration), encoding='utf-8')
+        after, errors_after = run(
+            'with the calibrated URDF',
+            None,
+            *('--params-file', str(parameters)),
+            *_description(str(calibrated)),
+        )
+    return _Result((before, after), (errors_before, errors_after), calibration)
+
+
+def _description(urdf: str) -> list[str]:
+    return ['-p', f"robot_description_file:='{urdf}'"]
+
+
+def _table(stage: Stage, truth: UnknownRobot, result: _Result) -> Table:
+    """Return the errors of both runs, and the simulated and identified friction and rotors."""
+    found = {joint.name: joint.terms for joint in result.calibration.joints}
+    rows = []
+    for k, name in enumerate(stage.robot.joint_names):
+        is_slide, terms = stage.robot.is_prismatic_joint[k], found.get(name)
+        units = ('mm  ', 'N  ', 'kg    ') if is_slide else ('mrad', 'N m', 'kg m^2')
+        before, after = (1000.0 * float(errors[k]) for errors in result.errors)
+        coulomb = f'{terms.coulomb:.3g}' if terms else '-'
+        armature = f'{terms.armature:.3g}' if terms else '-'
+        rows.append(
+            (
+                name,
+                f'{before:.3g}',
+                f'{after:.3g} {units[0]}',
+                f'{truth.coulomb[k]:.3g}',
+                f'{coulomb} {units[1]}',
+                f'{truth.armature[k]:.3g}',
+                f'{armature} {units[2]}',
+            )
+        )
+    columns = ('joint', 'error before', 'after', 'Coulomb', 'identified', 'rotor', 'identified')
+    return Table(
+        'Tracking errors (RMS), and simulated and identified values', columns, tuple(rows)
+    )
