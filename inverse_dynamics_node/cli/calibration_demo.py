@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 import shutil
 from tempfile import TemporaryDirectory
@@ -23,6 +24,7 @@ from ..simulation.demo.calibration import follow, GivenMotion, judge_calibration
 from ..simulation.demo.history import History
 from ..simulation.demo.stage import Stage
 from ..simulation.demo.unknown_robot import unknown_robot, UnknownRobot
+from ..simulation.demo.verdicts import excuse
 from .console import progress, say, show
 
 _FRACTION = 0.6
@@ -56,6 +58,7 @@ def run_calibration(options: argparse.Namespace, stopped: Callable[[], bool]) ->
     )
     result = _runs(stage, motion, truth, options, stopped)
     verdict = judge_calibration(stage, *result.errors, result.calibration.accepted)
+    verdict = replace(verdict, excuse=excuse(result.histories[1]))
     print()
     show(_table(stage, truth, result))
     if options.picture:

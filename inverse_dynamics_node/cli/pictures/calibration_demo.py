@@ -99,7 +99,7 @@ def _draw_bars(axes: Any, names: tuple[str, ...], errors: tuple[Floats, Floats])
         text = f' {first / max(second, 1e-9):.3g} times'
         axes.text(first, place - 0.18, text, va='center', fontsize=8.5, color=GREY)
     axes.set_xscale('log')
-    axes.set_xlim(right=6.0 * float(np.max(before)))
+    axes.set_xlim(0.5 * float(np.min(after)), 8.0 * float(np.max(before)))
     axes.set_yticks(places, fitting(names, 22), fontsize=8.5)
     axes.set_ylim(len(names) - 0.5, -0.5)
     axes.set_xlabel('RMS error [mrad, mm]', fontsize=9)
