@@ -15,6 +15,7 @@ from .timing import one_core
 
 QUICK = 5  # rounds, for a check that the benchmarks run
 ROUNDS = 60
+QUANTITY_ROUNDS = 30
 BATCH_ROUNDS = 40
 GROWTH_ROUNDS = 15
 
@@ -41,8 +42,10 @@ def main() -> None:
     results.machine = machine.describe()
     results.calls = tables.calls(found, rounds(ROUNDS))
     done('one call')
-    results.others = tables.other_quantities(found, rounds(ROUNDS // 2))
-    done('gravity efforts, mass matrix')
+    results.quantities = tables.quantities_of_one_call(found, rounds(QUANTITY_ROUNDS))
+    done('every quantity, one call')
+    results.quantity_batches = tables.quantities_of_batches(found, rounds(QUANTITY_ROUNDS // 2))
+    done('every quantity, batches')
     results.batches = tables.batches(found, rounds(BATCH_ROUNDS))
     done('batches')
     with one_core():

@@ -12,7 +12,8 @@ from collections.abc import Callable
 from time import thread_time
 from typing import Any, NamedTuple
 
-from inverse_dynamics_node import InverseDynamics
+from inverse_dynamics_node import GeneratedDynamics, InverseDynamics
+from inverse_dynamics_node.dynamics.batch import FEWEST
 from inverse_dynamics_node.dynamics.inverse_dynamics import EffortTerms, JointWrenches
 from inverse_dynamics_node.robot.model import Floats
 import numpy as np
@@ -25,6 +26,7 @@ from .timing import Contender, contender, States
 MOST_STATES = 1024  # in a batch
 MOST_NUMBERS = 1 << 22  # in the results of a batch: 32 MB
 
+MOST_GENERATED = 40  # joints, for which a mass matrix compiles for some seconds
 OURS, THEIRS = 'ours', 'pin'
 
 Call = Callable[..., Any]
@@ -51,12 +53,22 @@ class Quantity(NamedTuple):
     arity: int
     """Number of arguments: q; q and qd; or q, qd and qdd."""
     counterpart: Callable[[Pinocchio], Counterpart]
+    is_generated: bool = False
+    """Whether `GeneratedDynamics` has the method, too, and is timed."""
+
+    @property
+    def name(self) -> str:
+        """Label of the row."""
+        return f'`{self.method}`' + (', written out' if self.is_generated else '')
 
 
-def one_call(quantity: Quantity, robot: Robot, dynamics: Any = None) -> list[Contender]:
+def one_call(quantity: Quantity, robot: Robot) -> list[Contender]:
     """Time one call of this package and of Pinocchio."""
     states = random_states(robot.n)[: quantity.arity]
-    method = getattr(dynamics or InverseDynamics(robot.model), quantity.method)
+    dynamics: Any = InverseDynamics(robot.model)
+    if quantity.is_generated:
+        dynamics = GeneratedDynamics(dynamics)
+    method = getattr(dynamics, quantity.method)
     out = np.empty_like(in_one_array(method(*states[:, 0])))
     peer = Pinocchio(robot)
     found = quantity.counterpart(peer)
@@ -81,7 +93,7 @@ def batches(quantity: Quantity, robot: Robot) -> list[Contender]:
     """Time a batch of this package, and a loop over Pinocchio's call."""
     method = getattr(InverseDynamics(robot.model), quantity.method)
     size = in_one_array(method(*np.zeros((quantity.arity, robot.n)))).size
-    count = min(MOST_STATES, MOST_NUMBERS // size)
+    count = min(MOST_STATES, max(FEWEST, MOST_NUMBERS // size))
     states = random_states(robot.n, count)
     peer = Pinocchio(robot)
     call, read, store = quantity.counterpart(peer)
@@ -254,11 +266,14 @@ def _regressor(peer: Pinocchio) -> Counterpart:
 
 
 QUANTITIES = (
-    Quantity('gravity_efforts', 'computeGeneralizedGravity', 1, _gravity),
-    Quantity('coriolis_efforts', 'nonLinearEffects', 2, _coriolis),
-    Quantity('mass_matrix', 'crba', 1, _mass_matrix),
+    Quantity('gravity_efforts', '`computeGeneralizedGravity`', 1, _gravity),
+    Quantity('coriolis_efforts', '`nonLinearEffects`, no gravity', 2, _coriolis),
+    Quantity('mass_matrix', '`crba`', 1, _mass_matrix),
+    Quantity('mass_matrix', '`crba`', 1, _mass_matrix, is_generated=True),
     Quantity('effort_terms', 'three calls', 3, _terms),
-    Quantity('joint_wrenches', 'rnea', 3, _wrenches),
-    Quantity('joint_wrenches', 'rnea, read', 3, _wrenches_in_an_array),
-    Quantity('regressor', 'computeJointTorqueRegressor', 3, _regressor),
+    Quantity('joint_wrenches', '`rnea`', 3, _wrenches),
+    Quantity('joint_wrenches', '`rnea`, `data.f` copied', 3, _wrenches_in_an_array),
+    Quantity('regressor', '`computeJointTorqueRegressor`', 3, _regressor),
 )
+# Batches have no generated code, and store the wrenches in any case.
+BATCHED = tuple(x for x in QUANTITIES if not x.is_generated and x.label != '`rnea`')

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from . import batch, floor, growth, peers, tables
+from . import batch, floor, growth, peers, quantities, tables
 from .floor import Floor
 from .growth import Growth
 from .operations import count_lagrange, count_newton_euler, Operations
 from .robots import stanford
-from .tables import Entry, Table
+from .tables import Entry, Pairs, Table
 from .timing import Timing
 
 HERE = Path(__file__).resolve().parent
@@ -22,7 +22,8 @@ class Results:
 
     machine: str
     calls: Table
-    others: Table
+    quantities: Pairs
+    quantity_batches: Pairs
     batches: Table
     papers: dict[str, Timing]
     growth: dict[str, Growth]
@@ -40,7 +41,10 @@ def page(results: Results) -> str:
             calls=ratios(results.calls, peers.REFERENCE, 1),
             agreement=agreement(results.calls),
             wrong=wrong(results.calls),
-            others=pairs(results.others),
+            quantities=pairs(results.quantities),
+            quantity_times=pair_times(results.quantities),
+            quantity_batches=pairs(results.quantity_batches),
+            most_states=quantities.MOST_STATES,
             count=batch.COUNT,
             batches=ratios(results.batches, batch.REFERENCE, batch.COUNT),
             papers=papers(results.papers),
@@ -99,18 +103,27 @@ def wrong(table: Table) -> str:
     return '\n'.join(['Wrong results, where all others agree:', '', *lines])
 
 
-def pairs(table: Table) -> str:
+def pairs(found: Pairs) -> str:
     """Format the ratios of this package to Pinocchio."""
-    robots = tables.names(table)
     rows = [
-        [name, *(_ratio(table[name][robot]) for robot in robots)]
-        for name in ('gravity_efforts', 'mass_matrix')
+        [
+            quantity.name,
+            quantity.label,
+            *(_ratio(robot[quantities.OURS]) for robot in row.values()),
+        ]
+        for quantity, row in found.items()
     ]
-    rows += [
-        [f'{name}, time', *(_time(table[name][robot], 1) for robot in robots)]
-        for name in ('gravity_efforts', 'mass_matrix')
-    ]
-    return grid(['', *robots], rows)
+    return grid(['', 'Pinocchio', *next(iter(found.values()))], rows)
+
+
+def pair_times(found: Pairs) -> str:
+    """Format the times of Pinocchio's functions."""
+    rows = {
+        quantity.label: [_time(robot[quantities.THEIRS], 1) for robot in row.values()]
+        for quantity, row in found.items()
+        if not quantity.is_generated  # its counterpart is that of another row
+    }
+    return grid(['', *next(iter(found.values()))], [[name, *row] for name, row in rows.items()])
 
 
 def papers(timings: dict[str, Timing]) -> str:

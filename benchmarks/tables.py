@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 
 from inverse_dynamics_node.robot.model import Floats
 
-from . import batch, peers, workers
+from . import batch, peers, quantities, workers
+from .quantities import Quantity
 from .robots import random_states, Robot
 from .timing import Contender, CORES, difference, one_core, race, Timing
 
@@ -67,16 +68,37 @@ def batches(robots: Sequence[Robot], rounds: int) -> Table:
     return _table(BATCHES, robots, batch.COUNT, rounds)
 
 
-def other_quantities(robots: Sequence[Robot], rounds: int) -> Table:
-    """Time gravity efforts and mass matrix, each relative to Pinocchio's function."""
-    table: Table = {}
+Pairs = dict[Quantity, dict[str, dict[str, Entry]]]
+"""By quantity, robot, and `quantities.OURS` or `quantities.THEIRS`."""
+
+
+def quantities_of_one_call(robots: Sequence[Robot], rounds: int) -> Pairs:
+    """Time every quantity, relative to Pinocchio's function."""
+    return _pairs(quantities.QUANTITIES, quantities.one_call, robots, rounds)
+
+
+def quantities_of_batches(robots: Sequence[Robot], rounds: int) -> Pairs:
+    """Time batches of every quantity, relative to a loop over Pinocchio's function."""
+    return _pairs(quantities.BATCHED, quantities.batches, robots, rounds)
+
+
+def _pairs(
+    kinds: Sequence[Quantity],
+    make: Callable[[Quantity, Robot], list[Contender]],
+    robots: Sequence[Robot],
+    rounds: int,
+) -> Pairs:
+    pairs: Pairs = {quantity: {} for quantity in kinds}
     for robot in robots:
-        states = random_states(robot.n)
-        for pair in (peers.gravity(robot, states), peers.mass_matrix(robot, states)):
+        for quantity in kinds:
+            if quantity.is_generated and robot.n > quantities.MOST_GENERATED:
+                left_out = Entry(None, None, 'not timed')
+                pairs[quantity][robot.name] = {quantities.OURS: left_out}
+                continue
+            pair = make(quantity, robot)
             with one_core():
-                for name, entry in _entries(pair, pair[1], rounds).items():
-                    table.setdefault(name, {})[robot.name] = entry
-    return table
+                pairs[quantity][robot.name] = _entries(pair, pair[1], rounds)
+    return pairs
 
 
 def _table(makers: dict[str, Maker], robots: Sequence[Robot], count: int, rounds: int) -> Table:
