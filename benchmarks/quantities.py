@@ -23,8 +23,8 @@ from .peers import Pinocchio, rows
 from .robots import random_states, Robot
 from .timing import Contender, contender, States
 
-MOST_STATES = 1024  # in a batch
-MOST_NUMBERS = 1 << 22  # in the results of a batch: 32 MB
+MOST_STATES = 512  # in a batch
+MOST_NUMBERS = 1 << 20  # in the results of a batch: 8 MB
 
 MOST_GENERATED = 40  # joints, for which a mass matrix compiles for some seconds
 OURS, THEIRS = 'ours', 'pin'

@@ -16,6 +16,7 @@ from . import (
     batch_mass_matrix,
     batch_regressor,
     columns,
+    effort_terms,
     mass_matrix,
     newton_euler,
     regressor,
@@ -30,6 +31,7 @@ from .arguments import (
     read_threads,
     read_vector,
 )
+from .jit import IS_COMPILED
 from .kernels import prepared
 from .loaded_robot import LoadedRobot
 from .newton_euler import OK
@@ -112,11 +114,15 @@ class InverseDynamics:
         self._batch = prepared(newton_euler.inverse_dynamics_batch, _M, _M, _M, _M, _M)
         self._gravity_efforts = prepared(newton_euler.gravity_efforts, _V, _V, _M)
         self._mass_matrix = prepared(mass_matrix.mass_matrix, _V, _M, _M)
+        self._effort_terms = prepared(effort_terms.effort_terms, *(3 * (_V,)), *(7 * (_M,)))
         self._joint_wrenches = prepared(newton_euler.joint_wrenches, _V, _V, _V, _V, _M, _M, _M)
         self.loaded = LoadedRobot(robot)
         """The robot with its loads, as the passes read it; to be modified by the setters only."""
         self._table = self.loaded.table
         self._tau = np.empty_like(self._zeros)
+        self._state = np.zeros((4, len(self._zeros)))
+        self._terms_tables: tuple[Any, ...] = ()
+        self._terms_revision = -1
         R_LZ = self.loaded.R_ZL.transpose(0, 2, 1)
         self._R_LZ = np.ascontiguousarray(R_LZ).reshape(len(R_LZ), 9)
         self._regressor_shape = (len(self._zeros), 10 * (len(R_LZ) - 1))
@@ -505,11 +511,23 @@ class InverseDynamics:
             If a shape does not fit the robot, or a value is not finite.
 
         """
+        try:
+            if IS_COMPILED and q.ndim == 1:  # type: ignore[union-attr]
+                found = np.empty((5, len(self._zeros))) if out is None else out
+                return self._terms_of_state(q, qd, qdd, found)
+        except (AttributeError, TypeError, ValueError):
+            pass
         rows, shape = broadcast(len(self._zeros), q=q, qd=qd, qdd=qdd)
         q, qd, qdd = (row.reshape(shape) for row in rows)
         if out is not None:
             check_out(out, (5, *shape))
-        terms = EffortTerms(*(np.empty((5, *shape)) if out is None else out))
+            if not is_free(out, rows):
+                out[...] = self.effort_terms(q, qd, qdd)
+                return EffortTerms(*out)
+        found = np.empty((5, *shape)) if out is None else out
+        if IS_COMPILED and len(shape) == 1:
+            return self._terms_of_state(q, qd, qdd, found)
+        terms = EffortTerms(*found)
         zeros = self._zeros if shape == self._zeros.shape else np.zeros(shape)
         only = self.loaded.only
         self._efforts_in(only('inertial'), q, zeros, qdd, terms.inertial)
@@ -524,6 +542,20 @@ class InverseDynamics:
             friction += of_joints[:, columns.LOAD_FRICTION] * np.abs(load) * step
         self._efforts_in(only('external'), q, zeros, zeros, terms.external)
         return terms
+
+    def _terms_of_state(self, q: Any, qd: Any, qdd: Any, out: Floats) -> EffortTerms:
+        if self._effort_terms(q, qd, qdd, self._state, out, *self._tables_of_terms()):
+            shape = (5, len(self._zeros))
+            raise explain(self.robot.joint_names, out, shape, q=q, qd=qd, qdd=qdd)
+        return EffortTerms(*out)
+
+    def _tables_of_terms(self) -> tuple[Any, ...]:
+        """Return the tables for `effort_terms`; kept until a load changes."""
+        if self._terms_revision != self.loaded.revision:
+            terms = ('inertial', 'velocity', 'gravity', 'external')
+            self._terms_tables = (*map(self.loaded.only, terms), self._table)
+            self._terms_revision = self.loaded.revision
+        return self._terms_tables
 
     def joint_wrenches(
         self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: Floats | None = None

@@ -1,0 +1,102 @@
+"""The terms of the efforts of one state: inertial, velocity, gravity, friction, external."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from .columns import (
+    ARMATURE,
+    EXTERNAL_FORCE,
+    EXTERNAL_MOMENT,
+    JOINT_COUNT,
+    LOAD_FRICTION,
+    OMEGA,
+    OMEGA_DOT,
+    STEP,
+    vector,
+)
+from .equations import Vector
+from .jit import compiled, simd_inline
+from .newton_euler import (
+    check,
+    clear,
+    gravity_efforts,
+    inverse_dynamics,
+    joint_terms,
+    OK,
+    WRONG_SIZE,
+)
+
+
+@compiled
+def effort_terms(
+    q: Sequence[float],
+    qd: Sequence[float],
+    qdd: Sequence[float],
+    state: Any,
+    terms: Any,
+    inertial: Any,
+    velocity: Any,
+    gravity: Any,
+    external: Any,
+    robot: Any,
+) -> int:
+    """
+    Compute the terms of the efforts.
+
+    Parameters
+    ----------
+    q, qd, qdd, robot
+        As for `newton_euler.inverse_dynamics`.
+    state : 4 sequences of n floats
+        Scratch space; the last row is zero.
+    terms : 5 sequences of n floats
+        Receives the terms in the order of `EffortTerms`; may share memory with q, qd and qdd.
+    inertial, velocity, gravity, external : tables
+        Tables with these terms only, from `LoadedRobot.only`.
+
+    Returns
+    -------
+    status : int
+        As `inverse_dynamics`.
+
+    """
+    n = int(robot[0][JOINT_COUNT])
+    if len(q) != n or len(qd) != n or len(qdd) != n:
+        return WRONG_SIZE
+    if len(terms) != 5 or len(terms[0]) != n:
+        return WRONG_SIZE
+    for joint in range(n):
+        state[0][joint], state[1][joint], state[2][joint] = q[joint], qd[joint], qdd[joint]
+    q, qd, qdd, rest = state[0], state[1], state[2], state[3]
+    status = inverse_dynamics(q, rest, qdd, terms[0], inertial)
+    status = max(status, inverse_dynamics(q, qd, rest, terms[1], velocity))
+    if any_of(vector(gravity[0], OMEGA)) or any_of(vector(gravity[0], OMEGA_DOT)):
+        # Efforts due to the rotation of the base alone are part of the gravity term.
+        status = max(status, inverse_dynamics(q, rest, rest, terms[2], velocity))
+        for joint in range(n):
+            terms[1][joint] -= terms[2][joint]
+        status = max(status, inverse_dynamics(q, rest, rest, terms[2], gravity))
+    else:
+        status = max(status, gravity_efforts(q, terms[2], gravity))
+    clear(terms[4])
+    for i in range(1, len(external)):
+        row = external[i]
+        if any_of(vector(row, EXTERNAL_FORCE)) or any_of(vector(row, EXTERNAL_MOMENT)):
+            status = max(status, inverse_dynamics(q, rest, rest, terms[4], external))
+            break
+    joint_terms(qd, rest, terms[3], robot)
+    for joint in range(n):
+        row = robot[joint + 1]
+        if row[LOAD_FRICTION] != 0.0:
+            load = terms[0][joint] + terms[1][joint] + terms[2][joint] + terms[4][joint]
+            load -= row[ARMATURE] * qdd[joint]  # on the motor's side of the gear
+            terms[3][joint] += row[LOAD_FRICTION] * row[STEP] * abs(load)
+    return status if status != OK else check(terms[3])
+
+
+@simd_inline
+def any_of(v: Vector) -> bool:
+    """Return whether a vector is not zero."""
+    return bool(v[0] != 0.0 or v[1] != 0.0 or v[2] != 0.0)
