@@ -29,10 +29,16 @@ def main() -> None:
         value = Parameter('kp', value=100.0 + k % 2).to_parameter_msg()
         waiting.append(client.call_async(SetParameters.Request(parameters=[value])))
         while len(waiting) >= AT_ONCE:
-            executor.spin_until_future_complete(waiting[0])
+            _wait(executor, waiting[0])
             assert waiting.popleft().result().results[0].successful
     for future in waiting:
-        executor.spin_until_future_complete(future)
+        _wait(executor, future)
+
+
+def _wait(executor: SingleThreadedExecutor, future: rclpy.Future) -> None:
+    # spin_until_future_complete() of rclpy 7.1 becomes slower with every call.
+    while not future.done():
+        executor.spin_once()
 
 
 if __name__ == '__main__':

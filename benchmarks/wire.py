@@ -277,7 +277,11 @@ class Contender:
         return sent, received
 
     def interruption(
-        self, rate: float, expected: int, interrupt: Callable[[], Callable[[], bool]]
+        self,
+        rate: float,
+        least: float,
+        interrupt: Callable[[], Callable[[], bool]],
+        is_slow: bool = False,
     ) -> float:
         """
         Measure the longest time without a command while the process has something else to do.
@@ -286,10 +290,12 @@ class Contender:
         ----------
         rate : float
             States per second [Hz].
-        expected : int
+        least : float
             Least time to send states [s].
         interrupt : callable
             Gives the process something to do; returns a function that returns whether it is done.
+        is_slow : bool
+            Whether `interrupt` stops this process for a while, and has an effect only later.
 
         Returns
         -------
@@ -299,13 +305,12 @@ class Contender:
         """
         period = round(1e9 / rate)
         with self._turn():
+            is_done = interrupt() if is_slow else None
             self._send_at_rate(WARM_UP, period)
-            is_done = interrupt()
+            is_done = is_done or interrupt()
             received: list[int] = []
             deadline = time.monotonic() + LONGEST
-            while (
-                len(received) < 2 or received[-1] - received[0] < expected * 1e9 or not is_done()
-            ):
+            while len(received) < 2 or received[-1] - received[0] < least * 1e9 or not is_done():
                 received += self._send_at_rate(0.1, period)[1]
                 if time.monotonic() > deadline:
                     raise TimeoutError(f'not done within {LONGEST:g} s')
