@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 import math
 import time
 from typing import Any
@@ -21,6 +21,7 @@ from ..robot.kinematics import rotation_of_rpy
 from ..robot.model import Floats
 from . import messages, qos
 from .cdr import JointStateReader
+from .first_point import read_first_point
 from .outputs import Outputs
 from .parameters import BaseMotion, Configuration
 from .runner import LoopRunner
@@ -66,7 +67,6 @@ class Inputs:
         self.apply(configuration)
         for kind, topic, callback, profile in (
             (Float64MultiArray, '~/desired_accelerations', self._on_accelerations, qos.RELIABLE),
-            (JointTrajectory, '~/reference', self._on_reference, qos.RELIABLE),
             # Messages for several links may arrive at once.
             (InertiaStamped, '~/payload', self._on_payload, qos.QUEUED),
             (WrenchStamped, '~/external_wrench', self._on_external_wrench, qos.QUEUED),
@@ -84,14 +84,13 @@ class Inputs:
         )
 
         # Raw, because reading a long one takes seconds.
-        node.create_subscription(
-            JointTrajectory,
-            '~/joint_trajectory_in',
-            self._on_trajectory,
-            qos.RELIABLE,
-            raw=True,
-            **qos.overridable(),
-        )
+        for topic, receive in (
+            ('~/reference', self._on_reference),
+            ('~/joint_trajectory_in', self._on_trajectory),
+        ):
+            node.create_subscription(
+                JointTrajectory, topic, receive, qos.RELIABLE, raw=True, **qos.overridable()
+            )
 
     def apply(self, configuration: Configuration) -> None:
         """Use changed parameters."""
@@ -140,8 +139,8 @@ class Inputs:
     def _on_accelerations(self, message: Float64MultiArray) -> None:
         self._store_reference('~/desired_accelerations', messages.read_accelerations, message)
 
-    def _on_reference(self, message: JointTrajectory) -> None:
-        self._store_reference('~/reference', messages.read_reference, message)
+    def _on_reference(self, data: bytes) -> None:
+        self._store_reference('~/reference', _read_reference, data)
 
     def _store_reference(self, topic: str, read: Callable[..., Reference], message: Any) -> None:
         loop = self._runner.loop
@@ -209,3 +208,7 @@ class Inputs:
             store(self._runner.loop, now)
         except InverseDynamicsError as error:
             self._runner.reject(topic, error)
+
+
+def _read_reference(data: bytes, joints: Sequence[str], now: float) -> Reference:
+    return messages.read_reference(read_first_point(data), joints, now)

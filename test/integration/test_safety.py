@@ -17,10 +17,12 @@ from rcl_interfaces.srv import SetParameters
 import rclpy.lifecycle.node
 import rclpy.node
 from rclpy.parameter import Parameter
+from rclpy.serialization import serialize_message
 from robot_files import ROOT, STANFORD
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64MultiArray, Header
 from std_srvs.srv import SetBool
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 MODEL = load_urdf(STANFORD)
 NAMES = list(MODEL.joint_names)
@@ -199,6 +201,20 @@ def test_the_log_follows_jumps_of_the_clock(run_node, robot):
         lambda: node.output.count('holding') == 2 or robot.sent > last, 'holding position'
     )
     assert node.output.count('holding') == 2
+
+
+def test_only_the_first_point_of_a_long_reference_is_read(run_node, robot):
+    node = run_node(**PATIENT)
+    robot.publish_state(NAMES, Q, ZERO)
+    wanted = np.array([0.5, -0.4, 0.3, 0.2, -0.1, 0.6])
+    points = [JointTrajectoryPoint(accelerations=wanted)] * 5000
+    data = serialize_message(JointTrajectory(joint_names=NAMES, points=points))
+    publication = robot.keep_publishing('inverse_dynamics/reference', JointTrajectory())
+    robot.cease(publication)
+    # The rest is missing: reading it would be an error.
+    robot._always.append((publication[0], data[:2000]))
+    robot.wait_for_command(DYNAMICS.efforts(Q, ZERO, wanted))
+    assert 'message dropped' not in node.output
 
 
 def heavier(text):
