@@ -168,7 +168,7 @@ def node_lines(status: ObservedStatus) -> list[tuple[str, str]]:
         rates.append(f'joint states {status.state_rate:.1f} Hz')
     lines.append(('rates', ', '.join(rates)))
     ages = [
-        f'{what} {_number(age, 3)} s ({_time_limit(limit)})'
+        f'{what} {_age(age)} ({_time_limit(limit)})'
         for what, age, limit in (
             ('joint states', status.state_age, status.state_timeout),
             ('reference', status.reference_age, status.reference_timeout),
@@ -188,10 +188,14 @@ def _warnings(observer: Observer) -> list[Any]:
         for problem in observer.status.problems:
             style = 'bold red' if problem.level == 'ERROR' else 'yellow'
             lines.append(Text(f'{problem.level} {problem.part}: {problem.message}', style))
-    now = time.time()
-    for line in [line for line in observer.log if now - line.time < RECENT][-MOST_WARNINGS:]:
+    oldest = time.time() - RECENT
+    recent = [line for line in observer.log if line.time > oldest]
+    last = {line.text: line for line in recent}  # a lasting problem is logged again and again
+    for line in sorted(last.values(), key=lambda line: line.time)[-MOST_WARNINGS:]:
         clock = time.strftime('%H:%M:%S', time.localtime(line.time))
-        lines.append(Text(f'{clock} {line.level} {line.text}', 'yellow'))
+        count = sum(other.text == line.text for other in recent)
+        times = f' ({count} times)' if count > 1 else ''
+        lines.append(Text(f'{clock} {line.level} {line.text}{times}', 'yellow'))
     return [Text(''), *lines] if lines else []
 
 
@@ -261,12 +265,17 @@ def _bar(fraction: float | None) -> Any:
     return text
 
 
+def _age(seconds: float | None) -> str:
+    return 'never received' if seconds is None else f'{seconds:.3f} s'
+
+
 def _time_limit(seconds: float) -> str:
     return f'limit {seconds:g} s' if seconds else 'no limit'
 
 
 def _number(value: float | None, decimals: int) -> str:
-    return '-' if value is None else f'{value:.{decimals}f}'
+    # Adding zero removes the sign of a rounded zero.
+    return '-' if value is None else f'{round(value, decimals) + 0.0:.{decimals}f}'
 
 
 def _known(value: float) -> float | None:

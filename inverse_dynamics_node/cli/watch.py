@@ -166,9 +166,10 @@ class _Watch:
         observer, status = self.observer, self.observer.status
         silence = now - max(observer.status_time, self._began)
         if status is None or silence > _LOST:
+            state = 'is starting' if status is None else 'has ended'
             reason = (
-                f'no diagnostics from {observer.name} for {silence:.0f} s: it has ended, or '
-                'cannot be reached'
+                f'no diagnostics from {observer.name} for {silence:.0f} s: it {state}, or cannot '
+                'be reached'
             )
             cause = Cause.NO_DIAGNOSTICS if silence > _LOST else Cause.TOO_FEW_SAMPLES
             return Verdict(Outcome.UNDECIDED, cause, reason=reason)
