@@ -5,7 +5,7 @@ Usage: python examples/follow_trajectory.py my_arm.urdf trajectory.yaml [SPEED]
 
 The node must run in mode computed_torque. The robot first moves slowly from where it is to the
 first point. SPEED scales the trajectory: 0.2 is a slow rehearsal. The file has a format of
-`inverse_dynamics effort`.
+`inverse_dynamics effort`; joints that it does not contain stay where they are.
 
 """
 
@@ -19,6 +19,7 @@ from inverse_dynamics_node.analysis.trajectory_files import read_trajectory
 from inverse_dynamics_node.dynamics.trajectory import complete, refine, Trajectory
 import numpy as np
 import rclpy
+from rclpy.parameter_client import AsyncParameterClient
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -27,39 +28,56 @@ AT_REST = 1.0  # [s] at the last point
 
 robot = load_urdf(sys.argv[1])
 speed = float(sys.argv[3]) if len(sys.argv) > 3 else 1.0
-whole, _ = complete(read_trajectory(Path(sys.argv[2]), robot.joint_names).trajectory)
-names = list(whole.joint_names)
+planned, _ = complete(read_trajectory(Path(sys.argv[2]), robot.joint_names).trajectory)
 
 rclpy.init()
 node = rclpy.create_node('follow_trajectory')
+client = AsyncParameterClient(node, 'inverse_dynamics')
+if not client.wait_for_services(timeout_sec=10.0):
+    sys.exit('there is no node /inverse_dynamics')
+answer = client.get_parameters(['mode'])
+rclpy.spin_until_future_complete(node, answer, timeout_sec=10.0)
+mode = answer.result().values[0].string_value if answer.done() else 'unknown'
+if mode != 'computed_torque':
+    sys.exit(f'the mode of the node is {mode}, expected computed_torque')
 publisher = node.create_publisher(JointTrajectory, 'inverse_dynamics/reference', 10)
-motion, began, errors = None, 0.0, []
+names, motion, began, errors = None, None, 0.0, []
 
 
-def with_approach(measured):
+def with_approach(names, measured):
     """Return the motion in steps of 2 ms: from the measured positions, along the trajectory."""
-    distance = np.abs(whole.positions[0] - measured).max()
-    duration, rest = 1.0 + distance / APPROACH, np.zeros((1, len(names)))
-    times = np.append(0.0, duration + (whole.times - whole.times[0]) / speed)
-    positions = np.vstack([measured, whole.positions])
-    velocities = np.vstack([rest, whole.velocities * speed])
-    accelerations = np.vstack([rest, whole.accelerations * speed**2])
-    return refine(
-        Trajectory(whole.joint_names, times, positions, velocities, accelerations), 0.002
-    )
+    points = len(planned.times)
+    positions, velocities, accelerations = np.zeros((3, points + 1, len(names)))
+    positions[:] = measured
+    index = [names.index(name) for name in planned.joint_names]
+    positions[1:, index] = planned.positions
+    velocities[1:, index] = planned.velocities * speed
+    accelerations[1:, index] = planned.accelerations * speed**2
+    approach = 1.0 + np.abs(positions[1] - measured).max() / APPROACH
+    times = np.append(0.0, approach + (planned.times - planned.times[0]) / speed)
+    print(f'{times[-1]:.1f} s, of which {approach:.1f} s to the first point')
+    return refine(Trajectory(tuple(names), times, positions, velocities, accelerations), 0.002)[0]
+
+
+def on_efforts(message):
+    """Learn which joints the node commands: a reference must have all of them."""
+    global names
+    if names is None:
+        names = list(message.name)
+        others = set(planned.joint_names) - set(names)
+        if others:
+            sys.exit(f'the node does not command {", ".join(sorted(others))}')
 
 
 def on_state(message):
     """Publish the reference for this moment."""
     global motion, began
     positions = dict(zip(message.name, message.position, strict=True))
-    if not all(name in positions for name in names):
+    if names is None or not all(name in positions for name in names):
         return
     measured = np.array([positions[name] for name in names])
     if motion is None:
-        motion, began = with_approach(measured)[0], time.monotonic()
-        approach = motion.times[-1] - np.ptp(whole.times) / speed
-        print(f'{motion.times[-1]:.1f} s, of which {approach:.1f} s to the first point')
+        motion, began = with_approach(names, measured), time.monotonic()
     k = min(int(np.searchsorted(motion.times, time.monotonic() - began)), len(motion.times) - 1)
     point = JointTrajectoryPoint(
         positions=motion.positions[k].tolist(),
@@ -70,12 +88,13 @@ def on_state(message):
     errors.append(np.abs(measured - motion.positions[k]))
 
 
+node.create_subscription(JointState, 'inverse_dynamics/joint_efforts', on_efforts, 1)
 node.create_subscription(JointState, 'joint_states', on_state, 1)
 with contextlib.suppress(KeyboardInterrupt):
     while motion is None or time.monotonic() - began < motion.times[-1] + AT_REST:
         rclpy.spin_once(node, timeout_sec=1.0)
 if not errors:
-    sys.exit('no joint state of all joints of the trajectory has arrived')
+    sys.exit('no message on joint_states or inverse_dynamics/joint_efforts has arrived')
 print('largest error [rad, m]:')
 for name, error in zip(names, np.max(errors, axis=0), strict=True):
     print(f'{name:20} {error:10.4f}')

@@ -44,7 +44,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         '--sway',
         action='store_true',
-        help='the position controller moves every joint slowly back and forth',
+        help='until commands arrive, the position controller moves every joint back and forth',
     )
     parser.add_argument(
         '--friction', action='store_true', help='give the joints the friction of the URDF'

@@ -45,6 +45,11 @@ class PositionDrive:
             middle = 0.5 * (model.lower + model.upper)
         self._side = np.where(self._start > middle, -1.0, 1.0)
 
+    def stand_still(self, now: float) -> None:
+        """Stop swaying from now on [s], so that the robot is at rest when it is released."""
+        self._amplitude = np.zeros_like(self._amplitude)
+        self.take_over(now)
+
     def act(self, now: float) -> None:
         """Apply the efforts for one time [s]."""
         phase = self._frequency * (now - self._began)

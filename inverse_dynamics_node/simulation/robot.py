@@ -234,6 +234,8 @@ class RobotNode(Node):
         now = self._elapsed
         if now - self._last_command > GAP or not self._has_sensors:
             self._flow_began = now
+            if self._drive is not None and self._drive.is_on:
+                self._drive.stand_still(now)
         self._last_command = now
         if now - self._flow_began < self._brake_release:
             return

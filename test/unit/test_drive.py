@@ -61,6 +61,14 @@ def test_every_joint_sways_within_its_limits():
     assert np.abs(np.diff(positions, axis=0)).max() < 1e-3
 
 
+def test_it_stops_swaying_before_it_releases_the_robot():
+    robot, drive = robot_and_drive(sways=True)
+    run(robot, drive, 0.0, 2.0)
+    drive.stand_still(2.0)
+    positions, _ = run(robot, drive, 2.0, 3.0)
+    assert np.ptp(positions[-100:], axis=0).max() < 1e-6
+
+
 def test_it_takes_over_where_the_robot_is():
     robot, drive = robot_and_drive()
     run(robot, drive, 0.0, 0.1)
