@@ -54,7 +54,7 @@ def main() -> None:
         answers, trips = at_once(arguments.rounds, is_permitted, busy)
         turns = max(1, round(arguments.duration / LONG_TURN))
         ticks = at_a_rate(turns, min(LONG_TURN, arguments.duration), is_permitted, busy)
-        gaps = interrupted(max(1, arguments.rounds // 3), is_permitted, busy)
+        gaps = interrupted(max(1, arguments.rounds // 5), is_permitted, busy)
     finally:
         busy.close()
     page = (
