@@ -57,7 +57,8 @@ joint moves in both directions, at different speeds, are enough.
 
 Differences that it can diagnose: a swapped sign; efforts that are currents, or in another unit;
 gravity compensated by the driver; a different mounting of the base; a payload; joints in another
-order; inertia of rotors; an offset; a driver that does not measure. Friction is fitted separately,
+order; inertia of rotors; an offset; a driver that does not measure; several wrong links. Loads,
+pushes and a base that tilts may last for a part of the recording. Friction is fitted separately,
 and --parameters writes it for the node.
 
 exit code: 0 compared; 1 the recording cannot be compared; 2 invalid arguments; 3 there are
@@ -94,9 +95,9 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         '--coulomb-width',
         type=float,
-        default=FRICTION_WIDTH,
         metavar='SPEED',
-        help='speed over which Coulomb friction is smoothed [rad/s, m/s] (default: %(default)s)',
+        help='speed over which Coulomb friction is smoothed [rad/s, m/s] (default: fitted, or '
+        f'{FRICTION_WIDTH})',
     )
     parser.add_argument(
         '--parameters',
@@ -115,7 +116,7 @@ def run(options: argparse.Namespace) -> int:
     dynamics = load_dynamics(options.urdf, options.gravity)
     robot = dynamics.robot
     if options.friction:
-        dynamics.set_friction(width=width)
+        dynamics.set_friction(width=FRICTION_WIDTH if width is None else width)
     load = attach_payload(dynamics, options.link or last_link(robot), options.payload)
     with progress('reading') as report:
         recording, notes = read_measured_states(
@@ -150,9 +151,9 @@ def run(options: argparse.Namespace) -> int:
     return _FOUND if options.strict and warnings else 0
 
 
-def _friction_width(options: argparse.Namespace) -> float:
-    width: float = options.coulomb_width
-    if not (math.isfinite(width) and width > 0.0):
+def _friction_width(options: argparse.Namespace) -> float | None:
+    width: float | None = options.coulomb_width
+    if width is not None and not (math.isfinite(width) and width > 0.0):
         raise ConfigurationError(f'--coulomb-width is {width}, expected a speed above 0')
     return width
 
@@ -185,5 +186,13 @@ def write_parameters(findings: Findings, joint_names: tuple[str, ...], path: Pat
         findings.joints, key=lambda joint: joint_names.index(joint.name)
     )
     names = [joint.name for joint in joints]
-    text = friction_parameters(names, [joint.friction for joint in joints], findings.width)
+    rotors = {
+        name: value
+        for diagnosis in findings.diagnoses
+        if diagnosis.kind == 'rotor_inertia'
+        for name, value in zip(diagnosis.joints, diagnosis.values, strict=True)
+    }
+    armature = [rotors.get(name, 0.0) for name in names] if rotors else []
+    fits = [joint.friction for joint in joints]
+    text = friction_parameters(names, fits, findings.width, armature)
     path.write_text(text, encoding='utf-8')

@@ -115,29 +115,38 @@ def motion_notes(motion: Motion) -> list[str]:
 
 def friction_table(findings: Findings) -> Table:
     """Return the fitted friction with standard errors."""
+    has_shape = any(joint.friction.has_shape for joint in findings.joints)
     rows = []
     for joint in findings.joints:
         fit = joint.friction
         numbers = ('-', '-', '-')
+        shape = ('-', '-')
         if not fit.unknown_because:
             numbers = (
                 _with_error(fit.damping, fit.damping_error),
                 _with_error(fit.coulomb, fit.coulomb_error),
                 _with_error(fit.offset, fit.offset_error),
             )
-        rows.append((joint.name, *numbers))
+            own_width = fit.width if fit.has_shape else findings.width
+            shape = f'{own_width:g}', f'{fit.load_friction:.3f}'
+        rows.append((joint.name, *numbers, *(shape if has_shape else ())))
+    coulomb = 'Coulomb'
+    width = f'{findings.width:g}'
+    if has_shape:
+        coulomb, width = '(Coulomb + per load * |modelled effort|)', 'width'
     notes = (
-        f'damping * velocity + Coulomb * tanh(velocity / {findings.width:g}) + offset, in '
-        'N m s/rad and N m (prismatic joints: N s/m and N).',
+        f'damping * velocity + {coulomb} * tanh(velocity / {width}) + offset, in N m s/rad and '
+        'N m (prismatic joints: N s/m and N).',
         *(
             f'{joint.name}: unknown, {joint.friction.unknown_because}.'
             for joint in findings.joints
             if joint.friction.unknown_because
         ),
     )
+    columns = ('joint', 'damping', 'Coulomb', 'offset', *(('width', 'per load') * has_shape))
     return Table(
         'Friction, fitted to the residual (± standard errors, of random errors only)',
-        ('joint', 'damping', 'Coulomb', 'offset'),
+        columns,
         tuple(rows),
         notes,
     )

@@ -4,7 +4,7 @@ from dataclasses import replace
 import math
 
 from inverse_dynamics_node import InverseDynamics
-from inverse_dynamics_node.analysis.identification import identify
+from inverse_dynamics_node.analysis.identification import friction_parameters, identify
 from inverse_dynamics_node.dynamics.jit import IS_COMPILED
 from inverse_dynamics_node.report.compare_report import (
     comparison_table,
@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from runs import ROBOTS, run
 from scipy.signal import butter, sosfiltfilt
+import yaml
 
 # Without compiled functions these tests take an hour.
 pytestmark = pytest.mark.skipif(not IS_COMPILED, reason='numba is not here, or off')
@@ -183,6 +184,28 @@ def test_nothing_is_found_in_a_short_recording(name, begin):
     findings = identify(dynamics, short)
     assert kinds(findings) == []
     assert 'too short' in verdict(findings)
+
+
+def test_width_and_load_friction_are_fitted_and_written(rng):
+    width = np.array([0.1, 0.01, 0.01, 0.05, 0.01, 0.01, 0.01])
+    per_load = np.array([0.0, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+    def act(real):
+        real.set_friction(1.0, 3.0, width=width, load_friction=per_load)
+
+    dynamics, recording = run('seven_dof', rate=100.0, effort_noise=0.002, act=act)
+    fits = [joint.friction for joint in identify(dynamics, recording).joints]
+    assert [fits[0].width, fits[3].width] == pytest.approx([0.1, 0.05], rel=0.5)
+    assert fits[0].coulomb == pytest.approx(3.0, rel=0.1)
+    assert fits[1].load_friction == pytest.approx(0.2, rel=0.15)
+    assert not any(fit.load_friction for fit in fits[2:])
+    text = friction_parameters(recording.joint_names, fits, 0.01, [0.5, *6 * [0.0]])
+    parameters = yaml.safe_load(text)['/**']['ros__parameters']
+    assert parameters['coulomb_width'][0] == pytest.approx(fits[0].width)
+    assert parameters['load_friction'][1] == pytest.approx(fits[1].load_friction, rel=1e-3)
+    assert parameters['armature'] == [0.5, *6 * [0.0]]
+    fixed = identify(dynamics, recording, width=0.02)
+    assert not any(joint.friction.has_shape for joint in fixed.joints)
 
 
 # ---- Flaws of recordings -------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 import math
 
 import numpy as np
@@ -15,6 +16,7 @@ from .diagnoses import diagnose, diagnose_bodies, diagnose_constant, diagnose_pa
 from .evidence import Evidence, Explanation
 from .findings import Findings, JointFinding
 from .friction import fit_friction, FrictionFit, is_moving, obstacle
+from .friction_shape import fit_shape
 from .joint_samples import CREDIBLE, JointSamples
 from .loads import moves_with, payload_regressors, point_mass_parameters, tip_links
 from .parts import (
@@ -40,7 +42,7 @@ def identify(
     recording: Recording,
     others: ArrayLike | None = None,
     link: str | None = None,
-    width: float = FRICTION_WIDTH,
+    width: float | None = None,
 ) -> Findings:
     """
     Compare a recording with the model.
@@ -55,8 +57,9 @@ def identify(
         Positions of the joints that were not recorded [rad or m]; default: zero.
     link : str, optional
         Link that may carry an unknown load; default: the tips of the tree.
-    width : float
-        Speed over which Coulomb friction is smoothed [rad/s or m/s].
+    width : float, optional
+        Speed over which Coulomb friction is smoothed [rad/s or m/s]; default: fitted for each
+        joint where the recording shows it.
 
     Returns
     -------
@@ -107,9 +110,12 @@ class _Comparison:
         index: list[int],
         others: ArrayLike | None,
         link: str | None,
-        width: float,
+        width: float | None,
     ) -> None:
-        self.dynamics, self.motion, self.width = dynamics, motion, width
+        self.dynamics, self.motion = dynamics, motion
+        self.fits_shape = width is None
+        self.width = width = FRICTION_WIDTH if width is None else width
+        self.load: Floats = np.zeros(0)
         robot = self.robot = dynamics.robot
         K, n = len(motion.times), len(robot.joint_names)
         q, qd, qdd = np.zeros((3, K, n))
@@ -154,8 +160,10 @@ class _Comparison:
         if part is not None and part.cause is Cause.FORCE:
             used = ~self._inside(part)
         fits = self._friction(measured[used] - efforts[used], self._obscured(explanation), used)
+        if self.fits_shape and part is None:
+            fits = self._with_shape(fits, measured - efforts, explanation)
         for c, fit in enumerate(fits):
-            efforts[:, c] += fit.efforts(self.qd[:, c], self.direction[:, c])
+            efforts[:, c] += self._friction_efforts(c, fit)
         recorded = self._as_recorded(efforts, explanation)
         when = [used & each for each in self._when_comparable(fits)]
         rubbing = self._with_friction_only()
@@ -174,6 +182,35 @@ class _Comparison:
             is_too_short=evidence.is_too_short,
             moving=tuple(self._moving()),
         )
+
+    def _with_shape(
+        self, fits: list[FrictionFit], residual: Floats, explanation: Explanation
+    ) -> list[FrictionFit]:
+        """Fit the shape of the friction of joints whose friction is known."""
+        self.load = np.abs(self.rigid + self._correction(explanation))
+        return [
+            fit_shape(
+                fit,
+                self.qd[:, c],
+                residual[:, c],
+                self.load[:, c],
+                partial(smooth_like_efforts, self.motion),
+                self.width,
+                self.motion.window,
+            )
+            for c, fit in enumerate(fits)
+        ]
+
+    def _friction_efforts(self, c: int, fit: FrictionFit) -> Floats:
+        """Return the efforts of friction and offset of a column."""
+        qd = self.qd[:, c]
+        if not fit.has_shape:
+            return fit.efforts(qd, self.direction[:, c])
+        direction = np.tanh(qd / fit.width)
+        step = np.column_stack([direction, self.load[:, c] * direction])
+        step = smooth_like_efforts(self.motion, step)
+        efforts: Floats = fit.efforts(qd, step[:, 0]) + fit.load_friction * step[:, 1]
+        return efforts
 
     def _inside(self, part: Part) -> Booleans:
         begin, end = part.interval

@@ -6,7 +6,7 @@ Near zero speed dry friction can have any value up to its maximum: such samples 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 import math
 from typing import NamedTuple
 
@@ -35,6 +35,10 @@ class FrictionFit(NamedTuple):
     offset_error: float
     unknown_because: str
     """Why the friction of this joint cannot be identified; empty if it was fitted."""
+    width: float = math.nan
+    """Speed over which Coulomb friction is smoothed, if it was fitted [rad/s or m/s]."""
+    load_friction: float = 0.0
+    """Increase of Coulomb friction per magnitude of the effort that moves the links."""
 
     @classmethod
     def unknown(cls, reason: str, offset: float = 0.0) -> FrictionFit:
@@ -45,6 +49,11 @@ class FrictionFit(NamedTuple):
         """Return the efforts of friction and offset for velocities and smoothed directions."""
         efforts: Floats = self.damping * qd + self.coulomb * direction + self.offset
         return efforts
+
+    @property
+    def has_shape(self) -> bool:
+        """Whether width or load friction was fitted."""
+        return math.isfinite(self.width)
 
 
 def is_moving(qd: Floats, width: float) -> Booleans:
@@ -123,12 +132,12 @@ def fit_friction(
     triangle = np.asarray(np.linalg.qr(samples, mode='r'))
     solution = nnls(triangle[:, :-1], triangle[:, -1])[0] / scale
     fit = np.array([solution[0], solution[1], solution[2] - solution[3]])
-    errors = _standard_errors(features, residual[moving] - features @ fit, moving, window)
+    errors = standard_errors(features, residual[moving] - features @ fit, moving, window)
     damping, coulomb, offset = fit.tolist()
     return FrictionFit(damping, coulomb, offset, *errors, '')
 
 
-def _standard_errors(
+def standard_errors(
     features: Floats, residual: Floats, moving: Booleans, window: int
 ) -> tuple[float, float, float]:
     """
@@ -150,7 +159,10 @@ def _standard_errors(
 
 
 def friction_parameters(
-    joint_names: Sequence[str], fits: Sequence[FrictionFit], width: float
+    joint_names: Sequence[str],
+    fits: Sequence[FrictionFit],
+    width: float,
+    armature: Sequence[float] = (),
 ) -> str:
     """
     Return friction as parameters of the node, in YAML.
@@ -162,7 +174,9 @@ def friction_parameters(
     fits : sequence of FrictionFit
         One per joint; for an unknown friction, the node uses that of the URDF.
     width : float
-        Speed over which Coulomb friction is smoothed [rad/s or m/s].
+        Speed over which Coulomb friction is smoothed [rad/s or m/s], unless it was fitted.
+    armature : sequence of float
+        Rotor inertia of each joint [kg m^2, kg]; empty if none was found.
 
     Returns
     -------
@@ -175,8 +189,6 @@ def friction_parameters(
         for name, fit in zip(joint_names, fits, strict=True)
         if fit.unknown_because
     ]
-    damping = ', '.join(ros_number(-1.0 if fit.unknown_because else fit.damping) for fit in fits)
-    coulomb = ', '.join(ros_number(-1.0 if fit.unknown_because else fit.coulomb) for fit in fits)
     names = ', '.join("'" + name.replace("'", "''") + "'" for name in joint_names)
     lines = [
         '# Friction, fitted to a recording: damping [N m s/rad, N s/m] and Coulomb friction '
@@ -186,11 +198,22 @@ def friction_parameters(
         '  ros__parameters:',
         f'    joints: [{names}]',
         '    include_friction: true',
-        f'    damping: [{damping}]',
-        f'    coulomb: [{coulomb}]',
-        f'    coulomb_width: {ros_number(width)}',
+        f'    damping: {_list(-1.0 if fit.unknown_because else fit.damping for fit in fits)}',
+        f'    coulomb: {_list(-1.0 if fit.unknown_because else fit.coulomb for fit in fits)}',
     ]
+    if any(fit.has_shape for fit in fits):
+        widths = _list(fit.width if fit.has_shape else width for fit in fits)
+        lines.append(f'    coulomb_width: {widths}')
+        lines.append(f'    load_friction: {_list(fit.load_friction for fit in fits)}')
+    else:
+        lines.append(f'    coulomb_width: {ros_number(width)}')
+    if armature:
+        lines.append(f'    armature: {_list(armature)}')
     return '\n'.join(lines) + '\n'
+
+
+def _list(values: Iterable[float]) -> str:
+    return f'[{", ".join(ros_number(value) for value in values)}]'
 
 
 def ros_number(value: float) -> str:
