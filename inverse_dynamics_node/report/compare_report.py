@@ -161,6 +161,8 @@ def percent(fraction: float) -> str:
         return '<-999%'
     if fraction > 0.9999:
         return '>99.99%'
+    if abs(fraction) < 5e-4:
+        return '0.0%'
     return f'{fraction:.2%}' if fraction > 0.99 else f'{fraction:.1%}'
 
 

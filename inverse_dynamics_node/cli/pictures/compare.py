@@ -9,6 +9,7 @@ import numpy as np
 
 from ...analysis.identification import Findings
 from ...report.compare_report import percent
+from ...report.diagnosis_text import amount
 from ...robot.model import Floats
 from .style import (
     BLUE,
@@ -66,8 +67,15 @@ def _rows(pyplot: Any, findings: Findings) -> tuple[Any, list[Any]]:
         _draw_difference(right, findings, c)
         left.set_ylabel('[N]' if joint.is_prismatic else '[N m]', fontsize=9)
         left.set_title(names[c], fontsize=9.5, pad=3)
-        explained = f'explained {percent(joint.explained)}, {percent(joint.explained_corrected)}'
-        left.set_title(explained, loc='right', fontsize=8.5, pad=3, color=GREY)
+        residuals = f'{joint.rms_residual:.3g}, {amount(joint.rms_corrected, joint.is_prismatic)}'
+        explained = percent(joint.explained_corrected)
+        left.set_title(
+            f'RMS residual {residuals} (explained {explained})',
+            loc='right',
+            fontsize=8.5,
+            pad=3,
+            color=GREY,
+        )
         _fewer_ticks(left, right)
     axes[0, 1].set_title('measured minus modelled', fontsize=9.5, pad=3)
     for ax in axes[-1]:
@@ -91,8 +99,8 @@ def _small(pyplot: Any, findings: Findings) -> tuple[Any, list[Any]]:
         joint = findings.joints[c]
         lines = _draw_efforts(ax, findings, c)
         ax.set_title(f'{names[c]} [{"N" if joint.is_prismatic else "N m"}]', fontsize=8.5, pad=3)
-        explained = percent(joint.explained_corrected)
-        ax.set_title(explained, loc='right', fontsize=8, pad=3, color=GREY)
+        residual = amount(joint.rms_corrected, joint.is_prismatic)
+        ax.set_title(f'RMS {residual}', loc='right', fontsize=8, pad=3, color=GREY)
         _fewer_ticks(ax)
     for ax in axes.flat[count - _ACROSS : count]:
         ax.tick_params(labelbottom=True)
