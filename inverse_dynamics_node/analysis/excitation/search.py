@@ -44,6 +44,9 @@ _POSES = 300
 """Random poses among which those are found in which the drives hold the robot."""
 _ROUNDS = ((1e1, 60), (1e2, 60), (1e3, 60), (1e4, 60))
 """Weights of violated limits, relative to one unknown, and iterations."""
+_LARGEST_WORK = 1.5e9
+"""Entries of regressors to compute: limits the iterations for robots with many joints."""
+_FEWEST_ITERATIONS = 5
 _AIM = 0.99
 """Fraction of the limits that the search aims at, as penalties permit small violations."""
 _REPAIRS = (0.98, 0.96, 0.92)
@@ -299,7 +302,9 @@ def _improved(objective: _Objective, x: Floats, progress: Callable[[float], None
     """Return the motion to which the search leads."""
     from scipy.optimize import minimize
 
-    total = sum(iterations for _, iterations in _ROUNDS)
+    most = _most_iterations(objective)
+    rounds = [(weight, min(iterations, most)) for weight, iterations in _ROUNDS]
+    total = sum(iterations for _, iterations in rounds)
     done = 0
 
     def report(_: Floats) -> None:
@@ -320,7 +325,7 @@ def _improved(objective: _Objective, x: Floats, progress: Callable[[float], None
         found: Floats = np.asarray(result.x, dtype=float).reshape(x.shape)
         return found
 
-    for weight, iterations in _ROUNDS:
+    for weight, iterations in rounds:
         x = descend(x, weight, iterations)
     for objective.aim in _REPAIRS:
         if objective.motions.is_within_limits(x):
@@ -328,6 +333,15 @@ def _improved(objective: _Objective, x: Floats, progress: Callable[[float], None
         x = descend(x, *_OF_REPAIR)
     progress(1.0)
     return x
+
+
+def _most_iterations(objective: _Objective) -> int:
+    """Return the largest number of iterations of a round, fewer for robots with many joints."""
+    m, n = objective.motions.shape[0], len(objective.motions.limits.rest)
+    entries = n * objective.unknowns.rigid_count  # of one regressor
+    states = 3 * m * len(objective.motions.basis[0])  # of one gradient
+    most = _LARGEST_WORK / (len(_ROUNDS) * states * entries)
+    return max(_FEWEST_ITERATIONS, int(most))
 
 
 def _assumed_noise(motions: Motions, candidates: list[Floats]) -> Floats:
