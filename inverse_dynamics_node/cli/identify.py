@@ -98,6 +98,11 @@ def add_parser(subparsers: Any) -> None:
         help='links that keep their mass, centre of mass and inertia',
     )
     parser.add_argument(
+        '--currents',
+        action='store_true',
+        help='efforts were recorded as motor currents: estimate one gain per joint',
+    )
+    parser.add_argument(
         '--topic', help='topic of the joint states (default: the only one with efforts)'
     )
     add_link(parser)
@@ -120,7 +125,7 @@ def run(options: argparse.Namespace) -> int:
     unseen, more_notes = _read(options.validate, robot.joint_names, options.topic)
     with progress('identifying') as report:
         calibration = calibrate(
-            robot, runs, unseen, options.gravity, payload, options.fixed, report
+            robot, runs, unseen, options.gravity, payload, options.fixed, options.currents, report
         )
     _show(calibration, tuple(dict.fromkeys([*notes, *more_notes])), [*runs, *unseen])
     _write(calibration, source, options)

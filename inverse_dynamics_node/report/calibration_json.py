@@ -78,6 +78,7 @@ def _joint(joint: JointResult) -> dict[str, Any]:
         'standard_errors': terms.errors,
         'friction_unknown_because': joint.unknown_because,
         'coupled_with': joint.coupled_with,
+        'gain': joint.gain,
     }
 
 

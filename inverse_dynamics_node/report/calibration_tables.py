@@ -45,6 +45,7 @@ def friction_table(calibration: Calibration) -> Table:
         'width) + armature * acceleration + offset, in N m, rad and s (prismatic joints: N, m, '
         's). Standard errors cover random errors only. Joints without an armature or a load '
         'friction predict as well without it.',
+        *_gain_notes(calibration),
         *(
             f'{joint.name}: friction unknown, {joint.unknown_because}.'
             for joint in calibration.joints
@@ -52,6 +53,13 @@ def friction_table(calibration: Calibration) -> Table:
         ),
     )
     return Table('Joints', columns, tuple(rows), notes)
+
+
+def _gain_notes(calibration: Calibration) -> list[str]:
+    gains = [
+        f'{joint.name} {joint.gain:.4g}' for joint in calibration.joints if joint.gain is not None
+    ]
+    return [f'Efforts are currents times gains: {", ".join(gains)}.'] if gains else []
 
 
 def _friction_row(joint: JointResult) -> tuple[str, ...]:

@@ -12,16 +12,19 @@ from ..identification.signals import Recording
 from .delay import estimate_delay, shifted
 from .fit import correlation, Equations, Solution, solve
 from .free_bodies import free_bodies
+from .gains import first_gains
 from .joint_terms import choose_terms, fit_terms, widths_to_try
 from .motions import measured_joints, prepare_all, Run
 from .result import Calibration
-from .samples import Model, Samples, Setting, WIDTH
+from .rows import Motion
+from .samples import GAIN, Model, Samples, Setting, WIDTH
 from .selection import choose_gamma, solve_within_reason
 from .summary import summarise
 
 ROUNDS = 3
 WIDTH_ROUNDS = 4
 DELAY_ROUNDS = 3
+GAIN_ROUNDS = 5
 LEAST_DELAY = 2e-4
 """Delay that is not worth removing [s]."""
 FIRST_GAMMA = 1.0
@@ -60,6 +63,13 @@ class Identification:
         self.grid = widths_to_try(np.quantile(np.abs(self.samples.qd), 0.95, axis=0))
         self.delay = self.delay_error = self.delay_removed = 0.0
         free = setting.free
+        self.gains = np.ones(len(setting.joints))
+        self.gain_known = np.zeros(len(setting.joints), dtype=bool)
+        if setting.currents:
+            self.gains, self.gain_known = first_gains(
+                self.samples, free.before, self.grid[3], self.moving
+            )
+            self.samples.set_efforts(self.aligned(self.motions))
         self.weights: Floats
         self.equations: Equations
         self.solution: Solution
@@ -70,6 +80,8 @@ class Identification:
         progress(0.2)
         self._iterate(free.reference, np.full(len(free.bodies), FIRST_GAMMA))
         self._remove_delay()
+        if setting.currents:
+            self._fit_gains()
         progress(0.6)
         self.weights = weights_of(self.samples.residual(self.solution.model))
         self.gamma, self.trials = choose_gamma(
@@ -108,15 +120,47 @@ class Identification:
             if abs(delay) < max(2.0 * self.delay_error, LEAST_DELAY):
                 return
             weights, before = self.weights, self._loss(self.weights)
+            removed = self.delay_removed
             self._shift(self.delay)
             if self._loss(weights) > before:
-                self.delay = self.delay_removed
-                self._shift(self.delay_removed)
+                self.delay = removed
+                self._shift(removed)
                 return
-            self.delay_removed = self.delay
+
+    def _fit_gains(self) -> None:
+        """Fit gains with everything else, to first order."""
+        for _ in range(GAIN_ROUNDS):
+            self.used[:, GAIN] = self.gain_known
+            model = self.solution.model
+            self.equations = Equations(self.samples, model)
+            gammas = self.solution.prior.weights
+            self.solution = solve(self.equations, self.weights, gammas, self.used, model)
+            model = self.solution.model
+            change = 1.0 + np.clip(model.joints[:, GAIN], -0.3, 0.3)
+            common = self._common_factor(change)
+            self.gains *= np.where(self.gain_known, change, 1.0) * common
+            model = model.scaled(common)
+            model.joints[:, GAIN] = 0.0
+            self.solution = self.solution._replace(model=model)
+            self.samples.set_efforts(self.aligned(self.motions))
+            self.weights = self.weights / common**2
+        self.used[:, GAIN] = False
+
+    def _common_factor(self, change: Floats) -> float:
+        """Return the factor that keeps the mean of the gains, unless a mass is known."""
+        free = self.setting.free
+        knows_mass = self.setting.payload is not None or free.kept_robot().mass[1:].any()
+        if knows_mass or not self.gain_known.any():
+            return 1.0
+        return float(np.exp(-np.mean(np.log(change[self.gain_known]))))
+
+    def aligned(self, motions: Sequence[Motion]) -> list[Floats]:
+        """Return the efforts of motions without delay, in N m or N, each of shape (K, m)."""
+        return [shifted(motion, self.delay_removed) * self.gains for motion in motions]
 
     def _shift(self, delay: float) -> None:
-        self.samples.set_efforts([shifted(motion, delay) for motion in self.motions])
+        self.delay_removed = delay
+        self.samples.set_efforts(self.aligned(self.motions))
         self._iterate(self.solution.model.bodies, self.solution.prior.weights, 2)
 
     def _loss(self, weights: Floats) -> float:
@@ -127,6 +171,9 @@ class Identification:
         """Fit with the chosen weight of the robot description."""
         bodies = self.solution.model.bodies
         self._iterate(bodies, np.full(len(bodies), self.gamma), 2)
+        self.friction, self.friction_used = choose_terms(
+            self.samples, self.setting.free.before, self.moving, self.grid, optional=False
+        )
         # The widths of friction are fitted with everything else, to first order.
         self.used[:, WIDTH] = self.moving
         for _ in range(WIDTH_ROUNDS):
@@ -181,6 +228,7 @@ def calibrate(
     gravity: Floats | tuple[float, ...] = STANDARD_GRAVITY,
     payload: tuple[str, float, Sequence[float]] | None = None,
     kept: Collection[str] = (),
+    currents: bool = False,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Calibration:
     """
@@ -201,6 +249,8 @@ def calibrate(
         Known payload in all recordings.
     kept : collection of str
         Links that do not change.
+    currents : bool
+        Whether efforts were recorded as motor currents: one gain per joint is estimated.
     progress : callable
         Called now and then with the fraction that is done, 0 to 1.
 
@@ -217,7 +267,8 @@ def calibrate(
 
     """
     joints = measured_joints(robot, [*recordings, *validation])
-    setting = Setting(free_bodies(robot, kept), joints, np.array(gravity, dtype=float), payload)
+    free = free_bodies(robot, kept)
+    setting = Setting(free, joints, np.array(gravity, dtype=float), payload, currents)
     prepared = prepare_all(robot, [*recordings, *validation], joints)
     runs, unseen = prepared[: len(recordings)], prepared[len(recordings) :]
     progress(0.1)

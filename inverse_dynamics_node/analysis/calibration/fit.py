@@ -18,7 +18,7 @@ class Solution(NamedTuple):
 
     model: Model
     unknowns: Integers
-    """Indices of the unknowns: ten for each body, then twelve for each joint."""
+    """Indices of the unknowns: ten for each body, then thirteen for each joint."""
     hessian: Floats
     """Inverse of the covariance of the unknowns."""
     prior: Prior
@@ -107,7 +107,7 @@ def solve(
         Inverse variances of the joints, for dependent samples.
     gamma : ndarray, shape (b,)
         Weight of the divergence of every body.
-    used : ndarray, shape (m, 12)
+    used : ndarray, shape (m, 13)
         Terms that are fitted; the others are zero.
     start : Model
         First guess; its terms set the scales of those that are positive.

@@ -16,6 +16,7 @@ from .samples import (
     COULOMB,
     COUPLINGS,
     DAMPING,
+    GAIN,
     LOAD,
     Model,
     OFFSET,
@@ -31,7 +32,7 @@ CANDIDATES: tuple[tuple[int, ...], ...] = (
     tuple(range(TERMS)[COUPLINGS[0]]),
     tuple(range(TERMS)[COUPLINGS[1]]),
 )
-SIGNED = np.isin(np.arange(TERMS), [OFFSET, *CANDIDATES[2], *CANDIDATES[3], WIDTH])
+SIGNED = np.isin(np.arange(TERMS), [OFFSET, *CANDIDATES[2], *CANDIDATES[3], WIDTH, GAIN])
 LEAST_GAIN = np.array([0.01, 0.02, 0.3, 0.3])
 """Fraction of the squares by which each candidate must improve the prediction."""
 LARGEST_LOAD = 0.1
@@ -69,7 +70,7 @@ def choose_terms(
     -------
     model : Model
         With the chosen terms; others are zero.
-    used : ndarray, shape (m, 12)
+    used : ndarray, shape (m, 13)
         Which terms were chosen.
 
     """
@@ -105,7 +106,7 @@ def fit_terms(
 
 
 def _block_grams(samples: Samples, bodies: Floats, grid: Floats, target: Floats) -> list[Floats]:
-    """Return products of columns for each joint, shape (w, blocks, 13, 13)."""
+    """Return products of columns for each joint, shape (w, blocks, 14, 14)."""
     blocks = [samples.block == k for k in range(samples.block.max() + 1)]
     found = np.zeros((target.shape[1], len(grid), len(blocks), TERMS + 1, TERMS + 1))
     for w, widths in enumerate(grid):

@@ -59,6 +59,8 @@ class JointResult:
     """Why its friction could not be identified; empty if it could."""
     coupled_with: tuple[str, ...]
     """Joints whose motion acts on it without passing through the links."""
+    gain: float | None = None
+    """Effort per recorded current; None if efforts were recorded."""
 
 
 @dataclass(frozen=True, eq=False)

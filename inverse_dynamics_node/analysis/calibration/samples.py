@@ -21,7 +21,9 @@ COUPLINGS = (slice(5, 8), slice(8, 11))
 """Acceleration, velocity and direction of the neighbours nearer to the base and to the tip."""
 WIDTH = 11
 """Effect of a small change of the width of Coulomb friction."""
-TERMS = 12
+GAIN = 12
+"""Effect of a small change of the gain of currents."""
+TERMS = 13
 """Columns of each joint besides those of the bodies."""
 _CHUNK = 2000
 """States whose regressors are computed at once, to limit the memory."""
@@ -34,7 +36,7 @@ class Model:
     bodies: Floats
     """Shape (b, 10)."""
     joints: Floats
-    """Armature, damping, Coulomb and load friction, offset, couplings, width, shape (m, 12)."""
+    """Shape (m, 13): the columns of `Samples.terms`, from armature to gain."""
     widths: Floats
     """Speeds over which Coulomb friction is smoothed, shape (m,) [rad/s or m/s]."""
 
@@ -44,6 +46,12 @@ class Model:
         change = np.clip(joints[:, WIDTH], -0.3 * self.widths, 0.4 * self.widths)
         joints[:, WIDTH] = 0.0
         return Model(self.bodies, joints, self.widths + change)
+
+    def scaled(self, factor: float) -> Model:
+        """Return the model with all efforts multiplied by a factor."""
+        joints = factor * self.joints
+        joints[:, LOAD] /= factor
+        return Model(factor * self.bodies, joints, self.widths)
 
     def exported(self) -> Model:
         """Return the model without what neither a URDF nor the node can express."""
@@ -66,6 +74,8 @@ class Setting:
         Free-fall acceleration in the base frame [m/s^2].
     payload : tuple of link, mass and centre of mass, optional
         Known payload.
+    currents : bool
+        Whether efforts were recorded as currents.
 
     """
 
@@ -75,9 +85,10 @@ class Setting:
         joints: Sequence[int],
         gravity: Floats,
         payload: tuple[str, float, Sequence[float]] | None = None,
+        currents: bool = False,
     ) -> None:
         self.free, self.joints = free, list(joints)
-        self.gravity, self.payload = gravity, payload
+        self.gravity, self.payload, self.currents = gravity, payload, currents
         self.neighbours = neighbours(free.robot, self.joints)
 
     def dynamics(self, robot: RobotModel) -> InverseDynamics:
@@ -165,9 +176,14 @@ class Samples:
         robot = self.setting.free.robot_with(bodies)
         return self._smooth([self.setting.efforts(robot, motion) for motion in self.motions])
 
+    def direction(self, widths: Floats) -> Floats:
+        """Return the directions of Coulomb friction, shape (R, m)."""
+        joints = self.setting.joints
+        return self._smooth_sharp([np.tanh(m.qd[:, joints] / widths) for m in self.motions])
+
     def terms(self, model: Model) -> Floats:
         """
-        Return the columns of the joints themselves, shape (R, m, 12).
+        Return the columns of the joints themselves, shape (R, m, 13).
 
         They depend on the model by the widths of Coulomb friction, by the efforts that load the
         gears, and by the friction that changes with the width.
@@ -192,7 +208,8 @@ class Samples:
             for others in self.setting.neighbours
             for signal in (self.qdd, self.qd, direction)
         ]
-        return np.stack([*own, *coupled, widening], axis=-1)
+        gain = -self.rigid(model.bodies) if self.setting.currents else np.zeros_like(self.qd)
+        return np.stack([*own, *coupled, widening, gain], axis=-1)
 
     def predict(self, model: Model) -> Floats:
         """Return modelled efforts, shape (R, m)."""

@@ -10,7 +10,6 @@ import numpy as np
 from ...robot.model import Floats
 from .advice import what_to_record
 from .base_parameters import base_parameters
-from .delay import shifted
 from .motions import Run
 from .pseudo_inertia import PARAMETERS
 from .result import BodyResult, Calibration, JointResult, JointTerms, Residuals, Unseen
@@ -90,13 +89,13 @@ def _evaluations(found: Identification, validation: Sequence[Run]) -> tuple[Unse
     setting = found.setting
     models = _urdf(found), found.friction, found.solution.model.exported()
     samples = Samples(setting, found.motions, 0.0, found.equations.block_count)
-    samples.set_efforts([shifted(motion, found.delay_removed) for motion in found.motions])
+    samples.set_efforts(found.aligned(found.motions))
     efforts = [samples.predict(model) for model in models]
     training = _unseen(samples, efforts, 'the training data')
     if validation:
         motions = [run.motion for run in validation]
         samples = Samples(setting, motions, 0.0, 1)
-        samples.set_efforts([shifted(motion, found.delay_removed) for motion in motions])
+        samples.set_efforts(found.aligned(motions))
         efforts = [samples.predict(model) for model in models]
         return training, _unseen(samples, efforts, 'recordings that were not used for the fit')
     friction, identified = efforts[1].copy(), efforts[2].copy()
@@ -188,10 +187,13 @@ def _joint(
         measured=float(rms(unseen.measured[:, j])),
         unseen=residuals(unseen),
         training=residuals(training),
-        noise=float(np.sqrt(np.mean([run.noise[j] ** 2 for run in found.runs]))),
+        noise=float(
+            abs(found.gains[j]) * np.sqrt(np.mean([run.noise[j] ** 2 for run in found.runs]))
+        ),
         terms=JointTerms(width=float(model.widths[j]), errors=errors, **values),
         unknown_because='' if found.moving[j] else _NOT_MOVED,
         coupled_with=tuple(coupled),
+        gain=float(found.gains[j]) if setting.currents else None,
     )
 
 
@@ -283,6 +285,24 @@ def _warnings(found: Identification) -> tuple[tuple[str, str], ...]:
     setting = found.setting
     names = setting.free.robot.joint_names
     warnings = []
+    if setting.currents:
+        warnings.append(
+            (
+                'gains, masses and friction are known up to one common factor',
+                'the efforts of the URDF decide it. If its masses may be wrong, record a run with '
+                'a known payload: --payload MASS,X,Y,Z --link LINK',
+            )
+        )
+        warnings += [
+            (
+                f'the gain of {names[joint]} cannot be determined: its current hardly depends on '
+                'the modelled effort',
+                'move it where gravity acts on it, or with high accelerations; the median of the '
+                'other gains was used, so that its friction and armature are in unknown units',
+            )
+            for joint, known in zip(setting.joints, found.gain_known, strict=True)
+            if not known
+        ]
     for j, joint in enumerate(setting.joints):
         for side, columns in enumerate(COUPLINGS):
             other = int(setting.neighbours[side, j])
