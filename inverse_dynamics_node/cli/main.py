@@ -75,6 +75,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: list[str]) -> int:
+    if arguments[:1] == ['identify']:
+        # Its matrices are small: threads would take longer to start than to compute.
+        os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
     if arguments[:1] == ['demo']:  # parses its own arguments, including --help
         from .demo import main as run_demo
 

@@ -10,8 +10,14 @@ from ...robot.model import Booleans, Floats
 from .fit import Equations, Solution, solve
 from .samples import Model
 
-GAMMAS = tuple(10.0 ** np.arange(4.0, -2.1, -0.5))
-"""Weights of the robot description, strongest first."""
+GAMMAS = tuple(10.0 ** np.arange(4.0, -0.1, -0.5))
+"""
+Weights of the robot description, strongest first.
+
+With a weight of 1, the standard error of a mass that the recordings do not determine is the mass.
+"""
+EXPECTED_ERROR = 0.3
+"""Expected relative error of the masses of a robot description, as a standard deviation."""
 ENOUGH = 0.9
 """A mass may be more than twice that of the description if the recording determines it so well."""
 MOST_GROWTH = 2.0
@@ -83,10 +89,18 @@ def solve_within_reason(
 
 
 def mass_information(solution: Solution) -> Floats:
-    """Return the fraction of information about each mass that comes from the data."""
+    """
+    Return the fraction of information about each mass that comes from the data.
+
+    The rest is a mass of the robot description with its expected error. So the fraction does not
+    depend on the weight of the description in the fit.
+
+    """
     count = len(solution.model.bodies)
-    covariance = np.linalg.inv(solution.hessian)
-    variances = np.diagonal(covariance)[: 10 * count : 10]
+    variances = np.diagonal(np.linalg.inv(solution.hessian))[: 10 * count : 10]
     # The divergence alone determines a mass with the relative standard error 1 / sqrt(gamma).
-    alone = solution.model.bodies[:, 0] ** 2 / solution.prior.weights
-    return np.clip(1.0 - variances / alone, 0.0, 1.0)
+    total = 1.0 / np.maximum(variances, 1e-300)
+    own = solution.prior.weights / solution.model.bodies[:, 0] ** 2
+    measured = np.maximum(total - own, 0.0)
+    expected = 1.0 / (EXPECTED_ERROR * solution.prior.bodies[:, 0]) ** 2
+    return np.asarray(measured / (measured + expected))
