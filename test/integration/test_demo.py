@@ -91,23 +91,32 @@ def test_unused_domains_differ_from_those_in_use(domain_id):
 
 class TestDemo:
     def test_robot_tracks_and_the_result_is_printed(self, domain_id):
-        with running_demo(domain_id, STANFORD, '--duration', 6) as demo:
-            code, output = finish(demo)
+        # If no command came for a while, the arm could not track, and the demo says so.
+        for _ in range(3):
+            with running_demo(domain_id, STANFORD, '--duration', 6) as demo:
+                code, output = finish(demo)
+            is_busy = 'The machine was busy: no command came' in output
+            if not is_busy:
+                break
         assert 'Traceback' not in output
-        # A busy machine may miss the command rate, but not the limits of the errors.
         failures = re.findall(r'^FAILED: (.*)', output, re.MULTILINE)
-        assert all('commands/s received' in words for words in failures), output
+        is_late = any('commands/s received' in words for words in failures)
+        # A busy machine may miss the command rate, but not the limits of the errors.
+        assert is_busy or len(failures) == is_late, output
         assert code == bool(failures)
-        joints = load_urdf(STANFORD).joint_names
         number = r'(\d+\.\d+)'
-        for name in joints:
+        for name in load_urdf(STANFORD).joint_names:
             errors = re.search(rf'^{name} +{number} (mrad|mm) +{number} \2', output, re.MULTILINE)
-            assert float(errors[1]) < 10.0
-            assert float(errors[3]) < 1.0
+            for error, limit, when in ((errors[1], 10.0, 'moving'), (errors[3], 1.0, 'at rest')):
+                is_reported = any(f"'{name}'" in words and when in words for words in failures)
+                assert is_reported or float(error) <= limit
         rate = re.search(rf'^rate: {number} of 500\.0 commands/s', output, re.MULTILINE)
-        assert (abs(float(rate[1]) / 500.0 - 1.0) > 0.02) == bool(failures)
+        off = abs(float(rate[1]) - 500.0)
+        assert off > 9.9 if is_late else off < 10.1  # the rate is printed rounded
         assert bool(re.search(r'^PASSED', output, re.MULTILINE)) != bool(failures)
-        assert len(re.findall(r'^t = ', output, re.MULTILINE)) == 6
+        times = re.findall(r'^t = ([\d.]+) s', output, re.MULTILINE)
+        assert float(times[0]) < float(times[-1])
+        assert float(times[-1]) >= 6.0
 
     @pytest.mark.parametrize(
         ('text', 'words'),
