@@ -8,7 +8,6 @@ import sys
 import time
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.cli.main import COMMANDS
 import numpy as np
 import pytest
 from robot_files import ROOT, STANFORD
@@ -28,6 +27,7 @@ LASTING = (
     'python examples/',
 )
 MAIN_NODE = 'ros2 launch inverse_dynamics_node inverse_dynamics.launch.xml urdf:=my_arm.urdf dry'
+LEFT_NODE = MAIN_NODE.replace('dry', 'namespace:=left')
 FASTER = {'watch --for 10': 'watch --for 2', 'move.yaml 0.2': 'move.yaml 2.0'}
 
 
@@ -111,13 +111,15 @@ def test_every_command_runs_and_prints_what_the_page_shows(session):
                 if 'agree' not in line:
                     session.wait_for(line)
             continue
-        if text.startswith('# needs') or ('watch' in text and 'watch' not in COMMANDS):
+        if text.startswith('# needs'):
             continue
         for long, short in FASTER.items():
             text = text.replace(long, short)
         session.stop('ros2 topic pub -r', 'python')
         if text.startswith(MAIN_NODE):
             session.stop(MAIN_NODE)
+        if text.startswith('ros2 run'):  # the arms that are no longer needed
+            session.stop('inverse_dynamics simulate', LEFT_NODE)
         session.run(text)
         ran += 1
         if text.startswith('python'):
@@ -151,4 +153,9 @@ def test_python_block_fills_a_trajectory_with_efforts(tmp_path, monkeypatch):
 
 def test_blocks_that_are_not_run_name_the_software_that_they_need():
     needs = {text.splitlines()[0].partition(':')[0] for _, text in BLOCKS if '# needs' in text}
-    assert needs == {'# needs ros2_control', '# needs Isaac Sim', '# needs a robot that records'}
+    assert needs == {
+        '# needs ros2_control',
+        '# needs Isaac Sim',
+        '# needs a robot that records',
+        '# needs half a minute of computation',
+    }
