@@ -109,7 +109,7 @@ class Robot:
 
 
 def run(messages: int, seconds: float, output: Any) -> dict[str, str]:
-    """Run the node through a storm; return what was measured."""
+    """Run the node through a storm; return the measurements."""
     node = subprocess.Popen(
         [
             sys.executable,
@@ -210,7 +210,7 @@ def resident(pid: int) -> float:
 
 
 def main() -> int:
-    """Run the storm and print what was measured; return the exit code."""
+    """Run the storm and print the measurements; return the exit code."""
     parser = argparse.ArgumentParser(prog='make storm', description=__doc__)
     parser.add_argument('--messages', type=int, default=1_000_000)
     parser.add_argument('--seconds', type=float, default=300.0, help='the longest time to send')

@@ -32,7 +32,7 @@ def part_of(path):
 
 
 def imports_of(path, top_level_only=False):
-    """List what a file imports, by full names."""
+    """List the imports of a file, by full names."""
     tree = ast.parse(path.read_text())
     nodes = _executed_at_import(tree.body) if top_level_only else ast.walk(tree)
     folder = [NAME, *path.relative_to(PACKAGE).parent.parts]
@@ -76,7 +76,7 @@ def own_module(name):
 
 @pytest.mark.parametrize('path', FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_a_part_imports_only_what_contributing_permits(path):
-    if path == PACKAGE / '__init__.py':  # names what is public
+    if path == PACKAGE / '__init__.py':  # names the public interface
         return
     part = part_of(path)
     permitted = permitted_imports().get(part, set()) | {part, 'errors'}

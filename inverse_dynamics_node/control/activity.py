@@ -84,7 +84,7 @@ def _reason_to_stop(now: float, loop: ControlLoop) -> str:
 
 
 def describe_lost_imu(now: float, loop: ControlLoop) -> str:
-    """Describe that the motion of the base was measured, but is no more; empty if it is."""
+    """Describe that the motion of the base was measured, but no longer is; empty if it is."""
     loads = loop.loads
     if not loop.has_imu or loop.lacks_imu or loads.is_base_known(now):
         return ''

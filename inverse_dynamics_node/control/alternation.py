@@ -171,7 +171,7 @@ def ignored_step(tracks: Any, i: int, step: float) -> float:
 
 @compiled
 def way(tracks: Any, i: int, step: float, elapsed: float) -> float:
-    """Return the distance between the extreme positions that were reported lately [rad or m]."""
+    """Return the distance between the extreme positions that were reported recently [rad or m]."""
     tracks[_AGE, i] += elapsed
     if tracks[_AGE, i] > _WINDOW:
         is_recent = tracks[_AGE, i] <= 2.0 * _WINDOW

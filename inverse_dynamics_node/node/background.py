@@ -156,7 +156,7 @@ class Background:
 
 
 def prepare_to_load() -> None:
-    """Import what the first robot description needs, so that the child shares it."""
+    """Import the modules that the first robot description needs; the child shares them."""
     with contextlib.suppress(ImportError):  # reported when a description is loaded
         import scipy.interpolate  # noqa: F401
         import yourdfpy  # noqa: F401

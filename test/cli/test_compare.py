@@ -44,7 +44,7 @@ def with_efforts(recording, change):
     return recording._replace(efforts=efforts)
 
 
-# ---- What it finds -------------------------------------------------------------------------
+# ---- Its findings --------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
@@ -166,7 +166,7 @@ def test_warns_about_positions_in_degrees(short, here, capsys):
     assert '-> convert the positions to radians' in output
 
 
-# ---- What it reads -------------------------------------------------------------------------
+# ---- Its inputs ----------------------------------------------------------------------------
 
 
 @pytest.fixture

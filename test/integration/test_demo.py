@@ -53,7 +53,7 @@ def running_demo(domain_id, *arguments):
 
 
 def finish(demo, patience=PATIENCE):
-    """Wait for the end of the demo; return its exit code and what it printed."""
+    """Wait for the end of the demo; return its exit code and output."""
     output, _ = demo.communicate(timeout=patience)
     return demo.returncode, output
 

@@ -129,7 +129,7 @@ def reports(draw, speed, lateness=LATENESS):
 
 @given(st.data(), st.sampled_from([WHEEL, SLOW, SLIDE]))
 def test_no_motion_within_the_speed_limit_is_an_alternation(data, joint):
-    # Turning at full speed between any two reports is harder than what a joint can do.
+    # Turning at full speed between any two reports is harder than a joint can move.
     assert first_alarm(joint, *data.draw(reports(SPEED[joint]))) is None
 
 

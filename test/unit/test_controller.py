@@ -994,7 +994,7 @@ def test_efforts_cut_during_a_blend_are_reported():
     lift.blend()
     for k, followed in enumerate([low, high, high]):
         command = lift.step(now + 0.01 * k, state(now + 0.01 * k), followed._replace(time=now))
-    # What is left of the difference would take the effort beyond its limit.
+    # The rest of the difference would take the effort beyond its limit.
     assert command.efforts[1] == 15.0
     assert list(command.is_saturated) == [False, True]
     assert not command.is_slowed.any()

@@ -14,7 +14,8 @@ import numpy as np
 
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...robot.model import Booleans, Floats, Integers
-from .evidence import Evidence, Explanation
+from .evidence import Evidence
+from .explanation import Explanation
 from .joint_samples import ACCELERATION, DIRECTION, MODEL, ONE, SPEED
 
 MOST_SAMPLES = 800  # of the recording that are used

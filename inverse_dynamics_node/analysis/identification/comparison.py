@@ -13,22 +13,18 @@ from ...errors import RecordingError
 from ...robot.model import Booleans, Floats, RobotModel
 from .bodies import Bodies, wrong_bodies
 from .diagnoses import diagnose, diagnose_bodies, diagnose_constant, diagnose_part, Diagnosis
-from .evidence import Evidence, Explanation
+from .evidence import Evidence
+from .explanation import Explanation
 from .findings import Findings, JointFinding
 from .friction import fit_friction, FrictionFit, is_moving, obstacle
 from .friction_shape import fit_shape
 from .joint_samples import CREDIBLE, JointSamples
 from .loads import moves_with, payload_regressors, point_mass_parameters, tip_links
-from .parts import (
-    best_interval,
-    Cause,
-    changing_gravity_efforts,
-    find_part,
-    MUCH_LOUDER,
-    Part,
-)
+from .part import Cause, Part
+from .parts import best_interval, find_part, MUCH_LOUDER
 from .recorded_column import Recording
 from .signals import derive, Motion, smooth_like_efforts
+from .tilt import changing_gravity_efforts
 
 SAMPLES_PER_WINDOW = 8  # used by fits; the samples of a smoothing window are dependent
 MOVED = 0.02  # [rad or m]; a joint that moved less shows no load

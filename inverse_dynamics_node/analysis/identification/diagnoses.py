@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .bodies import Bodies
-from .evidence import Evidence, Explanation
+from .evidence import Evidence
+from .explanation import Explanation
 from .joint_samples import CREDIBLE, Fit, UNDISTORTED
 from .loads import MAX_COM_ERROR
-from .parts import Cause, Part
+from .part import Cause, Part
 
 SAME_FACTOR = 1.1  # factors with a smaller ratio are regarded as equal
 CHANGED = 0.9  # of the RMS residual; a joint whose residual falls by less is not affected

@@ -11,11 +11,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from ...robot.model import Floats
+from .explanation import Explanation, Hypothesis
 from .joint_samples import (
     ACCELERATION,
     CREDIBLE,
@@ -40,63 +40,6 @@ OWN_CONTRIBUTION = 0.7  # of the squares that are left without a hypothesis, to 
 NO_GRAVITY = 0.25  # largest fraction of gravity in efforts that lack gravity
 CONSIDERABLE = 0.3  # fraction of a joint's modelled effort; less gravity may be a wrong model
 SAME_UNIT = 1.25  # largest ratio between the factors of joints with the same unit
-UNIT_PARAMETERS = 2  # a unit has the weight of two parameters, because it is rarely wrong
-
-
-class Hypothesis(NamedTuple):
-    """What the efforts of the whole robot consist of."""
-
-    kind: str
-    """``as_is``, ``weightless``, ``mounting`` or ``payload``."""
-    weights: Floats
-    """Factors of the first columns of the samples."""
-    parameters: int
-    """Number of parameters."""
-    is_weightless: bool = False
-    """Whether the gravity efforts of the model are left out."""
-    link: str = ''
-    """Link that carries the payload."""
-    solution: tuple[float, ...] = ()
-    """Fitted gravity [m/s^2]; or mass [kg] and centre of mass [m]."""
-    errors: tuple[float, ...] = ()
-    """Standard errors of the solution."""
-
-
-class Explanation(NamedTuple):
-    """A hypothesis, and the fit of every joint to it."""
-
-    hypothesis: Hypothesis
-    fits: tuple[Fit, ...]
-    source: tuple[int, ...]
-    """Index of the measured effort that belongs to each joint."""
-    unit: float = 1.0
-    """Factor of the measured efforts of all joints."""
-
-    @property
-    def cost(self) -> float:
-        """Logarithm of the remaining squares, plus the cost of all parameters."""
-        moved = sum(i != j for i, j in enumerate(self.source))
-        parameters = self.hypothesis.parameters + moved + UNIT_PARAMETERS * (self.unit != 1.0)
-        return sum(fit.cost for fit in self.fits) + PARAMETER_COST * parameters
-
-    @property
-    def is_scaled(self) -> bool:
-        """Whether the effort of a joint has another unit."""
-        return self.unit != 1.0 or any(fit.distortion.is_scaled for fit in self.fits)
-
-    @property
-    def changes_nothing(self) -> bool:
-        """Whether the model with friction is all that there is."""
-        return (
-            self.hypothesis.kind == 'as_is'
-            and self.unit == 1.0
-            and self.source == tuple(range(len(self.source)))
-            and not any(any(fit.distortion) for fit in self.fits)
-        )
-
-    def factor(self, joint: int) -> float:
-        """Return the measured effort of a joint divided by its actual effort, without sign."""
-        return self.unit * self.fits[joint].scale
 
 
 class Evidence:

@@ -9,26 +9,23 @@ that tilts is found by a direction of gravity that changes over time.
 from __future__ import annotations
 
 from dataclasses import replace
-from enum import Enum
 import math
-from typing import NamedTuple
 
 import numpy as np
 
-from ...dynamics.inverse_dynamics import InverseDynamics
-from ...robot.model import Booleans, Floats, Integers, RobotModel
-from .evidence import Evidence, Explanation
+from ...robot.model import Floats, Integers
+from .evidence import Evidence
+from .explanation import Explanation
 from .joint_samples import (
     ACCELERATION,
     DIRECTION,
-    GRAVITY,
     LOADS,
     MODEL,
     ONE,
     SPEED,
-    UNDISTORTED,
-    WEIGHT,
 )
+from .part import Cause, Part, span
+from .tilt import find_tilt
 
 SEGMENTS = 40  # of a recording, whose edges are possible limits of a part
 LONGEST = 0.9  # fraction of the recording; the rest shows the friction
@@ -40,42 +37,8 @@ MUCH_LOUDER = 25.0  # the same for an external force, which may have any course 
 IMPROVES = 0.3  # fraction of the unexplained squares that a cause must leave at most
 NOT_EXPLAINED = 9.0  # times the floor; a joint with less is explained, and no part is searched
 NOT_EXPLAINED_BY_HYPOTHESIS = 1.5  # the same if the model has been changed already
-MIN_DURATION = 6.0  # [s] of a recording whose parts are considered
-
-KNOT_DISTANCE = 0.75  # [s] between the times at which a changing gravity is fitted
-MOST_KNOTS = 40
-MOST_ROWS = 800  # samples of a joint that are used for a changing gravity
-GRAVITY_RANGE = 5.0  # [m/s^2], standard deviation of gravity at a knot
-GRAVITY_STEP = 2.0  # [m/s^2], standard deviation of its change between knots
-STRENGTH = 0.25  # largest relative change of the strength of gravity
-MIN_TILT = math.radians(3.0)
 AS_GOOD = 0.002  # unexplained fraction of the squares that a tilt may leave in any case
-
-
-class Cause(Enum):
-    """A cause that acts during a part of a recording."""
-
-    LOAD = 'load'
-    FORCE = 'force'
-    TILT = 'tilt'
-
-
-class Part(NamedTuple):
-    """A part of a recording, and the cause that acts during it."""
-
-    cause: Cause
-    interval: tuple[float, float]
-    """Begin and end [s]."""
-    outside: Explanation
-    """Explanation of this evidence."""
-    evidence: Evidence
-    """Samples of the rest of the recording; if a load acts inside, all samples."""
-    joints: tuple[int, ...] = ()
-    """Joints on which an external force acts."""
-    knots: Floats | None = None
-    """Times at which gravity was fitted, shape (k,) [s]."""
-    gravity: Floats | None = None
-    """Gravity in the base frame at the knots, shape (k, 3) [m/s^2]."""
+MIN_DURATION = 6.0  # [s] of a recording whose parts are considered
 
 
 def find_part(evidence: Evidence, explanation: Explanation) -> Part | None:
@@ -102,7 +65,7 @@ def find_part(evidence: Evidence, explanation: Explanation) -> Part | None:
     if part is not None and part.cause is Cause.LOAD:
         return part
     left_by_force = 0.0 if part is None else part.evidence.unexplained(part.outside)
-    tilt = _tilt(evidence, min(IMPROVES * unexplained, max(2.0 * left_by_force, AS_GOOD)))
+    tilt = find_tilt(evidence, min(IMPROVES * unexplained, max(2.0 * left_by_force, AS_GOOD)))
     return tilt or part
 
 
@@ -123,7 +86,7 @@ def _is_open(evidence: Evidence, explanation: Explanation) -> bool:
 
 
 def _interval(evidence: Evidence, explanation: Explanation) -> Part | None:
-    begin, end = _span(evidence)
+    begin, end = span(evidence)
     edges = np.linspace(begin, end, SEGMENTS + 1)
     first, last = _pairs()
     cost = np.zeros(len(first))
@@ -161,11 +124,6 @@ def _pairs() -> tuple[Integers, Integers]:
     first, last = np.triu_indices(SEGMENTS + 1, 1)
     chosen = last - first <= LONGEST * SEGMENTS
     return first[chosen], last[chosen]
-
-
-def _span(evidence: Evidence) -> tuple[float, float]:
-    times = [samples.times for samples in evidence.joints]
-    return min(float(t[0]) for t in times), max(float(t[-1]) for t in times) + 1e-9
 
 
 def _features(evidence: Evidence, j: int) -> Floats:
@@ -288,123 +246,6 @@ def without_friction(evidence: Evidence, explanation: Explanation) -> Evidence:
         columns[:, evidence.first_measured + j] = effort
         joints.append(replace(samples, columns=columns, moves=False))
     return evidence.with_joints(joints, evidence.duration)
-
-
-# ---- A base that tilts ---------------------------------------------------------------------
-
-
-def _tilt(evidence: Evidence, most_left: float) -> Part | None:
-    """Fit gravity at several times of the recording, and friction for all of it."""
-    strength = float(np.linalg.norm(evidence.gravity))
-    moving = [j for j, samples in enumerate(evidence.joints) if samples.moves]
-    if strength == 0.0 or not moving:
-        return None
-    begin, end = _span(evidence)
-    count = int(min(MOST_KNOTS, max(4, round((end - begin) / KNOT_DISTANCE))))
-    knots: Floats = np.linspace(begin, end, count)
-    gravity, left = _fit_gravity(evidence, moving, knots)
-    if left > most_left:
-        return None
-    angles = np.arccos(
-        np.clip(gravity @ evidence.gravity / (np.linalg.norm(gravity, axis=1) * strength), -1, 1)
-    )
-    lengths = np.linalg.norm(gravity, axis=1)
-    mean = gravity.mean(axis=0) / np.linalg.norm(gravity.mean(axis=0))
-    turns = np.arccos(np.clip(gravity @ mean / np.linalg.norm(gravity, axis=1), -1, 1))
-    if (
-        min(angles.max(), 2.0 * turns.max()) < MIN_TILT
-        or np.abs(lengths / strength - 1.0).max() > 0.25
-    ):
-        return None
-    tilted: Booleans = angles > max(MIN_TILT, 0.2 * float(angles.max()))
-    at = np.flatnonzero(tilted)
-    # Between two knots, gravity changes linearly.
-    interval = float(knots[max(at[0] - 1, 0)]), float(knots[min(at[-1] + 1, count - 1)])
-    if at[0] == 0:
-        interval = float(knots[0]), interval[1]
-    explanation = evidence.friction_only()
-    return Part(Cause.TILT, interval, explanation, evidence, knots=knots, gravity=gravity)
-
-
-def _fit_gravity(evidence: Evidence, moving: list[int], knots: Floats) -> tuple[Floats, float]:
-    """Return gravity at the knots, and the unexplained fraction of the squares."""
-    count = len(knots)
-    matrices, targets, weights, squares = [], [], [], []
-    for position, j in enumerate(moving):
-        samples = evidence.joints[j]
-        every = max(1, len(samples.times) // MOST_ROWS)
-        columns, times = samples.columns[::every], samples.times[::every]
-        hats = np.stack([np.interp(times, knots, row) for row in np.eye(count)], axis=1)
-        matrix = np.zeros((len(times), 3 * count + 4 * len(moving)))
-        matrix[:, : 3 * count] = np.einsum(
-            'tk,tx->tkx', hats, columns[:, WEIGHT : WEIGHT + 3]
-        ).reshape(len(times), -1)
-        own = 3 * count + 4 * position
-        matrix[:, own : own + 4] = columns[:, [SPEED, DIRECTION, ACCELERATION, ONE]]
-        measured = columns[:, evidence.first_measured + j]
-        # The model contains its own gravity, which is replaced.
-        target = measured - columns[:, MODEL] + columns[:, GRAVITY]
-        target = target - columns[:, WEIGHT : WEIGHT + 3] @ evidence.gravity
-        floor = samples.floor(evidence.first_measured + j) * float(np.mean(measured**2))
-        fit = samples.fit(evidence.as_is.weights, evidence.first_measured + j, UNDISTORTED)
-        matrices.append(matrix)
-        targets.append(target)
-        weights.append(fit.remaining * float(np.mean(measured**2)) + floor)
-        squares.append(float(np.mean(measured**2)))
-    prior = np.zeros((6 * count - 3, matrices[0].shape[1]))
-    prior[: 3 * count, : 3 * count] = np.eye(3 * count) / GRAVITY_RANGE
-    steps = np.eye(3 * count)[3:] - np.eye(3 * count)[:-3]
-    prior[3 * count :, : 3 * count] = steps / GRAVITY_STEP
-    change, remaining = np.zeros(prior.shape[1]), np.array(squares)
-    for _ in range(2):
-        rows = [matrix / math.sqrt(w) for matrix, w in zip(matrices, weights, strict=True)]
-        right = [target / math.sqrt(w) for target, w in zip(targets, weights, strict=True)]
-        change = np.linalg.lstsq(
-            np.vstack([*rows, prior]), np.concatenate([*right, np.zeros(len(prior))]), rcond=1e-10
-        )[0]
-        remaining = np.array(
-            [np.mean((t - m @ change) ** 2) for t, m in zip(targets, matrices, strict=True)]
-        )
-        weights = [
-            float(left + evidence.joints[j].floor(evidence.first_measured + j) * square)
-            for left, j, square in zip(remaining, moving, squares, strict=True)
-        ]
-    gravity: Floats = evidence.gravity + change[: 3 * count].reshape(count, 3)
-    kinds = np.array([evidence.joints[j].is_prismatic for j in moving])
-    fractions = [
-        np.sum(remaining[kinds == kind]) / np.sum(np.array(squares)[kinds == kind])
-        for kind in np.unique(kinds)
-    ]
-    return gravity, float(np.mean(fractions))
-
-
-def changing_gravity_efforts(part: Part, robot: RobotModel, q: Floats, times: Floats) -> Floats:
-    """
-    Return the efforts of a gravity that changes over time.
-
-    Parameters
-    ----------
-    part : Part
-        A base that tilts, with gravity at k knots.
-    robot : RobotModel
-        Robot with n joints.
-    q : ndarray, shape (K, n)
-        Joint positions [rad or m].
-    times : ndarray, shape (K,)
-        [s].
-
-    Returns
-    -------
-    efforts : ndarray, shape (K, n)
-        Interpolated linearly between the knots [N m or N].
-
-    """
-    efforts: Floats = np.zeros_like(q)
-    if part.knots is not None and part.gravity is not None:
-        for axis, component in zip(np.eye(3), part.gravity.T, strict=True):
-            strength = np.interp(times, part.knots, component)
-            efforts += strength[:, None] * InverseDynamics(robot, axis).gravity_efforts(q)
-    return efforts
 
 
 def best_interval(times: Floats, gain: Floats, start: tuple[float, float]) -> tuple[float, float]:

@@ -1,0 +1,42 @@
+"""A part of a recording, and the cause that acts during it."""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import NamedTuple
+
+from ...robot.model import Floats
+from .evidence import Evidence
+from .explanation import Explanation
+
+
+class Cause(Enum):
+    """A cause that acts during a part of a recording."""
+
+    LOAD = 'load'
+    FORCE = 'force'
+    TILT = 'tilt'
+
+
+class Part(NamedTuple):
+    """A part of a recording, and the cause that acts during it."""
+
+    cause: Cause
+    interval: tuple[float, float]
+    """Begin and end [s]."""
+    outside: Explanation
+    """Explanation of this evidence."""
+    evidence: Evidence
+    """Samples of the rest of the recording; if a load acts inside, all samples."""
+    joints: tuple[int, ...] = ()
+    """Joints on which an external force acts."""
+    knots: Floats | None = None
+    """Times at which gravity was fitted, shape (k,) [s]."""
+    gravity: Floats | None = None
+    """Gravity in the base frame at the knots, shape (k, 3) [m/s^2]."""
+
+
+def span(evidence: Evidence) -> tuple[float, float]:
+    """Return the times of the first and last samples [s]."""
+    times = [samples.times for samples in evidence.joints]
+    return min(float(t[0]) for t in times), max(float(t[-1]) for t in times) + 1e-9
