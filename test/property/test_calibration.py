@@ -1,5 +1,7 @@
 """Robots identified from simulated recordings."""
 
+from dataclasses import replace
+
 from calibration_runs import exciting_motion, real_robot, record
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.analysis.calibration import calibrate
@@ -43,3 +45,23 @@ def test_the_calibrated_urdf_has_the_fitted_efforts(stanford):
     true = InverseDynamics(real.robot).efforts(*states)
     wrong = InverseDynamics(calibration.robot).efforts(*states)
     assert np.linalg.norm(expected - true) < 0.3 * np.linalg.norm(wrong - true)
+
+
+def test_a_model_that_predicts_no_better_than_friction_is_not_accepted():
+    robot, rng = load_urdf(STANFORD), np.random.default_rng(2)
+    real = replace(real_robot(robot, rng, armature=0.0), robot=robot)
+    recording = record(real, exciting_motion(robot, rng, 15.0, 50.0), rng, noise=0.2)
+    calibration = calibrate(robot, [recording])
+    assert not calibration.accepted
+    assert calibration.inertials == {}
+    assert calibration.calibrated is robot
+    assert '<mass value="9.29"/>' in calibrated_urdf(calibration, STANFORD).decode()
+
+
+def test_a_delay_of_the_efforts_is_found():
+    robot, rng = load_urdf(STANFORD), np.random.default_rng(3)
+    real = real_robot(robot, rng)
+    motion = exciting_motion(robot, rng, 20.0, 100.0)
+    calibration = calibrate(robot, [record(real, motion, rng, delay=0.008)])
+    assert calibration.delay == pytest.approx(0.008, abs=5e-4)
+    assert calibration.accepted

@@ -1,0 +1,46 @@
+"""The command `identify` on a simulated recording."""
+
+import json
+
+from calibration_runs import exciting_motion, real_robot, record
+from inverse_dynamics_node import load_urdf
+from inverse_dynamics_node.cli.main import main
+import numpy as np
+from robot_files import ROOT
+from simulated_runs import write_csv
+import yaml
+
+ROBOT = ROOT / 'test' / 'robots' / 'planar_2r.urdf'
+
+
+def test_writes_urdf_parameters_report_and_picture(here, capsys, size_of):
+    robot, rng = load_urdf(ROBOT), np.random.default_rng(0)
+    real = real_robot(robot, rng)
+    for name in ('fit', 'check'):
+        write_csv(here / f'{name}.csv', record(real, exciting_motion(robot, rng, 15.0, 50.0), rng))
+    outputs = ['--output', 'new.urdf', '--parameters', 'node.yaml', '--json', 'report.json']
+    assert main(['identify', str(ROBOT), 'fit.csv', '--validate', 'check.csv', *outputs]) == 0
+    text = capsys.readouterr().out
+    assert text.startswith('On unseen data the identified model leaves ')
+    report = json.loads((here / 'report.json').read_text())
+    assert report['accepted'] is True
+    for joint in report['joints']:
+        assert 0.0 < joint['noise'] < 2.0 * joint['identified'] < joint['friction']
+        assert joint['friction'] < joint['urdf'] < 2.0 * joint['measured']
+    for body in report['bodies']:
+        assert 0.0 <= body['told'] <= 1.0
+        assert body['mass'] < 2.0 * body['mass_before'] or body['told'] > 0.9
+    written = load_urdf(here / 'new.urdf')
+    masses = [written.link_mass[written.link_index(b['link'])] for b in report['bodies']]
+    np.testing.assert_allclose(masses, [body['mass'] for body in report['bodies']])
+    parameters = yaml.safe_load((here / 'node.yaml').read_text())['/**']['ros__parameters']
+    assert parameters['joints'] == list(robot.joint_names)
+    for name in ('damping', 'coulomb', 'coulomb_width', 'load_friction', 'armature'):
+        assert all(isinstance(value, float) and value >= 0.0 for value in parameters[name])
+    np.testing.assert_allclose(parameters['damping'], real.damping, rtol=0.2)
+    assert size_of(here / 'planar_2r_identify.png')[0] == 900
+
+
+def test_reports_a_recording_that_cannot_be_used(here, capsys):
+    assert main(['identify', str(ROBOT), 'missing.csv']) == 1
+    assert 'missing.csv: no such file or folder' in capsys.readouterr().err
