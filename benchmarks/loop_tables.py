@@ -38,7 +38,7 @@ def permission(is_permitted: bool) -> str:
     if is_permitted:
         return "The robot's side has a higher real-time priority than all contenders."
     return (
-        'Real-time priority is not permitted on this machine: only normal priority is measured, '
+        'Real-time priority is not permitted on this machine: only normal priority is measured,\n'
         "and the delays of the robot's side are included."
     )
 

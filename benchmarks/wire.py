@@ -350,9 +350,19 @@ class Contender:
     def _turn(self) -> Iterator[None]:
         self._process.send_signal(signal.SIGCONT)
         try:
+            self._wait_for_answer()
             yield
         finally:
             self._process.send_signal(signal.SIGSTOP)
+
+    def _wait_for_answer(self) -> None:
+        """Wait until the process has been found again: it is lost if it is stopped for long."""
+        deadline = time.monotonic() + PATIENCE
+        while self._take()[-self._size :] not in self._numbers:
+            if time.monotonic() > deadline:
+                raise TimeoutError(f'no answer within {PATIENCE:g} s after a pause')
+            self._send()
+            time.sleep(0.005)
 
     def close(self) -> None:
         """End the process."""
