@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+import gc
 import json
 import math
 import os
@@ -85,10 +86,13 @@ def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
     from ..node.observer import find_nodes, Observer, observing_node  # needs ROS
 
-    with _signals_raise(), observing_node() as node:
-        name = _choose_node(node, options)
-        watch = _Watch(Observer(node, name), lambda: find_nodes(node), options)
-        return watch.run()
+    try:
+        with _signals_raise(), observing_node() as node:
+            name = _choose_node(node, options)
+            watch = _Watch(Observer(node, name), lambda: find_nodes(node), options)
+            return watch.run()
+    finally:
+        gc.freeze()  # the last garbage collection would take most of a second
 
 
 class _Watch:
