@@ -65,3 +65,56 @@ def test_a_delay_of_the_efforts_is_found():
     calibration = calibrate(robot, [record(real, motion, rng, delay=0.008)])
     assert calibration.delay == pytest.approx(0.008, abs=5e-4)
     assert calibration.accepted
+
+
+def test_a_gripper_that_is_not_on_the_robot_does_no_harm():
+    robot, rng = load_urdf(STANFORD), np.random.default_rng(4)
+    real = real_robot(robot, rng)
+    recording = record(real, exciting_motion(robot, rng, 20.0, 50.0), rng)
+    unseen = record(real, exciting_motion(robot, rng, 10.0, 50.0), rng)
+    text = STANFORD.read_text()
+    load = (
+        '<link name="tool0"><inertial><origin xyz="0 0.05 0.1"/><mass value="1.0"/>'
+        '<inertia ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+    )
+    assert '<link name="tool0"/>' in text
+    wrong = load_urdf(text.replace('<link name="tool0"/>', load))
+    left = []
+    for description in (robot, wrong):
+        found = calibrate(description, [recording], [unseen]).unseen
+        left.append(float(np.linalg.norm(found.measured - found.identified)))
+    assert left[1] == pytest.approx(left[0], rel=0.03)
+
+
+def test_gains_of_currents_are_found_up_to_a_common_factor():
+    robot, rng = load_urdf(STANFORD), np.random.default_rng(0)
+    real = real_robot(robot, rng)
+    recording = record(real, exciting_motion(robot, rng, 20.0, 100.0), rng)
+    gains = np.array([2.0, 5.0, -40.0, 3.0, 8.0, 1.5])
+    currents = recording._replace(efforts=recording.efforts / gains)
+    calibration = calibrate(robot, [currents], currents=True)
+    ratios = np.array([joint.gain for joint in calibration.joints])[:5] / gains[:5]
+    np.testing.assert_allclose(ratios / np.mean(ratios), 1.0, atol=0.2)
+    assert 0.7 < np.mean(ratios) < 1.4
+    assert 'up to one common factor' in calibration.warnings[0][0]
+
+
+def test_a_coupled_wrist_is_named_and_does_not_pass_for_friction():
+    robot, rng = load_urdf(STANFORD), np.random.default_rng(5)
+    real = real_robot(robot, rng)
+    motion = exciting_motion(robot, rng, 20.0, 100.0)
+    recording = record(real, motion, rng)
+    _, _, qd, qdd = motion
+    coupling = np.zeros_like(qd)
+    coupling[:, 4] = 3.0 * real.damping[4] * qd[:, 5] + real.armature[4] * qdd[:, 5]
+    coupling[:, 4] += 2.0 * real.coulomb[4] * np.tanh(qd[:, 5] / real.width[5])
+    calibration = calibrate(robot, [recording._replace(efforts=recording.efforts + coupling)])
+    assert [joint.coupled_with for joint in calibration.joints] == [
+        (),
+        (),
+        (),
+        (),
+        ('joint_6',),
+        (),
+    ]
+    assert calibration.joints[4].terms.coulomb == pytest.approx(real.coulomb[4], rel=0.2)
