@@ -50,11 +50,15 @@ def with_approach(names, measured):
     positions, velocities, accelerations = np.zeros((3, points + 1, len(names)))
     positions[:] = measured
     index = [names.index(name) for name in planned.joint_names]
-    positions[1:, index] = planned.positions
+    # Continuous joints take the shorter way.
+    is_continuous = [robot.is_continuous[robot.joint_names.index(x)] for x in planned.joint_names]
+    turns = np.round((measured[index] - planned.positions[0]) / (2.0 * np.pi))
+    positions[1:, index] = planned.positions + 2.0 * np.pi * turns * is_continuous
     velocities[1:, index] = planned.velocities * speed
     accelerations[1:, index] = planned.accelerations * speed**2
     approach = 1.0 + np.abs(positions[1] - measured).max() / APPROACH
     times = np.append(0.0, approach + (planned.times - planned.times[0]) / speed)
+    errors.append(np.zeros(len(names)))
     print(f'{times[-1]:.1f} s, of which {approach:.1f} s to the first point')
     return refine(Trajectory(tuple(names), times, positions, velocities, accelerations), 0.002)[0]
 
