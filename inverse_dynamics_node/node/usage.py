@@ -49,7 +49,7 @@ PUBLISHED = {
     '~/external_efforts': ('sensor_msgs/JointState', 'measured minus modelled effort'),
     '~/base_wrench': ('geometry_msgs/WrenchStamped', 'exerted by the mount on the base'),
     '~/joint_trajectory_out': ('trajectory_msgs/JointTrajectory', 'filled with efforts'),
-    '~/robot_description': ('std_msgs/String', 'the URDF in use, for inverse_dynamics watch'),
+    '~/robot_description': ('std_msgs/String', 'the robot description in use'),
     '/diagnostics': ('diagnostic_msgs/DiagnosticArray', 'state of the node, every second'),
 }
 SERVICES = {

@@ -153,7 +153,7 @@ class TestDemo:
             (['--scenario', 'payload', '--duration', '5'], '--duration 5 is not 10 s or more'),
             (['--scenario', 'dance'], "invalid choice: 'dance'"),
             (['--picture', 'run.jpeg2'], 'expected .png, .svg or .pdf'),
-            (['--record', '.'], 'argument --record: .: exists already'),
+            (['--record', '.'], 'argument --record: .: already exists'),
             (['--domain', '233'], '--domain 233 is not from 0 to 232'),
         ],
     )

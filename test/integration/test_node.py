@@ -366,7 +366,7 @@ def test_parameters_describe_their_ranges(run_node, robot):
     run_node()
     request = DescribeParameters.Request(names=list(PARAMETERS))
     answer = robot.call(DescribeParameters, 'describe_parameters', request)
-    ranges = {d.name: d.floating_point_range for d in answer.descriptors}
+    ranges = {d.name: d.floating_point_range or d.integer_range for d in answer.descriptors}
     for name, parameter in PARAMETERS.items():
         found = [(r.from_value, r.to_value) for r in ranges[name]]
         assert found == ([parameter.range] if parameter.range else []), name

@@ -27,7 +27,7 @@ _MOST_ROWS = 10
 """Number of joints with a row each; with more, every joint has a small picture."""
 _ACROSS = 3
 _POINTS = 1500
-_NAME_LETTERS = 21
+_NAME_LETTERS = 18
 """Largest number of letters in a name above a small picture."""
 
 
@@ -99,8 +99,7 @@ def _small(pyplot: Any, findings: Findings) -> tuple[Any, list[Any]]:
         joint = findings.joints[c]
         lines = _draw_efforts(ax, findings, c)
         ax.set_title(f'{names[c]} [{"N" if joint.is_prismatic else "N m"}]', fontsize=8.5, pad=3)
-        residual = amount(joint.rms_corrected, joint.is_prismatic)
-        ax.set_title(f'RMS {residual}', loc='right', fontsize=8, pad=3, color=GREY)
+        ax.set_title(f'RMS {joint.rms_corrected:.2g}', loc='right', fontsize=8, pad=3, color=GREY)
         _fewer_ticks(ax)
     for ax in axes.flat[count - _ACROSS : count]:
         ax.tick_params(labelbottom=True)
