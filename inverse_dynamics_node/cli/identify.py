@@ -127,8 +127,10 @@ def run(options: argparse.Namespace) -> int:
         calibration = calibrate(
             robot, runs, unseen, options.gravity, payload, options.fixed, options.currents, report
         )
+    # Written first: the report may end early in a pipe, such as `| head`.
+    files = _write(calibration, source, options)
     _show(calibration, tuple(dict.fromkeys([*notes, *more_notes])), [*runs, *unseen])
-    _write(calibration, source, options)
+    print('\n'.join(files), end='\n' if files else '')
     if not options.no_picture:
         from .pictures.identify import draw
 
@@ -183,15 +185,18 @@ def _show(calibration: Calibration, notes: tuple[str, ...], recordings: list[Rec
         show(Table('To improve the result', notes=tuple(f'- {x}' for x in calibration.advice)))
 
 
-def _write(calibration: Calibration, source: Path | str, options: argparse.Namespace) -> None:
+def _write(calibration: Calibration, source: Path | str, options: argparse.Namespace) -> list[str]:
+    """Write the files; return a line about each."""
+    lines = []
     if options.output:
         options.output.write_bytes(calibrated_urdf(calibration, source))
         what = 'calibrated URDF' if calibration.accepted else 'URDF with fitted friction'
-        print(f'{what}: {options.output}')
+        lines.append(f'{what}: {options.output}')
     if options.parameters:
         options.parameters.write_text(node_parameters(calibration), encoding='utf-8')
-        print(f'parameters of the node: {options.parameters}')
+        lines.append(f'parameters of the node: {options.parameters}')
     if options.json:
         text = json.dumps(as_json(calibration), indent=2, ensure_ascii=False)
         options.json.write_text(text + '\n', encoding='utf-8')
-        print(f'report: {options.json}')
+        lines.append(f'report: {options.json}')
+    return lines
