@@ -16,7 +16,7 @@ import numpy as np
 
 from ...robot.model import Floats
 from .pseudo_inertia import PARAMETERS
-from .rows import Motion
+from .rows import RobotMotion
 from .samples import Setting
 
 NAMES = ('m', 'mx', 'my', 'mz', 'Ixx', 'Ixy', 'Iyy', 'Ixz', 'Iyz', 'Izz')
@@ -57,7 +57,7 @@ def base_parameters(setting: Setting) -> BaseParameters:
     states[0][:, slides] *= 0.2
     times = np.arange(STATES, dtype=float)
     q, qd, qdd = states
-    motion = Motion(times, q, qd, qdd, np.zeros((STATES, len(setting.joints))), 1, 0)
+    motion = RobotMotion(times, q, qd, qdd, np.zeros((STATES, len(setting.joints))), 1, 0)
     table = setting.columns(motion).reshape(-1, PARAMETERS * len(setting.free.bodies))
     table /= np.sqrt(np.mean(table**2))
     _, triangle, order = qr(table, mode='economic', pivoting=True)

@@ -16,7 +16,7 @@ from .gains import first_gains
 from .joint_terms import choose_terms, fit_terms, widths_to_try
 from .motions import measured_joints, prepare_all, Run
 from .result import Calibration
-from .rows import Motion
+from .rows import RobotMotion
 from .samples import GAIN, Model, Samples, Setting, WIDTH
 from .selection import choose_gamma, solve_within_reason
 from .summary import summarise
@@ -154,7 +154,7 @@ class Identification:
             return 1.0
         return float(np.exp(-np.mean(np.log(change[self.gain_known]))))
 
-    def aligned(self, motions: Sequence[Motion]) -> list[Floats]:
+    def aligned(self, motions: Sequence[RobotMotion]) -> list[Floats]:
         """Return the efforts of motions without delay, in N m or N, each of shape (K, m)."""
         return [shifted(motion, self.delay_removed) * self.gains for motion in motions]
 

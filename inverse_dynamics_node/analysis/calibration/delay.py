@@ -7,7 +7,7 @@ import numpy as np
 from ...robot.model import Floats
 from .fit import Solution
 from .pseudo_inertia import PARAMETERS
-from .rows import Motion, pieces
+from .rows import pieces, RobotMotion
 from .samples import Samples, TERMS
 
 MOST_DELAY = 0.1
@@ -53,7 +53,7 @@ def estimate_delay(samples: Samples, solution: Solution, weights: Floats) -> tup
     return float(np.clip(delay, -MOST_DELAY, MOST_DELAY)), float(1.0 / np.sqrt(free))
 
 
-def shifted(motion: Motion, delay: float) -> Floats:
+def shifted(motion: RobotMotion, delay: float) -> Floats:
     """Return the efforts of a motion without a delay, shape (K, m)."""
     from scipy.interpolate import CubicSpline
 

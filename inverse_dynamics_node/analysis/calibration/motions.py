@@ -12,7 +12,7 @@ from ...robot.model import Floats, RobotModel
 from ..identification import signals
 from ..identification.recorded_column import Recording
 from ..identification.signals import derive
-from .rows import Motion, pieces
+from .rows import pieces, RobotMotion
 
 HIGHEST_RATE = 250.0
 """Samples per second that are kept; the smoothed motions contain nothing faster."""
@@ -27,7 +27,7 @@ LEAST_RANGE = 0.02
 class Run(NamedTuple):
     """One recording, prepared for the regression."""
 
-    motion: Motion
+    motion: RobotMotion
     noise: Floats
     """Noise that is left in the smoothed efforts, shape (m,) [N m or N]."""
     derived: signals.Motion
@@ -151,7 +151,7 @@ def _prepare(
     period = float(np.median(np.diff(derived.times)))
     step = max(1, int(1.0 / (period * HIGHEST_RATE) + 1e-9))
     kept = np.concatenate([np.arange(a, b, step) for a, b in pieces(derived.times)])
-    motion = Motion(
+    motion = RobotMotion(
         derived.times[kept],
         q[kept],
         qd[kept],

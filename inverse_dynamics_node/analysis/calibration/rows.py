@@ -19,7 +19,7 @@ ROWS_PER_WINDOW = 8
 """Rows in each smoothing window; more would add nothing."""
 
 
-class Motion(NamedTuple):
+class RobotMotion(NamedTuple):
     """The uniform motion of one recording of a robot with n joints, m of them with efforts."""
 
     times: Floats
@@ -64,13 +64,13 @@ class Smoothing(NamedTuple):
         return _apply(self.of_sharp, values)
 
 
-def smoothing(motion: Motion, seconds: float) -> Smoothing:
+def smoothing(motion: RobotMotion, seconds: float) -> Smoothing:
     """
     Return the smoothing of a motion.
 
     Parameters
     ----------
-    motion : Motion
+    motion : RobotMotion
         Motion at K times.
     seconds : float
         Length of the window [s]; with 0, signals are left as they are in the motion.

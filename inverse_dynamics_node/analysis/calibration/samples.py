@@ -12,7 +12,7 @@ from ...dynamics.inverse_dynamics import InverseDynamics
 from ...robot.model import Floats, Integers, RobotModel
 from .free_bodies import FreeBodies
 from .pseudo_inertia import PARAMETERS
-from .rows import Motion, smoothing
+from .rows import RobotMotion, smoothing
 
 ARMATURE, DAMPING, COULOMB, LOAD, OFFSET = range(5)
 EXPORTED = 5
@@ -99,12 +99,12 @@ class Setting:
         dynamics.set_friction(0.0, 0.0)
         return dynamics
 
-    def efforts(self, robot: RobotModel, motion: Motion) -> Floats:
+    def efforts(self, robot: RobotModel, motion: RobotMotion) -> Floats:
         """Return efforts without friction and armature, shape (K, m)."""
         efforts = self.dynamics(robot).efforts(motion.q, motion.qd, motion.qdd)
         return efforts[:, self.joints]
 
-    def columns(self, motion: Motion) -> Floats:
+    def columns(self, motion: RobotMotion) -> Floats:
         """Return the columns of the free bodies, shape (K, m, 10 b)."""
         bodies = np.array(self.free.bodies) - 1
         index = (PARAMETERS * bodies[:, None] + np.arange(PARAMETERS)).ravel()
@@ -125,7 +125,7 @@ class Samples:
     ----------
     setting : Setting
         The robot, with m joints that have efforts.
-    motions : sequence of Motion
+    motions : sequence of RobotMotion
         The recordings.
     seconds : float
         Length of the smoothing window [s].
@@ -144,7 +144,7 @@ class Samples:
     """
 
     def __init__(
-        self, setting: Setting, motions: Sequence[Motion], seconds: float, block_count: int
+        self, setting: Setting, motions: Sequence[RobotMotion], seconds: float, block_count: int
     ) -> None:
         self.setting, self.motions, self.seconds = setting, list(motions), seconds
         self.smoothings = [smoothing(motion, seconds) for motion in motions]
