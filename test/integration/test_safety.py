@@ -61,13 +61,18 @@ def test_a_suspended_process_continues_from_its_last_command(run_node, robot, ra
 
 
 CRASH = """
-import sys
+import os, sys
 from importlib import import_module
 from inverse_dynamics_node.node import main
-def crash(self, *_):
-    raise RuntimeError('an error in the program')
-module, class_name, method = sys.argv.pop(1).split('.')
-setattr(getattr(import_module(f'inverse_dynamics_node.node.{module}'), class_name), method, crash)
+where, trigger = sys.argv.pop(1), sys.argv.pop(1)
+module, class_name, method = where.split('.')
+owner = getattr(import_module(f'inverse_dynamics_node.node.{module}'), class_name)
+original = getattr(owner, method)
+def crash(self, *arguments):
+    if os.path.exists(trigger):
+        raise RuntimeError('an error in the program')
+    return original(self, *arguments)
+setattr(owner, method, crash)
 sys.exit(main.main(sys.argv))
 """
 
@@ -82,24 +87,22 @@ sys.exit(main.main(sys.argv))
         'runner.LoopRunner._on_watch',
     ],
 )
-def test_a_crash_in_a_callback_leaves_zeros(domain_id, robot, where):
+def test_a_crash_in_a_callback_leaves_zeros(domain_id, robot, where, tmp_path):
     settings = [x for k, v in RAMPED.items() for x in ('-p', f'{k}:={v}')]
+    trigger = tmp_path / 'crash'
     process = subprocess.Popen(
-        [sys.executable, '-c', CRASH, where, '--ros-args', *settings],
+        [sys.executable, '-c', CRASH, where, str(trigger), '--ros-args', *settings],
         env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)},
         stderr=subprocess.PIPE,
         text=True,
     )
     try:
         robot.publish_state(NAMES, Q, ZERO)
-        if where.endswith(('_on_accelerations', '_explain')):
-            robot.wait_until(lambda: robot.commands, 'commands')
         robot.publish_accelerations(ZERO)
+        robot.wait_for_command(HOLD)
+        trigger.touch()
         robot.wait_until(lambda: process.poll() is not None, 'end of the node')
-        for _ in range(20):  # handle the messages that have been delivered
-            robot.executor.spin_once(timeout_sec=0.02)
-        # The other crashes may happen before the first command.
-        assert not robot.commands or robot.commands[-1] == ZERO.tolist()
+        robot.wait_for_command(ZERO)  # may still be on the way
         assert process.returncode == 1
         assert 'an error in the program' in process.stderr.read()
     finally:
