@@ -1,15 +1,10 @@
 """
 The two passes of Luh, Walker and Paul for many states at once; the equations are in `equations`.
 
-A block of states is computed together, each state in a lane. Every step is a loop over the lanes
-of a block, which reads and writes rows: component j of lane k is ``rows[i, j * LANES + k]``, where
-i is a body or a joint.
-
-- Compiled, a block has 64 lanes of one number each, and the compiler turns every loop into vector
-  instructions. This requires that a step is a function of its own, and that rows of each kind are
-  an array of their own.
-- Without numba, a block has one lane, which contains arrays of many states. The same functions are
-  numpy expressions then.
+A block of states is computed together, each state in a lane: see `lanes`. Every step is a loop
+over the lanes of a block. Compiled, the compiler turns every loop into vector instructions. This
+requires that a step is a function of its own, and that rows of each kind are an array of their
+own.
 """
 
 from __future__ import annotations
@@ -52,22 +47,12 @@ from .equations import (
     sliding_acceleration,
     to_link,
     to_parent,
-    Vector,
 )
-from .jit import (
-    compile_for,
-    IS_COMPILED,
-    simd_inline,
-    simd_kernel,
-    simd_step,
-)
+from .jit import compile_for, IS_COMPILED, simd_kernel, simd_step
+from .lanes import BLOCK, CACHE_LINE, holds_nan, lane, LANES, store_lane, transpose
 from .newton_euler import NOT_FINITE, OK, own_wrench
 from .trigonometry import cosine_and_sine, LARGEST_ANGLE
 
-LANES = 64 if IS_COMPILED else 1
-BLOCK = LANES if IS_COMPILED else 2048  # states in a block
-FEWEST = 64  # states from which on blocks are faster than one state after the other
-CACHE_LINE = 8  # numbers in a line of the processor's cache
 LEAST_PIECE = 1024  # states from which on another thread saves time
 
 _NO_ROTATIONS = np.empty((0, 9))
@@ -81,7 +66,7 @@ def inverse_dynamics_many(states: Sequence[Floats], robot: Floats, threads: int 
     Parameters
     ----------
     states : q, qd, qdd and tau, each an ndarray of shape (N, n)
-        N is at least `FEWEST`, and tau does not share memory with the others.
+        N is at least `lanes.FEWEST`, and tau does not share memory with the others.
     robot : ndarray
         Table from `robot_table`; read only.
     threads : int
@@ -208,15 +193,6 @@ def hold_base(robot: Any, motion: Any) -> None:
     for j in range(9):
         for k in range(LANES):
             motion[0, j * LANES + k] = robot[0, OMEGA + j]
-
-
-@simd_step
-def transpose(source: Any, target: Any) -> None:
-    """Copy rows between arrays, of which one has the lanes and the other has the rows adjacent."""
-    for first in range(0, LANES, CACHE_LINE):
-        for row in range(len(source)):
-            for k in range(first, min(first + CACHE_LINE, LANES)):
-                target[row, k] = source[row, k]
 
 
 @simd_step
@@ -378,26 +354,3 @@ def finish(qd: Any, qdd: Any, tau: Any, robot: Any, residue: Any) -> None:
             tau[joint, k] = effort
             # The difference is 0 only for finite numbers, and a NaN stays a NaN.
             residue[0, k] = residue[0, k] + (effort - effort)
-
-
-@simd_inline
-def holds_nan(residue: Any) -> bool:
-    """Return whether a lane is NaN; np.any takes no single number before numba 0.64."""
-    if IS_COMPILED:
-        return bool(residue != 0.0)
-    return bool(np.any(residue != 0.0))
-
-
-# Vectors in rows of lanes
-
-
-@simd_inline
-def lane(rows: Any, i: int, j: int, k: int) -> Vector:
-    return rows[i, j * LANES + k], rows[i, (j + 1) * LANES + k], rows[i, (j + 2) * LANES + k]
-
-
-@simd_inline
-def store_lane(rows: Any, i: int, j: int, k: int, v: Vector) -> None:
-    rows[i, j * LANES + k] = v[0]
-    rows[i, (j + 1) * LANES + k] = v[1]
-    rows[i, (j + 2) * LANES + k] = v[2]

@@ -1,4 +1,4 @@
-"""Axes and origins of the links for many states: `base_axes` on blocks of lanes, see `batch`."""
+"""Axes and origins of the links for many states: `base_axes` on blocks of `lanes`."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from typing import Any
 
 from ..robot.model import Floats
 from .base_axes import Axes, axes_in_base, in_base
-from .batch import lane, LANES, store_lane
 from .columns import OFFSET, PARENT, rotation, vector
 from .equations import add, origin_in_parent, Vector
 from .jit import IS_COMPILED, simd_inline, simd_step
+from .lanes import lane, LANES, store_lane
 
 FRAME = 12  # numbers in a lane: axes x, y, z and origin
 

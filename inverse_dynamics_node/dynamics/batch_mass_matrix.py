@@ -7,16 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..robot.model import Floats
-from .batch import (
-    BLOCK,
-    CACHE_LINE,
-    holds_nan,
-    lane,
-    LANES,
-    place_link,
-    store_lane,
-    transpose,
-)
+from .batch import place_link
 from .batch_base_axes import (
     arranged,
     count_pairs,
@@ -37,6 +28,7 @@ from .jit import (
     simd_kernel,
     simd_step,
 )
+from .lanes import BLOCK, CACHE_LINE, holds_nan, lane, LANES, store_lane, transpose
 from .mass_matrix import (
     along,
     combined,
@@ -59,7 +51,7 @@ def mass_matrix_many(q: Floats, matrices: Floats, robot: Floats) -> int:
     Parameters
     ----------
     q : ndarray, shape (N, n)
-        Joint positions [rad or m]; N is at least `batch.FEWEST`.
+        Joint positions [rad or m]; N is at least `lanes.FEWEST`.
     matrices : ndarray, shape (N, n, n)
         Receives the mass matrices.
     robot : ndarray

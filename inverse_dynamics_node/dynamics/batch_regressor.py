@@ -1,4 +1,4 @@
-"""The regressors of many states at once: `regressor` on blocks of lanes, see `batch`."""
+"""The regressors of many states at once: `regressor` on blocks of `lanes`."""
 
 from __future__ import annotations
 
@@ -8,18 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..robot.model import Floats
-from .batch import (
-    BLOCK,
-    CACHE_LINE,
-    hold_base,
-    holds_nan,
-    lane,
-    LANES,
-    outward_step,
-    place_link,
-    store_lane,
-    transpose,
-)
+from .batch import hold_base, outward_step, place_link
 from .batch_base_axes import (
     arranged,
     count_pairs,
@@ -35,6 +24,7 @@ from .batch_base_axes import (
 from .columns import JOINT, MULTIPLIER, PARENT, rotation, SLIDES
 from .equations import subtract
 from .jit import compile_for, IS_COMPILED, simd_kernel, simd_step
+from .lanes import BLOCK, CACHE_LINE, holds_nan, lane, LANES, store_lane, transpose
 from .newton_euler import NOT_FINITE, OK
 from .regressor import block, in_frame_of_parameters, PARAMETERS, unit_twist
 
@@ -48,7 +38,7 @@ def regressor_many(states: Sequence[Floats], matrices: Floats, R_LZ: Floats, rob
     Parameters
     ----------
     states : q, qd and qdd, each an ndarray of shape (N, n)
-        N is at least `batch.FEWEST`.
+        N is at least `lanes.FEWEST`.
     matrices : ndarray, shape (N, n, 10 (b - 1))
         Receives the regressors.
     R_LZ : ndarray, shape (b, 9)

@@ -33,6 +33,7 @@ from .arguments import (
 )
 from .jit import IS_COMPILED
 from .kernels import prepared
+from .lanes import FEWEST
 from .loaded_robot import LoadedRobot
 from .newton_euler import OK
 
@@ -709,7 +710,7 @@ class InverseDynamics:
         kind : tuple of int
             Shape of the result for one state.
         one, many : callable
-            Compute the quantity for a state, and for at least `batch.FEWEST` states in blocks;
+            Compute the quantity for a state, and for at least `lanes.FEWEST` states in blocks;
             return a status.
         out : ndarray, optional
             Receives the result.
@@ -723,7 +724,7 @@ class InverseDynamics:
             check_out(out, shape)
         result = np.empty(shape) if out is None or not is_free(out, rows) else out
         flat = result.reshape(len(rows[0]), *kind)
-        if self._zeros.size and len(flat) >= batch.FEWEST:
+        if self._zeros.size and len(flat) >= FEWEST:
             status = many(rows, flat)
         else:
             states = zip(zip(*rows, strict=True), flat, strict=True)
@@ -769,7 +770,7 @@ class InverseDynamics:
             check_out(out, shape)
         tau = np.empty(shape) if out is None or not is_free(out, rows) else out
         states = (*rows, tau.reshape(rows[0].shape))
-        if tau.size and len(rows[0]) >= batch.FEWEST:
+        if tau.size and len(rows[0]) >= FEWEST:
             status = batch.inverse_dynamics_many(states, np.asarray(table), threads)
         else:
             status = self._batch(*states, table)

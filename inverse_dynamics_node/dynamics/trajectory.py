@@ -9,8 +9,8 @@ import numpy as np
 
 from ..errors import shortened, TrajectoryError, unknown_name
 from ..robot.model import Floats, Integers
-from .batch import FEWEST
 from .inverse_dynamics import InverseDynamics
+from .lanes import FEWEST
 
 _FEWEST_TO_SMOOTH = 16
 """Fewest points that are longer than the padding of the filter."""
