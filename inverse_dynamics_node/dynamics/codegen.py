@@ -1,5 +1,5 @@
 """
-Optional code generation for one robot.
+Code generation for one robot.
 
 The equations are not repeated here. The functions of `newton_euler` and `mass_matrix` run once,
 on symbolic numbers: arithmetic on a `RunTimeNumber` emits an instruction instead of computing.
@@ -16,34 +16,19 @@ from __future__ import annotations
 from collections.abc import Callable
 import math
 from types import FunctionType
-from typing import Any, cast, NamedTuple, NoReturn
-import warnings
+from typing import Any, cast, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ..robot.model import Floats
 from . import base_axes, columns, equations, mass_matrix, newton_euler
-from .inverse_dynamics import InverseDynamics
+from .instructions import RunTimeNumber, Writer
 from .jit import IS_COMPILED
-from .newton_euler import NOT_FINITE, OK, WRONG_SIZE
+from .newton_euler import WRONG_SIZE
 
 if IS_COMPILED:
     import numba
     from numba.extending import intrinsic
-
-
-class State(NamedTuple):
-    """Arrays of shape (n,) for one state of n joints, to be written in place."""
-
-    q: Floats
-    """Joint positions [rad or m]."""
-    qd: Floats
-    """Joint velocities [rad/s or m/s]."""
-    qdd: Floats
-    """Joint accelerations [rad/s^2 or m/s^2]."""
-    tau: Floats
-    """Joint efforts [N m or N]."""
 
 
 class Code(NamedTuple):
@@ -53,147 +38,7 @@ class Code(NamedTuple):
     in_arrays: Callable[[Any, Any, Any, Any], int]
 
 
-DOES_NOT_FIT = -1
-
-
-def no_code(*_: Any) -> int:
-    """Stand for code that does not apply to the present loads."""
-    return DOES_NOT_FIT
-
-
-NO_CODE = Code(no_code, no_code)
-
-
-class GeneratedDynamics:
-    """
-    Inverse dynamics by code generated for one robot, for use in a control loop.
-
-    Computes the same as the methods of `InverseDynamics` except for rounding: multiplications and
-    additions are fused if the processor can. Gravity, base motion, payloads, wrenches, friction
-    and armature that are set on the dynamics apply at once, without compiling again. If one of
-    them was zero when this object was made and is set later (a base that begins to rotate, for
-    example), the general kernel is used until it is zero again. Without numba, the general kernel
-    is always used.
-
-    Parameters
-    ----------
-    dynamics : InverseDynamics
-        Dynamics with typical values of everything that will be set in the loop.
-
-    Attributes
-    ----------
-    state : State
-        Named tuple of arrays ``q, qd, qdd, tau`` for `update`.
-
-    Notes
-    -----
-    Each object compiles for tenths of a second, because its code contains array addresses. The
-    first call of `mass_matrix` does so again, so make it before the loop.
-
-    """
-
-    def __init__(self, dynamics: InverseDynamics) -> None:
-        block = np.zeros((4, len(dynamics.robot.joint_names)))
-        # Views of one block: numpy cannot resize it while they exist, so its address is constant.
-        self.state = State(*block)
-        self._tau = self.state.tau
-        self._dynamics = dynamics
-        self._table = dynamics.table
-        self._traced = _acting(self._table)
-        self._loaded = dynamics.loaded
-        self._revision = self._loaded.revision
-        self._code = NO_CODE
-        if IS_COMPILED:
-            try:
-                self._code = write_out(self._table, block)
-            except Exception as error:  # uses internals of numba, which vary between versions
-                warnings.warn(f'using the general kernel: {error!r}', stacklevel=2)
-        self._in_block, self._in_arrays = self._code
-        self._compiled_mass_matrix: Callable[[Any, Any], int] | None = None
-        self._mass_matrix: Callable[[Any, Any], int] = self._first_mass_matrix
-
-    def update(self) -> Floats:
-        """
-        Compute the efforts of ``state.q, state.qd, state.qdd``, the fastest call from Python.
-
-        Returns
-        -------
-        tau : ndarray, shape (n,)
-            The array ``state.tau``, which this call overwrites.
-
-        Raises
-        ------
-        JointStateError
-            If a value is not finite.
-
-        """
-        if self._revision != self._loaded.revision:
-            self._select_code()
-        if self._in_block() != OK:
-            # The general kernel handles every case and raises errors for invalid states.
-            return self._dynamics.efforts(*self.state)
-        return self._tau
-
-    def efforts(
-        self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: Floats | None = None
-    ) -> Floats:
-        """
-        Compute the efforts of a state in other arrays.
-
-        Parameters, result and errors are those of `InverseDynamics.efforts`.
-
-        """
-        if self._revision != self._loaded.revision:
-            self._select_code()
-        try:
-            tau = np.empty_like(self._tau) if out is None else out
-            if self._in_arrays(q, qd, qdd, tau) == OK:
-                return tau
-        except (TypeError, ValueError):  # lists, integers, batches, views with strides
-            pass
-        return self._dynamics.efforts(q, qd, qdd, out)
-
-    def mass_matrix(self, q: ArrayLike, out: Floats | None = None) -> Floats:
-        """
-        Compute the mass matrix; the first call compiles.
-
-        Parameters, result and errors are those of `InverseDynamics.mass_matrix`.
-
-        """
-        if self._revision != self._loaded.revision:
-            self._select_code()
-        try:
-            matrix = np.empty(2 * self._tau.shape) if out is None else out
-            if self._mass_matrix(q, matrix) == OK:
-                return matrix
-        except (TypeError, ValueError):
-            pass
-        return self._dynamics.mass_matrix(q, out)
-
-    def _first_mass_matrix(self, q: Any, matrix: Any) -> int:
-        """Compile the code of the mass matrix, and run it."""
-        self._compiled_mass_matrix = no_code
-        if IS_COMPILED:
-            try:
-                self._compiled_mass_matrix = write_out_mass_matrix(self._table, self._traced)
-            except Exception as error:
-                warnings.warn(f'using the general kernel: {error!r}', stacklevel=3)
-        self._select_code()
-        return self._mass_matrix(q, matrix)
-
-    def _select_code(self) -> None:
-        """Fall back to the general kernel while a term acts that the code left out."""
-        self._revision = self._loaded.revision
-        is_new = (_acting(self._table) & ~self._traced).any()
-        self._in_block, self._in_arrays = NO_CODE if is_new else self._code
-        if self._compiled_mass_matrix is not None:
-            self._mass_matrix = no_code if is_new else self._compiled_mass_matrix
-
-    def __reduce__(self) -> NoReturn:
-        raise TypeError('GeneratedDynamics cannot be copied or pickled; make a new object')
-
-
-def _acting(table: Floats) -> Any:
+def acting_numbers(table: Floats) -> Any:
     """Return which numbers of a table may change between calls and are not zero now."""
     mask = np.zeros(table.shape, dtype=bool)
     for part in (
@@ -231,7 +76,7 @@ def write_out(table: Floats, block: Floats) -> Code:
     def straight_line(_: Any, q: Any, qd: Any, qdd: Any, tau: Any) -> Any:
         def write(context: Any, builder: Any, _: Any, addresses: Any) -> Any:
             writer = Writer(context, builder)
-            robot = _run_time_table(writer, table, _acting(table))
+            robot = _run_time_table(writer, table, acting_numbers(table))
             q, qd, qdd, tau = ([writer.load(row, k) for k in range(n)] for row in addresses)
             functions = _functions_that_write(writer, [*q, *qd, *qdd])
             status = functions['inverse_dynamics'](q, qd, qdd, tau, robot)
@@ -311,86 +156,6 @@ def _compile(function: Callable[..., int], signature: str) -> Any:
     compiled = numba.njit(signature)(function)
     compiled.disable_compile()  # other argument types raise a TypeError
     return compiled
-
-
-class RunTimeNumber:
-    """
-    A number that is known only at run time: arithmetic on it emits an instruction.
-
-    Sums with 0 and products with 0 or 1 emit none. It never equals a plain number, so that the
-    code takes the branch for nonzero numbers wherever `newton_euler` compares it with zero.
-
-    """
-
-    def __init__(self, writer: Writer, value: Any) -> None:
-        self.writer = writer
-        self.value = value
-
-    def __add__(self, other: Any) -> Any:
-        return self if other == 0.0 else self.writer.operation('fadd', self, other)
-
-    def __sub__(self, other: Any) -> Any:
-        return self if other == 0.0 else self.writer.operation('fsub', self, other)
-
-    def __rsub__(self, other: Any) -> Any:
-        return self.writer.operation('fsub', other, self)
-
-    def __mul__(self, other: Any) -> Any:
-        if other == 0.0:
-            return 0.0
-        return self if other == 1.0 else self.writer.operation('fmul', self, other)
-
-    __radd__ = __add__
-    __rmul__ = __mul__
-
-
-class Writer:
-    """Emits instructions for plain and run-time numbers into a function that numba compiles."""
-
-    def __init__(self, context: Any, builder: Any) -> None:
-        self.context = context
-        self.builder = builder
-
-    def operation(self, name: str, *numbers: Any) -> RunTimeNumber:
-        write = getattr(self.builder, name)
-        return RunTimeNumber(self, write(*map(self._value, numbers), flags=('contract',)))
-
-    def load(self, address: Any, k: int) -> RunTimeNumber:
-        """Load number k of an array at an address."""
-        return RunTimeNumber(self, self.builder.load(self._pointer(address, k)))
-
-    def store(self, number: Any, address: Any, k: int) -> None:
-        self.builder.store(self._value(number), self._pointer(address, k))
-
-    def elementary(self, function: Callable[[float], float]) -> Callable[[Any], Any]:
-        """Return a function of `math` for plain and run-time numbers."""
-        call = self.context.get_function(function, numba.float64(numba.float64))
-
-        def write(number: Any) -> Any:
-            if not isinstance(number, RunTimeNumber):
-                return function(number)
-            return RunTimeNumber(self, call(self.builder, [number.value]))
-
-        return write
-
-    def status(self, number: Any) -> Any:
-        """Return the status NOT_FINITE if a number is NaN, otherwise OK."""
-        value = self._value(number)
-        is_nan = self.builder.fcmp_unordered('uno', value, value)
-        return self.builder.select(is_nan, *(self.integer(x) for x in (NOT_FINITE, OK)))
-
-    def _value(self, number: Any) -> Any:
-        if isinstance(number, RunTimeNumber):
-            return number.value
-        return self.context.get_constant(numba.float64, number)
-
-    def integer(self, number: int) -> Any:
-        return self.context.get_constant(numba.intp, number)
-
-    def _pointer(self, address: Any, k: int) -> Any:
-        kind = self.context.get_value_type(numba.float64).as_pointer()
-        first = self.builder.inttoptr(address, kind)
-        return self.builder.gep(first, [self.integer(k)])
 
 
 def _functions_that_write(writer: Writer, inputs: list[RunTimeNumber]) -> dict[str, Any]:

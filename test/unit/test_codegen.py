@@ -9,7 +9,7 @@ from inverse_dynamics_node import (
     JointStateError,
     load_urdf,
 )
-from inverse_dynamics_node.dynamics import codegen
+from inverse_dynamics_node.dynamics import codegen, generated_dynamics
 from inverse_dynamics_node.dynamics.jit import IS_COMPILED
 import numpy as np
 from numpy.testing import assert_allclose
@@ -230,7 +230,7 @@ def test_incompatible_numba_is_a_warning(dynamics, rng, monkeypatch):
     def fail(*_):
         raise AttributeError('as_pointer')
 
-    monkeypatch.setattr(codegen, 'write_out', fail)
+    monkeypatch.setattr(generated_dynamics, 'write_out', fail)
     with pytest.warns(UserWarning, match='as_pointer'):
         generated = GeneratedDynamics(dynamics)
     assert_same(dynamics, generated, rng)

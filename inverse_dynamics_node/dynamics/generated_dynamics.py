@@ -1,0 +1,169 @@
+"""Inverse dynamics by code generated for one robot, with the general kernel as a fallback."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, NoReturn
+import warnings
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..robot.model import Floats
+from .codegen import acting_numbers, Code, write_out, write_out_mass_matrix
+from .inverse_dynamics import InverseDynamics
+from .jit import IS_COMPILED
+from .newton_euler import OK
+
+
+class State(NamedTuple):
+    """Arrays of shape (n,) for one state of n joints, to be written in place."""
+
+    q: Floats
+    """Joint positions [rad or m]."""
+    qd: Floats
+    """Joint velocities [rad/s or m/s]."""
+    qdd: Floats
+    """Joint accelerations [rad/s^2 or m/s^2]."""
+    tau: Floats
+    """Joint efforts [N m or N]."""
+
+
+DOES_NOT_FIT = -1
+
+
+def no_code(*_: Any) -> int:
+    """Stand for code that does not apply to the present loads."""
+    return DOES_NOT_FIT
+
+
+NO_CODE = Code(no_code, no_code)
+
+
+class GeneratedDynamics:
+    """
+    Inverse dynamics by code generated for one robot, for use in a control loop.
+
+    Computes the same as the methods of `InverseDynamics` except for rounding: multiplications and
+    additions are fused if the processor can. Gravity, base motion, payloads, wrenches, friction
+    and armature that are set on the dynamics apply at once, without compiling again. If one of
+    them was zero when this object was made and is set later (a base that begins to rotate, for
+    example), the general kernel is used until it is zero again. Without numba, the general kernel
+    is always used.
+
+    Parameters
+    ----------
+    dynamics : InverseDynamics
+        Dynamics with typical values of everything that will be set in the loop.
+
+    Attributes
+    ----------
+    state : State
+        Named tuple of arrays ``q, qd, qdd, tau`` for `update`.
+
+    Notes
+    -----
+    Each object compiles for tenths of a second, because its code contains array addresses. The
+    first call of `mass_matrix` does so again, so make it before the loop.
+
+    """
+
+    def __init__(self, dynamics: InverseDynamics) -> None:
+        block = np.zeros((4, len(dynamics.robot.joint_names)))
+        # Views of one block: numpy cannot resize it while they exist, so its address is constant.
+        self.state = State(*block)
+        self._tau = self.state.tau
+        self._dynamics = dynamics
+        self._table = dynamics.table
+        self._traced = acting_numbers(self._table)
+        self._loaded = dynamics.loaded
+        self._revision = self._loaded.revision
+        self._code = NO_CODE
+        if IS_COMPILED:
+            try:
+                self._code = write_out(self._table, block)
+            except Exception as error:  # uses internals of numba, which vary between versions
+                warnings.warn(f'using the general kernel: {error!r}', stacklevel=2)
+        self._in_block, self._in_arrays = self._code
+        self._compiled_mass_matrix: Callable[[Any, Any], int] | None = None
+        self._mass_matrix: Callable[[Any, Any], int] = self._first_mass_matrix
+
+    def update(self) -> Floats:
+        """
+        Compute the efforts of ``state.q, state.qd, state.qdd``, the fastest call from Python.
+
+        Returns
+        -------
+        tau : ndarray, shape (n,)
+            The array ``state.tau``, which this call overwrites.
+
+        Raises
+        ------
+        JointStateError
+            If a value is not finite.
+
+        """
+        if self._revision != self._loaded.revision:
+            self._select_code()
+        if self._in_block() != OK:
+            # The general kernel handles every case and raises errors for invalid states.
+            return self._dynamics.efforts(*self.state)
+        return self._tau
+
+    def efforts(
+        self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: Floats | None = None
+    ) -> Floats:
+        """
+        Compute the efforts of a state in other arrays.
+
+        Parameters, result and errors are those of `InverseDynamics.efforts`.
+
+        """
+        if self._revision != self._loaded.revision:
+            self._select_code()
+        try:
+            tau = np.empty_like(self._tau) if out is None else out
+            if self._in_arrays(q, qd, qdd, tau) == OK:
+                return tau
+        except (TypeError, ValueError):  # lists, integers, batches, views with strides
+            pass
+        return self._dynamics.efforts(q, qd, qdd, out)
+
+    def mass_matrix(self, q: ArrayLike, out: Floats | None = None) -> Floats:
+        """
+        Compute the mass matrix; the first call compiles.
+
+        Parameters, result and errors are those of `InverseDynamics.mass_matrix`.
+
+        """
+        if self._revision != self._loaded.revision:
+            self._select_code()
+        try:
+            matrix = np.empty(2 * self._tau.shape) if out is None else out
+            if self._mass_matrix(q, matrix) == OK:
+                return matrix
+        except (TypeError, ValueError):
+            pass
+        return self._dynamics.mass_matrix(q, out)
+
+    def _first_mass_matrix(self, q: Any, matrix: Any) -> int:
+        """Compile the code of the mass matrix, and run it."""
+        self._compiled_mass_matrix = no_code
+        if IS_COMPILED:
+            try:
+                self._compiled_mass_matrix = write_out_mass_matrix(self._table, self._traced)
+            except Exception as error:
+                warnings.warn(f'using the general kernel: {error!r}', stacklevel=3)
+        self._select_code()
+        return self._mass_matrix(q, matrix)
+
+    def _select_code(self) -> None:
+        """Fall back to the general kernel while a term acts that the code left out."""
+        self._revision = self._loaded.revision
+        is_new = (acting_numbers(self._table) & ~self._traced).any()
+        self._in_block, self._in_arrays = NO_CODE if is_new else self._code
+        if self._compiled_mass_matrix is not None:
+            self._mass_matrix = no_code if is_new else self._compiled_mass_matrix
+
+    def __reduce__(self) -> NoReturn:
+        raise TypeError('GeneratedDynamics cannot be copied or pickled; make a new object')
