@@ -8,10 +8,17 @@ from typing import Any
 
 EPILOG = """\
 The robot publishes joint_states with efforts, and is held by a position controller. Once commands
-have arrived for 1.5 s it follows them, as behind a forward_command_controller; when they stop, the
-position controller takes over after 0.5 s. Topics of its own change the robot without the node
-being informed: ~/payload (geometry_msgs/InertiaStamped) attaches a load to a link, ~/push
-(geometry_msgs/WrenchStamped) pushes it; ~ is /simulated_robot.
+have arrived for 1.5 s and have stopped rising, it follows them, as behind a
+forward_command_controller; when they stop, the position controller takes over after 0.5 s.
+
+Its velocities are supervised: if a joint exceeds twice its velocity limit (12.6 rad/s or 2 m/s if
+the URDF has none), the position controller brakes the robot and holds it. Commands are then
+ignored until they have paused for 0.5 s: set the parameter dry_run of the node to true and back.
+
+Topics of its own change the robot without the node being informed: ~/payload
+(geometry_msgs/InertiaStamped) attaches a load to a link, ~/push (geometry_msgs/WrenchStamped)
+pushes it. The service ~/hold (std_srvs/SetBool) lets the position controller hold the robot, to
+change its load, or releases it; ~ is /simulated_robot.
 
 examples:
   inverse_dynamics simulate my_arm.urdf

@@ -10,8 +10,9 @@ controller may therefore start late and ramp up its efforts without dropping the
 the sensors are lost.
 
 With ``--drive``, a position controller holds the arm in place of the brakes, and its efforts are
-those that an arm reports while its own controller holds it. It takes over again when the commands
-stop.
+those that an arm reports while its own controller holds it. It hands over to commands that have
+arrived for a while and have stopped rising. It takes over again when the commands stop, when a
+joint becomes too fast, and on the service ``~/hold``.
 
 Four topics disturb the robot:
 
@@ -47,13 +48,16 @@ from rclpy.time import Time
 from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Bool, Float64MultiArray
+from std_srvs.srv import SetBool
 
+from ..dynamics.arguments import read_vector
 from ..dynamics.inverse_dynamics import InverseDynamics
 from ..errors import InverseDynamicsError
 from ..robot.kinematics import rotation_of_rpy
 from ..robot.model import Floats
 from ..robot.urdf import load_urdf
 from .drive import PositionDrive
+from .hand_over import GAP, HandOver
 from .mujoco.hardware import MujocoRobot
 from .mujoco.model import SimulationError
 from .tilt import Tilt
@@ -61,8 +65,6 @@ from .trajectory import start_pose
 
 MOST_LAG = 0.5  # [s]: simulated time lags behind the steady clock by this much at most
 COMPLAINT_PERIOD = 5.0  # [s] between errors: invalid commands may arrive at thousands per second
-GAP = 0.1  # [s]: a longer gap between commands restarts the time to the release of the brakes
-SILENCE = 0.5  # [s]: after this long without commands, a drive takes over
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -95,7 +97,10 @@ class RobotNode(Node):
     ) -> None:
         super().__init__('simulated_robot', **options)
         self._robot = robot
-        self._drive = drive
+        self._hand_over: HandOver | None = None
+        if drive is not None:
+            self._hand_over = HandOver(robot, drive, brake_release, self.get_logger())
+            self.create_service(SetBool, '~/hold', self._on_hold)
         self._R_BS = rotation_of_rpy(*imu_orientation)
         self._tilt = Tilt()
         self._has_sensors = True
@@ -131,9 +136,10 @@ class RobotNode(Node):
     def advance(self, duration: float) -> None:
         """Advance the simulation by a duration [s], and publish the new state."""
         self._robot.world.set_base_motion(*self._tilt.motion(self._elapsed))
-        if self._drive is not None:
-            self._act(self._drive)
-        self._robot.advance(duration)
+        if self._hand_over is None:
+            self._robot.advance(duration)
+        else:
+            self._hand_over.advance(self._elapsed, duration)
         self._elapsed += duration
         if self._began is None:
             self._began = self.get_clock().now().nanoseconds
@@ -144,13 +150,6 @@ class RobotNode(Node):
             self._publish_state(stamp)
         if self._imus.get_subscription_count():
             self._publish_imu(stamp)
-
-    def _act(self, drive: PositionDrive) -> None:
-        if not drive.is_on and self._elapsed - self._last_command > SILENCE:
-            drive.take_over(self._elapsed)
-            self.get_logger().info('no commands: the position controller of the robot holds it')
-        if drive.is_on:
-            drive.act(self._elapsed)
 
     def _publish_state(self, stamp: Any) -> None:
         positions, velocities, efforts = self._robot.state()
@@ -188,17 +187,20 @@ class RobotNode(Node):
         self._apply(lambda: world.set_external_wrench(link, force, moment))
 
     def _on_tilt(self, message: Vector3Stamped) -> None:
-        self._tilt.turn_to(_read(message.vector), self._elapsed)
+        vector, now = _read(message.vector), self._elapsed
+        self._apply(lambda: self._tilt.turn_to(read_vector('tilt', vector, 'rad'), now))
 
     def _on_sensors(self, message: Bool) -> None:
         self._has_sensors = message.data
         if not message.data:
             self._set_brakes(True)
+        elif self._hand_over is not None:  # the position controller holds the robot again
+            self._set_brakes(False)
 
     def _apply(self, change: Callable[[], None]) -> None:
         try:
             change()
-        except SimulationError as error:
+        except InverseDynamicsError as error:
             self.get_logger().error(str(error))
 
     # Commands
@@ -208,9 +210,17 @@ class RobotNode(Node):
         if fault:
             self._ignore(fault)
             return
-        self._update_brakes()
-        if self._drive is None or not self._drive.is_on:
+        if self._hand_over is None:
+            self._update_brakes()
             self._robot.command(message.data)
+        elif self._has_sensors:
+            self._hand_over.command(message.data, self._elapsed)
+
+    def _on_hold(self, request: Any, response: Any) -> Any:
+        assert self._hand_over is not None
+        response.success, response.message = self._hand_over.hold(request.data, self._elapsed)
+        self.get_logger().info(response.message)
+        return response
 
     def _fault(self, message: Float64MultiArray) -> str:
         expected = len(self._robot.command_names)
@@ -234,15 +244,8 @@ class RobotNode(Node):
         now = self._elapsed
         if now - self._last_command > GAP or not self._has_sensors:
             self._flow_began = now
-            if self._drive is not None and self._drive.is_on:
-                self._drive.stand_still(now)
         self._last_command = now
-        if now - self._flow_began < self._brake_release:
-            return
-        if self._drive is not None and self._drive.is_on:
-            self._drive.is_on = False
-            self.get_logger().info('the robot follows the commands')
-        if self._robot.brakes_on:
+        if self._robot.brakes_on and now - self._flow_began >= self._brake_release:
             self._set_brakes(False)
 
     def _set_brakes(self, on: bool) -> None:

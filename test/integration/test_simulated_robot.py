@@ -1,7 +1,12 @@
 """The topics of the simulated robot, seen by a controller."""
 
+import os
+import signal
+import subprocess
+import sys
 import time
 
+from conftest import heed_signals
 import numpy as np
 import pytest
 from robot_files import STANFORD
@@ -27,6 +32,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Bool, Float64MultiArray, Header
+from std_srvs.srv import SetBool
 
 IMU_ORIENTATION = (np.pi / 2, 0.0, np.pi / 2)
 PATIENCE = 90.0  # [s]; a demo that can do nothing gives up by itself before this
@@ -147,6 +153,54 @@ class TestRobotNode:
         arm.wait_until(lambda: arm.node.advance(0.002) or len(arm.states) > received)
         arm.command_for(12)
         assert not arm.robot.brakes_on
+
+
+@pytest.fixture
+def simulated(domain_id, tmp_path):
+    """Run `inverse_dynamics simulate` as a process; return it and the path of its log."""
+    log = tmp_path / 'log'
+    command = (sys.executable, '-m', 'inverse_dynamics_node.cli.main', 'simulate', str(STANFORD))
+    with log.open('w') as output:
+        process = subprocess.Popen(
+            [*command, '--commands', 'commands'],
+            env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)},
+            stderr=output,
+            preexec_fn=heed_signals,
+        )
+    yield process, log
+    if process.poll() is None:
+        process.kill()
+    process.wait()
+
+
+def test_process_survives_commands_that_are_far_too_large(simulated, robot):
+    process, log = simulated
+    states = robot.listen(JointState, 'joint_states')
+
+    def log_has(text):
+        assert process.poll() is None, log.read_text()
+        return text in log.read_text()
+
+    robot.wait_until(lambda: states, 'joint state')
+    topic = robot.keep_publishing('commands', Float64MultiArray(data=[1e4, -1e4, 1e4] * 2))
+    robot.wait_until(lambda: log_has('the robot follows the commands'), 'hand-over')
+    robot.wait_until(lambda: log_has('the position controller brakes the robot'), 'supervision')
+    assert log_has("joint 'joint_")
+    assert log_has('(velocity limit')
+    robot.wait_until(lambda: max(map(abs, states[-1].velocity)) < 1e-3, 'rest')
+    assert np.isfinite([*states[-1].position, *states[-1].effort]).all()
+    robot.peer = 'simulated_robot'
+    refused = robot.call(SetBool, 'hold', SetBool.Request(data=False))
+    assert not refused.success
+    assert refused.message == 'commands are ignored until they pause for 0.5 s'
+    robot.cease(topic)
+    robot.wait_until(lambda: log_has('the commands have paused'), 'end of the commands')
+    held = robot.call(SetBool, 'hold', SetBool.Request(data=True))
+    assert held.success
+    assert held.message == 'the position controller holds the robot; commands are ignored'
+    process.send_signal(signal.SIGINT)
+    robot.wait_until(lambda: process.poll() is not None, 'end of the robot')
+    assert process.returncode == 0
 
 
 def at(link):

@@ -6,7 +6,7 @@ import pytest
 from robot_files import STANFORD
 
 pytest.importorskip('mujoco')
-from inverse_dynamics_node.simulation.drive import PositionDrive
+from inverse_dynamics_node.simulation.drive import BRAKING, PositionDrive
 from inverse_dynamics_node.simulation.mujoco.hardware import MujocoRobot
 
 ROBOT = load_urdf(STANFORD)
@@ -69,14 +69,31 @@ def test_it_stops_swaying_before_it_releases_the_robot():
     assert np.ptp(positions[-100:], axis=0).max() < 1e-6
 
 
-def test_it_takes_over_where_the_robot_is():
+def test_it_brakes_a_falling_robot_smoothly():
     robot, drive = robot_and_drive()
     run(robot, drive, 0.0, 0.1)
     robot.command(np.zeros(6))
     for _ in range(50):
         robot.advance(PERIOD)
-    fallen = robot.positions()
+    fallen, speed = robot.positions(), robot.velocities()
     assert np.abs(fallen - START).max() > 0.01
+    assert np.abs(speed).max() > 1.0
     drive.take_over(0.2)
     positions, _ = run(robot, drive, 0.2, 1.2)
-    assert np.abs(positions[-1] - fallen).max() < 1e-3
+    assert positions[-1] == pytest.approx(fallen + 0.5 * BRAKING * speed, abs=1e-3)
+    decelerations = np.abs(np.diff(positions, 2, axis=0)).max(axis=0) / PERIOD**2
+    assert (decelerations < 1.0 + 2.0 * np.abs(speed) / BRAKING).all()
+
+
+def test_it_does_not_brake_beyond_a_limit():
+    start = np.where(np.isfinite(ROBOT.upper), ROBOT.upper - 0.01, START)
+    robot = MujocoRobot(STANFORD, ROBOT, start)
+    robot.brakes_on = False
+    push = InverseDynamics(ROBOT).mass_matrix(start).diagonal() * [1, 5, 1, 1, 1, 1]
+    robot.command(InverseDynamics(ROBOT).gravity_efforts(start) + push)
+    for _ in range(20):
+        robot.advance(PERIOD)
+    assert robot.velocities()[1] * BRAKING / 2 > ROBOT.upper[1] - robot.positions()[1] > 0.0
+    positions, _ = run(robot, PositionDrive(robot, False), 0.0, 1.0)
+    assert positions[-1][1] == pytest.approx(ROBOT.upper[1], abs=1e-3)
+    assert positions[:, 1].max() < ROBOT.upper[1] + 2e-3

@@ -111,6 +111,11 @@ class MujocoRobot:
         positions: Floats = self._data.qpos[self._order].copy()
         return positions
 
+    def velocities(self) -> Floats:
+        """Return the velocities of ``robot.joint_names`` [rad/s or m/s]."""
+        velocities: Floats = self._data.qvel[self._order].copy()
+        return velocities
+
     def hold(self, q: Floats, qd: Floats, qdd: Floats) -> None:
         """Apply the efforts by which a position controller follows a motion, shapes (n,)."""
         kp, kd = DRIVE_GAINS
@@ -130,6 +135,42 @@ class MujocoRobot:
         mujoco.mj_step(self._model, self._data, nstep=steps)
         if not np.isfinite(self._data.qacc).all():
             raise SimulationError('the simulation became unstable: the efforts are too large')
+
+    def advance_within(self, duration: float, bounds: Floats) -> Floats | None:
+        """
+        Advance the simulation, unless a joint would become too fast.
+
+        Parameters
+        ----------
+        duration : float
+            A few milliseconds [s].
+        bounds : ndarray, shape (n,)
+            Largest speeds of ``robot.joint_names`` [rad/s or m/s].
+
+        Returns
+        -------
+        speeds : ndarray, shape (n,), or None
+            None after an advance. If a joint would exceed its bound, the speeds that the joints
+            would have reached; the robot is as before.
+
+        """
+        data = self._data
+        before = data.qpos.copy(), data.qvel.copy(), data.qacc_warmstart.copy()
+        try:
+            self.advance(duration)
+            speeds = np.abs(self.velocities())
+        except SimulationError:
+            speeds = np.full(len(bounds), np.inf)
+        if (speeds <= bounds).all():
+            return None
+        data.qpos[:], data.qvel[:], data.qacc_warmstart[:] = before
+        mujoco.mj_forward(self._model, data)
+        return speeds
+
+    def stop(self) -> None:
+        """Stop all joints at once, as brakes do."""
+        self._data.qvel[:] = 0.0
+        mujoco.mj_forward(self._model, self._data)
 
     def accelerations(self) -> Floats:
         """Return the accelerations of ``robot.joint_names`` without the effect of brakes."""
