@@ -12,6 +12,7 @@ from robot_files import OUR_ROBOTS, real_robots, ROOT
 pytest.importorskip('mujoco')
 
 from inverse_dynamics_node import InverseDynamics, load_urdf, UrdfError
+from inverse_dynamics_node.errors import ConfigurationError
 from inverse_dynamics_node.simulation.mujoco.hardware import MujocoRobot
 from inverse_dynamics_node.simulation.mujoco.model import SimulationError
 from inverse_dynamics_node.simulation.tilt import rotation, Tilt
@@ -323,6 +324,26 @@ class TestWorld:
         simulation = simulated(PENDULUM)
         with pytest.raises(SimulationError, match="link 'nope' does not exist; links are"):
             simulation.world.set_payload('nope', 1.0)
+
+    @pytest.mark.parametrize(
+        ('mass', 'com', 'inertia', 'text'),
+        [
+            (np.nan, np.zeros(3), np.eye(3), 'mass is nan'),
+            (-1.0, np.zeros(3), np.eye(3), r'mass is -1\.0'),
+            (1.0, [0.0, np.inf, 0.0], np.eye(3), 'com is'),
+            (1.0, np.zeros(3), -np.eye(3), 'no negative principal moment'),
+        ],
+    )
+    def test_loads_that_no_body_has_are_rejected(self, mass, com, inertia, text):
+        simulation = simulated(PENDULUM)
+        link = simulation.robot.link_names[-1]
+        before = simulation.mass_matrix()
+        with pytest.raises(ConfigurationError, match=text):
+            simulation.world.set_payload(link, mass, com, inertia)
+        with pytest.raises(ConfigurationError, match='force is'):
+            simulation.world.set_external_wrench(link, (np.nan, 0.0, 0.0))
+        simulation.accelerations()
+        assert_array_equal(simulation.mass_matrix(), before)
 
     def test_held_joints_stay_and_are_not_commanded(self):
         robot = load_urdf(MIMIC)

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...dynamics.arguments import read_inertial, read_vector
 from ...dynamics.inverse_dynamics import STANDARD_GRAVITY
 from ...errors import unknown_name
 from ...robot.model import Floats
@@ -73,14 +74,16 @@ class World:
         ------
         SimulationError
             If the link does not exist.
+        ConfigurationError
+            If no rigid body has such a mass and inertia.
 
         """
         body = self._body(link)
+        payload = RigidBody(*read_inertial(mass, com, inertia))
         if not body:
             return
         whole = self._alone[body]
         if mass:
-            payload = RigidBody(mass, np.asarray(com, float), np.asarray(inertia, float))
             whole = combine([whole, payload])
         _write_inertial(self._model, body, *whole)
 
@@ -101,11 +104,14 @@ class World:
         ------
         SimulationError
             If the link does not exist.
+        ConfigurationError
+            If an argument is not three finite numbers.
 
         """
         body = self._body(link)
+        wrench = read_vector('force', force, 'N'), read_vector('moment', moment, 'N m')
         if body:
-            self._wrenches[body] = np.array(force, float), np.array(moment, float)
+            self._wrenches[body] = wrench
 
     def set_base_motion(
         self,
