@@ -5,8 +5,14 @@ from dataclasses import replace
 from calibration_runs import exciting_motion, real_robot, record
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.analysis.calibration import calibrate
+from inverse_dynamics_node.analysis.calibration.base_parameters import base_parameters
 from inverse_dynamics_node.analysis.calibration.export import calibrated_urdf
+from inverse_dynamics_node.analysis.calibration.free_bodies import free_bodies
+from inverse_dynamics_node.analysis.calibration.pseudo_inertia import parameters_of
+from inverse_dynamics_node.analysis.calibration.samples import Setting
+from inverse_dynamics_node.dynamics.inverse_dynamics import STANDARD_GRAVITY
 from inverse_dynamics_node.dynamics.jit import IS_COMPILED
+from inverse_dynamics_node.robot.rigid_body import RigidBody
 import numpy as np
 import pytest
 from robot_files import STANFORD
@@ -45,6 +51,30 @@ def test_the_calibrated_urdf_has_the_fitted_efforts(stanford):
     true = InverseDynamics(real.robot).efforts(*states)
     wrong = InverseDynamics(calibration.robot).efforts(*states)
     assert np.linalg.norm(expected - true) < 0.3 * np.linalg.norm(wrong - true)
+
+
+def normalized_errors(calibration, real):
+    """Return the errors of the base parameters, divided by their standard errors."""
+    free = free_bodies(calibration.robot, ())
+    joints = np.arange(len(calibration.joints))
+    base = base_parameters(Setting(free, joints, np.array(STANDARD_GRAVITY), None, False))
+    bodies = zip(real.robot.mass, real.robot.com, real.robot.inertia, strict=True)
+    parameters = np.array([parameters_of(RigidBody(*body)) for body in bodies])
+    true = base.combinations @ parameters[list(free.bodies)].ravel()
+    _, values, errors = zip(*calibration.base_parameters, strict=True)
+    return (np.array(values) - true) / np.array(errors)
+
+
+def test_standard_errors_of_the_base_parameters_are_honest():
+    robot, z = load_urdf(STANFORD), []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        real = real_robot(robot, rng)
+        recording = record(real, exciting_motion(robot, rng, 12.0, 50.0), rng)
+        z += normalized_errors(calibrate(robot, [recording]), real).tolist()
+    assert len(z) > 190
+    assert 0.8 < np.sqrt(np.mean(np.square(z))) < 1.3
+    assert np.mean(np.abs(z) < 2.0) > 0.9
 
 
 def test_a_model_that_predicts_no_better_than_friction_is_not_accepted():
