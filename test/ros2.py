@@ -3,6 +3,9 @@ The parts of the `ros2` command line that the documents use; ros2cli itself is n
 
 Messages are sent by rclpy to the real node. Usage: python test/ros2.py topic pub --once ...
 
+Each command starts a process and discovers the others, which takes seconds. `main` with a `node`
+saves them.
+
 """
 
 import importlib
@@ -19,7 +22,8 @@ import yaml
 PATIENCE = 60.0  # [s]
 
 
-def main(arguments):
+def main(arguments, node=None):
+    ask = ask_alone if node is None else lambda question: question(node)
     match arguments:
         case ['run', 'inverse_dynamics_node', 'inverse_dynamics_node', *rest]:
             start(rest)
@@ -53,7 +57,7 @@ def start(arguments):
     os.execv(sys.executable, command)
 
 
-def ask(question):
+def ask_alone(question):
     rclpy.init(args=[])
     node = rclpy.create_node('ros2_command')
     try:
@@ -76,8 +80,9 @@ def echo(node, topic):
 
     wait_until(node, types, f'publisher of {topic}')
     received = []
-    node.create_subscription(class_of(types()[0]), topic, received.append, 10)
+    subscription = node.create_subscription(class_of(types()[0]), topic, received.append, 10)
     wait_until(node, lambda: received, f'message on {topic}')
+    node.destroy_subscription(subscription)
     return received[0]
 
 
@@ -90,6 +95,7 @@ def publish(node, topic, kind, text, rate):
     if rate:
         node.create_timer(1.0 / rate, lambda: publisher.publish(message))
         rclpy.spin(node)
+    node.destroy_publisher(publisher)
 
 
 def call(node, kind, name, request):
@@ -97,6 +103,7 @@ def call(node, kind, name, request):
     wait_until(node, client.service_is_ready, f'service {name}')
     future = client.call_async(request)
     wait_until(node, future.done, f'answer of {name}')
+    node.destroy_client(client)
     return future.result()
 
 
