@@ -1,5 +1,6 @@
 """`inverse_dynamics watch` beside a running node: verdicts, pipes, JSON, and the terminal."""
 
+import contextlib
 import fcntl
 import json
 import os
@@ -10,6 +11,7 @@ import subprocess
 import sys
 import termios
 import threading
+import time
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
 import numpy as np
@@ -131,60 +133,107 @@ def test_node_is_found_by_name_with_its_remapped_topics(run_node, robot, watch):
     assert '2 nodes: /inverse_dynamics, /left/inverse_dynamics; choose one' in ambiguous[1]
 
 
-def test_interrupt_restores_the_terminal(run_node, robot, domain_id):
+class Terminal:
+    """A process in the foreground of a terminal of its own, with everything that it shows."""
+
+    def __init__(self, arguments, domain_id):
+        self._master, self._terminal = pty.openpty()
+        self.settings = termios.tcgetattr(self._terminal)
+        size = b'\x28\x00\x78\x00\x00\x00\x00\x00'  # 40 rows, 120 columns
+        fcntl.ioctl(self._terminal, termios.TIOCSWINSZ, size)
+
+        def become_foreground():
+            os.setsid()
+            fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+        self.process = subprocess.Popen(
+            arguments,
+            stdin=self._terminal,
+            stdout=self._terminal,
+            stderr=self._terminal,
+            preexec_fn=become_foreground,
+            env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id), 'TERM': 'xterm-256color'},
+        )
+        self._shown = []
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def _read(self):
+        with contextlib.suppress(OSError):  # closed
+            while data := os.read(self._master, 65536):
+                self._shown.append(data.decode(errors='replace'))
+
+    @property
+    def screen(self):
+        """Return all output so far, with its escape sequences."""
+        return ''.join(self._shown)
+
+    def press_ctrl_c(self, robot):
+        """Interrupt the process as a user does; return its exit code and how long it took [s]."""
+        began = time.monotonic()
+        os.write(self._master, b'\x03')
+        robot.wait_until(lambda: self.process.poll() is not None, 'end of the process')
+        return self.process.returncode, time.monotonic() - began
+
+    def is_restored(self):
+        """Return whether line editing, echo and signals are as before the process."""
+        return termios.tcgetattr(self._terminal) == self.settings
+
+    def close(self):
+        if self.process.poll() is None:
+            self.process.kill()
+            self.process.wait()
+        os.close(self._terminal)
+        os.close(self._master)
+
+
+@pytest.fixture
+def terminal(domain_id):
+    """Return a function that starts `watch` in a terminal."""
+    terminals = []
+
+    def start(*arguments):
+        terminals.append(Terminal([*COMMAND, *arguments], domain_id))
+        return terminals[-1]
+
+    yield start
+    for each in terminals:
+        each.close()
+
+
+# Ending takes a fraction of a second. This is shorter than everything that `watch` may wait for in
+# these tests: --for ends after ten minutes, and the node never ends.
+SOON = 10.0  # [s]
+
+
+def test_interrupt_restores_the_terminal(run_node, robot, terminal):
     node = run_node(**PATIENT)
     hold(robot)
     robot.wait_for_text(node, 'holding position')
-    master, terminal = pty.openpty()
-    before = termios.tcgetattr(terminal)
-    size = b'\x28\x00\x78\x00\x00\x00\x00\x00'  # 40 rows, 120 columns
-    fcntl.ioctl(terminal, termios.TIOCSWINSZ, size)
+    view = terminal(*ANY_RATE, '--for', '600')
+    robot.wait_until(lambda: 'model and robot agree' in view.screen, 'verdict on the screen')
+    before = view.screen
+    assert '\x1b[?1049h' in before  # the alternate screen
+    assert '\x1b[?25l' in before  # no cursor
+    assert 'DRY RUN' in before
+    assert '\x1b[?1049l' not in before
+    code, took = view.press_ctrl_c(robot)
+    assert code == 130
+    assert took < SOON
+    # The terminal is as before, and the last verdict remains below the prompt.
+    robot.wait_until(lambda: '\x1b[?1049l' in view.screen, 'end of the alternate screen')
+    robot.wait_until(lambda: 'agree' in view.screen.rpartition('\x1b[?1049l')[2], 'verdict')
+    after = view.screen[len(before) :]
+    assert after.rfind('\x1b[?25h') > after.rfind('\x1b[?25l')  # the cursor
+    assert 'Traceback' not in after
+    assert view.is_restored()
 
-    def become_foreground():
-        os.setsid()
-        fcntl.ioctl(0, termios.TIOCSCTTY, 0)
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
 
-    process = subprocess.Popen(
-        [*COMMAND, *ANY_RATE],
-        stdin=terminal,
-        stdout=terminal,
-        stderr=terminal,
-        preexec_fn=become_foreground,
-        env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id), 'TERM': 'xterm-256color'},
-    )
-    shown = []
-
-    def read():
-        try:
-            while data := os.read(master, 65536):
-                shown.append(data.decode(errors='replace'))
-        except OSError:  # closed
-            pass
-
-    reader = threading.Thread(target=read, daemon=True)
-    reader.start()
-    try:
-        robot.wait_until(
-            lambda: 'model and robot agree' in ''.join(shown), 'verdict on the screen'
-        )
-        screen = ''.join(shown)
-        assert '\x1b[?1049h' in screen  # the alternate screen
-        assert 'DRY RUN' in screen
-        assert '\x1b[?1049l' not in screen
-        os.write(master, b'\x03')  # Ctrl-C
-        robot.wait_until(lambda: process.poll() is not None, 'end of watch')
-        assert process.returncode == 130
-        # The terminal is as before, and the last verdict remains below the prompt.
-        robot.wait_until(lambda: '\x1b[?1049l' in ''.join(shown), 'end of the alternate screen')
-        end = ''.join(shown).rpartition('\x1b[?1049l')[2]
-        robot.wait_until(lambda: 'agree' in ''.join(shown).rpartition('\x1b[?1049l')[2], 'verdict')
-        assert '\x1b[?25h' in ''.join(shown)[len(screen) :]  # the cursor
-        assert 'Traceback' not in end
-        assert termios.tcgetattr(terminal) == before
-    finally:
-        if process.poll() is None:
-            process.kill()
-            process.wait()
-        os.close(terminal)
-        os.close(master)
+def test_interrupt_ends_the_wait_for_a_node(robot, terminal):
+    view = terminal()
+    robot.wait_until(lambda: 'waiting for it' in view.screen, 'wait for a node')
+    code, took = view.press_ctrl_c(robot)
+    assert code == 130
+    assert took < SOON
+    assert 'Traceback' not in view.screen
+    assert view.is_restored()
