@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..dynamics.inverse_dynamics import EffortTerms, InverseDynamics
+from ..dynamics.effort_terms import EffortTerms
+from ..dynamics.inverse_dynamics import InverseDynamics
 from ..dynamics.trajectory import Trajectory, whole_states
 from ..robot.model import Booleans, Floats
 

@@ -6,7 +6,7 @@ import argparse
 import os
 from pathlib import Path
 
-from ..dynamics.inverse_dynamics import STANDARD_GRAVITY
+from ..dynamics.loaded_robot import STANDARD_GRAVITY
 
 PICTURE_SUFFIXES = ('.png', '.svg', '.pdf')
 

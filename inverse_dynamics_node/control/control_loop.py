@@ -8,12 +8,10 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..dynamics.inverse_dynamics import (
-    EffortTerms,
-    InverseDynamics,
-    JointWrenches,
-    STANDARD_GRAVITY,
-)
+from ..dynamics.effort_terms import EffortTerms
+from ..dynamics.inverse_dynamics import InverseDynamics
+from ..dynamics.joint_wrenches import JointWrenches
+from ..dynamics.loaded_robot import STANDARD_GRAVITY
 from ..robot.model import Floats, RobotModel
 from ..robot.plausibility import implausible_positions, ImplausiblePosition
 from .controller import Command, Controller, Reference

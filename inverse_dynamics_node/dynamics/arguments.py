@@ -21,7 +21,8 @@ def read_vectors(name: str, values: ArrayLike, n: int) -> Floats:
     if found.dtype.kind not in 'fiub':
         raise JointStateError(f'{name} is an array of {found.dtype}, expected real numbers')
     # The compiled functions accept only contiguous, writable arrays: copy others.
-    vectors = np.require(found, np.float64, ['C', 'W'])
+    is_accepted = found.dtype == np.float64 and found.flags.carray
+    vectors = found if is_accepted else np.require(found, np.float64, ['C', 'W'])
     if vectors.shape[-1:] != (n,):
         raise JointStateError(f'{name} has shape {vectors.shape}, the robot has {n} joints')
     return vectors

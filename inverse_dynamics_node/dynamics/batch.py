@@ -96,7 +96,7 @@ def joint_wrenches_many(
     states: Sequence[Floats], wrenches: Floats, R_LZ: Floats, robot: Floats
 ) -> int:
     """
-    Compute the force and moment on every body; see `newton_euler.joint_wrenches`.
+    Compute the force and moment on every body; see `joint_wrenches.joint_wrenches`.
 
     Parameters
     ----------

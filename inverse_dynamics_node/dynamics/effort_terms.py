@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
+from ..robot.model import Floats
 from .columns import (
     ARMATURE,
     EXTERNAL_FORCE,
@@ -27,6 +28,21 @@ from .newton_euler import (
     OK,
     WRONG_SIZE,
 )
+
+
+class EffortTerms(NamedTuple):
+    """Terms of the joint efforts, each of shape (..., n) [N m or N]; their sum is the effort."""
+
+    inertial: Floats
+    """M(q) qdd, including armature."""
+    velocity: Floats
+    """C(q, qd) qd: Coriolis and centrifugal efforts, including those of a rotating base."""
+    gravity: Floats
+    """g(q), and the efforts due to the acceleration and rotation of the base."""
+    friction: Floats
+    """Viscous and Coulomb friction, including the part that grows with the load."""
+    external: Floats
+    """Minus the efforts that the external wrenches exert."""
 
 
 @compiled
@@ -54,7 +70,7 @@ def effort_terms(
     terms : 5 sequences of n floats
         Receives the terms in the order of `EffortTerms`; may share memory with q, qd and qdd.
     inertial, velocity, gravity, external : tables
-        Tables with these terms only, from `LoadedRobot.only`.
+        Tables with these terms only, from `TermTables`.
 
     Returns
     -------

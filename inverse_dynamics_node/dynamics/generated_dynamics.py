@@ -76,8 +76,7 @@ class GeneratedDynamics:
         self._dynamics = dynamics
         self._table = dynamics.table
         self._traced = acting_numbers(self._table)
-        self._loaded = dynamics.loaded
-        self._revision = self._loaded.revision
+        self._revision = dynamics.revision
         self._code = NO_CODE
         if IS_COMPILED:
             try:
@@ -103,7 +102,7 @@ class GeneratedDynamics:
             If a value is not finite.
 
         """
-        if self._revision != self._loaded.revision:
+        if self._revision != self._dynamics.revision:
             self._select_code()
         if self._in_block() != OK:
             # The general kernel handles every case and raises errors for invalid states.
@@ -119,7 +118,7 @@ class GeneratedDynamics:
         Parameters, result and errors are those of `InverseDynamics.efforts`.
 
         """
-        if self._revision != self._loaded.revision:
+        if self._revision != self._dynamics.revision:
             self._select_code()
         try:
             tau = np.empty_like(self._tau) if out is None else out
@@ -136,7 +135,7 @@ class GeneratedDynamics:
         Parameters, result and errors are those of `InverseDynamics.mass_matrix`.
 
         """
-        if self._revision != self._loaded.revision:
+        if self._revision != self._dynamics.revision:
             self._select_code()
         try:
             matrix = np.empty(2 * self._tau.shape) if out is None else out
@@ -159,7 +158,7 @@ class GeneratedDynamics:
 
     def _select_code(self) -> None:
         """Fall back to the general kernel while a term acts that the code left out."""
-        self._revision = self._loaded.revision
+        self._revision = self._dynamics.revision
         is_new = (acting_numbers(self._table) & ~self._traced).any()
         self._in_block, self._in_arrays = NO_CODE if is_new else self._code
         if self._compiled_mass_matrix is not None:

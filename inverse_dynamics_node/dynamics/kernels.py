@@ -1,4 +1,4 @@
-"""Functions of the passes, prepared to be called with arrays."""
+"""Functions of the passes, prepared to be called with arrays, and their robot tables."""
 
 from __future__ import annotations
 
@@ -7,8 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from ..robot.model import Floats
 from .jit import compile_for, IS_COMPILED
 from .newton_euler import NOT_FINITE
+
+VECTOR, MATRIX = 'f8[::1]', 'f8[:,::1]'
+"""Types of contiguous arrays of float64, as numba writes them."""
 
 
 def prepared(function: Callable[..., int], *kinds: str) -> Callable[..., int]:
@@ -20,7 +24,7 @@ def prepared(function: Callable[..., int], *kinds: str) -> Callable[..., int]:
     function : callable
         Takes arrays and, as its last argument, a table; returns a status.
     *kinds : str
-        Types of the arguments, as numba writes them: ``f8[::1]`` or ``f8[:,::1]``.
+        Types of the arguments: `VECTOR` or `MATRIX`.
 
     Returns
     -------
@@ -52,3 +56,8 @@ def prepared(function: Callable[..., int], *kinds: str) -> Callable[..., int]:
         return status
 
     return on_lists
+
+
+def for_kernels(table: Floats) -> Any:
+    """Return a table as the passes expect it: an array for numba, lists of floats for Python."""
+    return table if IS_COMPILED else table.tolist()

@@ -6,136 +6,298 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from ..errors import ConfigurationError
 from ..robot.model import Floats, RobotModel
 from ..robot.rigid_body import combine, RigidBody
 from . import columns
+from .arguments import read_inertial, read_joints, read_vector
 from .jit import IS_COMPILED
+from .kernels import for_kernels
 
-_NO_BODIES = (columns.MASS, columns.INERTIA_COLUMNS, columns.BASE_MOTION_COLUMNS)
-_NO_JOINT_TERMS = (columns.JOINT_TERM_COLUMNS, columns.FLAG_COLUMNS)
-TERMS: dict[str, tuple[int | slice, ...]] = {
-    'inertial': (
-        columns.BASE_MOTION_COLUMNS,
-        columns.EXTERNAL_COLUMNS,
-        columns.DAMPING,
-        columns.COULOMB,
-        columns.LOAD_FRICTION,
-        columns.HAS_LOAD_FRICTION,
-    ),
-    'velocity': (
-        columns.BASE_ACCELERATION_COLUMNS,
-        columns.EXTERNAL_COLUMNS,
-        *_NO_JOINT_TERMS,
-    ),
-    'gravity': (columns.EXTERNAL_COLUMNS, *_NO_JOINT_TERMS),
-    'constant friction': (
-        *_NO_BODIES,
-        columns.EXTERNAL_COLUMNS,
-        columns.ARMATURE,
-        columns.LOAD_FRICTION,
-        columns.HAS_LOAD_FRICTION,
-    ),
-    'external': (*_NO_BODIES, *_NO_JOINT_TERMS),
-    'load on gears': _NO_JOINT_TERMS,
-}
-"""Terms of the efforts, and the columns that are zero in the table that computes each of them."""
+STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
+"""Free-fall acceleration in a base frame whose z points up [m/s^2]; ISO 80000-3."""
+
+FRICTION_WIDTH = 0.01
+"""Speed at which smoothed Coulomb friction has 76 % of its value [rad/s or m/s]."""
 
 
 class LoadedRobot:
     """
-    Robot table with payloads, external wrenches, base motion, gravity and joint terms.
-
-    Values are not checked here; see `InverseDynamics`.
+    A robot and everything that acts on it: gravity, base motion, payloads, wrenches and friction.
 
     Parameters
     ----------
     robot : RobotModel
         Tree of n joints and b bodies.
+    gravity : array_like, shape (3,)
+        Free-fall acceleration in the base frame [m/s^2].
+
+    Raises
+    ------
+    ConfigurationError
+        If gravity is not three finite numbers.
+
+    Attributes
+    ----------
+    robot : RobotModel
+        The robot without loads.
+    revision : int
+        Changes with every change of the loads.
 
     """
 
-    def __init__(self, robot: RobotModel) -> None:
+    def __init__(self, robot: RobotModel, gravity: ArrayLike = STANDARD_GRAVITY) -> None:
         self.robot = robot
-        self.numbers = columns.robot_table(robot)
-        """Table of shape (b, COLUMNS); to be modified by the methods only."""
-        self.table = runnable(self.numbers)
-        """The same as the passes expect it: an array, or lists without numba."""
         self.revision = 0
-        """Changes with every change of the table."""
-        self.R_ZL = columns.rotations_to_z(robot)
-        self.base_motion: Floats = np.zeros((3, 3))
-        """Angular velocity, angular acceleration and linear acceleration, by rows."""
-        self.is_rotating = False
-        """Whether the base has an angular velocity or acceleration."""
-        self.gravity: Floats = np.zeros(3)
+        self._table = columns.robot_table(robot)
+        self._kernel_table = for_kernels(self._table)
+        self._R_ZL = columns.rotations_to_z(robot)
+        self._R_LZ = np.ascontiguousarray(self._R_ZL.transpose(0, 2, 1)).reshape(-1, 9)
+        self._base_motion: Floats = np.zeros((3, 3))  # angular velocity; both accelerations
+        self._is_rotating = False  # whether the base has an angular velocity or acceleration
         self._payloads: dict[str, RigidBody] = {}
         self._wrenches: dict[str, tuple[Floats, Floats]] = {}
-        self._reduced: dict[str, tuple[int, Any]] = {}
+        self.set_gravity(gravity)
 
-    def set_gravity(self, gravity: Floats) -> None:
-        self.gravity = gravity
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the robot and its loads; compiled functions would be most of the bytes."""
+        loads = (self._table, self._base_motion, self._payloads, self._wrenches)
+        return type(self), (self.robot, self._gravity), loads
+
+    def __setstate__(self, loads: tuple[Any, ...]) -> None:
+        self._table[...], self._base_motion, payloads, wrenches = loads
+        self._is_rotating = bool(self._base_motion[:2].any())
+        self._payloads, self._wrenches = payloads.copy(), wrenches.copy()
+        for body in range(len(self._table)):
+            self._update(body)
+
+    @property
+    def gravity(self) -> Floats:
+        """Free-fall acceleration in the base frame, shape (3,) [m/s^2]; read-only."""
+        return self._gravity
+
+    @property
+    def table(self) -> Floats:
+        """The table of `columns` with the robot and its loads; not to be modified."""
+        return self._table
+
+    def set_gravity(self, gravity: ArrayLike) -> None:
+        """
+        Set gravity.
+
+        Parameters
+        ----------
+        gravity : array_like, shape (3,)
+            Free-fall acceleration in the base frame [m/s^2].
+
+        Raises
+        ------
+        ConfigurationError
+            If gravity is not three finite numbers.
+
+        """
+        self._gravity = read_vector('gravity', gravity, 'm/s^2')
+        self._gravity.setflags(write=False)
         self._write_base()
 
-    def set_base_motion(self, motion: Floats) -> None:
-        self.base_motion = motion
-        self.is_rotating = bool(motion[:2].any())
+    def set_base_motion(
+        self,
+        angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
+        angular_acceleration: ArrayLike = (0.0, 0.0, 0.0),
+        linear_acceleration: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> None:
+        """
+        Set the motion of the base: omega_0, omega_dot_0 and v_dot_0 of LWP.
+
+        Parameters
+        ----------
+        angular_velocity, angular_acceleration, linear_acceleration : array_like, shape (3,)
+            Motion of the base frame and its origin, in the base frame [rad/s], [rad/s^2],
+            [m/s^2]. The linear acceleration does not include gravity; an accelerometer on the
+            base measures the linear acceleration minus gravity.
+
+        Raises
+        ------
+        ConfigurationError
+            If one is not three finite numbers.
+
+        """
+        motion = [
+            read_vector('angular_velocity', angular_velocity, 'rad/s'),
+            read_vector('angular_acceleration', angular_acceleration, 'rad/s^2'),
+            read_vector('linear_acceleration', linear_acceleration, 'm/s^2'),
+        ]
+        self._base_motion = np.array(motion)
+        self._is_rotating = bool(self._base_motion[:2].any())
         self._write_base()
 
-    def set_payload(self, link: str, mass: float, com: Floats, inertia: Floats) -> None:
+    def set_payload(
+        self,
+        link: str,
+        mass: float,
+        com: ArrayLike = (0.0, 0.0, 0.0),
+        inertia: ArrayLike = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+    ) -> None:
+        """
+        Attach a rigid body to a link, replacing the payload that the link had.
+
+        Parameters
+        ----------
+        link : str
+            Any link of the robot description.
+        mass : float
+            Mass of the payload [kg]; 0 removes it.
+        com : array_like, shape (3,)
+            Centre of mass in the link's frame [m].
+        inertia : array_like, shape (3, 3)
+            Inertia about the centre of mass, along the axes of the link's frame [kg m^2].
+
+        Raises
+        ------
+        ConfigurationError
+            If the link does not exist, or no rigid body has such a mass and inertia.
+
+        """
         k = self.robot.link_index(link)
+        payload = RigidBody(*read_inertial(mass, com, inertia))
         self._payloads.pop(link, None)
-        if mass > 0.0:
-            payload = RigidBody(mass, com, inertia).rotate(self.robot.link_rotation[k])
+        if payload.mass > 0.0:
+            payload = payload.rotate(self.robot.link_rotation[k])
             self._payloads[link] = payload.shift(self.robot.link_position[k])
         self._write_inertial(int(self.robot.link_body[k]))
 
-    def set_external_wrench(self, link: str, force: Floats, moment: Floats) -> None:
+    def set_external_wrench(
+        self,
+        link: str,
+        force: ArrayLike = (0.0, 0.0, 0.0),
+        moment: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> None:
+        """
+        Set the wrench that the world exerts on a link, replacing the previous one.
+
+        Parameters
+        ----------
+        link : str
+            Any link of the robot description.
+        force, moment : array_like, shape (3,)
+            In the link's frame, about its origin [N], [N m].
+
+        Raises
+        ------
+        ConfigurationError
+            If the link does not exist, or an argument is not three finite numbers.
+
+        """
         k = self.robot.link_index(link)
-        rotation = self.robot.link_rotation[k]
-        force, moment = rotation @ force, rotation @ moment
-        self._wrenches[link] = force, moment + np.cross(self.robot.link_position[k], force)
+        R = self.robot.link_rotation[k]
+        f, n = R @ read_vector('force', force, 'N'), R @ read_vector('moment', moment, 'N m')
+        self._wrenches[link] = f, n + np.cross(self.robot.link_position[k], f)
         self._write_external(int(self.robot.link_body[k]))
 
-    def set_joints(self, column: int, values: Floats) -> None:
-        """Set a column of all joints."""
-        rows = self.numbers[1 : 1 + len(values)]
-        rows[:, column] = values
-        terms = [columns.ARMATURE, columns.DAMPING, columns.COULOMB, columns.LOAD_FRICTION]
-        self.numbers[0, columns.HAS_JOINT_TERMS] = float(rows[:, terms].any())
-        self.numbers[0, columns.HAS_LOAD_FRICTION] = float(rows[:, columns.LOAD_FRICTION].any())
-        for i in range(1 + len(values)):
-            self._update(i)
+    def set_friction(
+        self,
+        damping: ArrayLike | None = None,
+        coulomb: ArrayLike | None = None,
+        width: ArrayLike = FRICTION_WIDTH,
+        load_friction: ArrayLike = 0.0,
+    ) -> None:
+        r"""
+        Set friction: :math:`d\,\dot q + (c + \eta\,|\tau_{load}|) \tanh(\dot q / w)`.
 
-    def only(self, term: str) -> Any:
-        """Return a table that leaves one of the `TERMS`; kept until the table changes."""
-        revision, table = self._reduced.get(term, (-1, None))
-        if revision != self.revision:
-            numbers = self.numbers.copy()
-            for part in TERMS[term]:
-                numbers[:, part] = 0.0
-            table = runnable(numbers)
-            self._reduced[term] = self.revision, table
-        return table
+        Parameters
+        ----------
+        damping : array_like, shape (n,) or ()
+            Viscous friction d [N m s/rad or N s/m]; by default, that of the robot description.
+        coulomb : array_like, shape (n,) or ()
+            Coulomb friction c [N m or N]; by default, that of the robot description.
+        width : array_like, shape (n,) or ()
+            Speed w over which Coulomb friction is smoothed [rad/s or m/s].
+        load_friction : array_like, shape (n,) or ()
+            Increase eta of Coulomb friction per effort that loads the gear [-].
 
-    def rigid_body(self, body: int) -> RigidBody:
+        Raises
+        ------
+        ConfigurationError
+            If a value is negative or not finite, or the width is zero.
+
+        Notes
+        -----
+        The effort that loads the gear is what moves and holds the links: inertia, Coriolis and
+        centrifugal efforts, and gravity, with payloads, base motion and external wrenches. It
+        includes neither armature nor friction. Its product with eta is the usual model of gears
+        whose losses are proportional to the transmitted effort [1]_.
+
+        References
+        ----------
+        .. [1] P. Hamon, M. Gautier, P. Garrec, "Dynamic identification of robots with a dry
+           friction model depending on load and velocity", IROS, 2010.
+
+        """
+        n = len(self.robot.joint_names)
+        damping = self.robot.damping if damping is None else damping
+        coulomb = self.robot.friction if coulomb is None else coulomb
+        damping = read_joints('damping', damping, n)
+        coulomb = read_joints('coulomb', coulomb, n)
+        speeds = read_joints('width', width, n)
+        if not (speeds >= np.finfo(float).tiny).all():  # the inverse of less may be infinite
+            raise ConfigurationError(f'width is {width!r}, expected speeds above 0')
+        load_friction = read_joints('load_friction', load_friction, n)
+        # All arguments have been checked: a call that fails changes nothing.
+        self._write_joints(columns.DAMPING, damping)
+        self._write_joints(columns.COULOMB, coulomb)
+        # Zero where it has no effect, so that it does not look like a load to generated code.
+        inverse = np.where((coulomb > 0.0) | (load_friction > 0.0), 1.0 / speeds, 0.0)
+        self._write_joints(columns.INVERSE_WIDTH, inverse)
+        self._write_joints(columns.LOAD_FRICTION, load_friction)
+
+    def set_armature(self, armature: ArrayLike) -> None:
+        """
+        Set the reflected inertia of rotors and gears.
+
+        Parameters
+        ----------
+        armature : array_like, shape (n,) or ()
+            Rotor inertia times the square of the gear ratio [kg m^2 or kg].
+
+        Raises
+        ------
+        ConfigurationError
+            If a value is negative or not finite.
+
+        """
+        values = read_joints('armature', armature, len(self.robot.joint_names))
+        self._write_joints(columns.ARMATURE, values)
+
+    def _rigid_body(self, body: int) -> RigidBody:
         """Combine a body of the robot with the payloads on it."""
         robot = self.robot
         own = RigidBody(robot.mass[body], robot.com[body], robot.inertia[body])
         return combine([own, *self._on_body(self._payloads, body)])
 
+    def _write_joints(self, column: int, values: Floats) -> None:
+        """Set a column of all joints."""
+        rows = self._table[1 : 1 + len(values)]
+        rows[:, column] = values
+        terms = [columns.ARMATURE, columns.DAMPING, columns.COULOMB, columns.LOAD_FRICTION]
+        self._table[0, columns.HAS_JOINT_TERMS] = float(rows[:, terms].any())
+        self._table[0, columns.HAS_LOAD_FRICTION] = float(rows[:, columns.LOAD_FRICTION].any())
+        for i in range(1 + len(values)):
+            self._update(i)
+
     def _write_base(self) -> None:
-        self.numbers[0, columns.BASE_MOTION_COLUMNS] = self.base_motion.ravel()
-        self.numbers[0, columns.ACCEL : columns.ACCEL + 3] -= self.gravity  # LWP (31)
+        self._table[0, columns.BASE_MOTION_COLUMNS] = self._base_motion.ravel()
+        self._table[0, columns.ACCEL : columns.ACCEL + 3] -= self._gravity  # LWP (31)
         self._update(0)
 
     def _write_inertial(self, body: int) -> None:
-        columns.write_inertial(self.numbers[body], self.R_ZL[body], *self.rigid_body(body))
+        columns.write_inertial(self._table[body], self._R_ZL[body], *self._rigid_body(body))
         self._update(body)
 
     def _write_external(self, body: int) -> None:
         wrenches = self._on_body(self._wrenches, body)
-        row, R_ZL = self.numbers[body], self.R_ZL[body]
+        row, R_ZL = self._table[body], self._R_ZL[body]
         force = sum((f for f, _ in wrenches), np.zeros(3))
         moment = sum((n for _, n in wrenches), np.zeros(3))
         columns.store(row, columns.EXTERNAL_FORCE, R_ZL @ force)
@@ -153,9 +315,4 @@ class LoadedRobot:
     def _update(self, body: int) -> None:
         self.revision += 1
         if not IS_COMPILED:
-            self.table[body] = self.numbers[body].tolist()
-
-
-def runnable(numbers: Floats) -> Any:
-    """Return a table as the passes expect it: an array for numba, lists of floats for Python."""
-    return numbers if IS_COMPILED else numbers.tolist()
+            self._kernel_table[body] = self._table[body].tolist()

@@ -62,7 +62,6 @@ from .equations import (
     sliding_acceleration,
     subtract,
     to_link,
-    to_parent,
     Vector,
 )
 from .jit import compiled, simd_inline
@@ -121,54 +120,6 @@ def inverse_dynamics_batch(q: Any, qd: Any, qdd: Any, tau: Any, robot: Any) -> i
         if status != OK:
             return status
     return OK
-
-
-@compiled
-def joint_wrenches(
-    q: Sequence[float],
-    qd: Sequence[float],
-    qdd: Sequence[float],
-    tau: Any,
-    R_LZ: Any,
-    wrenches: Any,
-    robot: Any,
-) -> int:
-    """
-    Compute the force and moment that the parent of every link exerts on it, LWP (45), (46).
-
-    Parameters
-    ----------
-    q, qd, qdd, tau, robot
-        As for `inverse_dynamics`, but tau does not include the joint terms.
-    R_LZ : b sequences of 9 floats
-        Rotations into the frames of the wrenches, from the frames of the table.
-    wrenches : b sequences of 6 floats
-        Receives force and moment. The first row is for the base, whose parent is the mount.
-
-    Returns
-    -------
-    status : int
-        As `inverse_dynamics`.
-
-    """
-    n = int(robot[0][JOINT_COUNT])
-    if len(q) != n or len(qd) != n or len(qdd) != n or len(tau) != n:
-        return WRONG_SIZE
-    if len(wrenches) != len(robot) or len(wrenches[0]) != 6:
-        return WRONG_SIZE
-    outward_pass(q, qd, qdd, robot)
-    base = robot[0]
-    motion = vector(base, OMEGA), vector(base, OMEGA_DOT), vector(base, ACCEL)
-    force, moment = own_wrench(base, *motion)
-    store(base, FORCE, force)
-    store(base, MOMENT, moment)
-    clear(tau)
-    inward_pass(tau, robot)
-    for i in range(len(robot)):
-        R = R_LZ[i]
-        store(wrenches[i], 0, to_parent(R, 1.0, 0.0, vector(robot[i], FORCE)))
-        store(wrenches[i], 3, to_parent(R, 1.0, 0.0, vector(robot[i], MOMENT)))
-    return check(tau)
 
 
 @simd_inline

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..control.control_loop import ControlLoop
 from ..control.settings import expand_per_joint, PerJoint
-from ..dynamics.inverse_dynamics import FRICTION_WIDTH
+from ..dynamics.loaded_robot import FRICTION_WIDTH
 from ..dynamics.trajectory import complete, Trajectory
 from ..errors import ConfigurationError
 from ..robot.model import Floats, RobotModel

@@ -13,7 +13,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 
 from ..control.control_loop import ControlLoop
-from ..dynamics.inverse_dynamics import EffortTerms
+from ..dynamics.effort_terms import EffortTerms
 from ..robot.model import Floats
 from . import messages
 from .cdr import serialize_numbers

@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 
-from ...dynamics.inverse_dynamics import STANDARD_GRAVITY
+from ...dynamics.loaded_robot import STANDARD_GRAVITY
 from ...robot.model import Booleans, Floats, RobotModel
 from ..identification.signals import Recording
 from .delay import estimate_delay, shifted

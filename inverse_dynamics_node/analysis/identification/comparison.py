@@ -8,7 +8,8 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...dynamics.inverse_dynamics import FRICTION_WIDTH, InverseDynamics
+from ...dynamics.inverse_dynamics import InverseDynamics
+from ...dynamics.loaded_robot import FRICTION_WIDTH
 from ...errors import RecordingError
 from ...robot.model import Booleans, Floats, RobotModel
 from .bodies import Bodies, wrong_bodies

@@ -18,7 +18,7 @@ from lxml import etree
 import mujoco
 import numpy as np
 
-from ...dynamics.inverse_dynamics import STANDARD_GRAVITY
+from ...dynamics.loaded_robot import STANDARD_GRAVITY
 from ...errors import InverseDynamicsError
 from ...robot.model import Floats
 from ...robot.urdf.quaternions import rpy_of_quaternion
