@@ -88,6 +88,16 @@ def test_a_model_that_predicts_no_better_than_friction_is_not_accepted():
     assert '<mass value="9.29"/>' in calibrated_urdf(calibration, STANFORD).decode()
 
 
+def test_efforts_that_are_not_related_to_the_motion_are_not_accepted():
+    robot, rng = load_urdf(STANFORD), np.random.default_rng(0)
+    recording = record(real_robot(robot, rng), exciting_motion(robot, rng, 12.0, 50.0), rng)
+    noise = rng.normal(0.0, 10.0, recording.efforts.shape)
+    calibration = calibrate(robot, [recording._replace(efforts=noise)])
+    assert not calibration.accepted
+    assert calibration.inertials == {}
+    assert 'hardly related to the motion: they vary by' in calibration.verdict
+
+
 def test_a_delay_of_the_efforts_is_found():
     robot, rng = load_urdf(STANFORD), np.random.default_rng(3)
     real = real_robot(robot, rng)

@@ -38,6 +38,8 @@ _NAMES = {
 _NOT_MOVED = 'it did not move far enough in both directions'
 LEAST_GAIN = 0.01
 """Fraction by which the identified model has to be better than friction alone."""
+LEAST_EXPLAINED = 0.1
+"""Fraction of the variation of the efforts that the identified model has to explain."""
 
 
 def summarise(found: Identification, validation: Sequence[Run]) -> Calibration:
@@ -45,7 +47,7 @@ def summarise(found: Identification, validation: Sequence[Run]) -> Calibration:
     setting, free = found.setting, found.setting.free
     model = found.solution.model
     training, unseen = _evaluations(found, validation)
-    accepted = _is_better(unseen)
+    accepted = _explains(unseen) and _is_better(unseen)
     chosen = model if accepted else found.friction
     errors = _standard_errors(found) if accepted else _friction_errors(found)
     joints = tuple(
@@ -128,6 +130,17 @@ def _times(samples: Samples) -> Floats:
     return np.concatenate(parts)
 
 
+def _explains(unseen: Unseen) -> bool:
+    """Return whether the efforts depend on the motion as those of any such robot would."""
+    left = np.linalg.norm(rms(unseen.measured - unseen.identified))
+    return bool(left < (1.0 - LEAST_EXPLAINED) * _variation(unseen))
+
+
+def _variation(unseen: Unseen) -> float:
+    """Return the standard deviation of the efforts: root of the sum of squares over joints."""
+    return float(np.linalg.norm(np.std(unseen.measured, axis=0)))
+
+
 def _is_better(unseen: Unseen) -> bool:
     """Compare the residuals over all joints, in N m and relative to each joint."""
     friction = rms(unseen.measured - unseen.friction)
@@ -148,6 +161,13 @@ def _verdict(accepted: bool, unseen: Unseen) -> str:
         return (
             f'On unseen data the identified model leaves {identified} N m, the robot description '
             f'{urdf}, and with fitted friction {friction} (root of the sum of squares over joints)'
+        )
+    if not _explains(unseen):
+        return (
+            f'The efforts are hardly related to the motion: they vary by {_variation(unseen):.3g} '
+            f'N m, and the identified model leaves {identified} N m on unseen data. Check that '
+            'the recording has the efforts of these joints, at the times of the positions. Masses '
+            'are kept'
         )
     return (
         f'The identified model does not predict unseen data better ({identified} N m) than the '
