@@ -32,7 +32,7 @@ GRIPPER_ARM = ROOT / 'test' / 'robots' / 'gripper_arm.urdf'
 ARMS = [pytest.param(path, id=path.stem) for path in (STANFORD, GRIPPER_ARM)]
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 DURATION = 10.0  # [s]
-PATIENCE = 120.0  # [s]
+PATIENCE = 180.0  # [s]
 SETTLED = 1.5  # [s]
 
 
@@ -163,6 +163,7 @@ def test_external_efforts_of_a_push_are_minus_jacobian_transposed_times_force(re
     is_right = abs(found - expected).max(axis=1) < 0.05 * size
     assert np.count_nonzero(is_right) > 100, found[np.argmax(abs(found).max(axis=1))]
     quiet = external[(times > 0.0) & (times < began)]
+    assert len(quiet), 'no external efforts before the push'
     assert np.median(abs(quiet).max(axis=1)) < 0.05 * size
 
 
@@ -237,7 +238,7 @@ def test_gravity_compensation_includes_the_mass_of_uncommanded_joints(
             robot_description_file=f"'{description}'",
             mode='gravity_compensation',
             joints=f'[{", ".join(arm)}]',
-            state_timeout=0.5,
+            state_timeout=5.0,
         )
         robot.wait_until(lambda: len(brakes) and not brakes[-1], 'open brakes')
         open_at = len(states)

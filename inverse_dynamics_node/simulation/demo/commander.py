@@ -83,6 +83,8 @@ class Commander(Node):
         Latest command of the node [N m or N]; empty before the first.
     commands : int
         Number of commands received from the node.
+    external_efforts : int
+        Number of messages with external efforts received from the node.
     brakes_on : bool
         Latest state of the brakes.
     history : History
@@ -103,6 +105,7 @@ class Commander(Node):
         self.desired: Floats = np.zeros(len(joint_names))
         self.command: Floats = np.zeros(0)
         self.commands = 0
+        self.external_efforts = 0
         self.brakes_on = True
         self.history = History()
         self._joint_names = joint_names
@@ -239,6 +242,7 @@ class Commander(Node):
             self.history.arrivals.append(time.monotonic())
 
     def _on_external(self, message: JointState) -> None:
+        self.external_efforts += 1
         if self._records and self._began is not None:
             efforts = dict(zip(message.name, message.effort, strict=True))
             row = [efforts.get(name, math.nan) for name in self._joint_names]

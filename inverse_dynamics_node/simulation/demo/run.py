@@ -86,12 +86,15 @@ class Run:
         commander = self.commander
         for event in script.events:
             commander.advertise(event.messages)
-        if script.expected is not None:
-            commander.record_external_efforts()
         self._wait(
             lambda: not commander.topics_without_subscriber(),
             lambda: f'no subscriber on {", ".join(commander.topics_without_subscriber())}',
         )
+        if script.expected is not None:
+            commander.record_external_efforts()
+            self._wait(
+                lambda: commander.external_efforts > 0, 'the node sends no external efforts'
+            )
         self.words = script.begins
         view.announce(0.0, self.words)
         commander.follow(script.trajectory)
