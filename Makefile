@@ -20,7 +20,7 @@ demo: $(VENV)/demo.done
 	@$(CLEAN) $(BIN)/python -m inverse_dynamics_node.cli.main demo '$(ROBOT)' $(ARGS)
 
 # Two processes: most tests of the node wait for processes to start and to discover each other.
-PYTEST := --timeout 300 --numprocesses 2 --dist loadscope --quiet
+PYTEST := --timeout 600 --numprocesses 2 --dist loadscope --quiet
 
 test: $(VENV)/test.done
 	@$(CLEAN) $(BIN)/ruff check .

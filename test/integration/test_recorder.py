@@ -18,7 +18,7 @@ from rosbags.typesys import get_typestore, Stores
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-PATIENCE = 90.0  # [s]; a demo that can do nothing gives up by itself before this
+PATIENCE = 120.0  # [s]
 
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])

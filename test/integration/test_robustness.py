@@ -4,12 +4,11 @@ import fcntl
 import os
 import pty
 import re
+import select
 import signal
 import subprocess
 import sys
-import time
 
-from conftest import heed_signals, MAIN, PATIENCE
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import InertiaStamped, Vector3Stamped, WrenchStamped
 from inverse_dynamics_node import InverseDynamics, load_urdf
@@ -17,6 +16,7 @@ from inverse_dynamics_node.node.startup import empty_port_files
 from inverse_dynamics_node.node.watchdog import Watchdog
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
+from node_process import heed_signals, MAIN, PATIENCE
 import numpy as np
 import pytest
 from rcl_interfaces.msg import Parameter, ParameterValue
@@ -40,6 +40,7 @@ ZERO = np.zeros(6)
 HOLD = InverseDynamics(MODEL).gravity_efforts(Q)
 FAST = {'robot_description_file': STANFORD, 'start_ramp': 0.0, 'stop_ramp': 0.2}
 PATIENT = {**FAST, 'state_timeout': 5.0, 'reference_timeout': 5.0}
+LOSING = {**FAST, 'state_timeout': 1.0}  # longer than the usual pauses of a busy machine
 
 
 def start(domain_id, stderr, **parameters):
@@ -75,7 +76,7 @@ def fill(writer):
 def test_commands_continue_while_stderr_has_no_reader(domain_id, robot, channel):
     reader, writer = channel()
     fill(writer)
-    node = start(domain_id, writer, **FAST)
+    node = start(domain_id, writer, **LOSING)
     try:
         robot.publish_state(NAMES, Q, ZERO)
         robot.wait_for_command(HOLD)
@@ -98,7 +99,7 @@ def test_commands_continue_while_stderr_has_no_reader(domain_id, robot, channel)
 
 
 def test_a_node_without_stderr_works(domain_id, robot):
-    settings = [x for k, v in FAST.items() for x in ('-p', f'{k}:={v}')]
+    settings = [x for k, v in PATIENT.items() for x in ('-p', f'{k}:={v}')]
     node = subprocess.Popen(
         ['/bin/sh', '-c', 'exec "$@" 2>&- >&-', 'sh', sys.executable, '-m', MAIN, '--ros-args']
         + [str(x) for x in settings],
@@ -191,7 +192,7 @@ def storm(domain_id):
                         sys.executable,
                         ROOT / 'test/storm.py',
                         '--messages',
-                        '1000000',
+                        '1000000000',
                         '--seconds',
                         str(seconds),
                         '--seed',
@@ -202,8 +203,6 @@ def storm(domain_id):
                     text=True,
                 )
             )
-        for process in processes:
-            assert process.stdout.readline() == 'started\n'
         return processes
 
     yield begin
@@ -234,25 +233,24 @@ def test_a_queue_that_never_becomes_empty_is_interrupted(robot):
 
 def test_lost_states_and_signals_are_noticed_during_a_storm(domain_id, robot, storm):
     # Its log is not read: bytes that are not a message make the middleware write a lot.
-    node = start(domain_id, subprocess.DEVNULL, **FAST)
+    node = start(domain_id, subprocess.DEVNULL, **LOSING)
     try:
         robot.publish_state(NAMES, Q, ZERO)
         robot.wait_for_command(HOLD)
-        processes = storm(60.0)
+        processes = storm(2.0 * PATIENCE)
+        # Each prints a line as soon as it has found all subscriptions.
+        lines = {process.stdout for process in processes}
+        robot.wait_until(
+            lambda: len(select.select(lines, (), (), 0.0)[0]) == len(lines), 'a storm in progress'
+        )
         sent = robot.sent
-        robot.wait_until(lambda: robot.sent > sent + 300, 'a storm in progress')
+        robot.wait_until(lambda: robot.sent > sent + 200, 'a storm for a while')
         robot.state = None
-        began = time.monotonic()
         robot.wait_for_command(ZERO)
-        took = time.monotonic() - began
-        print(f'zeros after {took:.2f} s, expected less than 0.8 s')
-        assert took < 10.0
-        began = time.monotonic()
         node.send_signal(signal.SIGTERM)
-        assert node.wait(PATIENCE) == 0
-        took = time.monotonic() - began
-        print(f'end after {took:.2f} s, expected less than 1.5 s')
-        assert took < 10.0
+        robot.wait_until(lambda: node.poll() is not None, 'end of the node')
+        assert node.returncode == 0
+        # Otherwise it may have been the end of the storm that let the node continue.
         assert all(process.poll() is None for process in processes), 'the storm was over'
     finally:
         node.kill()

@@ -2,11 +2,8 @@
 
 import ast
 import inspect
-import os
 import re
 import signal
-import subprocess
-import sys
 import time
 
 from geometry_msgs.msg import Inertia, InertiaStamped
@@ -87,27 +84,16 @@ sys.exit(main.main(sys.argv))
         'runner.LoopRunner._on_watch',
     ],
 )
-def test_a_crash_in_a_callback_leaves_zeros(domain_id, robot, where, tmp_path):
-    settings = [x for k, v in RAMPED.items() for x in ('-p', f'{k}:={v}')]
+def test_a_crash_in_a_callback_leaves_zeros(run_node, robot, where, tmp_path):
     trigger = tmp_path / 'crash'
-    process = subprocess.Popen(
-        [sys.executable, '-c', CRASH, where, str(trigger), '--ros-args', *settings],
-        env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)},
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        robot.publish_state(NAMES, Q, ZERO)
-        robot.publish_accelerations(ZERO)
-        robot.wait_for_command(HOLD)
-        trigger.touch()
-        robot.wait_until(lambda: process.poll() is not None, 'end of the node')
-        robot.wait_for_command(ZERO)  # may still be on the way
-        assert process.returncode == 1
-        assert 'an error in the program' in process.stderr.read()
-    finally:
-        process.kill()
-        process.wait()
+    node = run_node(program=('-c', CRASH, where, str(trigger)), may_crash=True, **RAMPED)
+    robot.publish_state(NAMES, Q, ZERO)
+    robot.publish_accelerations(ZERO)
+    robot.wait_for_command(HOLD)
+    trigger.touch()
+    assert robot.wait_for_end(node) == 1
+    robot.wait_for_command(ZERO, tolerance=0.0)
+    assert 'an error in the program' in node.output
 
 
 def test_a_jump_of_the_clock_causes_no_jump_of_the_efforts(run_node, robot):
@@ -150,13 +136,16 @@ def test_two_arms_in_separate_namespaces(run_node, robot):
 
 
 def test_an_activation_waits_for_a_new_joint_state(run_node, robot):
-    node = run_node(**{**FAST, 'state_timeout': 0.5})
+    timeout = 1.0
+    node = run_node(**{**FAST, 'state_timeout': timeout})
     robot.publish_state(NAMES, Q, ZERO)
     robot.wait_for_command(HOLD)
     assert robot.change_state('deactivate')
+    robot.wait_for_command(ZERO, tolerance=0.0)
     robot.state = None
-    ticks = robot.sent
-    robot.wait_until(lambda: robot.sent > ticks + 120, 'an old joint state')
+    robot.wait_until(
+        lambda: time.monotonic() > robot.last_state + 1.5 * timeout, 'an old joint state'
+    )
     robot.commands.clear()
     assert robot.change_state('activate')
     robot.wait_for_text(node, f'no command yet: waiting for new joint states of {NAMES[0]}')
@@ -167,15 +156,18 @@ def test_an_activation_waits_for_a_new_joint_state(run_node, robot):
 
 
 def test_one_message_with_velocities_does_not_stop_an_arm_without_them(run_node, robot):
-    node = run_node(**{**FAST, 'state_timeout': 1.0})
+    node = run_node(**{**FAST, 'state_timeout': 2.5})
     robot.publish_state(NAMES, Q)
     robot.wait_for_command(HOLD)
-    robot.publish_once('joint_states', JointState(name=NAMES, position=Q, velocity=ZERO))
-    robot.wait_for_text(node, f'velocities of {", ".join(NAMES)} are taken as zero: earlier')
-    count = len(robot.commands)
-    robot.wait_until(lambda: len(robot.commands) > count + 250, 'commands for a second')
-    assert np.array(robot.commands[count:]) == pytest.approx(np.tile(HOLD, (251, 1)))
-    assert 'velocities, later ones have none (published by /robot)' in node.output
+    # The subscription is best effort and keeps one message: this one may be lost.
+    words = f'velocities of {", ".join(NAMES)} are taken as zero: earlier'
+    message = JointState(name=NAMES, position=Q, velocity=ZERO)
+    robot.publish_until(lambda: words in node.output, words, 'joint_states', message)
+    count, since = len(robot.commands), time.monotonic()
+    robot.wait_until(lambda: time.monotonic() > since + 3.0, 'longer than the time-out')
+    robot.wait_for_command(HOLD)
+    assert all(command == pytest.approx(list(HOLD)) for command in robot.commands[count:])
+    robot.wait_for_text(node, 'velocities, later ones have none (published by /robot)')
 
 
 def test_the_log_reports_a_lost_imu_and_its_return(run_node, robot):
@@ -196,14 +188,27 @@ def test_the_log_follows_jumps_of_the_clock(run_node, robot):
     node = run_node(**{**FAST, 'stop_ramp': 0.0}, use_sim_time=True)
     robot.publish_state(NAMES, Q, ZERO)
     robot.wait_for_text(node, 'holding position: no reference')
-    robot.keep_ticking(100.0)
-    robot.wait_for_text(node, 'stopped, zeros sent: no joint state')
-    # The commands continue with the next state. Otherwise a text is repeated after 2 s.
-    last = robot.sent + 150  # about 0.75 s
-    robot.wait_until(
-        lambda: node.output.count('holding') == 2 or robot.sent > last, 'holding position'
-    )
-    assert node.output.count('holding') == 2
+    jump = robot.keep_ticking(100.0)
+
+    def stamps(words):
+        """Return the times at which the node wrote some words [s]."""
+        lines = [line for line in node.output.splitlines() if words in line]
+        return [float(re.findall(r'\[(\d+\.\d+)\]', line)[0]) for line in lines]
+
+    # The commands continue with the next state. If the log missed this, the text would be repeated
+    # after 2 s. A busy machine may take as long, but not every time.
+    took = []
+    while not took or took[-1] > 1.9:
+        assert len(took) < 5, took
+        count = 1 + len(took)
+        robot.wait_until(
+            lambda count=count: len(stamps('stopped, zeros sent: no joint state')) >= count, 'stop'
+        )
+        robot.wait_until(
+            lambda count=count: len(stamps('holding position')) > count, 'holding position'
+        )
+        took.append(stamps('holding')[count] - stamps('stopped')[count - 1])
+        jump(100.0)
 
 
 def test_only_the_first_point_of_a_long_reference_is_read(run_node, robot):
@@ -235,7 +240,7 @@ def test_another_description_replaces_the_first_without_a_jump(run_node, robot):
     robot.publish_description(heavier(text))
     robot.wait_for_command(other.gravity_efforts(Q))
     assert_ramped(robot, since, HOLD, other.gravity_efforts(Q) - HOLD)
-    assert node.output.count("robot 'stanford'") == 2
+    robot.wait_until(lambda: node.output.count("robot 'stanford'") == 2, 'both in the log')
 
 
 @pytest.mark.parametrize(
@@ -305,14 +310,15 @@ def test_efforts_follow_the_joints_while_parameters_change_all_the_time(run_node
 
     timer = robot.node.create_timer(0.001, tune)
     first = robot.sent
-    while robot.sent < first + 200:  # the arm moves
-        fraction = (robot.sent - first) / 200
+
+    def has_moved():
+        fraction = min((robot.sent - first) / 200, 1.0)
         robot.publish_state(NAMES, Q + fraction * (ELSEWHERE - Q), ZERO)
-        robot.executor.spin_once(timeout_sec=0.05)
-    robot.publish_state(NAMES, ELSEWHERE, ZERO)
+        return fraction == 1.0 and len(futures) > 20
+
+    robot.wait_until(has_moved, '20 changes while the arm moves')
     robot.wait_for_command(HOLD_ELSEWHERE, tolerance=1e-6)
     robot.node.destroy_timer(timer)
-    assert len(futures) > 20
 
 
 def push_joint(robot, effort):
@@ -321,7 +327,7 @@ def push_joint(robot, effort):
 
 
 def test_a_stop_under_rate_limits_never_flips_or_enlarges_an_effort(run_node, robot):
-    node = run_node(**{**PATIENT, 'state_timeout': 1.0})
+    node = run_node(**{**PATIENT, 'state_timeout': 3.0})
 
     def start_to_swing():
         """Start a slow change of the third effort from -30 to 30 N; return its first index."""
@@ -361,6 +367,7 @@ def test_a_stop_under_rate_limits_never_flips_or_enlarges_an_effort(run_node, ro
     since = start_to_swing()
     node.interrupt()
     assert robot.wait_for_end(node) == 0
+    robot.wait_for_command(ZERO, tolerance=0.0)
     check_fall(since)
 
 
@@ -369,13 +376,13 @@ def test_the_stop_ramp_starts_when_the_loss_of_states_is_detected(run_node, robo
     run_node(**{**FAST, 'state_timeout': 1.0, 'stop_ramp': 1.0}, update_rate=rate)
     robot.publish_state(NAMES, Q, ZERO)
     robot.wait_for_command(HOLD)
-    robot.state, since, count = None, time.monotonic(), len(robot.commands)
+    robot.state, count = None, len(robot.commands)
     robot.wait_for_command(ZERO, tolerance=0.0)
     fractions = np.array(robot.commands[count:])[:, 2] / HOLD[2]
     times = np.array(robot.command_times[count:])
     assert (np.diff(fractions) <= 1e-9).all()
     # A command may arrive late, but never early.
-    assert (fractions[times < since + 0.5] >= 0.9).all()
+    assert (fractions[times < robot.last_state + 0.8] >= 0.9).all()
     assert ((fractions > 0.5) & (fractions < 0.99)).any()
 
 
@@ -385,20 +392,13 @@ def test_live_changes_start_from_the_last_command(run_node, robot):
     robot.wait_for_command(HOLD)
     far = np.array([*HOLD[:2], -30.0, *HOLD[3:]])
 
-    def wait_to_be_under_way():
-        count = len(robot.commands)
-        robot.wait_until(
-            lambda: (
-                len(robot.commands) > count
-                and abs(robot.commands[-1][2] - robot.commands[count][2]) > 1.0
-            ),
-            'the effort on its way',
-        )
+    def wait_to_be_under_way(start):
+        robot.wait_until(lambda: abs(robot.commands[-1][2] - start) > 1.0, 'the effort on its way')
 
     # Rate limits are removed while the effort is far behind.
     assert robot.set_parameter('effort_rate_limits', 2.0).successful
     push_joint(robot, -30.0)
-    wait_to_be_under_way()
+    wait_to_be_under_way(HOLD[2])
     last, since = np.array(robot.commands[-1]), time.monotonic()
     assert robot.set_parameter('effort_rate_limits', 0.0).successful
     robot.wait_for_command(far)
@@ -407,7 +407,7 @@ def test_live_changes_start_from_the_last_command(run_node, robot):
     # A limit is tightened; then start_ramp is set to zero, which must not affect this blend.
     since = time.monotonic()
     assert robot.set_parameter('effort_limits', 1.0).successful
-    wait_to_be_under_way()
+    wait_to_be_under_way(-30.0)
     assert robot.set_parameter('start_ramp', 0.0).successful
     robot.wait_for_command(np.clip(far, -1.0, 1.0))
     assert_ramped(robot, since, far, np.clip(far, -1.0, 1.0) - far)
@@ -416,7 +416,7 @@ def test_live_changes_start_from_the_last_command(run_node, robot):
     assert robot.set_parameter('effort_rate_limits', 10.0).successful
     since, count = time.monotonic(), len(robot.commands)
     assert robot.set_parameter('effort_limits', 0.0).successful
-    wait_to_be_under_way()
+    wait_to_be_under_way(-1.0)
     way = np.abs(np.array(robot.commands[count:]) - np.clip(far, -1.0, 1.0)).max(axis=1)
     assert (way <= 0.5 + 10.0 * (np.array(robot.command_times[count:]) - since)).all()
 
@@ -428,7 +428,7 @@ def test_both_executors_work(run_node, robot, executor):
     robot.wait_for_command(HOLD)
     node.interrupt()
     assert robot.wait_for_end(node) == 0
-    assert robot.commands[-1] == [0.0] * 6
+    robot.wait_for_command(ZERO, tolerance=0.0)
 
 
 WITHOUT_FILE = {k: v for k, v in PATIENT.items() if k != 'robot_description_file'}

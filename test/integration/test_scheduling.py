@@ -1,15 +1,17 @@
 """Real-time priority, where the machine permits it and where it does not."""
 
+import contextlib
 import ctypes
 import os
 from pathlib import Path
 import resource
+import signal
 import subprocess
 import sys
 
-from conftest import heed_signals, MAIN, PATIENCE
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from inverse_dynamics_node import InverseDynamics, load_urdf
+from node_process import heed_signals, PATIENCE
 import numpy as np
 import pytest
 from robot_files import STANFORD
@@ -58,8 +60,9 @@ def threads_of(pid):
     found = {}
     for task in Path(f'/proc/{pid}/task').iterdir():
         tid = int(task.name)
-        policy, priority = os.sched_getscheduler(tid), os.sched_getparam(tid).sched_priority
-        found[tid] = (task / 'comm').read_text().strip(), policy, priority
+        with contextlib.suppress(OSError):  # it has ended
+            policy, priority = os.sched_getscheduler(tid), os.sched_getparam(tid).sched_priority
+            found[tid] = (task / 'comm').read_text().strip(), policy, priority
     return found
 
 
@@ -89,23 +92,29 @@ def test_the_loop_and_the_middleware_get_the_priority_and_others_do_not(run_node
     values = wait_for_scheduling(robot, DiagnosticStatus.OK, 'real-time priority')
     assert (values['policy'], values['priority']) == ('SCHED_FIFO', '40')
 
-    def others():
-        """Return the threads of rclpy, which have no names of their own."""
+    def scheduling(is_middleware):
+        """Return policies and priorities; the threads of rclpy have no names of their own."""
         threads = threads_of(pid)
         del threads[pid]
-        return [thread for thread in threads.values() if not thread[0].startswith('dds.')]
+        return [
+            thread[1:]
+            for thread in threads.values()
+            if thread[0].startswith('dds.') is is_middleware
+        ]
 
-    # One listens to the graph; the other one is the executor's, for timers, and starts late.
+    # One listens to the graph; the other one is the executor's, for timers, and starts late. New
+    # threads get the priority two seconds later.
     robot.wait_until(
-        lambda: [thread[1:] for thread in others()].count((REALTIME, 40)) >= 2,
-        'priority of the threads of rclpy',
+        lambda: (
+            scheduling(is_middleware=False).count((REALTIME, 40)) >= 2
+            and set(scheduling(is_middleware=True)) == {(REALTIME, 40)}
+        ),
+        'priority of the threads of rclpy and of the middleware',
     )
     threads = threads_of(pid)
     assert threads[pid][1:] == (REALTIME, 40)
     assert os.sched_getaffinity(pid) == {min(os.sched_getaffinity(0))}
     assert values['CPUs'] == str(min(os.sched_getaffinity(0)))
-    middleware = [thread for thread in threads.values() if thread[0].startswith('dds.')]
-    assert {thread[1:] for thread in middleware} == {(REALTIME, 40)}
     # The watchdog runs while the loop does not sleep; threads of libraries compute in peace.
     priorities = sorted(priority for _, _, priority in threads.values())
     assert priorities[-1] == 41
@@ -146,26 +155,16 @@ def test_a_loop_that_never_sleeps_loses_the_priority():
     assert report.endswith('WARN')
 
 
-def test_without_permission_the_node_works_and_says_what_to_do(domain_id, robot):
-    parameters = {**PATIENT, 'lock_memory': True}
-    settings = [x for k, v in parameters.items() for x in ('-p', f'{k}:={v}')]
-    node = subprocess.Popen(
-        [sys.executable, '-m', MAIN, '--ros-args', *settings],
-        env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)},
-        stderr=subprocess.PIPE,
-        text=True,
-        preexec_fn=forbid,
-    )
-    try:
-        robot.publish_state(NAMES, Q, ZERO)
-        robot.wait_for_command(HOLD)
-        wait_for_scheduling(robot, DiagnosticStatus.WARN, 'normal priority: SCHED_FIFO 50 is not')
-        assert threads_of(node.pid)[node.pid][1] == os.SCHED_OTHER
-    finally:
-        node.terminate()
-        _, output = node.communicate(timeout=PATIENCE)
-    assert node.returncode == 0
-    lines = [line for line in output.splitlines() if 'SCHED_FIFO' in line]
+def test_without_permission_the_node_works_and_says_what_to_do(run_node, robot):
+    node = run_node(prepare=forbid, **PATIENT, lock_memory=True)
+    robot.publish_state(NAMES, Q, ZERO)
+    robot.wait_for_command(HOLD)
+    wait_for_scheduling(robot, DiagnosticStatus.WARN, 'normal priority: SCHED_FIFO 50 is not')
+    pid = node.process.pid
+    assert threads_of(pid)[pid][1] == os.SCHED_OTHER
+    node.interrupt(signal.SIGTERM)
+    assert robot.wait_for_end(node) == 0
+    lines = [line for line in node.output.splitlines() if 'SCHED_FIFO' in line]
     assert len(lines) == 1
     for words in (
         'normal priority: SCHED_FIFO 50 is not permitted (rtprio limit 0)',
