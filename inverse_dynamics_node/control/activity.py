@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from .control_loop import ControlLoop
-from .controller import COMPUTING_PHASES, Phase
 from .graph_info import GraphInfo
+from .phase import COMPUTING_PHASES, Phase
 from .settings import Mode, StalePolicy
 
 _LONG_SILENCE = 5.0  # [s]; after which connected publishers are suspicious

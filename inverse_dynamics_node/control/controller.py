@@ -7,7 +7,6 @@ No ROS, and no clock: time is an argument.
 from __future__ import annotations
 
 from collections.abc import Sequence
-import enum
 import math
 from typing import NamedTuple
 
@@ -21,24 +20,12 @@ from .filters import LowPass
 from .joint_selection import compact_index, joint_index
 from .joint_states import State
 from .overflow import describe_overflow
+from .phase import COMPUTING_PHASES, Phase
+from .reference import Reference
 from .settings import Mode, Settings, StalePolicy
-
-
-class Phase(enum.Enum):
-    """State of the controller."""
-
-    WAITING = 'waiting for the first complete joint state'
-    RUNNING = 'following the reference'
-    HOLDING = 'holding position'
-    TOO_FAR = 'holding position: the reference is too far away'
-    STATE_LOST = 'joint states lost'
-    NO_SOLUTION = 'no finite efforts for this joint state and reference'
-    STOPPED = 'stopped'
-
+from .state_loss import recovery_time, StateLoss
 
 _PATIENCE = 0.02  # [s]; how much later than expected a step may come
-_LEAST_RECOVERY = 0.2  # [s]; shortest time without a gap after which lost states are used again
-_TOLERATED_DROP = 0.05  # of the gain; a loss that lowered it by less ends with the next state
 # Settings that change the inputs of the computation; others only change what follows from them.
 _INPUT_SETTINGS = (
     'mode',
@@ -48,23 +35,6 @@ _INPUT_SETTINGS = (
     'max_position_jump',
     'velocity_filter_cutoff',
 )
-COMPUTING_PHASES = (Phase.RUNNING, Phase.HOLDING, Phase.TOO_FAR)
-"""Phases in which efforts are computed from a fresh state."""
-
-
-class Reference(NamedTuple):
-    """Desired motion of the commanded joints."""
-
-    accelerations: Floats
-    """Shape (m,) [rad/s^2 or m/s^2]."""
-    efforts: Floats
-    """Added to the command, shape (m,) [N m or N]."""
-    time: float
-    """Time of arrival [s]."""
-    positions: Floats | None = None
-    """Shape (m,) [rad or m]; None if the reference has none."""
-    velocities: Floats | None = None
-    """Shape (m,) [rad/s or m/s]; None if the reference has none."""
 
 
 class Command(NamedTuple):
@@ -130,9 +100,7 @@ class Controller:
         self._is_stopping = False
         self._time = math.inf
         self._velocity_filter = LowPass(np.zeros(n))
-        self._lost_gain = 0.0  # gain at which the states were lost
-        self._tolerated_drop = _TOLERATED_DROP  # of the gain, in losses in quick succession
-        self._fresh_since = math.inf  # arrival of the first state after the last gap
+        self._state_loss = StateLoss()
         self._followed: Floats | None = None  # reference positions of the last step with feedback
         self.settings = settings or Settings()
         self.apply(self.settings)
@@ -282,8 +250,7 @@ class Controller:
             )
         self.phase, self._time = other.phase, other._time
         self._is_stopping = other._is_stopping
-        self._lost_gain, self._fresh_since = other._lost_gain, other._fresh_since
-        self._tolerated_drop = other._tolerated_drop
+        self._state_loss = other._state_loss
         self._blending.continue_from(other._blending)
 
     def step(self, now: float, state: State | None, reference: Reference | None) -> Command | None:
@@ -346,38 +313,11 @@ class Controller:
     @property
     def recovery_time(self) -> float:
         """Time without a gap after which states that were lost are used again [s]."""
-        return max(2.0 * self.settings.state_timeout, _LEAST_RECOVERY)
+        return recovery_time(self.settings.state_timeout)
 
     def _is_lost(self, now: float, state: State | None) -> bool:
-        """
-        Return whether the state is too old or inconsistent, or was until recently.
-
-        Intermittent states would otherwise raise and lower the efforts again and again, which
-        shakes the arm.
-
-        """
-        was_lost = self.phase is Phase.STATE_LOST
-        if state is None:
-            # A joint of a new robot description was never reported. Its first state ends the loss.
-            self._lost_gain = 0.0
-            return True
-        is_fresh = 0.0 <= now - state.time <= self.settings.state_timeout
-        if not (is_fresh and state.is_consistent):
-            if not was_lost:
-                self._lost_gain = self.gain
-                if state.time - self._fresh_since >= self.recovery_time:
-                    self._tolerated_drop = _TOLERATED_DROP
-            self._fresh_since = math.inf
-            return True
-        self._fresh_since = min(self._fresh_since, state.time)
-        if not was_lost:
-            return False
-        drop = max(0.0, self._lost_gain - self.gain)
-        if drop <= self._tolerated_drop:
-            # Losses in quick succession add up, although each may be too short to matter.
-            self._tolerated_drop -= drop
-            return False
-        return state.time - self._fresh_since < self.recovery_time
+        timeout, was_lost = self.settings.state_timeout, self.phase is Phase.STATE_LOST
+        return self._state_loss.is_lost(now, state, timeout, was_lost, self.gain)
 
     def _is_far(self, state: State, reference: Reference) -> bool:
         """Return whether the reference is too far from the joints, or has jumped too far."""

@@ -19,8 +19,8 @@ from .activity import (
     join_names,
 )
 from .control_loop import ControlLoop
-from .controller import Phase
 from .graph_info import GraphInfo, SimulatedTime
+from .phase import Phase
 from .settings import Mode
 
 _DISCOVERY = 1.0  # [s]; how long a publisher may exist before it is discovered

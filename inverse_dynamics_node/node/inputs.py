@@ -15,7 +15,7 @@ from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
 from ..control.control_loop import ControlLoop
-from ..control.controller import Reference
+from ..control.reference import Reference
 from ..errors import ConfigurationError, InverseDynamicsError, JointStateError, shortened
 from ..robot.kinematics import rotation_of_rpy
 from ..robot.model import Floats

@@ -19,7 +19,8 @@ from ..control.activity import (
     join_names,
 )
 from ..control.control_loop import ControlLoop
-from ..control.controller import Command, COMPUTING_PHASES, Phase
+from ..control.controller import Command
+from ..control.phase import COMPUTING_PHASES, Phase
 from ..control.status import Level, Status
 from ..errors import shortened_lines
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import math
 from typing import Any, NamedTuple
 
-from ..control.controller import COMPUTING_PHASES
+from ..control.phase import COMPUTING_PHASES
 from ..control.status import Level
 
 _COMPUTING = {phase.value for phase in COMPUTING_PHASES}

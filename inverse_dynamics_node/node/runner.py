@@ -11,8 +11,9 @@ from rclpy.timer import Timer
 
 from ..control.command_gate import CommandGate
 from ..control.control_loop import ControlLoop
-from ..control.controller import Command, COMPUTING_PHASES
+from ..control.controller import Command
 from ..control.monitor import Monitor
+from ..control.phase import COMPUTING_PHASES
 from ..errors import JointStateError, shortened_lines
 from .background import Background
 from .description_loader import DescriptionLoader

@@ -10,8 +10,8 @@ from inverse_dynamics_node.analysis.calibration.export import calibrated_urdf
 from inverse_dynamics_node.analysis.calibration.free_bodies import free_bodies
 from inverse_dynamics_node.analysis.calibration.pseudo_inertia import parameters_of
 from inverse_dynamics_node.analysis.calibration.samples import Setting
-from inverse_dynamics_node.dynamics.inverse_dynamics import STANDARD_GRAVITY
 from inverse_dynamics_node.dynamics.jit import IS_COMPILED
+from inverse_dynamics_node.dynamics.loaded_robot import STANDARD_GRAVITY
 from inverse_dynamics_node.robot.rigid_body import RigidBody
 import numpy as np
 import pytest

@@ -6,8 +6,10 @@ import math
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.control.controller import COMPUTING_PHASES, Controller, Phase, Reference
+from inverse_dynamics_node.control.controller import Controller
 from inverse_dynamics_node.control.joint_states import State
+from inverse_dynamics_node.control.phase import COMPUTING_PHASES, Phase
+from inverse_dynamics_node.control.reference import Reference
 from inverse_dynamics_node.control.settings import Mode, Settings, StalePolicy
 import numpy as np
 from robot_files import ROOT

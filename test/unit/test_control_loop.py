@@ -10,8 +10,9 @@ from inverse_dynamics_node import (
     load_urdf,
 )
 from inverse_dynamics_node.control.control_loop import ControlLoop
-from inverse_dynamics_node.control.controller import Phase, Reference
 from inverse_dynamics_node.control.external_efforts import ExternalEffortEstimator
+from inverse_dynamics_node.control.phase import Phase
+from inverse_dynamics_node.control.reference import Reference
 from inverse_dynamics_node.control.settings import LoadSettings, Settings
 import numpy as np
 import pytest
