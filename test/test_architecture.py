@@ -112,6 +112,11 @@ def test_the_root_of_the_package_has_no_other_files():
     assert names == {'__init__.py', 'errors.py', 'py.typed'}
 
 
+@pytest.mark.parametrize('path', FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_a_file_has_fewer_than_400_lines(path):
+    assert len(path.read_text().splitlines()) < 400, 'move one of its concepts to its own file'
+
+
 @pytest.mark.parametrize('part', PARTS)
 def test_every_part_is_introduced_in_one_sentence(part):
     summary = ast.get_docstring(ast.parse((PACKAGE / part / '__init__.py').read_text()))
