@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterable
 from contextlib import nullcontext
 import math
 import os
@@ -84,8 +85,23 @@ def _parse(arguments: list[str] | None) -> argparse.Namespace:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument('urdf', type=Path, help='the robot description')
+    _add_run(parser, summaries)
+    _add_files(parser)
+    options = parser.parse_args(arguments)
+    least = 5.0 if options.scenario == CALIBRATE else SCENARIOS[options.scenario].least_duration
+    if not 50.0 <= options.rate <= 5000.0:
+        parser.error(f'--rate {options.rate:g} is not from 50 to 5000 Hz')
+    if not least <= options.duration < math.inf:
+        parser.error(f'--duration {options.duration:g} is not {least:g} s or more')
+    if options.domain is not None and not 0 <= options.domain <= 232:
+        parser.error(f'--domain {options.domain} is not from 0 to 232')
+    return options
+
+
+def _add_run(parser: argparse.ArgumentParser, scenarios: Iterable[str]) -> None:
+    """Add the options for the scenario and its conditions."""
     parser.add_argument(
-        '--scenario', choices=summaries, default='track', help='see below (default: %(default)s)'
+        '--scenario', choices=scenarios, default='track', help='see below (default: %(default)s)'
     )
     parser.add_argument(
         '--rate',
@@ -115,6 +131,10 @@ def _parse(arguments: list[str] | None) -> argparse.Namespace:
         help='simulate the friction of the URDF, and let the node compensate it; Coulomb friction '
         'may hold a joint at rest away from its reference',
     )
+
+
+def _add_files(parser: argparse.ArgumentParser) -> None:
+    """Add the options for the files to write."""
     parser.add_argument(
         '--picture',
         type=picture_path,
@@ -130,12 +150,3 @@ def _parse(arguments: list[str] | None) -> argparse.Namespace:
         default='mcap',
         help='storage of the recording (default: %(default)s)',
     )
-    options = parser.parse_args(arguments)
-    least = 5.0 if options.scenario == CALIBRATE else SCENARIOS[options.scenario].least_duration
-    if not 50.0 <= options.rate <= 5000.0:
-        parser.error(f'--rate {options.rate:g} is not from 50 to 5000 Hz')
-    if not least <= options.duration < math.inf:
-        parser.error(f'--duration {options.duration:g} is not {least:g} s or more')
-    if options.domain is not None and not 0 <= options.domain <= 232:
-        parser.error(f'--domain {options.domain} is not from 0 to 232')
-    return options

@@ -75,6 +75,17 @@ def add_parser(subparsers: Any) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_urdf(parser)
+    _add_limits(parser)
+    _add_motion(parser)
+    add_payload(parser)
+    add_link(parser)
+    add_gravity(parser)
+    _add_files(parser)
+    parser.set_defaults(run=run)
+
+
+def _add_limits(parser: argparse.ArgumentParser) -> None:
+    """Add the options for the space and the limits of the motion."""
     parser.add_argument(
         '--joints', nargs='+', default=[], metavar='JOINT', help='joints to move (default: all)'
     )
@@ -109,6 +120,10 @@ def add_parser(subparsers: Any) -> None:
         default=FRACTION,
         help='fraction of the limits of position, speed and effort to use (default: %(default)g)',
     )
+
+
+def _add_motion(parser: argparse.ArgumentParser) -> None:
+    """Add the options for the motion itself."""
     parser.add_argument(
         '--duration',
         type=_positive,
@@ -140,9 +155,10 @@ def add_parser(subparsers: Any) -> None:
         default=100.0,
         help='points per second of the CSV file (default: %(default)g)',
     )
-    add_payload(parser)
-    add_link(parser)
-    add_gravity(parser)
+
+
+def _add_files(parser: argparse.ArgumentParser) -> None:
+    """Add the options for the files to write."""
     parser.add_argument(
         '--csv',
         type=output_path,
@@ -157,7 +173,6 @@ def add_parser(subparsers: Any) -> None:
         'the way to the start pose goes to a file whose name ends with _start.yaml',
     )
     add_picture(parser, '<name of the URDF>_excite.png')
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
