@@ -31,7 +31,7 @@ def as_json(calibration: Calibration) -> dict[str, Any]:
                     'com_before': body.com_before,
                     'com': body.com if calibration.accepted else body.com_before,
                     'com_error': body.com_error,
-                    'told': body.told,
+                    'told': body.data_fraction,
                 }
                 for body in calibration.bodies
             ],

@@ -94,7 +94,7 @@ def body_table(calibration: Calibration) -> Table:
                 _millimetres(body.com_before),
                 _millimetres(body.com),
                 f'{1e3 * float(max(body.com_error)):.0f}',
-                f'{body.told:.0%}',
+                f'{body.data_fraction:.0%}',
             )
         )
     columns = ('link', 'mass [kg]', 'identified', 'centre of mass [mm]', 'identified', '±',

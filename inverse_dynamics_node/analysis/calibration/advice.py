@@ -48,7 +48,9 @@ def what_to_record(found: Identification, bodies: Sequence[BodyResult]) -> tuple
     duration = sum(float(np.ptp(motion.times)) for motion in found.motions)
     if duration < SHORT:
         advice.append(f'record at least 30 s: these recordings last {duration:.3g} s')
-    unknown = [body for body in bodies if body.told < LITTLE and not _is_first(found, body)]
+    unknown = [
+        body for body in bodies if body.data_fraction < LITTLE and not _is_first(found, body)
+    ]
     if unknown:
         names = ', '.join(body.link for body in unknown[:3])
         advice.append(

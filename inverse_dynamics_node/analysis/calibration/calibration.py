@@ -178,7 +178,7 @@ class Identification:
         self.used[:, WIDTH] = self.moving
         for _ in range(WIDTH_ROUNDS):
             self.equations = Equations(self.samples, self.solution.model)
-            self.solution, self.told = solve_within_reason(
+            self.solution, self.data_fraction = solve_within_reason(
                 self.equations, self.weights, self.gamma, self.used, self.solution.model
             )
             model = self.solution.model.with_fitted_widths()

@@ -79,7 +79,7 @@ class BodyResult:
     """Centre of mass in the frame of the joint, shape (3,) [m]."""
     com: Floats
     com_error: Floats
-    told: float
+    data_fraction: float
     """Fraction of the information about the mass that comes from the recordings."""
 
 

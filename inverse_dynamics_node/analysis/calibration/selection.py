@@ -70,7 +70,7 @@ def solve_within_reason(
     -------
     solution : Solution
         Without such masses.
-    told : ndarray, shape (b,)
+    data_fraction : ndarray, shape (b,)
         Fraction of the information about the mass of each body that comes from the recording.
 
     """
@@ -78,14 +78,14 @@ def solve_within_reason(
     gammas = np.full(len(before), gamma)
     for _ in range(40):
         solution = solve(equations, weights, gammas, used, start)
-        told = mass_information(solution)
+        data_fraction = mass_information(solution)
         growing = solution.model.bodies[:, 0] > 0.99 * MOST_GROWTH * before
-        held = growing & (told <= ENOUGH)
+        held = growing & (data_fraction <= ENOUGH)
         if not held.any():
             break
         gammas = np.where(held, 2.0 * gammas, gammas)
         start = solution.model
-    return solution, told
+    return solution, data_fraction
 
 
 def mass_information(solution: Solution) -> Floats:

@@ -271,7 +271,7 @@ def _bodies(found: Identification) -> tuple[BodyResult, ...]:
                 com_before=before[1:4] / before[0],
                 com=com,
                 com_error=np.sqrt(np.diagonal(jacobian @ own @ jacobian.T)),
-                told=float(found.told[k]),
+                data_fraction=float(found.data_fraction[k]),
             )
         )
     return tuple(results)

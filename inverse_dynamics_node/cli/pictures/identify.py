@@ -104,7 +104,7 @@ def _draw_masses(ax: Any, calibration: Calibration) -> None:
                 capsize=2.0)  # fmt: skip
     ax.set_xlim(0.0, 1.15 * max(*before, *after, 1e-9))
     labels = [
-        f'{name} {body.told:.0%}'
+        f'{name} {body.data_fraction:.0%}'
         for name, body in zip(fitting([body.link for body in bodies], 16), bodies, strict=True)
     ]
     ax.set_yticks(places, labels, fontsize=8.5)
