@@ -103,7 +103,7 @@ def test_a_motion_below_the_base_is_reported_with_the_option_to_avoid_it(here, c
         (['--joints', 'hook'], 1, "joint 'hook' does not exist; joints are"),
         (['--fraction', '0'], 1, 'fraction is 0.0, expected more than 0, up to 1'),
         (['--harmonics', '1'], 1, 'harmonics is 1, expected at least 2'),
-        (['--floor', '5'], 1, 'widen the ranges or lower the floor'),
+        (['--floor', '5'], 1, 'lower the floor of 5 m; the robot stays above 0.'),
     ],
 )
 def test_invalid_arguments_are_rejected_with_a_reason(here, capsys, arguments, code, words):

@@ -21,6 +21,7 @@ import numpy as np
 
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...errors import ConfigurationError, listed
+from ...robot.kinematics import moving_points
 from ...robot.model import Floats
 from .feasibility import excess
 from .fourier import basis, FourierSeries
@@ -238,6 +239,11 @@ class Motions:
             for i in np.flatnonzero(least > limits.efforts)
         ]
         reason = listed(weak, 4) if weak else 'widen the ranges or lower the floor'
+        if not weak and math.isfinite(limits.floor):
+            q = whole_states(limits, states).q
+            heights = moving_points(self.dynamics.robot, q, np.array([0.0, 0.0, 1.0]))
+            highest = heights.min(axis=1).max()
+            reason += f' of {limits.floor:.3g} m; the robot stays above {highest:.3g} m at best'
         return f'no sampled pose is within the limits of efforts and floor: {reason}'
 
 
