@@ -25,6 +25,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 APPROACH = 0.2  # [rad/s, m/s]; mean speed to the first point
 AT_REST = 1.0  # [s] at the last point
+LARGEST_ERROR = 0.5  # [rad, m]; a robot that is further away does not follow
 
 robot = load_urdf(sys.argv[1])
 speed = float(sys.argv[3]) if len(sys.argv) > 3 else 1.0
@@ -90,6 +91,12 @@ def on_state(message):
     )
     publisher.publish(JointTrajectory(joint_names=names, points=[point]))
     errors.append(np.abs(measured - motion.positions[k]))
+    worst = int(errors[-1].argmax())
+    if errors[-1][worst] > LARGEST_ERROR:
+        sys.exit(
+            f'stopped: {names[worst]} is {errors[-1][worst]:.2f} rad or m behind; does the robot '
+            'follow the commands of the node, and are the efforts cut to limits? See their logs'
+        )
 
 
 node.create_subscription(JointState, 'inverse_dynamics/joint_efforts', on_efforts, 1)
