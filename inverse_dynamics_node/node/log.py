@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 import math
 import time
 from typing import Any
@@ -80,7 +80,7 @@ class NodeLog:
 
     def __init__(self, logger: Any) -> None:
         self._logger = logger
-        self._times: dict[str, float] = {}
+        self._times: dict[Hashable, float] = {}  # of the last message, by its key
         self._last_activity: tuple[Phase, bool] | None = None
         self._changes: deque[float] = deque(maxlen=_MOST_CHANGES)  # times of the latest ones
         self._has_reported_imu = False
@@ -91,7 +91,7 @@ class NodeLog:
         self._last_activity = None
         self._changes.clear()
 
-    def warn(self, key: str, text: str | Callable[[], str]) -> None:
+    def warn(self, key: Hashable, text: str | Callable[[], str]) -> None:
         """Warn, unless `key` was logged recently; a function creates the text only if needed."""
         if self._is_due(key):
             self._logger.warning(text if isinstance(text, str) else text())
@@ -99,7 +99,7 @@ class NodeLog:
     def report_conflicts(self, loop: ControlLoop, publishers: Sequence[str]) -> None:
         """Report joints with contradicting positions, and the nodes that publish them."""
         for joint, text in describe_alternating(loop, publishers).items():
-            if self._is_due(f'conflict {joint}'):
+            if self._is_due(('conflict', joint)):
                 self._logger.error(text)
 
     def report_silence(self, text: str) -> None:
@@ -129,8 +129,8 @@ class NodeLog:
         if status.level is Level.OK:
             if last[0] is not Level.OK:
                 self._logger.info(status.message)
-        elif last != this or self._is_due(f'status {status.part}', _LONG_PERIOD):
-            self._times[f'status {status.part}'] = time.monotonic()
+        elif last != this or self._is_due(('status', status.part), _LONG_PERIOD):
+            self._times[('status', status.part)] = time.monotonic()
             if status.level is Level.ERROR:  # a logger accepts one severity per line of code
                 self._logger.error(status.message)
             else:
@@ -152,10 +152,9 @@ class NodeLog:
         if loop.collector.late_count:
             self.warn('late', lambda: '; '.join(describe_late(loop, now)))
         if np.count_nonzero(command.is_saturated):  # any() takes longer
-            joints = (
-                command.is_saturated.tobytes().hex()
-            )  # a change of the joints is reported at once
-            self.warn(f'saturated {joints}', lambda: _describe_saturated(loop, command))
+            # A change of the joints is reported at once.
+            joints = command.is_saturated.tobytes()
+            self.warn(('saturated', joints), lambda: _describe_saturated(loop, command))
 
     def report_lost_velocities(self, joints: Sequence[str], publishers: Sequence[str]) -> None:
         """Warn of joints that are no longer reported with velocities, and name the cause."""
@@ -169,7 +168,7 @@ class NodeLog:
     def report_implausible(self, loop: ControlLoop) -> None:
         """Warn of joints far outside their position limits, from time to time."""
         for joint, text in describe_implausible(loop).items():
-            if self._is_due(f'implausible {joint}', _LONG_PERIOD):
+            if self._is_due(('implausible', joint), _LONG_PERIOD):
                 self._logger.warning(text)
 
     def _report_imu(self, now: float, loop: ControlLoop) -> None:
@@ -210,7 +209,7 @@ class NodeLog:
         else:
             self._logger.info(text)
 
-    def _is_due(self, key: str, period: float = _PERIOD) -> bool:
+    def _is_due(self, key: Hashable, period: float = _PERIOD) -> bool:
         now = time.monotonic()  # simulated time may pause or run fast
         if now - self._times.get(key, -math.inf) < period:
             return False

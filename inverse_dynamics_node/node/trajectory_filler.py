@@ -143,8 +143,8 @@ class TrajectoryFiller:
             reject(error)
             return
         for note in filled.notes:
-            self._log.warn(note, f'~/joint_trajectory_in: {note}')
+            self._log.warn(('trajectory note', note), f'~/joint_trajectory_in: {note}')
         for name in filled.beyond:
             warning = f"~/joint_trajectory_in: efforts of '{name}' exceed its limit"
-            self._log.warn(warning, warning)
+            self._log.warn(('trajectory beyond', name), warning)
         self._publisher.publish(filled.data)
