@@ -26,7 +26,7 @@ state = JointState(
 rclpy.init()
 node = rclpy.create_node('hold_still')
 publisher = node.create_publisher(JointState, 'joint_states', 10)
-received = deque(maxlen=20)
+received = deque(maxlen=100)
 node.create_subscription(
     JointState, 'inverse_dynamics/joint_efforts', lambda message: received.append(message), 10
 )
@@ -39,8 +39,9 @@ def publish():
 
 
 node.create_timer(0.01, publish)
-# The node lets the efforts rise from zero: wait until they stay the same.
-while len(received) < 20 or received[0].effort != received[-1].effort:
+# The node lets the efforts rise from zero: wait until they stay the same for a second. They are
+# zero for less than that after a pause of this process.
+while len(received) < 100 or received[0].effort != received[-1].effort:
     rclpy.spin_once(node)
 for name, effort in zip(received[-1].name, received[-1].effort, strict=True):
     print(f'{name:20} {effort:10.3f}')
