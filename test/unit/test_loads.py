@@ -1,4 +1,7 @@
-"""Messages about impossible loads, which change nothing."""
+"""Messages about impossible loads, which change nothing; and copies with the same loads."""
+
+import copy
+import pickle
 
 from inverse_dynamics_node import (
     ConfigurationError,
@@ -266,3 +269,29 @@ def test_results_may_be_kept_and_changed():
     dynamics.joint_wrenches(*(2.0 * STATE))
     assert (first.force == copy).all()
     assert (dynamics.joint_wrenches(*STATE).force == copy).all()
+
+
+@pytest.mark.parametrize(
+    'duplicate',
+    [copy.copy, copy.deepcopy, lambda dynamics: pickle.loads(pickle.dumps(dynamics))],
+    ids=['copy', 'deepcopy', 'pickle'],
+)
+def test_a_copy_has_the_same_loads_and_is_independent(duplicate):
+    dynamics = loaded()
+    other = duplicate(dynamics)
+    before = dynamics.effort_terms(*STATE)
+    assert all(term.any() for term in before)
+    assert np.array_equal(other.effort_terms(*STATE), before)
+    assert np.array_equal(other.gravity, dynamics.gravity)
+    assert not other.gravity.flags.writeable
+
+    def change(each):
+        each.set_payload(LINK_BEFORE, 2.0)
+        each.set_external_wrench(LINK_BEFORE, (1.0, 1.0, 1.0))
+        each.set_gravity((0.0, 0.0, -1.0))
+
+    change(other)
+    assert np.array_equal(dynamics.effort_terms(*STATE), before)
+    change(dynamics)  # replaces the same loads on both
+    assert np.array_equal(other.effort_terms(*STATE), dynamics.effort_terms(*STATE))
+    assert np.array_equal(other.inertial_parameters(), dynamics.inertial_parameters())
