@@ -24,6 +24,7 @@ from geometry_msgs.msg import (
     WrenchStamped,
 )
 from inverse_dynamics_node import InverseDynamics, load_urdf
+from inverse_dynamics_node.simulation.drive import PositionDrive
 from inverse_dynamics_node.simulation.mujoco.hardware import MujocoRobot
 from inverse_dynamics_node.simulation.robot import COMPLAINT_PERIOD, RobotNode
 from rclpy.context import Context
@@ -40,11 +41,11 @@ PATIENCE = 120.0  # [s]
 
 class TestRobotNode:
     @pytest.fixture
-    def arm(self, domain_id):
+    def arm(self, domain_id, request):
         """Return the simulated robot and a controller's side of it, in one process."""
         context = Context()
         context.init(args=[], domain_id=domain_id)
-        sides = Arm(context)
+        sides = Arm(context, has_drive=getattr(request, 'param', False))
         yield sides
         sides.close()
         context.try_shutdown()
@@ -154,6 +155,22 @@ class TestRobotNode:
         arm.command_for(12)
         assert not arm.robot.brakes_on
 
+    @pytest.mark.parametrize('arm', [True], indirect=True)
+    def test_position_controller_holds_the_robot_after_a_loss_of_sensors(self, arm):
+        arm.wait_until(lambda: arm.brakes == [False])
+        before = arm.robot.positions()
+        arm.disturb('sensors', Bool(data=False))
+        arm.wait_until(lambda: arm.brakes == [False, True])
+        for i in range(12):  # these commands do not release the robot
+            arm.send([0.1 * i] * 6)
+            arm.executor.spin_once(timeout_sec=0.02)
+            arm.node.advance(0.05)
+        arm.disturb('sensors', Bool(data=True))
+        arm.wait_until(lambda: arm.brakes == [False, True, False])
+        for _ in range(12):
+            arm.node.advance(0.05)
+        assert arm.robot.positions() == pytest.approx(before, abs=1e-4)
+
 
 @pytest.fixture
 def simulated(domain_id, tmp_path):
@@ -214,9 +231,11 @@ def read(vector):
 class Arm:
     """A simulated robot whose brakes open after half a second, and a node that commands it."""
 
-    def __init__(self, context):
+    def __init__(self, context, has_drive=False):
         self.robot = MujocoRobot(STANFORD, load_urdf(STANFORD), [0, 0, 0.5, 0, 0.5, 0])
-        self.node = RobotNode(self.robot, 0.5, IMU_ORIENTATION, context=context)
+        self.robot.brakes_on = not has_drive
+        drive = PositionDrive(self.robot, False) if has_drive else None
+        self.node = RobotNode(self.robot, 0.5, IMU_ORIENTATION, drive, context=context)
         self.states, self.brakes = [], []
         self.side = Node('side', context=context)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
