@@ -20,6 +20,7 @@ SPEED_FACTOR = 2.0  # of the velocity limit; motions within the limits overshoot
 NO_LIMIT = (4.0 * math.pi, 2.0)  # [rad/s], [m/s] if the URDF has no velocity limit
 # Outside this range, limits in URDFs are placeholders, or too low for a robot pushed by hand.
 LEAST, MOST = (1.0, 0.25), (40.0, 5.0)  # [rad/s], [m/s]
+BRAKING_MARGIN = 1.25  # of the bounds: a smooth stop does not slow the robot down at once
 LONGEST_STEP = 0.002  # [s] of the position controller: slower ones are unstable
 COMPLAINT_PERIOD = 5.0  # [s] between errors about a robot that cannot be held
 
@@ -156,7 +157,7 @@ class HandOver:
                 'when the cause is removed'
             )
         self._drive.act(now)
-        speeds = self._robot.advance_within(duration, self._bounds)
+        speeds = self._robot.advance_within(duration, BRAKING_MARGIN * self._bounds)
         if speeds is not None:
             self._brake(self._excess(speeds), now)
 
