@@ -18,7 +18,7 @@ HOLD = InverseDynamics(MODEL).gravity_efforts(Q)
 RAMPED = {
     'robot_description_file': STANFORD,
     'start_ramp': 1.0,
-    'stop_ramp': 1.0,
+    'stop_ramp': 2.0,
     'state_timeout': 5.0,
 }
 
@@ -58,7 +58,7 @@ def assert_falls_to_zero(commands, times, start, since):
     commands = np.array(commands)
     assert (np.abs(commands[0]) <= np.abs(start) + 1e-9).all()
     ramp = 1.0 - (np.array(times) - since) / RAMPED['stop_ramp']
-    assert (np.abs(commands[:, 1]) >= np.abs(start[1]) * (ramp - 0.5)).all()
+    assert (np.abs(commands[:, 1]) >= np.abs(start[1]) * (ramp - 0.75)).all()
     assert (np.diff(np.abs(commands), axis=0) <= 1e-12).all()
     assert (commands * np.sign(start) >= 0.0).all()
     assert not commands[-1].any()
