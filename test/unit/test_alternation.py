@@ -9,6 +9,7 @@ from inverse_dynamics_node.control.alternation import (
     LATENESS,
     make_tracks,
     track,
+    way,
 )
 import numpy as np
 import pytest
@@ -224,3 +225,22 @@ def test_speed_limits_that_cannot_be_meant_are_not_believed():
         assert not any(alarms)
     tracks = make_tracks(3, none)
     assert any(track(tracks, SLIDE, 0.2 * (k % 2), 0.01 if k else -1.0) for k in range(200))
+
+
+def test_the_recent_way_covers_this_window_and_the_last():
+    tracks = make_tracks(1)
+    steps = [0.1, 0.1, 0.1, -0.1, 0.0, 0.0, 0.0, 0.0, 0.0]
+    ways = [way(tracks, 0, step, 0.04) for step in steps]  # three steps exceed a window of 0.1 s
+    assert ways == pytest.approx([0.1, 0.2, 0.3, 0.3, 0.3, 0.1, 0.1, 0.1, 0.0])
+
+
+@pytest.mark.parametrize(('gap', 'expected'), [(0.05, 0.6), (0.15, 0.6), (0.17, 0.5)])
+@pytest.mark.parametrize('sign', [1.0, -1.0])
+def test_the_recent_way_is_forgotten_after_a_gap(gap, expected, sign):
+    tracks = make_tracks(1)
+    assert way(tracks, 0, 0.1 * sign, 0.04) == pytest.approx(0.1)
+    assert way(tracks, 0, 0.5 * sign, gap) == pytest.approx(expected)
+
+
+def test_the_noise_of_joints_that_slide_is_smaller():
+    assert make_tracks(3, ROBOT)[1].tolist() == [0.02, 0.02, 0.005]

@@ -3,7 +3,7 @@
 import math
 
 from inverse_dynamics_node import load_urdf
-from inverse_dynamics_node.robot.plausibility import implausible_positions
+from inverse_dynamics_node.robot.plausibility import implausible_positions, position_warnings
 import numpy as np
 import pytest
 
@@ -95,3 +95,14 @@ def test_joints_after_one_without_limits_are_checked(robot):
 def test_a_base_link_with_the_name_of_a_joint_does_not_matter():
     robot = load_urdf(URDF.replace('"base"', '"slide"'))
     assert sentences(robot, [0.0, 0.0, 0.5, 0.0]) == ['slide at 0.5 m, limits 0 to 0.04']
+
+
+def test_warnings_about_degrees_come_first_with_their_own_hint(robot):
+    degrees, other = position_warnings(robot, [2.0, 57.3], ['slide', 'joint2'])
+    assert str(degrees) == 'joint2 at 57.3 rad, limits -2.97 to 2.97: degrees?'
+    assert degrees.hint == 'convert the positions to radians'
+    assert str(other) == 'slide at 2 m, limits 0 to 0.04'
+    assert other.hint.startswith(
+        'check units (rad, m), zero positions and the order of the joints'
+    )
+    assert position_warnings(robot, [0.0, 0.0, 0.0, 0.0]) == ()
