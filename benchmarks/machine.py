@@ -7,6 +7,7 @@ from importlib.metadata import PackageNotFoundError, version
 import os
 from pathlib import Path
 import platform
+import textwrap
 
 PACKAGES = (
     'inverse_dynamics_node',
@@ -20,12 +21,14 @@ PACKAGES = (
 
 
 def describe(packages: Sequence[str] = PACKAGES) -> str:
-    """Describe processor, load, Python and library versions."""
-    return (
+    """Describe processor, load, Python and library versions, in lines for a Markdown page."""
+    text = (
         f'{processor()}, {os.cpu_count()} cores, load {load()} before the start; '
         f'{platform.system()}, Python {platform.python_version()}; '
         f'{", ".join(versions(packages))}.'
     )
+    # Pages are 100 columns wide; that of the loop appends the load at the end.
+    return textwrap.fill(text, 80, break_on_hyphens=False)
 
 
 def load() -> str:

@@ -9,8 +9,6 @@ from robot_files import ROOT
 WIDTH = 100
 PAGES = [*sorted(ROOT.glob('*.md')), *sorted((ROOT / 'doc').glob('*.md'))]
 TEMPLATES = sorted((ROOT / 'benchmarks').glob('*.md'))
-# Written by the benchmarks, from templates that are tested; one line describes the machine.
-GENERATED = ('benchmarks.md', 'loop.md')
 
 
 def prose_of(text):
@@ -27,9 +25,7 @@ def name_of(path):
     return str(path.relative_to(ROOT))
 
 
-@pytest.mark.parametrize(
-    'path', TEMPLATES + [path for path in PAGES if path.name not in GENERATED], ids=name_of
-)
+@pytest.mark.parametrize('path', TEMPLATES + PAGES, ids=name_of)
 def test_prose_is_at_most_100_columns_wide(path):
     long = [number for number, line in prose_of(path.read_text()) if len(line) > WIDTH]
     assert not long, f'{name_of(path)}: lines {long} are longer than {WIDTH} columns'
