@@ -22,7 +22,7 @@ NO_LIMIT = (4.0 * math.pi, 2.0)  # [rad/s], [m/s] if the URDF has no velocity li
 LEAST, MOST = (1.0, 0.25), (40.0, 5.0)  # [rad/s], [m/s]
 BRAKING_MARGIN = 1.25  # of the bounds: a smooth stop does not slow the robot down at once
 LONGEST_STEP = 0.002  # [s] of the position controller: slower ones are unstable
-COMPLAINT_PERIOD = 5.0  # [s] between errors about a robot that cannot be held
+COMPLAINT_PERIOD = 5.0  # [s] between errors: causes may recur thousands of times per second
 
 
 class Log(Protocol):

@@ -58,14 +58,13 @@ from ..robot.kinematics import rotation_of_rpy
 from ..robot.model import Floats
 from ..robot.urdf import load_urdf
 from .drive import PositionDrive
-from .hand_over import GAP, HandOver
+from .hand_over import COMPLAINT_PERIOD, GAP, HandOver
 from .mujoco.hardware import MujocoRobot
 from .mujoco.model import SimulationError
 from .tilt import Tilt
 from .trajectory import start_pose
 
 MOST_LAG = 0.5  # [s]: simulated time lags behind the steady clock by this much at most
-COMPLAINT_PERIOD = 5.0  # [s] between errors: invalid commands may arrive at thousands per second
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
