@@ -37,7 +37,7 @@ setup(
     name=package_name,
     version='0.1.0',
     packages=find_packages(exclude=['benchmarks', 'test', 'test.*']),
-    package_data={package_name: ['py.typed']},
+    package_data={package_name: ['py.typed', 'node/*.xml']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
         (f'share/{package_name}', ['package.xml']),
@@ -62,7 +62,7 @@ setup(
         'bench': bench,
         'mutation': mutation,
     },
-    zip_safe=True,
+    zip_safe=False,
     author='inverse_dynamics_node maintainers',
     author_email='maintainers@inverse-dynamics-node.example',
     maintainer='inverse_dynamics_node maintainers',

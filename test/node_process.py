@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+from pathlib import Path
 import signal
 import subprocess
 import sys
@@ -16,6 +17,12 @@ def heed_signals():
     """Reset signals that nohup, or a shell with background jobs, ignores in its children."""
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
+
+
+def shared_memory_of(pid):
+    """Return the files in shared memory that a process has opened for the middleware."""
+    lines = Path(f'/proc/{pid}/maps').read_text().splitlines()
+    return sorted({line.split()[-1] for line in lines if '/dev/shm/fastrtps_' in line})
 
 
 class NodeProcess:

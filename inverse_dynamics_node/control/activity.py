@@ -139,7 +139,7 @@ def describe_silence(around: GraphInfo) -> str:
     return (
         f'no message on joint_states for {around.silence:.0f} s, although '
         f'{around.publishers} {publishers} connected: if ros2 topic hz shows messages, '
-        'restart this node; if it happens again, set FASTDDS_BUILTIN_TRANSPORTS=UDPv4'
+        'restart this node'
     )
 
 

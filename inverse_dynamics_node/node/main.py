@@ -73,19 +73,20 @@ def _main(args: list[str], stop: _Stop) -> int:
 def _start(args: list[str], stop: _Stop, startup: StartupWatch) -> int:
     try:
         import rclpy
+
+        from .middleware import start_ros
     except ModuleNotFoundError as error:
         return _fail(
             f'{error}: source a ROS 2 installation (. /opt/ros/jazzy/setup.sh), or '
             "pip install 'inverse_dynamics_node[ros]'"
         )
     from rclpy._rclpy_pybind11 import UnknownROSArgsError
-    from rclpy.signals import SignalHandlerOptions
     from rclpy.utilities import remove_ros_args
 
     from .remaps import expanded_tildes
 
     try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        start_ros(args)
     except UnknownROSArgsError as error:
         return _fail_with_usage(f'unrecognized ROS arguments: {str(error).strip("[]")}')
     except Exception as error:

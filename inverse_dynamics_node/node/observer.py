@@ -15,7 +15,6 @@ from rcl_interfaces.msg import Log
 import rclpy
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
@@ -25,6 +24,7 @@ from ..robot.model import Floats, RobotModel
 from ..robot.urdf import load_urdf
 from . import qos
 from .cdr import JointStateReader
+from .middleware import start_ros
 from .observed_status import ObservedStatus, read_status
 
 _MOST_WARNINGS = 50
@@ -75,7 +75,7 @@ def observing_node() -> Iterator[Node]:
     It has no parameter services and no log topic. Signals are left to the caller.
 
     """
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    start_ros([])
     try:
         node = rclpy.create_node(
             f'_inverse_dynamics_watch_{os.getpid()}',

@@ -44,7 +44,6 @@ from rclpy.executors import Executor
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.signals import SignalHandlerOptions
 from rclpy.time import Time
 from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import Imu, JointState
@@ -54,6 +53,7 @@ from std_srvs.srv import SetBool
 from ..dynamics.arguments import read_vector
 from ..dynamics.inverse_dynamics import InverseDynamics
 from ..errors import InverseDynamicsError
+from ..node.middleware import start_ros
 from ..robot.kinematics import rotation_of_rpy
 from ..robot.model import Floats
 from ..robot.urdf import load_urdf
@@ -298,7 +298,7 @@ def main(arguments: list[str] | None = None) -> int:
         hardware = MujocoRobot(
             options.robot, robot, start, options.friction, options.held, options.armature
         )
-        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        start_ros(arguments)
         try:
             _serve(hardware, options, lambda: bool(stopped))
         finally:

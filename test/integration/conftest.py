@@ -9,6 +9,10 @@ import pytest
 # Before rclpy is loaded: nothing that a test sends may leave this machine.
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 os.environ.pop('ROS_STATIC_PEERS', None)
+os.environ.pop('ROS_LOCALHOST_ONLY', None)
+os.environ.pop('FASTDDS_BUILTIN_TRANSPORTS', None)
+os.environ.pop('FASTDDS_DEFAULT_PROFILES_FILE', None)
+os.environ.pop('FASTRTPS_DEFAULT_PROFILES_FILE', None)
 os.environ['PYTHONUNBUFFERED'] = '1'
 
 pytest.importorskip('rclpy')

@@ -42,6 +42,7 @@ def test_colcon_build_starts(tmp_path, domain_id, options):
     )
     scripts = tmp_path / 'install/inverse_dynamics_node/lib/inverse_dynamics_node'
     assert (scripts / 'inverse_dynamics').exists()  # for `ros2 run`
+    assert list((tmp_path / 'install').rglob('node/local_udp.xml'))
     process = subprocess.Popen(
         ['sh', '-c', START],
         cwd=tmp_path,

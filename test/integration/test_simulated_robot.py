@@ -6,7 +6,7 @@ import subprocess
 import sys
 import time
 
-from node_process import heed_signals
+from node_process import heed_signals, shared_memory_of
 import numpy as np
 import pytest
 from robot_files import STANFORD
@@ -199,6 +199,7 @@ def test_process_survives_commands_that_are_far_too_large(simulated, robot):
         return text in log.read_text()
 
     robot.wait_until(lambda: states, 'joint state')
+    assert shared_memory_of(process.pid) == []  # it would hold up its joint states now and then
     topic = robot.keep_publishing('commands', Float64MultiArray(data=[1e4, -1e4, 1e4] * 2))
     robot.wait_until(lambda: log_has('the robot follows the commands'), 'hand-over')
     robot.wait_until(lambda: log_has('the position controller brakes the robot'), 'supervision')

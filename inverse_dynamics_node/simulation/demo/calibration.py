@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import rclpy
-from rclpy.signals import SignalHandlerOptions
 
+from ...node.middleware import start_ros
 from ...robot.model import Floats
 from ..trajectory import Trajectory
 from .history import History
@@ -107,7 +107,7 @@ def follow(
     zeros = np.zeros_like(motion.start)
     script = Script(motion, lambda history: Verdict(title), begins=title)
     with running(commands, log) as processes:
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        start_ros([])
         run = Run(stage.robot, _SCENARIO, processes, stopped)
         try:
             recorder = None

@@ -16,10 +16,10 @@ from textwrap import fill
 
 import numpy as np
 import rclpy
-from rclpy.signals import SignalHandlerOptions
 
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...errors import unknown_name
+from ...node.middleware import start_ros
 from ...robot.urdf import load_urdf
 from ..mujoco.model import SimulationError
 from ..trajectory import start_pose
@@ -53,7 +53,7 @@ def run_demo(options: argparse.Namespace, stopped: Callable[[], bool]) -> bool:
         print(script.note)
     print(_environment_hint())
     with running(_commands(stage, scenario, options), log) as processes:
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        start_ros([])
         run = Run(robot, scenario, processes, stopped)
         try:
             return _perform(run, script, stage, view, options)

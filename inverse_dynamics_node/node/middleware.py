@@ -1,0 +1,90 @@
+"""Starts ROS without the shared memory of Fast DDS, which can block a publisher for 0.33 s."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
+import os
+from pathlib import Path
+
+import rclpy
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import get_rmw_implementation_identifier
+
+LOCAL_PROFILE = str(Path(__file__).with_name('local_udp.xml'))
+
+_TRANSPORTS = 'FASTDDS_BUILTIN_TRANSPORTS'
+# Names in Fast DDS 2 and 3: a profile that is ignored would open the node to the network.
+_PROFILES = 'FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE'
+_DEFAULT_PROFILES = 'DEFAULT_FASTRTPS_PROFILES.xml'  # read from the current folder if it exists
+_RANGE, _OLD_RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_LOCALHOST_ONLY'
+_WIDE_RANGES = '', 'SUBNET', 'OFF', 'SYSTEM_DEFAULT'  # rcl takes any other value as LOCALHOST
+_PEERS = 'ROS_STATIC_PEERS'
+
+
+def start_ros(arguments: Sequence[str] | None = None) -> None:
+    """
+    Initialize rclpy, without its signal handlers and without shared memory.
+
+    The first message to a new subscriber makes Fast DDS 2.14 open a port in shared memory, within
+    the call of the publisher. A race between the two processes lets this call sleep for 0.33 s,
+    and a control loop with it (issue 6535 of Fast DDS). Messages take UDP instead, also within a
+    machine. The environment variables for this are set in this process, and its children inherit
+    them.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Arguments of ROS; by default those of the process.
+
+    """
+    settings = udp_settings(get_rmw_implementation_identifier(), os.environ)
+    os.environ.update(settings)
+    with _hidden_range() if _PROFILES[0] in settings else nullcontext():
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+
+
+def udp_settings(rmw: str, environment: Mapping[str, str]) -> dict[str, str]:
+    """
+    Return the environment variables that keep Fast DDS from using shared memory.
+
+    Parameters
+    ----------
+    rmw : str
+        Identifier of the RMW implementation.
+    environment : mapping
+        The current environment variables.
+
+    Returns
+    -------
+    settings : dict
+        Empty for another middleware, and if the user has chosen other transports. With the
+        discovery range LOCALHOST, rmw_fastrtps asks for shared memory whatever the user has
+        chosen. A profile replaces the range then, except for static peers, which the profile
+        would have to list.
+
+    """
+    profiles = {environment.get(name) or LOCAL_PROFILE for name in _PROFILES}
+    has_other_transports = environment.get(_TRANSPORTS) not in (None, '', 'UDPv4')
+    has_profile = profiles != {LOCAL_PROFILE} or os.path.exists(_DEFAULT_PROFILES)
+    if has_other_transports or has_profile or not rmw.startswith('rmw_fastrtps'):
+        return {}
+    is_old_local = environment.get(_OLD_RANGE) == '1'
+    if environment.get(_RANGE, '') in _WIDE_RANGES and not is_old_local:
+        return {_TRANSPORTS: 'UDPv4'}
+    has_peers = environment.get(_PEERS) and not is_old_local  # which ignores them
+    if has_peers or not os.access(LOCAL_PROFILE, os.R_OK):
+        return {}
+    return dict.fromkeys(_PROFILES, LOCAL_PROFILE)
+
+
+@contextmanager
+def _hidden_range() -> Iterator[None]:
+    """Hide the discovery range from rcl, because the profile contains it."""
+    before = {name: os.environ.pop(name) for name in (_RANGE, _OLD_RANGE) if name in os.environ}
+    os.environ[_RANGE] = 'SYSTEM_DEFAULT'
+    try:
+        yield
+    finally:
+        del os.environ[_RANGE]
+        os.environ.update(before)

@@ -1,0 +1,141 @@
+"""The transports of the middleware: no shared memory, and nothing that leaves the machine."""
+
+import contextlib
+import os
+from pathlib import Path
+import subprocess
+import sys
+
+from inverse_dynamics_node import InverseDynamics, load_urdf
+from inverse_dynamics_node.node import middleware
+from inverse_dynamics_node.node.middleware import LOCAL_PROFILE, udp_settings
+from node_process import shared_memory_of
+import numpy as np
+import pytest
+from robot_files import STANFORD
+
+NAMES = list(load_urdf(STANFORD).joint_names)
+Q = np.array([0.3, 0.8, 0.5, -0.4, 0.6, 0.2])
+HOLD = InverseDynamics(load_urdf(STANFORD)).gravity_efforts(Q)
+PATIENT = {'robot_description_file': STANFORD, 'start_ramp': 0.0, 'state_timeout': 5.0}
+UDP = {'FASTDDS_BUILTIN_TRANSPORTS': 'UDPv4'}
+PROFILE = {
+    'FASTRTPS_DEFAULT_PROFILES_FILE': LOCAL_PROFILE,
+    'FASTDDS_DEFAULT_PROFILES_FILE': LOCAL_PROFILE,
+}
+LOCAL = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
+
+
+def udp_ports_of(pid):
+    """Return the local UDP ports of a process."""
+    sockets = set()
+    for entry in Path(f'/proc/{pid}/fd').iterdir():
+        with contextlib.suppress(FileNotFoundError):  # closed meanwhile
+            sockets.add(os.readlink(entry).removeprefix('socket:[').removesuffix(']'))
+    rows = [line.split() for line in Path('/proc/net/udp').read_text().splitlines()[1:]]
+    return {int(row[1].split(':')[1], 16) for row in rows if row[9] in sockets}
+
+
+@pytest.fixture
+def commanding(run_node, robot):
+    """Return a function that starts a node and waits until it commands a robot."""
+
+    def start():
+        node = run_node(**PATIENT)
+        robot.publish_state(NAMES, Q, np.zeros(6))
+        robot.wait_until(
+            lambda: robot.commands and np.allclose(robot.commands[-1], HOLD), 'commands'
+        )
+        return node.process.pid
+
+    return start
+
+
+# A new subscriber could otherwise stop the commands for 0.33 s.
+def test_a_node_that_commands_a_robot_uses_no_shared_memory(commanding):
+    assert shared_memory_of(os.getpid())  # the robot's side has the default transports
+    assert shared_memory_of(commanding()) == []
+
+
+def test_a_node_does_not_listen_to_multicast(commanding, domain_id):
+    ports = udp_ports_of(commanding())
+    multicast = 7400 + 250 * domain_id
+    assert ports
+    assert multicast not in ports
+
+
+def test_the_variable_of_fast_dds_turns_shared_memory_off(run_node, robot, monkeypatch):
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'OFF')  # like SUBNET, without packets
+    node = run_node(**PATIENT)
+    robot.wait_for_text(node, 'no command yet')
+    assert shared_memory_of(node.process.pid) == []
+
+
+def test_a_node_keeps_the_transports_that_the_user_has_set(commanding, monkeypatch):
+    monkeypatch.setenv('FASTDDS_BUILTIN_TRANSPORTS', 'DEFAULT')
+    assert shared_memory_of(commanding())
+
+
+def test_watch_uses_no_shared_memory(commanding, domain_id, robot):
+    commanding()
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'inverse_dynamics_node.cli.main', 'watch', '--json'],
+        env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)},
+        stdout=subprocess.PIPE,
+    )
+    try:
+        os.set_blocking(process.stdout.fileno(), False)
+        robot.wait_until(process.stdout.readline, 'a line of watch')
+        assert shared_memory_of(process.pid) == []
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+
+@pytest.mark.parametrize(
+    ('environment', 'expected'),
+    [
+        ({}, UDP),
+        ({'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET'}, UDP),
+        ({'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET', 'ROS_STATIC_PEERS': '10.0.0.2'}, UDP),
+        (LOCAL, PROFILE),
+        ({'ROS_LOCALHOST_ONLY': '1'}, PROFILE),
+        ({'ROS_LOCALHOST_ONLY': '0'}, UDP),
+        ({**LOCAL, 'ROS_STATIC_PEERS': '10.0.0.2'}, {}),
+        ({'ROS_LOCALHOST_ONLY': '1', 'ROS_STATIC_PEERS': '10.0.0.2'}, PROFILE),
+        ({'ROS_AUTOMATIC_DISCOVERY_RANGE': 'localhost'}, PROFILE),
+        (UDP, UDP),
+        ({**LOCAL, **UDP}, PROFILE),
+        ({**LOCAL, **PROFILE}, PROFILE),
+        ({**LOCAL, **dict.fromkeys(PROFILE, '')}, PROFILE),
+        ({**LOCAL, 'FASTDDS_DEFAULT_PROFILES_FILE': 'mine.xml'}, {}),
+        ({**LOCAL, 'FASTRTPS_DEFAULT_PROFILES_FILE': 'mine.xml'}, {}),
+        ({**LOCAL, 'FASTDDS_BUILTIN_TRANSPORTS': 'LARGE_DATA'}, {}),
+        ({'FASTDDS_BUILTIN_TRANSPORTS': 'SHM'}, {}),
+    ],
+)
+def test_settings(environment, expected, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert udp_settings('rmw_fastrtps_cpp', environment) == expected
+    assert udp_settings('rmw_cyclonedds_cpp', environment) == {}
+
+
+def test_a_profile_in_the_current_folder_is_respected(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path('DEFAULT_FASTRTPS_PROFILES.xml').write_text('<profiles/>')
+    assert udp_settings('rmw_fastrtps_cpp', LOCAL) == {}
+
+
+def test_the_range_is_kept_if_the_profile_is_missing(monkeypatch):
+    monkeypatch.setattr(middleware, 'LOCAL_PROFILE', '/no/such/file.xml')
+    assert udp_settings('rmw_fastrtps_cpp', LOCAL) == {}
+
+
+def test_other_programs_inherit_the_range_of_the_user(domain_id):
+    code = 'from inverse_dynamics_node.node import middleware; middleware.start_ros([]);'
+    code += 'import os; print(os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"])'
+    environment = {**os.environ, **LOCAL, 'ROS_DOMAIN_ID': str(domain_id)}
+    command = [sys.executable, '-c', code]
+    output = subprocess.run(command, env=environment, check=True, capture_output=True).stdout
+    assert output.decode().split() == ['LOCALHOST']
