@@ -91,10 +91,10 @@ def publish(node, topic, kind, text, rate):
     publisher = node.create_publisher(type(message), topic, 10)
     wait_until(node, publisher.get_subscription_count, f'subscription to {topic}')
     publisher.publish(message)
-    publisher.wait_for_all_acked()
     if rate:
         node.create_timer(1.0 / rate, lambda: publisher.publish(message))
         rclpy.spin(node)
+    publisher.wait_for_all_acked()
     node.destroy_publisher(publisher)
 
 
