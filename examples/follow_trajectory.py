@@ -17,6 +17,7 @@ import time
 from inverse_dynamics_node import load_urdf
 from inverse_dynamics_node.analysis.trajectory_files import read_trajectory
 from inverse_dynamics_node.dynamics.trajectory import complete, refine, Trajectory
+from inverse_dynamics_node.node.middleware import start_ros
 import numpy as np
 import rclpy
 from rclpy.parameter_client import AsyncParameterClient
@@ -31,7 +32,7 @@ robot = load_urdf(sys.argv[1])
 speed = float(sys.argv[3]) if len(sys.argv) > 3 else 1.0
 planned, _ = complete(read_trajectory(Path(sys.argv[2]), robot.joint_names).trajectory)
 
-rclpy.init()
+start_ros()  # without shared memory, which could hold up the driver
 node = rclpy.create_node('follow_trajectory')
 client = AsyncParameterClient(node, 'inverse_dynamics')
 if not client.wait_for_services(timeout_sec=10.0):

@@ -12,8 +12,8 @@ from pathlib import Path
 import signal
 import sys
 
+from inverse_dynamics_node.node.middleware import start_ros
 import rclpy
-from rclpy.signals import SignalHandlerOptions
 from rclpy.time import Time
 from sensor_msgs.msg import JointState
 
@@ -21,7 +21,7 @@ QUANTITIES = ('position', 'velocity', 'effort')
 path, stopped = Path(sys.argv[1]), []
 for number in (signal.SIGINT, signal.SIGTERM):
     signal.signal(number, lambda number, _: stopped.append(number))
-rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+start_ros()  # without shared memory, which could hold up the driver
 node = rclpy.create_node('record_joint_states')
 names, columns, count = [], [], 0
 
