@@ -55,7 +55,7 @@ def test_colcon_build_starts(tmp_path, domain_id, options):
     for line in process.stdout:  # ends when the process does
         lines.append(line)
         if 'no command yet' in line:
-            used = shared_memory_of(process.pid)  # unless local_udp.xml is installed
+            used = shared_memory_of(process.pid)  # none, if local_udp.xml is installed
             process.send_signal(signal.SIGINT)
     assert process.wait(120) == 0, lines
     assert used == []
