@@ -17,6 +17,7 @@ test = [
     'mypy==2.4.*',
     'pin>=2.7',
     'pytest>=7.4',
+    'pytest-rerunfailures>=14',
     'pytest-timeout>=2',
     'pytest-xdist>=3',
     'pydocstyle>=6.1',

@@ -8,6 +8,8 @@ import subprocess
 import sys
 import threading
 
+from fork_server import SERVER
+
 MAIN = 'inverse_dynamics_node.node.main'
 RUNNING = []  # nodes of the test; an error in one of them ends the waiting
 PATIENCE = 120.0  # [s]; ten times as long as a loaded machine needs
@@ -26,27 +28,33 @@ def shared_memory_of(pid):
 
 
 class NodeProcess:
-    """The node, as `ros2 run` starts it."""
+    """The node: a copy of the fork server, or started as `ros2 run` does."""
 
     def __init__(self, domain_id, arguments, parameters, program, prepare, may_crash):
         settings = [x for k, v in parameters.items() for x in ('-p', f'{k}:={v}')]
         self.may_crash = may_crash
         self.may_end = may_crash
         self.output = ''
-        self.process = subprocess.Popen(
-            [sys.executable, *program, '--ros-args', *arguments, *settings],
-            env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)},
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            preexec_fn=prepare,
-        )
+        command = [*program, '--ros-args', *map(str, arguments), *settings]
+        environment = {'ROS_DOMAIN_ID': str(domain_id)}
+        if prepare is None:
+            self.process = SERVER.run(command, environment, stdout=subprocess.PIPE)
+        else:
+            self.process = subprocess.Popen(
+                [sys.executable, *command],
+                env={**os.environ, **environment},
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                preexec_fn=prepare,
+            )
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
     def _read(self):
-        for line in self.process.stdout:
-            self.output += line
+        with self.process.stdout as lines:
+            for line in lines:
+                self.output += line
 
     def wait(self):
         """Wait for the process to end; return its exit code."""

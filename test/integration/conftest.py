@@ -18,14 +18,44 @@ os.environ['PYTHONUNBUFFERED'] = '1'
 pytest.importorskip('rclpy')
 
 from domain_coordinator import domain_id as unused_domain_id
-from node_process import heed_signals, MAIN, NodeProcess, RUNNING
+from fork_server import SERVER
+from node_process import MAIN, NodeProcess, RUNNING
 from rclpy.context import Context
 from robot_side import RobotSide
+from stalls import StalledMachineError, StallMeter, TOLERATED
 
 _ROBOTS = []  # of the test
 # In turn, and in another order in each process: a domain that was used a moment ago may still have
 # participants and shared memory of a process that was killed.
 _DOMAINS = itertools.cycle(random.Random(os.getpid()).sample(range(1, 101), 100))
+
+
+def pytest_configure(config):
+    if not config.getoption('numprocesses', None):  # not the process that distributes the tests
+        SERVER.start()  # in parallel with the imports of the tests
+
+
+def pytest_collection_modifyitems(items):
+    for item in items:
+        if item.get_closest_marker('real_time'):
+            item.add_marker(pytest.mark.flaky(reruns=2, only_rerun=['StalledMachineError']))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item):
+    """Repeat a test of a control loop in real time if it failed while the machine stood still."""
+    if not item.get_closest_marker('real_time'):
+        return (yield)
+    with StallMeter() as stalls:
+        try:
+            return (yield)
+        except Exception as error:
+            if stalls.longest > TOLERATED:
+                text = (
+                    f'it failed, and the machine stood still for {stalls.longest:.2f} s: {error}'
+                )
+                raise StalledMachineError(text) from error
+            raise
 
 
 @pytest.hookimpl(wrapper=True)
@@ -50,10 +80,14 @@ def domain_id():
 
 @pytest.fixture
 def run_node(domain_id):
-    """Return a function that starts the node as a process, with ROS arguments."""
+    """
+    Return a function that starts the node as a process, with ROS arguments.
+
+    With `prepare`, a function for the new process, it starts as for a user, not as a copy.
+    """
     nodes = []
 
-    def run(*arguments, program=('-m', MAIN), prepare=heed_signals, may_crash=False, **parameters):
+    def run(*arguments, program=('-m', MAIN), prepare=None, may_crash=False, **parameters):
         nodes.append(NodeProcess(domain_id, arguments, parameters, program, prepare, may_crash))
         RUNNING.append(nodes[-1])
         return nodes[-1]

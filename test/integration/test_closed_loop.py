@@ -6,10 +6,8 @@ demo's own verdict. The limits leave room for a busy machine.
 """
 
 from contextlib import contextmanager
-import os
-import subprocess
-import sys
 
+from fork_server import SERVER
 from lxml import etree
 import numpy as np
 import pytest
@@ -25,15 +23,27 @@ import mujoco
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
+from scipy.interpolate import CubicHermiteSpline
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 
+pytestmark = pytest.mark.real_time
 GRIPPER_ARM = ROOT / 'test' / 'robots' / 'gripper_arm.urdf'
-ARMS = [pytest.param(path, id=path.stem) for path in (STANFORD, GRIPPER_ARM)]
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-DURATION = 10.0  # [s]
+DURATION = 10.0  # [s]; the least for some of the scenarios
+RATE = 200  # [Hz]
 PATIENCE = 180.0  # [s]
 SETTLED = 1.5  # [s]
+
+
+def each_arm(first):
+    """Parametrize a test by the arm, where the second one is for `make test-all`."""
+    (second,) = {STANFORD, GRIPPER_ARM} - {first}
+    arms = (
+        pytest.param(first, id=first.stem),
+        pytest.param(second, id=second.stem, marks=pytest.mark.long),
+    )
+    return pytest.mark.parametrize('path', arms)
 
 
 @pytest.fixture
@@ -41,26 +51,20 @@ def record(domain_id, tmp_path):
     """Return a function that runs a scenario and returns the recording."""
 
     def run(path, scenario):
-        # If no command came for a while, the arm could not hold still, and the demo says so, and
-        # that a lower rate may help.
-        for attempt, rate in enumerate((500, 500, 200)):
+        # If no command came for a while, the arm could not hold still, and the demo says so.
+        for attempt in range(3):
             folder = tmp_path / f'{scenario}_{attempt}'
-            done = run_demo(path, scenario, folder, rate)
+            done = run_demo(path, scenario, folder)
             if 'The machine was busy: no command came' not in done.stdout:
                 break
         assert 'Traceback' not in done.stderr
         assert folder.exists(), done.stdout[-2000:] + done.stderr[-2000:]
         return Record(folder, load_urdf(path).joint_names)
 
-    def run_demo(path, scenario, folder, rate):
-        demo = [sys.executable, '-m', 'inverse_dynamics_node.cli.main', 'demo', str(path)]
-        options = ['--scenario', scenario, '--duration', str(DURATION), '--record', str(folder)]
-        return subprocess.run(
-            [*demo, *options, '--rate', str(rate), '--domain', str(domain_id)],
-            capture_output=True,
-            text=True,
-            timeout=PATIENCE,
-        )
+    def run_demo(path, scenario, folder):
+        demo = ['-m', 'inverse_dynamics_node.cli.main', 'demo', path, '--domain', domain_id]
+        options = ['--scenario', scenario, '--duration', DURATION, '--record', folder]
+        return SERVER.call([*demo, *options, '--rate', RATE], timeout=PATIENCE)
 
     return run
 
@@ -93,20 +97,19 @@ class Record:
         return np.array(rows)
 
     def errors(self):
-        """Return times, and the joint errors relative to the references with the same stamps."""
-        references = {
-            round(time, 6): message.points[0].positions
-            for time, message in zip(
-                self.times('/inverse_dynamics/reference'),
-                self.messages('/inverse_dynamics/reference'),
-                strict=True,
-            )
-        }
+        """Return times, and the joint errors relative to the reference at these times."""
+        topic = '/inverse_dynamics/reference'
+        points = [message.points[0] for message in self.messages(topic)]
+        reference_times, index = np.unique(self.times(topic), return_index=True)
+        q, qd = (
+            np.array([getattr(points[k], field) for k in index])
+            for field in ('positions', 'velocities')
+        )
         times = self.times('/joint_states')
-        known = [i for i, time in enumerate(times) if round(time, 6) in references]
-        assert len(known) > 0.5 * len(times[times > 0.0])
-        desired = np.array([references[round(times[i], 6)] for i in known])
-        return times[known], desired - self.joints('/joint_states', 'position')[known]
+        is_within = (times >= reference_times[0]) & (times <= reference_times[-1])
+        assert is_within.any()
+        desired = CubicHermiteSpline(reference_times, q, qd)(times[is_within])
+        return times[is_within], desired - self.joints('/joint_states', 'position')[is_within]
 
 
 def usual(errors, times, begin, end=np.inf):
@@ -114,7 +117,7 @@ def usual(errors, times, begin, end=np.inf):
     return np.quantile(abs(errors[(times >= begin) & (times < end)]).max(axis=1), 0.9)
 
 
-@pytest.mark.parametrize('path', ARMS)
+@each_arm(first=STANFORD)
 def test_payload_causes_an_error_until_the_node_receives_it(record, path):
     run = record(path, 'payload')
     times, errors = run.errors()
@@ -130,7 +133,7 @@ def test_payload_causes_an_error_until_the_node_receives_it(record, path):
     assert unknown > 10.0 * known
 
 
-@pytest.mark.parametrize('path', ARMS)
+@each_arm(first=GRIPPER_ARM)
 def test_arm_holds_still_on_a_tilting_base(record, path):
     run = record(path, 'tilt')
     times, errors = run.errors()
@@ -145,7 +148,7 @@ def test_arm_holds_still_on_a_tilting_base(record, path):
     assert usual(errors, times, times[-1] - 1.0) < 0.003
 
 
-@pytest.mark.parametrize('path', ARMS)
+@each_arm(first=STANFORD)
 def test_external_efforts_of_a_push_are_minus_jacobian_transposed_times_force(record, path):
     run = record(path, 'push')
     began, ended = run.times('/simulated_robot/push')
@@ -189,13 +192,9 @@ def joint_efforts_of(path, link, force, q):
 @contextmanager
 def simulated(domain_id, path, held):
     """Run a simulated robot with some joints held by springs."""
-    process = subprocess.Popen(
-        [
-            *(sys.executable, '-m', 'inverse_dynamics_node.simulation.robot', str(path)),
-            *('--held', *held, '--ros-args', '-r', 'commands:=inverse_dynamics/commands'),
-        ],
-        env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)},
-    )
+    program = ('-m', 'inverse_dynamics_node.simulation.robot', path)
+    options = ('--held', *held, '--ros-args', '-r', 'commands:=inverse_dynamics/commands')
+    process = SERVER.run([*program, *options], {'ROS_DOMAIN_ID': str(domain_id)})
     try:
         yield
     finally:
@@ -221,8 +220,15 @@ def without_mass(path, joints):
 @pytest.mark.parametrize('has_mass', [True, False], ids=['with mass', 'without mass'])
 @pytest.mark.parametrize(
     ('path', 'held'),
-    [(STANFORD, ['joint_4', 'joint_5', 'joint_6']), (GRIPPER_ARM, ['finger_left'])],
-    ids=['stanford', 'gripper_arm'],
+    [
+        pytest.param(
+            STANFORD,
+            ['joint_4', 'joint_5', 'joint_6'],
+            id='stanford',
+            marks=pytest.mark.long,
+        ),
+        pytest.param(GRIPPER_ARM, ['finger_left'], id='gripper_arm'),
+    ],
 )
 def test_gravity_compensation_includes_the_mass_of_uncommanded_joints(
     domain_id, run_node, robot, tmp_path, path, held, has_mass

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 
-from node_process import heed_signals
+from fork_server import SERVER
 import numpy as np
 import pytest
 from robot_files import ROOT, STANFORD
@@ -26,6 +26,7 @@ from inverse_dynamics_node.simulation.demo.processes import running, unused_doma
 import rclpy
 from std_msgs.msg import Bool
 
+pytestmark = pytest.mark.real_time
 PATIENCE = 180.0  # [s]; a demo that can do nothing gives up by itself before this
 PLANAR = ROOT / 'test' / 'robots' / 'planar_2r.urdf'
 SEVEN_JOINTS = ROOT / 'test' / 'robots' / 'seven_dof.urdf'
@@ -40,13 +41,8 @@ MASSLESS = """
 @contextmanager
 def running_demo(domain_id, *arguments):
     """Run the demo; end it even if the test fails."""
-    demo = subprocess.Popen(
-        [sys.executable, *DEMO, '--domain', str(domain_id), *map(str, arguments)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        preexec_fn=heed_signals,
-    )
+    command = [*DEMO, '--domain', domain_id, *arguments]
+    demo = SERVER.run(command, stdout=subprocess.PIPE)
     try:
         yield demo
     finally:
@@ -195,6 +191,7 @@ class TestDemo:
         assert code == 1
         assert "link 'nope' does not exist; links are base_link, link_1" in output
 
+    @pytest.mark.long
     def test_arm_stays_in_place_without_joint_states(self, domain_id, tmp_path):
         picture = tmp_path / 'lost.png'
         arguments = '--scenario', 'sensor-lost', '--duration', 10, '--picture', picture
@@ -228,6 +225,7 @@ class TestDemo:
         has_passed = re.search(r'^PASSED: no joint moved', text, re.MULTILINE)
         assert (code == 0 and has_passed) or BUSY in text, text
 
+    @pytest.mark.long
     def test_simultaneous_demos_use_different_domains(self):
         """They do so even if the terminal sets a domain, as the start-up file of a robot may."""
         commands = [
@@ -245,7 +243,9 @@ class TestDemo:
             assert 'ignored' not in output
         assert len(set(domains)) == 2
 
-    @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+    @pytest.mark.parametrize(
+        'number', [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)]
+    )
     def test_signal_ends_all_processes_cleanly(self, domain_id, number):
         with running_demo(domain_id, STANFORD) as demo:
             read_until_running(demo)
@@ -265,7 +265,10 @@ class TestDemo:
             finish(demo)
         assert all(map(is_gone, children))
 
-    @pytest.mark.parametrize(('child', 'name'), [(0, 'the simulated robot'), (1, 'the node')])
+    @pytest.mark.parametrize(
+        ('child', 'name'),
+        [(0, 'the simulated robot'), pytest.param(1, 'the node', marks=pytest.mark.long)],
+    )
     def test_process_that_dies_ends_the_demo(self, domain_id, child, name):
         with running_demo(domain_id, STANFORD) as demo:
             read_until_running(demo)
@@ -321,6 +324,7 @@ def test_lines_of_processes_are_forwarded(tmp_path):
     assert 'Linux' in lines[0]
 
 
+@pytest.mark.long
 def test_calibration_reduces_the_tracking_error(domain_id, tmp_path):
     picture, run = tmp_path / 'calibrate.png', tmp_path / 'run'
     arguments = '--scenario', 'calibrate', '--duration', 5, '--picture', picture, '--record', run

@@ -30,7 +30,13 @@ def copy_sources(folder):
 
 
 @pytest.mark.skipif(not COLCON.exists(), reason='colcon is not installed')
-@pytest.mark.parametrize('options', [[], ['--symlink-install']], ids=['copy', 'symlink'])
+@pytest.mark.parametrize(
+    'options',
+    [
+        pytest.param([], id='copy'),
+        pytest.param(['--symlink-install'], id='symlink', marks=pytest.mark.long),
+    ],
+)
 def test_colcon_build_starts(tmp_path, domain_id, options):
     copy_sources(tmp_path / 'src' / 'inverse_dynamics_node')
     environment = {
@@ -79,6 +85,7 @@ export PYTHONPATH='{packages}' PATH='{folder}':"$PATH"
 """
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not COLCON.exists(), reason='colcon is not installed')
 def test_documented_installation_runs_in_the_environment_of_the_workspace(tmp_path, domain_id):
     lines = README.split('```sh\n. /opt/ros/jazzy/setup.sh\n')[1].split('```')[0].splitlines()

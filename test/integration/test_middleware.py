@@ -6,6 +6,7 @@ from pathlib import Path
 import subprocess
 import sys
 
+from fork_server import SERVER
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.node import middleware
 from inverse_dynamics_node.node.middleware import LOCAL_PROFILE, udp_settings
@@ -78,14 +79,12 @@ def test_a_node_keeps_the_transports_that_the_user_has_set(commanding, monkeypat
 
 def test_watch_uses_no_shared_memory(commanding, domain_id, robot):
     commanding()
-    process = subprocess.Popen(
-        [sys.executable, '-m', 'inverse_dynamics_node.cli.main', 'watch', '--json'],
-        env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)},
-        stdout=subprocess.PIPE,
-    )
+    command = ['-m', 'inverse_dynamics_node.cli.main', 'watch', '--json']
+    environment = {'ROS_DOMAIN_ID': str(domain_id)}
+    process = SERVER.run(command, environment, stdout=subprocess.PIPE)
     try:
         os.set_blocking(process.stdout.fileno(), False)
-        robot.wait_until(process.stdout.readline, 'a line of watch')
+        robot.wait_until(process.stdout.buffer.readline, 'a line of watch')
         assert shared_memory_of(process.pid) == []
     finally:
         process.kill()

@@ -10,13 +10,14 @@ import subprocess
 import sys
 
 from diagnostic_msgs.msg import DiagnosticArray
+from fork_server import SERVER
 from geometry_msgs.msg import InertiaStamped, Vector3Stamped, WrenchStamped
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.node.startup import empty_port_files
 from inverse_dynamics_node.node.watchdog import Watchdog
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from node_process import heed_signals, MAIN, PATIENCE
+from node_process import MAIN, PATIENCE
 import numpy as np
 import pytest
 from rcl_interfaces.msg import Parameter, ParameterValue
@@ -45,13 +46,10 @@ LOSING = {**FAST, 'state_timeout': 1.0}  # longer than the usual pauses of a bus
 
 def start(domain_id, stderr, **parameters):
     settings = [x for k, v in parameters.items() for x in ('-p', f'{k}:={v}')]
-    return subprocess.Popen(
-        [sys.executable, '-m', MAIN, '--ros-args', *settings],
-        env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)},
-        stdout=subprocess.DEVNULL,
-        stderr=stderr,
-        preexec_fn=heed_signals,
-    )
+    command = ['-m', MAIN, '--ros-args', *settings]
+    with open(os.devnull, 'w') as nothing:
+        files = {'stdout': nothing.fileno(), 'stderr': stderr or nothing.fileno()}
+        return SERVER.run(command, {'ROS_DOMAIN_ID': str(domain_id)}, **files)
 
 
 def full_pipe():
@@ -187,20 +185,15 @@ def storm(domain_id):
     def begin(seconds):
         for seed in range(2):
             processes.append(
-                subprocess.Popen(
+                SERVER.run(
                     [
-                        sys.executable,
                         ROOT / 'test/storm.py',
-                        '--messages',
-                        '1000000000',
-                        '--seconds',
-                        str(seconds),
-                        '--seed',
-                        str(seed),
+                        *('--messages', 1_000_000_000),
+                        *('--seconds', seconds),
+                        *('--seed', seed),
                     ],
-                    env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)},
+                    {'ROS_DOMAIN_ID': str(domain_id)},
                     stdout=subprocess.PIPE,
-                    text=True,
                 )
             )
         return processes
@@ -233,7 +226,7 @@ def test_a_queue_that_never_becomes_empty_is_interrupted(robot):
 
 def test_lost_states_and_signals_are_noticed_during_a_storm(domain_id, robot, storm):
     # Its log is not read: bytes that are not a message make the middleware write a lot.
-    node = start(domain_id, subprocess.DEVNULL, **LOSING)
+    node = start(domain_id, None, **LOSING)
     try:
         robot.publish_state(NAMES, Q, ZERO)
         robot.wait_for_command(HOLD)

@@ -35,6 +35,7 @@ from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Bool, Float64MultiArray, Header
 from std_srvs.srv import SetBool
 
+pytestmark = pytest.mark.real_time
 IMU_ORIENTATION = (np.pi / 2, 0.0, np.pi / 2)
 PATIENCE = 120.0  # [s]
 

@@ -13,6 +13,7 @@ import termios
 import threading
 import time
 
+from fork_server import SERVER
 from inverse_dynamics_node import InverseDynamics, load_urdf
 import numpy as np
 import pytest
@@ -35,17 +36,9 @@ def watch(domain_id, robot):
     running = []
 
     def run(*calls):
-        environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain_id)}
+        environment = {'ROS_DOMAIN_ID': str(domain_id)}
         for call in calls:
-            running.append(
-                subprocess.Popen(
-                    [*COMMAND, *call],
-                    stdout=subprocess.PIPE,
-                    stderr=subprocess.STDOUT,
-                    text=True,
-                    env=environment,
-                )
-            )
+            running.append(SERVER.run([*COMMAND[1:], *call], environment, stdout=subprocess.PIPE))
         outputs = [''] * len(calls)
 
         def read(k, process):

@@ -1,0 +1,289 @@
+"""
+Starts Python programs as copies of a process that has imported their libraries.
+
+A node needs two seconds of CPU to start, most of them to import rclpy, numpy, scipy and numba. A
+copy needs none of these. Everything else is as with `python -m`: a process of its own, with its
+own environment, signals, pipes and exit code. Tests of the start itself run `python -m`.
+
+Nothing of ROS is initialized before the copy, so that the server has no threads.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import gc
+from importlib import import_module
+import inspect
+import json
+import os
+from pathlib import Path
+import runpy
+import selectors
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+
+from robot_files import STANFORD
+
+MODULES = (
+    'inverse_dynamics_node.cli.console',
+    'inverse_dynamics_node.cli.watch',
+    'inverse_dynamics_node.node.node',
+    'inverse_dynamics_node.node.startup',
+    'inverse_dynamics_node.node.watchdog',
+    'rclpy.experimental.events_executor',
+    'rich.live',
+    'scipy.interpolate',
+    'yourdfpy',
+)
+_INTEGER = struct.Struct('i')
+_SIZE = 1 << 20  # of a request: arguments and environment
+
+
+class ForkedProcess:
+    """A program with the interface of `subprocess.Popen`, as far as the tests use it."""
+
+    def __init__(self, pid, results, stdout):
+        self.pid, self.stdout = pid, stdout
+        self.returncode = None
+        self._results = results
+
+    def wait(self, timeout=None):
+        if self.returncode is None:
+            with selectors.DefaultSelector() as selector:
+                selector.register(self._results, selectors.EVENT_READ)
+                if not selector.select(timeout):
+                    raise subprocess.TimeoutExpired(f'process {self.pid}', timeout)
+            (self.returncode,) = _receive(self._results)
+            os.close(self._results)
+        return self.returncode
+
+    def poll(self):
+        try:
+            return self.wait(0.0)
+        except subprocess.TimeoutExpired:
+            return None
+
+    def communicate(self, timeout=None):
+        """Return the rest of the output, and None, after the end of the process."""
+        output = []
+        reader = threading.Thread(target=lambda: output.append(self.stdout.read()), daemon=True)
+        reader.start()
+        reader.join(timeout)
+        if not output:
+            raise subprocess.TimeoutExpired(f'process {self.pid}', timeout)
+        self.stdout.close()
+        self.wait(timeout)
+        return output[0], None
+
+    def send_signal(self, number):
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def terminate(self):
+        self.send_signal(signal.SIGTERM)
+
+    def kill(self):
+        self.send_signal(signal.SIGKILL)
+
+
+class ForkServer:
+    """The process that copies itself; starts with the first request."""
+
+    def __init__(self):
+        self._socket = None
+
+    def start(self):
+        """Start the server, which takes two seconds, without waiting for it."""
+        self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        for end in (self._socket, theirs):
+            end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SIZE)
+        with theirs:
+            self._server = subprocess.Popen(
+                [sys.executable, __file__, str(theirs.fileno())],
+                pass_fds=[theirs.fileno()],
+                stdin=subprocess.DEVNULL,
+            )
+        atexit.register(self._stop)
+
+    def _stop(self):
+        self._socket.close()
+        self._server.wait()
+
+    def run(self, arguments, environment=None, folder=None, stdin=None, stdout=None, stderr=None):
+        """
+        Start a program.
+
+        Parameters
+        ----------
+        arguments : sequence
+            Those of `python`: ``-m module ...``, ``-c code ...`` or ``path ...``.
+        environment : mapping of str to str, optional
+            What to change in the environment of this process.
+        folder : path, optional
+            Where it runs; by default where this process does.
+        stdin, stdout, stderr : int, optional
+            Open files; by default nothing is read, and the output is that of this process.
+            ``stdout=subprocess.PIPE`` is for both outputs.
+
+        Returns
+        -------
+        process : ForkedProcess
+
+        """
+        if self._socket is None:
+            self.start()
+        request = {
+            'arguments': [str(argument) for argument in arguments],
+            'environment': {**os.environ, **(environment or {})},
+            'folder': str(folder or os.getcwd()),
+        }
+        output, lines = stdout, None
+        if stdout == subprocess.PIPE:
+            reader, output = os.pipe()
+            lines = os.fdopen(reader, errors='replace')
+            stderr = output
+        results, answers = os.pipe()
+        with open(os.devnull) as nothing:
+            files = [nothing.fileno() if stdin is None else stdin]
+            files += [1 if output is None else output, 2 if stderr is None else stderr, answers]
+            socket.send_fds(self._socket, [json.dumps(request).encode()], files)
+        os.close(answers)
+        if lines:
+            os.close(output)
+        (pid,) = _receive(results)
+        return ForkedProcess(pid, results, lines)
+
+    def call(self, arguments, environment=None, folder=None, timeout=None):
+        """Run a program to its end; return code and outputs like `subprocess.run`."""
+        with tempfile.TemporaryFile() as stdout, tempfile.TemporaryFile() as stderr:
+            files = stdout.fileno(), stderr.fileno()
+            process = self.run(arguments, environment, folder, None, *files)
+            try:
+                code = process.wait(timeout)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                raise
+            texts = [os.pread(file, 1 << 26, 0).decode() for file in files]
+        return subprocess.CompletedProcess(arguments, code, *texts)
+
+
+def _receive(results):
+    data = os.read(results, _INTEGER.size)
+    assert data, 'the fork server has ended'
+    return _INTEGER.unpack(data)
+
+
+SERVER = ForkServer()
+
+
+def warm_up():
+    """Fill the caches of modules, compiled code, message types and source files."""
+    sys.path.insert(0, str(Path(__file__).parents[1]))
+    for module in MODULES:
+        import_module(module)
+    from inverse_dynamics_node import load_urdf
+    from inverse_dynamics_node.control.control_loop import ControlLoop
+
+    ControlLoop(load_urdf(STANFORD)).dynamics.gravity_efforts([0.0] * 6)
+    for name, module in list(sys.modules.items()):
+        if name.endswith(('.msg', '.srv')):
+            for kind in vars(module).values():
+                if hasattr(type(kind), '__import_type_support__'):
+                    type(kind).__import_type_support__()
+    inspect.stack()  # as for every line of rclpy's log
+    gc.freeze()
+
+
+def serve(number):
+    """Copy this process for each request; return the request in the copy, None in the end."""
+    warm_up()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the tests, which end this one
+    requests = socket.socket(fileno=number)
+    selector = selectors.DefaultSelector()
+    selector.register(requests, selectors.EVENT_READ)
+    while True:
+        for key, _ in selector.select():
+            if key.fileobj is not requests:
+                selector.unregister(key.fileobj)
+                _report_end(key.fileobj, *key.data)
+                continue
+            data, files, _, _ = socket.recv_fds(requests, _SIZE, 4)
+            if not data:
+                return None
+            *channels, answers = files
+            pid = os.fork()
+            if pid == 0:
+                for other in selector.get_map().values():
+                    if other.data:
+                        os.close(other.fd)
+                        os.close(other.data[1])
+                os.close(answers)
+                requests.close()
+                selector.close()
+                return json.loads(data), channels
+            for file in channels:
+                os.close(file)
+            os.write(answers, _INTEGER.pack(pid))
+            selector.register(os.pidfd_open(pid), selectors.EVENT_READ, (pid, answers))
+
+
+def _report_end(pidfd, pid, answers):
+    _, status = os.waitpid(pid, 0)
+    os.close(pidfd)
+    with contextlib.suppress(BrokenPipeError):  # nobody waits for it
+        os.write(answers, _INTEGER.pack(os.waitstatus_to_exitcode(status)))
+    os.close(answers)
+
+
+def become(request, channels):
+    """Run the program of a request, as `python` does."""
+    for number, file in enumerate(channels):
+        os.dup2(file, number)
+        os.close(file)
+    for number in (signal.SIGHUP, signal.SIGTERM):
+        signal.signal(number, signal.SIG_DFL)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    os.chdir(request['folder'])
+    os.environ.clear()
+    os.environ.update(request['environment'])
+    first, *arguments = request['arguments']
+    folder = request['folder']
+    if first not in ('-m', '-c'):
+        sys.argv = [first, *arguments]
+        sys.path[:2] = [str(Path(folder, first).parent)]
+        runpy.run_path(first, run_name='__main__')
+        return
+    program, *arguments = arguments
+    sys.argv = [first, *arguments]
+    sys.path[:2] = [folder if first == '-m' else '']
+    if first == '-m':
+        runpy.run_module(program, run_name='__main__', alter_sys=True)
+    else:
+        exec(program, {'__name__': '__main__'})
+
+
+def end(code):
+    """End as `python` does, but leave the modules to the kernel: to free them takes 0.2 s."""
+    threading._shutdown()
+    atexit._run_exitfuncs()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
+
+
+if __name__ == '__main__':
+    accepted = serve(int(sys.argv[1]))
+    if accepted:
+        try:
+            become(*accepted)
+        except SystemExit as error:
+            if not isinstance(error.code, int | None):
+                raise
+            end(error.code or 0)
+        end(0)

@@ -1,0 +1,38 @@
+"""Copies of the fork server behave like programs that `python` starts."""
+
+import os
+import signal
+import subprocess
+
+from fork_server import SERVER
+import pytest
+
+
+@pytest.mark.parametrize(
+    ('code', 'expected', 'output'),
+    [
+        ('import sys; print(sys.argv)', 0, "['-c', 'one']"),
+        ('import sys; sys.exit(3)', 3, ''),
+        ('import sys; sys.exit("in words")', 1, 'in words'),
+        ('1 / 0', 1, 'ZeroDivisionError'),
+        ('import os; os.kill(os.getpid(), 9)', -9, ''),
+        ('import os; print(os.environ["COLOUR"], os.getcwd())', 0, 'green /'),
+    ],
+)
+def test_a_program_ends_with_its_own_code_and_output(code, expected, output):
+    process = SERVER.run(
+        ['-c', code, 'one'], {'COLOUR': 'green'}, folder='/', stdout=subprocess.PIPE
+    )
+    text, _ = process.communicate(timeout=60.0)
+    assert process.wait(60.0) == expected
+    assert output in text
+
+
+def test_signals_reach_a_program():
+    code = 'import time; print("ready", flush=True); time.sleep(1000.0)'
+    process = SERVER.run(['-c', code], stdout=subprocess.PIPE)
+    assert process.stdout.readline() == 'ready\n'
+    assert process.poll() is None
+    os.kill(process.pid, signal.SIGTERM)
+    assert process.wait(60.0) == -signal.SIGTERM
+    process.stdout.close()
