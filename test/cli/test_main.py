@@ -76,7 +76,7 @@ def test_commands_report_without_matplotlib(run_without_matplotlib, recording, t
         assert report in result.stdout.lower()
         assert 'no picture: matplotlib cannot be imported' in result.stdout
         assert 'sudo apt install python3-matplotlib' in result.stdout
-        assert 'no picture' not in run_without_matplotlib(*command, '--no-picture').stdout
+    assert 'no picture' not in run_without_matplotlib(*command, '--no-picture').stdout
     assert not list(tmp_path.glob('*.png'))
 
 

@@ -46,28 +46,71 @@ def test_plain_python_gives_the_same_efforts():
     assert [float(x) for x in efforts] == pytest.approx([float(x) for x in expected], rel=1e-12)
 
 
+# A compiled function that calls another one of the same folder, as the kernels call the equations.
+# The kernels themselves take twenty seconds to compile.
+STEP = """
+from numba.extending import register_jitable
+
+@register_jitable
+def step(x):
+    return 2.0 * x
+"""
+KERNEL = """
+from inverse_dynamics_node.dynamics.jit import compile_for, compiled
+from step import step
+
+@compiled
+def kernel(x):
+    return 1.0 + step(x)
+
+compile_for(kernel, '(f8,)')
+print(kernel(3.0), sum(kernel.stats.cache_hits.values()))
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / 'step.py').write_text(STEP)
+    (tmp_path / 'kernel.py').write_text(KERNEL)
+    return tmp_path
+
+
+def call_kernel(folder):
+    """Return the result, how often the cache was used, and the warnings."""
+    result = run('import kernel', folder, PYTHONPATH=f'{ROOT}:{folder}')
+    return *map(float, result.stdout.split()), result.stderr
+
+
 @needs_numba
-def test_damaged_cache_is_a_warning(tmp_path):
-    _, *expected = run(PRINT_EFFORTS, NUMBA_CACHE_DIR=str(tmp_path)).stdout.split()
-    files = [path for path in tmp_path.rglob('*.nb?') if path.is_file()]
+def test_damaged_cache_is_a_warning(folder):
+    assert call_kernel(folder) == (7.0, 0, '')
+    files = list(folder.rglob('*.nb?'))
     assert files
     for path in files:
         path.write_bytes(path.read_bytes()[:60])
-    result = run(PRINT_EFFORTS, NUMBA_CACHE_DIR=str(tmp_path))
-    assert result.stdout.split()[1:] == expected
-    assert result.stderr.count('not kept between runs') == 1
+    result, used, warnings = call_kernel(folder)
+    assert (result, used) == (7.0, 0)
+    assert warnings.count('not kept between runs') == 1
 
 
 @needs_numba
-def test_cached_code_is_not_used_after_a_change_of_the_equations(tmp_path):
+def test_cached_code_is_used_until_another_file_of_its_folder_changes(folder):
+    assert call_kernel(folder) == (7.0, 0, '')
+    assert call_kernel(folder) == (7.0, 1, '')
+    (folder / 'step.py').write_text(STEP.replace('2.0', '-2.0'))
+    assert call_kernel(folder) == (-5.0, 0, '')
+
+
+@needs_numba
+@pytest.mark.long
+def test_cached_efforts_are_not_used_after_a_change_of_the_equations(tmp_path):
     package = tmp_path / 'inverse_dynamics_node'
     shutil.copytree(ROOT / 'inverse_dynamics_node', package)
-    cache = str(tmp_path / 'cache')
-    _, *before = run(PRINT_EFFORTS, tmp_path, NUMBA_CACHE_DIR=cache).stdout.split()
+    _, *before = run(PRINT_EFFORTS, tmp_path).stdout.split()
     (equations,) = package.rglob('equations.py')
     text = equations.read_text()
     doubled = text.replace('mass * accel_com[2]', '2.0 * mass * accel_com[2]')
     assert doubled != text
     equations.write_text(doubled)
-    _, *after = run(PRINT_EFFORTS, tmp_path, NUMBA_CACHE_DIR=cache).stdout.split()
+    _, *after = run(PRINT_EFFORTS, tmp_path).stdout.split()
     assert after != before

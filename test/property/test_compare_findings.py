@@ -48,7 +48,7 @@ def between(recording, begin, end):
 
 
 def test_lack_of_gravity_is_not_reported_for_efforts_that_it_does_not_explain(rng):
-    dynamics, recording = run('seven_dof', rate=200.0)
+    dynamics, recording = run('seven_dof')
     t = recording.times[:, None]
     q = recording.positions[:1] + 0.1 * np.sin(0.2 * t + np.arange(7))
     qd = 0.02 * np.cos(0.2 * t + np.arange(7))
@@ -60,7 +60,7 @@ def test_lack_of_gravity_is_not_reported_for_efforts_that_it_does_not_explain(rn
 
 
 def test_a_finding_is_credited_without_the_effect_of_friction():
-    dynamics, recording = run('seven_dof', friction=(6.0, 6.0), rate=200.0)
+    dynamics, recording = run('seven_dof', friction=(6.0, 6.0))
     efforts = recording.efforts.copy()
     efforts[:, 3] += 5.0
     findings = identify(dynamics, recording._replace(efforts=efforts))
@@ -94,7 +94,7 @@ def test_noise_floor_is_reported_and_explained(quantum, rng):
 
 
 def test_residuals_are_beside_percentages_and_the_same_everywhere():
-    findings = identify(*run('seven_dof', friction=(2.0, 2.0), rate=200.0))
+    findings = identify(*run('seven_dof', friction=(2.0, 2.0)))
     squares = [(j.rms_measured**2, j.rms_residual**2, j.rms_corrected**2) for j in findings.joints]
     measured, residual, corrected = np.sum(squares, axis=0)
     assert findings.explained == pytest.approx(1.0 - residual / measured)
@@ -110,9 +110,7 @@ def test_residuals_are_beside_percentages_and_the_same_everywhere():
 
 
 def test_no_payload_is_reported_far_from_its_link():
-    recording = run(
-        'seven_dof', rate=200.0, act=lambda real: real.set_payload('tool0', 3.0, (0.2, 0.0, 0.8))
-    )
+    recording = run('seven_dof', act=lambda real: real.set_payload('tool0', 3.0, (0.2, 0.0, 0.8)))
     findings = identify(*recording)
     assert findings.explained < 0.5
     assert findings.diagnoses
@@ -121,7 +119,7 @@ def test_no_payload_is_reported_far_from_its_link():
 
 
 def test_no_payload_is_reported_at_a_tip_that_did_not_move():
-    dynamics, recording = run('branched', rate=200.0, effort_noise=0.0)
+    dynamics, recording = run('branched', effort_noise=0.0)
     robot = dynamics.robot
     real = InverseDynamics(robot)
     real.set_payload('right_forearm', 2.0, (0.0, 0.0, 0.1))
@@ -141,7 +139,7 @@ def test_no_payload_is_reported_at_a_tip_that_did_not_move():
 
 @pytest.mark.parametrize('factor', [1000.0, 0.102])
 def test_finds_a_unit_of_all_joints_even_if_some_hardly_moved(factor, rng):
-    dynamics, recording = run('seven_dof', rate=200.0)
+    dynamics, recording = run('seven_dof')
     q, qd = recording.positions.copy(), recording.velocities.copy()
     qdd = np.gradient(qd, recording.times, axis=0)
     for j in (0, 2, 4, 5, 6):
@@ -159,7 +157,7 @@ def test_finds_a_unit_of_all_joints_even_if_some_hardly_moved(factor, rng):
 
 @pytest.mark.parametrize(('friction', 'is_motor_side'), [((2.0, 4.0), True), (None, False)])
 def test_advice_for_an_offset_depends_on_the_kind_of_measurement(friction, is_motor_side):
-    dynamics, recording = run('seven_dof', friction=friction, rate=200.0)
+    dynamics, recording = run('seven_dof', friction=friction)
     efforts = recording.efforts.copy()
     efforts[:, 3] += 5.0
     (diagnosis,) = identify(dynamics, recording._replace(efforts=efforts)).diagnoses
@@ -177,7 +175,7 @@ def test_standard_errors_are_limited_to_random_errors_in_the_headline():
 @EVERY_ROBOT
 @pytest.mark.parametrize('begin', [0.0, 5.0, 10.0, 15.0])
 def test_nothing_is_found_in_a_short_recording(name, begin):
-    dynamics, recording = run(name, friction=(1.0, 1.0), rate=200.0)
+    dynamics, recording = run(name, friction=(1.0, 1.0))
     efforts = recording.efforts.copy()
     efforts[:, [1, 2]] = efforts[:, [2, 1]]
     short = between(recording._replace(efforts=efforts), begin, begin + 2.5)
@@ -214,7 +212,7 @@ def test_width_and_load_friction_are_fitted_and_written(rng):
 @EVERY_ROBOT
 @pytest.mark.parametrize('lag', [0.02, 0.2])
 def test_velocities_that_lag_the_positions_are_not_used(name, lag):
-    dynamics, recording = run(name, friction=(1.0, 1.0), rate=200.0)
+    dynamics, recording = run(name, friction=(1.0, 1.0))
     shift = round(lag * 200.0)
     late = np.vstack([np.tile(recording.velocities[:1], (shift, 1)), recording.velocities])
     findings = identify(dynamics, recording._replace(velocities=late[: len(recording.times)]))

@@ -142,7 +142,7 @@ def test_finds_swapped_signs_of_all_joints():
 
 
 def test_finds_currents_with_their_factors():
-    dynamics, recording = run('seven_dof', friction=(2.0, 2.0))
+    dynamics, recording = run('seven_dof', friction=(2.0, 2.0), rate=500.0)
     factors = np.array([0.05, 0.08, 0.1, 0.2, 0.4, 0.6, 0.7])
     findings = identify(dynamics, recording._replace(efforts=recording.efforts * factors))
     (diagnosis,) = findings.diagnoses
@@ -309,7 +309,7 @@ def test_small_model_errors_are_not_faults():
     friction=st.tuples(st.floats(0.0, 2.0), st.floats(0.0, 2.0)),
 )
 def test_faults_are_found_on_any_motion(name, seed, mass, com, friction):
-    dynamics, healthy = run(name, seed, friction=friction, rate=200.0)
+    dynamics, healthy = run(name, seed, friction=friction)
     assert kinds(identify(dynamics, healthy)) == []
     j = seed % len(healthy.joint_names)
     efforts = healthy.efforts.copy()
@@ -376,7 +376,7 @@ def test_friction_is_unknown_for_motion_at_one_speed():
 
 
 def test_jitter_duplicates_and_lost_samples_are_tolerated(rng):
-    dynamics, recording = run('seven_dof', friction=(1.0, 1.0), has_velocities=False)
+    dynamics, recording = run('seven_dof', friction=(1.0, 1.0), has_velocities=False, rate=500.0)
     times = recording.times + 0.0003 * rng.standard_normal(len(recording.times))
     keep = np.sort(
         np.concatenate([np.flatnonzero(rng.random(len(times)) > 0.1), np.arange(0, 9000, 50)])
@@ -455,7 +455,7 @@ def test_positions_of_continuous_joints_are_unwrapped():
 
 
 def test_derivatives_are_accurate_and_described():
-    _, recording = run('branched', encoder_noise=0.0, has_velocities=False)
+    _, recording = run('branched', encoder_noise=0.0, has_velocities=False, rate=500.0)
     t = recording.times
     positions = np.column_stack([np.sin(2.0 * np.pi * f * t) for f in (0.2, 0.5, 1.0, 1.5, 2.0)])
     motion = derive(recording._replace(positions=positions))
@@ -482,13 +482,13 @@ def test_derivatives_are_accurate_and_described():
     ],
 )
 def test_invalid_recordings_are_explained(change, words):
-    dynamics, recording = run('branched', rate=200.0)
+    dynamics, recording = run('branched')
     with pytest.raises(RecordingError, match=words):
         identify(dynamics, recording._replace(**change))
 
 
 def test_short_recordings_are_rejected():
-    dynamics, recording = run('branched', rate=200.0)
+    dynamics, recording = run('branched')
     with pytest.raises(RecordingError, match='too little to differentiate'):
         identify(dynamics, only(recording, recording.times < 0.1))
 
