@@ -8,30 +8,69 @@ BIN := $(VENV)/bin
 
 # Without these variables, a sourced ROS cannot replace the libraries in the environment made here.
 # Nothing started here sends a packet to another machine.
-CLEAN := env -u PYTHONPATH -u LD_LIBRARY_PATH -u AMENT_PREFIX_PATH -u COLCON_PREFIX_PATH \
+CLEAN := env -u PYTHONDONTWRITEBYTECODE -u PYTHONPATH -u LD_LIBRARY_PATH -u AMENT_PREFIX_PATH -u COLCON_PREFIX_PATH \
     -u CMAKE_PREFIX_PATH -u RMW_IMPLEMENTATION -u ROS_DISTRO -u _ROS_WHEELS_BOOTSTRAP_COMPLETE \
     -u FASTDDS_BUILTIN_TRANSPORTS -u FASTDDS_DEFAULT_PROFILES_FILE \
     -u FASTRTPS_DEFAULT_PROFILES_FILE -u ROS_DISCOVERY_SERVER -u ROS_STATIC_PEERS \
     -u ROS_LOCALHOST_ONLY -u ROS_SECURITY_ENABLE -u ROS_SECURITY_STRATEGY \
     ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
 
-.PHONY: demo test test-oldest bench bench-loop storm mutation parameters clean
+.PHONY: demo test test-all test-plain test-oldest lint bench bench-loop storm mutation parameters clean
 
 demo: $(VENV)/demo.done
 	@$(CLEAN) $(BIN)/python -m inverse_dynamics_node.cli.main demo '$(ROBOT)' $(ARGS)
 
-# Two processes: most tests of the node wait for processes to start and to discover each other.
-PYTEST := --timeout 600 --numprocesses 2 --dist loadscope --quiet
+# ARGS='...' replaces the stages below: `make test ARGS=test/unit` runs some of the tests.
+PYTEST := --timeout 600 --quiet --dist worksteal
+TESTS := $(CLEAN) OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest $(PYTEST)
+# Tests of the library compute; tests of the node wait for processes and messages; those with a
+# simulated arm do both.
+LIBRARY := --numprocesses 2 test/unit test/property test/parity test/cli \
+    test/test_architecture.py test/test_markdown.py test/test_release.py
+ARM := test/integration/test_first_hour.py test/integration/test_closed_loop.py \
+    test/integration/test_demo.py test/integration/test_simulated_robot.py test/test_readme.py
+NODE := --numprocesses 4 test/integration $(addprefix --ignore ,$(ARM))
+# Without numba, the same functions run as plain Python.
+PLAIN := --numprocesses 2 test/unit test/property test/parity
+PLAIN_SAMPLE := --numprocesses 2 test/unit/test_batch.py test/unit/test_controller.py \
+    test/unit/test_dynamics.py test/unit/test_joint_states.py test/parity
+SUMMARY := $(VENV)/summary.txt
 
-test: $(VENV)/test.done
+# Runs the tests of one stage, $(1), and keeps the last line for the summary.
+stage = @echo '$(1):'; $(2) $(TESTS) --summary '$(SUMMARY)' --stage '$(1)' $(3)
+
+test: $(VENV)/test.done lint
+ifdef ARGS
+	@$(TESTS) --numprocesses 2 -m 'not long' $(ARGS)
+else
+	@rm -f $(SUMMARY)
+	$(call stage,library,,-m 'not long' $(LIBRARY))
+	$(call stage,sample without numba,NUMBA_DISABLE_JIT=1,-m 'not long' $(PLAIN_SAMPLE))
+	$(call stage,node,,-m 'not long' $(NODE))
+	$(call stage,node and simulated arm,,-m 'not long' --numprocesses 2 $(ARM))
+	@cat $(SUMMARY)
+endif
+
+# What `make test` runs and leaves out: the long tests, everything without numba, and fuzzing.
+test-all: $(VENV)/test.done lint
+	@rm -f $(SUMMARY)
+	$(call stage,library,,$(LIBRARY))
+	$(call stage,everything without numba,NUMBA_DISABLE_JIT=1,-m 'not long' $(PLAIN))
+	$(call stage,fuzzing,,--hypothesis-profile long --numprocesses 2 $(FUZZED))
+	$(call stage,node,,$(NODE))
+	$(call stage,node and simulated arm,,--numprocesses 2 $(ARM))
+	@cat $(SUMMARY)
+
+FUZZED := test/property/test_urdf_fuzz.py test/property/test_command_laws.py \
+    test/property/test_laws.py test/property/test_load_laws.py
+
+test-plain: $(VENV)/test.done
+	@NUMBA_DISABLE_JIT=1 $(TESTS) -m 'not long' $(PLAIN)
+
+lint: $(VENV)/test.done
 	@$(CLEAN) $(BIN)/ruff check .
 	@$(CLEAN) $(BIN)/ruff format --check .
 	@$(CLEAN) $(BIN)/mypy inverse_dynamics_node
-	@$(CLEAN) $(BIN)/python -m pytest $(PYTEST) $(ARGS)
-ifndef ARGS
-	@echo 'The same without numba:'
-	@$(CLEAN) NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest $(PYTEST) test/unit test/property test/parity
-endif
 
 # Tests the versions in $(OLDEST), in a separate environment. The newest Python for numba 0.58.1 is
 # 3.11.
@@ -42,7 +81,7 @@ test-oldest:
 	@$(MAKE) --no-print-directory VENV=.venv-oldest PYTHON='$(PYTHON_OLDEST)' \
 	    CONSTRAINED=$(OLDEST) .venv-oldest/test.done
 	@$(CLEAN) .venv-oldest/bin/pip list | grep -E "^($$(sed -n 's/==.*//p' $(OLDEST) | paste -sd'|')) "
-	@$(CLEAN) .venv-oldest/bin/python -m pytest $(PYTEST) $(ARGS)
+	@$(CLEAN) .venv-oldest/bin/python -m pytest $(PYTEST) --numprocesses 2 $(ARGS)
 
 bench: $(VENV)/bench.done
 	@$(CLEAN) PYTHONPATH=test $(BIN)/python -m benchmarks $(ARGS)
@@ -68,7 +107,7 @@ $(VENV)/pip.done:
 	        "make PYTHON=python3.12 ..."; exit 1; }
 	@echo 'Setting up $(VENV); the first time takes a minute or two.'
 	@$(CLEAN) $(PYTHON) -m venv $(VENV)
-	@$(CLEAN) $(BIN)/pip install --quiet --upgrade 'pip>=23'
+	@$(CLEAN) $(BIN)/pip install --quiet 'pip>=23'
 	@touch $@
 
 EXTRAS_demo := ros,demo
@@ -80,7 +119,7 @@ PEERS := drake roboticstoolbox-python
 
 # The package itself is installed in editable mode, so changes of the source take effect at once.
 $(VENV)/%.done: $(VENV)/pip.done setup.py pyproject.toml $(CONSTRAINED)
-	@$(CLEAN) $(BIN)/pip install --quiet $(addprefix --constraint ,$(CONSTRAINED)) --editable '.[$(EXTRAS_$*)]'
+	@$(CLEAN) $(BIN)/pip install --quiet --no-compile $(addprefix --constraint ,$(CONSTRAINED)) --editable '.[$(EXTRAS_$*)]'
 	@$(if $(filter bench,$*),$(foreach peer,$(PEERS), \
 	    $(CLEAN) $(BIN)/pip install --quiet --only-binary $(peer) $(peer) || \
 	    echo "$(peer) cannot be installed here";))

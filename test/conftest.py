@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 from robot_files import OUR_ROBOTS
 
+KINDS = ('passed', 'skipped', 'failed', 'error')  # of results
+
 # No deadline, because the machine may be busy; the same examples everywhere, to repeat failures.
 settings.register_profile(
     'here',
@@ -13,7 +15,23 @@ settings.register_profile(
     max_examples=50,
     suppress_health_check=[HealthCheck.too_slow],
 )
+settings.register_profile(
+    'long', settings.get_profile('here'), derandomize=False, max_examples=2000
+)
 settings.load_profile('here')
+
+
+def pytest_addoption(parser):
+    parser.addoption('--stage', default='', help='name of these tests in the summary')
+    parser.addoption('--summary', help='file to which the result of these tests is appended')
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    if config.option.summary:
+        found = {kind: len(terminalreporter.getreports(kind)) for kind in KINDS}
+        counts = ', '.join(f'{number} {kind}' for kind, number in found.items() if number)
+        with open(config.option.summary, 'a') as file:
+            file.write(f'{config.option.stage}: {counts}\n')
 
 
 @pytest.fixture
