@@ -225,6 +225,8 @@ class LoopRunner:
 
     def _on_watch(self) -> None:
         """Step while joint states are missing or lost, because none arrives to cause a step."""
+        if self.loop is None:  # an event of a timer that has been destroyed was still queued
+            return
         self._switch_loop()
         wait = self._watch_period
         if self.is_active:

@@ -161,6 +161,28 @@ def test_no_request_ends_the_process(run_node, robot):
     assert node.process.poll() is None
 
 
+def test_a_timer_that_was_due_before_a_cleanup_does_nothing(run_node, robot):
+    node = run_node(**{**PATIENT, 'stop_ramp': 1.0})
+    client = robot.node.create_client(ChangeState, 'inverse_dynamics/change_state')
+    robot.wait_until(client.service_is_ready, 'life cycle')
+
+    def request(number):
+        return client.call_async(ChangeState.Request(transition=Transition(id=number)))
+
+    robot.publish_state(NAMES, Q, ZERO)
+    robot.wait_for_command(HOLD)
+    request(Transition.TRANSITION_DEACTIVATE)
+    # In the second half of the ramp, which is one callback, the timer of the loop is due.
+    robot.wait_until(lambda: abs(robot.commands[-1][1]) < abs(0.5 * HOLD[1]), 'half of the ramp')
+    future = request(Transition.TRANSITION_CLEANUP)
+    robot.wait_until(future.done, 'answer')
+    assert future.result().success
+    assert robot.change_state('configure')
+    assert robot.change_state('activate')
+    robot.wait_for_command(HOLD)
+    assert node.process.poll() is None
+
+
 def test_a_clock_before_zero_is_ignored(run_node, robot):
     node = run_node(**PATIENT, use_sim_time=True)
     jump = robot.keep_ticking(100.0)
