@@ -41,16 +41,24 @@ class Background:
         self._current: Future[Any] | None = None
         self._thread: ThreadPoolExecutor | None = None
         self._child = 0
+        self.problem = ''
+        """Why there is no process although one was requested; empty if there is one."""
         self._on_busy: Callable[[], None] = lambda: None
         self._on_idle: Callable[[], None] = lambda: None
         if has_process:
             self._fork()
 
     def _fork(self) -> None:
-        request_file, answer_file = _memory_file(), _memory_file()
-        request_reader, request_writer = os.pipe()
-        answer_reader, answer_writer = os.pipe()
-        self._child = os.fork()
+        request_file, answer_file = files = _memory_file(), _memory_file()
+        request_reader, request_writer = requests = os.pipe()
+        answer_reader, answer_writer = answers = os.pipe()
+        try:
+            self._child = os.fork()
+        except OSError as error:  # the limit of processes, or of memory
+            for number in (*files, *requests, *answers):
+                os.close(number)
+            self.problem = f'no process for long work ({error}): a thread delays the commands'
+            return
         if self._child == 0:
             try:
                 _close_others(request_file, answer_file, request_reader, answer_writer)
@@ -86,6 +94,8 @@ class Background:
 
         """
         future: Future[Any] = Future()
+        # Those that were cancelled may be long.
+        self._waiting = deque(call for call in self._waiting if not call[0].cancelled())
         self._waiting.append((future, pickle.dumps((function, arguments))))
         self._start_next()
         self._on_busy()

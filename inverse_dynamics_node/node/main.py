@@ -111,6 +111,8 @@ def _run(args: list[str], stop: _Stop, startup: StartupWatch) -> int:
 
     prepare_to_load()
     background = Background(has_process=True)
+    if background.problem:
+        report_failure(f'warning: {background.problem}')
     scheduling = Scheduling()
     try:
         node = InverseDynamicsNode(lambda: stop.count > 1, scheduling, background)

@@ -4,9 +4,12 @@ import os
 from pathlib import Path
 import pickle
 import signal
+import time
 
 from builtin_interfaces.msg import Duration
 from inverse_dynamics_node import InverseDynamics, load_urdf
+from inverse_dynamics_node.node.background import Background
+from node_process import PATIENCE
 import numpy as np
 from robot_files import STANFORD
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -92,6 +95,66 @@ def test_the_process_for_long_work_ends_with_the_node(run_node, robot):
     node.process.kill()
     node.wait()
     robot.wait_until(lambda: not status(worker), 'end of the process')
+
+
+def test_cancelled_work_is_dropped_at_once():
+    background = Background()
+    first = background.submit(time.sleep, 0.2)
+    size, before = 4_000_000, resident()
+    for _ in range(50):
+        background.submit(len, bytes(size)).cancel()
+    assert resident() - before < 10 * size
+    last = background.submit(len, b'long')
+    deadline = time.monotonic() + PATIENCE
+    while not last.done() and time.monotonic() < deadline:
+        background.poll()
+    assert first.done()
+    assert last.result() == 4
+
+
+def test_a_huge_description_does_not_delay_the_next_one(run_node, robot):
+    node = run_node(**PATIENT)
+    text = STANFORD.read_text()
+    robot.publish_description(text)
+    robot.publish_state(NAMES, Q, np.zeros(6))
+    robot.wait_for_command(HOLD)
+    links = ''.join(
+        f'<link name="x{k}"/><joint name="y{k}" type="fixed"><parent link="base_link"/>'
+        f'<child link="x{k}"/></joint>'
+        for k in range(60_000)
+    )
+    robot.publish_again(text.replace('</robot>', f'{links}</robot>'))
+    robot.wait_for_text(node, 'links, expected at most 1000')
+    robot.publish_again(text.replace('"stanford"', '"next"'))
+    robot.wait_for_text(node, "robot 'next'")
+    robot.wait_for_command(HOLD)
+
+
+WITHOUT_FORK = """
+import os, sys
+def refuse():
+    raise BlockingIOError(11, 'Resource temporarily unavailable')
+os.fork = refuse
+from inverse_dynamics_node.node.main import main
+sys.exit(main())
+"""
+
+
+def test_a_node_that_may_not_fork_uses_a_thread(run_node, robot):
+    node = run_node(**PATIENT, program=('-c', WITHOUT_FORK))
+    robot.publish_description(STANFORD.read_text())
+    robot.publish_state(NAMES, Q, np.zeros(6))
+    robot.wait_for_command(HOLD)
+    assert 'no process for long work ([Errno 11] Resource temporarily unavailable)' in node.output
+    robot.publish_again(STANFORD.read_text().replace('"stanford"', '"next"'))
+    robot.wait_for_text(node, "robot 'next'")
+    node.interrupt()
+    assert robot.wait_for_end(node) == 0
+
+
+def resident():
+    """Return the memory that this process occupies [bytes]."""
+    return int(Path('/proc/self/statm').read_text().split()[1]) * os.sysconf('SC_PAGE_SIZE')
 
 
 def test_pickled_dynamics_have_the_same_loads():

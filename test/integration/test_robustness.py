@@ -327,3 +327,38 @@ def test_a_slow_start_names_the_file_that_blocks_it(tmp_path):
     assert f'{path} is empty' in process.stderr.readline()
     process.communicate(timeout=PATIENCE)
     assert process.returncode == 0
+
+
+HUNG_START = """
+import ctypes, signal, sys
+from pathlib import Path
+from inverse_dynamics_node.node.startup import StartupWatch
+for number in (signal.SIGINT, signal.SIGTERM):
+    signal.signal(number, lambda *_: None)
+with StartupWatch(float(sys.argv[2]), Path(sys.argv[1])):
+    print('hangs', flush=True)
+    lock, libc = (ctypes.c_char * 64)(), ctypes.PyDLL(None)  # keeps the lock of the interpreter
+    libc.pthread_mutex_lock(lock)
+    libc.pthread_mutex_lock(lock)
+"""
+
+
+@pytest.mark.parametrize(
+    ('patience', 'signals'), [(0.5, [signal.SIGINT]), (600.0, [signal.SIGINT, signal.SIGTERM])]
+)
+def test_a_signal_ends_a_start_that_hangs(tmp_path, patience, signals):
+    process = subprocess.Popen(
+        [sys.executable, '-c', HUNG_START, tmp_path, str(patience)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stdout.readline() == 'hangs\n'
+        for number in signals:
+            process.send_signal(number)
+        assert 'it is killed' in process.communicate(timeout=PATIENCE)[1]
+        assert process.returncode == -signal.SIGKILL
+    finally:
+        process.kill()
+        process.wait()

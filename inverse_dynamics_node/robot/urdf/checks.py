@@ -17,7 +17,7 @@ from .placeholders import warn_of_placeholders
 from .problems import Problems, quoted
 from .rules import CHILDREN, version_of, VERSIONS
 from .tree import check_mimic_loops, check_tree
-from .xml import Element, is_xacro, tag
+from .xml import Element, is_xacro, MAX_LINKS, tag
 
 
 def check(root: Element, needs_inertials: bool = False) -> Problems:
@@ -28,6 +28,9 @@ def check(root: Element, needs_inertials: bool = False) -> Problems:
 
     """
     problems = Problems()
+    _check_size(root, problems)
+    if problems.errors:
+        return problems
     _check_name(root, problems)
     _check_version(root, problems)
     links = _by_name(root, 'link')
@@ -49,6 +52,13 @@ def check(root: Element, needs_inertials: bool = False) -> Problems:
     check_missing_inertials(links, joints, problems, needs_inertials)
     warn_of_placeholders(links, problems)
     return problems
+
+
+def _check_size(root: Element, problems: Problems) -> None:
+    for kind in ('link', 'joint'):
+        count = sum(tag(element) == kind for element in root)
+        if count > MAX_LINKS:
+            problems.error(root, f'{count} {kind}s, expected at most {MAX_LINKS}')
 
 
 def _by_name(root: Element, kind: str) -> dict[str, Element]:

@@ -19,6 +19,9 @@ Element = Any
 MAX_BYTES = 16 * 2**20
 """Ten times the size of the largest real robot descriptions; parsed in seconds."""
 
+MAX_LINKS = 1000
+"""Several times the number of the largest real robots; checked before the slow steps."""
+
 _FOREIGN_ROOTS = {'sdf': 'SDF', 'model': 'a part of SDF', 'mujoco': 'MJCF', 'html': 'HTML'}
 
 _BOM = '\ufeff'
