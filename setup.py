@@ -74,7 +74,7 @@ setup(
     url='https://inverse-dynamics-node.example',
     entry_points={
         'console_scripts': [
-            f'{package_name} = {package_name}.node.main:main',
+            f'{package_name} = {package_name}.node.main:run',
             f'inverse_dynamics = {package_name}.cli.main:main',
         ],
     },

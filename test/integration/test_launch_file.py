@@ -40,7 +40,7 @@ def test_arguments_are_documented_used_and_have_a_default():
 def test_executable_parameters_and_topics_are_those_of_the_node():
     setup = (ROOT / 'setup.py').read_text()
     assert NODE.get('pkg') in setup
-    assert "{package_name} = {package_name}.node.main:main'" in setup
+    assert "{package_name} = {package_name}.node.main:run'" in setup
     assert NODE.get('exec') == NODE.get('pkg') == 'inverse_dynamics_node'
     names = [param.get('name') for param in NODE.findall('param') if param.get('name')]
     assert names == ['robot_description_file', 'dry_run']
