@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 import difflib
 from itertools import islice
+from typing import Any
 
 _LONGEST_LINE = 1000  # characters
 _MOST_LINES = 1000
@@ -108,6 +109,11 @@ def listed(names: Collection[str], most: int = _MOST_LISTED) -> str:
     """Join names by commas; of more than ``most`` names, only the first ones and their number."""
     shown = ', '.join(shortened(name) for name in islice(names, most))
     return f'{shown}, ... ({len(names)} in all)' if len(names) > most else shown
+
+
+def plain(value: Any) -> Any:
+    """Return an array as a list, which is shown without its type; other values as they are."""
+    return value.tolist() if hasattr(value, 'tolist') else value
 
 
 def shortened(text: str, most: int = 60) -> str:

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+import math
 
+import numpy as np
+
+from ..robot.model import Floats
 from .control_loop import ControlLoop
 from .graph_info import GraphInfo
 from .phase import COMPUTING_PHASES, Phase
 from .settings import Mode, StalePolicy
 
 _LONG_SILENCE = 5.0  # [s]; after which connected publishers are suspicious
+_MISALIGNED = 5.0  # [degrees]; more than an error of mounting
 _MOST_NAMES = 5  # of nodes, in one message
 
 
@@ -140,6 +145,42 @@ def describe_silence(around: GraphInfo) -> str:
         f'no message on joint_states for {around.silence:.0f} s, although '
         f'{around.publishers} {publishers} connected: if ros2 topic hz shows messages, '
         'restart this node'
+    )
+
+
+def describe_imu_frame(loop: ControlLoop, frame: str, R_BS: Floats) -> str:
+    """
+    Describe a frame of an IMU that contradicts the robot description.
+
+    Parameters
+    ----------
+    loop : ControlLoop
+        The control loop.
+    frame : str
+        The frame of its messages, which need not be a link.
+    R_BS : ndarray, shape (3, 3)
+        The rotation from the frame to that of the base link, as set.
+
+    Returns
+    -------
+    text : str
+        Empty if there is no contradiction.
+
+    """
+    robot = loop.robot
+    if frame not in robot.link_names:
+        return ''
+    link = robot.link_index(frame)
+    if robot.link_body[link]:
+        return f"frame_id is '{frame}', a link that joints move, expected a link of the base"
+    base = robot.link_index(loop.base_link)
+    turned = robot.link_rotation[base].T @ robot.link_rotation[link] @ R_BS.T
+    angle = math.degrees(math.acos(min(1.0, 0.5 * (float(np.trace(turned)) - 1.0))))
+    if angle < _MISALIGNED:
+        return ''
+    return (
+        f"frame_id is '{frame}', which the robot description turns by {angle:.0f} degrees "
+        'against imu_orientation'
     )
 
 

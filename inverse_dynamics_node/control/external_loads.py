@@ -16,15 +16,15 @@ from numpy.typing import ArrayLike
 from ..dynamics.arguments import read_vector
 from ..dynamics.inverse_dynamics import InverseDynamics
 from ..dynamics.loaded_robot import STANDARD_GRAVITY
-from ..errors import ConfigurationError
+from ..errors import ConfigurationError, plain
 from ..robot.model import Floats
 from ..robot.rigid_body import RigidBody
 from .blending import ramp_fraction
 from .filters import LowPass
 from .payloads import blend_payloads, is_same, NO_PAYLOAD, read_payload
-from .settings import LoadSettings
+from .settings import LARGEST_GRAVITY, LoadSettings
 
-STRONGEST = 500.0  # [m/s^2], [rad/s]; beyond fifty times gravity a sensor is broken
+STRONGEST = 500.0  # [m/s^2], [rad/s]; beyond fifty times gravity an IMU is broken
 _LARGEST = 1e9  # [N], [N m]; sums and products of smaller numbers are finite
 
 
@@ -113,7 +113,7 @@ class ExternalLoads:
 
     def set_external_wrench(
         self, now: float, link: str, force: ArrayLike, moment: ArrayLike
-    ) -> None:
+    ) -> bool:
         """
         Apply a wrench that the world exerts on a link; it fades out unless it is renewed.
 
@@ -124,6 +124,11 @@ class ExternalLoads:
         link, force, moment
             As for `InverseDynamics.set_external_wrench`.
 
+        Returns
+        -------
+        is_new : bool
+            Whether there was no wrench on the link, or it had faded out.
+
         Raises
         ------
         ConfigurationError
@@ -133,8 +138,10 @@ class ExternalLoads:
         self.dynamics.robot.link_index(link)
         F = _read_bounded('force', force, 'N', _LARGEST)
         N = _read_bounded('moment', moment, 'N m', _LARGEST)
+        is_new = link not in self._wrenches
         self._wrenches[link] = F, N, now, 1.0
         self.dynamics.set_external_wrench(link, F, N)
+        return is_new
 
     def set_gravity(self, gravity: ArrayLike) -> None:
         """
@@ -148,10 +155,10 @@ class ExternalLoads:
         Raises
         ------
         ConfigurationError
-            If gravity is not three finite numbers up to 500.
+            If gravity is not three finite numbers up to 100.
 
         """
-        self._target = _read_bounded('gravity', gravity, 'm/s^2')
+        self._target = _read_bounded('gravity', gravity, 'm/s^2', LARGEST_GRAVITY)
 
     def set_base_motion(
         self, now: float, specific_force: ArrayLike, angular_velocity: ArrayLike
@@ -348,6 +355,6 @@ def _read_bounded(name: str, values: ArrayLike, unit: str, largest: float = STRO
     vector = read_vector(name, values, unit)
     if np.abs(vector).max() > largest:
         raise ConfigurationError(
-            f'{name} is {values!r}, expected at most {largest:g} {unit} in any direction'
+            f'{name} is {plain(values)!r}, expected at most {largest:g} {unit} in any direction'
         )
     return vector

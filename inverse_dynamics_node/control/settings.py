@@ -83,6 +83,10 @@ class Settings:
         }
 
 
+LARGEST_GRAVITY = 100.0
+"""[m/s^2]; ten times that of the earth."""
+
+
 @dataclass(frozen=True)
 class LoadSettings:
     """How fast external loads change. Times in [s]."""

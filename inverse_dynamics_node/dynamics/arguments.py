@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import ConfigurationError, JointStateError
+from ..errors import ConfigurationError, JointStateError, plain
 from ..robot.model import Floats
 
 
@@ -98,10 +98,12 @@ def read_joints(name: str, values: ArrayLike, n: int) -> Floats:
         numbers = np.broadcast_to(np.asarray(values, dtype=np.float64), (n,))
     except (TypeError, ValueError):
         raise ConfigurationError(
-            f'{name} is {values!r}, expected one number, or one for each of {n} joints'
+            f'{name} is {plain(values)!r}, expected one number, or one for each of {n} joints'
         ) from None
     if not (np.isfinite(numbers) & (numbers >= 0.0)).all():
-        raise ConfigurationError(f'{name} is {values!r}, expected finite numbers of at least 0')
+        raise ConfigurationError(
+            f'{name} is {plain(values)!r}, expected finite numbers of at least 0'
+        )
     return numbers
 
 
@@ -112,7 +114,9 @@ def read_vector(name: str, values: ArrayLike, unit: str) -> Floats:
     except (TypeError, ValueError):
         vector = np.empty(0)
     if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise ConfigurationError(f'{name} is {values!r}, expected three finite numbers [{unit}]')
+        raise ConfigurationError(
+            f'{name} is {plain(values)!r}, expected three finite numbers [{unit}]'
+        )
     return vector
 
 
@@ -122,16 +126,20 @@ def read_inertial(mass: float, com: ArrayLike, inertia: ArrayLike) -> tuple[floa
         number, moments = float(mass), np.array(inertia, dtype=np.float64)
     except (TypeError, ValueError):
         raise ConfigurationError(
-            f'mass is {mass!r}, inertia is {inertia!r}, expected numbers'
+            f'mass is {plain(mass)!r}, inertia is {plain(inertia)!r}, expected numbers'
         ) from None
     if not (math.isfinite(number) and number >= 0.0):
-        raise ConfigurationError(f'mass is {mass!r}, expected a finite number of at least 0 [kg]')
+        raise ConfigurationError(
+            f'mass is {plain(mass)!r}, expected a finite number of at least 0 [kg]'
+        )
     if moments.shape != (3, 3) or not np.isfinite(moments).all():
-        raise ConfigurationError(f'inertia is {inertia!r}, expected 3 by 3 finite numbers')
+        raise ConfigurationError(f'inertia is {plain(inertia)!r}, expected 3 by 3 finite numbers')
     # The tolerances are relative to the largest moment, because rotations leave rounding errors.
     largest = np.abs(moments).max()
     if np.abs(moments - moments.T).max() > 1e-6 * largest:
-        raise ConfigurationError(f'inertia is {inertia!r}, expected a symmetric matrix')
+        raise ConfigurationError(f'inertia is {plain(inertia)!r}, expected a symmetric matrix')
     if np.min(np.linalg.eigvalsh(moments)) < -1e-9 * largest:
-        raise ConfigurationError(f'inertia is {inertia!r}, expected no negative principal moment')
+        raise ConfigurationError(
+            f'inertia is {plain(inertia)!r}, expected no negative principal moment'
+        )
     return number, read_vector('com', com, 'm'), moments

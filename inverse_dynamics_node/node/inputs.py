@@ -14,6 +14,7 @@ from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
+from ..control.activity import describe_imu_frame
 from ..control.control_loop import ControlLoop
 from ..control.reference import Reference
 from ..errors import ConfigurationError, InverseDynamicsError, JointStateError, shortened
@@ -22,10 +23,13 @@ from ..robot.model import Floats
 from . import messages, qos
 from .cdr import JointStateReader
 from .first_point import read_first_point
+from .log import NodeLog
 from .outputs import Outputs
 from .parameters import BaseMotion, Configuration
 from .runner import LoopRunner
 from .trajectory_filler import TrajectoryFiller
+
+_SMALL_CHANGE = 0.05  # of gravity, which is not logged
 
 
 class Inputs:
@@ -42,6 +46,8 @@ class Inputs:
         Shows whether measured efforts are needed.
     filler : TrajectoryFiller
         Handles trajectories.
+    log : NodeLog
+        For what the messages change.
     configuration : Configuration
         The parameters.
 
@@ -53,10 +59,13 @@ class Inputs:
         runner: LoopRunner,
         outputs: Outputs,
         filler: TrajectoryFiller,
+        log: NodeLog,
         configuration: Configuration,
     ) -> None:
-        self._runner, self._outputs, self._filler = runner, outputs, filler
-        self._logger = node.get_logger()
+        self._runner, self._outputs, self._filler, self._log = runner, outputs, filler, log
+        self._configuration = configuration
+        self._reported_gravity: tuple[ControlLoop, Floats] | None = None
+        self._checked_imu: tuple[ControlLoop, str] | None = None
         self._reader = JointStateReader()
         self.last_joint_state = time.monotonic()
         """Steady time of the last message on joint_states [s]; at first, of the start."""
@@ -95,6 +104,7 @@ class Inputs:
     def apply(self, configuration: Configuration) -> None:
         """Use changed parameters."""
         self._configuration = configuration
+        self._reported_gravity = self._checked_imu = None
         R_BS = rotation_of_rpy(*configuration.imu_orientation)
         if self._runner.loop is not None and (R_BS != self._R_BS).any():
             self._runner.loop.loads.expect_other_axes()
@@ -156,15 +166,24 @@ class Inputs:
         def store(loop: ControlLoop, now: float) -> None:
             payload = messages.read_payload(message)
             if loop.loads.set_payload(now, *payload):
-                self._logger.info(f"payload on link '{payload.link}': {payload.mass:g} kg")
+                load = f'payload on link {payload.link!r}'
+                text = f'{load}: {payload.mass:g} kg' if payload.mass else f'{load} removed'
+                self._log.report_message('~/payload', text, is_problem=False)
 
         self._handle('~/payload', store)
 
     def _on_external_wrench(self, message: WrenchStamped) -> None:
-        self._handle(
-            '~/external_wrench',
-            lambda loop, now: loop.loads.set_external_wrench(now, *messages.read_wrench(message)),
-        )
+        def store(loop: ControlLoop, now: float) -> None:
+            link, force, moment = messages.read_wrench(message)
+            if loop.loads.set_external_wrench(now, link, force, moment):
+                text = (
+                    f'force {_listed(force)} N and moment {_listed(moment)} N m on link '
+                    f"'{link}', until it is not renewed for "
+                    f'{self._configuration.wrench_timeout:g} s'
+                )
+                self._log.report_message('~/external_wrench', text, is_problem=False)
+
+        self._handle('~/external_wrench', store)
 
     def _on_gravity(self, message: Vector3Stamped) -> None:
         def store(loop: ControlLoop, now: float) -> None:
@@ -175,17 +194,43 @@ class Inputs:
                 )
             if loop.has_imu:
                 raise ConfigurationError("gravity is measured: parameter 'base_motion' is imu")
-            loop.loads.set_gravity(messages.read_vector(message.vector))
+            gravity = messages.read_vector(message.vector)
+            loop.loads.set_gravity(gravity)
+            self._report_gravity(loop, gravity)
 
         self._handle('~/gravity', store)
+
+    def _report_gravity(self, loop: ControlLoop, gravity: Floats) -> None:
+        """Report gravity that differs from the last report, and gravity that points up."""
+        if self._reported_gravity is not None and self._reported_gravity[0] is loop:
+            change = np.linalg.norm(gravity - self._reported_gravity[1])
+            if change <= _SMALL_CHANGE * np.linalg.norm(gravity):
+                return
+        self._reported_gravity = loop, gravity
+        text = f"{_listed(gravity)} m/s^2 in the frame of '{loop.base_link}'"
+        expected = np.array(self._configuration.gravity)
+        is_problem = bool(gravity @ expected < 0.0)
+        if is_problem:
+            text += (
+                f', opposite to the parameter gravity, {_listed(expected)}: expected the '
+                'free-fall acceleration, which points to the ground; an IMU at rest measures '
+                'the opposite'
+            )
+        self._log.report_message('~/gravity', text, is_problem=is_problem)
 
     def _on_imu(self, message: Imu) -> None:
         if self._configuration.base_motion is not BaseMotion.IMU:
             return
-        self._handle(
-            'imu',
-            lambda loop, now: loop.set_base_motion(now, *messages.read_imu(message, self._R_BS)),
-        )
+
+        def store(loop: ControlLoop, now: float) -> None:
+            loop.set_base_motion(now, *messages.read_imu(message, self._R_BS))
+            if self._checked_imu != (loop, message.header.frame_id):
+                self._checked_imu = loop, message.header.frame_id
+                text = describe_imu_frame(loop, message.header.frame_id, self._R_BS)
+                if text:
+                    self._log.report_message('imu', text)
+
+        self._handle('imu', store)
 
     def _on_trajectory(self, data: bytes) -> None:
         self._handle(
@@ -208,6 +253,10 @@ class Inputs:
             store(self._runner.loop, now)
         except InverseDynamicsError as error:
             self._runner.reject(topic, error)
+
+
+def _listed(vector: Floats) -> str:
+    return ', '.join(f'{x:.3g}' for x in vector)
 
 
 def _read_reference(data: bytes, joints: Sequence[str], now: float) -> Reference:

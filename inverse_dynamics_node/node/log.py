@@ -28,6 +28,7 @@ _PERIOD = 2.0  # [s]; between repetitions of a lasting problem
 _LONG_PERIOD = 10.0  # [s]; the same for problems that only a user can solve
 _ALARMS = (Phase.STATE_LOST, Phase.NO_SOLUTION)
 _MOST_CHANGES = 6  # of activity, logged within _PERIOD
+_MOST_MESSAGES = 3  # of one topic, logged within _PERIOD
 _MAX_KEYS = 1000  # bounds the memory; beyond it, a message may be repeated early
 
 
@@ -85,6 +86,7 @@ class NodeLog:
         self._changes: deque[float] = deque(maxlen=_MOST_CHANGES)  # times of the latest ones
         self._has_reported_imu = False
         self._last_statuses: dict[str, tuple[Level, str]] = {}
+        self._message_times: dict[str, deque[float]] = {}  # of the latest reports, by topic
 
     def begin(self) -> None:
         """Report the next activity even if it is the same as before the last stop."""
@@ -95,6 +97,33 @@ class NodeLog:
         """Warn, unless `key` was logged recently; a function creates the text only if needed."""
         if self._is_due(key):
             self._logger.warning(text if isinstance(text, str) else text())
+
+    def report_message(self, topic: str, text: str, *, is_problem: bool = True) -> None:
+        """
+        Report what became of a message.
+
+        Every text is logged, unless it is the same as a moment ago, or there are too many.
+
+        Parameters
+        ----------
+        topic : str
+            The topic of the message.
+        text : str
+            The consequence of the message.
+        is_problem : bool
+            Whether the text is a warning.
+
+        """
+        times = self._message_times.setdefault(topic, deque(maxlen=_MOST_MESSAGES))
+        now = time.monotonic()
+        is_full = len(times) == _MOST_MESSAGES and now - times[0] < _PERIOD
+        if is_full or not self._is_due((topic, hash(text))):
+            return
+        times.append(now)
+        if is_problem:
+            self._logger.warning(f'{topic}: {text}')
+        else:
+            self._logger.info(f'{topic}: {text}')
 
     def report_conflicts(self, loop: ControlLoop, publishers: Sequence[str]) -> None:
         """Report joints with contradicting positions, and the nodes that publish them."""

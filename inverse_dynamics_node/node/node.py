@@ -112,7 +112,7 @@ class InverseDynamicsNode(LifecycleNode):
             qos.LATCHED,
             **qos.overridable(),
         )
-        self._inputs = Inputs(self, self._runner, self._outputs, filler, self._configuration)
+        self._inputs = Inputs(self, self._runner, self._outputs, filler, log, self._configuration)
         Services(self, self._runner)
         self._diagnostics = DiagnosticsPublisher(
             self,

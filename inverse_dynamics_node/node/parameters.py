@@ -16,7 +16,7 @@ from enum import Enum
 import math
 from typing import get_type_hints
 
-from ..control.settings import LoadSettings, Mode, PerJoint, Settings, StalePolicy
+from ..control.settings import LARGEST_GRAVITY, LoadSettings, Mode, PerJoint, Settings, StalePolicy
 from ..dynamics.loaded_robot import FRICTION_WIDTH, STANDARD_GRAVITY
 from .memory_lock import has_realtime_kernel
 from .parameter_types import kind_of, NUMBER, Parameter, parameter
@@ -106,8 +106,8 @@ class Configuration:
         list(STANDARD_GRAVITY),
         'Free-fall acceleration in the frame of the base link. `~/gravity` changes it too',
         unit='m/s^2',
-        minimum=-100.0,
-        maximum=100.0,
+        minimum=-LARGEST_GRAVITY,
+        maximum=LARGEST_GRAVITY,
     )
     base_motion: BaseMotion = parameter(
         BaseMotion.FIXED.value,

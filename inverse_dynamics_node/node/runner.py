@@ -134,7 +134,7 @@ class LoopRunner:
     def reject(self, topic: str, reason: object) -> None:
         """Count and log a message that cannot be used."""
         self.monitor.reject(topic, shortened_lines(str(reason)))
-        self._log.warn(('dropped', topic), f'{topic}: message dropped: {reason}')
+        self._log.report_message(topic, f'message dropped: {reason}')
 
     def step(self, now: float) -> None:
         """

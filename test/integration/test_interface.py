@@ -98,7 +98,7 @@ def assert_not_above_the_ramp(robot, since, before, after, ramp):
 
 
 def test_a_payload_is_compensated_until_it_is_removed(run_node, robot, dynamics):
-    run_node(**PATIENT)
+    node = run_node(**PATIENT)
     robot.publish_state(NAMES, Q, QD)
     before = dynamics.efforts(Q, QD, ZERO)
     robot.wait_for_command(before)
@@ -111,10 +111,12 @@ def test_a_payload_is_compensated_until_it_is_removed(run_node, robot, dynamics)
     assert_not_above_the_ramp(robot, since, before, after, PATIENT['load_ramp'])
     robot.publish_once(f'{OWN}/payload', payload(TIP, 0.0))
     robot.wait_for_command(before)
+    assert f"~/payload: payload on link '{TIP}': 1.5 kg" in node.output
+    robot.wait_for_text(node, f"~/payload: payload on link '{TIP}' removed")
 
 
 def test_an_external_wrench_is_compensated_while_it_is_renewed(run_node, robot, dynamics):
-    run_node(**PATIENT, wrench_timeout=1.0)
+    node = run_node(**PATIENT, wrench_timeout=1.0)
     robot.publish_state(NAMES, Q, QD)
     before = dynamics.efforts(Q, QD, ZERO)
     force, moment = (3.0, -2.0, -10.0), (0.1, 0.2, -0.3)
@@ -126,6 +128,12 @@ def test_an_external_wrench_is_compensated_while_it_is_renewed(run_node, robot, 
     robot.wait_for_command(dynamics.efforts(Q, QD, ZERO))
     robot.cease(pushing)
     robot.wait_for_command(before)
+    text = (
+        f"~/external_wrench: force 3, -2, -10 N and moment 0.1, 0.2, -0.3 N m on link '{TIP}', "
+        'until it is not renewed for 1 s'
+    )
+    robot.wait_for_text(node, text)
+    assert node.output.count(text) == 1
 
 
 def test_gravity_follows_the_topic(run_node, robot, dynamics):
@@ -140,6 +148,17 @@ def test_gravity_follows_the_topic(run_node, robot, dynamics):
     robot.publish_once(f'{OWN}/gravity', message)
     dynamics.set_gravity((1.0, 2.0, -9.0))
     robot.wait_for_command(dynamics.efforts(Q, QD, ZERO))
+    robot.wait_for_text(node, "~/gravity: 1, 2, -9 m/s^2 in the frame of 'base_link'\n")
+    message.vector.z = 9.0
+    robot.publish_once(f'{OWN}/gravity', message)
+    dynamics.set_gravity((1.0, 2.0, 9.0))
+    robot.wait_for_command(dynamics.efforts(Q, QD, ZERO))
+    words = (
+        "~/gravity: 1, 2, 9 m/s^2 in the frame of 'base_link', opposite to the parameter "
+        'gravity, 0, 0, -9.81: expected the free-fall acceleration'
+    )
+    robot.wait_for_text(node, words)
+    assert any('[WARN]' in line and words in line for line in node.output.splitlines())
 
 
 def test_the_imu_replaces_gravity_in_every_orientation(run_node, robot, dynamics):
@@ -157,6 +176,10 @@ def test_the_imu_replaces_gravity_in_every_orientation(run_node, robot, dynamics
     dynamics.set_gravity((-1.0, -4.0, -9.0))
     dynamics.set_base_motion((0.1, 0.3, 0.2))
     robot.wait_for_command(dynamics.efforts(Q, QD, ZERO), tolerance=1e-6)
+    assert 'frame_id' not in node.output
+    robot._always[-1][1].header.frame_id = 'base_link'
+    words = "imu: frame_id is 'base_link', which the robot description turns by 90 degrees against"
+    robot.wait_for_text(node, words)
 
 
 def test_a_lost_imu_leaves_gravity_as_it_was(run_node, robot, dynamics):
@@ -189,7 +212,7 @@ def test_invalid_messages_are_dropped_with_a_reason(run_node, robot, dynamics):
     robot.listen(JointTrajectory, f'{OWN}/joint_trajectory_out')
     infinite = stamped(WrenchStamped, TIP, wrench=Wrench(force=Vector3(x=math.inf)))
     without_positions = JointTrajectory(joint_names=NAMES)
-    # A reason is logged every two seconds for each topic: topics alternate.
+    # Three reasons are logged every two seconds for each topic: topics alternate.
     cases = [
         ('payload', payload('nope', 1.0), "link 'nope' does not exist; links are base_link"),
         ('external_wrench', infinite, 'force is'),
@@ -199,6 +222,7 @@ def test_invalid_messages_are_dropped_with_a_reason(run_node, robot, dynamics):
         ('joint_trajectory_in', WILD, 'the spline overflows: positions are too far apart'),
         ('payload', payload(TIP, math.nan), 'mass is nan'),
         ('payload', payload(TIP, 1e300, (1e200, 0.0, 0.0)), 'payload has 1e+300'),
+        ('gravity', Vector3Stamped(vector=Vector3(z=-101.0)), 'gravity is [0.0, 0.0, -101.0]'),
     ]
     drop_with_reason(robot, node, cases)
     robot.wait_for_command(dynamics.efforts(Q, QD, ZERO))

@@ -210,7 +210,7 @@ def test_vectors_are_in_the_frame_of_the_base_link():
         (lambda x: x.set_payload(0.0, TIP, 1.0, Q[:3], FLAWED), 'moments 0.1, 0.1, 0.3 kg m'),
         (lambda x: x.set_external_wrench(0.0, TIP, [1e300, 0, 0], DOWN), 'force is .*at most 1e'),
         (lambda x: x.set_gravity([1.0, 2.0]), 'expected three finite numbers'),
-        (lambda x: x.set_gravity([1e9, 0.0, 0.0]), 'at most 500 m/s'),
+        (lambda x: x.set_gravity([101.0, 0.0, 0.0]), 'at most 100 m/s'),
         (lambda x: x.set_base_motion(0.0, [math.inf, 0, 0], DOWN), 'specific force is'),
         (lambda x: x.set_base_motion(0.0, DOWN, [0, 0, 1e4]), 'angular velocity is'),
         (lambda x: x.set_base_motion(0.0, [600.0, 0, 0], DOWN), 'specific force .*m/s.2'),
@@ -294,7 +294,7 @@ def test_the_inertia_of_a_flat_body_may_be_rounded(loads, size):
 def test_the_largest_values_are_accepted(loads):
     assert loads.set_payload(0.0, TIP, 1e9, np.zeros(3), INERTIA)
     loads.set_external_wrench(0.0, TIP, (1e9, 0.0, 0.0), (0.0, -1e9, 0.0))
-    loads.set_gravity((0.0, 500.0, 0.0))
+    loads.set_gravity((0.0, 100.0, 0.0))
     assert loads.set_base_motion(0.0, (0.0, 0.0, -500.0), (500.0, 0.0, 0.0))
 
 

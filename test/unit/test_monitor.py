@@ -1,9 +1,10 @@
 """Statistics of the monitor, and the levels and texts of its reports."""
 
 import dataclasses
+import math
 
 from inverse_dynamics_node import load_urdf
-from inverse_dynamics_node.control.activity import activity
+from inverse_dynamics_node.control.activity import activity, describe_imu_frame
 from inverse_dynamics_node.control.control_loop import ControlLoop
 from inverse_dynamics_node.control.controller import Command
 from inverse_dynamics_node.control.graph_info import GraphInfo, Others, SimulatedTime
@@ -11,6 +12,7 @@ from inverse_dynamics_node.control.monitor import Monitor
 from inverse_dynamics_node.control.reference import Reference
 from inverse_dynamics_node.control.settings import Mode, Settings, StalePolicy
 from inverse_dynamics_node.control.status import Level
+from inverse_dynamics_node.robot.kinematics import rotation_of_rpy
 from inverse_dynamics_node.robot.model_warning import ModelWarning
 import numpy as np
 import pytest
@@ -565,3 +567,20 @@ def test_the_age_of_the_joint_states_is_reported(loop):
     loop.collector.update(7.0, JOINTS, [0.1, 0.2], [0.0, 0.0])
     values = part(Monitor().report(7.25, loop, FINE), 'joint states').values
     assert values['age [s]'] == '0.250'
+
+
+def test_the_frame_of_an_imu_is_compared_with_the_robot_description():
+    loop = ControlLoop(load_urdf(ROOT / 'test/robots/fixed_chain.urdf'))
+    robot = loop.robot
+    fixed = [
+        name for name, body in zip(robot.link_names, robot.link_body, strict=True) if not body
+    ]
+    moving = next(name for name in robot.link_names if name not in fixed)
+    for name in ('', 'imu_link', loop.base_link):
+        assert not describe_imu_frame(loop, name, np.eye(3))
+    assert 'a link that joints move' in describe_imu_frame(loop, moving, np.eye(3))
+    quarter = rotation_of_rpy(0.0, 0.0, math.pi / 2)
+    for name in fixed:
+        R_BS = robot.link_rotation[robot.link_index(name)]
+        assert not describe_imu_frame(loop, name, R_BS)
+        assert 'turns by 90 degrees' in describe_imu_frame(loop, name, R_BS @ quarter)
