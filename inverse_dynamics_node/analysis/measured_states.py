@@ -162,6 +162,11 @@ def _from_samples(
         if layout is None:
             columns = [i for i, name in enumerate(sample.names) if name in index]
             joints = [index[sample.names[i]] for i in columns]
+            repeated = [joint_names[j] for j in sorted(joints) if joints.count(j) > 1]
+            if repeated:
+                raise RecordingError(
+                    f"{where}: message {k} has joint '{repeated[0]}' more than once"
+                )
             layout = layouts[sample.names] = columns, joints
         columns, joints = layout
         row = np.full((3, len(joint_names)), np.nan)

@@ -192,6 +192,10 @@ def read_csv(
             if 'time' not in header:
                 problem = _missing_time(header, joint_names, quantities)
                 raise RecordingError(f'{path}: {problem}')
+            if header.count('time') > 1:
+                raise RecordingError(
+                    f"{path}: {header.count('time')} columns 'time', expected one"
+                )
             numbers = [
                 _numbers(f'{path}: line {rows.line_num}', row, header, allow_empty)
                 for row in rows

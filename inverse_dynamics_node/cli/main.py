@@ -82,6 +82,18 @@ def _run(arguments: list[str]) -> int:
         from .demo import main as run_demo
 
         return run_demo(arguments[1:])
+    if '--ros-args' in arguments:
+        print(
+            'inverse_dynamics: --ros-args is for the node: ros2 run inverse_dynamics_node '
+            'inverse_dynamics_node --ros-args ...',
+            file=sys.stderr,
+        )
+        return 2
+    if arguments == ['--version']:
+        from ..node.usage import version
+
+        print(f'inverse_dynamics {version()}')
+        return 0
     options = _parser().parse_args(arguments)
     code: int = options.run(options)
     return code
@@ -94,6 +106,8 @@ def _parser() -> argparse.ArgumentParser:
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    # Handled before: the parsers of the commands take most of a second.
+    parser.add_argument('--version', action='store_true', help='show the version')
     subparsers = parser.add_subparsers(title='commands', metavar='COMMAND', required=True)
     for command in COMMANDS:
         # Imported here: this takes most of a second, and an interrupt must end it cleanly.

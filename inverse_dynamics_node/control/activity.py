@@ -143,8 +143,8 @@ def describe_silence(around: GraphInfo) -> str:
     publishers = 'publisher is' if around.publishers == 1 else 'publishers are'
     return (
         f'no message on joint_states for {around.silence:.0f} s, although '
-        f'{around.publishers} {publishers} connected: if ros2 topic hz shows messages, '
-        'restart this node'
+        f'{around.publishers} {publishers} connected (one that was killed stays connected for up '
+        'to 20 s): if ros2 topic hz shows messages, restart this node'
     )
 
 

@@ -8,7 +8,7 @@ from ..control.control_loop import ControlLoop
 from ..control.settings import expand_per_joint, PerJoint
 from ..dynamics.loaded_robot import FRICTION_WIDTH
 from ..dynamics.trajectory import complete, Trajectory
-from ..errors import ConfigurationError
+from ..errors import ConfigurationError, shortened
 from ..robot.model import Floats, RobotModel
 from ..robot.urdf import load_urdf
 from .description_file import load_file
@@ -186,9 +186,11 @@ def load_robot(configuration: Configuration, description: str) -> tuple[RobotMod
             'no robot description: none on the topic, and neither robot_description nor '
             'robot_description_file is set'
         )
-    return load_urdf(_as_xml(text), missing), text
-
-
-def _as_xml(text: str) -> str:
-    """Keep load_urdf from reading text that is not XML as the name of a file."""
-    return text if text.lstrip('\ufeff \t\r\n').startswith('<') else f'<!-- -->{text}'
+    if not text.lstrip('\ufeff \t\r\n').startswith('<'):  # load_urdf would open it as a file
+        is_parameter = bool(configuration.robot_description)
+        where = "parameter 'robot_description'" if is_parameter else 'the robot description'
+        hint = '; for a file, set robot_description_file' if is_parameter else ''
+        raise ConfigurationError(
+            f"{where} is '{shortened(text)}', expected the URDF as XML text{hint}"
+        )
+    return load_urdf(text, missing), text

@@ -10,7 +10,8 @@ from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.lifecycle import LifecycleNode
 from rclpy.parameter import Parameter
 
-from ..errors import shortened
+from ..errors import ConfigurationError, shortened
+from .ros_parameters import describe_unknown
 
 _TYPES = {kind.value for kind in Parameter.Type}
 
@@ -33,9 +34,9 @@ def contain_errors(node: LifecycleNode, keep_up: Callable[[], None] = lambda: No
     """
     for service in node.services:
         if service.srv_type is SetParameters:
-            callback = _set_each(service.callback)
+            callback = _set_each(node, service.callback)
         elif service.srv_type is SetParametersAtomically:
-            callback = _set_all(service.callback)
+            callback = _set_all(node, service.callback)
         else:
             callback = _contained(node, service.srv_name, service.callback)
         service.callback = _followed_by(keep_up, callback)
@@ -69,11 +70,14 @@ def _contained(
     return contained
 
 
-def _set_each(callback: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+def _set_each(
+    node: LifecycleNode, callback: Callable[[Any, Any], Any]
+) -> Callable[[Any, Any], Any]:
     def contained(request: Any, response: Any) -> Any:
         for parameter in request.parameters:
             one = SetParameters.Response()
             try:
+                _check_names(node, [parameter])
                 callback(SetParameters.Request(parameters=[parameter]), one)
                 response.results.append(one.results[0])
             except Exception as error:
@@ -83,15 +87,25 @@ def _set_each(callback: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
     return contained
 
 
-def _set_all(callback: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+def _set_all(
+    node: LifecycleNode, callback: Callable[[Any, Any], Any]
+) -> Callable[[Any, Any], Any]:
     def contained(request: Any, response: Any) -> Any:
         try:
+            _check_names(node, request.parameters)
             return callback(request, response)
         except Exception as error:
             response.result = _rejection(request.parameters, error)
             return response
 
     return contained
+
+
+def _check_names(node: LifecycleNode, parameters: Sequence[Any]) -> None:
+    """Reject unknown names: rclpy 7.1 does not show them, and accepts an empty one."""
+    for parameter in parameters:
+        if parameter.name not in node._parameters:
+            raise ConfigurationError(describe_unknown(parameter.name, node._parameters))
 
 
 def _rejection(parameters: Sequence[Any], error: Exception) -> SetParametersResult:

@@ -67,6 +67,8 @@ def load_file(given: str, on_missing_inertial: str) -> tuple[RobotModel, str]:
         if file != str(path):
             is_relative = path == Path.cwd() / file
             where = f" ('{file}'{f', working directory {Path.cwd()}' if is_relative else ''})"
+        if '.xacro ' in file:
+            where += '; arguments of xacro are NAME:=VALUE'
         raise ConfigurationError(f'robot_description_file: no such file: {path}{where}') from None
 
 

@@ -43,15 +43,18 @@ class Graph:
         self.expect_discovery()
 
     def expect_discovery(self) -> None:
-        """Suppress reports of missing publishers for a second."""
+        """Suppress reports of missing inputs for a second."""
         self._discovered_at = time.monotonic() + _DISCOVERY
 
+    @property
+    def is_discovered(self) -> bool:
+        """Whether publishers of inputs have had a second to be discovered."""
+        return time.monotonic() >= self._discovered_at
+
     def with_publishers(self, name: str) -> str:
-        """Return the resolved name of a topic and the number of its publishers, if known yet."""
+        """Return the resolved name of a topic and the number of its publishers."""
         topic = str(self._node.resolve_topic_name(name))
         count = self._node.count_publishers(topic)
-        if not count and time.monotonic() < self._discovered_at:
-            return topic
         return f'{topic} ({count} publisher{"" if count == 1 else "s"})'
 
     def publishers(self, name: str) -> list[str]:

@@ -96,6 +96,8 @@ def _start(args: list[str], stop: _Stop, startup: StartupWatch) -> int:
         start_ros(args)
     except UnknownROSArgsError as error:
         return _fail_with_usage(f'unrecognized ROS arguments: {str(error).strip("[]")}')
+    except UnicodeEncodeError as error:
+        return _fail(f'argument {error.object!r} is not UTF-8')
     except Exception as error:
         return _fail('\n'.join([str(error), *expanded_tildes(args)]))
     try:

@@ -14,7 +14,7 @@ import math
 from typing import Any
 
 from ..control.settings import PerJoint
-from ..errors import ConfigurationError
+from ..errors import ConfigurationError, plain
 
 UNBOUNDED = 1e9
 """Largest magnitude of a number without a range of its own."""
@@ -188,14 +188,30 @@ class Parameter:
         try:
             converted = self.kind.convert(value)
         except (TypeError, ValueError):
-            raise ConfigurationError(f'is {value!r}, expected {self.kind.expected}') from None
+            hint = _hint(value) if self.kind.is_numeric else ''
+            raise ConfigurationError(
+                f'is {plain(value)!r}, expected {self.kind.expected}{hint}'
+            ) from None
         if self.kind.is_numeric:
             numbers = converted if isinstance(converted, tuple) else (converted,)
             if not all(self.minimum <= number <= self.maximum for number in numbers):
-                raise ConfigurationError(
-                    f'is {value}, expected {self.minimum:g} to {self.maximum:g}'
-                )
+                if max(numbers) > UNBOUNDED:
+                    expected = f'at most {UNBOUNDED:g}'
+                elif self.maximum == UNBOUNDED:
+                    expected = f'at least {self.minimum:g}'
+                else:
+                    expected = f'{self.minimum:g} to {self.maximum:g}'
+                raise ConfigurationError(f'is {plain(value)}, expected {expected}')
         return converted
+
+
+def _hint(value: Any) -> str:
+    """Explain a text that looks like a number."""
+    try:
+        number = float(value) if isinstance(value, str) else math.nan
+    except ValueError:
+        return ''
+    return f'; YAML reads {value} as text, write {number}' if math.isfinite(number) else ''
 
 
 def parameter(default: Any, summary: str, details: str = '', **properties: Any) -> Any:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 
-from ..errors import ConfigurationError, did_you_mean
+from ..errors import ConfigurationError, did_you_mean, plain, shortened
 from .parameter_types import INTEGER, Parameter
 from .parameters import (
     Configuration,
@@ -140,17 +141,27 @@ def unknown_parameters(node: Node) -> list[str]:
         One sentence for each name.
 
     """
-    known = [*PARAMETERS, *node._parameters, LOCKED]
+    known = [*PARAMETERS, *node._parameters]
     problems = []
     for name in node._parameter_overrides:
-        head, dot, tail = name.partition('.')
-        if name in known or (dot and head in (LOCKED, _QOS)):
-            continue
-        hint = did_you_mean(name, known) or did_you_mean(head, known)
-        if LOCKED in hint:
-            hint = f"; did you mean '{LOCKED}.{tail or '<joint>'}'?"
-        problems.append(f"unknown parameter '{name}'{hint}")
+        head, dot, _ = name.partition('.')
+        if name not in known and not (dot and head in (LOCKED, _QOS)):
+            problems.append(describe_unknown(name, known))
     return problems
+
+
+def describe_unknown(name: str, known: Iterable[str]) -> str:
+    """Describe the name of a parameter that the node does not have, with the closest one."""
+    if not name:
+        return 'a parameter without a name'
+    head, _, tail = name.partition('.')
+    known = [*known, LOCKED]
+    hint = did_you_mean(name, known) or did_you_mean(head, known)
+    if LOCKED in hint:
+        hint = f"; did you mean '{LOCKED}.{tail or '<joint>'}'?"
+    if head in (LOCKED, _QOS):
+        hint = ': it is set when the process starts'
+    return f"unknown parameter '{shortened(name)}'{hint}"
 
 
 def unused_qos_overrides(node: Node) -> list[str]:
@@ -212,5 +223,7 @@ def _problems(values: dict[str, Any]) -> list[str]:
     for name in ('damping', 'coulomb'):
         numbers = np.atleast_1d(checked.get(name, 0.0))
         if ((numbers < 0.0) & (numbers != VALUE_OF_URDF)).any():
-            problems.append(f"parameter '{name}' is {values[name]}, expected -1 or numbers from 0")
+            problems.append(
+                f"parameter '{name}' is {plain(values[name])}, expected -1 or numbers from 0"
+            )
     return problems

@@ -152,7 +152,8 @@ class LoopRunner:
             self._switch_dry_run()
         command = self.loop.step(now)
         if command is None:
-            self._log.report_waiting(self._missing)
+            if self._graph.is_discovered:
+                self._log.report_waiting(self._missing)
             return
         self._publish(now, command)
         took = time.perf_counter() - began

@@ -268,6 +268,13 @@ def broken(short, here, how):
         path.write_bytes(b'\xff\xfe\x00')
     elif how == 'no time':
         path.write_text('t,joint_1.position\n0,1\n')
+    elif how == 'two times':
+        path.write_text('time,joint_1.position,time,joint_1.effort\n0,1,0,1\n')
+    elif how == 'twice':
+        path = here / 'run'
+        write_bag(
+            path, short._replace(joint_names=('joint_1', *short.joint_names[1:5], 'joint_1'))
+        )
     elif how == 'semicolons':
         path.write_text('time;joint_1.effort\n0;1\n')
     elif how == 'two topics':
@@ -295,6 +302,8 @@ def broken(short, here, how):
     ('how', 'words'),
     [
         ('names', 'has no joint of this robot, only a, b, c, d, e, f; expected some of joint_1'),
+        ('two times', "2 columns 'time', expected one"),
+        ('twice', "/joint_states: message 0 has joint 'joint_1' more than once"),
         ('no names', 'has no joint names; expected some of joint_1'),
         ('no efforts', 'no message has an effort of any joint of this robot'),
         ('no positions', "joint 'joint_1' never has a position"),

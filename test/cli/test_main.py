@@ -26,6 +26,14 @@ def test_help_shows_examples(capsys):
         assert 'inverse_dynamics check my_arm.urdf' in capsys.readouterr().out
 
 
+def test_version_and_arguments_of_the_node(capsys):
+    assert main(['--version']) == 0
+    declared = (ROOT / 'setup.py').read_text().split("version='")[1].split("'")[0]
+    assert capsys.readouterr().out == f'inverse_dynamics {declared}\n'
+    assert main(['--ros-args', '-p', 'kp:=1.0']) == 2
+    assert 'inverse_dynamics_node --ros-args ...' in capsys.readouterr().err
+
+
 COMMAND = [sys.executable, '-m', 'inverse_dynamics_node.cli.main', 'check', str(STANFORD)]
 ENVIRONMENT = {**os.environ, 'PYTHONPATH': str(ROOT)}
 

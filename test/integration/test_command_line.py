@@ -88,3 +88,10 @@ def test_unrecognized_arguments_end_with_the_usage_and_code_2(arguments, words, 
     assert result.returncode == 2
     assert f'inverse_dynamics_node: {words}\nusage: ' in result.stderr
     assert 'Traceback' not in result.stderr
+
+
+def test_an_argument_that_is_not_utf_8_is_named(domain_id):
+    result = run([*NODE, '--ros-args', '-p', b'mode:=\xff'])
+    assert result.returncode == 1
+    expected = "inverse_dynamics_node: argument 'mode:=\\udcff' is not UTF-8\n"
+    assert result.stderr == expected

@@ -119,6 +119,8 @@ def test_problems_of_xacro_files_name_the_file(workspace):
         load_file('arm.xacro mass:=-1', 'warn')
     with pytest.raises(ConfigurationError, match=f'no such file: {workspace}/your.xacro'):
         load_file('your.xacro mass:=1', 'warn')
+    with pytest.raises(ConfigurationError, match='arguments of xacro are NAME:=VALUE'):
+        load_file('arm.xacro mass=1', 'warn')
 
 
 def test_without_xacro_the_message_says_how_to_install_it(workspace, monkeypatch):

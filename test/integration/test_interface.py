@@ -212,6 +212,20 @@ def test_invalid_messages_are_dropped_with_a_reason(run_node, robot, dynamics):
     robot.listen(JointTrajectory, f'{OWN}/joint_trajectory_out')
     infinite = stamped(WrenchStamped, TIP, wrench=Wrench(force=Vector3(x=math.inf)))
     without_positions = JointTrajectory(joint_names=NAMES)
+    # Two reasons on one topic at once are both logged.
+    heavy = [
+        robot.keep_publishing(f'{OWN}/payload', payload(TIP, mass)) for mass in (-2.0, math.inf)
+    ]
+    robot.wait_for_text(node, 'mass is -2.0')
+    robot.wait_for_text(node, 'mass is inf')
+    times = [
+        float(re.search(r'\[(\d+\.\d+)\]', line)[1])
+        for line in node.output.splitlines()
+        if 'mass is' in line
+    ]
+    assert times[1] - times[0] < 1.5
+    for publication in heavy:
+        robot.cease(publication)
     # Three reasons are logged every two seconds for each topic: topics alternate.
     cases = [
         ('payload', payload('nope', 1.0), "link 'nope' does not exist; links are base_link"),

@@ -214,7 +214,10 @@ BAD_URDF = '<robot name="r"><link name="a"/><link name="a"/></robot>'
     [
         ({'robot_description_file': '/nowhere.urdf'}, '/nowhere.urdf'),
         ({'robot_description': f"'{BAD_URDF}'"}, "duplicate link name 'a'"),
-        ({'robot_description': 'arm.urdf'}, 'well-formed XML'),
+        (
+            {'robot_description': 'arm.urdf'},
+            "is 'arm.urdf', expected the URDF as XML text; for a file",
+        ),
         ({**FAST, 'robot_description': f"'{BAD_URDF}'"}, 'are both set'),
         ({**FAST, 'joints': '[nose]'}, "joints names 'nose'"),
         ({**FAST, 'joints': '3'}, "parameter 'joints' is 3, expected a list of names"),
@@ -344,7 +347,12 @@ def test_invalid_changes_of_parameters_are_rejected_with_a_reason(run_node, robo
         ('kp', [1.0, 2.0], 'kp has 2 numbers, expected one, or one for each of 6 joints'),
         ('mode', 'fast', "'fast', expected one of inverse_dynamics, computed_torque, gravity"),
         ('state_timeout', 0.0, 'out of range'),
-        ('kp', [1.0, 1.0, 1.0, 1.0, 1.0, -1.0], 'expected 0 to 1e+09'),
+        ('kp', [1.0, 1.0, 1.0, 1.0, 1.0, -1.0], '1.0, -1.0], expected at least 0'),
+        ('kp', [2e9] * 6, 'expected at most 1e+09'),
+        ('kp', '1e3', 'commanded joint; YAML reads 1e3 as text, write 1000.0'),
+        ('effort_limit', 5.0, "unknown parameter 'effort_limit'; did you mean 'effort_limits'?"),
+        ('locked_positions.hand', 0.0, "'locked_positions.hand': it is set when the process sta"),
+        ('', 5.0, 'a parameter without a name'),
         ('autostart', False, 'read-only'),
     ):
         result = robot.set_parameter(name, value)
