@@ -185,6 +185,7 @@ def test_python_block_fills_a_trajectory_with_efforts(tmp_path, monkeypatch):
 def test_blocks_that_are_not_run_name_the_software_that_they_need():
     needs = {text.splitlines()[0].partition(':')[0] for _, text in BLOCKS if '# needs' in text}
     assert needs == {
+        '# needs a colcon build',
         '# needs ros2_control',
         '# needs Isaac Sim',
         '# needs two minutes of motion; record the second one as excite.csv, as in step 4',

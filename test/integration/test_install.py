@@ -114,6 +114,23 @@ def test_documented_installation_runs_in_the_environment_of_the_workspace(tmp_pa
     script = tmp_path / 'install/inverse_dynamics_node/lib/inverse_dynamics_node'
     first = (script / 'inverse_dynamics_node').read_text().splitlines()[0]
     assert first.startswith(f'#!{tmp_path}/.venv/bin/python')
+    page = (ROOT / 'doc' / 'first_hour.md').read_text()
+    block = page.split('# needs a colcon build\n')[1].split('```')[0]
+    first, *others = block.splitlines()
+    assert '\n'.join(others) in README
+    (tmp_path / 'bin' / 'ros2').write_text(
+        f'#!/bin/sh\n[ "$*" = "pkg prefix --share inverse_dynamics_node" ] || exit 2\n'
+        f'echo {tmp_path}/install/inverse_dynamics_node/share/inverse_dynamics_node\n'
+    )
+    (tmp_path / 'bin' / 'ros2').chmod(0o755)
+    setup = first.removeprefix('. /opt/ros/jazzy/setup.sh && ').replace('~/ros2_ws', '.')
+    lines = [setup, *others, 'inverse_dynamics --version', 'ls examples config']
+    lines += ['python -c "import sys; print(sys.prefix)"', 'python examples/hold_still.py x.urdf']
+    result = run('\n'.join(lines))
+    assert result.stdout.splitlines()[0] == 'inverse_dynamics 0.1.0', result.stderr
+    assert {'follow_trajectory.py', 'stanford.urdf'} <= {*result.stdout.split()}
+    assert f'{tmp_path}/.venv' in result.stdout
+    assert 'x.urdf: cannot be read' in result.stderr
     # In a new terminal, where the environment is not active
     result = run(f'. install/setup.sh\nexec {script}/inverse_dynamics_node --version')
     assert result.returncode == 0, result.stderr
