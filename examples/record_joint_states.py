@@ -19,6 +19,8 @@ from sensor_msgs.msg import JointState
 
 QUANTITIES = ('position', 'velocity', 'effort')
 path, stopped = Path(sys.argv[1]), []
+if path.exists():
+    sys.exit(f'{path}: exists; a recording is not replaced, choose another name')
 for number in (signal.SIGINT, signal.SIGTERM):
     signal.signal(number, lambda number, _: stopped.append(number))
 start_ros()  # without shared memory, which could hold up the driver

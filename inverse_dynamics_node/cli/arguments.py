@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import os
 from pathlib import Path
 
 from ..dynamics.loaded_robot import STANDARD_GRAVITY
-
-PICTURE_SUFFIXES = ('.png', '.svg', '.pdf')
+from .output_files import picture_path
 
 
 def add_urdf(parser: argparse.ArgumentParser) -> None:
@@ -63,6 +61,21 @@ def add_picture(parser: argparse.ArgumentParser, default: str) -> None:
     parser.add_argument('--no-picture', action='store_true', help='do not write a picture')
 
 
+def picture_or(options: argparse.Namespace, default: str) -> Path | None:
+    """Return the file for the picture; None for no picture."""
+    return None if options.no_picture else options.picture or Path(default)
+
+
+def add_force(parser: argparse.ArgumentParser) -> None:
+    """Add the option --force."""
+    parser.add_argument(
+        '--force',
+        action='store_true',
+        help='replace files that exist; unchanged outputs of earlier calls are replaced anyway, '
+        'inputs never',
+    )
+
+
 def add_strict(parser: argparse.ArgumentParser, condition: str) -> None:
     """Add the option --strict; the condition is text for the help."""
     parser.add_argument('--strict', action='store_true', help=f'exit with 3 if {condition}')
@@ -83,45 +96,6 @@ def joint_position(text: str) -> tuple[str, float]:
         return name, float(position)
     except ValueError:
         raise argparse.ArgumentTypeError(f"'{text}' is not JOINT=POSITION") from None
-
-
-def output_path(text: str) -> Path:
-    """
-    Parse the path of a file to write.
-
-    Raises
-    ------
-    argparse.ArgumentTypeError
-        If the file cannot be written.
-
-    """
-    path = Path(text)
-    folder = path.parent
-    if path.is_dir():
-        raise argparse.ArgumentTypeError(f'{text}: is a folder, expected the name of a file')
-    if not folder.is_dir():
-        raise argparse.ArgumentTypeError(f"{text}: folder '{folder}' does not exist")
-    if not os.access(path if path.exists() else folder, os.W_OK):
-        raise argparse.ArgumentTypeError(f'{text}: no permission to write')
-    return path
-
-
-def picture_path(text: str) -> Path:
-    """
-    Parse the path of a picture to write.
-
-    Raises
-    ------
-    argparse.ArgumentTypeError
-        If the file cannot be written, or its suffix is not one of `PICTURE_SUFFIXES`.
-
-    """
-    path = output_path(text)
-    if path.suffix.lower() not in PICTURE_SUFFIXES:
-        raise argparse.ArgumentTypeError(
-            f"{text}: has the suffix '{path.suffix}', expected .png, .svg or .pdf"
-        )
-    return path
 
 
 def _payload(text: str) -> list[float]:

@@ -21,6 +21,7 @@ from ..report.tables import Table
 from ..robot.model import Floats
 from ..robot.urdf import load_urdf
 from ..simulation.demo.calibration import follow, GivenMotion, judge_calibration, rms_errors
+from ..simulation.demo.demo import NewFile
 from ..simulation.demo.history import History
 from ..simulation.demo.stage import Stage
 from ..simulation.demo.unknown_robot import unknown_robot, UnknownRobot
@@ -40,8 +41,10 @@ class _Result(NamedTuple):
     calibration: Calibration
 
 
-def run_calibration(options: argparse.Namespace, stopped: Callable[[], bool]) -> bool:
-    """Run the scenario; return whether it passed."""
+def run_calibration(
+    options: argparse.Namespace, stopped: Callable[[], bool], new_file: NewFile
+) -> bool:
+    """Run the scenario; return whether it passed. The picture is written within `new_file`."""
     urdf = str(options.urdf.resolve())
     robot = load_urdf(urdf)
     dynamics = InverseDynamics(robot)
@@ -65,7 +68,8 @@ def run_calibration(options: argparse.Namespace, stopped: Callable[[], bool]) ->
         from .pictures.calibration_demo import draw
 
         title = f'{robot.name}: calibrate. {verdict}'
-        draw(robot.joint_names, result.histories, result.errors, title, options.picture)
+        with new_file(options.picture) as path:
+            draw(robot.joint_names, result.histories, result.errors, title, path)
         print(f'picture: {options.picture}')
     print(verdict, flush=True)
     return not verdict.failures

@@ -25,14 +25,16 @@ from ..robot.hand import last_link
 from ..robot.model import Floats, RobotModel
 from ..robot.model_warning import ModelWarning
 from .arguments import (
+    add_force,
     add_gravity,
     add_link,
     add_picture,
     add_strict,
     add_urdf,
-    output_path,
+    picture_or,
 )
 from .console import progress, show, show_warnings
+from .output_files import check_outputs, new_file, output_path
 from .pictures.style import try_to_draw
 from .robots import load_dynamics, stem_of
 
@@ -80,6 +82,7 @@ def add_parser(subparsers: Any) -> None:
         default=SAMPLES,
         help='number of poses, rounded up to a power of two (default: %(default)s)',
     )
+    add_force(parser)
     add_strict(parser, 'there are warnings')
     parser.set_defaults(run=run)
 
@@ -92,6 +95,12 @@ def _sample_count(text: str) -> int:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
+    picture = f'{stem_of(options.urdf)}_check.png'
+    check_outputs(
+        [options.urdf],
+        {'--poses': options.poses, '--picture': picture_or(options, picture)},
+        options.force,
+    )
     dynamics = load_dynamics(options.urdf, options.gravity)
     robot = dynamics.robot
     show(*model_tables(dynamics))
@@ -113,7 +122,7 @@ def run(options: argparse.Namespace) -> int:
         path = try_to_draw(
             partial(draw, dynamics, workspace, payload, options.urdf.name),
             options.picture,
-            f'{stem_of(options.urdf)}_check.png',
+            picture,
         )
         if path:
             print(f'picture: {path}')
@@ -214,7 +223,7 @@ def _short_pose(pose: Floats) -> str:
 def write_poses(workspace: Workspace, path: Path) -> None:
     """Write the worst pose of every joint as CSV, one row per joint."""
     names = workspace.robot.joint_names
-    with path.open('w', newline='', encoding='utf-8') as file:
+    with new_file(path) as temporary, temporary.open('w', newline='', encoding='utf-8') as file:
         rows = csv.writer(file)
         rows.writerow(['joint', 'gravity_effort', 'effort_limit', *names])
         for i, name in enumerate(names):

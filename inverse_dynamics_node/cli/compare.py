@@ -25,6 +25,7 @@ from ..report.diagnosis_text import diagnosis_warning
 from ..robot.hand import last_link
 from ..robot.plausibility import position_warnings
 from .arguments import (
+    add_force,
     add_friction,
     add_gravity,
     add_link,
@@ -32,7 +33,7 @@ from .arguments import (
     add_picture,
     add_strict,
     add_urdf,
-    output_path,
+    picture_or,
 )
 from .console import (
     progress,
@@ -40,6 +41,7 @@ from .console import (
     show,
     show_warnings,
 )
+from .output_files import check_outputs, new_file, output_path
 from .pictures.style import try_to_draw
 from .robots import attach_payload, load_dynamics
 
@@ -106,6 +108,7 @@ def add_parser(subparsers: Any) -> None:
         help='file for the fitted friction, as parameters of the node',
     )
     add_picture(parser, '<name of the recording>_compare.png')
+    add_force(parser)
     add_strict(parser, 'there are warnings')
     parser.set_defaults(run=run)
 
@@ -113,6 +116,12 @@ def add_parser(subparsers: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
     width = _friction_width(options)
+    picture = f'{options.recording.stem}_compare.png'
+    check_outputs(
+        [options.urdf, options.recording],
+        {'--parameters': options.parameters, '--picture': picture_or(options, picture)},
+        options.force,
+    )
     dynamics = load_dynamics(options.urdf, options.gravity)
     robot = dynamics.robot
     if options.friction:
@@ -144,7 +153,7 @@ def run(options: argparse.Namespace) -> int:
         path = try_to_draw(
             partial(draw, findings, source, verdict(findings)),
             options.picture,
-            f'{options.recording.stem}_compare.png',
+            picture,
         )
         if path:
             print(f'picture: {path}')
@@ -195,4 +204,5 @@ def write_parameters(findings: Findings, joint_names: tuple[str, ...], path: Pat
     armature = [rotors.get(name, 0.0) for name in names] if rotors else []
     fits = [joint.friction for joint in joints]
     text = friction_parameters(names, fits, findings.width, armature)
-    path.write_text(text, encoding='utf-8')
+    with new_file(path) as temporary:
+        temporary.write_text(text, encoding='utf-8')

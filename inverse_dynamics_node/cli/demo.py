@@ -13,7 +13,8 @@ import sys
 from typing import Any
 
 from ..errors import InverseDynamicsError
-from .arguments import output_path, picture_path
+from .arguments import add_force
+from .output_files import check_outputs, new_file, output_path, picture_path
 
 EPILOG = """
 
@@ -46,6 +47,8 @@ def main(arguments: list[str] | None = None) -> int:
     from .calibration_demo import run_calibration
 
     options = _parse(arguments)
+    outputs = {'--picture': options.picture, '--record': options.record}
+    check_outputs([options.urdf], outputs, options.force)
     stay_on_this_machine()
     stops: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -54,7 +57,7 @@ def main(arguments: list[str] | None = None) -> int:
         with unused_domain() if options.domain is None else nullcontext(options.domain) as domain:
             os.environ['ROS_DOMAIN_ID'] = str(domain)
             run = run_calibration if options.scenario == CALIBRATE else run_demo
-            return 0 if run(options, lambda: bool(stops)) else 1
+            return 0 if run(options, lambda: bool(stops), new_file) else 1
     except KeyboardInterrupt:
         print('stopped')
         return 128 + stops[0]
@@ -150,3 +153,4 @@ def _add_files(parser: argparse.ArgumentParser) -> None:
         default='mcap',
         help='storage of the recording (default: %(default)s)',
     )
+    add_force(parser)

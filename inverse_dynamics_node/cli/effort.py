@@ -34,6 +34,7 @@ from ..robot.model import Floats, RobotModel
 from ..robot.model_warning import ModelWarning
 from ..robot.plausibility import position_warnings
 from .arguments import (
+    add_force,
     add_friction,
     add_gravity,
     add_link,
@@ -42,9 +43,10 @@ from .arguments import (
     add_strict,
     add_urdf,
     joint_position,
-    output_path,
+    picture_or,
 )
 from .console import progress, show, show_warnings
+from .output_files import check_outputs, new_file, output_path
 from .pictures.style import try_to_draw
 from .robots import attach_payload, load_dynamics
 
@@ -125,12 +127,24 @@ def add_parser(subparsers: Any) -> None:
         help='file for the trajectory with velocities, accelerations and efforts, in the format '
         'of `ros2 topic pub`',
     )
+    add_force(parser)
     add_strict(parser, 'a limit of effort, speed or position is exceeded')
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
+    stem = f'{options.trajectory.stem}_efforts'
+    table = options.csv or Path(f'{stem}.csv')
+    check_outputs(
+        [options.urdf, options.trajectory],
+        {
+            '--csv': table,
+            '--trajectory-out': options.trajectory_out,
+            '--picture': picture_or(options, f'{stem}.png'),
+        },
+        options.force,
+    )
     dynamics = load_dynamics(options.urdf, options.gravity)
     robot = dynamics.robot
     load = attach_payload(dynamics, options.link or last_link(robot), options.payload)
@@ -161,18 +175,19 @@ def run(options: argparse.Namespace) -> int:
         show_warnings(warnings)
         print()
 
-    stem = options.trajectory.stem
-    written = [options.csv or Path(f'{stem}_efforts.csv')]
-    write_table(written[0], fine, requirements.efforts)
+    written = [table]
+    with new_file(table) as temporary:
+        write_table(temporary, fine, requirements.efforts)
     if options.trajectory_out:
         written.append(options.trajectory_out)
-        write_trajectory(options.trajectory_out, whole, requirements.efforts[points])
+        with new_file(options.trajectory_out) as temporary:
+            write_trajectory(temporary, whole, requirements.efforts[points])
     if not options.no_picture:
         from .pictures.effort import draw
 
         title = f'{robot.name}: efforts along {options.trajectory.name}\n{load}'
         path = try_to_draw(
-            partial(draw, robot, fine, requirements, title), options.picture, f'{stem}_efforts.png'
+            partial(draw, robot, fine, requirements, title), options.picture, f'{stem}.png'
         )
         if path:
             written.append(path)

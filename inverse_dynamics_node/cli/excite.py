@@ -30,15 +30,17 @@ from ..report.excitation_tables import excitation_tables
 from ..robot.hand import last_link
 from ..robot.model import Floats
 from .arguments import (
+    add_force,
     add_gravity,
     add_link,
     add_payload,
     add_picture,
     add_urdf,
     joint_position,
-    output_path,
+    picture_or,
 )
 from .console import progress, say, show
+from .output_files import check_outputs, new_file, output_path
 from .pictures.style import try_to_draw
 from .robots import attach_payload, load_dynamics, stem_of
 
@@ -173,10 +175,27 @@ def _add_files(parser: argparse.ArgumentParser) -> None:
         'the way to the start pose goes to a file whose name ends with _start.yaml',
     )
     add_picture(parser, '<name of the URDF>_excite.png')
+    add_force(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
+    stem = f'{stem_of(options.urdf)}_excite'
+    if options.speed < 1.0:
+        stem = f'{stem}_speed_{options.speed:g}'
+    csv = options.csv or Path(f'{stem}.csv')
+    yaml = options.trajectory_out or Path(f'{stem}.yaml')
+    start = yaml.with_name(f'{yaml.stem}_start{yaml.suffix}')
+    check_outputs(
+        [options.urdf],
+        {
+            '--csv': csv,
+            '--trajectory-out': yaml,
+            'start of --trajectory-out': start,
+            '--picture': picture_or(options, f'{stem}.png'),
+        },
+        options.force,
+    )
     dynamics = load_dynamics(options.urdf, options.gravity)
     robot = dynamics.robot
     attach_payload(dynamics, options.link or last_link(robot), options.payload)
@@ -199,15 +218,14 @@ def run(options: argparse.Namespace) -> int:
     show(*excitation_tables(robot, excitation, trajectory, efforts, box))
     _warn(dynamics.gravity, box, options)
 
-    stem = f'{stem_of(options.urdf)}_excite'
-    if options.speed < 1.0:
-        stem = f'{stem}_speed_{options.speed:g}'
-    csv = options.csv or Path(f'{stem}.csv')
-    write_table(csv, trajectory, efforts)
-    yaml = options.trajectory_out or Path(f'{stem}.yaml')
-    write_trajectory(yaml, excitation.series.trajectory(_YAML_RATE, options.speed))
-    start = yaml.with_name(f'{yaml.stem}_start{yaml.suffix}')
-    write_trajectory(start, _to_start(excitation))
+    with new_file(csv) as temporary:
+        write_table(temporary, trajectory, efforts)
+    for path, motion in (
+        (yaml, excitation.series.trajectory(_YAML_RATE, options.speed)),
+        (start, _to_start(excitation)),
+    ):
+        with new_file(path) as temporary:
+            write_trajectory(temporary, motion)
     written = [
         f'{csv}: the motion, with modelled efforts',
         f'{yaml}: the motion as JointTrajectory',

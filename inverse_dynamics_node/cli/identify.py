@@ -19,15 +19,17 @@ from ..robot.hand import last_link
 from ..robot.model_warning import ModelWarning
 from ..robot.plausibility import position_warnings
 from .arguments import (
+    add_force,
     add_gravity,
     add_link,
     add_payload,
     add_picture,
     add_strict,
     add_urdf,
-    output_path,
+    picture_or,
 )
 from .console import progress, say, show, show_warnings
+from .output_files import check_outputs, new_file, output_path
 from .pictures.style import try_to_draw
 from .robots import load_dynamics, read_source_text, stem_of
 
@@ -109,12 +111,24 @@ def add_parser(subparsers: Any) -> None:
     add_payload(parser)
     add_gravity(parser)
     add_picture(parser, '<name of the robot>_identify.png')
+    add_force(parser)
     add_strict(parser, 'the identified model is not accepted')
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
+    picture = f'{stem_of(options.urdf)}_identify.png'
+    check_outputs(
+        [options.urdf, *options.recordings, *options.validate],
+        {
+            '--output': options.output,
+            '--parameters': options.parameters,
+            '--json': options.json,
+            '--picture': picture_or(options, picture),
+        },
+        options.force,
+    )
     source = read_source_text(options.urdf)
     robot = load_dynamics(source, options.gravity).robot
     payload = None
@@ -138,7 +152,7 @@ def run(options: argparse.Namespace) -> int:
         path = try_to_draw(
             partial(draw, calibration, f'{robot.name}: {names}'),
             options.picture,
-            f'{stem_of(options.urdf)}_identify.png',
+            picture,
         )
         if path:
             print(f'picture: {path}')
@@ -189,14 +203,17 @@ def _write(calibration: Calibration, source: Path | str, options: argparse.Names
     """Write the files; return a line about each."""
     lines = []
     if options.output:
-        options.output.write_bytes(calibrated_urdf(calibration, source))
+        with new_file(options.output) as path:
+            path.write_bytes(calibrated_urdf(calibration, source))
         what = 'calibrated URDF' if calibration.accepted else 'URDF with fitted friction'
         lines.append(f'{what}: {options.output}')
     if options.parameters:
-        options.parameters.write_text(node_parameters(calibration), encoding='utf-8')
+        with new_file(options.parameters) as path:
+            path.write_text(node_parameters(calibration), encoding='utf-8')
         lines.append(f'parameters of the node: {options.parameters}')
     if options.json:
         text = json.dumps(as_json(calibration), indent=2, ensure_ascii=False)
-        options.json.write_text(text + '\n', encoding='utf-8')
+        with new_file(options.json) as path:
+            path.write_text(text + '\n', encoding='utf-8')
         lines.append(f'report: {options.json}')
     return lines

@@ -9,6 +9,7 @@ import os
 import sys
 
 from ..errors import InverseDynamicsError
+from .output_files import OutputError
 
 COMMANDS = ('check', 'effort', 'compare', 'excite', 'identify', 'watch', 'demo', 'simulate')
 """Modules of this package; add_parser(subparsers) sets `run`, which returns the exit code."""
@@ -46,6 +47,7 @@ _ADVICE = {
     'demo': f"{_HERE} '.[demo]'",
     'ros': f"source an installed ROS 2, or {_HERE} '.[ros,demo]'",
 }
+_INVALID_ARGUMENTS = 2
 _INTERRUPTED, _BROKEN_PIPE = 130, 141  # as a shell reports SIGINT and SIGPIPE
 
 
@@ -70,6 +72,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         named = error.filename is not None and error.strerror
         return _fail(f'{error.filename}: {error.strerror}' if named else str(error))
+    except OutputError as error:
+        return _fail(str(error), _INVALID_ARGUMENTS)
     except InverseDynamicsError as error:
         return _fail(str(error))
 
@@ -115,9 +119,9 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _fail(message: str) -> int:
+def _fail(message: str, code: int = 1) -> int:
     print(f'inverse_dynamics: {message}', file=sys.stderr)
-    return 1
+    return code
 
 
 if __name__ == '__main__':

@@ -9,6 +9,7 @@ from typing import Any
 
 from ...report.short_names import all_shortened
 from ...report.tables import wrapped
+from ..output_files import new_file
 
 BLUE, ORANGE, GREEN, PINK, SKY, RED, YELLOW = (
     '#0072B2',
@@ -124,7 +125,8 @@ def try_to_draw(draw: Callable[[Path], None], requested: Path | None, default: s
     """
     path = requested or Path(default)
     try:
-        draw(path)
+        with new_file(path) as temporary:
+            draw(temporary)
     except ImportError as error:  # also raised by a build for another version of numpy
         if requested:
             raise ModuleNotFoundError(str(error), name='matplotlib') from error

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import replace
 import gc
 import os
+from pathlib import Path
 from textwrap import fill
 
 import numpy as np
@@ -32,10 +34,11 @@ from .verdicts import excuse
 from .view import View
 
 MOST_LISTED = 7  # joints
+NewFile = Callable[[Path], AbstractContextManager[Path]]
 
 
-def run_demo(options: argparse.Namespace, stopped: Callable[[], bool]) -> bool:
-    """Run the whole demo; return whether it passed."""
+def run_demo(options: argparse.Namespace, stopped: Callable[[], bool], new_file: NewFile) -> bool:
+    """Run the whole demo; return whether it passed. The picture is written within `new_file`."""
     scenario = SCENARIOS[options.scenario]
     urdf = str(options.urdf.resolve())
     robot = load_urdf(urdf)
@@ -56,14 +59,19 @@ def run_demo(options: argparse.Namespace, stopped: Callable[[], bool]) -> bool:
         start_ros([])
         run = Run(robot, scenario, processes, stopped)
         try:
-            return _perform(run, script, stage, view, options)
+            return _perform(run, script, stage, view, options, new_file)
         finally:
             run.close()
             rclpy.shutdown()
 
 
 def _perform(
-    run: Run, script: Script, stage: Stage, view: View, options: argparse.Namespace
+    run: Run,
+    script: Script,
+    stage: Stage,
+    view: View,
+    options: argparse.Namespace,
+    new_file: NewFile,
 ) -> bool:
     scenario, history = SCENARIOS[options.scenario], run.commander.history
     recorder = None
@@ -93,7 +101,8 @@ def _perform(
     if options.picture:
         from .picture import draw
 
-        draw(options.picture, stage.robot, f'{view.title}. {verdict}', script, history)
+        with new_file(options.picture) as path:
+            draw(path, stage.robot, f'{view.title}. {verdict}', script, history)
         print(f'picture: {options.picture}')
     print(verdict, flush=True)
     return not verdict.failures

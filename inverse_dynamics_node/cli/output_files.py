@@ -1,0 +1,195 @@
+"""
+Writes the files of a command, without losing others.
+
+An input is never replaced. Another file that exists is replaced only with --force, or if it is an
+output of an earlier call that nobody has changed since: a mark on the file, an extended attribute,
+holds the hash of its content. Without marks, as on some file systems, --force is always necessary.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+import hashlib
+import os
+from pathlib import Path
+import secrets
+import shutil
+import sys
+
+from ..analysis.recordings import BAG_SUFFIXES
+from ..errors import InverseDynamicsError
+
+PICTURE_SUFFIXES = ('.png', '.svg', '.pdf')
+_MARK = 'user.inverse_dynamics.sha256'
+_STREAMS = ('/dev/std', '/dev/fd/', '/proc/')
+
+
+class OutputError(InverseDynamicsError):
+    """An output would replace a file that must stay."""
+
+
+def output_path(text: str) -> Path:
+    """
+    Parse the path of a file to write.
+
+    Raises
+    ------
+    argparse.ArgumentTypeError
+        If the file cannot be written.
+
+    """
+    path = Path(text)
+    folder = path.parent
+    if path.is_dir():
+        raise argparse.ArgumentTypeError(f'{text}: is a folder, expected the name of a file')
+    if not folder.is_dir():
+        raise argparse.ArgumentTypeError(f"{text}: folder '{folder}' does not exist")
+    needed = [path] if path.exists() else []
+    needed += [] if _is_stream(path) else [Path(os.path.realpath(path)).parent]
+    if not all(os.access(each, os.W_OK) for each in needed):
+        raise argparse.ArgumentTypeError(f'{text}: no permission to write')
+    return path
+
+
+def picture_path(text: str) -> Path:
+    """
+    Parse the path of a picture to write.
+
+    Raises
+    ------
+    argparse.ArgumentTypeError
+        If the file cannot be written, or its suffix is not one of `PICTURE_SUFFIXES`.
+
+    """
+    path = output_path(text)
+    if path.suffix.lower() not in PICTURE_SUFFIXES:
+        raise argparse.ArgumentTypeError(
+            f"{text}: has the suffix '{path.suffix}', expected .png, .svg or .pdf"
+        )
+    return path
+
+
+def check_outputs(
+    inputs: Iterable[Path], outputs: Mapping[str, Path | None], force: bool = False
+) -> None:
+    """
+    Check that the outputs of a command replace nothing that must stay.
+
+    Parameters
+    ----------
+    inputs : iterable of pathlib.Path
+        Files and recordings that the command reads; ``-`` is standard input.
+    outputs : mapping of str to pathlib.Path or None
+        Files that it writes, by the options that name them; None is left out.
+    force : bool
+        Whether other files that exist may be replaced.
+
+    Raises
+    ------
+    OutputError
+        If an output is an input, also through a link; if two outputs are the same file; or if a
+        file exists that is not the unchanged output of an earlier call.
+
+    """
+    sources = {_identity(file): file for source in inputs for file in _files_of(source)}
+    written: dict[object, str] = {}
+    for option, path in outputs.items():
+        if path is None or _is_stream(path):
+            continue
+        where, identity = f'{option} {path}', _identity(path)
+        if identity in sources:
+            raise OutputError(
+                f'{where}: is the input {sources[identity]}, which is never replaced; choose '
+                'another name'
+            )
+        if identity in written:
+            raise OutputError(f'{where}: is also the file of {written[identity]}')
+        written[identity] = option
+        if path.exists() and not force and not _is_unchanged_output(path):
+            raise OutputError(
+                f'{where}: exists, and is not an unchanged output of an earlier call; choose '
+                'another name, or replace it with --force'
+            )
+
+
+@contextmanager
+def new_file(path: Path) -> Iterator[Path]:
+    """
+    Yield the path of a temporary file, which becomes the output when the body ends.
+
+    Until then, and if the body fails, an older output stays as it is.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The output. A symbolic link stays, and the file to which it points is replaced.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written, with its name.
+
+    """
+    if _is_stream(path):
+        yield path
+        return
+    target = Path(os.path.realpath(path))
+    # The suffix selects the format of a picture.
+    temporary = target.with_name(f'.{secrets.token_hex(8)}{target.suffix}')
+    try:
+        temporary.touch(exist_ok=False)
+        if target.exists():
+            shutil.copymode(target, temporary)
+        yield temporary
+        _complete(temporary)
+        temporary.replace(target)
+    except OSError as error:  # names the temporary file, or no file if the disk is full
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _complete(path: Path) -> None:
+    """Mark a file as an output, and wait until it is on the disk."""
+    with suppress(OSError):  # not all file systems have extended attributes
+        os.setxattr(path, _MARK, _digest(path))
+    with path.open('rb') as file:
+        os.fsync(file.fileno())
+
+
+def _is_unchanged_output(path: Path) -> bool:
+    try:
+        return os.getxattr(path, _MARK) == _digest(path)
+    except OSError:  # no mark
+        return False
+
+
+def _digest(path: Path) -> bytes:
+    return hashlib.sha256(path.read_bytes()).hexdigest().encode()
+
+
+def _identity(path: Path) -> object:
+    """Return device and number of a file, which links share; the path if there is no file."""
+    try:
+        status = os.fstat(sys.stdin.fileno()) if str(path) == '-' else path.stat()
+    except (OSError, ValueError):  # also a standard input that is closed, or no file
+        return os.path.realpath(path)
+    return status.st_dev, status.st_ino
+
+
+def _files_of(source: Path) -> list[Path]:
+    """List the files of an input: if it is the folder of a recording, those in it."""
+    if not source.is_dir():
+        return [source]
+    return [
+        file
+        for file in source.iterdir()
+        if file.name == 'metadata.yaml' or set(file.suffixes) & set(BAG_SUFFIXES)
+    ]
+
+
+def _is_stream(path: Path) -> bool:
+    """Return whether a path is written to as it is, such as a pipe or /dev/null."""
+    return str(path).startswith(_STREAMS) or (path.exists() and not path.is_file())
