@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection, Sequence
 import numpy as np
 
 from ...dynamics.loaded_robot import STANDARD_GRAVITY
+from ...errors import RecordingError
 from ...robot.model import Booleans, Floats, RobotModel
 from ..identification.signals import Recording
 from .delay import estimate_delay, shifted
@@ -31,10 +32,16 @@ FIRST_GAMMA = 1.0
 SMOOTHING_RANGE = (0.1, 0.6)
 """Shortest and longest smoothing window of the fit [s]."""
 BLOCKS = 8
+LEAST_DURATION = 3.0
+"""Duration of the smoothed recordings below which nothing is identified [s]."""
 LEAST_TRAVEL = {False: 0.02, True: 0.002}
 """Travel of a joint below which its friction is unknown [rad], prismatic [m]."""
 LEAST_RETURN = 0.1
 """Fraction of the travel that has to go in the other direction."""
+GOOD_RECORDINGS = (
+    'record all joints moving at the same time, slowly and fast, for 30 s or more; '
+    '`inverse_dynamics excite` plans such a motion'
+)
 
 
 class Identification:
@@ -58,8 +65,14 @@ class Identification:
         self.setting, self.runs, self.progress = setting, runs, progress
         self.motions = [run.motion for run in runs]
         self.moving = moving_joints(setting, runs)
+        self.duration = sum(float(np.ptp(motion.times)) for motion in self.motions)
         self.seconds = self._smoothing_window()
         self.samples = Samples(setting, self.motions, self.seconds, BLOCKS)
+        if self.duration < LEAST_DURATION or not len(self.samples.efforts):
+            raise RecordingError(
+                f'after smoothing, the recordings last {self.duration:.2g} s, expected at least '
+                f'{LEAST_DURATION:g} s in a row; {GOOD_RECORDINGS}'
+            )
         self.grid = widths_to_try(np.quantile(np.abs(self.samples.qd), 0.95, axis=0))
         self.delay = self.delay_error = self.delay_removed = 0.0
         free = setting.free
@@ -98,9 +111,8 @@ class Identification:
                 if moves:
                     qdd = np.sqrt(np.mean(motion.qdd[:, joint] ** 2))
                     ratios.append(np.sqrt(np.mean(motion.qd[:, joint] ** 2)) / max(qdd, 1e-9))
-        duration = sum(float(np.ptp(motion.times)) for motion in self.motions)
         typical = 0.7 * float(np.quantile(ratios, 0.25)) if ratios else np.inf
-        return float(np.clip(min(typical, duration / 40.0), *SMOOTHING_RANGE))
+        return float(np.clip(min(typical, self.duration / 40.0), *SMOOTHING_RANGE))
 
     def _iterate(self, bodies: Floats, gammas: Floats, rounds: int = ROUNDS) -> None:
         """Fit terms and bodies in turn, with weights from the residuals."""
@@ -261,7 +273,7 @@ def calibrate(
     Raises
     ------
     RecordingError
-        If a recording is not usable.
+        If a recording is not usable, or the recordings are too short or too uniform.
     ConfigurationError
         If a link does not exist, or nothing is left to identify.
 
@@ -272,5 +284,11 @@ def calibrate(
     prepared = prepare_all(robot, [*recordings, *validation], joints)
     runs, unseen = prepared[: len(recordings)], prepared[len(recordings) :]
     progress(0.1)
-    found = Identification(setting, runs, progress)
-    return summarise(found, unseen)
+    try:
+        found = Identification(setting, runs, progress)
+        return summarise(found, unseen)
+    except np.linalg.LinAlgError as error:
+        raise RecordingError(
+            f'the recordings determine too little: the fit has no solution ({error}); '
+            f'{GOOD_RECORDINGS}'
+        ) from None

@@ -123,6 +123,11 @@ def minimise(matrix: Floats, vector: Floats, prior: Prior, start: Floats) -> tup
     hessian : ndarray, shape (p, p)
         Second derivatives there; the inverse of the covariance.
 
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the data determine too little.
+
     """
     from scipy.linalg import cho_factor, cho_solve
 
@@ -133,6 +138,8 @@ def minimise(matrix: Floats, vector: Floats, prior: Prior, start: Floats) -> tup
         gradient, hessian = prior.derivatives(x)
         gradient += matrix @ x - vector
         hessian += matrix
+        if not (np.isfinite(hessian).all() and (np.diagonal(hessian) > 0.0).all()):
+            raise np.linalg.LinAlgError('a parameter has no influence on the efforts')
         size = 1.0 / np.sqrt(np.diagonal(hessian))
         factor = cho_factor(hessian * np.outer(size, size) + 1e-14 * np.eye(len(x)))
         step = -size * cho_solve(factor, size * gradient)
