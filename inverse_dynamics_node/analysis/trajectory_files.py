@@ -31,6 +31,8 @@ trajectory files:
               topic. --topic chooses another one"""
 
 _QUANTITIES = ('position', 'velocity', 'acceleration')
+LATEST_START = 1e5
+"""Time of the first point above which times are those of a clock [s]; a day has 86 400 s."""
 _DEFAULT_TOPIC = '/joint_states'
 """The topic to read if several have joint states."""
 
@@ -75,6 +77,15 @@ def read_trajectory(
         If the file cannot be opened.
 
     """
+    return _from_first_point(_read(path, joint_names, topic, progress))
+
+
+def _read(
+    path: Path,
+    joint_names: Sequence[str],
+    topic: str | None,
+    progress: Callable[[float], None],
+) -> LoadedTrajectory:
     try:
         if path.is_dir() or path.suffix in BAG_SUFFIXES:
             with open_bag(path) as bag:
@@ -90,6 +101,16 @@ def read_trajectory(
         raise TrajectoryError(f'{path}: is not a text file, expected {kinds}') from None
     except TrajectoryError as error:
         raise TrajectoryError(f'{path}: {error}') from None
+
+
+def _from_first_point(loaded: LoadedTrajectory) -> LoadedTrajectory:
+    """Let times that are those of a clock begin at zero: tables have too few digits for them."""
+    times = loaded.trajectory.times
+    if not len(times) or not LATEST_START < times[0] < np.inf:
+        return loaded
+    trajectory = loaded.trajectory._replace(times=times - times[0])
+    note = f'times count from the first point, at {times[0]:.3f} s'
+    return LoadedTrajectory(trajectory, (*loaded.notes, note))
 
 
 def write_table(path: Path, trajectory: Trajectory, efforts: Floats) -> None:
@@ -112,11 +133,13 @@ def write_table(path: Path, trajectory: Trajectory, efforts: Floats) -> None:
     values = np.hstack([trajectory.positions, velocities, accelerations, efforts])
     endings = ('', '.velocity', '.acceleration', '.effort')
     header = [name + ending for ending in endings for name in trajectory.joint_names]
+    row = ','.join([f'%.{DIGITS}g'] * (1 + len(header))) + '\r\n'  # as the csv module ends rows
     with path.open('w', newline='', encoding='utf-8') as file:
-        rows = csv.writer(file)
-        rows.writerow(['time', *header])
-        for time, row in zip(trajectory.times, values, strict=True):
-            rows.writerow([f'{x:.{DIGITS}g}' for x in (time, *row)])
+        csv.writer(file).writerow(['time', *header])
+        file.writelines(
+            row % (time, *numbers)
+            for time, numbers in zip(trajectory.times.tolist(), values.tolist(), strict=True)
+        )
 
 
 # ---- CSV -----------------------------------------------------------------------------------

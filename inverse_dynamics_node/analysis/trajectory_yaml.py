@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
+import reprlib
 from typing import Any
 
 import numpy as np
 
 from ..dynamics.trajectory import Trajectory
-from ..errors import TrajectoryError
+from ..errors import shortened, TrajectoryError
 from ..robot.model import Floats
 
 DERIVATIVES = ('velocities', 'accelerations')
@@ -16,6 +18,9 @@ DIGITS = 9
 """Significant digits of written numbers."""
 _ENCLOSING = ('trajectory', 'joint_trajectory', 'goal')
 """Fields of other messages that hold a trajectory."""
+_DEEPEST = 20
+"""Levels of lists and mappings; a trajectory inside an action goal has six."""
+_NULL = ('', '~', 'null')
 
 
 def trajectory_from_yaml(text: str) -> tuple[Trajectory, tuple[str, ...]]:
@@ -41,9 +46,8 @@ def trajectory_from_yaml(text: str) -> tuple[Trajectory, tuple[str, ...]]:
     """
     import yaml
 
-    loader = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)  # ten times as fast, if it was built
     try:
-        documents = [each for each in yaml.load_all(text, loader) if each is not None]
+        documents = [each for each in _documents(text) if each is not None]
     except yaml.YAMLError as error:
         raise TrajectoryError(f'not valid YAML: {" ".join(str(error).split())}') from None
     found = [each for each in map(_unwrapped, documents) if each is not None]
@@ -57,6 +61,53 @@ def trajectory_from_yaml(text: str) -> tuple[Trajectory, tuple[str, ...]]:
     return _trajectory_from_lists(first), notes
 
 
+def _documents(text: str) -> Iterator[Any]:
+    """
+    Yield the documents as lists, mappings and text; numbers are text, too.
+
+    Unlike the loader of PyYAML, this neither recurses nor converts: no file can use up the stack,
+    contain itself, or create other objects.
+
+    """
+    import yaml
+
+    loader = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)  # ten times as fast, if it was built
+    opened: list[tuple[Any, str | None, list[Any]]] = []  # kind of event, anchor, content
+    anchors: dict[str, Any] = {}
+    content: list[Any] = []
+    for event in yaml.parse(text, loader):
+        if isinstance(event, yaml.ScalarEvent):
+            value = None if not event.style and event.value in _NULL else event.value
+            anchor = event.anchor
+        elif isinstance(event, yaml.CollectionStartEvent):
+            if len(opened) == _DEEPEST:
+                line = event.start_mark.line + 1
+                raise TrajectoryError(f'line {line}: more than {_DEEPEST} levels of lists')
+            opened.append((type(event), event.anchor, content))
+            content = []
+            continue
+        elif isinstance(event, yaml.CollectionEndEvent):
+            kind, anchor, outer = opened.pop()
+            value, content = content, outer
+            if kind is yaml.MappingStartEvent:
+                names = (name if isinstance(name, str) else '' for name in value[::2])
+                value = dict(zip(names, value[1::2], strict=True))
+        elif isinstance(event, yaml.AliasEvent):
+            if event.anchor not in anchors:  # also if the alias is inside of what it refers to
+                line = event.start_mark.line + 1
+                raise TrajectoryError(f'line {line}: alias *{event.anchor} is not defined before')
+            value, anchor = anchors[event.anchor], None
+        elif isinstance(event, yaml.DocumentEndEvent):
+            yield from content
+            content, anchors = [], {}
+            continue
+        else:
+            continue
+        if anchor:
+            anchors[anchor] = value
+        content.append(value)
+
+
 def trajectory_from_points(names: Any, points: Any) -> tuple[Trajectory, tuple[str, ...]]:
     """
     Convert the fields of a trajectory_msgs/JointTrajectory.
@@ -66,7 +117,7 @@ def trajectory_from_points(names: Any, points: Any) -> tuple[Trajectory, tuple[s
     names : list of str
         Field joint_names.
     points : list of dict
-        Field points, each with positions and time_from_start.
+        Field points, each with positions and time_from_start; numbers may be text.
 
     Returns
     -------
@@ -129,18 +180,15 @@ def write_trajectory(path: Path, trajectory: Trajectory, efforts: Floats | None 
     values: tuple[Floats, ...] = trajectory.positions, velocities, accelerations
     if efforts is not None:
         fields, values = (*fields, 'effort'), (*values, efforts)
-    points = []
-    for time, *rows in zip(trajectory.times, *values, strict=True):
-        sec, nanosec = divmod(round(1e9 * float(time)), 10**9)
-        points.append(
-            {
-                **{field: _plain(row) for field, row in zip(fields, rows, strict=True)},
-                'time_from_start': {'sec': sec, 'nanosec': nanosec},
-            }
-        )
-    message = {'joint_names': list(trajectory.joint_names), 'points': points}
+    names = {'joint_names': list(trajectory.joint_names)}
     with path.open('w', encoding='utf-8') as file:
-        yaml.safe_dump(message, file, sort_keys=False, default_flow_style=None, width=10**6)
+        yaml.safe_dump(names, file, default_flow_style=None, width=10**6)
+        file.write('points:\n')  # written without PyYAML, which is a hundred times as slow
+        for time, *rows in zip(trajectory.times, *values, strict=True):
+            sec, nanosec = divmod(round(1e9 * float(time)), 10**9)
+            lines = [f'{field}: {_plain(row)}' for field, row in zip(fields, rows, strict=True)]
+            lines.append(f'time_from_start: {{sec: {sec}, nanosec: {nanosec}}}')
+            file.write('- ' + '\n  '.join(lines) + '\n')
 
 
 def _unwrapped(document: Any) -> dict[str, Any] | None:
@@ -173,20 +221,22 @@ def _trajectory_from_lists(document: dict[str, Any]) -> Trajectory:
 
 
 def _names(names: Any) -> tuple[str, ...]:
-    if not isinstance(names, list) or not names:
-        raise TrajectoryError(f'joint_names is {names!r}, expected a list of names')
-    return tuple(map(str, names))
+    is_list = isinstance(names, list) and all(isinstance(name, str) for name in names)
+    if not is_list or not names:
+        raise TrajectoryError(f'joint_names is {_short(names)}, expected a list of names')
+    return tuple(names)
 
 
 def _seconds(time: Any, point: int) -> float:
-    if isinstance(time, dict):
-        parts = time.get('sec', 0), time.get('nanosec', 0)
-        if set(time) <= {'sec', 'nanosec'} and all(isinstance(part, int) for part in parts):
-            return float(parts[0] + 1e-9 * parts[1])
-    elif isinstance(time, (int, float)) and not isinstance(time, bool):
-        return float(time)
+    try:
+        if not isinstance(time, dict):
+            return float(time)
+        if set(time) <= {'sec', 'nanosec'}:
+            return float(time.get('sec', 0)) + 1e-9 * float(time.get('nanosec', 0))
+    except (TypeError, ValueError):
+        pass
     raise TrajectoryError(
-        f'time_from_start of point {point} is {time!r}, expected sec and nanosec, or seconds'
+        f'time_from_start of point {point} is {_short(time)}, expected sec and nanosec, or seconds'
     )
 
 
@@ -195,13 +245,22 @@ def _numbers(values: Any, count: int, where: str) -> Floats:
     if isinstance(values, str) or (isinstance(values, list) and '...' in values):
         hint = '; print all of it: ros2 topic echo --full-length'
     if not isinstance(values, list) or len(values) != count:
-        found = len(values) if isinstance(values, list) else repr(values)
+        found = len(values) if isinstance(values, list) else _short(values)
         raise TrajectoryError(f'{where}: expected {count} numbers, got {found}{hint}')
     try:
         return np.array([float(value) for value in values])
-    except (TypeError, ValueError) as error:
-        raise TrajectoryError(f'{where}: {error}{hint}') from None
+    except TypeError:
+        raise TrajectoryError(f'{where}: contains a list, expected numbers{hint}') from None
+    except ValueError as error:
+        raise TrajectoryError(f'{where}: {shortened(str(error), 100)}{hint}') from None
 
 
-def _plain(row: Floats) -> list[float]:
-    return [float(f'{x:.{DIGITS}g}') + 0.0 for x in row]
+def _short(value: Any) -> str:
+    return shortened(reprlib.repr(value))
+
+
+def _plain(row: Floats) -> str:
+    """Return a list as YAML 1.1, in which a number with an exponent needs a point."""
+    numbers = (repr(float(f'{x:.{DIGITS}g}') + 0.0) for x in row)
+    points = (x if '.' in x else x.replace('e', '.0e') for x in numbers)
+    return f'[{", ".join(points)}]'

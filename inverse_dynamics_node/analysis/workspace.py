@@ -31,6 +31,8 @@ _WINDOWS = (1.0, 1.0, 0.1, 0.01)
 """Fractions of the range of a joint that the passes of the search cover."""
 _STARTS = 3
 """Number of the worst samples from which the search for a worst pose starts."""
+_MOST_BODIES = 2e8
+"""Bodies whose gravity the search computes at most, which takes about ten seconds."""
 _TIE = 1e-9
 """Efforts whose relative difference is smaller are regarded as equal."""
 
@@ -46,6 +48,8 @@ class Workspace:
     """Gravity efforts in those poses, shape (s, n) [N m or N]."""
     limits: Floats
     """Effort limits, shape (n,) [N m or N]; inf if there is none."""
+    is_search_shortened: bool = False
+    """Whether there were too many joints to search for the worst poses thoroughly."""
 
     @property
     def sampled(self) -> slice:
@@ -141,21 +145,27 @@ def explore(
     poses = lower + (upper - lower) * sequence
     efforts = dynamics.gravity_efforts(poses)
     noise = _TIE * float(np.max(np.abs(efforts)))
+    starts, windows, most_joints = _extent_of_search(n)
+    related_joints = _related_joints(robot)
     found = []
     for joint in range(n):
-        related = _related_joints(robot, joint)
+        related = related_joints[joint]
+        moved = np.flatnonzero(related)
+        # The nearest joints matter most, if there are too many to move them all.
+        nearest = np.sort(moved[np.argsort(np.abs(moved - joint), kind='stable')[:most_joints]])
         size = _absolute_effort(dynamics, joint)
         tops = [
             # Joints without influence on this one are set to zero, which is easier to picture.
             _climb(
                 size,
                 np.where(related, poses[k], np.clip(0.0, lower, upper)),
-                np.flatnonzero(related),
+                nearest,
                 lower,
                 upper,
                 noise,
+                windows,
             )
-            for k in np.argsort(-np.abs(efforts[:, joint]))[:_STARTS]
+            for k in np.argsort(-np.abs(efforts[:, joint]))[:starts]
         ]
         # The first one, except if another one is higher by more than rounding errors.
         heights = size(np.array(tops))
@@ -167,7 +177,18 @@ def explore(
         np.concatenate([worst, poses]),
         np.concatenate([dynamics.gravity_efforts(worst), efforts]),
         limits,
+        most_joints < n or (starts, windows) != (_STARTS, _WINDOWS),
     )
+
+
+def _extent_of_search(joints: int) -> tuple[int, tuple[float, ...], int]:
+    """Return how many starts, which windows and how many joints to search in bounded time."""
+    for starts, windows in ((_STARTS, _WINDOWS), (1, _WINDOWS), (1, _WINDOWS[:1])):
+        bodies = joints**2 * (_CANDIDATES + 2) * starts * len(windows)
+        most_joints = max(1, int(_MOST_BODIES / bodies))
+        if most_joints >= joints:
+            break
+    return starts, windows, most_joints
 
 
 def payload_capacity(
@@ -262,6 +283,7 @@ def _climb(
     lower: Floats,
     upper: Floats,
     noise: float = 0.0,
+    windows: tuple[float, ...] = _WINDOWS,
 ) -> Floats:
     """
     Maximize a function of the pose, one joint at a time, in smaller and smaller windows.
@@ -271,7 +293,7 @@ def _climb(
 
     """
     pose: Floats = start.copy()
-    for fraction in _WINDOWS:
+    for fraction in windows:
         half = 0.5 * fraction * (upper - lower)
         for joint in joints:
             low = max(lower[joint], pose[joint] - half[joint]) if fraction < 1.0 else lower[joint]
@@ -287,13 +309,17 @@ def _climb(
     return pose
 
 
-def _related_joints(robot: RobotModel, joint: int) -> Booleans:
-    """Return which joints are on a path with a joint; others have no influence on its effort."""
-    related = np.zeros(len(robot.joint_names), dtype=bool)
+def _related_joints(robot: RobotModel) -> Booleans:
+    """
+    Return which joints are on a path with each joint, shape (n, n).
+
+    Others have no influence on its effort.
+
+    """
+    related = np.zeros((len(robot.joint_names), len(robot.joint_names)), dtype=bool)
     for body in range(1, len(robot.parent)):
         path = _path(robot, body)
-        if joint in path:
-            related[path] = True
+        related[np.ix_(path, path)] = True
     return related
 
 

@@ -161,6 +161,11 @@ def workspace_table(workspace: Workspace, payload: PayloadCapacity) -> Table:
         f'Hardest for {robot.joint_names[hardest]}: at {pose_in_words(robot, worst_pose)}.',
         payload_in_words(robot, payload),
     )
+    if workspace.is_search_shortened:
+        notes += (
+            'There are too many joints to search for their worst poses thoroughly: other poses '
+            'may take more effort.',
+        )
     if is_too_wide:
         notes += ('The worst poses are too long for this table: --poses FILE writes them as CSV.',)
     count = len(workspace.poses) - len(rows)

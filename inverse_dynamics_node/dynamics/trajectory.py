@@ -12,6 +12,8 @@ from ..robot.model import Floats, Integers
 from .inverse_dynamics import InverseDynamics
 from .lanes import FEWEST
 
+MOST_NUMBERS = 2e7
+"""Largest product of states and joints to insert; the results of more take gigabytes."""
 _FEWEST_TO_SMOOTH = 16
 """Fewest points that are longer than the padding of the filter."""
 
@@ -98,7 +100,7 @@ def refine(whole: Trajectory, longest_step: float) -> tuple[Trajectory, Integers
     Raises
     ------
     TrajectoryError
-        If velocities or accelerations are missing.
+        If velocities or accelerations are missing, or if the states would not fit into memory.
 
     Notes
     -----
@@ -109,7 +111,16 @@ def refine(whole: Trajectory, longest_step: float) -> tuple[Trajectory, Integers
     """
     times, velocities, accelerations = whole.times, whole.velocities, whole.accelerations
     steps = np.diff(times)
-    counts = np.maximum(1, np.ceil(steps / longest_step - 1e-6)).astype(np.int64)
+    wanted = np.maximum(1.0, np.ceil(steps / longest_step - 1e-6))
+    total, most = float(np.sum(wanted)), max(MOST_NUMBERS / len(whole.joint_names), len(steps))
+    if not total <= most:
+        k = int(np.argmax(steps))
+        raise TrajectoryError(
+            f'{total:.3g} states are too many, expected at most {most:.3g}: the trajectory lasts '
+            f'{times[-1] - times[0]:.3g} s; point {k} is at {times[k]:.10g} s, point {k + 1} at '
+            f'{times[k + 1]:.10g} s. Check the times, or evaluate fewer states per second'
+        )
+    counts = wanted.astype(np.int64)
     points: Integers = np.concatenate([[0], np.cumsum(counts)])
     if velocities is None or accelerations is None:
         raise TrajectoryError('no velocities or no accelerations, expected a complete trajectory')
