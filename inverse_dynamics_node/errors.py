@@ -36,8 +36,8 @@ class UrdfError(InverseDynamicsError):
 
     def __str__(self) -> str:
         if len(self.problems) == 1:
-            return f'{self.source}: {self.problems[0]}'
-        listed = '\n'.join(f'  - {problem}' for problem in self.problems)
+            return f'{self.source}: {escaped(self.problems[0])}'
+        listed = '\n'.join(f'  - {escaped(problem)}' for problem in self.problems)
         return f'{self.source}: {len(self.problems)} problems\n{listed}'
 
 
@@ -133,12 +133,15 @@ def shortened(text: str, most: int = 60) -> str:
         Printable text, which ends with the original length if it was cut.
 
     """
-    start = text[:most]
-    if not start.isprintable():
-        start = ''.join(
-            x if x.isprintable() else x.encode('unicode_escape').decode() for x in start
-        )
+    start = escaped(text[:most])
     return start if len(text) <= most else f'{start}... ({len(text)} characters)'
+
+
+def escaped(text: str) -> str:
+    r"""Replace characters that are not printable, also line ends, such as by ``\x1b``."""
+    if text.isprintable():
+        return text
+    return ''.join(x if x.isprintable() else x.encode('unicode_escape').decode() for x in text)
 
 
 def shortened_lines(text: str) -> str:

@@ -10,6 +10,7 @@ from typing import Any
 from ..report.tables import as_text, Line, Style, Table, table_lines, WIDTH, wrapped
 from ..report.warnings import warning_lines, warnings_as_text
 from ..robot.model_warning import ModelWarning
+from .terminal import colour_console
 
 _COLOURS = {
     Style.TITLE: 'bold',
@@ -55,7 +56,9 @@ def waiting(label: str) -> Iterator[None]:
     if terminal is None:
         yield
         return
-    with terminal.status(label):
+    from rich.text import Text
+
+    with terminal.status(Text(label)):
         yield
 
 
@@ -66,10 +69,11 @@ def progress(label: str) -> Iterator[Callable[[float], None]]:
     if terminal is None:
         yield lambda fraction: None
         return
+    from rich.markup import escape
     from rich.progress import Progress
 
     with Progress(console=terminal, transient=True) as bar:
-        task = bar.add_task(label, total=1.0)
+        task = bar.add_task(escape(label), total=1.0)
         yield lambda fraction: bar.update(task, completed=fraction)
 
 
@@ -78,10 +82,9 @@ def _terminal(stderr: bool = False) -> Any:
     if not (sys.stderr if stderr else sys.stdout).isatty():
         return None
     try:
-        from rich.console import Console
+        return colour_console(stderr)
     except ModuleNotFoundError:
         return None
-    return Console(stderr=stderr, highlight=False)  # respects NO_COLOR
 
 
 def _print_in_colour(terminal: Any, lines: Iterable[Line], soft_wrap: bool = False) -> None:

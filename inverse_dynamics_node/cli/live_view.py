@@ -8,7 +8,9 @@ import time
 from typing import Any, TYPE_CHECKING
 
 from ..analysis.live.verdict import Cause, Outcome, Verdict
+from ..errors import escaped
 from ..report.live_verdict import sentence
+from .terminal import colour_console
 
 if TYPE_CHECKING:
     from ..node.observed_status import ObservedStatus
@@ -25,10 +27,9 @@ class LiveView:
     """A screen that is updated in place; the terminal is restored when the context ends."""
 
     def __init__(self, console: Any = None) -> None:
-        from rich.console import Console
         from rich.live import Live
 
-        self._console = console or Console(highlight=False)
+        self._console = console or colour_console()
         self._live = Live(console=self._console, screen=True, auto_refresh=False)
         self.last_words = ''
         """Printed below the prompt at the end."""
@@ -38,9 +39,11 @@ class LiveView:
         return self
 
     def __exit__(self, *_: object) -> None:
+        from rich.text import Text
+
         self._live.stop()
         if self.last_words:
-            self._console.print(self.last_words, markup=False, soft_wrap=True)
+            self._console.print(Text(self.last_words), soft_wrap=True)
 
     def show(self, observer: Observer, sample: Sample | None, verdict: Verdict) -> None:
         """Show the latest values."""
@@ -98,7 +101,7 @@ def _joint_table(observer: Observer, sample: Sample, verdict: Verdict) -> Any:
             position *= 1e3 if row['is_prismatic'] else 180.0 / math.pi
         effort = 'N' if row['is_prismatic'] else 'N m'
         table.add_row(
-            row['name'],
+            Text(row['name']),
             _number(position, 1) + f' {unit:3}',
             *(_number(row[key], 2) for key in ('measured', 'modelled', 'residual')),
             f'{_number(row["command"], 2)} {effort:3}',
@@ -140,12 +143,13 @@ def joint_rows(observer: Observer, sample: Sample) -> list[dict[str, Any]]:
 
 def _node_table(status: ObservedStatus) -> Any:
     from rich.table import Table
+    from rich.text import Text
 
     table = Table(box=None, pad_edge=False, show_header=False)
     table.add_column(style='cyan', no_wrap=True)
     table.add_column()
     for label, text in node_lines(status):
-        table.add_row(label, text)
+        table.add_row(label, Text(text))
     return table
 
 
@@ -206,7 +210,7 @@ def as_line(observer: Observer, verdict: Verdict) -> str:
     if status is not None:
         words.append('dry run' if status.is_dry_run else status.state)
         words.append(f'{_number(status.state_rate, 0)} Hz')
-    return f'{" ".join(words)}: {sentence(verdict)}'
+    return escaped(f'{" ".join(words)}: {sentence(verdict)}')
 
 
 def as_json(

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from contextlib import nullcontext
 from importlib import import_module
 import os
 import sys
 
-from ..errors import InverseDynamicsError
+from ..errors import escaped, InverseDynamicsError, RecordingError, TrajectoryError
 from .output_files import OutputError
+from .terminal import escaped_output
 
 COMMANDS = ('check', 'effort', 'compare', 'excite', 'identify', 'watch', 'demo', 'simulate')
 """Modules of this package; add_parser(subparsers) sets `run`, which returns the exit code."""
@@ -54,6 +56,13 @@ _INTERRUPTED, _BROKEN_PIPE = 130, 141  # as a shell reports SIGINT and SIGPIPE
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; return the exit code."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
+    # The demo updates its table in place, with names of the local URDF only.
+    with nullcontext() if arguments[:1] in (['demo'], ['simulate']) else escaped_output():
+        return _code_of(arguments)
+
+
+def _code_of(arguments: list[str]) -> int:
+    """Run one command; print an error in one line."""
     try:
         code = _run(arguments)
         sys.stdout.flush()  # here, where a broken pipe can be caught
@@ -74,6 +83,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fail(f'{error.filename}: {error.strerror}' if named else str(error))
     except OutputError as error:
         return _fail(str(error), _INVALID_ARGUMENTS)
+    except (RecordingError, TrajectoryError) as error:
+        return _fail(escaped(str(error)))
     except InverseDynamicsError as error:
         return _fail(str(error))
 

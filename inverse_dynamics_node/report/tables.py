@@ -12,6 +12,7 @@ import math
 import textwrap
 from typing import NamedTuple
 
+from ..errors import escaped
 from .short_names import all_shortened, shortened, SHORTEST_NAME
 
 WIDTH = 100
@@ -90,7 +91,7 @@ def table_lines(table: Table, width: int = WIDTH, whole_names: bool = False) -> 
     lines : list of Line
 
     """
-    lines = [Line(table.title, Style.TITLE)]
+    lines = [Line(escaped(table.title), Style.TITLE)]
     if table.rows:
         columns, *rows = _aligned(table, math.inf if whole_names else width - 2)
         lines.append(Line(columns, Style.COLUMNS))
@@ -115,12 +116,12 @@ def wrapped(text: str, width: int, first: str = '', rest: str = '') -> list[str]
 
 def _aligned(table: Table, width: float) -> list[str]:
     """Return the line of column titles and one line for each row."""
-    cells = [table.columns, *table.rows]
+    cells = [tuple(map(escaped, row)) for row in (table.columns, *table.rows)]
     widths = [max(len(row[k]) for row in cells) for k in range(len(table.columns))]
     spare = width - sum(widths[1:]) - len(_GAP) * (len(widths) - 1)
     widths[0] = int(min(widths[0], max(SHORTEST_NAME, spare)))
-    names = [shortened(table.columns[0], widths[0])]
-    names += all_shortened([row[0] for row in table.rows], widths[0])
+    names = [shortened(cells[0][0], widths[0])]
+    names += all_shortened([row[0] for row in cells[1:]], widths[0])
     return [
         _GAP.join(
             [name.ljust(widths[0])]

@@ -1,0 +1,158 @@
+"""Names in files and messages cannot control the terminal."""
+
+import io
+import os
+import pty
+import subprocess
+import sys
+import time
+from types import SimpleNamespace
+
+from inverse_dynamics_node import load_urdf
+from inverse_dynamics_node.analysis.live.verdict import Cause, Outcome, Verdict
+from inverse_dynamics_node.cli import live_view, terminal
+from inverse_dynamics_node.cli.main import main
+import numpy as np
+import pytest
+from robot_files import ROOT, STANFORD
+
+ESCAPE = '\x1b]0;title\x07\x1b[2J\r'
+C1 = '\x9b2J\u202e'
+"""Permitted in XML, which excludes the others: begins an escape sequence, turns text around."""
+MARKUP = '[red]m[/red] [/x] :smile:'
+
+
+def hostile_urdf(path):
+    text = STANFORD.read_text().replace('stanford', f'stanford{C1}&#10;No warnings.')
+    path.write_text(text.replace('joint_2', f'joint_2{C1}{MARKUP}').replace('<limit', '<limit '))
+    return str(path)
+
+
+def assert_harmless(text, allowed=''):
+    for character in text.replace('\r\n', '\n'):
+        assert character.isprintable() or character in f'\n{allowed}', repr(text)
+
+
+def write_table(path, name, rows=400):
+    """Write states of two joints and of one with an odd name."""
+    times = np.arange(rows) / 100.0
+    header = ','.join(f'{joint}.{kind}' for kind in ('position', 'effort') for joint in
+                      ('joint_1', 'joint_2', f'"{name}"'))  # fmt: skip
+    waves = np.sin(np.outer(times, np.arange(1, 7)))
+    lines = [','.join(map(str, row)) for row in np.column_stack([times, waves])]
+    header = header.replace('".position', '.position"').replace('".effort', '.effort"')
+    path.write_text('\n'.join([f'time,{header}', *lines]), newline='')
+
+
+def test_a_description_cannot_control_the_terminal(here, capsys):
+    urdf = hostile_urdf(here / 'arm.urdf')
+    (here / 'move.yaml').write_text('joint_names: [nope]\ntimes: [0]\npositions: [[0]]')
+    assert main(['check', urdf, '--no-picture', '--samples', '64']) == 0
+    assert main(['effort', urdf, 'move.yaml', '--no-picture']) == 1
+    output = capsys.readouterr()
+    assert r'joint_2\x9b2J\u202e' in output.out
+    assert r'\x9b' in output.err
+    assert '\nNo warnings.' not in output.out.replace('\n\nNo warnings.', '')
+    assert_harmless(output.out + output.err)
+
+
+@pytest.mark.parametrize('command', ['effort', 'compare', 'identify'])
+def test_a_recording_cannot_control_the_terminal(command, here, capsys):
+    write_table(here / 'run.csv', f'joint{ESCAPE}{C1}')
+    main([command, str(STANFORD), 'run.csv', '--no-picture'])
+    (here / 'bad.csv').write_text(f'"{ESCAPE}\nfine"\n1\n', newline='')
+    assert main([command, str(STANFORD), 'bad.csv', '--no-picture']) == 1
+    output = capsys.readouterr()
+    assert '\\x1b' in output.out + output.err
+    assert '\\x1b' in output.err.splitlines()[-1]
+    assert_harmless(output.out + output.err)
+
+
+def test_colours_are_the_only_escape_sequences_on_a_terminal(here):
+    pytest.importorskip('rich')
+    urdf = hostile_urdf(here / 'arm.urdf')
+    master, slave = pty.openpty()
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'inverse_dynamics_node.cli.main', 'check', urdf, '--no-picture'],
+        env={**os.environ, 'PYTHONPATH': str(ROOT), 'TERM': 'xterm', 'COLUMNS': '160'},
+        stdout=slave,
+        stderr=slave,
+    )
+    os.close(slave)
+    data = b''
+    while chunk := read(master):
+        data += chunk
+    os.close(master)
+    assert process.wait(120) == 0
+    text = data.decode()
+    assert '\x1b[' in text
+    assert '\\x9b2J\\u202e' in text
+    assert '[red]m[/red] [/x] :smile:' in text
+    assert_harmless(text, '\x1b\r')
+    assert '\x1b]' not in text
+
+
+def read(master):
+    try:
+        return os.read(master, 65536)
+    except OSError:  # the other end is closed
+        return b''
+
+
+def hostile_observer():
+    robot = load_urdf(STANFORD.read_text().replace('joint_2', f'joint_2{C1}{MARKUP}'))
+    odd = f'x{ESCAPE}{C1}{MARKUP}\nforged'
+    problem = SimpleNamespace(level='ERROR', part=odd, message=odd)
+    status = SimpleNamespace(
+        state=odd, activity=odd, mode=odd, payload=odd, commands=odd, subscribers=odd, receivers=1,
+        is_dry_run=False, requested_rate=None, rate=1.0, state_rate=1.0, state_age=0.0,
+        state_timeout=0.1, reference_age=0.0, reference_timeout=0.1, problems=[problem],
+        limits=(), joints=(),
+    )  # fmt: skip
+    line = SimpleNamespace(time=time.time(), level='WARN', text=odd)
+    sample = SimpleNamespace(positions=np.zeros(6), measured=np.zeros(6), modelled=np.zeros(6),
+                             commands=np.zeros(6))  # fmt: skip
+    return SimpleNamespace(name=odd, robot=robot, status=status, log=[line]), sample
+
+
+def test_a_node_cannot_control_the_terminal_of_watch(monkeypatch):
+    pytest.importorskip('rich')
+    observer, sample = hostile_observer()
+    verdict = Verdict(Outcome.UNDECIDED, Cause.NO_DIAGNOSTICS, reason=f'{ESCAPE}{C1}\nforged')
+    output = io.StringIO()
+    output.isatty = lambda: True
+    monkeypatch.setenv('COLUMNS', '200')
+    monkeypatch.setenv('TERM', 'xterm')
+    monkeypatch.setattr(sys, 'stdout', output)
+    console = terminal.colour_console()
+    console.print(live_view.screen(observer, sample, verdict))
+    text = output.getvalue()
+    assert '\\x9b2J' in text
+    assert '[red]m[/red] [/x] :smile:' in text
+    assert '\x1b]' not in text
+    assert '\x1b[2J' not in text
+    assert_harmless(text, '\x1b')
+    line = live_view.as_line(observer, verdict)
+    assert_harmless(line)
+    assert '\n' not in line
+
+
+def test_names_of_files_are_no_markup(here, monkeypatch):
+    pytest.importorskip('rich')
+    from inverse_dynamics_node.cli import console
+
+    output = io.StringIO()
+    output.isatty = lambda: True
+    monkeypatch.setenv('TERM', 'xterm')
+    monkeypatch.setattr(sys, 'stderr', output)
+    with console.progress(f'reading {MARKUP}') as report:
+        report(0.5)
+    with console.waiting(f'reading {MARKUP}'):
+        pass
+    assert 'reading [red]m[/red] [/x]' in output.getvalue()
+
+
+def test_a_name_that_is_not_utf8_is_escaped(here, capsys):
+    name = b'bad\xff.urdf'.decode(errors='surrogateescape')
+    assert main(['check', name]) == 1
+    assert r'bad\udcff.urdf' in capsys.readouterr().err
