@@ -10,6 +10,7 @@ saves them.
 
 import importlib
 import os
+from pathlib import Path
 import sys
 import time
 
@@ -28,7 +29,8 @@ def main(arguments, node=None):
         case ['run', 'inverse_dynamics_node', 'inverse_dynamics_node', *rest]:
             start(rest)
         case ['launch', 'inverse_dynamics_node', 'inverse_dynamics.launch.xml', *rest]:
-            start(['--ros-args', *ros_arguments(**dict(x.split(':=', 1) for x in rest))])
+            given = dict(x.split(':=', 1) for x in rest)
+            start(['--ros-args', *ros_arguments(Path.cwd(), **given)])
         case ['topic', 'echo', '--once', topic]:
             print(ask(lambda node: echo(node, topic)))
         case ['topic', 'pub', '--once', topic, kind, text]:

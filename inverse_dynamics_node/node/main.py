@@ -90,9 +90,10 @@ def _start(args: list[str], stop: _Stop, startup: StartupWatch) -> int:
     from rclpy._rclpy_pybind11 import UnknownROSArgsError
     from rclpy.utilities import remove_ros_args
 
-    from .remaps import expanded_tildes
+    from .remaps import expanded_tildes, with_parameter_files
 
     try:
+        args = with_parameter_files(args)
         start_ros(args)
     except UnknownROSArgsError as error:
         return _fail_with_usage(f'unrecognized ROS arguments: {str(error).strip("[]")}')

@@ -137,7 +137,7 @@ class Parameter:
     is_read_only: bool = False
     """Whether the value is read only when the process starts."""
     default_note: str = ''
-    """Describes a default that depends on the machine."""
+    """Describes a default that depends on the machine, or on how the node is started."""
 
     @property
     def description(self) -> str:

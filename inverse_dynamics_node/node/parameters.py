@@ -95,6 +95,7 @@ class Configuration:
         'Compute, check and publish everything, but send no `~/commands`',
         'Switched on while the node commands: these fall to zero within `stop_ramp`, zeros follow '
         'for 0.5 s, then nothing. Switched off: they rise from zero within `start_ramp`',
+        default_note='false; true in the launch file',
     )
     mode: Mode = parameter(
         _SETTINGS.mode.value,

@@ -1,4 +1,4 @@
-"""Remap rules on the command line that have no effect."""
+"""Mistakes in ROS arguments: remap rules without effect, and parameter files that do not exist."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import difflib
 import os
 import re
 from typing import Any
+
+from ..errors import ConfigurationError
 
 # Names that rcl creates; it lists them after remapping or not at all.
 _RCL_NAMES = (
@@ -79,17 +81,53 @@ def expanded_tildes(arguments: Sequence[str]) -> list[str]:
     ]
 
 
+def with_parameter_files(arguments: Sequence[str]) -> list[str]:
+    """
+    Look for the parameter files, also in home directories: no shell expands a ~ after ``:=``.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+        The command line.
+
+    Returns
+    -------
+    arguments : list of str
+        The same, with the home directory in place of ``~``.
+
+    Raises
+    ------
+    ConfigurationError
+        Naming every parameter file that does not exist.
+
+    """
+    found, problems = list(arguments), []
+    for k, given in _operands(arguments, '--params-file'):
+        found[k] = os.path.expanduser(given)
+        if not given or not os.path.exists(found[k]):
+            path = os.path.abspath(found[k]) if given else "''"
+            problems.append(f'no such parameter file: {path} (--params-file {given})')
+    if problems:
+        raise ConfigurationError(*problems)
+    return found
+
+
 def _remaps(arguments: Sequence[str]) -> Iterator[str]:
     """Find the rules among the ROS arguments."""
-    is_ros = is_rule = False
-    for argument in arguments:
-        if is_rule:
-            yield argument
-            is_rule = False
+    return (rule for _, rule in _operands(arguments, '-r', '--remap'))
+
+
+def _operands(arguments: Sequence[str], *options: str) -> Iterator[tuple[int, str]]:
+    """Find what follows some ROS options, with its index."""
+    is_ros = is_operand = False
+    for k, argument in enumerate(arguments):
+        if is_operand:
+            yield k, argument
+            is_operand = False
         elif argument in ('--ros-args', '--'):
             is_ros = argument == '--ros-args'
         else:
-            is_rule = is_ros and argument in ('-r', '--remap')
+            is_operand = is_ros and argument in options
 
 
 def _explain_tilde(rule: str) -> str:

@@ -31,8 +31,8 @@ LASTING = (
     'ros2 topic pub -r',
     'python examples/',
 )
-MAIN_NODE = 'ros2 launch inverse_dynamics_node inverse_dynamics.launch.xml urdf:=my_arm.urdf dry'
-LEFT_NODE = MAIN_NODE.replace('dry', 'namespace:=left')
+MAIN_NODE = 'ros2 launch inverse_dynamics_node inverse_dynamics.launch.xml urdf:=my_arm.urdf com'
+LEFT_NODE = MAIN_NODE.replace('com', 'namespace:=left')
 FASTER = {
     'watch --for 10': 'watch --for 2',
     'move.yaml 0.2': 'move.yaml 2.0',

@@ -1,6 +1,11 @@
-"""Remap rules without effect are found on the command line and explained."""
+"""Remap rules without effect and missing parameter files are found on the command line."""
 
-from inverse_dynamics_node.node.remaps import expanded_tildes, ineffective_remaps
+from inverse_dynamics_node.errors import ConfigurationError
+from inverse_dynamics_node.node.remaps import (
+    expanded_tildes,
+    ineffective_remaps,
+    with_parameter_files,
+)
 import pytest
 
 NAMES = ['joint_states', 'imu', '/diagnostics', '~/commands', '~/joint_efforts', '~/enable']
@@ -73,3 +78,24 @@ def test_a_rule_that_rcl_cannot_parse_is_explained():
 def test_only_ros_arguments_are_rules():
     arguments = ['node', '-r', 'a:=b', '--ros-args', '-p', 'a:=1', '--', '-r', 'c:=d']
     assert ineffective_remaps(arguments, NAMES, 'arm', '/') == []
+
+
+def test_parameter_files_are_found_in_home_directories(tmp_path, monkeypatch):
+    monkeypatch.setenv('HOME', str(tmp_path))
+    (tmp_path / 'a.yaml').touch()
+    given = ['node', '--params-file', '~/x', '--ros-args', '-p', 'a:=~/x', '--params-file']
+    assert with_parameter_files([*given, '~/a.yaml']) == [*given, str(tmp_path / 'a.yaml')]
+
+
+def test_every_parameter_file_that_does_not_exist_is_named(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    files = ['a.yaml', '', '/dev/null', '~nobody-here/b.yaml']
+    given = [word for name in files for word in ('--params-file', name)]
+    with pytest.raises(ConfigurationError) as error:
+        with_parameter_files(['node', '--ros-args', *given])
+    assert str(error.value).splitlines() == [
+        f'no such parameter file: {tmp_path}/a.yaml (--params-file a.yaml)',
+        "no such parameter file: '' (--params-file )",
+        f'no such parameter file: {tmp_path}/~nobody-here/b.yaml (--params-file '
+        '~nobody-here/b.yaml)',
+    ]
