@@ -20,7 +20,7 @@ BAR = 12  # characters
 NEAR_LIMIT, AT_LIMIT = 0.7, 0.95
 MOST_WARNINGS = 4
 RECENT = 60.0  # [s]; older warnings are not shown
-_COLOURS = {Outcome.AGREE: 'green', Outcome.DIFFER: 'red', Outcome.UNDECIDED: 'yellow'}
+_COLOURS = {Outcome.AGREE: 'green', Outcome.DIFFER: 'red', Outcome.SATURATED: 'red'}
 
 
 class LiveView:
@@ -57,7 +57,7 @@ def screen(observer: Observer, sample: Sample | None, verdict: Verdict) -> Any:
 
     parts: list[Any] = [
         _headline(observer),
-        Text(sentence(verdict), _COLOURS[verdict.outcome] + ' bold'),
+        Text(sentence(verdict), _COLOURS.get(verdict.outcome, 'yellow') + ' bold'),
         Text(''),
     ]
     if sample is not None:
@@ -94,7 +94,7 @@ def _joint_table(observer: Observer, sample: Sample, verdict: Verdict) -> Any:
         table.add_column(title, justify='right', no_wrap=True)
     table.add_column('of its limit', no_wrap=True)
     for row in joint_rows(observer, sample):
-        marked = row['name'] in (*verdict.joints, *verdict.also_swapped)
+        marked = row['name'] in (*verdict.joints, *verdict.also_swapped, *verdict.saturated)
         unit = 'mm' if row['is_prismatic'] else 'deg'
         position = row['position']
         if position is not None:
@@ -249,7 +249,8 @@ def as_json(
         'problem_joints': list(verdict.joints),
         'problem_values': list(verdict.values),
         'problem_link': verdict.link or None,
-        'unchecked_joints': list(verdict.unchecked),
+        'unchecked_joints': [*verdict.unchecked, *verdict.unmeasured],
+        'saturated_joints': list(verdict.saturated),
         'status': node,
         'joints': joint_rows(observer, sample) if sample is not None else [],
         'log': [line._asdict() for line in list(observer.log)[-MOST_WARNINGS:]],

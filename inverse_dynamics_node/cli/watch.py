@@ -18,7 +18,7 @@ import numpy as np
 
 from ..analysis.live.judge import judge, StateRate
 from ..analysis.live.verdict import Cause, Outcome, Verdict
-from ..analysis.live.window import LiveWindow
+from ..analysis.live.window import DURATION, LiveWindow
 from ..errors import ConfigurationError
 from ..report.live_verdict import sentence
 from .live_view import as_json, as_line, LiveView
@@ -33,10 +33,23 @@ examples:
   inverse_dynamics watch --for 10 && ros2 param set /inverse_dynamics dry_run false
   inverse_dynamics watch --json | jq .sentence
 
-exit code of --for: 0 model and robot agree; 3 they differ, or joint states are slow; 4 it cannot
-be decided; 1 there is no such node; 2 invalid arguments. 130 after Ctrl-C."""
+exit code of --for:
+    0  model and robot agree
+    3  they differ, or joint states are slow
+    4  it cannot be decided
+    5  efforts are cut to their limits: the arm cannot hold itself, or follow
+    6  model and robot agree, but fewer than a quarter of the commanded joints could be checked
+    1  there is no such node
+    2  invalid arguments
+  130  ended by Ctrl-C"""
 
-CODES = {Outcome.AGREE: 0, Outcome.DIFFER: 3, Outcome.UNDECIDED: 4}
+CODES = {
+    Outcome.AGREE: 0,
+    Outcome.DIFFER: 3,
+    Outcome.UNDECIDED: 4,
+    Outcome.SATURATED: 5,
+    Outcome.FEW_JOINTS: 6,
+}
 _POLL = 0.02  # [s]
 _LINE = 1.0  # [s]; between lines and verdicts
 _FRAME = 0.25  # [s]
@@ -107,6 +120,7 @@ class _Watch:
         self.verdict = Verdict(Outcome.UNDECIDED, Cause.TOO_FEW_SAMPLES)
         self._began = time.monotonic()
         self._known_since = math.inf
+        self._cut: dict[str, float] = {}  # when the effort of a joint was last cut to its limit
 
     def run(self) -> int:
         """Show the node until the end; return the exit code."""
@@ -162,6 +176,9 @@ class _Watch:
             robot = observer.robot
             self.window = LiveWindow(robot.joint_names) if robot else None
             self.sample = None
+            self._cut.clear()
+        if observer.status is not None:
+            self._cut |= dict.fromkeys(observer.status.saturated, observer.status_time)
         if self.window is not None:
             sample = self.sample = observer.sample()
             self.window.add(sample.time, sample.q, sample.qd, sample.measured, sample.modelled)
@@ -190,6 +207,8 @@ class _Watch:
             observer.robot,
             np.array(status.gravity),
             self._limits(),
+            status.joints,
+            [joint for joint, then in self._cut.items() if now < then + DURATION],
         )
 
     def _reason(self) -> str:

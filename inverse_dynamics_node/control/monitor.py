@@ -172,6 +172,7 @@ class Monitor:
             'cutoff of the external efforts [Hz]': f'{loop.external_effort_estimator.cutoff:g}',
             'limits [N m, N]': ', '.join(f'{limit:g}' for limit in loop.controller.limits),
         }
+        values['cut to limit since the last report'] = ', '.join(self._clamped_joints) or 'none'
         values |= {f'{name} cut to limit': str(count) for name, count in self.clamped.items()}
         values |= {f'{name} slowed': str(count) for name, count in self.slowed.items()}
         if around.is_active and not around.receivers and not around.is_dry_run:

@@ -59,6 +59,8 @@ class ObservedStatus:
     """Commanded joints."""
     limits: tuple[float, ...]
     """Largest efforts of these [N m or N]; inf if there is none."""
+    saturated: tuple[str, ...]
+    """Joints whose efforts were cut to these since the report before."""
     gravity: tuple[float, ...]
     """[m/s^2]; zero if the model does not include it."""
     cutoff: float
@@ -120,8 +122,9 @@ def read_status(message: Any, node: str) -> ObservedStatus | None:
         commands=others.get('commands', ''),
         subscribers=others.get('subscribers of the commands', ''),
         payload=model.get('payload', ''),
-        joints=tuple(filter(None, model.get('joints', '').split(', '))),
+        joints=_names(model.get('joints', '')),
         limits=tuple(_limit(text) for text in efforts.get('limits [N m, N]', '').split(', ')),
+        saturated=_names(efforts.get('cut to limit since the last report', '')),
         gravity=_vector(model.get('gravity [m/s^2]', '')),
         cutoff=_number(efforts.get('cutoff of the external efforts [Hz]')) or 0.0,
         uses_simulated_time='clock' in parts,
@@ -142,6 +145,10 @@ def _problems(parts: Mapping[str, Any]) -> tuple[Problem, ...]:
         if level is not Level.OK
     ]
     return tuple(problem for _, problem in sorted(found))
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(name for name in text.split(', ') if name not in ('', 'none'))
 
 
 def _number(text: str | None) -> float | None:

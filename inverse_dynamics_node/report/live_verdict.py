@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from ..analysis.live.verdict import Cause, Size, Verdict
+from ..analysis.live.verdict import Cause, Outcome, Size, Verdict
 from ..analysis.live.window import DURATION
 
 _MOST_NAMES = 4
@@ -28,15 +28,39 @@ def sentence(verdict: Verdict) -> str:
         Without a full stop.
 
     """
-    return _SENTENCES[verdict.cause](verdict)
+    text = _SENTENCES[verdict.cause](verdict)
+    if verdict.saturated and verdict.outcome is Outcome.DIFFER:
+        text += f'; effort cut to its limit: {_listed(verdict.saturated)}'
+    return text
 
 
 def _agreement(verdict: Verdict) -> str:
-    text = f'model and robot agree: {_sizes(verdict)}'
+    return f'model and robot agree: {_compared(verdict)}'
+
+
+def _few_joints(verdict: Verdict) -> str:
+    count, total = verdict.values
+    return (
+        f'model and robot agree in {count:.0f} of {total:.0f} joints only: {_compared(verdict)}; '
+        'move the arm to check the others'
+    )
+
+
+def _saturated(verdict: Verdict) -> str:
+    return (
+        f'{_joints(verdict.saturated)}: the effort is cut to its limit, so the arm cannot hold '
+        'itself or follow; raise effort_limits, or move to another pose; do not go live'
+    )
+
+
+def _compared(verdict: Verdict) -> str:
+    text = _sizes(verdict)
     if not verdict.is_moving:
         text += ', at rest'
     if verdict.unchecked:
         text += f'; not checked, because the efforts are small: {_listed(verdict.unchecked)}'
+    if verdict.unmeasured:
+        text += f'; not checked, because no effort is measured: {_listed(verdict.unmeasured)}'
     return text
 
 
@@ -166,6 +190,8 @@ _SENTENCES: dict[Cause, Callable[[Verdict], str]] = {
     Cause.MOUNTING: _mounting,
     Cause.UNEXPLAINED: _unexplained,
     Cause.SLOW_STATES: _slow_states,
+    Cause.SATURATED: _saturated,
+    Cause.FEW_JOINTS: _few_joints,
     Cause.AT_REST: _at_rest,
     Cause.NO_DIAGNOSTICS: lambda verdict: verdict.reason,
     Cause.NODE_STATE: lambda verdict: f'not compared: {verdict.reason}',

@@ -84,6 +84,13 @@ def test_verdicts_of_a_dry_run_in_a_pipe(run_node, robot, watch):
     assert 'model and robot agree: ' in lines[-1]
     assert 'not checked, because the efforts are small: joint_1' in lines[-1]
 
+    robot.set_parameter('effort_limits', [0.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+    robot.wait_for_text(node, 'effort cut to its limit: joint_2')
+    ((code, output),) = watch(['--for', '2', *ANY_RATE])
+    assert code == 5, output
+    assert 'joint_2: the effort is cut to its limit, so the arm cannot hold itself' in output
+    robot.set_parameter('effort_limits', 0.0)
+
     efforts = HELD.copy()
     efforts[2] *= -1.0
     hold(robot, efforts)

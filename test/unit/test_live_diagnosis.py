@@ -230,6 +230,72 @@ def test_window_keeps_its_duration():
     assert samples.modelled[-1].tolist() == [99.0, 99.0]
 
 
+def judged(samples, robot, commanded=JOINTS, saturated=(), rate=500.0):
+    return judge('', StateRate(rate), samples, robot, GRAVITY, None, commanded, saturated)
+
+
+class TestSaturation:
+    """An arm whose efforts are cut to their limits cannot hold itself, whatever is measured."""
+
+    def test_it_is_an_outcome_of_its_own(self):
+        robot, samples = samples_of()
+        verdict = judged(samples, robot, saturated=['joint_2'])
+        assert (verdict.outcome, verdict.cause) == (Outcome.SATURATED, Cause.SATURATED)
+        assert sentence(verdict).startswith('joint_2: the effort is cut to its limit, so the arm')
+        assert sentence(verdict).endswith('; do not go live')
+
+    @pytest.mark.parametrize('measured', [np.nan, 0.0])
+    def test_no_measured_efforts_are_needed(self, measured):
+        robot, samples = samples_of(moves=False)
+        nothing = samples._replace(measured=np.full_like(samples.measured, measured))
+        assert judged(nothing, robot, saturated=['joint_2']).outcome is Outcome.SATURATED
+
+    def test_it_is_more_important_than_slow_states(self):
+        robot, samples = samples_of()
+        verdict = judged(samples, robot, saturated=['joint_2'], rate=50.0)
+        assert verdict.outcome is Outcome.SATURATED
+
+    def test_a_difference_is_more_important_but_both_are_reported(self):
+        robot, samples = samples_of()
+        verdict = judged(flipped(samples, 'joint_3'), robot, saturated=['joint_2'])
+        assert verdict.cause is Cause.SIGN
+        assert sentence(verdict).endswith('; effort cut to its limit: joint_2')
+
+
+class TestFewJoints:
+    """An agreement rests on a quarter of the commanded joints."""
+
+    def test_the_others_are_too_little_loaded(self):
+        robot, samples = samples_of('seven_dof', moves=False)
+        for signal in samples[4:]:
+            signal[:, 2:] *= 1e-3
+        checked = judge('', StateRate(500.0), samples, robot, GRAVITY).checked
+        assert len(checked) == 1
+        verdict = judged(samples, robot, robot.joint_names)
+        assert (verdict.outcome, verdict.cause) == (Outcome.FEW_JOINTS, Cause.FEW_JOINTS)
+        assert sentence(verdict).startswith('model and robot agree in 1 of 7 joints only: ')
+        assert sentence(verdict).endswith('; move the arm to check the others')
+
+    def test_the_others_are_not_measured(self):
+        robot, samples = samples_of()
+        measured = samples.measured.copy()
+        measured[:, [0, 2, 3, 4, 5]] = np.nan
+        some = samples._replace(measured=measured)
+        verdict = judged(some, robot)
+        assert verdict.outcome is Outcome.FEW_JOINTS
+        assert 'because no effort is measured: joint_1, joint_3, joint_4, joint_5 and' in sentence(
+            verdict
+        )
+        assert judged(some, robot, ['joint_2', 'joint_3']).outcome is Outcome.AGREE
+
+    def test_joints_that_are_not_commanded_do_not_count(self):
+        robot, samples = samples_of()
+        verdict = judged(samples, robot, ['joint_6'])
+        assert 'joint_6' in verdict.unchecked
+        assert verdict.values == (0.0, 1.0)
+        assert judged(samples, robot).outcome is Outcome.AGREE
+
+
 class TestStateRate:
     """Joint states that arrive at a tenth of the rate are reported."""
 

@@ -104,9 +104,11 @@ def test_counts_clamped_commands_and_warns_of_those_since_the_last_report(loop):
     assert status.message == f'cut to its limit: {JOINTS[1]}'
     assert status.values[f'{JOINTS[1]} cut to limit'] == '3'
     assert status.values[f'{JOINTS[1]} slowed'] == '3'
+    assert status.values['cut to limit since the last report'] == JOINTS[1]
     status = part(monitor.report(2.0, loop, FINE), 'efforts')
     assert status.level is Level.OK
     assert status.values[f'{JOINTS[1]} cut to limit'] == '3'
+    assert status.values['cut to limit since the last report'] == 'none'
 
 
 def test_counts_rejected_messages_by_a_limited_number_of_reasons(loop):

@@ -119,6 +119,7 @@ class _Comparison:
         common = Verdict(
             Outcome.AGREE,
             sizes=self._sizes(),
+            checked=self._names(is_checked),
             unchecked=self._names(~is_checked),
             is_moving=bool(self.moves.any()),
         )

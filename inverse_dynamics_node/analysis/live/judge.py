@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -22,6 +23,12 @@ _STRONGER_THAN_SLOW = (
     Cause.MOUNTING,
 )
 """Causes that are found in slow states too; residuals without a cause may be due to the rate."""
+
+LEAST_CHECKED = 0.25
+"""
+Fraction of the commanded joints that an agreement must rest on. At rest in a random pose, gravity
+loads two of six joints of a UR arm; one joint says little about the others.
+"""
 
 
 class StateRate(NamedTuple):
@@ -58,6 +65,8 @@ def judge(
     robot: RobotModel | None,
     gravity: Floats,
     limits: Floats | None = None,
+    commanded: Sequence[str] = (),
+    saturated: Sequence[str] = (),
 ) -> Verdict:
     """
     Judge whether model and robot agree.
@@ -72,6 +81,10 @@ def judge(
         The last seconds; None if the robot is unknown.
     robot, gravity, limits
         As for `diagnose`.
+    commanded : sequence of str
+        The commanded joints.
+    saturated : sequence of str
+        Those whose efforts were cut to their limits in the last seconds.
 
     Returns
     -------
@@ -84,9 +97,27 @@ def judge(
         verdict = Verdict(Outcome.UNDECIDED, Cause.TOO_FEW_SAMPLES)
     else:
         verdict = diagnose(samples, robot, gravity, limits)
+    verdict = _completed(verdict, commanded, saturated)
     if rate.is_slow and verdict.cause not in _STRONGER_THAN_SLOW:
         values = (rate.measured or 0.0, rate.least)
-        return replace(
+        verdict = replace(
             verdict, outcome=Outcome.DIFFER, cause=Cause.SLOW_STATES, joints=(), values=values
         )
+    if saturated and (verdict.outcome is not Outcome.DIFFER or verdict.cause is Cause.SLOW_STATES):
+        return replace(verdict, outcome=Outcome.SATURATED, cause=Cause.SATURATED, joints=())
+    return verdict
+
+
+def _completed(verdict: Verdict, commanded: Sequence[str], saturated: Sequence[str]) -> Verdict:
+    """Add what concerns the commanded joints; an agreement must rest on enough of them."""
+    compared = (*verdict.checked, *verdict.unchecked)
+    verdict = replace(verdict, saturated=tuple(saturated))
+    if not compared:
+        return verdict
+    unmeasured = tuple(joint for joint in commanded if joint not in compared)
+    verdict = replace(verdict, unmeasured=unmeasured)
+    count = len(set(commanded) & set(verdict.checked))
+    if verdict.outcome is Outcome.AGREE and count < LEAST_CHECKED * len(commanded):
+        values = (float(count), float(len(commanded)))
+        return replace(verdict, outcome=Outcome.FEW_JOINTS, cause=Cause.FEW_JOINTS, values=values)
     return verdict

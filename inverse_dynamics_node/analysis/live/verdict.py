@@ -7,11 +7,15 @@ import enum
 
 
 class Outcome(enum.Enum):
-    """Whether model and robot agree."""
+    """Whether model and robot agree, and the arm can be held by the efforts."""
 
     AGREE = 'agree'
     DIFFER = 'differ'
     UNDECIDED = 'undecided'
+    SATURATED = 'saturated'
+    """The efforts are cut to their limits, and no difference was found."""
+    FEW_JOINTS = 'few_joints'
+    """They agree, but only few joints could be compared."""
 
 
 class Cause(enum.Enum):
@@ -27,6 +31,9 @@ class Cause(enum.Enum):
     MOUNTING = 'mounting'
     UNEXPLAINED = 'unexplained'
     SLOW_STATES = 'slow_states'
+    # They do not differ, but this is not enough to go live:
+    SATURATED = 'saturated'
+    FEW_JOINTS = 'few_joints'
     # It cannot be decided:
     NO_DIAGNOSTICS = 'no_diagnostics'
     NODE_STATE = 'node_state'
@@ -58,7 +65,8 @@ class Verdict:
     values: tuple[float, ...] = ()
     """
     Factor of each joint of a `SCALE`; mass [kg] of a `PAYLOAD`; gravity in the frame of the root
-    link [m/s^2] of a `MOUNTING`; measured and lowest sufficient rate [Hz] of `SLOW_STATES`.
+    link [m/s^2] of a `MOUNTING`; measured and lowest sufficient rate [Hz] of `SLOW_STATES`;
+    numbers of checked and of commanded joints of `FEW_JOINTS`.
     """
     link: str = ''
     """Link that carries the payload."""
@@ -66,8 +74,14 @@ class Verdict:
     """Message of the node, for `NODE_STATE`."""
     sizes: tuple[Size, ...] = ()
     """Revolute joints first."""
+    checked: tuple[str, ...] = ()
+    """Joints whose efforts are large enough to see a wrong sign."""
     unchecked: tuple[str, ...] = ()
-    """Joints whose efforts are too small to see a wrong sign."""
+    """Joints whose efforts are too small for that."""
+    unmeasured: tuple[str, ...] = ()
+    """Commanded joints without measured efforts."""
+    saturated: tuple[str, ...] = ()
+    """Commanded joints whose efforts are cut to their limits."""
     is_moving: bool = True
     """Whether a compared joint moved in the window."""
     also_swapped: tuple[str, ...] = ()
