@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 import math
+import os
 import time
 from typing import Any, TYPE_CHECKING
 
@@ -16,7 +17,8 @@ if TYPE_CHECKING:
     from ..node.observed_status import ObservedStatus
     from ..node.observer import Observer, Sample
 
-BAR = 12  # characters
+BAR = 12  # characters, if the terminal has room for them
+WIDTH_WITHOUT_BAR = 76  # of a table of joints whose names have 20 characters
 NEAR_LIMIT, AT_LIMIT = 0.7, 0.95
 MOST_WARNINGS = 4
 RECENT = 60.0  # [s]; older warnings are not shown
@@ -29,7 +31,10 @@ class LiveView:
     def __init__(self, console: Any = None) -> None:
         from rich.live import Live
 
-        self._console = console or colour_console()
+        # Without COLUMNS and LINES, which some shells export, the size follows the terminal.
+        size = {'COLUMNS', 'LINES'}
+        environment = {key: os.environ[key] for key in os.environ.keys() - size}
+        self._console = console or colour_console(environment=environment)
         self._live = Live(console=self._console, screen=True, auto_refresh=False)
         self.last_words = ''
         """Printed below the prompt at the end."""
@@ -47,28 +52,47 @@ class LiveView:
 
     def show(self, observer: Observer, sample: Sample | None, verdict: Verdict) -> None:
         """Show the latest values."""
-        self._live.update(screen(observer, sample, verdict), refresh=True)
+        content = screen(observer, sample, verdict, self._console.width)
+        self._live.update(_cropped(content, self._console), refresh=True)
 
 
-def screen(observer: Observer, sample: Sample | None, verdict: Verdict) -> Any:
-    """Return the screen as a renderable of rich."""
+def screen(observer: Observer, sample: Sample | None, verdict: Verdict, width: int) -> Any:
+    """Return what there is to show as a renderable of rich, the most important first."""
     from rich.console import Group
     from rich.text import Text
 
+    status = None if verdict.cause is Cause.NO_DIAGNOSTICS else observer.status
     parts: list[Any] = [
-        _headline(observer),
+        _headline(observer, verdict),
         Text(sentence(verdict), _COLOURS.get(verdict.outcome, 'yellow') + ' bold'),
-        Text(''),
     ]
+    if status is not None:
+        parts += _problems(status)
+    parts.append(Text(''))
     if sample is not None:
-        parts += [_joint_table(observer, sample, verdict), Text('')]
-    if observer.status is not None:
-        parts.append(_node_table(observer.status))
-    parts += _warnings(observer)
+        parts += [_joint_table(observer, sample, verdict, width), Text('')]
+    if status is not None:
+        parts.append(_node_table(status))
+    parts += _log(observer)
     return Group(*parts)
 
 
-def _headline(observer: Observer) -> Any:
+def _cropped(content: Any, console: Any) -> Any:
+    """Replace what is below the edge of the terminal by the number of lines."""
+    from rich.console import Group
+    from rich.segment import Segment, Segments
+    from rich.text import Text
+
+    lines = console.render_lines(content, console.options.update(height=None), pad=False)
+    rest = len(lines) - console.height
+    if rest <= 0:
+        return content
+    shown = [[*line, Segment.line()] for line in lines[: console.height - 1]]
+    hint = f'... and {rest + 1} more lines: enlarge the terminal'
+    return Group(Segments([each for line in shown for each in line]), Text(hint, 'cyan'))
+
+
+def _headline(observer: Observer, verdict: Verdict) -> Any:
     from rich.text import Text
 
     text = Text(observer.name, 'bold')
@@ -78,21 +102,27 @@ def _headline(observer: Observer) -> Any:
     if status is None:
         text.append('  waiting for its diagnostics', 'not bold yellow')
         return text
+    if verdict.cause is Cause.NO_DIAGNOSTICS:
+        text.append('  NO DIAGNOSTICS', 'bold red')
+        return text
     if status.is_dry_run:
         text.append('  DRY RUN', 'bold cyan')
     text.append(f'  {status.state}', 'not bold')
+    if status.activity != status.state:
+        text.append(f'  {status.activity.removeprefix("dry run: ")}', 'not bold')
     return text
 
 
-def _joint_table(observer: Observer, sample: Sample, verdict: Verdict) -> Any:
+def _joint_table(observer: Observer, sample: Sample, verdict: Verdict, width: int) -> Any:
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(box=None, pad_edge=False, header_style='cyan')
-    table.add_column('joint', no_wrap=True, overflow='ellipsis')
-    for title in ('position', 'measured', 'modelled', 'residual', 'command'):
+    table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0), header_style='cyan')
+    table.add_column('joint')  # the only column that becomes narrower
+    for title in ('position', 'measured', 'modelled', 'residual', 'command', 'limit'):
         table.add_column(title, justify='right', no_wrap=True)
-    table.add_column('of its limit', no_wrap=True)
+    bar = min(BAR, max(0, width - WIDTH_WITHOUT_BAR))
+    table.add_column('', no_wrap=True, width=bar)
     for row in joint_rows(observer, sample):
         marked = row['name'] in (*verdict.joints, *verdict.also_swapped, *verdict.saturated)
         unit = 'mm' if row['is_prismatic'] else 'deg'
@@ -101,11 +131,12 @@ def _joint_table(observer: Observer, sample: Sample, verdict: Verdict) -> Any:
             position *= 1e3 if row['is_prismatic'] else 180.0 / math.pi
         effort = 'N' if row['is_prismatic'] else 'N m'
         table.add_row(
-            Text(row['name']),
+            Text(row['name'], no_wrap=True, overflow='ellipsis'),
             _number(position, 1) + f' {unit:3}',
             *(_number(row[key], 2) for key in ('measured', 'modelled', 'residual')),
             f'{_number(row["command"], 2)} {effort:3}',
-            _bar(row['fraction']),
+            '-' if row['fraction'] is None else f'{row["fraction"]:.0%}',
+            _bar(row['fraction'], bar),
             style='bold red' if marked else '',
         )
     if not table.rows:
@@ -155,7 +186,7 @@ def _node_table(status: ObservedStatus) -> Any:
 
 def node_lines(status: ObservedStatus) -> list[tuple[str, str]]:
     """Return labels and texts about the node."""
-    lines = [('phase', status.activity or status.state)]
+    lines = []
     if status.mode:
         lines.append(('mode', status.mode))
     if status.payload:
@@ -184,14 +215,22 @@ def node_lines(status: ObservedStatus) -> list[tuple[str, str]]:
     return lines
 
 
-def _warnings(observer: Observer) -> list[Any]:
+def _problems(status: ObservedStatus) -> list[Any]:
+    from rich.text import Text
+
+    return [
+        Text(
+            f'{problem.level} {problem.part}: {problem.message}',
+            'bold red' if problem.level == 'ERROR' else 'yellow',
+        )
+        for problem in status.problems
+    ]
+
+
+def _log(observer: Observer) -> list[Any]:
     from rich.text import Text
 
     lines = []
-    if observer.status is not None:
-        for problem in observer.status.problems:
-            style = 'bold red' if problem.level == 'ERROR' else 'yellow'
-            lines.append(Text(f'{problem.level} {problem.part}: {problem.message}', style))
     oldest = time.time() - RECENT
     recent = [line for line in observer.log if line.time > oldest]
     last = {line.text: line for line in recent}  # a lasting problem is logged again and again
@@ -205,7 +244,7 @@ def _warnings(observer: Observer) -> list[Any]:
 
 def as_line(observer: Observer, verdict: Verdict) -> str:
     """Return one line for a pipe."""
-    status = observer.status
+    status = None if verdict.cause is Cause.NO_DIAGNOSTICS else observer.status
     words = [time.strftime('%H:%M:%S'), observer.name]
     if status is not None:
         words.append('dry run' if status.is_dry_run else status.state)
@@ -217,8 +256,8 @@ def as_json(
     observer: Observer, sample: Sample | None, verdict: Verdict, codes: Mapping[Outcome, int]
 ) -> dict[str, Any]:
     """Return all values for JSON; doc/watch.md describes the keys."""
-    status = observer.status
-    node: dict[str, Any] = {}
+    status = None if verdict.cause is Cause.NO_DIAGNOSTICS else observer.status
+    node: dict[str, Any] | None = None
     if status is not None:
         node = {
             'state': status.state,
@@ -257,16 +296,15 @@ def as_json(
     }
 
 
-def _bar(fraction: float | None) -> Any:
+def _bar(fraction: float | None, length: int) -> Any:
     from rich.text import Text
 
     if fraction is None:
-        return Text('-')
-    filled = min(BAR, round(fraction * BAR))
+        return Text('')
+    filled = min(length, round(fraction * length))
     colour = 'red' if fraction >= AT_LIMIT else 'yellow' if fraction >= NEAR_LIMIT else 'green'
     text = Text('█' * filled, colour)
-    text.append('░' * (BAR - filled), 'dim')
-    text.append(f' {fraction:4.0%}', 'default')
+    text.append('░' * (length - filled), 'dim')
     return text
 
 

@@ -7,8 +7,9 @@ such as those that begin an escape sequence or change the direction of the text,
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+import os
 import sys
 from typing import Any
 
@@ -59,7 +60,7 @@ def escaped_output() -> Iterator[None]:
         sys.stdout, sys.stderr = before
 
 
-def colour_console(stderr: bool = False) -> Any:
+def colour_console(stderr: bool = False, environment: Mapping[str, str] = os.environ) -> Any:
     """Return a rich console that writes its own escape sequences, but none of the text."""
     from rich.console import Console
     from rich.segment import Segment
@@ -75,4 +76,4 @@ def colour_console(stderr: bool = False) -> Any:
     stream: Any = sys.stderr if stderr else sys.stdout
     if isinstance(stream, EscapedOutput):
         stream = stream.stream
-    return EscapingConsole(file=stream, highlight=False)  # respects NO_COLOR
+    return EscapingConsole(file=stream, highlight=False, _environ=environment)

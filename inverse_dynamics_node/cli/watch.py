@@ -9,6 +9,7 @@ import gc
 import json
 import math
 import os
+import re
 import signal
 import sys
 import time
@@ -54,6 +55,7 @@ _POLL = 0.02  # [s]
 _LINE = 1.0  # [s]; between lines and verdicts
 _FRAME = 0.25  # [s]
 _DISCOVERY = 1.5  # [s]; discovery takes up to this long, and longer on a busy machine
+_PATIENCE = 5.0  # [s]; until the wait for a node is reported
 _MOST_DISCOVERY = 10.0  # [s]; until --for reports that there is no node
 _LOST = 3.5  # [s]; diagnostics are published once a second
 
@@ -72,6 +74,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         'node',
         nargs='?',
+        type=_node_name,
         metavar='NODE',
         help='name of the node, as in ros2 node list (default: the only one there is)',
     )
@@ -144,12 +147,12 @@ class _Watch:
             is_over = now >= self._end(now)
             if now >= next_verdict or (is_over and now > next_verdict - 0.5 * _LINE):
                 self.verdict = self._judge(now)
-                next_verdict = max(next_verdict + _LINE, now)
+                next_verdict = next_time(next_verdict, _LINE, now)
                 self._check_choice(now)
                 is_new = True
             if now >= next_show or (is_over and is_new):
                 show()
-                next_show = max(next_show + period, now)
+                next_show = next_time(next_show, period, now)
                 is_new = False
             if not is_over:
                 time.sleep(_POLL)
@@ -240,6 +243,11 @@ class _Watch:
             print(as_line(self.observer, self.verdict), flush=True)
 
 
+def next_time(due: float, period: float, now: float) -> float:
+    """Return when to act again: after a delay, such as that of the first model, not at once."""
+    return due + period if due + period > now else now + period
+
+
 def _choose_node(node: Any, options: argparse.Namespace) -> str:
     """Return the name of the node to watch; wait for it, with --for not for long."""
     from ..node.observer import find_nodes
@@ -254,7 +262,7 @@ def _choose_node(node: Any, options: argparse.Namespace) -> str:
             break
         if options.duration and waited > _MOST_DISCOVERY:
             raise ConfigurationError(_not_found(options.node, names))
-        if waited > _DISCOVERY and not has_announced:
+        if waited > _PATIENCE and not has_announced:
             print(f'{_not_found(options.node, names)}; waiting for it', file=sys.stderr)
             has_announced = True
         time.sleep(0.05)
@@ -281,9 +289,9 @@ def _not_found(wanted: str | None, names: list[str]) -> str:
     reach = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET')
     where = f'ROS_DOMAIN_ID is {domain}, ROS_AUTOMATIC_DISCOVERY_RANGE is {reach}'
     if wanted is None:
-        return f'no inverse dynamics node is running ({where})'
+        return f'no inverse dynamics node found ({where})'
     others = f'; there are {", ".join(names)}' if names else ''
-    return f"no inverse dynamics node '{wanted}'{others} ({where})"
+    return f"no inverse dynamics node '{wanted}' found{others} ({where})"
 
 
 @contextmanager
@@ -303,6 +311,14 @@ def _signals_raise() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _node_name(text: str) -> str:
+    if not re.fullmatch(r'/?(\w+/)*[A-Za-z_]\w*', text, re.ASCII):
+        raise argparse.ArgumentTypeError(
+            f"'{text}' cannot be the name of a node: letters, digits and _, with / between them"
+        )
+    return text
 
 
 def _positive(text: str) -> float:

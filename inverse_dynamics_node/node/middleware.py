@@ -44,6 +44,18 @@ def start_ros(arguments: Sequence[str] | None = None) -> None:
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
 
 
+def describe_start_error(error: Exception) -> str:
+    """Describe in one line why ROS does not start; the usual reason is a missing enclave."""
+    reason = ' '.join(str(error).partition(', at /')[0].split())
+    hint = ''
+    if os.environ.get('ROS_SECURITY_ENABLE') == 'true':
+        hint = (
+            '; ROS_SECURITY_ENABLE is true: set ROS_SECURITY_KEYSTORE, and '
+            'ROS_SECURITY_ENCLAVE_OVERRIDE to an enclave for this command'
+        )
+    return f'ROS does not start: {reason}{hint}'
+
+
 def udp_settings(rmw: str, environment: Mapping[str, str]) -> dict[str, str]:
     """
     Return the environment variables that keep Fast DDS from using shared memory.

@@ -13,18 +13,19 @@ from diagnostic_msgs.msg import DiagnosticArray
 import numpy as np
 from rcl_interfaces.msg import Log
 import rclpy
+from rclpy._rclpy_pybind11 import RCLError
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from ..control.filters import LowPass
-from ..errors import InverseDynamicsError, JointStateError
+from ..errors import ConfigurationError, InverseDynamicsError, JointStateError
 from ..robot.model import Floats, RobotModel
 from ..robot.urdf import load_urdf
 from . import qos
 from .cdr import JointStateReader
-from .middleware import start_ros
+from .middleware import describe_start_error, start_ros
 from .observed_status import ObservedStatus, read_status
 
 _MOST_WARNINGS = 50
@@ -75,13 +76,16 @@ def observing_node() -> Iterator[Node]:
     It has no parameter services and no log topic. Signals are left to the caller.
 
     """
-    start_ros([])
     try:
-        node = rclpy.create_node(
-            f'_inverse_dynamics_watch_{os.getpid()}',
-            enable_rosout=False,
-            start_parameter_services=False,
-        )
+        try:
+            start_ros([])
+            node = rclpy.create_node(
+                f'_inverse_dynamics_watch_{os.getpid()}',
+                enable_rosout=False,
+                start_parameter_services=False,
+            )
+        except RCLError as error:
+            raise ConfigurationError(describe_start_error(error)) from None
         try:
             yield node
         finally:

@@ -7,6 +7,7 @@ import os
 import pty
 import re
 import signal
+import struct
 import subprocess
 import sys
 import termios
@@ -140,8 +141,7 @@ class Terminal:
     def __init__(self, arguments, domain_id):
         self._master, self._terminal = pty.openpty()
         self.settings = termios.tcgetattr(self._terminal)
-        size = b'\x28\x00\x78\x00\x00\x00\x00\x00'  # 40 rows, 120 columns
-        fcntl.ioctl(self._terminal, termios.TIOCSWINSZ, size)
+        self.resize(14, 80)
 
         def become_foreground():
             os.setsid()
@@ -154,7 +154,13 @@ class Terminal:
             stdout=self._terminal,
             stderr=self._terminal,
             preexec_fn=become_foreground,
-            env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id), 'TERM': 'xterm-256color'},
+            env={
+                **os.environ,
+                'ROS_DOMAIN_ID': str(domain_id),
+                'TERM': 'xterm-256color',
+                'COLUMNS': '80',  # as some shells export them
+                'LINES': '14',
+            },
         )
         self._shown = []
         threading.Thread(target=self._read, daemon=True).start()
@@ -168,6 +174,10 @@ class Terminal:
     def screen(self):
         """Return all output so far, with its escape sequences."""
         return ''.join(self._shown)
+
+    def resize(self, rows, columns):
+        size = struct.pack('4H', rows, columns, 0, 0)
+        fcntl.ioctl(self._terminal, termios.TIOCSWINSZ, size)
 
     def press_ctrl_c(self, robot):
         """Interrupt the process as a user does; return its exit code and how long it took [s]."""
@@ -205,9 +215,10 @@ def terminal(domain_id):
 # Ending takes a fraction of a second. This is shorter than everything that `watch` may wait for in
 # these tests: --for ends after ten minutes, and the node never ends.
 SOON = 10.0  # [s]
+BAR = r'([█░](\x1b\[[\d;]*m)*){12}'
 
 
-def test_interrupt_restores_the_terminal(run_node, robot, terminal):
+def test_view_fits_the_terminal_and_restores_it(run_node, robot, terminal):
     node = run_node(**PATIENT)
     hold(robot)
     robot.wait_for_text(node, 'holding position')
@@ -218,16 +229,43 @@ def test_interrupt_restores_the_terminal(run_node, robot, terminal):
     assert '\x1b[?25l' in before  # no cursor
     assert 'DRY RUN' in before
     assert '\x1b[?1049l' not in before
+    # 80 columns: the fraction of the limit comes before a short bar, and lines below are counted.
+    assert re.search(r' \d+%(\x1b\[[\d;]*m| )+[█░]', before)
+    assert not re.search(BAR, before)
+    assert re.search(r'\.\.\. and \d+ more lines: enlarge the terminal', before)
+    assert 'rates' not in before
+    view.resize(40, 120)
+    robot.wait_until(lambda: re.search(BAR, view.screen), 'long bars')
+    robot.wait_until(lambda: 'rates' in view.screen, 'all lines')
+    # Without diagnostics, nothing old is shown as if it were the present state.
+    node.may_end = True
+    node.kill()
+    robot.wait_until(lambda: 'NO DIAGNOSTICS' in view.screen, 'end of the node')
+    latest = view.screen.rpartition('/inverse_dynamics')[2]
+    assert 'DRY RUN' not in latest
+    assert 'rates' not in latest
     code, took = view.press_ctrl_c(robot)
     assert code == 130
     assert took < SOON
     # The terminal is as before, and the last verdict remains below the prompt.
     robot.wait_until(lambda: '\x1b[?1049l' in view.screen, 'end of the alternate screen')
-    robot.wait_until(lambda: 'agree' in view.screen.rpartition('\x1b[?1049l')[2], 'verdict')
+    verdict = 'no diagnostics from /inverse_dynamics'
+    robot.wait_until(lambda: verdict in view.screen.rpartition('\x1b[?1049l')[2], 'verdict')
     after = view.screen[len(before) :]
     assert after.rfind('\x1b[?25h') > after.rfind('\x1b[?25l')  # the cursor
     assert 'Traceback' not in after
     assert view.is_restored()
+
+
+def test_security_without_an_enclave_is_one_line(robot, watch, monkeypatch, tmp_path):
+    monkeypatch.setenv('ROS_SECURITY_ENABLE', 'true')
+    monkeypatch.setenv('ROS_SECURITY_STRATEGY', 'Enforce')
+    monkeypatch.setenv('ROS_SECURITY_KEYSTORE', str(tmp_path))
+    ((code, output),) = watch([])
+    assert code == 1
+    (line,) = output.splitlines()
+    assert line.startswith('inverse_dynamics: ROS does not start: ')
+    assert 'ROS_SECURITY_ENCLAVE_OVERRIDE' in line
 
 
 def test_interrupt_ends_the_wait_for_a_node(robot, terminal):
