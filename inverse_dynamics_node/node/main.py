@@ -115,7 +115,7 @@ def _run(args: list[str], stop: _Stop, startup: StartupWatch) -> int:
 
     from .background import Background, prepare_to_load
     from .node import InverseDynamicsNode
-    from .remaps import ineffective_remaps, names_of
+    from .remaps import ineffective_files, ineffective_remaps, names_of
     from .scheduling import Scheduling
     from .watchdog import Watchdog
 
@@ -133,7 +133,7 @@ def _run(args: list[str], stop: _Stop, startup: StartupWatch) -> int:
         return 1
     startup.finish()
     remaps = ineffective_remaps(args, names_of(node), node.get_name(), node.get_namespace())
-    for problem in remaps:
+    for problem in [*ineffective_files(args, node.get_fully_qualified_name()), *remaps]:
         node.get_logger().warning(problem)
     executor = _make_executor(node.configuration.executor)
     executor.add_node(node)

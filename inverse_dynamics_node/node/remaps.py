@@ -1,4 +1,4 @@
-"""Mistakes in ROS arguments: remap rules without effect, and parameter files that do not exist."""
+"""Mistakes in ROS arguments: remap rules and parameter files without effect, or missing files."""
 
 from __future__ import annotations
 
@@ -110,6 +110,57 @@ def with_parameter_files(arguments: Sequence[str]) -> list[str]:
     if problems:
         raise ConfigurationError(*problems)
     return found
+
+
+def ineffective_files(arguments: Sequence[str], name: str) -> list[str]:
+    """
+    Find the parameter files that are for other nodes: their limits would not apply.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+        The command line, accepted by rcl.
+    name : str
+        Fully qualified name of the node.
+
+    Returns
+    -------
+    problems : list of str
+        One sentence for each file without effect.
+
+    """
+    import yaml  # which rclpy needs too
+
+    problems = []
+    for _, file in _operands(arguments, '--params-file'):
+        if not os.path.isfile(file):  # a pipe has been read already
+            continue
+        with open(file, 'rb') as stream:
+            try:
+                sections = _sections(yaml.safe_load(stream))
+            except yaml.YAMLError:  # PyYAML is stricter than rcl
+                continue
+        if sections and not any(re.fullmatch(_pattern(section), name) for section in sections):
+            problems.append(
+                f'--params-file {file} has no effect: it is for {", ".join(sections)}, this node '
+                f'is {name}'
+            )
+    return problems
+
+
+def _sections(content: Any, path: str = '') -> list[str]:
+    """List the names of nodes, with their wildcards, for which a file has parameters."""
+    if not isinstance(content, dict):
+        return []
+    found = [path] if 'ros__parameters' in content else []
+    for key, value in content.items():
+        found += _sections(value, f'{path}/{str(key).strip("/")}')
+    return found
+
+
+def _pattern(section: str) -> str:
+    words = (re.escape(word) for word in section.split('/'))
+    return '/'.join(words).replace(r'/\*\*', '(/.*)?').replace(r'\*', '[^/]*')
 
 
 def _remaps(arguments: Sequence[str]) -> Iterator[str]:

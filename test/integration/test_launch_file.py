@@ -108,9 +108,14 @@ def test_arguments_that_are_not_given_do_not_change_the_file(run_node, robot, tm
         f'/**:\n  ros__parameters:\n    robot_description_file: {STANFORD}\n'
         '    joints: [joint_3]\n    dry_run: false\n'
     )
-    node = run_node(*ros_arguments(tmp_path, params_file=str(path), dry_rum='true'))
+    other = tmp_path / 'other.yaml'
+    other.write_text('/inverse_dynamics_node:\n  ros__parameters:\n    effort_limits: 1.0\n')
+    arguments = ros_arguments(tmp_path, params_file=str(path), dry_rum='true')
+    node = run_node(*arguments, '--params-file', str(other))
     robot.wait_for_text(node, 'efforts for joint_3 to /inverse_dynamics/commands')
     assert robot.get_parameter('dry_run') is False
+    (warning,) = (line for line in node.output.splitlines() if ' has no effect' in line)
+    assert f'--params-file {other} has no effect: it is for /inverse_dynamics_node, ' in warning
 
 
 def test_without_a_word_on_it_the_node_starts_dry(tmp_path, domain_id):

@@ -3,6 +3,7 @@
 from inverse_dynamics_node.errors import ConfigurationError
 from inverse_dynamics_node.node.remaps import (
     expanded_tildes,
+    ineffective_files,
     ineffective_remaps,
     with_parameter_files,
 )
@@ -99,3 +100,40 @@ def test_every_parameter_file_that_does_not_exist_is_named(tmp_path, monkeypatch
         f'no such parameter file: {tmp_path}/~nobody-here/b.yaml (--params-file '
         '~nobody-here/b.yaml)',
     ]
+
+
+@pytest.mark.parametrize(
+    ('sections', 'has_effect'),
+    [
+        ('/**:', True),
+        ('/left/arm:', True),
+        ('left/arm:', True),
+        ('/left:\n arm:', True),
+        ('/left/*:', True),
+        ('/*/arm:', True),
+        ('/**/arm:', True),
+        ('/**/*:', True),
+        ('/other:\n  ros__parameters: {a: 1}\n/left/arm:', True),
+        ('/arm:', False),
+        ('arm:', False),
+        ('/*:', False),
+        ('/left/arms:', False),
+        ('/right/*:', False),
+        ('/left/arm/*:', False),
+    ],
+)
+def test_a_parameter_file_for_other_nodes_is_reported(sections, has_effect, tmp_path):
+    path = tmp_path / 'arm.yaml'
+    path.write_text(f'{sections}\n  ros__parameters:\n    kp: 1.0\n')
+    found = ineffective_files(['--ros-args', '--params-file', str(path)], '/left/arm')
+    assert bool(found) != has_effect
+    if found:
+        assert found[0].startswith(f'--params-file {path} has no effect: it is for /')
+        assert found[0].endswith(', this node is /left/arm')
+
+
+@pytest.mark.parametrize('text', ['', '# nothing', '- a list', 'a: [', '/**:\n'])
+def test_files_without_sections_are_not_reported(text, tmp_path):
+    path = tmp_path / 'arm.yaml'
+    path.write_text(text)
+    assert ineffective_files(['--ros-args', '--params-file', str(path)], '/arm') == []

@@ -104,7 +104,9 @@ def judge(
             verdict, outcome=Outcome.DIFFER, cause=Cause.SLOW_STATES, joints=(), values=values
         )
     if saturated and (verdict.outcome is not Outcome.DIFFER or verdict.cause is Cause.SLOW_STATES):
-        return replace(verdict, outcome=Outcome.SATURATED, cause=Cause.SATURATED, joints=())
+        return replace(
+            verdict, outcome=Outcome.SATURATED, cause=Cause.SATURATED, joints=(), values=()
+        )
     return verdict
 
 
