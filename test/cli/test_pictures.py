@@ -98,11 +98,11 @@ def test_check_gives_each_joint_a_row_of_its_own_scale(robot, drawn):
         assert (f'of {limit:g} ' in text) == np.isfinite(limit)
         assert ('no limit' in text) == np.isinf(limit)
     # Every distribution reaches the worst effort of its joint, however small it is.
-    bars = [patch for patch in rows.patches if patch.get_height() > 0.0]
     by_row = {}
-    for bar in bars:
-        row = round(bar.get_y() + 0.5 * bar.get_height())
-        by_row[row] = max(by_row.get(row, 0.0), abs(bar.get_x() + 0.5 * bar.get_width()))
+    for shape in rows.collections:
+        x, y = np.concatenate([path.vertices for path in shape.get_paths()]).T
+        row = round(np.mean([y.min(), y.max()]))
+        by_row[row] = np.abs(x[y != row]).max()
     # A vertical axis feels no gravity: nothing is drawn instead of rounding errors.
     still = [k for k, text in enumerate(limits) if text.startswith('0 ')]
     assert set(by_row) == set(range(len(limits))) - set(still)
