@@ -25,7 +25,7 @@ from ..robot.model import Floats, RobotModel
 
 LATENESS = 1.0
 """How late messages may arrive without being mistaken for alternation [s]."""
-_FACTOR = 2.0  # by which a joint may exceed its speed limit
+FACTOR = 2.0  # by which a joint may exceed its speed limit
 _LEAST_COUNT = 4  # of turns: A, B, A, B, A, B
 _SPEEDS = ((1.0, 10.0, 30.0), (0.1, 2.0, 5.0))
 # Smallest plausible speed limit, the limit to assume if there is none, and the largest plausible
@@ -36,16 +36,18 @@ _COUNTS = 2.5  # steps of an encoder up to this many times its smallest step are
 _LEAST_STEP = 1e-6  # [rad, m]; smaller ones may be rounding errors
 _WINDOW = 0.1  # [s]; the way is that in this time or up to twice as long
 _RELAYED = 0.5  # fraction of the way; thus relays may be up to 50 ms late
-_LARGEST = 1e6  # [rad, m]; larger steps are treated like this one
+LARGEST = 1e6  # [rad, m]; larger steps are treated like this one
 
 # Rows of tracks, one column per joint: constants, ...
 _CONSTANTS = 4
-_SPEED, _IGNORED, _COARSE, _IS_PRISMATIC = range(_CONSTANTS)
+SPEED, _IGNORED, _COARSE, IS_PRISMATIC = range(_CONSTANTS)
 # ... reported positions and steps, ...
-_LAST, _STEP, _RAW_STEP, _EXCESS, _COUNT, _OTHER, _FLAG, _SMALLEST = range(4, 12)
+LAST, _STEP, _RAW_STEP, _EXCESS, _COUNT, _OTHER, _FLAG, _SMALLEST = range(4, 12)
 # ... and smallest and largest positions relative to the last one, in this window and the last.
 _LOW, _HIGH, _LAST_LOW, _LAST_HIGH, _AGE, _ANY_STEP = range(12, 18)
-_ROWS = 18
+# ... and how far the joint may be the next time, see `position_jumps`.
+ROOM_ABOVE, ROOM_BELOW = range(18, 20)
+_ROWS = 20
 
 
 def make_tracks(n: int, robot: RobotModel | None = None) -> Floats:
@@ -61,16 +63,16 @@ def make_tracks(n: int, robot: RobotModel | None = None) -> Floats:
 
     Returns
     -------
-    tracks : ndarray, shape (18, n)
+    tracks : ndarray, shape (20, n)
 
     """
     tracks = np.zeros((_ROWS, n))
     is_prismatic, limits = np.zeros(n, dtype=bool), np.full(n, math.inf)
     if robot is not None:
         is_prismatic, limits = robot.is_prismatic_joint, robot.velocity_limits
-        tracks[_IS_PRISMATIC] = is_prismatic
+        tracks[IS_PRISMATIC] = is_prismatic
     slowest, usual, fastest = np.where(is_prismatic, *np.array(_SPEEDS)[::-1, :, None])
-    tracks[_SPEED] = np.clip(np.where(np.isfinite(limits), limits, usual), slowest, fastest)
+    tracks[SPEED] = np.clip(np.where(np.isfinite(limits), limits, usual), slowest, fastest)
     tracks[_IGNORED] = np.where(is_prismatic, _NOISE[1], _NOISE[0])
     tracks[_COARSE] = np.where(is_prismatic, _COARSEST[1], _COARSEST[0])
     tracks[_SMALLEST] = math.inf
@@ -85,7 +87,7 @@ def copy_track(target: Floats, i: int, source: Floats, k: int) -> None:
 def alternating(tracks: Floats) -> dict[int, tuple[float, float]]:
     """Return the joints whose positions alternate, each with its last two positions."""
     return {
-        int(i): (float(tracks[_OTHER, i]), float(tracks[_LAST, i]))
+        int(i): (float(tracks[_OTHER, i]), float(tracks[LAST, i]))
         for i in np.flatnonzero(tracks[_FLAG])
     }
 
@@ -96,13 +98,13 @@ def forget_silent(tracks: Floats, ages: Floats) -> None:
 
     Parameters
     ----------
-    tracks : ndarray, shape (18, n)
+    tracks : ndarray, shape (20, n)
         See `make_tracks`.
     ages : ndarray, shape (n,)
         Time since the last report of each joint [s].
 
     """
-    is_over = tracks[_EXCESS] <= _FACTOR * tracks[_SPEED] * ages
+    is_over = tracks[_EXCESS] <= FACTOR * tracks[SPEED] * ages
     tracks[_FLAG, is_over] = tracks[_COUNT, is_over] = tracks[_EXCESS, is_over] = 0.0
 
 
@@ -113,7 +115,7 @@ def track(tracks: Any, i: int, position: float, elapsed: float) -> bool:
 
     Parameters
     ----------
-    tracks : ndarray, shape (18, n)
+    tracks : ndarray, shape (20, n)
         See `make_tracks`.
     i : int
         Index of the joint.
@@ -129,18 +131,18 @@ def track(tracks: Any, i: int, position: float, elapsed: float) -> bool:
         it takes to cover the distance at twice the speed limit, at most 1 s.
 
     """
-    raw = min(max(position - tracks[_LAST, i], -_LARGEST), _LARGEST)
-    other, tracks[_LAST, i] = tracks[_LAST, i], position
+    raw = min(max(position - tracks[LAST, i], -LARGEST), LARGEST)
+    other, tracks[LAST, i] = tracks[LAST, i], position
     if elapsed < 0.0:
         tracks[_STEP, i] = 0.0
         return bool(tracks[_FLAG, i] != 0.0)
     step = raw
-    if tracks[_IS_PRISMATIC, i] == 0.0:
+    if tracks[IS_PRISMATIC, i] == 0.0:
         # Joints that are not continuous may be reported with wraps, too.
         step = raw - 2.0 * math.pi * np.rint(raw / (2.0 * math.pi))
     ignored = max(ignored_step(tracks, i, step), _RELAYED * way(tracks, i, step, elapsed))
-    speed = tracks[_SPEED, i]
-    excess = tracks[_EXCESS, i] - _FACTOR * speed * elapsed
+    speed = tracks[SPEED, i]
+    excess = tracks[_EXCESS, i] - FACTOR * speed * elapsed
     if excess <= 0.0:
         excess = tracks[_COUNT, i] = tracks[_FLAG, i] = 0.0
     if abs(step) > ignored:

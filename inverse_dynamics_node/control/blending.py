@@ -1,7 +1,7 @@
 """
 Turns computed efforts into commands: scale, offset, limits, and no jump between commands.
 
-No ROS, and no clock: the time since the last command is an argument.
+No ROS, and no clock: the time is an argument.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 
 from ..dynamics.jit import compile_for, compiled
 from ..robot.model import Booleans, Floats
+from .ramp_clock import ramp_fraction, RampClock
 
 _BRIEF = 0.03  # [s]; after a pause of the computed efforts up to this long there is no blend
 LARGEST = 1e300
@@ -35,7 +36,9 @@ class Blending:
     """
     Turns computed efforts into commands, each of which continues from the one before.
 
-    `follow`, `hold` and `fall` each produce one command. The start ramp multiplies the computed
+    A command differs from the last one by no more than new joint states and references explain.
+    Everything else is a ramp that advances by `clock.step`, or is blended. `pass_time` begins a
+    command, and `follow`, `hold` or `fall` produces it. The start ramp multiplies the computed
     efforts by `gain`. A blend adds the difference between the last command and the computed
     efforts, and lets it fade. The stop ramp scales the command at which it began. Each of
     them starts from the last command sent.
@@ -53,11 +56,14 @@ class Blending:
     ----------
     index : sequence of int
         Positions of the m commanded joints among the n joints of the robot.
+    period : float
+        Time between commands [s]; 0 if there is one for every joint state.
 
     """
 
-    def __init__(self, index: Sequence[int]) -> None:
+    def __init__(self, index: Sequence[int], period: float = 0.0) -> None:
         m = len(index)
+        self.clock = RampClock(period)
         self._rows = np.zeros((10, m))
         self._rows[_INDEX] = index
         self.command: Floats = self._rows[_COMMAND]
@@ -154,9 +160,23 @@ class Blending:
         self.gain = self._left = self._duration = 0.0
         self._way, self._is_new, self._pause = _Way.HOLDING, False, math.inf
         self._is_paused = self._was_paused = False
+        self.clock.start()
+
+    def pass_time(self, now: float) -> None:
+        """Advance to the time of the next command [s]."""
+        if self.clock.advance(now):
+            self.begin()
+
+    @property
+    def time_to_fall(self) -> float:
+        """Time until the commands are zero, if they fall from now on or already do [s]."""
+        if self._way is not _Way.FALLING:
+            return self._stop_ramp
+        return max(0.0, self._fall_time - self._fallen)
 
     def continue_from(self, other: Blending) -> None:
         """Continue from the last command of another robot description with the same joints."""
+        self.clock = other.clock
         self.command[:], self._top[:] = other.command, other._top
         self.gain, self._top_gain, self._top_left = other.gain, other._top_gain, other._top_left
         self._left, self._duration = other._left, other._duration
@@ -164,7 +184,7 @@ class Blending:
         self._way, self._was_paused = other._way, other._was_paused
         self.begin()
 
-    def follow(self, tau: Floats, elapsed: float) -> bool:
+    def follow(self, tau: Floats) -> bool:
         """
         Command computed efforts.
 
@@ -172,8 +192,6 @@ class Blending:
         ----------
         tau : ndarray, shape (n,)
             Computed efforts of all joints [N m or N].
-        elapsed : float
-            Time since the last command [s].
 
         Returns
         -------
@@ -182,8 +200,8 @@ class Blending:
 
         """
         gain, left, duration = self.gain, self._left, self._duration
-        is_new = self._is_new
-        is_brief = self._pause + elapsed <= _BRIEF and not is_new
+        is_new, elapsed = self._is_new, self.clock.step
+        is_brief = self._pause + self.clock.since <= _BRIEF and not is_new
         if self._way is _Way.FOLLOWING or is_brief:
             if not self._is_paused:
                 gain = min(1.0, gain + ramp_fraction(elapsed, self._start_ramp))
@@ -203,15 +221,16 @@ class Blending:
             self._was_paused, self._is_paused = self._is_paused, False
         return are_finite
 
-    def hold(self, elapsed: float) -> None:
+    def hold(self) -> None:
         """Repeat the last command; if a limit was tightened, reduce it along a blend."""
+        elapsed = self.clock.step
         if self._way is _Way.FALLING:
             self._way, self._pause = _Way.HOLDING, math.inf
             self.begin()
         elif self._way is _Way.FOLLOWING:
             self._way, self._pause = _Way.HOLDING, 0.0
         else:
-            self._pause += elapsed
+            self._pause += self.clock.since
         command, limit, excess = self.command, self._rows[_LIMIT], self._rows[_EXCESS]
         if self._is_new:
             excess[:] = np.maximum(0.0, np.abs(command) - limit)
@@ -225,11 +244,11 @@ class Blending:
         command -= np.copysign(change, command)
         self._flags[:] = False
 
-    def fall(self, elapsed: float) -> None:
+    def fall(self) -> None:
         """Ramp the commands down to zero, starting from the last one."""
         if self._way is _Way.FALLING:
-            self._fallen += elapsed
-            self._pause += elapsed
+            self._fallen += self.clock.step
+            self._pause += self.clock.since
         else:
             self._pause = 0.0 if self._way is _Way.FOLLOWING and not self._is_new else math.inf
             self._way, self._is_new = _Way.FALLING, False
@@ -278,7 +297,7 @@ def blend_efforts(
     has_rates : bool
         Whether there are rate limits.
     elapsed : float
-        Time since the last command [s].
+        Time by which ramps advance [s].
 
     Returns
     -------
@@ -319,8 +338,3 @@ def blend_efforts(
     if not has_rates:
         flags[1, :] = False
     return True
-
-
-def ramp_fraction(elapsed: float, ramp: float) -> float:
-    """Return how much of a ramp has passed, 0 to 1; times in [s]."""
-    return min(1.0, elapsed / ramp) if ramp > 0.0 else 1.0

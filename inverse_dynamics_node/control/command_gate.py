@@ -1,7 +1,7 @@
 """
 Withholds the commands in a dry run.
 
-No ROS, and no clock: the time since the last command is an argument.
+No ROS, and no clock: the time by which ramps advance is an argument.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import enum
 import numpy as np
 
 from ..robot.model import Floats
-from .blending import ramp_fraction
+from .ramp_clock import ramp_fraction
 
 _ZEROS_TIME = 0.5  # [s]; zeros after the ramp, because best-effort subscribers may lose some
 
@@ -68,14 +68,14 @@ class CommandGate:
         """Send the computed efforts from now on; they must rise from zero."""
         self._gate = _Gate.OPEN
 
-    def close(self, stop_ramp: float) -> None:
+    def close(self, time_to_fall: float) -> None:
         """
         Let the commands fall to zero, and end.
 
         Parameters
         ----------
-        stop_ramp : float
-            Time in which they fall [s].
+        time_to_fall : float
+            Time in which they fall; what is left of it if they already do [s].
 
         """
         if self._last is None:
@@ -83,7 +83,7 @@ class CommandGate:
         elif self._gate is _Gate.OPEN:
             self._gate = _Gate.CLOSING
             self._top = self._last.copy()
-            self._ramp, self._fallen = stop_ramp, 0.0
+            self._ramp, self._fallen = time_to_fall, 0.0
 
     def select(self, efforts: Floats, elapsed: float) -> Floats | None:
         """
@@ -94,7 +94,7 @@ class CommandGate:
         efforts : ndarray, shape (m,)
             The computed efforts [N m or N].
         elapsed : float
-            Time since the last call [s].
+            Time by which ramps advance [s]; see `RampClock`.
 
         Returns
         -------

@@ -104,12 +104,13 @@ class ControlLoop:
 
         """
         self._set_velocity_timeout()
+        self.controller.pass_time(now)
         self.collector.rest_late(now, self.controller.settings.uncommanded_state_timeout)
-        if self.loads.update(now) or self.collector.has_jumped:
+        if self.loads.update(now, self.controller.ramp_step) or self.collector.has_jumped:
             self.collector.has_jumped = False
             self.controller.blend()
         state = None if self.lacks_imu else self.collector.state()
-        return self.controller.step(now, state, self.reference)
+        return self.controller.command(state, self.reference)
 
     def _set_velocity_timeout(self) -> None:
         # Before the state is lost: messages without velocities must not stop the arm.
@@ -121,6 +122,15 @@ class ControlLoop:
         """Set the motion of the base; see `ExternalLoads.set_base_motion`."""
         if self.loads.set_base_motion(now, specific_force, angular_velocity):
             self.controller.blend()
+
+    def set_external_wrench(
+        self, now: float, link: str, force: ArrayLike, moment: ArrayLike
+    ) -> bool:
+        """Apply a wrench to a link; see `ExternalLoads.set_external_wrench`."""
+        has_jumped = self.loads.set_external_wrench(now, link, force, moment)
+        if has_jumped:
+            self.controller.blend()
+        return has_jumped
 
     def missing(
         self, states: str = 'joint_states', imu: str = 'imu', now: float | None = None

@@ -25,7 +25,6 @@ from .reference import Reference
 from .settings import Mode, Settings, StalePolicy
 from .state_loss import recovery_time, StateLoss
 
-_PATIENCE = 0.02  # [s]; how much later than expected a step may come
 # Settings that change the inputs of the computation; others only change what follows from them.
 _INPUT_SETTINGS = (
     'mode',
@@ -83,7 +82,6 @@ class Controller:
         self.dynamics = dynamics
         self.joints = tuple(joints) or dynamics.robot.joint_names
         self.phase = Phase.WAITING
-        self._period = period
         index = joint_index(self.joints, dynamics.robot)
         self._index = compact_index(index)
         self._is_continuous = dynamics.robot.is_continuous[self._index]
@@ -93,7 +91,7 @@ class Controller:
         self._last_q, self._last_qd = np.zeros((2, n))
         self._last_reference: Reference | None = None
         self._has_last_inputs = False  # whether these led to the last command
-        self._blending = Blending(index)
+        self._blending = Blending(index, period)
         self._result = Command(
             self._blending.command, self._blending.is_saturated, self._blending.is_slowed
         )
@@ -175,15 +173,14 @@ class Controller:
         return self._of_joint['effort_offset']
 
     @property
-    def longest_gap(self) -> float:
-        """
-        Longest time between steps [s].
+    def ramp_step(self) -> float:
+        """Time by which ramps advance with this command; see `RampClock` [s]."""
+        return self._blending.clock.step
 
-        A longer gap means that the process was suspended or the machine stalled. Ramps resume
-        where they were instead of catching up.
-
-        """
-        return max(self.settings.state_timeout, 2.0 * self._period) + _PATIENCE
+    @property
+    def time_to_fall(self) -> float:
+        """Time until the efforts are zero, if they fall from now on or already do [s]."""
+        return self._blending.time_to_fall
 
     @property
     def motion(self) -> tuple[Floats, Floats]:
@@ -222,7 +219,6 @@ class Controller:
     def start(self) -> None:
         """Let the efforts rise from zero, beginning at the next step with a fresh state."""
         self._is_stopping = False
-        self._time = math.inf  # at the first step nothing has elapsed
         self._velocity_filter.reset()
         self._blending.reset()
         self._has_last_inputs = False
@@ -272,29 +268,33 @@ class Controller:
             None before the first complete joint state since the start.
 
         """
-        longest = self.longest_gap
-        since = now - self._time
-        elapsed = since if 0.0 <= since <= longest else 0.0
-        if elapsed != since:
-            self.blend()
+        self.pass_time(now)
+        return self.command(state, reference)
+
+    def pass_time(self, now: float) -> None:
+        """Advance to the time of the next command [s]; loads may then change by `ramp_step`."""
         self._time = now
+        self._blending.pass_time(now)
+
+    def command(self, state: State | None, reference: Reference | None) -> Command | None:
+        """Compute the command for the time of `pass_time`; arguments as for `step`."""
+        now = self._time
         if self.phase is Phase.WAITING and self._is_lost(now, state):
+            self._blending.clock.start()
             return None
         self.phase = self._next_phase(now, state, reference)
         is_closed = self.settings.mode is Mode.COMPUTED_TORQUE and self.phase is Phase.RUNNING
         self._followed = reference.positions if is_closed and reference else None
         if state is not None and self.phase in COMPUTING_PHASES:
             followed = reference if self.phase is Phase.RUNNING else None
-            if self._compute(state, followed) and self._blending.follow(self._tau, elapsed):
+            if self._compute(state, followed) and self._blending.follow(self._tau):
                 return self._result
             self.phase = Phase.NO_SOLUTION
         self._has_last_inputs = False
         if self.phase is Phase.STOPPED or self.settings.on_stale_state is StalePolicy.ZERO:
-            # A late step advances the stop ramp by at most `longest`, but it does advance it: on a
-            # machine that is always late, the efforts still reach zero.
-            self._blending.fall(min(max(0.0, since), longest))
+            self._blending.fall()
         else:
-            self._blending.hold(elapsed)
+            self._blending.hold()
         return self._result
 
     def _next_phase(self, now: float, state: State | None, reference: Reference | None) -> Phase:

@@ -2,13 +2,15 @@
 External loads as time passes: payloads, wrenches, gravity and the motion of the base.
 
 Payloads and gravity change along a ramp, so that the efforts do not jump. Wrenches and the motion
-of the base apply at once, and fade out or are held when they stop coming. No ROS, and no clock:
-time is an argument.
+of the base apply at once, and fade out or are held when they stop coming. A ramp keeps the time
+with which it began, and neither changed settings nor jumps of the clock turn it back. No ROS, and
+no clock: time is an argument.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,13 +21,38 @@ from ..dynamics.loaded_robot import STANDARD_GRAVITY
 from ..errors import ConfigurationError, plain
 from ..robot.model import Floats
 from ..robot.rigid_body import RigidBody
-from .blending import ramp_fraction
 from .filters import LowPass
 from .payloads import blend_payloads, is_same, NO_PAYLOAD, read_payload
+from .ramp_clock import ramp_fraction
 from .settings import LARGEST_GRAVITY, LoadSettings
 
 STRONGEST = 500.0  # [m/s^2], [rad/s]; beyond fifty times gravity an IMU is broken
 _LARGEST = 1e9  # [N], [N m]; sums and products of smaller numbers are finite
+
+
+class _PayloadRamp(NamedTuple):
+    old: RigidBody
+    new: RigidBody
+    duration: float
+    """Time of the ramp [s]."""
+    fraction: float
+    """How much of it has passed."""
+
+    @property
+    def payload(self) -> RigidBody:
+        """The payload at present."""
+        return self.new if self.fraction == 1.0 else blend_payloads(*self[:2], self.fraction)
+
+
+class _Wrench(NamedTuple):
+    force: Floats
+    moment: Floats
+    time: float
+    """Time of arrival [s]."""
+    duration: float
+    """Time of the fade [s]; the setting until it begins."""
+    fraction: float
+    """How much of the wrench is left; less than 1 once it fades."""
 
 
 class ExternalLoads:
@@ -67,26 +94,22 @@ class ExternalLoads:
         """Whether gravity and the acceleration of the base act."""
         self.imu_time = -math.inf
         """Time of the last motion of the base [s]."""
-        self._ramps: dict[str, tuple[RigidBody, RigidBody, float]] = {}
-        self._wrenches: dict[str, tuple[Floats, Floats, float, float]] = {}
+        self._ramps: dict[str, _PayloadRamp] = {}
+        self._wrenches: dict[str, _Wrench] = {}
         self._gravity = self._target = read_vector('gravity', gravity, 'm/s^2')
         self._angular_velocity: Floats = np.zeros(3)
         self._imu_filter = LowPass(np.zeros((2, 3)))  # gravity and angular velocity
         self._is_base_lost = True
-        self._has_other_axes = False  # since the last motion of the base
-        self._time = math.inf
+        self._is_new_signal = False  # since the last motion of the base
+        self._gravity_ramp = self.settings.load_ramp  # [s]
         self._write_base()
 
-    def set_payload(
-        self, now: float, link: str, mass: float, com: ArrayLike, inertia: ArrayLike
-    ) -> bool:
+    def set_payload(self, link: str, mass: float, com: ArrayLike, inertia: ArrayLike) -> bool:
         """
         Ramp in the payload of a link, in place of an earlier one.
 
         Parameters
         ----------
-        now : float
-            The time [s].
         link, mass, com, inertia
             As for `InverseDynamics.set_payload`; a mass of 0 removes the payload.
 
@@ -105,7 +128,9 @@ class ExternalLoads:
         payload = read_payload(mass, com, inertia)
         if is_same(payload, self.payloads.get(link, NO_PAYLOAD)):
             return False
-        self._ramps[link] = self._current_payload(link, now), payload, now
+        ramp = self._ramps.get(link)
+        old = ramp.payload if ramp else self.payloads.get(link, NO_PAYLOAD)
+        self._ramps[link] = _PayloadRamp(old, payload, self.settings.load_ramp, 0.0)
         self.payloads.pop(link, None)
         if payload is not NO_PAYLOAD:
             self.payloads[link] = payload
@@ -126,8 +151,8 @@ class ExternalLoads:
 
         Returns
         -------
-        is_new : bool
-            Whether there was no wrench on the link, or it had faded out.
+        has_jumped : bool
+            Whether there was no wrench on this link or it was fading, so that efforts may jump.
 
         Raises
         ------
@@ -138,10 +163,10 @@ class ExternalLoads:
         self.dynamics.robot.link_index(link)
         F = _read_bounded('force', force, 'N', _LARGEST)
         N = _read_bounded('moment', moment, 'N m', _LARGEST)
-        is_new = link not in self._wrenches
-        self._wrenches[link] = F, N, now, 1.0
+        last = self._wrenches.get(link)
+        self._wrenches[link] = _Wrench(F, N, now, self.settings.load_ramp, 1.0)
         self.dynamics.set_external_wrench(link, F, N)
-        return is_new
+        return last is None or last.fraction < 1.0
 
     def set_gravity(self, gravity: ArrayLike) -> None:
         """
@@ -159,6 +184,7 @@ class ExternalLoads:
 
         """
         self._target = _read_bounded('gravity', gravity, 'm/s^2', LARGEST_GRAVITY)
+        self._gravity_ramp = self.settings.load_ramp
 
     def set_base_motion(
         self, now: float, specific_force: ArrayLike, angular_velocity: ArrayLike
@@ -188,7 +214,7 @@ class ExternalLoads:
         """
         force = _read_bounded('specific force', specific_force, 'm/s^2')
         turning = _read_bounded('angular velocity', angular_velocity, 'rad/s')
-        was_lost = self._is_base_lost or self._has_other_axes or not self.is_base_known(now)
+        was_lost = self._is_base_lost or self._is_new_signal or not self.is_base_known(now)
         self._imu_filter.cutoff = self.settings.imu_filter_cutoff
         self._imu_filter.value = np.array([self._gravity, self._angular_velocity])
         sample = np.array([-force, turning])
@@ -196,19 +222,19 @@ class ExternalLoads:
             now, sample, restarts=was_lost
         )
         self._target = self._gravity
-        self.imu_time, self._is_base_lost, self._has_other_axes = now, False, False
+        self.imu_time, self._is_base_lost, self._is_new_signal = now, False, False
         self._write_base()
         return was_lost
 
-    def expect_other_axes(self) -> None:
+    def expect_new_signal(self) -> None:
         """Restart the filter with the next motion of the base, and blend that one in."""
-        self._has_other_axes = True
+        self._is_new_signal = True
 
     def is_base_known(self, now: float) -> bool:
         """Return whether the motion of the base was measured within the timeout."""
         return 0.0 <= now - self.imu_time <= self.settings.imu_timeout
 
-    def update(self, now: float) -> bool:
+    def update(self, now: float, elapsed: float) -> bool:
         """
         Advance the ramps, fade out stale wrenches, and drop a lost IMU.
 
@@ -216,6 +242,8 @@ class ExternalLoads:
         ----------
         now : float
             The time [s].
+        elapsed : float
+            Time by which ramps advance; see `RampClock` [s].
 
         Returns
         -------
@@ -223,12 +251,10 @@ class ExternalLoads:
             Whether the motion of the base was lost just now, so that the efforts may jump.
 
         """
-        elapsed = max(0.0, now - self._time)
-        self._time = now
         for link in list(self._ramps):
-            self._ramp_payload(link, now)
+            self._ramp_payload(link, elapsed)
         for link in list(self._wrenches):
-            self._fade_wrench(link, now)
+            self._fade_wrench(link, now, elapsed)
         if self._gravity is not self._target:
             self._ramp_gravity(elapsed)
         if self._is_base_lost or self.is_base_known(now):
@@ -240,7 +266,9 @@ class ExternalLoads:
         return True
 
     def apply(self, settings: LoadSettings, include_gravity: bool) -> None:
-        """Change the settings, and whether gravity acts, from now on."""
+        """Change the settings, and whether gravity acts; ramps under way keep their time."""
+        if settings.imu_filter_cutoff != self.settings.imu_filter_cutoff:
+            self.expect_new_signal()
         self.settings = settings
         if include_gravity is not self.include_gravity:
             self.include_gravity = include_gravity
@@ -273,13 +301,14 @@ class ExternalLoads:
                 self.dynamics.set_payload(link, *payload)
             else:
                 dropped.append(link)
-        for link, (F, N, time, _) in other._wrenches.items():
+        for link, wrench in other._wrenches.items():
             if link in self.dynamics.robot.link_names:
-                self.set_external_wrench(time, link, F, N)
+                self._write_wrench(link, wrench)
         self._gravity, self._target = other._gravity, other._target
+        self._gravity_ramp = other._gravity_ramp
         self._angular_velocity, self.imu_time = other._angular_velocity, other.imu_time
         self._imu_filter = other._imu_filter
-        self._is_base_lost, self._time = other._is_base_lost, other._time
+        self._is_base_lost, self._is_new_signal = other._is_base_lost, other._is_new_signal
         self._write_base()
         return dropped
 
@@ -288,42 +317,37 @@ class ExternalLoads:
         """Free-fall acceleration in the base frame at present [m/s^2]."""
         return self._gravity
 
-    def _current_payload(self, link: str, now: float) -> RigidBody:
-        """Return the payload of a link at one time, ramps included."""
-        if link not in self._ramps:
-            return self.payloads.get(link, NO_PAYLOAD)
-        old, new, start = self._ramps[link]
-        if now < start:  # the clock was set back
-            self._ramps[link] = old, new, now
-        elapsed = max(0.0, now - start)
-        return blend_payloads(old, new, ramp_fraction(elapsed, self.settings.load_ramp))
-
-    def _ramp_payload(self, link: str, now: float) -> None:
-        payload = self._current_payload(link, now)
-        _, new, start = self._ramps[link]
-        if ramp_fraction(now - start, self.settings.load_ramp) == 1.0:
-            payload = new
+    def _ramp_payload(self, link: str, elapsed: float) -> None:
+        ramp = self._ramps[link]
+        fraction = min(1.0, ramp.fraction + ramp_fraction(elapsed, ramp.duration))
+        ramp = self._ramps[link] = ramp._replace(fraction=fraction)
+        self.dynamics.set_payload(link, *ramp.payload)
+        if fraction == 1.0:
             del self._ramps[link]
-        self.dynamics.set_payload(link, *payload)
 
-    def _fade_wrench(self, link: str, now: float) -> None:
-        F, N, time, last_fraction = self._wrenches[link]
-        if now < time:  # the clock was set back
-            self._wrenches[link] = F, N, now, last_fraction
-            return
-        overdue = max(0.0, now - time - self.settings.wrench_timeout)
-        fraction = 1.0 - ramp_fraction(overdue, self.settings.load_ramp) if overdue else 1.0
-        if fraction != last_fraction:
-            self.dynamics.set_external_wrench(link, fraction * F, fraction * N)
-            self._wrenches[link] = F, N, time, fraction
+    def _fade_wrench(self, link: str, now: float, elapsed: float) -> None:
+        wrench = self._wrenches[link]
+        if now < wrench.time:  # the clock was set back
+            self._wrenches[link] = wrench = wrench._replace(time=now)
+        if wrench.fraction == 1.0:
+            if now - wrench.time <= self.settings.wrench_timeout:
+                return
+            wrench = wrench._replace(duration=self.settings.load_ramp)
+        fraction = max(0.0, wrench.fraction - ramp_fraction(elapsed, wrench.duration))
+        self._write_wrench(link, wrench._replace(fraction=fraction))
         if not fraction:
             del self._wrenches[link]
+
+    def _write_wrench(self, link: str, wrench: _Wrench) -> None:
+        self._wrenches[link] = wrench
+        fraction = wrench.fraction
+        self.dynamics.set_external_wrench(link, fraction * wrench.force, fraction * wrench.moment)
 
     def _ramp_gravity(self, elapsed: float) -> None:
         difference = self._target - self._gravity
         distance = float(np.linalg.norm(difference))
-        step = -STANDARD_GRAVITY[2] * ramp_fraction(elapsed, self.settings.load_ramp)
-        if distance <= step or not self.settings.load_ramp:
+        step = -STANDARD_GRAVITY[2] * ramp_fraction(elapsed, self._gravity_ramp)
+        if distance <= step or not self._gravity_ramp:
             self._gravity = self._target
         else:
             self._gravity = self._gravity + (step / distance) * difference

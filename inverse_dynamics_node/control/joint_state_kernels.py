@@ -7,6 +7,7 @@ from typing import Any
 
 from ..dynamics.jit import compile_for, compiled
 from .alternation import ignored_step, track, way
+from .position_jumps import has_jumped
 
 LONG_AGO = -1e300
 """Time of a locked joint that was never reported [s]; finite, so that differences are numbers."""
@@ -14,8 +15,8 @@ LONG_AGO = -1e300
 POSITION, VELOCITY, TIME, EFFORT = range(4)
 # Rows of a message, one column per joint in the message.
 _POSITION, _VELOCITY, _EFFORT = range(3)
-# Results of `store_joint_state`.
-NOT_FINITE, CONSISTENT, ALTERNATING = range(3)
+# Results of `store_joint_state`: `CONSISTENT` plus any of the others, or `NOT_FINITE`.
+NOT_FINITE, CONSISTENT, ALTERNATING, JUMPED = 0, 1, 2, 4
 
 
 def compile_kernels() -> None:
@@ -24,6 +25,7 @@ def compile_kernels() -> None:
     compile_for(ignored_step, 'f8(f8[:,::1], i8, f8)')
     compile_for(way, 'f8(f8[:,::1], i8, f8, f8)')
     compile_for(track, 'b1(f8[:,::1], i8, f8, f8)')
+    compile_for(has_jumped, 'b1(f8[:,::1], i8, f8, f8)')
     compile_for(
         store_joint_state, 'i8(f8[:,::1], i8[:,::1], f8[:,::1], f8[:,::1], b1[::1], f8, b1)'
     )
@@ -79,7 +81,7 @@ def store_joint_state(
     known : ndarray, shape (4, n)
         Receives positions, velocities, times and efforts. A joint that is not commanded keeps its
         position, at rest, while its positions alternate.
-    tracks : ndarray, shape (18, n)
+    tracks : ndarray, shape (20, n)
         See `alternation.make_tracks`.
     is_commanded : ndarray of bool, shape (n,)
         Which joints are commanded.
@@ -91,8 +93,9 @@ def store_joint_state(
     Returns
     -------
     result : int
-        `NOT_FINITE` if a position or velocity is not finite, `ALTERNATING` if positions of a
-        joint alternate faster than it can move, otherwise `CONSISTENT`.
+        `NOT_FINITE` if a position or velocity is not finite. Otherwise `CONSISTENT`, plus
+        `ALTERNATING` if positions of a joint alternate faster than it can move, plus `JUMPED` if a
+        joint whose position is stored has moved further than it can.
 
     """
     in_robot, in_message = places[0], places[1]
@@ -103,13 +106,18 @@ def store_joint_state(
     result = CONSISTENT
     for k in range(len(in_robot)):
         i, j = in_robot[k], in_message[k]
-        elapsed = max(0.0, now - known[TIME, i]) if known[TIME, i] > LONG_AGO else -1.0
+        is_known = known[TIME, i] > LONG_AGO
+        elapsed = now - known[TIME, i] if is_known else -1.0
+        is_jump = has_jumped(tracks, i, received[_POSITION, j], elapsed)
+        elapsed = max(0.0, elapsed) if is_known else -1.0
         is_alternating = track(tracks, i, received[_POSITION, j], elapsed)
         if is_alternating:
-            result = ALTERNATING
+            result |= ALTERNATING
         if is_alternating and not is_commanded[i]:
             known[VELOCITY, i] = 0.0
         else:
+            if is_jump and is_known:
+                result |= JUMPED
             known[POSITION, i] = received[_POSITION, j]
             known[VELOCITY, i] = received[_VELOCITY, j]
         known[TIME, i] = now

@@ -16,6 +16,7 @@ from .joint_state_kernels import (
     ALTERNATING,
     compile_kernels,
     find_oldest,
+    JUMPED,
     LONG_AGO,
     NOT_FINITE,
     store_joint_state,
@@ -82,9 +83,10 @@ class JointStateCollector:
         self.times[:], self.efforts[:] = -math.inf, math.nan
         self.has_jumped = False
         """
-        Set when a joint that is not commanded may have jumped, because it was locked or late until
-        now, became late, or was reported by several publishers, or when any joint was reported
-        with a velocity for the first time, or is no longer; cleared by the reader.
+        Set when a joint has moved further than it can, when one that is not commanded may have
+        jumped, because it was locked or late until now, became late, or was reported by several
+        publishers, or when any joint was reported with a velocity for the first time, or is no
+        longer; cleared by the reader.
         """
         self.velocity_timeout = _VELOCITY_TIMEOUT
         """
@@ -166,7 +168,9 @@ class JointStateCollector:
         if result == NOT_FINITE:
             self._complete(layout, now)
             result = store_joint_state(*arguments, now, has_efforts)
-        if result == ALTERNATING or self._has_alternating:
+        if result & JUMPED:
+            self.has_jumped = True
+        if result & ALTERNATING or self._has_alternating:
             self._find_alternating()
         if layout.has_joints:
             self._find_oldest()

@@ -107,7 +107,7 @@ class Inputs:
         self._reported_gravity = self._checked_imu = None
         R_BS = rotation_of_rpy(*configuration.imu_orientation)
         if self._runner.loop is not None and (R_BS != self._R_BS).any():
-            self._runner.loop.loads.expect_other_axes()
+            self._runner.loop.loads.expect_new_signal()
         self._R_BS = R_BS
 
     def read_latest_joint_state(self) -> None:
@@ -165,7 +165,7 @@ class Inputs:
     def _on_payload(self, message: InertiaStamped) -> None:
         def store(loop: ControlLoop, now: float) -> None:
             payload = messages.read_payload(message)
-            if loop.loads.set_payload(now, *payload):
+            if loop.loads.set_payload(*payload):
                 load = f'payload on link {payload.link!r}'
                 text = f'{load}: {payload.mass:g} kg' if payload.mass else f'{load} removed'
                 self._log.report_message('~/payload', text, is_problem=False)
@@ -175,7 +175,7 @@ class Inputs:
     def _on_external_wrench(self, message: WrenchStamped) -> None:
         def store(loop: ControlLoop, now: float) -> None:
             link, force, moment = messages.read_wrench(message)
-            if loop.loads.set_external_wrench(now, link, force, moment):
+            if loop.set_external_wrench(now, link, force, moment):
                 text = (
                     f'force {_listed(force)} N and moment {_listed(moment)} N m on link '
                     f"'{link}', until it is not renewed for "

@@ -136,6 +136,16 @@ class LoopRunner:
         self.monitor.reject(topic, shortened_lines(str(reason)))
         self._log.report_message(topic, f'message dropped: {reason}')
 
+    def enable(self, *, is_enabled: bool) -> None:
+        """Let the efforts rise, or fall to zero; a reference is dropped then."""
+        assert self.loop is not None
+        if is_enabled:
+            self.loop.controller.resume()
+        else:
+            self.loop.controller.stop()
+            self.loop.reference = None
+            self._watch_after(self._watch_period)
+
     def step(self, now: float) -> None:
         """
         Compute and publish one command.
@@ -168,9 +178,8 @@ class LoopRunner:
 
     def _publish(self, now: float, command: Command) -> None:
         assert self.loop is not None
-        elapsed = min(max(0.0, now - self._last_step), self.loop.controller.longest_gap)
         self._last_step = now
-        sent = self.gate.select(command.efforts, elapsed)
+        sent = self.gate.select(command.efforts, self.loop.controller.ramp_step)
         self._outputs.publish_command(self.loop, command.efforts, sent)
 
     def _switch_dry_run(self) -> None:
@@ -178,8 +187,9 @@ class LoopRunner:
         assert self.loop is not None
         if self.gate.is_open:
             has_sent = self.gate.has_sent
-            self.gate.close(self._configuration.stop_ramp)
-            after = f', after the stop ramp ({self._configuration.stop_ramp:g} s)' * has_sent
+            time_to_fall = self.loop.controller.time_to_fall
+            self.gate.close(time_to_fall)
+            after = f', after the stop ramp ({time_to_fall:.3g} s)' * has_sent
             self._node.get_logger().info(f'dry run: no more commands{after}')
         elif self.gate.may_open:
             is_disabled = self.loop.controller.is_stopping
@@ -225,7 +235,7 @@ class LoopRunner:
             self.step(self.now())
 
     def _on_watch(self) -> None:
-        """Step while joint states are missing or lost, because none arrives to cause a step."""
+        """Step while joint states are missing or lost, or efforts fall, unless others do."""
         if self.loop is None:  # an event of a timer that has been destroyed was still queued
             return
         self._switch_loop()
@@ -237,10 +247,24 @@ class LoopRunner:
             timeout = self._configuration.state_timeout
             if state is None or not 0.0 <= now - state.time <= timeout:
                 self.step(now)
+            elif self._must_fall:
+                # The states may end at the same moment, as at an emergency stop.
+                if not 0.0 <= now - self._last_step < self._watch_period:
+                    self.step(now)
             elif not self.loader.is_loading:
                 # No state can be lost before; a check costs as much as some of the steps.
                 wait = max(wait, min(state.time + timeout - now, _MAX_WATCH_PERIOD))
         self._watch_after(wait)
+
+    @property
+    def _must_fall(self) -> bool:
+        """Whether commands must fall to zero although joint states may arrive."""
+        assert self.loop is not None
+        if self.gate.is_open is self._configuration.dry_run or not self.gate.is_open:
+            return self.gate.has_sent
+        controller = self.loop.controller
+        is_computing = controller.phase in COMPUTING_PHASES and not controller.is_stopping
+        return not is_computing and controller.has_effort
 
     def _watch_after(self, wait: float) -> None:
         """Set the period of the watch timer [s], and start it anew."""

@@ -35,11 +35,7 @@ class Services:
         if loop is None or not self._runner.is_active:
             response.message = 'the node is not active'
             return response
-        if request.data:
-            loop.controller.resume()
-        else:
-            loop.controller.stop()
-            loop.reference = None
+        self._runner.enable(is_enabled=request.data)
         response.success = True
         response.message = f'efforts {"rise" if request.data else "fall to zero"} along the ramp'
         if not self._runner.gate.is_open:

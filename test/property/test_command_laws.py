@@ -19,7 +19,8 @@ Q, QD = np.array([0.4, -0.7]), np.array([0.3, 0.2])
 LARGEST = 100.0  # [N m]; more than any effort computed here
 ROUNDING = 1e-9  # [N m]
 SHORTEST = 0.2  # [s]; of the start ramps that are not zero
-LATE = 0.02  # [s]; how much later than the state timeout a step may come
+PERIOD = 0.05  # [s]; ramps advance by as long in one command, at first
+GROWTH = 1.25  # by which a command that is later may raise that
 
 efforts = st.sampled_from([0.5, 3.0, 20.0])
 some_settings = st.fixed_dictionaries(
@@ -53,12 +54,13 @@ class Watched:
     """Checks every command of a controller against the laws."""
 
     def __init__(self, first, accelerations):
-        self.controller = Controller(InverseDynamics(ROBOT), (), Settings(**first))
+        self.controller = Controller(InverseDynamics(ROBOT), (), Settings(**first), PERIOD)
+        self.most, self.has_started = PERIOD, False
         self.accelerations = np.array(accelerations)
         self.now, self.last = 100.0, np.zeros(2)
         self.has_changed = self.changed_before = self.was_falling = False
         self.has_event = False
-        self.fallen = 0.0
+        self.fallen = self.settling = 0.0
 
     def happen(self, event):
         ours = self.controller
@@ -70,20 +72,21 @@ class Watched:
             ours.resume()
         elif event == 'start':
             ours.start()
-            self.last, self.was_falling = np.zeros(2), False
+            self.last, self.was_falling, self.has_started = np.zeros(2), False, False
         elif event == 'again':
             ours.apply(ours.settings)
         elif event == 'heavier':
             ours.dynamics.set_payload(ROBOT.link_names[-1], 0.5)
             ours.blend()
         elif event == 'other robot':
-            self.controller = Controller(InverseDynamics(ROBOT), (), ours.settings)
+            self.controller = Controller(InverseDynamics(ROBOT), (), ours.settings, PERIOD)
             self.controller.continue_from(ours)
         else:
             ours.apply(Settings(**event))
 
     def step(self, elapsed, given_input='fresh'):
         """Advance the time, and check the next command."""
+        given = elapsed
         self.now += elapsed
         received = State(Q, QD, self.now - (10.0 if given_input == 'lost' else 0.0))
         wanted = np.full(2, 1e308) if given_input == 'absurd' else self.accelerations
@@ -95,20 +98,27 @@ class Watched:
             return
         efforts = command.efforts.copy()
         assert np.isfinite(efforts).all()
-        longest = ours.settings.state_timeout + LATE
+        late = max(0.0, elapsed)
+        least = min(late, PERIOD * self.has_started)
+        assert least - ROUNDING <= ours.ramp_step <= min(late, self.most) + ROUNDING
+        self.has_started = True
+        self.most = self.most * GROWTH if late > self.most else self.most
+        elapsed = ours.ramp_step
         if ours.phase in COMPUTING_PHASES:
-            self.check_followed(efforts, elapsed if 0.0 <= elapsed <= longest else 0.0)
+            self.check_followed(efforts, elapsed)
             self.was_falling = False
         elif ours.phase is Phase.STOPPED or ours.settings.on_stale_state is StalePolicy.ZERO:
-            self.check_fall(efforts, min(max(0.0, elapsed), longest))
+            self.check_fall(efforts, elapsed)
         else:
             self.was_falling = False
             assert (np.abs(efforts) <= np.abs(self.last)).all()
             assert (efforts * self.last >= 0.0).all()
         self.check_limits(efforts)
         # If something changes at two steps in a row, the blend advances with the second one.
-        is_gap = not 0.0 <= elapsed <= longest
-        self.changed_before = self.has_event or is_gap
+        if not 0.0 <= given <= 4.0 * PERIOD:
+            self.settling = 0.2 + late
+        self.changed_before = self.has_event or self.settling > 0.0
+        self.settling = max(0.0, self.settling - late)
         self.last, self.has_changed, self.has_event = efforts, False, False
 
     def check_followed(self, efforts, elapsed):

@@ -33,7 +33,7 @@ def test_a_dry_run_from_the_start_sends_nothing():
 def test_commands_fall_to_zero_and_end_while_the_computed_efforts_grow():
     gate = open_gate()
     gate.select(EFFORTS, DT)
-    gate.close(stop_ramp=0.4)
+    gate.close(time_to_fall=0.4)
     growing = (EFFORTS * (2.0 + k) for k in range(100))
     for factor in (0.75, 0.5, 0.25, 0.0):
         assert not gate.may_open
@@ -50,7 +50,7 @@ def test_commands_fall_to_zero_and_end_while_the_computed_efforts_grow():
 def test_the_fall_begins_at_the_last_command_although_its_array_is_reused():
     gate, efforts = open_gate(), EFFORTS.copy()
     gate.select(efforts, DT)
-    gate.close(stop_ramp=0.4)
+    gate.close(time_to_fall=0.4)
     efforts[:] = 100.0
     assert gate.select(efforts, DT) == pytest.approx(0.75 * EFFORTS)
 
@@ -58,7 +58,7 @@ def test_the_fall_begins_at_the_last_command_although_its_array_is_reused():
 def test_zeros_are_sent_even_if_the_next_step_is_very_late():
     gate = open_gate()
     gate.select(EFFORTS, DT)
-    gate.close(stop_ramp=0.4)
+    gate.close(time_to_fall=0.4)
     assert gate.select(EFFORTS, 60.0).tolist() == [0.0, 0.0]
     assert gate.select(EFFORTS, DT) is None
 
@@ -66,16 +66,16 @@ def test_zeros_are_sent_even_if_the_next_step_is_very_late():
 def test_without_a_ramp_the_next_command_is_zero():
     gate = open_gate()
     gate.select(EFFORTS, DT)
-    gate.close(stop_ramp=0.0)
+    gate.close(time_to_fall=0.0)
     assert gate.select(EFFORTS, DT).tolist() == [0.0, 0.0]
 
 
 def test_a_second_close_does_not_restart_the_ramp():
     gate = open_gate()
     gate.select(EFFORTS, DT)
-    gate.close(stop_ramp=0.4)
+    gate.close(time_to_fall=0.4)
     gate.select(EFFORTS, DT)
-    gate.close(stop_ramp=10.0)
+    gate.close(time_to_fall=10.0)
     assert gate.select(EFFORTS, DT) == pytest.approx(0.5 * EFFORTS)
 
 
@@ -83,7 +83,7 @@ def test_the_gate_may_open_as_soon_as_the_commands_are_zero():
     gate = open_gate()
     gate.select(EFFORTS, DT)
     assert not gate.may_open  # it is open
-    gate.close(stop_ramp=0.2)
+    gate.close(time_to_fall=0.2)
     gate.select(EFFORTS, DT)
     assert not gate.may_open
     gate.select(EFFORTS, DT)
@@ -94,5 +94,5 @@ def test_the_gate_may_open_as_soon_as_the_commands_are_zero():
 
 def test_a_gate_that_has_sent_nothing_closes_at_once():
     gate = open_gate()
-    gate.close(stop_ramp=1.0)
+    gate.close(time_to_fall=1.0)
     assert gate.select(EFFORTS, DT) is None

@@ -31,9 +31,9 @@ def report_all(loop, now=0.0):
 
 
 def test_a_payload_affects_the_next_command():
-    loop = report_all(ControlLoop(MODEL, settings=AT_ONCE))
+    loop = report_all(ControlLoop(MODEL, settings=AT_ONCE, period=0.5))
     loop.step(0.0)
-    loop.loads.set_payload(0.0, TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
+    loop.loads.set_payload(TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
     loop.collector.update(0.5, NAMES, Q, np.zeros(6))
     expected = InverseDynamics(MODEL)
     expected.set_payload(TIP, 2.0)
@@ -76,7 +76,7 @@ def test_another_description_continues_from_the_last_command():
         report_all(loop, now)
         loop.step(now)
     last = loop.controller.step(now, loop.collector.state(), None).efforts.copy()
-    loop.loads.set_payload(now, TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
+    loop.loads.set_payload(TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
     text = STANFORD.read_text().replace('"joint_6"', '"wrist"')
     with pytest.raises(ConfigurationError, match='joints to command are now'):
         ControlLoop(load_urdf(text)).continue_from(loop)
@@ -89,7 +89,7 @@ def test_another_description_continues_from_the_last_command():
 
 def test_a_payload_on_a_link_that_no_longer_exists_is_reported():
     loop = report_all(ControlLoop(MODEL))
-    loop.loads.set_payload(0.0, TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
+    loop.loads.set_payload(TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
     text = STANFORD.read_text().replace(f'"{TIP}"', '"hand"')
     other = ControlLoop(load_urdf(text))
     assert other.continue_from(loop) == [TIP]
@@ -153,10 +153,10 @@ def test_efforts_ramp_down_until_a_joint_that_is_new_in_the_description_is_repor
 
 def test_inputs_are_kept_for_a_description_with_other_joints():
     loop = report_all(ControlLoop(MODEL))
-    loop.loads.set_payload(0.0, TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
+    loop.loads.set_payload(TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
     loop.loads.set_gravity((0.0, 3.0, 0.0))
     for now in (0.0, 9.0, 18.0):
-        loop.loads.update(now)
+        loop.loads.update(now, 9.0)
     other = ControlLoop(MODEL, NAMES[:2])
     assert other.copy_inputs_from(loop) == []
     assert other.loads.payloads[TIP].mass == 2.0
@@ -354,7 +354,7 @@ def test_the_ramp_of_loads_can_be_set():
     loop = report_all(
         ControlLoop(MODEL, settings=AT_ONCE, load_settings=LoadSettings(load_ramp=0.0))
     )
-    loop.loads.set_payload(0.0, TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
+    loop.loads.set_payload(TIP, 2.0, np.zeros(3), np.zeros((3, 3)))
     expected = InverseDynamics(MODEL)
     expected.set_payload(TIP, 2.0)
     assert loop.step(0.0).efforts == pytest.approx(expected.gravity_efforts(Q))
@@ -448,8 +448,10 @@ def test_base_wrench_carries_the_weight_of_all_links():
     assert np.abs(moment - wrenches.moment[1]).max() > 0.1
 
 
-def test_a_gap_in_a_loop_without_a_period_does_not_advance_the_ramps():
+def test_a_gap_in_a_loop_without_a_period_advances_the_ramps_by_one_nominal_step():
     loop = ControlLoop(MODEL, settings=Settings(start_ramp=2.0))
-    for now in (0.0, 0.5, 1.0):
+    for now in (0.0, 0.5):
         report_all(loop, now).step(now)
-    assert loop.controller.gain == 0.0
+    assert loop.controller.gain == 0.0  # a blend begins
+    report_all(loop, 1.0).step(1.0)
+    assert loop.controller.gain == pytest.approx(1.25 * 0.01 / 2.0)

@@ -35,7 +35,7 @@ def part(statuses, name):
 
 @pytest.fixture
 def loop():
-    loop = ControlLoop(ROBOT)
+    loop = ControlLoop(ROBOT, period=0.05)
     loop.collector.update(0.0, JOINTS, [0.1, 0.2], [0.0, 0.0])
     loop.step(0.0)
     return loop
@@ -414,7 +414,7 @@ def test_a_few_nodes_are_all_named(loop, count, end):
 
 @pytest.mark.parametrize(('is_active', 'level'), [(True, Level.ERROR), (False, Level.WARN)])
 def test_joints_that_were_never_reported_are_named(is_active, level):
-    loop = ControlLoop(ROBOT)
+    loop = ControlLoop(ROBOT, period=0.05)
     loop.step(0.0)
     around = FINE._replace(is_active=is_active)
     status = part(Monitor().report(0.0, loop, around), 'joint states')
@@ -479,7 +479,7 @@ def test_the_model_is_described(loop):
     assert ROBOT.name in status.message
     assert status.values['payload'] == 'none'
     assert status.values['gravity [m/s^2]'].endswith('-9.807')
-    loop.loads.set_payload(0.0, ROBOT.link_names[-1], 2.5, np.zeros(3), np.zeros((3, 3)))
+    loop.loads.set_payload(ROBOT.link_names[-1], 2.5, np.zeros(3), np.zeros((3, 3)))
     loop.loads.apply(loop.loads.settings, include_gravity=False)
     values = part(Monitor().report(0.05, loop, FINE), 'model').values
     assert values['payload'] == f'2.5 kg on {ROBOT.link_names[-1]}'
@@ -543,7 +543,7 @@ def test_activity_without_usable_efforts_and_while_states_are_fresh_again(loop):
     ],
 )
 def test_connected_publishers_from_which_nothing_arrives_are_reported(publishers, silence, words):
-    loop = ControlLoop(ROBOT)
+    loop = ControlLoop(ROBOT, period=0.05)
     around = FINE._replace(publishers=publishers, silence=silence)
     message = part(Monitor().report(9.0, loop, around), 'joint states').message
     assert words in message

@@ -1,0 +1,54 @@
+"""
+Detects positions that change faster than a joint can move, whatever the cause.
+
+After the process was suspended, messages of the whole pause may arrive within milliseconds. Two
+nodes may report one joint, and an encoder may be reset. Times are those of arrival, so a joint may
+move a little further than its speed and the time explain: a message may have been late.
+
+A joint has room on either side. The room grows with time at twice the speed limit, shrinks as the
+joint moves into it, and is limited by how late messages may be. It is lost after a pause, because
+messages of the pause may follow.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from ..dynamics.jit import compiled
+from .alternation import FACTOR, IS_PRISMATIC, LARGEST, LAST, ROOM_ABOVE, ROOM_BELOW, SPEED
+
+_LATENESS = 0.03  # [s]; how late messages may be
+_LONGEST_STEP = 0.1  # [s]; after a longer time, a joint may have moved only as far as in this one
+
+
+@compiled
+def has_jumped(tracks: Any, i: int, position: float, elapsed: float) -> bool:
+    """
+    Return whether a joint has moved further than it can; to be called before `track`.
+
+    Parameters
+    ----------
+    tracks : ndarray, shape (20, n)
+        See `alternation.make_tracks`.
+    i : int
+        Index of the joint.
+    position : float
+        Reported position [rad or m].
+    elapsed : float
+        Time since the last report of this joint [s]; negative if there was none, or if the clock
+        was set back since.
+
+    """
+    step = min(max(position - tracks[LAST, i], -LARGEST), LARGEST)
+    if tracks[IS_PRISMATIC, i] == 0.0:
+        step -= 2.0 * math.pi * np.rint(step / (2.0 * math.pi))
+    speed = FACTOR * tracks[SPEED, i]
+    gained = speed * min(max(elapsed, 0.0), _LONGEST_STEP)
+    above, below = tracks[ROOM_ABOVE, i] + gained - step, tracks[ROOM_BELOW, i] + gained + step
+    most = speed * _LATENESS if 0.0 <= elapsed <= _LONGEST_STEP else 0.0
+    tracks[ROOM_ABOVE, i] = min(max(above, 0.0), most)
+    tracks[ROOM_BELOW, i] = min(max(below, 0.0), most)
+    return bool(min(above, below) < 0.0)
