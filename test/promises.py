@@ -1,0 +1,235 @@
+"""
+A model of what doc/interface.md promises about commands, apart from how they are computed.
+
+It asks the node for the inputs that a command was computed from, and for efforts of given inputs,
+but decides by itself which changes of the inputs are motion, and how far ramps may advance.
+
+"""
+
+from dataclasses import dataclass
+import math
+
+from inverse_dynamics_node.control.phase import COMPUTING_PHASES, Phase
+from inverse_dynamics_node.control.settings import StalePolicy
+import numpy as np
+
+ROUNDING = 1e-6  # [N m]
+NOMINAL_STEP = 0.01  # [s]; ramps advance by at most as long in one command, ...
+GROWTH, MEMORY = 1.25, 16.0  # ... or by the usual time between commands, which changes slowly
+SHORTEST_RAMP = 0.5  # [s]; of all that the driver sets
+RAMPS = 3.0  # ramps over the largest effort that may coincide: a blend over twice of it, a load
+PAUSE, SETTLING = 0.1, 0.2  # [s]; after a pause, old messages may arrive for as long
+FACTOR, LATENESS, LONGEST_STEP = 2.0, 0.03, 0.1  # of motion: of the speed limit, [s], [s]
+WINDOW = 0.02  # [s]; many small steps may be no motion either
+TIMEOUTS = {'wrench': lambda node: node.load_settings.wrench_timeout, 'imu': lambda node: 0.2}
+
+
+class BrokenPromiseError(AssertionError):
+    """A command is not what was promised."""
+
+
+@dataclass
+class Computed:
+    """A command that was computed, and its inputs."""
+
+    time: float
+    efforts: np.ndarray
+    q: np.ndarray
+    velocities: np.ndarray
+    accelerations: np.ndarray
+    times: np.ndarray
+    ramps: float
+    """Time by which ramps may have advanced since the start [s]."""
+    applied: np.ndarray
+    """Loads that acted at once since the start [N m]."""
+
+
+class Promises:
+    """Checks the commands of a node."""
+
+    def __init__(self, node):
+        self.node = node
+        self.count, self.now, self.time = 0, 0.0, None
+        self.base = max(NOMINAL_STEP, 1.0 / node.rate if node.rate else 0.0)
+        self.most = self.base  # [s]; time by which ramps may advance with the next command
+        self.ramps, self.settling = 0.0, 0.0  # [s]
+        n = len(node.loop.robot.joint_names)
+        self.speeds = np.clip(node.loop.robot.velocity_limits, 1.0, 30.0)
+        self.largest = 0.5 * node.loop.robot.effort_limits
+        self.applied, self.renewed = np.zeros(n), {}
+        self.last, self.last_sent = np.zeros(n), None
+        self.history = []
+        self.fall_time, self.fallen = None, 0.0  # [s]; None while efforts do not fall
+        self.gate_time, self.gate_fallen = None, 0.0
+
+    def load(self, now, act, kind):
+        """Apply a load; if it is renewed in time, it may act at once."""
+        before, last = self._efforts_of_last(), self.renewed.get(kind)
+        act()
+        self.renewed[kind] = now
+        if last is not None and 0.0 <= now - last <= TIMEOUTS[kind](self.node):
+            self.applied = self.applied + np.abs(self._efforts_of_last() - before)
+
+    def _efforts(self, q, velocities, accelerations):
+        return self.node.loop.dynamics.efforts(q, velocities, accelerations)
+
+    def _efforts_of_last(self):
+        if not self.history:
+            return np.zeros(len(self.last))
+        last = self.history[-1]
+        return self._efforts(last.q, last.velocities, last.accelerations)
+
+    def check(self, now, command, sent):
+        """Check the command of one step, and the efforts that were sent."""
+        if self.node.has_restarted:
+            self.node.has_restarted = False
+            self._forget()
+        if command is None:
+            self._forget()
+            self.time = now
+            return
+        self.count += 1
+        efforts, controller = command.efforts.copy(), self.node.loop.controller
+        passed = 0.0 if self.time is None else now - self.time
+        self.time = now
+        step = self._advance(passed)
+        require(np.isfinite(efforts).all(), 'not finite', efforts)
+        limits = np.maximum(controller.limits, np.abs(self.last))
+        require((np.abs(efforts) <= limits + ROUNDING).all(), 'beyond the limits', efforts)
+        settings = self.node.settings
+        if controller.phase in COMPUTING_PHASES:
+            self._check_computed(now, efforts, step)
+        elif controller.phase is Phase.STOPPED or settings.on_stale_state is StalePolicy.ZERO:
+            self._check_fall(efforts, passed, step)
+        else:
+            self.fall_time = None
+            self._check_shrinking(efforts, self.last)
+        if sent is not None or self.last_sent is not None:
+            self._check_sent(efforts, sent, passed, step)
+        self.last = efforts
+        self.last_sent = None if sent is None else sent.copy()
+
+    def _forget(self):
+        self.time, self.fall_time = None, None
+        self.last = np.zeros(len(self.last))
+        self.history.clear()
+
+    def _advance(self, passed):
+        """Return the time by which ramps may advance [s]."""
+        late, most = max(0.0, passed), self.most
+        step = min(late, most)
+        self.ramps += step
+        if late > most:
+            self.most = GROWTH * most
+        else:
+            self.most = max(self.base, most - late * (most - late) / (MEMORY * most))
+        if not 0.0 <= passed <= max(PAUSE, 4.0 * most):
+            self.settling = SETTLING + late
+        self.settling = max(0.0, self.settling - late)
+        if passed < 0.0:
+            self.history.clear()
+        return step
+
+    def _check_fall(self, efforts, passed, step):
+        change = np.abs(efforts - self.last)
+        self._check_shrinking(efforts, self.last)
+        if self.fall_time is None:
+            self.fall_time, self.fallen = self.node.settings.stop_ramp, 0.0
+            self.top = np.abs(self.last)
+            require((change <= ROUNDING).all(), 'a fall begins with a step', change)
+        else:
+            self.fallen += min(max(0.0, passed), self.base)
+        bound = self.top * step / self.fall_time + ROUNDING
+        require((change <= bound).all(), 'a fall catches up', change, bound)
+        is_late = self.fallen > self.fall_time + 2.0 * self.base
+        require(not (is_late and efforts.any()), 'a fall takes too long', efforts)
+
+    @staticmethod
+    def _check_shrinking(efforts, last):
+        require((np.abs(efforts) <= np.abs(last)).all(), 'an effort grows in a fall', efforts)
+        require((efforts * last >= 0.0).all(), 'an effort changes its sign in a fall', efforts)
+
+    def _check_computed(self, now, efforts, step):
+        was_falling, self.fall_time = self.fall_time is not None, None
+        loop = self.node.loop
+        velocities, accelerations = (array.copy() for array in loop.controller.motion)
+        collector = loop.collector
+        new = Computed(
+            now,
+            efforts,
+            collector.q.copy(),
+            velocities,
+            accelerations,
+            collector.times.copy(),
+            self.ramps,
+            self.applied,
+        )
+        rate = self.node.settings.effort_rate_limits
+        change, most = np.abs(efforts - self.last), math.inf if math.isinf(rate) else rate * step
+        require((change <= most + ROUNDING).all(), 'beyond the rate limit', change)
+        tau = self._efforts(new.q, velocities, accelerations).copy()
+        size = np.minimum(np.abs(tau), loop.robot.effort_limits)
+        self.largest = np.maximum(self.largest, size)
+        if was_falling:
+            # The first command after a brief fall continues from it; compare the next ones.
+            self.history.clear()
+        for old in self._compared(now):
+            self._check_motion(old, new, tau)
+        self.history.append(new)
+
+    def _compared(self, now):
+        """Return the last command and one at the begin of a window; forget older ones."""
+        while len(self.history) > 1 and self.history[1].time <= now - WINDOW:
+            del self.history[0]
+        return {id(each): each for each in self.history[:1] + self.history[-1:]}.values()
+
+    def _check_motion(self, old, new, tau):
+        settings = self.node.settings
+        way = np.abs(new.q - old.q)
+        elapsed = np.clip(new.times - old.times, 0.0, LONGEST_STEP)
+        lateness = 0.0 if self.settling else LATENESS
+        room = FACTOR * self.speeds * (elapsed + lateness) + 1e-9
+        if (way <= room).all():
+            inputs = old.q, old.velocities, old.accelerations
+            motion = np.abs(tau - self._efforts(*inputs))
+        else:
+            fraction = float(np.min(room[way > room] / way[way > room]))
+            before = self._efforts(old.q, old.velocities, old.accelerations).copy()
+            after = self._efforts(new.q, old.velocities, old.accelerations)
+            motion = fraction * np.abs(after - before)
+        motion = abs(settings.effort_scale) * (motion + new.applied - old.applied)
+        ramps = RAMPS * self.largest * (new.ramps - old.ramps) / SHORTEST_RAMP
+        change = np.abs(new.efforts - old.efforts)
+        bound = motion + ramps + ROUNDING
+        if not math.isinf(settings.effort_rate_limits):
+            bound = bound + settings.effort_rate_limits * (new.ramps - old.ramps)
+        require((change <= bound).all(), 'a step beyond motion', change, bound)
+
+    def _check_sent(self, efforts, sent, passed, step):
+        if sent is None:
+            require(not self.last_sent.any(), 'silence while the robot holds', self.last_sent)
+            self.gate_time = None
+            return
+        if self.node.gate.is_open:
+            self.gate_time = None
+            require((sent == efforts).all(), 'not sent as computed', sent)
+            return
+        if self.gate_time is None:
+            falls = self.fall_time is not None
+            self.gate_time = max(0.0, self.fall_time - self.fallen) if falls else math.inf
+            self.gate_time = min(self.gate_time, self.node.settings.stop_ramp)
+            self.gate_fallen = 0.0
+        self.gate_fallen += min(max(0.0, passed), self.base)
+        self._check_shrinking(sent, self.last_sent)
+        change = np.abs(sent - self.last_sent)
+        bound = 2.0 * self.largest * step / SHORTEST_RAMP + ROUNDING
+        require((change <= bound).all(), 'the fall of a dry run catches up', change, bound)
+        is_late = self.gate_fallen > self.gate_time + 2.0 * self.base
+        require(not (is_late and sent.any()), 'the fall of a dry run takes too long', sent)
+
+
+def require(is_kept, what, *numbers):
+    """Raise a BrokenPromiseError unless a promise is kept."""
+    if not is_kept:
+        with np.printoptions(precision=4, suppress=True):
+            raise BrokenPromiseError(f'{what}: {", expected at most ".join(map(str, numbers))}')

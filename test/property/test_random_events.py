@@ -1,0 +1,17 @@
+"""Commands keep their promises whatever happens; `python test/random_driver.py` plays more."""
+
+import os
+
+import pytest
+from random_driver import play
+
+# Without numba everything takes several times as long.
+SEQUENCES = 40 if os.environ.get('NUMBA_DISABLE_JIT') == '1' else 1000
+
+
+@pytest.mark.parametrize('part', range(4))
+def test_promises_are_kept_in_random_events(part):
+    commands = 0
+    for k in range(SEQUENCES // 4):
+        commands += play(10**6 + 4 * k + part, actions=4)[1]
+    assert commands > 10 * SEQUENCES

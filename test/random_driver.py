@@ -1,0 +1,398 @@
+"""
+Drives the control core with random events, and checks every command against the promises.
+
+Usage: python test/random_driver.py [--events 1000000] [--seed 0], or --sequence N for one of them.
+
+The control loop and the gate of the dry run are the real ones; the clock, the arm and the order of
+events are made up. A sequence is one robot from its start on: joint states that arrive whole, in
+parts, late, in bursts of old ones after a suspension, contradicting or invalid; parameters, stops,
+dry runs, loads, references, clocks that jump, other descriptions.
+
+"""
+
+import argparse
+import contextlib
+from dataclasses import dataclass, replace
+from functools import partial
+import math
+import random
+import re
+import sys
+import time
+
+from inverse_dynamics_node import InverseDynamicsError, load_urdf
+from inverse_dynamics_node.control.command_gate import CommandGate
+from inverse_dynamics_node.control.control_loop import ControlLoop
+from inverse_dynamics_node.control.reference import Reference
+from inverse_dynamics_node.control.settings import LoadSettings, Mode, Settings, StalePolicy
+import numpy as np
+from promises import BrokenPromiseError, Promises
+from robot_files import ROOT
+
+TEXT = (ROOT / 'test/robots/seven_dof.urdf').read_text()
+HEAVIER = re.sub('<mass value="([^"]*)"', lambda m: f'<mass value="{1.2 * float(m[1])}"', TEXT)
+ROBOTS = [load_urdf(TEXT), load_urdf(HEAVIER)]
+NAMES, N = list(ROBOTS[0].joint_names), len(ROBOTS[0].joint_names)
+TIP = ROBOTS[0].link_names[-1]
+WATCH = 0.01  # [s]; period of the steps without joint states
+SETTINGS = {
+    'mode': [Mode.INVERSE_DYNAMICS, Mode.COMPUTED_TORQUE, Mode.GRAVITY_COMPENSATION],
+    'state_timeout': [0.1, 0.1, 0.5, 1.0],
+    'on_stale_state': [StalePolicy.ZERO, StalePolicy.ZERO, StalePolicy.HOLD],
+    'start_ramp': [0.5, 0.5, 1.0, 3.0],
+    'stop_ramp': [0.5, 0.5, 1.0],
+    'kp': [50.0, 100.0],
+    'velocity_filter_cutoff': [0.0, 20.0],
+    'effort_scale': [1.0, 0.8],
+    'effort_offset': [0.0, 1.0],
+    'effort_limits': [math.inf, 30.0],
+    'effort_rate_limits': [math.inf, math.inf, 50.0],
+}
+LOAD_SETTINGS = {
+    'load_ramp': [0.5, 1.0, 5.0],
+    'wrench_timeout': [0.05, 0.1, 1.0],
+    'imu_filter_cutoff': [0.0, 1.0, 20.0],
+}
+
+
+class Node:
+    """What the node does around the control loop; the time of its clock is an argument."""
+
+    def __init__(self, rate, imu, pick):
+        self.pick = pick
+        self.rate, self.is_dry_run, self.include_gravity = rate, False, True
+        self.settings, self.load_settings = Settings(), LoadSettings()
+        self.robot, self.imu = 0, imu
+        self.loop = self.make_loop()
+        self.gate = CommandGate()
+        self.gate.reset(is_dry_run=False)
+        self.loop.start()
+        self.has_restarted = False
+
+    def make_loop(self):
+        period = 1.0 / self.rate if self.rate else 0.0
+        return ControlLoop(
+            ROBOTS[self.robot],
+            settings=self.settings,
+            period=period,
+            load_settings=self.load_settings,
+            has_imu=self.imu,
+        )
+
+    def apply(self):
+        self.loop.loads.apply(self.load_settings, self.include_gravity)
+        self.loop.controller.apply(self.settings)
+
+    def switch_description(self):
+        self.robot = 1 - self.robot
+        old, self.loop = self.loop, self.make_loop()
+        self.apply()
+        self.loop.continue_from(old)
+
+    def set_payload(self, now, mass):
+        self.loop.loads.set_payload(TIP, mass, np.zeros(3), np.zeros((3, 3)))
+
+    def set_wrench(self, now, force):
+        self.loop.set_external_wrench(now, TIP, force, np.zeros(3))
+
+    def step(self, now):
+        """Return the computed command, and the efforts that are sent."""
+        if self.gate.is_open is self.is_dry_run:
+            self.switch_dry_run()
+        command = self.loop.step(now)
+        if command is None:
+            return None, None
+        return command, self.select(now, command)
+
+    def select(self, now, command):
+        return self.gate.select(command.efforts, self.loop.controller.ramp_step)
+
+    def switch_dry_run(self):
+        if self.gate.is_open:
+            self.close()
+        elif self.gate.may_open:
+            is_disabled = self.loop.controller.is_stopping
+            self.has_restarted = True
+            self.loop.start()
+            if is_disabled:
+                self.loop.controller.stop()
+            self.gate.open()
+
+    def close(self):
+        self.gate.close(self.loop.controller.time_to_fall)
+
+
+@dataclass
+class Arm:
+    """The true motion: a sine for each joint."""
+
+    center: np.ndarray
+    amplitude: np.ndarray
+    rate: np.ndarray
+
+    def at(self, t):
+        angle = self.rate * t
+        q = self.center + self.amplitude * np.sin(angle)
+        return q, self.amplitude * self.rate * np.cos(angle)
+
+
+class Sequence:
+    """One robot from its start on."""
+
+    def __init__(self, seed, node_type=Node):
+        pick = self.pick = random.Random(seed)
+        self.steady, self.shift = 100.0, 0.0  # [s]; the clock of the node may be shifted
+        self.state_period = pick.choice([0.01, 0.01, 0.005, 0.002, 0.001])
+        self.has_velocities, self.jitter = pick.random() < 0.8, pick.choice([0.0, 0.5, 2.0])
+        speeds = pick.choice([0.0, 0.3, 0.8, 1.2]) * ROBOTS[0].velocity_limits
+        self.arm = Arm(
+            np.array([pick.uniform(-1.0, 1.0) for _ in NAMES]),
+            np.array([pick.uniform(0.2, 1.5) for _ in NAMES]),
+            np.ones(N),
+        )
+        self.arm.rate = speeds / self.arm.amplitude
+        self.node = node_type(pick.choice([0, 0, 200, 100]), pick.random() < 0.2, pick)
+        self.promises = Promises(self.node)
+        self.offset = np.zeros(N)  # of the reported positions
+        self.next_state = self.next_tick = self.last_imu = self.steady
+        self.events = 0
+        self.wrench, self.acceleration = None, None
+
+    @property
+    def now(self):
+        return self.steady + self.shift
+
+    def play(self, actions):
+        if self.node.imu:
+            self.send_imu()
+        for _ in range(actions):
+            action = self.pick.choice(ACTIONS)
+            self.events += 1
+            action(self)
+            self.run(self.pick.choice([0.0, 0.0, 0.02, 0.05, 0.1, 0.3, 0.7]))
+        return self
+
+    def step(self):
+        command, sent = self.node.step(self.now)
+        self.promises.check(self.now, command, sent)
+
+    def run(self, duration, *, has_states=True):
+        """Let time pass: joint states, ticks of the loop, and its steps while states are lost."""
+        end = self.steady + duration
+        node = self.node
+        while True:
+            watch = self.steady + WATCH
+            due = min(self.next_state, self.next_tick if node.rate else watch, watch)
+            if due > end:
+                break
+            self.steady = max(self.steady, due)
+            if due == self.next_state:
+                late = self.jitter * self.state_period * self.pick.random()
+                self.next_state += self.state_period
+                if has_states:
+                    self.keep_streams()
+                    self.steady += late
+                    self.send_state(self.steady - late)
+            elif node.rate and due == self.next_tick:
+                self.next_tick = max(self.next_tick + 1.0 / node.rate, self.steady)
+                self.step()
+            else:
+                self.watch()
+        self.steady = max(end, self.steady)
+
+    def watch(self):
+        state = self.node.loop.collector.state()
+        timeout = self.node.settings.state_timeout
+        if state is None or not 0.0 <= self.now - state.time <= timeout:
+            self.step()
+
+    def keep_streams(self):
+        if self.node.imu and self.steady > self.last_imu + 0.01:
+            self.send_imu()
+        if self.wrench is not None:
+            self.load('wrench', lambda now: self.node.set_wrench(now, self.wrench))
+        if self.acceleration is not None:
+            self.node.loop.reference = Reference(self.acceleration, np.zeros(N), self.now)
+
+    def send_imu(self):
+        self.last_imu = self.steady
+        force = np.array([math.sin(self.steady), 0.0, 9.8])
+        loop = self.node.loop
+        self.load('imu', lambda now: loop.set_base_motion(now, force, np.zeros(3)))
+
+    def load(self, kind, act):
+        self.promises.load(self.now, partial(act, self.now), kind)
+
+    def send_state(self, measured, joints=None, offset=0.0):
+        """Send the joint state that was measured at a steady time."""
+        self.events += 1
+        q, qd = self.arm.at(measured)
+        q = q + self.offset + offset
+        joints = range(N) if joints is None else joints
+        names = [NAMES[k] for k in joints]
+        velocities = [qd[k] for k in joints] if self.has_velocities else []
+        with contextlib.suppress(InverseDynamicsError):
+            self.node.loop.collector.update(self.now, names, [q[k] for k in joints], velocities)
+        if not self.node.rate:
+            self.step()
+
+    # Actions
+
+    def change_setting(self):
+        name = self.pick.choice(list(SETTINGS))
+        value = self.pick.choice(SETTINGS[name])
+        self.node.settings = replace(self.node.settings, **{name: value})
+        self.node.apply()
+
+    def change_load_setting(self):
+        name = self.pick.choice(list(LOAD_SETTINGS))
+        value = self.pick.choice(LOAD_SETTINGS[name])
+        self.node.load_settings = replace(self.node.load_settings, **{name: value})
+        self.node.apply()
+
+    def toggle_gravity(self):
+        self.node.include_gravity = not self.node.include_gravity
+        self.node.apply()
+
+    def stop(self):
+        self.node.loop.controller.stop()
+        self.node.loop.reference = self.acceleration = None
+
+    def stop_and_lose_states(self):
+        self.stop()
+        self.lose_states()
+
+    def resume(self):
+        self.node.loop.controller.resume()
+
+    def toggle_dry_run(self):
+        self.node.is_dry_run = not self.node.is_dry_run
+
+    def lose_states(self):
+        self.run(self.pick.choice([0.03, 0.09, 0.3, 0.9, 2.0]), has_states=False)
+
+    def suspend(self):
+        """Run nothing; some messages wait in the socket and then arrive at once."""
+        duration = self.pick.choice([0.05, 0.2, 0.5, 1.0, 5.0])
+        began, self.steady = self.steady, self.steady + duration
+        self.next_state = self.next_tick = self.steady
+        kept = min(int(duration / self.state_period), self.pick.choice([0, 20, 200]))
+        if self.pick.random() < 0.3:
+            self.step()  # the timer comes first
+        between = self.pick.choice([1e-4, 3e-4, 1e-3])
+        for k in range(0, kept, self.pick.choice([1, 1, 7])):
+            self.steady += between
+            self.send_state(began + k * self.state_period)
+            if self.node.rate and self.steady >= self.next_tick:
+                self.next_tick = self.steady + 1.0 / self.node.rate
+                self.step()
+        self.next_state = max(self.next_state, self.steady)
+
+    def jump_clock(self):
+        self.shift += self.pick.choice([-50.0, -0.5, 0.3, 5.0, 1000.0])
+
+    def send_part(self):
+        self.send_state(self.steady, sorted(self.pick.sample(range(N), self.pick.randint(1, N))))
+
+    def send_invalid(self):
+        offset = self.pick.choice([math.nan, math.inf, np.full(N, 1e300)])
+        self.send_state(self.steady, offset=offset)
+
+    def shift_positions(self):
+        self.offset[self.pick.randrange(N)] += self.pick.choice([-1.0, -0.4, 0.5])
+
+    def contradict(self):
+        for _ in range(self.pick.choice([1, 3, 20])):
+            self.send_state(self.steady, offset=np.eye(N)[1] * 0.7)
+            self.run(self.state_period)
+
+    def set_payload(self):
+        mass = self.pick.choice([0.0, 2.0, 5.0])
+        self.node.set_payload(self.now, mass)
+
+    def toggle_wrench(self):
+        self.wrench = None if self.wrench is not None else np.array([0.0, 20.0, 30.0])
+
+    def change_gravity(self):
+        if not self.node.imu:
+            angle = self.pick.uniform(0.0, 3.0)
+            self.node.loop.loads.set_gravity([9.8 * math.sin(angle), 0.0, -9.8 * math.cos(angle)])
+
+    def change_reference(self):
+        acceleration = [self.pick.uniform(-1.0, 1.0) for _ in NAMES]
+        self.acceleration = self.pick.choice([None, np.array(acceleration)])
+
+    def switch_description(self):
+        self.node.switch_description()
+
+
+ACTIONS = [
+    Sequence.change_setting,
+    Sequence.change_setting,
+    Sequence.change_load_setting,
+    Sequence.change_load_setting,
+    Sequence.toggle_gravity,
+    Sequence.stop,
+    Sequence.stop_and_lose_states,
+    Sequence.resume,
+    Sequence.resume,
+    Sequence.resume,
+    Sequence.toggle_dry_run,
+    Sequence.lose_states,
+    Sequence.lose_states,
+    Sequence.suspend,
+    Sequence.suspend,
+    Sequence.jump_clock,
+    Sequence.send_part,
+    Sequence.send_invalid,
+    Sequence.shift_positions,
+    Sequence.contradict,
+    Sequence.set_payload,
+    Sequence.set_payload,
+    Sequence.toggle_wrench,
+    Sequence.change_gravity,
+    Sequence.change_reference,
+    Sequence.switch_description,
+]
+
+
+def play(seed, actions=20, node_type=Node):
+    """Play one sequence; return the numbers of events and of commands."""
+    sequence = Sequence(seed, node_type)
+    try:
+        sequence.play(actions)
+    except BrokenPromiseError as error:
+        where = f'sequence {seed}, {sequence.steady - 100.0:.4f} s'
+        raise BrokenPromiseError(f'{where}: {error}') from None
+    return sequence.events, sequence.promises.count
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
+    parser.add_argument('--events', type=int, default=100_000)
+    parser.add_argument('--seed', type=int, default=0, help='the first sequence')
+    parser.add_argument('--sequence', type=int, help='play only this sequence')
+    options = parser.parse_args()
+    if options.sequence is not None:
+        print('{} events, {} commands: every promise is kept'.format(*play(options.sequence)))
+        return 0
+    events = commands = broken = 0
+    seed, shown = options.seed, time.monotonic()
+    while events < options.events and broken < 10:
+        try:
+            more = play(seed)
+            events, commands = events + more[0], commands + more[1]
+        except BrokenPromiseError as error:
+            broken += 1
+            print(error, flush=True)
+        seed += 1
+        if time.monotonic() > shown + 10.0:
+            shown = time.monotonic()
+            print(f'{seed - options.seed} sequences, {events} events', flush=True)
+    verdict = f'{broken} broken promises' if broken else 'every promise is kept'
+    print(f'{seed - options.seed} sequences, {events} events, {commands} commands: {verdict}')
+    return 1 if broken else 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
