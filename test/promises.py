@@ -57,6 +57,7 @@ class Promises:
         self.speeds = np.clip(node.loop.robot.velocity_limits, 1.0, 30.0)
         self.largest = 0.5 * node.loop.robot.effort_limits
         self.applied, self.renewed = np.zeros(n), {}
+        self.limits = self.ceiling = np.zeros(n)
         self.last, self.last_sent = np.zeros(n), None
         self.history = []
         self.fall_time, self.fallen = None, 0.0  # [s]; None while efforts do not fall
@@ -94,8 +95,11 @@ class Promises:
         self.time = now
         step = self._advance(passed)
         require(np.isfinite(efforts).all(), 'not finite', efforts)
-        limits = np.maximum(controller.limits, np.abs(self.last))
-        require((np.abs(efforts) <= limits + ROUNDING).all(), 'beyond the limits', efforts)
+        if (controller.limits != self.limits).any():
+            # The bound falls to a tightened limit; below it, efforts follow the motion.
+            self.limits, self.ceiling = controller.limits, np.abs(self.last)
+        bound = np.maximum(self.limits, self.ceiling)
+        require((np.abs(efforts) <= bound + ROUNDING).all(), 'beyond the limits', efforts, bound)
         settings = self.node.settings
         if controller.phase in COMPUTING_PHASES:
             self._check_computed(now, efforts, step)
@@ -173,8 +177,9 @@ class Promises:
         if was_falling:
             # The first command after a brief fall continues from it; compare the next ones.
             self.history.clear()
-        for old in self._compared(now):
-            self._check_motion(old, new, tau)
+        are_motion = [self._check_motion(old, new, tau) for old in self._compared(now)]
+        if not all(are_motion):
+            self.history.clear()  # the motion in the same window would be hard to tell apart
         self.history.append(new)
 
     def _compared(self, now):
@@ -184,12 +189,14 @@ class Promises:
         return {id(each): each for each in self.history[:1] + self.history[-1:]}.values()
 
     def _check_motion(self, old, new, tau):
+        """Return whether the joints can have moved like this since an earlier command."""
         settings = self.node.settings
         way = np.abs(new.q - old.q)
         elapsed = np.clip(new.times - old.times, 0.0, LONGEST_STEP)
         lateness = 0.0 if self.settling else LATENESS
         room = FACTOR * self.speeds * (elapsed + lateness) + 1e-9
-        if (way <= room).all():
+        is_motion = bool((way <= room).all())
+        if is_motion:
             inputs = old.q, old.velocities, old.accelerations
             motion = np.abs(tau - self._efforts(*inputs))
         else:
@@ -204,6 +211,7 @@ class Promises:
         if not math.isinf(settings.effort_rate_limits):
             bound = bound + settings.effort_rate_limits * (new.ramps - old.ramps)
         require((change <= bound).all(), 'a step beyond motion', change, bound)
+        return is_motion
 
     def _check_sent(self, efforts, sent, passed, step):
         if sent is None:

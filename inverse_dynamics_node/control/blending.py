@@ -37,8 +37,8 @@ class Blending:
     Turns computed efforts into commands, each of which continues from the one before.
 
     A command differs from the last one by no more than new joint states and references explain.
-    Everything else is a ramp that advances by `clock.step`, or is blended. `pass_time` begins a
-    command, and `follow`, `hold` or `fall` produces it. The start ramp multiplies the computed
+    Everything else is a ramp that advances by `clock.step`, or is blended. After `clock` has been
+    advanced, `follow`, `hold` or `fall` produces a command. The start ramp multiplies the computed
     efforts by `gain`. A blend adds the difference between the last command and the computed
     efforts, and lets it fade. The stop ramp scales the command at which it began. Each of
     them starts from the last command sent.
@@ -161,11 +161,6 @@ class Blending:
         self._way, self._is_new, self._pause = _Way.HOLDING, False, math.inf
         self._is_paused = self._was_paused = False
         self.clock.start()
-
-    def pass_time(self, now: float) -> None:
-        """Advance to the time of the next command [s]."""
-        if self.clock.advance(now):
-            self.begin()
 
     @property
     def time_to_fall(self) -> float:

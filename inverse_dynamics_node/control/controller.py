@@ -274,7 +274,8 @@ class Controller:
     def pass_time(self, now: float) -> None:
         """Advance to the time of the next command [s]; loads may then change by `ramp_step`."""
         self._time = now
-        self._blending.pass_time(now)
+        if self._blending.clock.advance(now):
+            self._blending.begin()
 
     def command(self, state: State | None, reference: Reference | None) -> Command | None:
         """Compute the command for the time of `pass_time`; arguments as for `step`."""

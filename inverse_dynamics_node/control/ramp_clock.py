@@ -65,18 +65,19 @@ class RampClock:
 
         """
         since, self._now = now - self._now, now
-        self.since = max(0.0, since)
         usual = self._usual
-        self.step = min(self.since, usual)
+        self.since = since if since > 0.0 else 0.0  # faster than max()
+        self.step = since if 0.0 < since < usual else min(self.since, usual)
         if 0.0 <= since <= max(_LEAST_PAUSE, _PAUSE * usual):
             is_interrupted = self._settling > 0.0
             self._settling = max(0.0, self._settling - since)
         else:
             is_interrupted = True
             self._settling = _SETTLING if since > -math.inf else 0.0
-        counted = min(self.since, 2.0 * usual)
-        usual += (counted - usual) * counted / (_MEMORY * usual)
-        self._usual = min(max(usual, self._shortest), self._longest)
+        if since > self._shortest or usual > self._shortest:
+            counted = min(self.since, 2.0 * usual)
+            usual += (counted - usual) * counted / (_MEMORY * usual)
+            self._usual = min(max(usual, self._shortest), self._longest)
         return is_interrupted
 
 

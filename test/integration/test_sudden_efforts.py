@@ -1,0 +1,40 @@
+"""Nothing but motion makes a command differ much from the last one, with the node as a process."""
+
+import time
+
+import numpy as np
+import pytest
+from std_srvs.srv import SetBool
+from suspensions import ALLOWED, FILE, largest_step, MODEL, move, NAMES
+
+Q = np.array([0.0, 0.5, 0.0, 0.5, 0.0, 0.0, 0.0])
+ZERO = np.zeros(7)
+
+
+@pytest.mark.parametrize('rate', [0, 200])
+def test_no_effort_jumps_after_a_suspension_while_the_arm_moves(run_node, robot, rate):
+    node = run_node(robot_description_file=FILE, update_rate=rate)
+    move(robot)
+    robot.wait_until(lambda: len(robot.commands) > 200, 'the end of the start ramp')
+    for duration in (0.5, 1.0, 2.0)[: 2 if rate else 3]:
+        assert largest_step(robot, node, duration) < ALLOWED
+
+
+@pytest.mark.parametrize('stop', ['enable', 'dry_run'])
+def test_a_stop_without_joint_states_begins_at_once_and_does_not_catch_up(run_node, robot, stop):
+    run_node(robot_description_file=FILE, state_timeout=5.0, start_ramp=0.0, stop_ramp=0.5)
+    robot.publish_state(NAMES, Q, ZERO)
+    robot.wait_until(lambda: robot.commands and np.any(robot.commands[-1]), 'commands')
+    top, count = np.array(robot.commands[-1]), len(robot.commands)
+    robot.state = None  # as at an emergency stop
+    if stop == 'enable':
+        assert robot.call(SetBool, 'enable', SetBool.Request(data=False)).success
+    else:
+        assert robot.set_parameter('dry_run', True).successful
+    robot.wait_for_command(ZERO, tolerance=0.0)
+    assert time.monotonic() < robot.last_state + 5.0  # before the states are lost
+    commands = np.array(robot.commands[count - 1 :])
+    steps = np.abs(np.diff(commands, axis=0))
+    # A ramp advances by 2 % at a time; not every command arrives.
+    assert (steps <= 0.15 * np.abs(top) + 1e-9).all()
+    assert (steps.max(axis=0) < ALLOWED * MODEL.effort_limits).all()
