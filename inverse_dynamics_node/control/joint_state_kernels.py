@@ -107,7 +107,7 @@ def store_joint_state(
     for k in range(len(in_robot)):
         i, j = in_robot[k], in_message[k]
         is_known = known[TIME, i] > LONG_AGO
-        elapsed = now - known[TIME, i] if is_known else -1.0
+        elapsed = now - known[TIME, i] if is_known else math.inf
         is_jump = has_jumped(tracks, i, received[_POSITION, j], elapsed)
         elapsed = max(0.0, elapsed) if is_known else -1.0
         is_alternating = track(tracks, i, received[_POSITION, j], elapsed)
@@ -116,7 +116,7 @@ def store_joint_state(
         if is_alternating and not is_commanded[i]:
             known[VELOCITY, i] = 0.0
         else:
-            if is_jump and is_known:
+            if is_jump:
                 result |= JUMPED
             known[POSITION, i] = received[_POSITION, j]
             known[VELOCITY, i] = received[_VELOCITY, j]

@@ -38,17 +38,22 @@ def has_jumped(tracks: Any, i: int, position: float, elapsed: float) -> bool:
     position : float
         Reported position [rad or m].
     elapsed : float
-        Time since the last report of this joint [s]; negative if there was none, or if the clock
-        was set back since.
+        Time since the last report of this joint [s]; inf if there was none, and negative if the
+        clock was set back since.
 
     """
+    speed = FACTOR * tracks[SPEED, i]
+    most = speed * _LATENESS
+    if elapsed == math.inf:
+        tracks[ROOM_ABOVE, i] = tracks[ROOM_BELOW, i] = most
+        return False
     step = min(max(position - tracks[LAST, i], -LARGEST), LARGEST)
     if tracks[IS_PRISMATIC, i] == 0.0:
         step -= 2.0 * math.pi * np.rint(step / (2.0 * math.pi))
-    speed = FACTOR * tracks[SPEED, i]
+    if not 0.0 <= elapsed <= _LONGEST_STEP:
+        tracks[ROOM_ABOVE, i] = tracks[ROOM_BELOW, i] = most = 0.0
     gained = speed * min(max(elapsed, 0.0), _LONGEST_STEP)
     above, below = tracks[ROOM_ABOVE, i] + gained - step, tracks[ROOM_BELOW, i] + gained + step
-    most = speed * _LATENESS if 0.0 <= elapsed <= _LONGEST_STEP else 0.0
     tracks[ROOM_ABOVE, i] = min(max(above, 0.0), most)
     tracks[ROOM_BELOW, i] = min(max(below, 0.0), most)
     return bool(min(above, below) < 0.0)

@@ -455,3 +455,180 @@ def test_a_gap_in_a_loop_without_a_period_advances_the_ramps_by_one_nominal_step
     assert loop.controller.gain == 0.0  # a blend begins
     report_all(loop, 1.0).step(1.0)
     assert loop.controller.gain == pytest.approx(1.25 * 0.01 / 2.0)
+
+
+ARM = load_urdf(ROOT / 'test/robots/seven_dof.urdf')
+LEVEL = np.array([0.0, 0.9, 0.0, 0.3, 0.0, 0.2, 0.0])
+HOLD = InverseDynamics(ARM).gravity_efforts(LEVEL)
+HAND = ARM.link_names[-1]
+
+
+def held(**arguments):
+    """Return the loop of an arm that has been held for a second, at 200 Hz, and the time."""
+    loop, now = ControlLoop(ARM, **arguments), 10.0
+    report_arm(loop, now)
+    efforts = play_arm(loop, now, 1.5)
+    assert efforts[-1] == pytest.approx(HOLD)
+    return loop, now + 1.5
+
+
+def report_arm(loop, now, q=LEVEL):
+    loop.collector.update(now, ARM.joint_names, q, np.zeros(7))
+
+
+def play_arm(loop, now, seconds, q=LEVEL, period=0.005):
+    """Step with new joint states from one time on; return the efforts."""
+    efforts = []
+    for k in range(1, round(seconds / period) + 1):
+        report_arm(loop, now + period * k, q)
+        efforts.append(loop.step(now + period * k).efforts.copy())
+    return np.array(efforts)
+
+
+def largest_step(*efforts):
+    """Return the largest step between commands [N m]."""
+    return np.abs(np.diff(np.vstack(efforts), axis=0)).max()
+
+
+@pytest.mark.parametrize('pause', [0.15, 0.5, 5.0])
+@pytest.mark.parametrize('timeout', [0.1, 1.0])
+def test_old_joint_states_after_a_suspension_do_not_move_the_efforts(pause, timeout):
+    loop, now = held(settings=Settings(state_timeout=timeout))
+    last, later = loop.step(now).efforts.copy(), now + pause
+    efforts = []
+    for fraction in np.linspace(0.0, 1.0, 50):  # within 5 ms
+        later += 1e-4
+        report_arm(loop, later, (1.0 - fraction) * LEVEL)
+        efforts.append(loop.step(later).efforts.copy())
+    efforts += list(play_arm(loop, later, 1.0, 0.0 * LEVEL))
+    assert largest_step(last, efforts) < 1.0
+    assert efforts[-1] == pytest.approx(InverseDynamics(ARM).gravity_efforts(0.0 * LEVEL))
+    assert np.abs(efforts[-1] - last).max() > 20.0
+
+
+@pytest.mark.parametrize('timeout', [0.1, 1.0])
+def test_a_stop_does_not_catch_up_when_the_states_have_ended_with_it(timeout):
+    loop, now = held(settings=Settings(state_timeout=timeout))
+    last = loop.step(now).efforts.copy()
+    loop.controller.stop()
+    efforts = [loop.step(now + 0.001).efforts.copy()]
+    efforts += [loop.step(now + timeout + 0.01 * k).efforts.copy() for k in range(1, 60)]
+    assert largest_step(last, efforts) == pytest.approx(0.01 / 0.5 * np.abs(HOLD).max())
+    assert not efforts[-1].any()
+
+
+@pytest.mark.parametrize('pause', [0.09, 0.9])
+def test_a_start_ramp_and_a_blend_do_not_catch_up_after_a_pause_of_the_states(pause):
+    loop = ControlLoop(ARM, settings=Settings(state_timeout=1.0))
+    report_arm(loop, 10.0)
+    rising = play_arm(loop, 10.0, 0.05)
+    efforts = play_arm(loop, 10.05 + pause, 1.5)
+    assert largest_step(rising, efforts) <= 1.01 * 0.01 / 0.5 * np.abs(HOLD).max()
+    loop.controller.apply(Settings(state_timeout=1.0, effort_scale=0.0))
+    now = 10.05 + pause + 1.5
+    fading = play_arm(loop, now, 0.05)
+    later = play_arm(loop, now + 0.05 + pause, 1.5)
+    assert largest_step(efforts[-1], fading, later) <= 1.01 * 0.01 / 0.5 * np.abs(HOLD).max()
+    assert not later[-1].any()
+
+
+@pytest.mark.parametrize('jump', [0.4, 60.0, 1e4])
+def test_a_stop_ramp_does_not_catch_up_after_a_suspension_or_a_jump_of_the_clock(jump):
+    loop, now = held(settings=Settings(state_timeout=0.5))
+    loop.controller.stop()
+    falling = play_arm(loop, now, 0.1)
+    later = play_arm(loop, now + 0.1 + jump, 0.6)
+    assert largest_step(falling, later) <= 1.01 * 0.01 / 0.5 * np.abs(HOLD).max()
+    assert not later[-1].any()
+
+
+@pytest.mark.parametrize('ramp', [0.0, 0.05, 60.0])
+def test_a_payload_keeps_the_ramp_with_which_it_began(ramp):
+    loop, now = held()
+    loop.loads.set_payload(HAND, 5.0, np.zeros(3), np.zeros((3, 3)))
+    before = play_arm(loop, now, 0.25)
+    loop.loads.apply(LoadSettings(load_ramp=ramp), include_gravity=True)
+    after = play_arm(loop, now + 0.25, 0.3)
+    expected = InverseDynamics(ARM)
+    expected.set_payload(HAND, 5.0)
+    assert after[-1] == pytest.approx(expected.gravity_efforts(LEVEL))
+    assert largest_step(before, after) <= 1.01 * 0.01 * np.abs(after[-1] - HOLD).max()
+
+
+def test_gravity_keeps_the_ramp_with_which_it_began():
+    loop, now = held()
+    loop.loads.set_gravity((0.0, 0.0, 0.0))
+    before = play_arm(loop, now, 0.25)
+    loop.loads.apply(LoadSettings(load_ramp=0.0), include_gravity=True)
+    after = play_arm(loop, now + 0.25, 0.3)
+    assert largest_step(before, after) <= 1.01 * 0.01 * np.abs(HOLD).max()
+    assert np.abs(after[-1]).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    'change', [{'load_ramp': 60.0}, {'load_ramp': 0.0}, {'wrench_timeout': 5.0}, 'clock']
+)
+def test_a_wrench_that_fades_neither_returns_nor_ends_at_once(change):
+    loop, now = held()
+    force = np.array([40.0, 0.0, 0.0])
+    whole = pushed(loop, now, force)
+    before = play_arm(loop, now + 1.0, 0.35)  # half of it has faded
+    assert before[-1] == pytest.approx(0.5 * (whole[-1] + HOLD), abs=1.5)
+    now += 1.35
+    if change == 'clock':
+        now -= 0.25
+    else:
+        loop.loads.apply(LoadSettings(**change), include_gravity=True)
+    after = play_arm(loop, now, 1.0)
+    # After a jump of the clock, a blend fades beside it.
+    assert largest_step(before, after) <= 2.02 * 0.01 * np.abs(whole[-1] - HOLD).max()
+    assert after[-1] == pytest.approx(HOLD)
+
+
+def pushed(loop, now, force):
+    """Renew a wrench for a second; return the efforts."""
+    efforts = []
+    for k in range(100):
+        loop.set_external_wrench(now + 0.01 * k, HAND, force, np.zeros(3))
+        efforts.append(play_arm(loop, now + 0.01 * k, 0.01))
+    return np.vstack(efforts)
+
+
+def test_the_first_wrench_is_blended_in_and_a_renewed_one_acts_at_once():
+    loop, now = held()
+    last = loop.step(now).efforts.copy()
+    efforts = pushed(loop, now, np.array([40.0, 0.0, 0.0]))
+    assert np.abs(efforts[-1] - HOLD).max() > 10.0
+    assert largest_step(last, efforts) <= 1.01 * 0.01 * np.abs(efforts[-1] - HOLD).max()
+    loop.set_external_wrench(now + 1.0, HAND, np.array([-40.0, 0.0, 0.0]), np.zeros(3))
+    assert play_arm(loop, now + 1.0, 0.005)[-1] == pytest.approx(2.0 * HOLD - efforts[-1])
+    play_arm(loop, now + 1.005, 0.3)  # it begins to fade
+    last = loop.step(now + 1.305).efforts.copy()
+    loop.set_external_wrench(now + 1.305, HAND, np.array([40.0, 0.0, 0.0]), np.zeros(3))
+    assert play_arm(loop, now + 1.305, 0.005)[-1] == pytest.approx(last)
+
+
+def test_another_cutoff_for_the_motion_of_the_base_is_blended_in():
+    loop = ControlLoop(ARM, has_imu=True, load_settings=LoadSettings(imu_filter_cutoff=0.1))
+    efforts = []
+    for k in range(400):
+        now = 10.0 + 0.005 * k
+        if k == 300:
+            loop.loads.apply(LoadSettings(imu_filter_cutoff=0.0), include_gravity=True)
+        force = (0.0, 0.0, 4.0) if k > 200 else (0.0, 0.0, 9.8)
+        loop.set_base_motion(now, force, np.zeros(3))
+        report_arm(loop, now)
+        efforts.append(loop.step(now).efforts.copy())
+    assert largest_step(efforts) < 1.5
+    expected = InverseDynamics(ARM, (0.0, 0.0, -4.0)).gravity_efforts(LEVEL)
+    assert np.abs(efforts[300] - expected).max() > 10.0
+
+
+def test_a_rate_limit_does_not_catch_up_after_a_pause():
+    loop, now = held()
+    loop.controller.apply(Settings(state_timeout=1.0, effort_rate_limits=20.0))
+    loop.reference = Reference(np.full(7, 5.0), np.zeros(7), now)
+    before = play_arm(loop, now, 0.1)
+    loop.reference = Reference(np.full(7, 5.0), np.zeros(7), now + 0.9)
+    after = play_arm(loop, now + 1.0, 0.1)
+    assert largest_step(before, after) <= 20.0 * 0.0101

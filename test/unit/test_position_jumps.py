@@ -1,0 +1,94 @@
+"""Positions that change faster than a joint can move are told from motion, however it arrives."""
+
+from inverse_dynamics_node import load_urdf
+from inverse_dynamics_node.control.joint_states import JointStateCollector
+import numpy as np
+import pytest
+from robot_files import ROOT
+
+ROBOT = load_urdf(ROOT / 'test/robots/seven_dof.urdf')
+NAMES, N = ROBOT.joint_names, len(ROBOT.joint_names)
+SPEEDS = ROBOT.velocity_limits
+SLIDER = load_urdf(ROOT / 'test/robots/cartesian.urdf')
+
+
+def jumps(times, positions, velocities=(), robot=ROBOT, commanded=()):
+    """Report positions; return for each message whether it was a jump."""
+    collector = JointStateCollector(robot.joint_names, {}, commanded, robot)
+    found = []
+    for now, q in zip(times, positions, strict=True):
+        collector.has_jumped = False
+        collector.update(float(now), robot.joint_names, q, velocities)
+        found.append(collector.has_jumped)
+    return found
+
+
+@pytest.mark.parametrize('rate', [10, 20, 100, 500, 1000])
+@pytest.mark.parametrize('speed', [1.0, 1.5])
+@pytest.mark.parametrize('lateness', [0.0, 0.01, 0.02])
+def test_fast_motion_is_no_jump_although_messages_are_late(rate, speed, lateness):
+    pick = np.random.default_rng(1)
+    for robot in (ROBOT, SLIDER):
+        v = np.where(np.isfinite(robot.velocity_limits), robot.velocity_limits, 1.0)
+        measured = np.arange(1.0, 4.0, 1.0 / rate)
+        arrival = np.maximum.accumulate(measured + pick.uniform(0.0, lateness, len(measured)))
+        swing = np.abs((measured % 1.0) - 0.5)
+        assert not any(jumps(arrival, speed * swing[:, None] * v, robot=robot))
+
+
+def test_noise_and_encoders_are_no_jumps():
+    pick = np.random.default_rng(1)
+    times = np.arange(0.0, 2.0, 0.001)
+    noise = pick.choice([-0.01, 0.01], (len(times), N))
+    assert not any(jumps(times, noise))
+    assert not any(jumps(times, 0.05 * np.round(np.outer(times, SPEEDS) / 0.05)))
+
+
+def test_full_turns_are_no_jumps():
+    times = np.arange(0.0, 4.0, 0.002)
+    q = np.outer(times, SPEEDS)
+    assert not any(jumps(times, (q + np.pi) % (2.0 * np.pi) - np.pi))
+
+
+@pytest.mark.parametrize('step', [0.3, -0.3])
+def test_a_sudden_step_is_a_jump_once(step):
+    q = np.zeros((100, N))
+    q[50:, 2] = step
+    assert np.flatnonzero(jumps(0.005 * np.arange(100), q)).tolist() == [50]
+
+
+@pytest.mark.parametrize('pause', [0.15, 0.5, 5.0])
+@pytest.mark.parametrize('between', [0.0, 1e-4, 5e-4])
+def test_a_motion_that_arrives_after_its_end_is_a_jump_all_along(pause, between):
+    # Messages of the pause waited, 5 ms apart; joints moved at a third of their limit.
+    live = np.arange(0.0, 1.0, 0.005)
+    old = 1.0 + np.arange(0.0, pause, 0.005)
+    arrival = np.concatenate([live, 1.0 + pause + between * np.arange(len(old))])
+    q = np.outer(np.concatenate([live, old]), SPEEDS / 3.0)
+    found = jumps(arrival, q)
+    assert not any(found[: len(live) + 1])
+    assert all(found[len(live) + 1 :])
+
+
+def test_positions_that_move_in_a_pause_are_a_jump():
+    q = np.zeros((3, N))
+    q[2, 1] = 0.3 * SPEEDS[1]
+    assert jumps([0.0, 0.005, 0.5], q) == [False, False, True]
+    assert jumps([0.0, 0.005, 0.09], 0.5 * q) == [False, False, False]
+
+
+def test_a_clock_that_is_set_back_leaves_no_time_for_motion():
+    q = np.zeros((3, N))
+    q[2, 1] = 0.01
+    assert jumps([9.0, 9.005, 1.0], q) == [False, False, True]
+
+
+def test_the_position_of_a_joint_that_alternates_is_not_used_and_no_jump():
+    collector = JointStateCollector(NAMES, {}, NAMES[:-1], ROBOT)
+    for k in range(400):
+        q = np.zeros(N)
+        q[-1] = 1.5 * (k % 2)
+        collector.has_jumped = False
+        collector.update(0.005 * k, NAMES, q, ())
+    assert list(collector.alternating()) == [NAMES[-1]]
+    assert not collector.has_jumped

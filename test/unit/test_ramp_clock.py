@@ -1,0 +1,95 @@
+"""Ramps advance by at most one nominal step in one command, and interruptions are blended."""
+
+from inverse_dynamics_node.control.ramp_clock import RampClock
+import numpy as np
+import pytest
+
+
+def steps(clock, intervals, start=100.0):
+    """Advance a clock; return the steps by which ramps advance."""
+    clock.start()
+    clock.advance(start)
+    advanced = []
+    for now in start + np.cumsum(intervals):
+        clock.advance(float(now))
+        advanced.append(clock.step)
+    return advanced
+
+
+@pytest.mark.parametrize('period', [0.0, 0.002, 0.01])
+def test_ramps_advance_with_time_at_the_usual_rates(period):
+    for interval in (0.001, 0.005, 0.01):
+        advanced = steps(RampClock(period), [interval] * 100)
+        assert advanced == pytest.approx([interval] * 100, rel=1e-6)
+
+
+def test_a_late_command_does_not_catch_up():
+    assert steps(RampClock(), [0.005, 0.9, 0.005]) == pytest.approx([0.005, 0.01, 0.005])
+    assert steps(RampClock(0.05), [0.05, 0.9]) == pytest.approx([0.05, 0.05])
+
+
+def test_a_late_command_raises_the_usual_step_by_a_quarter_at_most():
+    advanced = steps(RampClock(), [0.9, 0.9, 30.0, 0.9])
+    assert advanced == pytest.approx(0.01 * 1.25 ** np.arange(4))
+
+
+@pytest.mark.parametrize('interval', [0.02, 0.1, 0.4])
+def test_ramps_take_their_time_on_a_machine_that_is_always_late(interval):
+    advanced = steps(RampClock(), [interval] * 60)
+    assert (np.diff(advanced) >= 0.0).all()
+    assert advanced[-20:] == pytest.approx([interval] * 20, rel=0.05)
+    assert max(steps(RampClock(), [2.0] * 60)) <= 0.5
+
+
+def test_several_messages_in_a_row_do_not_hide_the_pauses_between_them():
+    advanced = steps(RampClock(), [0.1, 0.0, 0.0, 0.0] * 60)
+    assert sum(advanced[-40:]) == pytest.approx(1.0, rel=0.05)
+
+
+def test_a_usual_step_is_forgotten_when_commands_come_faster_again():
+    clock = RampClock()
+    steps(clock, [0.1] * 60)
+    assert clock.step > 0.09
+    steps(clock, [0.01] * 1000)
+    clock.advance(1e6)
+    assert clock.step < 0.011
+
+
+def test_a_clock_that_is_set_back_does_not_advance_ramps():
+    clock = RampClock()
+    clock.advance(100.0)
+    assert clock.advance(50.0)
+    assert (clock.step, clock.since) == (0.0, 0.0)
+    assert clock.advance(50.005)
+    assert clock.step == pytest.approx(0.005)
+
+
+@pytest.mark.parametrize('jump', [-3.0, 0.11, 60.0])
+def test_commands_are_blended_for_a_while_after_an_interruption(jump):
+    clock, now = RampClock(), 100.0
+    assert clock.advance(now)  # a start
+    assert not clock.advance(now + 0.1)
+    now += 0.1 + jump
+    assert clock.advance(now)
+    interrupted = [clock.advance(now + 0.01 * k) for k in range(1, 31)]
+    assert interrupted == sorted(interrupted, reverse=True)
+    assert interrupted[:19] == [True] * 19
+    assert interrupted[21:] == [False] * 9
+
+
+def test_the_usual_pauses_of_a_slow_driver_are_no_interruptions():
+    clock = RampClock()
+    steps(clock, [0.2] * 60)
+    now = 100.0 + 60 * 0.2
+    assert not any(clock.advance(now + 0.2 * k) for k in range(1, 20))
+    assert not clock.advance(now + 19 * 0.2 + 0.6)
+
+
+def test_nothing_has_passed_at_a_start():
+    clock = RampClock()
+    clock.advance(5.0)
+    clock.advance(500.0)
+    clock.start()
+    assert clock.advance(7.0)
+    assert clock.step == 0.0
+    assert not clock.advance(7.01)
