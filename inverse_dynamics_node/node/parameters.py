@@ -141,7 +141,7 @@ class Configuration:
     load_ramp: float = parameter(
         _LOADS.load_ramp,
         'Time in which a payload is ramped in, or a lost external wrench fades out',
-        'Gravity changes by 9.8 m/s^2 in this time',
+        'Gravity changes by 9.8 m/s^2 in this time. A ramp that has started keeps its time',
         unit='s',
         minimum=0.0,
         maximum=60.0,
@@ -231,7 +231,7 @@ class Configuration:
     effort_limits: PerJoint = parameter(
         0.0,
         'Tighter limits of the efforts. 0: none',
-        'A changed limit applies along the start ramp',
+        'A changed limit applies along the start ramp: the bound of the efforts falls to it',
         unit='N m, N',
         minimum=0.0,
     )
