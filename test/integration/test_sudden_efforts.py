@@ -1,5 +1,6 @@
 """Nothing but motion makes a command differ much from the last one, with the node as a process."""
 
+import re
 import time
 
 import numpy as np
@@ -20,18 +21,23 @@ def test_no_effort_jumps_after_a_suspension_while_the_arm_moves(run_node, robot,
         assert largest_step(robot, node, duration) < ALLOWED
 
 
-@pytest.mark.parametrize('stop', ['enable', 'dry_run'])
+@pytest.mark.parametrize('stop', ['enable', 'dry_run', 'enable, dry_run'])
 def test_a_stop_without_joint_states_begins_at_once_and_does_not_catch_up(run_node, robot, stop):
-    run_node(robot_description_file=FILE, state_timeout=5.0, start_ramp=0.0, stop_ramp=0.5)
+    node = run_node(robot_description_file=FILE, state_timeout=5.0, start_ramp=0.0, stop_ramp=0.5)
     robot.publish_state(NAMES, Q, ZERO)
     robot.wait_until(lambda: robot.commands and np.any(robot.commands[-1]), 'commands')
     top, count = np.array(robot.commands[-1]), len(robot.commands)
     robot.state = None  # as at an emergency stop
-    if stop == 'enable':
+    if 'enable' in stop:
         assert robot.call(SetBool, 'enable', SetBool.Request(data=False)).success
-    else:
+        robot.wait_until(lambda: abs(robot.commands[-1][1]) < abs(top[1]), 'a fall')
+    if 'dry_run' in stop:
         assert robot.set_parameter('dry_run', True).successful
     robot.wait_for_command(ZERO, tolerance=0.0)
+    if stop == 'enable, dry_run':  # the fall continues
+        robot.wait_for_text(node, 'dry run: no more commands')
+        (left,) = re.findall(r'no more commands, after the stop ramp \((.*) s\)', node.output)
+        assert float(left) < 0.5
     assert time.monotonic() < robot.last_state + 5.0  # before the states are lost
     commands = np.array(robot.commands[count - 1 :])
     steps = np.abs(np.diff(commands, axis=0))

@@ -519,6 +519,23 @@ def test_steps_that_are_always_late_still_end_the_stop_ramp():
     assert efforts[-1] == 0.0
 
 
+def test_the_time_to_fall_is_what_is_left_of_a_stop_ramp():
+    lift = controller(stop_ramp=0.5)
+    lift.step(0.0, state(0.0), None)
+    assert lift.time_to_fall == 0.5
+    lift.stop()
+    for now, left in ((0.1, 0.5), (0.2, 0.4), (0.25, 0.35), (0.9, 0.25)):
+        lift.step(now, state(now), None)
+        assert lift.time_to_fall == pytest.approx(left)
+    lift.apply(Settings(start_ramp=0.0, stop_ramp=9.0))
+    for now in (1.0, 1.1, 1.2, 1.3):
+        lift.step(now, state(now), None)
+    assert lift.time_to_fall == 0.0
+    lift.resume()
+    lift.step(1.4, state(1.4), None)
+    assert lift.time_to_fall == 9.0
+
+
 def test_efforts_held_since_a_stop_ramp_began_stay_where_they_are():
     lift = controller(stop_ramp=0.2)
     lift.step(0.0, state(0.0), None)
