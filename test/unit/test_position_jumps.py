@@ -77,6 +77,12 @@ def test_positions_that_move_in_a_pause_are_a_jump():
     assert jumps([0.0, 0.005, 0.09], 0.5 * q) == [False, False, False]
 
 
+def test_an_absurd_position_is_a_jump_and_not_full_turns():
+    q = np.zeros((2, N))
+    q[1] = 1e300
+    assert jumps([0.0, 0.09], q) == [False, True]
+
+
 def test_a_clock_that_is_set_back_leaves_no_time_for_motion():
     q = np.zeros((3, N))
     q[2, 1] = 0.01
