@@ -18,7 +18,7 @@ NOMINAL_STEP = 0.01  # [s]; ramps advance by at most as long in one command, ...
 GROWTH, MEMORY = 1.25, 16.0  # ... or by the usual time between commands, which changes slowly
 SHORTEST_RAMP = 0.5  # [s]; of all that the driver sets
 RAMPS = 3.0  # ramps over the largest effort that may coincide: a blend over twice of it, a load
-PAUSE, SETTLING = 0.1, 0.19  # [s]; after a pause, old messages may arrive for as long
+PAUSE, SETTLING = 0.1, 0.2  # [s]; after a pause, old messages may arrive for as long
 FACTOR, LATENESS, LONGEST_STEP = 2.0, 0.03, 0.1  # of motion: of the speed limit, [s], [s]
 WINDOW = 0.02  # [s]; many small steps may be no motion either
 TIMEOUTS = {'wrench': lambda node: node.load_settings.wrench_timeout, 'imu': lambda node: 0.2}
@@ -114,7 +114,7 @@ class Promises:
         self.last_sent = None if sent is None else sent.copy()
 
     def _forget(self):
-        self.time, self.fall_time = None, None
+        self.time, self.fall_time, self.settling = None, None, 0.0
         self.last = np.zeros(len(self.last))
         self.history.clear()
 
