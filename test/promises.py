@@ -42,6 +42,8 @@ class Computed:
     """Time by which ramps may have advanced since the start [s]."""
     applied: np.ndarray
     """Loads that acted at once since the start [N m]."""
+    moved: np.ndarray
+    """Changes of the efforts by motion since the start, added up [N m]."""
 
 
 class Promises:
@@ -167,6 +169,7 @@ class Promises:
             collector.times.copy(),
             self.ramps,
             self.applied,
+            np.zeros(len(efforts)),
         )
         rate = self.node.settings.effort_rate_limits
         change, most = np.abs(efforts - self.last), math.inf if math.isinf(rate) else rate * step
@@ -177,6 +180,8 @@ class Promises:
         if was_falling:
             # The first command after a brief fall continues from it; compare the next ones.
             self.history.clear()
+        if self.history:
+            new.moved = self.history[-1].moved + np.abs(tau - self._efforts_of_last())
         are_motion = [self._check_motion(old, new, tau) for old in self._compared(now)]
         if not all(are_motion):
             self.history.clear()  # the motion in the same window would be hard to tell apart
@@ -197,13 +202,17 @@ class Promises:
         room = FACTOR * self.speeds * (elapsed + lateness) + 1e-9
         is_motion = bool((way <= room).all())
         if is_motion:
-            inputs = old.q, old.velocities, old.accelerations
-            motion = np.abs(tau - self._efforts(*inputs))
+            motion = new.moved - old.moved  # a joint that moved to and fro changed other efforts
         else:
+            # The others may have moved before a joint jumped, but not in a pause.
             fraction = float(np.min(room[way > room] / way[way > room]))
-            before = self._efforts(old.q, old.velocities, old.accelerations).copy()
-            after = self._efforts(new.q, old.velocities, old.accelerations)
-            motion = fraction * np.abs(after - before)
+            inputs = old.velocities, old.accelerations
+            before = self._efforts(old.q, *inputs).copy()
+            motion = fraction * np.abs(self._efforts(new.q, *inputs) - before)
+            if not self.settling:
+                q = np.where(way > room, old.q, new.q)
+                inputs = new.velocities, new.accelerations
+                motion = motion + np.abs(self._efforts(q, *inputs) - before)
         motion = abs(settings.effort_scale) * (motion + new.applied - old.applied)
         ramps = RAMPS * self.largest * (new.ramps - old.ramps) / SHORTEST_RAMP
         change = np.abs(new.efforts - old.efforts)

@@ -118,14 +118,14 @@ def hostile_observer():
 def test_a_node_cannot_control_the_terminal_of_watch(monkeypatch):
     pytest.importorskip('rich')
     observer, sample = hostile_observer()
-    verdict = Verdict(Outcome.UNDECIDED, Cause.NO_DIAGNOSTICS, reason=f'{ESCAPE}{C1}\nforged')
+    verdict = Verdict(Outcome.UNDECIDED, Cause.NODE_STATE, reason=f'{ESCAPE}{C1}\nforged')
     output = io.StringIO()
     output.isatty = lambda: True
     monkeypatch.setenv('COLUMNS', '200')
     monkeypatch.setenv('TERM', 'xterm')
     monkeypatch.setattr(sys, 'stdout', output)
     console = terminal.colour_console()
-    console.print(live_view.screen(observer, sample, verdict))
+    console.print(live_view.screen(observer, sample, verdict, 200))
     text = output.getvalue()
     assert '\\x9b2J' in text
     assert '[red]m[/red] [/x] :smile:' in text
