@@ -23,13 +23,10 @@ demo: $(VENV)/demo.done
 # ARGS='...' replaces the stages below: `make test ARGS=test/unit` runs some of the tests.
 PYTEST := --timeout 600 --quiet --dist worksteal
 TESTS := $(CLEAN) OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest $(PYTEST)
-# Tests of the library compute; tests of the node wait for processes and messages; those with a
-# simulated arm do both.
+# Tests of the library compute; those of the node mostly wait for processes and messages.
 LIBRARY := --numprocesses 2 test/unit test/property test/parity test/cli \
     test/test_architecture.py test/test_markdown.py test/test_release.py
-ARM := test/integration/test_first_hour.py test/integration/test_closed_loop.py \
-    test/integration/test_demo.py test/integration/test_simulated_robot.py test/test_readme.py
-NODE := --numprocesses 4 test/integration $(addprefix --ignore ,$(ARM))
+NODE := --numprocesses 4 test/integration test/test_readme.py
 # Without numba, the same functions run as plain Python.
 PLAIN := --numprocesses 2 test/unit test/property test/parity
 PLAIN_SAMPLE := --numprocesses 2 test/unit/test_batch.py test/unit/test_controller.py \
@@ -47,9 +44,12 @@ else
 	$(call stage,library,,-m 'not long' $(LIBRARY))
 	$(call stage,sample without numba,NUMBA_DISABLE_JIT=1,-m 'not long' $(PLAIN_SAMPLE))
 	$(call stage,node,,-m 'not long' $(NODE))
-	$(call stage,node and simulated arm,,-m 'not long' --numprocesses 2 $(ARM))
 	@cat $(SUMMARY)
 endif
+
+# Runs a program with a verdict in its last line, $(2), and keeps this line for the summary.
+verdict = @echo '$(1):'; output=$$($(CLEAN) $(BIN)/python $(2)) || { echo "$$output"; exit 1; }; \
+    echo "$(1): $$(echo "$$output" | tail -n 1)" >> $(SUMMARY)
 
 # What `make test` runs and leaves out: the long tests, everything without numba, and fuzzing.
 test-all: $(VENV)/test.done lint
@@ -57,8 +57,9 @@ test-all: $(VENV)/test.done lint
 	$(call stage,library,,$(LIBRARY))
 	$(call stage,everything without numba,NUMBA_DISABLE_JIT=1,-m 'not long' $(PLAIN))
 	$(call stage,fuzzing,,--hypothesis-profile long --numprocesses 2 $(FUZZED))
+	$(call verdict,random events,test/random_driver.py --events 1000000)
+	$(call verdict,suspensions,test/suspensions.py)
 	$(call stage,node,,$(NODE))
-	$(call stage,node and simulated arm,,--numprocesses 2 $(ARM))
 	@cat $(SUMMARY)
 
 FUZZED := test/property/test_urdf_fuzz.py test/property/test_command_laws.py \

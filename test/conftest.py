@@ -27,7 +27,7 @@ def pytest_addoption(parser):
 
 
 def pytest_terminal_summary(terminalreporter, config):
-    if config.option.summary:
+    if config.option.summary and not hasattr(config, 'workerinput'):
         found = {kind: len(terminalreporter.getreports(kind)) for kind in KINDS}
         counts = ', '.join(f'{number} {kind}' for kind, number in found.items() if number)
         with open(config.option.summary, 'a') as file:

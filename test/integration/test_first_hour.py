@@ -21,6 +21,7 @@ pytest.importorskip('matplotlib')
 from rclpy.signals import SignalHandlerOptions
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+pytestmark = pytest.mark.real_time
 PAGE = (ROOT / 'doc' / 'first_hour.md').read_text()
 BLOCKS = re.findall(r'^```(sh|text)\n(.*?)^```', PAGE, re.M | re.S)
 PATIENCE = 120.0  # [s]
