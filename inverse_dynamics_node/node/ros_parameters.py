@@ -21,6 +21,7 @@ from .parameters import (
 from .scheduling import available_cpus
 
 _QOS = 'qos_overrides'  # prefix of parameters that rclpy declares
+_RENAMED = {'payload_transition_time': 'load_ramp'}
 
 
 def declare_parameters(node: Node) -> None:
@@ -154,6 +155,8 @@ def describe_unknown(name: str, known: Iterable[str]) -> str:
     """Describe the name of a parameter that the node does not have, with the closest one."""
     if not name:
         return 'a parameter without a name'
+    if name in _RENAMED:
+        return f"unknown parameter '{name}'; it is now called '{_RENAMED[name]}'"
     head, _, tail = name.partition('.')
     known = [*known, LOCKED]
     hint = did_you_mean(name, known) or did_you_mean(head, known)
