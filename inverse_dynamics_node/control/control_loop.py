@@ -18,6 +18,7 @@ from .controller import Command, Controller
 from .external_efforts import ExternalEffortEstimator
 from .external_loads import ExternalLoads
 from .joint_states import JointStateCollector
+from .phase import Phase
 from .reference import Reference
 from .settings import LoadSettings, Settings
 
@@ -106,7 +107,12 @@ class ControlLoop:
         self._set_velocity_timeout()
         self.controller.pass_time(now)
         self.collector.rest_late(now, self.controller.settings.uncommanded_state_timeout)
-        if self.loads.update(now, self.controller.ramp_step) or self.collector.has_jumped:
+        # Before the first command nothing acts yet, so that loads need no ramp.
+        is_waiting = self.controller.phase is Phase.WAITING
+        elapsed = math.inf if is_waiting else self.controller.ramp_step
+        if self.reference is not None and self.reference.time > now:
+            self.reference = None  # the clock was set back: it would return when its time comes
+        if self.loads.update(now, elapsed) or self.collector.has_jumped:
             self.collector.has_jumped = False
             self.controller.blend()
         state = None if self.lacks_imu else self.collector.state()

@@ -152,7 +152,7 @@ class ExternalLoads:
         Returns
         -------
         has_jumped : bool
-            Whether there was no wrench on this link or it was fading, so that efforts may jump.
+            Whether the last wrench on this link was not renewed in time, so that efforts may jump.
 
         Raises
         ------
@@ -166,7 +166,9 @@ class ExternalLoads:
         last = self._wrenches.get(link)
         self._wrenches[link] = _Wrench(F, N, now, self.settings.load_ramp, 1.0)
         self.dynamics.set_external_wrench(link, F, N)
-        return last is None or last.fraction < 1.0
+        if last is None or last.fraction < 1.0:
+            return True
+        return not 0.0 <= now - last.time <= self.settings.wrench_timeout
 
     def set_gravity(self, gravity: ArrayLike) -> None:
         """

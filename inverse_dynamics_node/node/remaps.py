@@ -138,7 +138,7 @@ def ineffective_files(arguments: Sequence[str], name: str) -> list[str]:
         with open(file, 'rb') as stream:
             try:
                 sections = _sections(yaml.safe_load(stream))
-            except yaml.YAMLError:  # PyYAML is stricter than rcl
+            except (yaml.YAMLError, ValueError, RecursionError):  # PyYAML is stricter than rcl
                 continue
         if sections and not any(re.fullmatch(_pattern(section), name) for section in sections):
             problems.append(

@@ -608,6 +608,36 @@ def test_the_first_wrench_is_blended_in_and_a_renewed_one_acts_at_once():
     assert play_arm(loop, now + 1.305, 0.005)[-1] == pytest.approx(last)
 
 
+def test_a_wrench_that_was_renewed_too_late_is_blended_in_even_without_a_step_between():
+    settings = Settings(start_ramp=10.0, state_timeout=1.0)
+    loop = ControlLoop(ARM, settings=settings, period=0.5)
+    push = np.array([40.0, 0.0, 0.0])
+    for k in range(60):
+        loop.set_external_wrench(0.5 * k, HAND, push, np.zeros(3))
+        report_arm(loop, 0.5 * k)
+        last = loop.step(0.5 * k).efforts.copy()
+    assert np.abs(last - HOLD).max() > 10.0
+    loop.set_external_wrench(29.9, HAND, -push, np.zeros(3))
+    report_arm(loop, 30.0)
+    assert loop.step(30.0).efforts == pytest.approx(last, abs=3.0)
+
+
+def test_a_wrench_from_before_the_start_does_not_act():
+    loop = ControlLoop(ARM, load_settings=LoadSettings(load_ramp=60.0))
+    loop.set_external_wrench(0.0, HAND, np.array([40.0, 0.0, 0.0]), np.zeros(3))
+    loop.start()
+    assert play_arm(loop, 100.0, 1.5)[-1] == pytest.approx(HOLD)
+
+
+def test_a_reference_does_not_return_after_the_clock_was_set_back():
+    loop, now = held(settings=Settings(reference_timeout=0.5))
+    loop.reference = Reference(np.full(7, 5.0), np.zeros(7), now)
+    assert np.abs(play_arm(loop, now, 0.3)[-1] - HOLD).max() > 1.0
+    efforts = play_arm(loop, now - 2.0, 3.0)
+    assert largest_step(efforts) < 1.0
+    assert efforts[-1] == pytest.approx(HOLD)
+
+
 def test_another_cutoff_for_the_motion_of_the_base_is_blended_in():
     loop = ControlLoop(ARM, has_imu=True, load_settings=LoadSettings(imu_filter_cutoff=0.1))
     efforts = []

@@ -586,3 +586,7 @@ def test_the_frame_of_an_imu_is_compared_with_the_robot_description():
         R_BS = robot.link_rotation[robot.link_index(name)]
         assert not describe_imu_frame(loop, name, R_BS)
         assert 'turns by 90 degrees' in describe_imu_frame(loop, name, R_BS @ quarter)
+        for yaw in np.linspace(0.0, 3.0, 50):  # the cosine of half a turn may round to below -1
+            about, back = rotation_of_rpy(0.0, 0.0, yaw), rotation_of_rpy(0.0, 0.0, -yaw)
+            turned = R_BS @ about @ rotation_of_rpy(math.pi, 0.0, 0.0) @ back
+            assert 'turns by 180 degrees' in describe_imu_frame(loop, name, turned)
