@@ -6,16 +6,18 @@ ROBOT ?= config/stanford.urdf
 VENV := .venv
 BIN := $(VENV)/bin
 
-# Without these variables, a sourced ROS cannot replace the libraries in the environment made here.
+# Without these variables, a sourced ROS cannot replace the libraries in the environment made here,
+# and Python keeps the compiled modules.
 # Nothing started here sends a packet to another machine.
-CLEAN := env -u PYTHONDONTWRITEBYTECODE -u PYTHONPATH -u LD_LIBRARY_PATH -u AMENT_PREFIX_PATH -u COLCON_PREFIX_PATH \
-    -u CMAKE_PREFIX_PATH -u RMW_IMPLEMENTATION -u ROS_DISTRO -u _ROS_WHEELS_BOOTSTRAP_COMPLETE \
+CLEAN := env -u PYTHONDONTWRITEBYTECODE -u PYTHONPATH -u LD_LIBRARY_PATH \
+    -u AMENT_PREFIX_PATH -u COLCON_PREFIX_PATH -u CMAKE_PREFIX_PATH -u RMW_IMPLEMENTATION -u ROS_DISTRO -u _ROS_WHEELS_BOOTSTRAP_COMPLETE \
     -u FASTDDS_BUILTIN_TRANSPORTS -u FASTDDS_DEFAULT_PROFILES_FILE \
     -u FASTRTPS_DEFAULT_PROFILES_FILE -u ROS_DISCOVERY_SERVER -u ROS_STATIC_PEERS \
     -u ROS_LOCALHOST_ONLY -u ROS_SECURITY_ENABLE -u ROS_SECURITY_STRATEGY \
     ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
 
-.PHONY: demo test test-all test-plain test-oldest lint bench bench-loop storm mutation parameters clean
+.PHONY: demo test test-all test-plain test-oldest lint bench bench-loop storm mutation \
+    parameters clean
 
 demo: $(VENV)/demo.done
 	@$(CLEAN) $(BIN)/python -m inverse_dynamics_node.cli.main demo '$(ROBOT)' $(ARGS)
@@ -51,7 +53,7 @@ endif
 verdict = @echo '$(1):'; output=$$($(CLEAN) $(BIN)/python $(2)) || { echo "$$output"; exit 1; }; \
     echo "$(1): $$(echo "$$output" | tail -n 1)" >> $(SUMMARY)
 
-# What `make test` runs and leaves out: the long tests, everything without numba, and fuzzing.
+# What `make test` runs, and what it leaves out: the long tests, everything without numba, and fuzzing.
 test-all: $(VENV)/test.done lint
 	@rm -f $(SUMMARY)
 	$(call stage,library,,$(LIBRARY))
