@@ -39,15 +39,15 @@ _RELAYED = 0.5  # fraction of the way; thus relays may be up to 50 ms late
 LARGEST = 1e6  # [rad, m]; larger steps are treated like this one
 
 # Rows of tracks, one column per joint: constants, ...
-_CONSTANTS = 4
-SPEED, _IGNORED, _COARSE, IS_PRISMATIC = range(_CONSTANTS)
+_CONSTANTS = 5
+SPEED, _IGNORED, _COARSE, IS_PRISMATIC, IS_CONTINUOUS = range(_CONSTANTS)
 # ... reported positions and steps, ...
-LAST, _STEP, _RAW_STEP, _EXCESS, _COUNT, _OTHER, _FLAG, _SMALLEST = range(4, 12)
+LAST, _STEP, _RAW_STEP, _EXCESS, _COUNT, _OTHER, _FLAG, _SMALLEST = range(5, 13)
 # ... and smallest and largest positions relative to the last one, in this window and the last.
-_LOW, _HIGH, _LAST_LOW, _LAST_HIGH, _AGE, _ANY_STEP = range(12, 18)
+_LOW, _HIGH, _LAST_LOW, _LAST_HIGH, _AGE, _ANY_STEP = range(13, 19)
 # ... and how far the joint may be the next time, see `position_jumps`.
-ROOM_ABOVE, ROOM_BELOW = range(18, 20)
-_ROWS = 20
+ROOM_ABOVE, ROOM_BELOW = range(19, 21)
+_ROWS = 21
 
 
 def make_tracks(n: int, robot: RobotModel | None = None) -> Floats:
@@ -63,14 +63,14 @@ def make_tracks(n: int, robot: RobotModel | None = None) -> Floats:
 
     Returns
     -------
-    tracks : ndarray, shape (20, n)
+    tracks : ndarray, shape (21, n)
 
     """
     tracks = np.zeros((_ROWS, n))
     is_prismatic, limits = np.zeros(n, dtype=bool), np.full(n, math.inf)
     if robot is not None:
         is_prismatic, limits = robot.is_prismatic_joint, robot.velocity_limits
-        tracks[IS_PRISMATIC] = is_prismatic
+        tracks[IS_PRISMATIC], tracks[IS_CONTINUOUS] = is_prismatic, robot.is_continuous
     slowest, usual, fastest = np.where(is_prismatic, *np.array(_SPEEDS)[::-1, :, None])
     tracks[SPEED] = np.clip(np.where(np.isfinite(limits), limits, usual), slowest, fastest)
     tracks[_IGNORED] = np.where(is_prismatic, _NOISE[1], _NOISE[0])
@@ -98,7 +98,7 @@ def forget_silent(tracks: Floats, ages: Floats) -> None:
 
     Parameters
     ----------
-    tracks : ndarray, shape (20, n)
+    tracks : ndarray, shape (21, n)
         See `make_tracks`.
     ages : ndarray, shape (n,)
         Time since the last report of each joint [s].
@@ -115,7 +115,7 @@ def track(tracks: Any, i: int, position: float, elapsed: float) -> bool:
 
     Parameters
     ----------
-    tracks : ndarray, shape (20, n)
+    tracks : ndarray, shape (21, n)
         See `make_tracks`.
     i : int
         Index of the joint.

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ..dynamics.jit import compiled
-from .alternation import FACTOR, IS_PRISMATIC, LARGEST, LAST, ROOM_ABOVE, ROOM_BELOW, SPEED
+from .alternation import FACTOR, IS_CONTINUOUS, LARGEST, LAST, ROOM_ABOVE, ROOM_BELOW, SPEED
 
 _LATENESS = 0.03  # [s]; how late messages may be
 _LONGEST_STEP = 0.1  # [s]; after a longer time, a joint may have moved only as far as in this one
@@ -31,7 +31,7 @@ def has_jumped(tracks: Any, i: int, position: float, elapsed: float) -> bool:
 
     Parameters
     ----------
-    tracks : ndarray, shape (20, n)
+    tracks : ndarray, shape (21, n)
         See `alternation.make_tracks`.
     i : int
         Index of the joint.
@@ -48,7 +48,8 @@ def has_jumped(tracks: Any, i: int, position: float, elapsed: float) -> bool:
         tracks[ROOM_ABOVE, i] = tracks[ROOM_BELOW, i] = most
         return False
     step = min(max(position - tracks[LAST, i], -LARGEST), LARGEST)
-    if abs(step) < LARGEST and tracks[IS_PRISMATIC, i] == 0.0:
+    # A full turn of another joint would change the feedback of computed torque.
+    if abs(step) < LARGEST and tracks[IS_CONTINUOUS, i] != 0.0:
         step -= 2.0 * math.pi * np.rint(step / (2.0 * math.pi))
     if not 0.0 <= elapsed <= _LONGEST_STEP:
         tracks[ROOM_ABOVE, i] = tracks[ROOM_BELOW, i] = most = 0.0

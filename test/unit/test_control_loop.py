@@ -13,7 +13,7 @@ from inverse_dynamics_node.control.control_loop import ControlLoop
 from inverse_dynamics_node.control.external_efforts import ExternalEffortEstimator
 from inverse_dynamics_node.control.phase import Phase
 from inverse_dynamics_node.control.reference import Reference
-from inverse_dynamics_node.control.settings import LoadSettings, Settings
+from inverse_dynamics_node.control.settings import LoadSettings, Mode, Settings
 import numpy as np
 import pytest
 from robot_files import ROOT, STANFORD
@@ -504,6 +504,16 @@ def test_old_joint_states_after_a_suspension_do_not_move_the_efforts(pause, time
     assert largest_step(last, efforts) < 1.0
     assert efforts[-1] == pytest.approx(InverseDynamics(ARM).gravity_efforts(0.0 * LEVEL))
     assert np.abs(efforts[-1] - last).max() > 20.0
+
+
+def test_a_full_turn_of_a_joint_that_is_not_continuous_does_not_move_the_efforts():
+    settings = Settings(mode=Mode.COMPUTED_TORQUE, reference_timeout=0.0, kp=20.0)
+    loop, now = held(settings=settings)
+    loop.reference = Reference(np.zeros(7), np.zeros(7), now, LEVEL, np.zeros(7))
+    last = play_arm(loop, now, 1.0)[-1]
+    turned = LEVEL + 2.0 * np.pi * np.eye(7)[1]
+    assert largest_step(last, play_arm(loop, now + 1.0, 0.5, turned)) < 4.0
+    assert np.abs(loop.step(now + 1.5).efforts - last).max() > 20.0
 
 
 @pytest.mark.parametrize('timeout', [0.1, 1.0])

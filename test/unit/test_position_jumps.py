@@ -44,10 +44,16 @@ def test_noise_and_encoders_are_no_jumps():
     assert not any(jumps(times, 0.05 * np.round(np.outer(times, SPEEDS) / 0.05)))
 
 
-def test_full_turns_are_no_jumps():
+def test_full_turns_are_no_jumps_of_continuous_joints_only():
     times = np.arange(0.0, 4.0, 0.002)
-    q = np.outer(times, SPEEDS)
-    assert not any(jumps(times, (q + np.pi) % (2.0 * np.pi) - np.pi))
+    turning = np.outer(times, SPEEDS)
+    wrapped = (turning + np.pi) % (2.0 * np.pi) - np.pi
+    text = (ROOT / 'test/robots/seven_dof.urdf').read_text()
+    wheels = load_urdf(text.replace('"revolute"', '"continuous"'))
+    assert not any(jumps(times, wrapped, robot=wheels))
+    wraps = (np.abs(np.diff(wrapped, axis=0)) > np.pi).any(axis=1)
+    assert wraps.any()
+    assert jumps(times, wrapped) == [False, *wraps]
 
 
 @pytest.mark.parametrize('step', [0.3, -0.3])
