@@ -5,13 +5,15 @@ A node needs two seconds of CPU to start, most of them to import rclpy, numpy, s
 copy needs none of these. Everything else is as with `python -m`: a process of its own, with its
 own environment, signals, pipes and exit code. Tests of the start itself run `python -m`.
 
-Nothing of ROS is initialized before the copy, so that the server has no threads.
+Nothing of ROS is initialized before the copy, so that the server has no threads. What a copy
+starts by `python -m` is a copy too, if no thread would be missing in it.
 """
 
 from __future__ import annotations
 
 import atexit
 import contextlib
+from functools import partial
 import gc
 from importlib import import_module
 import inspect
@@ -36,11 +38,17 @@ MODULES = (
     'inverse_dynamics_node.node.node',
     'inverse_dynamics_node.node.startup',
     'inverse_dynamics_node.node.watchdog',
+    'inverse_dynamics_node.simulation.demo.demo',
+    'inverse_dynamics_node.simulation.drive',
+    'inverse_dynamics_node.simulation.hand_over',
+    'inverse_dynamics_node.simulation.mujoco.hardware',
+    'inverse_dynamics_node.simulation.tilt',
     'rclpy.experimental.events_executor',
     'rich.live',
     'scipy.interpolate',
     'yourdfpy',
 )
+_LIBRARIES = sys.path[1:]
 _INTEGER = struct.Struct('i')
 _SIZE = 1 << 20  # of a request: arguments and environment
 
@@ -182,6 +190,30 @@ def _receive(results):
 SERVER = ForkServer()
 
 
+class CopyingPopen(subprocess.Popen):
+    """In a copy, `python -m ...` becomes another copy; everything else starts as usual."""
+
+    def __init__(self, command, *arguments, preexec_fn=None, env=None, **options):
+        is_copied = list(command[:2]) == [sys.executable, '-m'] and not has_foreign_threads()
+        if is_copied:
+            request = {'arguments': command[1:], 'environment': env or {**os.environ}}
+            preexec_fn = partial(self._become, request, preexec_fn)
+        super().__init__(command, *arguments, preexec_fn=preexec_fn, env=env, **options)
+
+    @staticmethod
+    def _become(request, prepare):
+        """Run the program in the new process, whose standard files are already connected."""
+        if prepare:
+            prepare()
+        os.closerange(3, os.sysconf('SC_OPEN_MAX'))  # also tells `Popen` that the program starts
+        run_to_the_end({**request, 'folder': os.getcwd()})
+
+
+def has_foreign_threads():
+    """Return whether libraries have threads here; a copy has none of them."""
+    return len(os.listdir('/proc/self/task')) > threading.active_count()
+
+
 def warm_up():
     """Fill the caches of modules, compiled code, message types and source files."""
     sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -241,11 +273,8 @@ def _report_end(pidfd, pid, answers):
     os.close(answers)
 
 
-def become(request, channels):
+def become(request):
     """Run the program of a request, as `python` does."""
-    for number, file in enumerate(channels):
-        os.dup2(file, number)
-        os.close(file)
     for number in (signal.SIGHUP, signal.SIGTERM):
         signal.signal(number, signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -256,12 +285,12 @@ def become(request, channels):
     folder = request['folder']
     if first not in ('-m', '-c'):
         sys.argv = [first, *arguments]
-        sys.path[:2] = [str(Path(folder, first).parent)]
+        sys.path[:] = [str(Path(folder, first).parent), *_LIBRARIES]
         runpy.run_path(first, run_name='__main__')
         return
     program, *arguments = arguments
     sys.argv = [first, *arguments]
-    sys.path[:2] = [folder if first == '-m' else '']
+    sys.path[:] = [folder if first == '-m' else '', *_LIBRARIES]
     if first == '-m':
         runpy.run_module(program, run_name='__main__', alter_sys=True)
     else:
@@ -277,13 +306,31 @@ def end(code):
     os._exit(code)
 
 
+def run_to_the_end(request):
+    """Run the program of a request, and end this process."""
+    code = 0
+    try:
+        become(request)
+    except SystemExit as error:
+        code = error.code or 0
+        if not isinstance(code, int):
+            print(code, file=sys.stderr)
+            code = 1
+    except KeyboardInterrupt:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        os.kill(os.getpid(), signal.SIGINT)
+    except Exception:
+        sys.excepthook(*sys.exc_info())
+        code = 1
+    end(code)
+
+
 if __name__ == '__main__':
     accepted = serve(int(sys.argv[1]))
     if accepted:
-        try:
-            become(*accepted)
-        except SystemExit as error:
-            if not isinstance(error.code, int | None):
-                raise
-            end(error.code or 0)
-        end(0)
+        wanted, files = accepted
+        for number, file in enumerate(files):
+            os.dup2(file, number)
+            os.close(file)
+        subprocess.Popen = CopyingPopen
+        run_to_the_end(wanted)

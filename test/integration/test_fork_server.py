@@ -28,6 +28,27 @@ def test_a_program_ends_with_its_own_code_and_output(code, expected, output):
     assert output in text
 
 
+PROGRAM = """
+import os, sys
+print(sys.argv[1:], os.environ['COLOUR'], os.getppid() == int(sys.argv[1]), 'rclpy' in sys.modules)
+sys.exit(3)
+"""
+CALLER = """
+import os, subprocess, sys
+command = [sys.executable, '-m', 'program', str(os.getpid())]
+done = subprocess.run(command, env={**os.environ, 'COLOUR': 'green'}, capture_output=True)
+assert not done.stderr, done.stderr
+print(done.returncode, done.stdout.decode())
+"""
+
+
+def test_a_program_started_by_a_copy_is_a_copy(tmp_path):
+    (tmp_path / 'program.py').write_text(PROGRAM)
+    done = SERVER.call(['-c', CALLER], {'COLOUR': 'red'}, folder=tmp_path, timeout=60.0)
+    assert done.stdout.startswith('3 ['), done
+    assert done.stdout.endswith('] green True True\n\n')
+
+
 def test_signals_reach_a_program():
     code = 'import time; print("ready", flush=True); time.sleep(1000.0)'
     process = SERVER.run(['-c', code], stdout=subprocess.PIPE)
