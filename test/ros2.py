@@ -9,8 +9,8 @@ saves them.
 """
 
 import importlib
-import os
 from pathlib import Path
+import runpy
 import sys
 import time
 
@@ -54,9 +54,9 @@ def main(arguments, node=None):
 
 
 def start(arguments):
-    """Replace this process by the node."""
-    command = [sys.executable, '-m', 'inverse_dynamics_node.node.main', *arguments]
-    os.execv(sys.executable, command)
+    """Become the node."""
+    sys.argv[1:] = arguments
+    runpy.run_module('inverse_dynamics_node.node.main', run_name='__main__', alter_sys=True)
 
 
 def ask_alone(question):

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 
+from fork_server import SERVER
 from inverse_dynamics_node import InverseDynamics, load_urdf
 import numpy as np
 import pytest
@@ -25,6 +26,11 @@ pytestmark = pytest.mark.real_time
 PAGE = (ROOT / 'doc' / 'first_hour.md').read_text()
 BLOCKS = re.findall(r'^```(sh|text)\n(.*?)^```', PAGE, re.M | re.S)
 PATIENCE = 120.0  # [s]
+PROGRAMS = {
+    'inverse_dynamics': ['-m', 'inverse_dynamics_node.cli.main'],
+    'python': [],
+    'ros2': [ROOT / 'test' / 'ros2.py'],
+}
 LASTING = (
     'inverse_dynamics simulate',
     'ros2 launch',
@@ -51,8 +57,7 @@ class Session:
         self.lasting = {}
         self.environment = {
             **os.environ,
-            'PATH': f'{folder}/bin:{sys.prefix}/bin:{os.environ["PATH"]}',
-            'PYTHONPATH': str(ROOT / 'test'),
+            'PATH': f'{sys.prefix}/bin:{os.environ["PATH"]}',
             'ROS_DOMAIN_ID': str(domain_id),
         }
         self.shown_from = 0
@@ -61,25 +66,41 @@ class Session:
     def run(self, script):
         self.shown_from = len(self.log.read_text())
         lines = script.splitlines()
-        if not script.startswith(LASTING) and all(line.startswith('ros2 ') for line in lines):
-            for line in lines:
-                with self.log.open('a') as log, contextlib.redirect_stdout(log):
-                    assert ros2.main(shlex.split(line)[1:], self.node) == 0, line
-            return
-        with self.log.open('a') as log:
-            process = subprocess.Popen(
-                ['sh', '-e', '-c', f'exec {script}' if script.startswith(LASTING) else script],
-                cwd=self.folder,
-                env=self.environment,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-            )
         if script.startswith(LASTING):
-            self.lasting[script] = process
+            (line,) = lines
+            self.lasting[script] = self.copy(line)
+        elif all(line.startswith(('ros2 ', 'inverse_dynamics ')) for line in lines):
+            for line in lines:
+                self.run_line(line)
+        else:
+            with self.log.open('a') as log:
+                subprocess.run(
+                    ['sh', '-e', '-c', script],
+                    cwd=self.folder,
+                    env=self.environment,
+                    stdout=log,
+                    stderr=subprocess.STDOUT,
+                    timeout=PATIENCE,
+                    check=True,
+                )
+
+    def run_line(self, line):
+        program, *arguments = shlex.split(line)
+        if program == 'ros2':
+            with self.log.open('a') as log, contextlib.redirect_stdout(log):
+                assert ros2.main(arguments, self.node) == 0, line
             return
-        code = process.wait(PATIENCE)
+        code = self.copy(line).wait(PATIENCE)
         # `watch` reports that a simulated robot on a busy machine is slow.
-        assert code == 0 or ('watch' in script and code in (3, 4)), f'{script}: {self.log_text()}'
+        assert code == 0 or ('watch' in line and code in (3, 4)), f'{line}: {self.log_text()}'
+
+    def copy(self, line):
+        """Start the program of a line without the seconds that its imports take."""
+        program, *arguments = shlex.split(line)
+        command = [*PROGRAMS[program], *arguments]
+        with self.log.open('a') as log:
+            files = {'stdout': log.fileno(), 'stderr': log.fileno()}
+            return SERVER.run(command, self.environment, self.folder, **files)
 
     def log_text(self):
         return self.log.read_text()[self.shown_from :]
@@ -116,11 +137,6 @@ class Session:
 
 @pytest.fixture
 def session(tmp_path, domain_id):
-    (tmp_path / 'bin').mkdir()
-    (tmp_path / 'bin' / 'ros2').write_text(
-        f'#!/bin/sh\nexec {sys.executable} {ROOT / "test" / "ros2.py"} "$@"\n'
-    )
-    (tmp_path / 'bin' / 'ros2').chmod(0o755)
     for name in ('config', 'examples'):
         (tmp_path / name).symlink_to(ROOT / name)
     (tmp_path / 'my_arm.urdf').write_text(STANFORD.read_text())
