@@ -11,7 +11,7 @@ from node_process import PATIENCE, RUNNING
 import pytest
 from rcl_interfaces.srv import GetParameters, SetParameters
 import rclpy
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
@@ -21,6 +21,16 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 ANSWER_TIME = 10.0  # [s]; a request without an answer for this long is sent again
 REPETITION = 3.0  # [s]; between messages that may be lost
+RATE = 100  # [Hz]; of joint states and everything else that is published without pause
+CHECK_PERIOD = 0.1  # [s]; of the nodes, for errors
+
+
+def check_nodes(what):
+    """Fail if a node has crashed, or ended before a condition was true."""
+    for node in RUNNING:
+        assert node.may_crash or 'Traceback' not in node.output, 'a node has crashed'
+        has_ended = node.process.poll() is not None
+        assert node.may_end or not has_ended, f'{what}: a node has ended before'
 
 
 class RobotSide:
@@ -29,13 +39,13 @@ class RobotSide:
     def __init__(self, context):
         self.context = context
         self.node = rclpy.create_node('robot', context=context)
-        self.executor = SingleThreadedExecutor(context=context)
+        self.executor = EventsExecutor(context=context)
         self.executor.add_node(self.node)
         self.commands = []
         self.command_times = []
         self.joint_efforts = []
         self.peer = 'inverse_dynamics'  # the node whose services are called
-        self.sent = 0  # timer events, 5 ms apart if the machine is fast enough
+        self.sent = 0  # timer events, RATE per second if the machine is fast enough
         self.state = None
         self.last_state = 0.0  # steady time at which the last joint state was published [s]
         self._clients = {}
@@ -49,7 +59,7 @@ class RobotSide:
             Float64MultiArray, 'inverse_dynamics/commands', self._on_command, 100
         )
         self._always = []
-        self._timer = self.node.create_timer(0.005, self._on_timer)
+        self._timer = self.node.create_timer(1.0 / RATE, self._on_timer)
 
     def close(self):
         self.executor.shutdown()
@@ -70,7 +80,7 @@ class RobotSide:
             publisher.publish(message() if callable(message) else message)
 
     def publish_state(self, names, positions, velocities=(), efforts=()):
-        """Publish a joint state from now on, 200 times a second."""
+        """Publish a joint state from now on, RATE times a second."""
         self.state = JointState(
             name=list(names),
             position=list(positions),
@@ -79,16 +89,16 @@ class RobotSide:
         )
 
     def keep_publishing(self, topic, message):
-        """Publish a message from now on, 200 times a second; return the argument of `cease`."""
+        """Publish a message from now on, RATE times a second; return the argument of `cease`."""
         self._always.append((self.node.create_publisher(type(message), topic, 10), message))
         return self._always[-1]
 
     def keep_ticking(self, start):
-        """Publish a /clock that advances by 5 ms at a time; return a function for jumps."""
+        """Publish a /clock that advances by one period at a time; return a function for jumps."""
         time = [start]
 
         def message():
-            time[0] += 0.005
+            time[0] += 1.0 / RATE
             return Clock(clock=Time(sec=int(time[0]), nanosec=int(time[0] % 1.0 * 1e9)))
 
         self._always.append((self.node.create_publisher(Clock, '/clock', 10), message))
@@ -134,12 +144,12 @@ class RobotSide:
         return next(filter(is_good, messages))
 
     def publish_accelerations(self, accelerations):
-        """Publish desired accelerations from now on, 200 times a second."""
+        """Publish desired accelerations from now on, RATE times a second."""
         message = Float64MultiArray(data=list(accelerations))
         self._always = [(self._accelerations, message)]
 
     def publish_reference(self, names, accelerations, effort=(), positions=(), velocities=()):
-        """Publish a reference from now on, 200 times a second."""
+        """Publish a reference from now on, RATE times a second."""
         point = JointTrajectoryPoint(
             accelerations=list(accelerations),
             effort=list(effort),
@@ -163,13 +173,12 @@ class RobotSide:
 
     def wait_until(self, is_true: Callable[[], bool], what):
         """Spin until a condition is true; fail with a description if it never is."""
-        deadline = time.monotonic() + PATIENCE
+        deadline, check_at = time.monotonic() + PATIENCE, 0.0
         while not is_true():
-            assert time.monotonic() < deadline, f'{what}: not within {PATIENCE:g} s'
-            for node in RUNNING:
-                assert node.may_crash or 'Traceback' not in node.output, 'a node has crashed'
-                has_ended = node.process.poll() is not None
-                assert node.may_end or not has_ended, f'{what}: a node has ended before'
+            if time.monotonic() >= check_at:
+                assert time.monotonic() < deadline, f'{what}: not within {PATIENCE:g} s'
+                check_nodes(what)
+                check_at = time.monotonic() + CHECK_PERIOD
             self.executor.spin_once(timeout_sec=0.05)
 
     def describe(self):
@@ -194,10 +203,12 @@ class RobotSide:
     def wait_for_command(self, expected, tolerance=1e-9):
         """Wait for a command of these efforts."""
 
+        wanted, compared = pytest.approx(list(expected), rel=tolerance, abs=tolerance), [None]
+
         def is_there():
-            return bool(self.commands) and self.commands[-1] == pytest.approx(
-                list(expected), rel=tolerance, abs=tolerance
-            )
+            """Compare the last command, if it is another one than before."""
+            last, compared[0] = compared[0], self.commands[-1] if self.commands else None
+            return compared[0] is not last and compared[0] == wanted
 
         try:
             self.wait_until(is_there, 'command')

@@ -31,6 +31,7 @@ from rcl_interfaces.srv import (
 )
 from rclpy.experimental.events_executor import EventsExecutor
 from robot_files import ROOT, STANFORD
+from robot_side import RATE
 from rosgraph_msgs.msg import Clock
 from type_description_interfaces.srv import GetTypeDescription
 
@@ -259,7 +260,7 @@ def test_lost_states_and_signals_are_noticed_during_a_storm(domain_id, robot, st
             lambda: len(select.select(lines, (), (), 0.0)[0]) == len(lines), 'a storm in progress'
         )
         sent = robot.sent
-        robot.wait_until(lambda: robot.sent > sent + 200, 'a storm for a while')
+        robot.wait_until(lambda: robot.sent > sent + RATE, 'a storm for a while')
         robot.state = None
         robot.wait_for_command(ZERO)
         node.send_signal(signal.SIGTERM)

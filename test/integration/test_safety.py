@@ -16,6 +16,7 @@ import rclpy.node
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 from robot_files import ROOT, STANFORD
+from robot_side import RATE
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64MultiArray, Header
 from std_srvs.srv import SetBool
@@ -50,7 +51,7 @@ def test_a_suspended_process_continues_from_its_last_command(run_node, robot, ra
     node.interrupt(signal.SIGSTOP)
     robot.publish_state(NAMES, ELSEWHERE, ZERO)  # the arm moves while the node is suspended
     ticks = robot.sent
-    robot.wait_until(lambda: robot.sent > ticks + 200, 'a second of states')
+    robot.wait_until(lambda: robot.sent > ticks + RATE, 'a second of states')
     since = time.monotonic()
     node.interrupt(signal.SIGCONT)
     robot.wait_for_command(HOLD_ELSEWHERE)
@@ -312,7 +313,7 @@ def test_efforts_follow_the_joints_while_parameters_change_all_the_time(run_node
     first = robot.sent
 
     def has_moved():
-        fraction = min((robot.sent - first) / 200, 1.0)
+        fraction = min((robot.sent - first) / RATE, 1.0)
         robot.publish_state(NAMES, Q + fraction * (ELSEWHERE - Q), ZERO)
         return fraction == 1.0 and len(futures) > 20
 

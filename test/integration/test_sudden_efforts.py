@@ -16,7 +16,7 @@ ZERO = np.zeros(7)
 def test_no_effort_jumps_after_a_suspension_while_the_arm_moves(run_node, robot, rate):
     node = run_node(robot_description_file=FILE, update_rate=rate)
     move(robot)
-    robot.wait_until(lambda: len(robot.commands) > 200, 'the end of the start ramp')
+    robot.wait_until(lambda: len(robot.commands) > 100, 'the end of the start ramp')
     for duration in (0.5, 1.0, 2.0)[: 2 if rate else 3]:
         assert largest_step(robot, node, duration) < ALLOWED
 
