@@ -62,6 +62,7 @@ class RobotSide:
         self._timer = self.node.create_timer(1.0 / RATE, self._on_timer)
 
     def close(self):
+        self.executor.remove_node(self.node)  # before its entities end, or their events may crash
         self.executor.shutdown()
         self.node.destroy_node()
         self.context.try_shutdown()
