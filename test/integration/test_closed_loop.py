@@ -193,7 +193,15 @@ def joint_efforts_of(path, link, force, q):
 def simulated(domain_id, path, held):
     """Run a simulated robot with some joints held by springs."""
     program = ('-m', 'inverse_dynamics_node.simulation.robot', path)
-    options = ('--held', *held, '--ros-args', '-r', 'commands:=inverse_dynamics/commands')
+    options = (
+        '--held',
+        *held,
+        '--rate',
+        RATE,
+        '--ros-args',
+        '-r',
+        'commands:=inverse_dynamics/commands',
+    )
     process = SERVER.run([*program, *options], {'ROS_DOMAIN_ID': str(domain_id)})
     try:
         yield
@@ -249,7 +257,7 @@ def test_gravity_compensation_includes_the_mass_of_uncommanded_joints(
         )
         robot.wait_until(lambda: len(brakes) and not brakes[-1], 'open brakes')
         open_at = len(states)
-        robot.wait_until(lambda: len(states) > open_at + 1000, 'two seconds')
+        robot.wait_until(lambda: len(states) > open_at + 2 * RATE, 'two seconds')
         assert node.process.poll() is None
     before, after = (
         np.array([dict(zip(state.name, state.position, strict=True))[name] for name in arm])

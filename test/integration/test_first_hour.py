@@ -41,6 +41,7 @@ LASTING = (
 MAIN_NODE = 'ros2 launch inverse_dynamics_node inverse_dynamics.launch.xml urdf:=my_arm.urdf com'
 LEFT_NODE = MAIN_NODE.replace('com', 'namespace:=left')
 FASTER = {
+    'simulate my_arm.urdf': 'simulate my_arm.urdf --rate 200',
     'watch --for 10': 'watch --for 2',
     'move.yaml 0.2': 'move.yaml 2.0',
     'start_ramp: 3.0': 'start_ramp: 0.5',
@@ -117,10 +118,10 @@ class Session:
             time.sleep(0.05)
 
     def wait_until_recorded(self, name):
-        """Wait until a recording has a thousand rows."""
+        """Wait until a recording has 400 rows."""
         self.wait_for('recording position')
         deadline = time.monotonic() + PATIENCE
-        while (self.folder / name).read_text().count('\n') < 1000:
+        while (self.folder / name).read_text().count('\n') < 400:
             assert time.monotonic() < deadline, f'{name} is incomplete:\n{self.log_text()}'
             time.sleep(0.1)
 
