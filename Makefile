@@ -110,7 +110,7 @@ $(VENV)/pip.done:
 	        "make PYTHON=python3.12 ..."; exit 1; }
 	@echo 'Setting up $(VENV); the first time takes a minute or two.'
 	@$(CLEAN) $(PYTHON) -m venv $(VENV)
-	@$(CLEAN) $(BIN)/pip install --quiet 'pip>=23'
+	@$(CLEAN) $(BIN)/pip install --quiet 'pip>=25'
 	@touch $@
 
 EXTRAS_demo := ros,demo
