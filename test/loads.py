@@ -106,3 +106,16 @@ def everything(dynamics, q, qd, qdd):
         'forces': wrenches.force,
         'moments': wrenches.moment,
     }
+
+
+def samples():
+    """Return every quantity of random chains with random loads, by name, as lists."""
+    found = []
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        robot = load_urdf(urdf_of(random_chain(rng, 1 + seed)))
+        dynamics = apply(InverseDynamics(robot), random_loads(robot, rng))
+        for shape in (1 + seed,), (3, 1 + seed):
+            values = everything(dynamics, *rng.uniform(-3.0, 3.0, (3, *shape)))
+            found.append({name: array.ravel().tolist() for name, array in values.items()})
+    return found

@@ -25,6 +25,13 @@ def dynamics():
     return InverseDynamics(load_urdf(STANFORD))
 
 
+@pytest.fixture(scope='module')
+def shared():
+    """Return generated code without loads; each test writes its own state before it is used."""
+    dynamics = InverseDynamics(load_urdf(STANFORD))
+    return dynamics, GeneratedDynamics(dynamics)
+
+
 def fill(generated, vectors):
     for array, vector in zip(generated.state, vectors, strict=False):
         array[:] = vector
@@ -83,9 +90,12 @@ def set_everything(dynamics):
     dynamics.set_armature(0.05)
 
 
-def test_same_efforts_of_our_robots(urdf_path, rng):
+def test_same_efforts_of_our_robots_and_with_loads_set_later(urdf_path, rng):
     dynamics = InverseDynamics(load_urdf(urdf_path))
-    assert_same(dynamics, GeneratedDynamics(dynamics), rng)
+    generated = GeneratedDynamics(dynamics)
+    assert_same(dynamics, generated, rng)
+    set_everything(dynamics)
+    assert_same(dynamics, generated, rng)
 
 
 def test_same_efforts_of_a_long_chain(rng):
@@ -100,13 +110,6 @@ def test_same_efforts_with_loads_set_before(urdf_path, rng, monkeypatch):
     assert_same(dynamics, generated, rng)
     if IS_COMPILED:
         assert_code_is_used(dynamics, generated, monkeypatch)
-
-
-def test_same_efforts_with_loads_set_later(urdf_path, rng):
-    dynamics = InverseDynamics(load_urdf(urdf_path))
-    generated = GeneratedDynamics(dynamics)
-    set_everything(dynamics)
-    assert_same(dynamics, generated, rng)
 
 
 @needs_numba
@@ -144,9 +147,9 @@ def test_new_loads_use_the_general_kernel_until_they_are_removed(dynamics, rng, 
 
 @pytest.mark.parametrize('bad', [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize('which', [0, 1, 2])
-def test_values_that_are_not_finite_are_reported_by_joint(dynamics, rng, which, bad):
+def test_values_that_are_not_finite_are_reported_by_joint(shared, rng, which, bad):
     """This includes the position of a vertical first axis, which affects no effort."""
-    generated = GeneratedDynamics(dynamics)
+    dynamics, generated = shared
     for joint, name in enumerate(dynamics.robot.joint_names):
         random_state(generated, rng)
         generated.state[which][joint] = bad
@@ -168,8 +171,8 @@ def test_values_that_are_not_finite_are_reported_by_joint(dynamics, rng, which, 
     ],
     ids=['list', 'batch', 'strided', 'integers', 'single', 'read-only'],
 )
-def test_arguments_may_be_array_like(dynamics, rng, read):
-    generated = GeneratedDynamics(dynamics)
+def test_arguments_may_be_array_like(shared, rng, read):
+    dynamics, generated = shared
     q, qd, qdd = (read(x) for x in random_state(generated, rng))
     expected = dynamics.efforts(q, qd, qdd)
     assert_allclose(generated.efforts(q, qd, qdd), expected, rtol=1e-12)
@@ -180,22 +183,22 @@ def test_arguments_may_be_array_like(dynamics, rng, read):
 
 @pytest.mark.parametrize('which', [0, 1, 2, 3])
 @pytest.mark.parametrize('n', [0, 5, 7])
-def test_arrays_of_wrong_size_are_rejected(dynamics, which, n):
+def test_arrays_of_wrong_size_are_rejected(shared, which, n):
     arrays = [np.zeros(6) for _ in range(4)]
     arrays[which] = np.zeros(n)
     with pytest.raises(JointStateError, match='has shape'):
-        GeneratedDynamics(dynamics).efforts(*arrays)
+        shared[1].efforts(*arrays)
 
 
-def test_overflow_is_reported(dynamics):
-    generated = GeneratedDynamics(dynamics)
-    generated.state.qd[:] = 1e300
+def test_overflow_is_reported(shared):
+    _, generated = shared
+    fill(generated, np.array([0.0, 1e300, 0.0])[:, None])
     with pytest.raises(JointStateError, match='finite, but too large'):
         generated.update()
 
 
-def test_update_writes_the_efforts_to_the_state(dynamics, rng):
-    generated = GeneratedDynamics(dynamics)
+def test_update_writes_the_efforts_to_the_state(shared, rng):
+    _, generated = shared
     random_state(generated, rng)
     assert generated.update() is generated.state.tau
 
@@ -213,8 +216,8 @@ def test_robot_without_movable_joints():
     assert GeneratedDynamics(InverseDynamics(load_urdf(NOTHING_MOVES))).update().shape == (0,)
 
 
-def test_arrays_cannot_be_moved(dynamics):
-    generated = GeneratedDynamics(dynamics)
+def test_arrays_cannot_be_moved(shared):
+    _, generated = shared
     for array in generated.state:
         with pytest.raises(ValueError, match='resize'):
             array.resize(100, refcheck=False)
@@ -293,8 +296,8 @@ def test_same_mass_matrix_with_loads_set_later(dynamics, rng, is_compiled_before
     assert_same_mass_matrix(other, generated, rng)
 
 
-def test_mass_matrix_of_invalid_positions_is_an_error(dynamics):
-    generated = GeneratedDynamics(dynamics)
+def test_mass_matrix_of_invalid_positions_is_an_error(shared):
+    _, generated = shared
     for joint in range(6):
         for value in (np.nan, np.inf):
             q = np.zeros(6)
@@ -307,8 +310,8 @@ def test_mass_matrix_of_invalid_positions_is_an_error(dynamics):
         generated.mass_matrix(np.zeros(6), np.empty((5, 6)))
 
 
-def test_mass_matrices_of_lists_and_batches(dynamics, rng):
-    generated = GeneratedDynamics(dynamics)
+def test_mass_matrices_of_lists_and_batches(shared, rng):
+    dynamics, generated = shared
     q = rng.uniform(-2.0, 2.0, (3, 6))
     assert (generated.mass_matrix(q) == dynamics.mass_matrix(q)).all()
     assert (generated.mass_matrix(q[0].tolist()) == dynamics.mass_matrix(q[0])).all()
