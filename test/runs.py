@@ -37,7 +37,7 @@ def run(
     name,
     seed=0,
     duration=20.0,
-    rate=200.0,
+    rate=100.0,
     friction=None,
     effort_noise=0.01,
     encoder_noise=1e-4,

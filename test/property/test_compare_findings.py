@@ -212,8 +212,9 @@ def test_width_and_load_friction_are_fitted_and_written(rng):
 @EVERY_ROBOT
 @pytest.mark.parametrize('lag', [0.02, 0.2])
 def test_velocities_that_lag_the_positions_are_not_used(name, lag):
-    dynamics, recording = run(name, friction=(1.0, 1.0))
-    shift = round(lag * 200.0)
+    rate = 200.0
+    dynamics, recording = run(name, friction=(1.0, 1.0), rate=rate)
+    shift = round(lag * rate)
     late = np.vstack([np.tile(recording.velocities[:1], (shift, 1)), recording.velocities])
     findings = identify(dynamics, recording._replace(velocities=late[: len(recording.times)]))
     assert kinds(findings) == []

@@ -64,7 +64,8 @@ def test_recordings_of_any_rate_are_explained(name, rate):
 @pytest.mark.parametrize('has_velocities', [True, False])
 def test_friction_is_found_within_its_errors(name, has_velocities):
     damping, coulomb = friction_of(name)
-    recording = run(name, has_velocities=has_velocities, friction=(damping, coulomb))
+    friction = damping, coulomb
+    recording = run(name, rate=200.0, has_velocities=has_velocities, friction=friction)
     findings = identify(*recording)
     assert kinds(findings) == []
     assert findings.explained < 0.97
@@ -300,7 +301,7 @@ def test_small_model_errors_are_not_faults():
     assert kinds(identify(dynamics, recording._replace(efforts=efforts))) == []
 
 
-@settings(max_examples=8)
+@settings(max_examples=4)
 @given(
     name=st.sampled_from(sorted(ROBOTS)),
     seed=st.integers(0, 10_000),
@@ -475,10 +476,10 @@ def test_derivatives_are_accurate_and_described():
     [
         ({'joint_names': tuple('abcde')}, "joint 'a', which robot 'branched' does not have"),
         ({'positions': np.zeros((3, 5))}, 'positions have shape'),
-        ({'efforts': np.full((4000, 5), np.nan)}, 'no joint has a measured effort'),
-        ({'times': np.arange(4000.0)}, '1 samples/s, expected at least 20'),
-        ({'times': np.full(4000, np.nan)}, 'a time is nan'),
-        ({'times': np.tile(0.01 * np.arange(2000), 2)}, 'time goes back by 20 s, 20 s after'),
+        ({'efforts': np.full((2000, 5), np.nan)}, 'no joint has a measured effort'),
+        ({'times': np.arange(2000.0)}, '1 samples/s, expected at least 20'),
+        ({'times': np.full(2000, np.nan)}, 'a time is nan'),
+        ({'times': np.tile(0.01 * np.arange(1000), 2)}, 'time goes back by 9.99 s, 9.99 s after'),
     ],
 )
 def test_invalid_recordings_are_explained(change, words):
