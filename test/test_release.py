@@ -55,6 +55,7 @@ def test_bloom_can_read_the_changelog():
     assert len(items.bullets) == len(re.findall(r'^\* ', text, re.M)) > 20
 
 
+@pytest.mark.long  # ruff has the same rules
 def test_sources_are_clean_for_ament_pep257():
     pytest.importorskip('ament_pep257')
     pytest.importorskip('pydocstyle')
