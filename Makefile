@@ -70,10 +70,12 @@ FUZZED := test/property/test_urdf_fuzz.py test/property/test_command_laws.py \
 test-plain: $(VENV)/test.done
 	@NUMBA_DISABLE_JIT=1 $(TESTS) -m 'not long' $(PLAIN)
 
+# One processor compiles for the tests while mypy keeps the other busy.
 lint: $(VENV)/test.done
 	@$(CLEAN) $(BIN)/ruff check .
 	@$(CLEAN) $(BIN)/ruff format --check .
-	@$(CLEAN) $(BIN)/mypy inverse_dynamics_node
+	@$(CLEAN) $(BIN)/python test/compile_kernels.py & $(CLEAN) $(BIN)/mypy inverse_dynamics_node; \
+	    status=$$?; wait; exit $$status
 
 # Tests the versions in $(OLDEST), in a separate environment. The newest Python for numba 0.58.1 is
 # 3.11.
