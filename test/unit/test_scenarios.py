@@ -288,7 +288,8 @@ class TestView:
     def terminal(self):
         return Console(file=io.StringIO(), force_terminal=True, width=100, height=40)
 
-    def test_terminal_shows_every_joint_and_the_current_event(self, stage):
+    def test_terminal_shows_every_joint_and_the_current_event(self, stage, monkeypatch):
+        monkeypatch.setattr('inverse_dynamics_node.simulation.demo.view.LIVE_PERIOD', 3600.0)
         console = self.terminal()
         view = View(stage.robot, 'stanford: push', console)
         with view.open():
