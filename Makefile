@@ -124,9 +124,9 @@ PEERS := drake roboticstoolbox-python
 
 # The package itself is installed in editable mode, so changes of the source take effect at once.
 $(VENV)/%.done: $(VENV)/pip.done setup.py pyproject.toml $(CONSTRAINED)
-	@$(CLEAN) $(BIN)/pip install --quiet --no-compile $(addprefix --constraint ,$(CONSTRAINED)) --editable '.[$(EXTRAS_$*)]'
+	@$(CLEAN) $(BIN)/pip install -qq --no-compile $(addprefix --constraint ,$(CONSTRAINED)) --editable '.[$(EXTRAS_$*)]'
 	@$(if $(filter bench,$*),$(foreach peer,$(PEERS), \
-	    $(CLEAN) $(BIN)/pip install --quiet --only-binary $(peer) $(peer) || \
+	    $(CLEAN) $(BIN)/pip install -qq --only-binary $(peer) $(peer) || \
 	    echo "$(peer) cannot be installed here";))
 	@touch $@
 

@@ -203,7 +203,6 @@ class RobotSide:
 
     def wait_for_command(self, expected, tolerance=1e-9):
         """Wait for a command of these efforts."""
-
         wanted, compared = pytest.approx(list(expected), rel=tolerance, abs=tolerance), [None]
 
         def is_there():
