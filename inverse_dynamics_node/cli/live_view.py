@@ -9,12 +9,17 @@ import time
 from typing import Any, TYPE_CHECKING
 
 from ..analysis.live.verdict import Cause, Outcome, Verdict
+from ..control.status import (
+    JointStatesStatus,
+    NodeStatus,
+    OtherNodesStatus,
+    ReferenceStatus,
+)
 from ..errors import escaped
 from ..report.live_verdict import sentence
 from .terminal import colour_console
 
 if TYPE_CHECKING:
-    from ..node.observed_status import ObservedStatus
     from ..node.observer import Observer, Sample
 
 BAR = 12  # characters, if the terminal has room for them
@@ -105,11 +110,12 @@ def _headline(observer: Observer, verdict: Verdict) -> Any:
     if verdict.cause is Cause.NO_DIAGNOSTICS:
         text.append('  NO DIAGNOSTICS', 'bold red')
         return text
-    if status.is_dry_run:
+    loop = status.loop
+    if loop.is_dry_run:
         text.append('  DRY RUN', 'bold cyan')
-    text.append(f'  {status.state}', 'not bold')
-    if status.activity != status.state:
-        text.append(f'  {status.activity.removeprefix("dry run: ")}', 'not bold')
+    text.append(f'  {loop.state}', 'not bold')
+    if loop.message != loop.state:
+        text.append(f'  {loop.message.removeprefix("dry run: ")}', 'not bold')
     return text
 
 
@@ -150,8 +156,8 @@ def joint_rows(observer: Observer, sample: Sample) -> list[dict[str, Any]]:
     if robot is None:
         return []
     limits = dict(zip(robot.joint_names, robot.effort_limits.tolist(), strict=True))
-    if status is not None and len(status.limits) == len(status.joints):
-        limits |= dict(zip(status.joints, status.limits, strict=True))
+    if status is not None:
+        limits |= status.limits()
     rows = []
     for i, name in enumerate(robot.joint_names):
         values = {
@@ -172,7 +178,7 @@ def joint_rows(observer: Observer, sample: Sample) -> list[dict[str, Any]]:
     return rows
 
 
-def _node_table(status: ObservedStatus) -> Any:
+def _node_table(status: NodeStatus) -> Any:
     from rich.table import Table
     from rich.text import Text
 
@@ -184,38 +190,43 @@ def _node_table(status: ObservedStatus) -> Any:
     return table
 
 
-def node_lines(status: ObservedStatus) -> list[tuple[str, str]]:
+def node_lines(status: NodeStatus) -> list[tuple[str, str]]:
     """Return labels and texts about the node."""
+    loop, others = status.loop, status.other_nodes or OtherNodesStatus()
+    states = status.joint_states or JointStatesStatus()
+    reference = status.reference or ReferenceStatus()
     lines = []
-    if status.mode:
-        lines.append(('mode', status.mode))
-    if status.payload:
-        lines.append(('payload', status.payload))
-    if status.commands:
-        count = status.receivers or 0
-        names = f': {status.subscribers}' if count and status.subscribers else ''
-        are = 'not sent, ' if status.is_dry_run else ''
+    if loop.mode:
+        lines.append(('mode', loop.mode.value))
+    if payload := _payload(status):
+        lines.append(('payload', payload))
+    if others.commands:
+        count = (status.efforts and status.efforts.receivers) or 0
+        names = f': {str(others.subscribers) or "none"}' if count else ''
+        are = 'not sent, ' if loop.is_dry_run else ''
         subscribers = f'{count} subscriber{"" if count == 1 else "s"}'
-        lines.append(('commands', f'{status.commands}, {are}{subscribers}{names}'))
-    expected = '' if status.requested_rate is None else f' of {status.requested_rate:g}'
-    rates = [f'commands {_number(status.rate, 1)}{expected} Hz']
-    if status.state_rate is not None:
-        rates.append(f'joint states {status.state_rate:.1f} Hz')
+        lines.append(('commands', f'{others.commands}, {are}{subscribers}{names}'))
+    expected = '' if loop.requested_rate is None else f' of {loop.requested_rate:g}'
+    rates = [f'commands {_number(loop.rate, 1)}{expected} Hz']
+    if states.rate is not None:
+        rates.append(f'joint states {states.rate:.1f} Hz')
     lines.append(('rates', ', '.join(rates)))
     ages = [
-        f'{what} {_age(age)} ({_time_limit(limit)})'
-        for what, age, limit in (
-            ('joint states', status.state_age, status.state_timeout),
-            ('reference', status.reference_age, status.reference_timeout),
-        )
-        if limit is not None
+        f'{what} {_age(part.age)} ({_time_limit(part.timeout)})'
+        for what, part in (('joint states', states), ('reference', reference))
+        if part.timeout is not None
     ]
     if ages:
         lines.append(('ages', ', '.join(ages)))
     return lines
 
 
-def _problems(status: ObservedStatus) -> list[Any]:
+def _payload(status: NodeStatus) -> str:
+    """List the payloads; empty before the node has a robot."""
+    return ', '.join(map(str, status.model.payloads)) or 'none' if status.model else ''
+
+
+def _problems(status: NodeStatus) -> list[Any]:
     from rich.text import Text
 
     return [
@@ -223,7 +234,7 @@ def _problems(status: ObservedStatus) -> list[Any]:
             f'{problem.level} {problem.part}: {problem.message}',
             'bold red' if problem.level == 'ERROR' else 'yellow',
         )
-        for problem in status.problems
+        for problem in status.problems()
     ]
 
 
@@ -247,8 +258,9 @@ def as_line(observer: Observer, verdict: Verdict) -> str:
     status = None if verdict.cause is Cause.NO_DIAGNOSTICS else observer.status
     words = [time.strftime('%H:%M:%S'), observer.name]
     if status is not None:
-        words.append('dry run' if status.is_dry_run else status.state)
-        words.append(f'{_number(status.state_rate, 0)} Hz')
+        words.append('dry run' if status.loop.is_dry_run else status.loop.state)
+        rate = status.joint_states.rate if status.joint_states else None
+        words.append(f'{_number(rate, 0)} Hz')
     return escaped(f'{" ".join(words)}: {sentence(verdict)}')
 
 
@@ -257,26 +269,6 @@ def as_json(
 ) -> dict[str, Any]:
     """Return all values for JSON; doc/watch.md describes the keys."""
     status = None if verdict.cause is Cause.NO_DIAGNOSTICS else observer.status
-    node: dict[str, Any] | None = None
-    if status is not None:
-        node = {
-            'state': status.state,
-            'phase': status.phase or None,
-            'activity': status.activity,
-            'mode': status.mode or None,
-            'dry_run': status.is_dry_run,
-            'payload': status.payload or None,
-            'commands_topic': status.commands or None,
-            'subscribers': status.receivers,
-            'rate': status.rate,
-            'requested_rate': status.requested_rate,
-            'joint_state_rate': status.state_rate,
-            'joint_state_age': status.state_age,
-            'joint_state_timeout': status.state_timeout,
-            'reference_age': status.reference_age,
-            'reference_timeout': status.reference_timeout,
-            'problems': [problem._asdict() for problem in status.problems],
-        }
     return {
         'time': time.time(),
         'node': observer.name,
@@ -290,9 +282,33 @@ def as_json(
         'problem_link': verdict.link or None,
         'unchecked_joints': [*verdict.unchecked, *verdict.unmeasured],
         'saturated_joints': list(verdict.saturated),
-        'status': node,
+        'status': None if status is None else _status_json(status),
         'joints': joint_rows(observer, sample) if sample is not None else [],
         'log': [line._asdict() for line in list(observer.log)[-MOST_WARNINGS:]],
+    }
+
+
+def _status_json(status: NodeStatus) -> dict[str, Any]:
+    loop, others = status.loop, status.other_nodes or OtherNodesStatus()
+    states = status.joint_states or JointStatesStatus()
+    reference = status.reference or ReferenceStatus()
+    return {
+        'state': loop.state,
+        'phase': loop.phase.value if loop.phase else None,
+        'activity': loop.message,
+        'mode': loop.mode.value if loop.mode else None,
+        'dry_run': bool(loop.is_dry_run),
+        'payload': _payload(status) or None,
+        'commands_topic': others.commands or None,
+        'subscribers': status.efforts.receivers if status.efforts else None,
+        'rate': loop.rate,
+        'requested_rate': loop.requested_rate,
+        'joint_state_rate': states.rate,
+        'joint_state_age': states.age,
+        'joint_state_timeout': states.timeout,
+        'reference_age': reference.age,
+        'reference_timeout': reference.timeout,
+        'problems': [problem._asdict() for problem in status.problems()],
     }
 
 

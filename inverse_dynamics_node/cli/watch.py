@@ -20,6 +20,7 @@ import numpy as np
 from ..analysis.live.judge import judge, StateRate
 from ..analysis.live.verdict import Cause, Outcome, Verdict
 from ..analysis.live.window import DURATION, LiveWindow
+from ..control.status import Level, ModelStatus
 from ..errors import ConfigurationError
 from ..report.live_verdict import sentence
 from .live_view import as_json, as_line, LiveView
@@ -180,8 +181,8 @@ class _Watch:
             self.window = LiveWindow(robot.joint_names) if robot else None
             self.sample = None
             self._cut.clear()
-        if observer.status is not None:
-            self._cut |= dict.fromkeys(observer.status.saturated, observer.status_time)
+        if observer.status is not None and observer.status.efforts is not None:
+            self._cut |= dict.fromkeys(observer.status.efforts.cut, observer.status_time)
         if self.window is not None:
             sample = self.sample = observer.sample()
             self.window.add(sample.time, sample.q, sample.qd, sample.measured, sample.modelled)
@@ -197,20 +198,17 @@ class _Watch:
             )
             cause = Cause.NO_DIAGNOSTICS if silence > _LOST else Cause.TOO_FEW_SAMPLES
             return Verdict(Outcome.UNDECIDED, cause, reason=reason)
-        rate = StateRate(
-            observer.state_rate,
-            self.options.rate,
-            status.requested_rate,
-            status.uses_simulated_time,
-        )
+        requested, has_clock = status.loop.requested_rate, status.clock is not None
+        rate = StateRate(observer.state_rate, self.options.rate, requested, has_clock)
+        model = status.model or ModelStatus()
         return judge(
             self._reason(),
             rate,
             self.window.samples() if self.window else None,
             observer.robot,
-            np.array(status.gravity),
+            np.array(model.gravity or np.zeros(3)),
             self._limits(),
-            status.joints,
+            model.joints,
             [joint for joint, then in self._cut.items() if now < then + DURATION],
         )
 
@@ -220,20 +218,20 @@ class _Watch:
         assert status is not None
         if status.is_computing:
             return observer.robot_problem
-        if status.state != 'active':
-            return f'the node is {status.state}'
-        states = [each.message for each in status.problems if each.part == 'joint states']
-        return f'{status.activity}; {states[0]}' if states else status.activity
+        loop, states = status.loop, status.joint_states
+        if loop.state != 'active':
+            return f'the node is {loop.state}'
+        has_problem = states is not None and states.level is not Level.OK
+        return f'{loop.message}; {states.message}' if states and has_problem else loop.message
 
     def _limits(self) -> Any:
         robot, status = self.observer.robot, self.observer.status
         if robot is None or status is None:
             return None
         limits = robot.effort_limits.copy()
-        if len(status.limits) == len(status.joints):
-            for joint, limit in zip(status.joints, status.limits, strict=True):
-                if joint in robot.joint_names:
-                    limits[robot.joint_names.index(joint)] = limit
+        for joint, limit in status.limits().items():
+            if joint in robot.joint_names:
+                limits[robot.joint_names.index(joint)] = limit
         return limits
 
     def _print_line(self) -> None:

@@ -4,27 +4,40 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 import math
 
 import numpy as np
 
 from ..robot.model import Booleans
-from .activity import activity, join_names
 from .control_loop import ControlLoop
 from .controller import Command
 from .graph_info import GraphInfo
 from .status import (
-    clock_status,
-    joint_states_status,
-    Level,
-    model_status,
-    other_nodes_status,
-    reference_status,
-    Status,
+    ClockStatus,
+    EffortsStatus,
+    JointStatesStatus,
+    LoopStatus,
+    MessagesStatus,
+    ModelStatus,
+    NodeNames,
+    NodeStatus,
+    OtherNodesStatus,
+    Payload,
+    ReferenceStatus,
+)
+from .status_text import (
+    judge_clock,
+    judge_efforts,
+    judge_joint_states,
+    judge_loop,
+    judge_messages,
+    judge_model,
+    judge_other_nodes,
+    judge_reference,
 )
 
 _MOST_REASONS = 20  # distinct ones to keep apart
-_SLOW = 0.95  # fraction of the requested rate below which the loop is too slow
 
 
 class Monitor:
@@ -96,9 +109,9 @@ class Monitor:
         self.rejected[text] += 1
         self._rejections += 1
 
-    def report(self, now: float, loop: ControlLoop | None, around: GraphInfo) -> list[Status]:
+    def report(self, now: float, loop: ControlLoop | None, around: GraphInfo) -> NodeStatus:
         """
-        Report the status of each part of the node since the last report.
+        Report the status of the node since the last report; the caller adds the scheduling.
 
         Parameters
         ----------
@@ -109,91 +122,120 @@ class Monitor:
         around : GraphInfo
             The state of the node, and its connections.
 
-        Returns
-        -------
-        statuses : list of Status
-            One for each part.
-
         """
-        statuses = [
-            self._loop_status(now, loop, around),
-            self._messages_status(),
-            other_nodes_status(around),
-        ]
+        status = NodeStatus(
+            self._loop_status(now, loop, around), self._messages_status(), _other_nodes(around)
+        )
         if around.simulated is not None:
-            statuses.append(clock_status(around.simulated))
+            level, message = judge_clock(around.simulated)
+            clock = ClockStatus(level, message, *around.simulated)
+            status = replace(status, clock=clock)
         if loop is not None:
-            statuses += [
-                joint_states_status(now, loop, around),
-                reference_status(now, loop, around),
-                self._efforts_status(now, loop, around),
-                model_status(now, loop),
-            ]
+            status = replace(
+                status,
+                joint_states=_joint_states(now, loop, around),
+                reference=_reference(now, loop, around),
+                efforts=self._efforts_status(now, loop, around),
+                model=_model(now, loop),
+            )
         self._periods, self._durations, self._clamped_joints = [], [], []
         self._rejections = 0
-        return statuses
+        return status
 
-    def _loop_status(self, now: float, loop: ControlLoop | None, around: GraphInfo) -> Status:
+    def _loop_status(self, now: float, loop: ControlLoop | None, around: GraphInfo) -> LoopStatus:
         total = sum(self._periods)
         rate = len(self._periods) / total if total > 0.0 else 0.0
-        requested = f'{1.0 / self.period:g}' if self.period else 'that of the joint states'
-        values = {
-            'state': around.state,
-            'rate [Hz]': f'{rate:.1f}',
-            'requested rate [Hz]': requested,
-            'period p99 [ms]': _in_ms(self._periods, 99.0),
-            'period worst [ms]': _in_ms(self._periods, 100.0),
-            'compute time p99 [ms]': _in_ms(self._durations, 99.0),
-            'overruns': str(self.overruns),
-        }
+        requested = 1.0 / self.period if self.period else None
+        status = LoopStatus(
+            *judge_loop(now, loop, around, rate, requested),
+            state=around.state,
+            rate=rate,
+            requested_rate=requested,
+            period_p99=_percentile(self._periods, 99.0),
+            period_worst=_percentile(self._periods, 100.0),
+            compute_time_p99=_percentile(self._durations, 99.0),
+            overruns=self.overruns,
+        )
         if not around.is_active or loop is None:
-            return Status('loop', Level.OK, around.state, values)
-        values['mode'] = loop.controller.settings.mode.value
-        values['phase'] = loop.controller.phase.value
-        values['dry run'] = 'yes' if around.is_dry_run else 'no'
-        values['gain'] = f'{loop.controller.gain:.3f}'
-        if self.period and total > 0.0 and rate * self.period < _SLOW:
-            return Status('loop', Level.WARN, f'only {rate:.1f} commands/s', values)
-        return Status('loop', Level.OK, _activity(now, loop, around), values)
+            return status
+        return replace(
+            status,
+            mode=loop.controller.settings.mode,
+            phase=loop.controller.phase,
+            is_dry_run=around.is_dry_run,
+            gain=loop.controller.gain,
+        )
 
-    def _messages_status(self) -> Status:
-        values = {text: str(count) for text, count in self.rejected.items()}
-        if self._rejections:
-            message = f'{self._rejections} rejected since the last report'
-            return Status('messages', Level.WARN, message, values)
+    def _messages_status(self) -> MessagesStatus:
         total = sum(self.rejected.values())
-        return Status('messages', Level.OK, f'{total} rejected in total', values)
+        return MessagesStatus(*judge_messages(self._rejections, total), dict(self.rejected))
 
-    def _efforts_status(self, now: float, loop: ControlLoop, around: GraphInfo) -> Status:
-        values = {
-            'receivers': str(around.receivers),
-            'topic with names': around.topics.joint_efforts,
-            'topic of the external efforts': around.topics.external_efforts,
-            'cutoff of the external efforts [Hz]': f'{loop.external_effort_estimator.cutoff:g}',
-            'limits [N m, N]': ', '.join(f'{limit:g}' for limit in loop.controller.limits),
-        }
-        values['cut to limit since the last report'] = ', '.join(self._clamped_joints) or 'none'
-        values |= {f'{name} cut to limit': str(count) for name, count in self.clamped.items()}
-        values |= {f'{name} slowed': str(count) for name, count in self.slowed.items()}
-        if around.is_active and not around.receivers and not around.is_dry_run:
-            message = 'the commands have no subscribers'
-            if around.others.subscribers:
-                names = join_names(around.others.subscribers)
-                message += f': {names} subscribes with another type or quality of service'
-            return Status('efforts', Level.WARN, message, values)
-        if self._clamped_joints:
-            message = f'cut to its limit: {", ".join(self._clamped_joints)}'
-            return Status('efforts', Level.WARN, message, values)
-        return Status('efforts', Level.OK, _activity(now, loop, around), values)
+    def _efforts_status(self, now: float, loop: ControlLoop, around: GraphInfo) -> EffortsStatus:
+        return EffortsStatus(
+            *judge_efforts(now, loop, around, self._clamped_joints),
+            receivers=around.receivers,
+            topic=around.topics.joint_efforts,
+            external_topic=around.topics.external_efforts,
+            external_cutoff=loop.external_effort_estimator.cutoff,
+            limits=tuple(loop.controller.limits.tolist()),
+            cut=tuple(self._clamped_joints),
+            cut_counts=dict(self.clamped),
+            slowed_counts=dict(self.slowed),
+        )
 
 
-def _activity(now: float, loop: ControlLoop, around: GraphInfo) -> str:
-    return activity(now, loop, is_dry_run=around.is_dry_run)
+def _other_nodes(around: GraphInfo) -> OtherNodesStatus:
+    others = around.others
+    return OtherNodesStatus(
+        *judge_other_nodes(around),
+        commands=others.commands,
+        subscribers=NodeNames.of(others.subscribers),
+        rivals=NodeNames.of(others.rivals),
+        namesakes=others.namesakes,
+    )
+
+
+def _joint_states(now: float, loop: ControlLoop, around: GraphInfo) -> JointStatesStatus:
+    collector, settings = loop.collector, loop.controller.settings
+    return JointStatesStatus(
+        *judge_joint_states(now, loop, around),
+        topic=around.topics.joint_states,
+        rate=around.state_rate,
+        age=now - collector.time if math.isfinite(collector.time) else None,
+        timeout=settings.state_timeout,
+        publishers=around.publishers,
+        late=tuple(collector.late(now, settings.uncommanded_state_timeout)),
+        locked=tuple(collector.unseen()),
+        without_velocity=tuple(collector.without_velocity()),
+    )
+
+
+def _reference(now: float, loop: ControlLoop, around: GraphInfo) -> ReferenceStatus:
+    settings = loop.controller.settings
+    return ReferenceStatus(
+        *judge_reference(loop, around),
+        age=None if loop.reference is None else now - loop.reference.time,
+        timeout=settings.reference_timeout,
+        mode=settings.mode,
+    )
+
+
+def _model(now: float, loop: ControlLoop) -> ModelStatus:
+    robot, loads = loop.robot, loop.loads
+    return ModelStatus(
+        *judge_model(now, loop),
+        robot=robot.name,
+        mass=float(np.sum(robot.mass)),
+        joints=loop.controller.joints,
+        payloads=tuple(Payload(load.mass, link) for link, load in loads.payloads.items()),
+        gravity=tuple(loads.gravity.tolist()) if loads.include_gravity else None,
+        warnings=tuple(map(str, robot.warnings)),
+    )
 
 
 def _selected(joints: Sequence[str], flags: Booleans) -> list[str]:
     return [name for name, flag in zip(joints, flags, strict=True) if flag]
 
 
-def _in_ms(times: list[float], percentile: float) -> str:
-    return f'{1e3 * float(np.percentile(times, percentile)):.3f}' if times else 'none'
+def _percentile(times: list[float], percentile: float) -> float | None:
+    return float(np.percentile(times, percentile)) if times else None

@@ -1,30 +1,21 @@
-"""Diagnostics of the parts of the node that need no history."""
+"""
+What a node says about itself: one record, from the control loop to `watch`.
+
+`Monitor` makes it, ``diagnostics`` writes it to ``/diagnostics`` and reads it back, and
+`status_text` says it in words.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
 import enum
-import math
 from typing import NamedTuple
 
-import numpy as np
-
-from ..robot.model import Floats
-from .activity import (
-    describe_alternating,
-    describe_implausible,
-    describe_late,
-    describe_lost_imu,
-    describe_recovery,
-    describe_silence,
-    join_names,
-)
-from .control_loop import ControlLoop
-from .graph_info import GraphInfo, SimulatedTime
-from .phase import Phase
+from .phase import COMPUTING_PHASES, Phase
 from .settings import Mode
 
-_DISCOVERY = 1.0  # [s]; how long a publisher may exist before it is discovered
-_PAUSE = 5.0  # [s]; simulated time that stands still for longer is reported
+_MOST_NAMES = 5  # of nodes, in one message
 
 
 class Level(enum.IntEnum):
@@ -36,144 +27,232 @@ class Level(enum.IntEnum):
     STALE = 3
 
 
-class Status(NamedTuple):
-    """Diagnostics of one part of the node."""
+class NodeNames(NamedTuple):
+    """The first few of many nodes."""
+
+    first: tuple[str, ...] = ()
+    more: int = 0
+    """How many more there are."""
+
+    @classmethod
+    def of(cls, names: Sequence[str]) -> NodeNames:
+        """Keep the first few names."""
+        return cls(tuple(names[:_MOST_NAMES]), max(0, len(names) - _MOST_NAMES))
+
+    def __str__(self) -> str:
+        """Return the names, and how many more there are."""
+        return ', '.join(self.first) + (f' and {self.more} more' if self.more else '')
+
+
+class Payload(NamedTuple):
+    """The load on a link."""
+
+    mass: float
+    """[kg]."""
+    link: str
+
+    def __str__(self) -> str:
+        """Return the mass and the link."""
+        return f'{self.mass:g} kg on {self.link}'
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of the node. Values that are not reported are None or empty."""
+
+    level: Level = Level.OK
+    message: str = ''
+    """The state in words."""
+
+
+@dataclass(frozen=True)
+class LoopStatus(Part):
+    """The control loop, and what it is doing; the statistics are those since the last report."""
+
+    state: str = ''
+    """Lifecycle state."""
+    rate: float | None = None
+    """Commands per second [Hz]."""
+    requested_rate: float | None = None
+    """[Hz]; None if there is one command for each joint state."""
+    period_p99: float | None = None
+    """99th percentile of the times between commands [s]."""
+    period_worst: float | None = None
+    """[s]."""
+    compute_time_p99: float | None = None
+    """[s]."""
+    overruns: int | None = None
+    """Commands since the start that were more than half a period late."""
+    mode: Mode | None = None
+    """None unless the node is active; the same for the values below."""
+    phase: Phase | None = None
+    is_dry_run: bool | None = None
+    gain: float | None = None
+    """Factor of the computed efforts, 0 to 1."""
+
+
+@dataclass(frozen=True)
+class MessagesStatus(Part):
+    """Messages that could not be used."""
+
+    rejected: Mapping[str, int] = field(default_factory=dict)
+    """Numbers of messages, by topic and reason."""
+
+
+@dataclass(frozen=True)
+class OtherNodesStatus(Part):
+    """Other nodes that use the topic of the commands, or the name of this node."""
+
+    commands: str = ''
+    """Topic of the commands."""
+    subscribers: NodeNames = field(default_factory=NodeNames)
+    rivals: NodeNames = field(default_factory=NodeNames)
+    """Other publishers of the commands."""
+    namesakes: int | None = None
+
+
+@dataclass(frozen=True)
+class ClockStatus(Part):
+    """The clock of a simulation."""
+
+    time: float | None = None
+    """[s]; 0 if none has arrived."""
+    unchanged_for: float | None = None
+    """Steady time since it changed [s]."""
+    publishers: int | None = None
+
+
+@dataclass(frozen=True)
+class JointStatesStatus(Part):
+    """The joint states that arrive."""
+
+    topic: str = ''
+    rate: float | None = None
+    """Updates of all commanded joints per second [Hz]."""
+    age: float | None = None
+    """[s]; None if a commanded joint was never reported."""
+    timeout: float | None = None
+    """[s]."""
+    publishers: int | None = None
+    late: tuple[str, ...] = ()
+    """Joints that are not commanded, and late."""
+    locked: tuple[str, ...] = ()
+    """Joints at their locked positions, because they were never reported."""
+    without_velocity: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class ReferenceStatus(Part):
+    """The reference, and whether it is followed."""
+
+    age: float | None = None
+    """[s]; None if there was none."""
+    timeout: float | None = None
+    """[s]; 0: unlimited."""
+    mode: Mode | None = None
+
+
+@dataclass(frozen=True)
+class EffortsStatus(Part):
+    """The commands."""
+
+    receivers: int | None = None
+    """Number of subscribers."""
+    topic: str = ''
+    """Topic of the efforts with names."""
+    external_topic: str = ''
+    """Topic of the external efforts."""
+    external_cutoff: float | None = None
+    """Cutoff of the external efforts [Hz]."""
+    limits: tuple[float, ...] = ()
+    """Largest efforts in the order of the commanded joints [N m or N]; inf if there is none."""
+    cut: tuple[str, ...] = ()
+    """Joints whose efforts were cut to these since the last report."""
+    cut_counts: Mapping[str, int] = field(default_factory=dict)
+    """Commands since the start that were cut to a limit, by joint."""
+    slowed_counts: Mapping[str, int] = field(default_factory=dict)
+    """Commands since the start that a rate limit slowed, by joint."""
+
+
+@dataclass(frozen=True)
+class ModelStatus(Part):
+    """The robot and its loads."""
+
+    robot: str = ''
+    mass: float | None = None
+    """[kg]."""
+    joints: tuple[str, ...] = ()
+    """Commanded joints."""
+    payloads: tuple[Payload, ...] = ()
+    gravity: tuple[float, ...] | None = None
+    """[m/s^2]; None if the model does not include it."""
+    warnings: tuple[str, ...] = ()
+    """About the robot description."""
+
+
+@dataclass(frozen=True)
+class SchedulingStatus(Part):
+    """Priority and memory of the process; the scheduler is unknown on some platforms."""
+
+    memory: str = ''
+    policy: str | None = None
+    priority: int | None = None
+    cpus: tuple[int, ...] | None = None
+    threads: int | None = None
+    """Number of threads with this priority."""
+
+
+class Problem(NamedTuple):
+    """A part of the node that is not OK."""
 
     part: str
-    level: Level
+    level: str
+    """``WARN`` or ``ERROR``."""
     message: str
-    values: dict[str, str]
 
 
-def joint_states_status(now: float, loop: ControlLoop, around: GraphInfo) -> Status:
-    """Report missing, stale, contradictory and implausible joint states."""
-    collector = loop.collector
-    settings = loop.controller.settings
-    values = {
-        'topic': around.topics.joint_states,
-        'rate [Hz]': f'{around.state_rate:.1f}',
-        'age [s]': f'{now - collector.time:.3f}' if math.isfinite(collector.time) else 'never',
-        'timeout [s]': f'{settings.state_timeout:g}',
-        'publishers': str(around.publishers),
-        'late, not commanded': ', '.join(collector.late(now, settings.uncommanded_state_timeout))
-        or 'none',
-        'locked, never reported': ', '.join(collector.unseen()) or 'none',
-        'without velocity': ', '.join(collector.without_velocity()) or 'none',
-    }
-    level, message = _judge_joint_states(now, loop, around)
-    return Status('joint states', level, message, values)
+@dataclass(frozen=True)
+class NodeStatus:
+    """
+    Everything that a node says about itself, in the order in which it is published.
 
+    Parts that do not exist are None: those of the robot until the node is configured, and the
+    clock without simulated time.
 
-def _judge_joint_states(now: float, loop: ControlLoop, around: GraphInfo) -> tuple[Level, str]:
-    collector, settings = loop.collector, loop.controller.settings
-    if_lost = Level.ERROR if around.is_active else Level.WARN
-    silence = describe_silence(around)
-    if collector.missing():
-        return if_lost, '; '.join(filter(None, (f'waiting for {loop.missing()[0]}', silence)))
-    stale = collector.stale(now, settings.state_timeout)
-    if stale:
-        return if_lost, '; '.join(filter(None, (f'lost: {", ".join(stale)}', silence)))
-    conflicts = describe_alternating(loop, around.state_publishers)
-    if conflicts:
-        return Level.ERROR, '; '.join(conflicts.values())
-    if loop.controller.phase is Phase.STATE_LOST:
-        return if_lost, describe_recovery(loop)
-    warnings = [*describe_late(loop, now), *describe_implausible(loop).values()]
-    if warnings:
-        return Level.WARN, '; '.join(warnings)
-    if collector.unseen():
-        return Level.WARN, f'using the locked positions of {", ".join(collector.unseen())}'
-    if settings.mode is Mode.COMPUTED_TORQUE and collector.without_velocity():
-        return Level.WARN, 'no velocities: computed_torque has no damping'
-    return Level.OK, 'fresh'
+    """
 
+    loop: LoopStatus
+    messages: MessagesStatus | None = None
+    other_nodes: OtherNodesStatus | None = None
+    clock: ClockStatus | None = None
+    joint_states: JointStatesStatus | None = None
+    reference: ReferenceStatus | None = None
+    efforts: EffortsStatus | None = None
+    model: ModelStatus | None = None
+    scheduling: SchedulingStatus | None = None
 
-def reference_status(now: float, loop: ControlLoop, around: GraphInfo) -> Status:
-    """Report the age of the reference, and whether it is followed."""
-    controller = loop.controller
-    age = 'never' if loop.reference is None else f'{now - loop.reference.time:.3f}'
-    values = {
-        'age [s]': age,
-        'timeout [s]': f'{controller.settings.reference_timeout:g}',
-        'mode': controller.settings.mode.value,
-    }
-    if around.is_active and controller.phase is Phase.TOO_FAR:
-        return Status('reference', Level.WARN, controller.phase.value, values)
-    if controller.is_stopping:
-        return Status('reference', Level.OK, 'disabled', values)
-    message = 'followed' if controller.phase is Phase.RUNNING else 'none, or not used'
-    return Status('reference', Level.OK, message, values)
+    def parts(self) -> dict[str, Part]:
+        """Return the parts that exist, by their names in ``/diagnostics``."""
+        parts = {field.name.replace('_', ' '): getattr(self, field.name) for field in fields(self)}
+        return {name: part for name, part in parts.items() if part is not None}
 
+    @property
+    def is_computing(self) -> bool:
+        """Whether the node computes efforts for the current joint states."""
+        return self.loop.state == 'active' and self.loop.phase in COMPUTING_PHASES
 
-def model_status(now: float, loop: ControlLoop) -> Status:
-    """Report the robot, its loads, and warnings about its description."""
-    robot, loads = loop.robot, loop.loads
-    payloads = [f'{load.mass:g} kg on {link}' for link, load in loads.payloads.items()]
-    values = {
-        'robot': robot.name,
-        'mass [kg]': f'{np.sum(robot.mass):.4g}',
-        'joints': ', '.join(loop.controller.joints),
-        'payload': ', '.join(payloads) or 'none',
-        'gravity [m/s^2]': _listed(loads.gravity) if loads.include_gravity else 'not included',
-    }
-    values |= {f'warning {k}': str(warning) for k, warning in enumerate(robot.warnings, start=1)}
-    unknown = describe_lost_imu(now, loop)
-    if loop.lacks_imu:
-        unknown = 'the motion of the base is unknown: no message on imu yet'
-    if unknown:
-        return Status('model', Level.ERROR, unknown, values)
-    if robot.warnings:
-        message = f'{len(robot.warnings)} warnings about the robot description'
-        return Status('model', Level.WARN, message, values)
-    return Status('model', Level.OK, f"robot '{robot.name}'", values)
+    def limits(self) -> dict[str, float]:
+        """Return the largest efforts by commanded joint [N m or N]; empty if they are unknown."""
+        if self.model is None or self.efforts is None:
+            return {}
+        pairs = zip(self.model.joints, self.efforts.limits, strict=False)
+        return dict(pairs) if len(self.model.joints) == len(self.efforts.limits) else {}
 
-
-def other_nodes_status(around: GraphInfo) -> Status:
-    """Report nodes that publish the same commands or have the same name."""
-    others = around.others
-    values = {
-        'commands': others.commands,
-        'subscribers of the commands': join_names(others.subscribers) or 'none',
-        'other publishers of the commands': join_names(others.rivals) or 'none',
-        'other nodes with this name': str(others.namesakes),
-    }
-    problems = []
-    if others.rivals:
-        problems.append(f'{others.commands} is also published by {join_names(others.rivals)}')
-    if others.namesakes:
-        nodes = 'another node' if others.namesakes == 1 else f'{others.namesakes} other nodes'
-        problems.append(f'{nodes} with the name {others.name}')
-    if not problems:
-        message = 'no other node publishes the commands or has this name'
-        return Status('other nodes', Level.OK, message, values)
-    # Nodes may take turns at publishing on a topic, but must never have the same name.
-    is_error = (around.is_active and not around.is_dry_run) or others.namesakes
-    message = f'{"; ".join(problems)} (stop it; a killed node stays listed for up to 20 s)'
-    return Status('other nodes', Level.ERROR if is_error else Level.WARN, message, values)
-
-
-def clock_status(clock: SimulatedTime) -> Status:
-    """Report simulated time that does not advance."""
-    values = {
-        'time [s]': f'{clock.time:.3f}',
-        'unchanged for [s]': f'{clock.unchanged_for:.1f}',
-        'publishers': str(clock.publishers),
-    }
-    is_late = clock.unchanged_for >= _PAUSE
-    if not clock.time and not clock.publishers:
-        if clock.unchanged_for < _DISCOVERY:
-            return Status('clock', Level.OK, 'no message on /clock yet', values)
-        message = 'use_sim_time is set, but nothing publishes /clock (0 publishers)'
-        return Status('clock', Level.ERROR if is_late else Level.WARN, message, values)
-    if not is_late:
-        return Status('clock', Level.OK, 'simulated time advances', values)
-    message = f'simulated time has not advanced for more than {_PAUSE:g} s'
-    if not clock.publishers:
-        message += ': nothing publishes /clock any more (0 publishers)'
-        return Status('clock', Level.ERROR, message, values)
-    message += f' (publishers of /clock: {clock.publishers}): is the simulation paused?'
-    return Status('clock', Level.WARN, message, values)
-
-
-def _listed(vector: Floats) -> str:
-    return ', '.join(f'{x:.3f}' for x in vector)
+    def problems(self) -> tuple[Problem, ...]:
+        """Return the parts that are not OK, errors first."""
+        found = [
+            (-part.level, Problem(name, part.level.name, part.message))
+            for name, part in self.parts().items()
+            if part.level is not Level.OK
+        ]
+        return tuple(problem for _, problem in sorted(found))

@@ -8,8 +8,8 @@ from typing import Any
 
 from rclpy.lifecycle import LifecycleNode
 
-from ..control.activity import join_names
 from ..control.graph_info import Others, SimulatedTime
+from ..control.status_text import join_names
 
 _DISCOVERY = 1.0  # [s]; until then, publishers may not have been discovered yet
 _MAX_CHECKS = 10  # checks to wait for the name of a node whose subscription is known already

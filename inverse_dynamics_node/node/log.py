@@ -10,7 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from ..control.activity import (
+from ..control.control_loop import ControlLoop
+from ..control.controller import Command
+from ..control.phase import COMPUTING_PHASES, Phase
+from ..control.status import Level, Part
+from ..control.status_text import (
     activity,
     describe_alternating,
     describe_implausible,
@@ -18,10 +22,6 @@ from ..control.activity import (
     describe_lost_imu,
     join_names,
 )
-from ..control.control_loop import ControlLoop
-from ..control.controller import Command
-from ..control.phase import COMPUTING_PHASES, Phase
-from ..control.status import Level, Status
 from ..errors import shortened_lines
 
 _PERIOD = 2.0  # [s]; between repetitions of a lasting problem
@@ -85,7 +85,7 @@ class NodeLog:
         self._last_activity: tuple[Phase, bool] | None = None
         self._changes: deque[float] = deque(maxlen=_MOST_CHANGES)  # times of the latest ones
         self._has_reported_imu = False
-        self._last_statuses: dict[str, tuple[Level, str]] = {}
+        self._last_parts: dict[str, tuple[Level, str]] = {}
         self._message_times: dict[str, deque[float]] = {}  # of the latest reports, by topic
 
     def begin(self) -> None:
@@ -151,20 +151,22 @@ class NodeLog:
         """Name the inputs that are missing for the first command."""
         self.warn('waiting', lambda: f'no command yet: waiting for {" and ".join(missing())}')
 
-    def report_status(self, status: Status) -> None:
-        """Report a status that is not OK, from time to time while it lasts, and its end."""
-        last = self._last_statuses.get(status.part, (Level.OK, ''))
-        this = status.level, status.message
-        if status.level is Level.OK:
+    def report_part(self, name: str, part: Part | None) -> None:
+        """Report a part that is not OK, from time to time while it lasts, and its end."""
+        if part is None:
+            return
+        last = self._last_parts.get(name, (Level.OK, ''))
+        this = part.level, part.message
+        if part.level is Level.OK:
             if last[0] is not Level.OK:
-                self._logger.info(status.message)
-        elif last != this or self._is_due(('status', status.part), _LONG_PERIOD):
-            self._times[('status', status.part)] = time.monotonic()
-            if status.level is Level.ERROR:  # a logger accepts one severity per line of code
-                self._logger.error(status.message)
+                self._logger.info(part.message)
+        elif last != this or self._is_due(('part', name), _LONG_PERIOD):
+            self._times[('part', name)] = time.monotonic()
+            if part.level is Level.ERROR:  # a logger accepts one severity per line of code
+                self._logger.error(part.message)
             else:
-                self._logger.warning(status.message)
-        self._last_statuses[status.part] = this
+                self._logger.warning(part.message)
+        self._last_parts[name] = this
 
     def report_step(
         self, now: float, loop: ControlLoop, command: Command, *, is_dry_run: bool

@@ -19,7 +19,6 @@ from . import qos
 from .background import Background
 from .configure import apply_configuration, check_configuration, make_loop
 from .containment import contain_errors
-from .diagnostics import DiagnosticsPublisher
 from .graph import Graph
 from .inputs import Inputs
 from .log import BoundedLogger, NodeLog
@@ -36,6 +35,7 @@ from .ros_parameters import (
 from .runner import LoopRunner
 from .scheduling import Scheduling
 from .services import Services
+from .status_publisher import StatusPublisher
 from .trajectory_filler import TrajectoryFiller
 
 _SUBSCRIBERS_PERIOD = 0.2  # [s]; between checks for subscribers
@@ -114,7 +114,7 @@ class InverseDynamicsNode(LifecycleNode):
         )
         self._inputs = Inputs(self, self._runner, self._outputs, filler, log, self._configuration)
         Services(self, self._runner)
-        self._diagnostics = DiagnosticsPublisher(
+        self._diagnostics = StatusPublisher(
             self,
             self._runner,
             self._inputs,

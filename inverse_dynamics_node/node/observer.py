@@ -20,13 +20,14 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from ..control.filters import LowPass
+from ..control.status import NodeStatus
 from ..errors import ConfigurationError, InverseDynamicsError, JointStateError
 from ..robot.model import Floats, RobotModel
 from ..robot.urdf import load_urdf
 from . import qos
 from .cdr import JointStateReader
+from .diagnostics import read_status
 from .middleware import describe_start_error, start_ros
-from .observed_status import ObservedStatus, read_status
 
 _MOST_WARNINGS = 50
 _RATES = 3  # reports, one per second
@@ -121,7 +122,7 @@ class Observer:
 
     def __init__(self, node: Node, name: str) -> None:
         self._node, self.name = node, name
-        self.status: ObservedStatus | None = None
+        self.status: NodeStatus | None = None
         """The latest diagnostics; None before the first."""
         self.status_time = -np.inf
         """Steady time at which they arrived [s]."""
@@ -167,8 +168,8 @@ class Observer:
             status = read_status(message, self.name)
             if status is not None:
                 self.status, self.status_time = status, time.monotonic()
-                if status.state_rate is not None:
-                    self._state_rates.append(status.state_rate)
+                if status.joint_states and status.joint_states.rate is not None:
+                    self._state_rates.append(status.joint_states.rate)
         for message, _ in self._take(self._logs, Log):
             self._store_log(message)
         has_changed = False
@@ -255,14 +256,14 @@ class Observer:
             self.robot_problem = str(error).partition('\n')[0]
         self._clear()
 
-    def _follow_topics(self, status: ObservedStatus) -> None:
+    def _follow_topics(self, status: NodeStatus) -> None:
         """Subscribe to the topics of the joints, whose names may be remapped."""
-        for name, profile in (
-            ('joint_states', _QUEUE),
-            ('joint_efforts', _LATEST),
-            ('external_efforts', _LATEST),
+        states, efforts = status.joint_states, status.efforts
+        for name, topic, profile in (
+            ('joint_states', states.topic if states else '', _QUEUE),
+            ('joint_efforts', efforts.topic if efforts else '', _LATEST),
+            ('external_efforts', efforts.external_topic if efforts else '', _LATEST),
         ):
-            topic = status.topics.get(name, '')
             if topic and topic != self._topics.get(name):
                 if name in self._subscriptions:
                     self._node.destroy_subscription(self._subscriptions[name])
@@ -288,7 +289,8 @@ class Observer:
             self._settled_at = time.monotonic() + _SETTLING
         unknown = np.full(len(names), np.nan)
         low_pass = self._filters[names]
-        low_pass.cutoff = self.status.cutoff if self.status else 0.0
+        efforts_status = self.status.efforts if self.status else None
+        low_pass.cutoff = (efforts_status and efforts_status.external_cutoff) or 0.0
         signals = [
             values if len(values) == len(names) else unknown
             for values in (positions, velocities, efforts)

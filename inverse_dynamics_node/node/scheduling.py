@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 import contextlib
+from dataclasses import replace
 import functools
 import os
 from pathlib import Path
@@ -11,7 +12,7 @@ import platform
 import threading
 import time
 
-from ..control.status import Level, Status
+from ..control.status import Level, SchedulingStatus
 from .memory_lock import lock_memory, MemoryLockError
 
 _TASKS = Path('/proc/self/task')
@@ -216,17 +217,20 @@ class Scheduling:
         reports, self._reports = self._reports, []
         return reports
 
-    def status(self) -> Status:
-        """Return the diagnostics: policy and priority of the loop as the kernel reports them."""
-        values = {'memory': self._memory}
-        if hasattr(os, 'sched_getscheduler'):
-            values['policy'] = _policy(self._loop)
-            values['priority'] = str(os.sched_getparam(self._loop).sched_priority)
-            values['CPUs'] = ', '.join(map(str, sorted(os.sched_getaffinity(self._loop))))
-            values['threads'] = str(len(self._threads))
+    def status(self) -> SchedulingStatus:
+        """Return policy and priority of the loop as the kernel reports them."""
+        status = SchedulingStatus(message='real-time priority', memory=self._memory)
         if self._problem:
-            return Status('scheduling', Level.WARN, self._problem, values)
-        return Status('scheduling', Level.OK, 'real-time priority', values)
+            status = replace(status, level=Level.WARN, message=self._problem)
+        if not hasattr(os, 'sched_getscheduler'):
+            return status
+        return replace(
+            status,
+            policy=_policy(self._loop),
+            priority=os.sched_getparam(self._loop).sched_priority,
+            cpus=tuple(sorted(os.sched_getaffinity(self._loop))),
+            threads=len(self._threads),
+        )
 
 
 def _thread_ids() -> list[int]:

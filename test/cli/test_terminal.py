@@ -12,6 +12,16 @@ from inverse_dynamics_node import load_urdf
 from inverse_dynamics_node.analysis.live.verdict import Cause, Outcome, Verdict
 from inverse_dynamics_node.cli import live_view, terminal
 from inverse_dynamics_node.cli.main import main
+from inverse_dynamics_node.control.status import (
+    EffortsStatus,
+    Level,
+    LoopStatus,
+    ModelStatus,
+    NodeNames,
+    NodeStatus,
+    OtherNodesStatus,
+    Payload,
+)
 import numpy as np
 import pytest
 from robot_files import ROOT, STANFORD
@@ -102,13 +112,12 @@ def read(master):
 def hostile_observer():
     robot = load_urdf(STANFORD.read_text().replace('joint_2', f'joint_2{C1}{MARKUP}'))
     odd = f'x{ESCAPE}{C1}{MARKUP}\nforged'
-    problem = SimpleNamespace(level='ERROR', part=odd, message=odd)
-    status = SimpleNamespace(
-        state=odd, activity=odd, mode=odd, payload=odd, commands=odd, subscribers=odd, receivers=1,
-        is_dry_run=False, requested_rate=None, rate=1.0, state_rate=1.0, state_age=0.0,
-        state_timeout=0.1, reference_age=0.0, reference_timeout=0.1, problems=[problem],
-        limits=(), joints=(),
-    )  # fmt: skip
+    status = NodeStatus(
+        LoopStatus(Level.ERROR, odd, state=odd),
+        other_nodes=OtherNodesStatus(commands=odd, subscribers=NodeNames((odd,))),
+        efforts=EffortsStatus(receivers=1),
+        model=ModelStatus(payloads=(Payload(1.0, odd),)),
+    )
     line = SimpleNamespace(time=time.time(), level='WARN', text=odd)
     sample = SimpleNamespace(positions=np.zeros(6), measured=np.zeros(6), modelled=np.zeros(6),
                              commands=np.zeros(6))  # fmt: skip

@@ -81,7 +81,7 @@ sys.exit(main.main(sys.argv))
         'inputs.Inputs._on_accelerations',
         'runner.LoopRunner._explain',
         'runner.LoopRunner.step',
-        'diagnostics.DiagnosticsPublisher._on_timer',
+        'status_publisher.StatusPublisher._on_timer',
         'runner.LoopRunner._on_watch',
     ],
 )

@@ -1,4 +1,8 @@
-"""Describes what the control loop is doing, and why."""
+"""
+The status of the node in words: what it is doing and why, and what is wrong with its parts.
+
+A function named ``judge_...`` returns the level and the message of one part of `NodeStatus`.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +13,18 @@ import numpy as np
 
 from ..robot.model import Floats
 from .control_loop import ControlLoop
-from .graph_info import GraphInfo
+from .graph_info import GraphInfo, SimulatedTime
 from .phase import COMPUTING_PHASES, Phase
 from .settings import Mode, StalePolicy
+from .status import Level, NodeNames
 
 _LONG_SILENCE = 5.0  # [s]; after which connected publishers are suspicious
 _MISALIGNED = 5.0  # [degrees]; more than an error of mounting
-_MOST_NAMES = 5  # of nodes, in one message
+_SLOW = 0.95  # fraction of the requested rate below which the loop is too slow
+_DISCOVERY = 1.0  # [s]; how long a publisher may exist before it is discovered
+_PAUSE = 5.0  # [s]; simulated time that stands still for longer is reported
+
+Judgement = tuple[Level, str]
 
 
 def activity(now: float, loop: ControlLoop, *, is_dry_run: bool = False) -> str:
@@ -202,5 +211,120 @@ def describe_implausible(loop: ControlLoop) -> dict[str, str]:
 
 def join_names(names: Sequence[str]) -> str:
     """Join the first few names, and say how many more there are."""
-    more = len(names) - _MOST_NAMES
-    return ', '.join(names[:_MOST_NAMES]) + (f' and {more} more' if more > 0 else '')
+    return str(NodeNames.of(names))
+
+
+def judge_loop(
+    now: float, loop: ControlLoop | None, around: GraphInfo, rate: float, requested: float | None
+) -> Judgement:
+    """Say what the loop is doing, unless it has fewer commands than requested; rates in [Hz]."""
+    if not around.is_active or loop is None:
+        return Level.OK, around.state
+    if requested and 0.0 < rate < _SLOW * requested:
+        return Level.WARN, f'only {rate:.1f} commands/s'
+    return Level.OK, activity(now, loop, is_dry_run=around.is_dry_run)
+
+
+def judge_messages(recently: int, total: int) -> Judgement:
+    """Report the number of rejected messages."""
+    if recently:
+        return Level.WARN, f'{recently} rejected since the last report'
+    return Level.OK, f'{total} rejected in total'
+
+
+def judge_joint_states(now: float, loop: ControlLoop, around: GraphInfo) -> Judgement:
+    """Report missing, stale, contradictory and implausible joint states."""
+    collector, settings = loop.collector, loop.controller.settings
+    if_lost = Level.ERROR if around.is_active else Level.WARN
+    silence = describe_silence(around)
+    if collector.missing():
+        return if_lost, '; '.join(filter(None, (f'waiting for {loop.missing()[0]}', silence)))
+    stale = collector.stale(now, settings.state_timeout)
+    if stale:
+        return if_lost, '; '.join(filter(None, (f'lost: {", ".join(stale)}', silence)))
+    conflicts = describe_alternating(loop, around.state_publishers)
+    if conflicts:
+        return Level.ERROR, '; '.join(conflicts.values())
+    if loop.controller.phase is Phase.STATE_LOST:
+        return if_lost, describe_recovery(loop)
+    warnings = [*describe_late(loop, now), *describe_implausible(loop).values()]
+    if warnings:
+        return Level.WARN, '; '.join(warnings)
+    if collector.unseen():
+        return Level.WARN, f'using the locked positions of {", ".join(collector.unseen())}'
+    if settings.mode is Mode.COMPUTED_TORQUE and collector.without_velocity():
+        return Level.WARN, 'no velocities: computed_torque has no damping'
+    return Level.OK, 'fresh'
+
+
+def judge_reference(loop: ControlLoop, around: GraphInfo) -> Judgement:
+    """Report whether the reference is followed."""
+    controller = loop.controller
+    if around.is_active and controller.phase is Phase.TOO_FAR:
+        return Level.WARN, controller.phase.value
+    if controller.is_stopping:
+        return Level.OK, 'disabled'
+    return Level.OK, 'followed' if controller.phase is Phase.RUNNING else 'none, or not used'
+
+
+def judge_efforts(
+    now: float, loop: ControlLoop, around: GraphInfo, clamped: Sequence[str]
+) -> Judgement:
+    """Report commands without subscribers, and joints whose efforts were cut to their limits."""
+    if around.is_active and not around.receivers and not around.is_dry_run:
+        message = 'the commands have no subscribers'
+        if around.others.subscribers:
+            names = join_names(around.others.subscribers)
+            message += f': {names} subscribes with another type or quality of service'
+        return Level.WARN, message
+    if clamped:
+        return Level.WARN, f'cut to its limit: {", ".join(clamped)}'
+    return Level.OK, activity(now, loop, is_dry_run=around.is_dry_run)
+
+
+def judge_model(now: float, loop: ControlLoop) -> Judgement:
+    """Report that the motion of the base is unknown, and warnings about the description."""
+    unknown = describe_lost_imu(now, loop)
+    if loop.lacks_imu:
+        unknown = 'the motion of the base is unknown: no message on imu yet'
+    if unknown:
+        return Level.ERROR, unknown
+    warnings = loop.robot.warnings
+    if warnings:
+        return Level.WARN, f'{len(warnings)} warnings about the robot description'
+    return Level.OK, f"robot '{loop.robot.name}'"
+
+
+def judge_other_nodes(around: GraphInfo) -> Judgement:
+    """Report nodes that publish the same commands or have the same name."""
+    others = around.others
+    problems = []
+    if others.rivals:
+        problems.append(f'{others.commands} is also published by {join_names(others.rivals)}')
+    if others.namesakes:
+        nodes = 'another node' if others.namesakes == 1 else f'{others.namesakes} other nodes'
+        problems.append(f'{nodes} with the name {others.name}')
+    if not problems:
+        return Level.OK, 'no other node publishes the commands or has this name'
+    # Nodes may take turns at publishing on a topic, but must never have the same name.
+    is_error = (around.is_active and not around.is_dry_run) or others.namesakes
+    message = f'{"; ".join(problems)} (stop it; a killed node stays listed for up to 20 s)'
+    return Level.ERROR if is_error else Level.WARN, message
+
+
+def judge_clock(clock: SimulatedTime) -> Judgement:
+    """Report simulated time that does not advance."""
+    is_late = clock.unchanged_for >= _PAUSE
+    if not clock.time and not clock.publishers:
+        if clock.unchanged_for < _DISCOVERY:
+            return Level.OK, 'no message on /clock yet'
+        message = 'use_sim_time is set, but nothing publishes /clock (0 publishers)'
+        return Level.ERROR if is_late else Level.WARN, message
+    if not is_late:
+        return Level.OK, 'simulated time advances'
+    message = f'simulated time has not advanced for more than {_PAUSE:g} s'
+    if not clock.publishers:
+        message += ': nothing publishes /clock any more (0 publishers)'
+        return Level.ERROR, message
+    message += f' (publishers of /clock: {clock.publishers}): is the simulation paused?'
+    return Level.WARN, message

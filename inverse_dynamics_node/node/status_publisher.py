@@ -1,0 +1,126 @@
+"""Publishes the status of the node on ``/diagnostics``, and logs its problems."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+import time
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock
+from rclpy.lifecycle import LifecycleNode
+
+from ..control.graph_info import GraphInfo, Topics
+from ..control.silence import Silence
+from ..control.status_text import describe_silence
+from . import qos
+from .diagnostics import write_status
+from .graph import Graph
+from .inputs import Inputs
+from .log import NodeLog
+from .outputs import Outputs
+from .runner import LoopRunner
+from .scheduling import Scheduling
+
+_PERIOD = 1.0  # [s]; recommended by REP-107
+
+
+class StatusPublisher:
+    """
+    Publishes the state of the node once a second, in every lifecycle state.
+
+    Parameters
+    ----------
+    node : LifecycleNode
+        The node that publishes.
+    runner, inputs, outputs, graph
+        The parts of the node that are reported on.
+    log : NodeLog
+        For the problems that are also logged.
+    clock : Clock
+        The steady clock.
+    scheduling : Scheduling
+        Reports the priority of the loop.
+
+    """
+
+    def __init__(
+        self,
+        node: LifecycleNode,
+        runner: LoopRunner,
+        inputs: Inputs,
+        outputs: Outputs,
+        graph: Graph,
+        log: NodeLog,
+        clock: Clock,
+        scheduling: Scheduling,
+    ) -> None:
+        self._node, self._runner, self._inputs = node, runner, inputs
+        self._outputs, self._graph, self._log = outputs, graph, log
+        self._scheduling = scheduling
+        self._uses_sim_time = bool(node.get_parameter('use_sim_time').value)
+        self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', qos.QUEUED)
+        self._last_time = time.monotonic()
+        self._last_count = 0
+        self._silence = Silence(self._last_time)
+        names = ('joint_states', '~/joint_efforts', '~/external_efforts')
+        self._topics = Topics(*(str(node.resolve_topic_name(name)) for name in names))
+        node.create_timer(_PERIOD, self._on_timer, clock=clock)
+
+    def publish_if_late(self) -> None:
+        """Publish if the timer is late."""
+        if time.monotonic() > self._last_time + 1.5 * _PERIOD:
+            self._on_timer()
+
+    def _on_timer(self) -> None:
+        now = time.monotonic()
+        elapsed, self._last_time = now - self._last_time, now
+        loop, is_active = self._runner.loop, self._runner.is_active
+        if loop is not None:
+            loop.collector.forget_silent(self._runner.now())
+        graph = self._inspect_graph(elapsed)
+        if loop is not None and loop.collector.has_alternating:
+            self._log.report_conflicts(loop, graph.state_publishers)
+        if is_active:
+            self._log.report_silence(describe_silence(graph))
+        if loop is not None:
+            self._log.report_implausible(loop)
+        status = self._runner.monitor.report(self._runner.now(), loop, graph)
+        status = replace(status, scheduling=self._scheduling.status())
+        self._log.report_part('other nodes', status.other_nodes)
+        self._log.report_part('clock', status.clock)
+        self._publisher.publish(
+            write_status(
+                self._node.get_clock().now().to_msg(),
+                self._node.get_fully_qualified_name(),
+                status,
+            )
+        )
+
+    def _inspect_graph(self, elapsed: float) -> GraphInfo:
+        node, loop = self._node, self._runner.loop
+        states = self._inputs.state_count - self._last_count
+        self._last_count = self._inputs.state_count
+        publishers: Sequence[str] = ()
+        if loop is not None and loop.collector.has_alternating:
+            publishers = self._graph.publishers('joint_states')
+        publisher_count = node.count_publishers(node.resolve_topic_name('joint_states'))
+        simulated = self._graph.simulated_time() if self._uses_sim_time else None
+        is_paused = simulated is not None and simulated.unchanged_for > _PERIOD
+        return GraphInfo(
+            receivers=self._outputs.receivers,
+            publishers=publisher_count,
+            is_active=self._runner.is_active,
+            is_dry_run=not self._runner.gate.is_open,
+            state=str(node._state_machine.current_state[1]),
+            others=self._graph.others(),
+            state_publishers=tuple(publishers),
+            simulated=simulated,
+            silence=self._silence.update(
+                self._last_time,
+                self._inputs.last_joint_state,
+                is_expected=bool(publisher_count) and not is_paused,
+            ),
+            state_rate=states / elapsed if elapsed > 0.0 else 0.0,
+            topics=self._topics,
+        )
