@@ -6,7 +6,7 @@ Compiles the functions that most tests call, and keeps the machine code for the 
 """
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.control.control_loop import ControlLoop
+from inverse_dynamics_node.control.loop import ControlLoop
 import numpy as np
 from robot_files import STANFORD
 

@@ -220,7 +220,7 @@ def warm_up():
     for module in MODULES:
         import_module(module)
     from inverse_dynamics_node import load_urdf
-    from inverse_dynamics_node.control.control_loop import ControlLoop
+    from inverse_dynamics_node.control.loop import ControlLoop
 
     ControlLoop(load_urdf(STANFORD)).dynamics.gravity_efforts([0.0] * 6)
     for name, module in list(sys.modules.items()):

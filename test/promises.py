@@ -9,8 +9,8 @@ but decides by itself which changes of the inputs are motion, and how far ramps 
 from dataclasses import dataclass
 import math
 
-from inverse_dynamics_node.control.phase import COMPUTING_PHASES, Phase
 from inverse_dynamics_node.control.settings import StalePolicy
+from inverse_dynamics_node.control.supervision import COMPUTING_PHASES, Phase
 import numpy as np
 
 ROUNDING = 1e-6  # [N m]

@@ -21,10 +21,10 @@ import sys
 import time
 
 from inverse_dynamics_node import InverseDynamicsError, load_urdf
-from inverse_dynamics_node.control.command_gate import CommandGate
-from inverse_dynamics_node.control.control_loop import ControlLoop
-from inverse_dynamics_node.control.reference import Reference
+from inverse_dynamics_node.control.controller import Reference
+from inverse_dynamics_node.control.loop import ControlLoop
 from inverse_dynamics_node.control.settings import LoadSettings, Mode, Settings, StalePolicy
+from inverse_dynamics_node.control.supervision import DryRun
 import numpy as np
 from promises import BrokenPromiseError, Promises
 from robot_files import ROOT
@@ -64,7 +64,7 @@ class Node:
         self.settings, self.load_settings = Settings(), LoadSettings()
         self.robot, self.imu = 0, imu
         self.loop = self.make_loop()
-        self.gate = CommandGate()
+        self.gate = DryRun()
         self.gate.reset(is_dry_run=False)
         self.loop.start()
         self.has_restarted = False

@@ -113,8 +113,8 @@ def test_the_root_of_the_package_has_no_other_files():
 
 
 @pytest.mark.parametrize('path', FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_a_file_has_fewer_than_400_lines(path):
-    assert len(path.read_text().splitlines()) < 400, 'move one of its concepts to its own file'
+def test_a_file_has_fewer_than_600_lines(path):
+    assert len(path.read_text().splitlines()) < 600, 'move one of its concepts to its own file'
 
 
 @pytest.mark.parametrize('part', PARTS)

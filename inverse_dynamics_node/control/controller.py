@@ -6,24 +6,20 @@ No ROS, and no clock: time is an argument.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..dynamics.inverse_dynamics import InverseDynamics
 from ..errors import ConfigurationError, JointStateError
-from ..robot.model import Booleans, Floats
-from .blending import Blending
+from ..robot.model import Booleans, Floats, RobotModel
+from .command_shaping import CommandShaper
 from .filters import LowPass
-from .joint_selection import compact_index, joint_index
 from .joint_states import State
-from .overflow import describe_overflow
-from .phase import COMPUTING_PHASES, Phase
-from .reference import Reference
 from .settings import Mode, Settings, StalePolicy
-from .state_loss import recovery_time, StateLoss
+from .supervision import COMPUTING_PHASES, Phase, recovery_time, StateSupervisor
 
 # Settings that change the inputs of the computation; others only change what follows from them.
 _INPUT_SETTINGS = (
@@ -34,6 +30,22 @@ _INPUT_SETTINGS = (
     'max_position_jump',
     'velocity_filter_cutoff',
 )
+_PLAUSIBLE = 1e9  # in SI units; a larger input is the cause of efforts that are not finite
+
+
+class Reference(NamedTuple):
+    """Desired motion of the commanded joints."""
+
+    accelerations: Floats
+    """Shape (m,) [rad/s^2 or m/s^2]."""
+    efforts: Floats
+    """Added to the command, shape (m,) [N m or N]."""
+    time: float
+    """Time of arrival [s]."""
+    positions: Floats | None = None
+    """Shape (m,) [rad or m]; None if the reference has none."""
+    velocities: Floats | None = None
+    """Shape (m,) [rad/s or m/s]; None if the reference has none."""
 
 
 class Command(NamedTuple):
@@ -82,8 +94,8 @@ class Controller:
         self.dynamics = dynamics
         self.joints = tuple(joints) or dynamics.robot.joint_names
         self.phase = Phase.WAITING
-        index = joint_index(self.joints, dynamics.robot)
-        self._index = compact_index(index)
+        index = _joint_index(self.joints, dynamics.robot)
+        self._index = _compact_index(index)
         self._is_continuous = dynamics.robot.is_continuous[self._index]
         n = len(dynamics.robot.joint_names)
         self._qdd, self._tau, self._rest = np.zeros((3, n))
@@ -91,14 +103,14 @@ class Controller:
         self._last_q, self._last_qd = np.zeros((2, n))
         self._last_reference: Reference | None = None
         self._has_last_inputs = False  # whether these led to the last command
-        self._blending = Blending(index, period)
+        self._blending = CommandShaper(index, period)
         self._result = Command(
             self._blending.command, self._blending.is_saturated, self._blending.is_slowed
         )
         self._is_stopping = False
         self._time = math.inf
         self._velocity_filter = LowPass(np.zeros(n))
-        self._state_loss = StateLoss()
+        self._state_loss = StateSupervisor()
         self._followed: Floats | None = None  # reference positions of the last step with feedback
         self.settings = settings or Settings()
         self.apply(self.settings)
@@ -199,7 +211,7 @@ class Controller:
             'acceleration': self._qdd,
             'added effort': added,
         }
-        return describe_overflow(self.dynamics.robot.joint_names, inputs, efforts)
+        return _describe_overflow(self.dynamics.robot.joint_names, inputs, efforts)
 
     @property
     def is_stopping(self) -> bool:
@@ -383,3 +395,57 @@ class Controller:
             if velocities is not None:
                 qdd = qdd + self._of_joint['kd'] * (velocities - qd[self._index])
         return qdd
+
+
+def _compact_index(index: list[int]) -> Any:
+    """Return consecutive indices as a slice, with which numpy takes a third of the time."""
+    first = index[0]
+    if index == list(range(first, first + len(index))):
+        return slice(first, first + len(index))
+    return np.array(index)
+
+
+def _joint_index(joints: Sequence[str], robot: RobotModel) -> list[int]:
+    """Return the indices of the commanded joints among those of the robot."""
+    if not joints:
+        raise ConfigurationError(f"robot '{robot.name}' has no movable joints")
+    if len(set(joints)) != len(joints):
+        raise ConfigurationError(f'joints lists a joint twice: {", ".join(joints)}')
+    unknown = [name for name in joints if name not in robot.joint_names]
+    if unknown:
+        raise ConfigurationError(
+            f"joints names '{unknown[0]}', which robot '{robot.name}' does not have or cannot be "
+            f'commanded (fixed, or mimicking another); it has {", ".join(robot.joint_names)}'
+        )
+    return robot.joint_indices(joints)
+
+
+def _describe_overflow(
+    joint_names: Sequence[str], inputs: Mapping[str, Floats], efforts: Floats
+) -> str:
+    """
+    Name the joint and the value that are the cause of efforts that are not finite.
+
+    Parameters
+    ----------
+    joint_names : sequence of str
+        The n joints.
+    inputs : mapping of str to ndarray, shape (n,)
+        Inputs of the computation, by name.
+    efforts : ndarray, shape (n,)
+        Computed efforts [N m or N], for the case that the inputs are plausible.
+
+    """
+    name, joint = _largest(inputs)
+    value = inputs[name][joint]
+    if abs(value) <= _PLAUSIBLE:
+        name, joint = _largest({'computed effort': efforts})
+        value = efforts[joint]
+    return f"the {name} of joint '{joint_names[joint]}' is {value:.4g}"
+
+
+def _largest(arrays: Mapping[str, Floats]) -> tuple[str, int]:
+    """Return the name and the index of the value with the largest magnitude; NaN is largest."""
+    sizes = np.nan_to_num(np.abs(list(arrays.values())), nan=math.inf, posinf=math.inf)
+    row, joint = np.unravel_index(np.argmax(sizes), sizes.shape)
+    return list(arrays)[int(row)], int(joint)

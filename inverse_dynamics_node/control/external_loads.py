@@ -15,19 +15,21 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..dynamics.arguments import read_vector
+from ..dynamics.arguments import read_inertial, read_vector
 from ..dynamics.inverse_dynamics import InverseDynamics
 from ..dynamics.loaded_robot import STANDARD_GRAVITY
 from ..errors import ConfigurationError, plain
 from ..robot.model import Floats
-from ..robot.rigid_body import RigidBody
+from ..robot.rigid_body import combine, RigidBody
+from .command_shaping import ramp_fraction
 from .filters import LowPass
-from .payloads import blend_payloads, is_same, NO_PAYLOAD, read_payload
-from .ramp_clock import ramp_fraction
 from .settings import LARGEST_GRAVITY, LoadSettings
 
 STRONGEST = 500.0  # [m/s^2], [rad/s]; beyond fifty times gravity an IMU is broken
-_LARGEST = 1e9  # [N], [N m]; sums and products of smaller numbers are finite
+_LARGEST_WRENCH = 1e9  # [N], [N m]; sums and products of smaller numbers are finite
+_LARGEST_PAYLOAD = 1e9  # [kg], [m], [kg m^2]; sums and products of smaller numbers are finite
+_ROUNDING = 1e-3  # of the moments of a flat body, as in a robot description
+NO_PAYLOAD = RigidBody(0.0, np.zeros(3), np.zeros((3, 3)))
 
 
 class _PayloadRamp(NamedTuple):
@@ -41,7 +43,7 @@ class _PayloadRamp(NamedTuple):
     @property
     def payload(self) -> RigidBody:
         """The payload at present."""
-        return self.new if self.fraction == 1.0 else blend_payloads(*self[:2], self.fraction)
+        return self.new if self.fraction == 1.0 else _blend_payloads(*self[:2], self.fraction)
 
 
 class _Wrench(NamedTuple):
@@ -121,12 +123,12 @@ class ExternalLoads:
         Raises
         ------
         ConfigurationError
-            If the link does not exist, or the payload is invalid: see `read_payload`.
+            If the link does not exist, or the payload is invalid: see `_read_payload`.
 
         """
         self.dynamics.robot.link_index(link)
-        payload = read_payload(mass, com, inertia)
-        if is_same(payload, self.payloads.get(link, NO_PAYLOAD)):
+        payload = _read_payload(mass, com, inertia)
+        if _is_same(payload, self.payloads.get(link, NO_PAYLOAD)):
             return False
         ramp = self._ramps.get(link)
         old = ramp.payload if ramp else self.payloads.get(link, NO_PAYLOAD)
@@ -161,8 +163,8 @@ class ExternalLoads:
 
         """
         self.dynamics.robot.link_index(link)
-        F = _read_bounded('force', force, 'N', _LARGEST)
-        N = _read_bounded('moment', moment, 'N m', _LARGEST)
+        F = _read_bounded('force', force, 'N', _LARGEST_WRENCH)
+        N = _read_bounded('moment', moment, 'N m', _LARGEST_WRENCH)
         last = self._wrenches.get(link)
         self._wrenches[link] = _Wrench(F, N, now, self.settings.load_ramp, 1.0)
         self.dynamics.set_external_wrench(link, F, N)
@@ -384,3 +386,60 @@ def _read_bounded(name: str, values: ArrayLike, unit: str, largest: float = STRO
             f'{name} is {plain(values)!r}, expected at most {largest:g} {unit} in any direction'
         )
     return vector
+
+
+def _read_payload(mass: float, com: ArrayLike, inertia: ArrayLike) -> RigidBody:
+    """
+    Validate a payload.
+
+    Parameters
+    ----------
+    mass, com, inertia
+        As for `InverseDynamics.set_payload`.
+
+    Returns
+    -------
+    payload : RigidBody
+        `NO_PAYLOAD` if the mass is zero.
+
+    Raises
+    ------
+    ConfigurationError
+        If no rigid body has this mass and inertia, or a number is beyond 1e9.
+
+    """
+    payload = RigidBody(*read_inertial(mass, com, inertia))
+    largest = max(
+        payload.mass, float(np.abs(payload.com).max()), float(np.abs(payload.inertia).max())
+    )
+    if largest > _LARGEST_PAYLOAD:
+        raise ConfigurationError(
+            f'payload has {largest:g} for its mass, centre of mass or inertia, expected at most '
+            f'{_LARGEST_PAYLOAD:g} kg, m, kg m^2'
+        )
+    if not payload.mass:
+        return NO_PAYLOAD
+    principal = np.linalg.eigvalsh(payload.inertia)
+    if principal[0] + principal[1] < principal[2] - _ROUNDING * np.sum(principal):
+        moments = ', '.join(f'{moment:.3g}' for moment in principal)
+        raise ConfigurationError(
+            f'payload has an inertia that is physically impossible: one of its principal moments '
+            f'{moments} kg m^2 exceeds the sum of the others'
+        )
+    # Remove a moment that rounding left below zero: blends of two such inertias would be rejected.
+    shift = max(0.0, -float(principal[0]))
+    return payload._replace(inertia=payload.inertia + shift * np.eye(3))
+
+
+def _is_same(one: RigidBody, other: RigidBody) -> bool:
+    """Return whether two payloads are exactly equal."""
+    return (
+        one.mass == other.mass
+        and np.array_equal(one.com, other.com)
+        and np.array_equal(one.inertia, other.inertia)
+    )
+
+
+def _blend_payloads(old: RigidBody, new: RigidBody, fraction: float) -> RigidBody:
+    """Return the body that consists of a fraction of the new payload and the rest of the old."""
+    return combine([old.scale(1.0 - fraction), new.scale(fraction)])

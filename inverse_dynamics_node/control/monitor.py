@@ -10,12 +10,12 @@ import math
 import numpy as np
 
 from ..robot.model import Booleans
-from .control_loop import ControlLoop
 from .controller import Command
-from .graph_info import GraphInfo
+from .loop import ControlLoop
 from .status import (
     ClockStatus,
     EffortsStatus,
+    GraphInfo,
     JointStatesStatus,
     LoopStatus,
     MessagesStatus,

@@ -12,11 +12,10 @@ import math
 import numpy as np
 
 from ..robot.model import Floats
-from .control_loop import ControlLoop
-from .graph_info import GraphInfo, SimulatedTime
-from .phase import COMPUTING_PHASES, Phase
+from .loop import ControlLoop
 from .settings import Mode, StalePolicy
-from .status import Level, NodeNames
+from .status import GraphInfo, Level, NodeNames, SimulatedTime
+from .supervision import COMPUTING_PHASES, Phase
 
 _LONG_SILENCE = 5.0  # [s]; after which connected publishers are suspicious
 _MISALIGNED = 5.0  # [degrees]; more than an error of mounting

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..control.control_loop import ControlLoop
+from ..control.loop import ControlLoop
 from ..control.settings import expand_per_joint, PerJoint
 from ..dynamics.loaded_robot import FRICTION_WIDTH
 from ..dynamics.trajectory import complete, Trajectory

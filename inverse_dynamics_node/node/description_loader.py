@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import Future
 
-from ..control.control_loop import ControlLoop
+from ..control.loop import ControlLoop
 from ..robot.model import RobotModel
 from .background import Background
 from .configure import build_loop, load_robot

@@ -12,7 +12,6 @@ from typing import Any, get_args, get_type_hints, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from ..control.phase import Phase
 from ..control.settings import Mode
 from ..control.status import (
     ClockStatus,
@@ -30,6 +29,7 @@ from ..control.status import (
     ReferenceStatus,
     SchedulingStatus,
 )
+from ..control.supervision import Phase
 from ..errors import shortened
 
 _MAX_LENGTH = 1000  # [characters]; texts contain names from messages and robot descriptions

@@ -8,7 +8,7 @@ from typing import Any
 
 from rclpy.lifecycle import LifecycleNode
 
-from ..control.graph_info import Others, SimulatedTime
+from ..control.status import Others, SimulatedTime
 from ..control.status_text import join_names
 
 _DISCOVERY = 1.0  # [s]; until then, publishers may not have been discovered yet

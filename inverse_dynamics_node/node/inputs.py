@@ -14,8 +14,8 @@ from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-from ..control.control_loop import ControlLoop
-from ..control.reference import Reference
+from ..control.controller import Reference
+from ..control.loop import ControlLoop
 from ..control.status_text import describe_imu_frame
 from ..errors import ConfigurationError, InverseDynamicsError, JointStateError, shortened
 from ..robot.kinematics import rotation_of_rpy

@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from ..control.control_loop import ControlLoop
 from ..control.controller import Command
-from ..control.phase import COMPUTING_PHASES, Phase
+from ..control.loop import ControlLoop
 from ..control.status import Level, Part
 from ..control.status_text import (
     activity,
@@ -22,6 +21,7 @@ from ..control.status_text import (
     describe_lost_imu,
     join_names,
 )
+from ..control.supervision import COMPUTING_PHASES, Phase
 from ..errors import shortened_lines
 
 _PERIOD = 2.0  # [s]; between repetitions of a lasting problem

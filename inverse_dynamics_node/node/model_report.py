@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..control.control_loop import ControlLoop
+from ..control.loop import ControlLoop
 from ..errors import JointStateError
 from ..report.model_report import model_report
 from ..robot.model import Floats

@@ -12,7 +12,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 
-from ..control.control_loop import ControlLoop
+from ..control.loop import ControlLoop
 from ..dynamics.effort_terms import EffortTerms
 from ..robot.model import Floats
 from . import messages

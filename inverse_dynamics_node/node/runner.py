@@ -9,11 +9,10 @@ from rclpy.clock import Clock
 from rclpy.lifecycle import LifecycleNode
 from rclpy.timer import Timer
 
-from ..control.command_gate import CommandGate
-from ..control.control_loop import ControlLoop
 from ..control.controller import Command
+from ..control.loop import ControlLoop
 from ..control.monitor import Monitor
-from ..control.phase import COMPUTING_PHASES
+from ..control.supervision import COMPUTING_PHASES, DryRun
 from ..errors import JointStateError, shortened_lines
 from .background import Background
 from .description_loader import DescriptionLoader
@@ -69,7 +68,7 @@ class LoopRunner:
         """The loop for the current robot description; None while the node is unconfigured."""
         self.is_active = False
         self.monitor = Monitor()
-        self.gate = CommandGate()
+        self.gate = DryRun()
         self.loader = DescriptionLoader(background)
         self._last_step = 0.0
         self._timers: list[Timer] = []

@@ -10,8 +10,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock
 from rclpy.lifecycle import LifecycleNode
 
-from ..control.graph_info import GraphInfo, Topics
 from ..control.silence import Silence
+from ..control.status import GraphInfo, Topics
 from ..control.status_text import describe_silence
 from . import qos
 from .diagnostics import write_status

@@ -11,7 +11,7 @@ from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
 from trajectory_msgs.msg import JointTrajectory
 
-from ..control.control_loop import ControlLoop
+from ..control.loop import ControlLoop
 from ..dynamics.trajectory import complete, joint_index, trajectory_efforts
 from ..errors import InverseDynamicsError, TrajectoryError
 from . import messages

@@ -9,11 +9,11 @@ from inverse_dynamics_node import (
     JointStateError,
     load_urdf,
 )
-from inverse_dynamics_node.control.control_loop import ControlLoop
-from inverse_dynamics_node.control.external_efforts import ExternalEffortEstimator
-from inverse_dynamics_node.control.phase import Phase
-from inverse_dynamics_node.control.reference import Reference
+from inverse_dynamics_node.control.contact import ExternalEffortEstimator
+from inverse_dynamics_node.control.controller import Reference
+from inverse_dynamics_node.control.loop import ControlLoop
 from inverse_dynamics_node.control.settings import LoadSettings, Mode, Settings
+from inverse_dynamics_node.control.supervision import Phase
 import numpy as np
 import pytest
 from robot_files import ROOT, STANFORD

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 from hypothesis import given
 from hypothesis import strategies as st
 from inverse_dynamics_node.control import status
-from inverse_dynamics_node.control.phase import Phase
 from inverse_dynamics_node.control.settings import Mode
 from inverse_dynamics_node.control.status import Level, LoopStatus, NodeStatus
+from inverse_dynamics_node.control.supervision import Phase
 import pytest
 
 pytest.importorskip('diagnostic_msgs')

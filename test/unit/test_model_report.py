@@ -1,7 +1,7 @@
 """The report of ~/check_model."""
 
 from inverse_dynamics_node import load_urdf
-from inverse_dynamics_node.control.control_loop import ControlLoop
+from inverse_dynamics_node.control.loop import ControlLoop
 from inverse_dynamics_node.control.settings import Settings
 from inverse_dynamics_node.node.model_report import describe_robot
 import numpy as np

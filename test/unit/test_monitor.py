@@ -5,13 +5,11 @@ import math
 from types import SimpleNamespace
 
 from inverse_dynamics_node import load_urdf
-from inverse_dynamics_node.control.control_loop import ControlLoop
-from inverse_dynamics_node.control.controller import Command
-from inverse_dynamics_node.control.graph_info import GraphInfo, Others, SimulatedTime
+from inverse_dynamics_node.control.controller import Command, Reference
+from inverse_dynamics_node.control.loop import ControlLoop
 from inverse_dynamics_node.control.monitor import Monitor
-from inverse_dynamics_node.control.reference import Reference
 from inverse_dynamics_node.control.settings import Mode, Settings, StalePolicy
-from inverse_dynamics_node.control.status import Level
+from inverse_dynamics_node.control.status import GraphInfo, Level, Others, SimulatedTime
 from inverse_dynamics_node.control.status_text import activity, describe_imu_frame
 from inverse_dynamics_node.robot.kinematics import rotation_of_rpy
 from inverse_dynamics_node.robot.model_warning import ModelWarning

@@ -14,13 +14,12 @@ from ..dynamics.joint_wrenches import JointWrenches
 from ..dynamics.loaded_robot import STANDARD_GRAVITY
 from ..robot.model import Floats, RobotModel
 from ..robot.plausibility import implausible_positions, ImplausiblePosition
-from .controller import Command, Controller
-from .external_efforts import ExternalEffortEstimator
+from .contact import ExternalEffortEstimator
+from .controller import Command, Controller, Reference
 from .external_loads import ExternalLoads
 from .joint_states import JointStateCollector
-from .phase import Phase
-from .reference import Reference
 from .settings import LoadSettings, Settings
+from .supervision import Phase
 
 
 class ControlLoop:

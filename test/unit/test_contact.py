@@ -1,7 +1,7 @@
 """Estimates of external efforts: zero for a correct model, minus the efforts of a push."""
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.control.external_efforts import ExternalEffortEstimator
+from inverse_dynamics_node.control.contact import ExternalEffortEstimator
 import numpy as np
 import pytest
 from robot_files import STANFORD

@@ -1,6 +1,6 @@
 """Commands end without a step when a dry run begins, and wait for zero before they begin again."""
 
-from inverse_dynamics_node.control.command_gate import CommandGate
+from inverse_dynamics_node.control.supervision import DryRun
 import numpy as np
 import pytest
 
@@ -9,7 +9,7 @@ DT = 0.1
 
 
 def open_gate():
-    gate = CommandGate()
+    gate = DryRun()
     gate.reset(is_dry_run=False)
     return gate
 
@@ -23,7 +23,7 @@ def test_an_open_gate_sends_the_computed_efforts():
 
 
 def test_a_dry_run_from_the_start_sends_nothing():
-    gate = CommandGate()
+    gate = DryRun()
     gate.reset(is_dry_run=True)
     assert gate.select(EFFORTS, DT) is None
     assert not gate.has_sent
