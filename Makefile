@@ -98,7 +98,7 @@ bench-loop: $(VENV)/test.done
 storm: $(VENV)/test.done
 	@$(CLEAN) $(BIN)/python -m benchmarks.storm $(ARGS)
 
-# Takes about ten minutes on two idle cores: ARGS='*.blending.*' for the mutants of one module.
+# Takes about ten minutes on two idle cores: ARGS='*.command_shaping.*' for the mutants of one module.
 mutation: $(VENV)/mutation.done
 	@$(CLEAN) $(BIN)/python test/mutation.py $(ARGS)
 

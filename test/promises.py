@@ -227,7 +227,7 @@ class Promises:
             require(not self.last_sent.any(), 'silence while the robot holds', self.last_sent)
             self.gate_time = None
             return
-        if self.node.gate.is_open:
+        if not self.node.loop.dry_run.is_active:
             self.gate_time = None
             require((sent == efforts).all(), 'not sent as computed', sent)
             return

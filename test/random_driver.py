@@ -3,10 +3,10 @@ Drives the control core with random events, and checks every command against the
 
 Usage: python test/random_driver.py [--events 1000000] [--seed 0], or --sequence N for one of them.
 
-The control loop and the gate of the dry run are the real ones; the clock, the arm and the order of
-events are made up. A sequence is one robot from its start on: joint states that arrive whole, in
-parts, late, in bursts of old ones after a suspension, contradicting or invalid; parameters, stops,
-dry runs, loads, references, clocks that jump, other descriptions.
+The control loop is the real one; the clock, the arm and the order of events are made up. A
+sequence is one robot from its start on: joint states that arrive whole, in parts, late, in bursts
+of old ones after a suspension, contradicting or invalid; parameters, stops, dry runs, loads,
+references, clocks that jump, other descriptions.
 
 """
 
@@ -24,7 +24,6 @@ from inverse_dynamics_node import InverseDynamicsError, load_urdf
 from inverse_dynamics_node.control.controller import Reference
 from inverse_dynamics_node.control.loop import ControlLoop
 from inverse_dynamics_node.control.settings import LoadSettings, Mode, Settings, StalePolicy
-from inverse_dynamics_node.control.supervision import DryRun
 import numpy as np
 from promises import BrokenPromiseError, Promises
 from robot_files import ROOT
@@ -64,8 +63,6 @@ class Node:
         self.settings, self.load_settings = Settings(), LoadSettings()
         self.robot, self.imu = 0, imu
         self.loop = self.make_loop()
-        self.gate = DryRun()
-        self.gate.reset(is_dry_run=False)
         self.loop.start()
         self.has_restarted = False
 
@@ -97,29 +94,10 @@ class Node:
 
     def step(self, now):
         """Return the computed command, and the efforts that are sent."""
-        if self.gate.is_open is self.is_dry_run:
-            self.switch_dry_run()
+        has_switched = self.loop.switch_dry_run(is_wanted=self.is_dry_run)
+        self.has_restarted |= has_switched and not self.is_dry_run
         command = self.loop.step(now)
-        if command is None:
-            return None, None
-        return command, self.select(now, command)
-
-    def select(self, now, command):
-        return self.gate.select(command.efforts, self.loop.controller.ramp_step)
-
-    def switch_dry_run(self):
-        if self.gate.is_open:
-            self.close()
-        elif self.gate.may_open:
-            is_disabled = self.loop.controller.is_stopping
-            self.has_restarted = True
-            self.loop.start()
-            if is_disabled:
-                self.loop.controller.stop()
-            self.gate.open()
-
-    def close(self):
-        self.gate.close(self.loop.controller.time_to_fall)
+        return (None, None) if command is None else (command, command.sent)
 
 
 @dataclass

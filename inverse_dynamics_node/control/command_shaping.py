@@ -109,6 +109,36 @@ def ramp_fraction(elapsed: float, ramp: float) -> float:
     return min(1.0, elapsed / ramp) if ramp > 0.0 else 1.0
 
 
+class StopRamp:
+    """Scales a command down to zero."""
+
+    def __init__(self) -> None:
+        self._top: Floats = np.zeros(0)
+        self._duration = self._passed = 0.0  # [s]
+
+    def begin(self, command: Floats, duration: float) -> None:
+        """Begin at a command, which is copied, and reach zero after a time [s]."""
+        self._top, self._duration, self._passed = command.copy(), duration, 0.0
+
+    def advance(self, elapsed: float) -> None:
+        """Advance by a time [s]."""
+        self._passed += elapsed
+
+    @property
+    def time_left(self) -> float:
+        """Time until the end of the ramp; negative after it [s]."""
+        return self._duration - self._passed
+
+    @property
+    def fraction(self) -> float:
+        """How much of the command is left, 1 to 0."""
+        return max(0.0, 1.0 - ramp_fraction(self._passed, self._duration))
+
+    def command(self) -> Floats:
+        """Return the command at present, as a new array."""
+        return self.fraction * self._top
+
+
 class CommandShaper:
     """
     Turns computed efforts into commands, each of which continues from the one before.
@@ -163,9 +193,8 @@ class CommandShaper:
         # with the last one.
         self._is_paused = self._was_paused = False
         self._pause = math.inf  # [s] since computed efforts were followed; inf: blend in any case
-        # Command, gain and fraction of the blend before the stop ramp.
-        self._top, self._top_gain, self._top_left = np.zeros(m), 0.0, 0.0
-        self._fallen = self._fall_time = 0.0  # [s]
+        self._stop = StopRamp()
+        self._top_gain = self._top_left = 0.0  # gain and fraction of the blend before it
         compile_for(blend_efforts, 'b1(f8[::1], f8[:,::1], b1[:,::1], f8, f8, b1, b1, f8)')
 
     def configure(
@@ -244,15 +273,14 @@ class CommandShaper:
         """Time until the commands are zero, if they fall from now on or already do [s]."""
         if self._way is not _Way.FALLING:
             return self._stop_ramp
-        return max(0.0, self._fall_time - self._fallen)
+        return max(0.0, self._stop.time_left)
 
     def continue_from(self, other: CommandShaper) -> None:
         """Continue from the last command of another robot description with the same joints."""
         self.clock = other.clock
-        self.command[:], self._top[:] = other.command, other._top
+        self.command[:], self._stop = other.command, other._stop
         self.gain, self._top_gain, self._top_left = other.gain, other._top_gain, other._top_left
         self._left, self._duration = other._left, other._duration
-        self._fallen, self._fall_time = other._fallen, other._fall_time
         self._way, self._was_paused = other._way, other._was_paused
         self.begin()
 
@@ -319,19 +347,18 @@ class CommandShaper:
     def fall(self) -> None:
         """Ramp the commands down to zero, starting from the last one."""
         if self._way is _Way.FALLING:
-            self._fallen += self.clock.step
+            self._stop.advance(self.clock.step)
             self._pause += self.clock.since
         else:
             self._pause = 0.0 if self._way is _Way.FOLLOWING and not self._is_new else math.inf
             self._way, self._is_new = _Way.FALLING, False
             self._is_paused = self._was_paused = False
-            self._top[:] = self.command
             self._top_gain, self._top_left = self.gain, self._left
-            self._fallen, self._fall_time = 0.0, self._stop_ramp
-        fraction = max(0.0, 1.0 - ramp_fraction(self._fallen, self._fall_time))
+            self._stop.begin(self.command, self._stop_ramp)
+        fraction = self._stop.fraction
         # Scale gain and blend too: after a brief pause, computed efforts continue from there.
         self.gain, self._left = fraction * self._top_gain, fraction * self._top_left
-        np.multiply(self._top, fraction, out=self.command)
+        self.command[:] = self._stop.command()
         self._flags[:] = False
 
 

@@ -57,6 +57,8 @@ class Command(NamedTuple):
     """Which efforts were cut to their limits, shape (m,)."""
     is_slowed: Booleans
     """Which efforts were slowed by a rate limit, shape (m,)."""
+    sent: Floats | None = None
+    """Efforts for the robot [N m or N]; None if nothing is sent, see `DryRun`."""
 
 
 class Controller:
@@ -93,7 +95,7 @@ class Controller:
     ) -> None:
         self.dynamics = dynamics
         self.joints = tuple(joints) or dynamics.robot.joint_names
-        self.phase = Phase.WAITING
+        self.supervisor = StateSupervisor()
         index = _joint_index(self.joints, dynamics.robot)
         self._index = _compact_index(index)
         self._is_continuous = dynamics.robot.is_continuous[self._index]
@@ -103,14 +105,12 @@ class Controller:
         self._last_q, self._last_qd = np.zeros((2, n))
         self._last_reference: Reference | None = None
         self._has_last_inputs = False  # whether these led to the last command
-        self._blending = CommandShaper(index, period)
-        self._result = Command(
-            self._blending.command, self._blending.is_saturated, self._blending.is_slowed
-        )
-        self._is_stopping = False
+        self._shaper = CommandShaper(index, period)
+        command = self._shaper.command
+        flags = self._shaper.is_saturated, self._shaper.is_slowed
+        self._result = Command(command, *flags, sent=command)
         self._time = math.inf
         self._velocity_filter = LowPass(np.zeros(n))
-        self._state_loss = StateSupervisor()
         self._followed: Floats | None = None  # reference positions of the last step with feedback
         self.settings = settings or Settings()
         self.apply(self.settings)
@@ -140,7 +140,7 @@ class Controller:
         self._timeouts[self._index] = settings.state_timeout
         self.limits = limits
         self._velocity_filter.cutoff = settings.velocity_filter_cutoff
-        self._blending.configure(
+        self._shaper.configure(
             self.scale,
             self.offset,
             limits,
@@ -150,7 +150,7 @@ class Controller:
         )
         if has_same_inputs and self._has_last_inputs:
             inputs = self._last_q, self._last_qd, self._last_reference
-            self._blending.begin(self._tau if self._set_efforts(*inputs) else None)
+            self._shaper.begin(self._tau if self._set_efforts(*inputs) else None)
         else:
             self.blend()
 
@@ -162,17 +162,22 @@ class Controller:
         description or gravity.
 
         """
-        self._blending.begin()
+        self._shaper.begin()
+
+    @property
+    def phase(self) -> Phase:
+        """What the last command was computed for."""
+        return self.supervisor.phase
 
     @property
     def gain(self) -> float:
         """Factor of the computed efforts: rises from 0 to 1 along the start ramp."""
-        return self._blending.gain
+        return self._shaper.gain
 
     @property
     def has_effort(self) -> bool:
         """Whether an effort of the last command is not zero."""
-        return bool(self._blending.command.any())
+        return bool(self._shaper.command.any())
 
     @property
     def scale(self) -> Floats:
@@ -187,12 +192,12 @@ class Controller:
     @property
     def ramp_step(self) -> float:
         """Time by which ramps advance with this command; see `RampClock` [s]."""
-        return self._blending.clock.step
+        return self._shaper.clock.step
 
     @property
     def time_to_fall(self) -> float:
         """Time until the efforts are zero, if they fall from now on or already do [s]."""
-        return self._blending.time_to_fall
+        return self._shaper.time_to_fall
 
     @property
     def motion(self) -> tuple[Floats, Floats]:
@@ -202,7 +207,7 @@ class Controller:
     def cause_of_failure(self) -> str:
         """Name the joint and the value that left the last step without a solution."""
         added, efforts = np.zeros((2, len(self._tau)))
-        added[self._index] = self._blending.added
+        added[self._index] = self._shaper.added
         with np.errstate(all='ignore'):
             efforts[self._index] = self.scale * (self._tau[self._index] + added[self._index])
         inputs = {
@@ -216,25 +221,24 @@ class Controller:
     @property
     def is_stopping(self) -> bool:
         """Whether the efforts are to be zero; they may still be ramping down."""
-        return self._is_stopping
+        return self.supervisor.is_stopping
 
     def stop(self) -> None:
         """Ramp the efforts to zero from the next step on, and keep them there."""
-        self._is_stopping = True
+        self.supervisor.is_stopping = True
 
     def resume(self) -> None:
         """Let the efforts rise again from the last command, however short the stop was."""
-        if self._is_stopping:
+        if self.is_stopping:
             self.blend()  # after a brief stop too: the reference may have been dropped
-        self._is_stopping = False
+        self.supervisor.is_stopping = False
 
     def start(self) -> None:
         """Let the efforts rise from zero, beginning at the next step with a fresh state."""
-        self._is_stopping = False
+        self.supervisor.start()
         self._velocity_filter.reset()
-        self._blending.reset()
+        self._shaper.reset()
         self._has_last_inputs = False
-        self.phase = Phase.WAITING
 
     def continue_from(self, other: Controller) -> None:
         """
@@ -256,10 +260,8 @@ class Controller:
                 f'the joints to command are now {", ".join(self.joints)}, expected '
                 f'{", ".join(other.joints)}'
             )
-        self.phase, self._time = other.phase, other._time
-        self._is_stopping = other._is_stopping
-        self._state_loss = other._state_loss
-        self._blending.continue_from(other._blending)
+        self.supervisor, self._time = other.supervisor, other._time
+        self._shaper.continue_from(other._shaper)
 
     def step(self, now: float, state: State | None, reference: Reference | None) -> Command | None:
         """
@@ -286,36 +288,38 @@ class Controller:
     def pass_time(self, now: float) -> None:
         """Advance to the time of the next command [s]; loads may then change by `ramp_step`."""
         self._time = now
-        if self._blending.clock.advance(now):
-            self._blending.begin()
+        if self._shaper.clock.advance(now):
+            self._shaper.begin()
 
     def command(self, state: State | None, reference: Reference | None) -> Command | None:
         """Compute the command for the time of `pass_time`; arguments as for `step`."""
-        now = self._time
-        if self.phase is Phase.WAITING and self._is_lost(now, state):
-            self._blending.clock.start()
+        phase = self._next_phase(state, reference)
+        self.supervisor.phase = phase
+        if phase is Phase.WAITING:
+            self._shaper.clock.start()
             return None
-        self.phase = self._next_phase(now, state, reference)
-        is_closed = self.settings.mode is Mode.COMPUTED_TORQUE and self.phase is Phase.RUNNING
+        is_closed = self.settings.mode is Mode.COMPUTED_TORQUE and phase is Phase.RUNNING
         self._followed = reference.positions if is_closed and reference else None
-        if state is not None and self.phase in COMPUTING_PHASES:
-            followed = reference if self.phase is Phase.RUNNING else None
-            if self._compute(state, followed) and self._blending.follow(self._tau):
+        if state is not None and phase in COMPUTING_PHASES:
+            followed = reference if phase is Phase.RUNNING else None
+            if self._compute(state, followed) and self._shaper.follow(self._tau):
                 return self._result
-            self.phase = Phase.NO_SOLUTION
+            self.supervisor.phase = Phase.NO_SOLUTION
         self._has_last_inputs = False
-        if self.phase is Phase.STOPPED or self.settings.on_stale_state is StalePolicy.ZERO:
-            self._blending.fall()
+        if phase is Phase.STOPPED or self.settings.on_stale_state is StalePolicy.ZERO:
+            self._shaper.fall()
         else:
-            self._blending.hold()
+            self._shaper.hold()
         return self._result
 
-    def _next_phase(self, now: float, state: State | None, reference: Reference | None) -> Phase:
+    def _next_phase(self, state: State | None, reference: Reference | None) -> Phase:
         """Choose the phase by the age of the inputs; after a clock reset an age is negative."""
-        if self._is_stopping:
-            return Phase.STOPPED
-        if self._is_lost(now, state) or state is None:
-            return Phase.STATE_LOST
+        now = self._time
+        timeout = self.settings.state_timeout
+        blocking = self.supervisor.blocking_phase(now, state, timeout, self.gain)
+        if blocking is not None:
+            return blocking
+        assert state is not None
         if reference is None or self.settings.mode is Mode.GRAVITY_COMPENSATION:
             return Phase.HOLDING
         timeout = self.settings.reference_timeout or math.inf
@@ -327,10 +331,6 @@ class Controller:
     def recovery_time(self) -> float:
         """Time without a gap after which states that were lost are used again [s]."""
         return recovery_time(self.settings.state_timeout)
-
-    def _is_lost(self, now: float, state: State | None) -> bool:
-        timeout, was_lost = self.settings.state_timeout, self.phase is Phase.STATE_LOST
-        return self._state_loss.is_lost(now, state, timeout, was_lost, self.gain)
 
     def _is_far(self, state: State, reference: Reference) -> bool:
         """Return whether the reference is too far from the joints, or has jumped too far."""
@@ -367,7 +367,7 @@ class Controller:
     def _set_efforts(self, q: Floats, qd: Floats, reference: Reference | None) -> bool:
         mode = self.settings.mode
         self._velocities = self._rest if mode is Mode.GRAVITY_COMPENSATION else qd
-        added = self._blending.added
+        added = self._shaper.added
         if reference is None:
             self._qdd[self._index] = added[:] = 0.0
         else:

@@ -191,6 +191,11 @@ class JointStateCollector:
         """Whether positions of any joint alternate faster than it can move."""
         return self._has_alternating
 
+    def at(self, now: float, timeout: float) -> State | None:
+        """Return the latest state; late joints that are not commanded rest, see `rest_late`."""
+        self.rest_late(now, timeout)
+        return self.state()
+
     def state(self) -> State | None:
         """Return the latest state, or None as long as a joint has never been reported."""
         if self._time == -math.inf or self._other_time == -math.inf:

@@ -19,7 +19,7 @@ from .controller import Command, Controller, Reference
 from .external_loads import ExternalLoads
 from .joint_states import JointStateCollector
 from .settings import LoadSettings, Settings
-from .supervision import Phase
+from .supervision import DryRun, Phase
 
 
 class ControlLoop:
@@ -83,10 +83,31 @@ class ControlLoop:
         self.has_imu = has_imu
         self.index = robot.joint_indices(self.controller.joints)
 
-    def start(self) -> None:
+    def start(self, *, is_dry_run: bool = False) -> None:
         """Let the efforts rise from zero; an earlier reference is dropped."""
         self.reference = None
         self.controller.start()
+        self.controller.supervisor.dry_run = DryRun(is_active=is_dry_run)
+
+    @property
+    def dry_run(self) -> DryRun:
+        """Decides whether the commands are sent."""
+        return self.controller.supervisor.dry_run
+
+    def switch_dry_run(self, *, is_wanted: bool) -> bool:
+        """Begin a dry run, or end it if the commands are zero; return whether this was done."""
+        dry_run, controller = self.dry_run, self.controller
+        if is_wanted is dry_run.is_active or not (is_wanted or dry_run.may_end):
+            return False
+        if is_wanted:
+            dry_run.begin(controller.time_to_fall)
+            return True
+        was_stopping, self.reference = controller.is_stopping, None
+        controller.start()
+        if was_stopping:
+            controller.stop()
+        dry_run.end()
+        return True
 
     def step(self, now: float) -> Command | None:
         """
@@ -105,17 +126,24 @@ class ControlLoop:
         """
         self._set_velocity_timeout()
         self.controller.pass_time(now)
-        self.collector.rest_late(now, self.controller.settings.uncommanded_state_timeout)
+        state = self.collector.at(now, self.controller.settings.uncommanded_state_timeout)
+        self._pass_loads(now)
+        if self.reference is not None and self.reference.time > now:
+            self.reference = None  # the clock was set back: it would return when its time comes
+        command = self.controller.command(None if self.lacks_imu else state, self.reference)
+        if command is None:
+            return None
+        sent = self.dry_run.select(command.efforts, self.controller.ramp_step)
+        return command if sent is command.sent else command._replace(sent=sent)
+
+    def _pass_loads(self, now: float) -> None:
+        """Advance the loads; what joints and loads do suddenly is blended."""
         # Before the first command nothing acts yet, so that loads need no ramp.
         is_waiting = self.controller.phase is Phase.WAITING
         elapsed = math.inf if is_waiting else self.controller.ramp_step
-        if self.reference is not None and self.reference.time > now:
-            self.reference = None  # the clock was set back: it would return when its time comes
         if self.loads.update(now, elapsed) or self.collector.has_jumped:
             self.collector.has_jumped = False
             self.controller.blend()
-        state = None if self.lacks_imu else self.collector.state()
-        return self.controller.command(state, self.reference)
 
     def _set_velocity_timeout(self) -> None:
         # Before the state is lost: messages without velocities must not stop the arm.

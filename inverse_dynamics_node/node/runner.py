@@ -12,7 +12,7 @@ from rclpy.timer import Timer
 from ..control.controller import Command
 from ..control.loop import ControlLoop
 from ..control.monitor import Monitor
-from ..control.supervision import COMPUTING_PHASES, DryRun
+from ..control.supervision import COMPUTING_PHASES
 from ..errors import JointStateError, shortened_lines
 from .background import Background
 from .description_loader import DescriptionLoader
@@ -68,7 +68,6 @@ class LoopRunner:
         """The loop for the current robot description; None while the node is unconfigured."""
         self.is_active = False
         self.monitor = Monitor()
-        self.gate = DryRun()
         self.loader = DescriptionLoader(background)
         self._last_step = 0.0
         self._timers: list[Timer] = []
@@ -123,12 +122,11 @@ class LoopRunner:
     def start(self) -> None:
         """Start to command, from zero."""
         assert self.loop is not None
-        self.loop.start()
+        self.loop.start(is_dry_run=self._configuration.dry_run)
         self.monitor.pause()
         self._outputs.find_subscribers()
         self._log.begin()
         self.is_active = True
-        self.gate.reset(is_dry_run=self._configuration.dry_run)
 
     def reject(self, topic: str, reason: object) -> None:
         """Count and log a message that cannot be used."""
@@ -157,8 +155,8 @@ class LoopRunner:
         """
         assert self.loop is not None
         began = time.perf_counter()
-        if self.gate.is_open is self._configuration.dry_run:
-            self._switch_dry_run()
+        if self.loop.dry_run.is_active is not self._configuration.dry_run:
+            self._switch_dry_run(self.loop)
         command = self.loop.step(now)
         if command is None:
             if self._graph.is_discovered:
@@ -167,7 +165,7 @@ class LoopRunner:
         self._publish(now, command)
         took = time.perf_counter() - began
         self.monitor.step(now, took, command, self.loop.controller.joints)
-        self._log.report_step(now, self.loop, command, is_dry_run=not self.gate.is_open)
+        self._log.report_step(now, self.loop, command, is_dry_run=self.loop.dry_run.is_active)
         if self.loop.collector.lost_velocities:
             publishers = self._graph.publishers('joint_states')
             self._log.report_lost_velocities(self.loop.collector.lost_velocities, publishers)
@@ -178,29 +176,21 @@ class LoopRunner:
     def _publish(self, now: float, command: Command) -> None:
         assert self.loop is not None
         self._last_step = now
-        sent = self.gate.select(command.efforts, self.loop.controller.ramp_step)
-        self._outputs.publish_command(self.loop, command.efforts, sent)
+        self._outputs.publish_command(self.loop, command.efforts, command.sent)
 
-    def _switch_dry_run(self) -> None:
+    def _switch_dry_run(self, loop: ControlLoop) -> None:
         """Begin a dry run, or end it as soon as the commands are zero."""
-        assert self.loop is not None
-        if self.gate.is_open:
-            has_sent = self.gate.has_sent
-            time_to_fall = self.loop.controller.time_to_fall
-            self.gate.close(time_to_fall)
-            after = f', after the stop ramp ({time_to_fall:.3g} s)' * has_sent
-            self._node.get_logger().info(f'dry run: no more commands{after}')
-        elif self.gate.may_open:
-            is_disabled = self.loop.controller.is_stopping
-            self.loop.start()
-            if is_disabled:
-                self.loop.controller.stop()
-            self.gate.open()
-            self._node.get_logger().info(
-                f'end of the dry run: efforts rise from zero, to {self._graph.with_subscribers()}'
-            )
-        else:
+        is_wanted, has_sent = self._configuration.dry_run, loop.dry_run.has_sent
+        time_to_fall = loop.controller.time_to_fall
+        if not loop.switch_dry_run(is_wanted=is_wanted):
             return
+        if is_wanted:
+            after = f', after the stop ramp ({time_to_fall:.3g} s)' * has_sent
+            text = f'dry run: no more commands{after}'
+        else:
+            to = self._graph.with_subscribers()
+            text = f'end of the dry run: efforts rise from zero, to {to}'
+        self._node.get_logger().info(text)
         self._log.begin()
 
     def _missing(self) -> list[str]:
@@ -259,8 +249,8 @@ class LoopRunner:
     def _must_fall(self) -> bool:
         """Whether commands must fall to zero although joint states may arrive."""
         assert self.loop is not None
-        if self.gate.is_open is self._configuration.dry_run or not self.gate.is_open:
-            return self.gate.has_sent
+        if self.loop.dry_run.is_active or self._configuration.dry_run:
+            return self.loop.dry_run.has_sent
         controller = self.loop.controller
         is_computing = controller.phase in COMPUTING_PHASES and not controller.is_stopping
         return not is_computing and controller.has_effort
@@ -303,8 +293,8 @@ class LoopRunner:
         """
         assert self.loop is not None
         self.is_active = False
-        if not self.gate.has_sent:  # the robot does not depend on this node
-            if not self.gate.is_open:
+        if not self.loop.dry_run.has_sent:  # the robot does not depend on this node
+            if self.loop.dry_run.is_active:
                 self._node.get_logger().info(f'stopped: {reason} (dry run: nothing to ramp down)')
             return
         self._node.get_logger().info(f'ramping efforts down: {reason}')
@@ -317,7 +307,7 @@ class LoopRunner:
     def _follow_stop_ramp(self, loop: ControlLoop) -> None:
         loop.controller.stop()
         start, steady_start = self.now(), time.monotonic()
-        while self.gate.has_effort and not self._skip_ramp():
+        while loop.dry_run.has_effort and not self._skip_ramp():
             time.sleep(self._watch_period)
             # Simulated time does not advance during a callback.
             now = start + time.monotonic() - steady_start

@@ -38,7 +38,7 @@ class Services:
         self._runner.enable(is_enabled=request.data)
         response.success = True
         response.message = f'efforts {"rise" if request.data else "fall to zero"} along the ramp'
-        if not self._runner.gate.is_open:
+        if loop.dry_run.is_active:
             response.message += ' (dry run: nothing is sent)'
         self._logger.info(response.message)
         return response

@@ -111,7 +111,7 @@ class StatusPublisher:
             receivers=self._outputs.receivers,
             publishers=publisher_count,
             is_active=self._runner.is_active,
-            is_dry_run=not self._runner.gate.is_open,
+            is_dry_run=loop is not None and loop.dry_run.is_active,
             state=str(node._state_machine.current_state[1]),
             others=self._graph.others(),
             state_publishers=tuple(publishers),
