@@ -145,7 +145,7 @@ class CommandShaper:
 
     A command differs from the last one by no more than new joint states and references explain.
     Everything else is a ramp that advances by `clock.step`, or is blended. After `clock` has been
-    advanced, `follow`, `hold` or `fall` produces a command. The start ramp multiplies the computed
+    advanced, `next` produces a command. The start ramp multiplies the computed
     efforts by `gain`. A blend adds the difference between the last command and the computed
     efforts, and lets it fade. The stop ramp scales the command at which it began. Each of
     them starts from the last command sent.
@@ -175,8 +175,6 @@ class CommandShaper:
         self._rows[_INDEX] = index
         self.command: Floats = self._rows[_COMMAND]
         """The last command, shape (m,) [N m or N]; the next one is written in its place."""
-        self.added: Floats = self._rows[_ADDED]
-        """Efforts to add to the computed ones, shape (m,) [N m or N]."""
         self._flags = np.zeros((2, m), dtype=bool)
         self.is_saturated: Booleans = self._flags[0]
         """Which efforts of the last command were cut to their limits, shape (m,)."""
@@ -231,7 +229,7 @@ class CommandShaper:
         self._has_rates = bool(np.isfinite(rate_limits).any())
         self._start_ramp, self._stop_ramp = start_ramp, stop_ramp
 
-    def begin(self, tau: Floats | None = None) -> None:
+    def begin(self, tau: Floats | None = None, added: Floats | float = 0.0) -> None:
         """
         Blend from the last command into the computed efforts, within the start ramp.
 
@@ -244,6 +242,8 @@ class CommandShaper:
             Efforts computed from the inputs of the last command, after a change of settings
             [N m or N]. Only the difference to these fades, and the next command contains all
             that the inputs have changed since. By default, it equals the last command.
+        added : ndarray, shape (m,), optional
+            Efforts to add to these [N m or N].
 
         """
         if self._way is _Way.FALLING:
@@ -256,6 +256,7 @@ class CommandShaper:
         has_followed = self._way is _Way.FOLLOWING and not self._is_new
         self._is_new = self._left > 0.0
         if self._is_new and has_followed and tau is not None:
+            self._rows[_ADDED] = added
             gain = self.gain if self._start_ramp else 1.0
             if blend_efforts(tau, self._rows, self._flags, gain, 1.0, True, self._has_rates, 0.0):
                 self.gain, self._is_new = gain, False
@@ -284,7 +285,34 @@ class CommandShaper:
         self._way, self._was_paused = other._way, other._was_paused
         self.begin()
 
-    def follow(self, tau: Floats) -> bool:
+    def next(self, tau: Floats | None, added: Floats, *, holds: bool) -> bool:
+        """
+        Produce the next command: follow computed efforts, hold the last command or let it fall.
+
+        Parameters
+        ----------
+        tau : ndarray, shape (n,), or None
+            Computed efforts of all joints [N m or N]; None if there are none.
+        added : ndarray, shape (m,)
+            Efforts to add to those of the commanded joints [N m or N].
+        holds : bool
+            Whether to hold the last command if there are no usable efforts.
+
+        Returns
+        -------
+        has_followed : bool
+            Whether there were usable efforts.
+
+        """
+        if tau is not None and self.follow(tau, added):
+            return True
+        if holds:
+            self.hold()
+        else:
+            self.fall()
+        return False
+
+    def follow(self, tau: Floats, added: Floats) -> bool:
         """
         Command computed efforts.
 
@@ -292,6 +320,8 @@ class CommandShaper:
         ----------
         tau : ndarray, shape (n,)
             Computed efforts of all joints [N m or N].
+        added : ndarray, shape (m,)
+            Efforts to add to those of the commanded joints [N m or N].
 
         Returns
         -------
@@ -299,6 +329,7 @@ class CommandShaper:
             False if an effort is not finite or beyond `LARGEST`; nothing has changed then.
 
         """
+        self._rows[_ADDED] = added
         gain, left, duration = self.gain, self._left, self._duration
         is_new, elapsed = self._is_new, self.clock.step
         is_brief = self._pause + self.clock.since <= _BRIEF and not is_new

@@ -48,6 +48,171 @@ class Reference(NamedTuple):
     """Shape (m,) [rad/s or m/s]; None if the reference has none."""
 
 
+class ControlLaw:
+    """
+    Computes efforts from joint states and references, in one of the three modes.
+
+    The dynamics include all joints of the robot; those that are not commanded are assumed to have
+    zero acceleration.
+
+    Parameters
+    ----------
+    dynamics : InverseDynamics
+        The robot, with n joints.
+    index : list of int
+        Positions of the m commanded joints among the n joints.
+
+    """
+
+    def __init__(self, dynamics: InverseDynamics, index: list[int]) -> None:
+        self.dynamics = dynamics
+        self._index = _compact_index(index)
+        self._is_continuous = dynamics.robot.is_continuous[self._index]
+        n = len(dynamics.robot.joint_names)
+        self._qdd, self._tau, self._rest = np.zeros((3, n))
+        self._velocities = self._rest
+        self._no_efforts = self.added = np.zeros(len(index))
+        """Efforts of the reference, to be added to the computed ones, shape (m,) [N m or N]."""
+        self._last_q, self._last_qd = np.zeros((2, n))
+        self._last_reference: Reference | None = None
+        self._has_last_inputs = False  # whether these led to the last command
+        self._velocity_filter = LowPass(np.zeros(n))
+        self._followed: Floats | None = None  # reference positions of the last step with feedback
+
+    def apply(self, settings: Settings, of_joint: Mapping[str, Floats]) -> None:
+        """Change the settings; ``of_joint`` has those that are expanded, see `Settings`."""
+        self.settings, self._of_joint = settings, of_joint
+        self._timeouts = np.full(len(self._qdd), settings.uncommanded_state_timeout)
+        self._timeouts[self._index] = settings.state_timeout
+        self._velocity_filter.cutoff = settings.velocity_filter_cutoff
+
+    def reset(self) -> None:
+        """Forget the inputs of the last command."""
+        self._velocity_filter.reset()
+        self._has_last_inputs = False
+
+    def phase(self, now: float, state: State, reference: Reference | None) -> Phase:
+        """Return whether the reference is followed, and if not, why."""
+        if reference is None or self.settings.mode is Mode.GRAVITY_COMPENSATION:
+            return Phase.HOLDING
+        timeout = self.settings.reference_timeout or math.inf
+        # After a reset of the clock, the age is negative.
+        if not 0.0 <= now - reference.time <= timeout:
+            return Phase.HOLDING
+        return Phase.TOO_FAR if self._is_far(state, reference) else Phase.RUNNING
+
+    def efforts(self, now: float, state: State, reference: Reference | None) -> Floats | None:
+        """
+        Compute the efforts of all joints.
+
+        Parameters
+        ----------
+        now : float
+            The time [s].
+        state : State
+            The joint state.
+        reference : Reference or None
+            The reference to follow; None for zero accelerations.
+
+        Returns
+        -------
+        tau : ndarray, shape (n,), or None
+            Valid until the next call [N m or N]; None if there is no solution.
+
+        """
+        is_closed = self.settings.mode is Mode.COMPUTED_TORQUE
+        self._followed = reference.positions if is_closed and reference else None
+        qd = self._smooth(now, state)
+        # The arrays of the state change with the next message.
+        self._last_q[:], self._last_qd[:] = state.q, qd
+        self._last_reference, self._has_last_inputs = reference, True
+        return self._efforts(state.q, qd, reference)
+
+    def forget(self) -> None:
+        """Note that the last command was not computed."""
+        self._followed, self._has_last_inputs = None, False
+
+    def last_efforts(self) -> Floats | None:
+        """Compute efforts anew from the inputs of the last command; None if there are none."""
+        if not self._has_last_inputs:
+            return None
+        return self._efforts(self._last_q, self._last_qd, self._last_reference)
+
+    @property
+    def motion(self) -> tuple[Floats, Floats]:
+        """Velocities and accelerations of the last computed efforts, each of shape (n,)."""
+        return self._velocities, self._qdd
+
+    def cause_of_failure(self, scale: Floats) -> str:
+        """Name the joint and the value that left the last step without a solution."""
+        added, efforts = np.zeros((2, len(self._tau)))
+        added[self._index] = self.added
+        with np.errstate(all='ignore'):
+            efforts[self._index] = scale * (self._tau[self._index] + added[self._index])
+        inputs = {
+            'position': self._last_q,
+            'velocity': self._velocities,
+            'acceleration': self._qdd,
+            'added effort': added,
+        }
+        return _describe_overflow(self.dynamics.robot.joint_names, inputs, efforts)
+
+    def _is_far(self, state: State, reference: Reference) -> bool:
+        """Return whether the reference is too far from the joints, or has jumped too far."""
+        limit = self.settings.max_position_jump
+        is_closed = self.settings.mode is Mode.COMPUTED_TORQUE
+        if not limit or not is_closed or reference.positions is None:
+            return False
+        start = state.q[self._index] if self._followed is None else self._followed
+        return bool(np.abs(self._distance(start, reference.positions)).max() > limit)
+
+    def _distance(self, start: Floats, target: Floats) -> Floats:
+        """Return target minus start; continuous joints take the shorter way."""
+        distance = target - start
+        turns = np.round(distance / (2.0 * math.pi))
+        return np.where(self._is_continuous, distance - 2.0 * math.pi * turns, distance)
+
+    def _smooth(self, now: float, state: State) -> Floats:
+        """Low-pass the measured velocities."""
+        if not self._velocity_filter.cutoff:
+            return state.qd
+        times = np.full(len(state.q), state.time) if state.times is None else state.times
+        # A late joint has been set to rest: apply that without waiting for its next state.
+        is_late = now - times > self._timeouts
+        return self._velocity_filter.update(times, state.qd, self._timeouts, is_late)
+
+    def _efforts(self, q: Floats, qd: Floats, reference: Reference | None) -> Floats | None:
+        mode = self.settings.mode
+        self._velocities = self._rest if mode is Mode.GRAVITY_COMPENSATION else qd
+        if reference is None:
+            self._qdd[self._index], self.added = 0.0, self._no_efforts
+        else:
+            qdd = reference.accelerations
+            if mode is Mode.COMPUTED_TORQUE:
+                qdd = self._with_feedback(q, qd, reference)
+            self._qdd[self._index] = qdd
+            self.added = reference.efforts
+        try:
+            self.dynamics.efforts(q, self._velocities, self._qdd, out=self._tau)
+        except JointStateError:
+            return None
+        return self._tau
+
+    def _with_feedback(self, q: Floats, qd: Floats, reference: Reference) -> Floats:
+        """Return the accelerations of computed torque."""
+        qdd = reference.accelerations
+        with np.errstate(all='ignore'):
+            if reference.positions is not None:
+                distance = self._distance(q[self._index], reference.positions)
+                qdd = qdd + self._of_joint['kp'] * distance
+            velocities: Floats | float | None = reference.velocities
+            if velocities is None and reference.positions is not None:
+                velocities = 0.0  # without damping the arm would swing forever
+            if velocities is not None:
+                qdd = qdd + self._of_joint['kd'] * (velocities - qd[self._index])
+        return qdd
+
+
 class Command(NamedTuple):
     """Efforts to send to the robot."""
 
@@ -95,23 +260,14 @@ class Controller:
     ) -> None:
         self.dynamics = dynamics
         self.joints = tuple(joints) or dynamics.robot.joint_names
+        self._index = _joint_index(self.joints, dynamics.robot)
         self.supervisor = StateSupervisor()
-        index = _joint_index(self.joints, dynamics.robot)
-        self._index = _compact_index(index)
-        self._is_continuous = dynamics.robot.is_continuous[self._index]
-        n = len(dynamics.robot.joint_names)
-        self._qdd, self._tau, self._rest = np.zeros((3, n))
-        self._velocities = self._rest
-        self._last_q, self._last_qd = np.zeros((2, n))
-        self._last_reference: Reference | None = None
-        self._has_last_inputs = False  # whether these led to the last command
-        self._shaper = CommandShaper(index, period)
+        self.law = ControlLaw(dynamics, self._index)
+        self._shaper = CommandShaper(self._index, period)
         command = self._shaper.command
         flags = self._shaper.is_saturated, self._shaper.is_slowed
         self._result = Command(command, *flags, sent=command)
         self._time = math.inf
-        self._velocity_filter = LowPass(np.zeros(n))
-        self._followed: Floats | None = None  # reference positions of the last step with feedback
         self.settings = settings or Settings()
         self.apply(self.settings)
 
@@ -135,11 +291,8 @@ class Controller:
         has_same_inputs = all(
             getattr(settings, name) == getattr(self.settings, name) for name in _INPUT_SETTINGS
         )
-        self.settings, self._of_joint = settings, arrays
-        self._timeouts = np.full(len(self._qdd), settings.uncommanded_state_timeout)
-        self._timeouts[self._index] = settings.state_timeout
-        self.limits = limits
-        self._velocity_filter.cutoff = settings.velocity_filter_cutoff
+        self.settings, self._of_joint, self.limits = settings, arrays, limits
+        self.law.apply(settings, arrays)
         self._shaper.configure(
             self.scale,
             self.offset,
@@ -148,9 +301,8 @@ class Controller:
             settings.start_ramp,
             settings.stop_ramp,
         )
-        if has_same_inputs and self._has_last_inputs:
-            inputs = self._last_q, self._last_qd, self._last_reference
-            self._shaper.begin(self._tau if self._set_efforts(*inputs) else None)
+        if has_same_inputs:
+            self._shaper.begin(self.law.last_efforts(), self.law.added)
         else:
             self.blend()
 
@@ -202,21 +354,11 @@ class Controller:
     @property
     def motion(self) -> tuple[Floats, Floats]:
         """Velocities and accelerations of the last computed efforts, each of shape (n,)."""
-        return self._velocities, self._qdd
+        return self.law.motion
 
     def cause_of_failure(self) -> str:
         """Name the joint and the value that left the last step without a solution."""
-        added, efforts = np.zeros((2, len(self._tau)))
-        added[self._index] = self._shaper.added
-        with np.errstate(all='ignore'):
-            efforts[self._index] = self.scale * (self._tau[self._index] + added[self._index])
-        inputs = {
-            'position': self._last_q,
-            'velocity': self._velocities,
-            'acceleration': self._qdd,
-            'added effort': added,
-        }
-        return _describe_overflow(self.dynamics.robot.joint_names, inputs, efforts)
+        return self.law.cause_of_failure(self.scale)
 
     @property
     def is_stopping(self) -> bool:
@@ -236,9 +378,8 @@ class Controller:
     def start(self) -> None:
         """Let the efforts rise from zero, beginning at the next step with a fresh state."""
         self.supervisor.start()
-        self._velocity_filter.reset()
+        self.law.reset()
         self._shaper.reset()
-        self._has_last_inputs = False
 
     def continue_from(self, other: Controller) -> None:
         """
@@ -293,108 +434,29 @@ class Controller:
 
     def command(self, state: State | None, reference: Reference | None) -> Command | None:
         """Compute the command for the time of `pass_time`; arguments as for `step`."""
-        phase = self._next_phase(state, reference)
+        now, settings = self._time, self.settings
+        phase = self.supervisor.blocking_phase(now, state, settings.state_timeout, self.gain)
+        if phase is None:
+            assert state is not None
+            phase = self.law.phase(now, state, reference)
         self.supervisor.phase = phase
         if phase is Phase.WAITING:
             self._shaper.clock.start()
             return None
-        is_closed = self.settings.mode is Mode.COMPUTED_TORQUE and phase is Phase.RUNNING
-        self._followed = reference.positions if is_closed and reference else None
+        tau = None
         if state is not None and phase in COMPUTING_PHASES:
-            followed = reference if phase is Phase.RUNNING else None
-            if self._compute(state, followed) and self._shaper.follow(self._tau):
-                return self._result
-            self.supervisor.phase = Phase.NO_SOLUTION
-        self._has_last_inputs = False
-        if phase is Phase.STOPPED or self.settings.on_stale_state is StalePolicy.ZERO:
-            self._shaper.fall()
+            tau = self.law.efforts(now, state, reference if phase is Phase.RUNNING else None)
         else:
-            self._shaper.hold()
+            self.law.forget()
+        holds = phase is not Phase.STOPPED and settings.on_stale_state is StalePolicy.HOLD
+        if not self._shaper.next(tau, self.law.added, holds=holds) and phase in COMPUTING_PHASES:
+            self.supervisor.phase = Phase.NO_SOLUTION
         return self._result
-
-    def _next_phase(self, state: State | None, reference: Reference | None) -> Phase:
-        """Choose the phase by the age of the inputs; after a clock reset an age is negative."""
-        now = self._time
-        timeout = self.settings.state_timeout
-        blocking = self.supervisor.blocking_phase(now, state, timeout, self.gain)
-        if blocking is not None:
-            return blocking
-        assert state is not None
-        if reference is None or self.settings.mode is Mode.GRAVITY_COMPENSATION:
-            return Phase.HOLDING
-        timeout = self.settings.reference_timeout or math.inf
-        if not 0.0 <= now - reference.time <= timeout:
-            return Phase.HOLDING
-        return Phase.TOO_FAR if self._is_far(state, reference) else Phase.RUNNING
 
     @property
     def recovery_time(self) -> float:
         """Time without a gap after which states that were lost are used again [s]."""
         return recovery_time(self.settings.state_timeout)
-
-    def _is_far(self, state: State, reference: Reference) -> bool:
-        """Return whether the reference is too far from the joints, or has jumped too far."""
-        limit = self.settings.max_position_jump
-        is_closed = self.settings.mode is Mode.COMPUTED_TORQUE
-        if not limit or not is_closed or reference.positions is None:
-            return False
-        start = state.q[self._index] if self._followed is None else self._followed
-        return bool(np.abs(self._distance(start, reference.positions)).max() > limit)
-
-    def _distance(self, start: Floats, target: Floats) -> Floats:
-        """Return target minus start; continuous joints take the shorter way."""
-        distance = target - start
-        turns = np.round(distance / (2.0 * math.pi))
-        return np.where(self._is_continuous, distance - 2.0 * math.pi * turns, distance)
-
-    def _smooth(self, state: State) -> Floats:
-        """Low-pass the measured velocities."""
-        if not self._velocity_filter.cutoff:
-            return state.qd
-        times = np.full(len(state.q), state.time) if state.times is None else state.times
-        # A late joint has been set to rest: apply that without waiting for its next state.
-        is_late = self._time - times > self._timeouts
-        return self._velocity_filter.update(times, state.qd, self._timeouts, is_late)
-
-    def _compute(self, state: State, reference: Reference | None) -> bool:
-        """Compute the efforts of all joints; return whether there is a solution."""
-        qd = self._smooth(state)
-        # The arrays of the state change with the next message.
-        self._last_q[:], self._last_qd[:] = state.q, qd
-        self._last_reference, self._has_last_inputs = reference, True
-        return self._set_efforts(state.q, qd, reference)
-
-    def _set_efforts(self, q: Floats, qd: Floats, reference: Reference | None) -> bool:
-        mode = self.settings.mode
-        self._velocities = self._rest if mode is Mode.GRAVITY_COMPENSATION else qd
-        added = self._shaper.added
-        if reference is None:
-            self._qdd[self._index] = added[:] = 0.0
-        else:
-            qdd = reference.accelerations
-            if mode is Mode.COMPUTED_TORQUE:
-                qdd = self._with_feedback(q, qd, reference)
-            self._qdd[self._index] = qdd
-            added[:] = reference.efforts
-        try:
-            self.dynamics.efforts(q, self._velocities, self._qdd, out=self._tau)
-        except JointStateError:
-            return False
-        return True
-
-    def _with_feedback(self, q: Floats, qd: Floats, reference: Reference) -> Floats:
-        """Return the accelerations of computed torque."""
-        qdd = reference.accelerations
-        with np.errstate(all='ignore'):
-            if reference.positions is not None:
-                distance = self._distance(q[self._index], reference.positions)
-                qdd = qdd + self._of_joint['kp'] * distance
-            velocities: Floats | float | None = reference.velocities
-            if velocities is None and reference.positions is not None:
-                velocities = 0.0  # without damping the arm would swing forever
-            if velocities is not None:
-                qdd = qdd + self._of_joint['kd'] * (velocities - qd[self._index])
-        return qdd
 
 
 def _compact_index(index: list[int]) -> Any:
