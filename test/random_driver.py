@@ -21,7 +21,7 @@ import sys
 import time
 
 from inverse_dynamics_node import InverseDynamicsError, load_urdf
-from inverse_dynamics_node.control.controller import Reference
+from inverse_dynamics_node.control.control_law import Reference
 from inverse_dynamics_node.control.loop import ControlLoop
 from inverse_dynamics_node.control.settings import LoadSettings, Mode, Settings, StalePolicy
 import numpy as np

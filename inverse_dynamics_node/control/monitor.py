@@ -10,8 +10,7 @@ import math
 import numpy as np
 
 from ..robot.model import Booleans
-from .controller import Command
-from .loop import ControlLoop
+from .loop import Command, ControlLoop
 from .status import (
     ClockStatus,
     EffortsStatus,

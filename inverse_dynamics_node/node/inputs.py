@@ -14,7 +14,7 @@ from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-from ..control.controller import Reference
+from ..control.control_law import Reference
 from ..control.loop import ControlLoop
 from ..control.status_text import describe_imu_frame
 from ..errors import ConfigurationError, InverseDynamicsError, JointStateError, shortened

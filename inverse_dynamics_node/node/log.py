@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..control.controller import Command
-from ..control.loop import ControlLoop
+from ..control.loop import Command, ControlLoop
 from ..control.status import Level, Part
 from ..control.status_text import (
     activity,

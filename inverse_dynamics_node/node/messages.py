@@ -13,7 +13,7 @@ from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from ..control.controller import Reference
+from ..control.control_law import Reference
 from ..dynamics.trajectory import Trajectory
 from ..errors import (
     ConfigurationError,

@@ -9,8 +9,7 @@ from rclpy.clock import Clock
 from rclpy.lifecycle import LifecycleNode
 from rclpy.timer import Timer
 
-from ..control.controller import Command
-from ..control.loop import ControlLoop
+from ..control.loop import Command, ControlLoop
 from ..control.monitor import Monitor
 from ..control.supervision import COMPUTING_PHASES
 from ..errors import JointStateError, shortened_lines

@@ -6,8 +6,9 @@ import math
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.control.controller import Controller, Reference
+from inverse_dynamics_node.control.control_law import Reference
 from inverse_dynamics_node.control.joint_states import State
+from inverse_dynamics_node.control.loop import Controller
 from inverse_dynamics_node.control.settings import Mode, Settings, StalePolicy
 from inverse_dynamics_node.control.supervision import COMPUTING_PHASES, Phase
 import numpy as np

@@ -10,7 +10,7 @@ from inverse_dynamics_node import (
     load_urdf,
 )
 from inverse_dynamics_node.control.contact import ExternalEffortEstimator
-from inverse_dynamics_node.control.controller import Reference
+from inverse_dynamics_node.control.control_law import Reference
 from inverse_dynamics_node.control.loop import ControlLoop
 from inverse_dynamics_node.control.settings import LoadSettings, Mode, Settings
 from inverse_dynamics_node.control.supervision import Phase

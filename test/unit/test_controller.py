@@ -3,8 +3,9 @@
 import math
 
 from inverse_dynamics_node import ConfigurationError, InverseDynamics, load_urdf
-from inverse_dynamics_node.control.controller import Controller, Reference
+from inverse_dynamics_node.control.control_law import Reference
 from inverse_dynamics_node.control.joint_states import State
+from inverse_dynamics_node.control.loop import Controller
 from inverse_dynamics_node.control.settings import Mode, Settings, StalePolicy
 from inverse_dynamics_node.control.supervision import Phase
 import numpy as np

@@ -5,8 +5,8 @@ import math
 from types import SimpleNamespace
 
 from inverse_dynamics_node import load_urdf
-from inverse_dynamics_node.control.controller import Command, Reference
-from inverse_dynamics_node.control.loop import ControlLoop
+from inverse_dynamics_node.control.control_law import Reference
+from inverse_dynamics_node.control.loop import Command, ControlLoop
 from inverse_dynamics_node.control.monitor import Monitor
 from inverse_dynamics_node.control.settings import Mode, Settings, StalePolicy
 from inverse_dynamics_node.control.status import GraphInfo, Level, Others, SimulatedTime

@@ -1,8 +1,4 @@
-"""
-The controller: computes commands from joint states and references, and handles lost inputs.
-
-No ROS, and no clock: time is an argument.
-"""
+"""The control law: efforts from joint states and references. No ROS, and no clock."""
 
 from __future__ import annotations
 
@@ -14,22 +10,12 @@ import numpy as np
 
 from ..dynamics.inverse_dynamics import InverseDynamics
 from ..errors import ConfigurationError, JointStateError
-from ..robot.model import Booleans, Floats, RobotModel
-from .command_shaping import CommandShaper
+from ..robot.model import Floats, RobotModel
 from .filters import LowPass
 from .joint_states import State
-from .settings import Mode, Settings, StalePolicy
-from .supervision import COMPUTING_PHASES, Phase, recovery_time, StateSupervisor
+from .settings import Mode, Settings
+from .supervision import Phase
 
-# Settings that change the inputs of the computation; others only change what follows from them.
-_INPUT_SETTINGS = (
-    'mode',
-    'state_timeout',
-    'uncommanded_state_timeout',
-    'reference_timeout',
-    'max_position_jump',
-    'velocity_filter_cutoff',
-)
 _PLAUSIBLE = 1e9  # in SI units; a larger input is the cause of efforts that are not finite
 
 
@@ -213,252 +199,6 @@ class ControlLaw:
         return qdd
 
 
-class Command(NamedTuple):
-    """Efforts to send to the robot."""
-
-    efforts: Floats
-    """Shape (m,) [N m or N]; finite; valid until the next step."""
-    is_saturated: Booleans
-    """Which efforts were cut to their limits, shape (m,)."""
-    is_slowed: Booleans
-    """Which efforts were slowed by a rate limit, shape (m,)."""
-    sent: Floats | None = None
-    """Efforts for the robot [N m or N]; None if nothing is sent, see `DryRun`."""
-
-
-class Controller:
-    """
-    Computes one command per step; the same inputs always produce the same commands.
-
-    The dynamics include all joints of the robot; those that are not commanded are assumed to have
-    zero acceleration.
-
-    Parameters
-    ----------
-    dynamics : InverseDynamics
-        The robot, with n joints.
-    joints : sequence of str
-        The m joints to command, in the order of the commands; empty for all, in the robot's order.
-    settings : Settings, optional
-        Modes, limits, ramps and timeouts.
-    period : float
-        Time between steps [s]; 0 if there is a step for every joint state.
-
-    Raises
-    ------
-    ConfigurationError
-        If a joint cannot be commanded, or a setting does not fit the joints.
-
-    """
-
-    def __init__(
-        self,
-        dynamics: InverseDynamics,
-        joints: Sequence[str] = (),
-        settings: Settings | None = None,
-        period: float = 0.0,
-    ) -> None:
-        self.dynamics = dynamics
-        self.joints = tuple(joints) or dynamics.robot.joint_names
-        self._index = _joint_index(self.joints, dynamics.robot)
-        self.supervisor = StateSupervisor()
-        self.law = ControlLaw(dynamics, self._index)
-        self._shaper = CommandShaper(self._index, period)
-        command = self._shaper.command
-        flags = self._shaper.is_saturated, self._shaper.is_slowed
-        self._result = Command(command, *flags, sent=command)
-        self._time = math.inf
-        self.settings = settings or Settings()
-        self.apply(self.settings)
-
-    def apply(self, settings: Settings) -> None:
-        """
-        Change the settings from the next step on, which continues from the last command.
-
-        To be called after other changes of the same kind, such as friction: the difference that
-        all of them make to the last efforts fades within the start ramp.
-
-        Raises
-        ------
-        ConfigurationError
-            If a list does not have one number for each commanded joint; nothing has changed then.
-
-        """
-        arrays = settings.expanded(len(self.joints))
-        limits = arrays['effort_limits']
-        if settings.use_urdf_effort_limits:
-            limits = np.minimum(limits, self.dynamics.robot.effort_limits[self._index])
-        has_same_inputs = all(
-            getattr(settings, name) == getattr(self.settings, name) for name in _INPUT_SETTINGS
-        )
-        self.settings, self._of_joint, self.limits = settings, arrays, limits
-        self.law.apply(settings, arrays)
-        self._shaper.configure(
-            self.scale,
-            self.offset,
-            limits,
-            arrays['effort_rate_limits'],
-            settings.start_ramp,
-            settings.stop_ramp,
-        )
-        if has_same_inputs:
-            self._shaper.begin(self.law.last_efforts(), self.law.added)
-        else:
-            self.blend()
-
-    def blend(self) -> None:
-        """
-        Continue from the last command, and fade out the difference within the start ramp.
-
-        To be called after changes of the computed efforts that are not motion, such as the robot
-        description or gravity.
-
-        """
-        self._shaper.begin()
-
-    @property
-    def phase(self) -> Phase:
-        """What the last command was computed for."""
-        return self.supervisor.phase
-
-    @property
-    def gain(self) -> float:
-        """Factor of the computed efforts: rises from 0 to 1 along the start ramp."""
-        return self._shaper.gain
-
-    @property
-    def has_effort(self) -> bool:
-        """Whether an effort of the last command is not zero."""
-        return bool(self._shaper.command.any())
-
-    @property
-    def scale(self) -> Floats:
-        """Factors for the computed efforts, shape (m,)."""
-        return self._of_joint['effort_scale']
-
-    @property
-    def offset(self) -> Floats:
-        """Added to the scaled efforts, shape (m,) [N m or N]."""
-        return self._of_joint['effort_offset']
-
-    @property
-    def ramp_step(self) -> float:
-        """Time by which ramps advance with this command; see `RampClock` [s]."""
-        return self._shaper.clock.step
-
-    @property
-    def time_to_fall(self) -> float:
-        """Time until the efforts are zero, if they fall from now on or already do [s]."""
-        return self._shaper.time_to_fall
-
-    @property
-    def motion(self) -> tuple[Floats, Floats]:
-        """Velocities and accelerations of the last computed efforts, each of shape (n,)."""
-        return self.law.motion
-
-    def cause_of_failure(self) -> str:
-        """Name the joint and the value that left the last step without a solution."""
-        return self.law.cause_of_failure(self.scale)
-
-    @property
-    def is_stopping(self) -> bool:
-        """Whether the efforts are to be zero; they may still be ramping down."""
-        return self.supervisor.is_stopping
-
-    def stop(self) -> None:
-        """Ramp the efforts to zero from the next step on, and keep them there."""
-        self.supervisor.is_stopping = True
-
-    def resume(self) -> None:
-        """Let the efforts rise again from the last command, however short the stop was."""
-        if self.is_stopping:
-            self.blend()  # after a brief stop too: the reference may have been dropped
-        self.supervisor.is_stopping = False
-
-    def start(self) -> None:
-        """Let the efforts rise from zero, beginning at the next step with a fresh state."""
-        self.supervisor.start()
-        self.law.reset()
-        self._shaper.reset()
-
-    def continue_from(self, other: Controller) -> None:
-        """
-        Continue from the last command of the controller of another robot description.
-
-        Parameters
-        ----------
-        other : Controller
-            Must command the same joints, and must not be used afterwards.
-
-        Raises
-        ------
-        ConfigurationError
-            If it commands other joints.
-
-        """
-        if self.joints != other.joints:
-            raise ConfigurationError(
-                f'the joints to command are now {", ".join(self.joints)}, expected '
-                f'{", ".join(other.joints)}'
-            )
-        self.supervisor, self._time = other.supervisor, other._time
-        self._shaper.continue_from(other._shaper)
-
-    def step(self, now: float, state: State | None, reference: Reference | None) -> Command | None:
-        """
-        Compute the command for one time.
-
-        Parameters
-        ----------
-        now : float
-            The time, on the clock of state and reference [s].
-        state : State or None
-            The latest joint state; None if there has been no complete one.
-        reference : Reference or None
-            The latest reference, if there has been one.
-
-        Returns
-        -------
-        command : Command or None
-            None before the first complete joint state since the start.
-
-        """
-        self.pass_time(now)
-        return self.command(state, reference)
-
-    def pass_time(self, now: float) -> None:
-        """Advance to the time of the next command [s]; loads may then change by `ramp_step`."""
-        self._time = now
-        if self._shaper.clock.advance(now):
-            self._shaper.begin()
-
-    def command(self, state: State | None, reference: Reference | None) -> Command | None:
-        """Compute the command for the time of `pass_time`; arguments as for `step`."""
-        now, settings = self._time, self.settings
-        phase = self.supervisor.blocking_phase(now, state, settings.state_timeout, self.gain)
-        if phase is None:
-            assert state is not None
-            phase = self.law.phase(now, state, reference)
-        self.supervisor.phase = phase
-        if phase is Phase.WAITING:
-            self._shaper.clock.start()
-            return None
-        tau = None
-        if state is not None and phase in COMPUTING_PHASES:
-            tau = self.law.efforts(now, state, reference if phase is Phase.RUNNING else None)
-        else:
-            self.law.forget()
-        holds = phase is not Phase.STOPPED and settings.on_stale_state is StalePolicy.HOLD
-        if not self._shaper.next(tau, self.law.added, holds=holds) and phase in COMPUTING_PHASES:
-            self.supervisor.phase = Phase.NO_SOLUTION
-        return self._result
-
-    @property
-    def recovery_time(self) -> float:
-        """Time without a gap after which states that were lost are used again [s]."""
-        return recovery_time(self.settings.state_timeout)
-
-
 def _compact_index(index: list[int]) -> Any:
     """Return consecutive indices as a slice, with which numpy takes a third of the time."""
     first = index[0]
@@ -467,7 +207,7 @@ def _compact_index(index: list[int]) -> Any:
     return np.array(index)
 
 
-def _joint_index(joints: Sequence[str], robot: RobotModel) -> list[int]:
+def joint_index(joints: Sequence[str], robot: RobotModel) -> list[int]:
     """Return the indices of the commanded joints among those of the robot."""
     if not joints:
         raise ConfigurationError(f"robot '{robot.name}' has no movable joints")
