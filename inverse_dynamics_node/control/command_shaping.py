@@ -145,7 +145,7 @@ class CommandShaper:
 
     A command differs from the last one by no more than new joint states and references explain.
     Everything else is a ramp that advances by `clock.step`, or is blended. After `clock` has been
-    advanced, `next` produces a command. The start ramp multiplies the computed
+    advanced, `follow`, `hold` or `fall` produces a command. The start ramp multiplies the computed
     efforts by `gain`. A blend adds the difference between the last command and the computed
     efforts, and lets it fade. The stop ramp scales the command at which it began. Each of
     them starts from the last command sent.
@@ -284,33 +284,6 @@ class CommandShaper:
         self._left, self._duration = other._left, other._duration
         self._way, self._was_paused = other._way, other._was_paused
         self.begin()
-
-    def next(self, tau: Floats | None, added: Floats, *, holds: bool) -> bool:
-        """
-        Produce the next command: follow computed efforts, hold the last command or let it fall.
-
-        Parameters
-        ----------
-        tau : ndarray, shape (n,), or None
-            Computed efforts of all joints [N m or N]; None if there are none.
-        added : ndarray, shape (m,)
-            Efforts to add to those of the commanded joints [N m or N].
-        holds : bool
-            Whether to hold the last command if there are no usable efforts.
-
-        Returns
-        -------
-        has_followed : bool
-            Whether there were usable efforts.
-
-        """
-        if tau is not None and self.follow(tau, added):
-            return True
-        if holds:
-            self.hold()
-        else:
-            self.fall()
-        return False
 
     def follow(self, tau: Floats, added: Floats) -> bool:
         """

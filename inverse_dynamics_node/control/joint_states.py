@@ -281,7 +281,8 @@ class JointStateCollector:
             Times [s].
 
         """
-        self.forget_silent(now)
+        if self._has_alternating:
+            self.forget_silent(now)
         are_fresh = 0.0 <= now - self._other_time <= timeout or self._other_time == math.inf
         if are_fresh and not self._has_resting:
             return

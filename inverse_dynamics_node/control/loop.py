@@ -26,7 +26,7 @@ from .control_law import ControlLaw, joint_index, Reference
 from .external_loads import ExternalLoads
 from .joint_states import JointStateCollector, State
 from .settings import LoadSettings, Settings, StalePolicy
-from .supervision import COMPUTING_PHASES, DryRun, Phase, recovery_time, StateSupervisor
+from .supervision import DryRun, Phase, recovery_time, StateSupervisor
 
 # Settings that change the inputs of the computation; others only change what follows from them.
 _INPUT_SETTINGS = (
@@ -252,31 +252,37 @@ class Controller:
         self.pass_time(now)
         return self.command(state, reference)
 
-    def pass_time(self, now: float) -> None:
-        """Advance to the time of the next command [s]; loads may then change by `ramp_step`."""
+    def pass_time(self, now: float) -> float:
+        """Advance to the time of the next command; return the time that ramps advance [s]."""
         self._time = now
-        if self._shaper.clock.advance(now):
+        clock = self._shaper.clock
+        if clock.advance(now):
             self._shaper.begin()
+        return clock.step
 
     def command(self, state: State | None, reference: Reference | None) -> Command | None:
         """Compute the command for the time of `pass_time`; arguments as for `step`."""
         now, settings = self._time, self.settings
-        phase = self.supervisor.blocking_phase(now, state, settings.state_timeout, self.gain)
-        if phase is None:
-            assert state is not None
-            phase = self.law.phase(now, state, reference)
-        self.supervisor.phase = phase
-        if phase is Phase.WAITING:
-            self._shaper.clock.start()
+        supervisor, law, shaper = self.supervisor, self.law, self._shaper
+        blocking = supervisor.blocking_phase(now, state, settings.state_timeout, shaper.gain)
+        if blocking is Phase.WAITING:
+            shaper.clock.start()
             return None
-        tau = None
-        if state is not None and phase in COMPUTING_PHASES:
-            tau = self.law.efforts(now, state, reference if phase is Phase.RUNNING else None)
+        if blocking is None:
+            assert state is not None
+            phase = law.phase(now, state, reference)
+            tau = law.efforts(now, state, reference if phase is Phase.RUNNING else None)
+            if tau is not None and shaper.follow(tau, law.added):
+                supervisor.phase = phase
+                return self._result
+            blocking = Phase.NO_SOLUTION
         else:
-            self.law.forget()
-        holds = phase is not Phase.STOPPED and settings.on_stale_state is StalePolicy.HOLD
-        if not self._shaper.next(tau, self.law.added, holds=holds) and phase in COMPUTING_PHASES:
-            self.supervisor.phase = Phase.NO_SOLUTION
+            law.forget()
+        supervisor.phase = blocking
+        if blocking is Phase.STOPPED or settings.on_stale_state is StalePolicy.ZERO:
+            shaper.fall()
+        else:
+            shaper.hold()
         return self._result
 
     @property
@@ -387,26 +393,25 @@ class ControlLoop:
             None as long as a necessary input is missing: see `missing`.
 
         """
+        controller, collector, reference = self.controller, self.collector, self.reference
         self._set_velocity_timeout()
-        self.controller.pass_time(now)
-        state = self.collector.at(now, self.controller.settings.uncommanded_state_timeout)
-        self._pass_loads(now)
-        if self.reference is not None and self.reference.time > now:
-            self.reference = None  # the clock was set back: it would return when its time comes
-        command = self.controller.command(None if self.lacks_imu else state, self.reference)
+        ramp_step = controller.pass_time(now)
+        state = collector.at(now, controller.settings.uncommanded_state_timeout)
+        # Before the first command nothing acts yet, so that loads need no ramp.
+        elapsed = math.inf if controller.supervisor.phase is Phase.WAITING else ramp_step
+        if self.loads.update(now, elapsed) or collector.has_jumped:
+            collector.has_jumped = False
+            controller.blend()
+        if reference is not None and reference.time > now:
+            # The clock was set back: the reference would return when its time comes.
+            reference = self.reference = None
+        if self.has_imu and self.lacks_imu:
+            state = None
+        command = controller.command(state, reference)
         if command is None:
             return None
-        sent = self.dry_run.select(command.efforts, self.controller.ramp_step)
+        sent = controller.supervisor.dry_run.select(command.efforts, ramp_step)
         return command if sent is command.sent else command._replace(sent=sent)
-
-    def _pass_loads(self, now: float) -> None:
-        """Advance the loads; what joints and loads do suddenly is blended."""
-        # Before the first command nothing acts yet, so that loads need no ramp.
-        is_waiting = self.controller.phase is Phase.WAITING
-        elapsed = math.inf if is_waiting else self.controller.ramp_step
-        if self.loads.update(now, elapsed) or self.collector.has_jumped:
-            self.collector.has_jumped = False
-            self.controller.blend()
 
     def _set_velocity_timeout(self) -> None:
         # Before the state is lost: messages without velocities must not stop the arm.
