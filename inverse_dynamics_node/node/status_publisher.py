@@ -10,7 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock
 from rclpy.lifecycle import LifecycleNode
 
-from ..control.silence import Silence
+from ..control.monitor import StalledPublishers
 from ..control.status import GraphInfo, Topics
 from ..control.status_text import describe_silence
 from . import qos
@@ -62,7 +62,7 @@ class StatusPublisher:
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', qos.QUEUED)
         self._last_time = time.monotonic()
         self._last_count = 0
-        self._silence = Silence(self._last_time)
+        self._stalled = StalledPublishers(self._last_time)
         names = ('joint_states', '~/joint_efforts', '~/external_efforts')
         self._topics = Topics(*(str(node.resolve_topic_name(name)) for name in names))
         node.create_timer(_PERIOD, self._on_timer, clock=clock)
@@ -116,7 +116,7 @@ class StatusPublisher:
             others=self._graph.others(),
             state_publishers=tuple(publishers),
             simulated=simulated,
-            silence=self._silence.update(
+            silence=self._stalled.update(
                 self._last_time,
                 self._inputs.last_joint_state,
                 is_expected=bool(publisher_count) and not is_paused,
