@@ -49,6 +49,45 @@ def test_without_the_motion_of_the_base_there_is_no_command():
     assert loop.missing() == []
 
 
+def test_a_dry_run_ends_what_is_sent_and_its_end_lets_it_rise_from_zero():
+    loop = report_all(ControlLoop(MODEL, settings=Settings(start_ramp=0.5, stop_ramp=0.5)))
+
+    def step(k):
+        return report_all(loop, 0.01 * k).step(0.01 * k)
+
+    for k in range(100):
+        command = step(k)
+        assert command.sent is command.efforts
+    hold = command.efforts.copy()
+    assert not loop.switch_dry_run(is_wanted=False)
+    assert loop.switch_dry_run(is_wanted=True)
+    assert not loop.switch_dry_run(is_wanted=True)
+    sent = [step(100 + k).sent for k in range(110)]
+    assert sent[24] == pytest.approx(0.5 * hold)
+    assert not loop.dry_run.has_sent
+    assert sent[-1] is None
+    assert loop.controller.gain == 1.0  # the computed efforts go on
+    loop.controller.stop()
+    step(210)
+    assert loop.switch_dry_run(is_wanted=False)
+    assert not step(211).sent.any()  # it is still disabled
+    loop.controller.resume()
+    assert step(212).sent == pytest.approx(0.0 * hold)
+    for k in range(25):
+        command = step(213 + k)
+    assert command.sent == pytest.approx(0.5 * hold, rel=0.1)
+
+
+def test_a_dry_run_continues_with_another_description():
+    loop = report_all(ControlLoop(MODEL, settings=AT_ONCE))
+    loop.start(is_dry_run=True)
+    assert loop.step(0.0).sent is None
+    other = ControlLoop(MODEL, settings=AT_ONCE)
+    other.continue_from(loop)
+    assert other.step(0.01).sent is None
+    assert other.dry_run.may_end
+
+
 def test_terms_belong_to_the_commanded_joints_and_the_reference():
     joints = [NAMES[4], NAMES[1]]
     loop = report_all(ControlLoop(MODEL, joints, AT_ONCE))
