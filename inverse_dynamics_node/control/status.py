@@ -1,16 +1,17 @@
 """
 What a node says about itself: one record, from the control loop to `watch`.
 
-`Monitor` makes it, ``diagnostics`` writes it to ``/diagnostics`` and reads it back, and
+`Monitor` makes it, `write_status` and `read_status` take it through ``/diagnostics``, and
 `status_text` says it in words.
 """
 
+# ruff: noqa: RUF009 -- key() returns a dataclasses.field
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 import enum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from .settings import Mode
 from .supervision import COMPUTING_PHASES, Phase
@@ -56,9 +57,28 @@ class Payload(NamedTuple):
         return f'{self.mass:g} kg on {self.link}'
 
 
+def key(name: str, form: str = '', absent: str = '', default: Any = None) -> Any:
+    """
+    Declare a value with its key in ``/diagnostics``.
+
+    Parameters
+    ----------
+    name : str
+        The key; ``*`` stands for a name or number, with one key for each.
+    form : str
+        Format of numbers.
+    absent : str
+        Text for None; by default, the key is left out.
+    default : object
+        The value if it is not reported.
+
+    """
+    return field(default=default, metadata={'key': name, 'form': form, 'absent': absent})
+
+
 @dataclass(frozen=True)
 class Part:
-    """A part of the node. Values that are not reported are None or empty."""
+    """A part of the node."""
 
     level: Level = Level.OK
     message: str = ''
@@ -67,110 +87,95 @@ class Part:
 
 @dataclass(frozen=True)
 class LoopStatus(Part):
-    """The control loop, and what it is doing; the statistics are those since the last report."""
+    """The control loop, and what it is doing; statistics are those since the last report."""
 
-    state: str = ''
+    state: str = key('state', default='')
     """Lifecycle state."""
-    rate: float | None = None
-    """Commands per second [Hz]."""
-    requested_rate: float | None = None
-    """[Hz]; None if there is one command for each joint state."""
-    period_p99: float | None = None
+    rate: float | None = key('rate [Hz]', '.1f')
+    """Of commands."""
+    requested_rate: float | None = key('requested rate [Hz]', 'g', 'that of the joint states')
+    period_p99: float | None = key('period p99 [ms]', '.3f', 'none')
     """99th percentile of the times between commands [s]."""
-    period_worst: float | None = None
+    period_worst: float | None = key('period worst [ms]', '.3f', 'none')
     """[s]."""
-    compute_time_p99: float | None = None
+    compute_time_p99: float | None = key('compute time p99 [ms]', '.3f', 'none')
     """[s]."""
-    overruns: int | None = None
+    overruns: int | None = key('overruns')
     """Commands since the start that were more than half a period late."""
-    mode: Mode | None = None
+    mode: Mode | None = key('mode')
     """None unless the node is active; the same for the values below."""
-    phase: Phase | None = None
-    is_dry_run: bool | None = None
-    gain: float | None = None
-    """Factor of the computed efforts, 0 to 1."""
+    phase: Phase | None = key('phase')
+    is_dry_run: bool | None = key('dry run')
+    gain: float | None = key('gain', '.3f')
 
 
 @dataclass(frozen=True)
 class MessagesStatus(Part):
-    """Messages that could not be used."""
+    """Messages that could not be used, by topic and reason."""
 
-    rejected: Mapping[str, int] = field(default_factory=dict)
-    """Numbers of messages, by topic and reason."""
+    rejected: Mapping[str, int] | None = key('*')
 
 
 @dataclass(frozen=True)
 class OtherNodesStatus(Part):
     """Other nodes that use the topic of the commands, or the name of this node."""
 
-    commands: str = ''
-    """Topic of the commands."""
-    subscribers: NodeNames = field(default_factory=NodeNames)
-    rivals: NodeNames = field(default_factory=NodeNames)
-    """Other publishers of the commands."""
-    namesakes: int | None = None
+    commands: str = key('commands', default='')
+    """The topic."""
+    subscribers: NodeNames = key('subscribers of the commands', default=NodeNames())
+    rivals: NodeNames = key('other publishers of the commands', default=NodeNames())
+    namesakes: int | None = key('other nodes with this name')
 
 
 @dataclass(frozen=True)
 class ClockStatus(Part):
-    """The clock of a simulation."""
+    """The clock of a simulation, see `SimulatedTime`."""
 
-    time: float | None = None
-    """[s]; 0 if none has arrived."""
-    unchanged_for: float | None = None
-    """Steady time since it changed [s]."""
-    publishers: int | None = None
+    time: float | None = key('time [s]', '.3f')
+    unchanged_for: float | None = key('unchanged for [s]', '.1f')
+    publishers: int | None = key('publishers')
 
 
 @dataclass(frozen=True)
 class JointStatesStatus(Part):
     """The joint states that arrive."""
 
-    topic: str = ''
-    rate: float | None = None
-    """Updates of all commanded joints per second [Hz]."""
-    age: float | None = None
-    """[s]; None if a commanded joint was never reported."""
-    timeout: float | None = None
-    """[s]."""
-    publishers: int | None = None
-    late: tuple[str, ...] = ()
-    """Joints that are not commanded, and late."""
-    locked: tuple[str, ...] = ()
-    """Joints at their locked positions, because they were never reported."""
-    without_velocity: tuple[str, ...] = ()
+    topic: str = key('topic', default='')
+    rate: float | None = key('rate [Hz]', '.1f')
+    """Of updates of all commanded joints."""
+    age: float | None = key('age [s]', '.3f', 'never')
+    """Of the oldest commanded joint."""
+    timeout: float | None = key('timeout [s]', 'g')
+    publishers: int | None = key('publishers')
+    late: tuple[str, ...] = key('late, not commanded', default=())
+    locked: tuple[str, ...] = key('locked, never reported', default=())
+    without_velocity: tuple[str, ...] = key('without velocity', default=())
 
 
 @dataclass(frozen=True)
 class ReferenceStatus(Part):
     """The reference, and whether it is followed."""
 
-    age: float | None = None
-    """[s]; None if there was none."""
-    timeout: float | None = None
-    """[s]; 0: unlimited."""
-    mode: Mode | None = None
+    age: float | None = key('age [s]', '.3f', 'never')
+    timeout: float | None = key('timeout [s]', 'g')
+    """0: unlimited."""
+    mode: Mode | None = key('mode')
 
 
 @dataclass(frozen=True)
 class EffortsStatus(Part):
     """The commands."""
 
-    receivers: int | None = None
-    """Number of subscribers."""
-    topic: str = ''
-    """Topic of the efforts with names."""
-    external_topic: str = ''
-    """Topic of the external efforts."""
-    external_cutoff: float | None = None
-    """Cutoff of the external efforts [Hz]."""
-    limits: tuple[float, ...] = ()
-    """Largest efforts in the order of the commanded joints [N m or N]; inf if there is none."""
-    cut: tuple[str, ...] = ()
-    """Joints whose efforts were cut to these since the last report."""
-    cut_counts: Mapping[str, int] = field(default_factory=dict)
-    """Commands since the start that were cut to a limit, by joint."""
-    slowed_counts: Mapping[str, int] = field(default_factory=dict)
+    receivers: int | None = key('receivers')
+    topic: str = key('topic with names', default='')
+    external_topic: str = key('topic of the external efforts', default='')
+    external_cutoff: float | None = key('cutoff of the external efforts [Hz]', 'g')
+    limits: tuple[float, ...] = key('limits [N m, N]', 'g', default=())
+    """In the order of the commanded joints; inf if there is none."""
+    cut: tuple[str, ...] = key('cut to limit since the last report', default=())
+    cut_counts: Mapping[str, int] | None = key('* cut to limit')
+    """Commands since the start, by joint."""
+    slowed_counts: Mapping[str, int] | None = key('* slowed')
     """Commands since the start that a rate limit slowed, by joint."""
 
 
@@ -178,15 +183,13 @@ class EffortsStatus(Part):
 class ModelStatus(Part):
     """The robot and its loads."""
 
-    robot: str = ''
-    mass: float | None = None
-    """[kg]."""
-    joints: tuple[str, ...] = ()
+    robot: str = key('robot', default='')
+    mass: float | None = key('mass [kg]', '.4g')
+    joints: tuple[str, ...] = key('joints', default=())
     """Commanded joints."""
-    payloads: tuple[Payload, ...] = ()
-    gravity: tuple[float, ...] | None = None
-    """[m/s^2]; None if the model does not include it."""
-    warnings: tuple[str, ...] = ()
+    payloads: tuple[Payload, ...] = key('payload', default=())
+    gravity: tuple[float, ...] | None = key('gravity [m/s^2]', '.3f', 'not included')
+    warnings: tuple[str, ...] = key('warning *', default=())
     """About the robot description."""
 
 
@@ -194,11 +197,11 @@ class ModelStatus(Part):
 class SchedulingStatus(Part):
     """Priority and memory of the process; the scheduler is unknown on some platforms."""
 
-    memory: str = ''
-    policy: str | None = None
-    priority: int | None = None
-    cpus: tuple[int, ...] | None = None
-    threads: int | None = None
+    memory: str = key('memory', default='')
+    policy: str | None = key('policy')
+    priority: int | None = key('priority')
+    cpus: tuple[int, ...] | None = key('CPUs')
+    threads: int | None = key('threads')
     """Number of threads with this priority."""
 
 
