@@ -22,7 +22,6 @@ from ..robot.kinematics import rotation_of_rpy
 from ..robot.model import Floats
 from . import messages, qos
 from .cdr import JointStateReader
-from .first_point import read_first_point
 from .log import NodeLog
 from .outputs import Outputs
 from .parameters import BaseMotion, Configuration
@@ -30,6 +29,7 @@ from .runner import LoopRunner
 from .trajectory_filler import TrajectoryFiller
 
 _SMALL_CHANGE = 0.05  # of gravity, which is not logged
+_MAX_REFERENCE = 1 << 16  # [bytes]; reading it takes 2 ms, in which no command is sent
 
 
 class Inputs:
@@ -159,7 +159,7 @@ class Inputs:
         now = self._runner.now()
         try:
             loop.reference = read(message, loop.controller.joints, now)
-        except JointStateError as error:
+        except InverseDynamicsError as error:
             self._runner.reject(topic, error)
 
     def _on_payload(self, message: InertiaStamped) -> None:
@@ -260,4 +260,9 @@ def _listed(vector: Floats) -> str:
 
 
 def _read_reference(data: bytes, joints: Sequence[str], now: float) -> Reference:
-    return messages.read_reference(read_first_point(data), joints, now)
+    if len(data) > _MAX_REFERENCE:
+        raise JointStateError(
+            f'{len(data)} bytes, expected at most {_MAX_REFERENCE}: only the first point is used; '
+            'send one point at a time'
+        )
+    return messages.read_reference(messages.deserialize_trajectory(data), joints, now)
