@@ -36,7 +36,6 @@ MODULES = (
     'inverse_dynamics_node.cli.console',
     'inverse_dynamics_node.cli.watch',
     'inverse_dynamics_node.node.node',
-    'inverse_dynamics_node.node.startup',
     'inverse_dynamics_node.node.watchdog',
     'inverse_dynamics_node.simulation.demo.demo',
     'inverse_dynamics_node.simulation.drive',

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 import os
+import resource
 import signal
 import sys
 import traceback
@@ -12,12 +13,12 @@ from typing import Any
 import warnings
 
 from .console import prepare_console, report_failure
-from .startup import StartupWatch, warn_of_memory_limit
 
 # rclpy and numpy are imported below, after the signal handlers have been installed: the import
 # takes most of a second, and a signal in this time should end the process cleanly too.
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_ADDRESS_SPACE = 1500 << 20  # [bytes]; rclpy, numpy and numba on two cores need 1.2 GB
 
 
 class _Stop:
@@ -30,10 +31,23 @@ class _Stop:
 
     def __init__(self) -> None:
         self.count = 0
-        for number in _SIGNALS:
-            # nohup ignores SIGHUP, and expects its child to do so.
-            if number is not signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
-                signal.signal(number, self._handle)
+        # nohup ignores SIGHUP, and expects its child to do so.
+        self._numbers = [
+            number
+            for number in _SIGNALS
+            if number is not signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN
+        ]
+        self.catch()
+
+    def catch(self) -> None:
+        """Count the signals from now on."""
+        for number in self._numbers:
+            signal.signal(number, self._handle)
+
+    def release(self) -> None:
+        """Let the next signal end the process at once, even within a call that never returns."""
+        for number in self._numbers:
+            signal.signal(number, signal.SIG_DFL)
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
         self.count += 1
@@ -72,12 +86,17 @@ def _main(args: list[str], stop: _Stop) -> int:
 
         print(f'inverse_dynamics_node {version()}')
         return 0
-    warn_of_memory_limit()
-    with StartupWatch() as startup:
-        return _start(args, stop, startup)
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if limit != resource.RLIM_INFINITY and limit < _ADDRESS_SPACE:
+        stop.release()  # until the node exists: libraries may wait forever for memory
+        report_failure(
+            f'warning: the address space is limited to {limit >> 20} MB (ulimit -v), expected at '
+            f'least {_ADDRESS_SPACE >> 20} MB; the process may fail to start, or hang'
+        )
+    return _start(args, stop)
 
 
-def _start(args: list[str], stop: _Stop, startup: StartupWatch) -> int:
+def _start(args: list[str], stop: _Stop) -> int:
     try:
         import rclpy
 
@@ -105,12 +124,12 @@ def _start(args: list[str], stop: _Stop, startup: StartupWatch) -> int:
         stray = remove_ros_args(args)[1:]
         if stray:
             return _fail_with_usage(f'unrecognized arguments: {" ".join(stray)}')
-        return _run(args, stop, startup)
+        return _run(args, stop)
     finally:
         rclpy.try_shutdown()
 
 
-def _run(args: list[str], stop: _Stop, startup: StartupWatch) -> int:
+def _run(args: list[str], stop: _Stop) -> int:
     import rclpy.logging
 
     from .background import Background, prepare_to_load
@@ -131,7 +150,7 @@ def _run(args: list[str], stop: _Stop, startup: StartupWatch) -> int:
             rclpy.logging.get_logger('inverse_dynamics').fatal(problem)
         background.close()
         return 1
-    startup.finish()
+    stop.catch()
     remaps = ineffective_remaps(args, names_of(node), node.get_name(), node.get_namespace())
     for problem in [*ineffective_files(args, node.get_fully_qualified_name()), *remaps]:
         node.get_logger().warning(problem)
