@@ -156,7 +156,7 @@ def _run(args: list[str], stop: _Stop) -> int:
         node.get_logger().warning(problem)
     executor = _make_executor(node.configuration.executor)
     executor.add_node(node)
-    watchdog = Watchdog(scheduling.limit_time)
+    watchdog = Watchdog()
     try:
         node.apply_scheduling(watchdog.native_id)
         if not stop.count and not node.autostart():
@@ -165,8 +165,9 @@ def _run(args: list[str], stop: _Stop) -> int:
             watchdog.spin(executor)
             if watchdog.is_congested:
                 node.catch_up()
-            for text in scheduling.new_reports():
-                node.get_logger().warning(text)
+            change = scheduling.limit_time()
+            if change:
+                node.get_logger().warning(change)
     finally:
         node.shut_down()
         background.close()

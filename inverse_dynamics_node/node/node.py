@@ -137,19 +137,19 @@ class InverseDynamicsNode(LifecycleNode):
         """The current values of all parameters."""
         return self._configuration
 
-    def apply_scheduling(self, guard: int) -> None:
+    def apply_scheduling(self, watchdog: int) -> None:
         """
         Set priority and CPUs of the threads, and lock the memory, as the parameters request.
 
         Parameters
         ----------
-        guard : int
-            Native id of the thread that calls `Scheduling.limit_time`.
+        watchdog : int
+            Native id of the thread of the watchdog.
 
         """
         values = self._configuration
         is_well, text = self._scheduling.apply(
-            values.thread_priority, values.cpu_affinity, values.lock_memory, guard
+            values.thread_priority, values.cpu_affinity, values.lock_memory, watchdog
         )
         if is_well:
             self.get_logger().info(text)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 import threading
 import time
 from typing import Any
@@ -26,15 +25,9 @@ class Watchdog:
     between two events, and the caller does everything that is overdue. The events stay in the
     queue. A new executor would drop them, but in rclpy 7.1 services no longer answer after that.
 
-    Parameters
-    ----------
-    check : callable, optional
-        Called by the thread about twenty times a second.
-
     """
 
-    def __init__(self, check: Callable[[], None] = lambda: None) -> None:
-        self._check = check
+    def __init__(self) -> None:
         self.is_congested = False
         """Whether the last spin had to be interrupted."""
         self._future = Future()
@@ -74,4 +67,3 @@ class Watchdog:
             future = self._future
             if time.monotonic() > self._deadline and not future.done():
                 future.set_result(None)
-            self._check()

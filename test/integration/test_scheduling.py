@@ -29,7 +29,6 @@ PATIENT = {
 }
 CAP_IPC_LOCK, CAP_SYS_NICE = 14, 23
 PR_CAPBSET_DROP = 24
-REALTIME = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
 
 
 def is_permitted():
@@ -102,17 +101,16 @@ def test_the_loop_and_the_middleware_get_the_priority_and_others_do_not(run_node
             if thread[0].startswith('dds.') is is_middleware
         ]
 
-    # One listens to the graph; the other one is the executor's, for timers, and starts late. New
-    # threads get the priority two seconds later.
+    # One listens to the graph; the other one is the executor's, for timers, and starts late.
     robot.wait_until(
         lambda: (
-            scheduling(is_middleware=False).count((REALTIME, 40)) >= 2
-            and set(scheduling(is_middleware=True)) == {(REALTIME, 40)}
+            scheduling(is_middleware=False).count((os.SCHED_FIFO, 40)) >= 2
+            and set(scheduling(is_middleware=True)) == {(os.SCHED_FIFO, 40)}
         ),
         'priority of the threads of rclpy and of the middleware',
     )
     threads = threads_of(pid)
-    assert threads[pid][1:] == (REALTIME, 40)
+    assert threads[pid][1:] == (os.SCHED_FIFO, 40)
     assert os.sched_getaffinity(pid) == {min(os.sched_getaffinity(0))}
     assert values['CPUs'] == str(min(os.sched_getaffinity(0)))
     # The watchdog runs while the loop does not sleep; threads of libraries compute in peace.
@@ -129,20 +127,20 @@ import os
 from inverse_dynamics_node.node.scheduling import Scheduling
 from inverse_dynamics_node.node.watchdog import Watchdog
 scheduling = Scheduling()
-watchdog = Watchdog(scheduling.limit_time)
+watchdog = Watchdog()
 print(scheduling.apply(50, (), False, watchdog.native_id))
-print(os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK)
-while not (reports := scheduling.new_reports()):
+print(os.sched_getscheduler(0))
+while not (report := scheduling.limit_time()):
     pass
-print(os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK)
-print(reports, scheduling.status().level.name)
+print(os.sched_getscheduler(0), os.sched_getscheduler(watchdog.native_id))
+print(report, scheduling.status().level.name)
 os._exit(0)
 """
 
 
 @needs_permission
 def test_a_loop_that_never_sleeps_loses_the_priority():
-    """It would leave no time to other programs, and the kernel would stop it for 50 ms."""
+    """It would leave hardly any time to other programs, and the kernel would pause it."""
     busy = subprocess.Popen([sys.executable, '-c', BUSY], stdout=subprocess.PIPE, text=True)
     try:
         output, _ = busy.communicate(timeout=PATIENCE)
@@ -150,7 +148,7 @@ def test_a_loop_that_never_sleeps_loses_the_priority():
         busy.kill()
     applied, before, after, report = output.splitlines()
     assert 'SCHED_FIFO priority 50' in applied
-    assert (int(before), int(after)) == (os.SCHED_FIFO, os.SCHED_OTHER)
+    assert (before, after) == (f'{os.SCHED_FIFO}', f'{os.SCHED_OTHER} {os.SCHED_OTHER}')
     assert '% of a CPU, expected at most 90 %; reduce the rates' in report
     assert report.endswith('WARN')
 
@@ -204,6 +202,6 @@ def test_memory_can_be_allocated_after_it_has_been_locked():
     result = subprocess.run(
         [sys.executable, '-c', LOCK], capture_output=True, text=True, check=False
     )
-    if 'MemoryLockError' in result.stderr:
+    if 'memory cannot be locked' in result.stderr:
         pytest.skip(result.stderr.splitlines()[-1])
     assert result.stdout.endswith('a thread can start\n'), result.stderr
