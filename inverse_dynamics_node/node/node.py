@@ -18,7 +18,6 @@ from ..errors import ConfigurationError, InverseDynamicsError, shortened_lines
 from . import qos
 from .background import Background
 from .configure import apply_configuration, check_configuration, make_loop
-from .containment import contain_errors
 from .graph import Graph
 from .inputs import Inputs
 from .log import BoundedLogger, NodeLog
@@ -28,12 +27,13 @@ from .ros_parameters import (
     checked_configuration,
     declare_parameters,
     read_configuration,
-    unknown_parameters,
+    unknown_overrides,
     unused_qos_overrides,
     values_of,
 )
 from .runner import LoopRunner
 from .scheduling import Scheduling
+from .service_errors import contain_errors
 from .services import Services
 from .status_publisher import StatusPublisher
 from .trajectory_filler import TrajectoryFiller
@@ -79,7 +79,7 @@ class InverseDynamicsNode(LifecycleNode):
         contain_errors(self, self._keep_up)
         declare_parameters(self)
         self._configuration = read_configuration(self)
-        for problem in unknown_parameters(self):
+        for problem in unknown_overrides(self):
             self.get_logger().warning(f'ignored {problem}')
         self.is_finalized = False
         self._may_autostart = self._configuration.autostart

@@ -45,7 +45,7 @@ def declare_parameters(node: Node) -> None:
     values.update({name: given[name] for name in (*PARAMETERS, *locked) if name in given})
     problems = _problems(values)
     if values['allow_unknown_parameters'] is not True:
-        unknown = unknown_parameters(node)
+        unknown = unknown_overrides(node)
         problems += unknown
         if unknown:
             problems.append(
@@ -127,32 +127,21 @@ def checked_configuration(values: dict[str, Any]) -> Configuration:
     return Configuration(**checked, locked_positions=locked)
 
 
-def unknown_parameters(node: Node) -> list[str]:
-    """
-    Describe each given name that is not a parameter of this node, with the closest name.
-
-    Parameters
-    ----------
-    node : Node
-        A node whose own parameters, those of rclpy, have been declared.
-
-    Returns
-    -------
-    problems : list of str
-        One sentence for each name.
-
-    """
+def unknown_parameters(node: Node, names: Iterable[str]) -> list[str]:
+    """Describe each name that is not a parameter of a node, with the closest one."""
     known = [*PARAMETERS, *node._parameters]
-    problems = []
-    for name in node._parameter_overrides:
-        head, dot, _ = name.partition('.')
-        if name not in known and not (dot and head in (LOCKED, _QOS)):
-            problems.append(describe_unknown(name, known))
-    return problems
+    return [_describe_unknown(name, known) for name in names if name not in known]
 
 
-def describe_unknown(name: str, known: Iterable[str]) -> str:
-    """Describe the name of a parameter that the node does not have, with the closest one."""
+def unknown_overrides(node: Node) -> list[str]:
+    """Describe each name given at the start that is not a parameter of the node."""
+    later = f'{LOCKED}.', f'{_QOS}.'  # may be declared later
+    return unknown_parameters(
+        node, (name for name in node._parameter_overrides if not name.startswith(later))
+    )
+
+
+def _describe_unknown(name: str, known: Iterable[str]) -> str:
     if not name:
         return 'a parameter without a name'
     if name in _RENAMED:

@@ -10,62 +10,56 @@ from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.lifecycle import LifecycleNode
 from rclpy.parameter import Parameter
 
-from ..errors import ConfigurationError, shortened
-from .ros_parameters import describe_unknown
+from ..errors import shortened
+from .ros_parameters import unknown_parameters
 
 _TYPES = {kind.value for kind in Parameter.Type}
 
 
-def contain_errors(node: LifecycleNode, keep_up: Callable[[], None] = lambda: None) -> None:
+def contain_errors(node: LifecycleNode, keep_up: Callable[[], None]) -> None:
     """
     Catch the errors of the services and subscriptions that rclpy has created.
 
     rclpy 7.1 raises out of the executor on a parameter whose type does not exist, a clock before
-    zero, or a lifecycle transition that is not possible now.
+    zero, or a lifecycle transition that is not possible now. The executor would survive that, but
+    a client would wait for its answer forever.
 
     Parameters
     ----------
     node : LifecycleNode
         A node without entities of its own yet: their errors must not be hidden.
-    keep_up : callable, optional
+    keep_up : callable
         Called after every request. Requests may fill the queue of the executor, and each takes as
         long as several commands.
 
     """
     for service in node.services:
+        callback = service.callback
         if service.srv_type is SetParameters:
-            callback = _set_each(node, service.callback)
+            callback = _set_each(node, callback)
         elif service.srv_type is SetParametersAtomically:
-            callback = _set_all(node, service.callback)
-        else:
-            callback = _contained(node, service.srv_name, service.callback)
-        service.callback = _followed_by(keep_up, callback)
+            callback = _set_all(node, callback)
+        service.callback = _contained(node, service.srv_name, callback, keep_up)
     for subscription in node.subscriptions:
         subscription.callback = _contained_subscription(
             node, subscription.topic_name, subscription.callback
         )
 
 
-def _followed_by(
-    keep_up: Callable[[], None], callback: Callable[[Any, Any], Any]
-) -> Callable[[Any, Any], Any]:
-    def followed(request: Any, response: Any) -> Any:
-        response = callback(request, response)
-        keep_up()
-        return response
-
-    return followed
-
-
 def _contained(
-    node: LifecycleNode, name: str, callback: Callable[[Any, Any], Any]
+    node: LifecycleNode,
+    name: str,
+    callback: Callable[[Any, Any], Any],
+    keep_up: Callable[[], None],
 ) -> Callable[[Any, Any], Any]:
     def contained(request: Any, response: Any) -> Any:
         try:
-            return callback(request, response)
+            response = callback(request, response)
         except Exception as error:
             node.get_logger().error(f'{name}: request rejected: {_line(error)}')
-            return type(response)()
+            response = type(response)()
+        keep_up()
+        return response
 
     return contained
 
@@ -73,50 +67,42 @@ def _contained(
 def _set_each(
     node: LifecycleNode, callback: Callable[[Any, Any], Any]
 ) -> Callable[[Any, Any], Any]:
-    def contained(request: Any, response: Any) -> Any:
+    def checked(request: Any, response: Any) -> Any:
         for parameter in request.parameters:
-            one = SetParameters.Response()
-            try:
-                _check_names(node, [parameter])
-                callback(SetParameters.Request(parameters=[parameter]), one)
-                response.results.append(one.results[0])
-            except Exception as error:
-                response.results.append(_rejection([parameter], error))
+            reason = _problem(node, [parameter])
+            if reason:
+                response.results.append(SetParametersResult(reason=reason))
+            else:
+                callback(SetParameters.Request(parameters=[parameter]), response)
         return response
 
-    return contained
+    return checked
 
 
 def _set_all(
     node: LifecycleNode, callback: Callable[[Any, Any], Any]
 ) -> Callable[[Any, Any], Any]:
-    def contained(request: Any, response: Any) -> Any:
-        try:
-            _check_names(node, request.parameters)
-            return callback(request, response)
-        except Exception as error:
-            response.result = _rejection(request.parameters, error)
+    def checked(request: Any, response: Any) -> Any:
+        reason = _problem(node, request.parameters)
+        if reason:
+            response.result = SetParametersResult(reason=reason)
             return response
+        return callback(request, response)
 
-    return contained
-
-
-def _check_names(node: LifecycleNode, parameters: Sequence[Any]) -> None:
-    """Reject unknown names: rclpy 7.1 does not show them, and accepts an empty one."""
-    for parameter in parameters:
-        if parameter.name not in node._parameters:
-            raise ConfigurationError(describe_unknown(parameter.name, node._parameters))
+    return checked
 
 
-def _rejection(parameters: Sequence[Any], error: Exception) -> SetParametersResult:
+def _problem(node: LifecycleNode, parameters: Sequence[Any]) -> str:
+    """Return why parameters cannot be set; rclpy 7.1 does not name those that are unknown."""
     for parameter in parameters:
         if parameter.value.type not in _TYPES:
-            reason = (
+            return (
                 f"parameter '{shortened(parameter.name)}' has type {parameter.value.type}, "
                 f'expected {min(_TYPES)} to {max(_TYPES)}'
             )
-            return SetParametersResult(successful=False, reason=reason)
-    return SetParametersResult(successful=False, reason=_line(error))
+        for problem in unknown_parameters(node, [parameter.name]):
+            return problem
+    return ''
 
 
 def _contained_subscription(
