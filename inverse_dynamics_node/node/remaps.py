@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-import difflib
 import os
 import re
 from typing import Any
 
-from ..errors import ConfigurationError
+from ..errors import ConfigurationError, did_you_mean
 
 # Names that rcl creates; it lists them after remapping or not at all.
 _RCL_NAMES = (
@@ -22,7 +21,6 @@ _RCL_NAMES = (
     '~/get_available_transitions',
     '~/get_transition_graph',
 )
-_RULE = re.compile(r'(?:(?P<node>\w+):(?!//))?(?:rostopic://|rosservice://)?(?P<name>.+)')
 _HOME = re.compile(r'/root/|/home/[^/]+/')
 
 
@@ -57,28 +55,21 @@ def ineffective_remaps(
     own = {_expanded(name, node, namespace) for name in names}
     problems = []
     for rule in _remaps(arguments):
-        match = _RULE.fullmatch(rule.partition(':=')[0])
-        if match is None or match['name'].startswith('__') or '*' in match['name']:
-            continue
-        if match['node'] not in (None, node):
+        given = re.sub(r'(rostopic|rosservice)://', '', rule.partition(':=')[0])
+        given = given.removeprefix(f'{node}:')
+        name = _expanded(given, node, namespace)
+        if name not in own and '*' not in name and not re.match(r'(\w+:)?__', given):
+            hint = _explain_tilde(rule) or did_you_mean(given, names)
             problems.append(
-                f"-r {rule} has no effect: it is for nodes named '{match['node']}', this node is "
-                f"named '{node}'"
-            )
-        elif _expanded(match['name'], node, namespace) not in own:
-            hint = _explain_tilde(rule) or _alternatives(match['name'], names)
-            problems.append(
-                f'-r {rule} has no effect: this node has no topic or service '
-                f'{_expanded(match["name"], node, namespace)}; {hint}'
+                f'-r {rule} has no effect: this node has no topic or service {name}{hint}'
             )
     return problems
 
 
 def expanded_tildes(arguments: Sequence[str]) -> list[str]:
     """Explain the remap rules in which the shell replaced a tilde by the home directory."""
-    return [
-        f'-r {rule}: {_explain_tilde(rule)}' for rule in _remaps(arguments) if _explain_tilde(rule)
-    ]
+    hints = {rule: _explain_tilde(rule) for rule in _remaps(arguments)}
+    return [f'-r {rule}{hint}' for rule, hint in hints.items() if hint]
 
 
 def with_parameter_files(arguments: Sequence[str]) -> list[str]:
@@ -190,18 +181,7 @@ def _explain_tilde(rule: str) -> str:
             return ''
         home = match[0]
     original = f'~/{name[len(home) :]}:={target}'
-    return f"if the shell replaced ~ by the home directory, quote the rule: -r '{original}'"
-
-
-def _alternatives(name: str, names: Sequence[str]) -> str:
-    # Without the names that every node has: parameter and lifecycle services, /rosout.
-    remappable = sorted({other for other in names if re.match(r'~/|\w+$|/diagnostics$', other)})
-    last = name.rpartition('/')[2]
-    similar = [other for other in remappable if other.rpartition('/')[2] == last]
-    similar += difflib.get_close_matches(name, remappable, n=1)
-    if similar:
-        return f"did you mean '{similar[0]}'?"
-    return f'names that can be remapped are {", ".join(remappable)}'
+    return f"; if the shell replaced ~ by the home directory, quote the rule: -r '{original}'"
 
 
 def _expanded(name: str, node: str, namespace: str) -> str:

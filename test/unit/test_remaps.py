@@ -51,8 +51,8 @@ def test_namespace_at_the_root():
         ('/joint_states:=/x', "did you mean 'joint_states'?"),
         ('joint_state:=/x', "did you mean 'joint_states'?"),
         ('~/joint_effort:=/x', "did you mean '~/joint_efforts'?"),
-        ('wheels:=/x', 'names that can be remapped are /diagnostics, imu, joint_states, ~/comm'),
-        ('other:imu:=/x', "it is for nodes named 'other', this node is named 'arm'"),
+        ('wheels:=/x', 'this node has no topic or service /left/wheels'),
+        ('other:imu:=/x', 'this node has no topic or service /left/other:imu'),
     ],
 )
 def test_rules_without_effect_are_explained(rule, words):
