@@ -12,7 +12,7 @@ from types import FrameType
 from typing import Any
 import warnings
 
-from .console import prepare_console, report_failure
+from .nonblocking_output import report_failure, unblock_output
 
 # rclpy and numpy are imported below, after the signal handlers have been installed: the import
 # takes most of a second, and a signal in this time should end the process cleanly too.
@@ -56,7 +56,7 @@ class _Stop:
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node until a signal or a shutdown transition; return the exit code."""
     stop = _Stop()
-    prepare_console()
+    unblock_output()
     try:
         return _main(list(sys.argv if args is None else args), stop)
     except Exception as error:
