@@ -1,4 +1,4 @@
-"""Loads robot descriptions in the background."""
+"""Loads robot descriptions while the control loop runs."""
 
 from __future__ import annotations
 
@@ -6,41 +6,46 @@ from concurrent.futures import Future
 
 from ..control.loop import ControlLoop
 from ..robot.model import RobotModel
-from .background import Background
 from .configure import build_loop, load_robot
 from .parameters import Configuration
+from .worker import Worker
 
 
 class DescriptionLoader:
     """
-    Makes the control loop for a new robot description, which is read in the background.
+    Makes the control loop for a new robot description, which another process reads.
 
     Reading takes tenths of a second, in which the robot must not be left without commands.
 
     Parameters
     ----------
-    background : Background
+    worker : Worker
         Reads the descriptions.
 
     """
 
-    def __init__(self, background: Background) -> None:
-        self._background = background
+    def __init__(self, worker: Worker) -> None:
+        self._worker = worker
         self._loading: Future[tuple[RobotModel, str]] | None = None
+        self._next: tuple[Configuration, str] | None = None
 
     @property
     def is_loading(self) -> bool:
         """Whether a description is being loaded, or its loop has not been taken yet."""
         return self._loading is not None
 
-    @property
-    def is_ready(self) -> bool:
-        """Whether a loop, or the reason why there is none, can be taken."""
-        return self._loading is not None and self._loading.done()
+    def poll(self) -> bool:
+        """Start to read the description that waits; return whether a loop can be taken."""
+        is_ready = self._loading is not None and self._loading.done()
+        if self._next is not None and (is_ready or self._loading is None):
+            self._loading = self._worker.submit(load_robot, *self._next)
+            self._next = None
+            return False
+        return is_ready
 
     def load(self, configuration: Configuration, description: str) -> None:
         """
-        Start to load a description; it replaces one that is still being loaded.
+        Load a description as soon as the one that is being read is done; it replaces both others.
 
         Parameters
         ----------
@@ -50,14 +55,12 @@ class DescriptionLoader:
             The URDF as XML text.
 
         """
-        self.drop()
-        self._loading = self._background.submit(load_robot, configuration, description)
+        self._next = configuration, description
+        self.poll()
 
     def drop(self) -> None:
-        """Ignore the description that is being read."""
-        if self._loading is not None:
-            self._loading.cancel()
-            self._loading = None
+        """Ignore the description that is being read, and the one that waits."""
+        self._loading = self._next = None
 
     def take_loop(
         self, old: ControlLoop, configuration: Configuration, is_active: bool

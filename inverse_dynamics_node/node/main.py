@@ -132,23 +132,22 @@ def _start(args: list[str], stop: _Stop) -> int:
 def _run(args: list[str], stop: _Stop) -> int:
     import rclpy.logging
 
-    from .background import Background, prepare_to_load
     from .node import InverseDynamicsNode
     from .remaps import ineffective_files, ineffective_remaps, names_of
     from .scheduling import Scheduling
     from .watchdog import Watchdog
+    from .worker import prepare_to_load, Worker
 
     prepare_to_load()
-    background = Background(has_process=True)
-    if background.problem:
-        report_failure(f'warning: {background.problem}')
     scheduling = Scheduling()
+    worker = Worker(has_process=True)
+    if worker.problem:
+        report_failure(f'warning: {worker.problem}')
     try:
-        node = InverseDynamicsNode(lambda: stop.count > 1, scheduling, background)
+        node = InverseDynamicsNode(lambda: stop.count > 1, scheduling, worker)
     except Exception as error:
         for problem in (str(error) or repr(error)).splitlines():
             rclpy.logging.get_logger('inverse_dynamics').fatal(problem)
-        background.close()
         return 1
     stop.catch()
     remaps = ineffective_remaps(args, names_of(node), node.get_name(), node.get_namespace())
@@ -170,7 +169,6 @@ def _run(args: list[str], stop: _Stop) -> int:
                 node.get_logger().warning(change)
     finally:
         node.shut_down()
-        background.close()
         watchdog.close()
         executor.remove_node(node)
         executor.shutdown()

@@ -16,7 +16,6 @@ from std_msgs.msg import String
 
 from ..errors import ConfigurationError, InverseDynamicsError, shortened_lines
 from . import qos
-from .background import Background
 from .configure import apply_configuration, check_configuration, make_loop
 from .graph import Graph
 from .inputs import Inputs
@@ -37,9 +36,9 @@ from .service_errors import contain_errors
 from .services import Services
 from .status_publisher import StatusPublisher
 from .trajectory_filler import TrajectoryFiller
+from .worker import Worker
 
 _SUBSCRIBERS_PERIOD = 0.2  # [s]; between checks for subscribers
-_BACKGROUND_PERIOD = 0.005  # [s]; between looks for results of long work
 _LAUNCH_SIGTERM_TIMEOUT = 5.0  # [s]; default of ros2 launch
 
 _SUCCESS = TransitionCallbackReturn.SUCCESS
@@ -59,7 +58,7 @@ class InverseDynamicsNode(LifecycleNode):
         Returns whether to cut the stop ramp short.
     scheduling : Scheduling, optional
         Sets the priority of the threads; created before the node.
-    background : Background, optional
+    worker : Worker, optional
         Does long work while the loop runs; by default in a thread.
     **kwargs
         Passed to `LifecycleNode`.
@@ -70,10 +69,10 @@ class InverseDynamicsNode(LifecycleNode):
         self,
         skip_ramp: Callable[[], bool] = lambda: False,
         scheduling: Scheduling | None = None,
-        background: Background | None = None,
+        worker: Worker | None = None,
         **kwargs: Any,
     ) -> None:
-        self._background = background or Background()
+        self._worker = worker or Worker()
         self._scheduling = scheduling or Scheduling()
         super().__init__('inverse_dynamics', **kwargs)
         contain_errors(self, self._keep_up)
@@ -102,9 +101,9 @@ class InverseDynamicsNode(LifecycleNode):
         self._outputs = Outputs(self, qos.RELIABLE, **qos.overridable())
         self._graph = Graph(self, self._outputs.commands)
         self._runner = LoopRunner(
-            self, self._outputs, self._graph, log, clock, now, skip_ramp, self._background
+            self, self._outputs, self._graph, log, clock, now, skip_ramp, self._worker
         )
-        filler = TrajectoryFiller(self, log, self._background, qos.RELIABLE, **qos.overridable())
+        self._filler = TrajectoryFiller(self, log, self._worker, qos.RELIABLE, **qos.overridable())
         self.create_subscription(
             String,
             'robot_description',
@@ -112,7 +111,9 @@ class InverseDynamicsNode(LifecycleNode):
             qos.LATCHED,
             **qos.overridable(),
         )
-        self._inputs = Inputs(self, self._runner, self._outputs, filler, log, self._configuration)
+        self._inputs = Inputs(
+            self, self._runner, self._outputs, self._filler, log, self._configuration
+        )
         Services(self, self._runner)
         self._diagnostics = StatusPublisher(
             self,
@@ -125,8 +126,6 @@ class InverseDynamicsNode(LifecycleNode):
             self._scheduling,
         )
         self.create_timer(_SUBSCRIBERS_PERIOD, self._find_subscribers, clock=steady)
-        timer = self.create_timer(_BACKGROUND_PERIOD, self._background.poll, clock=steady)
-        self._background.call_while_busy(timer.reset, timer.cancel)
 
     def get_logger(self) -> Any:
         """Return the logger of the node; it shortens long lines."""
@@ -193,7 +192,7 @@ class InverseDynamicsNode(LifecycleNode):
         if self._runner.loop is None:
             return
         self._inputs.read_latest_joint_state()
-        self._background.poll()
+        self._filler.poll()
         self._runner.catch_up()
         self._diagnostics.publish_if_late()
 

@@ -13,12 +13,12 @@ from ..control.loop import Command, ControlLoop
 from ..control.monitor import Monitor
 from ..control.supervision import COMPUTING_PHASES
 from ..errors import JointStateError, shortened_lines
-from .background import Background
 from .description_loader import DescriptionLoader
 from .graph import Graph
 from .log import NodeLog
 from .outputs import Outputs
 from .parameters import Configuration
+from .worker import Worker
 
 _WATCH_PERIOD = 0.01  # [s]; between steps or checks while no joint states arrive
 _MAX_WATCH_PERIOD = 0.1  # [s]; between checks while they do
@@ -44,7 +44,7 @@ class LoopRunner:
         Returns the time of that clock [s].
     skip_ramp : callable
         Returns whether to cut the stop ramp short.
-    background : Background
+    worker : Worker
         Reads robot descriptions.
 
     """
@@ -58,7 +58,7 @@ class LoopRunner:
         clock: Clock,
         now: Callable[[], float],
         skip_ramp: Callable[[], bool],
-        background: Background,
+        worker: Worker,
     ) -> None:
         self._node, self._outputs, self._graph, self._log = node, outputs, graph, log
         self._clock, self._skip_ramp = clock, skip_ramp
@@ -67,7 +67,7 @@ class LoopRunner:
         """The loop for the current robot description; None while the node is unconfigured."""
         self.is_active = False
         self.monitor = Monitor()
-        self.loader = DescriptionLoader(background)
+        self.loader = DescriptionLoader(worker)
         self._last_step = 0.0
         self._timers: list[Timer] = []
 
@@ -114,7 +114,7 @@ class LoopRunner:
         self._timers = []
 
     def load_description(self, configuration: Configuration, description: str) -> None:
-        """Load another robot description in the background, and switch to it when it is ready."""
+        """Load another robot description, and switch to it when it is ready."""
         self.loader.load(configuration, description)
         self._watch_after(self._watch_period)
 
@@ -264,11 +264,11 @@ class LoopRunner:
     def _switch_loop(self) -> None:
         """Switch to the robot description that has been loaded, unless it cannot be used."""
         assert self.loop is not None
-        if not self.loader.is_ready:
+        if not self.loader.poll():
             return
         try:
             loop, dropped = self.loader.take_loop(self.loop, self._configuration, self.is_active)
-        except Exception as error:  # any error of the thread that loaded it
+        except Exception as error:  # any error of the process that read it
             self._node.get_logger().error(
                 f'kept the old robot description; the new one cannot be used: {error}'
             )

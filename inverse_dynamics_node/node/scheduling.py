@@ -34,8 +34,8 @@ class Scheduling:
     """
     Lets the control loop and the middleware run before other programs.
 
-    Must be created by the thread of the control loop, right before the node: the threads that
-    exist by then, those of numerical libraries and of the log, keep their normal priority. All
+    Must be created by the thread of the control loop, before the worker and the node: the threads
+    that exist by then, those of numerical libraries and of the log, keep normal priority. All
     threads of the middleware get the priority, because each may hold a lock that the loop waits
     for. They pass it on to the threads that they start.
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any, NamedTuple
 
+from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
@@ -13,13 +15,14 @@ from trajectory_msgs.msg import JointTrajectory
 
 from ..control.loop import ControlLoop
 from ..dynamics.trajectory import complete, joint_index, trajectory_efforts
-from ..errors import InverseDynamicsError, TrajectoryError
+from ..errors import TrajectoryError
 from . import messages
-from .background import Background
 from .log import NodeLog
+from .worker import Worker
 
 _MAX_SIZE = 1_000_000  # [bytes]; takes some milliseconds to receive and to send, without commands
 _MAX_WAITING = 10
+_PERIOD = 0.005  # [s]; between looks for results
 
 
 class Filled(NamedTuple):
@@ -69,7 +72,7 @@ class TrajectoryFiller:
         The node that publishes.
     log : NodeLog
         For warnings.
-    background : Background
+    worker : Worker
         Computes the efforts.
     qos : QoSProfile
         Quality of service of the topic.
@@ -82,22 +85,25 @@ class TrajectoryFiller:
         self,
         node: LifecycleNode,
         log: NodeLog,
-        background: Background,
+        worker: Worker,
         qos: QoSProfile,
         **options: Any,
     ) -> None:
-        self._log, self._background = log, background
-        self._waiting = 0
+        self._log, self._worker = log, worker
+        self._waiting: deque[tuple[Future[Filled], Callable[[Exception], None]]] = deque()
         self._publisher = node.create_publisher(
             JointTrajectory, '~/joint_trajectory_out', qos, **options
         )
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = node.create_timer(_PERIOD, self.poll, clock=steady)
+        self._timer.cancel()
 
     def submit(
         self,
         loop: ControlLoop,
         data: bytes,
         is_active: bool,
-        reject: Callable[[InverseDynamicsError], None],
+        reject: Callable[[Exception], None],
     ) -> None:
         """
         Publish a trajectory with its efforts as soon as they have been computed.
@@ -127,19 +133,22 @@ class TrajectoryFiller:
                 'because no commands are sent while it is received and sent: deactivate the node '
                 'first, or split the trajectory'
             )
-        if self._waiting >= _MAX_WAITING:
+        if len(self._waiting) >= _MAX_WAITING:
             raise TrajectoryError(f'{_MAX_WAITING} earlier trajectories are not filled yet')
-        self._waiting += 1
-        future = self._background.submit(fill, loop, data)
-        future.add_done_callback(lambda future: self._finish(future, reject))
+        self._waiting.append((self._worker.submit(fill, loop, data), reject))
+        self._timer.reset()
 
-    def _finish(
-        self, future: Future[Filled], reject: Callable[[InverseDynamicsError], None]
-    ) -> None:
-        self._waiting -= 1
+    def poll(self) -> None:
+        """Publish the next trajectory if its efforts have been computed."""
+        if not self._waiting:
+            self._timer.cancel()
+        elif self._waiting[0][0].done():
+            self._finish(*self._waiting.popleft())
+
+    def _finish(self, future: Future[Filled], reject: Callable[[Exception], None]) -> None:
         try:
             filled = future.result()
-        except InverseDynamicsError as error:
+        except Exception as error:  # any error of the other process, or its end
             reject(error)
             return
         for note in filled.notes:

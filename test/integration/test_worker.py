@@ -4,11 +4,13 @@ import os
 from pathlib import Path
 import pickle
 import signal
+import threading
 import time
 
 from builtin_interfaces.msg import Duration
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.node.background import Background
+from inverse_dynamics_node.node import description_loader
+from inverse_dynamics_node.node.worker import Worker
 from node_process import PATIENCE
 import numpy as np
 from robot_files import STANFORD
@@ -97,19 +99,24 @@ def test_the_process_for_long_work_ends_with_the_node(run_node, robot):
     robot.wait_until(lambda: not status(worker), 'end of the process')
 
 
-def test_cancelled_work_is_dropped_at_once():
-    background = Background()
-    first = background.submit(time.sleep, 0.2)
-    size, before = 4_000_000, resident()
-    for _ in range(50):
-        background.submit(len, bytes(size)).cancel()
-    assert resident() - before < 10 * size
-    last = background.submit(len, b'long')
+READ, MAY_END = [], threading.Event()
+
+
+def read_slowly(configuration, description):
+    READ.append(description)
+    MAY_END.wait(PATIENCE)
+
+
+def test_superseded_descriptions_are_not_read(monkeypatch):
+    monkeypatch.setattr(description_loader, 'load_robot', read_slowly)
+    loader = description_loader.DescriptionLoader(Worker())
+    for k in range(50):
+        loader.load(None, k)
+    MAY_END.set()
     deadline = time.monotonic() + PATIENCE
-    while not last.done() and time.monotonic() < deadline:
-        background.poll()
-    assert first.done()
-    assert last.result() == 4
+    while not loader.poll():
+        assert time.monotonic() < deadline
+    assert READ == [0, 49]
 
 
 def test_a_huge_description_does_not_delay_the_next_one(run_node, robot):
@@ -150,11 +157,6 @@ def test_a_node_that_may_not_fork_uses_a_thread(run_node, robot):
     robot.wait_for_text(node, "robot 'next'")
     node.interrupt()
     assert robot.wait_for_end(node) == 0
-
-
-def resident():
-    """Return the memory that this process occupies [bytes]."""
-    return int(Path('/proc/self/statm').read_text().split()[1]) * os.sysconf('SC_PAGE_SIZE')
 
 
 def test_pickled_dynamics_have_the_same_loads():
