@@ -38,7 +38,7 @@ setup(
     name=package_name,
     version='0.1.0',
     packages=find_packages(exclude=['benchmarks', 'test', 'test.*']),
-    package_data={package_name: ['py.typed', 'node/*.xml']},
+    package_data={package_name: ['py.typed', 'ros/*.xml']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
         (f'share/{package_name}', ['package.xml']),

@@ -11,7 +11,7 @@ import signal
 import sys
 from typing import Any
 
-from inverse_dynamics_node.node.cdr import JointStateReader, serialize_numbers
+from inverse_dynamics_node.ros.cdr import JointStateReader, serialize_numbers
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.experimental.events_executor import EventsExecutor

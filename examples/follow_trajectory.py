@@ -17,7 +17,7 @@ import time
 from inverse_dynamics_node import load_urdf
 from inverse_dynamics_node.analysis.trajectory_files import read_trajectory
 from inverse_dynamics_node.dynamics.trajectory import complete, refine, Trajectory
-from inverse_dynamics_node.node.middleware import start_ros
+from inverse_dynamics_node.ros.middleware import start_ros
 import numpy as np
 import rclpy
 from rclpy.parameter_client import AsyncParameterClient

@@ -12,7 +12,7 @@ from pathlib import Path
 import signal
 import sys
 
-from inverse_dynamics_node.node.middleware import start_ros
+from inverse_dynamics_node.ros.middleware import start_ros
 import rclpy
 from rclpy.time import Time
 from sensor_msgs.msg import JointState

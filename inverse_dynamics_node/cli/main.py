@@ -105,7 +105,7 @@ def _run(arguments: list[str]) -> int:
         )
         return 2
     if arguments == ['--version']:
-        from ..node.usage import version
+        from ..ros.version import version
 
         print(f'inverse_dynamics {version()}')
         return 0

@@ -20,8 +20,9 @@ from ..control.status_text import describe_imu_frame
 from ..errors import ConfigurationError, InverseDynamicsError, JointStateError, shortened
 from ..robot.kinematics import rotation_of_rpy
 from ..robot.model import Floats
-from . import messages, qos
-from .cdr import JointStateReader
+from ..ros import qos
+from ..ros.cdr import JointStateReader
+from . import messages
 from .log import NodeLog
 from .outputs import Outputs
 from .parameters import BaseMotion, Configuration

@@ -82,7 +82,7 @@ def _main(args: list[str], stop: _Stop) -> int:
         print(help_text())
         return 0
     if '--version' in args:
-        from .usage import version
+        from ..ros.version import version
 
         print(f'inverse_dynamics_node {version()}')
         return 0
@@ -100,7 +100,7 @@ def _start(args: list[str], stop: _Stop) -> int:
     try:
         import rclpy
 
-        from .middleware import start_ros
+        from ..ros.middleware import start_ros
     except ModuleNotFoundError as error:
         return _fail(
             f'{error}: source a ROS 2 installation (. /opt/ros/jazzy/setup.sh), or '

@@ -15,9 +15,9 @@ from rclpy.parameter import Parameter
 from std_msgs.msg import String
 
 from ..errors import ConfigurationError, InverseDynamicsError, shortened_lines
-from . import qos
+from ..ros import qos
+from ..ros.graph import Graph
 from .configure import apply_configuration, check_configuration, make_loop
-from .graph import Graph
 from .inputs import Inputs
 from .log import BoundedLogger, NodeLog
 from .outputs import Outputs

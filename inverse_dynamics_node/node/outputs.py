@@ -15,9 +15,9 @@ from std_msgs.msg import Float64MultiArray, String
 from ..control.loop import ControlLoop
 from ..dynamics.effort_terms import EffortTerms
 from ..robot.model import Floats
+from ..ros.cdr import serialize_numbers
+from ..ros.qos import LATCHED
 from . import messages
-from .cdr import serialize_numbers
-from .qos import LATCHED
 
 
 class Outputs:

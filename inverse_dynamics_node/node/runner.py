@@ -13,8 +13,8 @@ from ..control.loop import Command, ControlLoop
 from ..control.monitor import Monitor
 from ..control.supervision import COMPUTING_PHASES
 from ..errors import JointStateError, shortened_lines
+from ..ros.graph import Graph
 from .description_loader import DescriptionLoader
-from .graph import Graph
 from .log import NodeLog
 from .outputs import Outputs
 from .parameters import Configuration

@@ -13,9 +13,9 @@ from rclpy.lifecycle import LifecycleNode
 from ..control.monitor import StalledPublishers
 from ..control.status import GraphInfo, Topics
 from ..control.status_text import describe_silence
-from . import qos
+from ..ros import qos
+from ..ros.graph import Graph
 from .diagnostics import write_status
-from .graph import Graph
 from .inputs import Inputs
 from .log import NodeLog
 from .outputs import Outputs

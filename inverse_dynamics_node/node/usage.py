@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from importlib import metadata
-from pathlib import Path
-import re
 from textwrap import fill
 
 from .parameter_types import Parameter
 from .parameters import LOCKED, LOCKED_POSITION, PARAMETERS
 
-_PACKAGE = 'inverse_dynamics_node'
 _WIDTH = 90
 
 USAGE = """\
@@ -78,16 +74,6 @@ def help_text() -> str:
             _parameter(f'{LOCKED}.<joint>', LOCKED_POSITION),
         ]
     )
-
-
-def version() -> str:
-    """Return the version of the installed package, or that of the source tree."""
-    try:
-        return metadata.version(_PACKAGE)
-    except metadata.PackageNotFoundError:
-        manifest = Path(__file__).resolve().parents[2] / 'package.xml'
-        found = re.search('<version>(.*?)</version>', manifest.read_text())
-        return found[1] if found else 'unknown'
 
 
 def _table(title: str, rows: dict[str, tuple[str, str]]) -> str:

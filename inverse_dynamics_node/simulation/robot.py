@@ -53,10 +53,10 @@ from std_srvs.srv import SetBool
 from ..dynamics.arguments import read_vector
 from ..dynamics.inverse_dynamics import InverseDynamics
 from ..errors import InverseDynamicsError
-from ..node.middleware import start_ros
 from ..robot.kinematics import rotation_of_rpy
 from ..robot.model import Floats
 from ..robot.urdf import load_urdf
+from ..ros.middleware import start_ros
 from .drive import PositionDrive
 from .hand_over import COMPLAINT_PERIOD, GAP, HandOver
 from .mujoco.hardware import MujocoRobot

@@ -9,7 +9,7 @@ import sys
 from fork_server import SERVER
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.node import middleware
-from inverse_dynamics_node.node.middleware import LOCAL_PROFILE, udp_settings
+from inverse_dynamics_node.ros.middleware import LOCAL_PROFILE, udp_settings
 from node_process import shared_memory_of
 import numpy as np
 import pytest

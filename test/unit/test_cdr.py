@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip('rclpy')
 
 from builtin_interfaces.msg import Time
-from inverse_dynamics_node.node.cdr import JointStateReader, serialize_numbers
+from inverse_dynamics_node.ros.cdr import JointStateReader, serialize_numbers
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, Header

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import rclpy
 
-from ...node.middleware import start_ros
 from ...robot.model import Floats
+from ...ros.middleware import start_ros
 from ..trajectory import Trajectory
 from .history import History
 from .processes import running

@@ -21,8 +21,8 @@ import rclpy
 
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...errors import unknown_name
-from ...node.middleware import start_ros
 from ...robot.urdf import load_urdf
+from ...ros.middleware import start_ros
 from ..mujoco.model import SimulationError
 from ..trajectory import start_pose
 from .processes import running

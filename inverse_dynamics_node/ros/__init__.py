@@ -1,0 +1,1 @@
+"""Plumbing between ROS and the core, without policy."""
