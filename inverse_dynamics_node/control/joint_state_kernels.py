@@ -6,8 +6,8 @@ import math
 from typing import Any
 
 from ..dynamics.jit import compile_for, compiled
-from .alternation import ignored_step, track, way
 from .position_jumps import has_jumped
+from .publisher_conflicts import ignored_step, track, way
 
 LONG_AGO = -1e300
 """Time of a locked joint that was never reported [s]; finite, so that differences are numbers."""
@@ -82,7 +82,7 @@ def store_joint_state(
         Receives positions, velocities, times and efforts. A joint that is not commanded keeps its
         position, at rest, while its positions alternate.
     tracks : ndarray, shape (20, n)
-        See `alternation.make_tracks`.
+        See `publisher_conflicts.make_tracks`.
     is_commanded : ndarray of bool, shape (n,)
         Which joints are commanded.
     now : float

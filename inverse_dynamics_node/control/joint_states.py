@@ -13,7 +13,6 @@ import numpy as np
 
 from ..errors import ConfigurationError, did_you_mean, JointStateError
 from ..robot.model import Booleans, Floats, Integers, RobotModel
-from .alternation import alternating, copy_track, forget_silent, make_tracks
 from .joint_state_kernels import (
     ALTERNATING,
     compile_kernels,
@@ -23,6 +22,7 @@ from .joint_state_kernels import (
     NOT_FINITE,
     store_joint_state,
 )
+from .publisher_conflicts import alternating, copy_track, forget_silent, make_tracks
 
 _VELOCITY_TIMEOUT = 0.05  # [s]
 _MOST_LAYOUTS = 16  # more than this mean that names change with every message

@@ -18,7 +18,15 @@ from typing import Any
 import numpy as np
 
 from ..dynamics.jit import compiled
-from .alternation import FACTOR, IS_CONTINUOUS, LARGEST, LAST, ROOM_ABOVE, ROOM_BELOW, SPEED
+from .publisher_conflicts import (
+    FACTOR,
+    IS_CONTINUOUS,
+    LARGEST,
+    LAST,
+    ROOM_ABOVE,
+    ROOM_BELOW,
+    SPEED,
+)
 
 _LATENESS = 0.03  # [s]; how late messages may be
 _LONGEST_STEP = 0.1  # [s]; after a longer time, a joint may have moved only as far as in this one
@@ -32,7 +40,7 @@ def has_jumped(tracks: Any, i: int, position: float, elapsed: float) -> bool:
     Parameters
     ----------
     tracks : ndarray, shape (21, n)
-        See `alternation.make_tracks`.
+        See `publisher_conflicts.make_tracks`.
     i : int
         Index of the joint.
     position : float

@@ -8,7 +8,7 @@ import sys
 
 from fork_server import SERVER
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.node import middleware
+from inverse_dynamics_node.ros import middleware
 from inverse_dynamics_node.ros.middleware import LOCAL_PROFILE, udp_settings
 from node_process import shared_memory_of
 import numpy as np
@@ -132,7 +132,7 @@ def test_the_range_is_kept_if_the_profile_is_missing(monkeypatch):
 
 
 def test_other_programs_inherit_the_range_of_the_user(domain_id):
-    code = 'from inverse_dynamics_node.node import middleware; middleware.start_ros([]);'
+    code = 'from inverse_dynamics_node.ros import middleware; middleware.start_ros([]);'
     code += 'import os; print(os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"])'
     environment = {**os.environ, **LOCAL, 'ROS_DOMAIN_ID': str(domain_id)}
     command = [sys.executable, '-c', code]
