@@ -23,12 +23,12 @@ from .log import BoundedLogger, NodeLog
 from .outputs import Outputs
 from .parameters import Configuration, PARAMETERS
 from .ros_parameters import (
-    checked_configuration,
+    changed_configuration,
     declare_parameters,
+    is_own_parameter,
     read_configuration,
     unknown_overrides,
     unused_qos_overrides,
-    values_of,
 )
 from .runner import LoopRunner
 from .scheduling import Scheduling
@@ -265,8 +265,8 @@ class InverseDynamicsNode(LifecycleNode):
             return response
 
     def _configure(self) -> None:
-        configuration = read_configuration(self)
-        self._use_configuration(configuration)
+        configuration = self._configuration
+        self._inputs.apply(configuration)
         with self._scheduling.normal_priority():
             loop = make_loop(configuration, self._description)
         self._graph.expect_discovery()
@@ -301,33 +301,38 @@ class InverseDynamicsNode(LifecycleNode):
         return SetParametersResult(successful=True)
 
     def _check_change(self, parameters: list[Parameter]) -> None:
-        ours = values_of(self)
-        changed = {p.name: p.value for p in parameters if p.name in ours}
+        """Keep the new configuration for `_apply_parameters`, which rclpy calls next."""
+        before, changed = self._configuration, {}
+        self._next_configuration = before
         for parameter in parameters:
             if parameter.name == 'use_sim_time' and parameter.value != self._uses_sim_time:
                 raise ConfigurationError(
                     "parameter 'use_sim_time' is read when the process starts"
                 )
-            if parameter.name in changed and parameter.type_ is Parameter.Type.NOT_SET:
-                raise ConfigurationError(f"parameter '{parameter.name}' cannot be unset")
-        configuration = checked_configuration({**ours, **changed})
-        if self._runner.loop is None:
+            if is_own_parameter(parameter.name):
+                if parameter.type_ is Parameter.Type.NOT_SET:
+                    raise ConfigurationError(f"parameter '{parameter.name}' cannot be unset")
+                changed[parameter.name] = parameter.value
+        if not changed:
             return
-        for name, value in changed.items():
-            is_live = name in PARAMETERS and PARAMETERS[name].is_live
-            if not is_live and value != ours[name]:
-                raise ConfigurationError(
-                    f"parameter '{name}' is read when the node is configured; deactivate and "
-                    'clean up first'
-                )
-        check_configuration(self._runner.loop, configuration)
+        after = changed_configuration(before, changed)
+        if self._runner.loop is not None:
+            for name in changed:
+                field = name.partition('.')[0]
+                is_live = field in PARAMETERS and PARAMETERS[field].is_live
+                if not is_live and getattr(before, field) != getattr(after, field):
+                    raise ConfigurationError(
+                        f"parameter '{name}' is read when the node is configured; deactivate and "
+                        'clean up first'
+                    )
+            check_configuration(self._runner.loop, after)
+        self._next_configuration = after
 
     def _apply_parameters(self, parameters: list[Parameter]) -> None:
-        ours = values_of(self)
-        if not any(parameter.name in ours for parameter in parameters):
-            return
         before = self._configuration
-        self._use_configuration(read_configuration(self))
+        if self._next_configuration is before:
+            return
+        self._use_configuration(self._next_configuration)
         if self._runner.loop is None:
             self.autostart()
             return

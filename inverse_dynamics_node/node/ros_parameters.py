@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -43,7 +44,8 @@ def declare_parameters(node: Node) -> None:
     locked = [name for name in given if name.startswith(f'{LOCKED}.')]
     values = {name: parameter.default for name, parameter in PARAMETERS.items()}
     values.update({name: given[name] for name in (*PARAMETERS, *locked) if name in given})
-    problems = _problems(values)
+    checked, problems = _checked(values)
+    problems += _contradictions(checked)
     if values['allow_unknown_parameters'] is not True:
         unknown = unknown_overrides(node)
         problems += unknown
@@ -65,11 +67,9 @@ def declare_parameters(node: Node) -> None:
         node.declare_parameter(name, 0.0, _descriptor(LOCKED_POSITION))
 
 
-def values_of(node: Node) -> dict[str, Any]:
-    """Return the values of all parameters, by name."""
-    locked = node.get_parameters_by_prefix(LOCKED)
-    names = [*PARAMETERS, *(f'{LOCKED}.{joint}' for joint in locked)]
-    return {name: node.get_parameter(name).value for name in names}
+def is_own_parameter(name: str) -> bool:
+    """Return whether a parameter is not one of rclpy."""
+    return name in PARAMETERS or name.startswith(f'{LOCKED}.')
 
 
 def read_configuration(node: Node) -> Configuration:
@@ -92,22 +92,31 @@ def read_configuration(node: Node) -> Configuration:
         Naming every parameter with an invalid value.
 
     """
-    return checked_configuration(values_of(node))
+    locked = node.get_parameters_by_prefix(LOCKED)
+    names = [*PARAMETERS, *(f'{LOCKED}.{joint}' for joint in locked)]
+    values = {name: node.get_parameter(name).value for name in names}
+    checked, problems = _checked(values)
+    problems += _contradictions(checked)
+    if problems:
+        raise ConfigurationError(*problems)
+    return Configuration(**checked)
 
 
-def checked_configuration(values: dict[str, Any]) -> Configuration:
+def changed_configuration(before: Configuration, values: dict[str, Any]) -> Configuration:
     """
-    Check all values together.
+    Check new values of some parameters, together with the other ones.
 
     Parameters
     ----------
+    before : Configuration
+        The values of all parameters.
     values : dict
-        Values of all parameters, by name.
+        The new values, by name.
 
     Returns
     -------
     configuration : Configuration
-        The checked values.
+        The checked values of all parameters.
 
     Raises
     ------
@@ -115,16 +124,13 @@ def checked_configuration(values: dict[str, Any]) -> Configuration:
         Naming every parameter with an invalid value.
 
     """
-    problems = _problems(values)
+    checked, problems = _checked(values)
+    locked = {**before.locked_positions, **checked.pop('locked_positions')}
+    after = replace(before, **checked, locked_positions=locked)
+    problems += _contradictions(vars(after))
     if problems:
         raise ConfigurationError(*problems)
-    checked = {name: parameter.check(values[name]) for name, parameter in PARAMETERS.items()}
-    locked = {
-        name.removeprefix(f'{LOCKED}.'): LOCKED_POSITION.check(value)
-        for name, value in values.items()
-        if name not in PARAMETERS
-    }
-    return Configuration(**checked, locked_positions=locked)
+    return after
 
 
 def unknown_parameters(node: Node, names: Iterable[str]) -> list[str]:
@@ -189,15 +195,25 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     return descriptor
 
 
-def _problems(values: dict[str, Any]) -> list[str]:
-    """Describe each invalid value and each invalid combination of values."""
-    checked: dict[str, Any] = {}
+def _checked(values: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """Return the fields of a `Configuration` with valid values, and describe invalid values."""
+    locked: dict[str, float] = {}
+    checked: dict[str, Any] = {'locked_positions': locked}
     problems = []
     for name, value in values.items():
         try:
-            checked[name] = PARAMETERS.get(name, LOCKED_POSITION).check(value)
+            if name in PARAMETERS:
+                checked[name] = PARAMETERS[name].check(value)
+            else:
+                locked[name.removeprefix(f'{LOCKED}.')] = LOCKED_POSITION.check(value)
         except ConfigurationError as error:
             problems.append(f"parameter '{name}' {error}")
+    return checked, problems
+
+
+def _contradictions(checked: dict[str, Any]) -> list[str]:
+    """Describe valid values that cannot be used together, or on this machine."""
+    problems = []
     if checked.get('robot_description') and checked.get('robot_description_file'):
         problems.append('parameters robot_description and robot_description_file are both set')
     if 0.0 < checked.get('update_rate', 0.0) < 1.0:
@@ -215,7 +231,7 @@ def _problems(values: dict[str, Any]) -> list[str]:
     for name in ('damping', 'coulomb'):
         numbers = np.atleast_1d(checked.get(name, 0.0))
         if ((numbers < 0.0) & (numbers != VALUE_OF_URDF)).any():
-            problems.append(
-                f"parameter '{name}' is {plain(values[name])}, expected -1 or numbers from 0"
-            )
+            value = checked[name]
+            given = plain(list(value) if isinstance(value, tuple) else value)
+            problems.append(f"parameter '{name}' is {given}, expected -1 or numbers from 0")
     return problems
