@@ -20,7 +20,7 @@ from ..report.live_verdict import sentence
 from .terminal import colour_console
 
 if TYPE_CHECKING:
-    from ..node.observer import Observer, Sample
+    from ..ros.observer import Observer, Sample
 
 BAR = 12  # characters, if the terminal has room for them
 WIDTH_WITHOUT_BAR = 76  # of a table of joints whose names have 20 characters

@@ -26,7 +26,7 @@ from ..report.live_verdict import sentence
 from .live_view import as_json, as_line, LiveView
 
 if TYPE_CHECKING:
-    from ..node.observer import Observer, Sample
+    from ..ros.observer import Observer, Sample
 
 EPILOG = """\
 examples:
@@ -101,7 +101,7 @@ def add_parser(subparsers: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
-    from ..node.observer import find_nodes, Observer, observing_node  # needs ROS
+    from ..ros.observer import find_nodes, Observer, observing_node  # needs ROS
 
     try:
         with _signals_raise(), observing_node() as node:
@@ -248,7 +248,7 @@ def next_time(due: float, period: float, now: float) -> float:
 
 def _choose_node(node: Any, options: argparse.Namespace) -> str:
     """Return the name of the node to watch; wait for it, with --for not for long."""
-    from ..node.observer import find_nodes
+    from ..ros.observer import find_nodes
 
     began = time.monotonic()
     has_announced = False

@@ -195,7 +195,7 @@ class ModelStatus(Part):
 
 @dataclass(frozen=True)
 class SchedulingStatus(Part):
-    """Priority and memory of the process; the scheduler is unknown on some platforms."""
+    """Priority and memory of the process."""
 
     memory: str = key('memory', default='')
     policy: str | None = key('policy')

@@ -14,8 +14,8 @@ from ..control.monitor import StalledPublishers
 from ..control.status import GraphInfo, Topics
 from ..control.status_text import describe_silence
 from ..ros import qos
+from ..ros.diagnostics import write_status
 from ..ros.graph import Graph
-from .diagnostics import write_status
 from .inputs import Inputs
 from .log import NodeLog
 from .outputs import Outputs

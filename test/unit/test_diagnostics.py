@@ -15,7 +15,7 @@ import pytest
 pytest.importorskip('diagnostic_msgs')
 
 from builtin_interfaces.msg import Time
-from inverse_dynamics_node.node.diagnostics import (
+from inverse_dynamics_node.ros.diagnostics import (
     read_status,
     write_status,
     write_values,

@@ -19,7 +19,7 @@ from robot_files import ROOT, STANFORD
 
 pytest.importorskip('diagnostic_msgs')
 
-from inverse_dynamics_node.node.diagnostics import write_values
+from inverse_dynamics_node.ros.diagnostics import write_values
 
 ROBOT = load_urdf(ROOT / 'test/robots/planar_2r.urdf')
 JOINTS = ROBOT.joint_names

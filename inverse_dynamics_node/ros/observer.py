@@ -24,10 +24,10 @@ from ..control.status import NodeStatus
 from ..errors import ConfigurationError, InverseDynamicsError, JointStateError
 from ..robot.model import Floats, RobotModel
 from ..robot.urdf import load_urdf
-from ..ros import qos
-from ..ros.cdr import JointStateReader
-from ..ros.middleware import describe_start_error, start_ros
+from . import qos
+from .cdr import JointStateReader
 from .diagnostics import read_status
+from .middleware import describe_start_error, start_ros
 
 _MOST_WARNINGS = 50
 _RATES = 3  # reports, one per second
