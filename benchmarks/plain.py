@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 
-from . import batch, peers
+from . import peers
 from .robots import random_states, Robot
 
 
@@ -13,10 +13,7 @@ def main() -> None:
     """Answer the requests on standard input."""
     task = json.loads(sys.stdin.readline())
     robot = Robot('', task['urdf'])
-    if task['batch']:
-        timed = batch.ours(robot, random_states(robot.n, task['batch']))
-    else:
-        timed = peers.ours(robot, random_states(robot.n))
+    timed = peers.ours(robot, random_states(robot.n))
     print(json.dumps(timed.results().tolist()), flush=True)
     for line in sys.stdin:
         print(timed.seconds(json.loads(line)), flush=True)

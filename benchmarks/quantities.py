@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from inverse_dynamics_node import GeneratedDynamics, InverseDynamics
 from inverse_dynamics_node.dynamics.effort_terms import EffortTerms
 from inverse_dynamics_node.dynamics.joint_wrenches import JointWrenches
-from inverse_dynamics_node.dynamics.lanes import FEWEST
+from inverse_dynamics_node.dynamics.lanes import LANES
 from inverse_dynamics_node.robot.model import Floats
 import numpy as np
 
@@ -94,7 +94,7 @@ def batches(quantity: Quantity, robot: Robot) -> list[Contender]:
     """Time a batch of this package, and a loop over Pinocchio's call."""
     method = getattr(InverseDynamics(robot.model), quantity.method)
     size = in_one_array(method(*np.zeros((quantity.arity, robot.n)))).size
-    count = min(MOST_STATES, max(FEWEST, MOST_NUMBERS // size))
+    count = min(MOST_STATES, max(LANES, MOST_NUMBERS // size))
     states = random_states(robot.n, count)
     peer = Pinocchio(robot)
     call, read, store = quantity.counterpart(peer)

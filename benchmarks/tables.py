@@ -11,7 +11,7 @@ from inverse_dynamics_node.robot.model import Floats
 from . import batch, peers, quantities, workers
 from .quantities import Quantity
 from .robots import random_states, Robot
-from .timing import Contender, CORES, difference, one_core, race, Timing
+from .timing import Contender, difference, one_core, race, Timing
 
 WRONG = 1e-6  # relative to the largest effort; correct results agree to 1e-13
 
@@ -50,12 +50,7 @@ BATCHES: dict[str, Maker] = {
     batch.REFERENCE: batch.pinocchio,
     'ours': batch.ours,
     'pin.rnea in a loop': batch.pinocchio_loop,
-    'ours, no numba': lambda robot, _: workers.without_numba(robot, batch.COUNT),
 }
-if len(CORES) > 1:
-    BATCHES[f'{batch.REFERENCE}, 2 threads'] = lambda *given: batch.pinocchio(*given, threads=2)
-    if batch.HAS_THREADS:
-        BATCHES['ours, 2 threads'] = lambda *given: batch.ours(*given, threads=2)
 
 
 def calls(robots: Sequence[Robot], rounds: int) -> Table:

@@ -162,26 +162,18 @@ def missed(times: Sequence[int], period: int) -> int:
     return int(k[-1] - k[0] + 1 - len(np.unique(k[is_in_time])))
 
 
-CORES: set[int] = os.sched_getaffinity(0) if hasattr(os, 'sched_getaffinity') else set()
-
-
 @contextlib.contextmanager
-def on_cores(cores: set[int]) -> Iterator[None]:
-    """Keep this process and its new children on some cores, if the system supports that."""
-    if not cores:
+def one_core() -> Iterator[None]:
+    """Keep this process and its new children on one core, if the system supports that."""
+    if not hasattr(os, 'sched_getaffinity'):
         yield
         return
     before = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, cores)
+    os.sched_setaffinity(0, {max(before)})  # whose caches stay warm
     try:
         yield
     finally:
         os.sched_setaffinity(0, before)
-
-
-def one_core() -> contextlib.AbstractContextManager[None]:
-    """Keep this process on one core, whose caches stay warm."""
-    return on_cores({max(CORES)} if CORES else set())
 
 
 @contextlib.contextmanager

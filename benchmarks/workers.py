@@ -28,12 +28,11 @@ class OtherRobotsError(Exception):
     """A library does not support this kind of robot."""
 
 
-def without_numba(robot: Robot, batch: int = 0) -> Contender:
+def without_numba(robot: Robot) -> Contender:
     """Run this package without numba, in plain Python."""
     command = [sys.executable, '-m', 'benchmarks.plain']
-    task = {'urdf': robot.urdf, 'batch': batch}
-    calls = 1 if batch else STATES
-    return start('ours, no numba', command, task, calls, NUMBA_DISABLE_JIT='1')
+    task = {'urdf': robot.urdf}
+    return start('ours, no numba', command, task, STATES, NUMBA_DISABLE_JIT='1')
 
 
 def kdl(robot: Robot, states: Floats) -> Contender:

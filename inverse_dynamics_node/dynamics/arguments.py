@@ -85,13 +85,6 @@ def is_free(out: Floats, others: Sequence[Floats]) -> bool:
     return out.flags.c_contiguous and not any(np.may_share_memory(out, x) for x in others)
 
 
-def read_threads(threads: int) -> int:
-    """Check a number of threads."""
-    if not isinstance(threads, int) or threads < 1:
-        raise ConfigurationError(f'threads is {threads!r}, expected an integer of at least 1')
-    return threads
-
-
 def read_joints(name: str, values: ArrayLike, n: int) -> Floats:
     """Convert one number per joint, or one for all joints, to non-negative numbers."""
     try:

@@ -1,24 +1,20 @@
 """
-The two passes of Luh, Walker and Paul for many states at once; the equations are in `equations`.
+Efforts and regressors of many states at once; the equations are in `equations`.
 
 A block of states is computed together, each state in a lane: see `lanes`. Every step is a loop
-over the lanes of a block. Compiled, the compiler turns every loop into vector instructions. This
-requires that a step is a function of its own, and that rows of each kind are an array of their
-own.
+over the lanes of a block, which the compiler turns into vector instructions. This requires that a
+step is a function of its own, and that rows of each kind are an array of their own.
 """
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
-from functools import cache
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from ..robot.model import Floats
+from .base_axes import Axes, axes_in_base, in_base
 from .columns import (
     ARMATURE,
     COULOMB,
@@ -45,32 +41,32 @@ from .equations import (
     origin_in_parent,
     point_acceleration,
     sliding_acceleration,
+    subtract,
     to_link,
-    to_parent,
+    Vector,
 )
-from .jit import compile_for, IS_COMPILED, simd_kernel, simd_step
-from .lanes import BLOCK, CACHE_LINE, holds_nan, lane, LANES, store_lane, transpose
+from .jit import compile_for, simd_inline, simd_kernel, simd_step
+from .lanes import CACHE_LINE, cosine_and_sine, lane, LANES, LARGEST_ANGLE, store_lane, transpose
 from .newton_euler import NOT_FINITE, OK, own_wrench
-from .trigonometry import cosine_and_sine, LARGEST_ANGLE
+from .regressor import block, in_frame_of_parameters, PARAMETERS, unit_twist
 
-LEAST_PIECE = 1024  # states from which on another thread saves time
+_FRAME = 12  # numbers in a lane: axes x, y, z and origin
+_TURNED = 18  # axes x, y, z, and motion
+_SIGNATURE = f'({"f8[:,:], " * 4}f8[:,:,::1], f8[:,::1], f8[:,::1], UniTuple(f8[:,::1], 11))'
 
-_NO_ROTATIONS = np.empty((0, 9))
-_SIGNATURE = f'({"f8[:,:], " * 5}f8[:,::1], f8[:,::1], UniTuple(f8[:,::1], 8))'
 
-
-def inverse_dynamics_many(states: Sequence[Floats], robot: Floats, threads: int = 1) -> int:
+def inverse_dynamics_many(states: Sequence[Floats], tau: Floats, robot: Floats) -> int:
     """
     Compute the joint efforts of many states; see `newton_euler.inverse_dynamics`.
 
     Parameters
     ----------
-    states : q, qd, qdd and tau, each an ndarray of shape (N, n)
-        N is at least `lanes.FEWEST`, and tau does not share memory with the others.
+    states : q, qd and qdd, each an ndarray of shape (N, n)
+        N is at least `lanes.LANES`.
+    tau : ndarray, shape (N, n)
+        Receives the joint efforts; does not share memory with the states.
     robot : ndarray
         Table from `robot_table`; read only.
-    threads : int
-        Maximum number of threads. The results do not depend on it.
 
     Returns
     -------
@@ -78,34 +74,22 @@ def inverse_dynamics_many(states: Sequence[Floats], robot: Floats, threads: int 
         `OK` or `NOT_FINITE`.
 
     """
-    N = len(states[0])
-    states = (*states, np.empty((N, 0)))
-    pieces = min(4 * threads, N // LEAST_PIECE)
-    others = min(threads, pieces) - 1
-    if others < 1:
-        return _piece(states, _NO_ROTATIONS, robot)
-    bounds = [N * k // pieces for k in range(pieces + 1)]
-    work = deque([v[first:last] for v in states] for first, last in pairwise(bounds))
-    shares = [_pool(others).submit(_share, work, robot) for _ in range(others)]
-    status = _share(work, robot)
-    # A thread that has not started by now has nothing left to do.
-    return max(status, *(OK if share.cancel() else share.result() for share in shares))
+    no_matrices = np.empty((0, tau.shape[1], 0))
+    return _compute(states, tau, no_matrices, np.empty((0, 9)), robot)
 
 
-def joint_wrenches_many(
-    states: Sequence[Floats], wrenches: Floats, R_LZ: Floats, robot: Floats
-) -> int:
+def regressor_many(states: Sequence[Floats], matrices: Floats, R_LZ: Floats, robot: Floats) -> int:
     """
-    Compute the force and moment on every body; see `joint_wrenches.joint_wrenches`.
+    Compute the regressors of many states; see `regressor.regressor`.
 
     Parameters
     ----------
     states, robot
         As for `inverse_dynamics_many`.
-    wrenches : ndarray, shape (N, b, 6)
-        Receives force and moment.
+    matrices : ndarray, shape (N, n, 10 (b - 1))
+        Receives the regressors.
     R_LZ : ndarray, shape (b, 9)
-        Rotations into the frames of the wrenches, from the frames of the table.
+        Rotations into the frames of the parameters, from the frames of the table.
 
     Returns
     -------
@@ -113,39 +97,31 @@ def joint_wrenches_many(
         `OK` or `NOT_FINITE`.
 
     """
-    return _piece((*states, wrenches.reshape(len(wrenches), -1)), R_LZ, robot)
+    return _compute(states, np.empty((len(matrices), 0)), matrices, R_LZ, robot)
 
 
-@cache
-def _pool(size: int) -> ThreadPoolExecutor:
-    """Keep the threads for the next batch; starting one can take longer than a batch."""
-    return ThreadPoolExecutor(size, 'inverse_dynamics')
-
-
-def _share(work: deque[list[Floats]], robot: Floats) -> int:
-    """Compute pieces of the work until none is left."""
-    status = OK
-    while True:
-        try:
-            states = work.popleft()
-        except IndexError:
-            return status
-        status = max(status, _piece(states, _NO_ROTATIONS, robot))
-
-
-def _piece(states: Sequence[Floats], R_LZ: Floats, robot: Floats) -> int:
-    """Compute one piece in newly allocated rows."""
+def _compute(
+    states: Sequence[Floats], tau: Floats, matrices: Floats, R_LZ: Floats, robot: Floats
+) -> int:
+    """Compute efforts if R_LZ is empty, otherwise regressors."""
     compile_for(_blocks, _SIGNATURE)
-    q, qd, qdd, tau, wrenches = (values.T for values in states)
-    n, b = len(q), len(robot)
-    shapes = ((b, 3), (b, 9), (b, 6), (n, 1), (n, 1), (n, 1), (n, 1), (1, 1))
-    kind = np.float64 if IS_COMPILED else np.object_
-    rows = tuple([np.empty((i, j * LANES), kind) for i, j in shapes])
-    if IS_COMPILED:
-        return int(_blocks(q, qd, qdd, tau, wrenches, R_LZ, robot, rows))
-    q, qd, qdd = (np.ascontiguousarray(values)[:, None] for values in (q, qd, qdd))
-    with np.errstate(over='ignore', invalid='ignore'):
-        return int(_blocks(q, qd, qdd, tau[:, None], wrenches[:, None], R_LZ, robot, rows))
+    n, b = states[0].shape[1], len(robot)
+    shapes = [(b, 3), (b, 9), (n, 1), (n, 1), (n, 1), (1, 1)]
+    if len(R_LZ) > 0:
+        shapes += [(0, 6), (0, 1), (b, _FRAME), (1, _TURNED), (_count_pairs(robot), PARAMETERS)]
+    else:
+        shapes += [(b, 6), (n, 1), (0, _FRAME), (0, _TURNED), (0, PARAMETERS)]
+    rows = tuple([np.empty((i, j * LANES)) for i, j in shapes])
+    q, qd, qdd, tau = (values.T for values in (*states, tau))
+    return int(_blocks(q, qd, qdd, tau, matrices, R_LZ, robot, rows))
+
+
+def _count_pairs(robot: Floats) -> int:
+    """Count the pairs of a link and a joint that moves it."""
+    depth = [0]
+    for parent in robot[1:, PARENT].astype(int).tolist():
+        depth.append(depth[parent] + 1)
+    return sum(depth)
 
 
 @simd_kernel
@@ -154,35 +130,33 @@ def _blocks(
     all_qd: Any,
     all_qdd: Any,
     all_tau: Any,
-    all_wrenches: Any,
+    all_matrices: Any,
     R_LZ: Any,
     robot: Any,
     rows: Any,
 ) -> int:
-    """Compute block after block; the states are columns here. Wrenches only if R_LZ has rows."""
-    place, motion, wrench, q, qd, qdd, tau, residue = rows
-    size = min(BLOCK, all_q.shape[-1])
-    last = all_q.shape[-1] - size
+    """Compute block after block; the states are columns here. Regressors if R_LZ has rows."""
+    place, motion, q, qd, qdd, residue, wrench, tau, frames, turned, factors = rows
+    last = all_q.shape[1] - LANES
     hold_base(robot, motion)
     residue[:] = 0.0
-    for start in range(0, last + size, size):
+    for start in range(0, last + LANES, LANES):
         # The last block overlaps the one before, so that every block is full.
         first = min(start, last)
-        block = slice(first, first + size)
-        transpose(all_q[..., block], q)
-        transpose(all_qd[..., block], qd)
-        transpose(all_qdd[..., block], qdd)
+        states = slice(first, first + LANES)
+        transpose(all_q[:, states], q)
+        transpose(all_qd[:, states], qd)
+        transpose(all_qdd[:, states], qdd)
         outward_pass(q, qd, qdd, robot, place, motion, wrench)
         if len(R_LZ) > 0:
-            own_wrenches(robot, 0, motion, wrench)
-        inward_pass(tau, robot, place, wrench, len(R_LZ) > 0)
-        finish(qd, qdd, tau, robot, residue)
-        transpose(tau, all_tau[..., block])
-        if len(R_LZ) > 0:
-            rotate_wrenches(R_LZ, wrench)
-            transpose_wrenches(wrench, all_wrenches[..., block])
+            regressor_pass(robot, R_LZ, place, motion, frames, turned, factors, residue)
+            store_blocks(robot, factors, all_matrices[states])
+        else:
+            inward_pass(tau, robot, place, wrench)
+            finish(qd, qdd, tau, robot, residue)
+            transpose(tau, all_tau[:, states])
     for k in range(LANES):
-        if holds_nan(residue[0, k]):
+        if residue[0, k] != 0.0:
             return NOT_FINITE
     return OK
 
@@ -196,27 +170,6 @@ def hold_base(robot: Any, motion: Any) -> None:
 
 
 @simd_step
-def rotate_wrenches(R_LZ: Any, wrench: Any) -> None:
-    """Rotate force and moment on every body."""
-    for i in range(len(wrench)):
-        R = rotation(R_LZ[i])
-        for k in range(LANES):
-            force, moment = lane(wrench, i, 0, k), lane(wrench, i, 3, k)
-            store_lane(wrench, i, 0, k, to_parent(R, 1.0, 0.0, force))
-            store_lane(wrench, i, 3, k, to_parent(R, 1.0, 0.0, moment))
-
-
-@simd_step
-def transpose_wrenches(wrench: Any, target: Any) -> None:
-    """Copy forces and moments; see `transpose`."""
-    for first in range(0, LANES, CACHE_LINE):
-        for i in range(len(wrench)):
-            for j in range(6):
-                for k in range(first, min(first + CACHE_LINE, LANES)):
-                    target[6 * i + j, k] = wrench[i, j * LANES + k]
-
-
-@simd_step
 def outward_pass(
     q: Any, qd: Any, qdd: Any, robot: Any, place: Any, motion: Any, wrench: Any
 ) -> None:
@@ -227,11 +180,12 @@ def outward_pass(
         # The motion is passed twice, so that the rows of link and parent look like two arrays to
         # the compiler. It does not vectorise a loop that reads and writes the same array.
         outward_step(qd, qdd, robot, i, joint, place, motion, parent, motion)
-        own_wrenches(robot, i, motion, wrench)
+        if len(wrench) > 0:
+            own_wrenches(robot, i, motion, wrench)
 
 
 @simd_step
-def inward_pass(tau: Any, robot: Any, place: Any, wrench: Any, to_base: bool) -> None:
+def inward_pass(tau: Any, robot: Any, place: Any, wrench: Any) -> None:
     """Propagate forces and moments from tips to base, and project them onto the joint axes."""
     for joint in range(len(tau)):
         for k in range(LANES):
@@ -239,7 +193,7 @@ def inward_pass(tau: Any, robot: Any, place: Any, wrench: Any, to_base: bool) ->
     for i in range(len(robot) - 1, 0, -1):
         parent, joint = int(robot[i, PARENT]), int(robot[i, JOINT])
         project(tau, robot, i, joint, wrench)
-        if parent > 0 or to_base:
+        if parent > 0:
             inward_step(robot, i, place, wrench, parent, wrench)
 
 
@@ -258,8 +212,7 @@ def place_link(q: Any, robot: Any, i: int, joint: int, place: Any) -> None:
         angle = multiplier * q[joint, k] + offset
         place[i, k], place[i, LANES + k] = cosine_and_sine(angle)
         place[i, 2 * LANES + k] = 0.0
-        if IS_COMPILED:
-            far |= not abs(angle) <= LARGEST_ANGLE
+        far |= not abs(angle) <= LARGEST_ANGLE
     if far:
         for k in range(LANES):
             angle = multiplier * q[joint, k] + offset
@@ -354,3 +307,129 @@ def finish(qd: Any, qdd: Any, tau: Any, robot: Any, residue: Any) -> None:
             tau[joint, k] = effort
             # The difference is 0 only for finite numbers, and a NaN stays a NaN.
             residue[0, k] = residue[0, k] + (effort - effort)
+
+
+@simd_step
+def regressor_pass(
+    robot: Any,
+    R_LZ: Any,
+    place: Any,
+    motion: Any,
+    frames: Any,
+    turned: Any,
+    factors: Any,
+    residue: Any,
+) -> None:
+    """Compute the blocks of the regressor for every link and all joints that move it."""
+    hold_base_frame(frames)
+    pair = 0
+    for i in range(1, len(robot)):
+        frame_step(robot, i, place, frames, int(robot[i, PARENT]), frames)
+        turn(R_LZ, i, motion, frames, turned)
+        mover = i
+        while mover > 0:
+            compute_block(robot, i, mover, frames, turned, factors, pair, residue)
+            mover = int(robot[mover, PARENT])
+            pair += 1
+
+
+@simd_step
+def hold_base_frame(frames: Any) -> None:
+    """Set the axes and the origin of the base in every lane."""
+    for k in range(LANES):
+        store_axes(frames, 0, k, ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
+        store_lane(frames, 0, 9, k, (0.0, 0.0, 0.0))
+
+
+@simd_step
+def frame_step(robot: Any, i: int, place: Any, parents: Any, parent: int, frames: Any) -> None:
+    """Compute the axes and the origin of a link in coordinates of the base."""
+    R, offset = rotation(robot[i]), vector(robot[i], OFFSET)
+    for k in range(LANES):
+        c, s, length = lane(place, i, 0, k)
+        axes_P = lane_axes(parents, parent, k)
+        p = in_base(axes_P, origin_in_parent(R, offset, length))
+        store_axes(frames, i, k, axes_in_base(axes_P, R, c, s))
+        store_lane(frames, i, 9, k, add(lane_origin(parents, parent, k), p))
+
+
+@simd_step
+def turn(R_LZ: Any, i: int, motion: Any, frames: Any, turned: Any) -> None:
+    """Turn axes and motion of a link into the frame of its parameters."""
+    R = rotation(R_LZ[i])
+    for k in range(LANES):
+        own = lane(motion, i, 0, k), lane(motion, i, 3, k), lane(motion, i, 6, k)
+        axes, new = in_frame_of_parameters(R, lane_axes(frames, i, k), own)
+        store_axes(turned, 0, k, axes)
+        store_lane(turned, 0, 9, k, new[0])
+        store_lane(turned, 0, 12, k, new[1])
+        store_lane(turned, 0, 15, k, new[2])
+
+
+@simd_step
+def compute_block(
+    robot: Any,
+    i: int,
+    mover: int,
+    frames: Any,
+    turned: Any,
+    factors: Any,
+    pair: int,
+    residue: Any,
+) -> None:
+    """Compute the factors of the parameters of link i in the effort of the joint of a mover."""
+    multiplier, slides = robot[mover, MULTIPLIER], robot[mover, SLIDES]
+    for k in range(LANES):
+        arm = subtract(lane_origin(frames, i, k), lane_origin(frames, mover, k))
+        twist = unit_twist(lane_axes(turned, 0, k), lane(frames, mover, 6, k), arm, slides)
+        motion = lane(turned, 0, 9, k), lane(turned, 0, 12, k), lane(turned, 0, 15, k)
+        f = block(twist, motion)
+        factors[pair, k] = multiplier * f[0]
+        store_lane(factors, pair, 1, k, (multiplier * f[1], multiplier * f[2], multiplier * f[3]))
+        store_lane(factors, pair, 4, k, (multiplier * f[4], multiplier * f[5], multiplier * f[6]))
+        store_lane(factors, pair, 7, k, (multiplier * f[7], multiplier * f[8], multiplier * f[9]))
+    for parameter in range(PARAMETERS):
+        for k in range(LANES):
+            # The difference is 0 only for finite numbers, and a NaN stays a NaN.
+            factor = factors[pair, parameter * LANES + k]
+            residue[0, k] = residue[0, k] + (factor - factor)
+
+
+@simd_step
+def store_blocks(robot: Any, factors: Any, matrices: Any) -> None:
+    """Write the regressors, a few states at a time, so that they stay in the processor's cache."""
+    for first in range(0, LANES, CACHE_LINE):
+        last = first + CACHE_LINE
+        for k in range(first, last):
+            for row in range(matrices.shape[1]):
+                for column in range(matrices.shape[2]):
+                    matrices[k, row, column] = 0.0
+        pair = 0
+        for i in range(1, len(robot)):
+            mover = i
+            while mover > 0:
+                row, start = int(robot[mover, JOINT]), PARAMETERS * (i - 1)
+                for k in range(first, last):
+                    for j in range(PARAMETERS):
+                        # The row of a mimic joint adds to its master's.
+                        entry = matrices[k, row, start + j] + factors[pair, j * LANES + k]
+                        matrices[k, row, start + j] = entry
+                mover = int(robot[mover, PARENT])
+                pair += 1
+
+
+@simd_inline
+def lane_axes(frames: Any, i: int, k: int) -> Axes:
+    return lane(frames, i, 0, k), lane(frames, i, 3, k), lane(frames, i, 6, k)
+
+
+@simd_inline
+def lane_origin(frames: Any, i: int, k: int) -> Vector:
+    return lane(frames, i, 9, k)
+
+
+@simd_inline
+def store_axes(frames: Any, i: int, k: int, axes: Axes) -> None:
+    store_lane(frames, i, 0, k, axes[0])
+    store_lane(frames, i, 3, k, axes[1])
+    store_lane(frames, i, 6, k, axes[2])

@@ -1,4 +1,4 @@
-"""Quantities of states in arrays of any shape: computed one by one, or many at once in blocks."""
+"""Quantities of states in arrays of any shape: computed one by one, or many at once."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from numpy.typing import ArrayLike
 
 from ..robot.model import Floats, RobotModel
 from .arguments import broadcast, check_out, explain, is_free
-from .lanes import FEWEST
+from .jit import IS_COMPILED
+from .lanes import LANES
 from .newton_euler import OK
 
 Computation = Callable[[Sequence[Floats], Floats], int]
@@ -34,8 +35,8 @@ def over_states(
     kind : tuple of int
         Shape of the result for one state.
     few, many : callable
-        Compute the quantity for arguments of shape (N, n): for any N, and in blocks for N of at
-        least `lanes.FEWEST`.
+        Compute the quantity for arguments of shape (N, n): for any N, and quickly for N of at
+        least `lanes.LANES`, for which numba may have to compile first.
     out : ndarray, optional
         Receives the result.
     **arguments : array_like
@@ -58,7 +59,7 @@ def over_states(
         check_out(out, shape)
     result = np.empty(shape) if out is None or not is_free(out, rows) else out
     flat = result.reshape(len(rows[0]), *kind)
-    is_large = robot.joint_names and len(flat) >= FEWEST
+    is_large = IS_COMPILED and robot.joint_names and len(flat) >= LANES
     if (many if is_large else few)(rows, flat) != OK:
         raise explain(robot.joint_names, None, None, **arguments)
     if out is None or result is out:

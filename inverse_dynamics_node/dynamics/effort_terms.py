@@ -51,11 +51,11 @@ def effort_terms(
     qd: Sequence[float],
     qdd: Sequence[float],
     state: Any,
-    terms: Any,
     inertial: Any,
     velocity: Any,
     gravity: Any,
     external: Any,
+    terms: Any,
     robot: Any,
 ) -> int:
     """
@@ -67,10 +67,10 @@ def effort_terms(
         As for `newton_euler.inverse_dynamics`.
     state : 4 sequences of n floats
         Scratch space; the last row is zero.
-    terms : 5 sequences of n floats
-        Receives the terms in the order of `EffortTerms`; may share memory with q, qd and qdd.
     inertial, velocity, gravity, external : tables
         Tables with these terms only, from `TermTables`.
+    terms : 5 sequences of n floats
+        Receives the terms in the order of `EffortTerms`; may share memory with q, qd and qdd.
 
     Returns
     -------

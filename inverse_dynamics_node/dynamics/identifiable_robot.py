@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..robot.model import Floats, RobotModel
-from . import batch_regressor, regressor
+from . import batch, regressor
 from .dispatch import one_by_one, over_states
 from .kernels import MATRIX as _M
 from .kernels import prepared
@@ -73,16 +73,16 @@ class IdentifiableRobot(LoadedRobot):
         try:
             if q.ndim == 1:  # type: ignore[union-attr]
                 matrix = np.empty(shape) if out is None else out
-                if not self._regressor(q, qd, qdd, self._R_LZ, matrix, self._kernel_table):
+                if not self._regressor(q, qd, qdd, self._R_LZ, matrix, self._table):
                     return matrix
         except (AttributeError, TypeError, ValueError):
             pass
 
         def one(state: Sequence[Floats], out: Floats) -> int:
-            return self._regressor(*state, self._R_LZ, out, self._kernel_table)
+            return self._regressor(*state, self._R_LZ, out, self._table)
 
         def many(states: Sequence[Floats], out: Floats) -> int:
-            return batch_regressor.regressor_many(states, out, self._R_LZ, self.table)
+            return batch.regressor_many(states, out, self._R_LZ, self._table)
 
         return over_states(self.robot, shape, one_by_one(one), many, out, q=q, qd=qd, qdd=qdd)
 

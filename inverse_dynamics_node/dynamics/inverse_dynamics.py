@@ -2,28 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..robot.model import Floats, RobotModel
-from . import (
-    batch,
-    batch_mass_matrix,
-    columns,
-    effort_terms,
-    joint_wrenches,
-    mass_matrix,
-    newton_euler,
-)
-from .arguments import broadcast, check_out, explain, is_free, read_threads
+from . import batch, columns, effort_terms, joint_wrenches, mass_matrix, newton_euler
+from .arguments import broadcast, check_out, explain, is_free
 from .dispatch import one_by_one, over_states
 from .effort_terms import EffortTerms
 from .identifiable_robot import IdentifiableRobot
-from .jit import IS_COMPILED
 from .joint_wrenches import JointWrenches
+from .kernels import MATRICES as _MS
 from .kernels import MATRIX as _M
 from .kernels import prepared
 from .kernels import VECTOR as _V
@@ -76,12 +69,7 @@ class InverseDynamics(IdentifiableRobot):
         self._terms = TermTables(self.table)
 
     def efforts(
-        self,
-        q: ArrayLike,
-        qd: ArrayLike,
-        qdd: ArrayLike,
-        out: Floats | None = None,
-        threads: int = 1,
+        self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: Floats | None = None
     ) -> Floats:
         """
         Compute the joint efforts that produce the joint accelerations.
@@ -94,8 +82,6 @@ class InverseDynamics(IdentifiableRobot):
             broadcast against each other.
         out : ndarray, optional
             Receives the result: C-contiguous float64 of the shape of the result.
-        threads : int
-            Maximum number of threads for a large batch. The results do not depend on it.
 
         Returns
         -------
@@ -106,8 +92,6 @@ class InverseDynamics(IdentifiableRobot):
         ------
         JointStateError
             If a shape does not fit the robot, or a value is not finite.
-        ConfigurationError
-            If ``threads`` is not a positive integer.
 
         Notes
         -----
@@ -124,11 +108,11 @@ class InverseDynamics(IdentifiableRobot):
             if q.ndim == 1:  # type: ignore[union-attr]
                 tau = np.empty_like(self._zeros) if out is None else out
                 # After a failure, the slower way below finds its cause.
-                if not self._inverse_dynamics(q, qd, qdd, tau, self._kernel_table):
+                if not self._inverse_dynamics(q, qd, qdd, tau, self._table):
                     return tau
         except (AttributeError, TypeError, ValueError):  # lists, integers, views with strides
             pass
-        return self._efforts_of_any(self._kernel_table, q, qd, qdd, out, read_threads(threads))
+        return self._efforts_of_any(self._table, q, qd, qdd, out)
 
     def gravity_efforts(self, q: ArrayLike, out: Floats | None = None) -> Floats:
         """
@@ -156,11 +140,11 @@ class InverseDynamics(IdentifiableRobot):
             try:
                 if q.ndim == 1:  # type: ignore[union-attr]
                     tau = np.empty_like(self._zeros) if out is None else out
-                    if not self._gravity_efforts(q, tau, self._kernel_table):
+                    if not self._gravity_efforts(q, tau, self._table):
                         return tau
             except (AttributeError, TypeError, ValueError):
                 pass
-        return self._efforts_of_any(self._kernel_table, q, self._zeros, self._zeros, out)
+        return self._efforts_of_any(self._table, q, self._zeros, self._zeros, out)
 
     def coriolis_efforts(self, q: ArrayLike, qd: ArrayLike, out: Floats | None = None) -> Floats:
         """
@@ -223,15 +207,15 @@ class InverseDynamics(IdentifiableRobot):
         try:
             if q.ndim == 1:  # type: ignore[union-attr]
                 matrix = np.empty(2 * self._zeros.shape) if out is None else out
-                if not self._mass_matrix(q, matrix, self._kernel_table):
+                if not self._mass_matrix(q, matrix, self._table):
                     return matrix
         except (AttributeError, TypeError, ValueError):
             pass
         return over_states(
             self.robot,
             2 * self._zeros.shape,
-            one_by_one(lambda state, out: self._mass_matrix(*state, out, self._kernel_table)),
-            lambda states, out: batch_mass_matrix.mass_matrix_many(states[0], out, self.table),
+            one_by_one(lambda state, out: self._mass_matrix(*state, out, self._table)),
+            lambda states, out: self._mass_matrices(*states, out, self._table),
             out,
             q=q,
         )
@@ -261,7 +245,7 @@ class InverseDynamics(IdentifiableRobot):
 
         """
         try:
-            if IS_COMPILED and q.ndim == 1:  # type: ignore[union-attr]
+            if q.ndim == 1:  # type: ignore[union-attr]
                 found = np.empty((5, len(self._zeros))) if out is None else out
                 return self._terms_of_state(q, qd, qdd, found)
         except (AttributeError, TypeError, ValueError):
@@ -271,7 +255,7 @@ class InverseDynamics(IdentifiableRobot):
             check_out(out, (5, *shape))
         found = np.empty((5, *shape)) if out is None or not is_free(out, rows) else out
         q, qd, qdd = (row.reshape(shape) for row in rows)
-        if IS_COMPILED and len(shape) == 1:
+        if len(shape) == 1:
             self._terms_of_state(q, qd, qdd, found)
         else:
             self._terms_of_many(q, qd, qdd, EffortTerms(*found))
@@ -283,7 +267,7 @@ class InverseDynamics(IdentifiableRobot):
     def _terms_of_state(self, q: Any, qd: Any, qdd: Any, out: Floats) -> EffortTerms:
         """Compute all terms in one compiled call."""
         tables = self._terms.of_kernel(self.revision)
-        if self._effort_terms(q, qd, qdd, self._state, out, *tables, self._kernel_table):
+        if self._effort_terms(q, qd, qdd, self._state, *tables, out, self._table):
             shape = (5, len(self._zeros))
             raise explain(self.robot.joint_names, out, shape, q=q, qd=qd, qdd=qdd)
         return EffortTerms(*out)
@@ -337,18 +321,17 @@ class InverseDynamics(IdentifiableRobot):
         try:
             if q.ndim == 1:  # type: ignore[union-attr]
                 wrenches = np.empty(shape) if out is None else out
-                arguments = (q, qd, qdd, self._tau, self._R_LZ, wrenches, self._kernel_table)
+                arguments = (q, qd, qdd, self._tau, self._R_LZ, wrenches, self._table)
                 if not self._joint_wrenches(*arguments):
                     return JointWrenches(wrenches[:, :3], wrenches[:, 3:])
         except (AttributeError, TypeError, ValueError):
             pass
 
         def one(state: Sequence[Floats], out: Floats) -> int:
-            return self._joint_wrenches(*state, self._tau, self._R_LZ, out, self._kernel_table)
+            return self._joint_wrenches(*state, self._tau, self._R_LZ, out, self._table)
 
         def many(states: Sequence[Floats], out: Floats) -> int:
-            states = (*states, np.empty_like(states[0]))
-            return batch.joint_wrenches_many(states, out, self._R_LZ, self.table)
+            return self._all_wrenches(*states, self._tau, self._R_LZ, out, self._table)
 
         wrenches = over_states(self.robot, shape, one_by_one(one), many, out, q=q, qd=qd, qdd=qdd)
         return JointWrenches(wrenches[..., :3], wrenches[..., 3:])
@@ -378,7 +361,6 @@ class InverseDynamics(IdentifiableRobot):
         qd: ArrayLike,
         qdd: ArrayLike,
         out: Floats | None = None,
-        threads: int = 1,
     ) -> Floats:
         """Compute efforts of anything that numpy can read as rows of n numbers."""
 
@@ -386,6 +368,15 @@ class InverseDynamics(IdentifiableRobot):
             return self._batch(*states, out, table)
 
         def many(states: Sequence[Floats], out: Floats) -> int:
-            return batch.inverse_dynamics_many((*states, out), np.asarray(table), threads)
+            return batch.inverse_dynamics_many(states, out, table)
 
         return over_states(self.robot, self._zeros.shape, few, many, out, q=q, qd=qd, qdd=qdd)
+
+    @cached_property
+    def _mass_matrices(self) -> Callable[..., int]:
+        """Prepared at the first use, because most programs do not need it."""
+        return prepared(mass_matrix.mass_matrix_batch, _M, _MS, _M)
+
+    @cached_property
+    def _all_wrenches(self) -> Callable[..., int]:
+        return prepared(joint_wrenches.joint_wrenches_batch, _M, _M, _M, _V, _M, _MS, _M)

@@ -9,7 +9,7 @@ from ..robot.model import Floats
 from .columns import ACCEL, FORCE, JOINT_COUNT, MOMENT, OMEGA, OMEGA_DOT, store, vector
 from .equations import to_parent
 from .jit import compiled
-from .newton_euler import check, clear, inward_pass, outward_pass, own_wrench, WRONG_SIZE
+from .newton_euler import check, clear, inward_pass, OK, outward_pass, own_wrench, WRONG_SIZE
 
 
 class JointWrenches(NamedTuple):
@@ -73,3 +73,15 @@ def joint_wrenches(
         store(wrenches[i], 0, to_parent(R, 1.0, 0.0, vector(robot[i], FORCE)))
         store(wrenches[i], 3, to_parent(R, 1.0, 0.0, vector(robot[i], MOMENT)))
     return check(tau)
+
+
+@compiled
+def joint_wrenches_batch(
+    q: Any, qd: Any, qdd: Any, tau: Any, R_LZ: Any, wrenches: Any, robot: Any
+) -> int:
+    """Call `joint_wrenches` for every row of the states; return the first failure."""
+    for k in range(len(q)):
+        status = joint_wrenches(q[k], qd[k], qdd[k], tau, R_LZ, wrenches[k], robot)
+        if status != OK:
+            return status
+    return OK

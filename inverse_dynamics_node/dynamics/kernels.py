@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from ..robot.model import Floats
 from .jit import compile_for, IS_COMPILED
 from .newton_euler import NOT_FINITE
 
-VECTOR, MATRIX = 'f8[::1]', 'f8[:,::1]'
+VECTOR, MATRIX, MATRICES = 'f8[::1]', 'f8[:,::1]', 'f8[:,:,::1]'
 """Types of contiguous arrays of float64, as numba writes them."""
 
 
@@ -22,42 +21,35 @@ def prepared(function: Callable[..., int], *kinds: str) -> Callable[..., int]:
     Parameters
     ----------
     function : callable
-        Takes arrays and, as its last argument, a table; returns a status.
+        Takes arrays, of which the last but one receives the results and the last is a table of
+        `columns`; returns a status.
     *kinds : str
-        Types of the arguments: `VECTOR` or `MATRIX`.
+        Types of the arguments: `VECTOR`, `MATRIX` or `MATRICES`.
 
     Returns
     -------
     prepared : callable
-        Takes the same arguments; raises a TypeError for arguments of other types. Without numba
-        it copies the results of the last array only.
+        Takes the same arguments; raises a TypeError for arguments of other types.
 
     """
     if IS_COMPILED:
         compile_for(function, f'({", ".join(kinds)})')
         return function
-    dimensions = [kind.count(',') + 1 for kind in kinds[:-1]]
+    dimensions = [kind.count(',') + 1 for kind in kinds]
 
     def on_lists(*arguments: Any) -> int:
-        # Python reads a list several times faster than an array.
-        *arrays, robot = arguments
-        for values, dimension in zip(arrays, dimensions, strict=True):
+        for values, dimension in zip(arguments, dimensions, strict=True):
             if not isinstance(values, np.ndarray) or values.ndim != dimension:
                 raise TypeError
             if values.dtype != np.float64:
                 raise TypeError
-        lists = [values.tolist() for values in arrays]
+        lists = [values.tolist() for values in arguments]
         try:
-            status = function(*lists, robot)
+            status = function(*lists)
         except ValueError:  # Python's sine of infinity
             return NOT_FINITE
-        if arrays[-1].size:
-            arrays[-1][...] = lists[-1]
+        if arguments[-2].size:
+            arguments[-2][...] = lists[-2]
         return status
 
     return on_lists
-
-
-def for_kernels(table: Floats) -> Any:
-    """Return a table as the passes expect it: an array for numba, lists of floats for Python."""
-    return table if IS_COMPILED else table.tolist()

@@ -13,8 +13,6 @@ from ..robot.model import Floats, RobotModel
 from ..robot.rigid_body import combine, RigidBody
 from . import columns
 from .arguments import read_inertial, read_joints, read_vector
-from .jit import IS_COMPILED
-from .kernels import for_kernels
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
 """Free-fall acceleration in a base frame whose z points up [m/s^2]; ISO 80000-3."""
@@ -52,7 +50,6 @@ class LoadedRobot:
         self.robot = robot
         self.revision = 0
         self._table = columns.robot_table(robot)
-        self._kernel_table = for_kernels(self._table)
         self._R_ZL = columns.rotations_to_z(robot)
         self._R_LZ = np.ascontiguousarray(self._R_ZL.transpose(0, 2, 1)).reshape(-1, 9)
         self._base_motion: Floats = np.zeros((3, 3))  # angular velocity; both accelerations
@@ -70,8 +67,7 @@ class LoadedRobot:
         self._table[...], self._base_motion, payloads, wrenches = loads
         self._is_rotating = bool(self._base_motion[:2].any())
         self._payloads, self._wrenches = payloads.copy(), wrenches.copy()
-        for body in range(len(self._table)):
-            self._update(body)
+        self.revision += 1
 
     @property
     def gravity(self) -> Floats:
@@ -283,17 +279,16 @@ class LoadedRobot:
         terms = [columns.ARMATURE, columns.DAMPING, columns.COULOMB, columns.LOAD_FRICTION]
         self._table[0, columns.HAS_JOINT_TERMS] = float(rows[:, terms].any())
         self._table[0, columns.HAS_LOAD_FRICTION] = float(rows[:, columns.LOAD_FRICTION].any())
-        for i in range(1 + len(values)):
-            self._update(i)
+        self.revision += 1
 
     def _write_base(self) -> None:
         self._table[0, columns.BASE_MOTION_COLUMNS] = self._base_motion.ravel()
         self._table[0, columns.ACCEL : columns.ACCEL + 3] -= self._gravity  # LWP (31)
-        self._update(0)
+        self.revision += 1
 
     def _write_inertial(self, body: int) -> None:
         columns.write_inertial(self._table[body], self._R_ZL[body], *self._rigid_body(body))
-        self._update(body)
+        self.revision += 1
 
     def _write_external(self, body: int) -> None:
         wrenches = self._on_body(self._wrenches, body)
@@ -302,7 +297,7 @@ class LoadedRobot:
         moment = sum((n for _, n in wrenches), np.zeros(3))
         columns.store(row, columns.EXTERNAL_FORCE, R_ZL @ force)
         columns.store(row, columns.EXTERNAL_MOMENT, R_ZL @ moment)
-        self._update(body)
+        self.revision += 1
 
     def _on_body(self, loads: dict[str, Any], body: int) -> Sequence[Any]:
         robot = self.robot
@@ -311,8 +306,3 @@ class LoadedRobot:
             for link, load in loads.items()
             if robot.link_body[robot.link_names.index(link)] == body
         ]
-
-    def _update(self, body: int) -> None:
-        self.revision += 1
-        if not IS_COMPILED:
-            self._kernel_table[body] = self._table[body].tolist()

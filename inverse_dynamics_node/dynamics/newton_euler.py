@@ -3,7 +3,7 @@ The two passes of Luh, Walker and Paul for one state; the equations are in `equa
 
 The functions are compiled by numba where it is installed and run as Python where it is not. Both
 take a robot as one table, with a row for each body and the columns of `columns`: an array for
-numba, a list of lists for Python, which reads a list several times faster than an array.
+numba, a list of lists for Python.
 """
 
 from __future__ import annotations

@@ -6,7 +6,6 @@ from typing import Any
 
 from ..robot.model import Floats
 from . import columns
-from .kernels import for_kernels
 
 _NO_BODIES = (columns.MASS, columns.INERTIA_COLUMNS, columns.BASE_MOTION_COLUMNS)
 _NO_JOINT_TERMS = (columns.JOINT_TERM_COLUMNS, columns.FLAG_COLUMNS)
@@ -57,7 +56,7 @@ class TermTables:
 
     def only(self, term: str, revision: int) -> Any:
         """
-        Return the table of a term as the passes expect it.
+        Return the table of a term.
 
         Parameters
         ----------
@@ -72,7 +71,7 @@ class TermTables:
             reduced = self._table.copy()
             for part in TERMS[term]:
                 reduced[:, part] = 0.0
-            table = for_kernels(reduced)
+            table = reduced
             self._kept[term] = revision, table
         return table
 

@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import shortened, TrajectoryError, unknown_name
 from ..robot.model import Floats, Integers
 from .inverse_dynamics import InverseDynamics
-from .lanes import FEWEST
+from .lanes import LANES
 
 MOST_NUMBERS = 2e7
 """Largest product of states and joints to insert; the results of more take gigabytes."""
@@ -216,9 +216,9 @@ def trajectory_efforts(
     states, index = whole_states(dynamics, trajectory, others)
     tau = np.empty_like(states[0])
     # In pieces, because the first large batch compiles for seconds, too long for a control loop.
-    for start in range(0, len(tau), FEWEST - 1):
-        q, qd, qdd = (values[start : start + FEWEST - 1] for values in states)
-        tau[start : start + FEWEST - 1] = dynamics.efforts(q, qd, qdd)
+    for start in range(0, len(tau), LANES - 1):
+        q, qd, qdd = (values[start : start + LANES - 1] for values in states)
+        tau[start : start + LANES - 1] = dynamics.efforts(q, qd, qdd)
     efforts: Floats = tau[:, index]
     return efforts
 
