@@ -9,7 +9,7 @@ from importlib import import_module
 from typing import Any, TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from .dynamics.generated_dynamics import GeneratedDynamics
+    from .dynamics.generated.generated_dynamics import GeneratedDynamics
     from .dynamics.inverse_dynamics import InverseDynamics
     from .errors import (
         ConfigurationError,
@@ -27,7 +27,7 @@ _HOMES = {
     'InverseDynamicsError': 'errors',
     'JointStateError': 'errors',
     'RobotModel': 'robot.model',
-    'GeneratedDynamics': 'dynamics.generated_dynamics',
+    'GeneratedDynamics': 'dynamics.generated.generated_dynamics',
     'TrajectoryError': 'errors',
     'UrdfError': 'errors',
     'load_urdf': 'robot.urdf',

@@ -9,7 +9,7 @@ from inverse_dynamics_node import (
     JointStateError,
     load_urdf,
 )
-from inverse_dynamics_node.dynamics import codegen, generated_dynamics
+from inverse_dynamics_node.dynamics.generated import codegen, generated_dynamics
 from inverse_dynamics_node.dynamics.jit import IS_COMPILED
 import numpy as np
 from numpy.testing import assert_allclose

@@ -9,11 +9,11 @@ import warnings
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..robot.model import Floats
+from ...robot.model import Floats
+from ..inverse_dynamics import InverseDynamics
+from ..jit import IS_COMPILED
+from ..newton_euler import OK
 from .codegen import acting_numbers, Code, write_out, write_out_mass_matrix
-from .inverse_dynamics import InverseDynamics
-from .jit import IS_COMPILED
-from .newton_euler import OK
 
 
 class State(NamedTuple):
