@@ -1,5 +1,6 @@
 """Rules for all Markdown files: width, code blocks, links and paths."""
 
+import inspect
 import re
 
 from inverse_dynamics_node.dynamics import equations
@@ -76,3 +77,9 @@ def test_notation_lists_the_functions_of_each_equation():
     for number, functions in rows[1:]:
         for name in re.findall(r'`(\w+)`', functions):
             assert f'({number})' in getattr(equations, name).__doc__ or name == 'net_force'
+
+
+def test_notation_shows_the_recursion():
+    blocks = re.findall(r'```python\n(.*?)```', (ROOT / 'doc/notation.md').read_text(), re.S)
+    source = inspect.getsource(equations)
+    assert blocks == [source[source.index('class Link(') :]]

@@ -17,11 +17,8 @@ from ..robot.model import Floats
 from .base_axes import Axes, axes_in_base, in_base
 from .columns import (
     ARMATURE,
-    COULOMB,
-    DAMPING,
-    INVERSE_WIDTH,
+    friction_of,
     JOINT,
-    LOAD_FRICTION,
     MULTIPLIER,
     OFFSET,
     OMEGA,
@@ -47,7 +44,7 @@ from .equations import (
 )
 from .jit import compile_for, simd_inline, simd_kernel, simd_step
 from .lanes import CACHE_LINE, cosine_and_sine, lane, LANES, LARGEST_ANGLE, store_lane, transpose
-from .newton_euler import NOT_FINITE, OK, own_wrench
+from .newton_euler import joint_friction, NOT_FINITE, OK, own_wrench
 from .regressor import block, in_frame_of_parameters, PARAMETERS, unit_twist
 
 _FRAME = 12  # numbers in a lane: axes x, y, z and origin
@@ -293,17 +290,11 @@ def project(tau: Any, robot: Any, i: int, joint: int, wrench: Any) -> None:
 def finish(qd: Any, qdd: Any, tau: Any, robot: Any, residue: Any) -> None:
     """Add the terms of a single joint: rotor inertia and friction; check."""
     for joint in range(len(tau)):
-        armature, damping = robot[joint + 1, ARMATURE], robot[joint + 1, DAMPING]
-        coulomb, inverse_width = robot[joint + 1, COULOMB], robot[joint + 1, INVERSE_WIDTH]
-        load_friction = robot[joint + 1, LOAD_FRICTION]
-        if coulomb != 0.0 or load_friction != 0.0:
-            for k in range(LANES):
-                # So far, tau contains the efforts that load the gears.
-                bound = coulomb + load_friction * abs(tau[joint, k])
-                friction = bound * np.tanh(inverse_width * qd[joint, k])
-                tau[joint, k] = tau[joint, k] + friction
+        armature, numbers = robot[joint + 1, ARMATURE], friction_of(robot[joint + 1])
         for k in range(LANES):
-            effort = tau[joint, k] + armature * qdd[joint, k] + damping * qd[joint, k]
+            load = tau[joint, k]
+            friction = joint_friction(numbers, qd[joint, k], load)
+            effort = load + armature * qdd[joint, k] + friction
             tau[joint, k] = effort
             # The difference is 0 only for finite numbers, and a NaN stays a NaN.
             residue[0, k] = residue[0, k] + (effort - effort)

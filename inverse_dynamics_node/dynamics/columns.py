@@ -26,7 +26,7 @@ JOINT = 23
 MULTIPLIER = 24
 POSITION_OFFSET = 25
 SLIDES = 26  # 1.0 for a prismatic joint, 0.0 for a revolute one
-# ExternalLoads
+# External loads
 EXTERNAL_FORCE = 27  # that the world exerts on the body [N]
 EXTERNAL_MOMENT = 30  # about the body's origin [N m]
 # Joint k, in row k + 1 because there are more bodies than joints
@@ -38,23 +38,22 @@ LOAD_FRICTION = 37  # Coulomb friction per effort that the links require
 # The robot, in the row of the base
 JOINT_COUNT = 38
 HAS_JOINT_TERMS = 39
-HAS_LOAD_FRICTION = 40
 # Scratch space of the passes, except for the motion of the base, which is an input
-COSINE = 41  # of the angle by which the joint has turned
-SINE = 42
-LENGTH = 43  # by which the joint has slid [m]
-OMEGA = 44
-OMEGA_DOT = 47
-ACCEL = 50
-FORCE = 53
-MOMENT = 56
-STEP = 59  # smoothed direction of joint k, for its friction
-JOINT_TERMS = 60  # sum of the terms of joint k, except for load friction
-COMPOSITE = 61  # ten columns, used by `mass_matrix` only
-POSITION = 71  # of the frame's origin in the base; this and the axes are used by `regressor` only
-X_AXIS = 74  # of the frame, in coordinates of the base
-Y_AXIS = 77
-Z_AXIS = 80
+COSINE = 40  # of the angle by which the joint has turned
+SINE = 41
+LENGTH = 42  # by which the joint has slid [m]
+OMEGA = 43
+OMEGA_DOT = 46
+ACCEL = 49
+FORCE = 52
+MOMENT = 55
+RATE = 58  # of joint k
+RATE_DOT = 59
+COMPOSITE = 60  # ten columns, used by `mass_matrix` only
+POSITION = 70  # of the frame's origin in the base; this and the axes are used by `regressor` only
+X_AXIS = 73  # of the frame, in coordinates of the base
+Y_AXIS = 76
+Z_AXIS = 79
 COLUMNS = 83
 
 # Ranges of columns, to set them together
@@ -62,7 +61,6 @@ COM_COLUMNS = slice(COM, COM + 3)
 INERTIA_COLUMNS = slice(INERTIA, INERTIA + 6)
 EXTERNAL_COLUMNS = slice(EXTERNAL_FORCE, EXTERNAL_MOMENT + 3)
 JOINT_TERM_COLUMNS = slice(ARMATURE, LOAD_FRICTION + 1)
-FLAG_COLUMNS = slice(HAS_JOINT_TERMS, HAS_LOAD_FRICTION + 1)
 BASE_MOTION_COLUMNS = slice(OMEGA, ACCEL + 3)
 BASE_ACCELERATION_COLUMNS = slice(OMEGA_DOT, ACCEL + 3)
 
@@ -95,6 +93,61 @@ def inertia(row: Any) -> Any:
     """Read the inertia about the centre of mass: xx, xy, xz, yy, yz, zz."""
     k = INERTIA
     return row[k], row[k + 1], row[k + 2], row[k + 3], row[k + 4], row[k + 5]
+
+
+@simd_inline
+def joint_of(row: Any) -> Any:
+    """Read the indices of parent and joint, the multiplier, and whether the body slides."""
+    return int(row[PARENT]), int(row[JOINT]), row[MULTIPLIER], row[SLIDES]
+
+
+@simd_inline
+def frame_of(row: Any) -> Any:
+    """Read R_PL and p_PL at joint position 0."""
+    return rotation(row), vector(row, OFFSET)
+
+
+@simd_inline
+def body_of(row: Any) -> Any:
+    """Read the mass, the centre of mass, and the inertia about it."""
+    return row[MASS], vector(row, COM), inertia(row)
+
+
+@simd_inline
+def load_of(row: Any) -> Any:
+    """Read the force and moment that the world exerts on the body."""
+    return vector(row, EXTERNAL_FORCE), vector(row, EXTERNAL_MOMENT)
+
+
+@simd_inline
+def friction_of(row: Any) -> Any:
+    """Read the damping, Coulomb friction, load friction, and inverse width of the step."""
+    return row[DAMPING], row[COULOMB], row[LOAD_FRICTION], row[INVERSE_WIDTH]
+
+
+@simd_inline
+def place_of(row: Any) -> Any:
+    """Read how far the link has turned and slid: cosine, sine, length."""
+    return row[COSINE], row[SINE], row[LENGTH]
+
+
+@simd_inline
+def motion_of(row: Any) -> Any:
+    """Read omega, omega_dot and accel."""
+    return vector(row, OMEGA), vector(row, OMEGA_DOT), vector(row, ACCEL)
+
+
+@simd_inline
+def wrench_of(row: Any) -> Any:
+    """Read force and moment."""
+    return vector(row, FORCE), vector(row, MOMENT)
+
+
+@simd_inline
+def store_wrench(row: Any, force: Any, moment: Any) -> None:
+    """Write force and moment."""
+    store(row, FORCE, force)
+    store(row, MOMENT, moment)
 
 
 _UPPER = np.triu_indices(3)

@@ -10,11 +10,10 @@ from .columns import (
     ARMATURE,
     EXTERNAL_FORCE,
     EXTERNAL_MOMENT,
+    friction_of,
     JOINT_COUNT,
-    LOAD_FRICTION,
     OMEGA,
     OMEGA_DOT,
-    STEP,
     vector,
 )
 from .equations import Vector
@@ -24,7 +23,8 @@ from .newton_euler import (
     clear,
     gravity_efforts,
     inverse_dynamics,
-    joint_terms,
+    joint_friction,
+    NOT_FINITE,
     OK,
     WRONG_SIZE,
 )
@@ -102,14 +102,39 @@ def effort_terms(
         if any_of(vector(row, EXTERNAL_FORCE)) or any_of(vector(row, EXTERNAL_MOMENT)):
             status = max(status, inverse_dynamics(q, rest, rest, terms[4], external))
             break
-    joint_terms(qd, rest, terms[3], robot)
-    for joint in range(n):
-        row = robot[joint + 1]
-        if row[LOAD_FRICTION] != 0.0:
-            load = terms[0][joint] + terms[1][joint] + terms[2][joint] + terms[4][joint]
-            load -= row[ARMATURE] * qdd[joint]  # on the motor's side of the gear
-            terms[3][joint] += row[LOAD_FRICTION] * row[STEP] * abs(load)
+    friction_terms(qd, qdd, terms[0], terms[1], terms[2], terms[3], terms[4], robot)
     return status if status != OK else check(terms[3])
+
+
+@compiled
+def friction_batch(qd: Any, qdd: Any, terms: Any, robot: Any) -> int:
+    """Compute the terms of friction of many states from the other terms."""
+    for k in range(len(qd)):
+        friction_terms(
+            qd[k], qdd[k], terms[0][k], terms[1][k], terms[2][k], terms[3][k], terms[4][k], robot
+        )
+        if check(terms[3][k]) != OK:
+            return NOT_FINITE
+    return OK
+
+
+@compiled
+def friction_terms(
+    qd: Any,
+    qdd: Any,
+    inertial: Any,
+    velocity: Any,
+    gravity: Any,
+    friction: Any,
+    external: Any,
+    robot: Any,
+) -> None:
+    """Compute the term of friction from the other terms."""
+    for joint in range(len(friction)):
+        row = robot[joint + 1]
+        load = inertial[joint] + velocity[joint] + gravity[joint] + external[joint]
+        load -= row[ARMATURE] * qdd[joint]  # on the motor's side of the gear
+        friction[joint] = joint_friction(friction_of(row), qd[joint], load)
 
 
 @simd_inline

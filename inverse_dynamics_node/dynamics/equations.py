@@ -37,13 +37,18 @@ Every joint has two rates here, ``turn`` about z and ``slide`` along z, one of w
 each equation of the paper with one case for rotational joints and one for translational joints is
 a single expression.
 
+`recursion` at the end of the file runs these equations from link to link. It is the executable
+statement of the paper, to which tests hold the compiled passes of `newton_euler`.
+
 Vectors are tuples, so that the functions work for numbers (compiled or not), for lanes of numbers
 that the compiler vectorises, for numpy arrays of many states, and for the symbols of `codegen`.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from math import cos, sin
+from typing import Any, NamedTuple
 
 from .jit import simd_inline
 
@@ -119,7 +124,12 @@ def child_moment(R: Any, c: Any, s: Any, p: Vector, force: Vector, moment: Vecto
 
 @simd_inline
 def joint_effort(force: Vector, moment: Vector, slides: Any) -> Any:
-    """(47): z . moment for a rotational joint, z . force for a translational one."""
+    """
+    (47): z . moment for a rotational joint, z . force for a translational one.
+
+    slides is 0 or 1. There is no branch, so that lanes vectorise.
+
+    """
     return slides * force[2] + (1.0 - slides) * moment[2]
 
 
@@ -184,3 +194,66 @@ def symmetric(J: Any, v: Vector) -> Vector:
         J[1] * v[0] + J[3] * v[1] + J[4] * v[2],
         J[2] * v[0] + J[4] * v[1] + J[5] * v[2],
     )
+
+
+# The recursion. Loads, friction and mimic joints are left to `newton_euler`.
+
+
+class Link(NamedTuple):
+    """A link that joint i moves, in its own frame, whose z is the axis of the joint."""
+
+    R: Any  # R_PL at joint position 0, row by row
+    p: Vector  # p_PL at joint position 0 [m]
+    com: Vector  # [m]
+    mass: float  # [kg]
+    J: Any  # about the centre of mass: xx, xy, xz, yy, yz, zz [kg m^2]
+    parent: int  # index of the parent, which comes before the link; -1 is the base
+    slides: bool
+
+
+def recursion(
+    links: Sequence[Link],
+    q: Sequence[float],
+    qd: Sequence[float],
+    qdd: Sequence[float],
+    gravity: Vector,
+) -> list[float]:
+    """Return the joint efforts of a tree on a base at rest: LWP (36)-(47)."""
+    at_rest = 0.0, 0.0, 0.0
+    n = len(links)
+    # The last element is that of the base, whose index is -1.
+    omega, omega_dot = [at_rest] * (n + 1), [at_rest] * (n + 1)
+    accel = [subtract(at_rest, gravity)] * (n + 1)  # (31)
+    force, moment = [at_rest] * (n + 1), [at_rest] * (n + 1)
+    places: list[tuple[float, float, Vector]] = []
+    tau = [0.0] * n
+
+    for i, (R, p, com, mass, J, parent, slides) in enumerate(links):
+        turn, turn_dot, slide, slide_dot = 0.0, 0.0, qd[i], qdd[i]
+        c, s, length = 1.0, 0.0, q[i]
+        if not slides:
+            turn, turn_dot, slide, slide_dot = qd[i], qdd[i], 0.0, 0.0
+            c, s, length = cos(q[i]), sin(q[i]), 0.0
+        p = origin_in_parent(R, p, length)
+        places.append((c, s, p))
+
+        carried = to_link(R, c, s, omega[parent])
+        carried_dot = to_link(R, c, s, omega_dot[parent])
+        at_origin = point_acceleration(p, omega[parent], omega_dot[parent], accel[parent])
+        omega[i] = angular_velocity(carried, turn)  # (36)
+        omega_dot[i] = angular_acceleration(carried, carried_dot, turn, turn_dot)  # (37)
+        at_origin = to_link(R, c, s, at_origin)
+        accel[i] = sliding_acceleration(at_origin, omega[i], slide, slide_dot)  # (40)
+        accel_com = point_acceleration(com, omega[i], omega_dot[i], accel[i])  # (44)
+        force[i] = net_force(mass, accel_com)  # (41)
+        moment_net = net_moment(J, omega[i], omega_dot[i])  # (42)
+        moment[i] = own_moment(com, force[i], moment_net)
+
+    for i in reversed(range(n)):
+        R, parent, (c, s, p) = links[i].R, links[i].parent, places[i]
+        force_P = child_force(R, c, s, force[i])
+        force[parent] = add(force[parent], force_P)  # (45)
+        moment_P = child_moment(R, c, s, p, force_P, moment[i])
+        moment[parent] = add(moment[parent], moment_P)  # (46)
+        tau[i] = joint_effort(force[i], moment[i], links[i].slides)  # (47)
+    return tau

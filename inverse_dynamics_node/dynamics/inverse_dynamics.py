@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..robot.model import Floats, RobotModel
-from . import batch, columns, effort_terms, joint_wrenches, mass_matrix, newton_euler
+from . import batch, effort_terms, joint_wrenches, mass_matrix, newton_euler
 from .arguments import broadcast, check_out, explain, is_free
 from .dispatch import one_by_one, over_states
 from .effort_terms import EffortTerms
@@ -254,11 +254,10 @@ class InverseDynamics(IdentifiableRobot):
         if out is not None:
             check_out(out, (5, *shape))
         found = np.empty((5, *shape)) if out is None or not is_free(out, rows) else out
-        q, qd, qdd = (row.reshape(shape) for row in rows)
         if len(shape) == 1:
-            self._terms_of_state(q, qd, qdd, found)
+            self._terms_of_state(rows[0][0], rows[1][0], rows[2][0], found)
         else:
-            self._terms_of_many(q, qd, qdd, EffortTerms(*found))
+            self._terms_of_many(rows[0], rows[1], rows[2], found.reshape(5, *rows[0].shape))
         if out is None or found is out:
             return EffortTerms(*found)
         out[...] = found
@@ -272,20 +271,16 @@ class InverseDynamics(IdentifiableRobot):
             raise explain(self.robot.joint_names, out, shape, q=q, qd=qd, qdd=qdd)
         return EffortTerms(*out)
 
-    def _terms_of_many(self, q: Floats, qd: Floats, qdd: Floats, terms: EffortTerms) -> None:
+    def _terms_of_many(self, q: Floats, qd: Floats, qdd: Floats, out: Floats) -> None:
         """Compute the terms of many states by one pass over all of them for each term."""
         zeros, only, revision = np.zeros(q.shape), self._terms.only, self.revision
+        terms = EffortTerms(*out)
         self._efforts_in(only('inertial', revision), q, zeros, qdd, terms.inertial)
         self.coriolis_efforts(q, qd, terms.velocity)
         self._efforts_in(only('gravity', revision), q, zeros, zeros, terms.gravity)
-        self._efforts_in(only('constant friction', revision), q, qd, zeros, terms.friction)
-        if self.table[0, columns.HAS_LOAD_FRICTION]:
-            load = self._efforts_in(only('load on gears', revision), q, qd, qdd)
-            of_joints: Floats = self.table[1 : 1 + len(self._zeros)]
-            step = np.tanh(qd * of_joints[:, columns.INVERSE_WIDTH])
-            friction = terms.friction
-            friction += of_joints[:, columns.LOAD_FRICTION] * np.abs(load) * step
         self._efforts_in(only('external', revision), q, zeros, zeros, terms.external)
+        if self._friction_terms(qd, qdd, out, self._table):
+            raise explain(self.robot.joint_names, q=q, qd=qd, qdd=qdd)
 
     def joint_wrenches(
         self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: Floats | None = None
@@ -376,6 +371,10 @@ class InverseDynamics(IdentifiableRobot):
     def _mass_matrices(self) -> Callable[..., int]:
         """Prepared at the first use, because most programs do not need it."""
         return prepared(mass_matrix.mass_matrix_batch, _M, _MS, _M)
+
+    @cached_property
+    def _friction_terms(self) -> Callable[..., int]:
+        return prepared(effort_terms.friction_batch, _M, _M, _MS, _M)
 
     @cached_property
     def _all_wrenches(self) -> Callable[..., int]:

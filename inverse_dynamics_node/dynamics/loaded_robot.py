@@ -278,7 +278,6 @@ class LoadedRobot:
         rows[:, column] = values
         terms = [columns.ARMATURE, columns.DAMPING, columns.COULOMB, columns.LOAD_FRICTION]
         self._table[0, columns.HAS_JOINT_TERMS] = float(rows[:, terms].any())
-        self._table[0, columns.HAS_LOAD_FRICTION] = float(rows[:, columns.LOAD_FRICTION].any())
         self.revision += 1
 
     def _write_base(self) -> None:

@@ -15,36 +15,34 @@ from typing import Any
 from .columns import (
     ACCEL,
     ARMATURE,
-    COM,
+    body_of,
     COSINE,
-    COULOMB,
-    DAMPING,
-    EXTERNAL_FORCE,
-    EXTERNAL_MOMENT,
     FORCE,
+    frame_of,
+    friction_of,
     HAS_JOINT_TERMS,
-    HAS_LOAD_FRICTION,
-    inertia,
-    INVERSE_WIDTH,
     JOINT,
     JOINT_COUNT,
-    JOINT_TERMS,
+    joint_of,
     LENGTH,
-    LOAD_FRICTION,
-    MASS,
+    load_of,
     MOMENT,
+    motion_of,
     MULTIPLIER,
-    OFFSET,
     OMEGA,
     OMEGA_DOT,
     PARENT,
+    place_of,
     POSITION_OFFSET,
+    RATE,
+    RATE_DOT,
     rotation,
     SINE,
     SLIDES,
-    STEP,
     store,
+    store_wrench,
     vector,
+    wrench_of,
 )
 from .equations import (
     add,
@@ -101,14 +99,14 @@ def inverse_dynamics(
     if len(q) != n or len(qd) != n or len(qdd) != n or len(tau) != n:
         return WRONG_SIZE
     outward_pass(q, qd, qdd, robot)
-    if robot[0][HAS_JOINT_TERMS] != 0.0:
-        # After the outward pass and joint by joint, because tau may be the array of qd or qdd.
-        joint_terms(qd, qdd, tau, robot)
-    else:
-        clear(tau)
+    has_joint_terms = robot[0][HAS_JOINT_TERMS] != 0.0
+    if has_joint_terms:
+        for joint in range(n):  # kept, because tau may be the array of qd or qdd
+            robot[joint + 1][RATE], robot[joint + 1][RATE_DOT] = qd[joint], qdd[joint]
+    clear(tau)
     inward_pass(tau, robot)
-    if robot[0][HAS_LOAD_FRICTION] != 0.0:
-        load_friction(tau, robot)
+    if has_joint_terms:
+        joint_terms(tau, robot)
     return check(tau)
 
 
@@ -156,17 +154,18 @@ def gravity_efforts(q: Sequence[float], tau: Any, robot: Any) -> int:
     n = int(robot[0][JOINT_COUNT])
     if len(q) != n or len(tau) != n:
         return WRONG_SIZE
-    store(robot[0], FORCE, (0.0, 0.0, 0.0))
-    store(robot[0], MOMENT, (0.0, 0.0, 0.0))
+    store_wrench(robot[0], (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     for i in range(1, len(robot)):
         link = robot[i]
         c, s, _ = place_link(link, q[int(link[JOINT])])
         accel = to_link(rotation(link), c, s, vector(robot[int(link[PARENT])], ACCEL))
-        force_net = net_force(link[MASS], accel)
-        moment = cross(vector(link, COM), force_net)
+        mass, com, _ = body_of(link)
+        external_force, external_moment = load_of(link)
+        force_net = net_force(mass, accel)
+        moment = cross(com, force_net)
         store(link, ACCEL, accel)
-        store(link, FORCE, subtract(force_net, vector(link, EXTERNAL_FORCE)))
-        store(link, MOMENT, subtract(moment, vector(link, EXTERNAL_MOMENT)))
+        store(link, FORCE, subtract(force_net, external_force))
+        store(link, MOMENT, subtract(moment, external_moment))
     for joint in range(n):
         tau[joint] = q[joint] - q[joint]  # 0, or NaN where no effort depends on it
     inward_pass(tau, robot)
@@ -178,30 +177,30 @@ def outward_pass(
     q: Sequence[float], qd: Sequence[float], qdd: Sequence[float], robot: Any
 ) -> None:
     """Propagate the motion from base to tips, and compute each link's own force and moment."""
-    store(robot[0], FORCE, (0.0, 0.0, 0.0))
-    store(robot[0], MOMENT, (0.0, 0.0, 0.0))
+    store_wrench(robot[0], (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     for i in range(1, len(robot)):
         link = robot[i]
-        parent = robot[int(link[PARENT])]
-        joint, slides = int(link[JOINT]), link[SLIDES]
-        rate, rate_dot = link[MULTIPLIER] * qd[joint], link[MULTIPLIER] * qdd[joint]
+        # Sine and cosine first: what is read before their calls would have to be read again.
+        c, s, length = place_link(link, q[int(link[JOINT])])
+        parent, joint, multiplier, slides = joint_of(link)
+        R, p = frame_of(link)
+        omega_P, omega_dot_P, accel_P = motion_of(robot[parent])
+        rate, rate_dot = multiplier * qd[joint], multiplier * qdd[joint]
         turn, turn_dot = (1.0 - slides) * rate, (1.0 - slides) * rate_dot
         slide, slide_dot = slides * rate, slides * rate_dot
-        c, s, length = place_link(link, q[joint])
-        R = rotation(link)
-        p = origin_in_parent(R, vector(link, OFFSET), length)
-        omega_P, omega_dot_P = vector(parent, OMEGA), vector(parent, OMEGA_DOT)
-        accel = point_acceleration(p, omega_P, omega_dot_P, vector(parent, ACCEL))
-        omega_P, omega_dot_P = to_link(R, c, s, omega_P), to_link(R, c, s, omega_dot_P)
-        omega = angular_velocity(omega_P, turn)
-        omega_dot = angular_acceleration(omega_P, omega_dot_P, turn, turn_dot)
-        accel = sliding_acceleration(to_link(R, c, s, accel), omega, slide, slide_dot)
+        p = origin_in_parent(R, p, length)
+
+        carried, carried_dot = to_link(R, c, s, omega_P), to_link(R, c, s, omega_dot_P)
+        at_origin = point_acceleration(p, omega_P, omega_dot_P, accel_P)
+        omega = angular_velocity(carried, turn)  # (36)
+        omega_dot = angular_acceleration(carried, carried_dot, turn, turn_dot)  # (37)
+        at_origin = to_link(R, c, s, at_origin)
+        accel = sliding_acceleration(at_origin, omega, slide, slide_dot)  # (40)
         store(link, OMEGA, omega)
         store(link, OMEGA_DOT, omega_dot)
         store(link, ACCEL, accel)
-        force, moment = own_wrench(link, omega, omega_dot, accel)
-        store(link, FORCE, force)
-        store(link, MOMENT, moment)
+        force, moment = own_wrench(link, omega, omega_dot, accel)  # (44), (41), (42)
+        store_wrench(link, force, moment)
 
 
 @simd_inline
@@ -209,13 +208,13 @@ def own_wrench(
     link: Any, omega: Vector, omega_dot: Vector, accel: Vector
 ) -> tuple[Vector, Vector]:
     """Compute the force and moment that a link's own motion requires, less its external load."""
-    com = vector(link, COM)
-    accel_com = point_acceleration(com, omega, omega_dot, accel)
-    force_net = net_force(link[MASS], accel_com)
-    moment_net = net_moment(inertia(link), omega, omega_dot)
-    force = subtract(force_net, vector(link, EXTERNAL_FORCE))
+    mass, com, J = body_of(link)
+    external_force, external_moment = load_of(link)
+    accel_com = point_acceleration(com, omega, omega_dot, accel)  # (44)
+    force_net = net_force(mass, accel_com)  # (41)
+    moment_net = net_moment(J, omega, omega_dot)  # (42)
     moment = own_moment(com, force_net, moment_net)
-    return force, subtract(moment, vector(link, EXTERNAL_MOMENT))
+    return subtract(force_net, external_force), subtract(moment, external_moment)
 
 
 @compiled
@@ -223,23 +222,25 @@ def inward_pass(tau: Any, robot: Any) -> None:
     """Propagate forces and moments from tips to base, and add each joint's effort to tau."""
     for i in range(len(robot) - 1, 0, -1):
         link = robot[i]
-        parent = robot[int(link[PARENT])]
-        force, moment = vector(link, FORCE), vector(link, MOMENT)
-        # The effort of a mimic joint adds to its master's: equal power.
-        tau[int(link[JOINT])] += link[MULTIPLIER] * joint_effort(force, moment, link[SLIDES])
+        parent, joint, multiplier, slides = joint_of(link)
+        carrier = robot[parent]
+        R, p = frame_of(link)
+        c, s, length = place_of(link)
+        force, moment = wrench_of(link)
+        p = origin_in_parent(R, p, length)
 
-        R, c, s = rotation(link), link[COSINE], link[SINE]
-        p = origin_in_parent(R, vector(link, OFFSET), link[LENGTH])
-        force = child_force(R, c, s, force)
-        moment = child_moment(R, c, s, p, force, moment)
-        store(parent, FORCE, add(vector(parent, FORCE), force))
-        store(parent, MOMENT, add(vector(parent, MOMENT), moment))
+        force_P = child_force(R, c, s, force)
+        moment_P = child_moment(R, c, s, p, force_P, moment)
+        store(carrier, FORCE, add(vector(carrier, FORCE), force_P))  # (45)
+        store(carrier, MOMENT, add(vector(carrier, MOMENT), moment_P))  # (46)
+        # The effort of a mimic joint adds to its master's: equal power.
+        tau[joint] += multiplier * joint_effort(force, moment, slides)  # (47)
 
 
 @compiled
-def joint_terms(qd: Sequence[float], qdd: Sequence[float], tau: Any, robot: Any) -> None:
+def joint_terms(tau: Any, robot: Any) -> None:
     """
-    Set tau to the terms of a single joint: rotor inertia, viscous and Coulomb friction.
+    Add the terms of a single joint to the efforts of the inward pass: rotor inertia and friction.
 
     Friction is an internal pair at one joint and does not propagate to the joints below. This is
     the authors' form of 1980, tau = n . z + b qd; with LWP (22), (23) of 1979 it would propagate.
@@ -247,28 +248,23 @@ def joint_terms(qd: Sequence[float], qdd: Sequence[float], tau: Any, robot: Any)
     """
     for joint in range(len(tau)):
         row = robot[joint + 1]
-        rate = qd[joint]
-        tau[joint] = row[ARMATURE] * qdd[joint] + row[DAMPING] * rate
-        if row[COULOMB] != 0.0 or row[LOAD_FRICTION] != 0.0:
-            row[STEP] = tanh(rate * row[INVERSE_WIDTH])
-            tau[joint] += row[COULOMB] * row[STEP]
-        row[JOINT_TERMS] = tau[joint]
+        friction = joint_friction(friction_of(row), row[RATE], tau[joint])
+        tau[joint] += row[ARMATURE] * row[RATE_DOT] + friction
 
 
-@compiled
-def load_friction(tau: Any, robot: Any) -> None:
+@simd_inline
+def joint_friction(numbers: Any, rate: Any, load: Any) -> Any:
     """
-    Add Coulomb friction that grows with the load on the gear to the efforts of the inward pass.
+    Return the viscous and Coulomb friction of a joint with these numbers, from `friction_of`.
 
-    The load is the effort (47) that links, payloads and external wrenches require. Rotor inertia
-    and friction act on the motor's side of the gear and do not load it.
+    Coulomb friction may grow with the load on the gear: the effort (47) that links, payloads and
+    external wrenches require. Rotor inertia and friction act on the motor's side of the gear.
 
     """
-    for joint in range(len(tau)):
-        row = robot[joint + 1]
-        if row[LOAD_FRICTION] != 0.0:
-            load = tau[joint] - row[JOINT_TERMS]
-            tau[joint] += row[LOAD_FRICTION] * row[STEP] * fabs(load)
+    damping, coulomb, load_friction, inverse_width = numbers
+    if coulomb != 0.0 or load_friction != 0.0:
+        return damping * rate + (coulomb + load_friction * fabs(load)) * tanh(inverse_width * rate)
+    return damping * rate
 
 
 @compiled

@@ -8,7 +8,7 @@ from ..robot.model import Floats
 from . import columns
 
 _NO_BODIES = (columns.MASS, columns.INERTIA_COLUMNS, columns.BASE_MOTION_COLUMNS)
-_NO_JOINT_TERMS = (columns.JOINT_TERM_COLUMNS, columns.FLAG_COLUMNS)
+_NO_JOINT_TERMS = (columns.JOINT_TERM_COLUMNS, columns.HAS_JOINT_TERMS)
 TERMS: dict[str, tuple[int | slice, ...]] = {
     'inertial': (
         columns.BASE_MOTION_COLUMNS,
@@ -16,7 +16,6 @@ TERMS: dict[str, tuple[int | slice, ...]] = {
         columns.DAMPING,
         columns.COULOMB,
         columns.LOAD_FRICTION,
-        columns.HAS_LOAD_FRICTION,
     ),
     'velocity': (
         columns.BASE_ACCELERATION_COLUMNS,
@@ -24,15 +23,7 @@ TERMS: dict[str, tuple[int | slice, ...]] = {
         *_NO_JOINT_TERMS,
     ),
     'gravity': (columns.EXTERNAL_COLUMNS, *_NO_JOINT_TERMS),
-    'constant friction': (
-        *_NO_BODIES,
-        columns.EXTERNAL_COLUMNS,
-        columns.ARMATURE,
-        columns.LOAD_FRICTION,
-        columns.HAS_LOAD_FRICTION,
-    ),
     'external': (*_NO_BODIES, *_NO_JOINT_TERMS),
-    'load on gears': _NO_JOINT_TERMS,
 }
 """Terms of the efforts, and the columns that are zero in the table that computes each of them."""
 
