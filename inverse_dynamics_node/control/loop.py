@@ -13,9 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..dynamics.effort_terms import EffortTerms
+from ..dynamics.effort_terms import EffortTerms, JointWrenches
 from ..dynamics.inverse_dynamics import InverseDynamics
-from ..dynamics.joint_wrenches import JointWrenches
 from ..dynamics.loaded_robot import STANDARD_GRAVITY
 from ..errors import ConfigurationError
 from ..robot.model import Booleans, Floats, RobotModel

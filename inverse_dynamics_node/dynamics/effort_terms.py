@@ -1,4 +1,4 @@
-"""The terms of the efforts of one state: inertial, velocity, gravity, friction, external."""
+"""The terms of the efforts, and the force and moment at every joint."""
 
 from __future__ import annotations
 
@@ -6,26 +6,34 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from ..robot.model import Floats
+from . import columns
 from .columns import (
     ARMATURE,
     EXTERNAL_FORCE,
     EXTERNAL_MOMENT,
     friction_of,
     JOINT_COUNT,
+    motion_of,
     OMEGA,
     OMEGA_DOT,
+    store,
+    store_wrench,
     vector,
+    wrench_of,
 )
-from .equations import Vector
+from .equations import to_parent, Vector
 from .jit import compiled, simd_inline
 from .newton_euler import (
     check,
     clear,
     gravity_efforts,
     inverse_dynamics,
+    inward_pass,
     joint_friction,
     NOT_FINITE,
     OK,
+    outward_pass,
+    own_wrench,
     WRONG_SIZE,
 )
 
@@ -141,3 +149,143 @@ def friction_terms(
 def any_of(v: Vector) -> bool:
     """Return whether a vector is not zero."""
     return bool(v[0] != 0.0 or v[1] != 0.0 or v[2] != 0.0)
+
+
+_NO_BODIES = (columns.MASS, columns.INERTIA_COLUMNS, columns.BASE_MOTION_COLUMNS)
+_NO_JOINT_TERMS = (columns.JOINT_TERM_COLUMNS, columns.HAS_JOINT_TERMS)
+TERMS: dict[str, tuple[int | slice, ...]] = {
+    'inertial': (
+        columns.BASE_MOTION_COLUMNS,
+        columns.EXTERNAL_COLUMNS,
+        columns.DAMPING,
+        columns.COULOMB,
+        columns.LOAD_FRICTION,
+    ),
+    'velocity': (
+        columns.BASE_ACCELERATION_COLUMNS,
+        columns.EXTERNAL_COLUMNS,
+        *_NO_JOINT_TERMS,
+    ),
+    'gravity': (columns.EXTERNAL_COLUMNS, *_NO_JOINT_TERMS),
+    'external': (*_NO_BODIES, *_NO_JOINT_TERMS),
+}
+"""Terms of the efforts, and the columns that are zero in the table that computes each of them."""
+
+
+class TermTables:
+    """
+    Robot tables that leave one of the `TERMS`, kept until the loads change.
+
+    Parameters
+    ----------
+    table : ndarray, shape (b, COLUMNS)
+        The table with all terms.
+
+    """
+
+    def __init__(self, table: Floats) -> None:
+        self._table = table
+        self._kept: dict[str, tuple[int, Any]] = {}
+        self._of_kernel: tuple[Any, ...] = ()
+        self._revision = -1
+
+    def only(self, term: str, revision: int) -> Any:
+        """
+        Return the table of a term.
+
+        Parameters
+        ----------
+        term : str
+            One of the `TERMS`.
+        revision : int
+            Changes with every change of the table with all terms.
+
+        """
+        last, table = self._kept.get(term, (-1, None))
+        if last != revision:
+            reduced = self._table.copy()
+            for part in TERMS[term]:
+                reduced[:, part] = 0.0
+            table = reduced
+            self._kept[term] = revision, table
+        return table
+
+    def of_kernel(self, revision: int) -> tuple[Any, ...]:
+        """Return the tables that `effort_terms.effort_terms` takes."""
+        if self._revision != revision:
+            terms = ('inertial', 'velocity', 'gravity', 'external')
+            self._of_kernel = tuple(self.only(term, revision) for term in terms)
+            self._revision = revision
+        return self._of_kernel
+
+
+class JointWrenches(NamedTuple):
+    """
+    Force and moment at every joint, of shape (..., b, 3), in the order of ``robot.body_names``.
+
+    A row is the wrench that the parent of the body exerts on it, in the URDF frame of the joint
+    between them and about its origin. The first row is the wrench of the mount on the base.
+
+    """
+
+    force: Floats
+    """[N]."""
+    moment: Floats
+    """[N m]."""
+
+
+@compiled
+def joint_wrenches(
+    q: Sequence[float],
+    qd: Sequence[float],
+    qdd: Sequence[float],
+    tau: Any,
+    R_LZ: Any,
+    wrenches: Any,
+    robot: Any,
+) -> int:
+    """
+    Compute the force and moment that the parent of every link exerts on it, LWP (45), (46).
+
+    Parameters
+    ----------
+    q, qd, qdd, tau, robot
+        As for `newton_euler.inverse_dynamics`, but tau does not include the joint terms.
+    R_LZ : b sequences of 9 floats
+        Rotations into the frames of the wrenches, from the frames of the table.
+    wrenches : b sequences of 6 floats
+        Receives force and moment. The first row is for the base, whose parent is the mount.
+
+    Returns
+    -------
+    status : int
+        As `inverse_dynamics`.
+
+    """
+    n = int(robot[0][JOINT_COUNT])
+    if len(q) != n or len(qd) != n or len(qdd) != n or len(tau) != n:
+        return WRONG_SIZE
+    if len(wrenches) != len(robot) or len(wrenches[0]) != 6:
+        return WRONG_SIZE
+    outward_pass(q, qd, qdd, robot)
+    force, moment = own_wrench(robot[0], *motion_of(robot[0]))
+    store_wrench(robot[0], force, moment)
+    clear(tau)
+    inward_pass(tau, robot)
+    for i in range(len(robot)):
+        force, moment = wrench_of(robot[i])
+        store(wrenches[i], 0, to_parent(R_LZ[i], 1.0, 0.0, force))
+        store(wrenches[i], 3, to_parent(R_LZ[i], 1.0, 0.0, moment))
+    return check(tau)
+
+
+@compiled
+def joint_wrenches_batch(
+    q: Any, qd: Any, qdd: Any, tau: Any, R_LZ: Any, wrenches: Any, robot: Any
+) -> int:
+    """Call `joint_wrenches` for every row of the states; return the first failure."""
+    for k in range(len(q)):
+        status = joint_wrenches(q[k], qd[k], qdd[k], tau, R_LZ, wrenches[k], robot)
+        if status != OK:
+            return status
+    return OK

@@ -10,21 +10,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..robot.model import Floats, RobotModel
-from . import batch, effort_terms, joint_wrenches, mass_matrix, newton_euler
+from . import batch, effort_terms, mass_matrix, newton_euler, regressor
 from .arguments import broadcast, check_out, explain, is_free
 from .dispatch import one_by_one, over_states
-from .effort_terms import EffortTerms
-from .identifiable_robot import IdentifiableRobot
-from .joint_wrenches import JointWrenches
+from .effort_terms import EffortTerms, JointWrenches, TermTables
 from .kernels import MATRICES as _MS
 from .kernels import MATRIX as _M
 from .kernels import prepared
 from .kernels import VECTOR as _V
-from .loaded_robot import STANDARD_GRAVITY
-from .term_tables import TermTables
+from .loaded_robot import LoadedRobot, STANDARD_GRAVITY
 
 
-class InverseDynamics(IdentifiableRobot):
+class InverseDynamics(LoadedRobot):
     r"""
     Inverse dynamics of one robot: accelerations in, joint efforts out.
 
@@ -63,10 +60,11 @@ class InverseDynamics(IdentifiableRobot):
         self._gravity_efforts = prepared(newton_euler.gravity_efforts, _V, _V, _M)
         self._mass_matrix = prepared(mass_matrix.mass_matrix, _V, _M, _M)
         self._effort_terms = prepared(effort_terms.effort_terms, *(3 * (_V,)), *(7 * (_M,)))
-        self._joint_wrenches = prepared(joint_wrenches.joint_wrenches, *(4 * (_V,)), _M, _M, _M)
+        self._joint_wrenches = prepared(effort_terms.joint_wrenches, *(4 * (_V,)), _M, _M, _M)
         n = len(robot.joint_names)
         self._zeros, self._tau, self._state = np.zeros(n), np.empty(n), np.zeros((4, n))
         self._terms = TermTables(self.table)
+        self._regressor_shape = n, 10 * (len(robot.parent) - 1)
 
     def efforts(
         self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: Floats | None = None
@@ -331,6 +329,78 @@ class InverseDynamics(IdentifiableRobot):
         wrenches = over_states(self.robot, shape, one_by_one(one), many, out, q=q, qd=qd, qdd=qdd)
         return JointWrenches(wrenches[..., :3], wrenches[..., 3:])
 
+    def regressor(
+        self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: Floats | None = None
+    ) -> Floats:
+        r"""
+        Compute the regressor Y of the inertial parameters: :math:`\tau = Y(q, qd, qdd)\,\pi`.
+
+        Parameters
+        ----------
+        q, qd, qdd : array_like, shape (..., n)
+            As for `efforts`.
+        out : ndarray, shape (..., n, 10 (b - 1)), optional
+            Receives the result: C-contiguous float64.
+
+        Returns
+        -------
+        regressor : ndarray, shape (..., n, 10 (b - 1))
+            Ten columns for each moving body, in the order of ``robot.body_names[1:]``, which are
+            the names of the joints that move them: for mass [kg], mass times centre of mass (x,
+            y, z) [kg m], and inertia about the origin of the body's frame (xx, xy, yy, xz, yz,
+            zz) [kg m^2], as in Pinocchio. The frame is the URDF frame of the joint.
+
+        Raises
+        ------
+        JointStateError
+            If a shape does not fit the robot, or a value is not finite.
+
+        See Also
+        --------
+        inertial_parameters : pi of this robot.
+
+        Notes
+        -----
+        Links that fixed joints hold together are one body. A body that a mimic joint moves has
+        columns of its own, and adds to the row of the joint that is mimicked. Gravity and the
+        motion of the base are included. Armature, friction and external wrenches are not: the
+        efforts due to them do not depend on pi. Payloads are part of pi and do not change Y.
+
+        The first call on a machine compiles; the machine code is cached on disk.
+
+        """
+        shape = self._regressor_shape
+        try:
+            if q.ndim == 1:  # type: ignore[union-attr]
+                matrix = np.empty(shape) if out is None else out
+                if not self._regressor(q, qd, qdd, self._R_LZ, matrix, self._table):
+                    return matrix
+        except (AttributeError, TypeError, ValueError):
+            pass
+
+        def one(state: Sequence[Floats], out: Floats) -> int:
+            return self._regressor(*state, self._R_LZ, out, self._table)
+
+        def many(states: Sequence[Floats], out: Floats) -> int:
+            return batch.regressor_many(states, out, self._R_LZ, self._table)
+
+        return over_states(self.robot, shape, one_by_one(one), many, out, q=q, qd=qd, qdd=qdd)
+
+    def inertial_parameters(self) -> Floats:
+        """
+        Return the inertial parameters pi of the moving bodies, including payloads.
+
+        Returns
+        -------
+        parameters : ndarray, shape (10 (b - 1),)
+            In the order of the columns of `regressor`. ``regressor(q, qd, qdd) @ parameters`` are
+            the efforts of a robot without armature, friction and external wrenches.
+
+        """
+        bodies = range(1, len(self.robot.parent))
+        parameters = [self._rigid_body(body).parameters() for body in bodies]
+        return np.array(parameters).reshape(-1)
+
     def _efforts_in(
         self,
         table: Any,
@@ -368,8 +438,12 @@ class InverseDynamics(IdentifiableRobot):
         return over_states(self.robot, self._zeros.shape, few, many, out, q=q, qd=qd, qdd=qdd)
 
     @cached_property
+    def _regressor(self) -> Callable[..., int]:
+        """Prepared at the first use, like the next ones, because most programs do not need it."""
+        return prepared(regressor.regressor, _V, _V, _V, _M, _M, _M)
+
+    @cached_property
     def _mass_matrices(self) -> Callable[..., int]:
-        """Prepared at the first use, because most programs do not need it."""
         return prepared(mass_matrix.mass_matrix_batch, _M, _MS, _M)
 
     @cached_property
@@ -378,4 +452,4 @@ class InverseDynamics(IdentifiableRobot):
 
     @cached_property
     def _all_wrenches(self) -> Callable[..., int]:
-        return prepared(joint_wrenches.joint_wrenches_batch, _M, _M, _M, _V, _M, _MS, _M)
+        return prepared(effort_terms.joint_wrenches_batch, _M, _M, _M, _V, _M, _MS, _M)
