@@ -16,7 +16,7 @@ in them, so there are two versions: the derivatives of all T_p computed once and
 n^4 traces; or each multiplied out from its factors wherever a sum uses it, with n^5 products.
 
 dA_p/dq is A_p Q_p with a constant Q_p, so a derivative of T_p is the product A_1 ... A_p with Q_j
-put in after A_j. The links' frames are those of `columns`, every joint along its z.
+put in after A_j. The links' frames are those of `robot_table`, every joint along its z.
 
 Arrays are always indexed by element, because 4x4 views would prevent vectorization and make the
 comparison unfair.
@@ -27,7 +27,7 @@ from __future__ import annotations
 from math import cos, sin
 from typing import Any, NamedTuple
 
-from inverse_dynamics_node.dynamics import columns
+from inverse_dynamics_node.dynamics import robot_table
 from inverse_dynamics_node.dynamics.jit import IS_COMPILED, simd_inline
 from inverse_dynamics_node.dynamics.loaded_robot import STANDARD_GRAVITY
 from inverse_dynamics_node.dynamics.newton_euler import inverse_dynamics
@@ -75,21 +75,21 @@ class Chain(NamedTuple):
 
 def chain_of(robot: RobotModel) -> Chain:
     """Convert a chain to the arrays of the functions below."""
-    rows = columns.robot_table(robot)
+    rows = robot_table.table_of(robot)
     n = len(rows) - 1
-    if any(rows[1:, columns.PARENT] != np.arange(n)):
+    if any(rows[1:, robot_table.PARENT] != np.arange(n)):
         raise ValueError('the equation is for chains')
     transforms, generators, inertias = np.zeros((3, n, 4, 4))
     for k, row in enumerate(rows[1:]):
-        transforms[k, :3, :3] = np.reshape(columns.rotation(row), (3, 3))
-        transforms[k, :3, 3] = columns.vector(row, columns.OFFSET)
+        transforms[k, :3, :3] = np.reshape(robot_table.rotation(row), (3, 3))
+        transforms[k, :3, 3] = robot_table.vector(row, robot_table.OFFSET)
         transforms[k, 3, 3] = 1.0
-        if row[columns.SLIDES]:
+        if row[robot_table.SLIDES]:
             generators[k, 2, 3] = 1.0
         else:
             generators[k, 1, 0], generators[k, 0, 1] = 1.0, -1.0
         inertias[k] = pseudo_inertia(row)
-    slides = rows[1:, columns.SLIDES].copy()
+    slides = rows[1:, robot_table.SLIDES].copy()
     gravity = np.array(STANDARD_GRAVITY)
     room = [np.zeros((n,) * k + (4, 4)) for k in (1, 2, 3, 0, 0, 0)]
     return Chain(transforms, generators, slides, inertias, gravity, *room)
@@ -97,8 +97,8 @@ def chain_of(robot: RobotModel) -> Chain:
 
 def pseudo_inertia(row: Floats) -> Floats:
     """Integrate r r^T over a link, r homogeneous: the second moments, the first, and the mass."""
-    mass, com = row[columns.MASS], np.array(columns.vector(row, columns.COM))
-    xx, xy, xz, yy, yz, zz = columns.inertia(row)
+    mass, com = row[robot_table.MASS], np.array(robot_table.vector(row, robot_table.COM))
+    xx, xy, xz, yy, yz, zz = robot_table.inertia(row)
     about_com = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     second = np.trace(about_com) / 2.0 * np.eye(3) - about_com + mass * np.outer(com, com)
     first = mass * com

@@ -19,7 +19,7 @@ import contextlib
 import math
 from typing import Any, NamedTuple
 
-from inverse_dynamics_node.dynamics import columns, equations, newton_euler
+from inverse_dynamics_node.dynamics import equations, newton_euler, robot_table
 from inverse_dynamics_node.dynamics.loaded_robot import STANDARD_GRAVITY
 from inverse_dynamics_node.robot.model import Floats, RobotModel
 import numpy as np
@@ -34,7 +34,7 @@ def sweep(q, qd, qdd, tau, times):
         for k in range(len(q)):
             efforts(q[k], qd[k], qdd[k], tau[k])
 """
-_STRUCTURE = (columns.PARENT, columns.JOINT, columns.SLIDES)  # read, not computed with
+_STRUCTURE = (robot_table.PARENT, robot_table.JOINT, robot_table.SLIDES)  # read, not computed with
 
 
 class Operations(NamedTuple):
@@ -157,7 +157,7 @@ def record_newton_euler(robot: RobotModel, folds: bool) -> tuple[Record, list[An
     ]
     q, qd, qdd = (record.inputs(name, n) for name in ('q', 'qd', 'qdd'))
     tau: list[Any] = [0.0] * n
-    with uncompiled(record, columns, equations, newton_euler):
+    with uncompiled(record, robot_table, equations, newton_euler):
         newton_euler.outward_pass(q, qd, qdd, rows)
         newton_euler.inward_pass(tau, rows)
     return record, tau
@@ -165,8 +165,8 @@ def record_newton_euler(robot: RobotModel, folds: bool) -> tuple[Record, list[An
 
 def table_under_gravity(robot: RobotModel) -> Floats:
     """Return the table of a robot on a base at rest: LWP (31)."""
-    rows = columns.robot_table(robot)
-    rows[0, columns.ACCEL : columns.ACCEL + 3] = -np.array(STANDARD_GRAVITY)
+    rows = robot_table.table_of(robot)
+    rows[0, robot_table.ACCEL : robot_table.ACCEL + 3] = -np.array(STANDARD_GRAVITY)
     return rows
 
 

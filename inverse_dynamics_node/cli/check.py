@@ -21,7 +21,7 @@ from ..report.quantities import decimals, effort_unit, fraction, number
 from ..report.robot_tables import model_tables
 from ..report.tables import Table, WIDTH
 from ..report.warnings import warnings_about
-from ..robot.hand import last_link
+from ..robot.end_effector import last_link
 from ..robot.model import Floats, RobotModel
 from ..robot.model_warning import ModelWarning
 from .arguments import (

@@ -22,8 +22,8 @@ from ..dynamics.loaded_robot import FRICTION_WIDTH
 from ..errors import ConfigurationError, RecordingError
 from ..report.compare_report import comparison_table, friction_table, verdict
 from ..report.diagnosis_text import diagnosis_warning
-from ..robot.hand import last_link
-from ..robot.plausibility import position_warnings
+from ..robot.end_effector import last_link
+from ..robot.limit_checks import position_warnings
 from .arguments import (
     add_force,
     add_friction,

@@ -29,10 +29,10 @@ from ..dynamics.trajectory import (
 from ..errors import ConfigurationError, unknown_name
 from ..report.quantities import decimals, effort_unit, fraction, number
 from ..report.tables import Table
-from ..robot.hand import last_link
+from ..robot.end_effector import last_link
+from ..robot.limit_checks import position_warnings
 from ..robot.model import Floats, RobotModel
 from ..robot.model_warning import ModelWarning
-from ..robot.plausibility import position_warnings
 from .arguments import (
     add_force,
     add_friction,

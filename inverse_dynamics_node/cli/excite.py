@@ -27,7 +27,7 @@ from ..analysis.trajectory_files import write_table
 from ..analysis.trajectory_yaml import write_trajectory
 from ..dynamics.trajectory import Trajectory, trajectory_efforts
 from ..report.excitation_tables import excitation_tables
-from ..robot.hand import last_link
+from ..robot.end_effector import last_link
 from ..robot.model import Floats
 from .arguments import (
     add_force,

@@ -15,9 +15,9 @@ from ..analysis.measured_states import read_measured_states
 from ..report.calibration_json import as_json
 from ..report.calibration_tables import body_table, friction_table, residual_table, summary_lines
 from ..report.tables import Table
-from ..robot.hand import last_link
+from ..robot.end_effector import last_link
+from ..robot.limit_checks import position_warnings
 from ..robot.model_warning import ModelWarning
-from ..robot.plausibility import position_warnings
 from .arguments import (
     add_force,
     add_gravity,

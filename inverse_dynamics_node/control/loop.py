@@ -17,8 +17,8 @@ from ..dynamics.effort_terms import EffortTerms, JointWrenches
 from ..dynamics.inverse_dynamics import InverseDynamics
 from ..dynamics.loaded_robot import STANDARD_GRAVITY
 from ..errors import ConfigurationError
+from ..robot.limit_checks import implausible_positions, ImplausiblePosition
 from ..robot.model import Booleans, Floats, RobotModel
-from ..robot.plausibility import implausible_positions, ImplausiblePosition
 from .command_shaping import CommandShaper
 from .contact import ExternalEffortEstimator
 from .control_law import ControlLaw, joint_index, Reference

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from .columns import (
+from .equations import add, dot, origin_in_parent, Vector
+from .jit import simd_inline
+from .robot_table import (
     COSINE,
     LENGTH,
     OFFSET,
@@ -17,8 +19,6 @@ from .columns import (
     Y_AXIS,
     Z_AXIS,
 )
-from .equations import add, dot, origin_in_parent, Vector
-from .jit import simd_inline
 
 Axes = tuple[Vector, Vector, Vector]
 """Axes x, y, z of a frame."""

@@ -15,19 +15,6 @@ import numpy as np
 
 from ..robot.model import Floats
 from .base_axes import Axes, axes_in_base, in_base
-from .columns import (
-    ARMATURE,
-    friction_of,
-    JOINT,
-    MULTIPLIER,
-    OFFSET,
-    OMEGA,
-    PARENT,
-    POSITION_OFFSET,
-    rotation,
-    SLIDES,
-    vector,
-)
 from .equations import (
     add,
     angular_acceleration,
@@ -46,6 +33,19 @@ from .jit import compile_for, simd_inline, simd_kernel, simd_step
 from .lanes import CACHE_LINE, cosine_and_sine, lane, LANES, LARGEST_ANGLE, store_lane, transpose
 from .newton_euler import joint_friction, NOT_FINITE, OK, own_wrench
 from .regressor import block, in_frame_of_parameters, PARAMETERS, unit_twist
+from .robot_table import (
+    ARMATURE,
+    friction_of,
+    JOINT,
+    MULTIPLIER,
+    OFFSET,
+    OMEGA,
+    PARENT,
+    POSITION_OFFSET,
+    rotation,
+    SLIDES,
+    vector,
+)
 
 _FRAME = 12  # numbers in a lane: axes x, y, z and origin
 _TURNED = 18  # axes x, y, z, and motion

@@ -6,21 +6,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from ..robot.model import Floats
-from . import columns
-from .columns import (
-    ARMATURE,
-    EXTERNAL_FORCE,
-    EXTERNAL_MOMENT,
-    friction_of,
-    JOINT_COUNT,
-    motion_of,
-    OMEGA,
-    OMEGA_DOT,
-    store,
-    store_wrench,
-    vector,
-    wrench_of,
-)
+from . import robot_table
 from .equations import to_parent, Vector
 from .jit import compiled, simd_inline
 from .newton_euler import (
@@ -35,6 +21,20 @@ from .newton_euler import (
     outward_pass,
     own_wrench,
     WRONG_SIZE,
+)
+from .robot_table import (
+    ARMATURE,
+    EXTERNAL_FORCE,
+    EXTERNAL_MOMENT,
+    friction_of,
+    JOINT_COUNT,
+    motion_of,
+    OMEGA,
+    OMEGA_DOT,
+    store,
+    store_wrench,
+    vector,
+    wrench_of,
 )
 
 
@@ -151,22 +151,22 @@ def any_of(v: Vector) -> bool:
     return bool(v[0] != 0.0 or v[1] != 0.0 or v[2] != 0.0)
 
 
-_NO_BODIES = (columns.MASS, columns.INERTIA_COLUMNS, columns.BASE_MOTION_COLUMNS)
-_NO_JOINT_TERMS = (columns.JOINT_TERM_COLUMNS, columns.HAS_JOINT_TERMS)
+_NO_BODIES = (robot_table.MASS, robot_table.INERTIA_COLUMNS, robot_table.BASE_MOTION_COLUMNS)
+_NO_JOINT_TERMS = (robot_table.JOINT_TERM_COLUMNS, robot_table.HAS_JOINT_TERMS)
 TERMS: dict[str, tuple[int | slice, ...]] = {
     'inertial': (
-        columns.BASE_MOTION_COLUMNS,
-        columns.EXTERNAL_COLUMNS,
-        columns.DAMPING,
-        columns.COULOMB,
-        columns.LOAD_FRICTION,
+        robot_table.BASE_MOTION_COLUMNS,
+        robot_table.EXTERNAL_COLUMNS,
+        robot_table.DAMPING,
+        robot_table.COULOMB,
+        robot_table.LOAD_FRICTION,
     ),
     'velocity': (
-        columns.BASE_ACCELERATION_COLUMNS,
-        columns.EXTERNAL_COLUMNS,
+        robot_table.BASE_ACCELERATION_COLUMNS,
+        robot_table.EXTERNAL_COLUMNS,
         *_NO_JOINT_TERMS,
     ),
-    'gravity': (columns.EXTERNAL_COLUMNS, *_NO_JOINT_TERMS),
+    'gravity': (robot_table.EXTERNAL_COLUMNS, *_NO_JOINT_TERMS),
     'external': (*_NO_BODIES, *_NO_JOINT_TERMS),
 }
 """Terms of the efforts, and the columns that are zero in the table that computes each of them."""

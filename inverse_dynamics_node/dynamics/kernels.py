@@ -22,7 +22,7 @@ def prepared(function: Callable[..., int], *kinds: str) -> Callable[..., int]:
     ----------
     function : callable
         Takes arrays, of which the last but one receives the results and the last is a table of
-        `columns`; returns a status.
+        `robot_table`; returns a status.
     *kinds : str
         Types of the arguments: `VECTOR`, `MATRIX` or `MATRICES`.
 

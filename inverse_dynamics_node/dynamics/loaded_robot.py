@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from ..errors import ConfigurationError
 from ..robot.model import Floats, RobotModel
 from ..robot.rigid_body import combine, RigidBody
-from . import columns
+from . import robot_table
 from .arguments import read_inertial, read_joints, read_vector
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
@@ -49,8 +49,8 @@ class LoadedRobot:
     def __init__(self, robot: RobotModel, gravity: ArrayLike = STANDARD_GRAVITY) -> None:
         self.robot = robot
         self.revision = 0
-        self._table = columns.robot_table(robot)
-        self._R_ZL = columns.rotations_to_z(robot)
+        self._table = robot_table.table_of(robot)
+        self._R_ZL = robot_table.rotations_to_z(robot)
         self._R_LZ = np.ascontiguousarray(self._R_ZL.transpose(0, 2, 1)).reshape(-1, 9)
         self._base_motion: Floats = np.zeros((3, 3))  # angular velocity; both accelerations
         self._is_rotating = False  # whether the base has an angular velocity or acceleration
@@ -76,7 +76,7 @@ class LoadedRobot:
 
     @property
     def table(self) -> Floats:
-        """The table of `columns` with the robot and its loads; not to be modified."""
+        """The table of `robot_table` with the robot and its loads; not to be modified."""
         return self._table
 
     def set_gravity(self, gravity: ArrayLike) -> None:
@@ -241,12 +241,12 @@ class LoadedRobot:
             raise ConfigurationError(f'width is {width!r}, expected speeds above 0')
         load_friction = read_joints('load_friction', load_friction, n)
         # All arguments have been checked: a call that fails changes nothing.
-        self._write_joints(columns.DAMPING, damping)
-        self._write_joints(columns.COULOMB, coulomb)
+        self._write_joints(robot_table.DAMPING, damping)
+        self._write_joints(robot_table.COULOMB, coulomb)
         # Zero where it has no effect, so that it does not look like a load to generated code.
         inverse = np.where((coulomb > 0.0) | (load_friction > 0.0), 1.0 / speeds, 0.0)
-        self._write_joints(columns.INVERSE_WIDTH, inverse)
-        self._write_joints(columns.LOAD_FRICTION, load_friction)
+        self._write_joints(robot_table.INVERSE_WIDTH, inverse)
+        self._write_joints(robot_table.LOAD_FRICTION, load_friction)
 
     def set_armature(self, armature: ArrayLike) -> None:
         """
@@ -264,7 +264,7 @@ class LoadedRobot:
 
         """
         values = read_joints('armature', armature, len(self.robot.joint_names))
-        self._write_joints(columns.ARMATURE, values)
+        self._write_joints(robot_table.ARMATURE, values)
 
     def _rigid_body(self, body: int) -> RigidBody:
         """Combine a body of the robot with the payloads on it."""
@@ -276,17 +276,22 @@ class LoadedRobot:
         """Set a column of all joints."""
         rows = self._table[1 : 1 + len(values)]
         rows[:, column] = values
-        terms = [columns.ARMATURE, columns.DAMPING, columns.COULOMB, columns.LOAD_FRICTION]
-        self._table[0, columns.HAS_JOINT_TERMS] = float(rows[:, terms].any())
+        terms = [
+            robot_table.ARMATURE,
+            robot_table.DAMPING,
+            robot_table.COULOMB,
+            robot_table.LOAD_FRICTION,
+        ]
+        self._table[0, robot_table.HAS_JOINT_TERMS] = float(rows[:, terms].any())
         self.revision += 1
 
     def _write_base(self) -> None:
-        self._table[0, columns.BASE_MOTION_COLUMNS] = self._base_motion.ravel()
-        self._table[0, columns.ACCEL : columns.ACCEL + 3] -= self._gravity  # LWP (31)
+        self._table[0, robot_table.BASE_MOTION_COLUMNS] = self._base_motion.ravel()
+        self._table[0, robot_table.ACCEL : robot_table.ACCEL + 3] -= self._gravity  # LWP (31)
         self.revision += 1
 
     def _write_inertial(self, body: int) -> None:
-        columns.write_inertial(self._table[body], self._R_ZL[body], *self._rigid_body(body))
+        robot_table.write_inertial(self._table[body], self._R_ZL[body], *self._rigid_body(body))
         self.revision += 1
 
     def _write_external(self, body: int) -> None:
@@ -294,8 +299,8 @@ class LoadedRobot:
         row, R_ZL = self._table[body], self._R_ZL[body]
         force = sum((f for f, _ in wrenches), np.zeros(3))
         moment = sum((n for _, n in wrenches), np.zeros(3))
-        columns.store(row, columns.EXTERNAL_FORCE, R_ZL @ force)
-        columns.store(row, columns.EXTERNAL_MOMENT, R_ZL @ moment)
+        robot_table.store(row, robot_table.EXTERNAL_FORCE, R_ZL @ force)
+        robot_table.store(row, robot_table.EXTERNAL_MOMENT, R_ZL @ moment)
         self.revision += 1
 
     def _on_body(self, loads: dict[str, Any], body: int) -> Sequence[Any]:

@@ -28,22 +28,6 @@ from .base_axes import (
     in_base,
     place_in_base,
 )
-from .columns import (
-    ARMATURE,
-    COM,
-    COMPOSITE,
-    inertia,
-    JOINT,
-    JOINT_COUNT,
-    MASS,
-    MULTIPLIER,
-    PARENT,
-    POSITION,
-    SLIDES,
-    store,
-    vector,
-    Z_AXIS,
-)
 from .equations import (
     add,
     cross,
@@ -58,6 +42,22 @@ from .newton_euler import (
     OK,
     place_link,
     WRONG_SIZE,
+)
+from .robot_table import (
+    ARMATURE,
+    COM,
+    COMPOSITE,
+    inertia,
+    JOINT,
+    JOINT_COUNT,
+    MASS,
+    MULTIPLIER,
+    PARENT,
+    POSITION,
+    SLIDES,
+    store,
+    vector,
+    Z_AXIS,
 )
 
 Composite = tuple[Any, Vector, Any]

@@ -2,7 +2,7 @@
 The two passes of Luh, Walker and Paul for one state; the equations are in `equations`.
 
 The functions are compiled by numba where it is installed and run as Python where it is not. Both
-take a robot as one table, with a row for each body and the columns of `columns`: an array for
+take a robot as one table, with a row for each body and the columns of `robot_table`: an array for
 numba, a list of lists for Python.
 """
 
@@ -12,7 +12,26 @@ from collections.abc import Sequence
 from math import cos, fabs, sin, tanh
 from typing import Any
 
-from .columns import (
+from .equations import (
+    add,
+    angular_acceleration,
+    angular_velocity,
+    child_force,
+    child_moment,
+    cross,
+    joint_effort,
+    net_force,
+    net_moment,
+    origin_in_parent,
+    own_moment,
+    point_acceleration,
+    sliding_acceleration,
+    subtract,
+    to_link,
+    Vector,
+)
+from .jit import compiled, simd_inline
+from .robot_table import (
     ACCEL,
     ARMATURE,
     body_of,
@@ -44,25 +63,6 @@ from .columns import (
     vector,
     wrench_of,
 )
-from .equations import (
-    add,
-    angular_acceleration,
-    angular_velocity,
-    child_force,
-    child_moment,
-    cross,
-    joint_effort,
-    net_force,
-    net_moment,
-    origin_in_parent,
-    own_moment,
-    point_acceleration,
-    sliding_acceleration,
-    subtract,
-    to_link,
-    Vector,
-)
-from .jit import compiled, simd_inline
 
 OK = 0
 WRONG_SIZE = 1

@@ -27,7 +27,10 @@ from .base_axes import (
     in_frame,
     place_in_base,
 )
-from .columns import (
+from .equations import cross, dot, point_acceleration, subtract, Vector
+from .jit import compiled, simd_inline
+from .newton_euler import NOT_FINITE, OK, outward_pass, WRONG_SIZE
+from .robot_table import (
     ACCEL,
     JOINT,
     JOINT_COUNT,
@@ -41,9 +44,6 @@ from .columns import (
     vector,
     Z_AXIS,
 )
-from .equations import cross, dot, point_acceleration, subtract, Vector
-from .jit import compiled, simd_inline
-from .newton_euler import NOT_FINITE, OK, outward_pass, WRONG_SIZE
 
 PARAMETERS = 10
 """Per body: m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from ..robot.effort_limits import effort_limit_warnings
+from ..robot.limit_checks import effort_limit_warnings
 from ..robot.model import RobotModel
 from ..robot.model_warning import ModelWarning
 from .tables import Line, Style, WIDTH, wrapped

@@ -3,7 +3,7 @@
 from types import FunctionType
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.dynamics import columns, equations, newton_euler
+from inverse_dynamics_node.dynamics import equations, newton_euler, robot_table
 from inverse_dynamics_node.dynamics.equations import Link
 import numpy as np
 from numpy.testing import assert_allclose
@@ -27,7 +27,7 @@ def plain_python(*modules):
     return names
 
 
-PLAIN = plain_python(columns, equations, newton_euler)
+PLAIN = plain_python(robot_table, equations, newton_euler)
 
 
 def link_of(row):
@@ -39,8 +39,8 @@ def link_of(row):
 def statement(rows, q, qd, qdd):
     """Return the efforts of the recursion, with those of mimic joints added to their masters'."""
     rows = rows[1:]
-    joints = [(int(row[columns.JOINT]), row[columns.MULTIPLIER]) for row in rows]
-    offsets = [row[columns.POSITION_OFFSET] for row in rows]
+    joints = [(int(row[robot_table.JOINT]), row[robot_table.MULTIPLIER]) for row in rows]
+    offsets = [row[robot_table.POSITION_OFFSET] for row in rows]
     positions = [m * q[j] + offset for (j, m), offset in zip(joints, offsets, strict=True)]
     rates, rates_dot = ([m * values[j] for j, m in joints] for values in (qd, qdd))
     links = [link_of(row) for row in rows]

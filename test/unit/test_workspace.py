@@ -9,7 +9,7 @@ from inverse_dynamics_node.analysis.workspace import (
 )
 from inverse_dynamics_node.dynamics.inverse_dynamics import InverseDynamics
 from inverse_dynamics_node.errors import ConfigurationError
-from inverse_dynamics_node.robot.hand import last_link
+from inverse_dynamics_node.robot.end_effector import last_link
 from inverse_dynamics_node.robot.urdf import load_urdf
 import numpy as np
 import pytest

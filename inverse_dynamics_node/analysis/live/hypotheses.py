@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...dynamics.inverse_dynamics import InverseDynamics
-from ...robot.hand import last_link
+from ...robot.end_effector import last_link
 from ...robot.model import Floats, RobotModel
 from .verdict import Cause
 from .window import LiveSamples

@@ -10,7 +10,7 @@ import numpy as np
 from ...analysis.excitation import Excitation, Extent, States, whole_states
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...dynamics.trajectory import Trajectory
-from ...robot.hand import last_link
+from ...robot.end_effector import last_link
 from ...robot.kinematics import body_frames
 from ...robot.model import Floats, RobotModel
 from .style import (

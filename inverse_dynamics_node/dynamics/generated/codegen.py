@@ -21,7 +21,7 @@ from typing import Any, cast, NamedTuple
 import numpy as np
 
 from ...robot.model import Floats
-from .. import base_axes, columns, equations, mass_matrix, newton_euler
+from .. import base_axes, equations, mass_matrix, newton_euler, robot_table
 from ..jit import IS_COMPILED
 from ..newton_euler import NOT_FINITE, OK, WRONG_SIZE
 
@@ -41,14 +41,14 @@ def acting_numbers(table: Floats) -> Any:
     """Return which numbers of a table may change between calls and are not zero now."""
     mask = np.zeros(table.shape, dtype=bool)
     for part in (
-        columns.MASS,
-        columns.COM_COLUMNS,
-        columns.INERTIA_COLUMNS,
-        columns.EXTERNAL_COLUMNS,
-        columns.JOINT_TERM_COLUMNS,
+        robot_table.MASS,
+        robot_table.COM_COLUMNS,
+        robot_table.INERTIA_COLUMNS,
+        robot_table.EXTERNAL_COLUMNS,
+        robot_table.JOINT_TERM_COLUMNS,
     ):
         mask[:, part] = True
-    mask[0, columns.BASE_MOTION_COLUMNS] = True
+    mask[0, robot_table.BASE_MOTION_COLUMNS] = True
     return mask & (table != 0.0)
 
 
@@ -118,7 +118,7 @@ def write_out_mass_matrix(table: Floats, acting: Any) -> Callable[[Any, Any], in
         Function of q and the matrix that returns a status.
 
     """
-    n = int(table[0, columns.JOINT_COUNT])
+    n = int(table[0, robot_table.JOINT_COUNT])
 
     @intrinsic  # type: ignore[untyped-decorator, unused-ignore]
     def straight_line(_: Any, q: Any, matrix: Any) -> Any:
@@ -147,7 +147,7 @@ def _run_time_table(writer: Writer, table: Floats, acting: Any) -> list[list[Any
     base = writer.integer(table.ctypes.data)
     robot: list[list[Any]] = table.tolist()
     for i, k in np.argwhere(acting):
-        robot[i][k] = writer.load(base, i * columns.COLUMNS + k)
+        robot[i][k] = writer.load(base, i * robot_table.COLUMNS + k)
     return robot
 
 
@@ -168,7 +168,7 @@ def _functions_that_write(writer: Writer, inputs: list[RunTimeNumber]) -> dict[s
     def check_diagonal(matrix: list[list[Any]]) -> Any:
         return check([row[k] for k, row in enumerate(matrix)])
 
-    functions = {**vars(columns), **vars(equations), **vars(base_axes)}
+    functions = {**vars(robot_table), **vars(equations), **vars(base_axes)}
     functions |= {**vars(newton_euler), **vars(mass_matrix)}
     functions |= {'check': check, 'check_diagonal': check_diagonal}
     for function in (math.cos, math.fabs, math.sin, math.tanh):

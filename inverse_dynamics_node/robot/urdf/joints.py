@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 import math
 
-from ..effort_limits import limit_subject
+from ..limit_checks import limit_subject
 from .elements import check_attributes, check_children, written
 from .origins import check_rotation, UNIT_TOLERANCE
 from .problems import label, Problems, quoted

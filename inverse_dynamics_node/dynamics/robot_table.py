@@ -153,7 +153,7 @@ def store_wrench(row: Any, force: Any, moment: Any) -> None:
 _UPPER = np.triu_indices(3)
 
 
-def robot_table(robot: RobotModel) -> Floats:
+def table_of(robot: RobotModel) -> Floats:
     """
     Make the table of a robot at rest, without gravity and without loads.
 

@@ -3,7 +3,7 @@
 import math
 
 from inverse_dynamics_node import load_urdf
-from inverse_dynamics_node.robot.plausibility import implausible_positions, position_warnings
+from inverse_dynamics_node.robot.limit_checks import implausible_positions, position_warnings
 import numpy as np
 import pytest
 
