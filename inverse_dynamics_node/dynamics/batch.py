@@ -237,13 +237,14 @@ def outward_step(
         c, s, length = lane(place, i, 0, k)
         p = origin_in_parent(R, offset, length)
         omega_P, omega_dot_P = lane(parents, parent, 0, k), lane(parents, parent, 3, k)
-        accel = point_acceleration(p, omega_P, omega_dot_P, lane(parents, parent, 6, k))
-        omega_P, omega_dot_P = to_link(R, c, s, omega_P), to_link(R, c, s, omega_dot_P)
+        at_origin = point_acceleration(p, omega_P, omega_dot_P, lane(parents, parent, 6, k))
+        carried, carried_dot = to_link(R, c, s, omega_P), to_link(R, c, s, omega_dot_P)
         turn, turn_dot = turns * qd[joint, k], turns * qdd[joint, k]
         slide, slide_dot = slides * qd[joint, k], slides * qdd[joint, k]
-        omega = angular_velocity(omega_P, turn)
-        omega_dot = angular_acceleration(omega_P, omega_dot_P, turn, turn_dot)
-        accel = sliding_acceleration(to_link(R, c, s, accel), omega, slide, slide_dot)
+        omega = angular_velocity(carried, turn)  # (36)
+        omega_dot = angular_acceleration(carried, carried_dot, turn, turn_dot)  # (37)
+        at_origin = to_link(R, c, s, at_origin)
+        accel = sliding_acceleration(at_origin, omega, slide, slide_dot)  # (40)
         store_lane(motion, i, 0, k, omega)
         store_lane(motion, i, 3, k, omega_dot)
         store_lane(motion, i, 6, k, accel)
@@ -259,30 +260,30 @@ def own_wrenches(robot: Any, i: int, motion: Any, wrench: Any) -> None:
             lane(motion, i, 3, k),
             lane(motion, i, 6, k),
         )
-        force, moment = own_wrench(link, omega, omega_dot, accel)
+        force, moment = own_wrench(link, omega, omega_dot, accel)  # (44), (41), (42)
         store_lane(wrench, i, 0, k, force)
         store_lane(wrench, i, 3, k, moment)
 
 
 @simd_step
 def inward_step(robot: Any, i: int, place: Any, wrench: Any, parent: int, parents: Any) -> None:
-    """Add the link's force (45) and moment (46) to its parent's, in the parent's frame."""
+    """Add the link's force and moment to its parent's, in the parent's frame."""
     R, offset = rotation(robot[i]), vector(robot[i], OFFSET)
     for k in range(LANES):
         c, s, length = lane(place, i, 0, k)
         p = origin_in_parent(R, offset, length)
         force = child_force(R, c, s, lane(wrench, i, 0, k))
         moment = child_moment(R, c, s, p, force, lane(wrench, i, 3, k))
-        store_lane(parents, parent, 0, k, add(lane(parents, parent, 0, k), force))
-        store_lane(parents, parent, 3, k, add(lane(parents, parent, 3, k), moment))
+        store_lane(parents, parent, 0, k, add(lane(parents, parent, 0, k), force))  # (45)
+        store_lane(parents, parent, 3, k, add(lane(parents, parent, 3, k), moment))  # (46)
 
 
 @simd_step
 def project(tau: Any, robot: Any, i: int, joint: int, wrench: Any) -> None:
-    """Add a link's contribution to the effort of its joint, (47)."""
+    """Add a link's contribution to the effort of its joint."""
     multiplier, slides = robot[i, MULTIPLIER], robot[i, SLIDES]
     for k in range(LANES):
-        effort = joint_effort(lane(wrench, i, 0, k), lane(wrench, i, 3, k), slides)
+        effort = joint_effort(lane(wrench, i, 0, k), lane(wrench, i, 3, k), slides)  # (47)
         tau[joint, k] = tau[joint, k] + multiplier * effort
 
 

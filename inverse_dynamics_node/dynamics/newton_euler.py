@@ -180,7 +180,7 @@ def outward_pass(
     store_wrench(robot[0], (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     for i in range(1, len(robot)):
         link = robot[i]
-        # Sine and cosine first: what is read before their calls would have to be read again.
+        # First: what is read before the calls of sine and cosine would have to be read again.
         c, s, length = place_link(link, q[int(link[JOINT])])
         parent, joint, multiplier, slides = joint_of(link)
         R, p = frame_of(link)
