@@ -54,7 +54,7 @@ POSITION = 70  # of the frame's origin in the base; this and the axes are used b
 X_AXIS = 73  # of the frame, in coordinates of the base
 Y_AXIS = 76
 Z_AXIS = 79
-COLUMNS = 83
+COLUMNS = 82
 
 # Ranges of columns, to set them together
 COM_COLUMNS = slice(COM, COM + 3)
