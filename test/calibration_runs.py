@@ -9,7 +9,7 @@ from inverse_dynamics_node.analysis.calibration.pseudo_inertia import (
     pseudo_inertias,
     rigid_body,
 )
-from inverse_dynamics_node.analysis.identification import Recording
+from inverse_dynamics_node.analysis.diagnosis import Recording
 from inverse_dynamics_node.robot.rigid_body import RigidBody
 import numpy as np
 from scipy.linalg import expm

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import RecordingError
 from ..robot.model import Floats
-from .identification import Recording
+from .diagnosis import Recording
 from .recordings import Bag, BAG_SUFFIXES, JOINT_STATE, open_bag, read_csv
 
 _QUANTITIES = ('position', 'velocity', 'effort')

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from ..analysis.identification import (
-    Findings,
+from ..analysis.diagnosis import (
+    ComparisonResult,
+    diagnose_recording,
     friction_parameters,
-    identify,
-    JointFinding,
+    JointResidual,
     Recording,
 )
 from ..analysis.measured_states import read_measured_states
@@ -132,26 +132,26 @@ def run(options: argparse.Namespace) -> int:
             options.recording, robot.joint_names, options.topic, report, robot.mimic_names
         )
     recording = _between(recording, options.start, options.end)
-    findings = identify(dynamics, recording, link=options.link, width=width)
-    say(verdict(findings))
+    result = diagnose_recording(dynamics, recording, link=options.link, width=width)
+    say(verdict(result))
     print()
     warnings = [
         *position_warnings(robot, recording.positions, recording.joint_names),
-        *map(diagnosis_warning, findings.diagnoses),
+        *map(diagnosis_warning, result.diagnoses),
     ]
     if warnings:
         show_warnings(warnings)
         print()
-    show(comparison_table(findings, notes), friction_table(findings))
+    show(comparison_table(result, notes), friction_table(result))
     if options.parameters:
-        write_parameters(findings, robot.joint_names, options.parameters)
+        write_parameters(result, robot.joint_names, options.parameters)
         print(f'friction: {options.parameters}')
     if not options.no_picture:
         from .pictures.compare import draw
 
         source = f'{robot.name}: {", ".join(filter(None, (options.recording.name, load)))}'
         path = try_to_draw(
-            partial(draw, findings, source, verdict(findings)),
+            partial(draw, result, source, verdict(result)),
             options.picture,
             picture,
         )
@@ -189,20 +189,20 @@ def _between(recording: Recording, start: float | None, end: float | None) -> Re
     )
 
 
-def write_parameters(findings: Findings, joint_names: tuple[str, ...], path: Path) -> None:
+def write_parameters(result: ComparisonResult, joint_names: tuple[str, ...], path: Path) -> None:
     """Write friction as parameters of the node, with the joints in the order of the robot."""
-    joints: list[JointFinding] = sorted(
-        findings.joints, key=lambda joint: joint_names.index(joint.name)
+    joints: list[JointResidual] = sorted(
+        result.joints, key=lambda joint: joint_names.index(joint.name)
     )
     names = [joint.name for joint in joints]
     rotors = {
         name: value
-        for diagnosis in findings.diagnoses
+        for diagnosis in result.diagnoses
         if diagnosis.kind == 'rotor_inertia'
         for name, value in zip(diagnosis.joints, diagnosis.values, strict=True)
     }
     armature = [rotors.get(name, 0.0) for name in names] if rotors else []
     fits = [joint.friction for joint in joints]
-    text = friction_parameters(names, fits, findings.width, armature)
+    text = friction_parameters(names, fits, result.width, armature)
     with new_file(path) as temporary:
         temporary.write_text(text, encoding='utf-8')

@@ -10,7 +10,7 @@ from typing import Any
 
 from ..analysis.calibration import calibrate, Calibration
 from ..analysis.calibration.export import calibrated_urdf, node_parameters
-from ..analysis.identification import Recording
+from ..analysis.diagnosis import Recording
 from ..analysis.measured_states import read_measured_states
 from ..report.calibration_json import as_json
 from ..report.calibration_tables import body_table, friction_table, residual_table, summary_lines

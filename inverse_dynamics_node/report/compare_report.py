@@ -4,48 +4,48 @@ from __future__ import annotations
 
 import math
 
-from ..analysis.identification import Findings, JointFinding, Motion
+from ..analysis.diagnosis import ComparisonResult, JointResidual, Motion
 from .diagnosis_text import amount, sentence
 from .tables import Table
 
 AT_NOISE = 1.5  # times the noise; a smaller residual cannot be distinguished from it
 
 
-def verdict(findings: Findings) -> str:
+def verdict(result: ComparisonResult) -> str:
     """Summarize the comparison in one or two sentences."""
-    if math.isnan(findings.explained):
-        opening = '. '.join(sentence(each) for each in findings.diagnoses)
+    if math.isnan(result.explained):
+        opening = '. '.join(sentence(each) for each in result.diagnoses)
         reason = 'The efforts hardly vary, so that they cannot be compared.'
         return f'{opening}. {reason}' if opening else reason
     modelled = (
-        f'the model explains {percent(findings.explained)} of the measured effort and leaves '
-        f'{_total(findings, "rms_residual")} RMS of {_total(findings, "rms_measured")}'
+        f'the model explains {percent(result.explained)} of the measured effort and leaves '
+        f'{_total(result, "rms_residual")} RMS of {_total(result, "rms_measured")}'
     )
-    corrected = f'{percent(findings.explained_corrected)} and {_total(findings, "rms_corrected")}'
-    if findings.diagnoses:
+    corrected = f'{percent(result.explained_corrected)} and {_total(result, "rms_corrected")}'
+    if result.diagnoses:
         opening = '; '.join(
             sentence(each) if k == 0 else sentence(each)[0].lower() + sentence(each)[1:]
-            for k, each in enumerate(findings.diagnoses)
+            for k, each in enumerate(result.diagnoses)
         )
         return f'{opening}. As it is, {modelled}; with that and friction, {corrected}.'
     text = f'{modelled[0].upper()}{modelled[1:]}; with fitted friction, {corrected}.'
-    if all(joint.friction.unknown_because for joint in findings.joints):
+    if all(joint.friction.unknown_because for joint in result.joints):
         text = f'{modelled[0].upper()}{modelled[1:]}; friction cannot be fitted.'
-    if findings.is_too_short:
-        motion = findings.motion
+    if result.is_too_short:
+        motion = result.motion
         seconds = motion.times[-1] - motion.times[0]
         text += f' The recording is too short ({seconds:.2g} s) to diagnose a difference.'
     return text
 
 
-def _total(findings: Findings, name: str) -> str:
+def _total(result: ComparisonResult, name: str) -> str:
     """Write the RMS over joints, separately for revolute and prismatic joints."""
     texts = []
     for is_prismatic in (False, True):
         values = [
-            getattr(findings.joints[c], name)
-            for c in findings.moving
-            if findings.joints[c].is_prismatic == is_prismatic
+            getattr(result.joints[c], name)
+            for c in result.moving
+            if result.joints[c].is_prismatic == is_prismatic
         ]
         if values:
             mean = math.sqrt(sum(x * x for x in values) / len(values))
@@ -53,12 +53,12 @@ def _total(findings: Findings, name: str) -> str:
     return ' and '.join(texts)
 
 
-def comparison_table(findings: Findings, notes: tuple[str, ...]) -> Table:
+def comparison_table(result: ComparisonResult, notes: tuple[str, ...]) -> Table:
     """Return measured and modelled efforts and the residuals, one row per joint."""
-    rows = [_row(joint) for joint in findings.joints]
+    rows = [_row(joint) for joint in result.joints]
     columns = ('joint', '', 'measured', 'modelled', 'residual', 'friction', 'corrected', 'noise',
                'explained', 'scale')  # fmt: skip
-    findings_too = ', with the findings above' if findings.diagnoses else ''
+    findings_too = ', with the findings above' if result.diagnoses else ''
     remarks = (
         'RMS of measured and modelled efforts; residual: measured minus modelled; friction: the '
         f'same with fitted friction; corrected: with friction and offset{findings_too}; noise: '
@@ -66,14 +66,14 @@ def comparison_table(findings: Findings, notes: tuple[str, ...]) -> Table:
         'explained: 1 - (corrected / measured)^2. scale: measured is about scale * modelled + an '
         'offset. Only samples at which the joint moves, unless its friction is unknown: at rest, '
         'dry friction can have any value up to its maximum.',
-        _quality(findings.motion),
-        *(f'{note[0].upper()}{note[1:]}.' for note in (*motion_notes(findings.motion), *notes)),
+        _quality(result.motion),
+        *(f'{note[0].upper()}{note[1:]}.' for note in (*motion_notes(result.motion), *notes)),
     )
     return Table('Measured against modelled efforts', columns, tuple(rows), remarks,
                  frozenset({1}))  # fmt: skip
 
 
-def _row(joint: JointFinding) -> tuple[str, ...]:
+def _row(joint: JointResidual) -> tuple[str, ...]:
     explained = percent(joint.explained_corrected)
     return (
         joint.name,
@@ -113,11 +113,11 @@ def motion_notes(motion: Motion) -> list[str]:
     return notes
 
 
-def friction_table(findings: Findings) -> Table:
+def friction_table(result: ComparisonResult) -> Table:
     """Return the fitted friction with standard errors."""
-    has_shape = any(joint.friction.has_shape for joint in findings.joints)
+    has_shape = any(joint.friction.has_shape for joint in result.joints)
     rows = []
-    for joint in findings.joints:
+    for joint in result.joints:
         fit = joint.friction
         numbers = ('-', '-', '-')
         shape = ('-', '-')
@@ -127,11 +127,11 @@ def friction_table(findings: Findings) -> Table:
                 _with_error(fit.coulomb, fit.coulomb_error),
                 _with_error(fit.offset, fit.offset_error),
             )
-            own_width = fit.width if fit.has_shape else findings.width
+            own_width = fit.width if fit.has_shape else result.width
             shape = f'{own_width:g}', f'{fit.load_friction:.3f}'
         rows.append((joint.name, *numbers, *(shape if has_shape else ())))
     coulomb = 'Coulomb'
-    width = f'{findings.width:g}'
+    width = f'{result.width:g}'
     if has_shape:
         coulomb, width = '(Coulomb + per load * |modelled effort|)', 'width'
     notes = (
@@ -139,7 +139,7 @@ def friction_table(findings: Findings) -> Table:
         'N m (prismatic joints: N s/m and N).',
         *(
             f'{joint.name}: unknown, {joint.friction.unknown_because}.'
-            for joint in findings.joints
+            for joint in result.joints
             if joint.friction.unknown_because
         ),
     )

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 import math
 from types import MappingProxyType
 
-from ..analysis.identification import Change, Diagnosis
+from ..analysis.diagnosis import Change, Diagnosis
 from ..robot.model_warning import ModelWarning
 
 MOST_CHANGES = 3  # joints whose residuals are listed as evidence

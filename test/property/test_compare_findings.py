@@ -4,7 +4,7 @@ from dataclasses import replace
 import math
 
 from inverse_dynamics_node import InverseDynamics
-from inverse_dynamics_node.analysis.identification import friction_parameters, identify
+from inverse_dynamics_node.analysis.diagnosis import diagnose_recording, friction_parameters
 from inverse_dynamics_node.dynamics.jit import IS_COMPILED
 from inverse_dynamics_node.report.compare_report import (
     comparison_table,
@@ -25,8 +25,8 @@ pytestmark = pytest.mark.skipif(not IS_COMPILED, reason='numba is not here, or o
 EVERY_ROBOT = pytest.mark.parametrize('name', ROBOTS)
 
 
-def kinds(findings):
-    return [diagnosis.kind for diagnosis in findings.diagnoses]
+def kinds(result):
+    return [diagnosis.kind for diagnosis in result.diagnoses]
 
 
 def states(recording):
@@ -54,23 +54,25 @@ def test_lack_of_gravity_is_not_reported_for_efforts_that_it_does_not_explain(rn
     qd = 0.02 * np.cos(0.2 * t + np.arange(7))
     # A tenth of gravity, as if in another unit, and something else that is not in the model.
     efforts = 0.1 * dynamics.gravity_efforts(q) + 2.0 * np.sin(0.7 * t + 2.0 * np.arange(7))
-    findings = identify(dynamics, recording._replace(positions=q, velocities=qd, efforts=efforts))
-    assert findings.explained < -1.0
-    assert kinds(findings) == ['unexplained']
+    result = diagnose_recording(
+        dynamics, recording._replace(positions=q, velocities=qd, efforts=efforts)
+    )
+    assert result.explained < -1.0
+    assert kinds(result) == ['unexplained']
 
 
 def test_a_finding_is_credited_without_the_effect_of_friction():
     dynamics, recording = run('seven_dof', friction=(6.0, 6.0))
     efforts = recording.efforts.copy()
     efforts[:, 3] += 5.0
-    findings = identify(dynamics, recording._replace(efforts=efforts))
-    (diagnosis,) = findings.diagnoses
+    result = diagnose_recording(dynamics, recording._replace(efforts=efforts))
+    (diagnosis,) = result.diagnoses
     (change,) = diagnosis.changes
     assert (diagnosis.kind, change.joint) == ('offset', 'elbow')
     # Friction cannot replace the offset: its RMS is left. Without friction, twice as much is.
     assert change.before == pytest.approx(5.0, rel=0.1)
-    assert findings.joints[3].rms_residual > 1.5 * change.before
-    assert change.after == pytest.approx(findings.joints[3].rms_corrected, rel=0.2)
+    assert result.joints[3].rms_residual > 1.5 * change.before
+    assert change.after == pytest.approx(result.joints[3].rms_corrected, rel=0.2)
     assert f'from {change.before:.3g} N m to {change.after:.3g} N m' in str(
         diagnosis_warning(diagnosis)
     )
@@ -83,26 +85,26 @@ def test_noise_floor_is_reported_and_explained(quantum, rng):
     efforts = recording.efforts + noise * rng.standard_normal(recording.efforts.shape)
     if quantum:
         efforts = quantum * np.round(efforts / quantum)
-    findings = identify(dynamics, recording._replace(efforts=efforts))
+    result = diagnose_recording(dynamics, recording._replace(efforts=efforts))
     # The effort of the last joint is noise, of which the model explains nothing.
-    assert findings.joints[6].explained_corrected < 0.3
-    assert kinds(findings) == []
-    for joint in findings.joints:
+    assert result.joints[6].explained_corrected < 0.3
+    assert kinds(result) == []
+    for joint in result.joints:
         assert joint.noise == pytest.approx(joint.rms_corrected, rel=0.4)
-    last = comparison_table(findings, ()).rows[6]
+    last = comparison_table(result, ()).rows[6]
     assert last[-2].endswith('(noise)')
 
 
 def test_residuals_are_beside_percentages_and_the_same_everywhere():
-    findings = identify(*run('seven_dof', friction=(2.0, 2.0)))
-    squares = [(j.rms_measured**2, j.rms_residual**2, j.rms_corrected**2) for j in findings.joints]
+    result = diagnose_recording(*run('seven_dof', friction=(2.0, 2.0)))
+    squares = [(j.rms_measured**2, j.rms_residual**2, j.rms_corrected**2) for j in result.joints]
     measured, residual, corrected = np.sum(squares, axis=0)
-    assert findings.explained == pytest.approx(1.0 - residual / measured)
-    assert findings.explained_corrected == pytest.approx(1.0 - corrected / measured)
-    text = verdict(findings)
+    assert result.explained == pytest.approx(1.0 - residual / measured)
+    assert result.explained_corrected == pytest.approx(1.0 - corrected / measured)
+    text = verdict(result)
     for value in (measured, residual, corrected):
         assert f'{math.sqrt(value / 7):.3g} N m' in text
-    for joint, row in zip(findings.joints, comparison_table(findings, ()).rows, strict=True):
+    for joint, row in zip(result.joints, comparison_table(result, ()).rows, strict=True):
         assert row[6] == f'{joint.rms_corrected:.3g}'
         assert joint.explained_corrected == pytest.approx(
             1.0 - (joint.rms_corrected / joint.rms_measured) ** 2
@@ -111,10 +113,10 @@ def test_residuals_are_beside_percentages_and_the_same_everywhere():
 
 def test_no_payload_is_reported_far_from_its_link():
     recording = run('seven_dof', act=lambda real: real.set_payload('tool0', 3.0, (0.2, 0.0, 0.8)))
-    findings = identify(*recording)
-    assert findings.explained < 0.5
-    assert findings.diagnoses
-    for diagnosis in findings.diagnoses:
+    result = diagnose_recording(*recording)
+    assert result.explained < 0.5
+    assert result.diagnoses
+    for diagnosis in result.diagnoses:
         assert diagnosis.kind != 'payload' or np.linalg.norm(diagnosis.values[1:]) < 0.5
 
 
@@ -127,12 +129,12 @@ def test_no_payload_is_reported_at_a_tip_that_did_not_move():
     qdd = np.gradient(qd, recording.times, axis=0)
     held = [j for j, name in enumerate(robot.joint_names) if 'right' not in name]
     q[:, held], qd[:, held], qdd[:, held] = q[0, held], 0.0, 0.0
-    findings = identify(
+    result = diagnose_recording(
         dynamics, recording._replace(positions=q, velocities=qd, efforts=real.efforts(q, qd, qdd))
     )
-    (diagnosis,) = findings.diagnoses
+    (diagnosis,) = result.diagnoses
     assert (diagnosis.kind, diagnosis.link) == ('payload', 'right_forearm')
-    left = identify(dynamics, recording._replace(positions=q, velocities=qd,
+    left = diagnose_recording(dynamics, recording._replace(positions=q, velocities=qd,
                     efforts=real.efforts(q, qd, qdd)), link='left_arm')  # fmt: skip
     assert 'payload' not in kinds(left)
 
@@ -150,7 +152,7 @@ def test_finds_a_unit_of_all_joints_even_if_some_hardly_moved(factor, rng):
     efforts += 0.2 * np.sin(0.5 * recording.times)[:, None]  # dry friction at rest
     efforts += 0.02 * rng.standard_normal(efforts.shape)
     still = recording._replace(positions=q, velocities=qd, efforts=factor * efforts)
-    (diagnosis,) = identify(dynamics, still).diagnoses
+    (diagnosis,) = diagnose_recording(dynamics, still).diagnoses
     assert (diagnosis.kind, diagnosis.joints) == ('unit', dynamics.robot.joint_names)
     assert diagnosis.values[0] == pytest.approx(factor, rel=0.05)
 
@@ -160,7 +162,7 @@ def test_advice_for_an_offset_depends_on_the_kind_of_measurement(friction, is_mo
     dynamics, recording = run('seven_dof', friction=friction)
     efforts = recording.efforts.copy()
     efforts[:, 3] += 5.0
-    (diagnosis,) = identify(dynamics, recording._replace(efforts=efforts)).diagnoses
+    (diagnosis,) = diagnose_recording(dynamics, recording._replace(efforts=efforts)).diagnoses
     assert diagnosis.is_motor_side is is_motor_side
     hint = diagnosis_warning(diagnosis).hint
     assert ('Zero the torque sensors' in hint) is not is_motor_side
@@ -168,8 +170,8 @@ def test_advice_for_an_offset_depends_on_the_kind_of_measurement(friction, is_mo
 
 
 def test_standard_errors_are_limited_to_random_errors_in_the_headline():
-    findings = identify(*run('branched', rate=100.0, friction=(0.5, 0.5)))
-    assert 'standard errors, of random errors only' in friction_table(findings).title
+    result = diagnose_recording(*run('branched', rate=100.0, friction=(0.5, 0.5)))
+    assert 'standard errors, of random errors only' in friction_table(result).title
 
 
 @EVERY_ROBOT
@@ -179,9 +181,9 @@ def test_nothing_is_found_in_a_short_recording(name, begin):
     efforts = recording.efforts.copy()
     efforts[:, [1, 2]] = efforts[:, [2, 1]]
     short = between(recording._replace(efforts=efforts), begin, begin + 2.5)
-    findings = identify(dynamics, short)
-    assert kinds(findings) == []
-    assert 'too short' in verdict(findings)
+    result = diagnose_recording(dynamics, short)
+    assert kinds(result) == []
+    assert 'too short' in verdict(result)
 
 
 def test_width_and_load_friction_are_fitted_and_written(rng):
@@ -192,7 +194,7 @@ def test_width_and_load_friction_are_fitted_and_written(rng):
         real.set_friction(1.0, 3.0, width=width, load_friction=per_load)
 
     dynamics, recording = run('seven_dof', rate=100.0, effort_noise=0.002, act=act)
-    fits = [joint.friction for joint in identify(dynamics, recording).joints]
+    fits = [joint.friction for joint in diagnose_recording(dynamics, recording).joints]
     assert [fits[0].width, fits[3].width] == pytest.approx([0.1, 0.05], rel=0.5)
     assert fits[0].coulomb == pytest.approx(3.0, rel=0.1)
     assert fits[1].load_friction == pytest.approx(0.2, rel=0.15)
@@ -202,7 +204,7 @@ def test_width_and_load_friction_are_fitted_and_written(rng):
     assert parameters['coulomb_width'][0] == pytest.approx(fits[0].width)
     assert parameters['load_friction'][1] == pytest.approx(fits[1].load_friction, rel=1e-3)
     assert parameters['armature'] == [0.5, *6 * [0.0]]
-    fixed = identify(dynamics, recording, width=0.02)
+    fixed = diagnose_recording(dynamics, recording, width=0.02)
     assert not any(joint.friction.has_shape for joint in fixed.joints)
 
 
@@ -216,15 +218,17 @@ def test_velocities_that_lag_the_positions_are_not_used(name, lag):
     dynamics, recording = run(name, friction=(1.0, 1.0), rate=rate)
     shift = round(lag * rate)
     late = np.vstack([np.tile(recording.velocities[:1], (shift, 1)), recording.velocities])
-    findings = identify(dynamics, recording._replace(velocities=late[: len(recording.times)]))
-    assert kinds(findings) == []
-    assert list(findings.motion.lags) == list(recording.joint_names)
-    assert list(findings.motion.lags.values()) == pytest.approx(
+    result = diagnose_recording(
+        dynamics, recording._replace(velocities=late[: len(recording.times)])
+    )
+    assert kinds(result) == []
+    assert list(result.motion.lags) == list(recording.joint_names)
+    assert list(result.motion.lags.values()) == pytest.approx(
         [lag] * len(recording.joint_names), abs=3e-3
     )
-    assert findings.explained_corrected > 0.995
-    assert any('lag the positions' in note for note in motion_notes(findings.motion))
-    assert identify(dynamics, recording).motion.lags == {}
+    assert result.explained_corrected > 0.995
+    assert any('lag the positions' in note for note in motion_notes(result.motion))
+    assert diagnose_recording(dynamics, recording).motion.lags == {}
 
 
 @EVERY_ROBOT
@@ -233,13 +237,16 @@ def test_efforts_that_were_filtered_before_are_reported(name, rate):
     dynamics, recording = run(name, friction=(1.0, 3.0), rate=rate)
     sos = butter(4, 2.0, fs=rate, output='sos')
     filtered = sosfiltfilt(sos, recording.efforts, axis=0)
-    findings = identify(dynamics, recording._replace(efforts=filtered))
-    assert 1.0 < findings.motion.cut_off < 5.0
-    assert any('low-pass filtered' in note for note in motion_notes(findings.motion))
-    assert all(math.isnan(joint.noise) for joint in findings.joints)
+    result = diagnose_recording(dynamics, recording._replace(efforts=filtered))
+    assert 1.0 < result.motion.cut_off < 5.0
+    assert any('low-pass filtered' in note for note in motion_notes(result.motion))
+    assert all(math.isnan(joint.noise) for joint in result.joints)
     for quantum in (1e-9, 0.05):
         raw = quantum * np.round(recording.efforts / quantum)
-        assert identify(dynamics, recording._replace(efforts=raw)).motion.cut_off == math.inf
+        assert (
+            diagnose_recording(dynamics, recording._replace(efforts=raw)).motion.cut_off
+            == math.inf
+        )
 
 
 # ---- Many wrong links ----------------------------------------------------------------------
@@ -256,10 +263,10 @@ def test_many_wrong_links_are_not_reported_as_a_payload(name, seed):
     change = InverseDynamics(real).efforts(*states(recording)) - dynamics.efforts(
         *states(recording)
     )
-    findings = identify(dynamics, recording._replace(efforts=recording.efforts + change))
-    assert 'payload' not in kinds(findings)
-    assert kinds(findings)[-1] == 'bodies'
-    diagnosis = findings.diagnoses[-1]
+    result = diagnose_recording(dynamics, recording._replace(efforts=recording.efforts + change))
+    assert 'payload' not in kinds(result)
+    assert kinds(result)[-1] == 'bodies'
+    diagnosis = result.diagnoses[-1]
     assert diagnosis.changes[0].after < 0.5 * diagnosis.changes[0].before
     assert 'inverse_dynamics identify' in diagnosis_warning(diagnosis).hint
 
@@ -283,15 +290,15 @@ def test_a_load_that_was_picked_up_is_reported_with_its_times(name, link, begin,
     real.set_payload(link, 1.5, (0.0, 0.02, 0.05))
     load = real.efforts(*states(recording)) - dynamics.efforts(*states(recording))
     carried = (recording.times >= begin) & (recording.times < end)
-    findings = identify(
+    result = diagnose_recording(
         dynamics, recording._replace(efforts=recording.efforts + load * carried[:, None])
     )
-    (diagnosis,) = findings.diagnoses
+    (diagnosis,) = result.diagnoses
     assert (diagnosis.kind, diagnosis.link) == ('payload', link)
     assert diagnosis.interval == pytest.approx((begin, end), abs=0.15)
     assert diagnosis.values == pytest.approx((1.5, 0.0, 0.02, 0.05), abs=0.05)
-    assert findings.explained_corrected > 0.999
-    assert f'From {begin:.1f} s to' in verdict(findings)
+    assert result.explained_corrected > 0.999
+    assert f'From {begin:.1f} s to' in verdict(result)
 
 
 @pytest.mark.parametrize('name', ['stanford', 'seven_dof'])
@@ -300,16 +307,16 @@ def test_a_push_is_reported_with_its_times(name):
     times = recording.times
     push = np.where((times >= 4.0) & (times < 9.0), np.sin(np.pi * (times - 4.0) / 5.0), 0.0)
     strength = np.linspace(8.0, 1.0, len(recording.joint_names))
-    findings = identify(
+    result = diagnose_recording(
         dynamics, recording._replace(efforts=recording.efforts + np.outer(push, strength))
     )
-    (diagnosis,) = findings.diagnoses
+    (diagnosis,) = result.diagnoses
     assert diagnosis.kind == 'external_force'
     assert set(recording.joint_names[:2]) <= set(diagnosis.joints)
     assert diagnosis.interval == pytest.approx((4.0, 9.0), abs=0.4)
     # Friction is fitted to the rest of the recording.
-    assert findings.joints[0].friction.coulomb == pytest.approx(1.0, rel=0.1)
-    assert findings.explained_corrected > 0.999
+    assert result.joints[0].friction.coulomb == pytest.approx(1.0, rel=0.1)
+    assert result.explained_corrected > 0.999
 
 
 @pytest.mark.parametrize(('name', 'begin'), [('seven_dof', 0.0), ('branched', 5.0)])
@@ -319,14 +326,14 @@ def test_a_base_that_tilts_is_reported_with_its_times(name, begin):
     angle = np.radians(19.0) * np.clip((times - begin) / 7.0, 0.0, 1.0)
     gravity = 9.80665 * np.column_stack([0.0 * angle, np.sin(angle), -np.cos(angle)])
     change = under_gravity(dynamics.robot, q, gravity) - dynamics.gravity_efforts(q)
-    findings = identify(dynamics, recording._replace(efforts=recording.efforts + change))
-    (diagnosis,) = findings.diagnoses
+    result = diagnose_recording(dynamics, recording._replace(efforts=recording.efforts + change))
+    (diagnosis,) = result.diagnoses
     assert diagnosis.kind == 'mounting'
     assert math.degrees(diagnosis.angle) == pytest.approx(19.0, abs=2.0)
     assert begin < diagnosis.interval[0] < begin + 3.0
     assert diagnosis.interval[1] > 19.0
-    assert findings.explained_corrected > 0.99
-    assert findings.explained_corrected > findings.explained + 0.01
+    assert result.explained_corrected > 0.99
+    assert result.explained_corrected > result.explained + 0.01
 
 
 def test_a_base_that_does_not_move_is_not_reported_as_tilting():
@@ -334,5 +341,5 @@ def test_a_base_that_does_not_move_is_not_reported_as_tilting():
     recording = run(
         'seven_dof', rate=100.0, friction=(1.0, 1.0), act=lambda real: real.set_gravity(gravity)
     )
-    (diagnosis,) = identify(*recording).diagnoses
+    (diagnosis,) = diagnose_recording(*recording).diagnoses
     assert (diagnosis.kind, diagnosis.interval) == ('mounting', None)

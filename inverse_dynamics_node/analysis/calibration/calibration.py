@@ -9,7 +9,7 @@ import numpy as np
 from ...dynamics.loaded_robot import STANDARD_GRAVITY
 from ...errors import RecordingError
 from ...robot.model import Booleans, Floats, RobotModel
-from ..identification.signals import Recording
+from ..diagnosis.signals import Recording
 from .delay import estimate_delay, shifted
 from .fit import correlation, Equations, Solution, solve
 from .free_bodies import free_bodies

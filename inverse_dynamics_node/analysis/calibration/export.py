@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import os
 
 from ...robot.urdf.writer import Friction, rewrite
-from ..identification.friction import ros_number
+from ..diagnosis.friction import ros_number
 from .result import Calibration, JointResult
 
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...robot.model import Floats, RobotModel
-from ..identification import signals
-from ..identification.recorded_column import Recording
-from ..identification.signals import derive
+from ..diagnosis import signals
+from ..diagnosis.recorded_column import Recording
+from ..diagnosis.signals import derive
 from .rows import pieces, RobotMotion
 
 HIGHEST_RATE = 250.0

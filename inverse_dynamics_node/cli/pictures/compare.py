@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ...analysis.identification import Findings
+from ...analysis.diagnosis import ComparisonResult
 from ...report.compare_report import percent
 from ...report.diagnosis_text import amount
 from ...robot.model import Floats
@@ -31,27 +31,27 @@ _NAME_LETTERS = 18
 """Largest number of letters in a name above a small picture."""
 
 
-def draw(findings: Findings, source: str, title: str, path: Path) -> None:
+def draw(result: ComparisonResult, source: str, title: str, path: Path) -> None:
     """Draw all joints and write them as a PNG."""
-    count = len(findings.joints)
+    count = len(result.joints)
     with style() as pyplot:
         if count <= _MOST_ROWS:
-            figure, lines = _rows(pyplot, findings)
+            figure, lines = _rows(pyplot, result)
         else:
-            figure, lines = _small(pyplot, findings)
+            figure, lines = _small(pyplot, result)
         set_title(figure, source, title)
-        legend_below(figure, lines, _labels(findings), ncols=3)
+        legend_below(figure, lines, _labels(result), ncols=3)
         save(figure, path)
 
 
-def _labels(findings: Findings) -> list[str]:
-    findings_too = ' and findings' if findings.diagnoses else ''
+def _labels(result: ComparisonResult) -> list[str]:
+    findings_too = ' and findings' if result.diagnoses else ''
     return ['measured', 'modelled', f'modelled, with fitted friction{findings_too}']
 
 
-def _rows(pyplot: Any, findings: Findings) -> tuple[Any, list[Any]]:
+def _rows(pyplot: Any, result: ComparisonResult) -> tuple[Any, list[Any]]:
     """Draw a row for each joint: efforts and their difference."""
-    count = len(findings.joints)
+    count = len(result.joints)
     figure, axes = pyplot.subplots(
         count,
         2,
@@ -60,11 +60,11 @@ def _rows(pyplot: Any, findings: Findings) -> tuple[Any, list[Any]]:
         figsize=(WIDTH, 1.3 + max(1.15, 2.2 / count) * count),
         width_ratios=(1.6, 1.0),
     )
-    names = fitting([joint.name for joint in findings.joints], 40)
+    names = fitting([joint.name for joint in result.joints], 40)
     for c, (left, right) in enumerate(axes):
-        joint = findings.joints[c]
-        lines = _draw_efforts(left, findings, c)
-        _draw_difference(right, findings, c)
+        joint = result.joints[c]
+        lines = _draw_efforts(left, result, c)
+        _draw_difference(right, result, c)
         left.set_ylabel('[N]' if joint.is_prismatic else '[N m]', fontsize=9)
         left.set_title(names[c], fontsize=9.5, pad=3)
         residuals = f'{joint.rms_residual:.3g}, {amount(joint.rms_corrected, joint.is_prismatic)}'
@@ -84,20 +84,20 @@ def _rows(pyplot: Any, findings: Findings) -> tuple[Any, list[Any]]:
     return figure, lines
 
 
-def _small(pyplot: Any, findings: Findings) -> tuple[Any, list[Any]]:
+def _small(pyplot: Any, result: ComparisonResult) -> tuple[Any, list[Any]]:
     """Draw a small picture for each joint, with efforts only."""
-    count = len(findings.joints)
+    count = len(result.joints)
     rows = -(-count // _ACROSS)
     figure, axes = pyplot.subplots(
         rows, _ACROSS, sharex=True, squeeze=False, figsize=(WIDTH, 1.3 + 1.15 * rows)
     )
-    names = fitting([joint.name for joint in findings.joints], _NAME_LETTERS)
+    names = fitting([joint.name for joint in result.joints], _NAME_LETTERS)
     for c, ax in enumerate(axes.flat):
         if c >= count:
             ax.set_axis_off()
             continue
-        joint = findings.joints[c]
-        lines = _draw_efforts(ax, findings, c)
+        joint = result.joints[c]
+        lines = _draw_efforts(ax, result, c)
         ax.set_title(f'{names[c]} [{"N" if joint.is_prismatic else "N m"}]', fontsize=8.5, pad=3)
         ax.set_title(f'RMS {joint.rms_corrected:.2g}', loc='right', fontsize=8, pad=3, color=GREY)
         _fewer_ticks(ax)
@@ -108,20 +108,20 @@ def _small(pyplot: Any, findings: Findings) -> tuple[Any, list[Any]]:
     return figure, lines
 
 
-def _draw_efforts(ax: Any, findings: Findings, c: int) -> list[Any]:
+def _draw_efforts(ax: Any, result: ComparisonResult, c: int) -> list[Any]:
     """Draw measured and modelled efforts; the measured one is wide, so that all are visible."""
-    times = findings.motion.times
+    times = result.motion.times
     signals = (
-        (findings.measured, {'color': GREY, 'linewidth': 3.2, 'alpha': 0.55}),
-        (findings.modelled, {'color': BLUE, 'linewidth': 1.1}),
-        (findings.corrected, {'color': ORANGE, 'linewidth': 1.1}),
+        (result.measured, {'color': GREY, 'linewidth': 3.2, 'alpha': 0.55}),
+        (result.modelled, {'color': BLUE, 'linewidth': 1.1}),
+        (result.corrected, {'color': ORANGE, 'linewidth': 1.1}),
     )
     return [ax.plot(*_thinned(times, values[:, c]), **look)[0] for values, look in signals]
 
 
-def _draw_difference(ax: Any, findings: Findings, c: int) -> None:
-    measured, times = findings.measured[:, c], findings.motion.times
-    for modelled, colour in ((findings.modelled, BLUE), (findings.corrected, ORANGE)):
+def _draw_difference(ax: Any, result: ComparisonResult, c: int) -> None:
+    measured, times = result.measured[:, c], result.motion.times
+    for modelled, colour in ((result.modelled, BLUE), (result.corrected, ORANGE)):
         difference = _thinned(times, measured - modelled[:, c])
         ax.plot(*difference, color=colour, linewidth=0.9)
 

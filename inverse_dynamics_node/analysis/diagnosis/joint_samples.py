@@ -1,7 +1,7 @@
 """
 Samples of one joint, reduced so that any combination of columns can be fitted quickly.
 
-A *distortion* is the way in which the recorded effort of a joint differs from its actual effort,
+A *sensor fault* is the way in which the recorded effort of a joint differs from its actual effort,
 such as a swapped sign.
 """
 
@@ -34,7 +34,7 @@ velocity and direction of the joint; ones; efforts of loads.
 """
 
 
-class Distortion(NamedTuple):
+class SensorFault(NamedTuple):
     """How the measured effort of one joint differs from its actual effort."""
 
     is_swapped: bool = False
@@ -54,14 +54,14 @@ class Distortion(NamedTuple):
         return -1 if self.is_swapped else 1
 
 
-UNDISTORTED = Distortion()
-DISTORTIONS = tuple(Distortion(*flags) for flags in product((False, True), repeat=4))
+NO_FAULT = SensorFault()
+SENSOR_FAULTS = tuple(SensorFault(*flags) for flags in product((False, True), repeat=4))
 
 
-class Fit(NamedTuple):
-    """A distortion fitted to the effort of one joint."""
+class JointFit(NamedTuple):
+    """A sensor fault fitted to the effort of one joint."""
 
-    distortion: Distortion
+    sensor_fault: SensorFault
     cost: float
     remaining: float
     """Fraction of the squares of the measured effort that is not explained."""
@@ -112,36 +112,36 @@ class JointSamples:
         return float(FLOOR**2 + (NOISE_FLOOR * self.noise) ** 2 / self.squares[measured])
 
     def fit(
-        self, weights: Floats, measured: int, distortion: Distortion, unit: float = 1.0
-    ) -> Fit:
+        self, weights: Floats, measured: int, sensor_fault: SensorFault, unit: float = 1.0
+    ) -> JointFit:
         """
-        Fit a distortion to a measured effort.
+        Fit a sensor fault to a measured effort.
 
         Parameters
         ----------
         weights : ndarray
-            Factors of the first columns: the hypothesis.
+            Factors of the first columns: the candidate model.
         measured : int
             Column of the measured effort.
-        distortion : Distortion
+        sensor fault : SensorFault
             The parameters to fit.
         unit : float
             Known factor of the measured effort.
 
         Returns
         -------
-        fit : Fit
+        fit : JointFit
 
         """
         from scipy.optimize import nnls
 
         R = self.triangle
         model = R[:, : len(weights)] @ weights
-        target = distortion.sign / unit * R[:, measured]
+        target = sensor_fault.sign / unit * R[:, measured]
         columns = [R[:, [SPEED, DIRECTION]]] if self.moves else []
-        columns += [R[:, [ACCELERATION]]] if distortion.has_rotor else []
-        columns += [R[:, [ONE]], -R[:, [ONE]]] if distortion.has_offset else []
-        if distortion.is_scaled:
+        columns += [R[:, [ACCELERATION]]] if sensor_fault.has_rotor else []
+        columns += [R[:, [ONE]], -R[:, [ONE]]] if sensor_fault.has_offset else []
+        if sensor_fault.is_scaled:
             columns += [model[:, None]]
         else:
             target = target - model
@@ -154,15 +154,17 @@ class JointSamples:
             target = target - features @ solution
         squares = float(self.squares[measured]) / unit**2
         remaining = float(np.sum(target**2)) / squares
-        cost = math.log(remaining + self.floor(measured)) + PARAMETER_COST * distortion.parameters
+        cost = (
+            math.log(remaining + self.floor(measured)) + PARAMETER_COST * sensor_fault.parameters
+        )
         values: list[float] = solution[2 if self.moves else 0 :].tolist()
         damping, coulomb = (float(x) for x in solution[:2]) if self.moves else (0.0, 0.0)
-        rotor = values.pop(0) if distortion.has_rotor else 0.0
-        offset = values.pop(0) - values.pop(0) if distortion.has_offset else 0.0
-        scale = values.pop(0) if distortion.is_scaled else 1.0
+        rotor = values.pop(0) if sensor_fault.has_rotor else 0.0
+        offset = values.pop(0) - values.pop(0) if sensor_fault.has_offset else 0.0
+        scale = values.pop(0) if sensor_fault.is_scaled else 1.0
         per_scale = scale or 1.0
-        return Fit(
-            distortion,
+        return JointFit(
+            sensor_fault,
             cost,
             remaining,
             self.moves,
@@ -175,53 +177,53 @@ class JointSamples:
             has_friction=coulomb > FRICTION * math.sqrt(squares),
         )
 
-    def best_fit(self, weights: Floats, measured: int, unit: float = 1.0) -> Fit:
-        """Fit the best credible distortion to a measured effort, none if no other is credible."""
+    def best_fit(self, weights: Floats, measured: int, unit: float = 1.0) -> JointFit:
+        """Fit the most credible sensor fault to a measured effort, or none."""
         rms = math.sqrt(self.squares[measured]) / unit
-        best = self.fit(weights, measured, UNDISTORTED, unit)
+        best = self.fit(weights, measured, NO_FAULT, unit)
         if best.remaining < self.floor(measured):
             return best._replace(is_friction_only=self._is_friction_only(measured, best))
-        for distortion in DISTORTIONS[1:]:
-            if not self.moves and (distortion.has_rotor or distortion.has_offset):
+        for sensor_fault in SENSOR_FAULTS[1:]:
+            if not self.moves and (sensor_fault.has_rotor or sensor_fault.has_offset):
                 continue
-            if unit != 1.0 and distortion.is_scaled:
+            if unit != 1.0 and sensor_fault.is_scaled:
                 continue
-            fit = self.fit(weights, measured, distortion, unit)
+            fit = self.fit(weights, measured, sensor_fault, unit)
             is_small = abs(fit.offset * fit.scale) < MIN_OFFSET * rms
             is_credible = (
                 fit.cost < best.cost
                 and fit.remaining < CREDIBLE
                 and not self._is_arbitrary(measured, fit)
-                and not (distortion.is_scaled and SAME_SCALE[0] < fit.scale < SAME_SCALE[1])
-                and not (distortion.has_offset and is_small)
+                and not (sensor_fault.is_scaled and SAME_SCALE[0] < fit.scale < SAME_SCALE[1])
+                and not (sensor_fault.has_offset and is_small)
             )
             best = fit if is_credible else best
         return best._replace(is_friction_only=self._is_friction_only(measured, best))
 
-    def _is_friction_only(self, measured: int, fit: Fit) -> bool:
-        return not fit.distortion.is_scaled and self._needs_no_model(
-            measured, fit.distortion, fit.remaining, FRICTION_ONLY
+    def _is_friction_only(self, measured: int, fit: JointFit) -> bool:
+        return not fit.sensor_fault.is_scaled and self._needs_no_model(
+            measured, fit.sensor_fault, fit.remaining, FRICTION_ONLY
         )
 
-    def _is_arbitrary(self, measured: int, fit: Fit) -> bool:
+    def _is_arbitrary(self, measured: int, fit: JointFit) -> bool:
         """Return whether friction alone explains as much, so that sign and scale are arbitrary."""
-        distortion = fit.distortion
+        sensor_fault = fit.sensor_fault
         # Friction that accelerates the joint shows a swapped sign, even without the model.
-        if distortion.is_swapped and self._needs_no_model(
-            measured, distortion._replace(is_swapped=False, is_scaled=False), fit.remaining
+        if sensor_fault.is_swapped and self._needs_no_model(
+            measured, sensor_fault._replace(is_swapped=False, is_scaled=False), fit.remaining
         ):
             return True
-        return distortion.is_scaled and self._needs_no_model(
-            measured, distortion._replace(is_scaled=False), fit.remaining
+        return sensor_fault.is_scaled and self._needs_no_model(
+            measured, sensor_fault._replace(is_scaled=False), fit.remaining
         )
 
     def _needs_no_model(
         self,
         measured: int,
-        distortion: Distortion,
+        sensor_fault: SensorFault,
         remaining: float,
         tolerance: float = FLOOR**2,
     ) -> bool:
         """Return whether hardly more remains without the model."""
-        without = self.fit(np.zeros(1), measured, distortion).remaining
+        without = self.fit(np.zeros(1), measured, sensor_fault).remaining
         return without <= 2.0 * remaining + tolerance

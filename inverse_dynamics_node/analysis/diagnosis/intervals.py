@@ -14,8 +14,7 @@ import math
 import numpy as np
 
 from ...robot.model import Floats, Integers
-from .evidence import Evidence
-from .explanation import Explanation
+from .fault_interval import FaultInterval, FaultKind, span
 from .joint_samples import (
     ACCELERATION,
     DIRECTION,
@@ -24,7 +23,8 @@ from .joint_samples import (
     ONE,
     SPEED,
 )
-from .part import Cause, Part, span
+from .regression_data import RegressionData
+from .robot_fit import RobotFit
 from .tilt import find_tilt
 
 SEGMENTS = 40  # of a recording, whose edges are possible limits of a part
@@ -36,68 +36,66 @@ LOUDER = 9.0  # ratio of the mean squares inside and outside, from which on ther
 MUCH_LOUDER = 25.0  # the same for an external force, which may have any course over time
 IMPROVES = 0.3  # fraction of the unexplained squares that a cause must leave at most
 NOT_EXPLAINED = 9.0  # times the floor; a joint with less is explained, and no part is searched
-NOT_EXPLAINED_BY_HYPOTHESIS = 1.5  # the same if the model has been changed already
+NOT_EXPLAINED_BY_CANDIDATE = 1.5  # the same if the model has been changed already
 AS_GOOD = 0.002  # unexplained fraction of the squares that a tilt may leave in any case
 MIN_DURATION = 6.0  # [s] of a recording whose parts are considered
 
 
-def find_part(evidence: Evidence, explanation: Explanation) -> Part | None:
+def find_fault_interval(data: RegressionData, robot_fit: RobotFit) -> FaultInterval | None:
     """
     Return the part of a recording to which a cause is limited, if there is one.
 
     Parameters
     ----------
-    evidence : Evidence
+    data : RegressionData
         Samples of the whole recording.
-    explanation : Explanation
+    robot_fit : RobotFit
         The best explanation of the whole recording.
 
     Returns
     -------
-    part : Part or None
+    fault : FaultInterval or None
         None if a part does not explain far more than the explanation of all samples.
 
     """
-    if evidence.duration < MIN_DURATION or not _is_open(evidence, explanation):
+    if data.duration < MIN_DURATION or not _is_open(data, robot_fit):
         return None
-    unexplained = evidence.unexplained(explanation)
-    part = _interval(evidence, explanation)
-    if part is not None and part.cause is Cause.LOAD:
-        return part
-    left_by_force = 0.0 if part is None else part.evidence.unexplained(part.outside)
-    tilt = find_tilt(evidence, min(IMPROVES * unexplained, max(2.0 * left_by_force, AS_GOOD)))
-    return tilt or part
+    unexplained = data.unexplained(robot_fit)
+    fault = _interval(data, robot_fit)
+    if fault is not None and fault.kind is FaultKind.LOAD:
+        return fault
+    left_by_force = 0.0 if fault is None else fault.data.unexplained(fault.outside)
+    tilt = find_tilt(data, min(IMPROVES * unexplained, max(2.0 * left_by_force, AS_GOOD)))
+    return tilt or fault
 
 
-def _is_open(evidence: Evidence, explanation: Explanation) -> bool:
+def _is_open(data: RegressionData, robot_fit: RobotFit) -> bool:
     """Return whether a joint that moves is not explained."""
     # A load or a mounting that holds for a part only leaves less than nothing does.
-    is_as_is = explanation.hypothesis.kind == 'as_is'
-    floors = NOT_EXPLAINED if is_as_is else NOT_EXPLAINED_BY_HYPOTHESIS
+    is_nominal = robot_fit.candidate.kind == 'nominal'
+    floors = NOT_EXPLAINED if is_nominal else NOT_EXPLAINED_BY_CANDIDATE
     return any(
-        samples.moves and fit.remaining > floors * samples.floor(evidence.first_measured + source)
-        for samples, fit, source in zip(
-            evidence.joints, explanation.fits, explanation.source, strict=True
-        )
+        samples.moves and fit.remaining > floors * samples.floor(data.first_measured + source)
+        for samples, fit, source in zip(data.joints, robot_fit.fits, robot_fit.source, strict=True)
     )
 
 
 # ---- A load or a push ----------------------------------------------------------------------
 
 
-def _interval(evidence: Evidence, explanation: Explanation) -> Part | None:
-    begin, end = span(evidence)
+def _interval(data: RegressionData, robot_fit: RobotFit) -> FaultInterval | None:
+    begin, end = span(data)
     edges = np.linspace(begin, end, SEGMENTS + 1)
     first, last = _pairs()
     cost = np.zeros(len(first))
     left, total = np.zeros(len(first)), 0.0
     loudest = np.zeros(len(first))
-    for j, samples in enumerate(evidence.joints):
+    for j, samples in enumerate(data.joints):
         if not samples.moves:
             continue
-        inside, outside, counts = _mean_squares(evidence, j, edges, first, last)
-        square = float(samples.squares[evidence.first_measured + j])
-        floor = samples.floor(evidence.first_measured + j) * square
+        inside, outside, counts = _mean_squares(data, j, edges, first, last)
+        square = float(samples.squares[data.first_measured + j])
+        floor = samples.floor(data.first_measured + j) * square
         fraction = counts / len(samples.times)
         cost += fraction * np.log(inside + floor) + (1.0 - fraction) * np.log(outside + floor)
         left += outside
@@ -111,12 +109,12 @@ def _interval(evidence: Evidence, explanation: Explanation) -> Part | None:
     explained = left < 2.0 * float(left.min()) + AS_GOOD * total
     shortest = np.flatnonzero(explained)[np.argmin((last - first)[explained])]
     intervals = [(float(edges[first[k]]), float(edges[last[k]])) for k in (loudest_part, shortest)]
-    loads = [_load(evidence, interval, explanation) for interval in intervals]
-    found = [part for part in loads if part is not None]
+    loads = [_load(data, interval, robot_fit) for interval in intervals]
+    found = [fault for fault in loads if fault is not None]
     if found:
-        return min(found, key=lambda part: part.evidence.unexplained(part.outside))
-    forces = (_force(evidence, interval, explanation) for interval in intervals)
-    return next((part for part in forces if part is not None), None)
+        return min(found, key=lambda fault: fault.data.unexplained(fault.outside))
+    forces = (_force(data, interval, robot_fit) for interval in intervals)
+    return next((fault for fault in forces if fault is not None), None)
 
 
 def _pairs() -> tuple[Integers, Integers]:
@@ -126,21 +124,21 @@ def _pairs() -> tuple[Integers, Integers]:
     return first[chosen], last[chosen]
 
 
-def _features(evidence: Evidence, j: int) -> Floats:
+def _features(data: RegressionData, j: int) -> Floats:
     """Return the columns of friction, rotor and offset, and the effort that the model leaves."""
-    columns = evidence.joints[j].columns
-    target = columns[:, evidence.first_measured + j] - columns[:, MODEL]
+    columns = data.joints[j].columns
+    target = columns[:, data.first_measured + j] - columns[:, MODEL]
     return np.column_stack([columns[:, [SPEED, DIRECTION, ACCELERATION, ONE]], target])
 
 
 def _mean_squares(
-    evidence: Evidence, j: int, edges: Floats, first: Integers, last: Integers
+    data: RegressionData, j: int, edges: Floats, first: Integers, last: Integers
 ) -> tuple[Floats, Floats, Floats]:
     """Return mean squares inside and outside of all parts, and the number of samples inside."""
-    features = _features(evidence, j)
+    features = _features(data, j)
     scale = np.maximum(np.linalg.norm(features, axis=0), 1e-300)
     features = features / scale
-    rows = np.searchsorted(evidence.joints[j].times, edges)
+    rows = np.searchsorted(data.joints[j].times, edges)
     products = np.array([features[a:b].T @ features[a:b] for a, b in zip(rows, rows[1:])])  # noqa: B905, RUF007
     sums = np.concatenate([np.zeros((1, *products.shape[1:])), np.cumsum(products, axis=0)])
     within = sums[last] - sums[first]
@@ -159,93 +157,91 @@ def _mean_squares(
 
 
 def _load(
-    evidence: Evidence, interval: tuple[float, float], explanation: Explanation
-) -> Part | None:
+    data: RegressionData, interval: tuple[float, float], robot_fit: RobotFit
+) -> FaultInterval | None:
     """Return a part during which a load is carried; None if none explains it."""
-    best: Part | None = None
+    best: FaultInterval | None = None
     for _ in range(REFINEMENTS):
-        loaded = with_loads_inside(evidence, interval)
+        loaded = with_loads_inside(data, interval)
         plain = loaded.friction_only()
         loads = [load for k in range(len(loaded.links)) for load in loaded.loads(k, plain)]
         if not loads:
             return None
         load = min(loads, key=loaded.unexplained)
-        best = Part(Cause.LOAD, interval, load, loaded)
-        interval = _refined(evidence, best)
+        best = FaultInterval(FaultKind.LOAD, interval, load, loaded)
+        interval = _refined(data, best)
     assert best is not None
-    left = best.evidence.unexplained(best.outside)
-    return best if left < IMPROVES * evidence.unexplained(explanation) else None
+    left = best.data.unexplained(best.outside)
+    return best if left < IMPROVES * data.unexplained(robot_fit) else None
 
 
-def _refined(evidence: Evidence, part: Part) -> tuple[float, float]:
+def _refined(data: RegressionData, fault: FaultInterval) -> tuple[float, float]:
     """Return the interval in which a load explains more than no load."""
-    times = np.unique(np.concatenate([samples.times for samples in evidence.joints]))
+    times = np.unique(np.concatenate([samples.times for samples in data.joints]))
     gain = np.zeros(len(times))
-    weights = part.outside.hypothesis.weights
-    for j, (samples, fit) in enumerate(zip(evidence.joints, part.outside.fits, strict=True)):
+    weights = fault.outside.candidate.weights
+    for j, (samples, fit) in enumerate(zip(data.joints, fault.outside.fits, strict=True)):
         if not samples.moves:
             continue
         columns = samples.columns
-        left = columns[:, evidence.first_measured + j] - columns[:, MODEL]
+        left = columns[:, data.first_measured + j] - columns[:, MODEL]
         left = left - fit.damping * columns[:, SPEED] - fit.coulomb * columns[:, DIRECTION]
-        load = columns[:, LOADS : evidence.first_measured] @ weights[LOADS:]
+        load = columns[:, LOADS : data.first_measured] @ weights[LOADS:]
         change = (left**2 - (left - load) ** 2) / max(fit.rms**2, 1e-12)
         gain[np.searchsorted(times, samples.times)] += change
-    return best_interval(times, gain, part.interval)
+    return best_interval(times, gain, fault.interval)
 
 
 def _force(
-    evidence: Evidence, interval: tuple[float, float], explanation: Explanation
-) -> Part | None:
+    data: RegressionData, interval: tuple[float, float], robot_fit: RobotFit
+) -> FaultInterval | None:
     """Return a part during which an external force acts; None if there is no clear push."""
-    unexplained = evidence.unexplained(explanation)
-    outside = evidence.restricted(interval, is_inside=False)
-    if outside.is_too_short or interval[1] - interval[0] > LONGEST_FORCE * evidence.duration:
+    unexplained = data.unexplained(robot_fit)
+    outside = data.restricted(interval, is_inside=False)
+    if outside.is_too_short or interval[1] - interval[0] > LONGEST_FORCE * data.duration:
         return None
     # The model with friction, or else with the rotors and offsets of the whole recording.
     found = outside.friction_only()
     if outside.unexplained(found) > IMPROVES * unexplained:
-        is_unit = explanation.is_scaled or any(
-            fit.distortion.is_swapped for fit in explanation.fits
-        )
-        if explanation.hypothesis.kind != 'as_is' or is_unit:
+        is_unit = robot_fit.is_scaled or any(fit.sensor_fault.is_swapped for fit in robot_fit.fits)
+        if robot_fit.candidate.kind != 'nominal' or is_unit:
             return None
-        found = outside.refit(explanation)
+        found = outside.refit(robot_fit)
         if outside.unexplained(found) > IMPROVES * unexplained:
             return None
-    inside = without_friction(evidence, found).restricted(interval, is_inside=True)
+    inside = without_friction(data, found).restricted(interval, is_inside=True)
     joints = tuple(
         j
         for j, fit in enumerate(inside.friction_only().fits)
         if fit.rms > math.sqrt(MUCH_LOUDER) * max(found.fits[j].rms, 1e-12)
-        and evidence.joints[j].moves
+        and data.joints[j].moves
     )
-    return Part(Cause.FORCE, interval, found, outside, joints) if joints else None
+    return FaultInterval(FaultKind.FORCE, interval, found, outside, joints) if joints else None
 
 
-def with_loads_inside(evidence: Evidence, interval: tuple[float, float]) -> Evidence:
+def with_loads_inside(data: RegressionData, interval: tuple[float, float]) -> RegressionData:
     """Return samples in which loads act inside of an interval only."""
     joints = []
-    for samples in evidence.joints:
+    for samples in data.joints:
         columns = samples.columns.copy()
         is_outside = (samples.times < interval[0]) | (samples.times > interval[1])
-        columns[is_outside, LOADS : evidence.first_measured] = 0.0
+        columns[is_outside, LOADS : data.first_measured] = 0.0
         joints.append(replace(samples, columns=columns))
-    return evidence.with_joints(joints, evidence.duration)
+    return data.with_joints(joints, data.duration)
 
 
-def without_friction(evidence: Evidence, explanation: Explanation) -> Evidence:
+def without_friction(data: RegressionData, robot_fit: RobotFit) -> RegressionData:
     """Return samples whose efforts do not contain the friction of an explanation."""
     joints = []
-    for j, (samples, fit) in enumerate(zip(evidence.joints, explanation.fits, strict=True)):
+    for j, (samples, fit) in enumerate(zip(data.joints, robot_fit.fits, strict=True)):
         columns = samples.columns.copy()
-        source = evidence.first_measured + explanation.source[j]
-        effort = fit.distortion.sign / explanation.factor(j) * samples.columns[:, source]
+        source = data.first_measured + robot_fit.source[j]
+        effort = fit.sensor_fault.sign / robot_fit.factor(j) * samples.columns[:, source]
         effort -= fit.damping * columns[:, SPEED] + fit.coulomb * columns[:, DIRECTION]
         effort -= fit.rotor * columns[:, ACCELERATION] + fit.offset
-        columns[:, evidence.first_measured + j] = effort
+        columns[:, data.first_measured + j] = effort
         joints.append(replace(samples, columns=columns, moves=False))
-    return evidence.with_joints(joints, evidence.duration)
+    return data.with_joints(joints, data.duration)
 
 
 def best_interval(times: Floats, gain: Floats, start: tuple[float, float]) -> tuple[float, float]:

@@ -6,11 +6,11 @@ from enum import Enum
 from typing import NamedTuple
 
 from ...robot.model import Floats
-from .evidence import Evidence
-from .explanation import Explanation
+from .regression_data import RegressionData
+from .robot_fit import RobotFit
 
 
-class Cause(Enum):
+class FaultKind(Enum):
     """A cause that acts during a part of a recording."""
 
     LOAD = 'load'
@@ -18,15 +18,15 @@ class Cause(Enum):
     TILT = 'tilt'
 
 
-class Part(NamedTuple):
+class FaultInterval(NamedTuple):
     """A part of a recording, and the cause that acts during it."""
 
-    cause: Cause
+    kind: FaultKind
     interval: tuple[float, float]
     """Begin and end [s]."""
-    outside: Explanation
-    """Explanation of this evidence."""
-    evidence: Evidence
+    outside: RobotFit
+    """Explanation of these data."""
+    data: RegressionData
     """Samples of the rest of the recording; if a load acts inside, all samples."""
     joints: tuple[int, ...] = ()
     """Joints on which an external force acts."""
@@ -36,7 +36,7 @@ class Part(NamedTuple):
     """Gravity in the base frame at the knots, shape (k, 3) [m/s^2]."""
 
 
-def span(evidence: Evidence) -> tuple[float, float]:
+def span(data: RegressionData) -> tuple[float, float]:
     """Return the times of the first and last samples [s]."""
-    times = [samples.times for samples in evidence.joints]
+    times = [samples.times for samples in data.joints]
     return min(float(t[0]) for t in times), max(float(t[-1]) for t in times) + 1e-9

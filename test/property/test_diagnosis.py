@@ -5,14 +5,14 @@ import math
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.analysis.identification import (
+from inverse_dynamics_node.analysis.diagnosis import (
+    diagnose_recording,
     friction_parameters,
     FrictionFit,
-    identify,
     Recording,
 )
-from inverse_dynamics_node.analysis.identification.loads import tip_links
-from inverse_dynamics_node.analysis.identification.signals import derive
+from inverse_dynamics_node.analysis.diagnosis.loads import tip_links
+from inverse_dynamics_node.analysis.diagnosis.signals import derive
 from inverse_dynamics_node.dynamics.jit import IS_COMPILED
 from inverse_dynamics_node.errors import ConfigurationError, RecordingError
 from inverse_dynamics_node.report.diagnosis_text import headline
@@ -34,8 +34,8 @@ def friction_of(name):
     return np.linspace(2.0, 0.3, n), np.linspace(3.0, 0.4, n)
 
 
-def kinds(findings):
-    return [diagnosis.kind for diagnosis in findings.diagnoses]
+def kinds(result):
+    return [diagnosis.kind for diagnosis in result.diagnoses]
 
 
 # ---- A healthy robot -----------------------------------------------------------------------
@@ -44,10 +44,10 @@ def kinds(findings):
 @EVERY_ROBOT
 @pytest.mark.parametrize('has_velocities', [True, False])
 def test_a_healthy_recording_is_explained_and_nothing_is_found(name, has_velocities):
-    findings = identify(*run(name, has_velocities=has_velocities))
-    assert kinds(findings) == []
-    assert findings.explained > 0.998
-    for joint in findings.joints:
+    result = diagnose_recording(*run(name, has_velocities=has_velocities))
+    assert kinds(result) == []
+    assert result.explained > 0.998
+    for joint in result.joints:
         assert joint.scale == pytest.approx(1.0, abs=0.1)
         assert joint.rms_residual < 0.3 * joint.rms_measured
 
@@ -55,9 +55,11 @@ def test_a_healthy_recording_is_explained_and_nothing_is_found(name, has_velocit
 @EVERY_ROBOT
 @pytest.mark.parametrize('rate', [40.0, 100.0, 1000.0])
 def test_recordings_of_any_rate_are_explained(name, rate):
-    findings = identify(*run(name, rate=rate, has_velocities=False, friction=friction_of(name)))
-    assert kinds(findings) == []
-    assert findings.explained_corrected > 0.995
+    result = diagnose_recording(
+        *run(name, rate=rate, has_velocities=False, friction=friction_of(name))
+    )
+    assert kinds(result) == []
+    assert result.explained_corrected > 0.995
 
 
 @EVERY_ROBOT
@@ -66,11 +68,11 @@ def test_friction_is_found_within_its_errors(name, has_velocities):
     damping, coulomb = friction_of(name)
     friction = damping, coulomb
     recording = run(name, rate=200.0, has_velocities=has_velocities, friction=friction)
-    findings = identify(*recording)
-    assert kinds(findings) == []
-    assert findings.explained < 0.97
-    assert findings.explained_corrected > 0.998
-    for joint, d, c in zip(findings.joints, damping, coulomb, strict=True):
+    result = diagnose_recording(*recording)
+    assert kinds(result) == []
+    assert result.explained < 0.97
+    assert result.explained_corrected > 0.998
+    for joint, d, c in zip(result.joints, damping, coulomb, strict=True):
         fit = joint.friction
         assert fit.unknown_because == ''
         assert abs(fit.damping - d) < 5.0 * fit.damping_error
@@ -89,10 +91,10 @@ def test_an_arm_at_rest_gives_no_diagnosis():
     still = Recording(
         dynamics.robot.joint_names, times, q + rounding[0], None, efforts + rounding[1]
     )
-    findings = identify(dynamics, still)
-    assert kinds(findings) == []
-    assert math.isnan(findings.explained)
-    for joint in findings.joints:
+    result = diagnose_recording(dynamics, still)
+    assert kinds(result) == []
+    assert math.isnan(result.explained)
+    for joint in result.joints:
         assert math.isnan(joint.explained)
         assert math.isnan(joint.scale)
 
@@ -105,19 +107,21 @@ def test_a_joint_held_by_friction_does_not_spoil_the_rest():
     q[:, 2], qd[:, 2], qdd[:, 2] = q[0, 2], 0.0, 0.0  # joint 3 is the only prismatic joint
     efforts = dynamics.efforts(q, qd, qdd)
     efforts[:, 2] = 5.0 * np.sin(times)
-    findings = identify(dynamics, Recording(dynamics.robot.joint_names, times, q, qd, efforts))
-    held = next(joint for joint in findings.joints if joint.name == 'joint_3')
+    result = diagnose_recording(
+        dynamics, Recording(dynamics.robot.joint_names, times, q, qd, efforts)
+    )
+    held = next(joint for joint in result.joints if joint.name == 'joint_3')
     assert 'never faster' in held.friction.unknown_because
     assert held.explained < 0.1
-    assert findings.explained_corrected > 0.998
+    assert result.explained_corrected > 0.998
 
 
 def test_friction_of_the_model_is_included_in_the_fit():
     dynamics, recording = run('seven_dof', friction=(1.0, 2.0))
     dynamics.set_friction(1.0, 2.0)
-    findings = identify(dynamics, recording)
-    assert findings.explained > 0.998
-    assert [joint.friction.damping for joint in findings.joints] == pytest.approx([1.0] * 7, 0.1)
+    result = diagnose_recording(dynamics, recording)
+    assert result.explained > 0.998
+    assert [joint.friction.damping for joint in result.joints] == pytest.approx([1.0] * 7, 0.1)
 
 
 # ---- Faults --------------------------------------------------------------------------------
@@ -129,24 +133,24 @@ def test_finds_the_joint_with_a_swapped_sign(name):
     for j, joint in enumerate(recording.joint_names):
         efforts = recording.efforts.copy()
         efforts[:, j] *= -1.0
-        findings = identify(dynamics, recording._replace(efforts=efforts))
-        assert [(d.kind, d.joints) for d in findings.diagnoses] == [('sign', (joint,))]
-        assert headline(findings.diagnoses[0]) == f'{joint} has its sign swapped'
-        assert findings.explained_corrected > 0.998
+        result = diagnose_recording(dynamics, recording._replace(efforts=efforts))
+        assert [(d.kind, d.joints) for d in result.diagnoses] == [('sign', (joint,))]
+        assert headline(result.diagnoses[0]) == f'{joint} has its sign swapped'
+        assert result.explained_corrected > 0.998
 
 
 def test_finds_swapped_signs_of_all_joints():
     dynamics, recording = run('stanford', friction=friction_of('stanford'))
-    findings = identify(dynamics, recording._replace(efforts=-recording.efforts))
-    assert kinds(findings) == ['sign']
-    assert 'every joint' in headline(findings.diagnoses[0])
+    result = diagnose_recording(dynamics, recording._replace(efforts=-recording.efforts))
+    assert kinds(result) == ['sign']
+    assert 'every joint' in headline(result.diagnoses[0])
 
 
 def test_finds_currents_with_their_factors():
     dynamics, recording = run('seven_dof', friction=(2.0, 2.0), rate=500.0)
     factors = np.array([0.05, 0.08, 0.1, 0.2, 0.4, 0.6, 0.7])
-    findings = identify(dynamics, recording._replace(efforts=recording.efforts * factors))
-    (diagnosis,) = findings.diagnoses
+    result = diagnose_recording(dynamics, recording._replace(efforts=recording.efforts * factors))
+    (diagnosis,) = result.diagnoses
     assert diagnosis.kind == 'scale'
     assert 'proportional' in headline(diagnosis)
     found = dict(zip(diagnosis.joints, diagnosis.values, strict=True))
@@ -155,15 +159,15 @@ def test_finds_currents_with_their_factors():
     for joint, factor in zip(recording.joint_names, factors, strict=True):
         assert found.get(joint, factor) == pytest.approx(factor, rel=0.05)
     # Friction is reported in N m, not in the unit of the recording.
-    assert findings.joints[1].friction.coulomb == pytest.approx(2.0, rel=0.1)
+    assert result.joints[1].friction.coulomb == pytest.approx(2.0, rel=0.1)
     if 'wrist_roll' not in found:
-        assert 'unit' in findings.joints[-1].friction.unknown_because
+        assert 'unit' in result.joints[-1].friction.unknown_because
 
 
 def test_finds_another_unit():
     dynamics, recording = run('branched', friction=(0.3, 0.3))
-    findings = identify(dynamics, recording._replace(efforts=recording.efforts * 1000.0))
-    (diagnosis,) = findings.diagnoses
+    result = diagnose_recording(dynamics, recording._replace(efforts=recording.efforts * 1000.0))
+    (diagnosis,) = result.diagnoses
     assert diagnosis.kind == 'unit'
     assert '1000 times too large' in headline(diagnosis)
 
@@ -172,9 +176,9 @@ def test_finds_another_unit():
 def test_finds_compensated_gravity(name):
     dynamics, recording = run(name, friction=friction_of(name))
     lacking = recording.efforts - dynamics.gravity_efforts(recording.positions)
-    findings = identify(dynamics, recording._replace(efforts=lacking))
-    assert kinds(findings) == ['gravity_compensated']
-    assert findings.explained_corrected > 0.99
+    result = diagnose_recording(dynamics, recording._replace(efforts=lacking))
+    assert kinds(result) == ['gravity_compensated']
+    assert result.explained_corrected > 0.99
 
 
 @EVERY_ROBOT
@@ -183,18 +187,18 @@ def test_finds_a_payload(name, mass, com):
     recording = run(
         name, friction=friction_of(name), act=lambda real: real.set_payload(TIP[name], mass, com)
     )
-    findings = identify(*recording)
-    (diagnosis,) = findings.diagnoses
+    result = diagnose_recording(*recording)
+    (diagnosis,) = result.diagnoses
     assert (diagnosis.kind, diagnosis.link) == ('payload', TIP[name])
     assert diagnosis.values[0] == pytest.approx(mass, rel=0.03)
     assert diagnosis.values[1:] == pytest.approx(com, abs=0.01)
-    assert findings.explained_corrected > 0.998
+    assert result.explained_corrected > 0.998
 
 
 def test_finds_a_payload_on_a_given_link():
     recording = run('seven_dof', act=lambda real: real.set_payload('link_4', 2.0, (0.0, -0.1, 0)))
-    findings = identify(*recording, link='link_4')
-    assert findings.diagnoses[0].values == pytest.approx((2.0, 0.0, -0.1, 0.0), abs=0.05)
+    result = diagnose_recording(*recording, link='link_4')
+    assert result.diagnoses[0].values == pytest.approx((2.0, 0.0, -0.1, 0.0), abs=0.05)
 
 
 def test_a_payload_of_the_model_is_not_a_fault():
@@ -203,13 +207,13 @@ def test_a_payload_of_the_model_is_not_a_fault():
 
     dynamics, recording = run('seven_dof', act=load)
     load(dynamics)
-    assert kinds(identify(dynamics, recording)) == []
+    assert kinds(diagnose_recording(dynamics, recording)) == []
 
 
 def test_finds_a_missing_tool():
     dynamics, recording = run('seven_dof', friction=(0.5, 0.5))
     dynamics.set_payload('tool0', 0.45)
-    (diagnosis,) = identify(dynamics, recording).diagnoses
+    (diagnosis,) = diagnose_recording(dynamics, recording).diagnoses
     assert diagnosis.kind == 'payload'
     assert 'lacks' in headline(diagnosis)
     assert diagnosis.values[0] == pytest.approx(-0.45, abs=0.02)
@@ -219,7 +223,7 @@ def test_finds_a_missing_tool():
 def test_finds_another_mounting(name):
     gravity = 9.80665 * np.array([0.0, math.sin(0.3), -math.cos(0.3)])
     recording = run(name, friction=friction_of(name), act=lambda real: real.set_gravity(gravity))
-    (diagnosis,) = identify(*recording).diagnoses
+    (diagnosis,) = diagnose_recording(*recording).diagnoses
     assert diagnosis.kind == 'mounting'
     assert diagnosis.values == pytest.approx(gravity, abs=0.1)
     assert '17 degrees' in headline(diagnosis)
@@ -229,7 +233,9 @@ def test_finds_another_mounting(name):
 def test_finds_the_inertia_of_rotors(name):
     n = len(friction_of(name)[0])
     armature = np.linspace(1.0, 0.2, n)
-    (diagnosis,) = identify(*run(name, friction=friction_of(name), armature=armature)).diagnoses
+    (diagnosis,) = diagnose_recording(
+        *run(name, friction=friction_of(name), armature=armature)
+    ).diagnoses
     assert diagnosis.kind == 'rotor_inertia'
     found = dict(zip(diagnosis.joints, diagnosis.values, strict=True))
     names = load_urdf(ROBOTS[name]).joint_names
@@ -242,7 +248,7 @@ def test_finds_an_offset():
     dynamics, recording = run('seven_dof', friction=friction_of('seven_dof'))
     efforts = recording.efforts.copy()
     efforts[:, 3] += 5.0
-    (diagnosis,) = identify(dynamics, recording._replace(efforts=efforts)).diagnoses
+    (diagnosis,) = diagnose_recording(dynamics, recording._replace(efforts=efforts)).diagnoses
     assert (diagnosis.kind, diagnosis.joints) == ('offset', ('elbow',))
     assert diagnosis.values == pytest.approx((5.0,), abs=0.1)
 
@@ -252,10 +258,10 @@ def test_finds_another_order(name):
     dynamics, recording = run(name, friction=friction_of(name))
     efforts = recording.efforts.copy()
     efforts[:, [1, 2]] = efforts[:, [2, 1]]
-    findings = identify(dynamics, recording._replace(efforts=efforts))
-    (diagnosis,) = findings.diagnoses
+    result = diagnose_recording(dynamics, recording._replace(efforts=efforts))
+    (diagnosis,) = result.diagnoses
     assert (diagnosis.kind, diagnosis.joints) == ('order', recording.joint_names[1:3])
-    assert findings.explained_corrected > 0.998
+    assert result.explained_corrected > 0.998
 
 
 @pytest.mark.parametrize('value', [0.0, 3.5])
@@ -263,11 +269,11 @@ def test_finds_a_driver_that_does_not_measure(value):
     dynamics, recording = run('seven_dof')
     efforts = recording.efforts.copy()
     efforts[:, 1] = value
-    findings = identify(dynamics, recording._replace(efforts=efforts))
-    (diagnosis,) = findings.diagnoses
+    result = diagnose_recording(dynamics, recording._replace(efforts=efforts))
+    (diagnosis,) = result.diagnoses
     assert (diagnosis.kind, diagnosis.joints) == ('constant', ('shoulder_lift',))
-    assert findings.joints[1].friction.unknown_because == 'its effort was not measured'
-    all_zero = identify(dynamics, recording._replace(efforts=np.zeros_like(efforts)))
+    assert result.joints[1].friction.unknown_because == 'its effort was not measured'
+    all_zero = diagnose_recording(dynamics, recording._replace(efforts=np.zeros_like(efforts)))
     assert kinds(all_zero) == ['constant']
     assert math.isnan(all_zero.explained)
 
@@ -276,9 +282,9 @@ def test_reports_efforts_that_nothing_explains(rng):
     dynamics, recording = run('seven_dof')
     efforts = recording.efforts.copy()
     efforts[:, 3] = 0.1 * np.cumsum(rng.standard_normal(len(efforts)))
-    findings = identify(dynamics, recording._replace(efforts=efforts))
-    assert [(d.kind, d.joints) for d in findings.diagnoses] == [('unexplained', ('elbow',))]
-    assert findings.joints[3].friction.unknown_because == 'its effort is not explained'
+    result = diagnose_recording(dynamics, recording._replace(efforts=efforts))
+    assert [(d.kind, d.joints) for d in result.diagnoses] == [('unexplained', ('elbow',))]
+    assert result.joints[3].friction.unknown_because == 'its effort is not explained'
 
 
 def test_finds_several_faults_at_once():
@@ -289,16 +295,16 @@ def test_finds_several_faults_at_once():
     )
     efforts = recording.efforts - dynamics.gravity_efforts(recording.positions)
     efforts[:, 2] *= -1.0
-    findings = identify(dynamics, recording._replace(efforts=efforts))
-    assert kinds(findings) == ['gravity_compensated', 'sign', 'payload']
-    assert findings.diagnoses[1].joints == ('arm_roll',)
-    assert findings.diagnoses[2].values[0] == pytest.approx(1.5, rel=0.03)
+    result = diagnose_recording(dynamics, recording._replace(efforts=efforts))
+    assert kinds(result) == ['gravity_compensated', 'sign', 'payload']
+    assert result.diagnoses[1].joints == ('arm_roll',)
+    assert result.diagnoses[2].values[0] == pytest.approx(1.5, rel=0.03)
 
 
 def test_small_model_errors_are_not_faults():
     dynamics, recording = run('seven_dof', friction=(1.0, 1.0))
     efforts = recording.efforts * np.linspace(0.9, 1.1, 7)
-    assert kinds(identify(dynamics, recording._replace(efforts=efforts))) == []
+    assert kinds(diagnose_recording(dynamics, recording._replace(efforts=efforts))) == []
 
 
 @settings(max_examples=4)
@@ -311,11 +317,11 @@ def test_small_model_errors_are_not_faults():
 )
 def test_faults_are_found_on_any_motion(name, seed, mass, com, friction):
     dynamics, healthy = run(name, seed, friction=friction)
-    assert kinds(identify(dynamics, healthy)) == []
+    assert kinds(diagnose_recording(dynamics, healthy)) == []
     j = seed % len(healthy.joint_names)
     efforts = healthy.efforts.copy()
     efforts[:, j] *= -1.0
-    assert kinds(identify(dynamics, healthy._replace(efforts=efforts))) == ['sign']
+    assert kinds(diagnose_recording(dynamics, healthy._replace(efforts=efforts))) == ['sign']
     _, loaded = run(
         name,
         seed,
@@ -323,7 +329,7 @@ def test_faults_are_found_on_any_motion(name, seed, mass, com, friction):
         rate=200.0,
         act=lambda real: real.set_payload(TIP[name], mass, com),
     )
-    (diagnosis,) = identify(dynamics, loaded, link=TIP[name]).diagnoses
+    (diagnosis,) = diagnose_recording(dynamics, loaded, link=TIP[name]).diagnoses
     assert diagnosis.kind == 'payload'
     assert diagnosis.values[0] == pytest.approx(mass, rel=0.05)
 
@@ -352,25 +358,27 @@ def swinging(positions, velocities, accelerations):
 
 
 def test_friction_of_a_joint_at_rest_is_unknown():
-    findings = identify(*swinging(np.ones(5000), np.zeros(5000), np.zeros(5000)))
-    fit = findings.joints[0].friction
+    result = diagnose_recording(*swinging(np.ones(5000), np.zeros(5000), np.zeros(5000)))
+    fit = result.joints[0].friction
     assert 'never faster' in fit.unknown_because
     assert (fit.damping, fit.coulomb) == (0.0, 0.0)
-    assert math.isnan(findings.joints[0].explained)
+    assert math.isnan(result.joints[0].explained)
 
 
 def test_friction_is_unknown_for_motion_in_one_direction():
     t = 0.002 * np.arange(5000)
-    findings = identify(*swinging(0.3 * t - 0.05 * np.cos(t), 0.3 + 0.05 * np.sin(t),
+    result = diagnose_recording(*swinging(0.3 * t - 0.05 * np.cos(t), 0.3 + 0.05 * np.sin(t),
                                   0.05 * np.cos(t)))  # fmt: skip
-    assert 'back for 0 s' in findings.joints[0].friction.unknown_because
+    assert 'back for 0 s' in result.joints[0].friction.unknown_because
 
 
 def test_friction_is_unknown_for_motion_at_one_speed():
     t = 0.002 * np.arange(5000)
     sign = np.where(t % 4.0 < 2.0, 1.0, -1.0)
-    findings = identify(*swinging(0.3 * np.abs(t % 4.0 - 2.0), -0.3 * sign, np.zeros(5000)))
-    assert 'does not distinguish' in findings.joints[0].friction.unknown_because
+    result = diagnose_recording(
+        *swinging(0.3 * np.abs(t % 4.0 - 2.0), -0.3 * sign, np.zeros(5000))
+    )
+    assert 'does not distinguish' in result.joints[0].friction.unknown_because
 
 
 # ---- Imperfect recordings ------------------------------------------------------------------
@@ -383,21 +391,21 @@ def test_jitter_duplicates_and_lost_samples_are_tolerated(rng):
         np.concatenate([np.flatnonzero(rng.random(len(times)) > 0.1), np.arange(0, 9000, 50)])
     )
     mangled = only(recording._replace(times=times), keep)
-    findings = identify(dynamics, mangled)
-    assert kinds(findings) == []
-    assert findings.explained_corrected > 0.99
-    assert any('duplicate' in note for note in findings.motion.notes)
-    assert findings.joints[0].friction.damping == pytest.approx(1.0, rel=0.1)
+    result = diagnose_recording(dynamics, mangled)
+    assert kinds(result) == []
+    assert result.explained_corrected > 0.99
+    assert any('duplicate' in note for note in result.motion.notes)
+    assert result.joints[0].friction.damping == pytest.approx(1.0, rel=0.1)
 
 
 def test_signals_are_not_interpolated_across_gaps():
     dynamics, recording = run('branched', has_velocities=False)
     times = recording.times
-    findings = identify(dynamics, only(recording, (times < 8.0) | (times > 9.0)))
-    motion = findings.motion
+    result = diagnose_recording(dynamics, only(recording, (times < 8.0) | (times > 9.0)))
+    motion = result.motion
     assert '1 gaps' in motion.notes[0]
     assert not ((motion.times > 7.95) & (motion.times < 9.05)).any()
-    assert findings.explained > 0.998
+    assert result.explained > 0.998
 
 
 def test_joints_may_be_in_separate_messages():
@@ -405,17 +413,19 @@ def test_joints_may_be_in_separate_messages():
     q, tau = recording.positions.copy(), recording.efforts.copy()
     q[::2, :3] = tau[::2, :3] = np.nan
     q[1::2, 3:] = tau[1::2, 3:] = np.nan
-    findings = identify(dynamics, recording._replace(positions=q, velocities=None, efforts=tau))
-    assert findings.explained > 0.995
+    result = diagnose_recording(
+        dynamics, recording._replace(positions=q, velocities=None, efforts=tau)
+    )
+    assert result.explained > 0.995
 
 
 def test_positions_of_joints_without_effort_are_used():
     dynamics, recording = run('branched')
     efforts = recording.efforts.copy()
     efforts[:, 0] = np.nan
-    findings = identify(dynamics, recording._replace(efforts=efforts))
-    assert [joint.name for joint in findings.joints] == list(recording.joint_names[1:])
-    assert findings.explained > 0.998
+    result = diagnose_recording(dynamics, recording._replace(efforts=efforts))
+    assert [joint.name for joint in result.joints] == list(recording.joint_names[1:])
+    assert result.explained > 0.998
 
 
 def test_joints_are_identified_by_name():
@@ -427,9 +437,9 @@ def test_joints_are_identified_by_name():
         velocities=recording.velocities[:, order],
         efforts=recording.efforts[:, order],
     )
-    findings = identify(dynamics, shuffled)
-    assert kinds(findings) == []
-    assert findings.explained > 0.998
+    result = diagnose_recording(dynamics, shuffled)
+    assert kinds(result) == []
+    assert result.explained > 0.998
 
 
 @pytest.mark.parametrize('wrong', [0.0, -1.0])
@@ -437,9 +447,9 @@ def test_inconsistent_velocities_are_not_used(wrong):
     dynamics, recording = run('seven_dof')
     velocities = recording.velocities.copy()
     velocities[:, 2] *= wrong
-    findings = identify(dynamics, recording._replace(velocities=velocities))
-    assert findings.explained > 0.998
-    assert 'arm_roll' in findings.motion.notes[0]
+    result = diagnose_recording(dynamics, recording._replace(velocities=velocities))
+    assert result.explained > 0.998
+    assert 'arm_roll' in result.motion.notes[0]
 
 
 def test_positions_of_continuous_joints_are_unwrapped():
@@ -452,7 +462,7 @@ def test_positions_of_continuous_joints_are_unwrapped():
     recording = Recording(
         dynamics.robot.joint_names, t, rolled, None, dynamics.efforts(q, qd, qdd)
     )
-    assert identify(dynamics, recording).explained > 0.999
+    assert diagnose_recording(dynamics, recording).explained > 0.999
 
 
 def test_derivatives_are_accurate_and_described():
@@ -485,18 +495,18 @@ def test_derivatives_are_accurate_and_described():
 def test_invalid_recordings_are_explained(change, words):
     dynamics, recording = run('branched')
     with pytest.raises(RecordingError, match=words):
-        identify(dynamics, recording._replace(**change))
+        diagnose_recording(dynamics, recording._replace(**change))
 
 
 def test_short_recordings_are_rejected():
     dynamics, recording = run('branched')
     with pytest.raises(RecordingError, match='too little to differentiate'):
-        identify(dynamics, only(recording, recording.times < 0.1))
+        diagnose_recording(dynamics, only(recording, recording.times < 0.1))
 
 
 def test_an_unknown_link_is_an_error():
     with pytest.raises(ConfigurationError, match="link 'tool9' does not exist"):
-        identify(*run('branched', rate=100.0), link='tool9')
+        diagnose_recording(*run('branched', rate=100.0), link='tool9')
 
 
 def test_a_load_in_the_palm_is_found_while_friction_holds_the_fingers():
@@ -509,9 +519,11 @@ def test_a_load_in_the_palm_is_found_while_friction_holds_the_fingers():
     q[:, finger], qd[:, finger], qdd[:, finger] = q[0, finger], 0.0, 0.0
     efforts = real.efforts(q, qd, qdd)
     efforts[:, finger] = 0.3 * np.sin(times)
-    findings = identify(InverseDynamics(real.robot), Recording(names, times, q, qd, efforts))
-    assert kinds(findings) == ['payload']
-    (diagnosis,) = findings.diagnoses
+    result = diagnose_recording(
+        InverseDynamics(real.robot), Recording(names, times, q, qd, efforts)
+    )
+    assert kinds(result) == ['payload']
+    (diagnosis,) = result.diagnoses
     assert diagnosis.link == 'palm'
     assert diagnosis.values[0] == pytest.approx(0.5, rel=0.05)
 

@@ -9,11 +9,11 @@ from numpy.typing import ArrayLike
 
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...robot.model import Booleans, Floats
-from .evidence import Evidence
+from .fault_interval import FaultInterval
 from .friction import is_moving, obstacle
 from .joint_samples import JointSamples
 from .loads import moves_with, payload_regressors, tip_links
-from .part import Part
+from .regression_data import RegressionData
 from .signals import Motion, smooth_like_efforts
 
 SAMPLES_PER_WINDOW = 8  # used by fits; the samples of a smoothing window are dependent
@@ -92,9 +92,9 @@ class ComparedEfforts:
         q, qd, qdd = self.states
         return q[self.fit_samples], qd[self.fit_samples], qdd[self.fit_samples]
 
-    def inside(self, part: Part) -> Booleans:
+    def inside(self, fault: FaultInterval) -> Booleans:
         """Return which samples are in a part of the recording."""
-        begin, end = part.interval
+        begin, end = fault.interval
         return np.asarray((self.motion.times >= begin) & (self.motion.times <= end))
 
     def moves(self, c: int) -> bool:
@@ -111,7 +111,7 @@ class ComparedEfforts:
         """Return whether a joint is prismatic."""
         return bool(self.robot.is_prismatic_joint[self.index[c]])
 
-    def evidence(self) -> Evidence:
+    def regression_data(self) -> RegressionData:
         """Return the samples of the varying efforts, with all efforts that may explain them."""
         q, _, _ = states = self.fit_states
         robot, gravity = self.robot, self.dynamics.gravity
@@ -124,7 +124,7 @@ class ComparedEfforts:
         sample_count = len(self.motion.times) / self.motion.window
         bodies = [robot.link_body[robot.link_index(link)] for link in self.links]
         masses = {k: float(robot.mass[b]) for k, b in zip(self.links, bodies, strict=True)}
-        return Evidence(joints, masses, gravity, sample_count, duration)
+        return RegressionData(joints, masses, gravity, sample_count, duration)
 
     def _joint_samples(self, c: int, weight: Floats, loads: Sequence[Floats]) -> JointSamples:
         """Return the samples of a column, with the columns of `joint_samples`."""

@@ -1,25 +1,25 @@
-"""An explanation of measured efforts: a hypothesis about the robot, and a fit of every joint."""
+"""An explanation of measured efforts: a model of the robot, and a fit of every joint."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 from ...robot.model import Floats
-from .joint_samples import Fit, PARAMETER_COST
+from .joint_samples import JointFit, PARAMETER_COST
 
 UNIT_PARAMETERS = 2  # a unit has the weight of two parameters, because it is rarely wrong
 
 
-class Hypothesis(NamedTuple):
+class CandidateModel(NamedTuple):
     """A composition of the efforts of the whole robot."""
 
     kind: str
-    """``as_is``, ``weightless``, ``mounting`` or ``payload``."""
+    """``nominal``, ``gravity_compensated``, ``mounting`` or ``payload``."""
     weights: Floats
     """Factors of the first columns of the samples."""
     parameters: int
     """Number of parameters."""
-    is_weightless: bool = False
+    is_gravity_compensated: bool = False
     """Whether the gravity efforts of the model are left out."""
     link: str = ''
     """Link that carries the payload."""
@@ -29,11 +29,11 @@ class Hypothesis(NamedTuple):
     """Standard errors of the solution."""
 
 
-class Explanation(NamedTuple):
-    """A hypothesis, and the fit of every joint to it."""
+class RobotFit(NamedTuple):
+    """A candidate model, and the fit of every joint to it."""
 
-    hypothesis: Hypothesis
-    fits: tuple[Fit, ...]
+    candidate: CandidateModel
+    fits: tuple[JointFit, ...]
     source: tuple[int, ...]
     """Index of the measured effort that belongs to each joint."""
     unit: float = 1.0
@@ -43,22 +43,22 @@ class Explanation(NamedTuple):
     def cost(self) -> float:
         """Logarithm of the remaining squares, plus the cost of all parameters."""
         moved = sum(i != j for i, j in enumerate(self.source))
-        parameters = self.hypothesis.parameters + moved + UNIT_PARAMETERS * (self.unit != 1.0)
+        parameters = self.candidate.parameters + moved + UNIT_PARAMETERS * (self.unit != 1.0)
         return sum(fit.cost for fit in self.fits) + PARAMETER_COST * parameters
 
     @property
     def is_scaled(self) -> bool:
         """Whether the effort of a joint has another unit."""
-        return self.unit != 1.0 or any(fit.distortion.is_scaled for fit in self.fits)
+        return self.unit != 1.0 or any(fit.sensor_fault.is_scaled for fit in self.fits)
 
     @property
     def changes_nothing(self) -> bool:
         """Whether the model with friction is all that there is."""
         return (
-            self.hypothesis.kind == 'as_is'
+            self.candidate.kind == 'nominal'
             and self.unit == 1.0
             and self.source == tuple(range(len(self.source)))
-            and not any(any(fit.distortion) for fit in self.fits)
+            and not any(any(fit.sensor_fault) for fit in self.fits)
         )
 
     def factor(self, joint: int) -> float:

@@ -14,11 +14,10 @@ from ...robot.model import Booleans, Floats, RobotModel
 from .bodies import Bodies, wrong_bodies
 from .compared_efforts import ComparedEfforts, CONSTANT
 from .correction import added_efforts, as_recorded, corrected_efforts
-from .diagnoses import diagnose, diagnose_bodies, diagnose_constant, diagnose_part, Diagnosis
-from .evidence import Evidence
-from .explanation import Explanation
-from .findings import Findings, JointFinding
+from .diagnoses import diagnose, diagnose_bodies, diagnose_constant, diagnose_interval, Diagnosis
+from .fault_interval import FaultInterval, FaultKind
 from .friction import FrictionFit
+from .intervals import best_interval, find_fault_interval, MUCH_LOUDER
 from .joint_friction import (
     fit_joints,
     friction_efforts,
@@ -28,19 +27,20 @@ from .joint_friction import (
     with_friction_only,
     with_shapes,
 )
-from .part import Cause, Part
-from .parts import best_interval, find_part, MUCH_LOUDER
 from .recorded_column import Recording
+from .regression_data import RegressionData
+from .result import ComparisonResult, JointResidual
+from .robot_fit import RobotFit
 from .signals import derive
 
 
-def identify(
+def diagnose_recording(
     dynamics: InverseDynamics,
     recording: Recording,
     others: ArrayLike | None = None,
     link: str | None = None,
     width: float | None = None,
-) -> Findings:
+) -> ComparisonResult:
     """
     Compare a recording with the model.
 
@@ -60,7 +60,7 @@ def identify(
 
     Returns
     -------
-    findings : Findings
+    result : ComparisonResult
 
     Raises
     ------
@@ -84,7 +84,7 @@ def identify(
     motion = derive(recording)
     common_width = FRICTION_WIDTH if width is None else width
     compared = ComparedEfforts(dynamics, motion, index, others, link, common_width)
-    return _findings(compared, fits_shape=width is None)
+    return _result(compared, fits_shape=width is None)
 
 
 def _indices(names: tuple[str, ...], robot: RobotModel) -> list[int]:
@@ -99,80 +99,80 @@ def _indices(names: tuple[str, ...], robot: RobotModel) -> list[int]:
     return [robot.joint_names.index(name) for name in names]
 
 
-def _findings(compared: ComparedEfforts, *, fits_shape: bool) -> Findings:
-    evidence = compared.evidence()
-    explanation = evidence.explain()
-    part = find_part(evidence, explanation)
+def _result(compared: ComparedEfforts, *, fits_shape: bool) -> ComparisonResult:
+    data = compared.regression_data()
+    robot_fit = data.explain()
+    fault = find_fault_interval(data, robot_fit)
     bodies = None
-    if part is not None:
-        part = _refined(compared, part)
-        evidence, explanation = part.evidence, part.outside
+    if fault is not None:
+        fault = _refined(compared, fault)
+        data, robot_fit = fault.data, fault.outside
     else:
-        bodies = _wrong_bodies(compared, evidence, explanation)
+        bodies = _wrong_bodies(compared, data, robot_fit)
         if bodies is not None:
-            explanation = bodies.explanation
-    measured, efforts = corrected_efforts(compared, explanation, part)
+            robot_fit = bodies.robot_fit
+    measured, efforts = corrected_efforts(compared, robot_fit, fault)
     used = np.ones(len(efforts), dtype=bool)
-    if part is not None and part.cause is Cause.FORCE:
-        used = ~compared.inside(part)
-    unknown = obscured(compared, explanation)
+    if fault is not None and fault.kind is FaultKind.FORCE:
+        used = ~compared.inside(fault)
+    unknown = obscured(compared, robot_fit)
     fits = fit_joints(compared, measured[used] - efforts[used], unknown, used)
-    load = load_on_gears(compared, explanation)
-    if fits_shape and part is None:
+    load = load_on_gears(compared, robot_fit)
+    if fits_shape and fault is None:
         fits = with_shapes(compared, fits, measured - efforts, load)
     for c, fit in enumerate(fits):
         efforts[:, c] += friction_efforts(compared, c, fit, load[:, c])
-    recorded = as_recorded(compared, efforts, explanation)
+    recorded = as_recorded(compared, efforts, robot_fit)
     when = [used & each for each in when_comparable(compared, fits)]
     rubbing = with_friction_only(compared)
-    return Findings(
+    return ComparisonResult(
         motion=compared.motion,
         compared=tuple(compared.compared),
         joints=tuple(
-            _joint_finding(compared, c, fits[c], rubbing[:, c], recorded[:, c], when[c])
+            _joint_residual(compared, c, fits[c], rubbing[:, c], recorded[:, c], when[c])
             for c in range(len(fits))
         ),
         measured=compared.measured,
         modelled=compared.modelled,
         corrected=recorded,
-        diagnoses=_diagnoses(compared, evidence, explanation, part, bodies),
+        diagnoses=_diagnoses(compared, data, robot_fit, fault, bodies),
         width=compared.width,
-        is_too_short=evidence.is_too_short,
+        is_too_short=data.is_too_short,
         moving=tuple(_moving(compared)),
     )
 
 
-def _refined(compared: ComparedEfforts, part: Part) -> Part:
+def _refined(compared: ComparedEfforts, fault: FaultInterval) -> FaultInterval:
     """Return a part whose begin and end are accurate to a sample."""
-    if part.cause is Cause.TILT:
-        return part
-    is_force = part.cause is Cause.FORCE
+    if fault.kind is FaultKind.TILT:
+        return fault
+    is_force = fault.kind is FaultKind.FORCE
     measured, efforts = corrected_efforts(
-        compared, part.outside._replace(hypothesis=part.evidence.as_is)
+        compared, fault.outside._replace(candidate=fault.data.nominal)
     )
-    load = np.zeros_like(efforts) if is_force else added_efforts(compared, part.outside)
+    load = np.zeros_like(efforts) if is_force else added_efforts(compared, fault.outside)
     gain = np.zeros(len(efforts))
     for j, c in enumerate(compared.varying):
-        fit = part.outside.fits[j]
-        if not fit.moves or (is_force and j not in part.joints):
+        fit = fault.outside.fits[j]
+        if not fit.moves or (is_force and j not in fault.joints):
             continue
         left = measured[:, c] - efforts[:, c] - fit.offset
         left -= fit.damping * compared.qd[:, c] + fit.coulomb * compared.direction[:, c]
-        variance = max((fit.rms / part.outside.factor(j)) ** 2, 1e-12)
+        variance = max((fit.rms / fault.outside.factor(j)) ** 2, 1e-12)
         after = MUCH_LOUDER * variance if is_force else (left - load[:, c]) ** 2
         gain += (left**2 - after) / variance
-    return part._replace(interval=best_interval(compared.motion.times, gain, part.interval))
+    return fault._replace(interval=best_interval(compared.motion.times, gain, fault.interval))
 
 
 def _wrong_bodies(
-    compared: ComparedEfforts, evidence: Evidence, explanation: Explanation
+    compared: ComparedEfforts, data: RegressionData, robot_fit: RobotFit
 ) -> Bodies | None:
     """Return the residuals with fitted links if several links are wrong."""
     if not compared.varying:
         return None
     rows = [compared.used(c)[compared.fit_samples] for c in compared.varying]
     index = [compared.index[c] for c in compared.varying]
-    return wrong_bodies(evidence, explanation, compared.dynamics, compared.fit_states, rows, index)
+    return wrong_bodies(data, robot_fit, compared.dynamics, compared.fit_states, rows, index)
 
 
 def _moving(compared: ComparedEfforts) -> list[int]:
@@ -181,19 +181,19 @@ def _moving(compared: ComparedEfforts) -> list[int]:
     return moving or compared.varying
 
 
-def _joint_finding(
+def _joint_residual(
     compared: ComparedEfforts,
     c: int,
     friction: FrictionFit,
     rubbing: Floats,
     corrected: Floats,
     when: Booleans,
-) -> JointFinding:
+) -> JointResidual:
     measured, modelled = compared.measured[when, c], compared.modelled[when, c]
     is_varying = c in compared.varying
     has_line = is_varying and np.ptp(modelled) > CONSTANT * np.max(np.abs(modelled))
     scale, offset = np.polyfit(modelled, measured, 1) if has_line else (math.nan, math.nan)
-    return JointFinding(
+    return JointResidual(
         name=compared.names[c],
         is_prismatic=compared.is_prismatic(c),
         rms_measured=_rms(measured),
@@ -211,19 +211,19 @@ def _joint_finding(
 
 def _diagnoses(
     compared: ComparedEfforts,
-    evidence: Evidence,
-    explanation: Explanation,
-    part: Part | None,
+    data: RegressionData,
+    robot_fit: RobotFit,
+    fault: FaultInterval | None,
     bodies: Bodies | None,
 ) -> tuple[Diagnosis, ...]:
     constant = {compared.names[c]: float(compared.measured[0, c]) for c in compared.constant}
     names = [compared.names[c] for c in compared.varying]
-    found = [] if part is None else diagnose_part(part, names)
-    if compared.varying and (part is None or part.cause is Cause.FORCE):
-        found += diagnose(evidence, explanation, names)
+    found = [] if fault is None else diagnose_interval(fault, names)
+    if compared.varying and (fault is None or fault.kind is FaultKind.FORCE):
+        found += diagnose(data, robot_fit, names)
     if bodies is not None:
         found = [each for each in found if each.kind != 'unexplained']
-        found.append(diagnose_bodies(bodies, evidence, names))
+        found.append(diagnose_bodies(bodies, data, names))
     return (*diagnose_constant(constant), *found)
 
 

@@ -1,8 +1,8 @@
 """
 Finds the explanation of measured efforts that leaves least unexplained with fewest parameters.
 
-A *hypothesis* concerns the efforts of the whole robot, such as a payload. The efforts of every
-joint may be distorted in addition.
+A *candidate model* changes the efforts of the whole robot, as a payload does. The sensor of every
+joint may have a fault in addition.
 """
 
 from __future__ import annotations
@@ -15,34 +15,34 @@ import math
 import numpy as np
 
 from ...robot.model import Floats
-from .explanation import Explanation, Hypothesis
 from .joint_samples import (
     ACCELERATION,
     CREDIBLE,
     DIRECTION,
-    Fit,
     GRAVITY,
+    JointFit,
     JointSamples,
     LOADS,
     MODEL,
+    NO_FAULT,
     ONE,
     PARAMETER_COST,
     SPEED,
-    UNDISTORTED,
     WEIGHT,
 )
 from .loads import fit_payload, MAX_REACH, PARAMETERS, point_mass_parameters
+from .robot_fit import CandidateModel, RobotFit
 
 COST_TOLERANCE = 0.1  # smaller differences of costs are ignored
-MAX_ITERATIONS = 3  # of fitting the hypothesis and the distortions in turn
+MAX_ITERATIONS = 3  # of fitting the candidate model and the sensor faults in turn
 MIN_DURATION = 4.0  # [s] of samples; in less, chance explains too much
-OWN_CONTRIBUTION = 0.7  # of the squares that are left without a hypothesis, to be left at most
+OWN_CONTRIBUTION = 0.7  # of the squares that the nominal model leaves, to be left at most
 NO_GRAVITY = 0.25  # largest fraction of gravity in efforts that lack gravity
 CONSIDERABLE = 0.3  # fraction of a joint's modelled effort; less gravity may be a wrong model
 SAME_UNIT = 1.25  # largest ratio between the factors of joints with the same unit
 
 
-class Evidence:
+class RegressionData:
     """
     The samples of all joints, and the search for their explanation.
 
@@ -77,15 +77,15 @@ class Evidence:
         self.sample_count = sample_count
         self.duration = duration
         self.first_measured = LOADS + PARAMETERS * len(links)
-        self.as_is = Hypothesis('as_is', self._weights({MODEL: 1.0}), 0)
+        self.nominal = CandidateModel('nominal', self._weights({MODEL: 1.0}), 0)
 
-    def with_joints(self, joints: Sequence[JointSamples], duration: float) -> Evidence:
-        """Return the same evidence with other samples."""
+    def with_joints(self, joints: Sequence[JointSamples], duration: float) -> RegressionData:
+        """Return the same data with other samples."""
         links = dict(zip(self.links, self.link_masses, strict=True))
         sample_count = self.sample_count * duration / self.duration
-        return Evidence(joints, links, self.gravity, sample_count, duration)
+        return RegressionData(joints, links, self.gravity, sample_count, duration)
 
-    def restricted(self, interval: tuple[float, float], is_inside: bool) -> Evidence:
+    def restricted(self, interval: tuple[float, float], is_inside: bool) -> RegressionData:
         """Return the samples inside or outside of an interval [s]."""
         begin, end = interval
         joints = []
@@ -100,100 +100,102 @@ class Evidence:
         duration = inside if is_inside else self.duration - inside
         return self.with_joints(joints, max(duration, 1e-9))
 
-    def loads(self, k: int, start: Explanation) -> list[Explanation]:
-        """Fit payloads on link k without distortions."""
-        found: list[Explanation] = []
+    def loads(self, k: int, start: RobotFit) -> list[RobotFit]:
+        """Fit payloads on link k without sensor faults."""
+        found: list[RobotFit] = []
         fits = start.fits
         for _ in range(MAX_ITERATIONS):
-            hypothesis = self._payload(k, self.as_is, list(fits))
-            if hypothesis is None:
+            candidate = self._payload(k, self.nominal, list(fits))
+            if candidate is None:
                 break
-            found.append(self.refit(start, hypothesis))
+            found.append(self.refit(start, candidate))
             fits = found[-1].fits
         return found
 
-    def friction_only(self) -> Explanation:
+    def friction_only(self) -> RobotFit:
         """Return the model as it is, with friction."""
         fits = tuple(
-            samples.fit(self.as_is.weights, self.first_measured + j, UNDISTORTED)
+            samples.fit(self.nominal.weights, self.first_measured + j, NO_FAULT)
             for j, samples in enumerate(self.joints)
         )
-        return Explanation(self.as_is, fits, tuple(range(len(fits))))
+        return RobotFit(self.nominal, fits, tuple(range(len(fits))))
 
-    def distorted(self) -> Explanation:
-        """Return the model as it is, with the best distortion of every joint."""
-        return self._fit_joints(self.as_is)
+    def with_sensor_faults(self) -> RobotFit:
+        """Return the model as it is, with the best sensor fault of every joint."""
+        return self._fit_joints(self.nominal)
 
     @property
     def is_too_short(self) -> bool:
         """Whether there are too few samples for an explanation."""
         return self.duration < MIN_DURATION
 
-    def explain(self) -> Explanation:
+    def explain(self) -> RobotFit:
         """Return the credible explanation with the lowest cost."""
         if self.is_too_short:
             return self.friction_only()
-        as_is = self._fit_joints(self.as_is)
+        nominal = self._fit_joints(self.nominal)
         lowest_cost = sum(
             math.log(samples.floor(self.first_measured + j))
             for j, samples in enumerate(self.joints)
         )
-        if as_is.cost - lowest_cost < PARAMETER_COST:
-            return as_is  # no further parameter can be worth its cost
+        if nominal.cost - lowest_cost < PARAMETER_COST:
+            return nominal  # no further parameter can be worth its cost
         # If an offset of a joint explains as much as missing gravity, prefer missing gravity.
         found = sorted(
-            self._candidates(as_is),
-            key=lambda each: each.cost - COST_TOLERANCE * each.hypothesis.is_weightless,
+            self._candidates(nominal),
+            key=lambda each: each.cost - COST_TOLERANCE * each.candidate.is_gravity_compensated,
         )
-        return next(each for each in found if each is as_is or self._is_credible(each))
+        return next(each for each in found if each is nominal or self._is_credible(each))
 
-    def _candidates(self, as_is: Explanation) -> list[Explanation]:
-        weightless = self._fit_joints(self.weightless())
-        found = [as_is, weightless]
-        # Start without distortions, and with those that seem best for the model as it is.
-        for start in ([Fit(UNDISTORTED, 0.0, 1.0)] * len(self.joints), list(as_is.fits)):
+    def _candidates(self, nominal: RobotFit) -> list[RobotFit]:
+        gravity_compensated = self._fit_joints(self.gravity_compensated())
+        found = [nominal, gravity_compensated]
+        # Start without sensor faults, and with those that seem best for the model as it is.
+        for start in ([JointFit(NO_FAULT, 0.0, 1.0)] * len(self.joints), list(nominal.fits)):
             found += self._iterate(self._mounting, start)
             for k in range(len(self.links)):
-                found += self._iterate(partial(self._payload, k, self.as_is), start)
-                found += self._iterate(partial(self._payload, k, weightless.hypothesis), start)
-        return found + self._reordered() + self._common_unit(as_is)
+                found += self._iterate(partial(self._payload, k, self.nominal), start)
+                found += self._iterate(
+                    partial(self._payload, k, gravity_compensated.candidate), start
+                )
+        return found + self._reordered() + self._common_unit(nominal)
 
-    def _is_credible(self, explanation: Explanation) -> bool:
-        """Return whether a hypothesis is possible, and improves enough by itself."""
-        hypothesis = explanation.hypothesis
-        if hypothesis.kind == 'as_is':
+    def _is_credible(self, robot_fit: RobotFit) -> bool:
+        """Return whether a candidate model is possible, and improves enough by itself."""
+        candidate = robot_fit.candidate
+        if candidate.kind == 'nominal':
             return True
         # Loads and gravity cannot be identified in unknown units.
-        if explanation.is_scaled and hypothesis.kind != 'weightless':
+        if robot_fit.is_scaled and candidate.kind != 'gravity_compensated':
             return False
-        without = self.refit(explanation, hypothesis=self.as_is)
-        if self.unexplained(explanation) > OWN_CONTRIBUTION * self.unexplained(without):
+        without = self.refit(robot_fit, candidate=self.nominal)
+        if self.unexplained(robot_fit) > OWN_CONTRIBUTION * self.unexplained(without):
             return False
-        return not hypothesis.is_weightless or self._lacks_gravity(explanation)
+        return not candidate.is_gravity_compensated or self._lacks_gravity(robot_fit)
 
-    def unexplained(self, explanation: Explanation) -> float:
+    def unexplained(self, robot_fit: RobotFit) -> float:
         """Return the remaining fraction of the squares: mean of revolute and prismatic joints."""
         remaining = {False: 0.0, True: 0.0}
         squares = {False: 0.0, True: 0.0}
         none_moves = not any(samples.moves for samples in self.joints)
-        for j, (samples, fit) in enumerate(zip(self.joints, explanation.fits, strict=True)):
+        for j, (samples, fit) in enumerate(zip(self.joints, robot_fit.fits, strict=True)):
             # The effort of a joint at rest also contains an unknown dry friction.
             if not (samples.moves or none_moves):
                 continue
-            measured = self.first_measured + explanation.source[j]
-            square = float(samples.squares[measured]) / explanation.factor(j) ** 2
+            measured = self.first_measured + robot_fit.source[j]
+            square = float(samples.squares[measured]) / robot_fit.factor(j) ** 2
             remaining[samples.is_prismatic] += fit.remaining * square
             squares[samples.is_prismatic] += square
         return float(
             np.mean([remaining[kind] / squares[kind] for kind in squares if squares[kind]])
         )
 
-    def _lacks_gravity(self, explanation: Explanation) -> bool:
+    def _lacks_gravity(self, robot_fit: RobotFit) -> bool:
         """Return whether the efforts contain hardly any gravity, and are explained without it."""
         numerator = denominator = 0.0
         is_shown = False
-        for j, (samples, fit) in enumerate(zip(self.joints, explanation.fits, strict=True)):
-            gravity, target = samples.triangle[:, GRAVITY], self._target(j, explanation)
+        for j, (samples, fit) in enumerate(zip(self.joints, robot_fit.fits, strict=True)):
+            gravity, target = samples.triangle[:, GRAVITY], self._target(j, robot_fit)
             is_heavy = samples.squares[GRAVITY] > CONSIDERABLE**2 * samples.squares[MODEL]
             if is_heavy and samples.moves and fit.remaining > CREDIBLE:
                 return False
@@ -202,47 +204,47 @@ class Evidence:
             if samples.moves:
                 friction = np.linalg.qr(samples.triangle[:, [SPEED, DIRECTION]])[0]
                 gravity, target = (x - friction @ (friction.T @ x) for x in (gravity, target))
-            measured = self.first_measured + explanation.source[j]
+            measured = self.first_measured + robot_fit.source[j]
             variance = fit.remaining + samples.floor(measured)
-            variance *= float(samples.squares[measured]) / explanation.factor(j) ** 2
+            variance *= float(samples.squares[measured]) / robot_fit.factor(j) ** 2
             numerator += float(gravity @ target) / variance
             denominator += float(np.sum(gravity**2)) / variance
         return is_shown and abs(numerator) < NO_GRAVITY * denominator
 
-    def _target(self, j: int, explanation: Explanation) -> Floats:
+    def _target(self, j: int, robot_fit: RobotFit) -> Floats:
         """Return the reduced effort of a joint that an explanation leaves to friction."""
-        R, fit = self.joints[j].triangle, explanation.fits[j]
-        measured = R[:, self.first_measured + explanation.source[j]]
-        target: Floats = fit.distortion.sign / explanation.factor(j) * measured
-        target = target - R[:, : self.first_measured] @ explanation.hypothesis.weights
+        R, fit = self.joints[j].triangle, robot_fit.fits[j]
+        measured = R[:, self.first_measured + robot_fit.source[j]]
+        target: Floats = fit.sensor_fault.sign / robot_fit.factor(j) * measured
+        target = target - R[:, : self.first_measured] @ robot_fit.candidate.weights
         return target - fit.rotor * R[:, ACCELERATION] - fit.offset * R[:, ONE]
 
     def refit(
         self,
-        explanation: Explanation,
-        hypothesis: Hypothesis | None = None,
+        robot_fit: RobotFit,
+        candidate: CandidateModel | None = None,
         without: str = '',
-    ) -> Explanation:
-        """Fit an explanation again, with another hypothesis or without a kind of distortion."""
-        hypothesis = hypothesis or explanation.hypothesis
+    ) -> RobotFit:
+        """Fit again, with another candidate model or without a kind of sensor fault."""
+        candidate = candidate or robot_fit.candidate
         fits = []
-        for j, (samples, fit) in enumerate(zip(self.joints, explanation.fits, strict=True)):
-            distortion = fit.distortion
+        for j, (samples, fit) in enumerate(zip(self.joints, robot_fit.fits, strict=True)):
+            sensor_fault = fit.sensor_fault
             if without:
-                distortion = distortion._replace(**{without: False})
-            measured = self.first_measured + explanation.source[j]
-            fits.append(samples.fit(hypothesis.weights, measured, distortion, explanation.unit))
-        return explanation._replace(hypothesis=hypothesis, fits=tuple(fits))
+                sensor_fault = sensor_fault._replace(**{without: False})
+            measured = self.first_measured + robot_fit.source[j]
+            fits.append(samples.fit(candidate.weights, measured, sensor_fault, robot_fit.unit))
+        return robot_fit._replace(candidate=candidate, fits=tuple(fits))
 
-    def _common_unit(self, as_is: Explanation) -> list[Explanation]:
+    def _common_unit(self, nominal: RobotFit) -> list[RobotFit]:
         """Scale the efforts of all joints alike, including those that hardly moved."""
-        factors = [fit.scale for fit in as_is.fits if fit.distortion.is_scaled]
+        factors = [fit.scale for fit in nominal.fits if fit.sensor_fault.is_scaled]
         middle = float(np.median(factors)) if factors else 1.0
         alike = [x for x in factors if 1.0 / SAME_UNIT < x / middle < SAME_UNIT]
         if len(alike) < 2 or 2 * len(alike) < len(factors):
             return []
         units = float(np.exp(np.mean(np.log(alike)))) * np.linspace(0.9, 1.1, 21)
-        found = [self._fit_joints(self.as_is, float(unit)) for unit in units]
+        found = [self._fit_joints(self.nominal, float(unit)) for unit in units]
         return [min(found, key=lambda each: each.cost)]
 
     def _weights(self, values: dict[int, float]) -> Floats:
@@ -251,35 +253,37 @@ class Evidence:
             weights[column] = value
         return weights
 
-    def weightless(self) -> Hypothesis:
+    def gravity_compensated(self) -> CandidateModel:
         weights = self._weights({MODEL: 1.0, GRAVITY: -1.0})
-        return Hypothesis('weightless', weights, 1, is_weightless=True)
+        return CandidateModel('gravity_compensated', weights, 1, is_gravity_compensated=True)
 
-    def _fit_joints(self, hypothesis: Hypothesis, unit: float = 1.0) -> Explanation:
+    def _fit_joints(self, candidate: CandidateModel, unit: float = 1.0) -> RobotFit:
         fits = tuple(
-            samples.best_fit(hypothesis.weights, self.first_measured + j, unit)
+            samples.best_fit(candidate.weights, self.first_measured + j, unit)
             for j, samples in enumerate(self.joints)
         )
-        return Explanation(hypothesis, fits, tuple(range(len(fits))), unit)
+        return RobotFit(candidate, fits, tuple(range(len(fits))), unit)
 
     def _iterate(
-        self, fit_hypothesis: Callable[[list[Fit]], Hypothesis | None], fits: list[Fit]
-    ) -> list[Explanation]:
-        """Fit a hypothesis to the joints, and the joints to the hypothesis, in turn."""
-        found: list[Explanation] = []
+        self,
+        fit_candidate: Callable[[list[JointFit]], CandidateModel | None],
+        fits: list[JointFit],
+    ) -> list[RobotFit]:
+        """Fit a candidate model to the joints, and the joints to the candidate model, in turn."""
+        found: list[RobotFit] = []
         for _ in range(MAX_ITERATIONS):
-            hypothesis = fit_hypothesis(fits)
-            if hypothesis is None:
+            candidate = fit_candidate(fits)
+            if candidate is None:
                 break
-            found.append(self._fit_joints(hypothesis))
+            found.append(self._fit_joints(candidate))
             if len(found) > 1 and found[-1].cost > found[-2].cost - COST_TOLERANCE:
                 break
             fits = list(found[-1].fits)
         return found
 
-    def _rows(self, fits: list[Fit], fixed: Floats) -> tuple[Floats, Floats] | None:
+    def _rows(self, fits: list[JointFit], fixed: Floats) -> tuple[Floats, Floats] | None:
         """
-        Stack the samples of all joints, weighted, with friction and distortions removed.
+        Stack the samples of all joints, weighted, with friction and sensor faults removed.
 
         Returns columns and targets; the targets are the efforts that the fixed columns leave. None
         if the units of all efforts are unknown.
@@ -287,11 +291,11 @@ class Evidence:
         """
         stacked, targets = [], []
         for j, (samples, fit) in enumerate(zip(self.joints, fits, strict=True)):
-            if fit.distortion.is_scaled:
+            if fit.sensor_fault.is_scaled:
                 continue  # its unit is unknown
             R = samples.triangle
             columns = R[:, : self.first_measured]
-            target = fit.distortion.sign * R[:, self.first_measured + j] - columns @ fixed
+            target = fit.sensor_fault.sign * R[:, self.first_measured + j] - columns @ fixed
             target = target - fit.rotor * R[:, ACCELERATION] - fit.offset * R[:, ONE]
             if samples.moves:
                 Q = np.linalg.qr(R[:, [SPEED, DIRECTION]])[0]
@@ -305,7 +309,7 @@ class Evidence:
             targets.append(weight * target)
         return (np.vstack(stacked), np.concatenate(targets)) if stacked else None
 
-    def _mounting(self, fits: list[Fit]) -> Hypothesis | None:
+    def _mounting(self, fits: list[JointFit]) -> CandidateModel | None:
         """Fit the direction of gravity."""
         fixed = self._weights({MODEL: 1.0, GRAVITY: -1.0})
         rows = self._rows(fits, fixed)
@@ -322,10 +326,12 @@ class Evidence:
             return None
         weights = fixed.copy()
         weights[WEIGHT : WEIGHT + 3] = gravity
-        return Hypothesis('mounting', weights, 3, solution=tuple(gravity.tolist()))
+        return CandidateModel('mounting', weights, 3, solution=tuple(gravity.tolist()))
 
-    def _payload(self, k: int, base: Hypothesis, fits: list[Fit]) -> Hypothesis | None:
-        """Fit a point mass on link k to the efforts that a base hypothesis leaves."""
+    def _payload(
+        self, k: int, base: CandidateModel, fits: list[JointFit]
+    ) -> CandidateModel | None:
+        """Fit a point mass on link k to the efforts that a base candidate model leaves."""
         rows = self._rows(fits, base.weights)
         if rows is None:
             return None
@@ -340,24 +346,24 @@ class Evidence:
             return None
         weights = base.weights.copy()
         weights[load] = point_mass_parameters(float(solution[0]), solution[1:])
-        return Hypothesis(
+        return CandidateModel(
             'payload',
             weights,
             4 + base.parameters,
-            base.is_weightless,
+            base.is_gravity_compensated,
             self.links[k],
             tuple(solution.tolist()),
             tuple(errors.tolist()),
         )
 
-    def _reordered(self) -> list[Explanation]:
+    def _reordered(self) -> list[RobotFit]:
         """Assign the efforts of joints that are not explained to each other's joints."""
         from scipy.optimize import linear_sum_assignment
 
-        n, weights = len(self.joints), self.as_is.weights
+        n, weights = len(self.joints), self.nominal.weights
 
-        def fit(joint: int, measured: int) -> Fit:
-            return self.joints[joint].fit(weights, self.first_measured + measured, UNDISTORTED)
+        def fit(joint: int, measured: int) -> JointFit:
+            return self.joints[joint].fit(weights, self.first_measured + measured, NO_FAULT)
 
         unexplained = [j for j in range(n) if fit(j, j).remaining > CREDIBLE]
         if len(unexplained) < 2:
@@ -366,11 +372,11 @@ class Evidence:
         costs = np.array([[fit.cost for fit in row] for row in fits])
         penalty = PARAMETER_COST * (1.0 - np.eye(len(unexplained)))
         rows, columns = linear_sum_assignment(costs + penalty)
-        chosen, source = list(self._fit_joints(self.as_is).fits), list(range(n))
+        chosen, source = list(self._fit_joints(self.nominal).fits), list(range(n))
         for row, column in zip(rows, columns, strict=True):
             if row != column:
                 if fits[row][column].remaining > CREDIBLE:
                     return []
                 chosen[unexplained[row]] = fits[row][column]
                 source[unexplained[row]] = unexplained[column]
-        return [Explanation(self.as_is, tuple(chosen), tuple(source))]
+        return [RobotFit(self.nominal, tuple(chosen), tuple(source))]

@@ -8,9 +8,9 @@ import numpy as np
 
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...robot.model import Booleans, Floats, RobotModel
-from .evidence import Evidence
-from .joint_samples import ACCELERATION, DIRECTION, GRAVITY, MODEL, ONE, SPEED, UNDISTORTED, WEIGHT
-from .part import Cause, Part, span
+from .fault_interval import FaultInterval, FaultKind, span
+from .joint_samples import ACCELERATION, DIRECTION, GRAVITY, MODEL, NO_FAULT, ONE, SPEED, WEIGHT
+from .regression_data import RegressionData
 
 KNOT_DISTANCE = 0.75  # [s] between the times at which a changing gravity is fitted
 MOST_KNOTS = 40
@@ -21,20 +21,20 @@ STRENGTH = 0.25  # largest relative change of the strength of gravity
 MIN_TILT = math.radians(3.0)
 
 
-def find_tilt(evidence: Evidence, most_left: float) -> Part | None:
+def find_tilt(data: RegressionData, most_left: float) -> FaultInterval | None:
     """Fit gravity at several times of the recording, and friction for all of it."""
-    strength = float(np.linalg.norm(evidence.gravity))
-    moving = [j for j, samples in enumerate(evidence.joints) if samples.moves]
+    strength = float(np.linalg.norm(data.gravity))
+    moving = [j for j, samples in enumerate(data.joints) if samples.moves]
     if strength == 0.0 or not moving:
         return None
-    begin, end = span(evidence)
+    begin, end = span(data)
     count = int(min(MOST_KNOTS, max(4, round((end - begin) / KNOT_DISTANCE))))
     knots: Floats = np.linspace(begin, end, count)
-    gravity, left = _fit_gravity(evidence, moving, knots)
+    gravity, left = _fit_gravity(data, moving, knots)
     if left > most_left:
         return None
     angles = np.arccos(
-        np.clip(gravity @ evidence.gravity / (np.linalg.norm(gravity, axis=1) * strength), -1, 1)
+        np.clip(gravity @ data.gravity / (np.linalg.norm(gravity, axis=1) * strength), -1, 1)
     )
     lengths = np.linalg.norm(gravity, axis=1)
     mean = gravity.mean(axis=0) / np.linalg.norm(gravity.mean(axis=0))
@@ -50,16 +50,16 @@ def find_tilt(evidence: Evidence, most_left: float) -> Part | None:
     interval = float(knots[max(at[0] - 1, 0)]), float(knots[min(at[-1] + 1, count - 1)])
     if at[0] == 0:
         interval = float(knots[0]), interval[1]
-    explanation = evidence.friction_only()
-    return Part(Cause.TILT, interval, explanation, evidence, knots=knots, gravity=gravity)
+    robot_fit = data.friction_only()
+    return FaultInterval(FaultKind.TILT, interval, robot_fit, data, knots=knots, gravity=gravity)
 
 
-def _fit_gravity(evidence: Evidence, moving: list[int], knots: Floats) -> tuple[Floats, float]:
+def _fit_gravity(data: RegressionData, moving: list[int], knots: Floats) -> tuple[Floats, float]:
     """Return gravity at the knots, and the unexplained fraction of the squares."""
     count = len(knots)
     matrices, targets, weights, squares = [], [], [], []
     for position, j in enumerate(moving):
-        samples = evidence.joints[j]
+        samples = data.joints[j]
         every = max(1, len(samples.times) // MOST_ROWS)
         columns, times = samples.columns[::every], samples.times[::every]
         hats = np.stack([np.interp(times, knots, row) for row in np.eye(count)], axis=1)
@@ -69,12 +69,12 @@ def _fit_gravity(evidence: Evidence, moving: list[int], knots: Floats) -> tuple[
         ).reshape(len(times), -1)
         own = 3 * count + 4 * position
         matrix[:, own : own + 4] = columns[:, [SPEED, DIRECTION, ACCELERATION, ONE]]
-        measured = columns[:, evidence.first_measured + j]
+        measured = columns[:, data.first_measured + j]
         # The model contains its own gravity, which is replaced.
         target = measured - columns[:, MODEL] + columns[:, GRAVITY]
-        target = target - columns[:, WEIGHT : WEIGHT + 3] @ evidence.gravity
-        floor = samples.floor(evidence.first_measured + j) * float(np.mean(measured**2))
-        fit = samples.fit(evidence.as_is.weights, evidence.first_measured + j, UNDISTORTED)
+        target = target - columns[:, WEIGHT : WEIGHT + 3] @ data.gravity
+        floor = samples.floor(data.first_measured + j) * float(np.mean(measured**2))
+        fit = samples.fit(data.nominal.weights, data.first_measured + j, NO_FAULT)
         matrices.append(matrix)
         targets.append(target)
         weights.append(fit.remaining * float(np.mean(measured**2)) + floor)
@@ -94,11 +94,11 @@ def _fit_gravity(evidence: Evidence, moving: list[int], knots: Floats) -> tuple[
             [np.mean((t - m @ change) ** 2) for t, m in zip(targets, matrices, strict=True)]
         )
         weights = [
-            float(left + evidence.joints[j].floor(evidence.first_measured + j) * square)
+            float(left + data.joints[j].floor(data.first_measured + j) * square)
             for left, j, square in zip(remaining, moving, squares, strict=True)
         ]
-    gravity: Floats = evidence.gravity + change[: 3 * count].reshape(count, 3)
-    kinds = np.array([evidence.joints[j].is_prismatic for j in moving])
+    gravity: Floats = data.gravity + change[: 3 * count].reshape(count, 3)
+    kinds = np.array([data.joints[j].is_prismatic for j in moving])
     fractions = [
         np.sum(remaining[kinds == kind]) / np.sum(np.array(squares)[kinds == kind])
         for kind in np.unique(kinds)
@@ -106,13 +106,15 @@ def _fit_gravity(evidence: Evidence, moving: list[int], knots: Floats) -> tuple[
     return gravity, float(np.mean(fractions))
 
 
-def changing_gravity_efforts(part: Part, robot: RobotModel, q: Floats, times: Floats) -> Floats:
+def changing_gravity_efforts(
+    fault: FaultInterval, robot: RobotModel, q: Floats, times: Floats
+) -> Floats:
     """
     Return the efforts of a gravity that changes over time.
 
     Parameters
     ----------
-    part : Part
+    fault : FaultInterval
         A base that tilts, with gravity at k knots.
     robot : RobotModel
         Robot with n joints.
@@ -128,8 +130,8 @@ def changing_gravity_efforts(part: Part, robot: RobotModel, q: Floats, times: Fl
 
     """
     efforts: Floats = np.zeros_like(q)
-    if part.knots is not None and part.gravity is not None:
-        for axis, component in zip(np.eye(3), part.gravity.T, strict=True):
-            strength = np.interp(times, part.knots, component)
+    if fault.knots is not None and fault.gravity is not None:
+        for axis, component in zip(np.eye(3), fault.gravity.T, strict=True):
+            strength = np.interp(times, fault.knots, component)
             efforts += strength[:, None] * InverseDynamics(robot, axis).gravity_efforts(q)
     return efforts

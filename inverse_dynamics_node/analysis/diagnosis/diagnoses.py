@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .bodies import Bodies
-from .evidence import Evidence
-from .explanation import Explanation
-from .joint_samples import CREDIBLE, Fit, UNDISTORTED
+from .fault_interval import FaultInterval, FaultKind
+from .joint_samples import CREDIBLE, JointFit, NO_FAULT
 from .loads import MAX_COM_ERROR
-from .part import Cause, Part
+from .regression_data import RegressionData
+from .robot_fit import RobotFit
 
 SAME_FACTOR = 1.1  # factors with a smaller ratio are regarded as equal
 CHANGED = 0.9  # of the RMS residual; a joint whose residual falls by less is not affected
@@ -73,17 +73,15 @@ class Diagnosis(NamedTuple):
         return max(self.values) < SAME_FACTOR * min(self.values)
 
 
-def diagnose(
-    evidence: Evidence, explanation: Explanation, names: Sequence[str]
-) -> list[Diagnosis]:
+def diagnose(data: RegressionData, robot_fit: RobotFit, names: Sequence[str]) -> list[Diagnosis]:
     """
     Divide an explanation into diagnoses.
 
     Parameters
     ----------
-    evidence : Evidence
+    data : RegressionData
         Samples of n joints.
-    explanation : Explanation
+    robot_fit : RobotFit
         Explanation of the efforts of these joints.
     names : sequence of str
         Names of the joints.
@@ -94,44 +92,44 @@ def diagnose(
         Most important first; empty if the model explains the efforts without changes.
 
     """
-    found = _Diagnoses(evidence, explanation, names)
+    found = _Diagnoses(data, robot_fit, names)
     return [
         *found.order(),
-        *found.weightless(),
+        *found.gravity_compensated(),
         *found.mounting(),
         *found.unit(),
-        *found.distortion('sign', 'is_swapped'),
-        *found.distortion('scale', 'is_scaled'),
+        *found.sensor_fault('sign', 'is_swapped'),
+        *found.sensor_fault('scale', 'is_scaled'),
         *found.payload(),
-        *found.distortion('rotor_inertia', 'has_rotor'),
-        *found.distortion('offset', 'has_offset'),
+        *found.sensor_fault('rotor_inertia', 'has_rotor'),
+        *found.sensor_fault('offset', 'has_offset'),
         *found.unexplained(),
     ]
 
 
-def diagnose_part(part: Part, names: Sequence[str]) -> list[Diagnosis]:
+def diagnose_interval(fault: FaultInterval, names: Sequence[str]) -> list[Diagnosis]:
     """Return the diagnosis of a cause that acts during a part of the recording."""
-    if part.cause is Cause.TILT and part.gravity is not None:
-        angles = [angle_between(each, part.evidence.gravity) for each in part.gravity]
+    if fault.kind is FaultKind.TILT and fault.gravity is not None:
+        angles = [angle_between(each, fault.data.gravity) for each in fault.gravity]
         steepest = int(np.argmax(angles))
-        values = tuple(part.gravity[steepest].tolist())
+        values = tuple(fault.gravity[steepest].tolist())
         return [
-            Diagnosis('mounting', values=values, angle=angles[steepest], interval=part.interval)
+            Diagnosis('mounting', values=values, angle=angles[steepest], interval=fault.interval)
         ]
-    if part.cause is Cause.LOAD:
-        (payload,) = _Diagnoses(part.evidence, part.outside, names).payload()
-        return [payload._replace(interval=part.interval)]
-    joints = tuple(names[j] for j in part.joints)
-    return [Diagnosis('external_force', joints, interval=part.interval)]
+    if fault.kind is FaultKind.LOAD:
+        (payload,) = _Diagnoses(fault.data, fault.outside, names).payload()
+        return [payload._replace(interval=fault.interval)]
+    joints = tuple(names[j] for j in fault.joints)
+    return [Diagnosis('external_force', joints, interval=fault.interval)]
 
 
-def diagnose_bodies(bodies: Bodies, evidence: Evidence, names: Sequence[str]) -> Diagnosis:
+def diagnose_bodies(bodies: Bodies, data: RegressionData, names: Sequence[str]) -> Diagnosis:
     """Return the diagnosis for several wrong links."""
     changes = []
     for j, (before, after) in enumerate(zip(bodies.before, bodies.after, strict=True)):
         if after < CHANGED * before:
-            samples = evidence.joints[j]
-            measured = math.sqrt(samples.squares[evidence.first_measured + j])
+            samples = data.joints[j]
+            measured = math.sqrt(samples.squares[data.first_measured + j])
             change = Change(names[j], samples.is_prismatic, float(before), float(after), measured)
             changes.append(change)
     return Diagnosis(
@@ -149,22 +147,22 @@ def diagnose_constant(values: Mapping[str, float]) -> list[Diagnosis]:
 class _Diagnoses:
     """The diagnoses that one explanation consists of."""
 
-    def __init__(self, evidence: Evidence, explanation: Explanation, names: Sequence[str]) -> None:
-        self.evidence, self.explanation, self.names = evidence, explanation, names
-        self.fits = explanation.fits
+    def __init__(self, data: RegressionData, robot_fit: RobotFit, names: Sequence[str]) -> None:
+        self.data, self.robot_fit, self.names = data, robot_fit, names
+        self.fits = robot_fit.fits
         moving = [fit for fit in self.fits if fit.moves]
         self.is_motor_side = 2 * sum(fit.has_friction for fit in moving) > len(moving)
         self.relevant = [
             name for fit, name in zip(self.fits, names, strict=True) if not fit.is_friction_only
         ]
 
-    def changes(self, without: Explanation) -> tuple[Change, ...]:
+    def changes(self, without: RobotFit) -> tuple[Change, ...]:
         """Return the joints that are explained worse without a part of the explanation."""
         found = []
         for j, (before, after) in enumerate(zip(without.fits, self.fits, strict=True)):
-            samples = self.evidence.joints[j]
-            source = self.explanation.source[j]
-            measured = math.sqrt(samples.squares[self.evidence.first_measured + source])
+            samples = self.data.joints[j]
+            source = self.robot_fit.source[j]
+            measured = math.sqrt(samples.squares[self.data.first_measured + source])
             if after.rms < CHANGED * before.rms:
                 change = Change(
                     self.names[j], samples.is_prismatic, before.rms, after.rms, measured
@@ -173,16 +171,16 @@ class _Diagnoses:
         return tuple(sorted(found, key=lambda each: each.after - each.before))
 
     def order(self) -> list[Diagnosis]:
-        source = self.explanation.source
+        source = self.robot_fit.source
         moved = [j for j, i in enumerate(source) if i != j]
         if not moved:
             return []
-        samples, first = self.evidence.joints, self.evidence.first_measured
-        weights = self.explanation.hypothesis.weights
+        samples, first = self.data.joints, self.data.first_measured
+        weights = self.robot_fit.candidate.weights
         fits = list(self.fits)
         for j in moved:
-            fits[j] = samples[j].fit(weights, first + j, UNDISTORTED)
-        without = self.explanation._replace(fits=tuple(fits))
+            fits[j] = samples[j].fit(weights, first + j, NO_FAULT)
+        without = self.robot_fit._replace(fits=tuple(fits))
         return [
             Diagnosis(
                 'order',
@@ -192,59 +190,59 @@ class _Diagnoses:
             )
         ]
 
-    def _without_hypothesis(self) -> Explanation:
-        hypothesis = self.explanation.hypothesis
-        base = self.evidence.as_is
-        if hypothesis.kind == 'payload' and hypothesis.is_weightless:
-            base = self.evidence.weightless()
-        return self.evidence.refit(self.explanation, hypothesis=base)
+    def _without_candidate(self) -> RobotFit:
+        candidate = self.robot_fit.candidate
+        base = self.data.nominal
+        if candidate.kind == 'payload' and candidate.is_gravity_compensated:
+            base = self.data.gravity_compensated()
+        return self.data.refit(self.robot_fit, candidate=base)
 
-    def weightless(self) -> list[Diagnosis]:
-        if not self.explanation.hypothesis.is_weightless:
+    def gravity_compensated(self) -> list[Diagnosis]:
+        if not self.robot_fit.candidate.is_gravity_compensated:
             return []
-        with_gravity = self.explanation.hypothesis
-        weights = with_gravity.weights - self.evidence.weightless().weights
-        base = with_gravity._replace(weights=weights + self.evidence.as_is.weights)
-        without = self.evidence.refit(self.explanation, hypothesis=base)
+        with_gravity = self.robot_fit.candidate
+        weights = with_gravity.weights - self.data.gravity_compensated().weights
+        base = with_gravity._replace(weights=weights + self.data.nominal.weights)
+        without = self.data.refit(self.robot_fit, candidate=base)
         return [Diagnosis('gravity_compensated', changes=self.changes(without))]
 
     def mounting(self) -> list[Diagnosis]:
-        hypothesis = self.explanation.hypothesis
-        if hypothesis.kind != 'mounting':
+        candidate = self.robot_fit.candidate
+        if candidate.kind != 'mounting':
             return []
         return [
             Diagnosis(
                 'mounting',
-                values=hypothesis.solution,
-                changes=self.changes(self._without_hypothesis()),
-                angle=angle_between(hypothesis.solution, self.evidence.gravity),
+                values=candidate.solution,
+                changes=self.changes(self._without_candidate()),
+                angle=angle_between(candidate.solution, self.data.gravity),
             )
         ]
 
     def payload(self) -> list[Diagnosis]:
-        hypothesis = self.explanation.hypothesis
-        if hypothesis.kind != 'payload':
+        candidate = self.robot_fit.candidate
+        if candidate.kind != 'payload':
             return []
-        mass, *com = hypothesis.solution
+        mass, *com = candidate.solution
         known = [
             x if error < MAX_COM_ERROR else math.nan
-            for x, error in zip(com, hypothesis.errors[1:], strict=True)
+            for x, error in zip(com, candidate.errors[1:], strict=True)
         ]
         return [
             Diagnosis(
                 'payload',
                 values=(mass, *known),
-                changes=self.changes(self._without_hypothesis()),
-                error=hypothesis.errors[0],
-                link=hypothesis.link,
+                changes=self.changes(self._without_candidate()),
+                error=candidate.errors[0],
+                link=candidate.link,
             )
         ]
 
     def unit(self) -> list[Diagnosis]:
-        factor = self.explanation.unit
+        factor = self.robot_fit.unit
         if factor == 1.0:
             return []
-        without = self.evidence.refit(self.explanation._replace(unit=1.0))
+        without = self.data.refit(self.robot_fit._replace(unit=1.0))
         return [
             Diagnosis(
                 'unit',
@@ -255,9 +253,9 @@ class _Diagnoses:
             )
         ]
 
-    def distortion(self, kind: str, flag: str) -> list[Diagnosis]:
-        """Return the diagnosis for the joints with one kind of distortion."""
-        found = [j for j, fit in enumerate(self.fits) if getattr(fit.distortion, flag)]
+    def sensor_fault(self, kind: str, flag: str) -> list[Diagnosis]:
+        """Return the diagnosis for the joints with one kind of sensor fault."""
+        found = [j for j, fit in enumerate(self.fits) if getattr(fit.sensor_fault, flag)]
         if not found:
             return []
         joints = tuple(self.names[j] for j in found)
@@ -269,7 +267,7 @@ class _Diagnoses:
                 kind,
                 joints,
                 tuple(_value(self.fits[j], kind) for j in found),
-                self.changes(self.evidence.refit(self.explanation, without=flag)),
+                self.changes(self.data.refit(self.robot_fit, without=flag)),
                 unknown=tuple(friction_only) if kind == 'scale' else (),
                 is_every_joint=len(joints) > 1 and set(self.relevant) <= set(joints),
                 is_motor_side=self.is_motor_side,
@@ -278,22 +276,22 @@ class _Diagnoses:
 
     def unexplained(self) -> list[Diagnosis]:
         """Return the joints that nothing explains; the worst ones if the sum is not explained."""
-        if self.evidence.is_too_short:
+        if self.data.is_too_short:
             return []
         left = [
             (j, fit)
             for j, fit in enumerate(self.fits)
-            if fit.remaining > max(CREDIBLE, self.evidence.joints[j].floor(self._measured(j)))
+            if fit.remaining > max(CREDIBLE, self.data.joints[j].floor(self._measured(j)))
         ]
         # The effort of a joint at rest also contains an unknown dry friction.
         found = [(j, fit) for j, fit in left if fit.moves]
-        if not found and self.evidence.unexplained(self.explanation) > MOST_UNEXPLAINED:
+        if not found and self.data.unexplained(self.robot_fit) > MOST_UNEXPLAINED:
             found = left
         if not found:
             return []
         changes = []
         for j, fit in found:
-            samples = self.evidence.joints[j]
+            samples = self.data.joints[j]
             measured = math.sqrt(samples.squares[self._measured(j)])
             changes.append(Change(self.names[j], samples.is_prismatic, fit.rms, fit.rms, measured))
         return [
@@ -301,11 +299,11 @@ class _Diagnoses:
         ]
 
     def _measured(self, j: int) -> int:
-        return self.evidence.first_measured + self.explanation.source[j]
+        return self.data.first_measured + self.robot_fit.source[j]
 
 
-def _value(fit: Fit, kind: str) -> float:
-    """Return the number that describes a kind of distortion."""
+def _value(fit: JointFit, kind: str) -> float:
+    """Return the number that describes a kind of sensor fault."""
     if kind == 'sign':
         return -1.0
     return {'scale': fit.scale, 'rotor_inertia': fit.rotor, 'offset': fit.offset}[kind]

@@ -14,9 +14,9 @@ import numpy as np
 
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...robot.model import Booleans, Floats, Integers
-from .evidence import Evidence
-from .explanation import Explanation
 from .joint_samples import ACCELERATION, DIRECTION, MODEL, ONE, SPEED
+from .regression_data import RegressionData
+from .robot_fit import RobotFit
 
 MOST_SAMPLES = 800  # of the recording that are used
 BLOCKS = 10  # contiguous parts; fitted to those with an even number, tested with the others
@@ -32,13 +32,13 @@ VARIANTS = (
     ('is_scaled', 'has_offset'),
     ('is_scaled',),
 )
-"""Distortions that wrong links may replace, the most first; rotors are often real."""
+"""Sensor faults that wrong links may replace, the most first; rotors are often real."""
 
 
 class Bodies(NamedTuple):
     """Residuals before and after fitting all links, in the half that was not used."""
 
-    explanation: Explanation
+    robot_fit: RobotFit
     """The explanation without the parts that wrong links replace."""
     before: Floats
     """RMS of each joint, shape (n,) [N m or N]."""
@@ -47,8 +47,8 @@ class Bodies(NamedTuple):
 
 
 def wrong_bodies(
-    evidence: Evidence,
-    explanation: Explanation,
+    data: RegressionData,
+    robot_fit: RobotFit,
     dynamics: InverseDynamics,
     states: tuple[Floats, Floats, Floats],
     rows: list[Booleans],
@@ -59,7 +59,7 @@ def wrong_bodies(
 
     Parameters
     ----------
-    evidence, explanation
+    data, robot_fit
         Samples of n joints, and their explanation.
     dynamics : InverseDynamics
         The model.
@@ -75,49 +75,51 @@ def wrong_bodies(
     bodies : Bodies or None
 
     """
-    in_order = explanation.source == tuple(range(len(index)))
-    plain = evidence.friction_only()
+    in_order = robot_fit.source == tuple(range(len(index)))
+    plain = data.friction_only()
     if (
-        evidence.is_too_short
+        data.is_too_short
         or not in_order
-        or explanation.unit != 1.0
-        or explanation.hypothesis.is_weightless
-        or evidence.unexplained(plain) < UNEXPLAINED
-        or not any(samples.moves for samples in evidence.joints)
+        or robot_fit.unit != 1.0
+        or robot_fit.candidate.is_gravity_compensated
+        or data.unexplained(plain) < UNEXPLAINED
+        or not any(samples.moves for samples in data.joints)
     ):
         return None
     every = max(1, len(states[0]) // MOST_SAMPLES)
     chosen: Integers = np.arange(0, len(states[0]), every)
     regressor = dynamics.regressor(*(np.ascontiguousarray(x[chosen]) for x in states))
-    tried: list[Explanation] = []
+    tried: list[RobotFit] = []
     for replaced in VARIANTS:
-        base = explanation._replace(hypothesis=evidence.as_is)
+        base = robot_fit._replace(candidate=data.nominal)
         for flag in replaced:
-            base = evidence.refit(base, without=flag)
-        if tried and [x.distortion for x in base.fits] == [x.distortion for x in tried[-1].fits]:
+            base = data.refit(base, without=flag)
+        if tried and [x.sensor_fault for x in base.fits] == [
+            x.sensor_fault for x in tried[-1].fits
+        ]:
             continue
         tried.append(base)
-        after = _unseen(evidence, base, dynamics, regressor, rows, index, chosen)
+        after = _unseen(data, base, dynamics, regressor, rows, index, chosen)
         left = tuple(
             fit._replace(remaining=fit.remaining * float(x / max(fit.rms, 1e-12)) ** 2)
             for fit, x in zip(base.fits, after, strict=True)
         )
-        unexplained = evidence.unexplained(base._replace(fits=left))
-        limit = 1.0 if _has_several_causes(explanation) else BETTER
-        if unexplained < limit * evidence.unexplained(explanation):
+        unexplained = data.unexplained(base._replace(fits=left))
+        limit = 1.0 if _has_several_causes(robot_fit) else BETTER
+        if unexplained < limit * data.unexplained(robot_fit):
             return Bodies(base, np.array([fit.rms for fit in base.fits]), after)
     return None
 
 
-def _has_several_causes(explanation: Explanation) -> bool:
+def _has_several_causes(robot_fit: RobotFit) -> bool:
     """Return whether an explanation combines a load or a mounting with faults of joints."""
-    flags = [fit.distortion.is_scaled or fit.distortion.has_offset for fit in explanation.fits]
-    return explanation.hypothesis.kind != 'as_is' and any(flags)
+    flags = [fit.sensor_fault.is_scaled or fit.sensor_fault.has_offset for fit in robot_fit.fits]
+    return robot_fit.candidate.kind != 'nominal' and any(flags)
 
 
 def _unseen(
-    evidence: Evidence,
-    explanation: Explanation,
+    data: RegressionData,
+    robot_fit: RobotFit,
     dynamics: InverseDynamics,
     regressor: Floats,
     rows: list[Booleans],
@@ -127,7 +129,7 @@ def _unseen(
     """Return the RMS residual of each joint in the half that the links were not fitted to."""
     block = chosen * BLOCKS // len(rows[0])
     halves = [
-        _rows(evidence, explanation, regressor, rows, index, chosen, block % 2 == half)
+        _rows(data, robot_fit, regressor, rows, index, chosen, block % 2 == half)
         for half in (0, 1)
     ]
     prior = _prior(dynamics, halves[0].matrix.shape[1])
@@ -139,7 +141,7 @@ def _unseen(
         residuals.append((tested.target - tested.matrix @ change) * tested.scale)
     joints = np.concatenate([half.joint for half in halves[::-1]])
     squares = np.concatenate(residuals) ** 2
-    found: Floats = np.array([fit.rms for fit in explanation.fits])
+    found: Floats = np.array([fit.rms for fit in robot_fit.fits])
     for j in np.unique(joints):
         found[j] = math.sqrt(float(np.mean(squares[joints == j])))
     return found
@@ -157,8 +159,8 @@ class _Rows(NamedTuple):
 
 
 def _rows(
-    evidence: Evidence,
-    explanation: Explanation,
+    data: RegressionData,
+    robot_fit: RobotFit,
     regressor: Floats,
     rows: list[Booleans],
     index: list[int],
@@ -166,10 +168,10 @@ def _rows(
     half: Booleans,
 ) -> _Rows:
     matrices, targets, joints, scales = [], [], [], []
-    moving = [j for j, samples in enumerate(evidence.joints) if samples.moves]
+    moving = [j for j, samples in enumerate(data.joints) if samples.moves]
     width = regressor.shape[2]
     for position, j in enumerate(moving):
-        samples, fit = evidence.joints[j], explanation.fits[j]
+        samples, fit = data.joints[j], robot_fit.fits[j]
         used = rows[j][chosen] & half
         own = np.cumsum(rows[j])[chosen[used]] - 1  # rows of the samples
         columns = samples.columns[own]
@@ -177,14 +179,14 @@ def _rows(
         matrix[:, :width] = regressor[used, index[j]]
         at = width + 4 * position
         matrix[:, at : at + 2] = columns[:, [SPEED, DIRECTION]]
-        matrix[:, at + 2] = columns[:, ACCELERATION] * fit.distortion.has_rotor
-        matrix[:, at + 3] = columns[:, ONE] * fit.distortion.has_offset
-        target = fit.distortion.sign * columns[:, evidence.first_measured + j] - columns[:, MODEL]
-        square = float(samples.squares[evidence.first_measured + j])
-        left = fit.remaining + samples.floor(evidence.first_measured + j)
+        matrix[:, at + 2] = columns[:, ACCELERATION] * fit.sensor_fault.has_rotor
+        matrix[:, at + 3] = columns[:, ONE] * fit.sensor_fault.has_offset
+        target = fit.sensor_fault.sign * columns[:, data.first_measured + j] - columns[:, MODEL]
+        square = float(samples.squares[data.first_measured + j])
+        left = fit.remaining + samples.floor(data.first_measured + j)
         scale = math.sqrt(left * square)
         # Samples within a smoothing window are not independent.
-        scale *= math.sqrt(max(len(chosen) / evidence.sample_count, 1.0))
+        scale *= math.sqrt(max(len(chosen) / data.sample_count, 1.0))
         matrices.append(matrix / scale)
         targets.append(target / scale)
         joints.append(np.full(len(own), j))

@@ -14,7 +14,7 @@ from .signals import Motion
 
 
 @dataclass(frozen=True, eq=False)
-class JointFinding:
+class JointResidual:
     """Measured and modelled effort of one joint, in N m or N."""
 
     name: str
@@ -54,14 +54,14 @@ class JointFinding:
 
 
 @dataclass(frozen=True, eq=False)
-class Findings:
+class ComparisonResult:
     """The comparison of the K samples of a recording with the model."""
 
     motion: Motion
     """The derived motion of all recorded joints."""
     compared: tuple[int, ...]
     """Indices of the joints of the motion that have a measured effort; c of them."""
-    joints: tuple[JointFinding, ...]
+    joints: tuple[JointResidual, ...]
     """Findings for these joints."""
     measured: Floats
     """Measured efforts, shape (K, c) [N m or N]."""

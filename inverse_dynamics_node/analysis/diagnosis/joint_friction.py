@@ -9,10 +9,10 @@ import numpy as np
 from ...robot.model import Booleans, Floats
 from .compared_efforts import ComparedEfforts
 from .correction import added_efforts
-from .explanation import Explanation
 from .friction import fit_friction, FrictionFit, is_moving
 from .friction_shape import fit_shape
 from .joint_samples import CREDIBLE
+from .robot_fit import RobotFit
 from .signals import smooth_like_efforts
 
 ALL = slice(None)
@@ -41,11 +41,11 @@ def fit_joints(
     return fits
 
 
-def obscured(compared: ComparedEfforts, explanation: Explanation) -> dict[int, str]:
+def obscured(compared: ComparedEfforts, robot_fit: RobotFit) -> dict[int, str]:
     """Return why the friction of some columns is unknown even if they moved enough."""
     reasons = dict.fromkeys(compared.constant, 'its effort was not measured')
-    is_scaled = any(fit.distortion.is_scaled for fit in explanation.fits)
-    for c, fit in zip(compared.varying, explanation.fits, strict=True):
+    is_scaled = any(fit.sensor_fault.is_scaled for fit in robot_fit.fits)
+    for c, fit in zip(compared.varying, robot_fit.fits, strict=True):
         if fit.moves and fit.remaining > CREDIBLE:
             reasons[c] = 'its effort is not explained'
         elif is_scaled and fit.is_friction_only:
@@ -53,9 +53,9 @@ def obscured(compared: ComparedEfforts, explanation: Explanation) -> dict[int, s
     return reasons
 
 
-def load_on_gears(compared: ComparedEfforts, explanation: Explanation) -> Floats:
+def load_on_gears(compared: ComparedEfforts, robot_fit: RobotFit) -> Floats:
     """Return the magnitude of the modelled efforts without friction and rotors, shape (K, c)."""
-    return np.abs(compared.rigid + added_efforts(compared, explanation))
+    return np.abs(compared.rigid + added_efforts(compared, robot_fit))
 
 
 def with_shapes(
