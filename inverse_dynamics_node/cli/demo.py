@@ -44,7 +44,7 @@ def main(arguments: list[str] | None = None) -> int:
     # Imported here, because no other command needs ROS.
     from ..simulation.demo.demo import run_demo
     from ..simulation.demo.processes import stay_on_this_machine, unused_domain
-    from .calibration_demo import run_calibration
+    from .identification_demo import run_identification
 
     options = _parse(arguments)
     outputs = {'--picture': options.picture, '--record': options.record}
@@ -56,7 +56,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         with unused_domain() if options.domain is None else nullcontext(options.domain) as domain:
             os.environ['ROS_DOMAIN_ID'] = str(domain)
-            run = run_calibration if options.scenario == CALIBRATE else run_demo
+            run = run_identification if options.scenario == CALIBRATE else run_demo
             return 0 if run(options, lambda: bool(stops), new_file) else 1
     except KeyboardInterrupt:
         print('stopped')
@@ -73,7 +73,7 @@ def _new_folder(text: str) -> Path:
 
 
 def _parse(arguments: list[str] | None) -> argparse.Namespace:
-    from ..simulation.demo.calibration import SUMMARY
+    from ..simulation.demo.identification import SUMMARY
     from ..simulation.demo.scenarios import SCENARIOS
 
     summaries = {name: scenario.summary for name, scenario in SCENARIOS.items()}

@@ -8,12 +8,17 @@ import json
 from pathlib import Path
 from typing import Any
 
-from ..analysis.calibration import calibrate, Calibration
-from ..analysis.calibration.export import calibrated_urdf, node_parameters
 from ..analysis.diagnosis import Recording
+from ..analysis.identification import IdentificationResult, identify_parameters
+from ..analysis.identification.export import calibrated_urdf, node_parameters
 from ..analysis.measured_states import read_measured_states
-from ..report.calibration_json import as_json
-from ..report.calibration_tables import body_table, friction_table, residual_table, summary_lines
+from ..report.identification_json import as_json
+from ..report.identification_tables import (
+    body_table,
+    friction_table,
+    residual_table,
+    summary_lines,
+)
 from ..report.tables import Table
 from ..robot.end_effector import last_link
 from ..robot.limit_checks import position_warnings
@@ -138,25 +143,25 @@ def run(options: argparse.Namespace) -> int:
     runs, notes = _read(options.recordings, robot.joint_names, options.topic)
     unseen, more_notes = _read(options.validate, robot.joint_names, options.topic)
     with progress('identifying') as report:
-        calibration = calibrate(
+        result = identify_parameters(
             robot, runs, unseen, options.gravity, payload, options.fixed, options.currents, report
         )
     # Written first: the report may end early in a pipe, such as `| head`.
-    files = _write(calibration, source, options)
-    _show(calibration, tuple(dict.fromkeys([*notes, *more_notes])), [*runs, *unseen])
+    files = _write(result, source, options)
+    _show(result, tuple(dict.fromkeys([*notes, *more_notes])), [*runs, *unseen])
     print('\n'.join(files), end='\n' if files else '')
     if not options.no_picture:
         from .pictures.identify import draw
 
         names = ', '.join(path.name for path in options.recordings)
         path = try_to_draw(
-            partial(draw, calibration, f'{robot.name}: {names}'),
+            partial(draw, result, f'{robot.name}: {names}'),
             options.picture,
             picture,
         )
         if path:
             print(f'picture: {path}')
-    return _NOT_ACCEPTED if options.strict and not calibration.accepted else 0
+    return _NOT_ACCEPTED if options.strict and not result.accepted else 0
 
 
 def _read(
@@ -172,47 +177,51 @@ def _read(
     return recordings, notes
 
 
-def _show(calibration: Calibration, notes: tuple[str, ...], recordings: list[Recording]) -> None:
-    say(f'{calibration.verdict}.')
+def _show(
+    result: IdentificationResult, notes: tuple[str, ...], recordings: list[Recording]
+) -> None:
+    say(f'{result.verdict}.')
     print()
     warnings = [
         *dict.fromkeys(
             warning
             for recording in recordings
             for warning in position_warnings(
-                calibration.robot, recording.positions, recording.joint_names
+                result.robot, recording.positions, recording.joint_names
             )
         ),
-        *(ModelWarning(text, hint) for text, hint in calibration.warnings),
+        *(ModelWarning(text, hint) for text, hint in result.warnings),
     ]
     if warnings:
         show_warnings(warnings)
         print()
-    lines = (*summary_lines(calibration), *(f'{note}.' for note in notes))
+    lines = (*summary_lines(result), *(f'{note}.' for note in notes))
     show(
-        residual_table(calibration),
-        friction_table(calibration),
-        body_table(calibration),
+        residual_table(result),
+        friction_table(result),
+        body_table(result),
         Table('Data', notes=lines),
     )
-    if calibration.advice:
-        show(Table('To improve the result', notes=tuple(f'- {x}' for x in calibration.advice)))
+    if result.advice:
+        show(Table('To improve the result', notes=tuple(f'- {x}' for x in result.advice)))
 
 
-def _write(calibration: Calibration, source: Path | str, options: argparse.Namespace) -> list[str]:
+def _write(
+    result: IdentificationResult, source: Path | str, options: argparse.Namespace
+) -> list[str]:
     """Write the files; return a line about each."""
     lines = []
     if options.output:
         with new_file(options.output) as path:
-            path.write_bytes(calibrated_urdf(calibration, source))
-        what = 'calibrated URDF' if calibration.accepted else 'URDF with fitted friction'
+            path.write_bytes(calibrated_urdf(result, source))
+        what = 'calibrated URDF' if result.accepted else 'URDF with fitted friction'
         lines.append(f'{what}: {options.output}')
     if options.parameters:
         with new_file(options.parameters) as path:
-            path.write_text(node_parameters(calibration), encoding='utf-8')
+            path.write_text(node_parameters(result), encoding='utf-8')
         lines.append(f'parameters of the node: {options.parameters}')
     if options.json:
-        text = json.dumps(as_json(calibration), indent=2, ensure_ascii=False)
+        text = json.dumps(as_json(result), indent=2, ensure_ascii=False)
         with new_file(options.json) as path:
             path.write_text(text + '\n', encoding='utf-8')
         lines.append(f'report: {options.json}')

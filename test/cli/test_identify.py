@@ -2,7 +2,7 @@
 
 import json
 
-from calibration_runs import exciting_motion, real_robot, record
+from identification_runs import exciting_motion, real_robot, record
 from inverse_dynamics_node import load_urdf
 from inverse_dynamics_node.cli.main import main
 import numpy as np
@@ -28,8 +28,8 @@ def test_writes_urdf_parameters_report_and_picture(here, capsys, size_of):
         assert 0.0 < joint['noise'] < 2.0 * joint['identified'] < joint['friction']
         assert joint['friction'] < joint['urdf'] < 2.0 * joint['measured']
     for body in report['bodies']:
-        assert 0.0 <= body['told'] <= 1.0
-        assert body['mass'] < 2.0 * body['mass_before'] or body['told'] > 0.9
+        assert 0.0 <= body['data_fraction'] <= 1.0
+        assert body['mass'] < 2.0 * body['mass_before'] or body['data_fraction'] > 0.9
     written = load_urdf(here / 'new.urdf')
     masses = [written.link_mass[written.link_index(b['link'])] for b in report['bodies']]
     np.testing.assert_allclose(masses, [body['mass'] for body in report['bodies']])

@@ -144,7 +144,7 @@ def write_recording(path, seconds, rate):
 def test_a_fit_without_a_solution_is_one_line(here, capsys, monkeypatch):
     write_recording(here / 'run.csv', 4.0, 50)
     singular = np.linalg.LinAlgError('Singular matrix')
-    name = 'inverse_dynamics_node.analysis.calibration.fit.minimise'
+    name = 'inverse_dynamics_node.analysis.identification.fit.minimise'
     monkeypatch.setattr(name, lambda *_: (_ for _ in ()).throw(singular))
     assert main(['identify', str(STANFORD), 'run.csv', '--no-picture']) == 1
     error = capsys.readouterr().err

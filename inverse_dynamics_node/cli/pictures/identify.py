@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ...analysis.calibration import Calibration
+from ...analysis.identification import IdentificationResult
 from ...robot.model import Floats
 from .style import BLUE, fitting, GREEN, GREY, legend_below, ORANGE, save, set_title, style, WIDTH
 
@@ -22,9 +22,9 @@ _LOOKS: tuple[tuple[str, str, dict[str, Any]], ...] = (
 )
 
 
-def draw(calibration: Calibration, source: str, path: Path) -> None:
+def draw(result: IdentificationResult, source: str, path: Path) -> None:
     """Draw efforts, residuals and masses, and write them as a picture."""
-    shown = _shown(calibration)
+    shown = _shown(result)
     with style() as pyplot:
         height = max(4.6, 1.3 + 1.15 * len(shown))
         figure = pyplot.figure(figsize=(WIDTH, height))
@@ -35,46 +35,44 @@ def draw(calibration: Calibration, source: str, path: Path) -> None:
         axes: list[Any] = []
         for row, joint in enumerate(shown):
             ax = figure.add_subplot(left[row], sharex=axes[0] if axes else None)
-            lines = _draw_efforts(ax, calibration, joint)
+            lines = _draw_efforts(ax, result, joint)
             ax.tick_params(labelbottom=row == len(shown) - 1)
             axes.append(ax)
         axes[-1].set_xlabel('time, unseen data [s]')
         figure.align_ylabels(axes)
-        _draw_residuals(figure.add_subplot(right[0]), calibration)
-        _draw_masses(figure.add_subplot(right[1]), calibration)
-        set_title(figure, source, f'{calibration.verdict}.')
+        _draw_residuals(figure.add_subplot(right[0]), result)
+        _draw_masses(figure.add_subplot(right[1]), result)
+        set_title(figure, source, f'{result.verdict}.')
         legend_below(figure, lines, [label for _, label, _ in _LOOKS], ncols=4)
         save(figure, path)
 
 
-def _shown(calibration: Calibration) -> list[int]:
+def _shown(result: IdentificationResult) -> list[int]:
     """Return the joints to draw, in their order."""
-    worst = sorted(
-        range(len(calibration.joints)), key=lambda j: -calibration.joints[j].unseen.urdf
-    )
+    worst = sorted(range(len(result.joints)), key=lambda j: -result.joints[j].unseen.urdf)
     return sorted(worst[:_MOST_ROWS])
 
 
-def _draw_efforts(ax: Any, calibration: Calibration, joint: int) -> list[Any]:
-    unseen, result = calibration.unseen, calibration.joints[joint]
+def _draw_efforts(ax: Any, result: IdentificationResult, joint: int) -> list[Any]:
+    unseen, found = result.unseen, result.joints[joint]
     lines = [
         ax.plot(*_thinned(unseen.times, getattr(unseen, name)[:, joint]), **look)[0]
         for name, _, look in _LOOKS
     ]
-    ax.set_title(fitting([result.name], 40)[0], fontsize=9.5, pad=3)
-    residuals = result.unseen
+    ax.set_title(fitting([found.name], 40)[0], fontsize=9.5, pad=3)
+    residuals = found.unseen
     text = f'RMS left: {residuals.urdf:.2g}, {residuals.friction:.2g}, {residuals.identified:.2g}'
     ax.set_title(text, loc='right', fontsize=8.5, pad=3, color=GREY)
-    ax.set_ylabel('[N]' if result.is_prismatic else '[N m]', fontsize=9)
+    ax.set_ylabel('[N]' if found.is_prismatic else '[N m]', fontsize=9)
     ax.tick_params(labelsize=8.5)
     ax.locator_params(axis='y', nbins=4)
     ax.margins(x=0.01)
     return lines
 
 
-def _draw_residuals(ax: Any, calibration: Calibration) -> None:
+def _draw_residuals(ax: Any, result: IdentificationResult) -> None:
     """Draw what each model leaves, relative to the measured effort."""
-    joints = calibration.joints
+    joints = result.joints
     places = np.arange(len(joints))
     measured = np.array([max(joint.measured, 1e-9) for joint in joints])
     for k, (name, _, look) in enumerate(_LOOKS[1:]):
@@ -92,14 +90,14 @@ def _draw_residuals(ax: Any, calibration: Calibration) -> None:
     ax.tick_params(labelsize=8.5)
 
 
-def _draw_masses(ax: Any, calibration: Calibration) -> None:
-    bodies = calibration.bodies
+def _draw_masses(ax: Any, result: IdentificationResult) -> None:
+    bodies = result.bodies
     places = np.arange(len(bodies))
     before = [body.mass_before for body in bodies]
     after = [body.mass for body in bodies]
     errors = [body.mass_error for body in bodies]
     ax.barh(places - 0.2, before, 0.36, color=BLUE)
-    ax.barh(places + 0.2, after, 0.36, color=GREEN, alpha=1.0 if calibration.accepted else 0.35)
+    ax.barh(places + 0.2, after, 0.36, color=GREEN, alpha=1.0 if result.accepted else 0.35)
     ax.errorbar(after, places + 0.2, xerr=errors, fmt='none', ecolor='black', elinewidth=1.0,
                 capsize=2.0)  # fmt: skip
     ax.set_xlim(0.0, 1.15 * max(*before, *after, 1e-9))
@@ -110,7 +108,7 @@ def _draw_masses(ax: Any, calibration: Calibration) -> None:
     ax.set_yticks(places, labels, fontsize=8.5)
     ax.invert_yaxis()
     ax.grid(axis='y', visible=False)
-    rejected = '' if calibration.accepted else ', not accepted'
+    rejected = '' if result.accepted else ', not accepted'
     ax.set_title(f'Mass [kg], % recorded{rejected}', fontsize=9.5, pad=3)
     ax.tick_params(labelsize=8.5)
 

@@ -11,21 +11,21 @@ from __future__ import annotations
 import numpy as np
 
 from ...robot.model import Booleans, Floats
-from .samples import Samples
+from .regression import Regression
 
 SIGNIFICANT = 5.0
 """Standard errors by which a current has to depend on the modelled effort."""
 
 
 def first_gains(
-    samples: Samples, bodies: Floats, widths: Floats, moving: Booleans
+    regression: Regression, bodies: Floats, widths: Floats, moving: Booleans
 ) -> tuple[Floats, Booleans]:
     """
     Estimate gains with the masses of the robot description.
 
     Parameters
     ----------
-    samples : Samples
+    samples : Regression
         With currents as efforts.
     bodies : ndarray, shape (b, 10)
         Bodies of the description.
@@ -44,17 +44,17 @@ def first_gains(
     """
     from .fit import correlation
 
-    rigid = samples.rigid(bodies)
-    direction = samples.direction(widths)
+    rigid = regression.rigid(bodies)
+    direction = regression.direction(widths)
     slopes, errors = np.zeros(len(widths)), np.zeros(len(widths))
     for j in range(len(widths)):
         columns = [rigid[:, j], np.ones(len(rigid))]
         if moving[j]:
-            columns += [samples.qdd[:, j], samples.qd[:, j], direction[:, j]]
+            columns += [regression.qdd[:, j], regression.qd[:, j], direction[:, j]]
         table = np.column_stack(columns)
         scale = np.maximum(np.linalg.norm(table, axis=0), 1e-300)
-        solution = np.linalg.lstsq(table / scale, samples.efforts[:, j], rcond=None)[0]
-        residual = samples.efforts[:, j] - table / scale @ solution
+        solution = np.linalg.lstsq(table / scale, regression.efforts[:, j], rcond=None)[0]
+        residual = regression.efforts[:, j] - table / scale @ solution
         covariance = np.linalg.pinv((table / scale).T @ (table / scale))
         variance = np.mean(residual**2) * correlation(residual) * covariance[0, 0]
         slopes[j], errors[j] = solution[0] / scale[0], np.sqrt(variance) / scale[0]

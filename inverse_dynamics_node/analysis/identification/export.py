@@ -1,4 +1,4 @@
-"""The result of a calibration as URDF and as parameters of the node."""
+"""The result of an identification as URDF and as parameters of the node."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ import os
 
 from ...robot.urdf.writer import Friction, rewrite
 from ..diagnosis.friction import ros_number
-from .result import Calibration, JointResult
+from .result import IdentificationResult, JointResult
 
 
-def calibrated_urdf(calibration: Calibration, path_or_xml: str | os.PathLike[str]) -> bytes:
+def calibrated_urdf(result: IdentificationResult, path_or_xml: str | os.PathLike[str]) -> bytes:
     """
     Return the robot description with identified inertials and friction.
 
     Parameters
     ----------
-    calibration : Calibration
+    result : IdentificationResult
         The result.
     path_or_xml : str or path-like
         The robot description that was calibrated.
@@ -28,10 +28,10 @@ def calibrated_urdf(calibration: Calibration, path_or_xml: str | os.PathLike[str
         only friction is written.
 
     """
-    robot = calibration.robot
+    robot = result.robot
     friction = {
         joint.name: Friction(joint.terms.damping, joint.terms.coulomb)
-        for joint in calibration.joints
+        for joint in result.joints
         if not joint.unknown_because
     }
     # The fitted friction includes that of mimicking joints.
@@ -40,12 +40,12 @@ def calibrated_urdf(calibration: Calibration, path_or_xml: str | os.PathLike[str
         master = robot.joint_names[int(robot.joint_index[body])]
         if name != master and master in friction:
             friction[name] = Friction(0.0, 0.0)
-    return rewrite(path_or_xml, calibration.inertials, friction)
+    return rewrite(path_or_xml, result.inertials, friction)
 
 
-def node_parameters(calibration: Calibration) -> str:
+def node_parameters(result: IdentificationResult) -> str:
     """Return friction, armature and offsets as parameters of the node, in YAML."""
-    joints = calibration.joints
+    joints = result.joints
     names = ', '.join("'" + joint.name.replace("'", "''") + "'" for joint in joints)
     unknown = [
         f'# {joint.name}: unknown, {joint.unknown_because}; -1.0 selects the friction of the URDF.'

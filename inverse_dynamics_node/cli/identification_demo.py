@@ -12,17 +12,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..analysis.calibration import calibrate, Calibration
-from ..analysis.calibration.export import calibrated_urdf, node_parameters
 from ..analysis.excitation import Excitation, find_excitation, motion_limits, States, whole_states
+from ..analysis.identification import IdentificationResult, identify_parameters
+from ..analysis.identification.export import calibrated_urdf, node_parameters
 from ..analysis.measured_states import read_measured_states
 from ..dynamics.inverse_dynamics import InverseDynamics
 from ..report.tables import Table
 from ..robot.model import Floats
 from ..robot.urdf import load_urdf
-from ..simulation.demo.calibration import follow, GivenMotion, judge_calibration, rms_errors
 from ..simulation.demo.demo import NewFile
 from ..simulation.demo.history import History
+from ..simulation.demo.identification import follow, GivenMotion, judge_identification, rms_errors
 from ..simulation.demo.stage import Stage
 from ..simulation.demo.unknown_robot import unknown_robot, UnknownRobot
 from ..simulation.demo.verdicts import excuse
@@ -33,15 +33,15 @@ _FRACTION = 0.6
 
 
 class _Result(NamedTuple):
-    """Both runs, and the calibration between them."""
+    """Both runs, and the identification between them."""
 
     histories: tuple[History, History]
     errors: tuple[Floats, Floats]
     """Root mean squares of the tracking errors, each of shape (n,) [rad or m]."""
-    calibration: Calibration
+    identified: IdentificationResult
 
 
-def run_calibration(
+def run_identification(
     options: argparse.Namespace, stopped: Callable[[], bool], new_file: NewFile
 ) -> bool:
     """Run the scenario; return whether it passed. The picture is written within `new_file`."""
@@ -60,12 +60,12 @@ def run_calibration(
         'and rotors that the URDF leaves out.'
     )
     result = _runs(stage, motion, truth, options, stopped)
-    verdict = judge_calibration(stage, *result.errors, result.calibration.accepted)
+    verdict = judge_identification(stage, *result.errors, result.identified.accepted)
     verdict = replace(verdict, excuse=excuse(result.histories[1]))
     print()
     show(_table(stage, truth, result))
     if options.picture:
-        from .pictures.calibration_demo import draw
+        from .pictures.identification_demo import draw
 
         title = f'{robot.name}: calibrate. {verdict}'
         with new_file(options.picture) as path:
@@ -113,17 +113,17 @@ def _runs(
         recording, _ = read_measured_states(recorded, stage.robot.joint_names)
         print('identifying', flush=True)
         with progress('identifying') as report:
-            calibration = calibrate(stage.robot, [recording], progress=report)
-        say(f'{calibration.verdict}.')
-        calibrated.write_bytes(calibrated_urdf(calibration, stage.urdf))
-        parameters.write_text(node_parameters(calibration), encoding='utf-8')
+            result = identify_parameters(stage.robot, [recording], progress=report)
+        say(f'{result.verdict}.')
+        calibrated.write_bytes(calibrated_urdf(result, stage.urdf))
+        parameters.write_text(node_parameters(result), encoding='utf-8')
         after, errors_after = run(
             'with the calibrated URDF',
             None,
             *('--params-file', str(parameters)),
             *_description(str(calibrated)),
         )
-    return _Result((before, after), (errors_before, errors_after), calibration)
+    return _Result((before, after), (errors_before, errors_after), result)
 
 
 def _description(urdf: str) -> list[str]:
@@ -132,7 +132,7 @@ def _description(urdf: str) -> list[str]:
 
 def _table(stage: Stage, truth: UnknownRobot, result: _Result) -> Table:
     """Return the errors of both runs, and the simulated and identified friction and rotors."""
-    found = {joint.name: joint.terms for joint in result.calibration.joints}
+    found = {joint.name: joint.terms for joint in result.identified.joints}
     rows = []
     for k, name in enumerate(stage.robot.joint_names):
         is_slide, terms = stage.robot.is_prismatic_joint[k], found.get(name)

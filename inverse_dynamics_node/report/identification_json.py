@@ -1,4 +1,4 @@
-"""The report of a calibration as values for JSON."""
+"""The report of `identify` as values for JSON."""
 
 from __future__ import annotations
 
@@ -8,53 +8,51 @@ from typing import Any
 
 import numpy as np
 
-from ..analysis.calibration import Calibration, JointResult, Residuals
-from .calibration_tables import notes_of
+from ..analysis.identification import IdentificationResult, JointResult, Residuals
+from .identification_tables import notes_of
 
 
-def as_json(calibration: Calibration) -> dict[str, Any]:
+def as_json(result: IdentificationResult) -> dict[str, Any]:
     """Return the report as values for JSON; lengths in m, masses in kg, efforts in N m or N."""
     report: dict[str, Any] = _plain(
         {
-            'robot': calibration.robot.name,
-            'accepted': calibration.accepted,
-            'verdict': calibration.verdict,
-            'unseen_data': calibration.unseen.description,
-            'joints': [_joint(joint) for joint in calibration.joints],
+            'robot': result.robot.name,
+            'accepted': result.accepted,
+            'verdict': result.verdict,
+            'unseen_data': result.unseen.description,
+            'joints': [_joint(joint) for joint in result.joints],
             'bodies': [
                 {
                     'link': body.link,
                     'links': body.links,
                     'mass_before': body.mass_before,
-                    'mass': body.mass if calibration.accepted else body.mass_before,
+                    'mass': body.mass if result.accepted else body.mass_before,
                     'mass_error': body.mass_error,
                     'com_before': body.com_before,
-                    'com': body.com if calibration.accepted else body.com_before,
+                    'com': body.com if result.accepted else body.com_before,
                     'com_error': body.com_error,
-                    'told': body.data_fraction,
+                    'data_fraction': body.data_fraction,
                 }
-                for body in calibration.bodies
+                for body in result.bodies
             ],
             'base_parameters': [
                 {'name': name, 'value': value, 'standard_error': error}
-                for name, value, error in calibration.base_parameters
+                for name, value, error in result.base_parameters
             ],
-            'kept': calibration.kept,
-            'velocity_lags': calibration.signals[0].lags,
-            'cut_off_frequency': calibration.signals[0].cut_off,
-            'weight_of_urdf': calibration.gamma,
-            'tried_weights': [
-                {'weight': weight, 'loss': loss} for weight, loss in calibration.trials
-            ],
-            'effort_delay': calibration.delay,
-            'effort_delay_error': calibration.delay_error,
-            'effort_delay_removed': calibration.delay_removed,
-            'smoothing_window': calibration.smoothing,
-            'samples': calibration.sample_count,
-            'duration': calibration.duration,
-            'warnings': [f'{text}: {hint}' for text, hint in calibration.warnings],
-            'notes': notes_of(calibration),
-            'what_to_record_next': calibration.advice,
+            'kept': result.fixed,
+            'velocity_lags': result.signals[0].lags,
+            'cut_off_frequency': result.signals[0].cut_off,
+            'weight_of_urdf': result.urdf_weight,
+            'tried_weights': [{'weight': weight, 'loss': loss} for weight, loss in result.trials],
+            'effort_delay': result.delay,
+            'effort_delay_error': result.delay_error,
+            'effort_delay_removed': result.delay_removed,
+            'smoothing_window': result.smoothing,
+            'samples': result.sample_count,
+            'duration': result.duration,
+            'warnings': [f'{text}: {hint}' for text, hint in result.warnings],
+            'notes': notes_of(result),
+            'what_to_record_next': result.advice,
         }
     )
     return report

@@ -11,16 +11,16 @@ from ...errors import RecordingError
 from ...robot.model import Booleans, Floats, RobotModel
 from ..diagnosis.signals import Recording
 from .delay import estimate_delay, shifted
+from .drive_terms import choose_terms, fit_terms, widths_to_try
+from .evaluation import evaluate
 from .fit import correlation, Equations, Solution, solve
-from .free_bodies import free_bodies
 from .gains import first_gains
-from .joint_terms import choose_terms, fit_terms, widths_to_try
-from .motions import measured_joints, prepare_all, Run
-from .result import Calibration
-from .rows import RobotMotion
-from .samples import GAIN, Model, Samples, Setting, WIDTH
-from .selection import choose_gamma, solve_within_reason
-from .summary import summarise
+from .identified_bodies import identified_bodies
+from .preparation import measured_joints, prepare_all, PreparedRecording
+from .regression import GAIN, IdentificationProblem, Model, Regression, WIDTH
+from .resampling import RobotMotion
+from .result import IdentificationResult
+from .selection import choose_urdf_weight, solve_within_reason
 
 ROUNDS = 3
 WIDTH_ROUNDS = 4
@@ -28,7 +28,7 @@ DELAY_ROUNDS = 3
 GAIN_ROUNDS = 5
 LEAST_DELAY = 2e-4
 """Delay that is not worth removing [s]."""
-FIRST_GAMMA = 1.0
+FIRST_URDF_WEIGHT = 1.0
 SMOOTHING_RANGE = (0.1, 0.6)
 """Shortest and longest smoothing window of the fit [s]."""
 BLOCKS = 8
@@ -44,15 +44,15 @@ GOOD_RECORDINGS = (
 )
 
 
-class Identification:
+class Estimator:
     """
     The fits to one set of recordings; attributes are filled step by step.
 
     Parameters
     ----------
-    setting : Setting
+    setting : IdentificationProblem
         The robot and what is identified.
-    runs : sequence of Run
+    runs : sequence of PreparedRecording
         The recordings.
     progress : callable
         Called with the fraction that is done.
@@ -60,44 +60,47 @@ class Identification:
     """
 
     def __init__(
-        self, setting: Setting, runs: Sequence[Run], progress: Callable[[float], None]
+        self,
+        problem: IdentificationProblem,
+        prepared: Sequence[PreparedRecording],
+        progress: Callable[[float], None],
     ) -> None:
-        self.setting, self.runs, self.progress = setting, runs, progress
-        self.motions = [run.motion for run in runs]
-        self.moving = moving_joints(setting, runs)
+        self.problem, self.prepared, self.progress = problem, prepared, progress
+        self.motions = [run.motion for run in prepared]
+        self.moving = moving_joints(problem, prepared)
         self.duration = sum(float(np.ptp(motion.times)) for motion in self.motions)
         self.seconds = self._smoothing_window()
-        self.samples = Samples(setting, self.motions, self.seconds, BLOCKS)
-        if self.duration < LEAST_DURATION or not len(self.samples.efforts):
+        self.regression = Regression(problem, self.motions, self.seconds, BLOCKS)
+        if self.duration < LEAST_DURATION or not len(self.regression.efforts):
             raise RecordingError(
                 f'after smoothing, the recordings last {self.duration:.2g} s, expected at least '
                 f'{LEAST_DURATION:g} s in a row; {GOOD_RECORDINGS}'
             )
-        self.grid = widths_to_try(np.quantile(np.abs(self.samples.qd), 0.95, axis=0))
+        self.grid = widths_to_try(np.quantile(np.abs(self.regression.qd), 0.95, axis=0))
         self.delay = self.delay_error = self.delay_removed = 0.0
-        free = setting.free
-        self.gains = np.ones(len(setting.joints))
-        self.gain_known = np.zeros(len(setting.joints), dtype=bool)
-        if setting.currents:
+        identified = problem.identified
+        self.gains = np.ones(len(problem.joints))
+        self.gain_known = np.zeros(len(problem.joints), dtype=bool)
+        if problem.currents:
             self.gains, self.gain_known = first_gains(
-                self.samples, free.before, self.grid[3], self.moving
+                self.regression, identified.before, self.grid[3], self.moving
             )
-            self.samples.set_efforts(self.aligned(self.motions))
+            self.regression.set_efforts(self.aligned(self.motions))
         self.weights: Floats
         self.equations: Equations
         self.solution: Solution
         self.used: Booleans
         self.friction, self.friction_used = choose_terms(
-            self.samples, free.before, self.moving, self.grid, optional=False
+            self.regression, identified.before, self.moving, self.grid, optional=False
         )
         progress(0.2)
-        self._iterate(free.reference, np.full(len(free.bodies), FIRST_GAMMA))
+        self._iterate(identified.reference, np.full(len(identified.bodies), FIRST_URDF_WEIGHT))
         self._remove_delay()
-        if setting.currents:
+        if problem.currents:
             self._fit_gains()
         progress(0.6)
-        self.weights = weights_of(self.samples.residual(self.solution.model))
-        self.gamma, self.trials = choose_gamma(
+        self.weights = weights_of(self.regression.residual(self.solution.model))
+        self.urdf_weight, self.trials = choose_urdf_weight(
             self.equations, self.weights, self.used, self.solution.model
         )
         progress(0.9)
@@ -107,27 +110,27 @@ class Identification:
         """Choose a window that leaves the motion as it is: fast robots need a short one."""
         ratios = []
         for motion in self.motions:
-            for joint, moves in zip(self.setting.joints, self.moving, strict=True):
+            for joint, moves in zip(self.problem.joints, self.moving, strict=True):
                 if moves:
                     qdd = np.sqrt(np.mean(motion.qdd[:, joint] ** 2))
                     ratios.append(np.sqrt(np.mean(motion.qd[:, joint] ** 2)) / max(qdd, 1e-9))
         typical = 0.7 * float(np.quantile(ratios, 0.25)) if ratios else np.inf
         return float(np.clip(min(typical, self.duration / 40.0), *SMOOTHING_RANGE))
 
-    def _iterate(self, bodies: Floats, gammas: Floats, rounds: int = ROUNDS) -> None:
+    def _iterate(self, bodies: Floats, urdf_weights: Floats, rounds: int = ROUNDS) -> None:
         """Fit terms and bodies in turn, with weights from the residuals."""
-        samples = self.samples
+        regression = self.regression
         for _ in range(rounds):
-            start, self.used = choose_terms(samples, bodies, self.moving, self.grid)
-            self.weights = weights_of(samples.residual(start))
-            self.equations = Equations(samples, start)
-            self.solution = solve(self.equations, self.weights, gammas, self.used, start)
+            start, self.used = choose_terms(regression, bodies, self.moving, self.grid)
+            self.weights = weights_of(regression.residual(start))
+            self.equations = Equations(regression, start)
+            self.solution = solve(self.equations, self.weights, urdf_weights, self.used, start)
             bodies = self.solution.model.bodies
 
     def _remove_delay(self) -> None:
         """Shift the efforts by their delay, if that improves the fit."""
         for _ in range(DELAY_ROUNDS):
-            delay, self.delay_error = estimate_delay(self.samples, self.solution, self.weights)
+            delay, self.delay_error = estimate_delay(self.regression, self.solution, self.weights)
             self.delay = self.delay_removed + delay
             if abs(delay) < max(2.0 * self.delay_error, LEAST_DELAY):
                 return
@@ -144,9 +147,9 @@ class Identification:
         for _ in range(GAIN_ROUNDS):
             self.used[:, GAIN] = self.gain_known
             model = self.solution.model
-            self.equations = Equations(self.samples, model)
-            gammas = self.solution.prior.weights
-            self.solution = solve(self.equations, self.weights, gammas, self.used, model)
+            self.equations = Equations(self.regression, model)
+            urdf_weights = self.solution.prior.weights
+            self.solution = solve(self.equations, self.weights, urdf_weights, self.used, model)
             model = self.solution.model
             change = 1.0 + np.clip(model.joints[:, GAIN], -0.3, 0.3)
             common = self._common_factor(change)
@@ -154,14 +157,14 @@ class Identification:
             model = model.scaled(common)
             model.joints[:, GAIN] = 0.0
             self.solution = self.solution._replace(model=model)
-            self.samples.set_efforts(self.aligned(self.motions))
+            self.regression.set_efforts(self.aligned(self.motions))
             self.weights = self.weights / common**2
         self.used[:, GAIN] = False
 
     def _common_factor(self, change: Floats) -> float:
         """Return the factor that keeps the mean of the gains, unless a mass is known."""
-        free = self.setting.free
-        knows_mass = self.setting.payload is not None or free.kept_robot().mass[1:].any()
+        identified = self.problem.identified
+        knows_mass = self.problem.payload is not None or identified.fixed_robot().mass[1:].any()
         if knows_mass or not self.gain_known.any():
             return 1.0
         return float(np.exp(-np.mean(np.log(change[self.gain_known]))))
@@ -172,26 +175,26 @@ class Identification:
 
     def _shift(self, delay: float) -> None:
         self.delay_removed = delay
-        self.samples.set_efforts(self.aligned(self.motions))
+        self.regression.set_efforts(self.aligned(self.motions))
         self._iterate(self.solution.model.bodies, self.solution.prior.weights, 2)
 
     def _loss(self, weights: Floats) -> float:
-        residual = self.samples.residual(self.solution.model)
+        residual = self.regression.residual(self.solution.model)
         return float((weights * residual**2).sum())
 
     def _finish(self) -> None:
         """Fit with the chosen weight of the robot description."""
         bodies = self.solution.model.bodies
-        self._iterate(bodies, np.full(len(bodies), self.gamma), 2)
+        self._iterate(bodies, np.full(len(bodies), self.urdf_weight), 2)
         self.friction, self.friction_used = choose_terms(
-            self.samples, self.setting.free.before, self.moving, self.grid, optional=False
+            self.regression, self.problem.identified.before, self.moving, self.grid, optional=False
         )
         # The widths of friction are fitted with everything else, to first order.
         self.used[:, WIDTH] = self.moving
         for _ in range(WIDTH_ROUNDS):
-            self.equations = Equations(self.samples, self.solution.model)
+            self.equations = Equations(self.regression, self.solution.model)
             self.solution, self.data_fraction = solve_within_reason(
-                self.equations, self.weights, self.gamma, self.used, self.solution.model
+                self.equations, self.weights, self.urdf_weight, self.used, self.solution.model
             )
             model = self.solution.model.with_fitted_widths()
             self.solution = self.solution._replace(model=model)
@@ -200,11 +203,14 @@ class Identification:
         """Return friction and identified models fitted without each of the blocks."""
         found = []
         for k in range(self.equations.block_count):
-            rows = (self.samples.block != k) & (self.samples.block >= 0)
+            rows = (self.regression.block != k) & (self.regression.block >= 0)
             friction = fit_terms(
-                self.samples, self.setting.free.before, self.friction_used, self.friction.widths,
+                self.regression,
+                self.problem.identified.before,
+                self.friction_used,
+                self.friction.widths,
                 rows,
-            )  # fmt: skip
+            )
             solution = solve(
                 self.equations, self.weights, self.solution.prior.weights, self.used,
                 self.solution.model, k,
@@ -220,29 +226,31 @@ def weights_of(residual: Floats) -> Floats:
     return np.asarray(1.0 / (np.maximum(squares, 1e-6 * squares.max() + 1e-12) * dependent))
 
 
-def moving_joints(setting: Setting, runs: Sequence[Run]) -> Booleans:
+def moving_joints(
+    problem: IdentificationProblem, prepared: Sequence[PreparedRecording]
+) -> Booleans:
     """Return which joints moved so that their friction can be identified."""
-    forth = np.zeros(len(setting.joints))
-    back = np.zeros(len(setting.joints))
-    for run in runs:
-        steps = np.diff(run.motion.q[:, setting.joints], axis=0)
+    forth = np.zeros(len(problem.joints))
+    back = np.zeros(len(problem.joints))
+    for run in prepared:
+        steps = np.diff(run.motion.q[:, problem.joints], axis=0)
         forth += np.maximum(steps, 0.0).sum(axis=0)
         back -= np.minimum(steps, 0.0).sum(axis=0)
-    slides = setting.free.robot.is_prismatic_joint[setting.joints]
+    slides = problem.identified.robot.is_prismatic_joint[problem.joints]
     least = np.where(slides, LEAST_TRAVEL[True], LEAST_TRAVEL[False])
     return np.asarray(np.minimum(forth, back) > np.maximum(least, LEAST_RETURN * (forth + back)))
 
 
-def calibrate(
+def identify_parameters(
     robot: RobotModel,
     recordings: Sequence[Recording],
     validation: Sequence[Recording] = (),
     gravity: Floats | tuple[float, ...] = STANDARD_GRAVITY,
     payload: tuple[str, float, Sequence[float]] | None = None,
-    kept: Collection[str] = (),
+    fixed: Collection[str] = (),
     currents: bool = False,
     progress: Callable[[float], None] = lambda fraction: None,
-) -> Calibration:
+) -> IdentificationResult:
     """
     Identify inertial parameters, friction and armature of a robot.
 
@@ -268,7 +276,7 @@ def calibrate(
 
     Returns
     -------
-    calibration : Calibration
+    result : IdentificationResult
 
     Raises
     ------
@@ -279,14 +287,16 @@ def calibrate(
 
     """
     joints = measured_joints(robot, [*recordings, *validation])
-    free = free_bodies(robot, kept)
-    setting = Setting(free, joints, np.array(gravity, dtype=float), payload, currents)
-    prepared = prepare_all(robot, [*recordings, *validation], joints)
-    runs, unseen = prepared[: len(recordings)], prepared[len(recordings) :]
+    identified = identified_bodies(robot, fixed)
+    problem = IdentificationProblem(
+        identified, joints, np.array(gravity, dtype=float), payload, currents
+    )
+    every = prepare_all(robot, [*recordings, *validation], joints)
+    prepared, unseen = every[: len(recordings)], every[len(recordings) :]
     progress(0.1)
     try:
-        found = Identification(setting, runs, progress)
-        return summarise(found, unseen)
+        found = Estimator(problem, prepared, progress)
+        return evaluate(found, unseen)
     except np.linalg.LinAlgError as error:
         raise RecordingError(
             f'the recordings determine too little: the fit has no solution ({error}); '

@@ -3,13 +3,13 @@
 from dataclasses import dataclass, replace
 
 from inverse_dynamics_node import InverseDynamics
-from inverse_dynamics_node.analysis.calibration.pseudo_inertia import (
+from inverse_dynamics_node.analysis.diagnosis import Recording
+from inverse_dynamics_node.analysis.identification.pseudo_inertia import (
     parameters_of,
     parameters_of_pseudo_inertias,
     pseudo_inertias,
     rigid_body,
 )
-from inverse_dynamics_node.analysis.diagnosis import Recording
 from inverse_dynamics_node.robot.rigid_body import RigidBody
 import numpy as np
 from scipy.linalg import expm

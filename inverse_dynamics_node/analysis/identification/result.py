@@ -1,4 +1,4 @@
-"""The result of a calibration."""
+"""The result of an identification."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Residuals:
 
 
 @dataclass(frozen=True)
-class JointTerms:
+class DriveTerms:
     """Identified terms of one joint, with their standard errors; NaN if not identified."""
 
     damping: float = 0.0
@@ -53,7 +53,7 @@ class JointResult:
     training: Residuals
     noise: float
     """Noise in the smoothed effort [N m or N]."""
-    terms: JointTerms
+    terms: DriveTerms
     """Terms of the result: the identified model, or friction alone if it was not accepted."""
     unknown_because: str
     """Why its friction could not be identified; empty if it could."""
@@ -97,7 +97,7 @@ class Unseen:
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
+class IdentificationResult:
     """An identified robot, and how well it predicts."""
 
     robot: RobotModel
@@ -109,12 +109,12 @@ class Calibration:
     verdict: str
     joints: tuple[JointResult, ...]
     bodies: tuple[BodyResult, ...]
-    kept: tuple[str, ...]
+    fixed: tuple[str, ...]
     """Links with mass that were not identified, with the reason."""
     inertials: dict[str, RigidBody]
     """New inertial of each changed link, in its own frame; empty if not accepted."""
     unseen: Unseen
-    gamma: float
+    urdf_weight: float
     """Weight of the robot description."""
     trials: tuple[tuple[float, float], ...]
     """Weights that were tried, and the loss of each on unseen blocks."""

@@ -43,12 +43,12 @@ class RobotMotion(NamedTuple):
         return float(np.median(np.diff(self.times)))
 
 
-class Smoothing(NamedTuple):
-    """A smoothing of one motion with K samples to R rows."""
+class Resampler(NamedTuple):
+    """Smooths one motion with K samples to R rows."""
 
     of_smooth: Any
     """Sparse matrix for signals that have been smoothed with the motion, shape (R, K)."""
-    of_sharp: Any
+    of_discontinuous: Any
     """The same for signals that have not, such as directions of Coulomb friction."""
     times: Floats
     """Times of the rows, shape (R,) [s]."""
@@ -59,14 +59,14 @@ class Smoothing(NamedTuple):
         """Smooth signals of shape (K, ...) to rows of shape (R, ...)."""
         return _apply(self.of_smooth, values)
 
-    def sharp(self, values: Floats) -> Floats:
+    def discontinuous(self, values: Floats) -> Floats:
         """Smooth signals that have not been smoothed with the motion."""
-        return _apply(self.of_sharp, values)
+        return _apply(self.of_discontinuous, values)
 
 
-def smoothing(motion: RobotMotion, seconds: float) -> Smoothing:
+def resampler(motion: RobotMotion, seconds: float) -> Resampler:
     """
-    Return the smoothing of a motion.
+    Return the resampler of a motion.
 
     Parameters
     ----------
@@ -86,15 +86,15 @@ def smoothing(motion: RobotMotion, seconds: float) -> Smoothing:
     own = np.ones(1)
     if motion.window > motion.degree + 1:
         own = savgol_coeffs(motion.window, motion.degree)
-    sharp = np.convolve(kernel, own)
-    margin = len(sharp) // 2
+    discontinuous = np.convolve(kernel, own)
+    margin = len(discontinuous) // 2
     step = max(1, len(kernel) // ROWS_PER_WINDOW)
     centre: Integers = np.concatenate(
         [np.arange(begin + margin, end - margin, step) for begin, end in pieces(motion.times)]
     )
-    return Smoothing(
+    return Resampler(
         _matrix(kernel, centre, len(motion.q)),
-        _matrix(sharp, centre, len(motion.q)),
+        _matrix(discontinuous, centre, len(motion.q)),
         motion.times[centre],
         len(kernel) * motion.period,
     )

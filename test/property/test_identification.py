@@ -2,14 +2,14 @@
 
 from dataclasses import replace
 
-from calibration_runs import exciting_motion, real_robot, record
+from identification_runs import exciting_motion, real_robot, record
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.analysis.calibration import calibrate
-from inverse_dynamics_node.analysis.calibration.base_parameters import base_parameters
-from inverse_dynamics_node.analysis.calibration.export import calibrated_urdf
-from inverse_dynamics_node.analysis.calibration.free_bodies import free_bodies
-from inverse_dynamics_node.analysis.calibration.pseudo_inertia import parameters_of
-from inverse_dynamics_node.analysis.calibration.samples import Setting
+from inverse_dynamics_node.analysis.identification import identify_parameters
+from inverse_dynamics_node.analysis.identification.base_parameters import base_parameters
+from inverse_dynamics_node.analysis.identification.export import calibrated_urdf
+from inverse_dynamics_node.analysis.identification.identified_bodies import identified_bodies
+from inverse_dynamics_node.analysis.identification.pseudo_inertia import parameters_of
+from inverse_dynamics_node.analysis.identification.regression import IdentificationProblem
 from inverse_dynamics_node.dynamics.jit import IS_COMPILED
 from inverse_dynamics_node.dynamics.loaded_robot import STANDARD_GRAVITY
 from inverse_dynamics_node.robot.rigid_body import RigidBody
@@ -27,41 +27,43 @@ def stanford():
     robot, rng = load_urdf(STANFORD), np.random.default_rng(0)
     real = real_robot(robot, rng)
     recording = record(real, exciting_motion(robot, rng, 30.0, 100.0), rng)
-    return real, calibrate(robot, [recording])
+    return real, identify_parameters(robot, [recording])
 
 
 def test_the_identified_model_predicts_unseen_data_to_the_noise(stanford):
-    _, calibration = stanford
-    assert calibration.accepted
-    for joint in calibration.joints:
+    _, result = stanford
+    assert result.accepted
+    for joint in result.joints:
         assert joint.unseen.identified < 1.5 * joint.noise
         assert joint.unseen.identified < 0.5 * joint.unseen.urdf
 
 
 def test_the_calibrated_urdf_has_the_fitted_efforts(stanford):
-    real, calibration = stanford
-    text = calibrated_urdf(calibration, STANFORD).decode()
+    real, result = stanford
+    text = calibrated_urdf(result, STANFORD).decode()
     written = load_urdf(text)
-    assert len(written.warnings) <= len(calibration.robot.warnings)
+    assert len(written.warnings) <= len(result.robot.warnings)
     rng = np.random.default_rng(1)
     states = rng.uniform(-1.0, 1.0, (3, 50, 6))
-    expected = InverseDynamics(calibration.calibrated).efforts(*states)
+    expected = InverseDynamics(result.calibrated).efforts(*states)
     assert np.ptp(expected) > 1.0
     np.testing.assert_allclose(InverseDynamics(written).efforts(*states), expected, atol=1e-9)
     true = InverseDynamics(real.robot).efforts(*states)
-    wrong = InverseDynamics(calibration.robot).efforts(*states)
+    wrong = InverseDynamics(result.robot).efforts(*states)
     assert np.linalg.norm(expected - true) < 0.3 * np.linalg.norm(wrong - true)
 
 
-def normalized_errors(calibration, real):
+def normalized_errors(result, real):
     """Return the errors of the base parameters, divided by their standard errors."""
-    free = free_bodies(calibration.robot, ())
-    joints = np.arange(len(calibration.joints))
-    base = base_parameters(Setting(free, joints, np.array(STANDARD_GRAVITY), None, False))
+    free = identified_bodies(result.robot, ())
+    joints = np.arange(len(result.joints))
+    base = base_parameters(
+        IdentificationProblem(free, joints, np.array(STANDARD_GRAVITY), None, False)
+    )
     bodies = zip(real.robot.mass, real.robot.com, real.robot.inertia, strict=True)
     parameters = np.array([parameters_of(RigidBody(*body)) for body in bodies])
     true = base.combinations @ parameters[list(free.bodies)].ravel()
-    _, values, errors = zip(*calibration.base_parameters, strict=True)
+    _, values, errors = zip(*result.base_parameters, strict=True)
     return (np.array(values) - true) / np.array(errors)
 
 
@@ -71,7 +73,7 @@ def test_standard_errors_of_the_base_parameters_are_honest():
         rng = np.random.default_rng(seed)
         real = real_robot(robot, rng)
         recording = record(real, exciting_motion(robot, rng, 12.0, 50.0), rng)
-        z += normalized_errors(calibrate(robot, [recording]), real).tolist()
+        z += normalized_errors(identify_parameters(robot, [recording]), real).tolist()
     assert len(z) > 190
     assert 0.8 < np.sqrt(np.mean(np.square(z))) < 1.3
     assert np.mean(np.abs(z) < 2.0) > 0.9
@@ -81,30 +83,30 @@ def test_a_model_that_predicts_no_better_than_friction_is_not_accepted():
     robot, rng = load_urdf(STANFORD), np.random.default_rng(2)
     real = replace(real_robot(robot, rng, armature=0.0), robot=robot)
     recording = record(real, exciting_motion(robot, rng, 15.0, 50.0), rng, noise=0.2)
-    calibration = calibrate(robot, [recording])
-    assert not calibration.accepted
-    assert calibration.inertials == {}
-    assert calibration.calibrated is robot
-    assert '<mass value="9.29"/>' in calibrated_urdf(calibration, STANFORD).decode()
+    result = identify_parameters(robot, [recording])
+    assert not result.accepted
+    assert result.inertials == {}
+    assert result.calibrated is robot
+    assert '<mass value="9.29"/>' in calibrated_urdf(result, STANFORD).decode()
 
 
 def test_efforts_that_are_not_related_to_the_motion_are_not_accepted():
     robot, rng = load_urdf(STANFORD), np.random.default_rng(0)
     recording = record(real_robot(robot, rng), exciting_motion(robot, rng, 12.0, 50.0), rng)
     noise = rng.normal(0.0, 10.0, recording.efforts.shape)
-    calibration = calibrate(robot, [recording._replace(efforts=noise)])
-    assert not calibration.accepted
-    assert calibration.inertials == {}
-    assert 'hardly related to the motion: they vary by' in calibration.verdict
+    result = identify_parameters(robot, [recording._replace(efforts=noise)])
+    assert not result.accepted
+    assert result.inertials == {}
+    assert 'hardly related to the motion: they vary by' in result.verdict
 
 
 def test_a_delay_of_the_efforts_is_found():
     robot, rng = load_urdf(STANFORD), np.random.default_rng(3)
     real = real_robot(robot, rng)
     motion = exciting_motion(robot, rng, 20.0, 100.0)
-    calibration = calibrate(robot, [record(real, motion, rng, delay=0.008)])
-    assert calibration.delay == pytest.approx(0.008, abs=5e-4)
-    assert calibration.accepted
+    result = identify_parameters(robot, [record(real, motion, rng, delay=0.008)])
+    assert result.delay == pytest.approx(0.008, abs=5e-4)
+    assert result.accepted
 
 
 def test_a_gripper_that_is_not_on_the_robot_does_no_harm():
@@ -121,7 +123,7 @@ def test_a_gripper_that_is_not_on_the_robot_does_no_harm():
     wrong = load_urdf(text.replace('<link name="tool0"/>', load))
     left = []
     for description in (robot, wrong):
-        found = calibrate(description, [recording], [unseen]).unseen
+        found = identify_parameters(description, [recording], [unseen]).unseen
         left.append(float(np.linalg.norm(found.measured - found.identified)))
     assert left[1] == pytest.approx(left[0], rel=0.03)
 
@@ -132,11 +134,11 @@ def test_gains_of_currents_are_found_up_to_a_common_factor():
     recording = record(real, exciting_motion(robot, rng, 20.0, 100.0), rng)
     gains = np.array([2.0, 5.0, -40.0, 3.0, 8.0, 1.5])
     currents = recording._replace(efforts=recording.efforts / gains)
-    calibration = calibrate(robot, [currents], currents=True)
-    ratios = np.array([joint.gain for joint in calibration.joints])[:5] / gains[:5]
+    result = identify_parameters(robot, [currents], currents=True)
+    ratios = np.array([joint.gain for joint in result.joints])[:5] / gains[:5]
     np.testing.assert_allclose(ratios / np.mean(ratios), 1.0, atol=0.2)
     assert 0.7 < np.mean(ratios) < 1.4
-    assert 'up to one common factor' in calibration.warnings[0][0]
+    assert 'up to one common factor' in result.warnings[0][0]
 
 
 def test_a_coupled_wrist_is_named_and_does_not_pass_for_friction():
@@ -148,8 +150,8 @@ def test_a_coupled_wrist_is_named_and_does_not_pass_for_friction():
     coupling = np.zeros_like(qd)
     coupling[:, 4] = 3.0 * real.damping[4] * qd[:, 5] + real.armature[4] * qdd[:, 5]
     coupling[:, 4] += 2.0 * real.coulomb[4] * np.tanh(qd[:, 5] / real.width[5])
-    calibration = calibrate(robot, [recording._replace(efforts=recording.efforts + coupling)])
-    assert [joint.coupled_with for joint in calibration.joints] == [
+    result = identify_parameters(robot, [recording._replace(efforts=recording.efforts + coupling)])
+    assert [joint.coupled_with for joint in result.joints] == [
         (),
         (),
         (),
@@ -157,4 +159,4 @@ def test_a_coupled_wrist_is_named_and_does_not_pass_for_friction():
         ('joint_6',),
         (),
     ]
-    assert calibration.joints[4].terms.coulomb == pytest.approx(real.coulomb[4], rel=0.2)
+    assert result.joints[4].terms.coulomb == pytest.approx(real.coulomb[4], rel=0.2)

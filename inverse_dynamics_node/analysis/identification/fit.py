@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ...robot.model import Booleans, Floats, Integers
-from .joint_terms import SIGNED
+from .drive_terms import SIGNED
 from .pseudo_inertia import PARAMETERS
-from .samples import LOAD, Model, moved_by, Samples, TERMS
+from .regression import LOAD, Model, moved_by, Regression, TERMS
 from .solver import minimise, Prior
 
 
@@ -41,28 +41,28 @@ def correlation(residual: Floats) -> float:
 class Equations:
     """Normal equations of every joint and block, for given widths and loads."""
 
-    def __init__(self, samples: Samples, model: Model) -> None:
-        self.samples = samples
-        robot, free = samples.setting.free.robot, samples.setting.free
-        b, m = len(free.bodies), len(samples.setting.joints)
-        self.size, self.block_count = PARAMETERS * b + TERMS * m, int(samples.block.max()) + 1
-        terms = samples.terms(model)
+    def __init__(self, regression: Regression, model: Model) -> None:
+        self.regression = regression
+        robot, identified = regression.problem.identified.robot, regression.problem.identified
+        b, m = len(identified.bodies), len(regression.problem.joints)
+        self.size, self.block_count = PARAMETERS * b + TERMS * m, int(regression.block.max()) + 1
+        terms = regression.terms(model)
         self.index: list[Integers] = []
         self.all: list[Floats] = []
         self.blocks: list[list[Floats]] = []
-        for j, joint in enumerate(samples.setting.joints):
-            moved = np.array(moved_by(robot, joint, free.bodies), dtype=int)
+        for j, joint in enumerate(regression.problem.joints):
+            moved = np.array(moved_by(robot, joint, identified.bodies), dtype=int)
             body = (PARAMETERS * moved[:, None] + np.arange(PARAMETERS)).ravel()
             self.index.append(np.append(body, PARAMETERS * b + TERMS * j + np.arange(TERMS)))
             table = np.column_stack(
                 [
-                    samples.bodies[:, j][:, body],
+                    regression.bodies[:, j][:, body],
                     terms[:, j],
-                    samples.efforts[:, j] - samples.known[:, j],
+                    regression.efforts[:, j] - regression.known[:, j],
                 ]
             )
             self.all.append(table.T @ table)
-            parts = [table[samples.block == k] for k in range(self.block_count)]
+            parts = [table[regression.block == k] for k in range(self.block_count)]
             self.blocks.append([part.T @ part for part in parts])
 
     def normal(self, weights: Floats, without: int | None = None) -> tuple[Floats, Floats]:
@@ -91,7 +91,7 @@ class Equations:
 def solve(
     equations: Equations,
     weights: Floats,
-    gamma: Floats,
+    urdf_weight: Floats,
     used: Booleans,
     start: Model,
     without: int | None = None,
@@ -102,7 +102,7 @@ def solve(
     Parameters
     ----------
     equations : Equations
-        Of b free bodies and m joints.
+        Of b identified bodies and m joints.
     weights : ndarray, shape (m,)
         Inverse variances of the joints, for dependent samples.
     gamma : ndarray, shape (b,)
@@ -115,8 +115,8 @@ def solve(
         Block to leave out.
 
     """
-    free = equations.samples.setting.free
-    count = PARAMETERS * len(free.bodies)
+    identified = equations.regression.problem.identified
+    count = PARAMETERS * len(identified.bodies)
     matrix, vector = equations.normal(weights, without)
     terms = np.flatnonzero(used.ravel())
     unknowns = np.concatenate([np.arange(count), count + terms])
@@ -127,7 +127,7 @@ def solve(
     scales = np.maximum(np.abs(first), 0.1 / size)[positive]
     strength = np.where(kind[positive] == LOAD, 1.0, 0.02)
     scales = np.where(kind[positive] == LOAD, 0.05, scales)
-    prior = Prior(free.reference, gamma, positive + count, scales, strength)
+    prior = Prior(identified.reference, urdf_weight, positive + count, scales, strength)
     x = np.concatenate([start.bodies.ravel(), first])
     x[count + positive] = np.maximum(x[count + positive], 1e-3 * scales)
     x, hessian = minimise(matrix[np.ix_(unknowns, unknowns)], vector[unknowns], prior, x)

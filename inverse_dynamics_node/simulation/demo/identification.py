@@ -137,7 +137,7 @@ def rms_errors(history: History, duration: float) -> Floats:
     return errors
 
 
-def judge_calibration(stage: Stage, before: Floats, after: Floats, accepted: bool) -> Verdict:
+def judge_identification(stage: Stage, before: Floats, after: Floats, accepted: bool) -> Verdict:
     """
     Compare the tracking errors with the URDF and with the calibrated one.
 

@@ -6,7 +6,7 @@ pytest.importorskip('mujoco')
 pytest.importorskip('rclpy')
 
 from inverse_dynamics_node import load_urdf
-from inverse_dynamics_node.simulation.demo.calibration import judge_calibration
+from inverse_dynamics_node.simulation.demo.identification import judge_identification
 from inverse_dynamics_node.simulation.demo.stage import Stage
 from inverse_dynamics_node.simulation.demo.unknown_robot import MASS, unknown_robot
 from inverse_dynamics_node.simulation.mujoco.hardware import MujocoRobot
@@ -51,6 +51,6 @@ def test_the_simulated_robot_differs_from_its_urdf_as_stated(path):
 )
 def test_the_verdict_compares_the_errors_of_both_runs(after, accepted, words):
     stage = stage_of(STANFORD)
-    verdict = judge_calibration(stage, np.full(6, 0.05), np.full(6, after), accepted)
+    verdict = judge_identification(stage, np.full(6, 0.05), np.full(6, after), accepted)
     assert words in str(verdict)
     assert bool(verdict.failures) == (not accepted or after > 0.01)

@@ -10,9 +10,9 @@ import numpy as np
 
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...robot.model import Floats, Integers, RobotModel
-from .free_bodies import FreeBodies
+from .identified_bodies import IdentifiedBodies
 from .pseudo_inertia import PARAMETERS
-from .rows import RobotMotion, smoothing
+from .resampling import resampler, RobotMotion
 
 ARMATURE, DAMPING, COULOMB, LOAD, OFFSET = range(5)
 EXPORTED = 5
@@ -31,7 +31,7 @@ _CHUNK = 2000
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """Identified parameters of a robot with b free bodies and m joints with efforts."""
+    """Identified parameters of a robot with b identified bodies and m joints with efforts."""
 
     bodies: Floats
     """Shape (b, 10)."""
@@ -60,13 +60,13 @@ class Model:
         return Model(self.bodies, joints, self.widths)
 
 
-class Setting:
+class IdentificationProblem:
     """
     A robot in its surroundings, and the choice of what is identified.
 
     Parameters
     ----------
-    free : FreeBodies
+    free : IdentifiedBodies
         Bodies to identify.
     joints : sequence of int
         Joints with measured efforts, m of them.
@@ -81,15 +81,15 @@ class Setting:
 
     def __init__(
         self,
-        free: FreeBodies,
+        identified: IdentifiedBodies,
         joints: Sequence[int],
         gravity: Floats,
         payload: tuple[str, float, Sequence[float]] | None = None,
         currents: bool = False,
     ) -> None:
-        self.free, self.joints = free, list(joints)
+        self.identified, self.joints = identified, list(joints)
         self.gravity, self.payload, self.currents = gravity, payload, currents
-        self.neighbours = neighbours(free.robot, self.joints)
+        self.neighbours = neighbours(identified.robot, self.joints)
 
     def dynamics(self, robot: RobotModel) -> InverseDynamics:
         """Return the dynamics of a robot with the payload, without friction."""
@@ -105,10 +105,10 @@ class Setting:
         return efforts[:, self.joints]
 
     def columns(self, motion: RobotMotion) -> Floats:
-        """Return the columns of the free bodies, shape (K, m, 10 b)."""
-        bodies = np.array(self.free.bodies) - 1
+        """Return the columns of the identified bodies, shape (K, m, 10 b)."""
+        bodies = np.array(self.identified.bodies) - 1
         index = (PARAMETERS * bodies[:, None] + np.arange(PARAMETERS)).ravel()
-        dynamics = self.dynamics(self.free.robot)
+        dynamics = self.dynamics(self.identified.robot)
         chunks = []
         for k in range(0, len(motion.q), _CHUNK):
             some = slice(k, k + _CHUNK)
@@ -117,13 +117,13 @@ class Setting:
         return np.concatenate(chunks)
 
 
-class Samples:
+class Regression:
     """
     Smoothed rows of several motions.
 
     Parameters
     ----------
-    setting : Setting
+    setting : IdentificationProblem
         The robot, with m joints that have efforts.
     motions : sequence of RobotMotion
         The recordings.
@@ -144,11 +144,15 @@ class Samples:
     """
 
     def __init__(
-        self, setting: Setting, motions: Sequence[RobotMotion], seconds: float, block_count: int
+        self,
+        problem: IdentificationProblem,
+        motions: Sequence[RobotMotion],
+        seconds: float,
+        block_count: int,
     ) -> None:
-        self.setting, self.motions, self.seconds = setting, list(motions), seconds
-        self.smoothings = [smoothing(motion, seconds) for motion in motions]
-        joints = setting.joints
+        self.problem, self.motions, self.seconds = problem, list(motions), seconds
+        self.resamplers = [resampler(motion, seconds) for motion in motions]
+        joints = problem.joints
         self.qdd = self._smooth([motion.qdd[:, joints] for motion in motions])
         self.qd = self._smooth([motion.qd[:, joints] for motion in motions])
         self.set_efforts([motion.efforts for motion in motions])
@@ -160,26 +164,28 @@ class Samples:
 
     @cached_property
     def bodies(self) -> Floats:
-        """Columns of the free bodies, shape (R, m, 10 b)."""
-        return self._smooth([self.setting.columns(motion) for motion in self.motions])
+        """Columns of the identified bodies, shape (R, m, 10 b)."""
+        return self._smooth([self.problem.columns(motion) for motion in self.motions])
 
     @cached_property
     def known(self) -> Floats:
         """Efforts of what is not identified, shape (R, m)."""
-        kept = self.setting.free.kept_robot()
-        return self._smooth([self.setting.efforts(kept, motion) for motion in self.motions])
+        fixed = self.problem.identified.fixed_robot()
+        return self._smooth([self.problem.efforts(fixed, motion) for motion in self.motions])
 
     def rigid(self, bodies: Floats) -> Floats:
         """Return the efforts of a robot with these bodies, shape (R, m)."""
         if 'bodies' in self.__dict__:
             return np.asarray(self.known + self.bodies @ bodies.ravel())
-        robot = self.setting.free.robot_with(bodies)
-        return self._smooth([self.setting.efforts(robot, motion) for motion in self.motions])
+        robot = self.problem.identified.robot_with(bodies)
+        return self._smooth([self.problem.efforts(robot, motion) for motion in self.motions])
 
     def direction(self, widths: Floats) -> Floats:
         """Return the directions of Coulomb friction, shape (R, m)."""
-        joints = self.setting.joints
-        return self._smooth_sharp([np.tanh(m.qd[:, joints] / widths) for m in self.motions])
+        joints = self.problem.joints
+        return self._smooth_discontinuous(
+            [np.tanh(m.qd[:, joints] / widths) for m in self.motions]
+        )
 
     def terms(self, model: Model) -> Floats:
         """
@@ -189,14 +195,14 @@ class Samples:
         gears, and by the friction that changes with the width.
 
         """
-        robot = self.setting.free.robot_with(model.bodies)
-        speeds = [motion.qd[:, self.setting.joints] / model.widths for motion in self.motions]
-        loads = [np.abs(self.setting.efforts(robot, motion)) for motion in self.motions]
+        robot = self.problem.identified.robot_with(model.bodies)
+        speeds = [motion.qd[:, self.problem.joints] / model.widths for motion in self.motions]
+        loads = [np.abs(self.problem.efforts(robot, motion)) for motion in self.motions]
         steps = [np.tanh(speed) for speed in speeds]
-        direction = self._smooth_sharp(steps)
-        loaded = self._smooth_sharp([a * b for a, b in zip(steps, loads, strict=True)])
+        direction = self._smooth_discontinuous(steps)
+        loaded = self._smooth_discontinuous([a * b for a, b in zip(steps, loads, strict=True)])
         coulomb, per_load = model.joints[:, COULOMB], model.joints[:, LOAD]
-        widening = self._smooth_sharp(
+        widening = self._smooth_discontinuous(
             [
                 (coulomb + per_load * load) * speed * (step**2 - 1.0) / model.widths
                 for load, speed, step in zip(loads, speeds, steps, strict=True)
@@ -205,10 +211,10 @@ class Samples:
         own = [self.qdd, self.qd, direction, loaded, np.ones_like(self.qd)]
         coupled = [
             np.where(others >= 0, signal[:, others], 0.0)
-            for others in self.setting.neighbours
+            for others in self.problem.neighbours
             for signal in (self.qdd, self.qd, direction)
         ]
-        gain = -self.rigid(model.bodies) if self.setting.currents else np.zeros_like(self.qd)
+        gain = -self.rigid(model.bodies) if self.problem.currents else np.zeros_like(self.qd)
         return np.stack([*own, *coupled, widening, gain], axis=-1)
 
     def predict(self, model: Model) -> Floats:
@@ -222,12 +228,15 @@ class Samples:
 
     def _smooth(self, signals: Sequence[Floats]) -> Floats:
         return np.concatenate(
-            [smooth(values) for smooth, values in zip(self.smoothings, signals, strict=True)]
+            [smooth(values) for smooth, values in zip(self.resamplers, signals, strict=True)]
         )
 
-    def _smooth_sharp(self, signals: Sequence[Floats]) -> Floats:
+    def _smooth_discontinuous(self, signals: Sequence[Floats]) -> Floats:
         return np.concatenate(
-            [smooth.sharp(values) for smooth, values in zip(self.smoothings, signals, strict=True)]
+            [
+                smooth.discontinuous(values)
+                for smooth, values in zip(self.resamplers, signals, strict=True)
+            ]
         )
 
     def _blocks(self, count: int) -> Integers:
@@ -235,7 +244,7 @@ class Samples:
         durations = [max(float(np.ptp(motion.times)), 1e-9) for motion in self.motions]
         numbers: list[Integers] = []
         first = 0
-        for motion, smooth, duration in zip(self.motions, self.smoothings, durations, strict=True):
+        for motion, smooth, duration in zip(self.motions, self.resamplers, durations, strict=True):
             own = max(1, round(count * duration / sum(durations)))
             position = (smooth.times - motion.times[0]) / duration * own
             nearest = np.round(position)

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...robot.model import Booleans, Floats, Integers
-from .samples import (
+from .regression import (
     ARMATURE,
     COULOMB,
     COUPLINGS,
@@ -20,7 +20,7 @@ from .samples import (
     LOAD,
     Model,
     OFFSET,
-    Samples,
+    Regression,
     TERMS,
     WIDTH,
 )
@@ -48,14 +48,14 @@ def widths_to_try(speeds: Floats, slowest: float = 0.002) -> Floats:
 
 
 def choose_terms(
-    samples: Samples, bodies: Floats, moving: Booleans, grid: Floats, optional: bool = True
+    regression: Regression, bodies: Floats, moving: Booleans, grid: Floats, optional: bool = True
 ) -> tuple[Model, Booleans]:
     """
     Fit the terms of all joints to what the bodies leave.
 
     Parameters
     ----------
-    samples : Samples
+    samples : Regression
         Samples with blocks.
     bodies : ndarray, shape (b, 10)
         Parameters of the bodies.
@@ -74,9 +74,9 @@ def choose_terms(
         Which terms were chosen.
 
     """
-    m = len(samples.setting.joints)
-    target = samples.efforts - samples.rigid(bodies)
-    grams = _block_grams(samples, bodies, grid, target)
+    m = len(regression.problem.joints)
+    target = regression.efforts - regression.rigid(bodies)
+    grams = _block_grams(regression, bodies, grid, target)
     joints, used = np.zeros((m, TERMS)), np.zeros((m, TERMS), dtype=bool)
     widths = np.zeros(m)
     for j in range(m):
@@ -91,12 +91,12 @@ def choose_terms(
 
 
 def fit_terms(
-    samples: Samples, bodies: Floats, used: Booleans, widths: Floats, rows: Booleans
+    regression: Regression, bodies: Floats, used: Booleans, widths: Floats, rows: Booleans
 ) -> Model:
     """Fit chosen terms to some rows of what the bodies leave."""
-    target = samples.efforts - samples.rigid(bodies)
+    target = regression.efforts - regression.rigid(bodies)
     model = Model(bodies, np.zeros(used.shape), widths)
-    terms = samples.terms(model)
+    terms = regression.terms(model)
     joints = np.zeros(used.shape)
     for j in range(len(joints)):
         table = np.column_stack([terms[rows, j], target[rows, j]])
@@ -105,12 +105,14 @@ def fit_terms(
     return Model(bodies, joints, widths)
 
 
-def _block_grams(samples: Samples, bodies: Floats, grid: Floats, target: Floats) -> list[Floats]:
+def _block_grams(
+    regression: Regression, bodies: Floats, grid: Floats, target: Floats
+) -> list[Floats]:
     """Return products of columns for each joint, shape (w, blocks, 14, 14)."""
-    blocks = [samples.block == k for k in range(samples.block.max() + 1)]
+    blocks = [regression.block == k for k in range(regression.block.max() + 1)]
     found = np.zeros((target.shape[1], len(grid), len(blocks), TERMS + 1, TERMS + 1))
     for w, widths in enumerate(grid):
-        terms = samples.terms(Model(bodies, np.zeros((target.shape[1], TERMS)), widths))
+        terms = regression.terms(Model(bodies, np.zeros((target.shape[1], TERMS)), widths))
         for j in range(target.shape[1]):
             table = np.column_stack([terms[:, j], target[:, j]])
             for k, rows in enumerate(blocks):

@@ -8,9 +8,9 @@ import numpy as np
 
 from ...robot.model import Booleans, Floats
 from .fit import Equations, Solution, solve
-from .samples import Model
+from .regression import Model
 
-GAMMAS = tuple(10.0 ** np.arange(4.0, -0.1, -0.5))
+URDF_WEIGHTS = tuple(10.0 ** np.arange(4.0, -0.1, -0.5))
 """
 Weights of the robot description, strongest first.
 
@@ -26,12 +26,12 @@ MOST_GROWTH = 2.0
 class Trial(NamedTuple):
     """One weight of the robot description."""
 
-    gamma: float
+    urdf_weight: float
     losses: Floats
     """Weighted squares of blocks that the fit has not seen, shape (blocks,)."""
 
 
-def choose_gamma(
+def choose_urdf_weight(
     equations: Equations, weights: Floats, used: Booleans, start: Model
 ) -> tuple[float, list[Trial]]:
     """
@@ -44,24 +44,24 @@ def choose_gamma(
     trials = []
     models = [start] * equations.block_count
     bodies = len(start.bodies)
-    for gamma in GAMMAS:
+    for urdf_weight in URDF_WEIGHTS:
         losses = []
         for k in range(equations.block_count):
-            solution = solve(equations, weights, np.full(bodies, gamma), used, models[k], k)
+            solution = solve(equations, weights, np.full(bodies, urdf_weight), used, models[k], k)
             models[k] = solution.model
             losses.append(float(weights @ equations.squares(solution.model, k)))
-        trials.append(Trial(float(gamma), np.array(losses)))
+        trials.append(Trial(float(urdf_weight), np.array(losses)))
     best = min(trials, key=lambda trial: trial.losses.sum())
     for trial in trials:
         excess = trial.losses - best.losses
         error = np.sqrt(len(excess)) * excess.std(ddof=1) if len(excess) > 1 else 0.0
         if excess.sum() <= min(error, 0.05 * best.losses.sum()):
-            return trial.gamma, trials
-    return best.gamma, trials
+            return trial.urdf_weight, trials
+    return best.urdf_weight, trials
 
 
 def solve_within_reason(
-    equations: Equations, weights: Floats, gamma: float, used: Booleans, start: Model
+    equations: Equations, weights: Floats, urdf_weight: float, used: Booleans, start: Model
 ) -> tuple[Solution, Floats]:
     """
     Solve, and hold masses that grow although the recording does not determine them.
@@ -74,16 +74,16 @@ def solve_within_reason(
         Fraction of the information about the mass of each body that comes from the recording.
 
     """
-    before = equations.samples.setting.free.before[:, 0]
-    gammas = np.full(len(before), gamma)
+    before = equations.regression.problem.identified.before[:, 0]
+    urdf_weights = np.full(len(before), urdf_weight)
     for _ in range(40):
-        solution = solve(equations, weights, gammas, used, start)
+        solution = solve(equations, weights, urdf_weights, used, start)
         data_fraction = mass_information(solution)
         growing = solution.model.bodies[:, 0] > 0.99 * MOST_GROWTH * before
         held = growing & (data_fraction <= ENOUGH)
         if not held.any():
             break
-        gammas = np.where(held, 2.0 * gammas, gammas)
+        urdf_weights = np.where(held, 2.0 * urdf_weights, urdf_weights)
         start = solution.model
     return solution, data_fraction
 

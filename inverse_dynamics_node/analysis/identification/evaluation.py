@@ -1,4 +1,4 @@
-"""Evaluates the fits on unseen data, and collects the result of a calibration."""
+"""Evaluates the fits on unseen data, and collects the result of an identification."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ import numpy as np
 from ...robot.model import Floats
 from .advice import what_to_record
 from .base_parameters import base_parameters
-from .motions import Run
+from .preparation import PreparedRecording
 from .pseudo_inertia import PARAMETERS
-from .result import BodyResult, Calibration, JointResult, JointTerms, Residuals, Unseen
-from .samples import (
+from .regression import (
     ARMATURE,
     COULOMB,
     COUPLINGS,
@@ -21,12 +20,13 @@ from .samples import (
     LOAD,
     Model,
     OFFSET,
-    Samples,
+    Regression,
     TERMS,
 )
+from .result import BodyResult, DriveTerms, IdentificationResult, JointResult, Residuals, Unseen
 
 if TYPE_CHECKING:
-    from .calibration import Identification
+    from .estimator import Estimator
 
 _NAMES = {
     'armature': ARMATURE,
@@ -42,39 +42,39 @@ LEAST_EXPLAINED = 0.1
 """Fraction of the variation of the efforts that the identified model has to explain."""
 
 
-def summarise(found: Identification, validation: Sequence[Run]) -> Calibration:
+def evaluate(found: Estimator, validation: Sequence[PreparedRecording]) -> IdentificationResult:
     """Return the result of an identification, evaluated on runs or by cross-validation."""
-    setting, free = found.setting, found.setting.free
+    problem, identified = found.problem, found.problem.identified
     model = found.solution.model
     training, unseen = _evaluations(found, validation)
     accepted = _explains(unseen) and _is_better(unseen)
     chosen = model if accepted else found.friction
     errors = _standard_errors(found) if accepted else _friction_errors(found)
     joints = tuple(
-        _joint(found, j, chosen, errors[j], training, unseen) for j in range(len(setting.joints))
+        _joint(found, j, chosen, errors[j], training, unseen) for j in range(len(problem.joints))
     )
     bodies = _bodies(found)
-    changed = free.robot_with(model.bodies) if accepted else free.robot
-    runs = found.runs
-    return Calibration(
-        robot=free.robot,
+    changed = identified.robot_with(model.bodies) if accepted else identified.robot
+    prepared = found.prepared
+    return IdentificationResult(
+        robot=identified.robot,
         calibrated=changed,
         accepted=accepted,
         verdict=_verdict(accepted, unseen),
         joints=joints,
         bodies=bodies,
-        kept=_kept(found),
-        inertials=free.link_inertials(model.bodies) if accepted else {},
+        fixed=_fixed(found),
+        inertials=identified.link_inertials(model.bodies) if accepted else {},
         unseen=unseen,
-        gamma=found.gamma,
-        trials=tuple((trial.gamma, float(trial.losses.sum())) for trial in found.trials),
+        urdf_weight=found.urdf_weight,
+        trials=tuple((trial.urdf_weight, float(trial.losses.sum())) for trial in found.trials),
         delay=found.delay,
         delay_error=found.delay_error,
         delay_removed=found.delay_removed,
-        smoothing=found.samples.smoothings[0].seconds,
-        sample_count=sum(len(run.motion.times) for run in runs),
-        duration=sum(float(np.ptp(run.motion.times)) for run in runs),
-        signals=tuple(run.derived for run in [*runs, *validation]),
+        smoothing=found.regression.resamplers[0].seconds,
+        sample_count=sum(len(run.motion.times) for run in prepared),
+        duration=sum(float(np.ptp(run.motion.times)) for run in prepared),
+        signals=tuple(run.derived for run in [*prepared, *validation]),
         base_parameters=_base_parameters(found),
         warnings=_warnings(found),
         advice=what_to_record(found, bodies),
@@ -86,44 +86,46 @@ def rms(values: Floats) -> Floats:
     return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
 
 
-def _evaluations(found: Identification, validation: Sequence[Run]) -> tuple[Unseen, Unseen]:
+def _evaluations(
+    found: Estimator, validation: Sequence[PreparedRecording]
+) -> tuple[Unseen, Unseen]:
     """Return efforts of the training data, and of data that the models have not seen."""
-    setting = found.setting
+    problem = found.problem
     models = _urdf(found), found.friction, found.solution.model.exported()
-    samples = Samples(setting, found.motions, 0.0, found.equations.block_count)
-    samples.set_efforts(found.aligned(found.motions))
-    efforts = [samples.predict(model) for model in models]
-    training = _unseen(samples, efforts, 'the training data')
+    regression = Regression(problem, found.motions, 0.0, found.equations.block_count)
+    regression.set_efforts(found.aligned(found.motions))
+    efforts = [regression.predict(model) for model in models]
+    training = _unseen(regression, efforts, 'the training data')
     if validation:
         motions = [run.motion for run in validation]
-        samples = Samples(setting, motions, 0.0, 1)
-        samples.set_efforts(found.aligned(motions))
-        efforts = [samples.predict(model) for model in models]
-        return training, _unseen(samples, efforts, 'recordings that were not used for the fit')
+        regression = Regression(problem, motions, 0.0, 1)
+        regression.set_efforts(found.aligned(motions))
+        efforts = [regression.predict(model) for model in models]
+        return training, _unseen(regression, efforts, 'recordings that were not used for the fit')
     friction, identified = efforts[1].copy(), efforts[2].copy()
     for block, fold in enumerate(found.folds()):
-        rows = samples.block == block
+        rows = regression.block == block
         for values, model in zip((friction, identified), fold, strict=True):
-            values[rows] = samples.predict(model)[rows]
+            values[rows] = regression.predict(model)[rows]
     count = found.equations.block_count
     text = f'blocks of the recordings, each predicted from the others ({count} blocks)'
-    return training, _unseen(samples, [efforts[0], friction, identified], text)
+    return training, _unseen(regression, [efforts[0], friction, identified], text)
 
 
-def _unseen(samples: Samples, efforts: Sequence[Floats], description: str) -> Unseen:
+def _unseen(regression: Regression, efforts: Sequence[Floats], description: str) -> Unseen:
     urdf, friction, identified = efforts
-    return Unseen(_times(samples), samples.efforts, urdf, friction, identified, description)
+    return Unseen(_times(regression), regression.efforts, urdf, friction, identified, description)
 
 
-def _urdf(found: Identification) -> Model:
-    m = len(found.setting.joints)
-    return Model(found.setting.free.before, np.zeros((m, TERMS)), np.ones(m))
+def _urdf(found: Estimator) -> Model:
+    m = len(found.problem.joints)
+    return Model(found.problem.identified.before, np.zeros((m, TERMS)), np.ones(m))
 
 
-def _times(samples: Samples) -> Floats:
+def _times(regression: Regression) -> Floats:
     """Let recordings follow each other, with a second between them."""
     parts, start = [], 0.0
-    for smooth in samples.smoothings:
+    for smooth in regression.resamplers:
         times = smooth.times - smooth.times[0] + start
         parts.append(times)
         start = float(times[-1]) + 1.0
@@ -177,15 +179,15 @@ def _verdict(accepted: bool, unseen: Unseen) -> str:
 
 
 def _joint(
-    found: Identification,
+    found: Estimator,
     j: int,
     model: Model,
     errors: dict[str, float],
     training: Unseen,
     unseen: Unseen,
 ) -> JointResult:
-    setting = found.setting
-    robot, joint = setting.free.robot, setting.joints[j]
+    problem = found.problem
+    robot, joint = problem.identified.robot, problem.joints[j]
 
     def residuals(data: Unseen) -> Residuals:
         return Residuals(
@@ -197,9 +199,9 @@ def _joint(
 
     values = {name: float(model.joints[j, k]) for name, k in _NAMES.items()}
     coupled = [
-        robot.joint_names[setting.joints[int(setting.neighbours[side, j])]]
+        robot.joint_names[problem.joints[int(problem.neighbours[side, j])]]
         for side, columns in enumerate(COUPLINGS)
-        if found.used[j, columns].any() and setting.neighbours[side, j] >= 0
+        if found.used[j, columns].any() and problem.neighbours[side, j] >= 0
     ]
     return JointResult(
         name=robot.joint_names[joint],
@@ -208,16 +210,16 @@ def _joint(
         unseen=residuals(unseen),
         training=residuals(training),
         noise=float(
-            abs(found.gains[j]) * np.sqrt(np.mean([run.noise[j] ** 2 for run in found.runs]))
+            abs(found.gains[j]) * np.sqrt(np.mean([run.noise[j] ** 2 for run in found.prepared]))
         ),
-        terms=JointTerms(width=float(model.widths[j]), errors=errors, **values),
+        terms=DriveTerms(width=float(model.widths[j]), errors=errors, **values),
         unknown_because='' if found.moving[j] else _NOT_MOVED,
         coupled_with=tuple(coupled),
-        gain=float(found.gains[j]) if setting.currents else None,
+        gain=float(found.gains[j]) if problem.currents else None,
     )
 
 
-def _standard_errors(found: Identification) -> list[dict[str, float]]:
+def _standard_errors(found: Estimator) -> list[dict[str, float]]:
     """Return standard errors of the terms of every joint, from the curvature of the fit."""
     solution = found.solution
     variances = np.diagonal(np.linalg.inv(solution.hessian))
@@ -228,17 +230,17 @@ def _standard_errors(found: Identification) -> list[dict[str, float]]:
             for name, k in _NAMES.items()
             if (column := first + TERMS * j + k) in solution.unknowns
         }
-        for j in range(len(found.setting.joints))
+        for j in range(len(found.problem.joints))
     ]
 
 
-def _friction_errors(found: Identification) -> list[dict[str, float]]:
+def _friction_errors(found: Estimator) -> list[dict[str, float]]:
     """Return standard errors of friction that was fitted alone."""
-    from .calibration import weights_of
+    from .estimator import weights_of
 
-    samples, model = found.samples, found.friction
-    weights = weights_of(samples.residual(model))
-    terms = samples.terms(model)
+    regression, model = found.regression, found.friction
+    weights = weights_of(regression.residual(model))
+    terms = regression.terms(model)
     errors = []
     for j, used in enumerate(found.friction_used):
         chosen = np.flatnonzero(used)
@@ -250,8 +252,8 @@ def _friction_errors(found: Identification) -> list[dict[str, float]]:
     return errors
 
 
-def _bodies(found: Identification) -> tuple[BodyResult, ...]:
-    free, solution = found.setting.free, found.solution
+def _bodies(found: Estimator) -> tuple[BodyResult, ...]:
+    identified, solution = found.problem.identified, found.solution
     covariance = np.linalg.inv(solution.hessian)
     results = []
     for k, parameters in enumerate(solution.model.bodies):
@@ -260,11 +262,11 @@ def _bodies(found: Identification) -> tuple[BodyResult, ...]:
         mass, com = float(parameters[0]), parameters[1:4] / parameters[0]
         # The centre of mass is the ratio of the first moment and the mass.
         jacobian = np.column_stack([-com, np.eye(3)]) / mass
-        before = free.before[k]
+        before = identified.before[k]
         results.append(
             BodyResult(
-                link=free.names[k],
-                links=tuple(free.robot.link_names[link] for link in free.links[k]),
+                link=identified.names[k],
+                links=tuple(identified.robot.link_names[link] for link in identified.links[k]),
                 mass_before=float(before[0]),
                 mass=mass,
                 mass_error=float(np.sqrt(own[0, 0])),
@@ -277,23 +279,23 @@ def _bodies(found: Identification) -> tuple[BodyResult, ...]:
     return tuple(results)
 
 
-def _base_parameters(found: Identification) -> tuple[tuple[str, float, float], ...]:
+def _base_parameters(found: Estimator) -> tuple[tuple[str, float, float], ...]:
     """Return names, values and standard errors of the base parameters."""
-    base, solution = base_parameters(found.setting), found.solution
+    base, solution = base_parameters(found.problem), found.solution
     first = solution.model.bodies.size
     values = base.combinations @ solution.model.bodies.ravel()
     covariance = np.linalg.inv(solution.hessian)[:first, :first]
     variances = np.einsum('ri,ij,rj->r', base.combinations, covariance, base.combinations)
-    names = base.names(found.setting.free.names)
+    names = base.names(found.problem.identified.names)
     errors = np.sqrt(np.maximum(variances, 0.0))
     return tuple(zip(names, values.tolist(), errors.tolist(), strict=True))
 
 
-def _kept(found: Identification) -> tuple[str, ...]:
+def _fixed(found: Estimator) -> tuple[str, ...]:
     """Return the links with mass that were not identified."""
-    free = found.setting.free
-    robot = free.robot
-    changed = {link for links in free.links for link in links}
+    identified = found.problem.identified
+    robot = identified.robot
+    changed = {link for links in identified.links for link in links}
     return tuple(
         name
         for k, name in enumerate(robot.link_names)
@@ -301,11 +303,11 @@ def _kept(found: Identification) -> tuple[str, ...]:
     )
 
 
-def _warnings(found: Identification) -> tuple[tuple[str, str], ...]:
-    setting = found.setting
-    names = setting.free.robot.joint_names
+def _warnings(found: Estimator) -> tuple[tuple[str, str], ...]:
+    problem = found.problem
+    names = problem.identified.robot.joint_names
     warnings = []
-    if setting.currents:
+    if problem.currents:
         warnings.append(
             (
                 'gains, masses and friction are known up to one common factor',
@@ -320,17 +322,17 @@ def _warnings(found: Identification) -> tuple[tuple[str, str], ...]:
                 'move it where gravity acts on it, or with high accelerations; the median of the '
                 'other gains was used, so that its friction and armature are in unknown units',
             )
-            for joint, known in zip(setting.joints, found.gain_known, strict=True)
+            for joint, known in zip(problem.joints, found.gain_known, strict=True)
             if not known
         ]
-    for j, joint in enumerate(setting.joints):
+    for j, joint in enumerate(problem.joints):
         for side, columns in enumerate(COUPLINGS):
-            other = int(setting.neighbours[side, j])
+            other = int(problem.neighbours[side, j])
             if other >= 0 and found.used[j, columns].any():
                 warnings.append(
                     (
                         f'the effort of {names[joint]} depends on the motion of '
-                        f'{names[setting.joints[other]]} in a way that no link explains',
+                        f'{names[problem.joints[other]]} in a way that no link explains',
                         'probably their drives are coupled, as in many wrists. A URDF cannot '
                         'express that: it was fitted, so that it does not pass for masses or '
                         'friction, and is left out of the result',

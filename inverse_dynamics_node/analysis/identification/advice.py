@@ -10,7 +10,7 @@ import numpy as np
 from .result import BodyResult
 
 if TYPE_CHECKING:
-    from .calibration import Identification
+    from .estimator import Estimator
 
 SHORT = 20.0
 """Duration below which a longer recording is worth most [s]."""
@@ -24,13 +24,13 @@ MOST = 4
 """Number of suggestions."""
 
 
-def what_to_record(found: Identification, bodies: Sequence[BodyResult]) -> tuple[str, ...]:
+def what_to_record(found: Estimator, bodies: Sequence[BodyResult]) -> tuple[str, ...]:
     """Return suggestions for the next recording, most useful first."""
-    setting = found.setting
-    robot = setting.free.robot
+    problem = found.problem
+    robot = problem.identified.robot
     advice = []
     speeds = np.max([np.quantile(np.abs(m.qd), 0.95, axis=0) for m in found.motions], axis=0)
-    for j, joint in enumerate(setting.joints):
+    for j, joint in enumerate(problem.joints):
         name = robot.joint_names[joint]
         unit = 'm/s' if robot.is_prismatic_joint[joint] else 'rad/s'
         limit = float(robot.velocity_limits[joint])
@@ -61,8 +61,8 @@ def what_to_record(found: Identification, bodies: Sequence[BodyResult]) -> tuple
     return tuple(advice[:MOST])
 
 
-def _is_first(found: Identification, body: BodyResult) -> bool:
+def _is_first(found: Estimator, body: BodyResult) -> bool:
     """Return whether a joint of the base moves a body, so that its mass may have no effect."""
-    robot = found.setting.free.robot
+    robot = found.problem.identified.robot
     number = int(robot.link_body[robot.link_index(body.link)])
     return int(robot.parent[number]) == 0

@@ -12,7 +12,7 @@ from ...robot.model import Floats, RobotModel
 from ..diagnosis import signals
 from ..diagnosis.recorded_column import Recording
 from ..diagnosis.signals import derive
-from .rows import pieces, RobotMotion
+from .resampling import pieces, RobotMotion
 
 HIGHEST_RATE = 250.0
 """Samples per second that are kept; the smoothed motions contain nothing faster."""
@@ -24,7 +24,7 @@ LEAST_RANGE = 0.02
 """Range of positions below which a joint is not looked at [rad or m]."""
 
 
-class Run(NamedTuple):
+class PreparedRecording(NamedTuple):
     """One recording, prepared for the regression."""
 
     motion: RobotMotion
@@ -60,7 +60,7 @@ def measured_joints(robot: RobotModel, recordings: Sequence[Recording]) -> list[
 
 def prepare_all(
     robot: RobotModel, recordings: Sequence[Recording], joints: Sequence[int]
-) -> list[Run]:
+) -> list[PreparedRecording]:
     """
     Smooth recordings in the same way, as long as their noise requires.
 
@@ -126,7 +126,7 @@ def _rms(values: Floats) -> Floats:
 
 def _prepare(
     robot: RobotModel, recording: Recording, joints: Sequence[int], stretch: float
-) -> Run:
+) -> PreparedRecording:
     """
     Smooth a recording and derive velocities and accelerations.
 
@@ -150,18 +150,18 @@ def _prepare(
     efforts[:, index] = derived.efforts
     period = float(np.median(np.diff(derived.times)))
     step = max(1, int(1.0 / (period * HIGHEST_RATE) + 1e-9))
-    kept = np.concatenate([np.arange(a, b, step) for a, b in pieces(derived.times)])
+    chosen = np.concatenate([np.arange(a, b, step) for a, b in pieces(derived.times)])
     motion = RobotMotion(
-        derived.times[kept],
-        q[kept],
-        qd[kept],
-        qdd[kept],
-        efforts[kept][:, list(joints)],
+        derived.times[chosen],
+        q[chosen],
+        qd[chosen],
+        qdd[chosen],
+        efforts[chosen][:, list(joints)],
         2 * (derived.window // (2 * step)) + 1,
         derived.degree,
     )
     columns = [derived.joint_names.index(robot.joint_names[i]) for i in joints]
-    return Run(motion, derived.effort_noise[columns], derived)
+    return PreparedRecording(motion, derived.effort_noise[columns], derived)
 
 
 def _without_turns(robot: RobotModel, recording: Recording) -> Recording:

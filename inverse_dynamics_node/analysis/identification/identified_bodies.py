@@ -21,7 +21,7 @@ from .pseudo_inertia import (
 
 
 @dataclass(frozen=True, eq=False)
-class FreeBodies:
+class IdentifiedBodies:
     """
     The bodies to identify: moving bodies with mass, without links that are kept.
 
@@ -32,7 +32,7 @@ class FreeBodies:
 
     robot: RobotModel
     bodies: tuple[int, ...]
-    """Indices of the free bodies in the robot, b of them."""
+    """Indices of the identified bodies in the robot, b of them."""
     links: tuple[tuple[int, ...], ...]
     """Links with mass of each free body that may change."""
     names: tuple[str, ...]
@@ -42,22 +42,22 @@ class FreeBodies:
     reference: Floats
     """The same, but inside physics: every body has an extent in all directions."""
 
-    def kept_robot(self) -> RobotModel:
+    def fixed_robot(self) -> RobotModel:
         """Return the robot with the bodies that are kept only; the others are massless."""
         return self._robot(np.zeros_like(self.before))
 
     def robot_with(self, parameters: Floats) -> RobotModel:
-        """Return the robot with other parameters of the free bodies, shape (b, 10)."""
+        """Return the robot with other parameters of the identified bodies, shape (b, 10)."""
         return self._robot(parameters)
 
     def link_inertials(self, parameters: Floats) -> dict[str, RigidBody]:
         """
-        Distribute the parameters of the free bodies to their links.
+        Distribute the parameters of the identified bodies to their links.
 
         Parameters
         ----------
         parameters : ndarray, shape (b, 10)
-            Physical parameters of the free bodies.
+            Physical parameters of the identified bodies.
 
         Returns
         -------
@@ -100,7 +100,7 @@ class FreeBodies:
         return replace(robot, mass=mass, com=com, inertia=inertia)
 
 
-def free_bodies(robot: RobotModel, kept: Collection[str] = ()) -> FreeBodies:
+def identified_bodies(robot: RobotModel, fixed: Collection[str] = ()) -> IdentifiedBodies:
     """
     Select the bodies to identify.
 
@@ -117,20 +117,20 @@ def free_bodies(robot: RobotModel, kept: Collection[str] = ()) -> FreeBodies:
         If a link does not exist, or nothing is left to identify.
 
     """
-    fixed = {robot.link_index(name) for name in kept}
+    unchanged = {robot.link_index(name) for name in fixed}
     bodies, links = [], []
     for body in range(1, len(robot.parent)):
         on_body = np.flatnonzero((robot.link_body == body) & (robot.link_mass > 0.0))
-        free = tuple(int(link) for link in on_body if int(link) not in fixed)
-        if free:
+        identified = tuple(int(link) for link in on_body if int(link) not in unchanged)
+        if identified:
             bodies.append(body)
-            links.append(free)
+            links.append(identified)
     if not bodies:
         raise ConfigurationError(
             f"robot '{robot.name}' has no moving link with a mass that may change"
         )
     before = np.array([sum(_link_parameters(robot, link) for link in each) for each in links])
-    return FreeBodies(
+    return IdentifiedBodies(
         robot=robot,
         bodies=tuple(bodies),
         links=tuple(links),

@@ -16,8 +16,8 @@ import numpy as np
 
 from ...robot.model import Floats
 from .pseudo_inertia import PARAMETERS
-from .rows import RobotMotion
-from .samples import Setting
+from .regression import IdentificationProblem
+from .resampling import RobotMotion
 
 NAMES = ('m', 'mx', 'my', 'mz', 'Ixx', 'Ixy', 'Iyy', 'Ixz', 'Iyz', 'Izz')
 STATES = 60
@@ -25,7 +25,7 @@ _TOLERANCE = 1e-8
 
 
 class BaseParameters(NamedTuple):
-    """Combinations of the parameters of b free bodies that determine their efforts."""
+    """Combinations of the parameters of b identified bodies that determine their efforts."""
 
     combinations: Floats
     """Shape (r, 10 b); each contains one parameter with factor 1 that no other contains."""
@@ -37,28 +37,28 @@ class BaseParameters(NamedTuple):
         return [f'{NAMES[k % PARAMETERS]} of {links[k // PARAMETERS]}' for k in self.leading]
 
 
-def base_parameters(setting: Setting) -> BaseParameters:
+def base_parameters(problem: IdentificationProblem) -> BaseParameters:
     """
     Find the base parameters of the bodies that the joints with efforts move.
 
     Parameters
     ----------
-    setting : Setting
+    setting : IdentificationProblem
         The robot and what is identified.
 
     """
     from scipy.linalg import qr, solve_triangular
 
     rng = np.random.default_rng(0)
-    robot = setting.free.robot
+    robot = problem.identified.robot
     n = len(robot.joint_names)
     states = rng.uniform(-1.0, 1.0, (3, STATES, n)) * np.array([np.pi, 3.0, 10.0])[:, None, None]
     slides = robot.is_prismatic_joint
     states[0][:, slides] *= 0.2
     times = np.arange(STATES, dtype=float)
     q, qd, qdd = states
-    motion = RobotMotion(times, q, qd, qdd, np.zeros((STATES, len(setting.joints))), 1, 0)
-    table = setting.columns(motion).reshape(-1, PARAMETERS * len(setting.free.bodies))
+    motion = RobotMotion(times, q, qd, qdd, np.zeros((STATES, len(problem.joints))), 1, 0)
+    table = problem.columns(motion).reshape(-1, PARAMETERS * len(problem.identified.bodies))
     table /= np.sqrt(np.mean(table**2))
     _, triangle, order = qr(table, mode='economic', pivoting=True)
     sizes = np.abs(np.diagonal(triangle))

@@ -7,20 +7,22 @@ import numpy as np
 from ...robot.model import Floats
 from .fit import Solution
 from .pseudo_inertia import PARAMETERS
-from .rows import pieces, RobotMotion
-from .samples import Samples, TERMS
+from .regression import Regression, TERMS
+from .resampling import pieces, RobotMotion
 
 MOST_DELAY = 0.1
 """Longest delay in either direction [s]."""
 
 
-def estimate_delay(samples: Samples, solution: Solution, weights: Floats) -> tuple[float, float]:
+def estimate_delay(
+    regression: Regression, solution: Solution, weights: Floats
+) -> tuple[float, float]:
     """
     Estimate how late the measured efforts are, together with all other unknowns.
 
     Parameters
     ----------
-    samples : Samples
+    samples : Regression
         The samples that were fitted.
     solution : Solution
         Fit without a delay.
@@ -34,23 +36,23 @@ def estimate_delay(samples: Samples, solution: Solution, weights: Floats) -> tup
 
     """
     model = solution.model
-    terms = samples.terms(model)
-    predicted = samples.rigid(model.bodies) + (terms * model.joints).sum(axis=-1)
-    residual = samples.efforts - predicted
-    effect = -_rate(samples, predicted)
-    count, b = len(samples.setting.joints), len(model.bodies)
+    terms = regression.terms(model)
+    predicted = regression.rigid(model.bodies) + (terms * model.joints).sum(axis=-1)
+    residual = regression.efforts - predicted
+    effect = -_rate(regression, predicted)
+    count, b = len(regression.problem.joints), len(model.bodies)
     vector = np.zeros(PARAMETERS * b + TERMS * count)
     for j in range(count):
-        vector[: PARAMETERS * b] += weights[j] * effect[:, j] @ samples.bodies[:, j]
+        vector[: PARAMETERS * b] += weights[j] * effect[:, j] @ regression.bodies[:, j]
         own = PARAMETERS * b + TERMS * j + np.arange(TERMS)
         vector[own] += weights[j] * effect[:, j] @ terms[:, j]
     vector = vector[solution.unknowns]
     total = float((weights * effect**2).sum())
-    free = total - float(vector @ np.linalg.solve(solution.hessian, vector))
-    if free <= 1e-9 * total or total == 0.0:
+    identified = total - float(vector @ np.linalg.solve(solution.hessian, vector))
+    if identified <= 1e-9 * total or total == 0.0:
         return 0.0, np.inf
-    delay = float((weights * effect * residual).sum()) / free
-    return float(np.clip(delay, -MOST_DELAY, MOST_DELAY)), float(1.0 / np.sqrt(free))
+    delay = float((weights * effect * residual).sum()) / identified
+    return float(np.clip(delay, -MOST_DELAY, MOST_DELAY)), float(1.0 / np.sqrt(identified))
 
 
 def shifted(motion: RobotMotion, delay: float) -> Floats:
@@ -66,10 +68,10 @@ def shifted(motion: RobotMotion, delay: float) -> Floats:
     return np.asarray(efforts)
 
 
-def _rate(samples: Samples, values: Floats) -> Floats:
+def _rate(regression: Regression, values: Floats) -> Floats:
     """Differentiate rows with respect to time, run by run."""
     rates, first = np.zeros_like(values), 0
-    for smooth in samples.smoothings:
+    for smooth in regression.resamplers:
         last = first + len(smooth.times)
         for begin, end in pieces(smooth.times) if last - first > 2 else []:
             part = slice(first + begin, first + end)

@@ -1,0 +1,19 @@
+"""
+Identifies inertial parameters, friction and armature of a robot from recordings.
+
+`identify_parameters` fits bodies that remain physical and close to the robot description, and
+evaluates them on data that the fit has not seen.
+"""
+
+from .estimator import identify_parameters
+from .result import BodyResult, DriveTerms, IdentificationResult, JointResult, Residuals, Unseen
+
+__all__ = [
+    'BodyResult',
+    'DriveTerms',
+    'IdentificationResult',
+    'JointResult',
+    'Residuals',
+    'Unseen',
+    'identify_parameters',
+]
