@@ -31,13 +31,11 @@ def part_of(path):
     return path.relative_to(PACKAGE).with_suffix('').parts[0]
 
 
-def imports_of(path, top_level_only=False):
-    """List the imports of a file, by full names."""
-    tree = ast.parse(path.read_text())
-    nodes = _executed_at_import(tree.body) if top_level_only else ast.walk(tree)
+def imports_of(path):
+    """List the imports of a file by full names, also those in functions and for type checkers."""
     folder = [NAME, *path.relative_to(PACKAGE).parent.parts]
     names = []
-    for node in nodes:
+    for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
             names += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
@@ -45,18 +43,6 @@ def imports_of(path, top_level_only=False):
             prefix = '.'.join([*base, *([node.module] if node.module else [])])
             names += [f'{prefix}.{alias.name}' for alias in node.names]
     return names
-
-
-def _executed_at_import(statements):
-    """Skip the bodies of functions, and imports for type checkers."""
-    for statement in statements:
-        if isinstance(statement, ast.If) and 'TYPE_CHECKING' in ast.unparse(statement.test):
-            continue
-        if isinstance(statement, ast.If | ast.Try | ast.With):
-            yield from _executed_at_import(
-                [node for node in ast.iter_child_nodes(statement) if isinstance(node, ast.stmt)]
-            )
-        yield statement
 
 
 def own_module(name):
@@ -95,7 +81,7 @@ def test_the_table_of_imports_names_every_part():
 
 def test_no_file_imports_itself_through_others():
     graph = {
-        path: {own_module(name) for name in imports_of(path, top_level_only=True)} - {None, path}
+        path: {own_module(name) for name in imports_of(path)} - {None, path}
         for path in FILES
         if path != PACKAGE / '__init__.py'
     }
@@ -174,9 +160,18 @@ def test_the_version_is_the_same_in_every_file():
     assert setup in changelog or 'Forthcoming' in changelog
 
 
-def test_an_import_cycle_would_be_found(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    'import_of_a',
+    [
+        'from .a import x',
+        'def f():\n    from .a import x',
+        'from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from .a import x',
+    ],
+    ids=['top level', 'in a function', 'for type checkers'],
+)
+def test_an_import_cycle_would_be_found(import_of_a, tmp_path, monkeypatch):
     module = sys.modules[__name__]
-    for name, text in (('a', 'from . import b'), ('b', 'from .a import x'), ('__init__', '')):
+    for name, text in (('a', 'from . import b'), ('b', import_of_a), ('__init__', '')):
         (tmp_path / f'{name}.py').write_text(text)
     monkeypatch.setattr(module, 'PACKAGE', tmp_path)
     monkeypatch.setattr(module, 'FILES', sorted(Path(tmp_path).glob('*.py')))

@@ -5,7 +5,7 @@ Identifies inertial parameters, friction and armature of a robot from recordings
 evaluates them on data that the fit has not seen.
 """
 
-from .estimator import identify_parameters
+from .identify import identify_parameters
 from .result import BodyResult, DriveTerms, IdentificationResult, JointResult, Residuals, Unseen
 
 __all__ = [

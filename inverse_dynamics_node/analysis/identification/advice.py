@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .estimator import Estimator
 from .result import BodyResult
-
-if TYPE_CHECKING:
-    from .estimator import Estimator
 
 SHORT = 20.0
 """Duration below which a longer recording is worth most [s]."""

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...robot.model import Floats
 from .advice import what_to_record
 from .base_parameters import base_parameters
+from .estimator import Estimator, weights_of
 from .preparation import PreparedRecording
 from .pseudo_inertia import PARAMETERS
 from .regression import (
@@ -24,9 +24,6 @@ from .regression import (
     TERMS,
 )
 from .result import BodyResult, DriveTerms, IdentificationResult, JointResult, Residuals, Unseen
-
-if TYPE_CHECKING:
-    from .estimator import Estimator
 
 _NAMES = {
     'armature': ARMATURE,
@@ -236,8 +233,6 @@ def _standard_errors(found: Estimator) -> list[dict[str, float]]:
 
 def _friction_errors(found: Estimator) -> list[dict[str, float]]:
     """Return standard errors of friction that was fitted alone."""
-    from .estimator import weights_of
-
     regression, model = found.regression, found.friction
     weights = weights_of(regression.residual(model))
     terms = regression.terms(model)
