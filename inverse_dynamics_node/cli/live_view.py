@@ -8,7 +8,7 @@ import os
 import time
 from typing import Any, TYPE_CHECKING
 
-from ..analysis.live.verdict import Cause, Outcome, Verdict
+from ..analysis.live.agreement import Agreement, FaultKind, Outcome
 from ..control.status import (
     JointStatesStatus,
     NodeStatus,
@@ -16,7 +16,7 @@ from ..control.status import (
     ReferenceStatus,
 )
 from ..errors import escaped
-from ..report.live_verdict import sentence
+from ..report.agreement_text import sentence
 from .terminal import colour_console
 
 if TYPE_CHECKING:
@@ -55,27 +55,27 @@ class LiveView:
         if self.last_words:
             self._console.print(Text(self.last_words), soft_wrap=True)
 
-    def show(self, observer: Observer, sample: Sample | None, verdict: Verdict) -> None:
+    def show(self, observer: Observer, sample: Sample | None, agreement: Agreement) -> None:
         """Show the latest values."""
-        content = screen(observer, sample, verdict, self._console.width)
+        content = screen(observer, sample, agreement, self._console.width)
         self._live.update(_cropped(content, self._console), refresh=True)
 
 
-def screen(observer: Observer, sample: Sample | None, verdict: Verdict, width: int) -> Any:
+def screen(observer: Observer, sample: Sample | None, agreement: Agreement, width: int) -> Any:
     """Return what there is to show as a renderable of rich, the most important first."""
     from rich.console import Group
     from rich.text import Text
 
-    status = None if verdict.cause is Cause.NO_DIAGNOSTICS else observer.status
+    status = None if agreement.fault is FaultKind.NO_DIAGNOSTICS else observer.status
     parts: list[Any] = [
-        _headline(observer, verdict),
-        Text(sentence(verdict), _COLOURS.get(verdict.outcome, 'yellow') + ' bold'),
+        _headline(observer, agreement),
+        Text(sentence(agreement), _COLOURS.get(agreement.outcome, 'yellow') + ' bold'),
     ]
     if status is not None:
         parts += _problems(status)
     parts.append(Text(''))
     if sample is not None:
-        parts += [_joint_table(observer, sample, verdict, width), Text('')]
+        parts += [_joint_table(observer, sample, agreement, width), Text('')]
     if status is not None:
         parts.append(_node_table(status))
     parts += _log(observer)
@@ -97,7 +97,7 @@ def _cropped(content: Any, console: Any) -> Any:
     return Group(Segments([each for line in shown for each in line]), Text(hint, 'cyan'))
 
 
-def _headline(observer: Observer, verdict: Verdict) -> Any:
+def _headline(observer: Observer, agreement: Agreement) -> Any:
     from rich.text import Text
 
     text = Text(observer.name, 'bold')
@@ -107,7 +107,7 @@ def _headline(observer: Observer, verdict: Verdict) -> Any:
     if status is None:
         text.append('  waiting for its diagnostics', 'not bold yellow')
         return text
-    if verdict.cause is Cause.NO_DIAGNOSTICS:
+    if agreement.fault is FaultKind.NO_DIAGNOSTICS:
         text.append('  NO DIAGNOSTICS', 'bold red')
         return text
     loop = status.loop
@@ -119,7 +119,7 @@ def _headline(observer: Observer, verdict: Verdict) -> Any:
     return text
 
 
-def _joint_table(observer: Observer, sample: Sample, verdict: Verdict, width: int) -> Any:
+def _joint_table(observer: Observer, sample: Sample, agreement: Agreement, width: int) -> Any:
     from rich.table import Table
     from rich.text import Text
 
@@ -130,7 +130,7 @@ def _joint_table(observer: Observer, sample: Sample, verdict: Verdict, width: in
     bar = min(BAR, max(0, width - WIDTH_WITHOUT_BAR))
     table.add_column('', no_wrap=True, width=bar)
     for row in joint_rows(observer, sample):
-        marked = row['name'] in (*verdict.joints, *verdict.also_swapped, *verdict.saturated)
+        marked = row['name'] in (*agreement.joints, *agreement.also_swapped, *agreement.saturated)
         unit = 'mm' if row['is_prismatic'] else 'deg'
         position = row['position']
         if position is not None:
@@ -253,35 +253,35 @@ def _log(observer: Observer) -> list[Any]:
     return [Text(''), *lines] if lines else []
 
 
-def as_line(observer: Observer, verdict: Verdict) -> str:
+def as_line(observer: Observer, agreement: Agreement) -> str:
     """Return one line for a pipe."""
-    status = None if verdict.cause is Cause.NO_DIAGNOSTICS else observer.status
+    status = None if agreement.fault is FaultKind.NO_DIAGNOSTICS else observer.status
     words = [time.strftime('%H:%M:%S'), observer.name]
     if status is not None:
         words.append('dry run' if status.loop.is_dry_run else status.loop.state)
         rate = status.joint_states.rate if status.joint_states else None
         words.append(f'{_number(rate, 0)} Hz')
-    return escaped(f'{" ".join(words)}: {sentence(verdict)}')
+    return escaped(f'{" ".join(words)}: {sentence(agreement)}')
 
 
 def as_json(
-    observer: Observer, sample: Sample | None, verdict: Verdict, codes: Mapping[Outcome, int]
+    observer: Observer, sample: Sample | None, agreement: Agreement, codes: Mapping[Outcome, int]
 ) -> dict[str, Any]:
     """Return all values for JSON; doc/watch.md describes the keys."""
-    status = None if verdict.cause is Cause.NO_DIAGNOSTICS else observer.status
+    status = None if agreement.fault is FaultKind.NO_DIAGNOSTICS else observer.status
     return {
         'time': time.time(),
         'node': observer.name,
         'robot': observer.robot.name if observer.robot else None,
-        'outcome': verdict.outcome.value,
-        'cause': None if verdict.cause is Cause.NONE else verdict.cause.value,
-        'sentence': sentence(verdict),
-        'exit_code': codes[verdict.outcome],
-        'problem_joints': list(verdict.joints),
-        'problem_values': list(verdict.values),
-        'problem_link': verdict.link or None,
-        'unchecked_joints': [*verdict.unchecked, *verdict.unmeasured],
-        'saturated_joints': list(verdict.saturated),
+        'outcome': agreement.outcome.value,
+        'cause': None if agreement.fault is FaultKind.NONE else agreement.fault.value,
+        'sentence': sentence(agreement),
+        'exit_code': codes[agreement.outcome],
+        'problem_joints': list(agreement.joints),
+        'problem_values': list(agreement.values),
+        'problem_link': agreement.link or None,
+        'unchecked_joints': [*agreement.unchecked, *agreement.unmeasured],
+        'saturated_joints': list(agreement.saturated),
         'status': None if status is None else _status_json(status),
         'joints': joint_rows(observer, sample) if sample is not None else [],
         'log': [line._asdict() for line in list(observer.log)[-MOST_WARNINGS:]],

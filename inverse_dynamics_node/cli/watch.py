@@ -17,12 +17,12 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
-from ..analysis.live.judge import judge, StateRate
-from ..analysis.live.verdict import Cause, Outcome, Verdict
+from ..analysis.live.agreement import Agreement, FaultKind, Outcome
+from ..analysis.live.check import check_agreement, StateRate
 from ..analysis.live.window import DURATION, LiveWindow
 from ..control.status import Level, ModelStatus
 from ..errors import ConfigurationError
-from ..report.live_verdict import sentence
+from ..report.agreement_text import sentence
 from .live_view import as_json, as_line, LiveView
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ CODES = {
     Outcome.FEW_JOINTS: 6,
 }
 _POLL = 0.02  # [s]
-_LINE = 1.0  # [s]; between lines and verdicts
+_LINE = 1.0  # [s]; between lines and checks
 _FRAME = 0.25  # [s]
 _DISCOVERY = 1.5  # [s]; discovery takes up to this long, and longer on a busy machine
 _PATIENCE = 5.0  # [s]; until the wait for a node is reported
@@ -121,7 +121,7 @@ class _Watch:
         self.observer, self.find, self.options = observer, find, options
         self.window: LiveWindow | None = None
         self.sample: Sample | None = None
-        self.verdict = Verdict(Outcome.UNDECIDED, Cause.TOO_FEW_SAMPLES)
+        self.agreement = Agreement(Outcome.UNDECIDED, FaultKind.TOO_FEW_SAMPLES)
         self._began = time.monotonic()
         self._known_since = math.inf
         self._cut: dict[str, float] = {}  # when the effort of a joint was last cut to its limit
@@ -133,22 +133,24 @@ class _Watch:
         else:
             with LiveView() as view:
                 try:
-                    self._loop(lambda: view.show(self.observer, self.sample, self.verdict), _FRAME)
+                    self._loop(
+                        lambda: view.show(self.observer, self.sample, self.agreement), _FRAME
+                    )
                 finally:
-                    view.last_words = f'{self.observer.name}: {sentence(self.verdict)}'
-        return CODES[self.verdict.outcome]
+                    view.last_words = f'{self.observer.name}: {sentence(self.agreement)}'
+        return CODES[self.agreement.outcome]
 
     def _loop(self, show: Any, period: float) -> None:
         """Poll, judge once a second and show, until the time is over."""
-        next_verdict = next_show = time.monotonic() + period
+        next_check = next_show = time.monotonic() + period
         is_over, is_new = False, True
         while not is_over:
             now = time.monotonic()
             self._poll()
             is_over = now >= self._end(now)
-            if now >= next_verdict or (is_over and now > next_verdict - 0.5 * _LINE):
-                self.verdict = self._judge(now)
-                next_verdict = next_time(next_verdict, _LINE, now)
+            if now >= next_check or (is_over and now > next_check - 0.5 * _LINE):
+                self.agreement = self._check(now)
+                next_check = next_time(next_check, _LINE, now)
                 self._check_choice(now)
                 is_new = True
             if now >= next_show or (is_over and is_new):
@@ -187,7 +189,7 @@ class _Watch:
             sample = self.sample = observer.sample()
             self.window.add(sample.time, sample.q, sample.qd, sample.measured, sample.modelled)
 
-    def _judge(self, now: float) -> Verdict:
+    def _check(self, now: float) -> Agreement:
         observer, status = self.observer, self.observer.status
         silence = now - max(observer.status_time, self._began)
         if status is None or silence > _LOST:
@@ -196,12 +198,12 @@ class _Watch:
                 f'no diagnostics from {observer.name} for {silence:.0f} s: it {state}, or cannot '
                 'be reached'
             )
-            cause = Cause.NO_DIAGNOSTICS if silence > _LOST else Cause.TOO_FEW_SAMPLES
-            return Verdict(Outcome.UNDECIDED, cause, reason=reason)
+            fault = FaultKind.NO_DIAGNOSTICS if silence > _LOST else FaultKind.TOO_FEW_SAMPLES
+            return Agreement(Outcome.UNDECIDED, fault, reason=reason)
         requested, has_clock = status.loop.requested_rate, status.clock is not None
         rate = StateRate(observer.state_rate, self.options.rate, requested, has_clock)
         model = status.model or ModelStatus()
-        return judge(
+        return check_agreement(
             self._reason(),
             rate,
             self.window.samples() if self.window else None,
@@ -236,9 +238,11 @@ class _Watch:
 
     def _print_line(self) -> None:
         if self.options.json:
-            print(json.dumps(as_json(self.observer, self.sample, self.verdict, CODES)), flush=True)
+            print(
+                json.dumps(as_json(self.observer, self.sample, self.agreement, CODES)), flush=True
+            )
         else:
-            print(as_line(self.observer, self.verdict), flush=True)
+            print(as_line(self.observer, self.agreement), flush=True)
 
 
 def next_time(due: float, period: float, now: float) -> float:

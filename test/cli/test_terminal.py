@@ -9,7 +9,7 @@ import time
 from types import SimpleNamespace
 
 from inverse_dynamics_node import load_urdf
-from inverse_dynamics_node.analysis.live.verdict import Cause, Outcome, Verdict
+from inverse_dynamics_node.analysis.live.agreement import Agreement, FaultKind, Outcome
 from inverse_dynamics_node.cli import live_view, terminal
 from inverse_dynamics_node.cli.main import main
 from inverse_dynamics_node.control.status import (
@@ -127,21 +127,21 @@ def hostile_observer():
 def test_a_node_cannot_control_the_terminal_of_watch(monkeypatch):
     pytest.importorskip('rich')
     observer, sample = hostile_observer()
-    verdict = Verdict(Outcome.UNDECIDED, Cause.NODE_STATE, reason=f'{ESCAPE}{C1}\nforged')
+    agreement = Agreement(Outcome.UNDECIDED, FaultKind.NODE_STATE, reason=f'{ESCAPE}{C1}\nforged')
     output = io.StringIO()
     output.isatty = lambda: True
     monkeypatch.setenv('COLUMNS', '200')
     monkeypatch.setenv('TERM', 'xterm')
     monkeypatch.setattr(sys, 'stdout', output)
     console = terminal.colour_console()
-    console.print(live_view.screen(observer, sample, verdict, 200))
+    console.print(live_view.screen(observer, sample, agreement, 200))
     text = output.getvalue()
     assert '\\x9b2J' in text
     assert '[red]m[/red] [/x] :smile:' in text
     assert '\x1b]' not in text
     assert '\x1b[2J' not in text
     assert_harmless(text, '\x1b')
-    line = live_view.as_line(observer, verdict)
+    line = live_view.as_line(observer, agreement)
     assert_harmless(line)
     assert '\n' not in line
 

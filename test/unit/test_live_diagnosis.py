@@ -1,11 +1,11 @@
 """The diagnosis of a few seconds of measured and modelled efforts."""
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
+from inverse_dynamics_node.analysis.live.agreement import FaultKind, Outcome
+from inverse_dynamics_node.analysis.live.check import check_agreement, StateRate
 from inverse_dynamics_node.analysis.live.diagnosis import diagnose
-from inverse_dynamics_node.analysis.live.judge import judge, StateRate
-from inverse_dynamics_node.analysis.live.verdict import Cause, Outcome
 from inverse_dynamics_node.analysis.live.window import LiveSamples, LiveWindow
-from inverse_dynamics_node.report.live_verdict import sentence
+from inverse_dynamics_node.report.agreement_text import sentence
 import numpy as np
 import pytest
 from runs import exciting, ROBOTS
@@ -42,10 +42,10 @@ def flipped(samples, *joints):
 @pytest.mark.parametrize('name', ROBOTS)
 def test_robot_like_the_model_agrees(name, moves):
     robot, samples = samples_of(name, moves)
-    verdict = diagnose(samples, robot, GRAVITY)
-    assert verdict.outcome is Outcome.AGREE
-    assert verdict.is_moving == moves
-    assert all(0.0 < size.residual < 0.05 * size.measured for size in verdict.sizes)
+    agreement = diagnose(samples, robot, GRAVITY)
+    assert agreement.outcome is Outcome.AGREE
+    assert agreement.is_moving == moves
+    assert all(0.0 < size.residual < 0.05 * size.measured for size in agreement.sizes)
 
 
 def test_sentence_of_an_agreement_has_residual_and_effort():
@@ -61,10 +61,10 @@ def test_sentence_of_an_agreement_has_residual_and_effort():
 @pytest.mark.parametrize('joint', ['joint_2', 'joint_3'])
 def test_swapped_sign_of_one_joint_is_named(joint, moves):
     robot, samples = samples_of(moves=moves)
-    verdict = diagnose(flipped(samples, joint), robot, GRAVITY)
-    assert (verdict.outcome, verdict.cause) == (Outcome.DIFFER, Cause.SIGN)
-    assert verdict.joints == (joint,)
-    assert sentence(verdict) == (
+    agreement = diagnose(flipped(samples, joint), robot, GRAVITY)
+    assert (agreement.outcome, agreement.fault) == (Outcome.DIFFER, FaultKind.SIGN)
+    assert agreement.joints == (joint,)
+    assert sentence(agreement) == (
         f'{joint}: measured and modelled effort have opposite signs; do not go live'
     )
 
@@ -72,16 +72,16 @@ def test_swapped_sign_of_one_joint_is_named(joint, moves):
 @BOTH
 def test_swapped_signs_of_all_joints_are_not_an_inverted_base(moves):
     robot, samples = samples_of(moves=moves)
-    verdict = diagnose(flipped(samples, *JOINTS), robot, GRAVITY)
-    assert verdict.cause is Cause.SIGN
-    assert verdict.joints == JOINTS
+    agreement = diagnose(flipped(samples, *JOINTS), robot, GRAVITY)
+    assert agreement.fault is FaultKind.SIGN
+    assert agreement.joints == JOINTS
 
 
 @pytest.mark.parametrize('joint', JOINTS)
 def test_sign_that_is_not_found_is_listed_as_not_checked(joint):
     robot, samples = samples_of(moves=False)
-    verdict = diagnose(flipped(samples, joint), robot, GRAVITY)
-    assert joint in (*verdict.joints, *verdict.unchecked)
+    agreement = diagnose(flipped(samples, joint), robot, GRAVITY)
+    assert joint in (*agreement.joints, *agreement.unchecked)
 
 
 @BOTH
@@ -93,44 +93,44 @@ def test_unknown_payload_of_2_kg_is_weighed(name, moves):
         real.set_payload(link, 2.0, (0.0, 0.0, 0.05))
 
     robot, samples = samples_of(name, moves, load)
-    verdict = diagnose(samples, robot, GRAVITY)
-    assert (verdict.outcome, verdict.cause) == (Outcome.DIFFER, Cause.PAYLOAD)
-    assert verdict.link == link
-    assert verdict.values[0] == pytest.approx(2.0, rel=0.2)
-    assert f"link '{link}' carries about 2" in sentence(verdict)
+    agreement = diagnose(samples, robot, GRAVITY)
+    assert (agreement.outcome, agreement.fault) == (Outcome.DIFFER, FaultKind.PAYLOAD)
+    assert agreement.link == link
+    assert agreement.values[0] == pytest.approx(2.0, rel=0.2)
+    assert f"link '{link}' carries about 2" in sentence(agreement)
 
 
 def test_payload_and_swapped_sign_are_both_reported():
     robot, samples = samples_of(act=lambda real: real.set_payload('tool0', 2.0))
-    verdict = diagnose(flipped(samples, 'joint_2'), robot, GRAVITY)
-    assert verdict.cause is Cause.PAYLOAD
-    assert verdict.also_swapped == ('joint_2',)
-    assert 'opposite signs at joint_2; do not go live' in sentence(verdict)
+    agreement = diagnose(flipped(samples, 'joint_2'), robot, GRAVITY)
+    assert agreement.fault is FaultKind.PAYLOAD
+    assert agreement.also_swapped == ('joint_2',)
+    assert 'opposite signs at joint_2; do not go live' in sentence(agreement)
 
 
 def test_payload_that_the_robot_lacks_is_negative():
     robot, samples = samples_of(act=lambda real: real.set_payload('tool0', 2.0))
     swapped = samples._replace(measured=samples.modelled, modelled=samples.measured)
-    verdict = diagnose(swapped, robot, GRAVITY)
-    assert verdict.values[0] == pytest.approx(-2.0, rel=0.2)
-    assert "the model has about 2 kg at link 'tool0' that the robot lacks" in sentence(verdict)
+    agreement = diagnose(swapped, robot, GRAVITY)
+    assert agreement.values[0] == pytest.approx(-2.0, rel=0.2)
+    assert "the model has about 2 kg at link 'tool0' that the robot lacks" in sentence(agreement)
 
 
 @BOTH
 def test_tilted_base_is_found(moves):
     gravity = 9.80665 * np.array([0.0, -np.sin(0.5), -np.cos(0.5)])
     robot, samples = samples_of(moves=moves, act=lambda real: real.set_gravity(gravity))
-    verdict = diagnose(samples, robot, GRAVITY)
-    assert verdict.cause is Cause.MOUNTING
-    assert verdict.values == pytest.approx(gravity, abs=0.3)
-    assert 'check the parameter gravity' in sentence(verdict)
+    agreement = diagnose(samples, robot, GRAVITY)
+    assert agreement.fault is FaultKind.MOUNTING
+    assert agreement.values == pytest.approx(gravity, abs=0.3)
+    assert 'check the parameter gravity' in sentence(agreement)
 
 
 def test_gravity_that_the_driver_compensates_is_found():
     robot, samples = samples_of(act=lambda real: real.set_gravity((0.0, 0.0, 0.0)))
-    verdict = diagnose(samples, robot, GRAVITY)
-    assert (verdict.outcome, verdict.cause) == (Outcome.DIFFER, Cause.GRAVITY_COMPENSATED)
-    assert 'include_gravity: false' in sentence(verdict)
+    agreement = diagnose(samples, robot, GRAVITY)
+    assert (agreement.outcome, agreement.fault) == (Outcome.DIFFER, FaultKind.GRAVITY_COMPENSATED)
+    assert 'include_gravity: false' in sentence(agreement)
 
 
 def test_friction_is_not_an_error_of_the_model():
@@ -145,79 +145,79 @@ def test_friction_is_not_an_error_of_the_model():
 def test_another_unit_is_named_with_its_factor(factor, moves):
     robot, samples = samples_of(moves=moves)
     wrong = samples._replace(measured=factor * samples.measured)
-    verdict = diagnose(wrong, robot, GRAVITY)
-    assert verdict.cause is Cause.SCALE
-    assert verdict.values == pytest.approx([factor] * len(verdict.joints), rel=0.02)
-    assert f'is {factor:g} times the modelled one' in sentence(verdict)
+    agreement = diagnose(wrong, robot, GRAVITY)
+    assert agreement.fault is FaultKind.SCALE
+    assert agreement.values == pytest.approx([factor] * len(agreement.joints), rel=0.02)
+    assert f'is {factor:g} times the modelled one' in sentence(agreement)
 
 
 def test_contact_is_an_unexplained_difference_of_its_joint():
     robot, samples = samples_of()
     measured = samples.measured.copy()
     measured[:, 1] += 30.0 * np.sin(7.0 * samples.times)
-    verdict = diagnose(samples._replace(measured=measured), robot, GRAVITY)
-    assert (verdict.outcome, verdict.cause) == (Outcome.DIFFER, Cause.UNEXPLAINED)
-    assert verdict.joints == ('joint_2',)
+    agreement = diagnose(samples._replace(measured=measured), robot, GRAVITY)
+    assert (agreement.outcome, agreement.fault) == (Outcome.DIFFER, FaultKind.UNEXPLAINED)
+    assert agreement.joints == ('joint_2',)
 
 
 def test_small_difference_at_rest_may_be_friction():
     robot, samples = samples_of(moves=False)
     measured = samples.measured.copy()
     measured[:, 4] += 0.8
-    verdict = diagnose(samples._replace(measured=measured), robot, GRAVITY)
-    assert (verdict.outcome, verdict.cause) == (Outcome.UNDECIDED, Cause.AT_REST)
-    assert 'move the arm to decide' in sentence(verdict)
+    agreement = diagnose(samples._replace(measured=measured), robot, GRAVITY)
+    assert (agreement.outcome, agreement.fault) == (Outcome.UNDECIDED, FaultKind.AT_REST)
+    assert 'move the arm to decide' in sentence(agreement)
 
 
 def test_efforts_that_are_not_measured_cannot_be_compared():
     robot, samples = samples_of()
     nothing = samples._replace(measured=np.full_like(samples.measured, np.nan))
-    verdict = diagnose(nothing, robot, GRAVITY)
-    assert (verdict.outcome, verdict.cause) == (Outcome.UNDECIDED, Cause.NO_EFFORTS)
+    agreement = diagnose(nothing, robot, GRAVITY)
+    assert (agreement.outcome, agreement.fault) == (Outcome.UNDECIDED, FaultKind.NO_EFFORTS)
 
 
 def test_zero_efforts_of_an_arm_held_by_brakes_cannot_be_compared():
     robot, samples = samples_of(moves=False)
     zero = samples._replace(measured=np.zeros_like(samples.measured))
-    verdict = diagnose(zero, robot, GRAVITY)
-    assert (verdict.outcome, verdict.cause) == (Outcome.UNDECIDED, Cause.ZERO_EFFORTS)
-    assert 'brakes hold the arm' in sentence(verdict)
+    agreement = diagnose(zero, robot, GRAVITY)
+    assert (agreement.outcome, agreement.fault) == (Outcome.UNDECIDED, FaultKind.ZERO_EFFORTS)
+    assert 'brakes hold the arm' in sentence(agreement)
 
 
 def test_joint_that_always_measures_zero_is_named():
     robot, samples = samples_of()
     measured = samples.measured.copy()
     measured[:, 2] = 0.0
-    verdict = diagnose(samples._replace(measured=measured), robot, GRAVITY)
-    assert (verdict.outcome, verdict.cause) == (Outcome.DIFFER, Cause.NOT_MEASURED)
-    assert verdict.joints == ('joint_3',)
+    agreement = diagnose(samples._replace(measured=measured), robot, GRAVITY)
+    assert (agreement.outcome, agreement.fault) == (Outcome.DIFFER, FaultKind.NOT_MEASURED)
+    assert agreement.joints == ('joint_3',)
 
 
 def test_joints_without_effort_are_left_out():
     robot, samples = samples_of()
     measured = flipped(samples, 'joint_2').measured
     measured[:, 0] = np.nan
-    verdict = diagnose(samples._replace(measured=measured), robot, GRAVITY)
-    assert verdict.joints == ('joint_2',)
+    agreement = diagnose(samples._replace(measured=measured), robot, GRAVITY)
+    assert agreement.joints == ('joint_2',)
 
 
 def test_efforts_of_an_unloaded_arm_are_too_small_to_compare():
     robot, samples = samples_of(moves=False)
     small = samples._replace(measured=1e-3 * samples.measured, modelled=1e-3 * samples.modelled)
-    verdict = diagnose(small, robot, GRAVITY)
-    assert (verdict.outcome, verdict.cause) == (Outcome.UNDECIDED, Cause.SMALL_EFFORTS)
+    agreement = diagnose(small, robot, GRAVITY)
+    assert (agreement.outcome, agreement.fault) == (Outcome.UNDECIDED, FaultKind.SMALL_EFFORTS)
 
 
 def test_half_a_second_is_not_enough():
     robot, samples = samples_of()
     short = LiveSamples(samples.joint_names, *(signal[:25] for signal in samples[1:]))
-    assert diagnose(short, robot, GRAVITY).cause is Cause.TOO_FEW_SAMPLES
+    assert diagnose(short, robot, GRAVITY).fault is FaultKind.TOO_FEW_SAMPLES
 
 
 def test_no_sample_is_not_enough():
     robot, _ = samples_of()
-    verdict = diagnose(LiveWindow(robot.joint_names).samples(), robot, GRAVITY)
-    assert verdict.cause is Cause.TOO_FEW_SAMPLES
+    agreement = diagnose(LiveWindow(robot.joint_names).samples(), robot, GRAVITY)
+    assert agreement.fault is FaultKind.TOO_FEW_SAMPLES
 
 
 def test_window_keeps_its_duration():
@@ -231,7 +231,9 @@ def test_window_keeps_its_duration():
 
 
 def judged(samples, robot, commanded=JOINTS, saturated=(), rate=500.0):
-    return judge('', StateRate(rate), samples, robot, GRAVITY, None, commanded, saturated)
+    return check_agreement(
+        '', StateRate(rate), samples, robot, GRAVITY, None, commanded, saturated
+    )
 
 
 class TestSaturation:
@@ -239,10 +241,12 @@ class TestSaturation:
 
     def test_it_is_an_outcome_of_its_own(self):
         robot, samples = samples_of()
-        verdict = judged(samples, robot, saturated=['joint_2'])
-        assert (verdict.outcome, verdict.cause) == (Outcome.SATURATED, Cause.SATURATED)
-        assert sentence(verdict).startswith('joint_2: the effort is cut to its limit, so the arm')
-        assert sentence(verdict).endswith('; do not go live')
+        agreement = judged(samples, robot, saturated=['joint_2'])
+        assert (agreement.outcome, agreement.fault) == (Outcome.SATURATED, FaultKind.SATURATED)
+        assert sentence(agreement).startswith(
+            'joint_2: the effort is cut to its limit, so the arm'
+        )
+        assert sentence(agreement).endswith('; do not go live')
 
     @pytest.mark.parametrize('measured', [np.nan, 0.0])
     def test_no_measured_efforts_are_needed(self, measured):
@@ -252,14 +256,14 @@ class TestSaturation:
 
     def test_it_is_more_important_than_slow_states(self):
         robot, samples = samples_of()
-        verdict = judged(samples, robot, saturated=['joint_2'], rate=50.0)
-        assert verdict.outcome is Outcome.SATURATED
+        agreement = judged(samples, robot, saturated=['joint_2'], rate=50.0)
+        assert agreement.outcome is Outcome.SATURATED
 
     def test_a_difference_is_more_important_but_both_are_reported(self):
         robot, samples = samples_of()
-        verdict = judged(flipped(samples, 'joint_3'), robot, saturated=['joint_2'])
-        assert verdict.cause is Cause.SIGN
-        assert sentence(verdict).endswith('; effort cut to its limit: joint_2')
+        agreement = judged(flipped(samples, 'joint_3'), robot, saturated=['joint_2'])
+        assert agreement.fault is FaultKind.SIGN
+        assert sentence(agreement).endswith('; effort cut to its limit: joint_2')
 
 
 class TestFewJoints:
@@ -269,30 +273,30 @@ class TestFewJoints:
         robot, samples = samples_of('seven_dof', moves=False)
         for signal in samples[4:]:
             signal[:, 2:] *= 1e-3
-        checked = judge('', StateRate(500.0), samples, robot, GRAVITY).checked
+        checked = check_agreement('', StateRate(500.0), samples, robot, GRAVITY).checked
         assert len(checked) == 1
-        verdict = judged(samples, robot, robot.joint_names)
-        assert (verdict.outcome, verdict.cause) == (Outcome.FEW_JOINTS, Cause.FEW_JOINTS)
-        assert sentence(verdict).startswith('model and robot agree in 1 of 7 joints only: ')
-        assert sentence(verdict).endswith('; move the arm to check the others')
+        agreement = judged(samples, robot, robot.joint_names)
+        assert (agreement.outcome, agreement.fault) == (Outcome.FEW_JOINTS, FaultKind.FEW_JOINTS)
+        assert sentence(agreement).startswith('model and robot agree in 1 of 7 joints only: ')
+        assert sentence(agreement).endswith('; move the arm to check the others')
 
     def test_the_others_are_not_measured(self):
         robot, samples = samples_of()
         measured = samples.measured.copy()
         measured[:, [0, 2, 3, 4, 5]] = np.nan
         some = samples._replace(measured=measured)
-        verdict = judged(some, robot)
-        assert verdict.outcome is Outcome.FEW_JOINTS
+        agreement = judged(some, robot)
+        assert agreement.outcome is Outcome.FEW_JOINTS
         assert 'because no effort is measured: joint_1, joint_3, joint_4, joint_5 and' in sentence(
-            verdict
+            agreement
         )
         assert judged(some, robot, ['joint_2', 'joint_3']).outcome is Outcome.AGREE
 
     def test_joints_that_are_not_commanded_do_not_count(self):
         robot, samples = samples_of()
-        verdict = judged(samples, robot, ['joint_6'])
-        assert 'joint_6' in verdict.unchecked
-        assert verdict.values == (0.0, 1.0)
+        agreement = judged(samples, robot, ['joint_6'])
+        assert 'joint_6' in agreement.unchecked
+        assert agreement.values == (0.0, 1.0)
         assert judged(samples, robot).outcome is Outcome.AGREE
 
 
@@ -318,17 +322,21 @@ class TestStateRate:
 
     def test_slow_states_are_a_difference_even_if_efforts_agree(self):
         robot, samples = samples_of()
-        verdict = judge('', StateRate(50.0), samples, robot, GRAVITY)
-        assert (verdict.outcome, verdict.cause) == (Outcome.DIFFER, Cause.SLOW_STATES)
-        assert 'joint states arrive at 50 Hz, expected at least 80 Hz' in sentence(verdict)
+        agreement = check_agreement('', StateRate(50.0), samples, robot, GRAVITY)
+        assert (agreement.outcome, agreement.fault) == (Outcome.DIFFER, FaultKind.SLOW_STATES)
+        assert 'joint states arrive at 50 Hz, expected at least 80 Hz' in sentence(agreement)
 
     def test_swapped_sign_is_more_important_than_slow_states(self):
         robot, samples = samples_of()
-        verdict = judge('', StateRate(50.0), flipped(samples, 'joint_3'), robot, GRAVITY)
-        assert verdict.cause is Cause.SIGN
+        agreement = check_agreement(
+            '', StateRate(50.0), flipped(samples, 'joint_3'), robot, GRAVITY
+        )
+        assert agreement.fault is FaultKind.SIGN
 
     def test_node_that_does_not_compute_is_not_judged(self):
         robot, samples = samples_of()
-        verdict = judge('the node is inactive', StateRate(50.0), samples, robot, GRAVITY)
-        assert verdict.outcome is Outcome.UNDECIDED
-        assert sentence(verdict) == 'not compared: the node is inactive'
+        agreement = check_agreement(
+            'the node is inactive', StateRate(50.0), samples, robot, GRAVITY
+        )
+        assert agreement.outcome is Outcome.UNDECIDED
+        assert sentence(agreement) == 'not compared: the node is inactive'

@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ...robot.model import Booleans, Floats, RobotModel
-from .hypotheses import Hypothesis, robot_hypotheses
-from .verdict import Cause, Outcome, Size, Verdict
+from .agreement import Agreement, FaultKind, Outcome, Size
+from .candidates import candidate_models, CandidateModel
 from .window import LiveSamples
 
 MIN_SAMPLES = 50  # one second at 50 Hz
@@ -39,22 +39,22 @@ SOFTENING = 0.1  # added to mean squares, which are 1 at the tolerance
 SILENT = 1e-9  # fraction of the largest effort; smaller variations are rounding errors
 
 
-class _Fit(NamedTuple):
+class _RobotFit(NamedTuple):
     """An explanation of all joints, and the squares that it leaves."""
 
-    cause: Cause
+    kind: FaultKind
     cost: float
     remaining: float
     """Mean square of residual over tolerance."""
     swapped: tuple[int, ...] = ()
-    hypothesis: Hypothesis | None = None
+    candidate: CandidateModel | None = None
     factors: tuple[float, ...] = ()
     joints: tuple[int, ...] = ()
 
 
 def diagnose(
     samples: LiveSamples, robot: RobotModel, gravity: Floats, limits: Floats | None = None
-) -> Verdict:
+) -> Agreement:
     """
     Compare measured and modelled efforts.
 
@@ -71,7 +71,7 @@ def diagnose(
 
     Returns
     -------
-    verdict : Verdict
+    agreement : Agreement
 
     """
     limits = robot.effort_limits if limits is None else limits
@@ -80,12 +80,12 @@ def diagnose(
     known_rows = is_known.any(axis=1).sum()
     columns = np.flatnonzero(2 * is_known.sum(axis=0) > known_rows).tolist()
     if len(samples.times) >= MIN_SAMPLES and not np.isfinite(samples.measured).any():
-        return Verdict(Outcome.UNDECIDED, Cause.NO_EFFORTS)
+        return Agreement(Outcome.UNDECIDED, FaultKind.NO_EFFORTS)
     rows = is_known[:, columns].all(axis=1) & np.isfinite(samples.q).all(axis=1)
     if not columns or rows.sum() < MIN_SAMPLES:
-        return Verdict(Outcome.UNDECIDED, Cause.TOO_FEW_SAMPLES)
+        return Agreement(Outcome.UNDECIDED, FaultKind.TOO_FEW_SAMPLES)
     whole = LiveSamples(samples.joint_names, *(signal[rows] for signal in samples[1:]))
-    return _Comparison(whole, columns, robot, gravity, limits).verdict()
+    return _Comparison(whole, columns, robot, gravity, limits).agreement()
 
 
 class _Comparison:
@@ -112,11 +112,11 @@ class _Comparison:
         self.residual = self._without_friction(self.measured - self.modelled)
         self.tolerance = np.maximum(self.floor, SUSPICIOUS * self.effort)
 
-    def verdict(self) -> Verdict:
-        """Return the verdict."""
+    def agreement(self) -> Agreement:
+        """Return whether model and robot agree."""
         r = _rms(self.residual)
         is_checked = _rms(self.modelled) > self.floor
-        common = Verdict(
+        common = Agreement(
             Outcome.AGREE,
             sizes=self._sizes(),
             checked=self._names(is_checked),
@@ -126,11 +126,11 @@ class _Comparison:
         silent = self._silent(is_checked)
         if silent.any():
             if np.array_equal(silent, is_checked):
-                return replace(common, outcome=Outcome.UNDECIDED, cause=Cause.ZERO_EFFORTS)
+                return replace(common, outcome=Outcome.UNDECIDED, fault=FaultKind.ZERO_EFFORTS)
             return replace(
                 common,
                 outcome=Outcome.DIFFER,
-                cause=Cause.NOT_MEASURED,
+                fault=FaultKind.NOT_MEASURED,
                 joints=self._names(silent),
             )
         differs = r > np.maximum(self.floor, AGREEMENT * self.effort)
@@ -141,7 +141,7 @@ class _Comparison:
         if differs.any():
             return self._unexplained(common, differs, r)
         if not is_checked.any():
-            return replace(common, outcome=Outcome.UNDECIDED, cause=Cause.SMALL_EFFORTS)
+            return replace(common, outcome=Outcome.UNDECIDED, fault=FaultKind.SMALL_EFFORTS)
         return common
 
     def _floor(self) -> Floats:
@@ -180,43 +180,43 @@ class _Comparison:
         is_zero = np.max(np.abs(self.measured), axis=0) <= SILENT * largest
         return np.asarray(is_zero & is_checked)
 
-    def _explain(self) -> _Fit | None:
+    def _explain(self) -> _RobotFit | None:
         """Return the explanation with the lowest cost, or None if none is good enough."""
-        as_is = self._fit(Cause.NONE, self.measured - self.modelled, 0)
+        nominal = self._fit(FaultKind.NONE, self.measured - self.modelled, 0)
         swapped = self._swapped()
-        found = [as_is]
+        found = [nominal]
         if len(swapped):
             # One convention for all joints is as likely as an error of two of them.
             parameters = 2 if self._is_all(swapped) else len(swapped)
-            found.append(self._fit(Cause.SIGN, self._flipped(swapped), parameters, swapped))
+            found.append(self._fit(FaultKind.SIGN, self._flipped(swapped), parameters, swapped))
         found += self._scaled()
         for flips in {(), swapped}:
-            for hypothesis in self._robot_hypotheses(flips):
-                left = self._flipped(flips) - hypothesis.efforts[:, self.columns]
-                parameters = hypothesis.parameters + len(flips)
-                fit = self._fit(hypothesis.cause, left, parameters, flips)
-                found.append(fit._replace(hypothesis=hypothesis))
+            for candidate in self._candidate_models(flips):
+                left = self._flipped(flips) - candidate.efforts[:, self.columns]
+                parameters = candidate.parameters + len(flips)
+                fit = self._fit(candidate.kind, left, parameters, flips)
+                found.append(fit._replace(candidate=candidate))
         best = min(found, key=lambda fit: fit.cost)
-        is_good = best is not as_is and best.remaining < MUST_REMAIN * as_is.remaining
+        is_good = best is not nominal and best.remaining < MUST_REMAIN * nominal.remaining
         return best if is_good else None
 
     def _fit(
-        self, cause: Cause, left: Floats, parameters: int, swapped: tuple[int, ...] = ()
-    ) -> _Fit:
+        self, kind: FaultKind, left: Floats, parameters: int, swapped: tuple[int, ...] = ()
+    ) -> _RobotFit:
         squares = float(np.mean((_rms(self._without_friction(left)) / self.tolerance) ** 2))
         cost = len(self.names) * math.log(squares + SOFTENING) + PARAMETER_COST * parameters
-        return _Fit(cause, cost, squares, swapped)
+        return _RobotFit(kind, cost, squares, swapped)
 
     def _swapped(self) -> tuple[int, ...]:
         """Return the columns that the opposite sign explains far better."""
-        as_is, opposite = (
+        nominal, opposite = (
             _rms(self.residual),
             _rms(self._without_friction(-self.measured - self.modelled)),
         )
         is_swapped = (
             (_rms(self.modelled) > 0.5 * self.floor)
-            & (as_is > self.tolerance)
-            & (opposite < 0.5 * as_is)
+            & (nominal > self.tolerance)
+            & (opposite < 0.5 * nominal)
         )
         swapped = tuple(np.flatnonzero(is_swapped).tolist())
         # Several, and all whose sign can be seen: the driver has another convention for all.
@@ -232,14 +232,14 @@ class _Comparison:
         left: Floats = sign * self.measured - self.modelled
         return left
 
-    def _robot_hypotheses(self, flips: tuple[int, ...]) -> list[Hypothesis]:
+    def _candidate_models(self, flips: tuple[int, ...]) -> list[CandidateModel]:
         weights = np.zeros(len(self.whole.joint_names))
         weights[self.columns] = 1.0 / self.tolerance
         residual = np.zeros_like(self.whole.measured)
         residual[:, self.columns] = self._flipped(flips)
-        return robot_hypotheses(self.whole, residual, weights, self.robot, self.gravity)
+        return candidate_models(self.whole, residual, weights, self.robot, self.gravity)
 
-    def _scaled(self) -> list[_Fit]:
+    def _scaled(self) -> list[_RobotFit]:
         """
         Try another unit of the measured efforts.
 
@@ -257,7 +257,7 @@ class _Comparison:
         if significant.sum() >= 2 and _is_another_unit(shared):
             left = self.measured / shared - self.modelled
             # Measured efforts in a small unit have a small residual anyway.
-            fit = self._fit(Cause.SCALE, left, 2)
+            fit = self._fit(FaultKind.SCALE, left, 2)
             joints = tuple(np.flatnonzero(significant).tolist())
             found.append(fit._replace(factors=(shared,) * len(joints), joints=joints))
         wrong = [
@@ -268,7 +268,7 @@ class _Comparison:
         if wrong:
             left = self.measured - self.modelled
             left[:, wrong] = self.measured[:, wrong] / slopes[wrong] - self.modelled[:, wrong]
-            fit = self._fit(Cause.SCALE, left, 2 * len(wrong))
+            fit = self._fit(FaultKind.SCALE, left, 2 * len(wrong))
             found.append(
                 fit._replace(factors=tuple(float(slopes[c]) for c in wrong), joints=tuple(wrong))
             )
@@ -283,23 +283,23 @@ class _Comparison:
         correlations: Floats = np.sum(a * b, axis=0) / np.maximum(norm, 1e-300)
         return slopes, correlations
 
-    def _explained(self, common: Verdict, fit: _Fit) -> Verdict:
-        found = replace(common, outcome=Outcome.DIFFER, cause=fit.cause)
+    def _explained(self, common: Agreement, fit: _RobotFit) -> Agreement:
+        found = replace(common, outcome=Outcome.DIFFER, fault=fit.kind)
         swapped = self._names(np.isin(np.arange(len(self.names)), fit.swapped))
-        if fit.cause is Cause.SIGN:
+        if fit.kind is FaultKind.SIGN:
             return replace(found, joints=swapped)
         found = replace(found, also_swapped=swapped)
-        if fit.hypothesis is not None:
-            return replace(found, values=fit.hypothesis.values, link=fit.hypothesis.link)
+        if fit.candidate is not None:
+            return replace(found, values=fit.candidate.values, link=fit.candidate.link)
         return replace(found, joints=tuple(self.names[c] for c in fit.joints), values=fit.factors)
 
-    def _unexplained(self, common: Verdict, differs: Booleans, r: Floats) -> Verdict:
+    def _unexplained(self, common: Agreement, differs: Booleans, r: Floats) -> Agreement:
         worst = sorted(np.flatnonzero(differs), key=lambda c: -r[c] / self.tolerance[c])
         names = tuple(self.names[c] for c in worst)
-        found = replace(common, cause=Cause.UNEXPLAINED, joints=names)
+        found = replace(common, fault=FaultKind.UNEXPLAINED, joints=names)
         may_be_friction = ~self.moves & (r < FRICTION_AT_REST * self.limits)
         if np.isfinite(self.limits).all() and may_be_friction[differs].all():
-            return replace(found, outcome=Outcome.UNDECIDED, cause=Cause.AT_REST)
+            return replace(found, outcome=Outcome.UNDECIDED, fault=FaultKind.AT_REST)
         return replace(found, outcome=Outcome.DIFFER)
 
     def _sizes(self) -> tuple[Size, ...]:

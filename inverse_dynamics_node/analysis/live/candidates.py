@@ -10,7 +10,7 @@ import numpy as np
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...robot.end_effector import last_link
 from ...robot.model import Floats, RobotModel
-from .verdict import Cause
+from .agreement import FaultKind
 from .window import LiveSamples
 
 MOST_STATES = 60  # used by a fit; states that are closer in time differ little
@@ -21,10 +21,10 @@ SAME_MAGNITUDE = (0.8, 1.25)  # gravity of another magnitude has another cause
 WHOLE_WEIGHT = (0.75, 1.25)  # fraction of gravity that the driver compensates
 
 
-class Hypothesis(NamedTuple):
+class CandidateModel(NamedTuple):
     """A cause, and the efforts by which the measured ones exceed the model."""
 
-    cause: Cause
+    kind: FaultKind
     efforts: Floats
     """Shape (k, n) [N m or N]."""
     parameters: int
@@ -32,9 +32,9 @@ class Hypothesis(NamedTuple):
     link: str = ''
 
 
-def robot_hypotheses(
+def candidate_models(
     samples: LiveSamples, residual: Floats, weights: Floats, robot: RobotModel, gravity: Floats
-) -> list[Hypothesis]:
+) -> list[CandidateModel]:
     """
     Fit a missing payload, a wrong direction of gravity, and gravity that the driver compensates.
 
@@ -53,7 +53,7 @@ def robot_hypotheses(
 
     Returns
     -------
-    hypotheses : list of Hypothesis
+    candidates : list of CandidateModel
         Those whose parameters are plausible.
 
     """
@@ -87,7 +87,7 @@ def robot_hypotheses(
     (fraction,) = fit(lacking)
     if WHOLE_WEIGHT[0] < fraction < WHOLE_WEIGHT[1]:
         efforts = at_all_times(lacking[..., 0])
-        found.append(Hypothesis(Cause.GRAVITY_COMPENSATED, efforts, 1))
+        found.append(CandidateModel(FaultKind.GRAVITY_COMPENSATED, efforts, 1))
     change = fit(weight)
     actual = gravity + change
     ratio = float(np.linalg.norm(actual)) / g
@@ -95,7 +95,7 @@ def robot_hypotheses(
     is_tilted = math.acos(min(1.0, max(-1.0, cosine))) > MIN_TILT
     if is_tilted and SAME_MAGNITUDE[0] < ratio < SAME_MAGNITUDE[1]:
         efforts = at_all_times(weight @ change)
-        found.append(Hypothesis(Cause.MOUNTING, efforts, 3, tuple(actual.tolist())))
+        found.append(CandidateModel(FaultKind.MOUNTING, efforts, 3, tuple(actual.tolist())))
     link = last_link(robot)
     load = _load(robot, gravity, link, states)
     for parameters in (1, 4):
@@ -105,7 +105,7 @@ def robot_hypotheses(
         if abs(mass) < MIN_MASS or distance > MAX_DISTANCE or mass < -float(np.sum(robot.mass)):
             continue
         efforts = at_all_times(load[..., :parameters] @ solution)
-        found.append(Hypothesis(Cause.PAYLOAD, efforts, 1 + parameters, (mass,), link))
+        found.append(CandidateModel(FaultKind.PAYLOAD, efforts, 1 + parameters, (mass,), link))
     return found
 
 

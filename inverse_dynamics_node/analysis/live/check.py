@@ -1,4 +1,4 @@
-"""Judges whether model and robot agree, from the state of the node and the last seconds."""
+"""Checks whether model and robot agree, from the state of the node and the last seconds."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from ...robot.model import Floats, RobotModel
+from .agreement import Agreement, FaultKind, Outcome
 from .diagnosis import diagnose
-from .verdict import Cause, Outcome, Verdict
 from .window import LiveSamples
 
 DEFAULT_LEAST_RATE = 80.0  # [Hz]; the default of the controller manager of ros2_control is 100
@@ -16,11 +16,11 @@ OF_GIVEN_RATE = 0.8  # fraction of the rate given by the user, below which state
 OF_UPDATE_RATE = 0.5  # the same of update_rate: many drivers are slower than the loop
 
 _STRONGER_THAN_SLOW = (
-    Cause.SIGN,
-    Cause.SCALE,
-    Cause.GRAVITY_COMPENSATED,
-    Cause.PAYLOAD,
-    Cause.MOUNTING,
+    FaultKind.SIGN,
+    FaultKind.SCALE,
+    FaultKind.GRAVITY_COMPENSATED,
+    FaultKind.PAYLOAD,
+    FaultKind.MOUNTING,
 )
 """Causes that are found in slow states too; residuals without a cause may be due to the rate."""
 
@@ -58,7 +58,7 @@ class StateRate(NamedTuple):
         return self.measured is not None and self.measured < self.least
 
 
-def judge(
+def check_agreement(
     reason: str,
     rate: StateRate,
     samples: LiveSamples | None,
@@ -67,9 +67,9 @@ def judge(
     limits: Floats | None = None,
     commanded: Sequence[str] = (),
     saturated: Sequence[str] = (),
-) -> Verdict:
+) -> Agreement:
     """
-    Judge whether model and robot agree.
+    Check whether model and robot agree.
 
     Parameters
     ----------
@@ -88,38 +88,48 @@ def judge(
 
     Returns
     -------
-    verdict : Verdict
+    agreement : Agreement
 
     """
     if reason:
-        return Verdict(Outcome.UNDECIDED, Cause.NODE_STATE, reason=reason)
+        return Agreement(Outcome.UNDECIDED, FaultKind.NODE_STATE, reason=reason)
     if samples is None or robot is None:
-        verdict = Verdict(Outcome.UNDECIDED, Cause.TOO_FEW_SAMPLES)
+        agreement = Agreement(Outcome.UNDECIDED, FaultKind.TOO_FEW_SAMPLES)
     else:
-        verdict = diagnose(samples, robot, gravity, limits)
-    verdict = _completed(verdict, commanded, saturated)
-    if rate.is_slow and verdict.cause not in _STRONGER_THAN_SLOW:
+        agreement = diagnose(samples, robot, gravity, limits)
+    agreement = _completed(agreement, commanded, saturated)
+    if rate.is_slow and agreement.fault not in _STRONGER_THAN_SLOW:
         values = (rate.measured or 0.0, rate.least)
-        verdict = replace(
-            verdict, outcome=Outcome.DIFFER, cause=Cause.SLOW_STATES, joints=(), values=values
+        agreement = replace(
+            agreement,
+            outcome=Outcome.DIFFER,
+            fault=FaultKind.SLOW_STATES,
+            joints=(),
+            values=values,
         )
-    if saturated and (verdict.outcome is not Outcome.DIFFER or verdict.cause is Cause.SLOW_STATES):
+    if saturated and (
+        agreement.outcome is not Outcome.DIFFER or agreement.fault is FaultKind.SLOW_STATES
+    ):
         return replace(
-            verdict, outcome=Outcome.SATURATED, cause=Cause.SATURATED, joints=(), values=()
+            agreement, outcome=Outcome.SATURATED, fault=FaultKind.SATURATED, joints=(), values=()
         )
-    return verdict
+    return agreement
 
 
-def _completed(verdict: Verdict, commanded: Sequence[str], saturated: Sequence[str]) -> Verdict:
+def _completed(
+    agreement: Agreement, commanded: Sequence[str], saturated: Sequence[str]
+) -> Agreement:
     """Add what concerns the commanded joints; an agreement must rest on enough of them."""
-    compared = (*verdict.checked, *verdict.unchecked)
-    verdict = replace(verdict, saturated=tuple(saturated))
+    compared = (*agreement.checked, *agreement.unchecked)
+    agreement = replace(agreement, saturated=tuple(saturated))
     if not compared:
-        return verdict
+        return agreement
     unmeasured = tuple(joint for joint in commanded if joint not in compared)
-    verdict = replace(verdict, unmeasured=unmeasured)
-    count = len(set(commanded) & set(verdict.checked))
-    if verdict.outcome is Outcome.AGREE and count < LEAST_CHECKED * len(commanded):
+    agreement = replace(agreement, unmeasured=unmeasured)
+    count = len(set(commanded) & set(agreement.checked))
+    if agreement.outcome is Outcome.AGREE and count < LEAST_CHECKED * len(commanded):
         values = (float(count), float(len(commanded)))
-        return replace(verdict, outcome=Outcome.FEW_JOINTS, cause=Cause.FEW_JOINTS, values=values)
-    return verdict
+        return replace(
+            agreement, outcome=Outcome.FEW_JOINTS, fault=FaultKind.FEW_JOINTS, values=values
+        )
+    return agreement

@@ -18,7 +18,7 @@ class Outcome(enum.Enum):
     """They agree, but only few joints could be compared."""
 
 
-class Cause(enum.Enum):
+class FaultKind(enum.Enum):
     """Why model and robot do not agree, or why this cannot be decided."""
 
     NONE = 'none'
@@ -55,11 +55,11 @@ class Size:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Agreement:
     """Whether model and robot agree, and why not."""
 
     outcome: Outcome
-    cause: Cause = Cause.NONE
+    fault: FaultKind = FaultKind.NONE
     joints: tuple[str, ...] = ()
     """Joints that differ; empty if the cause concerns the whole robot."""
     values: tuple[float, ...] = ()
