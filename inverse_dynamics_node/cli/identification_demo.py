@@ -21,11 +21,11 @@ from ..report.tables import Table
 from ..robot.model import Floats
 from ..robot.urdf import load_urdf
 from ..simulation.demo.demo import NewFile
+from ..simulation.demo.demo_setup import DemoSetup
 from ..simulation.demo.history import History
-from ..simulation.demo.identification import follow, GivenMotion, judge_identification, rms_errors
-from ..simulation.demo.stage import Stage
+from ..simulation.demo.identification import check_identification, follow, GivenMotion, rms_errors
+from ..simulation.demo.results import excuse
 from ..simulation.demo.unknown_robot import unknown_robot, UnknownRobot
-from ..simulation.demo.verdicts import excuse
 from .console import progress, say, show
 
 _FRACTION = 0.6
@@ -53,26 +53,26 @@ def run_identification(
     with progress('searching for an exciting motion') as report:
         excitation = find_excitation(dynamics, limits, options.duration, progress=report)
     motion = _motion(excitation)
-    stage = Stage(urdf, robot, motion.start, options.duration, options.link)
-    truth = unknown_robot(stage)
+    setup = DemoSetup(urdf, robot, motion.start, options.duration, options.link)
+    truth = unknown_robot(setup)
     say(
         'The simulated robot has other masses and centres of mass than the URDF, and friction '
         'and rotors that the URDF leaves out.'
     )
-    result = _runs(stage, motion, truth, options, stopped)
-    verdict = judge_identification(stage, *result.errors, result.identified.accepted)
-    verdict = replace(verdict, excuse=excuse(result.histories[1]))
+    result = _runs(setup, motion, truth, options, stopped)
+    outcome = check_identification(setup, *result.errors, result.identified.accepted)
+    outcome = replace(outcome, excuse=excuse(result.histories[1]))
     print()
-    show(_table(stage, truth, result))
+    show(_table(setup, truth, result))
     if options.picture:
         from .pictures.identification_demo import draw
 
-        title = f'{robot.name}: calibrate. {verdict}'
+        title = f'{robot.name}: calibrate. {outcome}'
         with new_file(options.picture) as path:
             draw(robot.joint_names, result.histories, result.errors, title, path)
         print(f'picture: {options.picture}')
-    print(verdict, flush=True)
-    return not verdict.failures
+    print(outcome, flush=True)
+    return not outcome.failures
 
 
 def _motion(excitation: Excitation) -> GivenMotion:
@@ -88,7 +88,7 @@ def _motion(excitation: Excitation) -> GivenMotion:
 
 
 def _runs(
-    stage: Stage,
+    setup: DemoSetup,
     motion: GivenMotion,
     truth: UnknownRobot,
     options: argparse.Namespace,
@@ -103,19 +103,19 @@ def _runs(
         robot = [str(actual), '--friction', '--armature', *(f'{x:.9f}' for x in truth.armature)]
 
         def run(title: str, record: Path | None, *node: str) -> tuple[History, Floats]:
-            history = follow(stage, motion, robot, [*node], record, options, stopped, title)
+            history = follow(setup, motion, robot, [*node], record, options, stopped, title)
             return history, rms_errors(history, motion.duration)
 
-        before, errors_before = run('with the URDF', recorded, *_description(stage.urdf))
+        before, errors_before = run('with the URDF', recorded, *_description(setup.urdf))
         if options.record:
             shutil.copytree(recorded, options.record)
             print(f'recorded: {options.record}')
-        recording, _ = read_measured_states(recorded, stage.robot.joint_names)
+        recording, _ = read_measured_states(recorded, setup.robot.joint_names)
         print('identifying', flush=True)
         with progress('identifying') as report:
-            result = identify_parameters(stage.robot, [recording], progress=report)
+            result = identify_parameters(setup.robot, [recording], progress=report)
         say(f'{result.verdict}.')
-        calibrated.write_bytes(calibrated_urdf(result, stage.urdf))
+        calibrated.write_bytes(calibrated_urdf(result, setup.urdf))
         parameters.write_text(node_parameters(result), encoding='utf-8')
         after, errors_after = run(
             'with the calibrated URDF',
@@ -130,12 +130,12 @@ def _description(urdf: str) -> list[str]:
     return ['-p', f"robot_description_file:='{urdf}'"]
 
 
-def _table(stage: Stage, truth: UnknownRobot, result: _Result) -> Table:
+def _table(setup: DemoSetup, truth: UnknownRobot, result: _Result) -> Table:
     """Return the errors of both runs, and the simulated and identified friction and rotors."""
     found = {joint.name: joint.terms for joint in result.identified.joints}
     rows = []
-    for k, name in enumerate(stage.robot.joint_names):
-        is_slide, terms = stage.robot.is_prismatic_joint[k], found.get(name)
+    for k, name in enumerate(setup.robot.joint_names):
+        is_slide, terms = setup.robot.is_prismatic_joint[k], found.get(name)
         units = ('mm  ', 'N  ', 'kg    ') if is_slide else ('mrad', 'N m', 'kg m^2')
         before, after = (1000.0 * float(errors[k]) for errors in result.errors)
         coulomb = f'{terms.coulomb:.3g}' if terms else '-'

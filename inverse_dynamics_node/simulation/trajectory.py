@@ -25,7 +25,7 @@ EFFORT_USED = 0.9  # fraction of the effort limit; the rest is for feedback
 STEEPEST_FADE = 1.875  # slope of the quintic at its middle
 
 
-class Motion(Protocol):
+class Reference(Protocol):
     """A motion of n joints."""
 
     def sample(self, time: Any) -> tuple[Floats, Floats, Floats]:
@@ -33,7 +33,7 @@ class Motion(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class Oscillation:
     """
     A motion of n joints that lasts ``moving`` seconds and ends in its start pose.
 
@@ -147,7 +147,9 @@ def _too_weak(robot: RobotModel, efforts: Floats) -> str:
     )
 
 
-def plan(robot: RobotModel, dynamics: InverseDynamics, start: Floats, moving: float) -> Trajectory:
+def plan(
+    robot: RobotModel, dynamics: InverseDynamics, start: Floats, moving: float
+) -> Oscillation:
     """
     Plan a motion about a pose that stays within position, velocity and effort limits.
 
@@ -170,7 +172,7 @@ def plan(robot: RobotModel, dynamics: InverseDynamics, start: Floats, moving: fl
     """
     count = len(robot.joint_names)
     frequency = np.resize(FREQUENCIES, count)
-    trajectory = Trajectory(start, np.zeros(count), frequency, moving)
+    trajectory = Oscillation(start, np.zeros(count), frequency, moving)
     room = np.minimum(start - robot.lower, robot.upper - start)
     speed = STEEPEST_FADE / trajectory.fade + 2.0 * np.pi * frequency  # per unit of swing
     swing = np.min(
@@ -185,7 +187,7 @@ def plan(robot: RobotModel, dynamics: InverseDynamics, start: Floats, moving: fl
         raise SimulationError('no joint can move: each <limit> leaves no room or no velocity')
     times = np.linspace(0.0, moving, 200)
     for _ in range(6):
-        trajectory = Trajectory(start, swing, frequency, moving)
+        trajectory = Oscillation(start, swing, frequency, moving)
         if effort_used(robot, dynamics.efforts(*trajectory.sample(times))) <= EFFORT_USED:
             break
         swing = 0.7 * swing

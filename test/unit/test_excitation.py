@@ -265,7 +265,7 @@ def test_the_number_of_unknowns_is_that_of_base_parameters(planar):
 
 def test_the_gradient_of_the_search_is_that_of_its_value(planar, rng):
     limits, dynamics = planar.limits, planar.unknowns.dynamics
-    motions = search.Motions(dynamics, limits, 10.0, 3)
+    motions = search.MotionSpace(dynamics, limits, 10.0, 3)
     objective = search._Objective(motions, planar.unknowns)
     x = 1.5 * motions.random(1, rng)[0].ravel()  # beyond the limits
     _, slopes = objective(x, 1e2)

@@ -6,8 +6,8 @@ pytest.importorskip('mujoco')
 pytest.importorskip('rclpy')
 
 from inverse_dynamics_node import load_urdf
-from inverse_dynamics_node.simulation.demo.identification import judge_identification
-from inverse_dynamics_node.simulation.demo.stage import Stage
+from inverse_dynamics_node.simulation.demo.demo_setup import DemoSetup
+from inverse_dynamics_node.simulation.demo.identification import check_identification
 from inverse_dynamics_node.simulation.demo.unknown_robot import MASS, unknown_robot
 from inverse_dynamics_node.simulation.mujoco.hardware import MujocoRobot
 import numpy as np
@@ -19,14 +19,14 @@ ROBOTS = STANFORD, ROOT / 'test' / 'robots' / 'gripper_arm.urdf'
 
 def stage_of(path):
     robot = load_urdf(path)
-    return Stage(str(path), robot, 0.5 * (robot.lower + robot.upper), 10.0)
+    return DemoSetup(str(path), robot, 0.5 * (robot.lower + robot.upper), 10.0)
 
 
 @pytest.mark.parametrize('path', ROBOTS, ids=lambda path: path.stem)
 def test_the_simulated_robot_differs_from_its_urdf_as_stated(path):
-    stage = stage_of(path)
-    truth = unknown_robot(stage)
-    robot, actual = stage.robot, load_urdf(truth.urdf.decode())
+    setup = stage_of(path)
+    truth = unknown_robot(setup)
+    robot, actual = setup.robot, load_urdf(truth.urdf.decode())
     assert actual.joint_names == robot.joint_names
     ratios = actual.link_mass[robot.link_mass > 0.0] / robot.link_mass[robot.link_mass > 0.0]
     assert (ratios >= MASS[0]).all()
@@ -37,8 +37,8 @@ def test_the_simulated_robot_differs_from_its_urdf_as_stated(path):
     assert (truth.coulomb > 0.0).all()
     assert (truth.coulomb <= 0.05 * robot.effort_limits).all()
     assert (truth.armature > 0.0).all()
-    assert unknown_robot(stage).urdf == truth.urdf
-    MujocoRobot(truth.urdf.decode(), actual, stage.start, True, (), truth.armature)
+    assert unknown_robot(setup).urdf == truth.urdf
+    MujocoRobot(truth.urdf.decode(), actual, setup.start, True, (), truth.armature)
 
 
 @pytest.mark.parametrize(
@@ -50,7 +50,7 @@ def test_the_simulated_robot_differs_from_its_urdf_as_stated(path):
     ],
 )
 def test_the_verdict_compares_the_errors_of_both_runs(after, accepted, words):
-    stage = stage_of(STANFORD)
-    verdict = judge_identification(stage, np.full(6, 0.05), np.full(6, after), accepted)
-    assert words in str(verdict)
-    assert bool(verdict.failures) == (not accepted or after > 0.01)
+    setup = stage_of(STANFORD)
+    outcome = check_identification(setup, np.full(6, 0.05), np.full(6, after), accepted)
+    assert words in str(outcome)
+    assert bool(outcome.failures) == (not accepted or after > 0.01)

@@ -14,21 +14,21 @@ pytest.importorskip('rclpy')
 pytest.importorskip('mujoco')
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.simulation.demo import verdicts
+from inverse_dynamics_node.simulation.demo import results
 from inverse_dynamics_node.simulation.demo.commander import KD, resolved_acceleration
 from inverse_dynamics_node.simulation.demo.demo import describe_rotors
-from inverse_dynamics_node.simulation.demo.history import History
-from inverse_dynamics_node.simulation.demo.picture import draw
-from inverse_dynamics_node.simulation.demo.scenarios import SCENARIOS, Script, TILT
-from inverse_dynamics_node.simulation.demo.stage import (
+from inverse_dynamics_node.simulation.demo.demo_setup import (
     DEFLECTION,
+    DemoSetup,
     GRIP,
     KP,
-    Stage,
 )
+from inverse_dynamics_node.simulation.demo.history import History
+from inverse_dynamics_node.simulation.demo.picture import draw
+from inverse_dynamics_node.simulation.demo.scenarios import SCENARIOS, TILT, Timeline
 from inverse_dynamics_node.simulation.demo.tracking import (
+    check_tracking,
     find_failures,
-    judge_tracking,
     RATE_LIMIT,
     tracking_limits,
 )
@@ -50,11 +50,11 @@ GRIPPER_ARM = ROOT / 'test' / 'robots' / 'gripper_arm.urdf'
 
 def stage_of(path, duration=10.0, link=''):
     robot = load_urdf(path)
-    return Stage(str(path), robot, start_pose(robot, InverseDynamics(robot)), duration, link)
+    return DemoSetup(str(path), robot, start_pose(robot, InverseDynamics(robot)), duration, link)
 
 
 @pytest.fixture(scope='module')
-def stage():
+def setup():
     return stage_of(STANFORD)
 
 
@@ -63,14 +63,14 @@ def any_stage(request):
     return stage_of(request.param)
 
 
-def history_of(stage, *phases):
+def history_of(setup, *phases):
     """Return a history from phases of (end, error of the first joint)."""
     history = History()
     ends, errors = zip(*phases, strict=True)
-    for time in np.arange(0.0, stage.duration, 0.01):
-        q = stage.start.copy()
+    for time in np.arange(0.0, setup.duration, 0.01):
+        q = setup.start.copy()
         q[0] += errors[int(np.searchsorted(ends, time, side='right'))]
-        history.states.add(time, (q, stage.start, np.ones(len(q))))
+        history.states.add(time, (q, setup.start, np.ones(len(q))))
         history.commands.add(time, np.ones(len(q)))
         history.external.add(time, np.zeros(len(q)))
     return history
@@ -82,36 +82,36 @@ class TestStage:
     )
     def test_loads_and_pushes_are_put_on_the_hand(self, robot, link):
         (path,) = (path for path in OUR_ROBOTS if path.stem == robot)
-        stage = stage_of(path)
-        assert stage.load()[0] == link
-        assert stage.push()[0] == link
+        setup = stage_of(path)
+        assert setup.load()[0] == link
+        assert setup.push()[0] == link
 
     @pytest.mark.parametrize('robot', ['z1', 'tiago_no_hand', 'kinova', 'pr2', 'a1'])
     def test_loads_of_real_robots_have_at_least_a_hundredth_of_their_mass(self, robot):
         path = next((path for path in real_robots() if path.stem == robot), None)
         if path is None:
             pytest.skip('example-robot-data is not installed')
-        stage = stage_of(path)
-        link, mass, _ = stage.load()
-        assert 0.01 * stage.robot.mass.sum() <= mass < stage.capacity(link)
-        body = stage.robot.link_body[stage.robot.link_names.index(link)]
+        setup = stage_of(path)
+        link, mass, _ = setup.load()
+        assert 0.01 * setup.robot.mass.sum() <= mass < setup.capacity(link)
+        body = setup.robot.link_body[setup.robot.link_names.index(link)]
         assert body > 0  # not the base
         assert 'finger' not in link
-        assert 'gripper' not in stage.robot.body_names[body].lower()
+        assert 'gripper' not in setup.robot.body_names[body].lower()
 
-    def test_capacity_is_the_load_that_takes_a_drive_to_its_limit(self, stage):
-        link, _, _ = stage.load()
-        dynamics = InverseDynamics(stage.robot)
-        dynamics.set_payload(link, stage.capacity(link), GRIP)
-        assert effort_used(stage.robot, dynamics.gravity_efforts(stage.start)) == pytest.approx(1)
+    def test_capacity_is_the_load_that_takes_a_drive_to_its_limit(self, setup):
+        link, _, _ = setup.load()
+        dynamics = InverseDynamics(setup.robot)
+        dynamics.set_payload(link, setup.capacity(link), GRIP)
+        assert effort_used(setup.robot, dynamics.gravity_efforts(setup.start)) == pytest.approx(1)
 
-    def test_script_names_load_link_and_capacity(self, stage):
-        link, mass, _ = stage.load()
-        script = SCENARIOS['payload'].prepare(stage)
-        capacity = f'{stage.capacity(link):.2g}'
+    def test_script_names_load_link_and_capacity(self, setup):
+        link, mass, _ = setup.load()
+        timeline = SCENARIOS['payload'].prepare(setup)
+        capacity = f'{setup.capacity(link):.2g}'
         expected = f"load: {mass:g} kg at '{link}', where the drives could hold {capacity} kg"
-        assert script.note == expected
-        assert f"{mass:g} kg at '{link}'" in script.events[0].words
+        assert timeline.note == expected
+        assert f"{mass:g} kg at '{link}'" in timeline.events[0].words
 
     def test_joints_that_move_no_mass_are_rejected_by_name(self):
         text = (
@@ -121,7 +121,7 @@ class TestStage:
         )
         robot = load_urdf(text)
         with pytest.raises(SimulationError, match="no mass resists the motion of joint 'idle'"):
-            Stage('', robot, np.zeros(1), 10.0).load()
+            DemoSetup('', robot, np.zeros(1), 10.0).load()
 
     def test_robot_withstands_its_loads_and_pushes(self, any_stage):
         robot, start = any_stage.robot, any_stage.start
@@ -141,39 +141,39 @@ class TestStage:
             error = np.linalg.solve(alone.mass_matrix(start), difference) / KP
             assert abs(error).max() <= 1.06 * DEFLECTION  # rounded to two digits
 
-    def test_loads_and_pushes_change_the_efforts(self, stage):
-        link, mass, _ = stage.load()
-        dynamics = InverseDynamics(stage.robot)
-        alone = dynamics.gravity_efforts(stage.start)
+    def test_loads_and_pushes_change_the_efforts(self, setup):
+        link, mass, _ = setup.load()
+        dynamics = InverseDynamics(setup.robot)
+        alone = dynamics.gravity_efforts(setup.start)
         dynamics.set_payload(link, mass)
-        assert abs(dynamics.gravity_efforts(stage.start) - alone).max() > 0.5
-        assert abs(stage.external_efforts(*stage.push(), stage.start)).max() > 1.0
+        assert abs(dynamics.gravity_efforts(setup.start) - alone).max() > 0.5
+        assert abs(setup.external_efforts(*setup.push(), setup.start)).max() > 1.0
 
 
 class TestScripts:
     @pytest.mark.parametrize('name', SCENARIOS)
-    def test_events_are_in_order_and_within_the_run(self, stage, name):
-        script = SCENARIOS[name].prepare(stage)
-        times = [event.time for event in script.events]
+    def test_events_are_in_order_and_within_the_run(self, setup, name):
+        timeline = SCENARIOS[name].prepare(setup)
+        times = [event.time for event in timeline.events]
         assert times == sorted(times)
-        assert all(0.0 < time < stage.duration for time in times)
-        for time in 0.0, 0.5 * stage.duration:
-            assert np.isfinite(script.trajectory.sample(time)).all()
+        assert all(0.0 < time < setup.duration for time in times)
+        for time in 0.0, 0.5 * setup.duration:
+            assert np.isfinite(timeline.trajectory.sample(time)).all()
 
-    def test_external_efforts_are_expected_during_the_push_only(self, stage):
-        script = SCENARIOS['push'].prepare(stage)
-        began, ended = (event.time for event in script.events)
+    def test_external_efforts_are_expected_during_the_push_only(self, setup):
+        timeline = SCENARIOS['push'].prepare(setup)
+        began, ended = (event.time for event in timeline.events)
         times = np.array([began - 0.1, began + 0.1, ended - 0.1, ended + 0.1])
-        efforts = script.expected(times, np.tile(stage.start, (4, 1)))
+        efforts = timeline.expected(times, np.tile(setup.start, (4, 1)))
         assert (abs(efforts).max(axis=1) > 1.0).tolist() == [False, True, True, False]
 
-    def test_arm_sags_on_a_tilted_base_without_an_imu(self, stage):
-        times, errors = held_without_imu(stage, TILT, 2.5)
+    def test_arm_sags_on_a_tilted_base_without_an_imu(self, setup):
+        times, errors = held_without_imu(setup, TILT, 2.5)
         assert abs(errors[times < 2.5]).max() < 1e-6
         assert abs(errors[times > 7.0]).max() > 0.01
 
 
-class TestVerdicts:
+class TestResults:
     def test_tracking_within_the_limits_has_no_failures(self):
         small = np.full(2, 1e-4)
         assert find_failures(('a', 'b'), small, small, 499.0, 500.0) == []
@@ -215,8 +215,8 @@ class TestVerdicts:
         history.arrivals = [1.0, 1.0, 1.0]
         assert history.command_rate() == 0.0
 
-    def test_largest_error_ignores_other_times(self, stage):
-        history = history_of(stage, (2.0, 0.1), (4.0, -0.2), (99.0, 0.3))
+    def test_largest_error_ignores_other_times(self, setup):
+        history = history_of(setup, (2.0, 0.1), (4.0, -0.2), (99.0, 0.3))
         assert history.largest_error(2.5, 3.5) == pytest.approx([0.2, 0, 0, 0, 0, 0])
         assert np.isnan(history.largest_error(20.0, 30.0)).all()
 
@@ -229,106 +229,106 @@ class TestVerdicts:
             ((0.001, 0.001, 0.001), '1.0 times better'),
         ],
     )
-    def test_load(self, stage, errors, words):
-        history = history_of(stage, (3.0, errors[0]), (6.1, errors[1]), (99.0, errors[2]))
-        verdict = verdicts.judge_payload(stage, history, 3.0, 6.0)
-        assert words in str(verdict)
-        assert len(verdict.failures) == bool(words)
-        assert str(verdict).startswith('FAILED' if words else 'PASSED')
+    def test_load(self, setup, errors, words):
+        history = history_of(setup, (3.0, errors[0]), (6.1, errors[1]), (99.0, errors[2]))
+        outcome = results.check_payload(setup, history, 3.0, 6.0)
+        assert words in str(outcome)
+        assert len(outcome.failures) == bool(words)
+        assert str(outcome).startswith('FAILED' if words else 'PASSED')
 
     @pytest.mark.parametrize(
         ('scale', 'words'),
         [(1.0, ''), (1.04, ''), (1.1, 'found 10.0% off'), (-1.0, 'found 200.0% off'), (0, '100')],
     )
-    def test_push(self, stage, scale, words):
-        link, force = stage.push()
-        history = history_of(stage, (99.0, 0.0))
+    def test_push(self, setup, scale, words):
+        link, force = setup.push()
+        history = history_of(setup, (99.0, 0.0))
         history.external = type(history.external)()
-        expected = stage.external_efforts(link, force, stage.start)
+        expected = setup.external_efforts(link, force, setup.start)
         for time in history.states.times:
             history.external.add(time, scale * expected * (3.0 <= time < 6.0))
-        verdict = verdicts.judge_push(stage, history, link, force, 3.0, 6.0)
-        assert words in str(verdict)
-        assert len(verdict.failures) == bool(words)
+        outcome = results.check_push(setup, history, link, force, 3.0, 6.0)
+        assert words in str(outcome)
+        assert len(outcome.failures) == bool(words)
 
-    def test_push_without_external_efforts_fails(self, stage):
-        history = history_of(stage, (99.0, 0.0))
+    def test_push_without_external_efforts_fails(self, setup):
+        history = history_of(setup, (99.0, 0.0))
         history.external = type(history.external)()
-        verdict = verdicts.judge_push(stage, history, *stage.push(), 3.0, 6.0)
-        assert 'published no external efforts' in str(verdict)
+        outcome = results.check_push(setup, history, *setup.push(), 3.0, 6.0)
+        assert 'published no external efforts' in str(outcome)
 
     @pytest.mark.parametrize(
         ('errors', 'count'), [((0.005, 0.0001), 0), ((0.02, 0.0001), 1), ((0.005, 0.002), 1)]
     )
-    def test_tilt(self, stage, errors, count):
-        history = history_of(stage, (7.0, errors[0]), (99.0, errors[1]))
+    def test_tilt(self, setup, errors, count):
+        history = history_of(setup, (7.0, errors[0]), (99.0, errors[1]))
         without = np.arange(2.0), np.outer([0.0, 0.2], np.ones(6))
-        verdict = verdicts.judge_tilt(stage, history, 7.0, without)
-        assert len(verdict.failures) == count
+        outcome = results.check_tilt(setup, history, 7.0, without)
+        assert len(outcome.failures) == count
 
     @pytest.mark.parametrize(
         ('zero_from', 'brakes', 'count'),
         [(3.5, [1, 0], 0), (4.5, [1, 0], 1), (3.5, [], 1), (3.5, [1], 1)],
     )
-    def test_sensor_lost(self, stage, zero_from, brakes, count):
-        history = history_of(stage, (99.0, 0.0))
+    def test_sensor_lost(self, setup, zero_from, brakes, count):
+        history = history_of(setup, (99.0, 0.0))
         history.commands = type(history.commands)()
         for time in np.arange(0.0, 10.0, 0.01):
             history.commands.add(time, np.full(6, 0.0 if zero_from <= time < 5.0 else 1.0))
         for i, on in enumerate(brakes):
             history.brakes.add(3.0 + 3.0 * i, on)
-        assert len(verdicts.judge_sensor_lost(stage, history, 3.0, 5.0).failures) == count
+        assert len(results.check_sensor_lost(setup, history, 3.0, 5.0).failures) == count
 
 
 class TestView:
-    def snapshot(self, stage, words='the arm stands still', off=0.001):
-        start = stage.start
+    def snapshot(self, setup, words='the arm stands still', off=0.001):
+        start = setup.start
         return Snapshot(1.2, 500.0, words, start + off, start, start, brakes_on=True)
 
     def terminal(self):
         return Console(file=io.StringIO(), force_terminal=True, width=100, height=40)
 
-    def test_terminal_shows_every_joint_and_the_current_event(self, stage, monkeypatch):
+    def test_terminal_shows_every_joint_and_the_current_event(self, setup, monkeypatch):
         monkeypatch.setattr('inverse_dynamics_node.simulation.demo.view.LIVE_PERIOD', 3600.0)
         console = self.terminal()
-        view = View(stage.robot, 'stanford: push', console)
+        view = View(setup.robot, 'stanford: push', console)
         with view.open():
             assert view.is_live
             assert view.is_due
-            view.draw(self.snapshot(stage, 'a push of 5 N'))
+            view.draw(self.snapshot(setup, 'a push of 5 N'))
             assert not view.is_due
         text = console.file.getvalue()
-        for words in (*stage.robot.joint_names, 'stanford: push', 'a push of 5 N', 'BRAKES ON'):
+        for words in (*setup.robot.joint_names, 'stanford: push', 'a push of 5 N', 'BRAKES ON'):
             assert words in text
         assert '█' in text
 
-    def test_nothing_is_drawn_in_a_pipe(self, stage):
+    def test_nothing_is_drawn_in_a_pipe(self, setup):
         console = Console(file=io.StringIO())
-        view = View(stage.robot, 'stanford: push', console)
+        view = View(setup.robot, 'stanford: push', console)
         with view.open():
             assert not view.is_live
             assert not view.is_due
         assert console.file.getvalue() == ''
 
-    def test_lines_have_units(self, stage, capsys):
-        View(stage.robot, '', Console(file=io.StringIO())).print_progress(self.snapshot(stage))
+    def test_lines_have_units(self, setup, capsys):
+        View(setup.robot, '', Console(file=io.StringIO())).print_progress(self.snapshot(setup))
         lines = capsys.readouterr().out.splitlines()
         assert lines[1] == 't = 1.2 s   500.0 commands/s'
         assert 'mrad' in lines[3]
         assert ' mm ' in lines[5]
 
-    def test_units_are_aligned(self, stage):
+    def test_units_are_aligned(self, setup):
         console = Console(file=io.StringIO(), width=110)
-        console.print(View(stage.robot, '').render(self.snapshot(stage)))
+        console.print(View(setup.robot, '').render(self.snapshot(setup)))
         rows = [line for line in console.file.getvalue().splitlines() if 'joint_' in line]
         assert len({row.index('m' if 'N  ' in row else 'rad') for row in rows}) == 1
 
-    def test_columns_are_aligned_with_long_names(self, stage, capsys):
-        names = tuple(f'the_{name}_of_the_robot_on_the_left' for name in stage.robot.joint_names)
+    def test_columns_are_aligned_with_long_names(self, setup, capsys):
+        names = tuple(f'the_{name}_of_the_robot_on_the_left' for name in setup.robot.joint_names)
         robot = replace(
-            stage.robot, joint_names=names, body_names=(stage.robot.body_names[0], *names)
+            setup.robot, joint_names=names, body_names=(setup.robot.body_names[0], *names)
         )
-        View(robot, '', Console(file=io.StringIO())).print_progress(self.snapshot(stage))
+        View(robot, '', Console(file=io.StringIO())).print_progress(self.snapshot(setup))
         head, *rows = capsys.readouterr().out.splitlines()[2:]
         assert {len(row) for row in rows} == {len(head)}
 
@@ -355,7 +355,7 @@ class TestFriction:
         path.write_text(with_friction(STANFORD, [0.1] * len(names), [1.0] * len(names)))
         robot = load_urdf(path)
         start = start_pose(robot, InverseDynamics(robot))
-        return Stage(str(path), robot, start, 10.0, friction=True)
+        return DemoSetup(str(path), robot, start, 10.0, friction=True)
 
     def test_joints_with_friction_and_hardly_any_inertia_get_rotors(self, rubbing):
         assert rubbing.armature[0] == 0.0
@@ -379,8 +379,8 @@ class TestFriction:
             late.append(model.efforts(q, qd, resolved_acceleration(reference, q, qd, KP, KD)))
             real.command(late[max(0, len(late) - 3)])
             real.advance(0.002)
-        assert np.all(np.max(np.abs(errors), axis=0) < verdicts.MOVING_LIMIT + rubbing.slack)
-        assert np.all(np.abs(errors[-1]) < verdicts.REST_LIMIT + rubbing.slack)
+        assert np.all(np.max(np.abs(errors), axis=0) < results.MOVING_LIMIT + rubbing.slack)
+        assert np.all(np.abs(errors[-1]) < results.REST_LIMIT + rubbing.slack)
         assert np.max(rubbing.slack) < 0.05
 
     @pytest.mark.parametrize('beyond', [False, True])
@@ -392,7 +392,7 @@ class TestFriction:
             q[4] += (1.01 if beyond else 0.99) * 1e-3 * (moving[4] if time < 5.0 else rest[4])
             history.states.add(time, (q, rubbing.start, q))
             history.arrivals.append(time)
-        verdict = str(judge_tracking(rubbing, history, 500.0))
+        outcome = str(check_tracking(rubbing, history, 500.0))
         row = next(r for r in capsys.readouterr().out.splitlines() if r.startswith('joint_5'))
         numbers = [float(word) for word in row.split()[1:] if word != 'mrad']
         assert numbers[1::2] == pytest.approx([moving[4], rest[4]], abs=1e-3)
@@ -400,12 +400,12 @@ class TestFriction:
             np.array(numbers[1::2]) * (1.01 if beyond else 0.99), abs=2e-3
         )
         if beyond:
-            assert f'mrad or mm off moving, limit {moving[4]:.3g}' in verdict
-            assert f'mrad or mm off at rest, limit {rest[4]:.3g}' in verdict
+            assert f'mrad or mm off moving, limit {moving[4]:.3g}' in outcome
+            assert f'mrad or mm off at rest, limit {rest[4]:.3g}' in outcome
         else:
-            assert verdict.startswith('PASSED')
-            assert f'{moving.min():.3g} to {moving.max():.3g} mrad (mm) moving' in verdict
-            assert f'{rest.min():.3g} to {rest.max():.3g} at rest' in verdict
+            assert outcome.startswith('PASSED')
+            assert f'{moving.min():.3g} to {moving.max():.3g} mrad (mm) moving' in outcome
+            assert f'{rest.min():.3g} to {rest.max():.3g} at rest' in outcome
 
     def test_slack_widens_the_limits_of_its_joint_alone(self):
         moving, rest = np.array([0.03, 0.03]), np.array([0.0, 0.0])
@@ -418,36 +418,36 @@ def test_a_failure_on_a_busy_machine_says_so():
     history = History()
     for time in (0.0, 0.002, 0.004):
         history.commands.add(time, np.ones(1))
-    assert verdicts.excuse(history) == ''
+    assert results.excuse(history) == ''
     history.commands.add(0.404, np.ones(1))
-    words = verdicts.excuse(history)
+    words = results.excuse(history)
     assert 'no command came for 400 ms' in words
-    assert str(verdicts.Verdict('all', ('too far',), words)) == f'FAILED: too far\n{words}'
-    assert str(verdicts.Verdict('all', (), words)) == 'PASSED: all'
+    assert str(results.ScenarioResult('all', ('too far',), words)) == f'FAILED: too far\n{words}'
+    assert str(results.ScenarioResult('all', (), words)) == 'PASSED: all'
 
 
 @pytest.mark.parametrize('name', SCENARIOS)
 @pytest.mark.parametrize('path', [STANFORD, GRIPPER_ARM], ids=lambda path: path.stem)
 def test_picture_is_drawn(tmp_path, path, name):
-    stage = stage_of(path)
-    script = SCENARIOS[name].prepare(stage)
-    history = history_of(stage, (3.0, 0.01), (6.0, 0.1), (99.0, 0.0))
+    setup = stage_of(path)
+    timeline = SCENARIOS[name].prepare(setup)
+    history = history_of(setup, (3.0, 0.01), (6.0, 0.1), (99.0, 0.0))
     picture = tmp_path / 'run.png'
-    draw(picture, stage.robot, name, script, history)
+    draw(picture, setup.robot, name, timeline, history)
     header = picture.read_bytes()[:24]
     assert header[1:4] == b'PNG'
     assert int.from_bytes(header[16:20], 'big') == 900
 
 
 @pytest.mark.parametrize('name', SCENARIOS)
-def test_captions_of_events_with_long_names_fit(tmp_path, name, monkeypatch, stage):
-    script = SCENARIOS[name].prepare(stage)
+def test_captions_of_events_with_long_names_fit(tmp_path, name, monkeypatch, setup):
+    timeline = SCENARIOS[name].prepare(setup)
     mount = 'at left_arm_gripper_mount_link'
-    events = tuple(replace(event, words=f'{event.words} {mount}') for event in script.events)
-    script = replace(script, events=events)
+    events = tuple(replace(event, words=f'{event.words} {mount}') for event in timeline.events)
+    timeline = replace(timeline, events=events)
     figures = []
     monkeypatch.setattr(Figure, 'savefig', lambda figure, path: figures.append(figure))
-    draw(tmp_path / 'a.png', stage.robot, name, script, history_of(stage, (99.0, 0.0)))
+    draw(tmp_path / 'a.png', setup.robot, name, timeline, history_of(setup, (99.0, 0.0)))
     (figure,) = figures
     figure.canvas.draw()
     for text in figure.axes[0].texts:
@@ -466,7 +466,7 @@ def test_many_joints_without_limits_are_distinguishable(tmp_path, monkeypatch):
     figures = []
     monkeypatch.setattr(Figure, 'savefig', lambda figure, path: figures.append(figure))
     title = 'PASSED: ' + 'largest error 1.5e-05 rad, ' * 12
-    draw(tmp_path / 'a.png', robot, title, Script(None, None), history)
+    draw(tmp_path / 'a.png', robot, title, Timeline(None, None), history)
     (figure,) = figures
     errors, efforts = figure.axes
     for axes in (errors, efforts):
@@ -486,17 +486,21 @@ def test_many_joints_without_limits_are_distinguishable(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize('path', OUR_ROBOTS, ids=lambda path: path.stem)
 def test_legend_with_long_names_fits(tmp_path, path, monkeypatch):
-    stage = stage_of(path)
+    setup = stage_of(path)
     joints, bodies = (
         tuple(f'left_arm_{name}_of_it' for name in names)
-        for names in (stage.robot.joint_names, stage.robot.body_names)
+        for names in (setup.robot.joint_names, setup.robot.body_names)
     )
-    robot = replace(stage.robot, joint_names=joints, body_names=bodies)
+    robot = replace(setup.robot, joint_names=joints, body_names=bodies)
     figures = []
     monkeypatch.setattr(Figure, 'savefig', lambda figure, path: figures.append(figure))
-    script = SCENARIOS['hold'].prepare(stage)
+    timeline = SCENARIOS['hold'].prepare(setup)
     draw(
-        tmp_path / 'a.png', robot, 'FAILED: too far\n' * 20, script, history_of(stage, (99.0, 0.0))
+        tmp_path / 'a.png',
+        robot,
+        'FAILED: too far\n' * 20,
+        timeline,
+        history_of(setup, (99.0, 0.0)),
     )
     (figure,) = figures
     figure.canvas.draw()

@@ -19,10 +19,10 @@ from inverse_dynamics_node.simulation.tilt import rotation, Tilt
 from inverse_dynamics_node.simulation.trajectory import (
     EFFORT_USED,
     effort_used,
+    Oscillation,
     plan,
     SPEED_USED,
     start_pose,
-    Trajectory,
 )
 
 CARTESIAN = ROOT / 'test' / 'robots' / 'cartesian.urdf'
@@ -237,7 +237,7 @@ def trajectories(draw):
         return draw(arrays(float, n, elements=st.floats(low, high)))
 
     moving = draw(st.floats(1.0, 30.0))
-    return Trajectory(numbers(-3, 3), numbers(0, 1), numbers(0.1, 0.5), moving)
+    return Oscillation(numbers(-3, 3), numbers(0, 1), numbers(0.1, 0.5), moving)
 
 
 class TestWorld:

@@ -116,7 +116,7 @@ def find_excitation(
         raise ConfigurationError(f'duration is {duration!r}, expected a time above 0 [s]')
     if harmonics < 2:
         raise ConfigurationError(f'harmonics is {harmonics}, expected at least 2')
-    motions = Motions(dynamics, limits, duration, harmonics)
+    motions = MotionSpace(dynamics, limits, duration, harmonics)
     candidates = motions.random(_CANDIDATES, np.random.default_rng(0))
     if noise is None:
         noise = _assumed_noise(motions, candidates)
@@ -137,7 +137,7 @@ def find_excitation(
     )
 
 
-class Motions:
+class MotionSpace:
     """
     Motions as arrays x of shape (m, 2 h - 1), relative to the middle and half of the ranges.
 
@@ -250,7 +250,7 @@ class Motions:
 class _Objective:
     """The negative logarithm of the determinant of the information, and penalties for limits."""
 
-    def __init__(self, motions: Motions, unknowns: Unknowns) -> None:
+    def __init__(self, motions: MotionSpace, unknowns: Unknowns) -> None:
         self.motions, self.unknowns = motions, unknowns
         self.aim = _AIM
 
@@ -350,7 +350,7 @@ def _most_iterations(objective: _Objective) -> int:
     return max(_FEWEST_ITERATIONS, int(most))
 
 
-def _assumed_noise(motions: Motions, candidates: list[Floats]) -> Floats:
+def _assumed_noise(motions: MotionSpace, candidates: list[Floats]) -> Floats:
     limits, dynamics = motions.limits, motions.dynamics
     states = (whole_states(limits, motions.states(x)) for x in candidates)
     efforts = np.array([dynamics.efforts(*each) for each in states])

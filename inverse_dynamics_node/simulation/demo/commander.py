@@ -22,7 +22,7 @@ from std_msgs.msg import Bool, Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from ...robot.model import Floats
-from ..trajectory import Motion
+from ..trajectory import Reference
 from .history import History
 
 # Critically damped at 20 rad/s: stiff enough that two samples of latency cost less than a
@@ -112,7 +112,7 @@ class Commander(Node):
         self._gains = kp, kd
         self._names: list[str] = []
         self._order: list[int] = []
-        self._trajectory: Motion | None = None
+        self._trajectory: Reference | None = None
         self._records = True
         self._began: int | None = None
         self._last_state = math.inf
@@ -153,7 +153,7 @@ class Commander(Node):
             message.header.stamp = self._stamp
         self._event_publishers[topic].publish(message)
 
-    def follow(self, trajectory: Motion, records: bool = True) -> None:
+    def follow(self, trajectory: Reference, records: bool = True) -> None:
         """Follow a trajectory, which starts at the next joint state; fill the history or not."""
         self._records = records
         self._began = None

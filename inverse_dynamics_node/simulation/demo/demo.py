@@ -25,12 +25,12 @@ from ...robot.urdf import load_urdf
 from ...ros.middleware import start_ros
 from ..mujoco.model import SimulationError
 from ..trajectory import start_pose
+from .demo_setup import DemoSetup
 from .processes import running
-from .run import Run, topics_of
-from .scenarios import Scenario, SCENARIOS, Script
-from .stage import Stage
-from .tracking import judge_tracking
-from .verdicts import excuse
+from .results import excuse
+from .run import DemoRun, topics_of
+from .scenarios import Scenario, SCENARIOS, Timeline
+from .tracking import check_tracking
 from .view import View
 
 MOST_LISTED = 7  # joints
@@ -46,29 +46,29 @@ def run_demo(options: argparse.Namespace, stopped: Callable[[], bool], new_file:
         raise SimulationError(unknown_name('link', options.link, robot.link_names))
     # This also compiles the dynamics, which the node then loads from the cache.
     start = start_pose(robot, InverseDynamics(robot))
-    stage = Stage(urdf, robot, start, options.duration, options.link, options.friction)
-    script = scenario.prepare(stage)  # fails early if nothing can move
+    setup = DemoSetup(urdf, robot, start, options.duration, options.link, options.friction)
+    timeline = scenario.prepare(setup)  # fails early if nothing can move
     view = View(robot, f'{robot.name}: {options.scenario}')
     log = view.log if view.is_live else None  # above the live table
-    if np.any(stage.armature):
-        print(describe_rotors(stage))
-    if script.note:
-        print(script.note)
+    if np.any(setup.armature):
+        print(describe_rotors(setup))
+    if timeline.note:
+        print(timeline.note)
     print(_environment_hint())
-    with running(_commands(stage, scenario, options), log) as processes:
+    with running(_commands(setup, scenario, options), log) as processes:
         start_ros([])
-        run = Run(robot, scenario, processes, stopped)
+        run = DemoRun(robot, scenario, processes, stopped)
         try:
-            return _perform(run, script, stage, view, options, new_file)
+            return _perform(run, timeline, setup, view, options, new_file)
         finally:
             run.close()
             rclpy.shutdown()
 
 
 def _perform(
-    run: Run,
-    script: Script,
-    stage: Stage,
+    run: DemoRun,
+    timeline: Timeline,
+    setup: DemoSetup,
     view: View,
     options: argparse.Namespace,
     new_file: NewFile,
@@ -78,8 +78,8 @@ def _perform(
     if options.record:
         from .recorder import Recorder
 
-        recorder = Recorder(run.commander, topics_of(scenario, script), latched=('brakes',))
-    print(f'waiting for robot and node: {stage.urdf}', flush=True)
+        recorder = Recorder(run.commander, topics_of(scenario, timeline), latched=('brakes',))
+    print(f'waiting for robot and node: {setup.urdf}', flush=True)
     # Exempt the objects of the libraries from garbage collection, which would take 0.1 s a time.
     # Commands that queue up during this are received in the wait below, before the measurement.
     gc.collect()
@@ -88,13 +88,13 @@ def _perform(
     if recorder is not None:
         recorder.begin()  # until now the brakes held the arm, and the efforts had no effect
     with view.open():
-        run.perform(script, stage.duration, view)
+        run.perform(timeline, setup.duration, view)
     if options.scenario == 'track':
-        verdict = judge_tracking(stage, history, options.rate)
+        outcome = check_tracking(setup, history, options.rate)
     else:
         print()
-        verdict = script.judge(history)
-    verdict = replace(verdict, excuse=excuse(history))
+        outcome = timeline.check(history)
+    outcome = replace(outcome, excuse=excuse(history))
     if recorder is not None:
         count = recorder.write(options.record, options.storage)
         print(f'recorded: {count} messages in {options.record}')
@@ -102,10 +102,10 @@ def _perform(
         from .picture import draw
 
         with new_file(options.picture) as path:
-            draw(path, stage.robot, f'{view.title}. {verdict}', script, history)
+            draw(path, setup.robot, f'{view.title}. {outcome}', timeline, history)
         print(f'picture: {options.picture}')
-    print(verdict, flush=True)
-    return not verdict.failures
+    print(outcome, flush=True)
+    return not outcome.failures
 
 
 def _environment_hint() -> str:
@@ -114,13 +114,13 @@ def _environment_hint() -> str:
     return f'to see its topics, in another terminal: export {settings}'
 
 
-def describe_rotors(stage: Stage) -> str:
+def describe_rotors(setup: DemoSetup) -> str:
     """Report the joints to which the demo adds rotor inertia, and why."""
-    robot = stage.robot
+    robot = setup.robot
     rotors = [
         f'{name} {armature:.2g} {"kg" if slide else "kg m^2"}'
         for name, armature, slide in zip(
-            robot.joint_names, stage.armature, robot.is_prismatic_joint, strict=True
+            robot.joint_names, setup.armature, robot.is_prismatic_joint, strict=True
         )
         if armature > 0.0
     ]
@@ -135,10 +135,10 @@ def describe_rotors(stage: Stage) -> str:
 
 
 def _commands(
-    stage: Stage, scenario: Scenario, options: argparse.Namespace
+    setup: DemoSetup, scenario: Scenario, options: argparse.Namespace
 ) -> dict[str, list[str]]:
     package = 'inverse_dynamics_node'
-    urdf, armature = stage.urdf, stage.armature.tolist()
+    urdf, armature = setup.urdf, setup.armature.tolist()
     friction = ['--friction', '--armature', *map(str, armature)] if options.friction else []
     parameters = {
         'robot_description_file': f"'{urdf}'",

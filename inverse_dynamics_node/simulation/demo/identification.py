@@ -13,17 +13,17 @@ import rclpy
 
 from ...robot.model import Floats
 from ...ros.middleware import start_ros
-from ..trajectory import Trajectory
+from ..trajectory import Oscillation
+from .demo_setup import DemoSetup
 from .history import History
 from .processes import running
-from .run import Run, topics_of
-from .scenarios import COMPUTED_TORQUE, hold, PATIENT, Scenario, Script
-from .stage import Stage
-from .verdicts import judge, LEAST_FACTOR, Verdict
+from .results import LEAST_FACTOR, result_of, ScenarioResult
+from .run import DemoRun, topics_of
+from .scenarios import COMPUTED_TORQUE, hold, PATIENT, Scenario, Timeline
 from .view import View
 
 SUMMARY = 'identify masses, friction and rotors from an exciting motion; follow it again'
-# `follow` makes the script itself, because its motion depends on an analysis of the robot.
+# `follow` makes the timeline itself, because its motion depends on an analysis of the robot.
 _SCENARIO = Scenario(SUMMARY, hold, parameters={**COMPUTED_TORQUE, **PATIENT})
 
 
@@ -55,7 +55,7 @@ class GivenMotion:
 
 
 def follow(
-    stage: Stage,
+    setup: DemoSetup,
     motion: GivenMotion,
     robot_arguments: list[str],
     node_arguments: list[str],
@@ -69,7 +69,7 @@ def follow(
 
     Parameters
     ----------
-    stage : Stage
+    setup : DemoSetup
         The robot as in its URDF.
     motion : GivenMotion
         The motion, from the pose in which the robot starts.
@@ -89,7 +89,7 @@ def follow(
     """
     from .recorder import Recorder
 
-    view = View(stage.robot, f'{stage.robot.name}: {title}')
+    view = View(setup.robot, f'{setup.robot.name}: {title}')
     log = view.log if view.is_live else None  # above the live table
     package = 'inverse_dynamics_node'
     parameters = {'update_rate': '0.0', **_SCENARIO.parameters}
@@ -105,23 +105,23 @@ def follow(
         ],
     }
     zeros = np.zeros_like(motion.start)
-    script = Script(motion, lambda history: Verdict(title), begins=title)
+    timeline = Timeline(motion, lambda history: ScenarioResult(title), begins=title)
     with running(commands, log) as processes:
         start_ros([])
-        run = Run(stage.robot, _SCENARIO, processes, stopped)
+        run = DemoRun(setup.robot, _SCENARIO, processes, stopped)
         try:
             recorder = None
             if record is not None:
-                topics = topics_of(_SCENARIO, script)
+                topics = topics_of(_SCENARIO, timeline)
                 recorder = Recorder(run.commander, topics, latched=('brakes',))
             gc.collect()
             gc.freeze()  # see `demo`
             # The wrong model lets the robot sink as soon as the brakes open, unless it is held.
-            run.wait_until_ready(Trajectory(motion.start, zeros, zeros + 1.0, motion.duration))
+            run.wait_until_ready(Oscillation(motion.start, zeros, zeros + 1.0, motion.duration))
             if recorder is not None:
                 recorder.begin()
             with view.open():
-                run.perform(script, motion.duration, view)
+                run.perform(timeline, motion.duration, view)
             if recorder is not None and record is not None:
                 recorder.write(record, options.storage)
             return run.commander.history
@@ -137,13 +137,15 @@ def rms_errors(history: History, duration: float) -> Floats:
     return errors
 
 
-def judge_identification(stage: Stage, before: Floats, after: Floats, accepted: bool) -> Verdict:
+def check_identification(
+    setup: DemoSetup, before: Floats, after: Floats, accepted: bool
+) -> ScenarioResult:
     """
     Compare the tracking errors with the URDF and with the calibrated one.
 
     Parameters
     ----------
-    stage : Stage
+    setup : DemoSetup
         The robot as in its URDF.
     before, after : ndarray, shape (n,)
         Root mean square errors of the joints [rad or m].
@@ -151,12 +153,12 @@ def judge_identification(stage: Stage, before: Floats, after: Floats, accepted: 
         Whether the identified model is better than the URDF on unseen data.
 
     """
-    slides = stage.robot.is_prismatic_joint
+    slides = setup.robot.is_prismatic_joint
     unit = 'mm' if slides.all() else 'mrad (mm)' if slides.any() else 'mrad'
     first, second = (1000.0 * float(np.sqrt(np.mean(x**2))) for x in (before, after))
     factor = first / second
     words = f'from {first:.3g} to {second:.3g} {unit} (RMS)'
-    return judge(
+    return result_of(
         f'with the calibrated URDF, the tracking error fell {words}: {factor:.3g} times better',
         (accepted, 'the identified model is not better than the URDF on unseen data'),
         (

@@ -13,7 +13,7 @@ import numpy as np
 
 from ...robot.model import Floats, RobotModel
 from .history import History
-from .scenarios import Script
+from .scenarios import Timeline
 
 matplotlib.use('Agg')
 from matplotlib.figure import Figure
@@ -39,7 +39,7 @@ SHADES = ('#ffffff', '#fff1d6', '#e3f2e1', '#e8ecf7')
 
 
 def draw(
-    path: str | Path, robot: RobotModel, title: str, script: Script, history: History
+    path: str | Path, robot: RobotModel, title: str, timeline: Timeline, history: History
 ) -> None:
     """
     Draw a run and save it.
@@ -52,13 +52,13 @@ def draw(
         Robot whose joints are drawn.
     title : str
         Title of the picture.
-    script : Script
-        Script of the run, with its events.
+    timeline : Timeline
+        Timeline of the run, with its events.
     history : History
         Recorded history of the run.
 
     """
-    panels = [_errors, _efforts] + ([_contact] if script.expected else [])
+    panels = [_errors, _efforts] + ([_contact] if timeline.expected else [])
     lines = [part for line in title.splitlines() for part in _wrapped(line)]
     if len(lines) > MOST_LINES:
         lines = [*lines[: MOST_LINES - 1], '...']
@@ -73,12 +73,12 @@ def draw(
     figure: Any = Figure(figsize=(WIDTH, height), dpi=DPI, layout='constrained')
     all_axes = np.atleast_1d(figure.subplots(len(panels), sharex=True, height_ratios=heights))
     for panel, axes in zip(panels, all_axes, strict=True):
-        panel(axes, robot, script, history)
-        _shade(axes, script, history)
+        panel(axes, robot, timeline, history)
+        _shade(axes, timeline, history)
         axes.grid(alpha=0.3)
         axes.margins(x=0.0)
     all_axes[-1].set_xlabel('time [s]')
-    _explain(all_axes[0], script)
+    _explain(all_axes[0], timeline)
     figure.suptitle('\n'.join(lines), fontsize=11)
     handles, labels = all_axes[1].get_legend_handles_labels()
     if handles:
@@ -130,13 +130,13 @@ def _thin(times: Floats, rows: Floats) -> tuple[Floats, Floats]:
     return times, np.insert(rows, gaps, np.nan, axis=0)
 
 
-def _errors(axes: Any, robot: RobotModel, script: Script, history: History) -> None:
+def _errors(axes: Any, robot: RobotModel, timeline: Timeline, history: History) -> None:
     times, rows = _thin(history.states.times, history.states.rows)
     errors = 1000.0 * (rows[:, 1] - rows[:, 0])
     for i in range(len(robot.joint_names)):
         axes.plot(times, errors[:, i], lw=1.4, **_look(i))
-    if script.without is not None:
-        times, errors = _thin(*script.without)
+    if timeline.without is not None:
+        times, errors = _thin(*timeline.without)
         for i in range(len(robot.joint_names)):
             axes.plot(times, 1000.0 * errors[:, i], color=_look(i)['color'], lw=1.0, ls=':')
         axes.plot([], [], color='gray', lw=1.0, ls=':', label='without the IMU (calculated)')
@@ -147,7 +147,7 @@ def _errors(axes: Any, robot: RobotModel, script: Script, history: History) -> N
     axes.autoscale_view()
 
 
-def _efforts(axes: Any, robot: RobotModel, script: Script, history: History) -> None:
+def _efforts(axes: Any, robot: RobotModel, timeline: Timeline, history: History) -> None:
     """
     Draw the commands, those without joint states too, each joint to its own scale.
 
@@ -175,15 +175,15 @@ def _efforts(axes: Any, robot: RobotModel, script: Script, history: History) -> 
     axes.set_ylabel('commanded effort\n[% of its largest, below]')
 
 
-def _contact(axes: Any, robot: RobotModel, script: Script, history: History) -> None:
-    assert script.expected is not None
+def _contact(axes: Any, robot: RobotModel, timeline: Timeline, history: History) -> None:
+    assert timeline.expected is not None
     times, rows = _thin(history.external.times, history.external.rows)
     for i in range(len(robot.joint_names)):
         axes.plot(times, rows[:, i], lw=1.4, **_look(i))
     times, states = _thin(history.states.times, history.states.rows)
     known = ~np.isnan(states[:, 0]).any(axis=1)
     times = times[known]
-    expected = script.expected(times, states[known, 0])
+    expected = timeline.expected(times, states[known, 0])
     for i in range(len(robot.joint_names)):
         axes.plot(times, expected[:, i], color='black', lw=0.9, ls='--')
     axes.plot([], [], color='gray', lw=1.4, label='found by the node')
@@ -192,23 +192,23 @@ def _contact(axes: Any, robot: RobotModel, script: Script, history: History) -> 
     axes.set_ylabel('external efforts\n[N m, N]')
 
 
-def _edges(script: Script) -> list[float]:
-    return [0.0, *(event.time for event in script.events)]
+def _edges(timeline: Timeline) -> list[float]:
+    return [0.0, *(event.time for event in timeline.events)]
 
 
-def _shade(axes: Any, script: Script, history: History) -> None:
-    edges = [*_edges(script), float(history.states.times[-1])]
+def _shade(axes: Any, timeline: Timeline, history: History) -> None:
+    edges = [*_edges(timeline), float(history.states.times[-1])]
     for i, (begin, end) in enumerate(pairwise(edges)):
         axes.axvspan(begin, end, color=SHADES[i % len(SHADES)], zorder=-10, lw=0)
         if i:
             axes.axvline(begin, color='black', lw=0.8)
 
 
-def _explain(axes: Any, script: Script) -> None:
+def _explain(axes: Any, timeline: Timeline) -> None:
     """Write the descriptions of the events above the first panel, where they begin."""
-    words = [script.begins, *(event.words for event in script.events)]
+    words = [timeline.begins, *(event.words for event in timeline.events)]
     end = axes.get_xlim()[1]
-    for i, (time, text) in enumerate(zip(_edges(script), words, strict=True)):
+    for i, (time, text) in enumerate(zip(_edges(timeline), words, strict=True)):
         fits = time / end + len(text) / ACROSS < 1.0
         axes.annotate(
             text,

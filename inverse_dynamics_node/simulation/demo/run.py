@@ -1,4 +1,4 @@
-"""One run: wait for robot and node, perform a script, and supervise both processes."""
+"""One run: wait for robot and node, follow a timeline, and supervise both processes."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from trajectory_msgs.msg import JointTrajectory
 
 from ...robot.model import Floats, RobotModel
 from ..mujoco.model import SimulationError
-from ..trajectory import Motion
+from ..trajectory import Reference
 from .commander import Commander
 from .processes import Processes
-from .scenarios import NODE, Scenario, Script
+from .scenarios import NODE, Scenario, Timeline
 from .view import Snapshot, View
 
 START_TIMEOUT = 60.0  # [s]: the first run on a machine compiles the dynamics
 SILENCE_TIMEOUT = 5.0  # [s]
 
 
-class Run:
+class DemoRun:
     """
     A scenario, and the processes that it needs.
 
@@ -61,13 +61,13 @@ class Run:
         self._executor.shutdown()
         self.commander.destroy_node()
 
-    def wait_until_ready(self, standing: Motion | None = None) -> Floats:
+    def wait_until_ready(self, standing: Reference | None = None) -> Floats:
         """
         Wait until the node holds the robot and the brakes are open; return the positions.
 
         Parameters
         ----------
-        standing : Motion, optional
+        standing : Reference, optional
             Reference for the node from the first joint state on. Without it, the node holds the
             robot by its model alone.
 
@@ -81,24 +81,24 @@ class Run:
         assert commander.state is not None
         return commander.state[0]
 
-    def perform(self, script: Script, duration: float, view: View) -> None:
-        """Perform a script from start to end."""
+    def perform(self, timeline: Timeline, duration: float, view: View) -> None:
+        """Follow a timeline from start to end."""
         commander = self.commander
-        for event in script.events:
+        for event in timeline.events:
             commander.advertise(event.messages)
         self._wait(
             lambda: not commander.topics_without_subscriber(),
             lambda: f'no subscriber on {", ".join(commander.topics_without_subscriber())}',
         )
-        if script.expected is not None:
+        if timeline.expected is not None:
             commander.record_external_efforts()
             self._wait(
                 lambda: commander.external_efforts > 0, 'the node sends no external efforts'
             )
-        self.words = script.begins
+        self.words = timeline.begins
         view.announce(0.0, self.words)
-        commander.follow(script.trajectory)
-        events = list(script.events)
+        commander.follow(timeline.trajectory)
+        events = list(timeline.events)
         last = time.monotonic()
         line = 1.0
         while commander.now < duration:
@@ -147,7 +147,7 @@ class Run:
         self._executor.spin_once(timeout_sec=0.05)
 
 
-def topics_of(scenario: Scenario, script: Script) -> dict[str, Any]:
+def topics_of(scenario: Scenario, timeline: Timeline) -> dict[str, Any]:
     """Return the topics of a run that are worth recording, with their message classes."""
     topics: dict[str, Any] = {
         'joint_states': JointState,
@@ -159,9 +159,9 @@ def topics_of(scenario: Scenario, script: Script) -> dict[str, Any]:
         topics[f'{NODE}/desired_accelerations'] = Float64MultiArray
     elif scenario.sends == 'reference':
         topics[f'{NODE}/reference'] = JointTrajectory
-    if script.expected is not None:
+    if timeline.expected is not None:
         topics[f'{NODE}/external_efforts'] = JointState
     if 'base_motion' in scenario.parameters:
         topics['imu'] = Imu
-    events = {topic: type(m) for event in script.events for topic, m in event.messages.items()}
+    events = {topic: type(m) for event in timeline.events for topic, m in event.messages.items()}
     return topics | events

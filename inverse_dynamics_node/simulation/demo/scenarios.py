@@ -1,7 +1,7 @@
 """
 The scenarios of the demo, by name.
 
-A scenario defines the settings of the node and the kind of reference that it gets. A script,
+A scenario defines the settings of the node and the kind of reference that it gets. A timeline,
 prepared for one robot, defines the trajectory, the events with their times, and the verdict.
 """
 
@@ -25,17 +25,17 @@ from std_msgs.msg import Bool, Header
 
 from ...robot.model import Floats
 from .. import tilt
-from ..trajectory import Motion, plan, Trajectory
-from . import verdicts
-from .history import History
-from .stage import (
+from ..trajectory import Oscillation, plan, Reference
+from . import results
+from .demo_setup import (
+    DemoSetup,
     GRIP,
     KD,
     KP,
-    Stage,
 )
+from .history import History
+from .results import ScenarioResult
 from .tracking import REST_FRACTION
-from .verdicts import Verdict
 from .without_imu import held_without_imu
 
 NODE, ROBOT = 'inverse_dynamics', 'simulated_robot'  # prefixes of topics
@@ -54,16 +54,16 @@ class Event:
 
 
 @dataclass(frozen=True, eq=False)
-class Script:
+class Timeline:
     """
     A scenario prepared for one robot.
 
     Attributes
     ----------
-    trajectory : Motion
+    trajectory : Reference
         Desired motion of the joints.
-    judge : callable
-        Returns the `Verdict` for a `History`.
+    check : callable
+        Returns the `ScenarioResult` for a `History`.
     events : tuple of Event
         Events, sorted by time.
     begins : str
@@ -78,8 +78,8 @@ class Script:
 
     """
 
-    trajectory: Motion
-    judge: Callable[[History], Verdict]
+    trajectory: Reference
+    check: Callable[[History], ScenarioResult]
     events: tuple[Event, ...] = ()
     begins: str = ''
     note: str = ''
@@ -97,7 +97,7 @@ class Scenario:
     summary : str
         Description for the help text.
     prepare : callable
-        Returns the `Script` for a `Stage`.
+        Returns the `Timeline` for a `DemoSetup`.
     sends : str
         Message that the commander sends: 'accelerations', 'reference', or '' for none.
     parameters : mapping of str to str
@@ -110,42 +110,42 @@ class Scenario:
     """
 
     summary: str
-    prepare: Callable[[Stage], Script]
+    prepare: Callable[[DemoSetup], Timeline]
     sends: str = 'reference'
     parameters: Mapping[str, str] = field(default_factory=dict)
     robot: tuple[str, ...] = ()
     least_duration: float = 10.0
 
 
-def _standing(stage: Stage) -> Trajectory:
-    zeros = np.zeros(len(stage.start))
-    return Trajectory(stage.start, zeros, zeros + 1.0, stage.duration)
+def _standing(setup: DemoSetup) -> Oscillation:
+    zeros = np.zeros(len(setup.start))
+    return Oscillation(setup.start, zeros, zeros + 1.0, setup.duration)
 
 
-def hold(stage: Stage) -> Script:
+def hold(setup: DemoSetup) -> Timeline:
     """Hold the start pose without a reference."""
-    return Script(
-        _standing(stage),
-        lambda history: verdicts.judge_hold(stage, history),
+    return Timeline(
+        _standing(setup),
+        lambda history: results.check_hold(setup, history),
         begins='no reference: gravity compensation',
     )
 
 
-def track(stage: Stage) -> Script:
-    """Move, then rest; `judge_tracking` gives the verdict."""
-    moving = (1.0 - REST_FRACTION) * stage.duration
-    trajectory = plan(stage.robot, stage.dynamics(), stage.start, moving)
-    return Script(
+def track(setup: DemoSetup) -> Timeline:
+    """Move, then rest; `check_tracking` gives the result."""
+    moving = (1.0 - REST_FRACTION) * setup.duration
+    trajectory = plan(setup.robot, setup.dynamics(), setup.start, moving)
+    return Timeline(
         trajectory,
-        lambda history: verdicts.judge_hold(stage, history),
+        lambda history: results.check_hold(setup, history),
         begins='the arm follows a trajectory',
     )
 
 
-def payload(stage: Stage) -> Script:
+def payload(setup: DemoSetup) -> Timeline:
     """Pick up a load during the motion, and send it to the node later."""
-    link, mass, inertia = stage.load()
-    loaded = stage.dynamics()
+    link, mass, inertia = setup.load()
+    loaded = setup.dynamics()
     loaded.set_payload(link, mass, GRIP, inertia)
     load = InertiaStamped(
         header=Header(frame_id=link),
@@ -157,12 +157,12 @@ def payload(stage: Stage) -> Script:
             izz=float(inertia[2, 2]),
         ),
     )
-    capacity = stage.capacity(link)
+    capacity = setup.capacity(link)
     most = f'{capacity:.2g} kg' if math.isfinite(capacity) else 'any mass'
-    picked_up, sent = 0.3 * stage.duration, 0.6 * stage.duration
-    return Script(
-        plan(stage.robot, loaded, stage.start, stage.duration),
-        lambda history: verdicts.judge_payload(stage, history, picked_up, sent),
+    picked_up, sent = 0.3 * setup.duration, 0.6 * setup.duration
+    return Timeline(
+        plan(setup.robot, loaded, setup.start, setup.duration),
+        lambda history: results.check_payload(setup, history, picked_up, sent),
         (
             Event(
                 picked_up,
@@ -176,22 +176,22 @@ def payload(stage: Stage) -> Script:
     )
 
 
-def push(stage: Stage) -> Script:
+def push(setup: DemoSetup) -> Timeline:
     """Push a link for a while."""
-    link, force = stage.push()
-    began, ended = 0.3 * stage.duration, 0.6 * stage.duration
+    link, force = setup.push()
+    began, ended = 0.3 * setup.duration, 0.6 * setup.duration
     x, y, z = force.tolist()
     header = Header(frame_id=link)
     pushed = WrenchStamped(header=header, wrench=Wrench(force=Vector3(x=x, y=y, z=z)))
 
     def expected(times: Floats, q: Floats) -> Floats:
         is_pushed = (times >= began) & (times < ended)
-        efforts: Floats = is_pushed[:, np.newaxis] * stage.external_efforts(link, force, q)
+        efforts: Floats = is_pushed[:, np.newaxis] * setup.external_efforts(link, force, q)
         return efforts
 
-    return Script(
-        _standing(stage),
-        lambda history: verdicts.judge_push(stage, history, link, force, began, ended),
+    return Timeline(
+        _standing(setup),
+        lambda history: results.check_push(setup, history, link, force, began, ended),
         (
             Event(
                 began,
@@ -205,15 +205,15 @@ def push(stage: Stage) -> Script:
     )
 
 
-def tilted(stage: Stage) -> Script:
+def tilted(setup: DemoSetup) -> Timeline:
     """Tilt the base, and keep it tilted."""
-    began = 0.25 * stage.duration
-    settled = began + tilt.DURATION + verdicts.SETTLED
-    without = held_without_imu(stage, TILT, began)
+    began = 0.25 * setup.duration
+    settled = began + tilt.DURATION + results.SETTLED
+    without = held_without_imu(setup, TILT, began)
     attitude = Vector3Stamped(vector=Vector3(x=TILT[0], y=TILT[1], z=TILT[2]))
-    return Script(
-        _standing(stage),
-        lambda history: verdicts.judge_tilt(stage, history, settled, without),
+    return Timeline(
+        _standing(setup),
+        lambda history: results.check_tilt(setup, history, settled, without),
         (
             Event(began, 'the base tilts by 30 degrees', {f'{ROBOT}/tilt': attitude}),
             Event(began + tilt.DURATION, 'the base stays tilted', {}),
@@ -223,14 +223,14 @@ def tilted(stage: Stage) -> Script:
     )
 
 
-def sensor_lost(stage: Stage) -> Script:
+def sensor_lost(setup: DemoSetup) -> Timeline:
     """Stop the joint states, and resume them later."""
-    lost = 0.3 * stage.duration
+    lost = 0.3 * setup.duration
     back = lost + LOST
     sensors = f'{ROBOT}/sensors'
-    return Script(
-        _standing(stage),
-        lambda history: verdicts.judge_sensor_lost(stage, history, lost, back),
+    return Timeline(
+        _standing(setup),
+        lambda history: results.check_sensor_lost(setup, history, lost, back),
         (
             Event(lost, 'joint states stop, brakes go on', {sensors: Bool(data=False)}),
             Event(back, 'joint states resume', {sensors: Bool(data=True)}),

@@ -1,4 +1,4 @@
-"""The verdict on tracking: errors of every joint in motion and at rest, and the command rate."""
+"""The result of tracking: errors of every joint in motion and at rest, and the command rate."""
 
 from __future__ import annotations
 
@@ -7,41 +7,41 @@ import math
 import numpy as np
 
 from ...robot.model import Floats
+from .demo_setup import DemoSetup
 from .history import History
-from .stage import Stage
-from .verdicts import MOVING_LIMIT, REST_LIMIT, Verdict
+from .results import MOVING_LIMIT, REST_LIMIT, ScenarioResult
 from .view import name_width
 
 RATE_LIMIT = 0.02  # relative error of the command rate
 REST_FRACTION = 0.2  # of the duration; its second half is judged
 
 
-def judge_tracking(stage: Stage, history: History, expected_rate: float) -> Verdict:
+def check_tracking(setup: DemoSetup, history: History, expected_rate: float) -> ScenarioResult:
     """Print the errors and the command rate, and compare them with their limits."""
-    robot, duration, rate = stage.robot, stage.duration, history.command_rate()
+    robot, duration, rate = setup.robot, setup.duration, history.command_rate()
     moving = history.largest_error(0.0, (1.0 - REST_FRACTION) * duration)
     rest = history.largest_error((1.0 - 0.5 * REST_FRACTION) * duration, math.inf)
     wide = name_width(robot)
-    limits = tracking_limits(stage.slack)
+    limits = tracking_limits(setup.slack)
     # Without friction all joints have the same limits, which the verdict states.
-    head = ('moving', 'limit', 'at rest', 'limit') if stage.friction else ('moving', 'at rest')
-    widths = (13, 14, 15, 15) if stage.friction else (13, 15)
+    head = ('moving', 'limit', 'at rest', 'limit') if setup.friction else ('moving', 'at rest')
+    widths = (13, 14, 15, 15) if setup.friction else (13, 15)
     columns = ''.join(f'{word:>{width}}' for word, width in zip(head, widths, strict=True))
     print(f'\n{"largest error":{wide}}{columns}')
     rows = zip(robot.joint_names, robot.is_prismatic_joint, moving, rest, *limits, strict=True)
     for name, slide, moving_error, rest_error, moving_limit, rest_limit in rows:
         unit = 'mm' if slide else 'mrad'
         cells = [f'{1000.0 * moving_error:8.3f} {unit:4}', f'{1000.0 * rest_error:10.4f} {unit:4}']
-        if stage.friction:
+        if setup.friction:
             cells.insert(1, f'{1000.0 * moving_limit:9.3f} {unit:4}')
             cells.append(f'{1000.0 * rest_limit:10.4f} {unit:4}')
         print(f'{name:{wide}}{"".join(cells)}')
     print(
         f'rate: {rate:.1f} of {expected_rate:.1f} commands/s ({rate / expected_rate - 1.0:+.1%})'
     )
-    return Verdict(
-        tracking_words(stage.slack),
-        tuple(find_failures(robot.joint_names, moving, rest, rate, expected_rate, stage.slack)),
+    return ScenarioResult(
+        tracking_words(setup.slack),
+        tuple(find_failures(robot.joint_names, moving, rest, rate, expected_rate, setup.slack)),
     )
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from ...robot.model import Floats, RobotModel
 from ...robot.rigid_body import RigidBody
 from ...robot.urdf.writer import Friction, rewrite
-from .stage import Stage
+from .demo_setup import DemoSetup
 
 MASS = (0.75, 1.35)
 """Smallest and largest ratio of the masses of links to those in the URDF."""
@@ -44,17 +44,17 @@ class UnknownRobot:
     """Coulomb friction, shape (n,) [N m or N]."""
 
 
-def unknown_robot(stage: Stage) -> UnknownRobot:
+def unknown_robot(setup: DemoSetup) -> UnknownRobot:
     """
     Draw a robot that its URDF describes wrongly, always the same for the same URDF.
 
     Parameters
     ----------
-    stage : Stage
+    setup : DemoSetup
         The robot as in its URDF.
 
     """
-    robot, rng = stage.robot, np.random.default_rng(_SEED)
+    robot, rng = setup.robot, np.random.default_rng(_SEED)
     inertials = {}
     for k, name in enumerate(robot.link_names):
         factor, place = rng.uniform(*MASS), rng.uniform(*PLACE, 3)
@@ -64,13 +64,13 @@ def unknown_robot(stage: Stage) -> UnknownRobot:
                 place * robot.link_com[k],
                 factor * robot.link_inertia[k],
             )
-    armature = ROTOR * stage.inertia
+    armature = ROTOR * setup.inertia
     coulomb = np.minimum(
-        COULOMB * (stage.inertia + armature), LARGEST_FRICTION * robot.effort_limits
+        COULOMB * (setup.inertia + armature), LARGEST_FRICTION * robot.effort_limits
     )
     damping = coulomb / DAMPING_SPEED
     return UnknownRobot(
-        rewrite(stage.urdf, inertials, _friction(robot, damping, coulomb)),
+        rewrite(setup.urdf, inertials, _friction(robot, damping, coulomb)),
         armature,
         damping,
         coulomb,

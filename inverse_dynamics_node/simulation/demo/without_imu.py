@@ -9,18 +9,18 @@ from ...dynamics.inverse_dynamics import InverseDynamics
 from ...robot.model import Floats
 from ..mujoco.hardware import MujocoRobot
 from ..tilt import Tilt
-from .stage import KD, KP, Stage
+from .demo_setup import DemoSetup, KD, KP
 
 PERIOD = 0.002  # [s]
 
 
-def held_without_imu(stage: Stage, attitude: ArrayLike, began: float) -> tuple[Floats, Floats]:
+def held_without_imu(setup: DemoSetup, attitude: ArrayLike, began: float) -> tuple[Floats, Floats]:
     """
     Hold an arm by computed torque on a tilting base without an IMU.
 
     Parameters
     ----------
-    stage : Stage
+    setup : DemoSetup
         The robot, its pose and the duration.
     attitude : array_like, shape (3,)
         Final rotation vector of the base from level [rad].
@@ -35,17 +35,17 @@ def held_without_imu(stage: Stage, attitude: ArrayLike, began: float) -> tuple[F
         Position errors of the joints [rad or m].
 
     """
-    simulated = MujocoRobot(stage.urdf, stage.robot, stage.start, friction=False)
+    simulated = MujocoRobot(setup.urdf, setup.robot, setup.start, friction=False)
     simulated.brakes_on = False
-    dynamics = InverseDynamics(stage.robot)
-    order = [simulated.state_names.index(name) for name in stage.robot.joint_names]
+    dynamics = InverseDynamics(setup.robot)
+    order = [simulated.state_names.index(name) for name in setup.robot.joint_names]
     tilt = Tilt()
     tilt.turn_to(attitude, began)
-    times = np.arange(0.0, stage.duration, PERIOD)
-    errors = np.zeros((len(times), len(stage.start)))
+    times = np.arange(0.0, setup.duration, PERIOD)
+    errors = np.zeros((len(times), len(setup.start)))
     for time, error in zip(times, errors, strict=True):
         q, qd = (values[order] for values in simulated.state()[:2])
-        error[:] = stage.start - q
+        error[:] = setup.start - q
         simulated.command(dynamics.efforts(q, qd, KP * error - KD * qd))
         simulated.world.set_base_motion(*tilt.motion(float(time)))
         simulated.advance(PERIOD)

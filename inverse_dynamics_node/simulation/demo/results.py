@@ -1,4 +1,4 @@
-"""The verdicts on runs: measurements compared with limits."""
+"""The results of runs: measurements compared with limits."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ...robot.model import Floats
+from .demo_setup import DemoSetup
 from .history import History
-from .stage import Stage
 
 MOVING_LIMIT, REST_LIMIT = 0.010, 0.001  # [rad or m]
 HARMLESS = 0.05  # [s]: longest gap between commands that leaves the tracking errors within limits
@@ -20,7 +20,7 @@ CONTACT_LIMIT = 0.05  # fraction of the largest joint effort of a push
 
 
 @dataclass(frozen=True)
-class Verdict:
+class ScenarioResult:
     """The outcome of a run: words if it passed, and its failures if it did not."""
 
     words: str
@@ -44,17 +44,17 @@ class Distance(NamedTuple):
     """The same with its unit [mrad or mm]."""
 
 
-def worst(stage: Stage, errors: Floats) -> Distance:
+def worst(setup: DemoSetup, errors: Floats) -> Distance:
     """Return the largest of the errors of n joints, shape (n,) [rad or m]."""
     i = int(np.argmax(errors))  # argmax prefers NaN
-    unit = 'mm' if stage.robot.is_prismatic_joint[i] else 'mrad'
+    unit = 'mm' if setup.robot.is_prismatic_joint[i] else 'mrad'
     # Errors below a thousandth of a unit are printed as that.
     return Distance(float(errors[i]), f'{max(1000.0 * float(errors[i]), 0.001):.3g} {unit}')
 
 
-def judge(words: str, *checks: tuple[bool, str]) -> Verdict:
-    """Return a verdict that passes if all checks do; each has the text of its failure."""
-    return Verdict(words, tuple(failure for passed, failure in checks if not passed))
+def result_of(words: str, *checks: tuple[bool, str]) -> ScenarioResult:
+    """Return a result that passes if all checks do; each has the text of its failure."""
+    return ScenarioResult(words, tuple(failure for passed, failure in checks if not passed))
 
 
 def excuse(history: History) -> str:
@@ -68,40 +68,42 @@ def excuse(history: History) -> str:
     )
 
 
-def moving_limit(stage: Stage) -> float:
+def moving_limit(setup: DemoSetup) -> float:
     """Return the largest permitted error in motion [rad or m]."""
-    return MOVING_LIMIT + float(np.max(stage.slack))
+    return MOVING_LIMIT + float(np.max(setup.slack))
 
 
-def rest_limit(stage: Stage) -> float:
+def rest_limit(setup: DemoSetup) -> float:
     """Return the largest permitted error at rest [rad or m]."""
-    return REST_LIMIT + float(np.max(stage.slack))
+    return REST_LIMIT + float(np.max(setup.slack))
 
 
-def judge_hold(stage: Stage, history: History) -> Verdict:
+def check_hold(setup: DemoSetup, history: History) -> ScenarioResult:
     """Judge gravity compensation: the arm must not move."""
-    moved = worst(stage, history.largest_error(0.0, np.inf))
-    return judge(
+    moved = worst(setup, history.largest_error(0.0, np.inf))
+    return result_of(
         f'no joint moved by more than {moved.words}',
-        (moved.value <= rest_limit(stage), f'a joint moved by {moved.words}'),
+        (moved.value <= rest_limit(setup), f'a joint moved by {moved.words}'),
     )
 
 
-def judge_payload(stage: Stage, history: History, picked_up: float, sent: float) -> Verdict:
+def check_payload(
+    setup: DemoSetup, history: History, picked_up: float, sent: float
+) -> ScenarioResult:
     """Judge a load: it causes an error until the node receives it."""
-    before = worst(stage, history.largest_error(0.0, picked_up))
-    unknown = worst(stage, history.largest_error(picked_up, sent))
-    known = worst(stage, history.largest_error(sent + SETTLED, np.inf))
+    before = worst(setup, history.largest_error(0.0, picked_up))
+    unknown = worst(setup, history.largest_error(picked_up, sent))
+    known = worst(setup, history.largest_error(sent + SETTLED, np.inf))
     factor = unknown.value / known.value
-    return judge(
+    return result_of(
         f'the unknown load deflected a joint by {unknown.words}; once the node knew it, all '
         f'joints stayed within {known.words}: {factor:.0f} times better',
         (
-            before.value <= moving_limit(stage),
+            before.value <= moving_limit(setup),
             f'a joint was {before.words} off before the load was picked up',
         ),
         (
-            known.value <= moving_limit(stage),
+            known.value <= moving_limit(setup),
             f'a joint was {known.words} off although the node knew the load',
         ),
         (
@@ -112,46 +114,46 @@ def judge_payload(stage: Stage, history: History, picked_up: float, sent: float)
     )
 
 
-def judge_push(
-    stage: Stage, history: History, link: str, force: Floats, began: float, ended: float
-) -> Verdict:
+def check_push(
+    setup: DemoSetup, history: History, link: str, force: Floats, began: float, ended: float
+) -> ScenarioResult:
     """Judge a push: the external efforts equal -J^T F while it lasts, and are zero before."""
     window = began + SETTLED, ended
     rows, states = history.external.between(*window), history.states.between(*window)
     if not len(rows) or not len(states):
-        return Verdict('', ('the node published no external efforts during the push',))
+        return ScenarioResult('', ('the node published no external efforts during the push',))
     found = np.mean(rows, axis=0)
-    expected = stage.external_efforts(link, force, np.mean(states[:, 0], axis=0))
+    expected = setup.external_efforts(link, force, np.mean(states[:, 0], axis=0))
     size = float(np.max(np.abs(expected)))
     off = float(np.nanmax(np.abs(found - expected))) / size
     quiet = history.external.between(0.0, began)
     noise = float(np.nanmax(np.abs(quiet), initial=0.0)) / size
-    given = worst(stage, history.largest_error(began, ended))
-    after = worst(stage, history.largest_error(ended + SETTLED, np.inf))
-    return judge(
+    given = worst(setup, history.largest_error(began, ended))
+    after = worst(setup, history.largest_error(ended + SETTLED, np.inf))
+    return result_of(
         f'{np.linalg.norm(force):.3g} N at {link!r} moved a joint by {given.words}, and the node '
         f'found -J^T F (up to {size:.3g} N m or N) within {max(100.0 * off, 0.01):.2g} %',
         (off <= CONTACT_LIMIT, f'the push was found {off:.1%} off, limit {CONTACT_LIMIT:.0%}'),
         (noise <= CONTACT_LIMIT, f'{noise:.1%} of the push was found before it began'),
-        (after.value <= rest_limit(stage), f'a joint was {after.words} off after the push'),
+        (after.value <= rest_limit(setup), f'a joint was {after.words} off after the push'),
     )
 
 
-def judge_tilt(
-    stage: Stage, history: History, settled: float, without: tuple[Floats, Floats]
-) -> Verdict:
+def check_tilt(
+    setup: DemoSetup, history: History, settled: float, without: tuple[Floats, Floats]
+) -> ScenarioResult:
     """Judge a tilting base: the arm must not move."""
-    moved = worst(stage, history.largest_error(0.0, np.inf))
-    rest = worst(stage, history.largest_error(settled, np.inf))
-    lesser = worst(stage, np.max(np.abs(without[1]), axis=0))
-    return judge(
+    moved = worst(setup, history.largest_error(0.0, np.inf))
+    rest = worst(setup, history.largest_error(settled, np.inf))
+    lesser = worst(setup, np.max(np.abs(without[1]), axis=0))
+    return result_of(
         f'within {moved.words} while the base tilted, {rest.words} at rest; without the IMU it '
         f'would have been {lesser.words}',
         (
-            moved.value <= moving_limit(stage),
+            moved.value <= moving_limit(setup),
             f'a joint was {moved.words} off while the base tilted',
         ),
-        (rest.value <= rest_limit(stage), f'a joint was {rest.words} off on the tilted base'),
+        (rest.value <= rest_limit(setup), f'a joint was {rest.words} off on the tilted base'),
         (
             lesser.value >= LEAST_FACTOR * moved.value,
             f'without the IMU the error would have been only {lesser.words}',
@@ -159,7 +161,9 @@ def judge_tilt(
     )
 
 
-def judge_sensor_lost(stage: Stage, history: History, lost: float, back: float) -> Verdict:
+def check_sensor_lost(
+    setup: DemoSetup, history: History, lost: float, back: float
+) -> ScenarioResult:
     """Judge an interruption of the joint states: efforts are zero, and the arm stays in place."""
     # End a little early: history times follow the stamps again as soon as states resume, and
     # those may lag behind the clock of the machine.
@@ -170,15 +174,15 @@ def judge_sensor_lost(stage: Stage, history: History, lost: float, back: float) 
     is_zero = (times > lost) & (np.max(np.abs(rows), axis=1, initial=0.0) == 0.0)
     zero_after = float(times[is_zero][0]) - lost if is_zero.any() else np.nan
     brakes = [bool(on) for on in history.brakes.rows]
-    moved = worst(stage, history.largest_error(0.0, np.inf))
-    end = worst(stage, history.largest_error(stage.duration - 1.0, np.inf))
-    return judge(
+    moved = worst(setup, history.largest_error(0.0, np.inf))
+    end = worst(setup, history.largest_error(setup.duration - 1.0, np.inf))
+    return result_of(
         f'efforts were zero {zero_after:.2f} s after the last joint state, and the brakes held; '
         f'joints moved by {moved.words} at most and were {end.words} off at the end',
         (before > 0.0, 'efforts were zero before the joint states stopped'),
         (len(commands) > 0, 'the node published nothing while joint states were missing'),
         (left == 0.0, f'efforts of up to {left:.3g} N m or N {STOPPED:g} s after the last state'),
         (brakes == [True, False], f'brakes must go on and then open, but went {brakes}'),
-        (moved.value <= moving_limit(stage), f'a joint was {moved.words} off during the run'),
-        (end.value <= rest_limit(stage), f'a joint was {end.words} off at the end'),
+        (moved.value <= moving_limit(setup), f'a joint was {moved.words} off during the run'),
+        (end.value <= rest_limit(setup), f'a joint was {end.words} off at the end'),
     )

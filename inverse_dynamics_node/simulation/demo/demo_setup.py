@@ -1,5 +1,5 @@
 """
-The stage of a scenario: a robot in its start pose, and the loads and pushes it can withstand.
+The set-up of a scenario: a robot in its start pose, and the loads and pushes it can withstand.
 
 Loads and pushes are sized by the robot: large enough to deflect some joint visibly with the gains
 of the node, small enough to leave every drive a reserve.
@@ -31,7 +31,7 @@ GRIP = (0.0, 0.0, 0.05)  # [m], centre of the load in the frame of the link
 
 
 @dataclass(frozen=True, eq=False)
-class Stage:
+class DemoSetup:
     """
     A robot of n joints, at rest.
 
