@@ -43,7 +43,7 @@ class EffortTerms(NamedTuple):
 
     inertial: Floats
     """M(q) qdd, including armature."""
-    velocity: Floats
+    coriolis: Floats
     """C(q, qd) qd: Coriolis and centrifugal efforts, including those of a rotating base."""
     gravity: Floats
     """g(q), and the efforts due to the acceleration and rotation of the base."""
@@ -60,7 +60,7 @@ def effort_terms(
     qdd: Sequence[float],
     state: Any,
     inertial: Any,
-    velocity: Any,
+    coriolis: Any,
     gravity: Any,
     external: Any,
     terms: Any,
@@ -75,7 +75,7 @@ def effort_terms(
         As for `newton_euler.inverse_dynamics`.
     state : 4 sequences of n floats
         Scratch space; the last row is zero.
-    inertial, velocity, gravity, external : tables
+    inertial, coriolis, gravity, external : tables
         Tables with these terms only, from `TermTables`.
     terms : 5 sequences of n floats
         Receives the terms in the order of `EffortTerms`; may share memory with q, qd and qdd.
@@ -95,10 +95,10 @@ def effort_terms(
         state[0][joint], state[1][joint], state[2][joint] = q[joint], qd[joint], qdd[joint]
     q, qd, qdd, rest = state[0], state[1], state[2], state[3]
     status = inverse_dynamics(q, rest, qdd, terms[0], inertial)
-    status = max(status, inverse_dynamics(q, qd, rest, terms[1], velocity))
+    status = max(status, inverse_dynamics(q, qd, rest, terms[1], coriolis))
     if any_of(vector(gravity[0], OMEGA)) or any_of(vector(gravity[0], OMEGA_DOT)):
         # Efforts due to the rotation of the base alone are part of the gravity term.
-        status = max(status, inverse_dynamics(q, rest, rest, terms[2], velocity))
+        status = max(status, inverse_dynamics(q, rest, rest, terms[2], coriolis))
         for joint in range(n):
             terms[1][joint] -= terms[2][joint]
         status = max(status, inverse_dynamics(q, rest, rest, terms[2], gravity))
@@ -131,7 +131,7 @@ def friction_terms(
     qd: Any,
     qdd: Any,
     inertial: Any,
-    velocity: Any,
+    coriolis: Any,
     gravity: Any,
     friction: Any,
     external: Any,
@@ -140,7 +140,7 @@ def friction_terms(
     """Compute the term of friction from the other terms."""
     for joint in range(len(friction)):
         row = robot[joint + 1]
-        load = inertial[joint] + velocity[joint] + gravity[joint] + external[joint]
+        load = inertial[joint] + coriolis[joint] + gravity[joint] + external[joint]
         load -= row[ARMATURE] * qdd[joint]  # on the motor's side of the gear
         friction[joint] = joint_friction(friction_of(row), qd[joint], load)
 
@@ -152,7 +152,7 @@ def any_of(v: Vector) -> bool:
 
 
 _NO_BODIES = (robot_table.MASS, robot_table.INERTIA_COLUMNS, robot_table.BASE_MOTION_COLUMNS)
-_NO_JOINT_TERMS = (robot_table.JOINT_TERM_COLUMNS, robot_table.HAS_JOINT_TERMS)
+_NO_DRIVE_TERMS = (robot_table.DRIVE_TERM_COLUMNS, robot_table.HAS_DRIVE_TERMS)
 TERMS: dict[str, tuple[int | slice, ...]] = {
     'inertial': (
         robot_table.BASE_MOTION_COLUMNS,
@@ -161,13 +161,13 @@ TERMS: dict[str, tuple[int | slice, ...]] = {
         robot_table.COULOMB,
         robot_table.LOAD_FRICTION,
     ),
-    'velocity': (
+    'coriolis': (
         robot_table.BASE_ACCELERATION_COLUMNS,
         robot_table.EXTERNAL_COLUMNS,
-        *_NO_JOINT_TERMS,
+        *_NO_DRIVE_TERMS,
     ),
-    'gravity': (robot_table.EXTERNAL_COLUMNS, *_NO_JOINT_TERMS),
-    'external': (*_NO_BODIES, *_NO_JOINT_TERMS),
+    'gravity': (robot_table.EXTERNAL_COLUMNS, *_NO_DRIVE_TERMS),
+    'external': (*_NO_BODIES, *_NO_DRIVE_TERMS),
 }
 """Terms of the efforts, and the columns that are zero in the table that computes each of them."""
 
@@ -213,7 +213,7 @@ class TermTables:
     def of_kernel(self, revision: int) -> tuple[Any, ...]:
         """Return the tables that `effort_terms.effort_terms` takes."""
         if self._revision != revision:
-            terms = ('inertial', 'velocity', 'gravity', 'external')
+            terms = ('inertial', 'coriolis', 'gravity', 'external')
             self._of_kernel = tuple(self.only(term, revision) for term in terms)
             self._revision = revision
         return self._of_kernel

@@ -166,7 +166,7 @@ class InverseDynamics(LoadedRobot):
             If a shape does not fit the robot, or a value is not finite.
 
         """
-        table = self._terms.only('velocity', self.revision)
+        table = self._terms.only('coriolis', self.revision)
         if not self._is_rotating:
             return self._efforts_in(table, q, qd, self._zeros, out)
         # Computed first, because `out` may be q.
@@ -274,7 +274,7 @@ class InverseDynamics(LoadedRobot):
         zeros, only, revision = np.zeros(q.shape), self._terms.only, self.revision
         terms = EffortTerms(*out)
         self._efforts_in(only('inertial', revision), q, zeros, qdd, terms.inertial)
-        self.coriolis_efforts(q, qd, terms.velocity)
+        self.coriolis_efforts(q, qd, terms.coriolis)
         self._efforts_in(only('gravity', revision), q, zeros, zeros, terms.gravity)
         self._efforts_in(only('external', revision), q, zeros, zeros, terms.external)
         if self._friction_terms(qd, qdd, out, self._table):

@@ -282,7 +282,7 @@ class LoadedRobot:
             robot_table.COULOMB,
             robot_table.LOAD_FRICTION,
         ]
-        self._table[0, robot_table.HAS_JOINT_TERMS] = float(rows[:, terms].any())
+        self._table[0, robot_table.HAS_DRIVE_TERMS] = float(rows[:, terms].any())
         self.revision += 1
 
     def _write_base(self) -> None:

@@ -39,7 +39,7 @@ from .robot_table import (
     FORCE,
     frame_of,
     friction_of,
-    HAS_JOINT_TERMS,
+    HAS_DRIVE_TERMS,
     JOINT,
     JOINT_COUNT,
     joint_of,
@@ -99,14 +99,14 @@ def inverse_dynamics(
     if len(q) != n or len(qd) != n or len(qdd) != n or len(tau) != n:
         return WRONG_SIZE
     outward_pass(q, qd, qdd, robot)
-    has_joint_terms = robot[0][HAS_JOINT_TERMS] != 0.0
-    if has_joint_terms:
+    has_drive_terms = robot[0][HAS_DRIVE_TERMS] != 0.0
+    if has_drive_terms:
         for joint in range(n):  # kept, because tau may be the array of qd or qdd
             robot[joint + 1][RATE], robot[joint + 1][RATE_DOT] = qd[joint], qdd[joint]
     clear(tau)
     inward_pass(tau, robot)
-    if has_joint_terms:
-        joint_terms(tau, robot)
+    if has_drive_terms:
+        drive_terms(tau, robot)
     return check(tau)
 
 
@@ -238,7 +238,7 @@ def inward_pass(tau: Any, robot: Any) -> None:
 
 
 @compiled
-def joint_terms(tau: Any, robot: Any) -> None:
+def drive_terms(tau: Any, robot: Any) -> None:
     """
     Add the terms of a single joint to the efforts of the inward pass: rotor inertia and friction.
 

@@ -37,7 +37,7 @@ INVERSE_WIDTH = 36  # of the smoothed step of Coulomb friction [s/rad or s/m]
 LOAD_FRICTION = 37  # Coulomb friction per effort that the links require
 # The robot, in the row of the base
 JOINT_COUNT = 38
-HAS_JOINT_TERMS = 39
+HAS_DRIVE_TERMS = 39
 # Scratch space of the passes, except for the motion of the base, which is an input
 COSINE = 40  # of the angle by which the joint has turned
 SINE = 41
@@ -60,7 +60,7 @@ COLUMNS = 82
 COM_COLUMNS = slice(COM, COM + 3)
 INERTIA_COLUMNS = slice(INERTIA, INERTIA + 6)
 EXTERNAL_COLUMNS = slice(EXTERNAL_FORCE, EXTERNAL_MOMENT + 3)
-JOINT_TERM_COLUMNS = slice(ARMATURE, LOAD_FRICTION + 1)
+DRIVE_TERM_COLUMNS = slice(ARMATURE, LOAD_FRICTION + 1)
 BASE_MOTION_COLUMNS = slice(OMEGA, ACCEL + 3)
 BASE_ACCELERATION_COLUMNS = slice(OMEGA_DOT, ACCEL + 3)
 

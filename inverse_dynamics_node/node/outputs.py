@@ -13,11 +13,13 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 
 from ..control.loop import ControlLoop
-from ..dynamics.effort_terms import EffortTerms
 from ..robot.model import Floats
 from ..ros.cdr import serialize_numbers
 from ..ros.qos import LATCHED
 from . import messages
+
+TERM_TOPICS = ('inertial', 'velocity', 'gravity', 'friction', 'external')
+"""Last parts of the topics of the `EffortTerms` of the dynamics, in their order."""
 
 
 class Outputs:
@@ -47,7 +49,7 @@ class Outputs:
         own_name = f'{node.get_fully_qualified_name()}/joint_efforts'
         self.may_command_by_name: bool = self._joint_efforts.topic_name != own_name
         """Whether ~/joint_efforts is remapped, as for a robot that takes commands by name."""
-        self._terms = [publisher(JointState, f'~/terms/{term}') for term in EffortTerms._fields]
+        self._terms = [publisher(JointState, f'~/terms/{term}') for term in TERM_TOPICS]
         self._external_efforts = publisher(JointState, '~/external_efforts')
         self._description = node.create_publisher(String, '~/robot_description', LATCHED)
         self._base_wrench = publisher(WrenchStamped, '~/base_wrench')

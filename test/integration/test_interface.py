@@ -264,9 +264,10 @@ def test_terms_add_up_to_the_efforts(run_node, robot, dynamics):
     robot.publish_accelerations(QDD)
     dynamics.set_friction(0.5, 0.2, load_friction=0.1)
     robot.wait_for_command(dynamics.efforts(Q, QD, QDD))
-    expected = dynamics.effort_terms(Q, QD, QDD)._asdict()
+    expected = dynamics.effort_terms(Q, QD, QDD)
     total = np.zeros(6)
-    for term, values in expected.items():
+    topics = 'inertial', 'velocity', 'gravity', 'friction', 'external'
+    for term, values in zip(topics, expected, strict=True):
         heard = robot.listen(JointState, f'{OWN}/terms/{term}')
         message = robot.wait_for(
             heard, lambda m, v=values: list(m.effort) == pytest.approx(list(v), abs=1e-9), term

@@ -160,8 +160,8 @@ def test_terms(path):
         is_nothing.append([not np.abs(term).max() > 1e-6 * scale for term in terms])
         for ours, theirs in (
             (terms.gravity, weight),
-            (terms.gravity + terms.velocity, both),
-            (terms.velocity, velocity),
+            (terms.gravity + terms.coriolis, both),
+            (terms.coriolis, velocity),
             (dynamics.coriolis_efforts(q, qd), velocity),
             (terms.gravity + terms.external, held),
             (dynamics.gravity_efforts(q), held),

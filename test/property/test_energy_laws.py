@@ -37,7 +37,7 @@ def test_effort_terms_follow_from_lagranges_equations(case):
     # Without gravity and accelerations; zero for a single prismatic joint, hence the scale.
     scale = np.abs(dynamics.efforts(q, qd, qdd)).max()
     expected = tree.efforts(q, qd, 0.0 * qdd, np.zeros(3))
-    assert_allclose(terms.velocity, expected, rtol=0, atol=1e-10 * scale)
+    assert_allclose(terms.coriolis, expected, rtol=0, atol=1e-10 * scale)
     assert_allclose(dynamics.coriolis_efforts(q, qd), expected, rtol=0, atol=1e-10 * scale)
     expected = gradient(lambda x: tree.potential_energy(x, GRAVITY), q)
     assert_allclose(terms.gravity, expected, rtol=0, atol=1e-10 * scale)

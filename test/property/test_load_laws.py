@@ -239,7 +239,7 @@ def test_terms_add_up_and_each_has_its_own_cause(case, rng):
 
     assert_close(sum(terms), total)
     assert_close(terms.inertial, dynamics.mass_matrix(q) @ qdd)
-    same(terms.velocity, coriolis_efforts)
+    same(terms.coriolis, coriolis_efforts)
     damping, coulomb, width, eta = settings_of['set_friction']
     load = total - terms.friction - settings_of['set_armature'][0] * qdd
     expected = damping * qd + (coulomb + eta * np.abs(load)) * np.tanh(qd / width)
@@ -251,7 +251,7 @@ def test_terms_add_up_and_each_has_its_own_cause(case, rng):
     assert_close(terms.gravity, dynamics.gravity_efforts(q))
     # The remainder depends on the velocity and is zero at rest.
     rest = dynamics.effort_terms(q, 0.0 * qd, qdd)
-    assert not rest.velocity.any()
+    assert not rest.coriolis.any()
     assert not rest.friction.any()
     assert (rest.gravity == terms.gravity).all()
 
@@ -393,7 +393,7 @@ def test_batches_with_loads_agree_with_single_states(case, rng):
         single = everything(dynamics, q[index], qd[index], qdd[index])
         assert_same({name: values[index] for name, values in batch.items()}, single, 1e-12)
     still = dynamics.effort_terms(q, np.zeros(len(robot.joint_names)), qdd[0, 0])
-    assert still.inertial.shape == still.velocity.shape == q.shape
+    assert still.inertial.shape == still.coriolis.shape == q.shape
 
 
 PRINT_SAMPLES = """

@@ -22,7 +22,7 @@ def test_regressor_times_parameters_gives_the_efforts(case, seed):
     dynamics.set_armature(0.0)
     terms = dynamics.effort_terms(q, qd, qdd)
     efforts = dynamics.regressor(q, qd, qdd) @ dynamics.inertial_parameters()
-    assert_close(efforts, terms.inertial + terms.velocity + terms.gravity)
+    assert_close(efforts, terms.inertial + terms.coriolis + terms.gravity)
     assert_close(efforts + terms.friction + terms.external, dynamics.efforts(q, qd, qdd))
 
 

@@ -116,7 +116,7 @@ class Unknowns:
             Y = self.dynamics.regressor(*whole_states(self.limits, states)).reshape(
                 -1, *flat.shape
             )
-            kinds = self._joint_terms(states).reshape(len(OF_JOINT), -1, k, m)
+            kinds = self._drive_terms(states).reshape(len(OF_JOINT), -1, k, m)
             sums: Floats = np.einsum('rka,ka->rk', Y, flat)
             sums += np.einsum('irkj,ikj->rk', kinds, of_joints)
             return sums.ravel()
@@ -138,7 +138,7 @@ class Unknowns:
 
     def _of_joints(self, states: States, chosen: Integers) -> Floats:
         """Return the columns of armature, damping, Coulomb friction and offsets."""
-        kinds = self._joint_terms(states)
+        kinds = self._drive_terms(states)
         _, k, m = kinds.shape
         columns = np.zeros((k, m, len(chosen)))
         for u, column in enumerate(chosen.tolist()):
@@ -146,7 +146,7 @@ class Unknowns:
             columns[:, joint, u] = kinds[kind, :, joint]
         return columns
 
-    def _joint_terms(self, states: States) -> Floats:
+    def _drive_terms(self, states: States) -> Floats:
         """Return the factors of the kinds in `OF_JOINT`, shape (4, k, m)."""
         step = np.tanh(states.qd / self.width)
         return np.stack([states.qdd, states.qd, step, np.ones_like(step)])

@@ -105,7 +105,7 @@ def solve(
         Of b identified bodies and m joints.
     weights : ndarray, shape (m,)
         Inverse variances of the joints, for dependent samples.
-    gamma : ndarray, shape (b,)
+    urdf_weight : ndarray, shape (b,)
         Weight of the divergence of every body.
     used : ndarray, shape (m, 13)
         Terms that are fitted; the others are zero.

@@ -1,4 +1,4 @@
-"""The parts of a robot whose inertial parameters are identified, and those that are kept."""
+"""The parts of a robot whose inertial parameters are identified, and those that are fixed."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from .pseudo_inertia import (
 @dataclass(frozen=True, eq=False)
 class IdentifiedBodies:
     """
-    The bodies to identify: moving bodies with mass, without links that are kept.
+    The bodies to identify: moving bodies with mass, without fixed links.
 
-    Links that fixed joints hold together are one body. Its links that are not kept are identified
+    Links that fixed joints hold together are one body. Its links that are not fixed are identified
     as one, because they cannot be distinguished.
 
     """
@@ -43,7 +43,7 @@ class IdentifiedBodies:
     """The same, but inside physics: every body has an extent in all directions."""
 
     def fixed_robot(self) -> RobotModel:
-        """Return the robot with the bodies that are kept only; the others are massless."""
+        """Return the robot with the fixed bodies only; the others are massless."""
         return self._robot(np.zeros_like(self.before))
 
     def robot_with(self, parameters: Floats) -> RobotModel:
@@ -108,7 +108,7 @@ def identified_bodies(robot: RobotModel, fixed: Collection[str] = ()) -> Identif
     ----------
     robot : RobotModel
         The robot.
-    kept : collection of str
+    fixed : collection of str
         Links that do not change.
 
     Raises

@@ -44,7 +44,7 @@ def identify_parameters(
         Free-fall acceleration in the base frame [m/s^2].
     payload : tuple of link, mass and centre of mass, optional
         Known payload in all recordings.
-    kept : collection of str
+    fixed : collection of str
         Links that do not change.
     currents : bool
         Whether efforts were recorded as motor currents: one gain per joint is estimated.

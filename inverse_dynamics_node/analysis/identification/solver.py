@@ -37,7 +37,7 @@ class Prior:
     bodies: Floats
     """Reference parameters of the bodies, shape (b, 10)."""
     weights: Floats
-    """Weight gamma of the divergence of each body, shape (b,)."""
+    """Weight of the divergence of each body, shape (b,)."""
     positive: Integers
     """Indices of the unknowns that are positive numbers, shape (s,)."""
     scales: Floats

@@ -30,9 +30,10 @@ from .style import (
 _PARTS = {
     'gravity': GREEN,
     'inertial': ORANGE,
-    'velocity': PINK,
+    'coriolis': PINK,
     'friction': GREY,
 }
+_LABELS = {'inertial': 'inertia', 'coriolis': 'velocity'}
 _NAME_LETTERS = {1: 80, 2: 50, 3: 32}
 """Largest number of letters in a name above a panel, by the number of columns."""
 _NEGLIGIBLE = 1e-6
@@ -81,7 +82,7 @@ def _draw_joint(
     for part, colour in _PARTS.items():
         term = getattr(requirements.terms, part)
         if part != 'friction' or np.any(requirements.terms.friction):
-            label = 'inertia' if part == 'inertial' else part
+            label = _LABELS.get(part, part)
             axes.plot(times, term[shown, k], color=colour, linewidth=1.1, label=label)
     colour = RED if requirements.is_too_strong[k] else BLUE
     axes.plot(times, requirements.efforts[shown, k], color=BLUE, linewidth=2.0, label='effort')

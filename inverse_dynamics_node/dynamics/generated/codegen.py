@@ -45,7 +45,7 @@ def acting_numbers(table: Floats) -> Any:
         robot_table.COM_COLUMNS,
         robot_table.INERTIA_COLUMNS,
         robot_table.EXTERNAL_COLUMNS,
-        robot_table.JOINT_TERM_COLUMNS,
+        robot_table.DRIVE_TERM_COLUMNS,
     ):
         mask[:, part] = True
     mask[0, robot_table.BASE_MOTION_COLUMNS] = True
