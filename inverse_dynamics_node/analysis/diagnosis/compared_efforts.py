@@ -71,7 +71,7 @@ class ComparedEfforts:
         self.measured = motion.efforts[:, self.compared]
         self.qd, self.qdd = motion.qd[:, self.compared], motion.qdd[:, self.compared]
         self.direction = smooth_like_efforts(motion, np.tanh(self.qd / width))
-        self.period = float(np.median(np.diff(motion.times)))
+        self.period = motion.period
         self.modelled: Floats = dynamics.efforts(*self.states)[:, self.index]
         # Friction is fitted again, to efforts without the friction that the dynamics may have.
         terms = dynamics.effort_terms(*self.states)

@@ -37,7 +37,6 @@ MIN_SPEED = 1e-3  # [rad/s or m/s]; the velocities of a slower joint are not che
 class Motion(NamedTuple):
     """Smoothed states of m joints at K times, which are uniform except at gaps."""
 
-    joint_names: tuple[str, ...]
     times: Floats
     """Shape (K,), since the first stamp [s]."""
     q: Floats
@@ -47,23 +46,29 @@ class Motion(NamedTuple):
     qdd: Floats
     """Shape (K, m) [rad/s^2 or m/s^2]."""
     efforts: Floats
-    """Shape (K, m) [N m or N]; NaN for joints without measured effort."""
+    """Shape (K, m) [N m or N]; NaN for joints without measured effort, which may be left out."""
     window: int
     """Samples of the smoothing window; samples within a window are dependent."""
     degree: int
     """Degree of the smoothing polynomials."""
-    method: str
+    joint_names: tuple[str, ...] = ()
+    method: str = ''
     """Description of the filter."""
-    notes: tuple[str, ...]
+    notes: tuple[str, ...] = ()
     """Descriptions of ignored or repaired data."""
-    effort_noise: Floats
+    effort_noise: Floats = np.zeros(0)
     """Noise that is left in the smoothed efforts, shape (m,) [N m or N]; NaN without efforts."""
-    qdd_noise: Floats
+    qdd_noise: Floats = np.zeros(0)
     """Noise of the accelerations, shape (m,) [rad/s^2 or m/s^2]."""
     lags: Mapping[str, float] = MappingProxyType({})
     """Recorded velocities that are later than the positions, by joint [s]; they are not used."""
     cut_off: float = math.inf
     """Frequency above which the recorded efforts are empty, as after a low-pass filter [Hz]."""
+
+    @property
+    def period(self) -> float:
+        """Time between samples [s]."""
+        return float(np.median(np.diff(self.times)))
 
 
 def derive(recording: Recording, stretch: float = 1.0) -> Motion:
@@ -127,7 +132,6 @@ def derive(recording: Recording, stretch: float = 1.0) -> Motion:
         cut_off(column.at(column.tau, longest), period) for column in columns if column.varies
     ]
     return Motion(
-        recording.joint_names,
         instants - times[0],
         q,
         qd,
@@ -135,6 +139,7 @@ def derive(recording: Recording, stretch: float = 1.0) -> Motion:
         efforts,
         window,
         degree,
+        recording.joint_names,
         method,
         notes,
         effort_noise=np.array([each[0] for each in noise]),

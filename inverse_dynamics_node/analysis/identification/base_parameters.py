@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ...robot.model import Floats
+from ..diagnosis.signals import Motion
 from .pseudo_inertia import PARAMETERS
 from .regression import IdentificationProblem
-from .resampling import RobotMotion
 
 NAMES = ('m', 'mx', 'my', 'mz', 'Ixx', 'Ixy', 'Iyy', 'Ixz', 'Iyz', 'Izz')
 STATES = 60
@@ -57,7 +57,7 @@ def base_parameters(problem: IdentificationProblem) -> BaseParameters:
     states[0][:, slides] *= 0.2
     times = np.arange(STATES, dtype=float)
     q, qd, qdd = states
-    motion = RobotMotion(times, q, qd, qdd, np.zeros((STATES, len(problem.joints))), 1, 0)
+    motion = Motion(times, q, qd, qdd, np.zeros((STATES, len(problem.joints))), 1, 0)
     table = problem.columns(motion).reshape(-1, PARAMETERS * len(problem.identified.bodies))
     table /= np.sqrt(np.mean(table**2))
     _, triangle, order = qr(table, mode='economic', pivoting=True)

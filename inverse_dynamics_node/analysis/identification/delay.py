@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from ...robot.model import Floats
+from ..diagnosis.signals import Motion
 from .fit import Solution
 from .pseudo_inertia import PARAMETERS
 from .regression import Regression, TERMS
-from .resampling import pieces, RobotMotion
+from .resampling import pieces
 
 MOST_DELAY = 0.1
 """Longest delay in either direction [s]."""
@@ -55,7 +56,7 @@ def estimate_delay(
     return float(np.clip(delay, -MOST_DELAY, MOST_DELAY)), float(1.0 / np.sqrt(identified))
 
 
-def shifted(motion: RobotMotion, delay: float) -> Floats:
+def shifted(motion: Motion, delay: float) -> Floats:
     """Return the efforts of a motion without a delay, shape (K, m)."""
     from scipy.interpolate import CubicSpline
 

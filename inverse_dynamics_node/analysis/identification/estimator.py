@@ -8,13 +8,13 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...robot.model import Booleans, Floats
+from ..diagnosis.signals import Motion
 from .delay import estimate_delay, shifted
 from .drive_terms import choose_terms, fit_terms, widths_to_try
 from .fit import correlation, Equations, Solution, solve
 from .gains import first_gains
 from .preparation import PreparedRecording
 from .regression import GAIN, IdentificationProblem, Model, Regression, WIDTH
-from .resampling import RobotMotion
 from .selection import choose_urdf_weight, solve_within_reason
 
 ROUNDS = 3
@@ -164,7 +164,7 @@ class Estimator:
             return 1.0
         return float(np.exp(-np.mean(np.log(change[self.gain_known]))))
 
-    def aligned(self, motions: Sequence[RobotMotion]) -> list[Floats]:
+    def aligned(self, motions: Sequence[Motion]) -> list[Floats]:
         """Return the efforts of motions without delay, in N m or N, each of shape (K, m)."""
         return [shifted(motion, self.delay_removed) * self.gains for motion in motions]
 

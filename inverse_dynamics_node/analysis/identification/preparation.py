@@ -9,10 +9,9 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...robot.model import Floats, RobotModel
-from ..diagnosis import signals
 from ..diagnosis.recorded_column import Recording
-from ..diagnosis.signals import derive
-from .resampling import pieces, RobotMotion
+from ..diagnosis.signals import derive, Motion
+from .resampling import pieces
 
 HIGHEST_RATE = 250.0
 """Samples per second that are kept; the smoothed motions contain nothing faster."""
@@ -27,10 +26,10 @@ LEAST_RANGE = 0.02
 class PreparedRecording(NamedTuple):
     """One recording, prepared for the regression."""
 
-    motion: RobotMotion
+    motion: Motion
     noise: Floats
     """Noise that is left in the smoothed efforts, shape (m,) [N m or N]."""
-    derived: signals.Motion
+    derived: Motion
     """The motion of the recorded joints, with what was noticed about the signals."""
 
 
@@ -106,7 +105,7 @@ def _stretch(recording: Recording) -> float:
         if not moves.any():
             break
         changes = _rms(motion.qd[:, moves]) / np.maximum(_rms(motion.qdd[:, moves]), 1e-9)
-        seconds = motion.window * float(np.median(np.diff(motion.times)))
+        seconds = motion.window * motion.period
         if stretch > STRETCHES[0] and seconds > float(np.median(changes)):
             break  # the motion itself would be smoothed away
         chosen = stretch
@@ -115,7 +114,7 @@ def _stretch(recording: Recording) -> float:
     return chosen
 
 
-def _relative_noise(motion: signals.Motion) -> Floats:
+def _relative_noise(motion: Motion) -> Floats:
     """Return the noise of the accelerations relative to their RMS, shape (m,)."""
     return np.asarray(motion.qdd_noise / np.maximum(_rms(motion.qdd), 1e-9))
 
@@ -148,10 +147,10 @@ def _prepare(
     index = [robot.joint_names.index(name) for name in derived.joint_names]
     q[:, index], qd[:, index], qdd[:, index] = derived.q, derived.qd, derived.qdd
     efforts[:, index] = derived.efforts
-    period = float(np.median(np.diff(derived.times)))
+    period = derived.period
     step = max(1, int(1.0 / (period * HIGHEST_RATE) + 1e-9))
     chosen = np.concatenate([np.arange(a, b, step) for a, b in pieces(derived.times)])
-    motion = RobotMotion(
+    motion = Motion(
         derived.times[chosen],
         q[chosen],
         qd[chosen],

@@ -10,9 +10,10 @@ import numpy as np
 
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...robot.model import Floats, Integers, RobotModel
+from ..diagnosis.signals import Motion
 from .identified_bodies import IdentifiedBodies
 from .pseudo_inertia import PARAMETERS
-from .resampling import resampler, RobotMotion
+from .resampling import resampler
 
 ARMATURE, DAMPING, COULOMB, LOAD, OFFSET = range(5)
 EXPORTED = 5
@@ -99,12 +100,12 @@ class IdentificationProblem:
         dynamics.set_friction(0.0, 0.0)
         return dynamics
 
-    def efforts(self, robot: RobotModel, motion: RobotMotion) -> Floats:
+    def efforts(self, robot: RobotModel, motion: Motion) -> Floats:
         """Return efforts without friction and armature, shape (K, m)."""
         efforts = self.dynamics(robot).efforts(motion.q, motion.qd, motion.qdd)
         return efforts[:, self.joints]
 
-    def columns(self, motion: RobotMotion) -> Floats:
+    def columns(self, motion: Motion) -> Floats:
         """Return the columns of the identified bodies, shape (K, m, 10 b)."""
         bodies = np.array(self.identified.bodies) - 1
         index = (PARAMETERS * bodies[:, None] + np.arange(PARAMETERS)).ravel()
@@ -125,7 +126,7 @@ class Regression:
     ----------
     setting : IdentificationProblem
         The robot, with m joints that have efforts.
-    motions : sequence of RobotMotion
+    motions : sequence of Motion
         The recordings.
     seconds : float
         Length of the smoothing window [s].
@@ -146,7 +147,7 @@ class Regression:
     def __init__(
         self,
         problem: IdentificationProblem,
-        motions: Sequence[RobotMotion],
+        motions: Sequence[Motion],
         seconds: float,
         block_count: int,
     ) -> None:

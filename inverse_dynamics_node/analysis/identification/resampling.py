@@ -12,35 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...robot.model import Floats, Integers
+from ..diagnosis.signals import Motion
 
 DEGREE = 3
 """Degree of the smoothing polynomials."""
 ROWS_PER_WINDOW = 8
 """Rows in each smoothing window; more would add nothing."""
-
-
-class RobotMotion(NamedTuple):
-    """The uniform motion of one recording of a robot with n joints, m of them with efforts."""
-
-    times: Floats
-    """Shape (K,) [s]; uniform except at gaps."""
-    q: Floats
-    """Shape (K, n) [rad or m]."""
-    qd: Floats
-    """Shape (K, n) [rad/s or m/s]."""
-    qdd: Floats
-    """Shape (K, n) [rad/s^2 or m/s^2]."""
-    efforts: Floats
-    """Shape (K, m) [N m or N]."""
-    window: int
-    """Samples of the window over which all signals have been smoothed."""
-    degree: int
-    """Degree of the polynomials that they have been smoothed with."""
-
-    @property
-    def period(self) -> float:
-        """Time between samples [s]."""
-        return float(np.median(np.diff(self.times)))
 
 
 class Resampler(NamedTuple):
@@ -64,13 +41,13 @@ class Resampler(NamedTuple):
         return _apply(self.of_discontinuous, values)
 
 
-def resampler(motion: RobotMotion, seconds: float) -> Resampler:
+def resampler(motion: Motion, seconds: float) -> Resampler:
     """
     Return the resampler of a motion.
 
     Parameters
     ----------
-    motion : RobotMotion
+    motion : Motion
         Motion at K times.
     seconds : float
         Length of the window [s]; with 0, signals are left as they are in the motion.
