@@ -123,7 +123,7 @@ class JointSamples:
             Factors of the first columns: the candidate model.
         measured : int
             Column of the measured effort.
-        sensor fault : SensorFault
+        sensor_fault : SensorFault
             The parameters to fit.
         unit : float
             Known factor of the measured effort.

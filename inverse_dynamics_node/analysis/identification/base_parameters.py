@@ -43,7 +43,7 @@ def base_parameters(problem: IdentificationProblem) -> BaseParameters:
 
     Parameters
     ----------
-    setting : IdentificationProblem
+    problem : IdentificationProblem
         The robot and what is identified.
 
     """

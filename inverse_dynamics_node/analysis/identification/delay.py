@@ -23,7 +23,7 @@ def estimate_delay(
 
     Parameters
     ----------
-    samples : Regression
+    regression : Regression
         The samples that were fitted.
     solution : Solution
         Fit without a delay.

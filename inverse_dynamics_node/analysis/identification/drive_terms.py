@@ -55,7 +55,7 @@ def choose_terms(
 
     Parameters
     ----------
-    samples : Regression
+    regression : Regression
         Samples with blocks.
     bodies : ndarray, shape (b, 10)
         Parameters of the bodies.

@@ -45,9 +45,9 @@ class Estimator:
 
     Parameters
     ----------
-    setting : IdentificationProblem
+    problem : IdentificationProblem
         The robot and what is identified.
-    runs : sequence of PreparedRecording
+    prepared : sequence of PreparedRecording
         The recordings.
     progress : callable
         Called with the fraction that is done.

@@ -25,7 +25,7 @@ def first_gains(
 
     Parameters
     ----------
-    samples : Regression
+    regression : Regression
         With currents as efforts.
     bodies : ndarray, shape (b, 10)
         Bodies of the description.

@@ -34,7 +34,7 @@ class IdentifiedBodies:
     bodies: tuple[int, ...]
     """Indices of the identified bodies in the robot, b of them."""
     links: tuple[tuple[int, ...], ...]
-    """Links with mass of each free body that may change."""
+    """Links with mass of each identified body that may change."""
     names: tuple[str, ...]
     """Name of the first of these links: the one nearest to the joint."""
     before: Floats

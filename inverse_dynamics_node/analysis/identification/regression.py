@@ -67,7 +67,7 @@ class IdentificationProblem:
 
     Parameters
     ----------
-    free : IdentifiedBodies
+    identified : IdentifiedBodies
         Bodies to identify.
     joints : sequence of int
         Joints with measured efforts, m of them.
@@ -124,7 +124,7 @@ class Regression:
 
     Parameters
     ----------
-    setting : IdentificationProblem
+    problem : IdentificationProblem
         The robot, with m joints that have efforts.
     motions : sequence of Motion
         The recordings.
