@@ -37,7 +37,7 @@ class Model:
     bodies: Floats
     """Shape (b, 10)."""
     joints: Floats
-    """Shape (m, 13): the columns of `Samples.terms`, from armature to gain."""
+    """Shape (m, 13): the columns of `Regression.terms`, from armature to gain."""
     widths: Floats
     """Speeds over which Coulomb friction is smoothed, shape (m,) [rad/s or m/s]."""
 

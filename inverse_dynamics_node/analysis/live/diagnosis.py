@@ -1,9 +1,9 @@
 """
 Diagnoses the difference between measured and modelled efforts of the last seconds.
 
-`identify` explains a recording with enough motion more thoroughly. This works on a few seconds,
-also of an arm at rest, and compares with the model of the running node: its payloads, friction and
-gravity are part of the modelled efforts.
+`diagnose_recording` needs more motion and explains it more thoroughly. This works on a few
+seconds, also of an arm at rest, and compares with the model of the running node: its payloads,
+friction and gravity are part of the modelled efforts.
 """
 
 from __future__ import annotations
