@@ -29,6 +29,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import weakref
 
 from robot_files import STANFORD
 
@@ -204,6 +205,8 @@ class CopyingPopen(subprocess.Popen):
         """Run the program in the new process, whose standard files are already connected."""
         if prepare:
             prepare()
+        for finalizer in list(weakref.finalize._registry):
+            finalizer.detach()  # it belongs to the other process, such as a temporary folder
         os.closerange(3, os.sysconf('SC_OPEN_MAX'))  # also tells `Popen` that the program starts
         run_to_the_end({**request, 'folder': os.getcwd()})
 
