@@ -237,7 +237,8 @@ def warm_up():
 def serve(number):
     """Copy this process for each request; return the request in the copy, None in the end."""
     warm_up()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the tests, which end this one
+    # Ctrl-C is for the tests, which end this process. A signal to a copy waits for its handler.
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     requests = socket.socket(fileno=number)
     selector = selectors.DefaultSelector()
     selector.register(requests, selectors.EVENT_READ)
@@ -280,6 +281,7 @@ def become(request):
     for number in (signal.SIGHUP, signal.SIGTERM):
         signal.signal(number, signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     os.chdir(request['folder'])
     os.environ.clear()
     os.environ.update(request['environment'])

@@ -57,3 +57,10 @@ def test_signals_reach_a_program():
     os.kill(process.pid, signal.SIGTERM)
     assert process.wait(60.0) == -signal.SIGTERM
     process.stdout.close()
+
+
+def test_a_signal_right_after_the_start_reaches_a_program():
+    for _ in range(10):
+        process = SERVER.run(['-c', 'import time; time.sleep(60.0)'])
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30.0) == -signal.SIGINT
