@@ -9,8 +9,8 @@ first point. SPEED scales the trajectory: 0.2 is a slow rehearsal. The file has 
 
 """
 
-import contextlib
 from pathlib import Path
+import signal
 import sys
 import time
 
@@ -33,6 +33,7 @@ speed = float(sys.argv[3]) if len(sys.argv) > 3 else 1.0
 planned, _ = complete(read_trajectory(Path(sys.argv[2]), robot.joint_names).trajectory)
 
 start_ros()  # without shared memory, which could hold up the driver
+signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends the program while it waits
 node = rclpy.create_node('follow_trajectory')
 client = AsyncParameterClient(node, 'inverse_dynamics')
 if not client.wait_for_services(timeout_sec=10.0):
@@ -43,7 +44,7 @@ mode = answer.result().values[0].string_value if answer.done() else 'unknown'
 if mode != 'computed_torque':
     sys.exit(f'the mode of the node is {mode}, expected computed_torque')
 publisher = node.create_publisher(JointTrajectory, 'inverse_dynamics/reference', 10)
-names, motion, began, errors = None, None, 0.0, []
+names, motion, began, errors, stopped = None, None, 0.0, [], []
 
 
 def with_approach(names, measured):
@@ -102,9 +103,10 @@ def on_state(message):
 
 node.create_subscription(JointState, 'inverse_dynamics/joint_efforts', on_efforts, 1)
 node.create_subscription(JointState, 'joint_states', on_state, 1)
-with contextlib.suppress(KeyboardInterrupt):
-    while motion is None or time.monotonic() - began < motion.times[-1] + AT_REST:
-        rclpy.spin_once(node, timeout_sec=1.0)
+# A KeyboardInterrupt could end rclpy in the middle of a message.
+signal.signal(signal.SIGINT, lambda number, _: stopped.append(number))
+while not stopped and (motion is None or time.monotonic() - began < motion.times[-1] + AT_REST):
+    rclpy.spin_once(node, timeout_sec=0.1)
 if not errors:
     sys.exit('no message on joint_states or inverse_dynamics/joint_efforts has arrived')
 print('largest error [rad, m]:')

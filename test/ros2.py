@@ -11,6 +11,7 @@ saves them.
 import importlib
 from pathlib import Path
 import runpy
+import signal
 import sys
 import time
 
@@ -18,6 +19,7 @@ from launch_arguments import ros_arguments
 from rcl_interfaces.srv import SetParameters
 import rclpy
 from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
 import yaml
 
 PATIENCE = 60.0  # [s]
@@ -60,7 +62,7 @@ def start(arguments):
 
 
 def ask_alone(question):
-    rclpy.init(args=[])
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node('ros2_command')
     try:
         return question(node)
@@ -94,9 +96,13 @@ def publish(node, topic, kind, text, rate):
     wait_until(node, publisher.get_subscription_count, f'subscription to {topic}')
     publisher.publish(message)
     if rate:
+        stopped = []
+        signal.signal(signal.SIGINT, lambda number, _: stopped.append(number))
         node.create_timer(1.0 / rate, lambda: publisher.publish(message))
-        rclpy.spin(node)
-    publisher.wait_for_all_acked()
+        while not stopped:
+            rclpy.spin_once(node, timeout_sec=0.1)
+    else:
+        publisher.wait_for_all_acked()
     node.destroy_publisher(publisher)
 
 
