@@ -172,7 +172,7 @@ def test_the_search_of_check_is_bounded(joints):
 
 
 def test_a_long_recording_is_read_and_written_quickly(here):
-    count = 50_000
+    count = 20_000
     times = np.arange(count) * 0.005
     waves = 0.1 * np.sin(np.outer(times, np.arange(1, 7))) + [0, -1, 0.5, 0, 0, 0]
     table = np.column_stack([times, waves])
@@ -182,7 +182,7 @@ def test_a_long_recording_is_read_and_written_quickly(here):
         main(['effort', str(STANFORD), 'run.csv', '--no-picture', '--trajectory-out', 'o.yaml'])
         == 0
     )
-    assert time.process_time() - started < 20.0  # the emitter of PyYAML alone takes a minute
+    assert time.process_time() - started < 12.0  # the emitter of PyYAML alone takes 24 s
     loaded = read_trajectory(here / 'o.yaml', JOINTS).trajectory
     np.testing.assert_allclose(loaded.positions, table[:, 1:], atol=1e-8)
 
