@@ -4,8 +4,7 @@ from dataclasses import dataclass, replace
 
 from inverse_dynamics_node import InverseDynamics
 from inverse_dynamics_node.analysis.diagnosis import Recording
-from inverse_dynamics_node.analysis.identification.pseudo_inertia import (
-    parameters_of,
+from inverse_dynamics_node.robot.pseudo_inertia import (
     parameters_of_pseudo_inertias,
     pseudo_inertias,
     rigid_body,
@@ -46,7 +45,7 @@ def other_bodies(robot, rng, spread=0.15):
     mass, com, inertia = robot.mass.copy(), robot.com.copy(), robot.inertia.copy()
     for b in range(1, len(mass)):
         if mass[b] > 0.0:
-            matrix = pseudo_inertias(parameters_of(RigidBody(mass[b], com[b], inertia[b])))
+            matrix = pseudo_inertias(RigidBody(mass[b], com[b], inertia[b]).parameters())
             change = rng.normal(0.0, spread, (4, 4)) * 0.5
             change[:3, 3] *= 0.1  # metres
             change[3, :3] = 0.0

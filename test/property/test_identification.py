@@ -8,7 +8,6 @@ from inverse_dynamics_node.analysis.identification import identify_parameters
 from inverse_dynamics_node.analysis.identification.base_parameters import base_parameters
 from inverse_dynamics_node.analysis.identification.export import calibrated_urdf
 from inverse_dynamics_node.analysis.identification.identified_bodies import identified_bodies
-from inverse_dynamics_node.analysis.identification.pseudo_inertia import parameters_of
 from inverse_dynamics_node.analysis.identification.regression import IdentificationProblem
 from inverse_dynamics_node.dynamics.jit import IS_COMPILED
 from inverse_dynamics_node.dynamics.loaded_robot import STANDARD_GRAVITY
@@ -61,7 +60,7 @@ def normalized_errors(result, real):
         IdentificationProblem(free, joints, np.array(STANDARD_GRAVITY), None, False)
     )
     bodies = zip(real.robot.mass, real.robot.com, real.robot.inertia, strict=True)
-    parameters = np.array([parameters_of(RigidBody(*body)) for body in bodies])
+    parameters = np.array([RigidBody(*body).parameters() for body in bodies])
     true = base.combinations @ parameters[list(free.bodies)].ravel()
     _, values, errors = zip(*result.base_parameters, strict=True)
     return (np.array(values) - true) / np.array(errors)

@@ -9,10 +9,11 @@ from numpy.typing import ArrayLike
 
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...robot.model import Booleans, Floats
+from .columns import gravity_columns, payload_columns
 from .fault_interval import FaultInterval
 from .friction import is_moving, obstacle
 from .joint_samples import JointSamples
-from .loads import moves_with, payload_regressors, tip_links
+from .loads import moves_with, tip_links
 from .regression_data import RegressionData
 from .signals import Motion, smooth_like_efforts
 
@@ -115,10 +116,8 @@ class ComparedEfforts:
         """Return the samples of the varying efforts, with all efforts that may explain them."""
         q, _, _ = states = self.fit_states
         robot, gravity = self.robot, self.dynamics.gravity
-        weight = np.stack(
-            [InverseDynamics(robot, axis).gravity_efforts(q) for axis in np.eye(3)], -1
-        )
-        loads = [payload_regressors(robot, gravity, link, states) for link in self.links]
+        weight = gravity_columns(robot, q)
+        loads = [payload_columns(robot, gravity, link, states) for link in self.links]
         joints = [self._joint_samples(c, weight, loads) for c in self.varying]
         duration = len(self.motion.times) * self.period
         sample_count = len(self.motion.times) / self.motion.window

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...dynamics.inverse_dynamics import InverseDynamics
 from ...robot.model import Floats
+from .columns import gravity_columns, payload_columns
 from .compared_efforts import ComparedEfforts
 from .fault_interval import FaultInterval, FaultKind
-from .loads import payload_regressors, point_mass_parameters
+from .loads import point_mass_parameters
 from .robot_fit import RobotFit
 from .tilt import changing_gravity_efforts
 
@@ -38,17 +38,17 @@ def added_efforts(compared: ComparedEfforts, robot_fit: RobotFit) -> Floats:
     """Return the efforts that the candidate model adds to the model."""
     candidate = robot_fit.candidate
     if candidate.kind == 'mounting':
-        turned = InverseDynamics(compared.robot, candidate.solution)
-        return turned.gravity_efforts(compared.states[0])[:, compared.index] - compared.gravity
+        turned = gravity_columns(compared.robot, compared.states[0]) @ np.array(candidate.solution)
+        return np.asarray(turned[:, compared.index] - compared.gravity)
     correction: Floats = np.zeros_like(compared.rigid)
     if candidate.is_gravity_compensated:
         correction -= compared.gravity
     if candidate.kind == 'payload':
         mass, *com = candidate.solution
-        regressors = payload_regressors(
+        columns = payload_columns(
             compared.robot, compared.dynamics.gravity, candidate.link, compared.states
         )
-        efforts = regressors @ point_mass_parameters(mass, np.array(com))
+        efforts = columns @ point_mass_parameters(mass, np.array(com))
         correction += efforts[:, compared.index]
     return correction
 

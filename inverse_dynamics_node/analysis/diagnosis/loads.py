@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...dynamics.inverse_dynamics import InverseDynamics
 from ...robot.model import Booleans, Floats, RobotModel
 
 PARAMETERS = 10  # m; m c, three; m c c^T, six
@@ -52,54 +51,8 @@ def _depth(robot: RobotModel, body: int) -> int:
     return depth
 
 
-def payload_regressors(
-    robot: RobotModel, gravity: Floats, link: str, states: tuple[Floats, Floats, Floats]
-) -> Floats:
-    """
-    Compute the efforts of a load, separately for each of its parameters.
-
-    Parameters
-    ----------
-    robot : RobotModel
-        Robot with n joints.
-    gravity : ndarray, shape (3,)
-        Free-fall acceleration in the frame of the base link [m/s^2].
-    link : str
-        Link that carries the load.
-    states : tuple of q, qd, qdd
-        Each of shape (K, n).
-
-    Returns
-    -------
-    regressors : ndarray, shape (K, n, 10)
-        Efforts for m = 1 kg; m c_x, m c_y, m c_z = 1 kg m; and m c c^T = 1 kg m^2, its xx, yy,
-        zz, xy, xz, yz.
-
-    """
-    dynamics = InverseDynamics(robot, gravity)
-    bare = dynamics.efforts(*states)
-
-    def point(com: Floats) -> Floats:
-        dynamics.set_payload(link, 1.0, com)
-        return dynamics.efforts(*states) - bare
-
-    at_origin = point(np.zeros(3))
-    forth = [point(axis) for axis in np.eye(3)]
-    back = [point(-axis) for axis in np.eye(3)]
-    # Of the efforts of a unit mass, the part that is odd in its position belongs to m c, and the
-    # even part to m c c^T.
-    first = [0.5 * (f - b) for f, b in zip(forth, back, strict=True)]
-    second = [0.5 * (f + b) - at_origin for f, b in zip(forth, back, strict=True)]
-    mixed = []
-    for i, j in ((0, 1), (0, 2), (1, 2)):
-        com = np.zeros(3)
-        com[[i, j]] = 1.0
-        mixed.append(point(com) - at_origin - first[i] - first[j] - second[i] - second[j])
-    return np.stack([at_origin, *first, *second, *mixed], axis=-1)
-
-
 def point_mass_parameters(mass: float, com: Floats) -> Floats:
-    """Return the factors of the regressors for a point mass, shape (10,)."""
+    """Return the factors of `payload_columns` for a point mass, shape (10,)."""
     x, y, z = com
     return mass * np.array([1.0, x, y, z, x * x, y * y, z * z, x * y, x * z, y * z])
 

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from ...dynamics.inverse_dynamics import InverseDynamics
 from ...robot.model import Booleans, Floats, RobotModel
+from .columns import gravity_columns
 from .fault_interval import FaultInterval, FaultKind, span
 from .joint_samples import ACCELERATION, DIRECTION, GRAVITY, MODEL, NO_FAULT, ONE, SPEED, WEIGHT
 from .regression_data import RegressionData
@@ -129,9 +129,8 @@ def changing_gravity_efforts(
         Interpolated linearly between the knots [N m or N].
 
     """
-    efforts: Floats = np.zeros_like(q)
-    if fault.knots is not None and fault.gravity is not None:
-        for axis, component in zip(np.eye(3), fault.gravity.T, strict=True):
-            strength = np.interp(times, fault.knots, component)
-            efforts += strength[:, None] * InverseDynamics(robot, axis).gravity_efforts(q)
-    return efforts
+    if fault.knots is None or fault.gravity is None:
+        return np.zeros_like(q)
+    knots, gravity = fault.knots, fault.gravity
+    at_times = np.stack([np.interp(times, knots, component) for component in gravity.T], axis=-1)
+    return np.asarray(np.einsum('knx,kx->kn', gravity_columns(robot, q), at_times))

@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ...robot.model import Floats
+from ...robot.pseudo_inertia import PARAMETERS
 from ..diagnosis.signals import Motion
-from .pseudo_inertia import PARAMETERS
 from .regression import IdentificationProblem
 
 NAMES = ('m', 'mx', 'my', 'mz', 'Ixx', 'Ixy', 'Iyy', 'Ixz', 'Iyz', 'Izz')

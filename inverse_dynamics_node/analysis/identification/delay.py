@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ...robot.model import Floats
+from ...robot.pseudo_inertia import PARAMETERS
 from ..diagnosis.signals import Motion
 from .fit import Solution
-from .pseudo_inertia import PARAMETERS
 from .regression import Regression, TERMS
 from .resampling import pieces
 

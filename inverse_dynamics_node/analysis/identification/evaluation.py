@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...robot.model import Floats
+from ...robot.pseudo_inertia import PARAMETERS
 from .advice import what_to_record
 from .base_parameters import base_parameters
 from .estimator import Estimator, weights_of
 from .preparation import PreparedRecording
-from .pseudo_inertia import PARAMETERS
 from .regression import (
     ARMATURE,
     COULOMB,

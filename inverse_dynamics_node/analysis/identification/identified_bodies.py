@@ -9,15 +9,14 @@ import numpy as np
 
 from ...errors import ConfigurationError
 from ...robot.model import Floats, RobotModel
-from ...robot.rigid_body import RigidBody
-from .pseudo_inertia import (
+from ...robot.pseudo_inertia import (
     moved_inside,
-    parameters_of,
     parameters_of_pseudo_inertias,
     pseudo_inertias,
     rigid_body,
     transport,
 )
+from ...robot.rigid_body import RigidBody
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +90,7 @@ class IdentifiedBodies:
         robot = self.robot
         mass, com, inertia = robot.mass.copy(), robot.com.copy(), robot.inertia.copy()
         for k, b in enumerate(self.bodies):
-            own = parameters_of(RigidBody(mass[b], com[b], inertia[b]))
+            own = RigidBody(mass[b], com[b], inertia[b]).parameters()
             own = own - self.before[k] + parameters[k]
             if own[0] <= 1e-9 * mass[b]:
                 mass[b], com[b], inertia[b] = 0.0, 0.0, 0.0
@@ -145,4 +144,4 @@ def _link_parameters(robot: RobotModel, link: int) -> Floats:
     own = RigidBody(robot.link_mass[link], robot.link_com[link], robot.link_inertia[link])
     placed = own.rotate(robot.link_rotation[link]).shift(robot.link_position[link])
     assert placed.mass > 0.0
-    return parameters_of(placed)
+    return placed.parameters()

@@ -10,9 +10,9 @@ import numpy as np
 
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...robot.model import Floats, Integers, RobotModel
+from ..diagnosis.columns import body_columns
 from ..diagnosis.signals import Motion
 from .identified_bodies import IdentifiedBodies
-from .pseudo_inertia import PARAMETERS
 from .resampling import resampler
 
 ARMATURE, DAMPING, COULOMB, LOAD, OFFSET = range(5)
@@ -26,8 +26,6 @@ GAIN = 12
 """Effect of a small change of the gain of currents."""
 TERMS = 13
 """Columns of each joint besides those of the bodies."""
-_CHUNK = 2000
-"""States whose regressors are computed at once, to limit the memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,15 +105,9 @@ class IdentificationProblem:
 
     def columns(self, motion: Motion) -> Floats:
         """Return the columns of the identified bodies, shape (K, m, 10 b)."""
-        bodies = np.array(self.identified.bodies) - 1
-        index = (PARAMETERS * bodies[:, None] + np.arange(PARAMETERS)).ravel()
+        states = motion.q, motion.qd, motion.qdd
         dynamics = self.dynamics(self.identified.robot)
-        chunks = []
-        for k in range(0, len(motion.q), _CHUNK):
-            some = slice(k, k + _CHUNK)
-            regressor = dynamics.regressor(motion.q[some], motion.qd[some], motion.qdd[some])
-            chunks.append(regressor[:, self.joints][:, :, index])
-        return np.concatenate(chunks)
+        return body_columns(dynamics, states, self.identified.bodies)[:, self.joints]
 
 
 class Regression:

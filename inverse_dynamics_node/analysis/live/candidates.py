@@ -7,13 +7,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...dynamics.inverse_dynamics import InverseDynamics
 from ...robot.end_effector import last_link
 from ...robot.model import Floats, RobotModel
+from ..diagnosis.columns import gravity_columns, payload_columns
 from .agreement import FaultKind
 from .window import LiveSamples
 
-MOST_STATES = 60  # used by a fit; states that are closer in time differ little
+MOST_STATES = 60
+"""
+States used by a fit; states that are closer in time differ little. Kernels for 64 states or more
+may have to be compiled first, for which the display would stop.
+"""
 MIN_MASS = 0.05  # [kg]
 MAX_DISTANCE = 0.6  # [m] of the centre of mass of a payload from its link
 MIN_TILT = math.radians(5.0)
@@ -57,7 +61,7 @@ def candidate_models(
         Those whose parameters are plausible.
 
     """
-    step = max(1, len(samples.times) // MOST_STATES)
+    step = max(1, -(-len(samples.times) // MOST_STATES))
     some = slice(None, None, step)
     q: Floats = np.nan_to_num(samples.q)
     qd: Floats = np.nan_to_num(samples.qd)
@@ -82,7 +86,7 @@ def candidate_models(
         )
 
     found = []
-    weight = _weight(robot, states[0])
+    weight = gravity_columns(robot, states[0])
     lacking = -(weight @ gravity)[..., None]
     (fraction,) = fit(lacking)
     if WHOLE_WEIGHT[0] < fraction < WHOLE_WEIGHT[1]:
@@ -97,7 +101,7 @@ def candidate_models(
         efforts = at_all_times(weight @ change)
         found.append(CandidateModel(FaultKind.MOUNTING, efforts, 3, tuple(actual.tolist())))
     link = last_link(robot)
-    load = _load(robot, gravity, link, states)
+    load = payload_columns(robot, gravity, link, states)
     for parameters in (1, 4):
         solution = fit(load[..., :parameters])
         mass = float(solution[0])
@@ -107,32 +111,3 @@ def candidate_models(
         efforts = at_all_times(load[..., :parameters] @ solution)
         found.append(CandidateModel(FaultKind.PAYLOAD, efforts, 1 + parameters, (mass,), link))
     return found
-
-
-def _weight(robot: RobotModel, q: Floats) -> Floats:
-    """Return the efforts of 1 m/s^2 of gravity along x, y and z, shape (k, n, 3)."""
-    columns = []
-    for axis in np.eye(3):
-        dynamics = InverseDynamics(robot, axis)
-        columns.append([dynamics.gravity_efforts(each) for each in q])
-    return np.moveaxis(np.array(columns), 0, -1)
-
-
-def _load(
-    robot: RobotModel, gravity: Floats, link: str, states: tuple[Floats, Floats, Floats]
-) -> Floats:
-    """Return the efforts of 1 kg at a link, and of 1 kg m along its axes, shape (k, n, 4)."""
-    dynamics = InverseDynamics(robot, gravity)
-
-    def efforts() -> Floats:
-        return np.array([dynamics.efforts(*each) for each in zip(*states, strict=True)])
-
-    bare = efforts()
-
-    def point(com: Floats) -> Floats:
-        dynamics.set_payload(link, 1.0, com)
-        return efforts() - bare
-
-    # The part that is odd in the position is linear in the first moment of mass.
-    odd = [0.5 * (point(axis) - point(-axis)) for axis in np.eye(3)]
-    return np.stack([point(np.zeros(3)), *odd], axis=-1)

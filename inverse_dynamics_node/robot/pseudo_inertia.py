@@ -19,8 +19,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...robot.model import Floats
-from ...robot.rigid_body import RigidBody
+from .model import Floats
+from .rigid_body import RigidBody
 
 PARAMETERS = 10
 _ROWS = np.array([0, 0, 1, 0, 1, 2])  # of the elements Ixx, Ixy, Iyy, Ixz, Iyz, Izz
@@ -61,13 +61,6 @@ def parameters_of_pseudo_inertias(matrices: Floats) -> Floats:
     inertia = trace * np.eye(3) - second
     parts = [matrices[..., 3, 3:], matrices[..., 3, :3], inertia[..., _ROWS, _COLUMNS]]
     return np.concatenate(parts, axis=-1)
-
-
-def parameters_of(body: RigidBody) -> Floats:
-    """Return the ten parameters of a body, shape (10,)."""
-    c = body.com
-    inertia = body.inertia + body.mass * (c @ c * np.eye(3) - np.outer(c, c))
-    return np.concatenate([[body.mass], body.mass * c, inertia[_ROWS, _COLUMNS]])
 
 
 def rigid_body(parameters: Floats) -> RigidBody:
