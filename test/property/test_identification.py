@@ -4,8 +4,8 @@ from dataclasses import replace
 
 from identification_runs import exciting_motion, real_robot, record
 from inverse_dynamics_node import InverseDynamics, load_urdf
+from inverse_dynamics_node.analysis.base_parameters import base_parameters
 from inverse_dynamics_node.analysis.identification import identify_parameters
-from inverse_dynamics_node.analysis.identification.base_parameters import base_parameters
 from inverse_dynamics_node.analysis.identification.export import calibrated_urdf
 from inverse_dynamics_node.analysis.identification.identified_bodies import identified_bodies
 from inverse_dynamics_node.analysis.identification.regression import IdentificationProblem
@@ -56,9 +56,8 @@ def normalized_errors(result, real):
     """Return the errors of the base parameters, divided by their standard errors."""
     free = identified_bodies(result.robot, ())
     joints = np.arange(len(result.joints))
-    base = base_parameters(
-        IdentificationProblem(free, joints, np.array(STANDARD_GRAVITY), None, False)
-    )
+    problem = IdentificationProblem(free, joints, np.array(STANDARD_GRAVITY), None, False)
+    base = base_parameters(problem.at_random_states())
     bodies = zip(real.robot.mass, real.robot.com, real.robot.inertia, strict=True)
     parameters = np.array([RigidBody(*body).parameters() for body in bodies])
     true = base.combinations @ parameters[list(free.bodies)].ravel()

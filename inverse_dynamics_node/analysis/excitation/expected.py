@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...robot.model import Floats
-from .information import OF_BODY, OF_JOINT
+from ..base_parameters import NAMES
+from .information import OF_JOINT
 from .search import Excitation
 from .states import random_states
 
@@ -51,7 +52,7 @@ def expected_errors(excitation: Excitation) -> ExpectedErrors:
     m, robot = len(limits.joint_names), unknowns.dynamics.robot
     everything = np.full(unknowns.rigid_count + len(OF_JOINT) * m, np.nan)
     everything[unknowns.columns] = errors
-    of_bodies = everything[: unknowns.rigid_count].reshape(-1, len(OF_BODY))
+    of_bodies = everything[: unknowns.rigid_count].reshape(-1, len(NAMES))
     groups = [np.where(np.isnan(of_bodies), -1.0, of_bodies)[:, group] for group in _GROUPS]
     largest = np.stack([np.max(group, axis=1) for group in groups], axis=1)
     states = random_states(limits, _STATES, np.random.default_rng(2))

@@ -2,15 +2,9 @@
 The information that the efforts of a motion contain about masses and friction.
 
 Efforts are linear in the unknowns: tau = Y(q, qd, qdd) pi + a qdd + d qd + c tanh(qd / w) + o.
-Only some combinations of the parameters pi of the bodies have an effect, the base parameters; a
-pivoted QR decomposition of random motions selects as many columns of Y [1]_. With the weighted
-columns W of a motion, the information is W^T W, and its inverse is the covariance of the unknowns.
-
-References
-----------
-.. [1] M. Gautier, "Numerical calculation of the base inertial parameters of robots", Journal of
-   Robotic Systems 8(4), 1991.
-
+Only some combinations of the parameters pi of the bodies have an effect, the base parameters: as
+many columns of Y are used. With the weighted columns W of a motion, the information is W^T W, and
+its inverse is the covariance of the unknowns.
 """
 
 from __future__ import annotations
@@ -21,18 +15,15 @@ import numpy as np
 
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...robot.model import Floats, Integers
+from ..base_parameters import base_parameters, NAMES
 from .limits import MotionLimits
 from .states import random_states, States, whole_states
 
-OF_BODY = ('m', 'mx', 'my', 'mz', 'Ixx', 'Ixy', 'Iyy', 'Ixz', 'Iyz', 'Izz')
-"""Parameters of a body: mass, first moments and inertia about the origin of its frame."""
 OF_JOINT = ('armature', 'damping', 'Coulomb', 'offset')
 WIDTH = 0.02
 """Width of smoothed Coulomb friction, as a fraction of the largest speed."""
 _SAMPLES = 400
 """Random states from which the columns are selected."""
-_INDEPENDENT = 1e-7
-"""Smallest independent part of a column, relative to the largest one."""
 
 
 class Unknowns:
@@ -61,13 +52,15 @@ class Unknowns:
     def __init__(self, dynamics: InverseDynamics, limits: MotionLimits, noise: Floats) -> None:
         self.dynamics, self.limits, self.noise = dynamics, limits, noise
         self.width: Floats = WIDTH * limits.speeds
-        self.rigid_count = len(OF_BODY) * (len(dynamics.robot.parent) - 1)
+        self.rigid_count = len(NAMES) * (len(dynamics.robot.parent) - 1)
         self.columns: Integers = np.arange(self.rigid_count + len(OF_JOINT) * len(noise))
         self.scale: Floats = np.ones(len(self.columns))
         states = random_states(limits, _SAMPLES, np.random.default_rng(1))
         matrix = self.weighted(states).reshape(-1, len(self.columns))
         sizes = np.sqrt(np.mean(matrix**2, axis=0))
-        self.columns = _independent(matrix, sizes)
+        nonzero = np.flatnonzero(sizes > 1e-12 * np.max(sizes))
+        leading = base_parameters(matrix[:, nonzero] / sizes[nonzero]).leading
+        self.columns = np.sort(nonzero[leading])
         self.scale = sizes[self.columns]
 
     def weighted(self, states: States) -> Floats:
@@ -129,8 +122,8 @@ class Unknowns:
         names = []
         for column in self.columns.tolist():
             if column < self.rigid_count:
-                body, kind = divmod(column, len(OF_BODY))
-                names.append((bodies[body], OF_BODY[kind]))
+                body, kind = divmod(column, len(NAMES))
+                names.append((bodies[body], NAMES[kind]))
             else:
                 kind, joint = divmod(column - self.rigid_count, len(joints))
                 names.append((joints[joint], OF_JOINT[kind]))
@@ -150,15 +143,3 @@ class Unknowns:
         """Return the factors of the kinds in `OF_JOINT`, shape (4, k, m)."""
         step = np.tanh(states.qd / self.width)
         return np.stack([states.qdd, states.qd, step, np.ones_like(step)])
-
-
-def _independent(matrix: Floats, sizes: Floats) -> Integers:
-    """Select independent columns by a pivoted QR decomposition."""
-    from scipy.linalg import qr
-
-    nonzero = np.flatnonzero(sizes > 1e-12 * np.max(sizes))
-    triangle, order = qr(matrix[:, nonzero] / sizes[nonzero], mode='r', pivoting=True)
-    diagonal = np.abs(np.diagonal(triangle))
-    rank = int(np.count_nonzero(diagonal > _INDEPENDENT * diagonal[0]))
-    columns: Integers = np.sort(nonzero[order[:rank]])
-    return columns

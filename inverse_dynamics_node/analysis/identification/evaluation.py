@@ -8,8 +8,8 @@ import numpy as np
 
 from ...robot.model import Floats
 from ...robot.pseudo_inertia import PARAMETERS
+from ..base_parameters import base_parameters
 from .advice import what_to_record
-from .base_parameters import base_parameters
 from .estimator import Estimator, weights_of
 from .preparation import PreparedRecording
 from .regression import (
@@ -276,7 +276,7 @@ def _bodies(found: Estimator) -> tuple[BodyResult, ...]:
 
 def _base_parameters(found: Estimator) -> tuple[tuple[str, float, float], ...]:
     """Return names, values and standard errors of the base parameters."""
-    base, solution = base_parameters(found.problem), found.solution
+    base, solution = base_parameters(found.problem.at_random_states()), found.solution
     first = solution.model.bodies.size
     values = base.combinations @ solution.model.bodies.ravel()
     covariance = np.linalg.inv(solution.hessian)[:first, :first]

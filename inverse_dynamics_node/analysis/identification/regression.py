@@ -24,6 +24,7 @@ WIDTH = 11
 """Effect of a small change of the width of Coulomb friction."""
 GAIN = 12
 """Effect of a small change of the gain of currents."""
+RANDOM_STATES = 60
 TERMS = 13
 """Columns of each joint besides those of the bodies."""
 
@@ -108,6 +109,18 @@ class IdentificationProblem:
         states = motion.q, motion.qd, motion.qdd
         dynamics = self.dynamics(self.identified.robot)
         return body_columns(dynamics, states, self.identified.bodies)[:, self.joints]
+
+    def at_random_states(self) -> Floats:
+        """Return the columns of the identified bodies at random states, shape (K m, 10 b)."""
+        robot = self.identified.robot
+        rng, n = np.random.default_rng(0), len(robot.joint_names)
+        states = rng.uniform(-1.0, 1.0, (3, RANDOM_STATES, n))
+        states *= np.array([np.pi, 3.0, 10.0])[:, None, None]
+        states[0][:, robot.is_prismatic_joint] *= 0.2
+        q, qd, qdd = states
+        columns = body_columns(self.dynamics(robot), (q, qd, qdd), self.identified.bodies)
+        table = columns[:, self.joints].reshape(-1, columns.shape[2])
+        return np.asarray(table / np.sqrt(np.mean(table**2)))
 
 
 class Regression:
