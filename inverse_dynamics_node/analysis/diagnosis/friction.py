@@ -1,22 +1,28 @@
 """
 Fits damping, Coulomb friction and an offset to the efforts of one joint that the model leaves.
 
-Near zero speed dry friction can have any value up to its maximum: such samples are not used.
+Near zero speed dry friction can have any value up to its maximum: such samples are not used. How
+wide the step of Coulomb friction is, and how it grows with the load, is accepted only if it
+explains far more than a narrow step without load.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 import math
 from typing import NamedTuple
 
 import numpy as np
 
 from ...robot.model import Booleans, Floats
+from ..least_squares import fit_nonnegative
 
 SURELY_MOVING = 3.0  # widths; at this speed tanh has 99.5 % of its final value
 LEAST_MOVING = 1.0  # [s] in each direction, to distinguish Coulomb friction from an offset
 SPREAD = 1.5  # largest over smallest speed, to distinguish damping from Coulomb friction
+WIDTHS = (0.02, 0.03, 0.05, 0.08, 0.12)  # [rad/s or m/s]
+BETTER = 0.85  # fraction of the squares that a width or the load must leave at most
+MOST_LOAD = 0.5  # larger ratios of friction to load are another cause
 BLOCKS = 12  # parts of the recording whose differences give the standard errors
 
 
@@ -115,8 +121,6 @@ def fit_friction(
         Neither damping nor Coulomb friction is negative.
 
     """
-    from scipy.optimize import nnls
-
     reason = obstacle(qd, period, width)
     if reason:
         middle = float(np.median(residual))
@@ -125,16 +129,81 @@ def fit_friction(
         return FrictionFit.unknown(reason, middle if is_offset else 0.0)
     moving = is_moving(qd, width)
     features = np.column_stack([qd, direction, np.ones_like(qd)])[moving]
-    # Offsets may be negative: two columns for one parameter.
-    both = np.column_stack([features, -features[:, 2]])
-    scale = np.linalg.norm(both, axis=0)
-    samples = np.column_stack([both / scale, residual[moving]])
-    triangle = np.asarray(np.linalg.qr(samples, mode='r'))
-    solution = nnls(triangle[:, :-1], triangle[:, -1])[0] / scale
-    fit = np.array([solution[0], solution[1], solution[2] - solution[3]])
+    fit, _ = fit_nonnegative(features, residual[moving], [2])
     errors = standard_errors(features, residual[moving] - features @ fit, moving, window)
     damping, coulomb, offset = fit.tolist()
     return FrictionFit(damping, coulomb, offset, *errors, '')
+
+
+def fit_shape(
+    fit: FrictionFit,
+    qd: Floats,
+    residual: Floats,
+    load: Floats,
+    smooth: Callable[[Floats], Floats],
+    width: float,
+    window: int,
+) -> FrictionFit:
+    """
+    Fit the width of the step and the friction per load to all samples of a joint.
+
+    Parameters
+    ----------
+    fit : FrictionFit
+        Friction with the common width.
+    qd : ndarray, shape (K,)
+        Velocities of the joint [rad/s or m/s].
+    residual : ndarray, shape (K,)
+        Measured minus modelled effort without friction [N m or N].
+    load : ndarray, shape (K,)
+        Magnitude of the modelled effort without friction and rotor [N m or N].
+    smooth : callable
+        Smooths columns of shape (K, c) in the same way as the measured efforts.
+    width : float
+        Common width [rad/s or m/s].
+    window : int
+        Number of samples of the smoothing window.
+
+    Returns
+    -------
+    fit : FrictionFit
+        The given one if another shape does not explain far more.
+
+    """
+    if fit.unknown_because:
+        return fit
+    squares, best = _with_width(qd, residual, load, smooth, width, False)
+    chosen = width
+    for has_load in (False, True):
+        for other in (width, *WIDTHS):
+            left, solution = _with_width(qd, residual, load, smooth, other, has_load)
+            if left < BETTER * squares and solution[2] < MOST_LOAD:
+                squares, best, chosen = left, solution, other
+    if chosen == width and best[2] == 0.0:
+        return fit
+    direction = smooth(np.tanh(qd / chosen)[:, None])[:, 0]
+    grown = smooth((load * np.tanh(qd / chosen))[:, None])[:, 0]
+    features = np.column_stack([qd, direction, np.ones_like(qd)])
+    left = residual - features @ np.array([best[0], best[1], best[3]]) - best[2] * grown
+    errors = standard_errors(features, left, np.ones(len(qd), dtype=bool), window)
+    return FrictionFit(best[0], best[1], best[3], *errors, '', chosen, best[2])
+
+
+def _with_width(
+    qd: Floats,
+    residual: Floats,
+    load: Floats,
+    smooth: Callable[[Floats], Floats],
+    width: float,
+    has_load: bool,
+) -> tuple[float, tuple[float, float, float, float]]:
+    """Return the mean square that is left, and damping, Coulomb, load friction and offset."""
+    direction = np.tanh(qd / width)
+    step = smooth(np.column_stack([direction, load * direction * has_load]))
+    features = np.column_stack([qd, step, np.ones_like(qd)])
+    factors, left = fit_nonnegative(features, residual, [3])
+    damping, coulomb, per_load, offset = factors.tolist()
+    return left / len(qd), (damping, coulomb, per_load, offset)
 
 
 def standard_errors(

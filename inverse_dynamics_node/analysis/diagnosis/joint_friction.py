@@ -9,8 +9,7 @@ import numpy as np
 from ...robot.model import Booleans, Floats
 from .compared_efforts import ComparedEfforts
 from .correction import added_efforts
-from .friction import fit_friction, FrictionFit, is_moving
-from .friction_shape import fit_shape
+from .friction import fit_friction, fit_shape, FrictionFit, is_moving
 from .joint_samples import CREDIBLE
 from .robot_fit import RobotFit
 from .signals import smooth_like_efforts

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...robot.model import Floats
+from ..least_squares import fit_nonnegative
 
 PARAMETER_COST = math.log(2.0)
 """A parameter must halve the remaining squares to be accepted."""
@@ -133,46 +134,38 @@ class JointSamples:
         fit : JointFit
 
         """
-        from scipy.optimize import nnls
-
         R = self.triangle
         model = R[:, : len(weights)] @ weights
         target = sensor_fault.sign / unit * R[:, measured]
-        columns = [R[:, [SPEED, DIRECTION]]] if self.moves else []
-        columns += [R[:, [ACCELERATION]]] if sensor_fault.has_rotor else []
-        columns += [R[:, [ONE]], -R[:, [ONE]]] if sensor_fault.has_offset else []
+        columns = [SPEED, DIRECTION] if self.moves else []
+        columns += [ACCELERATION] if sensor_fault.has_rotor else []
+        columns += [ONE] if sensor_fault.has_offset else []
+        features = R[:, columns]
         if sensor_fault.is_scaled:
-            columns += [model[:, None]]
+            features = np.column_stack([features, model])
         else:
             target = target - model
-        solution = np.zeros(0)
-        if columns:
-            features = np.hstack(columns)
-            lengths = np.linalg.norm(features, axis=0)
-            lengths[lengths == 0.0] = 1.0
-            solution = nnls(features / lengths, target)[0] / lengths
-            target = target - features @ solution
+        signed = [columns.index(ONE)] if sensor_fault.has_offset else []
+        solution, left = fit_nonnegative(features, target, signed)
+        values = dict(zip(columns, solution[: len(columns)].tolist(), strict=True))
         squares = float(self.squares[measured]) / unit**2
-        remaining = float(np.sum(target**2)) / squares
+        remaining = left / squares
         cost = (
             math.log(remaining + self.floor(measured)) + PARAMETER_COST * sensor_fault.parameters
         )
-        values: list[float] = solution[2 if self.moves else 0 :].tolist()
-        damping, coulomb = (float(x) for x in solution[:2]) if self.moves else (0.0, 0.0)
-        rotor = values.pop(0) if sensor_fault.has_rotor else 0.0
-        offset = values.pop(0) - values.pop(0) if sensor_fault.has_offset else 0.0
-        scale = values.pop(0) if sensor_fault.is_scaled else 1.0
+        scale = float(solution[-1]) if sensor_fault.is_scaled else 1.0
         per_scale = scale or 1.0
+        coulomb = values.get(DIRECTION, 0.0)
         return JointFit(
             sensor_fault,
             cost,
             remaining,
             self.moves,
             scale=scale,
-            rotor=rotor / per_scale,
-            offset=offset / per_scale,
+            rotor=values.get(ACCELERATION, 0.0) / per_scale,
+            offset=values.get(ONE, 0.0) / per_scale,
             rms=math.sqrt(remaining * squares) * unit,
-            damping=damping / per_scale,
+            damping=values.get(SPEED, 0.0) / per_scale,
             coulomb=coulomb / per_scale,
             has_friction=coulomb > FRICTION * math.sqrt(squares),
         )

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...robot.model import Booleans, Floats, Integers
+from ..least_squares import fit_nonnegative
 from .regression import (
     ARMATURE,
     COULOMB,
@@ -177,11 +178,5 @@ def _expect_little_load(matrices: Floats, grams: Floats, index: Integers) -> Non
 
 
 def _nonnegative(matrix: Floats, vector: Floats, signed: Booleans) -> Floats:
-    from scipy.optimize import nnls
-
     root = np.linalg.cholesky(matrix).T
-    goal = np.linalg.solve(root.T, vector)
-    solution = nnls(np.column_stack([root, -root[:, signed]]), goal)[0]
-    result: Floats = solution[: len(vector)].copy()
-    result[signed] -= solution[len(vector) :]
-    return result
+    return fit_nonnegative(root, np.linalg.solve(root.T, vector), signed)[0]

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...robot.model import Booleans, Floats, RobotModel
+from ..least_squares import fit_nonnegative
 from .agreement import Agreement, FaultKind, Outcome, Size
 from .candidates import candidate_models, CandidateModel
 from .window import LiveSamples
@@ -164,14 +165,7 @@ class _Comparison:
             if min(np.mean(direction > 0.5), np.mean(direction < -0.5)) < 0.1:
                 continue
             features = np.column_stack([direction, self.qd[:, c]])
-            solution = np.linalg.lstsq(features, residual[:, c], rcond=None)[0]
-            for column in (0, 1):
-                if solution[column] < 0.0:  # friction does not drive a joint
-                    solution[column] = 0.0
-                    other = features[:, 1 - column]
-                    least = float(other @ residual[:, c] / (other @ other))
-                    solution[1 - column] = max(0.0, least)
-            rest[:, c] -= features @ solution
+            rest[:, c] -= features @ fit_nonnegative(features, residual[:, c])[0]
         return rest
 
     def _silent(self, is_checked: Booleans) -> Booleans:
