@@ -13,6 +13,7 @@ import numpy as np
 from ..analysis.diagnosis import (
     ComparisonResult,
     diagnose_recording,
+    FaultKind,
     friction_parameters,
     JointResidual,
     Recording,
@@ -137,7 +138,7 @@ def run(options: argparse.Namespace) -> int:
     print()
     warnings = [
         *position_warnings(robot, recording.positions, recording.joint_names),
-        *map(diagnosis_warning, result.diagnoses),
+        *map(diagnosis_warning, result.faults),
     ]
     if warnings:
         show_warnings(warnings)
@@ -197,9 +198,9 @@ def write_parameters(result: ComparisonResult, joint_names: tuple[str, ...], pat
     names = [joint.name for joint in joints]
     rotors = {
         name: value
-        for diagnosis in result.diagnoses
-        if diagnosis.kind == 'rotor_inertia'
-        for name, value in zip(diagnosis.joints, diagnosis.values, strict=True)
+        for fault in result.faults
+        if fault.kind is FaultKind.ROTOR_INERTIA
+        for name, value in zip(fault.joints, fault.values, strict=True)
     }
     armature = [rotors.get(name, 0.0) for name in names] if rotors else []
     fits = [joint.friction for joint in joints]

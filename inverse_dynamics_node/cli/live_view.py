@@ -8,7 +8,7 @@ import os
 import time
 from typing import Any, TYPE_CHECKING
 
-from ..analysis.live.agreement import Agreement, FaultKind, Outcome
+from ..analysis.diagnosis.agreement import Agreement, Obstacle, Outcome
 from ..control.status import (
     JointStatesStatus,
     NodeStatus,
@@ -66,7 +66,7 @@ def screen(observer: Observer, sample: Sample | None, agreement: Agreement, widt
     from rich.console import Group
     from rich.text import Text
 
-    status = None if agreement.fault is FaultKind.NO_DIAGNOSTICS else observer.status
+    status = None if agreement.cause is Obstacle.NO_DIAGNOSTICS else observer.status
     parts: list[Any] = [
         _headline(observer, agreement),
         Text(sentence(agreement), _COLOURS.get(agreement.outcome, 'yellow') + ' bold'),
@@ -107,7 +107,7 @@ def _headline(observer: Observer, agreement: Agreement) -> Any:
     if status is None:
         text.append('  waiting for its diagnostics', 'not bold yellow')
         return text
-    if agreement.fault is FaultKind.NO_DIAGNOSTICS:
+    if agreement.cause is Obstacle.NO_DIAGNOSTICS:
         text.append('  NO DIAGNOSTICS', 'bold red')
         return text
     loop = status.loop
@@ -255,7 +255,7 @@ def _log(observer: Observer) -> list[Any]:
 
 def as_line(observer: Observer, agreement: Agreement) -> str:
     """Return one line for a pipe."""
-    status = None if agreement.fault is FaultKind.NO_DIAGNOSTICS else observer.status
+    status = None if agreement.cause is Obstacle.NO_DIAGNOSTICS else observer.status
     words = [time.strftime('%H:%M:%S'), observer.name]
     if status is not None:
         words.append('dry run' if status.loop.is_dry_run else status.loop.state)
@@ -268,13 +268,13 @@ def as_json(
     observer: Observer, sample: Sample | None, agreement: Agreement, codes: Mapping[Outcome, int]
 ) -> dict[str, Any]:
     """Return all values for JSON; doc/watch.md describes the keys."""
-    status = None if agreement.fault is FaultKind.NO_DIAGNOSTICS else observer.status
+    status = None if agreement.cause is Obstacle.NO_DIAGNOSTICS else observer.status
     return {
         'time': time.time(),
         'node': observer.name,
         'robot': observer.robot.name if observer.robot else None,
         'outcome': agreement.outcome.value,
-        'cause': None if agreement.fault is FaultKind.NONE else agreement.fault.value,
+        'cause': None if agreement.cause is None else agreement.cause.value,
         'sentence': sentence(agreement),
         'exit_code': codes[agreement.outcome],
         'problem_joints': list(agreement.joints),

@@ -17,9 +17,9 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
-from ..analysis.live.agreement import Agreement, FaultKind, Outcome
-from ..analysis.live.check import check_agreement, StateRate
-from ..analysis.live.window import DURATION, LiveWindow
+from ..analysis.diagnosis.agreement import Agreement, Obstacle, Outcome
+from ..analysis.diagnosis.live_check import check_agreement, StateRate
+from ..analysis.diagnosis.live_samples import DURATION, LiveWindow
 from ..control.status import Level, ModelStatus
 from ..errors import ConfigurationError
 from ..report.agreement_text import sentence
@@ -121,7 +121,7 @@ class _Watch:
         self.observer, self.find, self.options = observer, find, options
         self.window: LiveWindow | None = None
         self.sample: Sample | None = None
-        self.agreement = Agreement(Outcome.UNDECIDED, FaultKind.TOO_FEW_SAMPLES)
+        self.agreement = Agreement(Outcome.UNDECIDED, Obstacle.TOO_FEW_SAMPLES)
         self._began = time.monotonic()
         self._known_since = math.inf
         self._cut: dict[str, float] = {}  # when the effort of a joint was last cut to its limit
@@ -198,8 +198,8 @@ class _Watch:
                 f'no diagnostics from {observer.name} for {silence:.0f} s: it {state}, or cannot '
                 'be reached'
             )
-            fault = FaultKind.NO_DIAGNOSTICS if silence > _LOST else FaultKind.TOO_FEW_SAMPLES
-            return Agreement(Outcome.UNDECIDED, fault, reason=reason)
+            cause = Obstacle.NO_DIAGNOSTICS if silence > _LOST else Obstacle.TOO_FEW_SAMPLES
+            return Agreement(Outcome.UNDECIDED, cause, reason=reason)
         requested, has_clock = status.loop.requested_rate, status.clock is not None
         rate = StateRate(observer.state_rate, self.options.rate, requested, has_clock)
         model = status.model or ModelStatus()

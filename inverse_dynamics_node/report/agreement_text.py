@@ -7,8 +7,9 @@ import math
 
 import numpy as np
 
-from ..analysis.live.agreement import Agreement, FaultKind, Outcome, Size
-from ..analysis.live.window import DURATION
+from ..analysis.diagnosis.agreement import Agreement, Obstacle, Outcome, Size
+from ..analysis.diagnosis.fault import FaultKind
+from ..analysis.diagnosis.live_samples import DURATION
 
 _MOST_NAMES = 4
 
@@ -28,7 +29,7 @@ def sentence(agreement: Agreement) -> str:
         Without a full stop.
 
     """
-    text = _SENTENCES[agreement.fault](agreement)
+    text = _SENTENCES[agreement.cause](agreement)
     if agreement.saturated and agreement.outcome is Outcome.DIFFER:
         text += f'; effort cut to its limit: {_listed(agreement.saturated)}'
     return text
@@ -182,8 +183,8 @@ def _also(agreement: Agreement) -> str:
     return f'; opposite signs at {_joints(agreement.also_swapped)}; do not go live'
 
 
-_SENTENCES: dict[FaultKind, Callable[[Agreement], str]] = {
-    FaultKind.NONE: _agree,
+_SENTENCES: dict[FaultKind | Obstacle | None, Callable[[Agreement], str]] = {
+    None: _agree,
     FaultKind.SIGN: _sign,
     FaultKind.SCALE: _scale,
     FaultKind.NOT_MEASURED: _not_measured,
@@ -191,23 +192,23 @@ _SENTENCES: dict[FaultKind, Callable[[Agreement], str]] = {
     FaultKind.PAYLOAD: _payload,
     FaultKind.MOUNTING: _mounting,
     FaultKind.UNEXPLAINED: _unexplained,
-    FaultKind.SLOW_STATES: _slow_states,
-    FaultKind.SATURATED: _saturated,
-    FaultKind.FEW_JOINTS: _few_joints,
-    FaultKind.AT_REST: _at_rest,
-    FaultKind.NO_DIAGNOSTICS: lambda agreement: agreement.reason,
-    FaultKind.NODE_STATE: lambda agreement: f'not compared: {agreement.reason}',
-    FaultKind.NO_EFFORTS: lambda agreement: (
+    Obstacle.SLOW_STATES: _slow_states,
+    Obstacle.SATURATED: _saturated,
+    Obstacle.FEW_JOINTS: _few_joints,
+    Obstacle.AT_REST: _at_rest,
+    Obstacle.NO_DIAGNOSTICS: lambda agreement: agreement.reason,
+    Obstacle.NODE_STATE: lambda agreement: f'not compared: {agreement.reason}',
+    Obstacle.NO_EFFORTS: lambda agreement: (
         'not compared: joint_states has no efforts; enable them in the driver'
     ),
-    FaultKind.ZERO_EFFORTS: lambda agreement: (
+    Obstacle.ZERO_EFFORTS: lambda agreement: (
         'not compared: all measured efforts are 0; brakes hold the arm, or the driver does not '
         'report efforts'
     ),
-    FaultKind.TOO_FEW_SAMPLES: lambda agreement: (
+    Obstacle.TOO_FEW_SAMPLES: lambda agreement: (
         f'not compared yet: collecting samples, up to {DURATION:g} s'
     ),
-    FaultKind.SMALL_EFFORTS: lambda agreement: (
+    Obstacle.SMALL_EFFORTS: lambda agreement: (
         'not compared: the modelled efforts are too small in this position; move the arm to '
         'another one'
     ),

@@ -14,7 +14,7 @@ AT_NOISE = 1.5  # times the noise; a smaller residual cannot be distinguished fr
 def verdict(result: ComparisonResult) -> str:
     """Summarize the comparison in one or two sentences."""
     if math.isnan(result.explained):
-        opening = '. '.join(sentence(each) for each in result.diagnoses)
+        opening = '. '.join(sentence(each) for each in result.faults)
         reason = 'The efforts hardly vary, so that they cannot be compared.'
         return f'{opening}. {reason}' if opening else reason
     modelled = (
@@ -22,10 +22,10 @@ def verdict(result: ComparisonResult) -> str:
         f'{_total(result, "rms_residual")} RMS of {_total(result, "rms_measured")}'
     )
     corrected = f'{percent(result.explained_corrected)} and {_total(result, "rms_corrected")}'
-    if result.diagnoses:
+    if result.faults:
         opening = '; '.join(
             sentence(each) if k == 0 else sentence(each)[0].lower() + sentence(each)[1:]
-            for k, each in enumerate(result.diagnoses)
+            for k, each in enumerate(result.faults)
         )
         return f'{opening}. As it is, {modelled}; with that and friction, {corrected}.'
     text = f'{modelled[0].upper()}{modelled[1:]}; with fitted friction, {corrected}.'
@@ -58,7 +58,7 @@ def comparison_table(result: ComparisonResult, notes: tuple[str, ...]) -> Table:
     rows = [_row(joint) for joint in result.joints]
     columns = ('joint', '', 'measured', 'modelled', 'residual', 'friction', 'corrected', 'noise',
                'explained', 'scale')  # fmt: skip
-    findings_too = ', with the findings above' if result.diagnoses else ''
+    findings_too = ', with the findings above' if result.faults else ''
     remarks = (
         'RMS of measured and modelled efforts; residual: measured minus modelled; friction: the '
         f'same with fitted friction; corrected: with friction and offset{findings_too}; noise: '

@@ -6,140 +6,138 @@ from collections.abc import Callable, Mapping, Sequence
 import math
 from types import MappingProxyType
 
-from ..analysis.diagnosis import Change, Diagnosis
+from ..analysis.diagnosis import Change, Fault, FaultKind
 from ..robot.model_warning import ModelWarning
 
 MOST_CHANGES = 3  # joints whose residuals are listed as evidence
 
 
-def headline(diagnosis: Diagnosis) -> str:
-    """Summarize a diagnosis in one clause, starting with a small letter or a joint's name."""
-    text = _HEADLINES[diagnosis.kind](diagnosis)
-    if diagnosis.interval is None:
+def headline(fault: Fault) -> str:
+    """Summarize a fault in one clause, starting with a small letter or a joint's name."""
+    text = _HEADLINES[fault.kind](fault)
+    if fault.interval is None:
         return text
-    begin, end = diagnosis.interval
+    begin, end = fault.interval
     return f'from {begin:.1f} s to {end:.1f} s, {text}'
 
 
-def sentence(diagnosis: Diagnosis) -> str:
+def sentence(fault: Fault) -> str:
     """Return the headline as the start of a sentence."""
-    text = headline(diagnosis)
+    text = headline(fault)
     # Names of joints keep their first letter.
-    return text if diagnosis.kind in _STARTS_WITH_JOINT and diagnosis.interval is None and not (
-        diagnosis.kind == 'sign' and diagnosis.is_every_joint
+    return text if fault.kind in _STARTS_WITH_JOINT and fault.interval is None and not (
+        fault.kind is FaultKind.SIGN and fault.is_every_joint
     ) else text[0].upper() + text[1:]  # fmt: skip
 
 
-def diagnosis_warning(diagnosis: Diagnosis) -> ModelWarning:
-    """Return a diagnosis as a warning, with a suggestion for the next run."""
-    again = _options(diagnosis)
-    hint = _ADVICE[diagnosis.kind](diagnosis)
+def diagnosis_warning(fault: Fault) -> ModelWarning:
+    """Return a fault as a warning, with a suggestion for the next run."""
+    again = _options(fault)
+    hint = _ADVICE[fault.kind](fault)
     if again:
         hint += f' To see the remaining difference: {again}'
-    parts = [_EVIDENCE.get(diagnosis.kind, _fixed(''))(diagnosis), _changes(diagnosis)]
-    return ModelWarning(f'{headline(diagnosis)}: {"; ".join(filter(None, parts))}', hint)
+    parts = [_EVIDENCE.get(fault.kind, _fixed(''))(fault), _changes(fault)]
+    return ModelWarning(f'{headline(fault)}: {"; ".join(filter(None, parts))}', hint)
 
 
-def _options(diagnosis: Diagnosis) -> str:
-    """Return the options of `compare` that include a diagnosis in the model."""
-    if diagnosis.interval is not None:
-        return f'--from {diagnosis.interval[0]:.1f} --to {diagnosis.interval[1]:.1f}'
-    numbers = [
-        0.0 if abs(value) < 5e-4 or math.isnan(value) else value for value in diagnosis.values
-    ]
-    if diagnosis.kind == 'gravity_compensated':
+def _options(fault: Fault) -> str:
+    """Return the options of `compare` that include a fault in the model."""
+    if fault.interval is not None:
+        return f'--from {fault.interval[0]:.1f} --to {fault.interval[1]:.1f}'
+    numbers = [0.0 if abs(value) < 5e-4 or math.isnan(value) else value for value in fault.values]
+    if fault.kind is FaultKind.GRAVITY_COMPENSATED:
         return '--gravity 0 0 0'
-    if diagnosis.kind == 'mounting':
+    if fault.kind is FaultKind.MOUNTING:
         return f'--gravity {" ".join(f"{x:.3f}" for x in numbers)}'
-    if diagnosis.kind == 'payload' and numbers[0] > 0.0:
-        return f'--link {diagnosis.link} --payload {",".join(f"{x:.3f}" for x in numbers)}'
+    if fault.kind is FaultKind.PAYLOAD and numbers[0] > 0.0:
+        return f'--link {fault.link} --payload {",".join(f"{x:.3f}" for x in numbers)}'
     return ''
 
 
 # ---- Headlines -----------------------------------------------------------------------------
 
 
-def _sign(diagnosis: Diagnosis) -> str:
-    if diagnosis.is_every_joint:
+def _sign(fault: Fault) -> str:
+    if fault.is_every_joint:
         return 'every joint has its sign swapped'
-    has = 'has its sign' if len(diagnosis.joints) == 1 else 'have their signs'
-    return f'{listed(diagnosis.joints)} {has} swapped'
+    has = 'has its sign' if len(fault.joints) == 1 else 'have their signs'
+    return f'{listed(fault.joints)} {has} swapped'
 
 
-def _unit(diagnosis: Diagnosis) -> str:
-    factor = sum(diagnosis.values) / len(diagnosis.values)
+def _unit(fault: Fault) -> str:
+    factor = sum(fault.values) / len(fault.values)
     size = f'{float(f"{factor:.3g}"):g} times too large'
     if factor < 1.0:
         size = f'{float(f"{1.0 / factor:.3g}"):g} times too small'
     return f'the efforts are in another unit: all are {size}'
 
 
-def _scale(diagnosis: Diagnosis) -> str:
-    if not diagnosis.is_every_joint:
-        return f'the effort of {listed(diagnosis.joints)} is in another unit'
-    if diagnosis.is_same_factor:
-        return _unit(diagnosis)
+def _scale(fault: Fault) -> str:
+    if not fault.is_every_joint:
+        return f'the effort of {listed(fault.joints)} is in another unit'
+    if fault.is_same_factor:
+        return _unit(fault)
     return 'the efforts are not torques or forces, but proportional to them'
 
 
-def _mounting(diagnosis: Diagnosis) -> str:
-    angle = math.degrees(diagnosis.angle)
+def _mounting(fault: Fault) -> str:
+    angle = math.degrees(fault.angle)
     return f'the base is tilted by {angle:.0f} degrees from its mounting in the model'
 
 
-def _payload(diagnosis: Diagnosis) -> str:
-    mass = diagnosis.values[0]
+def _payload(fault: Fault) -> str:
+    mass = fault.values[0]
     carries = 'carries' if mass > 0.0 else 'lacks'
     model = 'does not have' if mass > 0.0 else 'has'
-    return f"link '{diagnosis.link}' {carries} {abs(mass):.2f} kg that the model {model}"
+    return f"link '{fault.link}' {carries} {abs(mass):.2f} kg that the model {model}"
 
 
-def _rotor(diagnosis: Diagnosis) -> str:
-    move = 'moves' if len(diagnosis.joints) == 1 else 'move'
-    return f'{listed(diagnosis.joints)} {move} more inertia than the model has: rotors and gears'
+def _rotor(fault: Fault) -> str:
+    move = 'moves' if len(fault.joints) == 1 else 'move'
+    return f'{listed(fault.joints)} {move} more inertia than the model has: rotors and gears'
 
 
-def _joints(text: str) -> Callable[[Diagnosis], str]:
-    return lambda diagnosis: text.format(listed(diagnosis.joints))
+def _joints(text: str) -> Callable[[Fault], str]:
+    return lambda fault: text.format(listed(fault.joints))
 
 
-def _fixed(text: str) -> Callable[[Diagnosis], str]:
-    return lambda diagnosis: text
+def _fixed(text: str) -> Callable[[Fault], str]:
+    return lambda fault: text
 
 
-_HEADLINES: Mapping[str, Callable[[Diagnosis], str]] = MappingProxyType(
+_HEADLINES: Mapping[FaultKind, Callable[[Fault], str]] = MappingProxyType(
     {
-        'order': _joints('the efforts of {} are in another order'),
-        'gravity_compensated': _fixed(
+        FaultKind.ORDER: _joints('the efforts of {} are in another order'),
+        FaultKind.GRAVITY_COMPENSATED: _fixed(
             'the measured efforts lack gravity: the driver compensates it already'
         ),
-        'mounting': _mounting,
-        'unit': _unit,
-        'sign': _sign,
-        'scale': _scale,
-        'payload': _payload,
-        'bodies': _fixed('the masses or centres of mass of several links are wrong'),
-        'external_force': _joints('an external force acts on {}'),
-        'rotor_inertia': _rotor,
-        'offset': _joints('the effort of {} has a constant offset'),
-        'constant': _joints('the measured effort of {} never changes'),
-        'unexplained': _joints(
+        FaultKind.MOUNTING: _mounting,
+        FaultKind.UNIT: _unit,
+        FaultKind.SIGN: _sign,
+        FaultKind.SCALE: _scale,
+        FaultKind.PAYLOAD: _payload,
+        FaultKind.BODIES: _fixed('the masses or centres of mass of several links are wrong'),
+        FaultKind.EXTERNAL_FORCE: _joints('an external force acts on {}'),
+        FaultKind.ROTOR_INERTIA: _rotor,
+        FaultKind.OFFSET: _joints('the effort of {} has a constant offset'),
+        FaultKind.NOT_MEASURED: _joints('the measured effort of {} never changes'),
+        FaultKind.UNEXPLAINED: _joints(
             'the effort of {} differs from the model, and no known cause explains it'
         ),
     }
 )
-_STARTS_WITH_JOINT = ('sign', 'rotor_inertia')
+_STARTS_WITH_JOINT = (FaultKind.SIGN, FaultKind.ROTOR_INERTIA)
 
 
 # ---- Evidence ------------------------------------------------------------------------------
 
 
-def _changes(diagnosis: Diagnosis) -> str:
-    """Write the residuals that a diagnosis reduces, beside those with friction only."""
-    changes = diagnosis.changes[:MOST_CHANGES]
+def _changes(fault: Fault) -> str:
+    """Write the residuals that a fault reduces, beside those with friction only."""
+    changes = fault.changes[:MOST_CHANGES]
     if not changes:
         return ''
-    if diagnosis.kind in ('unexplained', 'external_force'):
+    if fault.kind in (FaultKind.UNEXPLAINED, FaultKind.EXTERNAL_FORCE):
         left = ', '.join(
             f'{each.joint} {amount(each.after, each.is_prismatic)} of '
             f'{amount(each.measured, each.is_prismatic)}'
@@ -151,62 +149,62 @@ def _changes(diagnosis: Diagnosis) -> str:
         f'{amount(each.after, each.is_prismatic)}'
         for each in changes
     )
-    cause = 'fitting all links' if diagnosis.kind == 'bodies' else 'this alone'
+    cause = 'fitting all links' if fault.kind is FaultKind.BODIES else 'this alone'
     how = 'friction fitted in both cases'
-    if diagnosis.kind == 'bodies':
+    if fault.kind is FaultKind.BODIES:
         how += ', links fitted to the other half of the recording'
-    more = len(diagnosis.changes) - len(changes)
+    more = len(fault.changes) - len(changes)
     others = f', and at {more} more {"joints" if more > 1 else "joint"}' if more else ''
     return f'{cause} reduces the RMS residual {left}{others} ({how})'
 
 
-def _values(diagnosis: Diagnosis, unit: str = '', unit_prismatic: str = '') -> str:
-    prismatic = {each.joint for each in diagnosis.changes if each.is_prismatic}
+def _values(fault: Fault, unit: str = '', unit_prismatic: str = '') -> str:
+    prismatic = {each.joint for each in fault.changes if each.is_prismatic}
     return ', '.join(
         f'{name} {value:.3g} {unit_prismatic if name in prismatic else unit}'.rstrip()
-        for name, value in zip(diagnosis.joints, diagnosis.values, strict=True)
+        for name, value in zip(fault.joints, fault.values, strict=True)
     )
 
 
-def _scale_evidence(diagnosis: Diagnosis) -> str:
-    text = f'the measured effort is the modelled one times {_values(diagnosis)}'
-    if diagnosis.unknown:
-        unknown = listed(diagnosis.unknown)
+def _scale_evidence(fault: Fault) -> str:
+    text = f'the measured effort is the modelled one times {_values(fault)}'
+    if fault.unknown:
+        unknown = listed(fault.unknown)
         text += f'; the unit of {unknown} is unknown, because friction dominates'
     return text
 
 
-def _payload_evidence(diagnosis: Diagnosis) -> str:
-    mass, *com = diagnosis.values
+def _payload_evidence(fault: Fault) -> str:
+    mass, *com = fault.values
     where = ', '.join('unknown' if math.isnan(x) else f'{round(x, 3) + 0.0:.3f}' for x in com)
     return (
-        f'{mass:.3f} kg (standard error of random errors {diagnosis.error:.2g}) at ({where}) m in '
+        f'{mass:.3f} kg (standard error of random errors {fault.error:.2g}) at ({where}) m in '
         'its frame, as a point mass'
     )
 
 
-def _order_evidence(diagnosis: Diagnosis) -> str:
-    pairs = zip(diagnosis.joints, diagnosis.sources, strict=True)
+def _order_evidence(fault: Fault) -> str:
+    pairs = zip(fault.joints, fault.sources, strict=True)
     return ', '.join(f'{source} has the effort of {joint}' for joint, source in pairs)
 
 
-def _gravity(diagnosis: Diagnosis) -> str:
-    return ', '.join(f'{x:.2f}' for x in diagnosis.values)
+def _gravity(fault: Fault) -> str:
+    return ', '.join(f'{x:.2f}' for x in fault.values)
 
 
-_EVIDENCE: Mapping[str, Callable[[Diagnosis], str]] = MappingProxyType(
+_EVIDENCE: Mapping[FaultKind, Callable[[Fault], str]] = MappingProxyType(
     {
-        'order': _order_evidence,
-        'mounting': lambda each: (
+        FaultKind.ORDER: _order_evidence,
+        FaultKind.MOUNTING: lambda each: (
             f'gravity is {_gravity(each)} m/s^2 in the frame of the base link'
         ),
-        'scale': _scale_evidence,
-        'payload': _payload_evidence,
-        'rotor_inertia': lambda each: (
+        FaultKind.SCALE: _scale_evidence,
+        FaultKind.PAYLOAD: _payload_evidence,
+        FaultKind.ROTOR_INERTIA: lambda each: (
             f'an effort is proportional to the acceleration, {_values(each, "kg m^2", "kg")}'
         ),
-        'offset': lambda each: _values(each, 'N m', 'N'),
-        'constant': lambda each: (
+        FaultKind.OFFSET: lambda each: _values(each, 'N m', 'N'),
+        FaultKind.NOT_MEASURED: lambda each: (
             f'it is always the same value ({_values(each)}), while the modelled effort varies'
         ),
     }
@@ -216,8 +214,8 @@ _EVIDENCE: Mapping[str, Callable[[Diagnosis], str]] = MappingProxyType(
 # ---- Advice --------------------------------------------------------------------------------
 
 
-def _sign_advice(diagnosis: Diagnosis) -> str:
-    if diagnosis.is_every_joint:
+def _sign_advice(fault: Fault) -> str:
+    if fault.is_every_joint:
         return (
             'The driver reports the reaction of the joint on the drive: change the sign of all '
             'efforts.'
@@ -229,10 +227,10 @@ def _sign_advice(diagnosis: Diagnosis) -> str:
     )
 
 
-def _scale_advice(diagnosis: Diagnosis) -> str:
-    if not diagnosis.is_every_joint:
+def _scale_advice(fault: Fault) -> str:
+    if not fault.is_every_joint:
         return 'Compare torque constant, gear ratio and unit with those of the other joints.'
-    if diagnosis.is_same_factor:
+    if fault.is_same_factor:
         return 'The same factor for all joints is a different unit (1000: N mm): convert it.'
     return (
         'They may be motor currents, or torques before the gears: divide by these factors (torque '
@@ -240,12 +238,12 @@ def _scale_advice(diagnosis: Diagnosis) -> str:
     )
 
 
-def _payload_advice(diagnosis: Diagnosis) -> str:
-    if diagnosis.interval is not None:
+def _payload_advice(fault: Fault) -> str:
+    if fault.interval is not None:
         return (
             'If the robot picked up a load, publish it on ~/payload of the node while it is held.'
         )
-    if diagnosis.values[0] > 0.0:
+    if fault.values[0] > 0.0:
         return (
             'Add it to the URDF. If nothing is attached there, the masses or centres of mass of '
             'the last links are wrong by about as much.'
@@ -253,15 +251,15 @@ def _payload_advice(diagnosis: Diagnosis) -> str:
     return 'Remove from the URDF all parts that the robot does not have, such as a tool or a hand.'
 
 
-def _mounting_advice(diagnosis: Diagnosis) -> str:
-    if diagnosis.interval is not None:
+def _mounting_advice(fault: Fault) -> str:
+    if fault.interval is not None:
         return 'If the base moves, use an IMU on it, or publish ~/gravity.'
-    return f'Set gravity: [{_gravity(diagnosis)}] in the node.'
+    return f'Set gravity: [{_gravity(fault)}] in the node.'
 
 
-def _offset_advice(diagnosis: Diagnosis) -> str:
+def _offset_advice(fault: Fault) -> str:
     cause = 'A spring or a counterweight, which a URDF cannot describe, is another possible cause.'
-    if diagnosis.is_motor_side:
+    if fault.is_motor_side:
         return (
             'The efforts contain the friction of the gears, so that they seem to come from motor '
             f'currents: look for an offset of the current or for friction that differs between '
@@ -270,38 +268,40 @@ def _offset_advice(diagnosis: Diagnosis) -> str:
     return f'Zero the torque sensors in a pose in which the modelled effort is zero. {cause}'
 
 
-_ADVICE: Mapping[str, Callable[[Diagnosis], str]] = MappingProxyType(
+_ADVICE: Mapping[FaultKind, Callable[[Fault], str]] = MappingProxyType(
     {
-        'order': _fixed(
+        FaultKind.ORDER: _fixed(
             'Compare the order of names and efforts in the driver, and the lists of joints in all '
             'of its files.'
         ),
-        'gravity_compensated': _fixed(
+        FaultKind.GRAVITY_COMPENSATED: _fixed(
             'Set include_gravity: false in the node. If gravity were compensated twice, the arm '
             'would move upwards.'
         ),
-        'mounting': _mounting_advice,
-        'unit': _fixed(
+        FaultKind.MOUNTING: _mounting_advice,
+        FaultKind.UNIT: _fixed(
             'The same factor for all joints is a different unit (1000: N mm): convert it.'
         ),
-        'sign': _sign_advice,
-        'scale': _scale_advice,
-        'payload': _payload_advice,
-        'bodies': _fixed(
+        FaultKind.SIGN: _sign_advice,
+        FaultKind.SCALE: _scale_advice,
+        FaultKind.PAYLOAD: _payload_advice,
+        FaultKind.BODIES: _fixed(
             'No payload on one link explains this. Fit all links to the recording: '
             'inverse_dynamics identify URDF RUN --output calibrated.urdf'
         ),
-        'external_force': _fixed(
+        FaultKind.EXTERNAL_FORCE: _fixed(
             'Somebody or something may have pushed the robot, or it touched its surroundings. '
             'Leave this time out with --from and --to before you use the friction.'
         ),
-        'rotor_inertia': _fixed("Set these values as the parameter 'armature' of the node."),
-        'offset': _offset_advice,
-        'constant': _fixed(
+        FaultKind.ROTOR_INERTIA: _fixed(
+            "Set these values as the parameter 'armature' of the node."
+        ),
+        FaultKind.OFFSET: _offset_advice,
+        FaultKind.NOT_MEASURED: _fixed(
             'The driver does not measure or does not report it: look for a setting that enables '
             'it, or leave these joints out of the comparison.'
         ),
-        'unexplained': _fixed(
+        FaultKind.UNEXPLAINED: _fixed(
             'Look at the picture. Possible causes are contact, a wrong link inertia, a drive at '
             'its limit, and an effort that is filtered or delayed.'
         ),

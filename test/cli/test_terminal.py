@@ -9,7 +9,7 @@ import time
 from types import SimpleNamespace
 
 from inverse_dynamics_node import load_urdf
-from inverse_dynamics_node.analysis.live.agreement import Agreement, FaultKind, Outcome
+from inverse_dynamics_node.analysis.diagnosis.agreement import Agreement, Obstacle, Outcome
 from inverse_dynamics_node.cli import live_view, terminal
 from inverse_dynamics_node.cli.main import main
 from inverse_dynamics_node.control.status import (
@@ -127,7 +127,7 @@ def hostile_observer():
 def test_a_node_cannot_control_the_terminal_of_watch(monkeypatch):
     pytest.importorskip('rich')
     observer, sample = hostile_observer()
-    agreement = Agreement(Outcome.UNDECIDED, FaultKind.NODE_STATE, reason=f'{ESCAPE}{C1}\nforged')
+    agreement = Agreement(Outcome.UNDECIDED, Obstacle.NODE_STATE, reason=f'{ESCAPE}{C1}\nforged')
     output = io.StringIO()
     output.isatty = lambda: True
     monkeypatch.setenv('COLUMNS', '200')

@@ -26,7 +26,7 @@ EVERY_ROBOT = pytest.mark.parametrize('name', ROBOTS)
 
 
 def kinds(result):
-    return [diagnosis.kind for diagnosis in result.diagnoses]
+    return [diagnosis.kind.value for diagnosis in result.faults]
 
 
 def states(recording):
@@ -66,9 +66,9 @@ def test_a_finding_is_credited_without_the_effect_of_friction():
     efforts = recording.efforts.copy()
     efforts[:, 3] += 5.0
     result = diagnose_recording(dynamics, recording._replace(efforts=efforts))
-    (diagnosis,) = result.diagnoses
+    (diagnosis,) = result.faults
     (change,) = diagnosis.changes
-    assert (diagnosis.kind, change.joint) == ('offset', 'elbow')
+    assert (diagnosis.kind.value, change.joint) == ('offset', 'elbow')
     # Friction cannot replace the offset: its RMS is left. Without friction, twice as much is.
     assert change.before == pytest.approx(5.0, rel=0.1)
     assert result.joints[3].rms_residual > 1.5 * change.before
@@ -115,9 +115,9 @@ def test_no_payload_is_reported_far_from_its_link():
     recording = run('seven_dof', act=lambda real: real.set_payload('tool0', 3.0, (0.2, 0.0, 0.8)))
     result = diagnose_recording(*recording)
     assert result.explained < 0.5
-    assert result.diagnoses
-    for diagnosis in result.diagnoses:
-        assert diagnosis.kind != 'payload' or np.linalg.norm(diagnosis.values[1:]) < 0.5
+    assert result.faults
+    for diagnosis in result.faults:
+        assert diagnosis.kind.value != 'payload' or np.linalg.norm(diagnosis.values[1:]) < 0.5
 
 
 def test_no_payload_is_reported_at_a_tip_that_did_not_move():
@@ -132,8 +132,8 @@ def test_no_payload_is_reported_at_a_tip_that_did_not_move():
     result = diagnose_recording(
         dynamics, recording._replace(positions=q, velocities=qd, efforts=real.efforts(q, qd, qdd))
     )
-    (diagnosis,) = result.diagnoses
-    assert (diagnosis.kind, diagnosis.link) == ('payload', 'right_forearm')
+    (diagnosis,) = result.faults
+    assert (diagnosis.kind.value, diagnosis.link) == ('payload', 'right_forearm')
     left = diagnose_recording(dynamics, recording._replace(positions=q, velocities=qd,
                     efforts=real.efforts(q, qd, qdd)), link='left_arm')  # fmt: skip
     assert 'payload' not in kinds(left)
@@ -152,8 +152,8 @@ def test_finds_a_unit_of_all_joints_even_if_some_hardly_moved(factor, rng):
     efforts += 0.2 * np.sin(0.5 * recording.times)[:, None]  # dry friction at rest
     efforts += 0.02 * rng.standard_normal(efforts.shape)
     still = recording._replace(positions=q, velocities=qd, efforts=factor * efforts)
-    (diagnosis,) = diagnose_recording(dynamics, still).diagnoses
-    assert (diagnosis.kind, diagnosis.joints) == ('unit', dynamics.robot.joint_names)
+    (diagnosis,) = diagnose_recording(dynamics, still).faults
+    assert (diagnosis.kind.value, diagnosis.joints) == ('unit', dynamics.robot.joint_names)
     assert diagnosis.values[0] == pytest.approx(factor, rel=0.05)
 
 
@@ -162,7 +162,7 @@ def test_advice_for_an_offset_depends_on_the_kind_of_measurement(friction, is_mo
     dynamics, recording = run('seven_dof', friction=friction)
     efforts = recording.efforts.copy()
     efforts[:, 3] += 5.0
-    (diagnosis,) = diagnose_recording(dynamics, recording._replace(efforts=efforts)).diagnoses
+    (diagnosis,) = diagnose_recording(dynamics, recording._replace(efforts=efforts)).faults
     assert diagnosis.is_motor_side is is_motor_side
     hint = diagnosis_warning(diagnosis).hint
     assert ('Zero the torque sensors' in hint) is not is_motor_side
@@ -266,7 +266,7 @@ def test_many_wrong_links_are_not_reported_as_a_payload(name, seed):
     result = diagnose_recording(dynamics, recording._replace(efforts=recording.efforts + change))
     assert 'payload' not in kinds(result)
     assert kinds(result)[-1] == 'bodies'
-    diagnosis = result.diagnoses[-1]
+    diagnosis = result.faults[-1]
     assert diagnosis.changes[0].after < 0.5 * diagnosis.changes[0].before
     assert 'inverse_dynamics identify' in diagnosis_warning(diagnosis).hint
 
@@ -293,8 +293,8 @@ def test_a_load_that_was_picked_up_is_reported_with_its_times(name, link, begin,
     result = diagnose_recording(
         dynamics, recording._replace(efforts=recording.efforts + load * carried[:, None])
     )
-    (diagnosis,) = result.diagnoses
-    assert (diagnosis.kind, diagnosis.link) == ('payload', link)
+    (diagnosis,) = result.faults
+    assert (diagnosis.kind.value, diagnosis.link) == ('payload', link)
     assert diagnosis.interval == pytest.approx((begin, end), abs=0.15)
     assert diagnosis.values == pytest.approx((1.5, 0.0, 0.02, 0.05), abs=0.05)
     assert result.explained_corrected > 0.999
@@ -310,8 +310,8 @@ def test_a_push_is_reported_with_its_times(name):
     result = diagnose_recording(
         dynamics, recording._replace(efforts=recording.efforts + np.outer(push, strength))
     )
-    (diagnosis,) = result.diagnoses
-    assert diagnosis.kind == 'external_force'
+    (diagnosis,) = result.faults
+    assert diagnosis.kind.value == 'external_force'
     assert set(recording.joint_names[:2]) <= set(diagnosis.joints)
     assert diagnosis.interval == pytest.approx((4.0, 9.0), abs=0.4)
     # Friction is fitted to the rest of the recording.
@@ -327,8 +327,8 @@ def test_a_base_that_tilts_is_reported_with_its_times(name, begin):
     gravity = 9.80665 * np.column_stack([0.0 * angle, np.sin(angle), -np.cos(angle)])
     change = under_gravity(dynamics.robot, q, gravity) - dynamics.gravity_efforts(q)
     result = diagnose_recording(dynamics, recording._replace(efforts=recording.efforts + change))
-    (diagnosis,) = result.diagnoses
-    assert diagnosis.kind == 'mounting'
+    (diagnosis,) = result.faults
+    assert diagnosis.kind.value == 'mounting'
     assert math.degrees(diagnosis.angle) == pytest.approx(19.0, abs=2.0)
     assert begin < diagnosis.interval[0] < begin + 3.0
     assert diagnosis.interval[1] > 19.0
@@ -341,5 +341,5 @@ def test_a_base_that_does_not_move_is_not_reported_as_tilting():
     recording = run(
         'seven_dof', rate=100.0, friction=(1.0, 1.0), act=lambda real: real.set_gravity(gravity)
     )
-    (diagnosis,) = diagnose_recording(*recording).diagnoses
-    assert (diagnosis.kind, diagnosis.interval) == ('mounting', None)
+    (diagnosis,) = diagnose_recording(*recording).faults
+    assert (diagnosis.kind.value, diagnosis.interval) == ('mounting', None)

@@ -1,10 +1,11 @@
 """The diagnosis of a few seconds of measured and modelled efforts."""
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.analysis.live.agreement import FaultKind, Outcome
-from inverse_dynamics_node.analysis.live.check import check_agreement, StateRate
-from inverse_dynamics_node.analysis.live.diagnosis import diagnose
-from inverse_dynamics_node.analysis.live.window import LiveSamples, LiveWindow
+from inverse_dynamics_node.analysis.diagnosis.agreement import Obstacle, Outcome
+from inverse_dynamics_node.analysis.diagnosis.fault import FaultKind
+from inverse_dynamics_node.analysis.diagnosis.live import diagnose
+from inverse_dynamics_node.analysis.diagnosis.live_check import check_agreement, StateRate
+from inverse_dynamics_node.analysis.diagnosis.live_samples import LiveSamples, LiveWindow
 from inverse_dynamics_node.report.agreement_text import sentence
 import numpy as np
 import pytest
@@ -62,7 +63,7 @@ def test_sentence_of_an_agreement_has_residual_and_effort():
 def test_swapped_sign_of_one_joint_is_named(joint, moves):
     robot, samples = samples_of(moves=moves)
     agreement = diagnose(flipped(samples, joint), robot, GRAVITY)
-    assert (agreement.outcome, agreement.fault) == (Outcome.DIFFER, FaultKind.SIGN)
+    assert (agreement.outcome, agreement.cause) == (Outcome.DIFFER, FaultKind.SIGN)
     assert agreement.joints == (joint,)
     assert sentence(agreement) == (
         f'{joint}: measured and modelled effort have opposite signs; do not go live'
@@ -73,7 +74,7 @@ def test_swapped_sign_of_one_joint_is_named(joint, moves):
 def test_swapped_signs_of_all_joints_are_not_an_inverted_base(moves):
     robot, samples = samples_of(moves=moves)
     agreement = diagnose(flipped(samples, *JOINTS), robot, GRAVITY)
-    assert agreement.fault is FaultKind.SIGN
+    assert agreement.cause is FaultKind.SIGN
     assert agreement.joints == JOINTS
 
 
@@ -94,7 +95,7 @@ def test_unknown_payload_of_2_kg_is_weighed(name, moves):
 
     robot, samples = samples_of(name, moves, load)
     agreement = diagnose(samples, robot, GRAVITY)
-    assert (agreement.outcome, agreement.fault) == (Outcome.DIFFER, FaultKind.PAYLOAD)
+    assert (agreement.outcome, agreement.cause) == (Outcome.DIFFER, FaultKind.PAYLOAD)
     assert agreement.link == link
     assert agreement.values[0] == pytest.approx(2.0, rel=0.2)
     assert f"link '{link}' carries about 2" in sentence(agreement)
@@ -103,7 +104,7 @@ def test_unknown_payload_of_2_kg_is_weighed(name, moves):
 def test_payload_and_swapped_sign_are_both_reported():
     robot, samples = samples_of(act=lambda real: real.set_payload('tool0', 2.0))
     agreement = diagnose(flipped(samples, 'joint_2'), robot, GRAVITY)
-    assert agreement.fault is FaultKind.PAYLOAD
+    assert agreement.cause is FaultKind.PAYLOAD
     assert agreement.also_swapped == ('joint_2',)
     assert 'opposite signs at joint_2; do not go live' in sentence(agreement)
 
@@ -121,7 +122,7 @@ def test_tilted_base_is_found(moves):
     gravity = 9.80665 * np.array([0.0, -np.sin(0.5), -np.cos(0.5)])
     robot, samples = samples_of(moves=moves, act=lambda real: real.set_gravity(gravity))
     agreement = diagnose(samples, robot, GRAVITY)
-    assert agreement.fault is FaultKind.MOUNTING
+    assert agreement.cause is FaultKind.MOUNTING
     assert agreement.values == pytest.approx(gravity, abs=0.3)
     assert 'check the parameter gravity' in sentence(agreement)
 
@@ -129,7 +130,7 @@ def test_tilted_base_is_found(moves):
 def test_gravity_that_the_driver_compensates_is_found():
     robot, samples = samples_of(act=lambda real: real.set_gravity((0.0, 0.0, 0.0)))
     agreement = diagnose(samples, robot, GRAVITY)
-    assert (agreement.outcome, agreement.fault) == (Outcome.DIFFER, FaultKind.GRAVITY_COMPENSATED)
+    assert (agreement.outcome, agreement.cause) == (Outcome.DIFFER, FaultKind.GRAVITY_COMPENSATED)
     assert 'include_gravity: false' in sentence(agreement)
 
 
@@ -146,7 +147,7 @@ def test_another_unit_is_named_with_its_factor(factor, moves):
     robot, samples = samples_of(moves=moves)
     wrong = samples._replace(measured=factor * samples.measured)
     agreement = diagnose(wrong, robot, GRAVITY)
-    assert agreement.fault is FaultKind.SCALE
+    assert agreement.cause is FaultKind.SCALE
     assert agreement.values == pytest.approx([factor] * len(agreement.joints), rel=0.02)
     assert f'is {factor:g} times the modelled one' in sentence(agreement)
 
@@ -156,7 +157,7 @@ def test_contact_is_an_unexplained_difference_of_its_joint():
     measured = samples.measured.copy()
     measured[:, 1] += 30.0 * np.sin(7.0 * samples.times)
     agreement = diagnose(samples._replace(measured=measured), robot, GRAVITY)
-    assert (agreement.outcome, agreement.fault) == (Outcome.DIFFER, FaultKind.UNEXPLAINED)
+    assert (agreement.outcome, agreement.cause) == (Outcome.DIFFER, FaultKind.UNEXPLAINED)
     assert agreement.joints == ('joint_2',)
 
 
@@ -165,7 +166,7 @@ def test_small_difference_at_rest_may_be_friction():
     measured = samples.measured.copy()
     measured[:, 4] += 0.8
     agreement = diagnose(samples._replace(measured=measured), robot, GRAVITY)
-    assert (agreement.outcome, agreement.fault) == (Outcome.UNDECIDED, FaultKind.AT_REST)
+    assert (agreement.outcome, agreement.cause) == (Outcome.UNDECIDED, Obstacle.AT_REST)
     assert 'move the arm to decide' in sentence(agreement)
 
 
@@ -173,14 +174,14 @@ def test_efforts_that_are_not_measured_cannot_be_compared():
     robot, samples = samples_of()
     nothing = samples._replace(measured=np.full_like(samples.measured, np.nan))
     agreement = diagnose(nothing, robot, GRAVITY)
-    assert (agreement.outcome, agreement.fault) == (Outcome.UNDECIDED, FaultKind.NO_EFFORTS)
+    assert (agreement.outcome, agreement.cause) == (Outcome.UNDECIDED, Obstacle.NO_EFFORTS)
 
 
 def test_zero_efforts_of_an_arm_held_by_brakes_cannot_be_compared():
     robot, samples = samples_of(moves=False)
     zero = samples._replace(measured=np.zeros_like(samples.measured))
     agreement = diagnose(zero, robot, GRAVITY)
-    assert (agreement.outcome, agreement.fault) == (Outcome.UNDECIDED, FaultKind.ZERO_EFFORTS)
+    assert (agreement.outcome, agreement.cause) == (Outcome.UNDECIDED, Obstacle.ZERO_EFFORTS)
     assert 'brakes hold the arm' in sentence(agreement)
 
 
@@ -189,7 +190,7 @@ def test_joint_that_always_measures_zero_is_named():
     measured = samples.measured.copy()
     measured[:, 2] = 0.0
     agreement = diagnose(samples._replace(measured=measured), robot, GRAVITY)
-    assert (agreement.outcome, agreement.fault) == (Outcome.DIFFER, FaultKind.NOT_MEASURED)
+    assert (agreement.outcome, agreement.cause) == (Outcome.DIFFER, FaultKind.NOT_MEASURED)
     assert agreement.joints == ('joint_3',)
 
 
@@ -205,19 +206,19 @@ def test_efforts_of_an_unloaded_arm_are_too_small_to_compare():
     robot, samples = samples_of(moves=False)
     small = samples._replace(measured=1e-3 * samples.measured, modelled=1e-3 * samples.modelled)
     agreement = diagnose(small, robot, GRAVITY)
-    assert (agreement.outcome, agreement.fault) == (Outcome.UNDECIDED, FaultKind.SMALL_EFFORTS)
+    assert (agreement.outcome, agreement.cause) == (Outcome.UNDECIDED, Obstacle.SMALL_EFFORTS)
 
 
 def test_half_a_second_is_not_enough():
     robot, samples = samples_of()
     short = LiveSamples(samples.joint_names, *(signal[:25] for signal in samples[1:]))
-    assert diagnose(short, robot, GRAVITY).fault is FaultKind.TOO_FEW_SAMPLES
+    assert diagnose(short, robot, GRAVITY).cause is Obstacle.TOO_FEW_SAMPLES
 
 
 def test_no_sample_is_not_enough():
     robot, _ = samples_of()
     agreement = diagnose(LiveWindow(robot.joint_names).samples(), robot, GRAVITY)
-    assert agreement.fault is FaultKind.TOO_FEW_SAMPLES
+    assert agreement.cause is Obstacle.TOO_FEW_SAMPLES
 
 
 def test_window_keeps_its_duration():
@@ -242,7 +243,7 @@ class TestSaturation:
     def test_it_is_an_outcome_of_its_own(self):
         robot, samples = samples_of()
         agreement = judged(samples, robot, saturated=['joint_2'])
-        assert (agreement.outcome, agreement.fault) == (Outcome.SATURATED, FaultKind.SATURATED)
+        assert (agreement.outcome, agreement.cause) == (Outcome.SATURATED, Obstacle.SATURATED)
         assert sentence(agreement).startswith(
             'joint_2: the effort is cut to its limit, so the arm'
         )
@@ -262,7 +263,7 @@ class TestSaturation:
     def test_a_difference_is_more_important_but_both_are_reported(self):
         robot, samples = samples_of()
         agreement = judged(flipped(samples, 'joint_3'), robot, saturated=['joint_2'])
-        assert agreement.fault is FaultKind.SIGN
+        assert agreement.cause is FaultKind.SIGN
         assert sentence(agreement).endswith('; effort cut to its limit: joint_2')
 
 
@@ -276,7 +277,7 @@ class TestFewJoints:
         checked = check_agreement('', StateRate(500.0), samples, robot, GRAVITY).checked
         assert len(checked) == 1
         agreement = judged(samples, robot, robot.joint_names)
-        assert (agreement.outcome, agreement.fault) == (Outcome.FEW_JOINTS, FaultKind.FEW_JOINTS)
+        assert (agreement.outcome, agreement.cause) == (Outcome.FEW_JOINTS, Obstacle.FEW_JOINTS)
         assert sentence(agreement).startswith('model and robot agree in 1 of 7 joints only: ')
         assert sentence(agreement).endswith('; move the arm to check the others')
 
@@ -323,7 +324,7 @@ class TestStateRate:
     def test_slow_states_are_a_difference_even_if_efforts_agree(self):
         robot, samples = samples_of()
         agreement = check_agreement('', StateRate(50.0), samples, robot, GRAVITY)
-        assert (agreement.outcome, agreement.fault) == (Outcome.DIFFER, FaultKind.SLOW_STATES)
+        assert (agreement.outcome, agreement.cause) == (Outcome.DIFFER, Obstacle.SLOW_STATES)
         assert 'joint states arrive at 50 Hz, expected at least 80 Hz' in sentence(agreement)
 
     def test_swapped_sign_is_more_important_than_slow_states(self):
@@ -331,7 +332,7 @@ class TestStateRate:
         agreement = check_agreement(
             '', StateRate(50.0), flipped(samples, 'joint_3'), robot, GRAVITY
         )
-        assert agreement.fault is FaultKind.SIGN
+        assert agreement.cause is FaultKind.SIGN
 
     def test_node_that_does_not_compute_is_not_judged(self):
         robot, samples = samples_of()

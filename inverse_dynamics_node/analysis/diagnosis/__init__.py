@@ -5,7 +5,7 @@ Compares a recording with the model, fits friction and diagnoses the differences
 for an explanation of the difference between measured and modelled efforts.
 """
 
-from .diagnoses import Change, Diagnosis
+from .fault import Change, Fault, FaultKind
 from .friction import friction_parameters, FrictionFit
 from .recorded_column import Recording
 from .recording import diagnose_recording
@@ -15,7 +15,8 @@ from .signals import Motion
 __all__ = [
     'Change',
     'ComparisonResult',
-    'Diagnosis',
+    'Fault',
+    'FaultKind',
     'FrictionFit',
     'JointResidual',
     'Motion',

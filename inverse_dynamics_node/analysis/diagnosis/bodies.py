@@ -114,7 +114,7 @@ def wrong_bodies(
 def _has_several_causes(robot_fit: RobotFit) -> bool:
     """Return whether an explanation combines a load or a mounting with faults of joints."""
     flags = [fit.sensor_fault.is_scaled or fit.sensor_fault.has_offset for fit in robot_fit.fits]
-    return robot_fit.candidate.kind != 'nominal' and any(flags)
+    return robot_fit.candidate.kind is not None and any(flags)
 
 
 def _unseen(

@@ -7,7 +7,8 @@ import numpy as np
 from ...robot.model import Floats
 from .columns import gravity_columns, payload_columns
 from .compared_efforts import ComparedEfforts
-from .fault_interval import FaultInterval, FaultKind
+from .fault import FaultKind
+from .fault_interval import FaultInterval
 from .loads import point_mass_parameters
 from .robot_fit import RobotFit
 from .tilt import changing_gravity_efforts
@@ -19,9 +20,9 @@ def corrected_efforts(
     """Return measured efforts without sensor faults, and modelled ones of the candidate."""
     measured = compared.measured / robot_fit.unit
     correction = added_efforts(compared, robot_fit)
-    if fault is not None and fault.kind is FaultKind.LOAD:
+    if fault is not None and fault.kind is FaultKind.PAYLOAD:
         correction = correction * compared.inside(fault)[:, None]
-    if fault is not None and fault.kind is FaultKind.TILT:
+    if fault is not None and fault.kind is FaultKind.MOUNTING:
         correction = changing_gravity_efforts(
             fault, compared.robot, compared.states[0], compared.motion.times
         )[:, compared.index]
@@ -37,13 +38,13 @@ def corrected_efforts(
 def added_efforts(compared: ComparedEfforts, robot_fit: RobotFit) -> Floats:
     """Return the efforts that the candidate model adds to the model."""
     candidate = robot_fit.candidate
-    if candidate.kind == 'mounting':
+    if candidate.kind is FaultKind.MOUNTING:
         turned = gravity_columns(compared.robot, compared.states[0]) @ np.array(candidate.solution)
         return np.asarray(turned[:, compared.index] - compared.gravity)
     correction: Floats = np.zeros_like(compared.rigid)
     if candidate.is_gravity_compensated:
         correction -= compared.gravity
-    if candidate.kind == 'payload':
+    if candidate.kind is FaultKind.PAYLOAD:
         mass, *com = candidate.solution
         columns = payload_columns(
             compared.robot, compared.dynamics.gravity, candidate.link, compared.states

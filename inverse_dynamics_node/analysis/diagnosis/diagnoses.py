@@ -1,81 +1,28 @@
-"""Explanations of measured efforts as separate diagnoses, each with its own contribution."""
+"""Explanations of measured efforts as separate faults, each with its own contribution."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .bodies import Bodies
-from .fault_interval import FaultInterval, FaultKind
+from .fault import Change, Fault, FaultKind
+from .fault_interval import FaultInterval
 from .joint_samples import CREDIBLE, JointFit, NO_FAULT
 from .loads import MAX_COM_ERROR
 from .regression_data import RegressionData
 from .robot_fit import RobotFit
 
-SAME_FACTOR = 1.1  # factors with a smaller ratio are regarded as equal
 CHANGED = 0.9  # of the RMS residual; a joint whose residual falls by less is not affected
 MOST_UNEXPLAINED = 0.5  # fraction of the squares; if more remains, the model explains nothing
 
 
-class Change(NamedTuple):
-    """RMS residual of one joint, with fitted friction, without and with a diagnosis."""
-
-    joint: str
-    is_prismatic: bool
-    before: float
-    """[N m or N], as recorded."""
-    after: float
-    """[N m or N], as recorded."""
-    measured: float
-    """RMS of the measured effort [N m or N], as recorded."""
-
-
-class Diagnosis(NamedTuple):
-    """One explanation of a difference between measured and modelled efforts."""
-
-    kind: str
-    """``sign``, ``scale``, ``unit``, ``gravity_compensated``, ``mounting``, ``payload``,
-    ``bodies``, ``external_force``, ``order``, ``rotor_inertia``, ``offset``, ``constant`` or
-    ``unexplained``."""
-    joints: tuple[str, ...] = ()
-    """Joints whose efforts it explains; empty if it concerns the whole robot."""
-    values: tuple[float, ...] = ()
+def diagnose(data: RegressionData, robot_fit: RobotFit, names: Sequence[str]) -> list[Fault]:
     """
-    Factor, inertia [kg m^2, kg] or offset [N m, N] of each joint; mass [kg] and centre of mass [m]
-    of a payload, NaN where unknown; gravity in the frame of the base link [m/s^2] of a mounting.
-    """
-    changes: tuple[Change, ...] = ()
-    """Joints whose residual it reduces, the largest reduction first."""
-    error: float = 0.0
-    """Standard error of the mass of a payload [kg]."""
-    angle: float = 0.0
-    """Angle of a mounting to that in the model [rad]."""
-    link: str = ''
-    """Link that carries the payload."""
-    sources: tuple[str, ...] = ()
-    """Names under which the efforts of ``joints`` were recorded, if in another order."""
-    unknown: tuple[str, ...] = ()
-    """Joints whose unit is unknown because friction dominates."""
-    is_every_joint: bool = False
-    """Whether it applies to all joints that show more than friction."""
-    is_motor_side: bool = False
-    """Whether the efforts contain the friction of the gears, as those of motor currents do."""
-    interval: tuple[float, float] | None = None
-    """Begin and end [s] if it applies to a part of the recording."""
-
-    @property
-    def is_same_factor(self) -> bool:
-        """Whether all factors are equal, as those of a unit are."""
-        return max(self.values) < SAME_FACTOR * min(self.values)
-
-
-def diagnose(data: RegressionData, robot_fit: RobotFit, names: Sequence[str]) -> list[Diagnosis]:
-    """
-    Divide an explanation into diagnoses.
+    Divide an explanation into faults.
 
     Parameters
     ----------
@@ -88,43 +35,45 @@ def diagnose(data: RegressionData, robot_fit: RobotFit, names: Sequence[str]) ->
 
     Returns
     -------
-    diagnoses : list of Diagnosis
+    faults : list of Fault
         Most important first; empty if the model explains the efforts without changes.
 
     """
-    found = _Diagnoses(data, robot_fit, names)
+    found = _Faults(data, robot_fit, names)
     return [
         *found.order(),
         *found.gravity_compensated(),
         *found.mounting(),
         *found.unit(),
-        *found.sensor_fault('sign', 'is_swapped'),
-        *found.sensor_fault('scale', 'is_scaled'),
+        *found.sensor_fault(FaultKind.SIGN, 'is_swapped'),
+        *found.sensor_fault(FaultKind.SCALE, 'is_scaled'),
         *found.payload(),
-        *found.sensor_fault('rotor_inertia', 'has_rotor'),
-        *found.sensor_fault('offset', 'has_offset'),
+        *found.sensor_fault(FaultKind.ROTOR_INERTIA, 'has_rotor'),
+        *found.sensor_fault(FaultKind.OFFSET, 'has_offset'),
         *found.unexplained(),
     ]
 
 
-def diagnose_interval(fault: FaultInterval, names: Sequence[str]) -> list[Diagnosis]:
-    """Return the diagnosis of a cause that acts during a part of the recording."""
-    if fault.kind is FaultKind.TILT and fault.gravity is not None:
+def diagnose_interval(fault: FaultInterval, names: Sequence[str]) -> list[Fault]:
+    """Return the fault that acts during a part of the recording."""
+    if fault.kind is FaultKind.MOUNTING and fault.gravity is not None:
         angles = [angle_between(each, fault.data.gravity) for each in fault.gravity]
         steepest = int(np.argmax(angles))
         values = tuple(fault.gravity[steepest].tolist())
         return [
-            Diagnosis('mounting', values=values, angle=angles[steepest], interval=fault.interval)
+            Fault(
+                FaultKind.MOUNTING, values=values, angle=angles[steepest], interval=fault.interval
+            )
         ]
-    if fault.kind is FaultKind.LOAD:
-        (payload,) = _Diagnoses(fault.data, fault.outside, names).payload()
+    if fault.kind is FaultKind.PAYLOAD:
+        (payload,) = _Faults(fault.data, fault.outside, names).payload()
         return [payload._replace(interval=fault.interval)]
     joints = tuple(names[j] for j in fault.joints)
-    return [Diagnosis('external_force', joints, interval=fault.interval)]
+    return [Fault(FaultKind.EXTERNAL_FORCE, joints, interval=fault.interval)]
 
 
-def diagnose_bodies(bodies: Bodies, data: RegressionData, names: Sequence[str]) -> Diagnosis:
-    """Return the diagnosis for several wrong links."""
+def diagnose_bodies(bodies: Bodies, data: RegressionData, names: Sequence[str]) -> Fault:
+    """Return the fault of several wrong links."""
     changes = []
     for j, (before, after) in enumerate(zip(bodies.before, bodies.after, strict=True)):
         if after < CHANGED * before:
@@ -132,20 +81,20 @@ def diagnose_bodies(bodies: Bodies, data: RegressionData, names: Sequence[str]) 
             measured = math.sqrt(samples.squares[data.first_measured + j])
             change = Change(names[j], samples.is_prismatic, float(before), float(after), measured)
             changes.append(change)
-    return Diagnosis(
-        'bodies', changes=tuple(sorted(changes, key=lambda each: each.after - each.before))
+    return Fault(
+        FaultKind.BODIES, changes=tuple(sorted(changes, key=lambda each: each.after - each.before))
     )
 
 
-def diagnose_constant(values: Mapping[str, float]) -> list[Diagnosis]:
-    """Return the diagnosis for joints whose measured effort is constant, given their efforts."""
+def diagnose_constant(values: Mapping[str, float]) -> list[Fault]:
+    """Return the fault of joints whose measured effort is constant, given their efforts."""
     if not values:
         return []
-    return [Diagnosis('constant', tuple(values), tuple(values.values()))]
+    return [Fault(FaultKind.NOT_MEASURED, tuple(values), tuple(values.values()))]
 
 
-class _Diagnoses:
-    """The diagnoses that one explanation consists of."""
+class _Faults:
+    """The faults that one explanation consists of."""
 
     def __init__(self, data: RegressionData, robot_fit: RobotFit, names: Sequence[str]) -> None:
         self.data, self.robot_fit, self.names = data, robot_fit, names
@@ -170,7 +119,7 @@ class _Diagnoses:
                 found.append(change)
         return tuple(sorted(found, key=lambda each: each.after - each.before))
 
-    def order(self) -> list[Diagnosis]:
+    def order(self) -> list[Fault]:
         source = self.robot_fit.source
         moved = [j for j, i in enumerate(source) if i != j]
         if not moved:
@@ -182,8 +131,8 @@ class _Diagnoses:
             fits[j] = samples[j].fit(weights, first + j, NO_FAULT)
         without = self.robot_fit._replace(fits=tuple(fits))
         return [
-            Diagnosis(
-                'order',
+            Fault(
+                FaultKind.ORDER,
                 tuple(self.names[j] for j in moved),
                 changes=self.changes(without),
                 sources=tuple(self.names[source[j]] for j in moved),
@@ -193,35 +142,35 @@ class _Diagnoses:
     def _without_candidate(self) -> RobotFit:
         candidate = self.robot_fit.candidate
         base = self.data.nominal
-        if candidate.kind == 'payload' and candidate.is_gravity_compensated:
+        if candidate.kind is FaultKind.PAYLOAD and candidate.is_gravity_compensated:
             base = self.data.gravity_compensated()
         return self.data.refit(self.robot_fit, candidate=base)
 
-    def gravity_compensated(self) -> list[Diagnosis]:
+    def gravity_compensated(self) -> list[Fault]:
         if not self.robot_fit.candidate.is_gravity_compensated:
             return []
         with_gravity = self.robot_fit.candidate
         weights = with_gravity.weights - self.data.gravity_compensated().weights
         base = with_gravity._replace(weights=weights + self.data.nominal.weights)
         without = self.data.refit(self.robot_fit, candidate=base)
-        return [Diagnosis('gravity_compensated', changes=self.changes(without))]
+        return [Fault(FaultKind.GRAVITY_COMPENSATED, changes=self.changes(without))]
 
-    def mounting(self) -> list[Diagnosis]:
+    def mounting(self) -> list[Fault]:
         candidate = self.robot_fit.candidate
-        if candidate.kind != 'mounting':
+        if candidate.kind is not FaultKind.MOUNTING:
             return []
         return [
-            Diagnosis(
-                'mounting',
+            Fault(
+                FaultKind.MOUNTING,
                 values=candidate.solution,
                 changes=self.changes(self._without_candidate()),
                 angle=angle_between(candidate.solution, self.data.gravity),
             )
         ]
 
-    def payload(self) -> list[Diagnosis]:
+    def payload(self) -> list[Fault]:
         candidate = self.robot_fit.candidate
-        if candidate.kind != 'payload':
+        if candidate.kind is not FaultKind.PAYLOAD:
             return []
         mass, *com = candidate.solution
         known = [
@@ -229,8 +178,8 @@ class _Diagnoses:
             for x, error in zip(com, candidate.errors[1:], strict=True)
         ]
         return [
-            Diagnosis(
-                'payload',
+            Fault(
+                FaultKind.PAYLOAD,
                 values=(mass, *known),
                 changes=self.changes(self._without_candidate()),
                 error=candidate.errors[0],
@@ -238,14 +187,14 @@ class _Diagnoses:
             )
         ]
 
-    def unit(self) -> list[Diagnosis]:
+    def unit(self) -> list[Fault]:
         factor = self.robot_fit.unit
         if factor == 1.0:
             return []
         without = self.data.refit(self.robot_fit._replace(unit=1.0))
         return [
-            Diagnosis(
-                'unit',
+            Fault(
+                FaultKind.UNIT,
                 tuple(self.names),
                 (factor,),
                 self.changes(without),
@@ -253,8 +202,8 @@ class _Diagnoses:
             )
         ]
 
-    def sensor_fault(self, kind: str, flag: str) -> list[Diagnosis]:
-        """Return the diagnosis for the joints with one kind of sensor fault."""
+    def sensor_fault(self, kind: FaultKind, flag: str) -> list[Fault]:
+        """Return the fault of the joints with one kind of sensor fault."""
         found = [j for j, fit in enumerate(self.fits) if getattr(fit.sensor_fault, flag)]
         if not found:
             return []
@@ -263,18 +212,18 @@ class _Diagnoses:
             name for fit, name in zip(self.fits, self.names, strict=True) if fit.is_friction_only
         ]
         return [
-            Diagnosis(
+            Fault(
                 kind,
                 joints,
                 tuple(_value(self.fits[j], kind) for j in found),
                 self.changes(self.data.refit(self.robot_fit, without=flag)),
-                unknown=tuple(friction_only) if kind == 'scale' else (),
+                unknown=tuple(friction_only) if kind is FaultKind.SCALE else (),
                 is_every_joint=len(joints) > 1 and set(self.relevant) <= set(joints),
                 is_motor_side=self.is_motor_side,
             )
         ]
 
-    def unexplained(self) -> list[Diagnosis]:
+    def unexplained(self) -> list[Fault]:
         """Return the joints that nothing explains; the worst ones if the sum is not explained."""
         if self.data.is_too_short:
             return []
@@ -295,18 +244,23 @@ class _Diagnoses:
             measured = math.sqrt(samples.squares[self._measured(j)])
             changes.append(Change(self.names[j], samples.is_prismatic, fit.rms, fit.rms, measured))
         return [
-            Diagnosis('unexplained', tuple(each.joint for each in changes), (), tuple(changes))
+            Fault(FaultKind.UNEXPLAINED, tuple(each.joint for each in changes), (), tuple(changes))
         ]
 
     def _measured(self, j: int) -> int:
         return self.data.first_measured + self.robot_fit.source[j]
 
 
-def _value(fit: JointFit, kind: str) -> float:
+def _value(fit: JointFit, kind: FaultKind) -> float:
     """Return the number that describes a kind of sensor fault."""
-    if kind == 'sign':
+    if kind is FaultKind.SIGN:
         return -1.0
-    return {'scale': fit.scale, 'rotor_inertia': fit.rotor, 'offset': fit.offset}[kind]
+    values = {
+        FaultKind.SCALE: fit.scale,
+        FaultKind.ROTOR_INERTIA: fit.rotor,
+        FaultKind.OFFSET: fit.offset,
+    }
+    return values[kind]
 
 
 def angle_between(a: ArrayLike, b: ArrayLike) -> float:

@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
-from enum import Enum
 from typing import NamedTuple
 
 from ...robot.model import Floats
+from .fault import FaultKind
 from .regression_data import RegressionData
 from .robot_fit import RobotFit
-
-
-class FaultKind(Enum):
-    """A cause that acts during a part of a recording."""
-
-    LOAD = 'load'
-    FORCE = 'force'
-    TILT = 'tilt'
 
 
 class FaultInterval(NamedTuple):
     """A part of a recording, and the cause that acts during it."""
 
     kind: FaultKind
+    """A payload, an external force, or a mounting that changes."""
     interval: tuple[float, float]
     """Begin and end [s]."""
     outside: RobotFit

@@ -14,7 +14,8 @@ import math
 import numpy as np
 
 from ...robot.model import Floats, Integers
-from .fault_interval import FaultInterval, FaultKind, span
+from .fault import FaultKind
+from .fault_interval import FaultInterval, span
 from .joint_samples import (
     ACCELERATION,
     DIRECTION,
@@ -62,7 +63,7 @@ def find_fault_interval(data: RegressionData, robot_fit: RobotFit) -> FaultInter
         return None
     unexplained = data.unexplained(robot_fit)
     fault = _interval(data, robot_fit)
-    if fault is not None and fault.kind is FaultKind.LOAD:
+    if fault is not None and fault.kind is FaultKind.PAYLOAD:
         return fault
     left_by_force = 0.0 if fault is None else fault.data.unexplained(fault.outside)
     tilt = find_tilt(data, min(IMPROVES * unexplained, max(2.0 * left_by_force, AS_GOOD)))
@@ -72,7 +73,7 @@ def find_fault_interval(data: RegressionData, robot_fit: RobotFit) -> FaultInter
 def _is_open(data: RegressionData, robot_fit: RobotFit) -> bool:
     """Return whether a joint that moves is not explained."""
     # A load or a mounting that holds for a part only leaves less than nothing does.
-    is_nominal = robot_fit.candidate.kind == 'nominal'
+    is_nominal = robot_fit.candidate.kind is None
     floors = NOT_EXPLAINED if is_nominal else NOT_EXPLAINED_BY_CANDIDATE
     return any(
         samples.moves and fit.remaining > floors * samples.floor(data.first_measured + source)
@@ -168,7 +169,7 @@ def _load(
         if not loads:
             return None
         load = min(loads, key=loaded.unexplained)
-        best = FaultInterval(FaultKind.LOAD, interval, load, loaded)
+        best = FaultInterval(FaultKind.PAYLOAD, interval, load, loaded)
         interval = _refined(data, best)
     assert best is not None
     left = best.data.unexplained(best.outside)
@@ -204,7 +205,7 @@ def _force(
     found = outside.friction_only()
     if outside.unexplained(found) > IMPROVES * unexplained:
         is_unit = robot_fit.is_scaled or any(fit.sensor_fault.is_swapped for fit in robot_fit.fits)
-        if robot_fit.candidate.kind != 'nominal' or is_unit:
+        if robot_fit.candidate.kind is not None or is_unit:
             return None
         found = outside.refit(robot_fit)
         if outside.unexplained(found) > IMPROVES * unexplained:
@@ -216,7 +217,11 @@ def _force(
         if fit.rms > math.sqrt(MUCH_LOUDER) * max(found.fits[j].rms, 1e-12)
         and data.joints[j].moves
     )
-    return FaultInterval(FaultKind.FORCE, interval, found, outside, joints) if joints else None
+    return (
+        FaultInterval(FaultKind.EXTERNAL_FORCE, interval, found, outside, joints)
+        if joints
+        else None
+    )
 
 
 def with_loads_inside(data: RegressionData, interval: tuple[float, float]) -> RegressionData:

@@ -88,7 +88,7 @@ def friction_efforts(compared: ComparedEfforts, c: int, fit: FrictionFit, load: 
 
 
 def with_friction_only(compared: ComparedEfforts) -> Floats:
-    """Return the modelled efforts with friction that is fitted without diagnoses."""
+    """Return the modelled efforts with friction that is fitted without faults."""
     efforts: Floats = compared.rigid.copy()
     for c, fit in enumerate(fit_joints(compared, compared.measured - compared.rigid, {})):
         efforts[:, c] += fit.damping * compared.qd[:, c]

@@ -14,8 +14,9 @@ from ...robot.model import Booleans, Floats, RobotModel
 from .bodies import Bodies, wrong_bodies
 from .compared_efforts import ComparedEfforts, CONSTANT
 from .correction import added_efforts, as_recorded, corrected_efforts
-from .diagnoses import diagnose, diagnose_bodies, diagnose_constant, diagnose_interval, Diagnosis
-from .fault_interval import FaultInterval, FaultKind
+from .diagnoses import diagnose, diagnose_bodies, diagnose_constant, diagnose_interval
+from .fault import Fault, FaultKind
+from .fault_interval import FaultInterval
 from .friction import FrictionFit
 from .intervals import best_interval, find_fault_interval, MUCH_LOUDER
 from .joint_friction import (
@@ -113,7 +114,7 @@ def _result(compared: ComparedEfforts, *, fits_shape: bool) -> ComparisonResult:
             robot_fit = bodies.robot_fit
     measured, efforts = corrected_efforts(compared, robot_fit, fault)
     used = np.ones(len(efforts), dtype=bool)
-    if fault is not None and fault.kind is FaultKind.FORCE:
+    if fault is not None and fault.kind is FaultKind.EXTERNAL_FORCE:
         used = ~compared.inside(fault)
     unknown = obscured(compared, robot_fit)
     fits = fit_joints(compared, measured[used] - efforts[used], unknown, used)
@@ -135,7 +136,7 @@ def _result(compared: ComparedEfforts, *, fits_shape: bool) -> ComparisonResult:
         measured=compared.measured,
         modelled=compared.modelled,
         corrected=recorded,
-        diagnoses=_diagnoses(compared, data, robot_fit, fault, bodies),
+        faults=_faults(compared, data, robot_fit, fault, bodies),
         width=compared.width,
         is_too_short=data.is_too_short,
         moving=tuple(_moving(compared)),
@@ -144,9 +145,9 @@ def _result(compared: ComparedEfforts, *, fits_shape: bool) -> ComparisonResult:
 
 def _refined(compared: ComparedEfforts, fault: FaultInterval) -> FaultInterval:
     """Return a part whose begin and end are accurate to a sample."""
-    if fault.kind is FaultKind.TILT:
+    if fault.kind is FaultKind.MOUNTING:
         return fault
-    is_force = fault.kind is FaultKind.FORCE
+    is_force = fault.kind is FaultKind.EXTERNAL_FORCE
     measured, efforts = corrected_efforts(
         compared, fault.outside._replace(candidate=fault.data.nominal)
     )
@@ -209,20 +210,20 @@ def _joint_residual(
     )
 
 
-def _diagnoses(
+def _faults(
     compared: ComparedEfforts,
     data: RegressionData,
     robot_fit: RobotFit,
     fault: FaultInterval | None,
     bodies: Bodies | None,
-) -> tuple[Diagnosis, ...]:
+) -> tuple[Fault, ...]:
     constant = {compared.names[c]: float(compared.measured[0, c]) for c in compared.constant}
     names = [compared.names[c] for c in compared.varying]
     found = [] if fault is None else diagnose_interval(fault, names)
-    if compared.varying and (fault is None or fault.kind is FaultKind.FORCE):
+    if compared.varying and (fault is None or fault.kind is FaultKind.EXTERNAL_FORCE):
         found += diagnose(data, robot_fit, names)
     if bodies is not None:
-        found = [each for each in found if each.kind != 'unexplained']
+        found = [each for each in found if each.kind is not FaultKind.UNEXPLAINED]
         found.append(diagnose_bodies(bodies, data, names))
     return (*diagnose_constant(constant), *found)
 

@@ -15,6 +15,7 @@ import math
 import numpy as np
 
 from ...robot.model import Floats
+from .fault import FaultKind
 from .joint_samples import (
     ACCELERATION,
     CREDIBLE,
@@ -77,7 +78,7 @@ class RegressionData:
         self.sample_count = sample_count
         self.duration = duration
         self.first_measured = LOADS + PARAMETERS * len(links)
-        self.nominal = CandidateModel('nominal', self._weights({MODEL: 1.0}), 0)
+        self.nominal = CandidateModel(None, self._weights({MODEL: 1.0}), 0)
 
     def with_joints(self, joints: Sequence[JointSamples], duration: float) -> RegressionData:
         """Return the same data with other samples."""
@@ -163,10 +164,10 @@ class RegressionData:
     def _is_credible(self, robot_fit: RobotFit) -> bool:
         """Return whether a candidate model is possible, and improves enough by itself."""
         candidate = robot_fit.candidate
-        if candidate.kind == 'nominal':
+        if candidate.kind is None:
             return True
         # Loads and gravity cannot be identified in unknown units.
-        if robot_fit.is_scaled and candidate.kind != 'gravity_compensated':
+        if robot_fit.is_scaled and candidate.kind is not FaultKind.GRAVITY_COMPENSATED:
             return False
         without = self.refit(robot_fit, candidate=self.nominal)
         if self.unexplained(robot_fit) > OWN_CONTRIBUTION * self.unexplained(without):
@@ -255,7 +256,9 @@ class RegressionData:
 
     def gravity_compensated(self) -> CandidateModel:
         weights = self._weights({MODEL: 1.0, GRAVITY: -1.0})
-        return CandidateModel('gravity_compensated', weights, 1, is_gravity_compensated=True)
+        return CandidateModel(
+            FaultKind.GRAVITY_COMPENSATED, weights, 1, is_gravity_compensated=True
+        )
 
     def _fit_joints(self, candidate: CandidateModel, unit: float = 1.0) -> RobotFit:
         fits = tuple(
@@ -326,7 +329,7 @@ class RegressionData:
             return None
         weights = fixed.copy()
         weights[WEIGHT : WEIGHT + 3] = gravity
-        return CandidateModel('mounting', weights, 3, solution=tuple(gravity.tolist()))
+        return CandidateModel(FaultKind.MOUNTING, weights, 3, solution=tuple(gravity.tolist()))
 
     def _payload(
         self, k: int, base: CandidateModel, fits: list[JointFit]
@@ -347,7 +350,7 @@ class RegressionData:
         weights = base.weights.copy()
         weights[load] = point_mass_parameters(float(solution[0]), solution[1:])
         return CandidateModel(
-            'payload',
+            FaultKind.PAYLOAD,
             weights,
             4 + base.parameters,
             base.is_gravity_compensated,

@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from ...robot.model import Floats
-from .diagnoses import Diagnosis
+from .fault import Fault
 from .friction import FrictionFit
 from .signals import Motion
 
@@ -24,9 +24,9 @@ class JointResidual:
     rms_residual: float
     """RMS of measured minus modelled effort."""
     rms_friction: float
-    """The same with fitted friction, but without diagnoses and offset."""
+    """The same with fitted friction, but without faults and offset."""
     rms_corrected: float
-    """The same with fitted friction, offset and the diagnoses."""
+    """The same with fitted friction, offset and the faults."""
     noise: float
     """Standard deviation of the noise that smoothing leaves; a smaller residual is explained.
 
@@ -46,7 +46,7 @@ class JointResidual:
 
     @property
     def explained_corrected(self) -> float:
-        """The same with fitted friction and offset, and the diagnoses."""
+        """The same with fitted friction and offset, and the faults."""
         return self._explained(self.rms_corrected)
 
     def _explained(self, residual: float) -> float:
@@ -62,7 +62,7 @@ class ComparisonResult:
     compared: tuple[int, ...]
     """Indices of the joints of the motion that have a measured effort; c of them."""
     joints: tuple[JointResidual, ...]
-    """Findings for these joints."""
+    """Residuals of these joints."""
     measured: Floats
     """Measured efforts, shape (K, c) [N m or N]."""
     modelled: Floats
@@ -71,9 +71,9 @@ class ComparisonResult:
     """
     Efforts of the corrected model, as they would be recorded, shape (K, c) [N m or N].
 
-    The corrections are the fitted friction and the diagnoses.
+    The corrections are the fitted friction and the faults.
     """
-    diagnoses: tuple[Diagnosis, ...]
+    faults: tuple[Fault, ...]
     """Explanations of the difference, most important first; empty if none is needed."""
     width: float
     """Speed over which Coulomb friction is smoothed [rad/s or m/s]."""
@@ -89,7 +89,7 @@ class ComparisonResult:
 
     @property
     def explained_corrected(self) -> float:
-        """The same with fitted friction and offset, and the diagnoses."""
+        """The same with fitted friction and offset, and the faults."""
         return self._mean([joint.rms_corrected for joint in self.joints])
 
     def _mean(self, residuals: list[float]) -> float:

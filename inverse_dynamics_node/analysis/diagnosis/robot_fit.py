@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from ...robot.model import Floats
+from .fault import FaultKind
 from .joint_samples import JointFit, PARAMETER_COST
 
 UNIT_PARAMETERS = 2  # a unit has the weight of two parameters, because it is rarely wrong
@@ -13,8 +14,8 @@ UNIT_PARAMETERS = 2  # a unit has the weight of two parameters, because it is ra
 class CandidateModel(NamedTuple):
     """A composition of the efforts of the whole robot."""
 
-    kind: str
-    """``nominal``, ``gravity_compensated``, ``mounting`` or ``payload``."""
+    kind: FaultKind | None
+    """Gravity that is compensated, a mounting or a payload; None for the model as it is."""
     weights: Floats
     """Factors of the first columns of the samples."""
     parameters: int
@@ -55,7 +56,7 @@ class RobotFit(NamedTuple):
     def changes_nothing(self) -> bool:
         """Whether the model with friction is all that there is."""
         return (
-            self.candidate.kind == 'nominal'
+            self.candidate.kind is None
             and self.unit == 1.0
             and self.source == tuple(range(len(self.source)))
             and not any(any(fit.sensor_fault) for fit in self.fits)

@@ -8,7 +8,8 @@ import numpy as np
 
 from ...robot.model import Booleans, Floats, RobotModel
 from .columns import gravity_columns
-from .fault_interval import FaultInterval, FaultKind, span
+from .fault import FaultKind
+from .fault_interval import FaultInterval, span
 from .joint_samples import ACCELERATION, DIRECTION, GRAVITY, MODEL, NO_FAULT, ONE, SPEED, WEIGHT
 from .regression_data import RegressionData
 
@@ -51,7 +52,9 @@ def find_tilt(data: RegressionData, most_left: float) -> FaultInterval | None:
     if at[0] == 0:
         interval = float(knots[0]), interval[1]
     robot_fit = data.friction_only()
-    return FaultInterval(FaultKind.TILT, interval, robot_fit, data, knots=knots, gravity=gravity)
+    return FaultInterval(
+        FaultKind.MOUNTING, interval, robot_fit, data, knots=knots, gravity=gravity
+    )
 
 
 def _fit_gravity(data: RegressionData, moving: list[int], knots: Floats) -> tuple[Floats, float]:

@@ -45,7 +45,7 @@ def draw(result: ComparisonResult, source: str, title: str, path: Path) -> None:
 
 
 def _labels(result: ComparisonResult) -> list[str]:
-    findings_too = ' and findings' if result.diagnoses else ''
+    findings_too = ' and findings' if result.faults else ''
     return ['measured', 'modelled', f'modelled, with fitted friction{findings_too}']
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 import enum
 
+from .fault import FaultKind
+
 
 class Outcome(enum.Enum):
     """Whether model and robot agree, and the arm can be held by the efforts."""
@@ -18,20 +20,10 @@ class Outcome(enum.Enum):
     """They agree, but only few joints could be compared."""
 
 
-class FaultKind(enum.Enum):
-    """Why model and robot do not agree, or why this cannot be decided."""
+class Obstacle(enum.Enum):
+    """Why an agreement is not enough to go live, or cannot be decided."""
 
-    NONE = 'none'
-    # They differ:
-    SIGN = 'sign'
-    SCALE = 'scale'
-    NOT_MEASURED = 'not_measured'
-    GRAVITY_COMPENSATED = 'gravity_compensated'
-    PAYLOAD = 'payload'
-    MOUNTING = 'mounting'
-    UNEXPLAINED = 'unexplained'
     SLOW_STATES = 'slow_states'
-    # They do not differ, but this is not enough to go live:
     SATURATED = 'saturated'
     FEW_JOINTS = 'few_joints'
     # It cannot be decided:
@@ -59,7 +51,8 @@ class Agreement:
     """Whether model and robot agree, and why not."""
 
     outcome: Outcome
-    fault: FaultKind = FaultKind.NONE
+    cause: FaultKind | Obstacle | None = None
+    """None if they agree."""
     joints: tuple[str, ...] = ()
     """Joints that differ; empty if the cause concerns the whole robot."""
     values: tuple[float, ...] = ()

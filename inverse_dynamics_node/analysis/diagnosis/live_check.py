@@ -7,9 +7,10 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from ...robot.model import Floats, RobotModel
-from .agreement import Agreement, FaultKind, Outcome
-from .diagnosis import diagnose
-from .window import LiveSamples
+from .agreement import Agreement, Obstacle, Outcome
+from .fault import FaultKind
+from .live import diagnose
+from .live_samples import LiveSamples
 
 DEFAULT_LEAST_RATE = 80.0  # [Hz]; the default of the controller manager of ros2_control is 100
 OF_GIVEN_RATE = 0.8  # fraction of the rate given by the user, below which states are slow
@@ -92,26 +93,26 @@ def check_agreement(
 
     """
     if reason:
-        return Agreement(Outcome.UNDECIDED, FaultKind.NODE_STATE, reason=reason)
+        return Agreement(Outcome.UNDECIDED, Obstacle.NODE_STATE, reason=reason)
     if samples is None or robot is None:
-        agreement = Agreement(Outcome.UNDECIDED, FaultKind.TOO_FEW_SAMPLES)
+        agreement = Agreement(Outcome.UNDECIDED, Obstacle.TOO_FEW_SAMPLES)
     else:
         agreement = diagnose(samples, robot, gravity, limits)
     agreement = _completed(agreement, commanded, saturated)
-    if rate.is_slow and agreement.fault not in _STRONGER_THAN_SLOW:
+    if rate.is_slow and agreement.cause not in _STRONGER_THAN_SLOW:
         values = (rate.measured or 0.0, rate.least)
         agreement = replace(
             agreement,
             outcome=Outcome.DIFFER,
-            fault=FaultKind.SLOW_STATES,
+            cause=Obstacle.SLOW_STATES,
             joints=(),
             values=values,
         )
     if saturated and (
-        agreement.outcome is not Outcome.DIFFER or agreement.fault is FaultKind.SLOW_STATES
+        agreement.outcome is not Outcome.DIFFER or agreement.cause is Obstacle.SLOW_STATES
     ):
         return replace(
-            agreement, outcome=Outcome.SATURATED, fault=FaultKind.SATURATED, joints=(), values=()
+            agreement, outcome=Outcome.SATURATED, cause=Obstacle.SATURATED, joints=(), values=()
         )
     return agreement
 
@@ -130,6 +131,6 @@ def _completed(
     if agreement.outcome is Outcome.AGREE and count < LEAST_CHECKED * len(commanded):
         values = (float(count), float(len(commanded)))
         return replace(
-            agreement, outcome=Outcome.FEW_JOINTS, fault=FaultKind.FEW_JOINTS, values=values
+            agreement, outcome=Outcome.FEW_JOINTS, cause=Obstacle.FEW_JOINTS, values=values
         )
     return agreement

@@ -14,11 +14,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...dynamics.loaded_robot import FRICTION_WIDTH
+from ...robot.hand import last_link
 from ...robot.model import Booleans, Floats, RobotModel
 from ..least_squares import fit_nonnegative
-from .agreement import Agreement, FaultKind, Outcome, Size
-from .candidates import candidate_models, CandidateModel
-from .window import LiveSamples
+from .agreement import Agreement, Obstacle, Outcome, Size
+from .columns import gravity_columns, payload_columns
+from .compared_efforts import CONSTANT
+from .fault import FaultKind
+from .joint_samples import PARAMETER_COST
+from .live_samples import LiveSamples
+from .loads import MAX_REACH
 
 MIN_SAMPLES = 50  # one second at 50 Hz
 MOVING = 0.02  # [rad/s or m/s]; RMS speed above which a joint moves
@@ -32,23 +38,34 @@ ignored; the smaller one applies, because limits of URDFs are often placeholders
 LEAST_FLOOR = 0.005  # fraction of the limit; sensors are not better
 REST_FACTOR = 2.5  # a joint at rest may be held by dry friction of any size up to breakaway
 FRICTION_AT_REST = 0.1  # fraction of the limit that dry friction may be
-FRICTION_WIDTH = 0.01  # [rad/s or m/s]
-SAME_SCALE = (0.7, 1.4)  # factors in this range are model errors, not another unit
-PARAMETER_COST = 0.7  # about log(2): a parameter must halve the squares of one joint
+SAME_SCALE = (0.7, 1.4)
+"""
+Factors in this range are model errors, not another unit. It is wider than that of a recording,
+because friction and gravity of a few seconds may look like a factor.
+"""
 MUST_REMAIN = 0.25  # fraction of the squares that an accepted explanation may leave
 SOFTENING = 0.1  # added to mean squares, which are 1 at the tolerance
-SILENT = 1e-9  # fraction of the largest effort; smaller variations are rounding errors
+
+MOST_STATES = 60
+"""
+States used by a fit; states that are closer in time differ little. Kernels for 64 states or more
+may have to be compiled first, for which the display would stop.
+"""
+MIN_MASS = 0.05  # [kg]
+MIN_TILT = math.radians(5.0)  # larger than in a recording, which separates it from friction
+SAME_MAGNITUDE = (0.8, 1.25)  # gravity of another magnitude has another cause
+WHOLE_WEIGHT = (0.75, 1.25)  # fraction of gravity that the driver compensates
 
 
 class _RobotFit(NamedTuple):
     """An explanation of all joints, and the squares that it leaves."""
 
-    kind: FaultKind
+    kind: FaultKind | None
     cost: float
     remaining: float
     """Mean square of residual over tolerance."""
     swapped: tuple[int, ...] = ()
-    candidate: CandidateModel | None = None
+    candidate: _Candidate | None = None
     factors: tuple[float, ...] = ()
     joints: tuple[int, ...] = ()
 
@@ -81,10 +98,10 @@ def diagnose(
     known_rows = is_known.any(axis=1).sum()
     columns = np.flatnonzero(2 * is_known.sum(axis=0) > known_rows).tolist()
     if len(samples.times) >= MIN_SAMPLES and not np.isfinite(samples.measured).any():
-        return Agreement(Outcome.UNDECIDED, FaultKind.NO_EFFORTS)
+        return Agreement(Outcome.UNDECIDED, Obstacle.NO_EFFORTS)
     rows = is_known[:, columns].all(axis=1) & np.isfinite(samples.q).all(axis=1)
     if not columns or rows.sum() < MIN_SAMPLES:
-        return Agreement(Outcome.UNDECIDED, FaultKind.TOO_FEW_SAMPLES)
+        return Agreement(Outcome.UNDECIDED, Obstacle.TOO_FEW_SAMPLES)
     whole = LiveSamples(samples.joint_names, *(signal[rows] for signal in samples[1:]))
     return _Comparison(whole, columns, robot, gravity, limits).agreement()
 
@@ -127,11 +144,11 @@ class _Comparison:
         silent = self._silent(is_checked)
         if silent.any():
             if np.array_equal(silent, is_checked):
-                return replace(common, outcome=Outcome.UNDECIDED, fault=FaultKind.ZERO_EFFORTS)
+                return replace(common, outcome=Outcome.UNDECIDED, cause=Obstacle.ZERO_EFFORTS)
             return replace(
                 common,
                 outcome=Outcome.DIFFER,
-                fault=FaultKind.NOT_MEASURED,
+                cause=FaultKind.NOT_MEASURED,
                 joints=self._names(silent),
             )
         differs = r > np.maximum(self.floor, AGREEMENT * self.effort)
@@ -142,7 +159,7 @@ class _Comparison:
         if differs.any():
             return self._unexplained(common, differs, r)
         if not is_checked.any():
-            return replace(common, outcome=Outcome.UNDECIDED, fault=FaultKind.SMALL_EFFORTS)
+            return replace(common, outcome=Outcome.UNDECIDED, cause=Obstacle.SMALL_EFFORTS)
         return common
 
     def _floor(self) -> Floats:
@@ -170,13 +187,13 @@ class _Comparison:
 
     def _silent(self, is_checked: Booleans) -> Booleans:
         """Return which joints measure a constant zero where the model has an effort."""
-        largest = max(float(np.max(np.abs(self.modelled))), SILENT)
-        is_zero = np.max(np.abs(self.measured), axis=0) <= SILENT * largest
+        largest = max(float(np.max(np.abs(self.modelled))), CONSTANT)
+        is_zero = np.max(np.abs(self.measured), axis=0) <= CONSTANT * largest
         return np.asarray(is_zero & is_checked)
 
     def _explain(self) -> _RobotFit | None:
         """Return the explanation with the lowest cost, or None if none is good enough."""
-        nominal = self._fit(FaultKind.NONE, self.measured - self.modelled, 0)
+        nominal = self._fit(None, self.measured - self.modelled, 0)
         swapped = self._swapped()
         found = [nominal]
         if len(swapped):
@@ -185,7 +202,7 @@ class _Comparison:
             found.append(self._fit(FaultKind.SIGN, self._flipped(swapped), parameters, swapped))
         found += self._scaled()
         for flips in {(), swapped}:
-            for candidate in self._candidate_models(flips):
+            for candidate in self._candidates(flips):
                 left = self._flipped(flips) - candidate.efforts[:, self.columns]
                 parameters = candidate.parameters + len(flips)
                 fit = self._fit(candidate.kind, left, parameters, flips)
@@ -195,7 +212,7 @@ class _Comparison:
         return best if is_good else None
 
     def _fit(
-        self, kind: FaultKind, left: Floats, parameters: int, swapped: tuple[int, ...] = ()
+        self, kind: FaultKind | None, left: Floats, parameters: int, swapped: tuple[int, ...] = ()
     ) -> _RobotFit:
         squares = float(np.mean((_rms(self._without_friction(left)) / self.tolerance) ** 2))
         cost = len(self.names) * math.log(squares + SOFTENING) + PARAMETER_COST * parameters
@@ -226,12 +243,12 @@ class _Comparison:
         left: Floats = sign * self.measured - self.modelled
         return left
 
-    def _candidate_models(self, flips: tuple[int, ...]) -> list[CandidateModel]:
+    def _candidates(self, flips: tuple[int, ...]) -> list[_Candidate]:
         weights = np.zeros(len(self.whole.joint_names))
         weights[self.columns] = 1.0 / self.tolerance
         residual = np.zeros_like(self.whole.measured)
         residual[:, self.columns] = self._flipped(flips)
-        return candidate_models(self.whole, residual, weights, self.robot, self.gravity)
+        return _fit_candidates(self.whole, residual, weights, self.robot, self.gravity)
 
     def _scaled(self) -> list[_RobotFit]:
         """
@@ -278,7 +295,7 @@ class _Comparison:
         return slopes, correlations
 
     def _explained(self, common: Agreement, fit: _RobotFit) -> Agreement:
-        found = replace(common, outcome=Outcome.DIFFER, fault=fit.kind)
+        found = replace(common, outcome=Outcome.DIFFER, cause=fit.kind)
         swapped = self._names(np.isin(np.arange(len(self.names)), fit.swapped))
         if fit.kind is FaultKind.SIGN:
             return replace(found, joints=swapped)
@@ -290,10 +307,10 @@ class _Comparison:
     def _unexplained(self, common: Agreement, differs: Booleans, r: Floats) -> Agreement:
         worst = sorted(np.flatnonzero(differs), key=lambda c: -r[c] / self.tolerance[c])
         names = tuple(self.names[c] for c in worst)
-        found = replace(common, fault=FaultKind.UNEXPLAINED, joints=names)
+        found = replace(common, cause=FaultKind.UNEXPLAINED, joints=names)
         may_be_friction = ~self.moves & (r < FRICTION_AT_REST * self.limits)
         if np.isfinite(self.limits).all() and may_be_friction[differs].all():
-            return replace(found, outcome=Outcome.UNDECIDED, fault=FaultKind.AT_REST)
+            return replace(found, outcome=Outcome.UNDECIDED, cause=Obstacle.AT_REST)
         return replace(found, outcome=Outcome.DIFFER)
 
     def _sizes(self) -> tuple[Size, ...]:
@@ -320,3 +337,91 @@ def _rms(signals: Floats) -> Floats:
     """Return the root mean square of each column."""
     result: Floats = np.sqrt(np.mean(signals**2, axis=0))
     return result
+
+
+class _Candidate(NamedTuple):
+    """A cause, and the efforts by which the measured ones exceed the model."""
+
+    kind: FaultKind
+    efforts: Floats
+    """Shape (k, n) [N m or N]."""
+    parameters: int
+    values: tuple[float, ...] = ()
+    link: str = ''
+
+
+def _fit_candidates(
+    samples: LiveSamples, residual: Floats, weights: Floats, robot: RobotModel, gravity: Floats
+) -> list[_Candidate]:
+    """
+    Fit a missing payload, a wrong direction of gravity, and gravity that the driver compensates.
+
+    Parameters
+    ----------
+    samples : LiveSamples
+        Samples of all n joints at k times.
+    residual : ndarray, shape (k, n)
+        Measured minus modelled efforts [N m or N].
+    weights : ndarray, shape (n,)
+        Inverse tolerances of the residual of the joints; 0 for joints that are not compared.
+    robot : RobotModel
+        The robot.
+    gravity : ndarray, shape (3,)
+        Gravity of the model in the frame of the root link [m/s^2].
+
+    Returns
+    -------
+    candidates : list of _Candidate
+        Those whose parameters are plausible.
+
+    """
+    step = max(1, -(-len(samples.times) // MOST_STATES))
+    some = slice(None, None, step)
+    q: Floats = np.nan_to_num(samples.q)
+    qd: Floats = np.nan_to_num(samples.qd)
+    qdd: Floats = np.zeros_like(qd)
+    if len(qd) > 1:
+        qdd[:] = np.gradient(qd, samples.times, axis=0)
+    states = q[some], qd[some], qdd[some]
+    target, times, all_times = residual[some], samples.times[some], samples.times
+    g = float(np.linalg.norm(gravity))
+    if g == 0.0:  # the driver compensates gravity, and possibly that of payloads too
+        return []
+
+    def at_all_times(efforts: Floats) -> Floats:
+        columns = [np.interp(all_times, times, column) for column in efforts.T]
+        result: Floats = np.column_stack(columns)
+        return result
+
+    def fit(regressors: Floats) -> Floats:
+        rows = (regressors * weights[:, None]).reshape(-1, regressors.shape[-1])
+        return np.asarray(
+            np.linalg.lstsq(rows, (target * weights).ravel(), rcond=1e-6)[0], dtype=np.float64
+        )
+
+    found = []
+    weight = gravity_columns(robot, states[0])
+    lacking = -(weight @ gravity)[..., None]
+    (fraction,) = fit(lacking)
+    if WHOLE_WEIGHT[0] < fraction < WHOLE_WEIGHT[1]:
+        efforts = at_all_times(lacking[..., 0])
+        found.append(_Candidate(FaultKind.GRAVITY_COMPENSATED, efforts, 1))
+    change = fit(weight)
+    actual = gravity + change
+    ratio = float(np.linalg.norm(actual)) / g
+    cosine = float(actual @ gravity) / (ratio * g * g) if ratio else 1.0
+    is_tilted = math.acos(min(1.0, max(-1.0, cosine))) > MIN_TILT
+    if is_tilted and SAME_MAGNITUDE[0] < ratio < SAME_MAGNITUDE[1]:
+        efforts = at_all_times(weight @ change)
+        found.append(_Candidate(FaultKind.MOUNTING, efforts, 3, tuple(actual.tolist())))
+    link = last_link(robot)
+    load = payload_columns(robot, gravity, link, states)
+    for parameters in (1, 4):
+        solution = fit(load[..., :parameters])
+        mass = float(solution[0])
+        distance = float(np.linalg.norm(solution[1:])) / max(abs(mass), 1e-9)
+        if abs(mass) < MIN_MASS or distance > MAX_REACH or mass < -float(np.sum(robot.mass)):
+            continue
+        efforts = at_all_times(load[..., :parameters] @ solution)
+        found.append(_Candidate(FaultKind.PAYLOAD, efforts, 1 + parameters, (mass,), link))
+    return found

@@ -1,1 +1,0 @@
-"""Compares model and robot while the node runs."""
