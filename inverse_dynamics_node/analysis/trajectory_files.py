@@ -12,7 +12,7 @@ import numpy as np
 from ..dynamics.trajectory import Trajectory
 from ..errors import RecordingError, TrajectoryError
 from ..robot.model import Floats
-from .recordings import Bag, BAG_SUFFIXES, JOINT_STATE, JOINT_TRAJECTORY, open_bag, read_csv
+from .recordings.files import Bag, BAG_SUFFIXES, JOINT_STATE, JOINT_TRAJECTORY, open_bag, read_csv
 from .trajectory_yaml import DERIVATIVES, DIGITS, trajectory_from_points, trajectory_from_yaml
 
 FORMATS = """\

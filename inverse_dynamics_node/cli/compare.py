@@ -18,7 +18,7 @@ from ..analysis.diagnosis import (
     JointResidual,
     Recording,
 )
-from ..analysis.measured_states import read_measured_states
+from ..analysis.recordings.measured_states import read_measured_states
 from ..dynamics.loaded_robot import FRICTION_WIDTH
 from ..errors import ConfigurationError, RecordingError
 from ..report.compare_report import comparison_table, friction_table, verdict

@@ -8,10 +8,10 @@ import json
 from pathlib import Path
 from typing import Any
 
-from ..analysis.diagnosis import Recording
 from ..analysis.identification import IdentificationResult, identify_parameters
 from ..analysis.identification.export import calibrated_urdf, node_parameters
-from ..analysis.measured_states import read_measured_states
+from ..analysis.recordings.measured_states import read_measured_states
+from ..analysis.recordings.recording import Recording
 from ..report.identification_json import as_json
 from ..report.identification_tables import (
     body_table,

@@ -18,7 +18,7 @@ import secrets
 import shutil
 import sys
 
-from ..analysis.recordings import BAG_SUFFIXES
+from ..analysis.recordings.files import BAG_SUFFIXES
 from ..errors import InverseDynamicsError
 
 PICTURE_SUFFIXES = ('.png', '.svg', '.pdf')

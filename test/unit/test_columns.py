@@ -1,7 +1,7 @@
 """The columns of regressions, compared with efforts of robots that carry loads."""
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.analysis.diagnosis.columns import gravity_columns, payload_columns
+from inverse_dynamics_node.analysis.columns import gravity_columns, payload_columns
 from inverse_dynamics_node.analysis.diagnosis.loads import point_mass_parameters
 import numpy as np
 import pytest

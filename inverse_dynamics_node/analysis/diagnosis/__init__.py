@@ -5,12 +5,12 @@ Compares a recording with the model, fits friction and diagnoses the differences
 for an explanation of the difference between measured and modelled efforts.
 """
 
+from ..recordings.recording import Recording
+from ..recordings.signals import Motion
 from .fault import Change, Fault, FaultKind
 from .friction import friction_parameters, FrictionFit
-from .recorded_column import Recording
 from .recording import diagnose_recording
 from .result import ComparisonResult, JointResidual
-from .signals import Motion
 
 __all__ = [
     'Change',

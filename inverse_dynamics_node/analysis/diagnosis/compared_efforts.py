@@ -9,13 +9,14 @@ from numpy.typing import ArrayLike
 
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...robot.model import Booleans, Floats
-from .columns import gravity_columns, payload_columns
+from ..columns import gravity_columns, payload_columns
+from ..recordings.resampling import smooth_like_efforts
+from ..recordings.signals import Motion
 from .fault_interval import FaultInterval
 from .friction import is_moving, obstacle
 from .joint_samples import JointSamples
 from .loads import moves_with, tip_links
 from .regression_data import RegressionData
-from .signals import Motion, smooth_like_efforts
 
 SAMPLES_PER_WINDOW = 8  # used by fits; the samples of a smoothing window are dependent
 MOVED = 0.02  # [rad or m]; a joint that moved less shows no load

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...robot.model import Floats
-from .columns import gravity_columns, payload_columns
+from ..columns import gravity_columns, payload_columns
 from .compared_efforts import ComparedEfforts
 from .fault import FaultKind
 from .fault_interval import FaultInterval

@@ -7,12 +7,12 @@ from functools import partial
 import numpy as np
 
 from ...robot.model import Booleans, Floats
+from ..recordings.resampling import smooth_like_efforts
 from .compared_efforts import ComparedEfforts
 from .correction import added_efforts
 from .friction import fit_friction, fit_shape, FrictionFit, is_moving
 from .joint_samples import CREDIBLE
 from .robot_fit import RobotFit
-from .signals import smooth_like_efforts
 
 ALL = slice(None)
 

@@ -17,9 +17,9 @@ import numpy as np
 from ...dynamics.loaded_robot import FRICTION_WIDTH
 from ...robot.hand import last_link
 from ...robot.model import Booleans, Floats, RobotModel
+from ..columns import gravity_columns, payload_columns
 from ..least_squares import fit_nonnegative
 from .agreement import Agreement, Obstacle, Outcome, Size
-from .columns import gravity_columns, payload_columns
 from .compared_efforts import CONSTANT
 from .fault import FaultKind
 from .joint_samples import PARAMETER_COST

@@ -11,6 +11,8 @@ from ...dynamics.inverse_dynamics import InverseDynamics
 from ...dynamics.loaded_robot import FRICTION_WIDTH
 from ...errors import RecordingError
 from ...robot.model import Booleans, Floats, RobotModel
+from ..recordings.recording import Recording
+from ..recordings.signals import derive
 from .bodies import Bodies, wrong_bodies
 from .compared_efforts import ComparedEfforts, CONSTANT
 from .correction import added_efforts, as_recorded, corrected_efforts
@@ -28,11 +30,9 @@ from .joint_friction import (
     with_friction_only,
     with_shapes,
 )
-from .recorded_column import Recording
 from .regression_data import RegressionData
 from .result import ComparisonResult, JointResidual
 from .robot_fit import RobotFit
-from .signals import derive
 
 
 def diagnose_recording(

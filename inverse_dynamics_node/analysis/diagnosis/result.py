@@ -8,9 +8,9 @@ import math
 import numpy as np
 
 from ...robot.model import Floats
+from ..recordings.signals import Motion
 from .fault import Fault
 from .friction import FrictionFit
-from .signals import Motion
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from ...robot.model import Booleans, Floats, RobotModel
-from .columns import gravity_columns
+from ..columns import gravity_columns
 from .fault import FaultKind
 from .fault_interval import FaultInterval, span
 from .joint_samples import ACCELERATION, DIRECTION, GRAVITY, MODEL, NO_FAULT, ONE, SPEED, WEIGHT

@@ -6,10 +6,10 @@ import numpy as np
 
 from ...robot.model import Floats
 from ...robot.pseudo_inertia import PARAMETERS
-from ..diagnosis.signals import Motion
+from ..recordings.resampling import pieces
+from ..recordings.signals import Motion
 from .fit import Solution
 from .regression import Regression, TERMS
-from .resampling import pieces
 
 MOST_DELAY = 0.1
 """Longest delay in either direction [s]."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...robot.model import Booleans, Floats
-from ..diagnosis.signals import Motion
+from ..recordings.signals import Motion
 from .delay import estimate_delay, shifted
 from .drive_terms import choose_terms, fit_terms, widths_to_try
 from .fit import correlation, Equations, Solution, solve

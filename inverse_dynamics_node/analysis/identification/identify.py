@@ -9,7 +9,7 @@ import numpy as np
 from ...dynamics.loaded_robot import STANDARD_GRAVITY
 from ...errors import RecordingError
 from ...robot.model import Floats, RobotModel
-from ..diagnosis.signals import Recording
+from ..recordings.recording import Recording
 from .estimator import Estimator, GOOD_RECORDINGS
 from .evaluation import evaluate
 from .identified_bodies import identified_bodies

@@ -9,9 +9,9 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...robot.model import Floats, RobotModel
-from ..diagnosis.recorded_column import Recording
-from ..diagnosis.signals import derive, Motion
-from .resampling import pieces
+from ..recordings.recording import Recording
+from ..recordings.resampling import pieces
+from ..recordings.signals import derive, Motion
 
 HIGHEST_RATE = 250.0
 """Samples per second that are kept; the smoothed motions contain nothing faster."""

@@ -10,10 +10,10 @@ import numpy as np
 
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...robot.model import Floats, Integers, RobotModel
-from ..diagnosis.columns import body_columns
-from ..diagnosis.signals import Motion
+from ..columns import body_columns
+from ..recordings.resampling import resampler
+from ..recordings.signals import Motion
 from .identified_bodies import IdentifiedBodies
-from .resampling import resampler
 
 ARMATURE, DAMPING, COULOMB, LOAD, OFFSET = range(5)
 EXPORTED = 5

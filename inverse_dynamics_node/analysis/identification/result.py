@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from ...robot.model import Floats, RobotModel
 from ...robot.rigid_body import RigidBody
-from ..diagnosis.signals import Motion
+from ..recordings.signals import Motion
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,7 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...robot.model import Floats
-from .recorded_column import RecordedColumn
-from .recorded_column import Recording as Recording  # part of this interface, too
+from .recording import RecordedColumn, Recording
 from .signal_quality import cut_off, lag, white_noise
 
 WINDOWS = {1: (0.10, 3), 2: (0.15, 5)}
@@ -147,35 +146,6 @@ def derive(recording: Recording, stretch: float = 1.0) -> Motion:
         lags=lags,
         cut_off=float(np.median(cut_offs)) if cut_offs else math.inf,
     )
-
-
-def smooth_like_efforts(motion: Motion, values: Floats) -> Floats:
-    """
-    Smooth signals in the same way as the measured efforts of a motion.
-
-    Parameters
-    ----------
-    motion : Motion
-        Motion at K times.
-    values : ndarray, shape (K, c)
-        Signals that change as fast as Coulomb friction at a reversal.
-
-    Returns
-    -------
-    smoothed : ndarray, shape (K, c)
-
-    """
-    from scipy.signal import savgol_filter
-
-    steps = np.diff(motion.times)
-    breaks = np.flatnonzero(steps > 1.5 * np.median(steps)) + 1
-    pieces = [
-        savgol_filter(piece, motion.window, motion.degree, axis=0)
-        if len(piece) >= motion.window
-        else piece
-        for piece in np.split(values, breaks)
-    ]
-    return np.concatenate(pieces)
 
 
 def _checked(recording: Recording) -> Floats:

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...dynamics.inverse_dynamics import InverseDynamics
-from ...robot.model import Floats, Integers, RobotModel
-from ...robot.pseudo_inertia import PARAMETERS, parameters_of_pseudo_inertias
+from ..dynamics.inverse_dynamics import InverseDynamics
+from ..robot.model import Floats, Integers, RobotModel
+from ..robot.pseudo_inertia import PARAMETERS, parameters_of_pseudo_inertias
 
 STATES_AT_ONCE = 2000  # to limit the memory
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...robot.model import Floats, Integers
-from ..diagnosis.signals import Motion
+from .signals import Motion
 
 DEGREE = 3
 """Degree of the smoothing polynomials."""
@@ -75,6 +75,33 @@ def resampler(motion: Motion, seconds: float) -> Resampler:
         motion.times[centre],
         len(kernel) * motion.period,
     )
+
+
+def smooth_like_efforts(motion: Motion, values: Floats) -> Floats:
+    """
+    Smooth signals in the same way as the measured efforts of a motion.
+
+    Parameters
+    ----------
+    motion : Motion
+        Motion at K times.
+    values : ndarray, shape (K, c)
+        Signals that change as fast as Coulomb friction at a reversal.
+
+    Returns
+    -------
+    smoothed : ndarray, shape (K, c)
+
+    """
+    from scipy.signal import savgol_filter
+
+    parts = [
+        savgol_filter(values[begin:end], motion.window, motion.degree, axis=0)
+        if end - begin >= motion.window
+        else values[begin:end]
+        for begin, end in pieces(motion.times)
+    ]
+    return np.concatenate(parts)
 
 
 def pieces(times: Floats) -> list[tuple[int, int]]:

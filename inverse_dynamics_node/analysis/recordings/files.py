@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..errors import RecordingError
-from ..robot.model import Floats
+from ...errors import RecordingError
+from ...robot.model import Floats
 
 BAG_SUFFIXES = ('.mcap', '.db3')
 JOINT_STATE = 'sensor_msgs/msg/JointState'

@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..errors import RecordingError
-from ..robot.model import Floats
-from .diagnosis import Recording
-from .recordings import Bag, BAG_SUFFIXES, JOINT_STATE, open_bag, read_csv
+from ...errors import RecordingError
+from ...robot.model import Floats
+from .files import Bag, BAG_SUFFIXES, JOINT_STATE, open_bag, read_csv
+from .recording import Recording
 
 _QUANTITIES = ('position', 'velocity', 'effort')
 _FIRST_MESSAGES = 100

@@ -1,0 +1,1 @@
+"""Recordings: read from files, resampled at uniform times, smoothed and differentiated."""
