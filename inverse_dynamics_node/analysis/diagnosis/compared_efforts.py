@@ -12,8 +12,8 @@ from ...robot.model import Booleans, Floats
 from ..columns import gravity_columns, payload_columns
 from ..recordings.resampling import smooth_like_efforts
 from ..recordings.signals import Motion
-from .fault_interval import FaultInterval
 from .friction import is_moving, obstacle
+from .intervals import FaultInterval
 from .joint_samples import JointSamples
 from .loads import moves_with, tip_links
 from .regression_data import RegressionData

@@ -8,10 +8,9 @@ from ...robot.model import Floats
 from ..columns import gravity_columns, payload_columns
 from .compared_efforts import ComparedEfforts
 from .fault import FaultKind
-from .fault_interval import FaultInterval
+from .intervals import changing_gravity_efforts, FaultInterval
 from .loads import point_mass_parameters
 from .robot_fit import RobotFit
-from .tilt import changing_gravity_efforts
 
 
 def corrected_efforts(

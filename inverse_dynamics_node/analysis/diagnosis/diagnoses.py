@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from .bodies import Bodies
 from .fault import Change, Fault, FaultKind
-from .fault_interval import FaultInterval
+from .intervals import FaultInterval
 from .joint_samples import CREDIBLE, JointFit, NO_FAULT
 from .loads import MAX_COM_ERROR
 from .regression_data import RegressionData

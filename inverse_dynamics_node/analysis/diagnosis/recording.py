@@ -18,9 +18,8 @@ from .compared_efforts import ComparedEfforts, CONSTANT
 from .correction import added_efforts, as_recorded, corrected_efforts
 from .diagnoses import diagnose, diagnose_bodies, diagnose_constant, diagnose_interval
 from .fault import Fault, FaultKind
-from .fault_interval import FaultInterval
 from .friction import FrictionFit
-from .intervals import best_interval, find_fault_interval, MUCH_LOUDER
+from .intervals import best_interval, FaultInterval, find_fault_interval, MUCH_LOUDER
 from .joint_friction import (
     fit_joints,
     friction_efforts,
