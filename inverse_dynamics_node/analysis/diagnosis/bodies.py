@@ -15,8 +15,7 @@ import numpy as np
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...robot.model import Booleans, Floats, Integers
 from .joint_samples import ACCELERATION, DIRECTION, MODEL, ONE, SPEED
-from .regression_data import RegressionData
-from .robot_fit import RobotFit
+from .regression_data import RegressionData, RobotFit
 
 MOST_SAMPLES = 800  # of the recording that are used
 BLOCKS = 10  # contiguous parts; fitted to those with an even number, tested with the others

@@ -10,7 +10,7 @@ from .compared_efforts import ComparedEfforts
 from .fault import FaultKind
 from .intervals import changing_gravity_efforts, FaultInterval
 from .loads import point_mass_parameters
-from .robot_fit import RobotFit
+from .regression_data import RobotFit
 
 
 def corrected_efforts(

@@ -13,8 +13,7 @@ from .fault import Change, Fault, FaultKind
 from .intervals import FaultInterval
 from .joint_samples import CREDIBLE, JointFit, NO_FAULT
 from .loads import MAX_COM_ERROR
-from .regression_data import RegressionData
-from .robot_fit import RobotFit
+from .regression_data import RegressionData, RobotFit
 
 CHANGED = 0.9  # of the RMS residual; a joint whose residual falls by less is not affected
 MOST_UNEXPLAINED = 0.5  # fraction of the squares; if more remains, the model explains nothing

@@ -28,8 +28,7 @@ from .joint_samples import (
     SPEED,
     WEIGHT,
 )
-from .regression_data import RegressionData
-from .robot_fit import RobotFit
+from .regression_data import RegressionData, RobotFit
 
 SEGMENTS = 40  # of a recording, whose edges are possible limits of a part
 LONGEST = 0.9  # fraction of the recording; the rest shows the friction

@@ -12,7 +12,7 @@ from .compared_efforts import ComparedEfforts
 from .correction import added_efforts
 from .friction import fit_friction, fit_shape, FrictionFit, is_moving
 from .joint_samples import CREDIBLE
-from .robot_fit import RobotFit
+from .regression_data import RobotFit
 
 ALL = slice(None)
 

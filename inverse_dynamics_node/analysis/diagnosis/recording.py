@@ -29,9 +29,8 @@ from .joint_friction import (
     with_friction_only,
     with_shapes,
 )
-from .regression_data import RegressionData
+from .regression_data import RegressionData, RobotFit
 from .result import ComparisonResult, JointResidual
-from .robot_fit import RobotFit
 
 
 def diagnose_recording(

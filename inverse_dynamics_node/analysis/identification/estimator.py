@@ -11,11 +11,10 @@ from ...robot.model import Booleans, Floats
 from ..recordings.signals import Motion
 from .delay import estimate_delay, shifted
 from .drive_terms import choose_terms, fit_terms, widths_to_try
-from .fit import correlation, Equations, Solution, solve
+from .fit import choose_urdf_weight, correlation, Equations, Solution, solve, solve_within_reason
 from .gains import first_gains
 from .preparation import PreparedRecording
 from .regression import GAIN, IdentificationProblem, Model, Regression, WIDTH
-from .selection import choose_urdf_weight, solve_within_reason
 
 ROUNDS = 3
 WIDTH_ROUNDS = 4
