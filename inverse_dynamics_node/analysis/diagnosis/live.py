@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...dynamics.loaded_robot import FRICTION_WIDTH
-from ...robot.hand import last_link
+from ...robot.end_effector import last_link
 from ...robot.model import Booleans, Floats, RobotModel
 from ..columns import gravity_columns, payload_columns
 from ..least_squares import fit_nonnegative
