@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..robot.model import Floats, RobotModel
-from . import batch, effort_terms, mass_matrix, newton_euler, regressor
+from . import batch, effort_terms, link_kinematics, mass_matrix, newton_euler, regressor
 from .arguments import broadcast, check_out, explain, is_free
 from .dispatch import one_by_one, over_states
 from .effort_terms import EffortTerms, JointWrenches, TermTables
@@ -65,6 +65,7 @@ class InverseDynamics(LoadedRobot):
         self._zeros, self._tau, self._state = np.zeros(n), np.empty(n), np.zeros((4, n))
         self._terms = TermTables(self.table)
         self._regressor_shape = n, 10 * (len(robot.parent) - 1)
+        self._links: dict[str, Floats] = {}
 
     def efforts(
         self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: Floats | None = None
@@ -329,6 +330,110 @@ class InverseDynamics(LoadedRobot):
         wrenches = over_states(self.robot, shape, one_by_one(one), many, out, q=q, qd=qd, qdd=qdd)
         return JointWrenches(wrenches[..., :3], wrenches[..., 3:])
 
+    def pose(self, q: ArrayLike, link: str, out: Floats | None = None) -> Floats:
+        """
+        Compute the pose of a link in the base frame.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., n)
+            Joint positions [rad or m].
+        link : str
+            Any link of the robot description.
+        out : ndarray, shape (..., 4, 4), optional
+            Receives the result: C-contiguous float64.
+
+        Returns
+        -------
+        pose : ndarray, shape (..., 4, 4)
+            Homogeneous matrix from the link's frame to the base frame, which is that of the root
+            link: ``pose[..., :3, :3]`` is the rotation, ``pose[..., :3, 3]`` the position of the
+            link's origin [m].
+
+        Raises
+        ------
+        ConfigurationError
+            If the link does not exist.
+        JointStateError
+            If the shape does not fit the robot, or a value is not finite.
+
+        """
+        return self._of_link(self._pose, (4, 4), q, link, out)
+
+    def jacobian(self, q: ArrayLike, link: str, out: Floats | None = None) -> Floats:
+        r"""
+        Compute the geometric Jacobian J of a link: :math:`J\,\dot q` is its velocity.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., n)
+            Joint positions [rad or m].
+        link : str
+            Any link of the robot description.
+        out : ndarray, shape (..., 6, n), optional
+            Receives the result: C-contiguous float64.
+
+        Returns
+        -------
+        jacobian : ndarray, shape (..., 6, n)
+            Rows 0 to 2 are linear: the velocity of the origin of the link's frame [m/s]. Rows 3 to
+            5 are angular: the angular velocity of the link [rad/s]. Both are relative to the base
+            and in coordinates of the base frame. Columns are per unit of joint velocity [rad/s or
+            m/s], in the order of ``robot.joint_names``; those of joints that do not move the link
+            are zero.
+
+        Raises
+        ------
+        ConfigurationError
+            If the link does not exist.
+        JointStateError
+            If the shape does not fit the robot, or a value is not finite.
+
+        See Also
+        --------
+        pose : ``R = pose(q, link)[:3, :3]`` rotates vectors from the link's frame to the base's.
+
+        Notes
+        -----
+        The transpose maps a force and a moment about the link's origin, in coordinates of the
+        base, to the joint efforts that do the same work. To exert them on the world, a robot
+        needs these efforts in addition; `set_external_wrench`, which is about what the world
+        exerts and in the link's frame, subtracts them. The motion of the base is not included.
+        A mimic joint adds to the column of the joint that it mimics.
+
+        """
+        return self._of_link(self._jacobian, (6, len(self._zeros)), q, link, out)
+
+    def _of_link(
+        self,
+        compute: Callable[..., int],
+        shape: tuple[int, ...],
+        q: ArrayLike,
+        link: str,
+        out: Floats | None,
+    ) -> Floats:
+        """Compute a matrix of a link with a function of `link_kinematics`."""
+        if link not in self._links:
+            self._links[link] = self._row_of_link(link)
+        row = self._links[link]
+        try:
+            if q.ndim == 1:  # type: ignore[union-attr]
+                matrix = np.empty(shape) if out is None else out
+                if not compute(q, row, matrix, self._table):
+                    return matrix
+        except (AttributeError, TypeError, ValueError):
+            pass
+        each = one_by_one(lambda state, out: compute(*state, row, out, self._table))
+        return over_states(self.robot, shape, each, each, out, q=q)
+
+    def _row_of_link(self, link: str) -> Floats:
+        """Return the body of a link and its place in it, for `link_kinematics`."""
+        k = self.robot.link_index(link)
+        body = self.robot.link_body[k]
+        origin = self._R_ZL[body] @ self.robot.link_position[k]
+        axes = self._R_ZL[body] @ self.robot.link_rotation[k]
+        return np.array([body, *origin, *axes.T.ravel()])
+
     def regressor(
         self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: Floats | None = None
     ) -> Floats:
@@ -441,6 +546,14 @@ class InverseDynamics(LoadedRobot):
     def _regressor(self) -> Callable[..., int]:
         """Prepared at the first use, like the next ones, because most programs do not need it."""
         return prepared(regressor.regressor, _V, _V, _V, _M, _M, _M)
+
+    @cached_property
+    def _pose(self) -> Callable[..., int]:
+        return prepared(link_kinematics.pose, _V, _V, _M, _M)
+
+    @cached_property
+    def _jacobian(self) -> Callable[..., int]:
+        return prepared(link_kinematics.jacobian, _V, _V, _M, _M)
 
     @cached_property
     def _mass_matrices(self) -> Callable[..., int]:

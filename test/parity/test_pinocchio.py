@@ -52,6 +52,17 @@ class Peer:
         blocks = (self.fold.T @ found).reshape(len(q), len(self.bodies), 10)
         return blocks[:, np.argsort(self.bodies)].reshape(len(q), -1)
 
+    def links(self, q):
+        """Yield name, pose and Jacobian of every link."""
+        pinocchio.computeJointJacobians(self.model, self.data, self.positions(q))
+        pinocchio.updateFramePlacements(self.model, self.data)
+        axes = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        for name in self.robot.link_names:
+            frame = self.model.getFrameId(name, pinocchio.FrameType.BODY)
+            jacobian = pinocchio.getFrameJacobian(self.model, self.data, frame, axes)
+            jacobian = jacobian.reshape(6, -1)  # a vector if there is one joint
+            yield name, self.data.oMf[frame].homogeneous, jacobian @ self.fold
+
 
 def assert_equal_to_pinocchio(robot, urdf, relative=RELATIVE, states=5):
     peer = Peer(robot, urdf)
@@ -71,6 +82,10 @@ def assert_equal_to_pinocchio(robot, urdf, relative=RELATIVE, states=5):
         assert np.abs(expected).max() > 0.0
         tolerance = min(relative, REGRESSOR) * np.abs(expected).max()
         assert_allclose(dynamics.regressor(q, qd, qdd), expected, rtol=0, atol=tolerance)
+    for link, pose, jacobian in peer.links(q):
+        tolerance = relative * np.abs(pose).max()
+        assert_allclose(dynamics.pose(q, link), pose, rtol=0, atol=tolerance)
+        assert_allclose(dynamics.jacobian(q, link), jacobian, rtol=0, atol=tolerance)
 
 
 @pytest.mark.parametrize('path', OUR_ROBOTS, ids=lambda path: path.stem)

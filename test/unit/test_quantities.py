@@ -22,7 +22,13 @@ def quantities(dynamics, q, qd, qdd):
             dynamics.joint_wrenches(q, qd, qdd, out=out), axis=-1
         ),
         'regressor': lambda out=None: dynamics.regressor(q, qd, qdd, out=out),
+        'pose': lambda out=None: dynamics.pose(q, last_link(dynamics), out=out),
+        'jacobian': lambda out=None: dynamics.jacobian(q, last_link(dynamics), out=out),
     }
+
+
+def last_link(dynamics):
+    return dynamics.robot.link_names[-1]
 
 
 NAMES = tuple(quantities(None, None, None, None))
@@ -125,7 +131,8 @@ def test_changed_loads_apply_to_the_next_call(rng):
     q, qd = rng.uniform(-2.0, 2.0, (2, 5))
     calls = quantities(dynamics, q, qd, qd)
     calls['inertial_parameters'] = dynamics.inertial_parameters
-    calls.pop('regressor')  # depends on the motion only
+    for name in ('regressor', 'pose', 'jacobian'):  # depend on the motion only
+        calls.pop(name)
     for name, call in calls.items():
         before = call()
         dynamics.set_payload(dynamics.robot.link_names[-1], 3.0 + len(name), (0.1, 0.2, 0.3))

@@ -57,7 +57,7 @@ def draw(
         halves = figure.add_gridspec(1, 2, width_ratios=(1.0, 1.25))
         left, right = halves[0].subgridspec(2, 1), halves[1].subgridspec(3, 1)
         hand = last_link(robot)
-        path_of_hand = np.array([_link_position(robot, each, hand) for each in whole])
+        path_of_hand = dynamics.pose(whole, hand)[:, :3, 3]
         for view, (title, across, up) in enumerate(_VIEWS):
             axes = figure.add_subplot(left[view])
             _draw_view(axes, robot, whole[0], path_of_hand, box, across, up)
@@ -84,14 +84,6 @@ def draw(
         )
         legend_below(figure, [*handles, *lines], [*labels, *names], ncols=5)
         save(figure, path)
-
-
-def _link_position(robot: RobotModel, q: Floats, link: str) -> Floats:
-    rotations, positions = body_frames(robot, q)
-    k = robot.link_index(link)
-    body = robot.link_body[k]
-    position: Floats = positions[body] + rotations[body] @ robot.link_position[k]
-    return position
 
 
 def _draw_view(

@@ -1,0 +1,59 @@
+"""Laws of poses and Jacobians of links on random trees, with every kind of joint."""
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from inverse_dynamics_node import InverseDynamics
+from kinematics import Tree
+import numpy as np
+from numpy.testing import assert_allclose
+from random_trees import robots_with_states
+
+seeds = st.integers(0, 2**32 - 1).map(np.random.default_rng)
+
+
+@given(robots_with_states(vectors=1))
+def test_poses_and_jacobians_are_those_of_an_independent_tree(case):
+    links, robot, (q,) = case
+    dynamics = InverseDynamics(robot)
+    placed = Tree(links, robot.joint_names).placed(q)
+    for i, at in enumerate(placed):
+        pose = np.block([[at.R, at.p[:, np.newaxis]], [np.zeros(3), 1.0]])
+        assert_allclose(dynamics.pose(q, f'link{i}'), pose, rtol=0, atol=1e-12)
+        jacobian = np.concatenate([at.linear, at.angular])
+        assert_allclose(dynamics.jacobian(q, f'link{i}'), jacobian, rtol=0, atol=1e-12)
+
+
+@given(robots_with_states(vectors=2))
+def test_jacobian_times_joint_velocities_is_the_velocity_of_the_link(case):
+    _, robot, (q, qd) = case
+    dynamics, step = InverseDynamics(robot), 1e-5
+    for link in robot.link_names:
+        before, now, after = dynamics.pose(q + np.outer([-step, 0.0, step], qd), link)
+        growth = (after - before) / (2.0 * step)
+        spin = growth[:3, :3] @ now[:3, :3].T  # omega as a skew-symmetric matrix
+        expected = [*growth[:3, 3], spin[2, 1], spin[0, 2], spin[1, 0]]
+        assert_allclose(dynamics.jacobian(q, link) @ qd, expected, rtol=0, atol=1e-6)
+
+
+@given(robots_with_states(vectors=1), seeds)
+@settings(max_examples=50)
+def test_transposed_jacobian_gives_the_efforts_of_a_wrench(case, rng):
+    _, robot, (q,) = case
+    dynamics, zeros = InverseDynamics(robot), np.zeros(len(q))
+    link = str(rng.choice(robot.link_names))
+    wrench = rng.uniform(-9.0, 9.0, 6)  # along the axes of the base
+    R = dynamics.pose(q, link)[:3, :3]
+    dynamics.set_external_wrench(link, R.T @ wrench[:3], R.T @ wrench[3:])
+    external = dynamics.effort_terms(q, zeros, zeros).external
+    assert_allclose(dynamics.jacobian(q, link).T @ wrench, -external, rtol=0, atol=1e-10)
+
+
+@given(robots_with_states(vectors=1))
+@settings(max_examples=50)
+def test_only_joints_between_base_and_link_have_columns(case):
+    links, robot, (q,) = case
+    dynamics, tree = InverseDynamics(robot), Tree(links, robot.joint_names)
+    for i in range(len(links)):
+        moving = {tree.column[k] for k in range(1, len(links)) if i in tree.carried_by(k)}
+        jacobian = dynamics.jacobian(q, f'link{i}')
+        assert not np.delete(jacobian, sorted(moving - {-1}), axis=1).any()
