@@ -192,6 +192,7 @@ class CommandShaper:
         self._is_paused = self._was_paused = False
         self._pause = math.inf  # [s] since computed efforts were followed; inf: blend in any case
         self._stop = StopRamp()
+        self._is_damped = False  # whether the last command contains damping
         self._top_gain = self._top_left = 0.0  # gain and fraction of the blend before it
         compile_for(blend_efforts, 'b1(f8[::1], f8[:,::1], b1[:,::1], f8, f8, b1, b1, f8)')
 
@@ -274,7 +275,7 @@ class CommandShaper:
         """Time until the commands are zero, if they fall from now on or already do [s]."""
         if self._way is not _Way.FALLING:
             return self._stop_ramp
-        return max(0.0, self._stop.time_left)
+        return max(self._stop_ramp if self._is_damped else 0.0, self._stop.time_left)
 
     def continue_from(self, other: CommandShaper) -> None:
         """Continue from the last command of another robot description with the same joints."""
@@ -330,6 +331,7 @@ class CommandShaper:
         elapsed = self.clock.step
         if self._way is _Way.FALLING:
             self._way, self._pause = _Way.HOLDING, math.inf
+            self.command[:] = self._stop.command()  # without damping
             self.begin()
         elif self._way is _Way.FOLLOWING:
             self._way, self._pause = _Way.HOLDING, 0.0
@@ -348,8 +350,17 @@ class CommandShaper:
         command -= np.copysign(change, command)
         self._flags[:] = False
 
-    def fall(self) -> None:
-        """Ramp the commands down to zero, starting from the last one."""
+    def fall(self, damping: Floats | None = None) -> None:
+        """
+        Ramp the commands down to zero, starting from the last one.
+
+        Parameters
+        ----------
+        damping : ndarray, shape (m,), optional
+            To be added; all of it is reduced by one factor where the sum would exceed a limit, so
+            that it still opposes the motion [N m or N].
+
+        """
         if self._way is _Way.FALLING:
             self._stop.advance(self.clock.step)
             self._pause += self.clock.since
@@ -363,7 +374,20 @@ class CommandShaper:
         # Scale gain and blend too: after a brief pause, computed efforts continue from there.
         self.gain, self._left = fraction * self._top_gain, fraction * self._top_left
         self.command[:] = self._stop.command()
+        self._is_damped = damping is not None
+        if damping is not None:
+            self.command[:] = add_within(self.command, damping, self._rows[_LIMIT])
         self._flags[:] = False
+
+
+def add_within(command: Floats, damping: Floats, limit: Floats) -> Floats:
+    """Add as much of a vector as keeps all commands within their limits; each of shape (m,)."""
+    bound = np.maximum(limit, np.abs(command))  # a limit may have been tightened
+    room = bound - np.sign(damping) * command
+    with np.errstate(all='ignore'):
+        fractions = np.where(np.abs(damping) > room, room / np.abs(damping), 1.0)
+    total: Floats = np.clip(command + fractions.min() * damping, -bound, bound)
+    return total
 
 
 @compiled

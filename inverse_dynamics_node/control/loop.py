@@ -25,7 +25,8 @@ from .control_law import ControlLaw, joint_index, Reference
 from .external_loads import ExternalLoads
 from .joint_states import JointStateCollector, State
 from .settings import LoadSettings, Settings, StalePolicy
-from .supervision import DryRun, Phase, recovery_time, StateSupervisor
+from .stop_damping import StopDamping
+from .supervision import COMPUTING_PHASES, DryRun, Phase, recovery_time, StateSupervisor
 
 # Settings that change the inputs of the computation; others only change what follows from them.
 _INPUT_SETTINGS = (
@@ -88,6 +89,7 @@ class Controller:
         self._index = joint_index(self.joints, dynamics.robot)
         self.supervisor = StateSupervisor()
         self.law = ControlLaw(dynamics, self._index)
+        self.stop_damping = StopDamping(dynamics, self._index)
         self._shaper = CommandShaper(self._index, period)
         command = self._shaper.command
         flags = self._shaper.is_saturated, self._shaper.is_slowed
@@ -153,8 +155,8 @@ class Controller:
 
     @property
     def has_effort(self) -> bool:
-        """Whether an effort of the last command is not zero."""
-        return bool(self._shaper.command.any())
+        """Whether an effort of the last command is not zero, or a stop still damps the motion."""
+        return bool(self._shaper.command.any()) or self.stop_damping.is_active
 
     @property
     def scale(self) -> Floats:
@@ -192,6 +194,8 @@ class Controller:
 
     def stop(self) -> None:
         """Ramp the efforts to zero from the next step on, and keep them there."""
+        if not self.is_stopping and self.phase in COMPUTING_PHASES:
+            self.stop_damping.begin(self.settings)
         self.supervisor.is_stopping = True
 
     def resume(self) -> None:
@@ -203,6 +207,7 @@ class Controller:
     def start(self) -> None:
         """Let the efforts rise from zero, beginning at the next step with a fresh state."""
         self.supervisor.start()
+        self.stop_damping.end()
         self.law.reset()
         self._shaper.reset()
 
@@ -228,6 +233,7 @@ class Controller:
             )
         self.supervisor, self._time = other.supervisor, other._time
         self._shaper.continue_from(other._shaper)
+        self.stop_damping.continue_from(other.stop_damping)
 
     def step(self, now: float, state: State | None, reference: Reference | None) -> Command | None:
         """
@@ -263,6 +269,9 @@ class Controller:
         """Compute the command for the time of `pass_time`; arguments as for `step`."""
         now, settings = self._time, self.settings
         supervisor, law, shaper = self.supervisor, self.law, self._shaper
+        damping = self.stop_damping
+        if not supervisor.is_stopping:
+            damping.end()
         blocking = supervisor.blocking_phase(now, state, settings.state_timeout, shaper.gain)
         if blocking is Phase.WAITING:
             shaper.clock.start()
@@ -278,7 +287,10 @@ class Controller:
         else:
             law.forget()
         supervisor.phase = blocking
-        if blocking is Phase.STOPPED or settings.on_stale_state is StalePolicy.ZERO:
+        if blocking is Phase.STOPPED:
+            clock = shaper.clock
+            shaper.fall(damping.efforts(now, state, clock.step, clock.since, self.scale))
+        elif settings.on_stale_state is StalePolicy.ZERO:
             shaper.fall()
         else:
             shaper.hold()
@@ -361,6 +373,12 @@ class ControlLoop:
     def dry_run(self) -> DryRun:
         """Decides whether the commands are sent."""
         return self.controller.supervisor.dry_run
+
+    @property
+    def has_to_stop(self) -> bool:
+        """Whether the robot holds an effort, or a stop damps its motion."""
+        is_damped = self.controller.stop_damping.is_active and not self.dry_run.is_active
+        return self.dry_run.has_effort or is_damped
 
     def switch_dry_run(self, *, is_wanted: bool) -> bool:
         """Begin a dry run, or end it if the commands are zero; return whether this was done."""

@@ -52,6 +52,10 @@ class Settings:
     """Time for the efforts to rise from zero to their full values, and for blends."""
     stop_ramp: float = 0.5
     """Time for the efforts to fall from their full values to zero."""
+    stop_damping: float = 0.0
+    """Rate at which motion decays during a stop [1/s]; 0: not damped. See `StopDamping`."""
+    stop_timeout: float = 20.0
+    """Longest time of this damping, which fades within `stop_ramp` then."""
     kp: PerJoint = 100.0
     """Position gain of computed torque [1/s^2]."""
     kd: PerJoint = 20.0

@@ -233,8 +233,11 @@ class InverseDynamicsNode(LifecycleNode):
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Ramp the efforts down to zero, deliver the zeros, and stop publishing."""
-        self._runner.ramp_down(self._reason_to_stop)
+        self._ramp_down()
         return super().on_deactivate(state)
+
+    def _ramp_down(self) -> None:
+        self._runner.ramp_down(self._reason_to_stop, self._inputs.read_latest_joint_state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Drop the robot and its loads."""
@@ -249,7 +252,7 @@ class InverseDynamicsNode(LifecycleNode):
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Ramp the efforts down to zero, then end the process."""
         if self._runner.is_active:
-            self._runner.ramp_down(self._reason_to_stop)
+            self._ramp_down()
         self.is_finalized = True
         return super().on_shutdown(state)
 
@@ -270,15 +273,21 @@ class InverseDynamicsNode(LifecycleNode):
         with self._scheduling.normal_priority():
             loop = make_loop(configuration, self._description)
         self._graph.expect_discovery()
-        if configuration.stop_ramp >= _LAUNCH_SIGTERM_TIMEOUT:
-            self.get_logger().warning(
-                f'stop_ramp is {configuration.stop_ramp:g} s, but ros2 launch sends SIGTERM '
-                f'{_LAUNCH_SIGTERM_TIMEOUT:g} s after SIGINT, which ends the ramp: increase '
-                'sigterm_timeout of the launch action'
-            )
+        self._warn_of_launch(configuration)
         self._runner.configure(loop, configuration)
         # A full garbage collection of the libraries' objects takes tens of milliseconds.
         gc.freeze()
+
+    def _warn_of_launch(self, configuration: Configuration) -> None:
+        names, longest = 'stop_ramp', configuration.stop_ramp
+        if configuration.stop_damping:
+            names, longest = 'stop_ramp + stop_timeout', longest + configuration.stop_timeout
+        if longest >= _LAUNCH_SIGTERM_TIMEOUT:
+            self.get_logger().warning(
+                f'{names} is {longest:g} s, but ros2 launch sends SIGTERM '
+                f'{_LAUNCH_SIGTERM_TIMEOUT:g} s after SIGINT, which ends the ramp: increase '
+                'sigterm_timeout of the launch action'
+            )
 
     def _use_configuration(self, configuration: Configuration) -> None:
         self._configuration = configuration

@@ -284,6 +284,23 @@ class Configuration:
         minimum=0.0,
         maximum=60.0,
     )
+    stop_damping: float = parameter(
+        _SETTINGS.stop_damping,
+        'Damping of an arm without brakes while it is stopped. 0: none',
+        'The rate at which motion decays: a larger one lets the arm sink more slowly. With 50, an '
+        'arm of usual proportions sinks at 0.3 m/s. Used from the next stop on',
+        unit='1/s',
+        minimum=0.0,
+        maximum=200.0,
+    )
+    stop_timeout: float = parameter(
+        _SETTINGS.stop_timeout,
+        'Longest time of `stop_damping`, which fades within `stop_ramp` then',
+        'Used from the next stop on',
+        unit='s',
+        minimum=0.0,
+        maximum=300.0,
+    )
     autostart: bool = parameter(
         True,
         'Configure and activate once, as soon as there is a robot description',

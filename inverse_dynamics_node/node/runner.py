@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+import math
 import time
 
 from rclpy.clock import Clock
@@ -11,6 +12,7 @@ from rclpy.timer import Timer
 
 from ..control.loop import Command, ControlLoop
 from ..control.monitor import Monitor
+from ..control.stop_damping import AT_REST
 from ..control.supervision import COMPUTING_PHASES
 from ..errors import JointStateError, shortened_lines
 from ..ros.graph import Graph
@@ -22,6 +24,7 @@ from .worker import Worker
 
 _WATCH_PERIOD = 0.01  # [s]; between steps or checks while no joint states arrive
 _MAX_WATCH_PERIOD = 0.1  # [s]; between checks while they do
+_POLL_PERIOD = 0.0005  # [s]; between looks for a joint state during a stop that damps the motion
 
 
 class LoopRunner:
@@ -165,6 +168,7 @@ class LoopRunner:
         took = time.perf_counter() - began
         self.monitor.step(now, took, command, self.loop.controller.joints)
         self._log.report_step(now, self.loop, command, is_dry_run=self.loop.dry_run.is_active)
+        self._report_damping(self.loop)
         if self.loop.collector.lost_velocities:
             publishers = self._graph.publishers('joint_states')
             self._log.report_lost_velocities(self.loop.collector.lost_velocities, publishers)
@@ -280,7 +284,7 @@ class LoopRunner:
         self._log.report_robot(loop)
         self._outputs.publish_description(loop)
 
-    def ramp_down(self, reason: str) -> None:
+    def ramp_down(self, reason: str, read_joint_state: Callable[[], None]) -> None:
         """
         Publish falling efforts, then zeros, within one callback: nothing else runs meanwhile.
 
@@ -288,6 +292,8 @@ class LoopRunner:
         ----------
         reason : str
             For the log.
+        read_joint_state : callable
+            Handles the latest joint state, if one has arrived.
 
         """
         assert self.loop is not None
@@ -297,19 +303,40 @@ class LoopRunner:
                 self._node.get_logger().info(f'stopped: {reason} (dry run: nothing to ramp down)')
             return
         self._node.get_logger().info(f'ramping efforts down: {reason}')
+        start, steady_start, now = self.now(), time.monotonic(), self.now
+        # Simulated time does not advance during a callback.
+        self.now = lambda: start + time.monotonic() - steady_start
         try:
-            self._follow_stop_ramp(self.loop)
+            self._follow_stop_ramp(self.loop, read_joint_state)
         finally:
+            self.now = now
             self._outputs.publish_zeros(self.loop)
         self._node.get_logger().info(f'stopped, zeros sent: {reason}')
 
-    def _follow_stop_ramp(self, loop: ControlLoop) -> None:
+    def _follow_stop_ramp(self, loop: ControlLoop, read_joint_state: Callable[[], None]) -> None:
         loop.controller.stop()
-        start, steady_start = self.now(), time.monotonic()
-        while loop.dry_run.has_effort and not self._skip_ramp():
-            time.sleep(self._watch_period)
-            # Simulated time does not advance during a callback.
-            now = start + time.monotonic() - steady_start
+        period = self._configuration.period
+        while loop.has_to_stop and not self._skip_ramp():
+            is_damped, last_state = loop.controller.stop_damping.is_active, loop.collector.time
+            time.sleep(min(period or _POLL_PERIOD if is_damped else math.inf, self._watch_period))
+            read_joint_state()
+            is_due = self.now() >= self._last_step + self._watch_period
+            if is_damped and not (period or is_due or loop.collector.time != last_state):
+                continue
+            now = self.now()
             command = loop.step(now)
             assert command is not None
             self._publish(now, command)
+            self._report_damping(loop)
+
+    def _report_damping(self, loop: ControlLoop) -> None:
+        """Report why the damping of a stop has ended."""
+        damping, logger = loop.controller.stop_damping, self._node.get_logger()
+        if not damping.report:
+            return
+        text = f'{"dry run: " * loop.dry_run.is_active}end of the stop damping: {damping.report}'
+        if damping.report == AT_REST:
+            logger.info(text)
+        else:
+            logger.warning(text)
+        damping.report = ''

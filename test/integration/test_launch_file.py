@@ -17,7 +17,7 @@ from robot_files import ROOT, STANFORD
 ATTRIBUTES = {
     'launch': set(),
     'arg': {'name', 'default', 'description'},
-    'node': {'pkg', 'exec', 'name', 'namespace', 'output', 'ros_args'},
+    'node': {'pkg', 'exec', 'name', 'namespace', 'output', 'ros_args', 'sigterm_timeout'},
     'param': {'from', 'allow_substs'},
     'remap': {'from', 'to'},
 }
@@ -41,6 +41,11 @@ def test_arguments_are_documented_used_and_have_a_default():
         assert argument.get('default') is not None
         assert argument.get('description')
         assert f'$(var {name})' in text
+
+
+def test_the_longest_stop_by_default_is_not_cut_short():
+    stop_ramp, stop_timeout = (PARAMETERS[name].default for name in ('stop_ramp', 'stop_timeout'))
+    assert float(NODE.get('sigterm_timeout')) > 2.0 * stop_ramp + stop_timeout + 5.0
 
 
 def test_executable_parameters_and_topics_are_those_of_the_node():
