@@ -20,6 +20,7 @@ SHORTEST_RAMP = 0.5  # [s]; of all that the driver sets
 RAMPS = 3.0  # ramps over the largest effort that may coincide: a blend over twice of it, a load
 PAUSE, SETTLING = 0.1, 0.2  # [s]; after a pause, old messages may arrive for as long
 FACTOR, LATENESS, LONGEST_STEP = 2.0, 0.03, 0.1  # of motion: of the speed limit, [s], [s]
+WRONG_WAY = 0.1  # [rad, m]; after which a wrong sign of the velocities has been found
 WINDOW = 0.02  # [s]; many small steps may be no motion either
 TIMEOUTS = {'wrench': lambda node: node.load_settings.wrench_timeout, 'imu': lambda node: 0.2}
 
@@ -63,6 +64,9 @@ class Promises:
         self.last, self.last_sent = np.zeros(n), None
         self.history = []
         self.fall_time, self.fallen = None, 0.0  # [s]; None while efforts do not fall
+        self.top, self.left, self.ramp_passed = np.zeros(n), np.zeros(n), 0.0  # of the stop ramp
+        self.stopped_with, self.stopped_at = None, None  # settings and positions of a damped stop
+        self.damped = 0  # commands with damping
         self.gate_time, self.gate_fallen = None, 0.0
 
     def load(self, now, act, kind):
@@ -72,6 +76,12 @@ class Promises:
         self.renewed[kind] = now
         if last is not None and 0.0 <= now - last <= TIMEOUTS[kind](self.node):
             self.applied = self.applied + np.abs(self._efforts_of_last() - before)
+
+    def stop(self):
+        """Note a stop: its damping has the settings of this moment."""
+        if self.node.loop.controller.phase in COMPUTING_PHASES:
+            self.stopped_with = self.node.settings
+            self.stopped_at = self.node.loop.collector.q.copy()
 
     def _efforts(self, q, velocities, accelerations):
         return self.node.loop.dynamics.efforts(q, velocities, accelerations)
@@ -100,16 +110,20 @@ class Promises:
         if (controller.limits != self.limits).any():
             # The bound falls to a tightened limit; below it, efforts follow the motion.
             self.limits, self.ceiling = controller.limits, np.abs(self.last)
+            if self.fall_time is not None:
+                self.ceiling = np.maximum(self.ceiling, np.abs(self.left))
         bound = np.maximum(self.limits, self.ceiling)
         require((np.abs(efforts) <= bound + ROUNDING).all(), 'beyond the limits', efforts, bound)
         settings = self.node.settings
         if controller.phase in COMPUTING_PHASES:
             self._check_computed(now, efforts, step)
         elif controller.phase is Phase.STOPPED or settings.on_stale_state is StalePolicy.ZERO:
-            self._check_fall(efforts, passed, step)
+            self._check_fall(now, efforts, passed, step)
         else:
+            # Damping is not held.
+            last = self.last if self.fall_time is None else self.left
             self.fall_time = None
-            self._check_shrinking(efforts, self.last)
+            self._check_shrinking(efforts, last)
         if sent is not None or self.last_sent is not None:
             self._check_sent(efforts, sent, passed, step)
         self.last = efforts
@@ -136,19 +150,47 @@ class Promises:
             self.history.clear()
         return step
 
-    def _check_fall(self, efforts, passed, step):
-        change = np.abs(efforts - self.last)
-        self._check_shrinking(efforts, self.last)
+    def _check_fall(self, now, efforts, passed, step):
         if self.fall_time is None:
             self.fall_time, self.fallen = self.node.settings.stop_ramp, 0.0
-            self.top = np.abs(self.last)
+            self.top, self.ramp_passed = self.last, 0.0
+            change = np.abs(efforts - self.last)
             require((change <= ROUNDING).all(), 'a fall begins with a step', change)
         else:
             self.fallen += min(max(0.0, passed), self.base)
-        bound = self.top * step / self.fall_time + ROUNDING
-        require((change <= bound).all(), 'a fall catches up', change, bound)
+            advanced = self.node.loop.controller.ramp_step
+            self.ramp_passed += advanced
+            require(advanced <= step + 1e-9, 'a fall catches up', advanced, step)
+        self.left = max(0.0, 1.0 - self.ramp_passed / self.fall_time) * self.top
         is_late = self.fallen > self.fall_time + 2.0 * self.base
-        require(not (is_late and efforts.any()), 'a fall takes too long', efforts)
+        require(not (is_late and self.left.any()), 'a fall takes too long', self.left)
+        self._check_damping(now, efforts - self.left)
+
+    def _check_damping(self, now, added):
+        """Check what a stop adds to the efforts that fall: only damping, if anything."""
+        loop, settings = self.node.loop, self.stopped_with
+        is_fresh = loop.collector.is_consistent and settings is not None
+        is_fresh = is_fresh and 0.0 <= now - loop.collector.time <= settings.state_timeout
+        if not is_fresh or loop.controller.phase is not Phase.STOPPED:
+            self.stopped_with = settings = None  # for the rest of this stop
+        if not (np.abs(added) > ROUNDING).any():
+            return
+        require(settings is not None, 'damping without fresh states', added)
+        self.damped += 1
+        scale, qd = self.node.settings.effort_scale, loop.collector.qd
+        require(qd @ added / scale <= ROUNDING, 'damping drives the arm', added)
+        # Parallel to the momenta of the commanded joints, and no faster than it was requested.
+        full = -scale * settings.stop_damping * loop.dynamics.mass_matrix(loop.collector.q) @ qd
+        share = added @ full / (full @ full)
+        off = np.abs(added - share * full)
+        require((off <= ROUNDING).all(), 'damping of some joints only', off)
+        most = min(1.0, (self.ramp_passed + 1e-9) / settings.stop_ramp)
+        late = self.ramp_passed - settings.stop_timeout - settings.stop_ramp
+        require(share <= most + ROUNDING, 'damping rises too fast', share, most)
+        require(late <= 2.0 * self.base, 'damping takes too long', late)
+        way = np.abs(loop.collector.q - self.stopped_at)
+        is_wrong = self.node.has_wrong_sign and (way > WRONG_WAY).any()
+        require(not is_wrong, 'damping with the wrong sign', way, WRONG_WAY)
 
     @staticmethod
     def _check_shrinking(efforts, last):
@@ -232,7 +274,8 @@ class Promises:
             require((sent == efforts).all(), 'not sent as computed', sent)
             return
         if self.gate_time is None:
-            falls = self.fall_time is not None
+            is_damped = (np.abs(self.last_sent - self.left) > 0.0).any()
+            falls = self.fall_time is not None and not is_damped
             self.gate_time = max(0.0, self.fall_time - self.fallen) if falls else math.inf
             self.gate_time = min(self.gate_time, self.node.settings.stop_ramp)
             self.gate_fallen = 0.0

@@ -40,6 +40,8 @@ SETTINGS = {
     'on_stale_state': [StalePolicy.ZERO, StalePolicy.ZERO, StalePolicy.HOLD],
     'start_ramp': [0.5, 0.5, 1.0, 3.0],
     'stop_ramp': [0.5, 0.5, 1.0],
+    'stop_damping': [0.0, 20.0, 200.0],
+    'stop_timeout': [0.3, 20.0],
     'kp': [50.0, 100.0],
     'velocity_filter_cutoff': [0.0, 20.0],
     'effort_scale': [1.0, 0.8],
@@ -60,11 +62,13 @@ class Node:
     def __init__(self, rate, imu, pick):
         self.pick = pick
         self.rate, self.is_dry_run, self.include_gravity = rate, False, True
-        self.settings, self.load_settings = Settings(), LoadSettings()
+        self.settings = Settings(stop_damping=pick.choice([0.0, 50.0, 50.0]))
+        self.load_settings = LoadSettings()
         self.robot, self.imu = 0, imu
         self.loop = self.make_loop()
         self.loop.start()
         self.has_restarted = False
+        self.has_wrong_sign = pick.random() < 0.1  # of the velocities
 
     def make_loop(self):
         period = 1.0 / self.rate if self.rate else 0.0
@@ -208,7 +212,8 @@ class Sequence:
         q = q + self.offset + offset
         joints = range(N) if joints is None else joints
         names = [NAMES[k] for k in joints]
-        velocities = [qd[k] for k in joints] if self.has_velocities else []
+        sign = -1.0 if self.node.has_wrong_sign else 1.0
+        velocities = [sign * qd[k] for k in joints] if self.has_velocities else []
         with contextlib.suppress(InverseDynamicsError):
             self.node.loop.collector.update(self.now, names, [q[k] for k in joints], velocities)
         if not self.node.rate:
@@ -233,8 +238,13 @@ class Sequence:
         self.node.apply()
 
     def stop(self):
+        self.promises.stop()
         self.node.loop.controller.stop()
         self.node.loop.reference = self.acceleration = None
+
+    def stop_and_sink(self):
+        self.stop()
+        self.run(self.pick.choice([0.1, 0.4, 1.5]))
 
     def stop_and_lose_states(self):
         self.stop()
@@ -311,6 +321,8 @@ ACTIONS = [
     Sequence.change_load_setting,
     Sequence.toggle_gravity,
     Sequence.stop,
+    Sequence.stop_and_sink,
+    Sequence.stop_and_sink,
     Sequence.stop_and_lose_states,
     Sequence.resume,
     Sequence.resume,
@@ -335,14 +347,14 @@ ACTIONS = [
 
 
 def play(seed, actions=20, node_type=Node):
-    """Play one sequence; return the numbers of events and of commands."""
+    """Play one sequence; return the numbers of events, of commands, and of damped ones."""
     sequence = Sequence(seed, node_type)
     try:
         sequence.play(actions)
     except BrokenPromiseError as error:
         where = f'sequence {seed}, {sequence.steady - 100.0:.4f} s'
         raise BrokenPromiseError(f'{where}: {error}') from None
-    return sequence.events, sequence.promises.count
+    return sequence.events, sequence.promises.count, sequence.promises.damped
 
 
 def main():

@@ -22,7 +22,8 @@ AT_REST = 'the arm is at rest'
 # An arm that moves by less than this, in this time, is at rest.
 _REST_WAY, _REST_TIME = 2e-3, 0.5  # [rad or m], [s]
 # Velocities contradict positions if way and integral differ by more than this, plus a fraction of
-# the integral. Both forget what is older than about a second, or noise would add up.
+# the larger one. One may be twice the other, as when late messages arrive in a row. Both forget
+# what is older than about a second, or noise would add up.
 # Measured in simulation (UR10, Panda, an arm with a gripper; 200 and 1000 Hz; 5 ms of delay and
 # 0.01 rad/s of noise): the first number reaches 0.003 after a stop at rest, and 0.015 if each
 # joint moves at up to 2 rad/s before. A wrong sign is found within 0.12 s after a stop at rest,
@@ -142,7 +143,8 @@ class StopDamping:
             self._way = memory * (self._way + way)
             self._integral = memory * (self._integral + 0.5 * elapsed * (self._qd + qd))
         self._q, self._qd, self._times = q, qd, times
-        bound = _LEAST_ERROR + _RELATIVE_ERROR * np.abs(self._integral)
+        size = np.maximum(np.abs(self._way), np.abs(self._integral))
+        bound = _LEAST_ERROR + _RELATIVE_ERROR * size
         is_wrong = ~(np.abs(self._way - self._integral) <= bound)
         if is_wrong.any():
             joint = self._dynamics.robot.joint_names[self._index[int(np.argmax(is_wrong))]]

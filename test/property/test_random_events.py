@@ -11,7 +11,9 @@ SEQUENCES = 40 if os.environ.get('NUMBA_DISABLE_JIT') == '1' else 800
 
 @pytest.mark.parametrize('part', range(4))
 def test_promises_are_kept_in_random_events(part):
-    commands = 0
+    commands = damped = 0
     for k in range(SEQUENCES // 4):
-        commands += play(10**6 + 4 * k + part, actions=4)[1]
+        _, more, more_damped = play(10**6 + 4 * k + part, actions=4)
+        commands, damped = commands + more, damped + more_damped
     assert commands > 10 * SEQUENCES
+    assert damped > SEQUENCES // 10

@@ -1,0 +1,247 @@
+"""Stops of a node that damps the motion of the arm: all four ways, and what ends the damping."""
+
+from contextlib import contextmanager
+import re
+import signal
+import time
+
+from fork_server import SERVER
+from inverse_dynamics_node import InverseDynamics, load_urdf
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+import numpy as np
+import pytest
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from robot_files import STANFORD
+from sensor_msgs.msg import JointState
+from soft_stops import ARMS, tip_speed
+from std_msgs.msg import Bool
+from std_srvs.srv import SetBool
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+PATIENCE = 60.0  # [s]
+SINKING = 2.0  # [s]; the tip is fastest within this time
+MODEL = load_urdf(STANFORD)
+DYNAMICS = InverseDynamics(MODEL)
+NAMES, ZERO = list(MODEL.joint_names), np.zeros(6)
+Q = np.array([0.3, 0.8, 0.5, -0.4, 0.6, 0.2])
+SPEED = np.array([0.2, -0.15, 0.02, 0.3, -0.2, 0.4])
+RATE, RAMP, DAMPING = 200, 0.3, 50.0
+MOVING = {
+    'robot_description_file': STANFORD,
+    'start_ramp': 0.0,
+    'mode': 'gravity_compensation',
+    'stop_ramp': RAMP,
+    'stop_damping': DAMPING,
+    'stop_timeout': 30.0,
+    # Longer than a busy machine pauses.
+    'state_timeout': 0.5,
+}
+DEACTIVATE = Transition(id=Transition.TRANSITION_DEACTIVATE)
+WAYS = ['disable', 'deactivate', 'SIGINT', 'SIGTERM']
+
+
+def stop(robot, node, way):
+    """Stop the node in one of the ways, without waiting for the end of the stop."""
+    if way == 'disable':
+        assert robot.call(SetBool, 'enable', SetBool.Request(data=False)).success
+    elif way == 'deactivate':
+        client = robot.node.create_client(ChangeState, 'inverse_dynamics/change_state')
+        robot.wait_until(client.service_is_ready, 'service change_state')
+        client.call_async(ChangeState.Request(transition=DEACTIVATE))
+    else:
+        node.interrupt(getattr(signal, way))
+
+
+def wait_for_end_of_stop(robot, node, way):
+    """Wait for the zeros at the end of a stop."""
+    if way.startswith('SIG'):
+        assert robot.wait_for_end(node) == 0
+    else:
+        robot.wait_for_text(node, 'stopped, zeros sent: ')
+    robot.wait_for_command(np.zeros(len(robot.commands[-1])), tolerance=0.0)
+
+
+class Motion:
+    """Publishes the joint states of joints that move at a constant speed, and then rest."""
+
+    def __init__(self, robot, sign=1.0):
+        self.robot, self.sign, self.is_lost = robot, sign, False
+        self.began, self.rests_at = time.monotonic(), None
+        self._publisher = robot.node.create_publisher(JointState, 'joint_states', 10)
+        robot.node.create_timer(1.0 / RATE, self._publish)
+
+    def q(self):
+        """Return the present positions."""
+        until = time.monotonic() if self.rests_at is None else self.rests_at
+        return Q + (until - self.began) * SPEED
+
+    def rest(self):
+        self.rests_at = time.monotonic()
+
+    def _publish(self):
+        if not self.is_lost:
+            qd = self.sign * SPEED if self.rests_at is None else ZERO
+            self._publisher.publish(JointState(name=NAMES, position=self.q(), velocity=qd))
+
+    def is_damped(self):
+        """Return whether the last command is that of the damping alone."""
+        rates = -np.linalg.solve(DYNAMICS.mass_matrix(self.q()), self.robot.commands[-1]) / SPEED
+        return rates == pytest.approx(np.full(6, DAMPING), rel=0.1)
+
+    def wait_until_damped(self):
+        self.robot.wait_until(self.is_damped, 'damping')
+
+
+def run_moving_arm(run_node, robot, sign=1.0, **parameters):
+    """Return the node, and the motion that it receives, as soon as it commands."""
+    node, motion = run_node(**{**MOVING, **parameters}), Motion(robot, sign)
+    robot.wait_until(lambda: robot.commands and np.any(robot.commands[-1]), 'commands')
+    return node, motion
+
+
+@pytest.mark.parametrize('way', WAYS)
+def test_the_motion_is_damped_until_the_arm_is_at_rest(run_node, robot, way):
+    node, motion = run_moving_arm(run_node, robot)
+    stop(robot, node, way)
+    motion.wait_until_damped()
+    motion.rest()
+    wait_for_end_of_stop(robot, node, way)
+    assert 'end of the stop damping: the arm is at rest' in node.output
+
+
+@pytest.mark.parametrize('way', ['disable', 'SIGTERM'])
+@pytest.mark.parametrize('fault', ['sign', 'lost'])
+def test_a_fault_leaves_the_ordinary_stop(run_node, robot, way, fault):
+    sign = -1.0 if fault == 'sign' else 1.0
+    node, motion = run_moving_arm(run_node, robot, sign, stop_ramp=2.0)
+    first = len(robot.commands)
+    stop(robot, node, way)
+    motion.is_lost = fault == 'lost'
+    wait_for_end_of_stop(robot, node, way)
+    words = {
+        'sign': f'the velocities of {NAMES[0]} contradict its positions',
+        'lost': 'the joint states are lost',
+    }
+    (found,) = re.findall('end of the stop damping: (.*)', node.output)
+    assert found.startswith(words[fault]) or (fault == 'sign' and 'contradict' in found)
+    # Apart from the begin of the ramp, efforts fall, and the arm is not driven.
+    efforts = np.abs(robot.commands[first:])
+    efforts = efforts[len(efforts) // 2 :]
+    assert len(efforts) > 10
+    assert (np.diff(efforts, axis=0) <= 1e-9).all()
+
+
+def test_a_second_signal_ends_the_damping(run_node, robot):
+    node, motion = run_moving_arm(run_node, robot)
+    node.interrupt()
+    motion.wait_until_damped()
+    node.interrupt()
+    assert robot.wait_for_end(node) == 0
+    robot.wait_for_command(ZERO, tolerance=0.0)
+    assert 'end of the stop damping' not in node.output
+
+
+def test_the_damping_ends_after_its_time(run_node, robot):
+    node, motion = run_moving_arm(run_node, robot, stop_timeout=1.0)
+    node.interrupt()
+    motion.wait_until_damped()
+    assert robot.wait_for_end(node) == 0
+    robot.wait_for_command(ZERO, tolerance=0.0)
+    assert 'end of the stop damping: stop_timeout (1 s) has passed' in node.output
+
+
+def test_the_arm_is_held_again_from_the_damping_on(run_node, robot):
+    _, motion = run_moving_arm(run_node, robot, start_ramp=4.0)
+    stop(robot, None, 'disable')
+    motion.wait_until_damped()
+    count = len(robot.commands)
+    assert robot.call(SetBool, 'enable', SetBool.Request(data=True)).success
+    robot.wait_until(lambda: len(robot.commands) > count + 20, 'commands')
+    damped = -DAMPING * DYNAMICS.mass_matrix(motion.q()) @ SPEED
+    way = DYNAMICS.gravity_efforts(motion.q()) - damped
+    gone = np.abs(robot.commands[count + 20] - damped).max() / np.abs(way).max()
+    assert gone < 0.3, 'the end of the damping is a step'
+
+
+def test_a_node_in_simulated_time_damps_the_motion(run_node, robot):
+    robot.keep_ticking(100.0)
+    node, motion = run_moving_arm(run_node, robot, use_sim_time=True)
+    node.interrupt()
+    motion.wait_until_damped()
+    motion.rest()
+    wait_for_end_of_stop(robot, node, 'SIGINT')
+    assert 'end of the stop damping: the arm is at rest' in node.output
+
+
+def test_launch_cuts_long_damping_short(run_node, robot):
+    node = run_node(robot_description_file=STANFORD, stop_damping=50.0)
+    robot.wait_for_text(node, 'stop_ramp + stop_timeout is 20.5 s, but ros2 launch sends SIGTERM')
+
+
+# Simulated arms
+
+
+@contextmanager
+def simulated(domain_id, path, start, rate):
+    """Run a simulated robot that its brakes hold at first."""
+    program = ['-m', 'inverse_dynamics_node.simulation.robot', path, '--rate', rate]
+    options = ['--brake-release', 0.3, '--start', *start]
+    names = ['--ros-args', '-r', 'commands:=inverse_dynamics/commands']
+    process = SERVER.run([*program, *options, *names], {'ROS_DOMAIN_ID': str(domain_id)})
+    try:
+        yield
+    finally:
+        process.terminate()
+        process.wait(PATIENCE)
+
+
+def largest_tip_speed(domain_id, run_node, robot, arm, way, rate, **parameters):
+    """Stop a horizontal arm; return the largest speed of its tip within `SINKING` [m/s]."""
+    path, tip, start = ARMS[arm]
+    model = load_urdf(path)
+    dynamics = InverseDynamics(model)
+    states, brakes = [], []
+    robot.node.create_subscription(
+        JointState, 'joint_states', lambda m: states.append((time.monotonic(), m)), 1000
+    )
+    robot.node.create_subscription(Bool, 'brakes', lambda m: brakes.append(m.data), LATCHED)
+    with simulated(domain_id, path, start, rate):
+        node = run_node(
+            robot_description_file=f"'{path}'",
+            mode='gravity_compensation',
+            start_ramp=0.1,
+            stop_ramp=0.5,
+            stop_timeout=SINKING + 0.5,
+            **parameters,
+        )
+        robot.wait_until(lambda: brakes and not brakes[-1], 'open brakes')
+        count = len(states)
+        robot.wait_until(lambda: len(states) > count + 0.2 * rate, 'an arm that is held')
+        stop(robot, node, way)
+        count, end = len(states), time.monotonic() + SINKING
+        robot.wait_until(lambda: time.monotonic() > end, 'an arm that has sunk')
+        assert any(robot.commands[-1])
+    speeds = []
+    for received, state in states[count:]:
+        if received < end:
+            order = [state.name.index(name) for name in model.joint_names]
+            q, qd = np.array(state.position)[order], np.array(state.velocity)[order]
+            speeds.append(tip_speed(dynamics, tip, q, qd))
+    assert len(speeds) > 0.8 * SINKING * rate
+    return max(speeds)
+
+
+def cases():
+    """Return the arms and rates; all but one are for `make test-all`."""
+    arms = [name for name, (path, *_) in ARMS.items() if path]
+    first, *others = ((arm, rate) for arm in arms for rate in (200, 1000))
+    return [first, *(pytest.param(*case, marks=pytest.mark.long) for case in others)]
+
+
+@pytest.mark.real_time
+@pytest.mark.parametrize(('arm', 'rate'), cases())
+@pytest.mark.parametrize('way', WAYS)
+def test_the_tip_of_a_horizontal_arm_sinks_slowly(domain_id, run_node, robot, arm, rate, way):
+    speed = largest_tip_speed(domain_id, run_node, robot, arm, way, rate, stop_damping=50.0)
+    assert 0.1 < speed < 0.3
