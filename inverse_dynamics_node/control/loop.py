@@ -270,7 +270,7 @@ class Controller:
         now, settings = self._time, self.settings
         supervisor, law, shaper = self.supervisor, self.law, self._shaper
         damping = self.stop_damping
-        if not supervisor.is_stopping:
+        if damping.is_active and not supervisor.is_stopping:
             damping.end()
         blocking = supervisor.blocking_phase(now, state, settings.state_timeout, shaper.gain)
         if blocking is Phase.WAITING:

@@ -62,15 +62,16 @@ class StopDamping:
         self.report = ''
         """Why the damping has ended; cleared by the reader."""
         self._passed = -1.0  # [s] since the first command of the stop; negative before it
-        self._q = self._qd = self._times = self._rest = np.zeros(len(index))
+        self._q = self._qd = self._times = np.zeros(len(index))
         self._rest_since = 0.0  # [s]
-        self._way, self._integral = np.zeros((2, len(index)))
+        self._rest = self._way = self._integral = self._q
 
     def begin(self, settings: Settings) -> None:
         """Damp from the next command on, if the settings say so; changes of them are ignored."""
         self.is_active = settings.stop_damping > 0.0
         self._settings, self._passed, self.report = settings, -1.0, ''
         self._way, self._integral = np.zeros((2, len(self._index)))
+        self._rest = np.full(len(self._index), math.inf)
 
     def end(self, report: str = '') -> None:
         """Return zeros from now on, until a stop begins."""
@@ -152,8 +153,8 @@ class StopDamping:
         return ''
 
     def _is_at_rest(self) -> bool:
-        has_moved = self._passed < self._settings.stop_ramp or self._rest_since > self._passed
-        if has_moved or not (np.abs(self._q - self._rest) <= _REST_WAY).all():
+        is_falling = self._passed < self._settings.stop_ramp
+        if is_falling or not (np.abs(self._q - self._rest) <= _REST_WAY).all():
             self._rest, self._rest_since = self._q, self._passed
         return self._passed - self._rest_since >= _REST_TIME
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-import math
 import time
 
 from rclpy.clock import Clock
@@ -12,7 +11,7 @@ from rclpy.timer import Timer
 
 from ..control.loop import Command, ControlLoop
 from ..control.monitor import Monitor
-from ..control.stop_damping import AT_REST
+from ..control.stop_damping import AT_REST, StopDamping
 from ..control.supervision import COMPUTING_PHASES
 from ..errors import JointStateError, shortened_lines
 from ..ros.graph import Graph
@@ -167,8 +166,8 @@ class LoopRunner:
         self._publish(now, command)
         took = time.perf_counter() - began
         self.monitor.step(now, took, command, self.loop.controller.joints)
-        self._log.report_step(now, self.loop, command, is_dry_run=self.loop.dry_run.is_active)
         self._report_damping(self.loop)
+        self._log.report_step(now, self.loop, command, is_dry_run=self.loop.dry_run.is_active)
         if self.loop.collector.lost_velocities:
             publishers = self._graph.publishers('joint_states')
             self._log.report_lost_velocities(self.loop.collector.lost_velocities, publishers)
@@ -315,28 +314,39 @@ class LoopRunner:
 
     def _follow_stop_ramp(self, loop: ControlLoop, read_joint_state: Callable[[], None]) -> None:
         loop.controller.stop()
-        period = self._configuration.period
+        damping, period = loop.controller.stop_damping, self._configuration.period
         while loop.has_to_stop and not self._skip_ramp():
-            is_damped, last_state = loop.controller.stop_damping.is_active, loop.collector.time
-            time.sleep(min(period or _POLL_PERIOD if is_damped else math.inf, self._watch_period))
-            read_joint_state()
-            is_due = self.now() >= self._last_step + self._watch_period
-            if is_damped and not (period or is_due or loop.collector.time != last_state):
-                continue
+            if damping.is_active:
+                time.sleep(min(period or _POLL_PERIOD, self._watch_period))
+                last_state = loop.collector.time
+                self._read_for_damping(damping, read_joint_state)
+                has_state = period or loop.collector.time != last_state
+                if not has_state and self.now() < self._last_step + self._watch_period:
+                    continue
+            else:
+                time.sleep(self._watch_period)
             now = self.now()
             command = loop.step(now)
             assert command is not None
             self._publish(now, command)
             self._report_damping(loop)
 
+    def _read_for_damping(
+        self, damping: StopDamping, read_joint_state: Callable[[], None]
+    ) -> None:
+        try:
+            read_joint_state()
+        except Exception as error:  # perhaps the one that is the reason for the stop
+            damping.end(f'an error in the program: {error!r}')
+
     def _report_damping(self, loop: ControlLoop) -> None:
         """Report why the damping of a stop has ended."""
-        damping, logger = loop.controller.stop_damping, self._node.get_logger()
-        if not damping.report:
+        report = loop.controller.stop_damping.report
+        if not report:
             return
-        text = f'{"dry run: " * loop.dry_run.is_active}end of the stop damping: {damping.report}'
-        if damping.report == AT_REST:
-            logger.info(text)
+        loop.controller.stop_damping.report = ''
+        text = f'{"dry run: " * loop.dry_run.is_active}end of the stop damping: {report}'
+        if report == AT_REST:
+            self._node.get_logger().info(text)
         else:
-            logger.warning(text)
-        damping.report = ''
+            self._node.get_logger().warning(text)

@@ -96,6 +96,22 @@ def test_a_crash_in_a_callback_leaves_zeros(run_node, robot, where, tmp_path):
     assert 'an error in the program' in node.output
 
 
+def test_a_crash_while_joint_states_are_read_leaves_the_stop_ramp(run_node, robot, tmp_path):
+    trigger = tmp_path / 'crash'
+    program = ('-c', CRASH, 'inputs.Inputs._on_joint_state', str(trigger))
+    node = run_node(
+        program=program, may_crash=True, **{**RAMPED, 'stop_ramp': 1.0}, stop_damping=9.0
+    )
+    robot.publish_state(NAMES, Q, ZERO)
+    robot.wait_for_command(HOLD)
+    trigger.touch()
+    assert robot.wait_for_end(node) == 1
+    robot.wait_for_command(ZERO, tolerance=0.0)
+    assert 'end of the stop damping: an error in the program' in node.output
+    shares = np.array(robot.commands)[:, 2] / HOLD[2]
+    assert np.count_nonzero((shares > 0.1) & (shares < 0.9)) > 10
+
+
 def test_a_jump_of_the_clock_causes_no_jump_of_the_efforts(run_node, robot):
     node = run_node(**RAMPED, use_sim_time=True, update_rate=100)
     jump = robot.keep_ticking(100.0)

@@ -3,6 +3,7 @@
 from contextlib import contextmanager
 import re
 import signal
+import subprocess
 import time
 
 from fork_server import SERVER
@@ -12,7 +13,7 @@ from lifecycle_msgs.srv import ChangeState
 import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from robot_files import STANFORD
+from robot_files import ROOT, STANFORD
 from sensor_msgs.msg import JointState
 from soft_stops import ARMS, tip_speed
 from std_msgs.msg import Bool
@@ -230,6 +231,34 @@ def largest_tip_speed(domain_id, run_node, robot, arm, way, rate, **parameters):
             speeds.append(tip_speed(dynamics, tip, q, qd))
     assert len(speeds) > 0.8 * SINKING * rate
     return max(speeds)
+
+
+def test_an_arm_is_parked(domain_id, run_node, robot):
+    path, _, start = ARMS['gripper_arm']
+    states, brakes = [], []
+    robot.node.create_subscription(JointState, 'joint_states', states.append, 1000)
+    robot.node.create_subscription(Bool, 'brakes', lambda m: brakes.append(m.data), LATCHED)
+    with simulated(domain_id, path, start, RATE):
+        node = run_node(
+            robot_description_file=f"'{path}'",
+            mode='computed_torque',
+            start_ramp=0.1,
+            state_timeout=1.0,
+            stop_damping=DAMPING,
+            stop_ramp=5.0,
+        )
+        robot.wait_until(lambda: brakes and not brakes[-1], 'open brakes')
+        example = [ROOT / 'examples' / 'park.py', 0.4, 'arm_2=1.2', 'arm_4=-0.6']
+        environment = {'ROS_DOMAIN_ID': str(domain_id)}
+        parking = SERVER.run(example, environment, stdout=subprocess.PIPE)
+        robot.wait_until(lambda: parking.poll() is not None, 'end of the example')
+        output, _ = parking.communicate(PATIENCE)
+        assert parking.wait() == 0, output
+        assert 'parked: efforts fall to zero along the ramp' in output
+        robot.wait_for_text(node, 'ramping efforts down: disabled by ~/enable')
+        at = dict(zip(states[-1].name, states[-1].position, strict=True))
+    assert (at['arm_2'], at['arm_4']) == pytest.approx((1.2, -0.6), abs=0.2)
+    assert at['arm_1'] == pytest.approx(start[0], abs=0.2)
 
 
 def cases():

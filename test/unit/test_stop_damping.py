@@ -4,7 +4,6 @@ from functools import cache
 import math
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.control.control_law import Reference
 from inverse_dynamics_node.control.joint_states import State
 from inverse_dynamics_node.control.loop import Controller
 from inverse_dynamics_node.control.settings import Settings, StalePolicy
@@ -297,15 +296,6 @@ def test_the_time_to_fall_while_the_motion_is_damped_is_a_stop_ramp():
     arm = Arm()
     arm.stop(1.0)
     assert arm.controller.time_to_fall == RAMP
-
-
-def test_references_do_not_matter():
-    arm = Arm()
-    arm.controller.stop()
-    state = State(arm.q, arm.qd, arm.time)
-    command = arm.controller.step(arm.time, state, Reference(np.ones(2), np.ones(2), arm.time))
-    assert arm.controller.phase is Phase.STOPPED
-    assert np.isfinite(command.efforts).all()
 
 
 # In simulation, with 5 ms of delay and 0.01 rad/s of noise
