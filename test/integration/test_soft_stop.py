@@ -66,11 +66,11 @@ def wait_for_end_of_stop(robot, node, way):
 class Motion:
     """Publishes the joint states of joints that move at a constant speed, and then rest."""
 
-    def __init__(self, robot, sign=1.0):
+    def __init__(self, robot, sign=1.0, rate=RATE):
         self.robot, self.sign, self.is_lost = robot, sign, False
         self.began, self.rests_at = time.monotonic(), None
         self._publisher = robot.node.create_publisher(JointState, 'joint_states', 10)
-        robot.node.create_timer(1.0 / RATE, self._publish)
+        robot.node.create_timer(1.0 / rate, self._publish)
 
     def q(self):
         """Return the present positions."""
@@ -94,16 +94,17 @@ class Motion:
         self.robot.wait_until(self.is_damped, 'damping')
 
 
-def run_moving_arm(run_node, robot, sign=1.0, **parameters):
+def run_moving_arm(run_node, robot, sign=1.0, rate=RATE, **parameters):
     """Return the node, and the motion that it receives, as soon as it commands."""
-    node, motion = run_node(**{**MOVING, **parameters}), Motion(robot, sign)
+    node, motion = run_node(**{**MOVING, **parameters}), Motion(robot, sign, rate)
     robot.wait_until(lambda: robot.commands and np.any(robot.commands[-1]), 'commands')
     return node, motion
 
 
+@pytest.mark.parametrize('rate', [200, 1000])
 @pytest.mark.parametrize('way', WAYS)
-def test_the_motion_is_damped_until_the_arm_is_at_rest(run_node, robot, way):
-    node, motion = run_moving_arm(run_node, robot)
+def test_the_motion_is_damped_until_the_arm_is_at_rest(run_node, robot, way, rate):
+    node, motion = run_moving_arm(run_node, robot, rate=rate)
     stop(robot, node, way)
     motion.wait_until_damped()
     motion.rest()
@@ -184,9 +185,9 @@ def test_launch_cuts_long_damping_short(run_node, robot):
 
 
 @contextmanager
-def simulated(domain_id, path, start, rate):
+def simulated(domain_id, path, start):
     """Run a simulated robot that its brakes hold at first."""
-    program = ['-m', 'inverse_dynamics_node.simulation.robot', path, '--rate', rate]
+    program = ['-m', 'inverse_dynamics_node.simulation.robot', path, '--rate', RATE]
     options = ['--brake-release', 0.3, '--start', *start]
     names = ['--ros-args', '-r', 'commands:=inverse_dynamics/commands']
     process = SERVER.run([*program, *options, *names], {'ROS_DOMAIN_ID': str(domain_id)})
@@ -197,7 +198,7 @@ def simulated(domain_id, path, start, rate):
         process.wait(PATIENCE)
 
 
-def largest_tip_speed(domain_id, run_node, robot, arm, way, rate, **parameters):
+def largest_tip_speed(domain_id, run_node, robot, arm, way, **parameters):
     """Stop a horizontal arm; return the largest speed of its tip within `SINKING` [m/s]."""
     path, tip, start = ARMS[arm]
     model = load_urdf(path)
@@ -207,7 +208,7 @@ def largest_tip_speed(domain_id, run_node, robot, arm, way, rate, **parameters):
         JointState, 'joint_states', lambda m: states.append((time.monotonic(), m)), 1000
     )
     robot.node.create_subscription(Bool, 'brakes', lambda m: brakes.append(m.data), LATCHED)
-    with simulated(domain_id, path, start, rate):
+    with simulated(domain_id, path, start):
         node = run_node(
             robot_description_file=f"'{path}'",
             mode='gravity_compensation',
@@ -218,7 +219,7 @@ def largest_tip_speed(domain_id, run_node, robot, arm, way, rate, **parameters):
         )
         robot.wait_until(lambda: brakes and not brakes[-1], 'open brakes')
         count = len(states)
-        robot.wait_until(lambda: len(states) > count + 0.2 * rate, 'an arm that is held')
+        robot.wait_until(lambda: len(states) > count + 0.2 * RATE, 'an arm that is held')
         stop(robot, node, way)
         count, end = len(states), time.monotonic() + SINKING
         robot.wait_until(lambda: time.monotonic() > end, 'an arm that has sunk')
@@ -229,7 +230,7 @@ def largest_tip_speed(domain_id, run_node, robot, arm, way, rate, **parameters):
             order = [state.name.index(name) for name in model.joint_names]
             q, qd = np.array(state.position)[order], np.array(state.velocity)[order]
             speeds.append(tip_speed(dynamics, tip, q, qd))
-    assert len(speeds) > 0.8 * SINKING * rate
+    assert len(speeds) > 0.5 * SINKING * RATE
     return max(speeds)
 
 
@@ -238,14 +239,14 @@ def test_an_arm_is_parked(domain_id, run_node, robot):
     states, brakes = [], []
     robot.node.create_subscription(JointState, 'joint_states', states.append, 1000)
     robot.node.create_subscription(Bool, 'brakes', lambda m: brakes.append(m.data), LATCHED)
-    with simulated(domain_id, path, start, RATE):
+    with simulated(domain_id, path, start):
         node = run_node(
             robot_description_file=f"'{path}'",
             mode='computed_torque',
             start_ramp=0.1,
             state_timeout=1.0,
             stop_damping=DAMPING,
-            stop_ramp=5.0,
+            stop_ramp=2.0,
         )
         robot.wait_until(lambda: brakes and not brakes[-1], 'open brakes')
         example = [ROOT / 'examples' / 'park.py', 0.4, 'arm_2=1.2', 'arm_4=-0.6']
@@ -261,16 +262,17 @@ def test_an_arm_is_parked(domain_id, run_node, robot):
     assert at['arm_1'] == pytest.approx(start[0], abs=0.2)
 
 
-def cases():
-    """Return the arms and rates; all but one are for `make test-all`."""
-    arms = [name for name, (path, *_) in ARMS.items() if path]
-    first, *others = ((arm, rate) for arm in arms for rate in (200, 1000))
-    return [first, *(pytest.param(*case, marks=pytest.mark.long) for case in others)]
-
-
 @pytest.mark.real_time
-@pytest.mark.parametrize(('arm', 'rate'), cases())
+@pytest.mark.parametrize(
+    'arm',
+    [
+        pytest.param(name, marks=[] if name == 'gripper_arm' else pytest.mark.long)
+        for name, (path, *_) in ARMS.items()
+        if path
+    ],
+)
 @pytest.mark.parametrize('way', WAYS)
-def test_the_tip_of_a_horizontal_arm_sinks_slowly(domain_id, run_node, robot, arm, rate, way):
-    speed = largest_tip_speed(domain_id, run_node, robot, arm, way, rate, stop_damping=50.0)
+def test_the_tip_of_a_horizontal_arm_sinks_slowly(domain_id, run_node, robot, arm, way):
+    """At 200 Hz: a busy machine is too slow for a simulation with 1000 states per second."""
+    speed = largest_tip_speed(domain_id, run_node, robot, arm, way, stop_damping=50.0)
     assert 0.1 < speed < 0.3
