@@ -65,7 +65,7 @@ class Promises:
         self.history = []
         self.fall_time, self.fallen = None, 0.0  # [s]; None while efforts do not fall
         self.top, self.left, self.ramp_passed = np.zeros(n), np.zeros(n), 0.0  # of the stop ramp
-        self.stopped_with, self.stopped_at = None, None  # settings and positions of a damped stop
+        self.stopped_with, self.stopped_at = None, None  # settings and first positions of a stop
         self.damped = 0  # commands with damping
         self.gate_time, self.gate_fallen = None, 0.0
 
@@ -81,7 +81,6 @@ class Promises:
         """Note a stop: its damping has the settings of this moment."""
         if self.node.loop.controller.phase in COMPUTING_PHASES:
             self.stopped_with = self.node.settings
-            self.stopped_at = self.node.loop.collector.q.copy()
 
     def _efforts(self, q, velocities, accelerations):
         return self.node.loop.dynamics.efforts(q, velocities, accelerations)
@@ -154,6 +153,7 @@ class Promises:
         if self.fall_time is None:
             self.fall_time, self.fallen = self.node.settings.stop_ramp, 0.0
             self.top, self.ramp_passed = self.last, 0.0
+            self.stopped_at = self.node.loop.collector.q.copy()
             change = np.abs(efforts - self.last)
             require((change <= ROUNDING).all(), 'a fall begins with a step', change)
         else:
