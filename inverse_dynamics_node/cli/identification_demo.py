@@ -14,7 +14,7 @@ import numpy as np
 
 from ..analysis.excitation import Excitation, find_excitation, motion_limits, States, whole_states
 from ..analysis.identification import IdentificationResult, identify_parameters
-from ..analysis.identification.export import calibrated_urdf, node_parameters
+from ..analysis.identification.result import calibrated_urdf, node_parameters
 from ..analysis.recordings.measured_states import read_measured_states
 from ..dynamics.inverse_dynamics import InverseDynamics
 from ..report.tables import Table

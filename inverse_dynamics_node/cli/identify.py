@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..analysis.identification import IdentificationResult, identify_parameters
-from ..analysis.identification.export import calibrated_urdf, node_parameters
+from ..analysis.identification.result import calibrated_urdf, node_parameters
 from ..analysis.recordings.measured_states import read_measured_states
 from ..analysis.recordings.recording import Recording
 from ..report.identification_json import as_json

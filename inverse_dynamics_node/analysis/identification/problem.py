@@ -1,14 +1,15 @@
-"""The parts of a robot whose inertial parameters are identified, and those that are fixed."""
+"""What is identified: bodies and joints of a robot, and their efforts."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...dynamics.inverse_dynamics import InverseDynamics
 from ...errors import ConfigurationError
-from ...robot.model import Floats, RobotModel
+from ...robot.model import Floats, Integers, RobotModel
 from ...robot.pseudo_inertia import (
     moved_inside,
     parameters_of_pseudo_inertias,
@@ -17,6 +18,10 @@ from ...robot.pseudo_inertia import (
     transport,
 )
 from ...robot.rigid_body import RigidBody
+from ..columns import body_columns
+from ..recordings.signals import Motion
+
+RANDOM_STATES = 60
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,3 +150,98 @@ def _link_parameters(robot: RobotModel, link: int) -> Floats:
     placed = own.rotate(robot.link_rotation[link]).shift(robot.link_position[link])
     assert placed.mass > 0.0
     return placed.parameters()
+
+
+class IdentificationProblem:
+    """
+    A robot in its surroundings, and the choice of what is identified.
+
+    Parameters
+    ----------
+    identified : IdentifiedBodies
+        Bodies to identify.
+    joints : sequence of int
+        Joints with measured efforts, m of them.
+    gravity : ndarray, shape (3,)
+        Free-fall acceleration in the base frame [m/s^2].
+    payload : tuple of link, mass and centre of mass, optional
+        Known payload.
+    currents : bool
+        Whether efforts were recorded as currents.
+
+    """
+
+    def __init__(
+        self,
+        identified: IdentifiedBodies,
+        joints: Sequence[int],
+        gravity: Floats,
+        payload: tuple[str, float, Sequence[float]] | None = None,
+        currents: bool = False,
+    ) -> None:
+        self.identified, self.joints = identified, list(joints)
+        self.gravity, self.payload, self.currents = gravity, payload, currents
+        self.neighbours = _neighbours(identified.robot, self.joints)
+
+    def dynamics(self, robot: RobotModel) -> InverseDynamics:
+        """Return the dynamics of a robot with the payload, without friction."""
+        dynamics = InverseDynamics(robot, self.gravity)
+        if self.payload is not None:
+            dynamics.set_payload(*self.payload)
+        dynamics.set_friction(0.0, 0.0)
+        return dynamics
+
+    def efforts(self, robot: RobotModel, motion: Motion) -> Floats:
+        """Return efforts without friction and armature, shape (K, m)."""
+        efforts = self.dynamics(robot).efforts(motion.q, motion.qd, motion.qdd)
+        return efforts[:, self.joints]
+
+    def columns(self, motion: Motion) -> Floats:
+        """Return the columns of the identified bodies, shape (K, m, 10 b)."""
+        states = motion.q, motion.qd, motion.qdd
+        dynamics = self.dynamics(self.identified.robot)
+        return body_columns(dynamics, states, self.identified.bodies)[:, self.joints]
+
+    def at_random_states(self) -> Floats:
+        """Return the columns of the identified bodies at random states, shape (K m, 10 b)."""
+        robot = self.identified.robot
+        rng, n = np.random.default_rng(0), len(robot.joint_names)
+        states = rng.uniform(-1.0, 1.0, (3, RANDOM_STATES, n))
+        states *= np.array([np.pi, 3.0, 10.0])[:, None, None]
+        states[0][:, robot.is_prismatic_joint] *= 0.2
+        q, qd, qdd = states
+        columns = body_columns(self.dynamics(robot), (q, qd, qdd), self.identified.bodies)
+        table = columns[:, self.joints].reshape(-1, columns.shape[2])
+        return np.asarray(table / np.sqrt(np.mean(table**2)))
+
+
+def _neighbours(robot: RobotModel, joints: Sequence[int]) -> Integers:
+    """
+    Return the joints next to each joint in a chain.
+
+    Returns
+    -------
+    neighbours : ndarray, shape (2, m)
+        Positions in the list of the joint nearer to the base and of the one nearer to the tip;
+        -1 if there is none, or more than one.
+
+    """
+    body_of = {int(robot.joint_index[b]): b for b in range(len(robot.parent) - 1, 0, -1)}
+    found = np.full((2, len(joints)), -1)
+    children = np.zeros(len(joints), dtype=int)
+    for k, joint in enumerate(joints):
+        parent = int(robot.joint_index[robot.parent[body_of[joint]]])
+        if parent in joints:
+            before = list(joints).index(parent)
+            found[0, k], found[1, before] = before, k
+            children[before] += 1
+    found[1, children != 1] = -1
+    return found
+
+
+def moved_by(robot: RobotModel, joint: int, bodies: Sequence[int]) -> list[int]:
+    """Return which of the bodies a joint moves."""
+    moved = np.zeros(len(robot.parent), dtype=bool)
+    for body in range(1, len(moved)):
+        moved[body] = moved[robot.parent[body]] or robot.joint_index[body] == joint
+    return [k for k, body in enumerate(bodies) if moved[body]]
