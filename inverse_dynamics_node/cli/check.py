@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..analysis.workspace import (
+from ..analysis.sizing import (
     explore,
     payload_capacity,
     PayloadCapacity,

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..analysis.requirements import effort_requirements, EffortRequirements
+from ..analysis.sizing import effort_requirements, EffortRequirements, joint_ranges
 from ..analysis.trajectory_files import (
     FORMATS,
     LoadedTrajectory,
@@ -19,7 +19,6 @@ from ..analysis.trajectory_files import (
     write_table,
 )
 from ..analysis.trajectory_yaml import write_trajectory
-from ..analysis.workspace import joint_ranges
 from ..dynamics.trajectory import (
     complete,
     refine,

@@ -17,7 +17,7 @@ from ...dynamics.inverse_dynamics import InverseDynamics
 from ...errors import ConfigurationError, listed
 from ...robot.kinematics import moving_points
 from ...robot.model import Floats, RobotModel
-from ..workspace import joint_ranges
+from ..sizing import joint_ranges
 
 FRACTION = 0.8
 """Fraction of the limits that a motion uses; the rest is for control and for unknown masses."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ...analysis.workspace import PayloadCapacity, Workspace
+from ...analysis.sizing import PayloadCapacity, Workspace
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...report.quantities import effort_unit, number
 from ...robot.model import Floats

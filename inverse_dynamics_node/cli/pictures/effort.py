@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...analysis.requirements import EffortRequirements
+from ...analysis.sizing import EffortRequirements
 from ...dynamics.trajectory import Trajectory
 from ...report.quantities import effort_unit, number
 from ...robot.model import RobotModel
