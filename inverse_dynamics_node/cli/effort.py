@@ -17,8 +17,8 @@ from ..analysis.trajectory_files import (
     LoadedTrajectory,
     read_trajectory,
     write_table,
+    write_trajectory,
 )
-from ..analysis.trajectory_yaml import write_trajectory
 from ..dynamics.trajectory import (
     complete,
     refine,

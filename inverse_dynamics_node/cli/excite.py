@@ -23,8 +23,7 @@ from ..analysis.excitation import (
     swept_box,
     whole_states,
 )
-from ..analysis.trajectory_files import write_table
-from ..analysis.trajectory_yaml import write_trajectory
+from ..analysis.trajectory_files import write_table, write_trajectory
 from ..dynamics.trajectory import Trajectory, trajectory_efforts
 from ..report.excitation_tables import excitation_tables
 from ..robot.end_effector import last_link
