@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 from inverse_dynamics_node import InverseDynamics
-from inverse_dynamics_node.analysis.recordings.recording import Recording
+from inverse_dynamics_node.analysis.recordings.signals import Recording
 from inverse_dynamics_node.robot.pseudo_inertia import (
     parameters_of_pseudo_inertias,
     pseudo_inertias,

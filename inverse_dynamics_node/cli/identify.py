@@ -11,7 +11,7 @@ from typing import Any
 from ..analysis.identification import IdentificationResult, identify_parameters
 from ..analysis.identification.result import calibrated_urdf, node_parameters
 from ..analysis.recordings.measured_states import read_measured_states
-from ..analysis.recordings.recording import Recording
+from ..analysis.recordings.signals import Recording
 from ..report.identification_json import as_json
 from ..report.identification_tables import (
     body_table,

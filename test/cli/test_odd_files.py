@@ -116,7 +116,7 @@ def test_a_bag_with_a_jump_of_the_clock_is_one_line(here, capsys):
 
 def write_states(path, times):
     """Write a bag with these stamps."""
-    from inverse_dynamics_node.analysis.recordings.recording import Recording
+    from inverse_dynamics_node.analysis.recordings.signals import Recording
 
     zeros = np.tile([0, -1, 0.5, 0, 0, 0], (len(times), 1))
     write_bag(path, Recording(JOINTS, times, zeros, 0.0 * zeros, zeros))

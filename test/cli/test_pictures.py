@@ -1,6 +1,6 @@
 """Pictures of robots with many joints and branches: legible, complete, nothing overlaps."""
 
-from inverse_dynamics_node.analysis.recordings.recording import Recording
+from inverse_dynamics_node.analysis.recordings.signals import Recording
 from inverse_dynamics_node.cli.main import main
 from inverse_dynamics_node.cli.pictures import check as check_picture
 from inverse_dynamics_node.cli.pictures import compare as compare_picture

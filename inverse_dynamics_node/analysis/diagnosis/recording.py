@@ -11,8 +11,7 @@ from ...dynamics.inverse_dynamics import InverseDynamics
 from ...dynamics.loaded_robot import FRICTION_WIDTH
 from ...errors import RecordingError
 from ...robot.model import Booleans, Floats, RobotModel
-from ..recordings.recording import Recording
-from ..recordings.signals import derive
+from ..recordings.signals import derive, Recording
 from .bodies import Bodies, wrong_bodies
 from .compared_efforts import ComparedEfforts, CONSTANT
 from .correction import added_efforts, as_recorded, corrected_efforts

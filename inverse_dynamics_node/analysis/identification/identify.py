@@ -14,7 +14,7 @@ import numpy as np
 from ...dynamics.loaded_robot import STANDARD_GRAVITY
 from ...errors import RecordingError
 from ...robot.model import Floats, RobotModel
-from ..recordings.recording import Recording
+from ..recordings.signals import Recording
 from .drives import choose_terms, Delay, estimate_delay, first_gains, JointFit
 from .evaluation import evaluate
 from .fit import choose_urdf_weight, Equations, RobotFit, solve, solve_within_reason, weights_of

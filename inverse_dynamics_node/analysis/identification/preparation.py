@@ -10,9 +10,8 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...robot.model import Booleans, Floats, RobotModel
-from ..recordings.recording import Recording
 from ..recordings.resampling import pieces
-from ..recordings.signals import derive, Motion
+from ..recordings.signals import derive, Motion, Recording
 from .drives import EffortCorrection, widths_to_try
 from .problem import IdentificationProblem
 from .regression import Regression

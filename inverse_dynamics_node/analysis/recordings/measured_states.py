@@ -12,7 +12,7 @@ import numpy as np
 from ...errors import RecordingError
 from ...robot.model import Floats
 from .files import Bag, BAG_SUFFIXES, JOINT_STATE, open_bag, read_csv
-from .recording import Recording
+from .signals import Recording
 
 _QUANTITIES = ('position', 'velocity', 'effort')
 _FIRST_MESSAGES = 100
