@@ -14,7 +14,7 @@ import numpy as np
 
 from ..analysis.excitation import Excitation, find_excitation, motion_limits, States, whole_states
 from ..analysis.identification import IdentificationResult, identify_parameters
-from ..analysis.identification.result import calibrated_urdf, node_parameters
+from ..analysis.identification.result import calibrated_urdf, identified_parameters
 from ..analysis.recordings.measured_states import read_measured_states
 from ..dynamics.inverse_dynamics import InverseDynamics
 from ..report.tables import Table
@@ -116,7 +116,7 @@ def _runs(
             result = identify_parameters(setup.robot, [recording], progress=report)
         say(f'{result.verdict}.')
         calibrated.write_bytes(calibrated_urdf(result, setup.urdf))
-        parameters.write_text(node_parameters(result), encoding='utf-8')
+        parameters.write_text(identified_parameters(result), encoding='utf-8')
         after, errors_after = run(
             'with the calibrated URDF',
             None,

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..analysis.identification import IdentificationResult, identify_parameters
-from ..analysis.identification.result import calibrated_urdf, node_parameters
+from ..analysis.identification.result import calibrated_urdf, identified_parameters
 from ..analysis.recordings.measured_states import read_measured_states
 from ..analysis.recordings.signals import Recording
 from ..report.identification_json import as_json
@@ -218,7 +218,7 @@ def _write(
         lines.append(f'{what}: {options.output}')
     if options.parameters:
         with new_file(options.parameters) as path:
-            path.write_text(node_parameters(result), encoding='utf-8')
+            path.write_text(identified_parameters(result), encoding='utf-8')
         lines.append(f'parameters of the node: {options.parameters}')
     if options.json:
         text = json.dumps(as_json(result), indent=2, ensure_ascii=False)

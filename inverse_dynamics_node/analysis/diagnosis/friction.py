@@ -8,7 +8,7 @@ explains far more than a narrow step without load.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 import math
 from typing import NamedTuple
 
@@ -16,6 +16,7 @@ import numpy as np
 
 from ...robot.model import Booleans, Floats
 from ..least_squares import fit_nonnegative
+from ..node_parameters import node_parameters
 
 SURELY_MOVING = 3.0  # widths; at this speed tanh has 99.5 % of its final value
 LEAST_MOVING = 1.0  # [s] in each direction, to distinguish Coulomb friction from an offset
@@ -253,42 +254,20 @@ def friction_parameters(
         For ``--ros-args --params-file``.
 
     """
-    unknown = [
-        f'# {name}: unknown, {fit.unknown_because}; -1.0 selects the friction of the URDF.'
-        for name, fit in zip(joint_names, fits, strict=True)
-        if fit.unknown_because
-    ]
-    names = ', '.join("'" + name.replace("'", "''") + "'" for name in joint_names)
-    lines = [
-        '# Friction, fitted to a recording: damping [N m s/rad, N s/m] and Coulomb friction '
-        '[N m, N].',
-        *unknown,
-        '/**:',
-        '  ros__parameters:',
-        f'    joints: [{names}]',
-        '    include_friction: true',
-        f'    damping: {_list(-1.0 if fit.unknown_because else fit.damping for fit in fits)}',
-        f'    coulomb: {_list(-1.0 if fit.unknown_because else fit.coulomb for fit in fits)}',
-    ]
+    values: dict[str, float | Sequence[float]] = {
+        'damping': [-1.0 if fit.unknown_because else fit.damping for fit in fits],
+        'coulomb': [-1.0 if fit.unknown_because else fit.coulomb for fit in fits],
+        'coulomb_width': width,
+    }
     if any(fit.has_shape for fit in fits):
-        widths = _list(fit.width if fit.has_shape else width for fit in fits)
-        lines.append(f'    coulomb_width: {widths}')
-        lines.append(f'    load_friction: {_list(fit.load_friction for fit in fits)}')
-    else:
-        lines.append(f'    coulomb_width: {ros_number(width)}')
+        values['coulomb_width'] = [fit.width if fit.has_shape else width for fit in fits]
+        values['load_friction'] = [fit.load_friction for fit in fits]
     if armature:
-        lines.append(f'    armature: {_list(armature)}')
-    return '\n'.join(lines) + '\n'
-
-
-def _list(values: Iterable[float]) -> str:
-    return f'[{", ".join(ros_number(value) for value in values)}]'
-
-
-def ros_number(value: float) -> str:
-    """Write a number with a decimal point, so that ROS reads a list of numbers as decimals."""
-    text = f'{value:.5g}'
-    if 'e' in text:
-        mantissa, exponent = text.split('e')
-        return f'{mantissa if "." in mantissa else mantissa + ".0"}e{exponent}'
-    return text if '.' in text else text + '.0'
+        values['armature'] = armature
+    title = (
+        'Friction, fitted to a recording: damping [N m s/rad, N s/m] and Coulomb friction '
+        '[N m, N].'
+    )
+    pairs = zip(joint_names, fits, strict=True)
+    unknown = {name: fit.unknown_because for name, fit in pairs if fit.unknown_because}
+    return node_parameters([title], joint_names, unknown, values)

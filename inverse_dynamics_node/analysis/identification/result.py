@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 import os
 
 from ...robot.model import Floats, RobotModel
 from ...robot.rigid_body import RigidBody
 from ...robot.urdf.writer import Friction, rewrite
-from ..diagnosis.friction import ros_number
+from ..node_parameters import node_parameters
 from ..recordings.signals import Motion
 
 
@@ -178,37 +177,30 @@ def calibrated_urdf(result: IdentificationResult, path_or_xml: str | os.PathLike
     return rewrite(path_or_xml, result.inertials, friction)
 
 
-def node_parameters(result: IdentificationResult) -> str:
+_TITLE = (
+    'Identified from recordings: damping [N m s/rad, N s/m], Coulomb friction [N m, N] and',
+    'the speed over which it is smoothed [rad/s, m/s], Coulomb friction per load, armature',
+    '[kg m^2, kg] and offsets of the efforts [N m, N].',
+)
+
+
+def identified_parameters(result: IdentificationResult) -> str:
     """Return friction, armature and offsets as parameters of the node, in YAML."""
     joints = result.joints
-    names = ', '.join("'" + joint.name.replace("'", "''") + "'" for joint in joints)
-    unknown = [
-        f'# {joint.name}: unknown, {joint.unknown_because}; -1.0 selects the friction of the URDF.'
-        for joint in joints
-        if joint.unknown_because
-    ]
-    lines = [
-        '# Identified from recordings: damping [N m s/rad, N s/m], Coulomb friction [N m, N] and',
-        '# the speed over which it is smoothed [rad/s, m/s], Coulomb friction per load, armature',
-        '# [kg m^2, kg] and offsets of the efforts [N m, N].',
-        *unknown,
-        '/**:',
-        '  ros__parameters:',
-        f'    joints: [{names}]',
-        '    include_friction: true',
-        f'    damping: {_listed(joints, "damping", -1.0)}',
-        f'    coulomb: {_listed(joints, "coulomb", -1.0)}',
-        f'    coulomb_width: {_listed(joints, "width", 0.01)}',
-        f'    load_friction: {_listed(joints, "load_friction", 0.0)}',
-        f'    armature: {_listed(joints, "armature")}',
-        f'    effort_offset: {_listed(joints, "offset")}',
-    ]
-    return '\n'.join(lines) + '\n'
 
+    def known(name: str, unknown: float) -> list[float]:
+        return [unknown if j.unknown_because else getattr(j.terms, name) for j in joints]
 
-def _listed(joints: Sequence[JointResult], name: str, unknown: float | None = None) -> str:
-    values = [
-        unknown if joint.unknown_because and unknown is not None else getattr(joint.terms, name)
-        for joint in joints
-    ]
-    return f'[{", ".join(ros_number(value) for value in values)}]'
+    return node_parameters(
+        _TITLE,
+        [joint.name for joint in joints],
+        {joint.name: joint.unknown_because for joint in joints if joint.unknown_because},
+        {
+            'damping': known('damping', -1.0),
+            'coulomb': known('coulomb', -1.0),
+            'coulomb_width': known('width', 0.01),
+            'load_friction': known('load_friction', 0.0),
+            'armature': [joint.terms.armature for joint in joints],
+            'effort_offset': [joint.terms.offset for joint in joints],
+        },
+    )
