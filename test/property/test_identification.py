@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from identification_runs import exciting_motion, real_robot, record
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.analysis.base_parameters import base_parameters
+from inverse_dynamics_node.analysis.columns import base_parameters
 from inverse_dynamics_node.analysis.identification import identify_parameters
 from inverse_dynamics_node.analysis.identification.problem import (
     IdentificationProblem,

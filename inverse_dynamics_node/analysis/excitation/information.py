@@ -16,7 +16,7 @@ import numpy as np
 
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...robot.model import Floats, Integers
-from ..base_parameters import base_parameters, NAMES
+from ..columns import base_parameters, NAMES
 from .limits import MotionLimits, random_states, States, whole_states
 
 OF_JOINT = ('armature', 'damping', 'Coulomb', 'offset')

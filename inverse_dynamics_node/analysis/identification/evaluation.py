@@ -8,7 +8,7 @@ import numpy as np
 
 from ...robot.model import Floats, RobotModel
 from ...robot.pseudo_inertia import PARAMETERS
-from ..base_parameters import base_parameters
+from ..columns import base_parameters
 from ..recordings.signals import Motion
 from .drives import Delay, fit_terms, JointFit
 from .fit import mass_information, RobotFit, UrdfWeight, weights_of

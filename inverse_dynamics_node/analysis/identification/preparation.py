@@ -142,40 +142,18 @@ def _rms(values: Floats) -> Floats:
 def _prepare(
     robot: RobotModel, recording: Recording, joints: Sequence[int], stretch: float
 ) -> PreparedRecording:
-    """
-    Smooth a recording and derive velocities and accelerations.
-
-    Parameters
-    ----------
-    robot : RobotModel
-        Robot with n joints; those that were not recorded are assumed to rest at zero.
-    recording : Recording
-        The recording.
-    joints : sequence of int
-        Joints whose efforts are used, m of them.
-    stretch : float
-        Factor of the length of the smoothing window.
-
-    """
+    """Return the motion of the whole robot; joints that were not recorded rest at zero."""
     derived = derive(recording, stretch)
-    n, K = len(robot.joint_names), len(derived.times)
-    q, qd, qdd, efforts = np.zeros((4, K, n))
-    index = [robot.joint_names.index(name) for name in derived.joint_names]
-    q[:, index], qd[:, index], qdd[:, index] = derived.q, derived.qd, derived.qdd
-    efforts[:, index] = derived.efforts
-    period = derived.period
-    step = max(1, int(1.0 / (period * HIGHEST_RATE) + 1e-9))
+    step = max(1, int(1.0 / (derived.period * HIGHEST_RATE) + 1e-9))
     chosen = np.concatenate([np.arange(a, b, step) for a, b in pieces(derived.times)])
-    motion = Motion(
-        derived.times[chosen],
-        q[chosen],
-        qd[chosen],
-        qdd[chosen],
-        efforts[chosen][:, list(joints)],
-        2 * (derived.window // (2 * step)) + 1,
-        derived.degree,
-    )
+    q, qd, qdd = np.zeros((3, len(chosen), len(robot.joint_names)))
+    index = [robot.joint_names.index(name) for name in derived.joint_names]
+    q[:, index], qd[:, index] = derived.q[chosen], derived.qd[chosen]
+    qdd[:, index] = derived.qdd[chosen]
     columns = [derived.joint_names.index(robot.joint_names[i]) for i in joints]
+    efforts = derived.efforts[chosen][:, columns]
+    window = 2 * (derived.window // (2 * step)) + 1
+    motion = Motion(derived.times[chosen], q, qd, qdd, efforts, window, derived.degree)
     return PreparedRecording(motion, derived.effort_noise[columns], derived)
 
 

@@ -48,11 +48,20 @@ class IdentifiedBodies:
 
     def fixed_robot(self) -> RobotModel:
         """Return the robot with the fixed bodies only; the others are massless."""
-        return self._robot(np.zeros_like(self.before))
+        return self.robot_with(np.zeros_like(self.before))
 
     def robot_with(self, parameters: Floats) -> RobotModel:
         """Return the robot with other parameters of the identified bodies, shape (b, 10)."""
-        return self._robot(parameters)
+        robot = self.robot
+        mass, com, inertia = robot.mass.copy(), robot.com.copy(), robot.inertia.copy()
+        for k, b in enumerate(self.bodies):
+            own = RigidBody(mass[b], com[b], inertia[b]).parameters()
+            own = own - self.before[k] + parameters[k]
+            if own[0] <= 1e-9 * mass[b]:
+                mass[b], com[b], inertia[b] = 0.0, 0.0, 0.0
+            else:
+                mass[b], com[b], inertia[b] = rigid_body(own)
+        return replace(robot, mass=mass, com=com, inertia=inertia)
 
     def link_inertials(self, parameters: Floats) -> dict[str, RigidBody]:
         """
@@ -73,7 +82,7 @@ class IdentifiedBodies:
         inertials = {}
         for k, links in enumerate(self.links):
             after = pseudo_inertias(parameters[k])
-            parts = [self._link(link) for link in links]
+            parts = [pseudo_inertias(_link_parameters(self.robot, link)) for link in links]
             if len(parts) == 1:
                 changed = [after]
             else:
@@ -87,21 +96,6 @@ class IdentifiedBodies:
                 in_link = RigidBody(body.mass, R.T @ (body.com - p), R.T @ body.inertia @ R)
                 inertials[self.robot.link_names[link]] = in_link
         return inertials
-
-    def _link(self, link: int) -> Floats:
-        return pseudo_inertias(_link_parameters(self.robot, link))
-
-    def _robot(self, parameters: Floats) -> RobotModel:
-        robot = self.robot
-        mass, com, inertia = robot.mass.copy(), robot.com.copy(), robot.inertia.copy()
-        for k, b in enumerate(self.bodies):
-            own = RigidBody(mass[b], com[b], inertia[b]).parameters()
-            own = own - self.before[k] + parameters[k]
-            if own[0] <= 1e-9 * mass[b]:
-                mass[b], com[b], inertia[b] = 0.0, 0.0, 0.0
-            else:
-                mass[b], com[b], inertia[b] = rigid_body(own)
-        return replace(robot, mass=mass, com=com, inertia=inertia)
 
 
 def identified_bodies(robot: RobotModel, fixed: Collection[str] = ()) -> IdentifiedBodies:
