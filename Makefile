@@ -104,7 +104,7 @@ mutation: $(VENV)/mutation.done
 
 # Writes the parameter file and the table of parameters after a change of their declaration.
 parameters: $(VENV)/test.done
-	@$(CLEAN) $(BIN)/python -m inverse_dynamics_node.node.parameter_files --write
+	@$(CLEAN) $(BIN)/python -m inverse_dynamics_node.node.help --write
 
 $(VENV)/pip.done:
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))' || \

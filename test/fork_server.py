@@ -37,7 +37,6 @@ MODULES = (
     'inverse_dynamics_node.cli.console',
     'inverse_dynamics_node.cli.watch',
     'inverse_dynamics_node.node.node',
-    'inverse_dynamics_node.node.watchdog',
     'inverse_dynamics_node.simulation.demo.demo',
     'inverse_dynamics_node.simulation.drive',
     'inverse_dynamics_node.simulation.hand_over',

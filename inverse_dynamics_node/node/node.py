@@ -32,8 +32,7 @@ from .ros_parameters import (
 )
 from .runner import LoopRunner
 from .scheduling import Scheduling
-from .service_errors import contain_errors
-from .services import Services
+from .services import contain_errors, Services
 from .status_publisher import StatusPublisher
 from .trajectory_filler import TrajectoryFiller
 from .worker import Worker
