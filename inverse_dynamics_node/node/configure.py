@@ -8,36 +8,13 @@ from ..control.loop import ControlLoop
 from ..control.settings import expand_per_joint, PerJoint
 from ..dynamics.loaded_robot import FRICTION_WIDTH
 from ..dynamics.trajectory import complete, Trajectory
-from ..errors import ConfigurationError, shortened
 from ..robot.model import Floats, RobotModel
-from ..robot.urdf import load_urdf
-from .description_file import load_file
 from .parameters import BaseMotion, Configuration, PER_JOINT
 
 
-def make_loop(configuration: Configuration, description: str) -> ControlLoop:
-    """
-    Load the robot description and make its control loop.
-
-    Parameters
-    ----------
-    configuration : Configuration
-        The parameters.
-    description : str
-        The URDF from the topic, used if no parameter gives one.
-
-    Returns
-    -------
-    loop : ControlLoop
-        The compiled loop. Slow first calls have been made.
-
-    Raises
-    ------
-    InverseDynamicsError
-        If the description or the parameters cannot be used.
-
-    """
-    loop = build_loop(configuration, *load_robot(configuration, description))
+def make_loop(configuration: Configuration, robot: RobotModel, text: str) -> ControlLoop:
+    """Make the control loop as `build_loop` does; compile it, and make slow first calls."""
+    loop = build_loop(configuration, robot, text)
     loop.dynamics.gravity_efforts(np.zeros(len(loop.robot.joint_names)))
     complete(Trajectory(('x',), np.arange(2.0), np.zeros((2, 1))))  # imports the splines
     return loop
@@ -151,46 +128,3 @@ def check_configuration(loop: ControlLoop, configuration: Configuration) -> None
     """
     for name in PER_JOINT:
         expand_per_joint(name, getattr(configuration, name), len(loop.controller.joints))
-
-
-def load_robot(configuration: Configuration, description: str) -> tuple[RobotModel, str]:
-    """
-    Load the robot description.
-
-    Parameters
-    ----------
-    configuration : Configuration
-        The parameters.
-    description : str
-        The URDF from the topic, used if no parameter gives one.
-
-    Returns
-    -------
-    robot : RobotModel
-        The robot.
-    text : str
-        Its URDF.
-
-    Raises
-    ------
-    InverseDynamicsError
-        If there is no description, or it cannot be used.
-
-    """
-    missing = configuration.on_missing_inertial.value
-    if configuration.robot_description_file:
-        return load_file(configuration.robot_description_file, missing)
-    text = configuration.robot_description or description
-    if not text:
-        raise ConfigurationError(
-            'no robot description: none on the topic, and neither robot_description nor '
-            'robot_description_file is set'
-        )
-    if not text.lstrip('\ufeff \t\r\n').startswith('<'):  # load_urdf would open it as a file
-        is_parameter = bool(configuration.robot_description)
-        where = "parameter 'robot_description'" if is_parameter else 'the robot description'
-        hint = '; for a file, set robot_description_file' if is_parameter else ''
-        raise ConfigurationError(
-            f"{where} is '{shortened(text)}', expected the URDF as XML text{hint}"
-        )
-    return load_urdf(text, missing), text

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 import math
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
 from geometry_msgs.msg import InertiaStamped, Vector3Stamped, WrenchStamped
 import numpy as np
@@ -17,17 +17,16 @@ from trajectory_msgs.msg import JointTrajectory
 from ..control.control_law import Reference
 from ..control.loop import ControlLoop
 from ..control.status_text import describe_imu_frame
-from ..errors import ConfigurationError, InverseDynamicsError, JointStateError, shortened
+from ..errors import ConfigurationError, InverseDynamicsError, JointStateError, listed, shortened
 from ..robot.kinematics import rotation_of_rpy
 from ..robot.model import Floats
 from ..ros import qos
 from ..ros.cdr import JointStateReader
-from . import messages
 from .log import NodeLog
 from .outputs import Outputs
 from .parameters import BaseMotion, Configuration
 from .runner import LoopRunner
-from .trajectory_filler import TrajectoryFiller
+from .trajectory_filler import deserialize_trajectory, TrajectoryFiller
 
 _SMALL_CHANGE = 0.05  # of gravity, which is not logged
 _MAX_REFERENCE = 1 << 16  # [bytes]; reading it takes 2 ms, in which no command is sent
@@ -148,7 +147,7 @@ class Inputs:
         return np.full(count, math.nan)
 
     def _on_accelerations(self, message: Float64MultiArray) -> None:
-        self._store_reference('~/desired_accelerations', messages.read_accelerations, message)
+        self._store_reference('~/desired_accelerations', read_accelerations, message)
 
     def _on_reference(self, data: bytes) -> None:
         self._store_reference('~/reference', _read_reference, data)
@@ -165,7 +164,7 @@ class Inputs:
 
     def _on_payload(self, message: InertiaStamped) -> None:
         def store(loop: ControlLoop, now: float) -> None:
-            payload = messages.read_payload(message)
+            payload = read_payload(message)
             if loop.loads.set_payload(*payload):
                 load = f'payload on link {payload.link!r}'
                 text = f'{load}: {payload.mass:g} kg' if payload.mass else f'{load} removed'
@@ -175,7 +174,7 @@ class Inputs:
 
     def _on_external_wrench(self, message: WrenchStamped) -> None:
         def store(loop: ControlLoop, now: float) -> None:
-            link, force, moment = messages.read_wrench(message)
+            link, force, moment = read_wrench(message)
             if loop.set_external_wrench(now, link, force, moment):
                 text = (
                     f'force {_listed(force)} N and moment {_listed(moment)} N m on link '
@@ -195,7 +194,7 @@ class Inputs:
                 )
             if loop.has_imu:
                 raise ConfigurationError("gravity is measured: parameter 'base_motion' is imu")
-            gravity = messages.read_vector(message.vector)
+            gravity = read_vector(message.vector)
             loop.loads.set_gravity(gravity)
             self._report_gravity(loop, gravity)
 
@@ -224,7 +223,7 @@ class Inputs:
             return
 
         def store(loop: ControlLoop, now: float) -> None:
-            loop.set_base_motion(now, *messages.read_imu(message, self._R_BS))
+            loop.set_base_motion(now, *read_imu(message, self._R_BS))
             if self._checked_imu != (loop, message.header.frame_id):
                 self._checked_imu = loop, message.header.frame_id
                 text = describe_imu_frame(loop, message.header.frame_id, self._R_BS)
@@ -266,4 +265,126 @@ def _read_reference(data: bytes, joints: Sequence[str], now: float) -> Reference
             f'{len(data)} bytes, expected at most {_MAX_REFERENCE}: only the first point is used; '
             'send one point at a time'
         )
-    return messages.read_reference(messages.deserialize_trajectory(data), joints, now)
+    return read_reference(deserialize_trajectory(data), joints, now)
+
+
+def read_accelerations(message: Float64MultiArray, joints: Sequence[str], now: float) -> Reference:
+    """
+    Read accelerations in the order of the commanded joints.
+
+    Raises
+    ------
+    JointStateError
+        If their number is wrong, or one is not finite.
+
+    """
+    accelerations = _finite('acceleration', message.data, joints)
+    return Reference(accelerations, np.zeros(len(joints)), now)
+
+
+def read_reference(message: JointTrajectory, joints: Sequence[str], now: float) -> Reference:
+    """
+    Read the first point of a reference, by joint name.
+
+    Missing accelerations and efforts are zero; missing positions and velocities are None.
+
+    Raises
+    ------
+    JointStateError
+        If there is no point or the first one is empty, a joint is missing or not commanded, or a
+        value is not finite.
+
+    """
+    if not message.points:
+        raise JointStateError('no points, expected one')
+    names = list(message.joint_names)
+    if sorted(names) != sorted(joints):
+        raise JointStateError(
+            f'joint_names are {listed(names) or "empty"}, expected {listed(joints)}'
+        )
+    order = [names.index(joint) for joint in joints]
+    point = message.points[0]
+
+    def read(what: str, values: Sequence[float]) -> Floats | None:
+        return _finite(what, values, names)[order] if len(values) else None
+
+    accelerations = read('acceleration', point.accelerations)
+    efforts = read('effort', point.effort)
+    positions = read('position', point.positions)
+    velocities = read('velocity', point.velocities)
+    if accelerations is None and positions is None and velocities is None and efforts is None:
+        raise JointStateError('points[0] is empty, expected accelerations')
+    zeros = np.zeros(len(joints))
+    return Reference(
+        zeros if accelerations is None else accelerations,
+        zeros if efforts is None else efforts,
+        now,
+        positions,
+        velocities,
+    )
+
+
+class PayloadMessage(NamedTuple):
+    """A rigid load, as arguments of `ExternalLoads.set_payload`."""
+
+    link: str
+    mass: float
+    com: Floats
+    inertia: Floats
+
+
+def read_payload(message: InertiaStamped) -> PayloadMessage:
+    """Read a rigid load; its inertia is about its centre of mass."""
+    body = message.inertia
+    inertia = [
+        [body.ixx, body.ixy, body.ixz],
+        [body.ixy, body.iyy, body.iyz],
+        [body.ixz, body.iyz, body.izz],
+    ]
+    return PayloadMessage(_frame(message), body.m, read_vector(body.com), np.array(inertia))
+
+
+def read_wrench(message: WrenchStamped) -> tuple[str, Floats, Floats]:
+    """Read a link, and the force and moment on it."""
+    return _frame(message), read_vector(message.wrench.force), read_vector(message.wrench.torque)
+
+
+def read_imu(message: Imu, R_BS: Floats) -> tuple[Floats, Floats]:
+    """
+    Read a specific force and an angular velocity, and rotate them into the frame of the base.
+
+    Raises
+    ------
+    ConfigurationError
+        If the covariance shows that one of them is not measured.
+
+    """
+    for what, covariance in (
+        ('linear acceleration', message.linear_acceleration_covariance),
+        ('angular velocity', message.angular_velocity_covariance),
+    ):
+        if covariance[0] == -1.0:
+            raise ConfigurationError(f'the covariance says that {what} is not measured')
+    return R_BS @ read_vector(message.linear_acceleration), R_BS @ read_vector(
+        message.angular_velocity
+    )
+
+
+def read_vector(message: Any) -> Floats:
+    """Read a message with x, y and z, such as Vector3 or Point."""
+    return np.array([message.x, message.y, message.z])
+
+
+def _frame(message: Any) -> str:
+    return str(message.header.frame_id)
+
+
+def _finite(what: str, values: Sequence[float], names: Sequence[str]) -> Floats:
+    numbers = np.array(values, dtype=np.float64)
+    if len(numbers) != len(names):
+        raise JointStateError(f'{len(numbers)} {what}s, expected {len(names)}: {listed(names)}')
+    is_finite = np.isfinite(numbers)
+    if not is_finite.all():
+        k = int(np.argmin(is_finite))
+        raise JointStateError(f"{what} of joint '{names[k]}' is {numbers[k]}")
+    return numbers

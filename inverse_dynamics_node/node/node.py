@@ -18,6 +18,7 @@ from ..errors import ConfigurationError, InverseDynamicsError, shortened_lines
 from ..ros import qos
 from ..ros.graph import Graph
 from .configure import apply_configuration, check_configuration, make_loop
+from .description_file import load_robot
 from .inputs import Inputs
 from .log import BoundedLogger, NodeLog
 from .outputs import Outputs
@@ -267,7 +268,7 @@ class InverseDynamicsNode(LifecycleNode):
         configuration = self._configuration
         self._inputs.apply(configuration)
         with self._scheduling.normal_priority():
-            loop = make_loop(configuration, self._description)
+            loop = make_loop(configuration, *load_robot(configuration, self._description))
         self._graph.expect_discovery()
         if configuration.stop_ramp >= _LAUNCH_SIGTERM_TIMEOUT:
             self.get_logger().warning(

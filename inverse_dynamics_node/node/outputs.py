@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from array import array
+from collections.abc import Sequence
 from typing import Any
 
 from geometry_msgs.msg import WrenchStamped
@@ -16,7 +18,6 @@ from ..control.loop import ControlLoop
 from ..robot.model import Floats
 from ..ros.cdr import serialize_numbers
 from ..ros.qos import LATCHED
-from . import messages
 
 TERM_TOPICS = ('inertial', 'velocity', 'gravity', 'friction', 'external')
 """Last parts of the topics of the `EffortTerms` of the dynamics, in their order."""
@@ -125,7 +126,7 @@ class Outputs:
                 if publisher in self._subscribed:
                     self._publish_efforts(publisher, loop.controller.joints, term)
         if self._base_wrench in self._subscribed:
-            messages.write_wrench(self._wrench, loop.base_link, *loop.base_wrench())
+            write_wrench(self._wrench, loop.base_link, *loop.base_wrench())
             self._wrench.header.stamp = self._clock.now().to_msg()
             self._base_wrench.publish(self._wrench)
         if self._external_efforts in self._subscribed:
@@ -139,6 +140,19 @@ class Outputs:
             self._publish_efforts(self._external_efforts, names, efforts[measured])
 
     def _publish_efforts(self, publisher: Any, joints: Any, efforts: Floats) -> None:
-        messages.write_joint_efforts(self._efforts, joints, efforts)
+        write_joint_efforts(self._efforts, joints, efforts)
         self._efforts.header.stamp = self._clock.now().to_msg()
         publisher.publish(self._efforts)
+
+
+def write_joint_efforts(message: JointState, joints: Sequence[str], efforts: Floats) -> None:
+    """Write efforts into a reused message."""
+    message.name = list(joints)
+    message.effort = array('d', efforts.tobytes())
+
+
+def write_wrench(message: WrenchStamped, link: str, force: Floats, moment: Floats) -> None:
+    """Write a wrench into a reused message."""
+    message.header.frame_id = link
+    for part, values in ((message.wrench.force, force), (message.wrench.torque, moment)):
+        part.x, part.y, part.z = values.tolist()

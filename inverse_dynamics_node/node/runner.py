@@ -17,7 +17,7 @@ from ..control.monitor import Monitor
 from ..control.supervision import COMPUTING_PHASES
 from ..errors import JointStateError, shortened_lines
 from ..ros.graph import Graph
-from .description_loader import DescriptionLoader
+from .description_file import DescriptionLoader
 from .log import NodeLog
 from .outputs import Outputs
 from .parameters import Configuration
