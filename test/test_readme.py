@@ -45,7 +45,7 @@ def test_python_page_prints_the_output_below_each_example(monkeypatch):
 def test_parameter_table_is_the_parameters_of_the_node():
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     pytest.importorskip('rclpy')
-    from inverse_dynamics_node.node.parameters import PARAMETERS, PER_JOINT
+    from inverse_dynamics_node.node.parameters import PARAMETERS
 
     table = INTERFACE.split('## Parameters')[1].split('\n## ')[0]
     rows = re.findall(r'^\| `(\w+)`(\*?) \| ([^|]*) \| [^|]*\| (yes|no) \|', table, re.M)
@@ -57,7 +57,7 @@ def test_parameter_table_is_the_parameters_of_the_node():
         else:
             default = words[text] if text in words else eval(text)
             assert default == PARAMETERS[name].default, name
-        assert (star == '*') == (name in PER_JOINT), name
+        assert (star == '*') == PARAMETERS[name].is_per_joint, name
         assert (live == 'yes') == PARAMETERS[name].is_live, name
 
 

@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+
 import numpy as np
 
 from ..control.loop import ControlLoop
-from ..control.settings import expand_per_joint, PerJoint
+from ..control.settings import LoadSettings
 from ..dynamics.loaded_robot import FRICTION_WIDTH
 from ..dynamics.trajectory import complete, Trajectory
 from ..robot.model import Floats, RobotModel
-from .parameters import BaseMotion, Configuration, PER_JOINT
+from .parameters import BaseMotion, Configuration, PARAMETERS
+
+_DRIVES = (
+    'include_friction',
+    'damping',
+    'coulomb',
+    'coulomb_width',
+    'load_friction',
+    'armature',
+)
+_LOADS = ('include_gravity', *(each.name for each in fields(LoadSettings)))
 
 
 def make_loop(configuration: Configuration, robot: RobotModel, text: str) -> ControlLoop:
@@ -47,9 +59,9 @@ def build_loop(configuration: Configuration, robot: RobotModel, text: str) -> Co
     loop = ControlLoop(
         robot,
         configuration.joints,
-        configuration.settings,
+        configuration,
         configuration.period,
-        configuration.load_settings,
+        configuration,
         configuration.gravity,
         configuration.base_link,
         configuration.locked_positions,
@@ -73,8 +85,8 @@ def apply_configuration(
     configuration : Configuration
         The new values.
     before : Configuration, optional
-        The previous values. Gravity is applied only if it differs from these, so that a change of
-        another parameter does not undo a message on ~/gravity.
+        The previous values; only what differs from them is applied. A change of another parameter
+        does not undo a message on ~/gravity.
 
     Raises
     ------
@@ -82,49 +94,39 @@ def apply_configuration(
         If a list does not have one number for each commanded joint. Nothing has been changed.
 
     """
-    m, n = len(loop.controller.joints), len(loop.robot.joint_names)
+    changed = {
+        name
+        for name in PARAMETERS
+        if before is None or getattr(before, name) != getattr(configuration, name)
+    }
+    if not changed.isdisjoint(_DRIVES):
+        _apply_drives(loop, configuration)
+    if not changed.isdisjoint(_LOADS):
+        loop.loads.apply(configuration, configuration.include_gravity)
+    loop.external_effort_estimator.filter.cutoff = configuration.external_efforts_cutoff
+    if before is not None and 'gravity' in changed and not loop.has_imu:
+        loop.loads.set_gravity(configuration.gravity)
+    loop.controller.apply(configuration)  # blends the effect of the changes above, too
 
-    def of_robot(name: str, values: PerJoint, others: Floats) -> Floats:
-        given = expand_per_joint(name, values, m)
+
+def _apply_drives(loop: ControlLoop, configuration: Configuration) -> None:
+    """Set friction and armature of the commanded joints; others have those of the URDF."""
+    of_joint = configuration.expanded(len(loop.controller.joints))
+    robot, zeros = loop.robot, np.zeros(len(loop.robot.joint_names))
+
+    def of_robot(name: str, others: Floats) -> Floats:
         chosen: Floats = others.copy()
+        given = of_joint[name]
         chosen[loop.index] = np.where(given < 0.0, others[loop.index], given)
         return chosen
 
-    damping = of_robot('damping', configuration.damping, loop.robot.damping)
-    coulomb = of_robot('coulomb', configuration.coulomb, loop.robot.friction)
-    load_friction = of_robot('load_friction', configuration.load_friction, np.zeros(n))
-    armature = of_robot('armature', configuration.armature, np.zeros(n))
     widths = configuration.coulomb_width
     width = FRICTION_WIDTH if isinstance(widths, tuple) else widths  # of the other joints
-    speeds = of_robot('coulomb_width', widths, np.full(n, width))
-    configuration.settings.expanded(m)
     factor = 1.0 if configuration.include_friction else 0.0
-    loop.dynamics.set_friction(factor * damping, factor * coulomb, speeds, factor * load_friction)
-    loop.dynamics.set_armature(armature)
-    loop.loads.apply(configuration.load_settings, configuration.include_gravity)
-    loop.external_effort_estimator.filter.cutoff = configuration.external_efforts_cutoff
-    is_new = before is not None and before.gravity != configuration.gravity
-    if is_new and not loop.has_imu:
-        loop.loads.set_gravity(configuration.gravity)
-    loop.controller.apply(configuration.settings)  # blends the effect of the changes above, too
-
-
-def check_configuration(loop: ControlLoop, configuration: Configuration) -> None:
-    """
-    Check lists against the number of commanded joints.
-
-    Parameters
-    ----------
-    loop : ControlLoop
-        The loop that would use the configuration.
-    configuration : Configuration
-        The new values.
-
-    Raises
-    ------
-    ConfigurationError
-        If a list does not have one number for each commanded joint.
-
-    """
-    for name in PER_JOINT:
-        expand_per_joint(name, getattr(configuration, name), len(loop.controller.joints))
+    loop.dynamics.set_friction(
+        factor * of_robot('damping', robot.damping),
+        factor * of_robot('coulomb', robot.friction),
+        of_robot('coulomb_width', zeros + width),
+        factor * of_robot('load_friction', zeros),
+    )
+    loop.dynamics.set_armature(of_robot('armature', zeros))

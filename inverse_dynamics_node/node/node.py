@@ -17,7 +17,7 @@ from std_msgs.msg import String
 from ..errors import ConfigurationError, InverseDynamicsError, shortened_lines
 from ..ros import qos
 from ..ros.graph import Graph
-from .configure import apply_configuration, check_configuration, make_loop
+from .configure import apply_configuration, make_loop
 from .description_file import load_robot
 from .inputs import Inputs
 from .log import BoundedLogger, NodeLog
@@ -325,7 +325,7 @@ class InverseDynamicsNode(LifecycleNode):
                         f"parameter '{name}' is read when the node is configured; deactivate and "
                         'clean up first'
                     )
-            check_configuration(self._runner.loop, after)
+            after.expanded(len(self._runner.loop.controller.joints))
         self._next_configuration = after
 
     def _apply_parameters(self, parameters: list[Parameter]) -> None:

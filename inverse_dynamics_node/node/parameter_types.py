@@ -136,6 +136,8 @@ class Parameter:
     """Whether a change applies at once; otherwise when the node is configured again."""
     is_read_only: bool = False
     """Whether the value is read only when the process starts."""
+    is_unlimited_at_zero: bool = False
+    """Whether 0 stands for an infinite limit."""
     default_note: str = ''
     """Describes a default that depends on the machine, or on how the node is started."""
 
@@ -202,7 +204,13 @@ class Parameter:
                 else:
                     expected = f'{self.minimum:g} to {self.maximum:g}'
                 raise ConfigurationError(f'is {plain(value)}, expected {expected}')
-        return converted
+        return _unlimited_where_zero(converted) if self.is_unlimited_at_zero else converted
+
+
+def _unlimited_where_zero(numbers: PerJoint) -> PerJoint:
+    if isinstance(numbers, tuple):
+        return tuple(number or math.inf for number in numbers)
+    return numbers or math.inf
 
 
 def _hint(value: Any) -> str:
