@@ -15,6 +15,7 @@ from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
 from ..control.control_law import Reference
+from ..control.joint_states import JointStateCollector
 from ..control.loop import ControlLoop
 from ..control.status_text import describe_imu_frame
 from ..errors import ConfigurationError, InverseDynamicsError, JointStateError, listed, shortened
@@ -48,8 +49,6 @@ class Inputs:
         Handles trajectories.
     log : NodeLog
         For what the messages change.
-    configuration : Configuration
-        The parameters.
 
     """
 
@@ -60,20 +59,18 @@ class Inputs:
         outputs: Outputs,
         filler: TrajectoryFiller,
         log: NodeLog,
-        configuration: Configuration,
     ) -> None:
         self._runner, self._outputs, self._filler, self._log = runner, outputs, filler, log
-        self._configuration = configuration
+        self._configuration: Configuration | None = None  # that the latest message was read with
         self._reported_gravity: tuple[ControlLoop, Floats] | None = None
         self._checked_imu: tuple[ControlLoop, str] | None = None
-        self._reader = JointStateReader()
+        self._collector: JointStateCollector | None = None  # that the reader prepares for
         self.last_joint_state = time.monotonic()
         """Steady time of the last message on joint_states [s]; at first, of the start."""
         self._R_BS: Floats = np.eye(3)
         self.state_count = 0
         """Updates of all commanded joints since the start, by one message or several."""
         self._last_state = -math.inf
-        self.apply(configuration)
         for kind, topic, callback, profile in (
             (Float64MultiArray, '~/desired_accelerations', self._on_accelerations, qos.RELIABLE),
             # Messages for several links may arrive at once.
@@ -101,14 +98,17 @@ class Inputs:
                 JointTrajectory, topic, receive, qos.RELIABLE, raw=True, **qos.overridable()
             )
 
-    def apply(self, configuration: Configuration) -> None:
-        """Use changed parameters."""
-        self._configuration = configuration
-        self._reported_gravity = self._checked_imu = None
-        R_BS = rotation_of_rpy(*configuration.imu_orientation)
-        if self._runner.loop is not None and (R_BS != self._R_BS).any():
-            self._runner.loop.loads.expect_new_signal()
-        self._R_BS = R_BS
+    def _use_parameters(self, loop: ControlLoop) -> Configuration:
+        """Return the parameters; after a change of any, report the next messages again."""
+        configuration = self._runner.configuration
+        if configuration is not self._configuration:
+            self._configuration = configuration
+            self._reported_gravity = self._checked_imu = None
+            R_BS = rotation_of_rpy(*configuration.imu_orientation)
+            if (R_BS != self._R_BS).any():
+                loop.loads.expect_new_signal()
+            self._R_BS = R_BS
+        return configuration
 
     def read_latest_joint_state(self) -> None:
         """Handle the latest joint state before the executor does."""
@@ -122,18 +122,21 @@ class Inputs:
         loop = self._runner.loop
         if loop is None:
             return
+        if self._collector is not loop.collector:
+            self._collector = loop.collector
+            self._reader = JointStateReader(loop.collector.layout)
         now = self._runner.now()
         try:
-            names, positions, velocities, measured = self._reader.read(data)
-            efforts = self._measured_efforts(len(names), measured)
-            is_ours = loop.collector.update(now, names, positions, velocities, efforts)
+            layout, positions, velocities, measured = self._reader.read(data)
+            efforts = self._measured_efforts(len(layout.names), measured)
+            is_ours = loop.collector.store(now, layout, positions, velocities, efforts)
         except JointStateError as error:
             self._runner.reject('joint_states', error)
             return
         if loop.collector.time != self._last_state:
             self._last_state = loop.collector.time
             self.state_count += 1
-        if is_ours and self._runner.is_active and self._configuration.update_rate == 0.0:
+        if is_ours and self._runner.is_active and self._runner.configuration.update_rate == 0.0:
             self._runner.step(now)
 
     def _measured_efforts(self, count: int, measured: Floats) -> Floats | tuple[()]:
@@ -179,7 +182,7 @@ class Inputs:
                 text = (
                     f'force {_listed(force)} N and moment {_listed(moment)} N m on link '
                     f"'{link}', until it is not renewed for "
-                    f'{self._configuration.wrench_timeout:g} s'
+                    f'{self._runner.configuration.wrench_timeout:g} s'
                 )
                 self._log.report_message('~/external_wrench', text, is_problem=False)
 
@@ -202,13 +205,14 @@ class Inputs:
 
     def _report_gravity(self, loop: ControlLoop, gravity: Floats) -> None:
         """Report gravity that differs from the last report, and gravity that points up."""
+        configuration = self._use_parameters(loop)
         if self._reported_gravity is not None and self._reported_gravity[0] is loop:
             change = np.linalg.norm(gravity - self._reported_gravity[1])
             if change <= _SMALL_CHANGE * np.linalg.norm(gravity):
                 return
         self._reported_gravity = loop, gravity
         text = f"{_listed(gravity)} m/s^2 in the frame of '{loop.base_link}'"
-        expected = np.array(self._configuration.gravity)
+        expected = np.array(configuration.gravity)
         is_problem = bool(gravity @ expected < 0.0)
         if is_problem:
             text += (
@@ -219,10 +223,11 @@ class Inputs:
         self._log.report_message('~/gravity', text, is_problem=is_problem)
 
     def _on_imu(self, message: Imu) -> None:
-        if self._configuration.base_motion is not BaseMotion.IMU:
+        if self._runner.configuration.base_motion is not BaseMotion.IMU:
             return
 
         def store(loop: ControlLoop, now: float) -> None:
+            self._use_parameters(loop)
             loop.set_base_motion(now, *read_imu(message, self._R_BS))
             if self._checked_imu != (loop, message.header.frame_id):
                 self._checked_imu = loop, message.header.frame_id

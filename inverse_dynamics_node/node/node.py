@@ -17,7 +17,7 @@ from std_msgs.msg import String
 from ..errors import ConfigurationError, InverseDynamicsError, shortened_lines
 from ..ros import qos
 from ..ros.graph import Graph
-from .configure import apply_configuration, make_loop
+from .configure import make_loop
 from .description_file import load_robot
 from .inputs import Inputs
 from .log import BoundedLogger, NodeLog
@@ -77,21 +77,21 @@ class InverseDynamicsNode(LifecycleNode):
         super().__init__('inverse_dynamics', **kwargs)
         contain_errors(self, self._keep_up)
         declare_parameters(self)
-        self._configuration = read_configuration(self)
+        configuration = read_configuration(self)
         for problem in unknown_overrides(self):
             self.get_logger().warning(f'ignored {problem}')
         self.is_finalized = False
-        self._may_autostart = self._configuration.autostart
+        self._may_autostart = configuration.autostart
         self._description = ''  # the latest from the topic
         self._reason_to_stop = 'deactivated'
         self._uses_sim_time = self.get_parameter('use_sim_time').value
-        self._create_parts(skip_ramp)
+        self._create_parts(configuration, skip_ramp)
         for problem in unused_qos_overrides(self):
             self.get_logger().warning(problem)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
 
-    def _create_parts(self, skip_ramp: Callable[[], bool]) -> None:
+    def _create_parts(self, configuration: Configuration, skip_ramp: Callable[[], bool]) -> None:
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         now = time.monotonic  # the steady clock, read twenty times faster
         if self._uses_sim_time:
@@ -101,7 +101,15 @@ class InverseDynamicsNode(LifecycleNode):
         self._outputs = Outputs(self, qos.RELIABLE, **qos.overridable())
         self._graph = Graph(self, self._outputs.commands)
         self._runner = LoopRunner(
-            self, self._outputs, self._graph, log, clock, now, skip_ramp, self._worker
+            self,
+            self._outputs,
+            self._graph,
+            log,
+            clock,
+            now,
+            skip_ramp,
+            self._worker,
+            configuration,
         )
         self._filler = TrajectoryFiller(self, log, self._worker, qos.RELIABLE, **qos.overridable())
         self.create_subscription(
@@ -111,9 +119,7 @@ class InverseDynamicsNode(LifecycleNode):
             qos.LATCHED,
             **qos.overridable(),
         )
-        self._inputs = Inputs(
-            self, self._runner, self._outputs, self._filler, log, self._configuration
-        )
+        self._inputs = Inputs(self, self._runner, self._outputs, self._filler, log)
         Services(self, self._runner)
         self._diagnostics = StatusPublisher(
             self,
@@ -134,7 +140,7 @@ class InverseDynamicsNode(LifecycleNode):
     @property
     def configuration(self) -> Configuration:
         """The current values of all parameters."""
-        return self._configuration
+        return self._runner.configuration
 
     def apply_scheduling(self, watchdog: int) -> None:
         """
@@ -146,7 +152,7 @@ class InverseDynamicsNode(LifecycleNode):
             Native id of the thread of the watchdog.
 
         """
-        values = self._configuration
+        values = self.configuration
         is_well, text = self._scheduling.apply(
             values.thread_priority, values.cpu_affinity, values.lock_memory, watchdog
         )
@@ -225,7 +231,7 @@ class InverseDynamicsNode(LifecycleNode):
             self._runner.start()
         joints = ', '.join(self._runner.loop.controller.joints)
         to = f'to {self._graph.with_subscribers()}'
-        if self._configuration.dry_run:
+        if self.configuration.dry_run:
             to = self._outputs.describe_dry_run(to)
         self.get_logger().info(f'efforts for {joints} {to}')
         self._may_autostart = False
@@ -265,8 +271,7 @@ class InverseDynamicsNode(LifecycleNode):
             return response
 
     def _configure(self) -> None:
-        configuration = self._configuration
-        self._inputs.apply(configuration)
+        configuration = self.configuration
         with self._scheduling.normal_priority():
             loop = make_loop(configuration, *load_robot(configuration, self._description))
         self._graph.expect_discovery()
@@ -276,13 +281,9 @@ class InverseDynamicsNode(LifecycleNode):
                 f'{_LAUNCH_SIGTERM_TIMEOUT:g} s after SIGINT, which ends the ramp: increase '
                 'sigterm_timeout of the launch action'
             )
-        self._runner.configure(loop, configuration)
+        self._runner.configure(loop)
         # A full garbage collection of the libraries' objects takes tens of milliseconds.
         gc.freeze()
-
-    def _use_configuration(self, configuration: Configuration) -> None:
-        self._configuration = configuration
-        self._inputs.apply(configuration)
 
     def _find_subscribers(self) -> None:
         self._outputs.find_subscribers()
@@ -302,7 +303,7 @@ class InverseDynamicsNode(LifecycleNode):
 
     def _check_change(self, parameters: list[Parameter]) -> None:
         """Keep the new configuration for `_apply_parameters`, which rclpy calls next."""
-        before, changed = self._configuration, {}
+        before, changed = self.configuration, {}
         self._next_configuration = before
         for parameter in parameters:
             if parameter.name == 'use_sim_time' and parameter.value != self._uses_sim_time:
@@ -329,20 +330,16 @@ class InverseDynamicsNode(LifecycleNode):
         self._next_configuration = after
 
     def _apply_parameters(self, parameters: list[Parameter]) -> None:
-        before = self._configuration
-        if self._next_configuration is before:
+        if self._next_configuration is self.configuration:
             return
-        self._use_configuration(self._next_configuration)
+        self._runner.apply(self._next_configuration)
         if self._runner.loop is None:
             self.autostart()
-            return
-        apply_configuration(self._runner.loop, self._configuration, before)
-        self._runner.apply(self._configuration)
 
     # Robot description
 
     def _has_description(self) -> bool:
-        configuration = self._configuration
+        configuration = self.configuration
         return bool(
             configuration.robot_description
             or configuration.robot_description_file
@@ -350,7 +347,7 @@ class InverseDynamicsNode(LifecycleNode):
         )
 
     def _on_robot_description(self, message: String) -> None:
-        configuration = self._configuration
+        configuration = self.configuration
         if configuration.robot_description or configuration.robot_description_file:
             return
         if message.data == self._description:
@@ -360,4 +357,4 @@ class InverseDynamicsNode(LifecycleNode):
             self.autostart()
             return
         self.get_logger().info('received a new robot description')
-        self._runner.load_description(configuration, message.data)
+        self._runner.load_description(message.data)

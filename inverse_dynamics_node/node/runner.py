@@ -17,6 +17,7 @@ from ..control.monitor import Monitor
 from ..control.supervision import COMPUTING_PHASES
 from ..errors import JointStateError, shortened_lines
 from ..ros.graph import Graph
+from .configure import apply_configuration
 from .description_file import DescriptionLoader
 from .log import NodeLog
 from .outputs import Outputs
@@ -55,6 +56,8 @@ class LoopRunner:
         Returns whether to cut the stop ramp short.
     worker : Worker
         Reads robot descriptions.
+    configuration : Configuration
+        The parameters.
 
     """
 
@@ -68,10 +71,13 @@ class LoopRunner:
         now: Callable[[], float],
         skip_ramp: Callable[[], bool],
         worker: Worker,
+        configuration: Configuration,
     ) -> None:
         self._node, self._outputs, self._graph, self._log = node, outputs, graph, log
         self._clock, self._skip_ramp = clock, skip_ramp
         self.now = now
+        self.configuration = configuration
+        """The current values of all parameters."""
         self.loop: ControlLoop | None = None
         """The loop for the current robot description; None while the node is unconfigured."""
         self.is_active = False
@@ -80,21 +86,10 @@ class LoopRunner:
         self._last_step = 0.0
         self._timers: list[Timer] = []
 
-    def configure(self, loop: ControlLoop, configuration: Configuration) -> None:
-        """
-        Use a loop for a robot, inactive at first.
-
-        Parameters
-        ----------
-        loop : ControlLoop
-            The compiled loop.
-        configuration : Configuration
-            The parameters that it was made with.
-
-        """
+    def configure(self, loop: ControlLoop) -> None:
+        """Use a compiled loop for a robot, inactive at first."""
         self.forget_robot()
-        self.loop = loop
-        self._configuration = configuration
+        self.loop, configuration = loop, self.configuration
         self.monitor = Monitor(configuration.period)
         # This timer notices lost states, whatever the update rate.
         self._watch_period = min(_WATCH_PERIOD, 0.5 * configuration.state_timeout)
@@ -110,8 +105,10 @@ class LoopRunner:
 
     def apply(self, configuration: Configuration) -> None:
         """Use changed parameters; the current wait of the watch timer may not suit them."""
-        self._configuration = configuration
-        self._watch_after(self._watch_period)
+        before, self.configuration = self.configuration, configuration
+        if self.loop is not None:
+            apply_configuration(self.loop, configuration, before)
+            self._watch_after(self._watch_period)
 
     def forget_robot(self) -> None:
         """Drop the loop and its timers."""
@@ -122,15 +119,15 @@ class LoopRunner:
             self._node.destroy_timer(timer)
         self._timers = []
 
-    def load_description(self, configuration: Configuration, description: str) -> None:
+    def load_description(self, description: str) -> None:
         """Load another robot description, and switch to it when it is ready."""
-        self.loader.load(configuration, description)
+        self.loader.load(self.configuration, description)
         self._watch_after(self._watch_period)
 
     def start(self) -> None:
         """Start to command, from zero."""
         assert self.loop is not None
-        self.loop.start(is_dry_run=self._configuration.dry_run)
+        self.loop.start(is_dry_run=self.configuration.dry_run)
         self.monitor.pause()
         self._outputs.find_subscribers()
         self._log.begin()
@@ -163,7 +160,7 @@ class LoopRunner:
         """
         assert self.loop is not None
         began = time.perf_counter()
-        if self.loop.dry_run.is_active is not self._configuration.dry_run:
+        if self.loop.dry_run.is_active is not self.configuration.dry_run:
             self._switch_dry_run(self.loop)
         command = self.loop.step(now)
         if command is None:
@@ -188,7 +185,7 @@ class LoopRunner:
 
     def _switch_dry_run(self, loop: ControlLoop) -> None:
         """Begin a dry run, or end it as soon as the commands are zero."""
-        is_wanted, has_sent = self._configuration.dry_run, loop.dry_run.has_sent
+        is_wanted, has_sent = self.configuration.dry_run, loop.dry_run.has_sent
         time_to_fall = loop.controller.time_to_fall
         if not loop.switch_dry_run(is_wanted=is_wanted):
             return
@@ -217,13 +214,13 @@ class LoopRunner:
 
     def catch_up(self) -> None:
         """Do the work of the timers if they are late."""
-        if self._configuration.period:
+        if self.configuration.period:
             self._on_timer()
         self._on_watch()
 
     def step_if_late(self) -> None:
         """Step if the timer is late by more than half a period."""
-        now, period = self.now(), self._configuration.period
+        now, period = self.now(), self.configuration.period
         if self.is_active and period and now > self._last_step + 1.5 * period:
             self.step(now)
 
@@ -241,7 +238,7 @@ class LoopRunner:
             assert self.loop is not None
             now = self.now()
             state = self.loop.collector.state()
-            timeout = self._configuration.state_timeout
+            timeout = self.configuration.state_timeout
             if state is None or not 0.0 <= now - state.time <= timeout:
                 self.step(now)
             elif self._must_fall:
@@ -257,7 +254,7 @@ class LoopRunner:
     def _must_fall(self) -> bool:
         """Whether commands must fall to zero although joint states may arrive."""
         assert self.loop is not None
-        if self.loop.dry_run.is_active or self._configuration.dry_run:
+        if self.loop.dry_run.is_active or self.configuration.dry_run:
             return self.loop.dry_run.has_sent
         controller = self.loop.controller
         is_computing = controller.phase in COMPUTING_PHASES and not controller.is_stopping
@@ -276,7 +273,7 @@ class LoopRunner:
         if not self.loader.poll():
             return
         try:
-            loop, dropped = self.loader.take_loop(self.loop, self._configuration, self.is_active)
+            loop, dropped = self.loader.take_loop(self.loop, self.configuration, self.is_active)
         except Exception as error:  # any error of the process that read it
             self._node.get_logger().error(
                 f'kept the old robot description; the new one cannot be used: {error}'
