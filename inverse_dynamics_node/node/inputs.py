@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 import math
 import time
-from typing import Any, NamedTuple
+from typing import Any
 
 from geometry_msgs.msg import InertiaStamped, Vector3Stamped, WrenchStamped
 import numpy as np
@@ -150,7 +150,7 @@ class Inputs:
         return np.full(count, math.nan)
 
     def _on_accelerations(self, message: Float64MultiArray) -> None:
-        self._store_reference('~/desired_accelerations', read_accelerations, message)
+        self._store_reference('~/desired_accelerations', _read_accelerations, message)
 
     def _on_reference(self, data: bytes) -> None:
         self._store_reference('~/reference', _read_reference, data)
@@ -167,17 +167,17 @@ class Inputs:
 
     def _on_payload(self, message: InertiaStamped) -> None:
         def store(loop: ControlLoop, now: float) -> None:
-            payload = read_payload(message)
-            if loop.loads.set_payload(*payload):
-                load = f'payload on link {payload.link!r}'
-                text = f'{load}: {payload.mass:g} kg' if payload.mass else f'{load} removed'
+            link, mass, com, inertia = _read_payload(message)
+            if loop.loads.set_payload(link, mass, com, inertia):
+                load = f'payload on link {link!r}'
+                text = f'{load}: {mass:g} kg' if mass else f'{load} removed'
                 self._log.report_message('~/payload', text, is_problem=False)
 
         self._handle('~/payload', store)
 
     def _on_external_wrench(self, message: WrenchStamped) -> None:
         def store(loop: ControlLoop, now: float) -> None:
-            link, force, moment = read_wrench(message)
+            link, force, moment = _read_wrench(message)
             if loop.set_external_wrench(now, link, force, moment):
                 text = (
                     f'force {_listed(force)} N and moment {_listed(moment)} N m on link '
@@ -197,7 +197,7 @@ class Inputs:
                 )
             if loop.has_imu:
                 raise ConfigurationError("gravity is measured: parameter 'base_motion' is imu")
-            gravity = read_vector(message.vector)
+            gravity = _read_vector(message.vector)
             loop.loads.set_gravity(gravity)
             self._report_gravity(loop, gravity)
 
@@ -228,7 +228,7 @@ class Inputs:
 
         def store(loop: ControlLoop, now: float) -> None:
             self._use_parameters(loop)
-            loop.set_base_motion(now, *read_imu(message, self._R_BS))
+            loop.set_base_motion(now, *_read_imu(message, self._R_BS))
             if self._checked_imu != (loop, message.header.frame_id):
                 self._checked_imu = loop, message.header.frame_id
                 text = describe_imu_frame(loop, message.header.frame_id, self._R_BS)
@@ -264,42 +264,22 @@ def _listed(vector: Floats) -> str:
     return ', '.join(f'{x:.3g}' for x in vector)
 
 
+def _read_accelerations(
+    message: Float64MultiArray, joints: Sequence[str], now: float
+) -> Reference:
+    """Read accelerations in the order of the commanded joints."""
+    accelerations = _finite('acceleration', message.data, joints)
+    return Reference(accelerations, np.zeros(len(joints)), now)
+
+
 def _read_reference(data: bytes, joints: Sequence[str], now: float) -> Reference:
+    """Read the first point by joint name; missing accelerations and efforts are zero."""
     if len(data) > _MAX_REFERENCE:
         raise JointStateError(
             f'{len(data)} bytes, expected at most {_MAX_REFERENCE}: only the first point is used; '
             'send one point at a time'
         )
-    return read_reference(deserialize_trajectory(data), joints, now)
-
-
-def read_accelerations(message: Float64MultiArray, joints: Sequence[str], now: float) -> Reference:
-    """
-    Read accelerations in the order of the commanded joints.
-
-    Raises
-    ------
-    JointStateError
-        If their number is wrong, or one is not finite.
-
-    """
-    accelerations = _finite('acceleration', message.data, joints)
-    return Reference(accelerations, np.zeros(len(joints)), now)
-
-
-def read_reference(message: JointTrajectory, joints: Sequence[str], now: float) -> Reference:
-    """
-    Read the first point of a reference, by joint name.
-
-    Missing accelerations and efforts are zero; missing positions and velocities are None.
-
-    Raises
-    ------
-    JointStateError
-        If there is no point or the first one is empty, a joint is missing or not commanded, or a
-        value is not finite.
-
-    """
+    message = deserialize_trajectory(data)
     if not message.points:
         raise JointStateError('no points, expected one')
     names = list(message.joint_names)
@@ -329,53 +309,35 @@ def read_reference(message: JointTrajectory, joints: Sequence[str], now: float) 
     )
 
 
-class PayloadMessage(NamedTuple):
-    """A rigid load, as arguments of `ExternalLoads.set_payload`."""
-
-    link: str
-    mass: float
-    com: Floats
-    inertia: Floats
-
-
-def read_payload(message: InertiaStamped) -> PayloadMessage:
-    """Read a rigid load; its inertia is about its centre of mass."""
+def _read_payload(message: InertiaStamped) -> tuple[str, float, Floats, Floats]:
+    """Read a link, and the mass, the centre of mass and the inertia about it of a load on it."""
     body = message.inertia
     inertia = [
         [body.ixx, body.ixy, body.ixz],
         [body.ixy, body.iyy, body.iyz],
         [body.ixz, body.iyz, body.izz],
     ]
-    return PayloadMessage(_frame(message), body.m, read_vector(body.com), np.array(inertia))
+    return _frame(message), body.m, _read_vector(body.com), np.array(inertia)
 
 
-def read_wrench(message: WrenchStamped) -> tuple[str, Floats, Floats]:
+def _read_wrench(message: WrenchStamped) -> tuple[str, Floats, Floats]:
     """Read a link, and the force and moment on it."""
-    return _frame(message), read_vector(message.wrench.force), read_vector(message.wrench.torque)
+    return _frame(message), _read_vector(message.wrench.force), _read_vector(message.wrench.torque)
 
 
-def read_imu(message: Imu, R_BS: Floats) -> tuple[Floats, Floats]:
-    """
-    Read a specific force and an angular velocity, and rotate them into the frame of the base.
-
-    Raises
-    ------
-    ConfigurationError
-        If the covariance shows that one of them is not measured.
-
-    """
+def _read_imu(message: Imu, R_BS: Floats) -> tuple[Floats, Floats]:
+    """Read a specific force and an angular velocity, and turn them into the frame of the base."""
     for what, covariance in (
         ('linear acceleration', message.linear_acceleration_covariance),
         ('angular velocity', message.angular_velocity_covariance),
     ):
         if covariance[0] == -1.0:
             raise ConfigurationError(f'the covariance says that {what} is not measured')
-    return R_BS @ read_vector(message.linear_acceleration), R_BS @ read_vector(
-        message.angular_velocity
-    )
+    force = _read_vector(message.linear_acceleration)
+    return R_BS @ force, R_BS @ _read_vector(message.angular_velocity)
 
 
-def read_vector(message: Any) -> Floats:
+def _read_vector(message: Any) -> Floats:
     """Read a message with x, y and z, such as Vector3 or Point."""
     return np.array([message.x, message.y, message.z])
 

@@ -27,7 +27,6 @@ from .ros_parameters import (
     changed_configuration,
     declare_parameters,
     is_own_parameter,
-    read_configuration,
     unknown_overrides,
     unused_qos_overrides,
 )
@@ -76,8 +75,7 @@ class InverseDynamicsNode(LifecycleNode):
         self._scheduling = scheduling or Scheduling()
         super().__init__('inverse_dynamics', **kwargs)
         contain_errors(self, self._keep_up)
-        declare_parameters(self)
-        configuration = read_configuration(self)
+        configuration = declare_parameters(self)
         for problem in unknown_overrides(self):
             self.get_logger().warning(f'ignored {problem}')
         self.is_finalized = False

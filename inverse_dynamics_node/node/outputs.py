@@ -71,11 +71,6 @@ class Outputs:
         }
 
     @property
-    def receivers(self) -> int:
-        """Number of subscribers of the commands."""
-        return int(self.commands.get_subscription_count())
-
-    @property
     def uses_measured_efforts(self) -> bool:
         """Whether a topic that is computed from measured efforts has a subscriber."""
         return self._external_efforts in self._subscribed
@@ -126,7 +121,7 @@ class Outputs:
                 if publisher in self._subscribed:
                     self._publish_efforts(publisher, loop.controller.joints, term)
         if self._base_wrench in self._subscribed:
-            write_wrench(self._wrench, loop.base_link, *loop.base_wrench())
+            _write_wrench(self._wrench, loop.base_link, *loop.base_wrench())
             self._wrench.header.stamp = self._clock.now().to_msg()
             self._base_wrench.publish(self._wrench)
         if self._external_efforts in self._subscribed:
@@ -140,18 +135,18 @@ class Outputs:
             self._publish_efforts(self._external_efforts, names, efforts[measured])
 
     def _publish_efforts(self, publisher: Any, joints: Any, efforts: Floats) -> None:
-        write_joint_efforts(self._efforts, joints, efforts)
+        _write_joint_efforts(self._efforts, joints, efforts)
         self._efforts.header.stamp = self._clock.now().to_msg()
         publisher.publish(self._efforts)
 
 
-def write_joint_efforts(message: JointState, joints: Sequence[str], efforts: Floats) -> None:
+def _write_joint_efforts(message: JointState, joints: Sequence[str], efforts: Floats) -> None:
     """Write efforts into a reused message."""
     message.name = list(joints)
     message.effort = array('d', efforts.tobytes())
 
 
-def write_wrench(message: WrenchStamped, link: str, force: Floats, moment: Floats) -> None:
+def _write_wrench(message: WrenchStamped, link: str, force: Floats, moment: Floats) -> None:
     """Write a wrench into a reused message."""
     message.header.frame_id = link
     for part, values in ((message.wrench.force, force), (message.wrench.torque, moment)):

@@ -35,7 +35,7 @@ def ineffective_remaps(
     arguments: Sequence[str], names: Sequence[str], node: str, namespace: str
 ) -> list[str]:
     """
-    Find the remap rules that match no name of a node.
+    Describe the remap rules on a command line that match no name of a node.
 
     Parameters
     ----------
@@ -45,11 +45,6 @@ def ineffective_remaps(
         Topics and services of the node, before remapping.
     node, namespace : str
         Name and namespace of the node, after remapping.
-
-    Returns
-    -------
-    problems : list of str
-        One sentence for each rule without effect.
 
     """
     own = {_expanded(name, node, namespace) for name in names}

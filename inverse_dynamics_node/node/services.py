@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
@@ -96,9 +97,9 @@ def contain_errors(node: LifecycleNode, keep_up: Callable[[], None]) -> None:
     for service in node.services:
         callback = service.callback
         if service.srv_type is SetParameters:
-            callback = _set_each(node, callback)
+            callback = partial(_set_each, node)
         elif service.srv_type is SetParametersAtomically:
-            callback = _set_all(node, callback)
+            callback = partial(_set_all, node)
         service.callback = _contained(node, service.srv_name, callback, keep_up)
     for subscription in node.subscriptions:
         subscription.callback = _contained_subscription(
@@ -124,32 +125,22 @@ def _contained(
     return contained
 
 
-def _set_each(
-    node: LifecycleNode, callback: Callable[[Any, Any], Any]
-) -> Callable[[Any, Any], Any]:
-    def checked(request: Any, response: Any) -> Any:
-        for parameter in request.parameters:
-            reason = _problem(node, [parameter])
-            if reason:
-                response.results.append(SetParametersResult(reason=reason))
-            else:
-                callback(SetParameters.Request(parameters=[parameter]), response)
-        return response
-
-    return checked
+def _set_each(node: LifecycleNode, request: Any, response: Any) -> Any:
+    response.results = [_set(node, [parameter]) for parameter in request.parameters]
+    return response
 
 
-def _set_all(
-    node: LifecycleNode, callback: Callable[[Any, Any], Any]
-) -> Callable[[Any, Any], Any]:
-    def checked(request: Any, response: Any) -> Any:
-        reason = _problem(node, request.parameters)
-        if reason:
-            response.result = SetParametersResult(reason=reason)
-            return response
-        return callback(request, response)
+def _set_all(node: LifecycleNode, request: Any, response: Any) -> Any:
+    response.result = _set(node, request.parameters)
+    return response
 
-    return checked
+
+def _set(node: LifecycleNode, parameters: Sequence[Any]) -> SetParametersResult:
+    """Set parameters together as rclpy does, or name the one that cannot be set."""
+    reason = _problem(node, parameters)
+    if reason:
+        return SetParametersResult(reason=reason)
+    return node.set_parameters_atomically(list(map(Parameter.from_parameter_msg, parameters)))
 
 
 def _problem(node: LifecycleNode, parameters: Sequence[Any]) -> str:

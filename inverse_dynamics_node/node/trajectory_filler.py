@@ -57,11 +57,11 @@ def fill(loop: ControlLoop, data: bytes) -> Filled:
 
     """
     message = deserialize_trajectory(data)
-    trajectory, notes = complete(read_trajectory(message))
+    trajectory, notes = complete(_read_trajectory(message))
     efforts = trajectory_efforts(loop.dynamics, trajectory, loop.collector.q)
     index = joint_index(trajectory.joint_names, loop.robot.joint_names)
     efforts = loop.calibrated(index, efforts)
-    filled = write_trajectory(message, trajectory, efforts)
+    filled = _write_trajectory(message, trajectory, efforts)
     return Filled(serialize_message(filled), notes, loop.beyond_limits(index, efforts))
 
 
@@ -170,16 +170,8 @@ def deserialize_trajectory(data: bytes) -> JointTrajectory:
         raise TrajectoryError(f'{len(data)} bytes that are not a trajectory: {error}') from error
 
 
-def read_trajectory(message: JointTrajectory) -> Trajectory:
-    """
-    Read a whole trajectory.
-
-    Raises
-    ------
-    TrajectoryError
-        If the points have different fields, or no positions.
-
-    """
+def _read_trajectory(message: JointTrajectory) -> Trajectory:
+    """Read a whole trajectory."""
     names, points = tuple(message.joint_names), message.points
 
     def read(what: str) -> Floats | None:
@@ -202,7 +194,7 @@ def read_trajectory(message: JointTrajectory) -> Trajectory:
     return Trajectory(names, np.array(times), positions, velocities, accelerations)
 
 
-def write_trajectory(
+def _write_trajectory(
     message: JointTrajectory, trajectory: Trajectory, efforts: Floats
 ) -> JointTrajectory:
     """Make the message of a trajectory with efforts; header and times are those of `message`."""
