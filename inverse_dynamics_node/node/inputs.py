@@ -10,6 +10,7 @@ from typing import Any
 from geometry_msgs.msg import InertiaStamped, Vector3Stamped, WrenchStamped
 import numpy as np
 from rclpy.lifecycle import LifecycleNode
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
@@ -23,8 +24,6 @@ from ..robot.kinematics import rotation_of_rpy
 from ..robot.model import Floats
 from ..ros import qos
 from ..ros.cdr import JointStateReader
-from .log import NodeLog
-from .outputs import Outputs
 from .parameters import BaseMotion, Configuration
 from .runner import LoopRunner
 from .trajectory_filler import deserialize_trajectory, TrajectoryFiller
@@ -43,24 +42,13 @@ class Inputs:
         The node that subscribes.
     runner : LoopRunner
         Runs the loop that the messages are for.
-    outputs : Outputs
-        Shows whether measured efforts are needed.
     filler : TrajectoryFiller
         Handles trajectories.
-    log : NodeLog
-        For what the messages change.
 
     """
 
-    def __init__(
-        self,
-        node: LifecycleNode,
-        runner: LoopRunner,
-        outputs: Outputs,
-        filler: TrajectoryFiller,
-        log: NodeLog,
-    ) -> None:
-        self._runner, self._outputs, self._filler, self._log = runner, outputs, filler, log
+    def __init__(self, node: LifecycleNode, runner: LoopRunner, filler: TrajectoryFiller) -> None:
+        self._runner, self._filler, self._log = runner, filler, runner.log
         self._configuration: Configuration | None = None  # that the latest message was read with
         self._reported_gravity: tuple[ControlLoop, Floats] | None = None
         self._checked_imu: tuple[ControlLoop, str] | None = None
@@ -71,32 +59,30 @@ class Inputs:
         self.state_count = 0
         """Updates of all commanded joints since the start, by one message or several."""
         self._last_state = -math.inf
-        for kind, topic, callback, profile in (
-            (Float64MultiArray, '~/desired_accelerations', self._on_accelerations, qos.RELIABLE),
-            # Messages for several links may arrive at once.
-            (InertiaStamped, '~/payload', self._on_payload, qos.QUEUED),
-            (WrenchStamped, '~/external_wrench', self._on_external_wrench, qos.QUEUED),
-            (Vector3Stamped, '~/gravity', self._on_gravity, qos.RELIABLE),
-            (Imu, 'imu', self._on_imu, qos.BEST_EFFORT),
-        ):
-            node.create_subscription(kind, topic, callback, profile, **qos.overridable())
-        self._states = node.create_subscription(
-            JointState,
-            'joint_states',
-            self._on_joint_state,
-            qos.BEST_EFFORT,
-            raw=True,
-            **qos.overridable(),
-        )
 
-        # Raw, because reading a long one takes seconds.
-        for topic, receive in (
-            ('~/reference', self._on_reference),
-            ('~/joint_trajectory_in', self._on_trajectory),
-        ):
-            node.create_subscription(
-                JointTrajectory, topic, receive, qos.RELIABLE, raw=True, **qos.overridable()
+        def subscribe(
+            kind: Any, topic: str, callback: Any, profile: QoSProfile, raw: bool = False
+        ) -> Any:
+            return node.create_subscription(
+                kind, topic, callback, profile, raw=raw, **qos.overridable()
             )
+
+        subscribe(
+            Float64MultiArray, '~/desired_accelerations', self._on_accelerations, qos.RELIABLE
+        )
+        # Messages for several links may arrive at once.
+        subscribe(InertiaStamped, '~/payload', self._on_payload, qos.QUEUED)
+        subscribe(WrenchStamped, '~/external_wrench', self._on_external_wrench, qos.QUEUED)
+        subscribe(Vector3Stamped, '~/gravity', self._on_gravity, qos.RELIABLE)
+        subscribe(Imu, 'imu', self._on_imu, qos.BEST_EFFORT)
+        self._states = subscribe(
+            JointState, 'joint_states', self._on_joint_state, qos.BEST_EFFORT, raw=True
+        )
+        # Raw, because reading a long one takes seconds.
+        subscribe(JointTrajectory, '~/reference', self._on_reference, qos.RELIABLE, raw=True)
+        subscribe(
+            JointTrajectory, '~/joint_trajectory_in', self._on_trajectory, qos.RELIABLE, raw=True
+        )
 
     def _use_parameters(self, loop: ControlLoop) -> Configuration:
         """Return the parameters; after a change of any, report the next messages again."""
@@ -141,7 +127,7 @@ class Inputs:
 
     def _measured_efforts(self, count: int, measured: Floats) -> Floats | tuple[()]:
         """Return measured efforts if they are used, and NaN for missing ones."""
-        if not self._outputs.uses_measured_efforts:
+        if not self._runner.outputs.uses_measured_efforts:
             return ()
         if len(measured) == count:
             return measured

@@ -96,7 +96,7 @@ class InverseDynamicsNode(LifecycleNode):
             now = lambda: self.get_clock().now().nanoseconds * 1e-9  # noqa: E731
         clock = self.get_clock() if self._uses_sim_time else steady
         log = NodeLog(self.get_logger())
-        self._outputs = Outputs(self, qos.RELIABLE, **qos.overridable())
+        self._outputs = Outputs(self)
         self._graph = Graph(self, self._outputs.commands)
         self._runner = LoopRunner(
             self,
@@ -109,7 +109,7 @@ class InverseDynamicsNode(LifecycleNode):
             self._worker,
             configuration,
         )
-        self._filler = TrajectoryFiller(self, log, self._worker, qos.RELIABLE, **qos.overridable())
+        self._filler = TrajectoryFiller(self, log, self._worker)
         self.create_subscription(
             String,
             'robot_description',
@@ -117,17 +117,10 @@ class InverseDynamicsNode(LifecycleNode):
             qos.LATCHED,
             **qos.overridable(),
         )
-        self._inputs = Inputs(self, self._runner, self._outputs, self._filler, log)
+        self._inputs = Inputs(self, self._runner, self._filler)
         Services(self, self._runner)
         self._diagnostics = StatusPublisher(
-            self,
-            self._runner,
-            self._inputs,
-            self._outputs,
-            self._graph,
-            log,
-            steady,
-            self._scheduling,
+            self, self._runner, self._inputs, steady, self._scheduling
         )
         self.create_timer(_SUBSCRIBERS_PERIOD, self._find_subscribers, clock=steady)
 

@@ -10,14 +10,13 @@ from geometry_msgs.msg import WrenchStamped
 import numpy as np
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode
-from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 
 from ..control.loop import ControlLoop
 from ..robot.model import Floats
+from ..ros import qos
 from ..ros.cdr import serialize_numbers
-from ..ros.qos import LATCHED
 
 TERM_TOPICS = ('inertial', 'velocity', 'gravity', 'friction', 'external')
 """Last parts of the topics of the `EffortTerms` of the dynamics, in their order."""
@@ -33,16 +32,12 @@ class Outputs:
     ----------
     node : LifecycleNode
         The node that publishes.
-    qos : QoSProfile
-        Quality of service of all topics.
-    **options
-        Passed to ``create_lifecycle_publisher``.
 
     """
 
-    def __init__(self, node: LifecycleNode, qos: QoSProfile, **options: Any) -> None:
+    def __init__(self, node: LifecycleNode) -> None:
         def publisher(kind: Any, topic: str) -> Any:
-            return node.create_lifecycle_publisher(kind, topic, qos, **options)
+            return node.create_lifecycle_publisher(kind, topic, qos.RELIABLE, **qos.overridable())
 
         self._clock = node.get_clock()
         self.commands = publisher(Float64MultiArray, '~/commands')
@@ -52,7 +47,7 @@ class Outputs:
         """Whether ~/joint_efforts is remapped, as for a robot that takes commands by name."""
         self._terms = [publisher(JointState, f'~/terms/{term}') for term in TERM_TOPICS]
         self._external_efforts = publisher(JointState, '~/external_efforts')
-        self._description = node.create_publisher(String, '~/robot_description', LATCHED)
+        self._description = node.create_publisher(String, '~/robot_description', qos.LATCHED)
         self._base_wrench = publisher(WrenchStamped, '~/base_wrench')
         self._efforts, self._wrench = JointState(), WrenchStamped()
         self._subscribed: set[Any] = set()

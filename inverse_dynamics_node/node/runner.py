@@ -73,7 +73,7 @@ class LoopRunner:
         worker: Worker,
         configuration: Configuration,
     ) -> None:
-        self._node, self._outputs, self._graph, self._log = node, outputs, graph, log
+        self._node, self.outputs, self.graph, self.log = node, outputs, graph, log
         self._clock, self._skip_ramp = clock, skip_ramp
         self.now = now
         self.configuration = configuration
@@ -96,8 +96,8 @@ class LoopRunner:
         self._watch = self._create_timer(self._watch_period, self._on_watch)
         if configuration.period:
             self._create_timer(configuration.period, self._on_timer)
-        self._log.report_robot(loop)
-        self._outputs.publish_description(loop)
+        self.log.report_robot(loop)
+        self.outputs.publish_description(loop)
 
     def _create_timer(self, period: float, callback: Callable[[], None]) -> Timer:
         self._timers.append(self._node.create_timer(period, callback, clock=self._clock))
@@ -129,14 +129,14 @@ class LoopRunner:
         assert self.loop is not None
         self.loop.start(is_dry_run=self.configuration.dry_run)
         self.monitor.pause()
-        self._outputs.find_subscribers()
-        self._log.begin()
+        self.outputs.find_subscribers()
+        self.log.begin()
         self.is_active = True
 
     def reject(self, topic: str, reason: object) -> None:
         """Count and log a message that cannot be used."""
         self.monitor.reject(topic, shortened_lines(str(reason)))
-        self._log.report_message(topic, f'message dropped: {reason}')
+        self.log.report_message(topic, f'message dropped: {reason}')
 
     def enable(self, *, is_enabled: bool) -> None:
         """Let the efforts rise, or fall to zero; a reference is dropped then."""
@@ -164,16 +164,16 @@ class LoopRunner:
             self._switch_dry_run(self.loop)
         command = self.loop.step(now)
         if command is None:
-            if self._graph.is_discovered:
-                self._log.report_waiting(self._missing)
+            if self.graph.is_discovered:
+                self.log.report_waiting(self._missing)
             return
         self._publish(now, command)
         took = time.perf_counter() - began
         self.monitor.step(now, took, command, self.loop.controller.joints)
-        self._log.report_step(now, self.loop, command, is_dry_run=self.loop.dry_run.is_active)
+        self.log.report_step(now, self.loop, command, is_dry_run=self.loop.dry_run.is_active)
         if self.loop.collector.lost_velocities:
-            publishers = self._graph.publishers('joint_states')
-            self._log.report_lost_velocities(self.loop.collector.lost_velocities, publishers)
+            publishers = self.graph.publishers('joint_states')
+            self.log.report_lost_velocities(self.loop.collector.lost_velocities, publishers)
             self.loop.collector.lost_velocities = []
         if self.loop.controller.phase in COMPUTING_PHASES:
             self._explain(self.loop)
@@ -181,7 +181,7 @@ class LoopRunner:
     def _publish(self, now: float, command: Command) -> None:
         assert self.loop is not None
         self._last_step = now
-        self._outputs.publish_command(self.loop, command.efforts, command.sent)
+        self.outputs.publish_command(self.loop, command.efforts, command.sent)
 
     def _switch_dry_run(self, loop: ControlLoop) -> None:
         """Begin a dry run, or end it as soon as the commands are zero."""
@@ -193,24 +193,24 @@ class LoopRunner:
             after = f', after the stop ramp ({time_to_fall:.3g} s)' * has_sent
             text = f'dry run: no more commands{after}'
         else:
-            to = self._graph.with_subscribers()
+            to = self.graph.with_subscribers()
             text = f'end of the dry run: efforts rise from zero, to {to}'
         self._node.get_logger().info(text)
-        self._log.begin()
+        self.log.begin()
 
     def _missing(self) -> list[str]:
         assert self.loop is not None
         return self.loop.missing(
-            self._graph.with_publishers('joint_states'),
-            self._graph.with_publishers('imu'),
+            self.graph.with_publishers('joint_states'),
+            self.graph.with_publishers('imu'),
             self.now(),
         )
 
     def _explain(self, loop: ControlLoop) -> None:
         try:
-            self._outputs.publish_explanation(loop)
+            self.outputs.publish_explanation(loop)
         except JointStateError as error:
-            self._log.warn('explanation', str(error))
+            self.log.warn('explanation', str(error))
 
     def catch_up(self) -> None:
         """Do the work of the timers if they are late."""
@@ -283,8 +283,8 @@ class LoopRunner:
         for link in dropped:
             self._node.get_logger().warning(f"link '{link}' no longer exists; dropped its payload")
         self.loop = loop
-        self._log.report_robot(loop)
-        self._outputs.publish_description(loop)
+        self.log.report_robot(loop)
+        self.outputs.publish_description(loop)
 
     def ramp_down(self, reason: str) -> None:
         """
@@ -306,7 +306,7 @@ class LoopRunner:
         try:
             self._follow_stop_ramp(self.loop)
         finally:
-            self._outputs.publish_zeros(self.loop)
+            self.outputs.publish_zeros(self.loop)
         self._node.get_logger().info(f'stopped, zeros sent: {reason}')
 
     def _follow_stop_ramp(self, loop: ControlLoop) -> None:

@@ -6,12 +6,11 @@ from array import array
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode
-from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -19,6 +18,7 @@ from ..control.loop import ControlLoop
 from ..dynamics.trajectory import complete, joint_index, Trajectory, trajectory_efforts
 from ..errors import TrajectoryError
 from ..robot.model import Floats
+from ..ros import qos
 from .log import NodeLog
 from .worker import Worker
 
@@ -77,25 +77,14 @@ class TrajectoryFiller:
         For warnings.
     worker : Worker
         Computes the efforts.
-    qos : QoSProfile
-        Quality of service of the topic.
-    **options
-        Passed to ``create_publisher``.
 
     """
 
-    def __init__(
-        self,
-        node: LifecycleNode,
-        log: NodeLog,
-        worker: Worker,
-        qos: QoSProfile,
-        **options: Any,
-    ) -> None:
+    def __init__(self, node: LifecycleNode, log: NodeLog, worker: Worker) -> None:
         self._log, self._worker = log, worker
         self._waiting: deque[tuple[Future[Filled], Callable[[Exception], None]]] = deque()
         self._publisher = node.create_publisher(
-            JointTrajectory, '~/joint_trajectory_out', qos, **options
+            JointTrajectory, '~/joint_trajectory_out', qos.RELIABLE, **qos.overridable()
         )
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = node.create_timer(_PERIOD, self.poll, clock=steady)
