@@ -152,12 +152,17 @@ class Settings:
     )
 
     def expanded(self, m: int) -> dict[str, Floats]:
-        """Return the settings per joint by name, each of shape (m,); see `expand_per_joint`."""
-        return {
-            each.name: expand_per_joint(each.name, getattr(self, each.name), m)
-            for each in fields(self)
-            if each.type == 'PerJoint'
-        }
+        """
+        Return the settings per joint by name, each of shape (m,).
+
+        Raises
+        ------
+        ConfigurationError
+            If the number of values of one of them is neither 1 nor m.
+
+        """
+        names = [each.name for each in fields(self) if each.type == 'PerJoint']
+        return {name: _expanded(name, getattr(self, name), m) for name in names}
 
 
 LARGEST_GRAVITY = 100.0
@@ -199,29 +204,7 @@ class LoadSettings:
     )
 
 
-def expand_per_joint(name: str, values: PerJoint, m: int) -> Floats:
-    """
-    Return one number per commanded joint.
-
-    Parameters
-    ----------
-    name : str
-        Name of the setting, for the message.
-    values : float or tuple of float
-        One number for all joints, or one for each.
-    m : int
-        Number of commanded joints.
-
-    Returns
-    -------
-    numbers : ndarray, shape (m,)
-
-    Raises
-    ------
-    ConfigurationError
-        If the number of values is neither 1 nor m.
-
-    """
+def _expanded(name: str, values: PerJoint, m: int) -> Floats:
     numbers = np.atleast_1d(np.asarray(values, dtype=np.float64))
     if numbers.shape not in ((1,), (m,)):
         raise ConfigurationError(

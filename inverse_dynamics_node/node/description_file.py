@@ -6,7 +6,6 @@ from concurrent.futures import Future
 import os
 from pathlib import Path
 import re
-from typing import NamedTuple
 from urllib.parse import unquote, urlsplit
 
 from lxml import etree
@@ -21,12 +20,6 @@ from .parameters import Configuration
 from .worker import Worker
 
 _XACRO = re.compile(r'(?P<file>.+\.xacro)(?P<arguments>(?:\s+\w+:=\S*)*)\s*', re.S)
-
-
-class _Given(NamedTuple):
-    file: str
-    arguments: dict[str, str] | None
-    """For xacro; None if the file is a URDF."""
 
 
 def load_robot(configuration: Configuration, description: str) -> tuple[RobotModel, str]:
@@ -120,12 +113,13 @@ def load_file(given: str, on_missing_inertial: str) -> tuple[RobotModel, str]:
         raise ConfigurationError(f'robot_description_file: no such file: {path}{where}') from None
 
 
-def _split(given: str) -> _Given:
+def _split(given: str) -> tuple[str, dict[str, str] | None]:
+    """Return the file, and the arguments for xacro; None if the file is a URDF."""
     match = _XACRO.fullmatch(given)
     if match is None:
-        return _Given(given, None)
+        return given, None
     pairs = (argument.partition(':=') for argument in match['arguments'].split())
-    return _Given(match['file'], {name: value for name, _, value in pairs})
+    return match['file'], {name: value for name, _, value in pairs}
 
 
 def _load_xacro(

@@ -158,7 +158,14 @@ def _run(args: list[str], stop: _Stop) -> int:
     executor.add_node(node)
     watchdog = Watchdog()
     try:
-        node.apply_scheduling(watchdog.native_id)
+        logger, values = node.get_logger(), node.configuration
+        is_well, text = scheduling.apply(
+            values.thread_priority, values.cpu_affinity, values.lock_memory, watchdog.native_id
+        )
+        if is_well:
+            logger.info(text)
+        else:
+            logger.warning(text)
         if not stop.count and not node.autostart():
             return 1
         while not stop.count and not node.is_finalized:
@@ -167,7 +174,7 @@ def _run(args: list[str], stop: _Stop) -> int:
                 node.catch_up()
             change = scheduling.limit_time()
             if change:
-                node.get_logger().warning(change)
+                logger.warning(change)
     finally:
         node.shut_down()
         watchdog.close()

@@ -133,25 +133,6 @@ class InverseDynamicsNode(LifecycleNode):
         """The current values of all parameters."""
         return self._runner.configuration
 
-    def apply_scheduling(self, watchdog: int) -> None:
-        """
-        Set priority and CPUs of the threads, and lock the memory, as the parameters request.
-
-        Parameters
-        ----------
-        watchdog : int
-            Native id of the thread of the watchdog.
-
-        """
-        values = self.configuration
-        is_well, text = self._scheduling.apply(
-            values.thread_priority, values.cpu_affinity, values.lock_memory, watchdog
-        )
-        if is_well:
-            self.get_logger().info(text)
-        else:
-            self.get_logger().warning(text)
-
     # Life cycle
 
     def autostart(self) -> bool:

@@ -86,27 +86,22 @@ def _names(value: Any) -> tuple[str, ...]:
     return tuple(_text(name) for name in value or () if name)
 
 
-TEXT = Kind('a text', _text)
-FLAG = Kind('true or false', _flag)
 NUMBER = Kind('a finite number', _number, is_numeric=True)
 INTEGER = Kind('an integer', _integer, is_numeric=True)
-CPUS = Kind('-1, or an integer or a list of integers from 0', _cpus)
-VECTOR = Kind(
-    'three finite numbers, all with a decimal point or all without', _vector, is_numeric=True
-)
-NUMBERS = Kind(
+_NUMBERS = Kind(
     'a finite number, or a list of one for each commanded joint', _numbers, is_numeric=True
 )
-NAMES = Kind('a list of names', _names)
 _KINDS = {
-    str: TEXT,
-    bool: FLAG,
+    str: Kind('a text', _text),
+    bool: Kind('true or false', _flag),
     float: NUMBER,
     int: INTEGER,
-    tuple[int, ...]: CPUS,
-    tuple[float, float, float]: VECTOR,
-    PerJoint: NUMBERS,
-    tuple[str, ...]: NAMES,
+    tuple[int, ...]: Kind('-1, or an integer or a list of integers from 0', _cpus),
+    tuple[float, float, float]: Kind(
+        'three finite numbers, all with a decimal point or all without', _vector, is_numeric=True
+    ),
+    PerJoint: _NUMBERS,
+    tuple[str, ...]: Kind('a list of names', _names),
 }
 
 
@@ -176,7 +171,7 @@ class Parameter:
     @property
     def is_per_joint(self) -> bool:
         """Whether the value is one number for all commanded joints, or a list."""
-        return self.kind is NUMBERS
+        return self.kind is _NUMBERS
 
     @property
     def applies(self) -> str:

@@ -69,17 +69,9 @@ def expanded_tildes(arguments: Sequence[str]) -> list[str]:
 
 def with_parameter_files(arguments: Sequence[str]) -> list[str]:
     """
-    Look for the parameter files, also in home directories: no shell expands a ~ after ``:=``.
+    Return a command line with the home directory in place of ``~`` in names of parameter files.
 
-    Parameters
-    ----------
-    arguments : sequence of str
-        The command line.
-
-    Returns
-    -------
-    arguments : list of str
-        The same, with the home directory in place of ``~``.
+    No shell expands it after ``:=``.
 
     Raises
     ------
@@ -100,7 +92,7 @@ def with_parameter_files(arguments: Sequence[str]) -> list[str]:
 
 def ineffective_files(arguments: Sequence[str], name: str) -> list[str]:
     """
-    Find the parameter files that are for other nodes: their limits would not apply.
+    Describe the parameter files that are for other nodes: their limits would not apply.
 
     Parameters
     ----------
@@ -108,11 +100,6 @@ def ineffective_files(arguments: Sequence[str], name: str) -> list[str]:
         The command line, accepted by rcl.
     name : str
         Fully qualified name of the node.
-
-    Returns
-    -------
-    problems : list of str
-        One sentence for each file without effect.
 
     """
     import yaml  # which rclpy needs too
