@@ -118,7 +118,7 @@ $(VENV)/pip.done:
 EXTRAS_demo := ros,demo
 EXTRAS_test := ros,demo,cli,test
 EXTRAS_bench := bench
-EXTRAS_mutation := mutation
+EXTRAS_mutation := ros,mutation
 # These have no wheels for some machines; the tables show which are missing.
 PEERS := drake roboticstoolbox-python
 

@@ -68,6 +68,10 @@ SUBSCRIBED = {
 PUBLISHED = {
     '~/commands': ('std_msgs/Float64MultiArray', 'efforts in the order of joints'),
     '~/joint_efforts': ('sensor_msgs/JointState', 'the same with names'),
+    '~/joint_commands': (
+        'sensor_msgs/JointState',
+        'the same with the reference motion',
+    ),
     '~/terms/inertial': ('sensor_msgs/JointState', 'the parts of the efforts'),
     '~/terms/velocity': ('sensor_msgs/JointState', ''),
     '~/terms/gravity': ('sensor_msgs/JointState', ''),

@@ -97,7 +97,7 @@ class InverseDynamicsNode(LifecycleNode):
         clock = self.get_clock() if self._uses_sim_time else steady
         log = NodeLog(self.get_logger())
         self._outputs = Outputs(self)
-        self._graph = Graph(self, self._outputs.commands)
+        self._graph = Graph(self, *self._outputs.forms)
         self._runner = LoopRunner(
             self,
             self._outputs,

@@ -42,14 +42,19 @@ class Outputs:
         self._clock = node.get_clock()
         self.commands = publisher(Float64MultiArray, '~/commands')
         self._joint_efforts = publisher(JointState, '~/joint_efforts')
+        self._joint_commands = publisher(JointState, '~/joint_commands')
         own_name = f'{node.get_fully_qualified_name()}/joint_efforts'
         self.may_command_by_name: bool = self._joint_efforts.topic_name != own_name
         """Whether ~/joint_efforts is remapped, as for a robot that takes commands by name."""
+        by_name = [self._joint_efforts] * self.may_command_by_name
+        self.forms: list[Any] = [self.commands, self._joint_commands, *by_name]
+        """The publishers of the commands, in each of their forms."""
         self._terms = [publisher(JointState, f'~/terms/{term}') for term in TERM_TOPICS]
         self._external_efforts = publisher(JointState, '~/external_efforts')
         self._description = node.create_publisher(String, '~/robot_description', qos.LATCHED)
         self._base_wrench = publisher(WrenchStamped, '~/base_wrench')
         self._efforts, self._wrench = JointState(), WrenchStamped()
+        self._complete = JointState()
         self._subscribed: set[Any] = set()
 
     def find_subscribers(self) -> None:
@@ -58,12 +63,18 @@ class Outputs:
             publisher
             for publisher in (
                 self._joint_efforts,
+                self._joint_commands,
                 *self._terms,
                 self._external_efforts,
                 self._base_wrench,
             )
             if publisher.get_subscription_count()
         }
+
+    @property
+    def receivers(self) -> int:
+        """Number of subscribers of the commands, in each of their forms."""
+        return sum(form.get_subscription_count() for form in self.forms)
 
     @property
     def uses_measured_efforts(self) -> bool:
@@ -90,6 +101,8 @@ class Outputs:
         """
         if sent is not None:
             self.commands.publish(serialize_numbers(sent))
+            if self._joint_commands in self._subscribed:
+                self._publish_joint_commands(loop, sent)
         by_name = sent if self.may_command_by_name else efforts
         if by_name is not None and self._joint_efforts in self._subscribed:
             self._publish_efforts(self._joint_efforts, loop.controller.joints, by_name)
@@ -106,7 +119,7 @@ class Outputs:
         zeros = np.zeros(len(loop.controller.joints))
         for _ in range(3):  # best-effort subscribers do not acknowledge
             self.publish_command(loop, zeros, zeros)
-        for publisher in (self.commands, self._joint_efforts):
+        for publisher in (self.commands, self._joint_efforts, self._joint_commands):
             publisher.wait_for_all_acked(Duration(seconds=1))
 
     def publish_explanation(self, loop: ControlLoop) -> None:
@@ -121,6 +134,15 @@ class Outputs:
             self._base_wrench.publish(self._wrench)
         if self._external_efforts in self._subscribed:
             self._publish_external_efforts(loop)
+
+    def _publish_joint_commands(self, loop: ControlLoop, efforts: Floats) -> None:
+        message = self._complete
+        _write_joint_efforts(message, loop.controller.joints, efforts)
+        positions, velocities = loop.drive_reference()
+        message.position = array('d', positions.tobytes())
+        message.velocity = array('d', velocities.tobytes())
+        message.header.stamp = self._clock.now().to_msg()
+        self._joint_commands.publish(message)
 
     def _publish_external_efforts(self, loop: ControlLoop) -> None:
         efforts = loop.external_efforts()

@@ -100,7 +100,7 @@ class StatusPublisher:
         simulated = self._graph.simulated_time() if self._uses_sim_time else None
         is_paused = simulated is not None and simulated.unchanged_for > _PERIOD
         return GraphInfo(
-            receivers=self._runner.outputs.commands.get_subscription_count(),
+            receivers=self._runner.outputs.receivers,
             publishers=publisher_count,
             is_active=self._runner.is_active,
             is_dry_run=loop is not None and loop.dry_run.is_active,
