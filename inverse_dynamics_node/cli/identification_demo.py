@@ -20,9 +20,9 @@ from ..dynamics.inverse_dynamics import InverseDynamics
 from ..report.tables import Table
 from ..robot.model import Floats
 from ..robot.urdf import load_urdf
+from ..simulation.demo.commander import History
 from ..simulation.demo.demo import NewFile
 from ..simulation.demo.demo_setup import DemoSetup
-from ..simulation.demo.history import History
 from ..simulation.demo.identification import check_identification, follow, GivenMotion, rms_errors
 from ..simulation.demo.results import excuse
 from ..simulation.demo.unknown_robot import unknown_robot, UnknownRobot

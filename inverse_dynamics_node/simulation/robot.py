@@ -57,11 +57,10 @@ from ..robot.kinematics import rotation_of_rpy
 from ..robot.model import Floats
 from ..robot.urdf import load_urdf
 from ..ros.middleware import start_ros
-from .drive import PositionDrive
-from .hand_over import COMPLAINT_PERIOD, GAP, HandOver
+from .drive import COMPLAINT_PERIOD, GAP, HandOver, PositionDrive
 from .mujoco.hardware import MujocoRobot
 from .mujoco.model import SimulationError
-from .tilt import Tilt
+from .mujoco.world import Tilt
 from .trajectory import start_pose
 
 MOST_LAG = 0.5  # [s]: simulated time lags behind the steady clock by this much at most

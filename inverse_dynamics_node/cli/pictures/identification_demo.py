@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...robot.model import Floats
-from ...simulation.demo.history import History
+from ...simulation.demo.commander import History
 from .style import (
     BLUE,
     COLOURS,

@@ -27,10 +27,9 @@ from ..mujoco.model import SimulationError
 from ..trajectory import start_pose
 from .demo_setup import DemoSetup
 from .processes import running
-from .results import excuse
+from .results import check_tracking, excuse
 from .run import DemoRun, topics_of
 from .scenarios import Scenario, SCENARIOS, Timeline
-from .tracking import check_tracking
 from .view import View
 
 MOST_LISTED = 7  # joints

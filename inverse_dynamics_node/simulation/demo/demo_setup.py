@@ -19,7 +19,10 @@ from ...robot.model import Floats, RobotModel
 from ..mujoco.hardware import require_inertia
 from ..trajectory import EFFORT_USED, effort_used
 
-KP, KD = 400.0, 40.0  # gains of the node's loop [1/s^2], [1/s], equal to the commander's
+# Gains [1/s^2], [1/s] of the loop, which the commander or the node closes. Critically damped at
+# 20 rad/s: stiff enough that two samples of latency cost less than a millirad, soft enough that
+# holding one command for 20 ms does no harm.
+KP, KD = 400.0, 40.0
 DEFLECTION = 0.2  # [rad or m]: largest deflection of a joint by a load or a push
 HEAVIEST = 5.0  # [kg]
 LEAST_LOAD = 0.01  # fraction of the robot's mass

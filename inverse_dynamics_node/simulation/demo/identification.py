@@ -14,8 +14,8 @@ import rclpy
 from ...robot.model import Floats
 from ...ros.middleware import start_ros
 from ..trajectory import Oscillation
+from .commander import History
 from .demo_setup import DemoSetup
-from .history import History
 from .processes import running
 from .results import LEAST_FACTOR, result_of, ScenarioResult
 from .run import DemoRun, topics_of

@@ -12,7 +12,7 @@ import matplotlib
 import numpy as np
 
 from ...robot.model import Floats, RobotModel
-from .history import History
+from .commander import History
 from .scenarios import Timeline
 
 matplotlib.use('Agg')
