@@ -14,6 +14,7 @@ pytest.importorskip('rclpy')
 pytest.importorskip('mujoco')
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
+from inverse_dynamics_node.cli.pictures.demo import draw
 from inverse_dynamics_node.simulation.demo import results
 from inverse_dynamics_node.simulation.demo.commander import History, resolved_acceleration
 from inverse_dynamics_node.simulation.demo.demo import describe_rotors
@@ -24,7 +25,6 @@ from inverse_dynamics_node.simulation.demo.demo_setup import (
     KD,
     KP,
 )
-from inverse_dynamics_node.simulation.demo.picture import draw
 from inverse_dynamics_node.simulation.demo.results import (
     check_tracking,
     find_failures,

@@ -5,12 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ...analysis.diagnosis import ComparisonResult
 from ...report.compare_report import percent
 from ...report.diagnosis_text import amount
-from ...robot.model import Floats
 from .style import (
     BLUE,
     fitting,
@@ -20,6 +17,7 @@ from .style import (
     save,
     set_title,
     style,
+    thinned,
     WIDTH,
 )
 
@@ -116,23 +114,14 @@ def _draw_efforts(ax: Any, result: ComparisonResult, c: int) -> list[Any]:
         (result.modelled, {'color': BLUE, 'linewidth': 1.1}),
         (result.corrected, {'color': ORANGE, 'linewidth': 1.1}),
     )
-    return [ax.plot(*_thinned(times, values[:, c]), **look)[0] for values, look in signals]
+    return [ax.plot(*thinned(times, values[:, c], _POINTS), **look)[0] for values, look in signals]
 
 
 def _draw_difference(ax: Any, result: ComparisonResult, c: int) -> None:
     measured, times = result.measured[:, c], result.motion.times
     for modelled, colour in ((result.modelled, BLUE), (result.corrected, ORANGE)):
-        difference = _thinned(times, measured - modelled[:, c])
+        difference = thinned(times, measured - modelled[:, c], _POINTS)
         ax.plot(*difference, color=colour, linewidth=0.9)
-
-
-def _thinned(times: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Reduce the number of points to the visible ones, with a break at every gap."""
-    step = max(1, len(times) // _POINTS)
-    t, y = times[::step], values[::step].copy()
-    gaps = np.flatnonzero(np.diff(t) > 1.5 * step * np.median(np.diff(times)))
-    y[gaps] = np.nan
-    return t, y
 
 
 def _fewer_ticks(*axes: Any) -> None:

@@ -15,9 +15,8 @@ from ...robot.kinematics import body_frames
 from ...robot.model import Floats, RobotModel
 from .style import (
     BLUE,
-    COLOURS,
     DARK,
-    fitting,
+    draw_lines,
     GREEN,
     GREY,
     legend_below,
@@ -30,7 +29,6 @@ from .style import (
 )
 
 _VIEWS = (('side view', 0, 2), ('from above', 0, 1))
-_DASHES = ('-', '--', ':', '-.')
 _MOST_POINTS = 600
 """Largest number of states to draw; more are not visible."""
 
@@ -128,15 +126,5 @@ def _efforts_panel(efforts: Floats, limits: Floats) -> tuple[str, Floats]:
 def _draw_lines(axes: Any, times: Floats, values: Floats, names: tuple[str, ...]) -> None:
     for end in (-100.0, 100.0):
         axes.axhline(end, color=RED, linewidth=0.9, linestyle='--')
-    for k, name in enumerate(fitting(names, 22)):
-        dashes = _DASHES[k // len(COLOURS) % len(_DASHES)]
-        axes.plot(
-            times,
-            values[:, k],
-            color=COLOURS[k % len(COLOURS)],
-            linestyle=dashes,
-            linewidth=1.3,
-            label=name,
-        )
+    draw_lines(axes, times, values, names, linewidth=1.3)
     axes.set_ylim(-112.0, 112.0)
-    axes.margins(x=0.0)

@@ -8,8 +8,19 @@ from typing import Any
 import numpy as np
 
 from ...analysis.identification import IdentificationResult
-from ...robot.model import Floats
-from .style import BLUE, fitting, GREEN, GREY, legend_below, ORANGE, save, set_title, style, WIDTH
+from .style import (
+    BLUE,
+    fitting,
+    GREEN,
+    GREY,
+    legend_below,
+    ORANGE,
+    save,
+    set_title,
+    style,
+    thinned,
+    WIDTH,
+)
 
 _MOST_ROWS = 8
 """Number of joints whose efforts are drawn; of more, those with the largest residuals."""
@@ -56,7 +67,7 @@ def _shown(result: IdentificationResult) -> list[int]:
 def _draw_efforts(ax: Any, result: IdentificationResult, joint: int) -> list[Any]:
     unseen, found = result.unseen, result.joints[joint]
     lines = [
-        ax.plot(*_thinned(unseen.times, getattr(unseen, name)[:, joint]), **look)[0]
+        ax.plot(*thinned(unseen.times, getattr(unseen, name)[:, joint], _POINTS), **look)[0]
         for name, _, look in _LOOKS
     ]
     ax.set_title(fitting([found.name], 40)[0], fontsize=9.5, pad=3)
@@ -111,11 +122,3 @@ def _draw_masses(ax: Any, result: IdentificationResult) -> None:
     rejected = '' if result.accepted else ', not accepted'
     ax.set_title(f'Mass [kg], % recorded{rejected}', fontsize=9.5, pad=3)
     ax.tick_params(labelsize=8.5)
-
-
-def _thinned(times: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Reduce the number of points to the visible ones, with a break at every gap."""
-    step = max(1, len(times) // _POINTS)
-    t, y = times[::step], values[::step].copy()
-    y[np.flatnonzero(np.diff(t) > 1.5 * step * np.median(np.diff(times)))] = np.nan
-    return t, y

@@ -7,8 +7,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ...report.short_names import all_shortened
 from ...report.tables import wrapped
+from ...robot.model import Floats
 from ..output_files import new_file
 
 BLUE, ORANGE, GREEN, PINK, SKY, RED, YELLOW = (
@@ -22,6 +25,7 @@ BLUE, ORANGE, GREEN, PINK, SKY, RED, YELLOW = (
 )
 """The palette of Okabe and Ito, which is also suitable for the colour-blind."""
 COLOURS = (BLUE, ORANGE, GREEN, PINK, SKY, RED)
+_DASHES = ('-', '--', ':', '-.')
 GREY, PALE, DARK = '#8a8a8a', '#dddddd', '#333333'
 WIDTH = 9.0
 """Width of a picture [inch]; at 100 dots per inch the text is legible in a README."""
@@ -133,6 +137,30 @@ def try_to_draw(draw: Callable[[Path], None], requested: Path | None, default: s
         print(f'no picture: matplotlib cannot be imported ({error}). {_HOW_TO_GET_PICTURES}')
         return None
     return path
+
+
+def draw_lines(
+    axes: Any, times: Floats, values: Floats, names: Sequence[str], linewidth: float
+) -> None:
+    """Draw one line over time for each column of values, shape (k, n), with labels."""
+    for k, name in enumerate(fitting(names, 22)):
+        axes.plot(
+            times,
+            values[:, k],
+            color=COLOURS[k % len(COLOURS)],
+            linestyle=_DASHES[k // len(COLOURS) % len(_DASHES)],
+            linewidth=linewidth,
+            label=name,
+        )
+    axes.margins(x=0.0)
+
+
+def thinned(times: Floats, values: Floats, most: int) -> tuple[Floats, Floats]:
+    """Reduce the number of points to the visible ones, with a break at every gap."""
+    step = max(1, len(times) // most)
+    t, y = times[::step], values[::step].copy()
+    y[np.flatnonzero(np.diff(t) > 1.5 * step * np.median(np.diff(times)))] = np.nan
+    return t, y
 
 
 def legend_below(
