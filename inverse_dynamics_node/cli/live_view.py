@@ -17,7 +17,7 @@ from ..control.status import (
 )
 from ..errors import escaped
 from ..report.agreement_text import sentence
-from .terminal import colour_console
+from .console import colour_console
 
 if TYPE_CHECKING:
     from ..ros.observer import Observer, Sample

@@ -10,8 +10,8 @@ import os
 import sys
 
 from ..errors import escaped, InverseDynamicsError, RecordingError, TrajectoryError
+from .console import escaped_output
 from .output_files import OutputError
-from .terminal import escaped_output
 
 COMMANDS = ('check', 'effort', 'compare', 'excite', 'identify', 'watch', 'demo', 'simulate')
 """Modules of this package; add_parser(subparsers) sets `run`, which returns the exit code."""

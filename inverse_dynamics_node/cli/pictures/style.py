@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -103,23 +104,25 @@ def runs_of(numbers: Sequence[int]) -> str:
     )
 
 
-def try_to_draw(draw: Callable[[Path], None], requested: Path | None, default: str) -> Path | None:
+def try_to_draw(
+    draw: Callable[[Path], None], options: argparse.Namespace, default: str
+) -> Path | None:
     """
-    Draw a picture; where matplotlib is missing, print how to install it instead.
+    Draw a picture, if one is wanted; where matplotlib is missing, print how to install it instead.
 
     Parameters
     ----------
     draw : callable
         Draws the picture and writes it to the path that is passed to it.
-    requested : pathlib.Path, optional
-        Path from the command line.
+    options : argparse.Namespace
+        The options --picture and --no-picture of the command line.
     default : str
         Path to use if none was requested.
 
     Returns
     -------
     path : pathlib.Path or None
-        Path of the picture; None if matplotlib is missing.
+        Path of the picture; None if it is not wanted, or matplotlib is missing.
 
     Raises
     ------
@@ -127,16 +130,18 @@ def try_to_draw(draw: Callable[[Path], None], requested: Path | None, default: s
         If matplotlib is missing and the picture was requested.
 
     """
-    path = requested or Path(default)
+    if options.no_picture:
+        return None
+    path = options.picture or Path(default)
     try:
         with new_file(path) as temporary:
             draw(temporary)
     except ImportError as error:  # also raised by a build for another version of numpy
-        if requested:
+        if options.picture:
             raise ModuleNotFoundError(str(error), name='matplotlib') from error
         print(f'no picture: matplotlib cannot be imported ({error}). {_HOW_TO_GET_PICTURES}')
         return None
-    return path
+    return Path(path)
 
 
 def draw_lines(
