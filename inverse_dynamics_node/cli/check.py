@@ -10,13 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..analysis.workspace import (
-    explore,
-    payload_capacity,
-    PayloadCapacity,
-    SAMPLES,
-    Workspace,
-)
+from ..analysis.workspace import explore, payload_capacity, PayloadCapacity, SAMPLES, Workspace
 from ..report.quantities import decimals, effort_unit, fraction, number
 from ..report.robot_tables import model_tables
 from ..report.tables import Table, WIDTH

@@ -25,12 +25,7 @@ from ..report.compare_report import comparison_table, friction_table, verdict
 from ..report.diagnosis_text import diagnosis_warning
 from ..robot.limit_checks import position_warnings
 from . import arguments
-from .console import (
-    progress,
-    say,
-    show,
-    show_warnings,
-)
+from .console import progress, say, show, show_warnings
 from .output_files import check_outputs, new_file, output_path
 from .pictures.compare import draw
 from .pictures.style import try_to_draw

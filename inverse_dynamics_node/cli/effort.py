@@ -12,20 +12,10 @@ from typing import Any
 import numpy as np
 
 from ..analysis.requirements import effort_requirements, EffortRequirements
-from ..analysis.trajectory_files import (
-    FORMATS,
-    LoadedTrajectory,
-    read_trajectory,
-    write_table,
-)
+from ..analysis.trajectory_files import FORMATS, LoadedTrajectory, read_trajectory, write_table
 from ..analysis.trajectory_yaml import write_trajectory
 from ..analysis.workspace import joint_ranges
-from ..dynamics.trajectory import (
-    complete,
-    refine,
-    smooth,
-    Trajectory,
-)
+from ..dynamics.trajectory import complete, refine, smooth, Trajectory
 from ..errors import ConfigurationError, unknown_name
 from ..report.quantities import decimals, effort_unit, fraction, number
 from ..report.tables import Table

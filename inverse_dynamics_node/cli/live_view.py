@@ -9,12 +9,7 @@ import time
 from typing import Any, TYPE_CHECKING
 
 from ..analysis.diagnosis.agreement import Agreement, Obstacle, Outcome
-from ..control.status import (
-    JointStatesStatus,
-    NodeStatus,
-    OtherNodesStatus,
-    ReferenceStatus,
-)
+from ..control.status import JointStatesStatus, NodeStatus, OtherNodesStatus, ReferenceStatus
 from ..errors import escaped
 from ..report.agreement_text import sentence
 from .console import colour_console

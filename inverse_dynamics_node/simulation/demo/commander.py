@@ -157,8 +157,6 @@ class Commander(Node):
         The n joints to move, in the node's order.
     sends : str
         Message to send for every joint state: 'accelerations', 'reference', or '' for none.
-    kp, kd : float
-        Gains of resolved acceleration [1/s^2] and [1/s].
 
     Attributes
     ----------
@@ -168,8 +166,6 @@ class Commander(Node):
         Time from the start of the trajectory to the stamp of the latest joint state [s].
     desired : ndarray, shape (n,)
         Desired positions at that time [rad or m].
-    command : ndarray, shape (m,)
-        Latest command of the node [N m or N]; empty before the first.
     commands : int
         Number of commands received from the node.
     external_efforts : int
@@ -181,24 +177,16 @@ class Commander(Node):
 
     """
 
-    def __init__(
-        self,
-        joint_names: tuple[str, ...],
-        sends: str = 'accelerations',
-        kp: float = KP,
-        kd: float = KD,
-    ) -> None:
+    def __init__(self, joint_names: tuple[str, ...], sends: str = 'accelerations') -> None:
         super().__init__('commander')
         self.state: tuple[Floats, Floats, Floats] | None = None
         self.time = 0.0
         self.desired: Floats = np.zeros(len(joint_names))
-        self.command: Floats = np.zeros(0)
         self.commands = 0
         self.external_efforts = 0
         self.brakes_on = True
         self.history = History()
         self._joint_names = joint_names
-        self._gains = kp, kd
         self._names: list[str] = []
         self._order: list[int] = []
         self._trajectory: Reference | None = None
@@ -283,7 +271,7 @@ class Commander(Node):
     def _send_accelerations(self, sample: tuple[Floats, Floats, Floats]) -> None:
         assert self.state is not None
         q, qd, _ = self.state
-        self._message.data = resolved_acceleration(sample, q, qd, *self._gains).tolist()
+        self._message.data = resolved_acceleration(sample, q, qd, KP, KD).tolist()
         self._accelerations.publish(self._message)
 
     def _send_reference(self, sample: tuple[Floats, Floats, Floats]) -> None:
@@ -325,9 +313,8 @@ class Commander(Node):
 
     def _on_command(self, message: Float64MultiArray) -> None:
         self.commands += 1
-        self.command = np.array(message.data)
         if self._records and self._began is not None:
-            self.history.commands.add(self.now, self.command)
+            self.history.commands.add(self.now, np.array(message.data))
             self.history.arrivals.append(time.monotonic())
 
     def _on_external(self, message: JointState) -> None:

@@ -32,6 +32,9 @@ LEAST_DECAY = 0.02  # [s]: viscous friction must not stop a joint faster than th
 BOX = 0.1  # [m], side of a cubic load
 GRIP = (0.0, 0.0, 0.05)  # [m], centre of the load in the frame of the link
 
+Put = Callable[[InverseDynamics, str, float], None]
+"""Puts a load or a push of some size on a link."""
+
 
 @dataclass(frozen=True, eq=False)
 class DemoSetup:
@@ -115,20 +118,14 @@ class DemoSetup:
         the link closest to the hand that withstands 1 % of the robot's mass.
 
         """
-        links = [self.link] if self.link else links_towards_base(self.robot)
         unit = np.eye(3) * BOX**2 / 6.0
-        chosen, heaviest = links[0], 0.0
-        for link in links:
 
-            def put(dynamics: InverseDynamics, mass: float, link: str = link) -> None:
-                dynamics.set_payload(link, mass, GRIP, mass * unit)
+        def put(dynamics: InverseDynamics, link: str, mass: float) -> None:
+            dynamics.set_payload(link, mass, GRIP, mass * unit)
 
-            mass = self._most(put, HEAVIEST)
-            if mass > heaviest:
-                chosen, heaviest = link, mass
-            if heaviest >= LEAST_LOAD * float(self.robot.mass.sum()):
-                break
-        return chosen, heaviest, heaviest * unit
+        enough = LEAST_LOAD * float(self.robot.mass.sum())
+        link, mass = self._place(put, HEAVIEST, enough)
+        return link, mass, mass * unit
 
     def capacity(self, link: str) -> float:
         """Return the mass on a link that takes a drive to its limit in the start pose [kg]."""
@@ -148,20 +145,13 @@ class DemoSetup:
         the hand that withstands a firm one.
 
         """
-        links = [self.link] if self.link else links_towards_base(self.robot)
         direction = np.ones(3) / np.sqrt(3.0)
-        chosen, hardest = links[0], 0.0
-        for link in links:
 
-            def put(dynamics: InverseDynamics, force: float, link: str = link) -> None:
-                dynamics.set_external_wrench(link, force * direction)
+        def put(dynamics: InverseDynamics, link: str, force: float) -> None:
+            dynamics.set_external_wrench(link, force * direction)
 
-            force = self._most(put, HARDEST)
-            if force > hardest:
-                chosen, hardest = link, force
-            if hardest >= FIRM:
-                break
-        return chosen, hardest * direction
+        link, force = self._place(put, HARDEST, FIRM)
+        return link, force * direction
 
     def external_efforts(self, link: str, force: Floats, q: Floats) -> Floats:
         """Compute the joint efforts that balance a push on a link: -J^T F."""
@@ -170,12 +160,24 @@ class DemoSetup:
         difference: Floats = pushed.gravity_efforts(q) - alone.gravity_efforts(q)
         return difference
 
-    def _most(self, put: Callable[[InverseDynamics, float], None], limit: float) -> float:
+    def _place(self, put: Put, limit: float, enough: float) -> tuple[str, float]:
+        """Return the link closest to the hand that withstands enough, else the most, and that."""
+        links = [self.link] if self.link else links_towards_base(self.robot)
+        chosen, most = links[0], 0.0
+        for link in links:
+            size = self._most(put, link, limit)
+            if size > most:
+                chosen, most = link, size
+            if most >= enough:
+                break
+        return chosen, most
+
+    def _most(self, put: Put, link: str, limit: float) -> float:
         """Find the largest load or push, up to a limit, that joints and drives withstand."""
         robot, start = self.robot, self.start
         dynamics = InverseDynamics(robot)
         alone = dynamics.gravity_efforts(start)
-        put(dynamics, 1.0)
+        put(dynamics, link, 1.0)
         change = dynamics.gravity_efforts(start) - alone
         deflection = np.linalg.solve(self._mass_matrix(self.dynamics()), change) / KP
         most = min(limit, DEFLECTION / max(float(np.max(np.abs(deflection))), 1e-9))

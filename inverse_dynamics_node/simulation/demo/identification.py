@@ -17,12 +17,12 @@ import numpy as np
 from ...robot.model import Floats, RobotModel
 from ...robot.rigid_body import RigidBody
 from ...robot.urdf.writer import Friction, rewrite
-from ..trajectory import Oscillation, Reference
+from ..trajectory import Reference
 from .commander import History
 from .demo import commands_of, demo_run
 from .demo_setup import DemoSetup
 from .results import LEAST_FACTOR, result_of, ScenarioResult
-from .scenarios import COMPUTED_TORQUE, hold, PATIENT, Scenario, Timeline
+from .scenarios import COMPUTED_TORQUE, hold, PATIENT, Scenario, standing, Timeline
 from .view import View
 
 SUMMARY = 'identify masses, friction and rotors from an exciting motion; follow it again'
@@ -135,11 +135,9 @@ def follow(
     timeline = Timeline(motion, lambda history: ScenarioResult(title), begins=title)
     start = ['--start', *(f'{x:.9f}' for x in setup.start)]  # argparse knows no -1e-5
     commands = commands_of(_SCENARIO, options.rate, [*robot_arguments, *start], node_arguments, {})
-    # The wrong model lets the robot sink as soon as the brakes open, unless it is held.
-    zeros = np.zeros_like(setup.start)
-    standing = Oscillation(setup.start, zeros, zeros + 1.0, setup.duration)
     with demo_run(_SCENARIO, timeline, view, commands, stopped, bool(record)) as run:
-        run.perform(setup.duration, standing)
+        # The wrong model lets the robot sink as soon as the brakes open, unless it is held.
+        run.perform(setup.duration, standing(setup))
         if record is not None:
             run.write(record, options.storage)
     return run.commander.history

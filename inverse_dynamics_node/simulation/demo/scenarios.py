@@ -114,7 +114,8 @@ class Scenario:
     least_duration: float = 10.0
 
 
-def _standing(setup: DemoSetup) -> Oscillation:
+def standing(setup: DemoSetup) -> Oscillation:
+    """Return the motion of an arm that stands in its start pose."""
     zeros = np.zeros(len(setup.start))
     return Oscillation(setup.start, zeros, zeros + 1.0, setup.duration)
 
@@ -122,7 +123,7 @@ def _standing(setup: DemoSetup) -> Oscillation:
 def hold(setup: DemoSetup) -> Timeline:
     """Hold the start pose without a reference."""
     return Timeline(
-        _standing(setup),
+        standing(setup),
         lambda history: results.check_hold(setup, history),
         begins='no reference: gravity compensation',
     )
@@ -187,7 +188,7 @@ def push(setup: DemoSetup) -> Timeline:
         return efforts
 
     return Timeline(
-        _standing(setup),
+        standing(setup),
         lambda history: results.check_push(setup, history, link, force, began, ended),
         (
             Event(
@@ -209,7 +210,7 @@ def tilted(setup: DemoSetup) -> Timeline:
     without = held_without_imu(setup, TILT, began)
     attitude = Vector3Stamped(vector=Vector3(x=TILT[0], y=TILT[1], z=TILT[2]))
     return Timeline(
-        _standing(setup),
+        standing(setup),
         lambda history: results.check_tilt(setup, history, settled, without),
         (
             Event(began, 'the base tilts by 30 degrees', {f'{ROBOT}/tilt': attitude}),
@@ -264,7 +265,7 @@ def sensor_lost(setup: DemoSetup) -> Timeline:
     back = lost + LOST
     sensors = f'{ROBOT}/sensors'
     return Timeline(
-        _standing(setup),
+        standing(setup),
         lambda history: results.check_sensor_lost(setup, history, lost, back),
         (
             Event(lost, 'joint states stop, brakes go on', {sensors: Bool(data=False)}),

@@ -21,7 +21,7 @@ from ...robot.kinematics import rotation_about
 from ...robot.model import Floats
 from ...robot.rigid_body import combine, RigidBody
 from ..trajectory import ease
-from .model import SimulationError
+from .model import principal_axes, SimulationError
 
 POINT = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))  # inertia of a point mass
 TILT_DURATION = 3.0  # [s] of a change of attitude
@@ -192,12 +192,9 @@ def _inertia(model: Any, body: int) -> Floats:
 
 
 def _write_inertial(model: Any, body: int, mass: float, com: Floats, inertia: Floats) -> None:
-    moments, axes = np.linalg.eigh(inertia)
-    axes *= np.linalg.det(axes)  # a rotation, not a reflection
     model.body_mass[body] = mass
     model.body_ipos[body] = com
-    model.body_inertia[body] = moments
-    mujoco.mju_mat2Quat(model.body_iquat[body], axes.ravel())
+    model.body_inertia[body], model.body_iquat[body] = principal_axes(inertia)
     # Clear the optimization flag that MuJoCo's compiler derived from the link without its load.
     model.body_sameframe[body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
     mujoco.mj_setConst(model, mujoco.MjData(model))
