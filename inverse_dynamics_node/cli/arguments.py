@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
+import math
 from pathlib import Path
 import sys
 
@@ -88,16 +90,35 @@ def add_strict(parser: argparse.ArgumentParser, condition: str) -> None:
     parser.add_argument('--strict', action='store_true', help=f'exit with 3 if {condition}')
 
 
-def joint_position(text: str) -> tuple[str, float]:
-    """
-    Parse the position of a joint.
+def add_at(parser: argparse.ArgumentParser, which: str) -> None:
+    """Add the option --at; which joints it is for is text for the help."""
+    parser.add_argument(
+        '--at',
+        action='append',
+        default=[],
+        type=_joint_position,
+        metavar='JOINT=POSITION',
+        help=f'position of a joint that {which} [rad, m] (default: 0, or the nearest end of its '
+        'range); may be repeated',
+    )
 
-    Raises
-    ------
-    argparse.ArgumentTypeError
-        If the text is not JOINT=POSITION.
 
-    """
+def number(expected: str, is_valid: Callable[[float], bool]) -> Callable[[str], float]:
+    """Return the type of an option for numbers; what is expected is text for its errors."""
+
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not is_valid(value):
+            raise argparse.ArgumentTypeError(f"'{text}' is not {expected}")
+        return value
+
+    return parse
+
+
+def _joint_position(text: str) -> tuple[str, float]:
     name, _, position = text.rpartition('=')
     try:
         return name, float(position)

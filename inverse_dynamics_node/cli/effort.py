@@ -49,6 +49,7 @@ _EXCEEDED = 3
 _FAR_BEYOND = 10.0
 """Ratio to the limit above which the unit of an effort or a speed is probably wrong."""
 _TERMS = ('inertia', 'velocity', 'gravity', 'friction')
+_rate = arguments.number('a rate from 0 to 100000 Hz', lambda rate: 0.0 <= rate <= 1e5)
 
 
 def add_parser(subparsers: Any) -> None:
@@ -67,15 +68,7 @@ def add_parser(subparsers: Any) -> None:
     arguments.add_payload(parser)
     arguments.add_link(parser)
     arguments.add_friction(parser)
-    parser.add_argument(
-        '--at',
-        action='append',
-        default=[],
-        type=arguments.joint_position,
-        metavar='JOINT=POSITION',
-        help='position of a joint that the trajectory does not move [rad, m] (default: 0, or the '
-        'nearest end of its range); may be repeated',
-    )
+    arguments.add_at(parser, 'the trajectory does not move')
     parser.add_argument(
         '--smooth',
         type=_rate,
@@ -167,16 +160,6 @@ def run(options: argparse.Namespace) -> int:
     print('\n'.join(f'written: {path}' for path in written))
     is_exceeded = requirements.is_too_strong | requirements.is_too_fast | requirements.is_too_far
     return _EXCEEDED if options.strict and is_exceeded.any() else 0
-
-
-def _rate(text: str) -> float:
-    try:
-        rate = float(text)
-    except ValueError:
-        rate = -1.0
-    if not 0.0 <= rate <= 1e5:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a rate from 0 to 100000 Hz")
-    return rate
 
 
 def _others(robot: RobotModel, places: Sequence[tuple[str, float]]) -> Floats:

@@ -53,6 +53,7 @@ _YAML_RATE = 20.0
 """Points per second of the JointTrajectory; controllers interpolate with 5th degree [Hz]."""
 _SLOW = 0.2
 """Fraction of the speed limits at which the arm moves to the start pose."""
+_positive = arguments.number('a number above 0', lambda value: 0.0 < value <= 1e6)
 
 
 def add_parser(subparsers: Any) -> None:
@@ -89,15 +90,7 @@ def _add_limits(parser: argparse.ArgumentParser) -> None:
         metavar='JOINT=LOW:HIGH',
         help='range of a joint, to be used in full [rad, m]; may be repeated',
     )
-    parser.add_argument(
-        '--at',
-        action='append',
-        default=[],
-        type=arguments.joint_position,
-        metavar='JOINT=POSITION',
-        help='position of a joint that does not move [rad, m] (default: 0, or the nearest end of '
-        'its range); may be repeated',
-    )
+    arguments.add_at(parser, 'does not move')
     parser.add_argument(
         '--floor',
         type=float,
@@ -268,16 +261,6 @@ def _range(text: str) -> tuple[str, tuple[float, float]]:
         return name, (float(low), float(high))
     except ValueError:
         raise argparse.ArgumentTypeError(f"'{text}' is not JOINT=LOW:HIGH") from None
-
-
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 < value <= 1e6:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a number above 0")
-    return value
 
 
 def _speed(text: str) -> float:

@@ -14,22 +14,7 @@ from ...report.quantities import effort_unit, number
 from ...report.short_names import shortened
 from ...robot.kinematics import body_frames
 from ...robot.model import Floats, RobotModel
-from .style import (
-    BLUE,
-    DARK,
-    fitting,
-    GREEN,
-    GREY,
-    legend_below,
-    ORANGE,
-    PALE,
-    RED,
-    runs_of,
-    save,
-    set_title,
-    style,
-    WIDTH,
-)
+from . import style
 
 _BINS = 80
 _HALF = 0.42
@@ -60,20 +45,20 @@ def draw(
     """Draw efforts and robot side by side and write them as a PNG; source names the URDF."""
     count = len(workspace.robot.joint_names)
     height = min(40.0, max(4.6, 1.9 + 0.27 * count))
-    with style() as pyplot:
-        figure = pyplot.figure(figsize=(WIDTH, height))
+    with style.new_pyplot() as pyplot:
+        figure = pyplot.figure(figsize=(style.WIDTH, height))
         rows = 2 if count > _MOST_BESIDE_ONE_VIEW else 1
         grid = figure.add_gridspec(rows, 3, width_ratios=(1.0, 0.38, 1.25))
         _draw_efforts(figure.add_subplot(grid[:, 0]), workspace)
         _draw_ratios(figure.add_subplot(grid[:, 1]), workspace)
         worst = workspace.poses[workspace.worst[workspace.hardest]]
         views = [figure.add_subplot(grid[row, 2]) for row in range(rows)]
-        set_title(figure, *_title(workspace, payload, source))
+        style.set_title(figure, *_title(workspace, payload, source))
         for view, axes in enumerate(views):
             draw_arm(axes, dynamics, worst, workspace.hardest, payload.link, view)
         handles, labels = views[0].get_legend_handles_labels()
-        legend_below(figure, handles, labels, loc='lower right', ncols=4)
-        save(figure, path)
+        style.legend_below(figure, handles, labels, loc='lower right', ncols=4)
+        style.save(figure, path)
 
 
 def _title(workspace: Workspace, payload: PayloadCapacity, source: str) -> list[str]:
@@ -91,12 +76,14 @@ def _draw_efforts(axes: Any, workspace: Workspace) -> None:
     scale = np.where(is_zero, np.inf, peaks)
     marks = workspace.efforts[workspace.worst, range(len(peaks))] / scale
     for i, limit in enumerate(workspace.limits):
-        colour = BLUE if np.isfinite(limit) else GREY
-        axes.axhline(i, color=PALE, linewidth=0.7, zorder=0)
+        colour = style.BLUE if np.isfinite(limit) else style.GREY
+        axes.axhline(i, color=style.PALE, linewidth=0.7, zorder=0)
         if not is_zero[i]:
             _draw_row(axes, i, workspace.efforts[workspace.sampled, i] / scale[i], colour)
-        axes.plot([marks[i]], [i], 'D', color=RED if peaks[i] > limit else colour, markersize=4.5)
-    labels = [f'{name}  {i}' for i, name in enumerate(fitting(names), 1)]
+        axes.plot(
+            [marks[i]], [i], 'D', color=style.RED if peaks[i] > limit else colour, markersize=4.5
+        )
+    labels = [f'{name}  {i}' for i, name in enumerate(style.fitting(names), 1)]
     axes.set_yticks(range(len(names)), labels)
     axes.set_ylim(len(names) - 0.4, -0.6)
     axes.set_xlim(-_REACH, _REACH)
@@ -121,9 +108,9 @@ def _draw_ratios(axes: Any, workspace: Workspace) -> None:
     count = len(workspace.limits)
     for i, (peak, limit) in enumerate(zip(workspace.peaks, workspace.limits, strict=True)):
         is_beyond = bool(peak > limit)
-        colour = RED if is_beyond else BLUE
+        colour = style.RED if is_beyond else style.BLUE
         if np.isfinite(limit):
-            axes.barh(i, 1.0, 0.6, color=PALE, zorder=0)
+            axes.barh(i, 1.0, 0.6, color=style.PALE, zorder=0)
             axes.barh(i, min(peak / limit, _MAX_RATIO), 0.6, color=colour, alpha=0.7)
         axes.text(
             1.04,
@@ -132,7 +119,7 @@ def _draw_ratios(axes: Any, workspace: Workspace) -> None:
             transform=axes.get_yaxis_transform(),
             va='center',
             fontsize=8.5,
-            color=RED if is_beyond else DARK,
+            color=style.RED if is_beyond else style.DARK,
         )
     axes.set_yticks([])
     axes.set_ylim(count - 0.4, -0.6)
@@ -141,7 +128,7 @@ def _draw_ratios(axes: Any, workspace: Workspace) -> None:
     axes.set_title('worst / limit', fontsize=9)
     axes.set_xticks([])
     if np.isfinite(workspace.limits).any():
-        axes.axvline(1.0, color=RED, linewidth=1.2, linestyle='--')
+        axes.axvline(1.0, color=style.RED, linewidth=1.2, linestyle='--')
         axes.set_xticks([1.0], ['100%'])
         axes.tick_params(axis='x', labelsize=8.5)
 
@@ -190,7 +177,7 @@ def draw_arm(
     _draw_masses(axes, robot, flat_centres)
     places = _draw_joints(axes, robot, flat, joint)
     mark = flat_links[robot.link_index(link)]
-    axes.plot(*mark, 'v', color=GREEN, markersize=9, zorder=6, label=shortened(link, 22))
+    axes.plot(*mark, 'v', color=style.GREEN, markersize=9, zorder=6, label=shortened(link, 22))
     _frame(axes, np.concatenate([flat, flat_links, flat_centres]))
     axes.set_xlabel('across [m]')
     axes.set_ylabel('up [m]')
@@ -234,15 +221,15 @@ def _draw_structure(
 ) -> None:
     for body in range(1, len(robot.parent)):
         ends = flat[[robot.parent[body], body]]
-        axes.plot(*ends.T, color=GREY, linewidth=3.5, solid_capstyle='round', zorder=2)
+        axes.plot(*ends.T, color=style.GREY, linewidth=3.5, solid_capstyle='round', zorder=2)
     for body in set(range(1, len(robot.parent))) - set(robot.parent.tolist()):
         if robot.mass[body] > 0.0:  # its end is unknown; draw it to the centre of mass
             axes.plot(
-                *np.array([flat[body], centres[body]]).T, color=GREY, linewidth=1.5, zorder=1
+                *np.array([flat[body], centres[body]]).T, color=style.GREY, linewidth=1.5, zorder=1
             )
     for place, body in zip(flat_links, robot.link_body, strict=True):
-        axes.plot(*np.array([flat[body], place]).T, color=GREY, linewidth=1.5, zorder=1)
-    axes.plot(*flat[0], 's', color=DARK, markersize=11, zorder=3, label='base')
+        axes.plot(*np.array([flat[body], place]).T, color=style.GREY, linewidth=1.5, zorder=1)
+    axes.plot(*flat[0], 's', color=style.DARK, markersize=11, zorder=3, label='base')
 
 
 def _draw_masses(axes: Any, robot: RobotModel, centres: Floats) -> None:
@@ -252,11 +239,13 @@ def _draw_masses(axes: Any, robot: RobotModel, centres: Floats) -> None:
     sizes = _LARGEST_MASS * mass / np.max(mass)
     label = f'masses, up to {np.max(mass):.3g} kg'
     axes.scatter(
-        *centres.T, s=sizes, color=ORANGE, alpha=0.55, linewidths=0, zorder=4, label=label
+        *centres.T, s=sizes, color=style.ORANGE, alpha=0.55, linewidths=0, zorder=4, label=label
     )
     middle = mass @ centres / np.sum(mass)
     label = f'centre of mass, {np.sum(mass):.3g} kg'
-    axes.plot(*middle, 'x', color=DARK, markersize=9, markeredgewidth=2.2, zorder=7, label=label)
+    axes.plot(
+        *middle, 'x', color=style.DARK, markersize=9, markeredgewidth=2.2, zorder=7, label=label
+    )
 
 
 def _draw_joints(
@@ -271,7 +260,7 @@ def _draw_joints(
         is_highlighted = i == joint
         shape = 's' if robot.is_prismatic[body] else 'o'
         size = 9 if is_highlighted else 4 if many else 6.5
-        colour = RED if is_highlighted else BLUE
+        colour = style.RED if is_highlighted else style.BLUE
         axes.plot(*spot, shape, color=colour, markersize=size, zorder=6 if is_highlighted else 5)
         if robot.body_names[body] != robot.joint_names[i] or (many and not is_highlighted):
             continue
@@ -296,9 +285,9 @@ def _number(axes: Any, places: Sequence[tuple[Floats, list[int]]]) -> None:
     taken: list[Any] = []
     for place, numbers in places:
         for across, up in _AROUND:
-            label = axes.annotate(runs_of(numbers), place, xytext=(across, up), fontsize=9,
+            label = axes.annotate(style.runs_of(numbers), place, xytext=(across, up), fontsize=9,
                                   ha='center', va='center', textcoords='offset points',
-                                  color=DARK, zorder=8)  # fmt: skip
+                                  color=style.DARK, zorder=8)  # fmt: skip
             extent = label.get_window_extent(renderer).padded(2.0)
             if not any(extent.overlaps(other) for other in taken):
                 taken.append(extent)

@@ -14,27 +14,13 @@ import numpy as np
 from ...robot.model import Floats, RobotModel
 from ...simulation.demo.commander import History
 from ...simulation.demo.scenarios import Timeline
-from .style import (
-    BLUE,
-    COLOURS,
-    DARK,
-    DPI,
-    draw_lines,
-    fitting,
-    GREY,
-    legend_below,
-    ORANGE,
-    save,
-    set_title,
-    style,
-    WIDTH,
-)
+from . import style
 
 MOST_POINTS = 1500
 LEAST_ERROR = 0.01  # [mrad, mm]: smallest range of the error axis
 ACROSS = 115  # letters that fit on a line above the axes
 LEGEND, KEY = 120, 8  # letters that fit on a line of the legend, and that a line sample takes
-JOINT_COLOURS = (*COLOURS, DARK)
+JOINT_COLOURS = (*style.COLOURS, style.DARK)
 DASHES = ('-', (0, (5, 1.5)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)), (0, (8, 1.5, 1, 1.5, 1, 1.5)))
 """Line styles; with the colours they distinguish 35 joints."""
 MOST_IN_ONE = 10
@@ -77,7 +63,7 @@ def draw(
     else:
         rows += math.ceil(count / columns)
     height = 2.2 + sum(heights) + LINE * max(0, rows - 4)
-    figure: Any = Figure(figsize=(WIDTH, height), dpi=DPI, layout='constrained')
+    figure: Any = Figure(figsize=(style.WIDTH, height), dpi=style.DPI, layout='constrained')
     all_axes = np.atleast_1d(figure.subplots(len(panels), sharex=True, height_ratios=heights))
     for panel, axes in zip(panels, all_axes, strict=True):
         panel(axes, robot, timeline, history)
@@ -89,7 +75,7 @@ def draw(
     figure.suptitle('\n'.join(lines), fontsize=11)
     handles, labels = all_axes[1].get_legend_handles_labels()
     if handles:
-        legend_below(figure, handles, labels, ncols=columns, fontsize=9)
+        style.legend_below(figure, handles, labels, ncols=columns, fontsize=9)
     figure.savefig(path)
 
 
@@ -249,8 +235,8 @@ def draw_identification(
         File to write.
 
     """
-    with style() as pyplot:
-        figure = pyplot.figure(figsize=(WIDTH, max(5.2, 2.6 + 0.3 * len(names))))
+    with style.new_pyplot() as pyplot:
+        figure = pyplot.figure(figsize=(style.WIDTH, max(5.2, 2.6 + 0.3 * len(names))))
         halves = figure.add_gridspec(1, 2, width_ratios=(1.7, 1.0))
         rows = halves[0].subgridspec(2, 1)
         axes: Any = None
@@ -267,30 +253,30 @@ def draw_identification(
         bars = figure.add_subplot(halves[1])
         _draw_bars(bars, names, errors)
         more = bars.get_legend_handles_labels()
-        set_title(figure, title)
-        legend_below(figure, [*handles, *more[0]], [*labels, *more[1]], ncols=5)
-        save(figure, path)
+        style.set_title(figure, title)
+        style.legend_below(figure, [*handles, *more[0]], [*labels, *more[1]], ncols=5)
+        style.save(figure, path)
 
 
 def _draw_errors(axes: Any, history: History, names: tuple[str, ...]) -> None:
     times, rows = history.states.times, history.states.rows
     shown = slice(None, None, max(1, len(times) // MOST_POINTS))
     errors = 1000.0 * (rows[shown, 1] - rows[shown, 0])
-    draw_lines(axes, times[shown], errors, names, linewidth=1.2)
+    style.draw_lines(axes, times[shown], errors, names, linewidth=1.2)
 
 
 def _draw_bars(axes: Any, names: tuple[str, ...], errors: tuple[Floats, Floats]) -> None:
     """Draw the errors of every joint as two bars, with the ratio as text."""
     before, after = (1000.0 * values for values in errors)
     places = np.arange(len(names))
-    axes.barh(places - 0.18, before, 0.34, color=ORANGE, label='RMS with the URDF')
-    axes.barh(places + 0.18, after, 0.34, color=BLUE, label='RMS with the calibrated URDF')
+    axes.barh(places - 0.18, before, 0.34, color=style.ORANGE, label='RMS with the URDF')
+    axes.barh(places + 0.18, after, 0.34, color=style.BLUE, label='RMS with the calibrated URDF')
     for place, first, second in zip(places, before, after, strict=True):
         text = f' {first / max(second, 1e-9):.3g} times'
-        axes.text(first, place - 0.18, text, va='center', fontsize=8.5, color=GREY)
+        axes.text(first, place - 0.18, text, va='center', fontsize=8.5, color=style.GREY)
     axes.set_xscale('log')
     axes.set_xlim(0.5 * float(np.min(after)), 8.0 * float(np.max(before)))
-    axes.set_yticks(places, fitting(names, 22), fontsize=8.5)
+    axes.set_yticks(places, style.fitting(names, 22), fontsize=8.5)
     axes.set_ylim(len(names) - 0.5, -0.5)
     axes.set_xlabel('RMS error [mrad, mm]', fontsize=9)
     axes.grid(axis='y', visible=False)

@@ -62,7 +62,7 @@ _STYLE = {
 
 
 @contextmanager
-def style() -> Iterator[Any]:
+def new_pyplot() -> Iterator[Any]:
     """Apply the style within the body; yield pyplot, which opens no windows."""
     import matplotlib
 
@@ -166,6 +166,14 @@ def thinned(times: Floats, values: Floats, most: int) -> tuple[Floats, Floats]:
     t, y = times[::step], values[::step].copy()
     y[np.flatnonzero(np.diff(t) > 1.5 * step * np.median(np.diff(times)))] = np.nan
     return t, y
+
+
+def fewer_ticks(*axes: Any) -> None:
+    """Use small labels, few ticks along y, and little room at the ends of x."""
+    for ax in axes:
+        ax.tick_params(labelsize=8.5)
+        ax.locator_params(axis='y', nbins=4)
+        ax.margins(x=0.01)
 
 
 def legend_below(
