@@ -192,7 +192,7 @@ def _run_scenario(
         from .pictures import demo as pictures
 
         title = f'{result.title}. {result.outcome}'
-        pictures.draw(path, result.setup.robot, title, result.timeline, result.history)
+        pictures.draw(path, result.robot, title, result.timeline, result.history)
 
     return result.outcome, draw
 

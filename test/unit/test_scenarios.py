@@ -396,7 +396,7 @@ class TestFriction:
             q[4] += (1.01 if beyond else 0.99) * 1e-3 * (moving[4] if time < 5.0 else rest[4])
             history.states.add(time, (q, rubbing.start, q))
             history.arrivals.append(time)
-        outcome = str(check_tracking(rubbing, history, 500.0))
+        outcome = str(check_tracking(rubbing, history))
         row = next(r for r in capsys.readouterr().out.splitlines() if r.startswith('joint_5'))
         numbers = [float(word) for word in row.split()[1:] if word != 'mrad']
         assert numbers[1::2] == pytest.approx([moving[4], rest[4]], abs=1e-3)

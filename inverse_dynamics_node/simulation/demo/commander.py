@@ -17,19 +17,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from ...robot.model import Floats
+from ...ros.qos import BEST_EFFORT, LATCHED
 from ..trajectory import Reference
 from .demo_setup import KD, KP
 
 SILENT = 0.05  # [s]: after this long without joint states, use the clock of the machine
-NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class Series:
@@ -196,7 +194,7 @@ class Commander(Node):
         self._now = 0.0
         self._event_publishers: dict[str, Any] = {}
         self._send = self._make_sender(sends)
-        self.create_subscription(JointState, 'joint_states', self._on_state, NEWEST)
+        self.create_subscription(JointState, 'joint_states', self._on_state, BEST_EFFORT)
         self.create_subscription(Bool, 'brakes', self._on_brakes, LATCHED)
         # A deep, reliable queue, because the commands are counted.
         self.create_subscription(

@@ -28,6 +28,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...errors import unknown_name
+from ...robot.model import RobotModel
 from ...robot.urdf import load_urdf
 from ...ros.middleware import start_ros
 from ..mujoco.model import SimulationError
@@ -35,7 +36,7 @@ from ..trajectory import Reference, start_pose
 from .commander import Commander, History
 from .demo_setup import DemoSetup
 from .processes import Processes, running
-from .results import check_tracking, excuse, ScenarioResult
+from .results import excuse, ScenarioResult
 from .scenarios import NODE, Scenario, SCENARIOS, Timeline
 from .view import Snapshot, View
 
@@ -49,7 +50,7 @@ class DemoResult(NamedTuple):
 
     outcome: ScenarioResult
     title: str
-    setup: DemoSetup
+    robot: RobotModel
     timeline: Timeline
     history: History
 
@@ -63,7 +64,9 @@ def run_demo(options: argparse.Namespace, stopped: Callable[[], bool]) -> DemoRe
         raise SimulationError(unknown_name('link', options.link, robot.link_names))
     # This also compiles the dynamics, which the node then loads from the cache.
     start = start_pose(robot, InverseDynamics(robot))
-    setup = DemoSetup(urdf, robot, start, options.duration, options.link, options.friction)
+    setup = DemoSetup(
+        urdf, robot, start, options.duration, options.link, options.friction, options.rate
+    )
     timeline = scenario.prepare(setup)  # fails early if nothing can move
     view = View(robot, f'{robot.name}: {options.scenario}')
     if np.any(setup.armature):
@@ -86,15 +89,11 @@ def run_demo(options: argparse.Namespace, stopped: Callable[[], bool]) -> DemoRe
         run.perform(setup.duration)
         recorded = run.write(options.record, options.storage) if options.record else 0
     history = run.commander.history
-    if options.scenario == 'track':
-        outcome = check_tracking(setup, history, options.rate)
-    else:
-        print()
-        outcome = timeline.check(history)
+    print()
+    outcome = replace(timeline.check(history), excuse=excuse(history))
     if options.record:
         print(f'recorded: {recorded} messages in {options.record}')
-    outcome = replace(outcome, excuse=excuse(history))
-    return DemoResult(outcome, view.title, setup, timeline, history)
+    return DemoResult(outcome, view.title, robot, timeline, history)
 
 
 def _environment_hint() -> str:

@@ -55,6 +55,8 @@ class DemoSetup:
         Link to load and to push; empty to choose the hand, or a link near it.
     friction : bool
         Whether the joints have the friction of the URDF and the node compensates it.
+    rate : float
+        Rate of the joint states, and of the commands [Hz].
 
     """
 
@@ -64,6 +66,7 @@ class DemoSetup:
     duration: float
     link: str = ''
     friction: bool = False
+    rate: float = 500.0
 
     @cached_property
     def armature(self) -> Floats:
@@ -129,10 +132,7 @@ class DemoSetup:
 
     def capacity(self, link: str) -> float:
         """Return the mass on a link that takes a drive to its limit in the start pose [kg]."""
-        dynamics = InverseDynamics(self.robot)
-        alone = dynamics.gravity_efforts(self.start)
-        dynamics.set_payload(link, 1.0, GRIP)
-        change = dynamics.gravity_efforts(self.start) - alone
+        alone, change = self._effect(lambda dynamics: dynamics.set_payload(link, 1.0, GRIP))
         lifting = np.abs(change) > 1e-9
         spare = self.robot.effort_limits - alone * np.sign(change)
         return float(np.min(spare[lifting] / np.abs(change[lifting]), initial=np.inf))
@@ -172,13 +172,17 @@ class DemoSetup:
                 break
         return chosen, most
 
+    def _effect(self, put: Callable[[InverseDynamics], None]) -> tuple[Floats, Floats]:
+        """Return the efforts of gravity at the start, and how a load or a push changes them."""
+        dynamics = InverseDynamics(self.robot)
+        alone = dynamics.gravity_efforts(self.start)
+        put(dynamics)
+        return alone, dynamics.gravity_efforts(self.start) - alone
+
     def _most(self, put: Put, link: str, limit: float) -> float:
         """Find the largest load or push, up to a limit, that joints and drives withstand."""
-        robot, start = self.robot, self.start
-        dynamics = InverseDynamics(robot)
-        alone = dynamics.gravity_efforts(start)
-        put(dynamics, link, 1.0)
-        change = dynamics.gravity_efforts(start) - alone
+        robot = self.robot
+        alone, change = self._effect(lambda dynamics: put(dynamics, link, 1.0))
         deflection = np.linalg.solve(self._mass_matrix(self.dynamics()), change) / KP
         most = min(limit, DEFLECTION / max(float(np.max(np.abs(deflection))), 1e-9))
         alone = np.where(np.abs(change) > 1e-9, alone, 0.0)  # ignore joints without a change

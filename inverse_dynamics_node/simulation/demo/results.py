@@ -192,7 +192,7 @@ def check_sensor_lost(
     )
 
 
-def check_tracking(setup: DemoSetup, history: History, expected_rate: float) -> ScenarioResult:
+def check_tracking(setup: DemoSetup, history: History) -> ScenarioResult:
     """Print the errors and the command rate, and compare them with their limits."""
     robot, duration, rate = setup.robot, setup.duration, history.command_rate()
     moving = history.largest_error(0.0, (1.0 - REST_FRACTION) * duration)
@@ -203,7 +203,7 @@ def check_tracking(setup: DemoSetup, history: History, expected_rate: float) -> 
     head = ('moving', 'limit', 'at rest', 'limit') if setup.friction else ('moving', 'at rest')
     widths = (13, 14, 15, 15) if setup.friction else (13, 15)
     columns = ''.join(f'{word:>{width}}' for word, width in zip(head, widths, strict=True))
-    print(f'\n{"largest error":{wide}}{columns}')
+    print(f'{"largest error":{wide}}{columns}')
     rows = zip(robot.joint_names, robot.is_prismatic_joint, moving, rest, *limits, strict=True)
     for name, slide, moving_error, rest_error, moving_limit, rest_limit in rows:
         unit = 'mm' if slide else 'mrad'
@@ -212,12 +212,10 @@ def check_tracking(setup: DemoSetup, history: History, expected_rate: float) -> 
             cells.insert(1, f'{1000.0 * moving_limit:9.3f} {unit:4}')
             cells.append(f'{1000.0 * rest_limit:10.4f} {unit:4}')
         print(f'{name:{wide}}{"".join(cells)}')
-    print(
-        f'rate: {rate:.1f} of {expected_rate:.1f} commands/s ({rate / expected_rate - 1.0:+.1%})'
-    )
+    print(f'rate: {rate:.1f} of {setup.rate:.1f} commands/s ({rate / setup.rate - 1.0:+.1%})')
     return ScenarioResult(
         tracking_words(setup.slack),
-        tuple(find_failures(robot.joint_names, moving, rest, rate, expected_rate, setup.slack)),
+        tuple(find_failures(robot.joint_names, moving, rest, rate, setup.rate, setup.slack)),
     )
 
 

@@ -130,12 +130,12 @@ def hold(setup: DemoSetup) -> Timeline:
 
 
 def track(setup: DemoSetup) -> Timeline:
-    """Move, then rest; `check_tracking` gives the result."""
+    """Move, then rest."""
     moving = (1.0 - REST_FRACTION) * setup.duration
     trajectory = plan(setup.robot, setup.dynamics(), setup.start, moving)
     return Timeline(
         trajectory,
-        lambda history: results.check_hold(setup, history),
+        lambda history: results.check_tracking(setup, history),
         begins='the arm follows a trajectory',
     )
 
