@@ -45,7 +45,7 @@ def draw(
     """Draw efforts and robot side by side and write them as a PNG; source names the URDF."""
     count = len(workspace.robot.joint_names)
     height = min(40.0, max(4.6, 1.9 + 0.27 * count))
-    with style.new_pyplot() as pyplot:
+    with style.styled_pyplot() as pyplot:
         figure = pyplot.figure(figsize=(style.WIDTH, height))
         rows = 2 if count > _MOST_BESIDE_ONE_VIEW else 1
         grid = figure.add_gridspec(rows, 3, width_ratios=(1.0, 0.38, 1.25))

@@ -21,7 +21,7 @@ _NAME_LETTERS = 18
 def draw(result: ComparisonResult, source: str, title: str, path: Path) -> None:
     """Draw all joints and write them as a PNG."""
     count = len(result.joints)
-    with style.new_pyplot() as pyplot:
+    with style.styled_pyplot() as pyplot:
         if count <= _MOST_ROWS:
             figure, lines = _rows(pyplot, result)
         else:

@@ -235,7 +235,7 @@ def draw_identification(
         File to write.
 
     """
-    with style.new_pyplot() as pyplot:
+    with style.styled_pyplot() as pyplot:
         figure = pyplot.figure(figsize=(style.WIDTH, max(5.2, 2.6 + 0.3 * len(names))))
         halves = figure.add_gridspec(1, 2, width_ratios=(1.7, 1.0))
         rows = halves[0].subgridspec(2, 1)

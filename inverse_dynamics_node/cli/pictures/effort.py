@@ -37,7 +37,7 @@ def draw(
     columns = 1 if m == 1 else 2 if m <= 12 else 3
     rows = math.ceil(m / columns)
     height = min(60.0, 1.3 + 1.7 * rows if rows > 1 else 3.6)
-    with style.new_pyplot() as pyplot:
+    with style.styled_pyplot() as pyplot:
         figure, grid = pyplot.subplots(
             rows, columns, figsize=(style.WIDTH, height), sharex=True, squeeze=False
         )

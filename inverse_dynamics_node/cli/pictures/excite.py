@@ -37,7 +37,7 @@ def draw(
         for values in (trajectory.times, trajectory.positions, trajectory.velocities)
     )
     whole = whole_states(limits, States(q, 0.0 * q, 0.0 * q)).q
-    with style.new_pyplot() as pyplot:
+    with style.styled_pyplot() as pyplot:
         figure = pyplot.figure(figsize=(style.WIDTH, 6.6))
         halves = figure.add_gridspec(1, 2, width_ratios=(1.0, 1.25))
         left, right = halves[0].subgridspec(2, 1), halves[1].subgridspec(3, 1)

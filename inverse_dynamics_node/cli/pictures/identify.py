@@ -24,7 +24,7 @@ _LOOKS: tuple[tuple[str, str, dict[str, Any]], ...] = (
 def draw(result: IdentificationResult, source: str, path: Path) -> None:
     """Draw efforts, residuals and masses, and write them as a picture."""
     shown = _shown(result)
-    with style.new_pyplot() as pyplot:
+    with style.styled_pyplot() as pyplot:
         height = max(4.6, 1.3 + 1.15 * len(shown))
         figure = pyplot.figure(figsize=(style.WIDTH, height))
         grid = figure.add_gridspec(1, 2, width_ratios=(1.6, 1.0))

@@ -62,7 +62,7 @@ _STYLE = {
 
 
 @contextmanager
-def new_pyplot() -> Iterator[Any]:
+def styled_pyplot() -> Iterator[Any]:
     """Apply the style within the body; yield pyplot, which opens no windows."""
     import matplotlib
 
