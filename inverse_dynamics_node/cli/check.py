@@ -22,8 +22,7 @@ from ..report.robot_tables import model_tables
 from ..report.tables import Table, WIDTH
 from ..report.warnings import warnings_about
 from ..robot.end_effector import last_link
-from ..robot.model import Floats, RobotModel
-from ..robot.model_warning import ModelWarning
+from ..robot.model import Floats, ModelWarning, RobotModel
 from .arguments import (
     add_force,
     add_gravity,

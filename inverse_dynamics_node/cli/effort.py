@@ -31,8 +31,7 @@ from ..report.quantities import decimals, effort_unit, fraction, number
 from ..report.tables import Table
 from ..robot.end_effector import last_link
 from ..robot.limit_checks import position_warnings
-from ..robot.model import Floats, RobotModel
-from ..robot.model_warning import ModelWarning
+from ..robot.model import Floats, ModelWarning, RobotModel
 from .arguments import (
     add_force,
     add_friction,

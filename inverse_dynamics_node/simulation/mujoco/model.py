@@ -20,8 +20,8 @@ import numpy as np
 
 from ...dynamics.loaded_robot import STANDARD_GRAVITY
 from ...errors import InverseDynamicsError
+from ...robot.kinematics import rpy_of_quaternion
 from ...robot.model import Floats
-from ...robot.urdf.quaternions import rpy_of_quaternion
 from ...robot.urdf.xml import (
     Element,
     parse,
