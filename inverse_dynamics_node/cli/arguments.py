@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ..dynamics.loaded_robot import STANDARD_GRAVITY
+from ..dynamics.inverse_dynamics import STANDARD_GRAVITY
 from .output_files import picture_path
 
 

@@ -30,7 +30,7 @@ from .equations import (
     to_link,
     Vector,
 )
-from .jit import compiled, simd_inline
+from .jit import compiled, NOT_FINITE, OK, simd_inline, WRONG_SIZE
 from .robot_table import (
     ACCEL,
     ARMATURE,
@@ -63,10 +63,6 @@ from .robot_table import (
     vector,
     wrench_of,
 )
-
-OK = 0
-WRONG_SIZE = 1
-NOT_FINITE = 2
 
 
 @compiled

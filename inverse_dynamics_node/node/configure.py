@@ -6,7 +6,7 @@ import numpy as np
 
 from ..control.loop import ControlLoop
 from ..control.settings import expand_per_joint, PerJoint
-from ..dynamics.loaded_robot import FRICTION_WIDTH
+from ..dynamics.inverse_dynamics import FRICTION_WIDTH
 from ..dynamics.trajectory import complete, Trajectory
 from ..errors import ConfigurationError, shortened
 from ..robot.model import Floats, RobotModel

@@ -17,7 +17,7 @@ import math
 from typing import get_type_hints
 
 from ..control.settings import LARGEST_GRAVITY, LoadSettings, Mode, PerJoint, Settings, StalePolicy
-from ..dynamics.loaded_robot import FRICTION_WIDTH, STANDARD_GRAVITY
+from ..dynamics.inverse_dynamics import FRICTION_WIDTH, STANDARD_GRAVITY
 from .memory_lock import has_realtime_kernel
 from .parameter_types import kind_of, NUMBER, Parameter, parameter
 

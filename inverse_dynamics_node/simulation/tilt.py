@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..dynamics.loaded_robot import STANDARD_GRAVITY
+from ..dynamics.inverse_dynamics import STANDARD_GRAVITY
 from ..robot.kinematics import rotation_about
 from ..robot.model import Floats
 from .trajectory import ease

@@ -18,7 +18,7 @@ from lxml import etree
 import mujoco
 import numpy as np
 
-from ...dynamics.loaded_robot import STANDARD_GRAVITY
+from ...dynamics.inverse_dynamics import STANDARD_GRAVITY
 from ...errors import InverseDynamicsError
 from ...robot.kinematics import rpy_of_quaternion
 from ...robot.model import Floats
