@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..robot.model import Floats, Integers
-from ..robot.pseudo_inertia import PARAMETERS
+from ..robot.rigid_body import PARAMETERS
 
 NAMES = ('m', 'mx', 'my', 'mz', 'Ixx', 'Ixy', 'Iyy', 'Ixz', 'Iyz', 'Izz')
 """Parameters of a body: mass, first moments and inertia about the origin of its frame."""

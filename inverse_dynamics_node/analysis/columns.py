@@ -12,7 +12,7 @@ import numpy as np
 
 from ..dynamics.inverse_dynamics import InverseDynamics
 from ..robot.model import Floats, Integers, RobotModel
-from ..robot.pseudo_inertia import PARAMETERS, parameters_of_pseudo_inertias
+from ..robot.rigid_body import PARAMETERS, parameters_of_pseudo_inertias
 
 STATES_AT_ONCE = 2000  # to limit the memory
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...robot.model import Floats
-from ...robot.pseudo_inertia import PARAMETERS
+from ...robot.rigid_body import PARAMETERS
 from ..recordings.resampling import pieces
 from ..recordings.signals import Motion
 from .fit import Solution

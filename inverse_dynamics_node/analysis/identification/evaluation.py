@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...robot.model import Floats
-from ...robot.pseudo_inertia import PARAMETERS
+from ...robot.rigid_body import PARAMETERS
 from ..base_parameters import base_parameters
 from .estimator import Estimator, weights_of
 from .preparation import PreparedRecording

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...robot.model import Booleans, Floats, Integers
-from ...robot.pseudo_inertia import PARAMETERS
+from ...robot.rigid_body import PARAMETERS
 from .drive_terms import SIGNED
 from .regression import LOAD, Model, moved_by, Regression, TERMS
 from .solver import minimise, Prior

@@ -9,14 +9,14 @@ import numpy as np
 
 from ...errors import ConfigurationError
 from ...robot.model import Floats, RobotModel
-from ...robot.pseudo_inertia import (
+from ...robot.rigid_body import (
     moved_inside,
     parameters_of_pseudo_inertias,
     pseudo_inertias,
     rigid_body,
+    RigidBody,
     transport,
 )
-from ...robot.rigid_body import RigidBody
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ from functools import cached_property
 import numpy as np
 
 from ...robot.model import Floats, Integers
-from ...robot.pseudo_inertia import BASIS, PARAMETERS, pseudo_inertias
+from ...robot.rigid_body import BASIS, PARAMETERS, pseudo_inertias
 
 _MOST_STEPS = 200
 _DECREMENT = 1e-8
