@@ -63,7 +63,7 @@ def over_states(
     is_large = IS_COMPILED and robot.joint_names and len(flat) >= LANES
     compute = many if many is not None and is_large else few
     if compute(rows, flat) != OK:
-        raise explain(robot.joint_names, None, None, **arguments)
+        raise explain(robot.joint_names, **arguments)
     if out is None or result is out:
         return result
     out[...] = result
@@ -116,12 +116,7 @@ def _rows(vectors: Floats, shape: tuple[int, ...]) -> Floats:
     return vectors.reshape(math.prod(shape[:-1]), shape[-1])
 
 
-def explain(
-    joint_names: Sequence[str],
-    out: Floats | None = None,
-    shape: tuple[int, ...] | None = None,
-    **arguments: ArrayLike,
-) -> JointStateError:
+def explain(joint_names: Sequence[str], **arguments: ArrayLike) -> JointStateError:
     """Return the error of the first argument with a wrong shape or a value that is not finite."""
     n = len(joint_names)
     for name, values in arguments.items():
@@ -132,8 +127,6 @@ def explain(
             sample = f' (sample {where[:-1]})' if where[:-1] else ''
             joint = joint_names[where[-1]]
             return JointStateError(f"{name} of joint '{joint}' is {vectors[where]}{sample}")
-    if out is not None:
-        check_out(out, shape or (n,))
     return JointStateError(
         'the efforts overflow: a position, velocity or acceleration is finite, but too large'
     )

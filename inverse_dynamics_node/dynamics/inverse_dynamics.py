@@ -748,8 +748,8 @@ class InverseDynamics:
         """Compute all terms in one compiled call."""
         tables = self._term_tables()
         if self._effort_terms(q, qd, qdd, self._state, *tables, out, self._table):
-            shape = (5, len(self._zeros))
-            raise explain(self.robot.joint_names, out, shape, q=q, qd=qd, qdd=qdd)
+            check_out(out, (5, len(self._zeros)))
+            raise explain(self.robot.joint_names, q=q, qd=qd, qdd=qdd)
         return EffortTerms(*out)
 
     def _terms_of_many(self, q: Floats, qd: Floats, qdd: Floats, out: Floats) -> None:

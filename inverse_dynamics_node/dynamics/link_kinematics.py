@@ -95,19 +95,9 @@ def pose(q: Sequence[float], link: Any, matrix: Any, robot: Any) -> int:
 @compiled
 def jacobian(q: Sequence[float], link: Any, matrix: Any, robot: Any) -> int:
     """
-    Compute the geometric Jacobian of the origin of a link.
+    Compute the geometric Jacobian of the origin of a link; arguments and status as for `pose`.
 
-    Parameters
-    ----------
-    q, link, robot
-        As for `pose`.
-    matrix : 6 sequences of n floats
-        Receives the Jacobian: three linear rows, then three angular ones.
-
-    Returns
-    -------
-    status : int
-        As `pose`.
+    The matrix, 6 sequences of n floats, receives three linear rows, then three angular ones.
 
     """
     n = int(robot[0][JOINT_COUNT])

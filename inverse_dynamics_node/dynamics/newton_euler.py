@@ -133,18 +133,8 @@ def gravity_efforts(q: Sequence[float], tau: Any, robot: Any) -> int:
     """
     Compute the joint efforts that hold the robot still.
 
-    As `inverse_dynamics` for velocities and accelerations of zero, on a base that does not rotate:
-    every link has the acceleration of the base, in its own frame.
-
-    Parameters
-    ----------
-    q, tau, robot
-        As for `inverse_dynamics`.
-
-    Returns
-    -------
-    status : int
-        As `inverse_dynamics`.
+    As `inverse_dynamics`, with its arguments and status, for velocities and accelerations of zero
+    on a base that does not rotate: every link has the acceleration of the base, in its own frame.
 
     """
     n = int(robot[0][JOINT_COUNT])
