@@ -9,15 +9,10 @@ import time
 from typing import Any, TYPE_CHECKING
 
 from ..analysis.diagnosis.agreement import Agreement, Obstacle, Outcome
-from ..control.status import (
-    JointStatesStatus,
-    NodeStatus,
-    OtherNodesStatus,
-    ReferenceStatus,
-)
+from ..control.status import JointStatesStatus, NodeStatus, OtherNodesStatus, ReferenceStatus
 from ..errors import escaped
 from ..report.agreement_text import sentence
-from .terminal import colour_console
+from .console import colour_console
 
 if TYPE_CHECKING:
     from ..ros.observer import Observer, Sample
@@ -49,11 +44,10 @@ class LiveView:
         return self
 
     def __exit__(self, *_: object) -> None:
-        from rich.text import Text
 
         self._live.stop()
         if self.last_words:
-            self._console.print(Text(self.last_words), soft_wrap=True)
+            self._console.print(_text(self.last_words), soft_wrap=True)
 
     def show(self, observer: Observer, sample: Sample | None, agreement: Agreement) -> None:
         """Show the latest values."""
@@ -64,18 +58,17 @@ class LiveView:
 def screen(observer: Observer, sample: Sample | None, agreement: Agreement, width: int) -> Any:
     """Return what there is to show as a renderable of rich, the most important first."""
     from rich.console import Group
-    from rich.text import Text
 
     status = None if agreement.cause is Obstacle.NO_DIAGNOSTICS else observer.status
     parts: list[Any] = [
         _headline(observer, agreement),
-        Text(sentence(agreement), _COLOURS.get(agreement.outcome, 'yellow') + ' bold'),
+        _text(sentence(agreement), _COLOURS.get(agreement.outcome, 'yellow') + ' bold'),
     ]
     if status is not None:
         parts += _problems(status)
-    parts.append(Text(''))
+    parts.append(_text(''))
     if sample is not None:
-        parts += [_joint_table(observer, sample, agreement, width), Text('')]
+        parts += [_joint_table(observer, sample, agreement, width), _text('')]
     if status is not None:
         parts.append(_node_table(status))
     parts += _log(observer)
@@ -86,7 +79,6 @@ def _cropped(content: Any, console: Any) -> Any:
     """Replace what is below the edge of the terminal by the number of lines."""
     from rich.console import Group
     from rich.segment import Segment, Segments
-    from rich.text import Text
 
     lines = console.render_lines(content, console.options.update(height=None), pad=False)
     rest = len(lines) - console.height
@@ -94,13 +86,11 @@ def _cropped(content: Any, console: Any) -> Any:
         return content
     shown = [[*line, Segment.line()] for line in lines[: console.height - 1]]
     hint = f'... and {rest + 1} more lines: enlarge the terminal'
-    return Group(Segments([each for line in shown for each in line]), Text(hint, 'cyan'))
+    return Group(Segments([each for line in shown for each in line]), _text(hint, 'cyan'))
 
 
 def _headline(observer: Observer, agreement: Agreement) -> Any:
-    from rich.text import Text
-
-    text = Text(observer.name, 'bold')
+    text = _text(observer.name, 'bold')
     if observer.robot is not None:
         text.append(f"  robot '{observer.robot.name}'", 'not bold')
     status = observer.status
@@ -121,7 +111,6 @@ def _headline(observer: Observer, agreement: Agreement) -> Any:
 
 def _joint_table(observer: Observer, sample: Sample, agreement: Agreement, width: int) -> Any:
     from rich.table import Table
-    from rich.text import Text
 
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0), header_style='cyan')
     table.add_column('joint')  # the only column that becomes narrower
@@ -137,7 +126,7 @@ def _joint_table(observer: Observer, sample: Sample, agreement: Agreement, width
             position *= 1e3 if row['is_prismatic'] else 180.0 / math.pi
         effort = 'N' if row['is_prismatic'] else 'N m'
         table.add_row(
-            Text(row['name'], no_wrap=True, overflow='ellipsis'),
+            _text(row['name'], no_wrap=True, overflow='ellipsis'),
             _number(position, 1) + f' {unit:3}',
             *(_number(row[key], 2) for key in ('measured', 'modelled', 'residual')),
             f'{_number(row["command"], 2)} {effort:3}',
@@ -146,7 +135,7 @@ def _joint_table(observer: Observer, sample: Sample, agreement: Agreement, width
             style='bold red' if marked else '',
         )
     if not table.rows:
-        table.add_row(Text('no joint yet'))
+        table.add_row(_text('no joint yet'))
     return table
 
 
@@ -180,13 +169,12 @@ def joint_rows(observer: Observer, sample: Sample) -> list[dict[str, Any]]:
 
 def _node_table(status: NodeStatus) -> Any:
     from rich.table import Table
-    from rich.text import Text
 
     table = Table(box=None, pad_edge=False, show_header=False)
     table.add_column(style='cyan', no_wrap=True)
     table.add_column()
     for label, text in node_lines(status):
-        table.add_row(label, Text(text))
+        table.add_row(label, _text(text))
     return table
 
 
@@ -227,10 +215,8 @@ def _payload(status: NodeStatus) -> str:
 
 
 def _problems(status: NodeStatus) -> list[Any]:
-    from rich.text import Text
-
     return [
-        Text(
+        _text(
             f'{problem.level} {problem.part}: {problem.message}',
             'bold red' if problem.level == 'ERROR' else 'yellow',
         )
@@ -239,8 +225,6 @@ def _problems(status: NodeStatus) -> list[Any]:
 
 
 def _log(observer: Observer) -> list[Any]:
-    from rich.text import Text
-
     lines = []
     oldest = time.time() - RECENT
     recent = [line for line in observer.log if line.time > oldest]
@@ -249,8 +233,8 @@ def _log(observer: Observer) -> list[Any]:
         clock = time.strftime('%H:%M:%S', time.localtime(line.time))
         count = sum(other.text == line.text for other in recent)
         times = f' ({count} times)' if count > 1 else ''
-        lines.append(Text(f'{clock} {line.level} {line.text}{times}', 'yellow'))
-    return [Text(''), *lines] if lines else []
+        lines.append(_text(f'{clock} {line.level} {line.text}{times}', 'yellow'))
+    return [_text(''), *lines] if lines else []
 
 
 def as_line(observer: Observer, agreement: Agreement) -> str:
@@ -312,14 +296,19 @@ def _status_json(status: NodeStatus) -> dict[str, Any]:
     }
 
 
-def _bar(fraction: float | None, length: int) -> Any:
+def _text(*arguments: Any, **options: Any) -> Any:
+    """Return a text of rich, which is imported late: lines in a pipe do not need it."""
     from rich.text import Text
 
+    return Text(*arguments, **options)
+
+
+def _bar(fraction: float | None, length: int) -> Any:
     if fraction is None:
-        return Text('')
+        return _text('')
     filled = min(length, round(fraction * length))
     colour = 'red' if fraction >= AT_LIMIT else 'yellow' if fraction >= NEAR_LIMIT else 'green'
-    text = Text('█' * filled, colour)
+    text = _text('█' * filled, colour)
     text.append('░' * (length - filled), 'dim')
     return text
 

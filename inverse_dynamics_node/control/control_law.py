@@ -129,6 +129,17 @@ class ControlLaw:
         """Velocities and accelerations of the last computed efforts, each of shape (n,)."""
         return self._velocities, self._qdd
 
+    @property
+    def followed(self) -> Reference | None:
+        """The reference that the last command followed; None if it followed none."""
+        return self._last_reference if self._has_last_inputs else None
+
+    def distance(self, start: Floats, target: Floats) -> Floats:
+        """Return target minus start, shape (m,); continuous joints take the shorter way."""
+        distance = target - start
+        turns = np.round(distance / (2.0 * math.pi))
+        return np.where(self._is_continuous, distance - 2.0 * math.pi * turns, distance)
+
     def cause_of_failure(self, scale: Floats) -> str:
         """Name the joint and the value that left the last step without a solution."""
         added, efforts = np.zeros((2, len(self._tau)))
@@ -150,13 +161,7 @@ class ControlLaw:
         if not limit or not is_closed or reference.positions is None:
             return False
         start = state.q[self._index] if self._followed is None else self._followed
-        return bool(np.abs(self._distance(start, reference.positions)).max() > limit)
-
-    def _distance(self, start: Floats, target: Floats) -> Floats:
-        """Return target minus start; continuous joints take the shorter way."""
-        distance = target - start
-        turns = np.round(distance / (2.0 * math.pi))
-        return np.where(self._is_continuous, distance - 2.0 * math.pi * turns, distance)
+        return bool(np.abs(self.distance(start, reference.positions)).max() > limit)
 
     def _smooth(self, now: float, state: State) -> Floats:
         """Low-pass the measured velocities."""
@@ -189,7 +194,7 @@ class ControlLaw:
         qdd = reference.accelerations
         with np.errstate(all='ignore'):
             if reference.positions is not None:
-                distance = self._distance(q[self._index], reference.positions)
+                distance = self.distance(q[self._index], reference.positions)
                 qdd = qdd + self._of_joint['kp'] * distance
             velocities: Floats | float | None = reference.velocities
             if velocities is None and reference.positions is not None:

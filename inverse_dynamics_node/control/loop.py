@@ -22,9 +22,10 @@ from .command_shaping import CommandShaper
 from .contact import ExternalEffortEstimator
 from .control_law import ControlLaw, joint_index, Reference
 from .external_loads import ExternalLoads
+from .joint_commands import DriveReference
 from .joint_states import JointStateCollector, State
 from .settings import LoadSettings, Settings, StalePolicy
-from .supervision import DryRun, Phase, recovery_time, StateSupervisor
+from .supervision import COMPUTING_PHASES, DryRun, Phase, recovery_time, StateSupervisor
 
 # Settings that change the inputs of the computation; others only change what follows from them.
 _INPUT_SETTINGS = (
@@ -349,6 +350,7 @@ class ControlLoop:
         self.reference: Reference | None = None
         self.has_imu = has_imu
         self.index = robot.joint_indices(self.controller.joints)
+        self._drive = DriveReference(self.controller.law)
 
     def start(self, *, is_dry_run: bool = False) -> None:
         """Let the efforts rise from zero; an earlier reference is dropped."""
@@ -488,6 +490,7 @@ class ControlLoop:
         """
         self.controller.continue_from(other.controller)
         self.reference = other.reference
+        self._drive.weight = other._drive.weight
         return self.copy_inputs_from(other)
 
     def copy_inputs_from(self, other: ControlLoop) -> list[str]:
@@ -532,6 +535,25 @@ class ControlLoop:
         q = self.collector.q
         wrenches: JointWrenches = self.dynamics.joint_wrenches(q, *self.controller.motion)
         return self.loads.at_base_link(wrenches.force[0], wrenches.moment[0])
+
+    def drive_reference(self) -> tuple[Floats, Floats]:
+        """
+        Return the motion to send with the last command; see `DriveReference`.
+
+        Returns
+        -------
+        positions, velocities : ndarray, shape (m,)
+            [rad or m], [rad/s or m/s].
+
+        """
+        controller, collector = self.controller, self.collector
+        q, qd = collector.q[self.index], collector.qd[self.index]
+        settings = controller.settings
+        if controller.phase not in COMPUTING_PHASES:
+            qd = np.zeros_like(qd)  # may be old, and the drive would follow them
+        return self._drive.motion(
+            q, qd, controller.ramp_step, settings.start_ramp, settings.max_position_jump
+        )
 
     def external_efforts(self) -> Floats:
         """Estimate external efforts from the last state: shape (n,), NaN where not measured."""

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from rcl_interfaces.srv import DescribeParameters
 from robot_files import ROOT, STANFORD
+from sensor_msgs.msg import JointState
 
 MODEL = load_urdf(STANFORD)
 DYNAMICS = InverseDynamics(MODEL)
@@ -442,6 +443,27 @@ def test_joint_efforts_contain_names_and_efforts_only(run_node, robot):
     assert list(message.name) == NAMES
     assert len(message.position) == len(message.velocity) == 0
     assert message.header.stamp.sec > 0
+
+
+def test_complete_commands_contain_the_motion_of_the_reference(run_node, robot):
+    run_node(**PATIENT)
+    publish_shuffled_state(robot)
+    heard = robot.listen(JointState, 'inverse_dynamics/joint_commands')
+
+    def wait_for(position, velocity, effort):
+        expected = [*position, *velocity, *effort]
+        return robot.wait_for(
+            heard,
+            lambda m: [*m.position, *m.velocity, *m.effort] == pytest.approx(expected),
+            'a complete command',
+        )
+
+    message = wait_for(Q, QD, HOLD)
+    assert list(message.name) == NAMES
+    assert message.header.stamp.sec > 0
+    target, speed = Q + 0.1, QD - 0.2
+    robot.publish_reference(NAMES, QDD, positions=target, velocities=speed)
+    wait_for(target, speed, DYNAMICS.efforts(Q, QD, QDD))
 
 
 def test_commands_are_sent_at_the_update_rate(run_node, robot):

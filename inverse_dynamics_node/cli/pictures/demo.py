@@ -1,4 +1,4 @@
-"""A picture of a run: errors, efforts and events over time, and external efforts of a push."""
+"""The pictures of `demo`: a run with its events, and the errors before and after `calibrate`."""
 
 from __future__ import annotations
 
@@ -8,26 +8,19 @@ from pathlib import Path
 from textwrap import wrap
 from typing import Any
 
-import matplotlib
+from matplotlib.figure import Figure
 import numpy as np
 
 from ...robot.model import Floats, RobotModel
-from .history import History
-from .scenarios import Timeline
+from ...simulation.demo.commander import History
+from ...simulation.demo.scenarios import Timeline
+from . import style
 
-matplotlib.use('Agg')
-from matplotlib.figure import Figure
-
-WIDTH, DPI = 9.0, 100  # [inch]: 900 pixels
 MOST_POINTS = 1500
 LEAST_ERROR = 0.01  # [mrad, mm]: smallest range of the error axis
 ACROSS = 115  # letters that fit on a line above the axes
-LEGEND, KEY = (
-    120,
-    8,
-)  # letters that fit on a line of the legend, and those that a line sample takes
-COLOURS = ('#0072B2', '#E69F00', '#009E73', '#CC79A7', '#56B4E9', '#D55E00', '#333333')
-"""A palette that readers with colour vision deficiency can distinguish."""
+LEGEND, KEY = 120, 8  # letters that fit on a line of the legend, and that a line sample takes
+JOINT_COLOURS = (*style.COLOURS, style.DARK)
 DASHES = ('-', (0, (5, 1.5)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)), (0, (8, 1.5, 1, 1.5, 1, 1.5)))
 """Line styles; with the colours they distinguish 35 joints."""
 MOST_IN_ONE = 10
@@ -70,7 +63,7 @@ def draw(
     else:
         rows += math.ceil(count / columns)
     height = 2.2 + sum(heights) + LINE * max(0, rows - 4)
-    figure: Any = Figure(figsize=(WIDTH, height), dpi=DPI, layout='constrained')
+    figure: Any = Figure(figsize=(style.WIDTH, height), dpi=style.DPI, layout='constrained')
     all_axes = np.atleast_1d(figure.subplots(len(panels), sharex=True, height_ratios=heights))
     for panel, axes in zip(panels, all_axes, strict=True):
         panel(axes, robot, timeline, history)
@@ -82,10 +75,7 @@ def draw(
     figure.suptitle('\n'.join(lines), fontsize=11)
     handles, labels = all_axes[1].get_legend_handles_labels()
     if handles:
-        legend = figure.legend(handles, labels, loc='lower center', ncols=columns, fontsize=9)
-        # matplotlib 3.6 has no 'outside lower center': make room for the legend here.
-        room = legend.get_window_extent().height / figure.bbox.height
-        figure.get_layout_engine().set(rect=(0.0, room, 1.0, 1.0 - room))
+        style.legend_below(figure, handles, labels, ncols=columns, fontsize=9)
     figure.savefig(path)
 
 
@@ -97,8 +87,8 @@ def _wrapped(line: str) -> list[str]:
 def _look(i: int) -> dict[str, Any]:
     """Return colour and line style of a joint."""
     return {
-        'color': COLOURS[i % len(COLOURS)],
-        'ls': DASHES[i // len(COLOURS) % len(DASHES)],
+        'color': JOINT_COLOURS[i % len(JOINT_COLOURS)],
+        'ls': DASHES[i // len(JOINT_COLOURS) % len(DASHES)],
     }
 
 
@@ -219,3 +209,74 @@ def _explain(axes: Any, timeline: Timeline) -> None:
             fontsize=9,
             horizontalalignment='left' if fits else 'right',
         )
+
+
+def draw_identification(
+    names: tuple[str, ...],
+    histories: tuple[History, History],
+    errors: tuple[Floats, Floats],
+    title: str,
+    path: Path,
+) -> None:
+    """
+    Draw the errors of all joints over time at one scale, and their root mean squares.
+
+    Parameters
+    ----------
+    names : tuple of str
+        The n joints.
+    histories : tuple of two History
+        Recorded with the URDF, and with the calibrated one.
+    errors : tuple of two ndarrays, shape (n,)
+        Root mean square errors of both [rad or m].
+    title : str
+        Title of the picture.
+    path : pathlib.Path
+        File to write.
+
+    """
+    with style.styled_pyplot() as pyplot:
+        figure = pyplot.figure(figsize=(style.WIDTH, max(5.2, 2.6 + 0.3 * len(names))))
+        halves = figure.add_gridspec(1, 2, width_ratios=(1.7, 1.0))
+        rows = halves[0].subgridspec(2, 1)
+        axes: Any = None
+        for row, (history, label) in enumerate(
+            zip(histories, ('with the URDF', 'with the calibrated URDF'), strict=True)
+        ):
+            axes = figure.add_subplot(rows[row], sharex=axes, sharey=axes)
+            _draw_errors(axes, history, names)
+            axes.set_title(label, fontsize=10)
+            axes.set_ylabel('error [mrad, mm]', fontsize=9)
+            axes.tick_params(labelbottom=row == 1, labelsize=8.5)
+        axes.set_xlabel('time [s]')
+        handles, labels = axes.get_legend_handles_labels()
+        bars = figure.add_subplot(halves[1])
+        _draw_bars(bars, names, errors)
+        more = bars.get_legend_handles_labels()
+        style.set_title(figure, title)
+        style.legend_below(figure, [*handles, *more[0]], [*labels, *more[1]], ncols=5)
+        style.save(figure, path)
+
+
+def _draw_errors(axes: Any, history: History, names: tuple[str, ...]) -> None:
+    times, rows = history.states.times, history.states.rows
+    shown = slice(None, None, max(1, len(times) // MOST_POINTS))
+    errors = 1000.0 * (rows[shown, 1] - rows[shown, 0])
+    style.draw_lines(axes, times[shown], errors, names, linewidth=1.2)
+
+
+def _draw_bars(axes: Any, names: tuple[str, ...], errors: tuple[Floats, Floats]) -> None:
+    """Draw the errors of every joint as two bars, with the ratio as text."""
+    before, after = (1000.0 * values for values in errors)
+    places = np.arange(len(names))
+    axes.barh(places - 0.18, before, 0.34, color=style.ORANGE, label='RMS with the URDF')
+    axes.barh(places + 0.18, after, 0.34, color=style.BLUE, label='RMS with the calibrated URDF')
+    for place, first, second in zip(places, before, after, strict=True):
+        text = f' {first / max(second, 1e-9):.3g} times'
+        axes.text(first, place - 0.18, text, va='center', fontsize=8.5, color=style.GREY)
+    axes.set_xscale('log')
+    axes.set_xlim(0.5 * float(np.min(after)), 8.0 * float(np.max(before)))
+    axes.set_yticks(places, style.fitting(names, 22), fontsize=8.5)
+    axes.set_ylim(len(names) - 0.5, -0.5)
+    axes.set_xlabel('RMS error [mrad, mm]', fontsize=9)
+    axes.grid(axis='y', visible=False)
