@@ -22,7 +22,7 @@ import numpy as np
 
 from ..dynamics.inverse_dynamics import InverseDynamics
 from ..robot.model import Floats, Integers, RobotModel
-from ..robot.pseudo_inertia import PARAMETERS, parameters_of_pseudo_inertias
+from ..robot.rigid_body import PARAMETERS, parameters_of_pseudo_inertias
 
 NAMES = ('m', 'mx', 'my', 'mz', 'Ixx', 'Ixy', 'Iyy', 'Ixz', 'Iyz', 'Izz')
 """Parameters of a body: mass, first moments and inertia about the origin of its frame."""

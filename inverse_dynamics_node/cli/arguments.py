@@ -8,8 +8,7 @@ import math
 from pathlib import Path
 import sys
 
-from ..dynamics.inverse_dynamics import InverseDynamics
-from ..dynamics.loaded_robot import STANDARD_GRAVITY
+from ..dynamics.inverse_dynamics import InverseDynamics, STANDARD_GRAVITY
 from ..errors import UrdfError
 from ..robot.end_effector import last_link
 from ..robot.model import Floats

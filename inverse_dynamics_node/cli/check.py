@@ -16,8 +16,7 @@ from ..report.robot_tables import model_tables
 from ..report.tables import Table, WIDTH
 from ..report.warnings import warnings_about
 from ..robot.end_effector import last_link
-from ..robot.model import Floats, RobotModel
-from ..robot.model_warning import ModelWarning
+from ..robot.model import Floats, ModelWarning, RobotModel
 from . import arguments
 from .console import progress, show, show_warnings
 from .output_files import check_outputs, new_file, output_path

@@ -19,7 +19,7 @@ from ..analysis.diagnosis import (
     Recording,
 )
 from ..analysis.recordings.measured_states import read_measured_states
-from ..dynamics.loaded_robot import FRICTION_WIDTH
+from ..dynamics.inverse_dynamics import FRICTION_WIDTH
 from ..errors import ConfigurationError, RecordingError
 from ..report.compare_report import comparison_table, friction_table, verdict
 from ..report.diagnosis_text import diagnosis_warning

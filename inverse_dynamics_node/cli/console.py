@@ -17,7 +17,7 @@ from typing import Any
 from ..errors import escaped
 from ..report.tables import as_text, Line, Style, Table, table_lines, WIDTH, wrapped
 from ..report.warnings import warning_lines, warnings_as_text
-from ..robot.model_warning import ModelWarning
+from ..robot.model import ModelWarning
 
 _COLOURS = {
     Style.TITLE: 'bold',

@@ -24,8 +24,7 @@ from ..errors import ConfigurationError, unknown_name
 from ..report.quantities import decimals, effort_unit, fraction, number
 from ..report.tables import Table
 from ..robot.limit_checks import position_warnings
-from ..robot.model import Floats, RobotModel
-from ..robot.model_warning import ModelWarning
+from ..robot.model import Floats, ModelWarning, RobotModel
 from . import arguments
 from .console import progress, show, show_warnings
 from .output_files import check_outputs, new_file, output_path

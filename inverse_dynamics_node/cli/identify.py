@@ -22,7 +22,7 @@ from ..report.identification_tables import (
 from ..report.tables import Table
 from ..robot.end_effector import last_link
 from ..robot.limit_checks import position_warnings
-from ..robot.model_warning import ModelWarning
+from ..robot.model import ModelWarning
 from . import arguments
 from .console import progress, say, show, show_warnings
 from .output_files import check_outputs, new_file, output_path

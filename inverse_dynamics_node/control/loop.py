@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..dynamics.effort_terms import EffortTerms, JointWrenches
-from ..dynamics.inverse_dynamics import InverseDynamics
-from ..dynamics.loaded_robot import STANDARD_GRAVITY
+from ..dynamics.inverse_dynamics import InverseDynamics, STANDARD_GRAVITY
 from ..errors import ConfigurationError
 from ..robot.limit_checks import implausible_positions, ImplausiblePosition
 from ..robot.model import Booleans, Floats, RobotModel

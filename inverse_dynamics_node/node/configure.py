@@ -8,7 +8,7 @@ import numpy as np
 
 from ..control.loop import ControlLoop
 from ..control.settings import LoadSettings
-from ..dynamics.loaded_robot import FRICTION_WIDTH
+from ..dynamics.inverse_dynamics import FRICTION_WIDTH
 from ..dynamics.trajectory import complete, Trajectory
 from ..robot.model import Floats, RobotModel
 from .parameters import BaseMotion, Configuration, PARAMETERS

@@ -18,7 +18,7 @@ import math
 from typing import get_type_hints
 
 from ..control.settings import LARGEST_GRAVITY, LoadSettings, PerJoint, Settings
-from ..dynamics.loaded_robot import FRICTION_WIDTH, STANDARD_GRAVITY
+from ..dynamics.inverse_dynamics import FRICTION_WIDTH, STANDARD_GRAVITY
 from .parameter_types import kind_of, NUMBER, Parameter, parameter
 from .scheduling import has_realtime_kernel
 

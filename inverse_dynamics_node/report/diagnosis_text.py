@@ -7,7 +7,7 @@ import math
 from types import MappingProxyType
 
 from ..analysis.diagnosis import Change, Fault, FaultKind
-from ..robot.model_warning import ModelWarning
+from ..robot.model import ModelWarning
 
 MOST_CHANGES = 3  # joints whose residuals are listed as evidence
 

@@ -11,8 +11,8 @@ from inverse_dynamics_node.analysis.identification.problem import (
     identified_bodies,
 )
 from inverse_dynamics_node.analysis.identification.result import calibrated_urdf
+from inverse_dynamics_node.dynamics.inverse_dynamics import STANDARD_GRAVITY
 from inverse_dynamics_node.dynamics.jit import IS_COMPILED
-from inverse_dynamics_node.dynamics.loaded_robot import STANDARD_GRAVITY
 from inverse_dynamics_node.robot.rigid_body import RigidBody
 import numpy as np
 import pytest

@@ -12,7 +12,7 @@ from inverse_dynamics_node.control.settings import Mode, Settings, StalePolicy
 from inverse_dynamics_node.control.status import GraphInfo, Level, Others, SimulatedTime
 from inverse_dynamics_node.control.status_text import activity, describe_imu_frame
 from inverse_dynamics_node.robot.kinematics import rotation_of_rpy
-from inverse_dynamics_node.robot.model_warning import ModelWarning
+from inverse_dynamics_node.robot.model import ModelWarning
 import numpy as np
 import pytest
 from robot_files import ROOT, STANFORD

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...dynamics.loaded_robot import FRICTION_WIDTH
+from ...dynamics.inverse_dynamics import FRICTION_WIDTH
 from ...robot.end_effector import last_link
 from ...robot.model import Booleans, Floats, RobotModel
 from ..columns import gravity_columns, payload_columns

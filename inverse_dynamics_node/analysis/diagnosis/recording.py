@@ -7,8 +7,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...dynamics.inverse_dynamics import InverseDynamics
-from ...dynamics.loaded_robot import FRICTION_WIDTH
+from ...dynamics.inverse_dynamics import FRICTION_WIDTH, InverseDynamics
 from ...errors import RecordingError
 from ...robot.model import Booleans, Floats, RobotModel
 from ..recordings.signals import derive, Recording

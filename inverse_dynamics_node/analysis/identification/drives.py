@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...robot.model import Booleans, Floats, Integers
-from ...robot.pseudo_inertia import PARAMETERS
+from ...robot.rigid_body import PARAMETERS
 from ..least_squares import fit_nonnegative
 from ..recordings.resampling import pieces
 from ..recordings.signals import Motion

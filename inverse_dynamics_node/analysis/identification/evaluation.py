@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...robot.model import Floats, RobotModel
-from ...robot.pseudo_inertia import PARAMETERS
+from ...robot.rigid_body import PARAMETERS
 from ..columns import base_parameters
 from ..recordings.signals import Motion
 from .drives import Delay, fit_terms, JointFit

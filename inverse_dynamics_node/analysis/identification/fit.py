@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...robot.model import Booleans, Floats, Integers
-from ...robot.pseudo_inertia import BASIS, PARAMETERS, pseudo_inertias
+from ...robot.rigid_body import BASIS, PARAMETERS, pseudo_inertias
 from .problem import moved_by
 from .regression import LOAD, Model, Regression, SIGNED, TERMS
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 
-from ...dynamics.loaded_robot import STANDARD_GRAVITY
+from ...dynamics.inverse_dynamics import STANDARD_GRAVITY
 from ...errors import RecordingError
 from ...robot.model import Floats, RobotModel
 from ..recordings.signals import Recording

@@ -10,14 +10,14 @@ import numpy as np
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...errors import ConfigurationError
 from ...robot.model import Floats, Integers, RobotModel
-from ...robot.pseudo_inertia import (
+from ...robot.rigid_body import (
     moved_inside,
     parameters_of_pseudo_inertias,
     pseudo_inertias,
     rigid_body,
+    RigidBody,
     transport,
 )
-from ...robot.rigid_body import RigidBody
 from ..columns import body_columns
 from ..recordings.signals import Motion
 

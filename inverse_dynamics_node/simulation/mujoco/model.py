@@ -18,10 +18,10 @@ from lxml import etree
 import mujoco
 import numpy as np
 
-from ...dynamics.loaded_robot import STANDARD_GRAVITY
+from ...dynamics.inverse_dynamics import STANDARD_GRAVITY
 from ...errors import InverseDynamicsError
+from ...robot.kinematics import rpy_of_quaternion
 from ...robot.model import Floats
-from ...robot.urdf.quaternions import rpy_of_quaternion
 from ...robot.urdf.xml import Element, parse, read_source, tag
 
 OLDEST_MUJOCO = (3, 17)  # 3.13 rotates inertias the wrong way, and older ones ignore <mimic>

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...dynamics.arguments import read_inertial, read_vector
-from ...dynamics.loaded_robot import STANDARD_GRAVITY
+from ...dynamics.inverse_dynamics import STANDARD_GRAVITY
 from ...errors import unknown_name
 from ...robot.kinematics import rotation_about
 from ...robot.model import Floats
