@@ -1,10 +1,10 @@
 """
-Columns of regressions: efforts of one unit of an unknown that concerns the whole robot.
+Columns of regressions: efforts of one unit of an unknown.
 
-Efforts are linear in gravity, and in the inertial parameters of bodies and payloads. They depend
-on combinations of these, the base parameters. A QR decomposition with pivoting of the regressor at
-random states selects as many of its columns as are independent [1]_; the other columns are
-combinations of these.
+Efforts are linear in gravity, in the inertial parameters of bodies and payloads, and in friction.
+They depend on combinations of the inertial parameters, the base parameters. A QR decomposition
+with pivoting of the regressor at random states selects as many of its columns as are independent
+[1]_; the other columns are combinations of these.
 
 References
 ----------
@@ -15,7 +15,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +29,38 @@ NAMES = ('m', 'mx', 'my', 'mz', 'Ixx', 'Ixy', 'Iyy', 'Ixz', 'Iyz', 'Izz')
 INDEPENDENT = 1e-8
 """Smallest independent part of a column, relative to the largest one."""
 STATES_AT_ONCE = 2000  # to limit the memory
+
+
+def direction_of(qd: Floats, width: Floats | float) -> Floats:
+    """Return the directions of Coulomb friction, smoothed over a speed [rad/s or m/s]."""
+    return np.asarray(np.tanh(qd / width))
+
+
+def friction_columns(
+    qd: Floats, width: float, load: Floats, smooth: Callable[[Floats], Floats]
+) -> Floats:
+    """
+    Compute the efforts of damping, Coulomb friction, friction per load, and an offset.
+
+    Parameters
+    ----------
+    qd : ndarray, shape (K,)
+        Velocities of a joint [rad/s or m/s].
+    width : float
+        Speed over which Coulomb friction is smoothed [rad/s or m/s].
+    load : ndarray, shape (K,)
+        Magnitude of the effort that moves the links [N m or N].
+    smooth : callable
+        Smooths columns of shape (K, c) in the same way as the measured efforts.
+
+    Returns
+    -------
+    columns : ndarray, shape (K, 4)
+
+    """
+    direction = direction_of(qd, width)
+    steps = smooth(np.column_stack([direction, load * direction]))
+    return np.column_stack([qd, steps, np.ones_like(qd)])
 
 
 def gravity_columns(robot: RobotModel, q: Floats) -> Floats:

@@ -8,7 +8,7 @@ import os
 import time
 from typing import Any, TYPE_CHECKING
 
-from ..analysis.diagnosis.agreement import Agreement, Obstacle, Outcome
+from ..analysis.diagnosis.live import Agreement, Obstacle, Outcome
 from ..control.status import JointStatesStatus, NodeStatus, OtherNodesStatus, ReferenceStatus
 from ..errors import escaped
 from ..report.agreement_text import sentence
@@ -59,7 +59,7 @@ def screen(observer: Observer, sample: Sample | None, agreement: Agreement, widt
     """Return what there is to show as a renderable of rich, the most important first."""
     from rich.console import Group
 
-    status = None if agreement.cause is Obstacle.NO_DIAGNOSTICS else observer.status
+    status = None if agreement.obstacle is Obstacle.NO_DIAGNOSTICS else observer.status
     parts: list[Any] = [
         _headline(observer, agreement),
         _text(sentence(agreement), _COLOURS.get(agreement.outcome, 'yellow') + ' bold'),
@@ -97,7 +97,7 @@ def _headline(observer: Observer, agreement: Agreement) -> Any:
     if status is None:
         text.append('  waiting for its diagnostics', 'not bold yellow')
         return text
-    if agreement.cause is Obstacle.NO_DIAGNOSTICS:
+    if agreement.obstacle is Obstacle.NO_DIAGNOSTICS:
         text.append('  NO DIAGNOSTICS', 'bold red')
         return text
     loop = status.loop
@@ -118,8 +118,10 @@ def _joint_table(observer: Observer, sample: Sample, agreement: Agreement, width
         table.add_column(title, justify='right', no_wrap=True)
     bar = min(BAR, max(0, width - WIDTH_WITHOUT_BAR))
     table.add_column('', no_wrap=True, width=bar)
+    problems = {joint for fault in agreement.faults for joint in fault.joints}
+    problems.update(agreement.saturated)
     for row in joint_rows(observer, sample):
-        marked = row['name'] in (*agreement.joints, *agreement.also_swapped, *agreement.saturated)
+        marked = row['name'] in problems
         unit = 'mm' if row['is_prismatic'] else 'deg'
         position = row['position']
         if position is not None:
@@ -239,7 +241,7 @@ def _log(observer: Observer) -> list[Any]:
 
 def as_line(observer: Observer, agreement: Agreement) -> str:
     """Return one line for a pipe."""
-    status = None if agreement.cause is Obstacle.NO_DIAGNOSTICS else observer.status
+    status = None if agreement.obstacle is Obstacle.NO_DIAGNOSTICS else observer.status
     words = [time.strftime('%H:%M:%S'), observer.name]
     if status is not None:
         words.append('dry run' if status.loop.is_dry_run else status.loop.state)
@@ -252,7 +254,9 @@ def as_json(
     observer: Observer, sample: Sample | None, agreement: Agreement, codes: Mapping[Outcome, int]
 ) -> dict[str, Any]:
     """Return all values for JSON; doc/watch.md describes the keys."""
-    status = None if agreement.cause is Obstacle.NO_DIAGNOSTICS else observer.status
+    status = None if agreement.obstacle is Obstacle.NO_DIAGNOSTICS else observer.status
+    fault = agreement.faults[0] if agreement.faults else None
+    values = agreement.numbers or (fault.values if fault else ())
     return {
         'time': time.time(),
         'node': observer.name,
@@ -261,9 +265,9 @@ def as_json(
         'cause': None if agreement.cause is None else agreement.cause.value,
         'sentence': sentence(agreement),
         'exit_code': codes[agreement.outcome],
-        'problem_joints': list(agreement.joints),
-        'problem_values': list(agreement.values),
-        'problem_link': agreement.link or None,
+        'problem_joints': list(fault.joints) if fault else [],
+        'problem_values': [_known(value) for value in values],
+        'problem_link': (fault.link or None) if fault else None,
         'unchecked_joints': [*agreement.unchecked, *agreement.unmeasured],
         'saturated_joints': list(agreement.saturated),
         'status': None if status is None else _status_json(status),

@@ -17,9 +17,15 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
-from ..analysis.diagnosis.agreement import Agreement, Obstacle, Outcome
-from ..analysis.diagnosis.live_check import check_agreement, StateRate
-from ..analysis.diagnosis.live_samples import DURATION, LiveWindow
+from ..analysis.diagnosis.live import (
+    Agreement,
+    check_agreement,
+    DURATION,
+    LiveWindow,
+    Obstacle,
+    Outcome,
+    StateRate,
+)
 from ..control.status import Level, ModelStatus
 from ..errors import ConfigurationError
 from ..report.agreement_text import sentence

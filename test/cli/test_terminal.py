@@ -9,7 +9,7 @@ import time
 from types import SimpleNamespace
 
 from inverse_dynamics_node import load_urdf
-from inverse_dynamics_node.analysis.diagnosis.agreement import Agreement, Obstacle, Outcome
+from inverse_dynamics_node.analysis.diagnosis.live import Agreement, Obstacle, Outcome
 from inverse_dynamics_node.cli import console, live_view
 from inverse_dynamics_node.cli.main import main
 from inverse_dynamics_node.control.status import (

@@ -108,10 +108,8 @@ def test_verdicts_of_a_dry_run_in_a_pipe(run_node, robot, watch):
     last = last_object(output)
     assert (code, last['exit_code'], last['outcome'], last['cause']) == (3, 3, 'differ', 'sign')
     assert last['problem_joints'] == ['joint_3']
-    assert (
-        last['sentence']
-        == 'joint_3: measured and modelled effort have opposite signs; do not go live'
-    )
+    assert last['sentence'].startswith('joint_3 has its sign swapped; ')
+    assert '; do not go live. Change the sign in the driver' in last['sentence']
     assert last['status']['dry_run'] is True
     assert last['status']['mode'] == 'inverse_dynamics'
     assert last['status']['joint_state_timeout'] == 5.0

@@ -8,8 +8,7 @@ for an explanation of the difference between measured and modelled efforts.
 from ..recordings.signals import Motion, Recording
 from .fault import Change, Fault, FaultKind
 from .friction import friction_parameters, FrictionFit
-from .recording import diagnose_recording
-from .result import ComparisonResult, JointResidual
+from .recording import ComparisonResult, diagnose_recording, JointResidual
 
 __all__ = [
     'Change',

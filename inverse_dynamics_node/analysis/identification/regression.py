@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from ...robot.model import Floats, Integers
+from ..columns import direction_of
 from ..recordings.resampling import resampler
 from ..recordings.signals import Motion
 from .problem import IdentificationProblem
@@ -130,7 +131,7 @@ class Regression:
         """Return the directions of Coulomb friction, shape (R, m)."""
         joints = self.problem.joints
         return self._smooth_discontinuous(
-            [np.tanh(m.qd[:, joints] / widths) for m in self.motions]
+            [direction_of(m.qd[:, joints], widths) for m in self.motions]
         )
 
     def terms(self, model: Model) -> Floats:
