@@ -260,8 +260,7 @@ class _Comparison:
         self.limits = limits[columns]
         self.moves: Booleans = _rms(np.nan_to_num(whole.qd[:, columns])) > MOVING
         self.effort = np.maximum(_rms(self.measured), _rms(self.modelled))
-        self.sensor_floor = self._floor()
-        self.floor = np.where(self.moves, 1.0, REST_FACTOR) * self.sensor_floor
+        self.floor = self._floor()
         self.is_checked = _rms(self.modelled) > self.floor
         self.silent = not_measured(self.measured, self.modelled, self.floor) & self.is_checked
         # An effort of zero where none is expected agrees, and has no squares to explain.
@@ -311,7 +310,7 @@ class _Comparison:
         return silent + faults, self._exceeding(found, AGREEMENT) if faults else left
 
     def _floor(self) -> Floats:
-        """Return the residuals of moving joints that are ignored, shape (c,)."""
+        """Return the residuals that are ignored, shape (c,)."""
         largest = np.zeros(len(self.names))
         for kind in (False, True):
             same = self.is_prismatic == kind
@@ -319,7 +318,8 @@ class _Comparison:
                 largest[same] = np.max(_rms(self.modelled)[same])
         floor = np.minimum(FLOOR_OF_LIMIT * self.limits, FLOOR_OF_LARGEST * largest)
         finite = np.where(np.isfinite(self.limits), self.limits, 0.0)
-        return np.asarray(np.maximum(floor, LEAST_FLOOR * finite))
+        floor = np.maximum(floor, LEAST_FLOOR * finite)
+        return np.asarray(np.where(self.moves, floor, REST_FACTOR * floor))
 
     def _regression_data(self) -> RegressionData:
         """Return the samples of the joints whose efforts are measured."""
@@ -347,7 +347,7 @@ class _Comparison:
                 for speed, moved in zip(speeds.T, moves, strict=True)
             ],
             moves,
-            self.sensor_floor[self.searched] / NOISE_FLOOR,
+            self.floor[self.searched] / NOISE_FLOOR,
         )
         links = loaded_links(robot, q)
         joints = sample_joints(self.dynamics, times[some], states, signals, links)

@@ -233,7 +233,10 @@ class RegressionData:
 
     def _candidates(self, nominal: RobotFit) -> list[RobotFit]:
         gravity_compensated = self._fit_joints(self.gravity_compensated())
-        found = [nominal, gravity_compensated]
+        found = [nominal, *self._common_unit(nominal)]
+        # At rest, efforts in a small unit seem to lack gravity.
+        if len(found) == 1 or not self.is_at_rest:
+            found.append(gravity_compensated)
         # Start without sensor faults, and with those that seem best for the model as it is.
         starts = [[JointFit(NO_FAULT, 0.0, 1.0)] * len(self.joints), list(nominal.fits)]
         swapped = [fit.sensor_fault.is_swapped for fit in nominal.fits]
@@ -246,7 +249,7 @@ class RegressionData:
                 found += self._iterate(
                     partial(self._payload, k, gravity_compensated.candidate), start
                 )
-        return found + self._reordered() + self._common_unit(nominal)
+        return found + self._reordered()
 
     def _is_credible(self, robot_fit: RobotFit) -> bool:
         """Return whether a candidate model is possible, and improves enough by itself."""
