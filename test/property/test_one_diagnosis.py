@@ -7,7 +7,7 @@ from inverse_dynamics_node.analysis.diagnosis.live import (
     LiveSamples,
     Outcome,
 )
-from inverse_dynamics_node.analysis.recordings.recording import Recording
+from inverse_dynamics_node.analysis.recordings.signals import Recording
 from inverse_dynamics_node.dynamics.jit import IS_COMPILED
 from inverse_dynamics_node.report.agreement_text import sentence
 from inverse_dynamics_node.report.compare_report import verdict
