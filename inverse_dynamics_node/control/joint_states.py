@@ -108,6 +108,8 @@ class JointStateCollector:
         publishers, or when any joint was reported with a velocity for the first time, or is no
         longer; cleared by the reader.
         """
+        self.has_leapt = False
+        """Set when a joint has moved further than it can; cleared by the reader."""
         self.velocity_timeout = _VELOCITY_TIMEOUT
         """
         Messages without a velocity are rejected for this long after the last one with it [s].
@@ -222,7 +224,7 @@ class JointStateCollector:
             self._complete(layout, now)
             result = store_joint_state(*arguments, now, has_efforts)
         if result & JUMPED:
-            self.has_jumped = True
+            self.has_jumped = self.has_leapt = True
         if result & ALTERNATING or self._has_alternating:
             self._find_alternating()
         if layout.has_joints:

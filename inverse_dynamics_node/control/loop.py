@@ -24,7 +24,7 @@ from .control_law import ControlLaw, joint_index, Reference
 from .external_loads import ExternalLoads
 from .joint_commands import DriveReference
 from .joint_states import JointStateCollector, State
-from .settings import LoadSettings, Settings, StalePolicy
+from .settings import LoadSettings, Mode, Settings, StalePolicy
 from .supervision import COMPUTING_PHASES, DryRun, Phase, recovery_time, StateSupervisor
 
 # Settings that change the inputs of the computation; others only change what follows from them.
@@ -227,6 +227,7 @@ class Controller:
                 f'{", ".join(other.joints)}'
             )
         self.supervisor, self._time = other.supervisor, other._time
+        self.law.equilibrium = other.law.equilibrium
         self._shaper.continue_from(other._shaper)
 
     def step(self, now: float, state: State | None, reference: Reference | None) -> Command | None:
@@ -269,6 +270,8 @@ class Controller:
             return None
         if blocking is None:
             assert state is not None
+            if not shaper.continues:
+                law.release()  # the arm may have moved; the commands are blended
             phase = law.phase(now, state, reference)
             tau = law.efforts(now, state, reference if phase is Phase.RUNNING else None)
             if tau is not None and shaper.follow(tau, law.added):
@@ -400,7 +403,9 @@ class ControlLoop:
         # Before the first command nothing acts yet, so that loads need no ramp.
         elapsed = math.inf if controller.supervisor.phase is Phase.WAITING else ramp_step
         if self.loads.update(now, elapsed) or collector.has_jumped:
-            collector.has_jumped = False
+            if collector.has_leapt:
+                controller.law.release()
+            collector.has_jumped = collector.has_leapt = False
             controller.blend()
         if reference is not None and reference.time > now:
             # The clock was set back: the reference would return when its time comes.
@@ -525,10 +530,11 @@ class ControlLoop:
 
     def effort_terms(self) -> EffortTerms:
         """Compute the terms of the last efforts, each of shape (m,) [N m or N]."""
-        q = self.collector.q
-        return EffortTerms(
-            *(term[self.index] for term in self.dynamics.effort_terms(q, *self.controller.motion))
-        )
+        q, law = self.collector.q, self.controller.law
+        found = self.dynamics.effort_terms(q, *law.motion)
+        terms = EffortTerms(*(term[self.index] for term in found))
+        is_guided = law.settings.mode is Mode.GRAVITY_COMPENSATION
+        return terms._replace(friction=law.added) if is_guided else terms
 
     def base_wrench(self) -> tuple[Floats, Floats]:
         """Compute the force and moment that the mount exerts on the base link, in its frame."""

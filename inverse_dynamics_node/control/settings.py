@@ -28,7 +28,9 @@ class Mode(enum.Enum):
     COMPUTED_TORQUE = 'computed_torque'
     """Accelerations of the reference, with feedback of its positions and velocities."""
     GRAVITY_COMPENSATION = 'gravity_compensation'
-    """Zero accelerations at zero velocity; the reference is ignored."""
+    """Zero accelerations at zero velocity, for hand guiding; the reference is ignored."""
+    JOINT_IMPEDANCE = 'joint_impedance'
+    """Accelerations of the reference, and a spring and damper between it and each joint."""
 
 
 class StalePolicy(enum.Enum):
@@ -70,14 +72,36 @@ class Settings:
         Mode.INVERSE_DYNAMICS,
         'How the reference is used',
         '`inverse_dynamics`: its accelerations. `computed_torque`: these, with feedback of '
-        'position and velocity. `gravity_compensation`: not at all; the arm is held',
+        'position and velocity. `gravity_compensation`: not at all; the arm floats, for hand '
+        'guiding. `joint_impedance`: a spring and a damper hold each joint at the reference, or '
+        'where it is',
     )
     kp: PerJoint = setting(100.0, 'Position gain of `computed_torque`', unit='1/s^2', minimum=0.0)
     kd: PerJoint = setting(20.0, 'Velocity gain of `computed_torque`', unit='1/s', minimum=0.0)
+    stiffness: PerJoint = setting(
+        10.0, 'Stiffness of the springs of `joint_impedance`', unit='N m/rad, N/m', minimum=0.0
+    )
+    impedance_damping: PerJoint = setting(
+        1.0, 'Damping of `joint_impedance`', unit='N m s/rad, N s/m', minimum=0.0
+    )
+    friction_scale: PerJoint = setting(
+        0.8,
+        'Share of the friction that `gravity_compensation` compensates',
+        'With `include_friction`, from the measured velocity. Other modes compensate all friction',
+        minimum=0.0,
+        maximum=1.0,
+    )
+    guiding_damping: PerJoint = setting(
+        0.0,
+        'Viscous damping of `gravity_compensation`, against motion',
+        unit='N m s/rad, N s/m',
+        minimum=0.0,
+    )
     max_position_jump: float = setting(
         0.5,
-        'Largest step of a reference of `computed_torque`. 0: unlimited',
-        'Also the largest distance of a new reference from the measured position',
+        'Largest step of a reference of `computed_torque` or `joint_impedance`. 0: unlimited',
+        'Also the largest distance of a new reference from the measured position, or from the '
+        'position that `joint_impedance` holds',
         unit='rad, m',
         minimum=0.0,
     )

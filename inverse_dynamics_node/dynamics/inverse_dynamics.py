@@ -125,6 +125,11 @@ class InverseDynamics:
         """The table of `robot_table` with the robot and its loads; not to be modified."""
         return self._table
 
+    @property
+    def has_drive_terms(self) -> bool:
+        """Whether a joint has friction or armature."""
+        return bool(self._table[0, robot_table.HAS_DRIVE_TERMS])
+
     def efforts(
         self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: Floats | None = None
     ) -> Floats:

@@ -131,7 +131,7 @@ class Configuration(Settings, LoadSettings):
         False,
         'Add the efforts that overcome friction',
         '`damping` * qd + (`coulomb` + `load_friction` * |load|) * tanh(qd / `coulomb_width`), '
-        'with the load of `load_friction`',
+        'with the load of `load_friction`. `gravity_compensation` adds the share `friction_scale`',
     )
     damping: PerJoint = parameter(
         VALUE_OF_URDF,
