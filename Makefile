@@ -65,8 +65,7 @@ test-all: $(VENV)/test.done lint
 	@cat $(SUMMARY)
 
 FUZZED := test/property/test_urdf_fuzz.py test/property/test_command_laws.py \
-    test/property/test_mode_laws.py \
-    test/property/test_laws.py test/property/test_load_laws.py
+    test/property/test_mode_laws.py test/property/test_laws.py test/property/test_load_laws.py
 
 test-plain: $(VENV)/test.done
 	@NUMBA_DISABLE_JIT=1 $(TESTS) -m 'not long' $(PLAIN)
