@@ -65,7 +65,7 @@ test-all: $(VENV)/test.done lint
 	@cat $(SUMMARY)
 
 FUZZED := test/property/test_urdf_fuzz.py test/property/test_command_laws.py \
-    test/property/test_laws.py test/property/test_load_laws.py
+    test/property/test_mode_laws.py test/property/test_laws.py test/property/test_load_laws.py
 
 test-plain: $(VENV)/test.done
 	@NUMBA_DISABLE_JIT=1 $(TESTS) -m 'not long' $(PLAIN)
@@ -104,7 +104,7 @@ mutation: $(VENV)/mutation.done
 
 # Writes the parameter file and the table of parameters after a change of their declaration.
 parameters: $(VENV)/test.done
-	@$(CLEAN) $(BIN)/python -m inverse_dynamics_node.node.parameter_files --write
+	@$(CLEAN) $(BIN)/python -m inverse_dynamics_node.node.help --write
 
 $(VENV)/pip.done:
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))' || \
@@ -118,7 +118,7 @@ $(VENV)/pip.done:
 EXTRAS_demo := ros,demo
 EXTRAS_test := ros,demo,cli,test
 EXTRAS_bench := bench
-EXTRAS_mutation := mutation
+EXTRAS_mutation := ros,mutation
 # These have no wheels for some machines; the tables show which are missing.
 PEERS := drake roboticstoolbox-python
 

@@ -28,8 +28,8 @@ from math import cos, sin
 from typing import Any, NamedTuple
 
 from inverse_dynamics_node.dynamics import robot_table
+from inverse_dynamics_node.dynamics.inverse_dynamics import STANDARD_GRAVITY
 from inverse_dynamics_node.dynamics.jit import IS_COMPILED, simd_inline
-from inverse_dynamics_node.dynamics.loaded_robot import STANDARD_GRAVITY
 from inverse_dynamics_node.dynamics.newton_euler import inverse_dynamics
 from inverse_dynamics_node.robot.model import Floats, RobotModel
 import numpy as np

@@ -20,7 +20,7 @@ import math
 from typing import Any, NamedTuple
 
 from inverse_dynamics_node.dynamics import equations, newton_euler, robot_table
-from inverse_dynamics_node.dynamics.loaded_robot import STANDARD_GRAVITY
+from inverse_dynamics_node.dynamics.inverse_dynamics import STANDARD_GRAVITY
 from inverse_dynamics_node.robot.model import Floats, RobotModel
 import numpy as np
 

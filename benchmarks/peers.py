@@ -14,7 +14,7 @@ import tempfile
 from typing import Any
 
 from inverse_dynamics_node import GeneratedDynamics, InverseDynamics
-from inverse_dynamics_node.dynamics.loaded_robot import STANDARD_GRAVITY
+from inverse_dynamics_node.dynamics.inverse_dynamics import STANDARD_GRAVITY
 from inverse_dynamics_node.robot.model import Floats
 import numpy as np
 

@@ -13,8 +13,8 @@ from time import thread_time
 from typing import Any, NamedTuple
 
 from inverse_dynamics_node import GeneratedDynamics, InverseDynamics
+from inverse_dynamics_node.dynamics.batch import LANES
 from inverse_dynamics_node.dynamics.effort_terms import EffortTerms, JointWrenches
-from inverse_dynamics_node.dynamics.lanes import LANES
 from inverse_dynamics_node.robot.model import Floats
 import numpy as np
 

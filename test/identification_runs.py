@@ -3,13 +3,13 @@
 from dataclasses import dataclass, replace
 
 from inverse_dynamics_node import InverseDynamics
-from inverse_dynamics_node.analysis.recordings.recording import Recording
-from inverse_dynamics_node.robot.pseudo_inertia import (
+from inverse_dynamics_node.analysis.recordings.signals import Recording
+from inverse_dynamics_node.robot.rigid_body import (
     parameters_of_pseudo_inertias,
     pseudo_inertias,
     rigid_body,
+    RigidBody,
 )
-from inverse_dynamics_node.robot.rigid_body import RigidBody
 import numpy as np
 from scipy.linalg import expm
 

@@ -9,11 +9,13 @@ but decides by itself which changes of the inputs are motion, and how far ramps 
 from dataclasses import dataclass
 import math
 
-from inverse_dynamics_node.control.settings import StalePolicy
+from inverse_dynamics_node.control.control_law import Reference
+from inverse_dynamics_node.control.settings import Mode, StalePolicy
 from inverse_dynamics_node.control.supervision import COMPUTING_PHASES, Phase
 import numpy as np
 
 ROUNDING = 1e-6  # [N m]
+LARGEST_CHANGE = 1e3  # [N m]; beyond the limits, so that larger ones make no difference
 NOMINAL_STEP = 0.01  # [s]; ramps advance by at most as long in one command, ...
 GROWTH, MEMORY = 1.25, 16.0  # ... or by the usual time between commands, which changes slowly
 SHORTEST_RAMP = 0.5  # [s]; of all that the driver sets
@@ -38,6 +40,12 @@ class Computed:
     q: np.ndarray
     velocities: np.ndarray
     accelerations: np.ndarray
+    measured: np.ndarray
+    """Measured velocities, after the filter."""
+    wanted: np.ndarray
+    """Velocities of the reference that is followed, otherwise zero."""
+    equilibrium: np.ndarray | None
+    """Where joint impedance holds the joints."""
     times: np.ndarray
     ramps: float
     """Time by which ramps may have advanced since the start [s]."""
@@ -82,14 +90,27 @@ class Promises:
         if self.node.loop.controller.phase in COMPUTING_PHASES:
             self.stopped_with = self.node.settings
 
-    def _efforts(self, q, velocities, accelerations):
-        return self.node.loop.dynamics.efforts(q, velocities, accelerations)
+    def _efforts(self, q, inputs):
+        """Return the efforts at some positions, with the other inputs of a command."""
+        efforts = self.node.loop.dynamics.efforts(q, inputs.velocities, inputs.accelerations)
+        return efforts + self._added(q, inputs)
+
+    def _added(self, q, inputs):
+        settings, dynamics, rest = self.node.settings, self.node.loop.dynamics, 0.0 * q
+        if settings.mode is Mode.GRAVITY_COMPENSATION:
+            friction = dynamics.effort_terms(q, inputs.measured, rest).friction
+            return settings.friction_scale * friction - settings.guiding_damping * inputs.measured
+        if settings.mode is not Mode.JOINT_IMPEDANCE:
+            return rest
+        damper = settings.impedance_damping * (inputs.wanted - inputs.measured)
+        way = rest if inputs.equilibrium is None else inputs.equilibrium - q
+        return damper + settings.stiffness * way
 
     def _efforts_of_last(self):
         if not self.history:
             return np.zeros(len(self.last))
         last = self.history[-1]
-        return self._efforts(last.q, last.velocities, last.accelerations)
+        return self._efforts(last.q, last)
 
     def check(self, now, command, sent):
         """Check the command of one step, and the efforts that were sent."""
@@ -200,14 +221,19 @@ class Promises:
     def _check_computed(self, now, efforts, step):
         was_falling, self.fall_time = self.fall_time is not None, None
         loop = self.node.loop
-        velocities, accelerations = (array.copy() for array in loop.controller.motion)
-        collector = loop.collector
+        law, collector = loop.controller.law, loop.collector
+        velocities, accelerations = (array.copy() for array in law.motion)
+        is_followed = loop.controller.phase is Phase.RUNNING
+        followed = loop.reference if is_followed else Reference(None, None, now)
         new = Computed(
             now,
             efforts,
             collector.q.copy(),
             velocities,
             accelerations,
+            law._last_qd.copy(),
+            0.0 * velocities if followed.velocities is None else followed.velocities,
+            law.equilibrium,
             collector.times.copy(),
             self.ramps,
             self.applied,
@@ -216,14 +242,18 @@ class Promises:
         rate = self.node.settings.effort_rate_limits
         change, most = np.abs(efforts - self.last), math.inf if math.isinf(rate) else rate * step
         require((change <= most + ROUNDING).all(), 'beyond the rate limit', change)
-        tau = self._efforts(new.q, velocities, accelerations).copy()
+        for old in self.history:
+            if followed.positions is None or old.equilibrium is None:
+                old.equilibrium = new.equilibrium  # holding another position is no motion
+        tau = self._efforts(new.q, new)
         size = np.minimum(np.abs(tau), loop.robot.effort_limits)
         self.largest = np.maximum(self.largest, size)
         if was_falling:
             # The first command after a brief fall continues from it; compare the next ones.
             self.history.clear()
         if self.history:
-            new.moved = self.history[-1].moved + np.abs(tau - self._efforts_of_last())
+            change = np.minimum(np.abs(tau - self._efforts_of_last()), LARGEST_CHANGE)
+            new.moved = self.history[-1].moved + change
         are_motion = [self._check_motion(old, new, tau) for old in self._compared(now)]
         if not all(are_motion):
             self.history.clear()  # the motion in the same window would be hard to tell apart
@@ -248,13 +278,11 @@ class Promises:
         else:
             # The others may have moved before a joint jumped, but not in a pause.
             fraction = float(np.min(room[way > room] / way[way > room]))
-            inputs = old.velocities, old.accelerations
-            before = self._efforts(old.q, *inputs).copy()
-            motion = fraction * np.abs(self._efforts(new.q, *inputs) - before)
+            before = self._efforts(old.q, old)
+            motion = fraction * np.abs(self._efforts(new.q, old) - before)
             if not self.settling:
                 q = np.where(way > room, old.q, new.q)
-                inputs = new.velocities, new.accelerations
-                motion = motion + np.abs(self._efforts(q, *inputs) - before)
+                motion = motion + np.abs(self._efforts(q, new) - before)
         motion = abs(settings.effort_scale) * (motion + new.applied - old.applied)
         ramps = RAMPS * self.largest * (new.ramps - old.ramps) / SHORTEST_RAMP
         change = np.abs(new.efforts - old.efforts)

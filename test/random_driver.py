@@ -35,14 +35,18 @@ NAMES, N = list(ROBOTS[0].joint_names), len(ROBOTS[0].joint_names)
 TIP = ROBOTS[0].link_names[-1]
 WATCH = 0.01  # [s]; period of the steps without joint states
 SETTINGS = {
-    'mode': [Mode.INVERSE_DYNAMICS, Mode.COMPUTED_TORQUE, Mode.GRAVITY_COMPENSATION],
     'state_timeout': [0.1, 0.1, 0.5, 1.0],
+    'reference_timeout': [0.5, 0.1],
     'on_stale_state': [StalePolicy.ZERO, StalePolicy.ZERO, StalePolicy.HOLD],
     'start_ramp': [0.5, 0.5, 1.0, 3.0],
     'stop_ramp': [0.5, 0.5, 1.0],
     'stop_damping': [0.0, 20.0, 200.0],
     'stop_timeout': [0.3, 20.0],
     'kp': [50.0, 100.0],
+    'stiffness': [10.0, 50.0],
+    'impedance_damping': [0.0, 2.0],
+    'friction_scale': [0.8, 0.3],
+    'guiding_damping': [0.0, 2.0],
     'velocity_filter_cutoff': [0.0, 20.0],
     'effort_scale': [1.0, 0.8],
     'effort_offset': [0.0, 1.0],
@@ -62,7 +66,9 @@ class Node:
     def __init__(self, rate, imu, pick):
         self.pick = pick
         self.rate, self.is_dry_run, self.include_gravity = rate, False, True
-        self.settings = Settings(stop_damping=pick.choice([0.0, 50.0, 50.0]))
+        self.include_friction = False
+        mode = pick.choice(list(Mode))
+        self.settings = Settings(mode=mode, stop_damping=pick.choice([0.0, 50.0, 50.0]))
         self.load_settings = LoadSettings()
         self.robot, self.imu = 0, imu
         self.loop = self.make_loop()
@@ -82,6 +88,8 @@ class Node:
 
     def apply(self):
         self.loop.loads.apply(self.load_settings, self.include_gravity)
+        damping, coulomb, load = self.include_friction * np.array([1.2, 0.6, 0.05])
+        self.loop.dynamics.set_friction(damping, coulomb, load_friction=load)
         self.loop.controller.apply(self.settings)
 
     def switch_description(self):
@@ -138,7 +146,7 @@ class Sequence:
         self.offset = np.zeros(N)  # of the reported positions
         self.next_state = self.next_tick = self.last_imu = self.steady
         self.events = 0
-        self.wrench, self.acceleration = None, None
+        self.wrench, self.acceleration, self.distance = None, None, None
 
     @property
     def now(self):
@@ -147,6 +155,7 @@ class Sequence:
     def play(self, actions):
         if self.node.imu:
             self.send_imu()
+        self.pick.choice([self.change_reference, self.end_reference])()
         for _ in range(actions):
             action = self.pick.choice(ACTIONS)
             self.events += 1
@@ -194,7 +203,15 @@ class Sequence:
         if self.wrench is not None:
             self.load('wrench', lambda now: self.node.set_wrench(now, self.wrench))
         if self.acceleration is not None:
-            self.node.loop.reference = Reference(self.acceleration, np.zeros(N), self.now)
+            self.node.loop.reference = self.reference()
+
+    def reference(self):
+        """Return accelerations, in part with positions near those of the arm."""
+        accelerations = Reference(self.acceleration, np.zeros(N), self.now)
+        if self.distance is None:
+            return accelerations
+        q, qd = self.arm.at(self.steady)
+        return accelerations._replace(positions=q + self.distance, velocities=qd)
 
     def send_imu(self):
         self.last_imu = self.steady
@@ -221,9 +238,14 @@ class Sequence:
 
     # Actions
 
+    def change_mode(self):
+        self.set('mode', self.pick.choice(list(Mode)))
+
     def change_setting(self):
         name = self.pick.choice(list(SETTINGS))
-        value = self.pick.choice(SETTINGS[name])
+        self.set(name, self.pick.choice(SETTINGS[name]))
+
+    def set(self, name, value):
         self.node.settings = replace(self.node.settings, **{name: value})
         self.node.apply()
 
@@ -235,6 +257,10 @@ class Sequence:
 
     def toggle_gravity(self):
         self.node.include_gravity = not self.node.include_gravity
+        self.node.apply()
+
+    def toggle_friction(self):
+        self.node.include_friction = not self.node.include_friction
         self.node.apply()
 
     def stop(self):
@@ -307,19 +333,24 @@ class Sequence:
             self.node.loop.loads.set_gravity([9.8 * math.sin(angle), 0.0, -9.8 * math.cos(angle)])
 
     def change_reference(self):
-        acceleration = [self.pick.uniform(-1.0, 1.0) for _ in NAMES]
-        self.acceleration = self.pick.choice([None, np.array(acceleration)])
+        self.acceleration = np.array([self.pick.uniform(-1.0, 1.0) for _ in NAMES])
+        self.distance = self.pick.choice([None, self.pick.uniform(-0.7, 0.7)])
+
+    def end_reference(self):
+        self.acceleration = None
 
     def switch_description(self):
         self.node.switch_description()
 
 
 ACTIONS = [
+    Sequence.change_mode,
     Sequence.change_setting,
     Sequence.change_setting,
     Sequence.change_load_setting,
     Sequence.change_load_setting,
     Sequence.toggle_gravity,
+    Sequence.toggle_friction,
     Sequence.stop,
     Sequence.stop_and_sink,
     Sequence.stop_and_sink,
@@ -342,6 +373,9 @@ ACTIONS = [
     Sequence.toggle_wrench,
     Sequence.change_gravity,
     Sequence.change_reference,
+    Sequence.change_reference,
+    Sequence.change_reference,
+    Sequence.end_reference,
     Sequence.switch_description,
 ]
 

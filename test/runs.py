@@ -1,7 +1,7 @@
 """Recordings computed from the model, with known deviations to be found."""
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.analysis.recordings.recording import Recording
+from inverse_dynamics_node.analysis.recordings.signals import Recording
 import numpy as np
 from robot_files import ROOT, STANFORD
 

@@ -4,7 +4,7 @@ import csv
 import re
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.analysis.recordings.recording import Recording
+from inverse_dynamics_node.analysis.recordings.signals import Recording
 import numpy as np
 from robot_files import STANFORD
 

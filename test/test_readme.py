@@ -45,7 +45,7 @@ def test_python_page_prints_the_output_below_each_example(monkeypatch):
 def test_parameter_table_is_the_parameters_of_the_node():
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     pytest.importorskip('rclpy')
-    from inverse_dynamics_node.node.parameters import PARAMETERS, PER_JOINT
+    from inverse_dynamics_node.node.parameters import PARAMETERS
 
     table = INTERFACE.split('## Parameters')[1].split('\n## ')[0]
     rows = re.findall(r'^\| `(\w+)`(\*?) \| ([^|]*) \| [^|]*\| (yes|no) \|', table, re.M)
@@ -57,7 +57,7 @@ def test_parameter_table_is_the_parameters_of_the_node():
         else:
             default = words[text] if text in words else eval(text)
             assert default == PARAMETERS[name].default, name
-        assert (star == '*') == (name in PER_JOINT), name
+        assert (star == '*') == PARAMETERS[name].is_per_joint, name
         assert (live == 'yes') == PARAMETERS[name].is_live, name
 
 
@@ -119,6 +119,6 @@ def test_commands_after_the_demo_print_the_efforts_at_rest(tmp_path):
 def test_verdict_shown_for_the_demo_is_the_verdict_of_the_demo():
     pytest.importorskip('mujoco')
     pytest.importorskip('rclpy')
-    from inverse_dynamics_node.simulation.demo.tracking import tracking_words
+    from inverse_dynamics_node.simulation.demo.results import tracking_words
 
     assert f'\nPASSED: {tracking_words(np.zeros(6))}\n' in README

@@ -1,20 +1,66 @@
 """
-Columns of regressions: efforts of one unit of an unknown that concerns the whole robot.
+Columns of regressions: efforts of one unit of an unknown.
 
-Efforts are linear in gravity, and in the inertial parameters of bodies and payloads.
+Efforts are linear in gravity, in the inertial parameters of bodies and payloads, and in friction.
+They depend on combinations of the inertial parameters, the base parameters. A QR decomposition
+with pivoting of the regressor at random states selects as many of its columns as are independent
+[1]_; the other columns are combinations of these.
+
+References
+----------
+.. [1] M. Gautier, "Numerical calculation of the base inertial parameters of robots", Journal of
+   Robotic Systems 8(4), 1991.
+
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from ..dynamics.inverse_dynamics import InverseDynamics
 from ..robot.model import Floats, Integers, RobotModel
-from ..robot.pseudo_inertia import PARAMETERS, parameters_of_pseudo_inertias
+from ..robot.rigid_body import PARAMETERS, parameters_of_pseudo_inertias
 
+NAMES = ('m', 'mx', 'my', 'mz', 'Ixx', 'Ixy', 'Iyy', 'Ixz', 'Iyz', 'Izz')
+"""Parameters of a body: mass, first moments and inertia about the origin of its frame."""
+INDEPENDENT = 1e-8
+"""Smallest independent part of a column, relative to the largest one."""
 STATES_AT_ONCE = 2000  # to limit the memory
+
+
+def direction_of(qd: Floats, width: Floats | float) -> Floats:
+    """Return the directions of Coulomb friction, smoothed over a speed [rad/s or m/s]."""
+    return np.asarray(np.tanh(qd / width))
+
+
+def friction_columns(
+    qd: Floats, width: float, load: Floats, smooth: Callable[[Floats], Floats]
+) -> Floats:
+    """
+    Compute the efforts of damping, Coulomb friction, friction per load, and an offset.
+
+    Parameters
+    ----------
+    qd : ndarray, shape (K,)
+        Velocities of a joint [rad/s or m/s].
+    width : float
+        Speed over which Coulomb friction is smoothed [rad/s or m/s].
+    load : ndarray, shape (K,)
+        Magnitude of the effort that moves the links [N m or N].
+    smooth : callable
+        Smooths columns of shape (K, c) in the same way as the measured efforts.
+
+    Returns
+    -------
+    columns : ndarray, shape (K, 4)
+
+    """
+    direction = direction_of(qd, width)
+    steps = smooth(np.column_stack([direction, load * direction]))
+    return np.column_stack([qd, steps, np.ones_like(qd)])
 
 
 def gravity_columns(robot: RobotModel, q: Floats) -> Floats:
@@ -110,3 +156,45 @@ def payload_columns(
 
 _MOMENTS = (3, 3), (0, 3), (1, 3), (2, 3), (0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)
 """Element of the second moment of mass that belongs to each parameter of a load."""
+
+
+# ---- Base parameters -----------------------------------------------------------------------
+
+
+class BaseParameters(NamedTuple):
+    """Combinations of p parameters that determine the efforts."""
+
+    combinations: Floats
+    """Shape (r, p); each contains one parameter with factor 1 that no other contains."""
+    leading: Integers
+    """Index of that parameter for each combination."""
+
+    def names(self, links: tuple[str, ...]) -> list[str]:
+        """Return the names of the leading parameters, such as ``mx of forearm``."""
+        return [
+            f'{NAMES[k % PARAMETERS]} of {links[k // PARAMETERS]}' for k in self.leading.tolist()
+        ]
+
+
+def base_parameters(matrix: Floats) -> BaseParameters:
+    """
+    Find the combinations of columns that are independent.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (k, p)
+        Rows of a regressor at random states. Of columns that depend on each other, the larger ones
+        are selected.
+
+    """
+    from scipy.linalg import qr, solve_triangular
+
+    triangle, order = qr(matrix, mode='r', pivoting=True)
+    sizes = np.abs(np.diagonal(triangle))
+    rank = int(np.count_nonzero(sizes > INDEPENDENT * sizes[0]))
+    combinations = np.zeros((rank, matrix.shape[1]))
+    combinations[:, order[:rank]] = np.eye(rank)
+    combinations[:, order[rank:]] = solve_triangular(
+        triangle[:rank, :rank], triangle[:rank, rank:]
+    )
+    return BaseParameters(combinations, order[:rank])

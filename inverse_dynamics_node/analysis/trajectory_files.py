@@ -1,19 +1,19 @@
-"""Reads trajectories from YAML, CSV and rosbag2 files, and writes them as CSV."""
+"""Reads trajectories from YAML, CSV and rosbag2 files, and writes them as YAML and CSV."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 import csv
 from pathlib import Path
+import reprlib
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..dynamics.trajectory import Trajectory
-from ..errors import RecordingError, TrajectoryError
+from ..errors import RecordingError, shortened, TrajectoryError
 from ..robot.model import Floats
 from .recordings.files import Bag, BAG_SUFFIXES, JOINT_STATE, JOINT_TRAJECTORY, open_bag, read_csv
-from .trajectory_yaml import DERIVATIVES, DIGITS, trajectory_from_points, trajectory_from_yaml
 
 FORMATS = """\
 trajectory files:
@@ -30,11 +30,19 @@ trajectory files:
               one point or there is none, all JointStates of /joint_states, or of the only such
               topic. --topic chooses another one"""
 
-_QUANTITIES = ('position', 'velocity', 'acceleration')
 LATEST_START = 1e5
 """Time of the first point above which times are those of a clock [s]; a day has 86 400 s."""
+_FIELDS = ('positions', 'velocities', 'accelerations')
+_QUANTITIES = ('position', 'velocity', 'acceleration')
+_DIGITS = 9
+"""Significant digits of written numbers."""
 _DEFAULT_TOPIC = '/joint_states'
 """The topic to read if several have joint states."""
+_ENCLOSING = ('trajectory', 'joint_trajectory', 'goal')
+"""Fields of other messages that hold a trajectory."""
+_DEEPEST = 20
+"""Levels of lists and mappings; a trajectory inside an action goal has six."""
+_WHOLE_OUTPUT = 'print all of it: ros2 topic echo --full-length'
 
 
 class LoadedTrajectory(NamedTuple):
@@ -77,40 +85,27 @@ def read_trajectory(
         If the file cannot be opened.
 
     """
-    return _from_first_point(_read(path, joint_names, topic, progress))
-
-
-def _read(
-    path: Path,
-    joint_names: Sequence[str],
-    topic: str | None,
-    progress: Callable[[float], None],
-) -> LoadedTrajectory:
     try:
         if path.is_dir() or path.suffix in BAG_SUFFIXES:
             with open_bag(path) as bag:
-                return _from_bag(bag, joint_names, topic, progress)
-        if path.suffix == '.csv':
-            return _from_csv(path, joint_names)
-    except RecordingError as error:
-        raise TrajectoryError(str(error)) from None
-    try:
-        return LoadedTrajectory(*trajectory_from_yaml(path.read_text(encoding='utf-8-sig')))
+                trajectory, notes = _from_bag(bag, joint_names, topic, progress)
+        elif path.suffix == '.csv':
+            trajectory, notes = _from_csv(path, joint_names)
+        else:
+            trajectory, notes = _from_yaml(path.read_text(encoding='utf-8-sig'))
     except UnicodeDecodeError:
         kinds = '.yaml, .json, .csv, .mcap or .db3'
         raise TrajectoryError(f'{path}: is not a text file, expected {kinds}') from None
+    except RecordingError as error:  # names the path
+        raise TrajectoryError(str(error)) from None
     except TrajectoryError as error:
         raise TrajectoryError(f'{path}: {error}') from None
-
-
-def _from_first_point(loaded: LoadedTrajectory) -> LoadedTrajectory:
-    """Let times that are those of a clock begin at zero: tables have too few digits for them."""
-    times = loaded.trajectory.times
-    if not len(times) or not LATEST_START < times[0] < np.inf:
-        return loaded
-    trajectory = loaded.trajectory._replace(times=times - times[0])
-    note = f'times count from the first point, at {times[0]:.3f} s'
-    return LoadedTrajectory(trajectory, (*loaded.notes, note))
+    times = trajectory.times
+    if len(times) and LATEST_START < times[0] < np.inf:
+        # Tables have too few digits for the times of a clock.
+        notes += (f'times count from the first point, at {times[0]:.3f} s',)
+        trajectory = trajectory._replace(times=times - times[0])
+    return LoadedTrajectory(trajectory, notes)
 
 
 def write_table(path: Path, trajectory: Trajectory, efforts: Floats) -> None:
@@ -127,19 +122,213 @@ def write_table(path: Path, trajectory: Trajectory, efforts: Floats) -> None:
         [N m or N].
 
     """
-    velocities, accelerations = trajectory.velocities, trajectory.accelerations
-    assert velocities is not None
-    assert accelerations is not None
-    values = np.hstack([trajectory.positions, velocities, accelerations, efforts])
+    table = np.column_stack([trajectory.times, *_arrays(trajectory), efforts])
     endings = ('', '.velocity', '.acceleration', '.effort')
     header = [name + ending for ending in endings for name in trajectory.joint_names]
-    row = ','.join([f'%.{DIGITS}g'] * (1 + len(header))) + '\r\n'  # as the csv module ends rows
     with path.open('w', newline='', encoding='utf-8') as file:
         csv.writer(file).writerow(['time', *header])
-        file.writelines(
-            row % (time, *numbers)
-            for time, numbers in zip(trajectory.times.tolist(), values.tolist(), strict=True)
+        np.savetxt(file, table, f'%.{_DIGITS}g', ',', '\r\n')  # as the csv module ends rows
+
+
+def write_trajectory(path: Path, trajectory: Trajectory, efforts: Floats | None = None) -> None:
+    """
+    Write a trajectory_msgs/JointTrajectory as YAML that `ros2 topic pub` accepts.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The file.
+    trajectory : Trajectory
+        With velocities and accelerations, at k times of m joints.
+    efforts : ndarray, shape (k, m), optional
+        [N m or N]; without them, a controller that does not use efforts accepts the trajectory.
+
+    """
+    import yaml
+
+    fields, arrays = [*_FIELDS], _arrays(trajectory)
+    if efforts is not None:
+        fields.append('effort')
+        arrays.append(efforts)
+    names = {'joint_names': list(trajectory.joint_names)}
+    with path.open('w', encoding='utf-8') as file:
+        yaml.safe_dump(names, file, default_flow_style=None, width=10**6)
+        file.write('points:\n')  # written without PyYAML, which is a hundred times as slow
+        for time, *rows in zip(trajectory.times, *arrays, strict=True):
+            sec, nanosec = divmod(round(1e9 * float(time)), 10**9)
+            lines = [f'{field}: {_plain(row)}' for field, row in zip(fields, rows, strict=True)]
+            lines.append(f'time_from_start: {{sec: {sec}, nanosec: {nanosec}}}')
+            file.write('- ' + '\n  '.join(lines) + '\n')
+
+
+def _arrays(trajectory: Trajectory) -> list[Floats]:
+    assert trajectory.velocities is not None
+    assert trajectory.accelerations is not None
+    return [trajectory.positions, trajectory.velocities, trajectory.accelerations]
+
+
+def _plain(row: Floats) -> str:
+    """Return a list as YAML 1.1, in which a number with an exponent needs a point."""
+    numbers = (repr(float(f'{x:.{_DIGITS}g}') + 0.0) for x in row)
+    points = (x if '.' in x else x.replace('e', '.0e') for x in numbers)
+    return f'[{", ".join(points)}]'
+
+
+# ---- YAML ----------------------------------------------------------------------------------
+
+
+def _from_yaml(text: str) -> LoadedTrajectory:
+    """Read the first trajectory of YAML text."""
+    import yaml
+
+    try:
+        documents = [_unwrapped(document) for document in _documents(text)]
+    except yaml.YAMLError as error:
+        raise TrajectoryError(f'not valid YAML: {" ".join(str(error).split())}') from None
+    found = [document for document in documents if document is not None]
+    if not found:
+        raise TrajectoryError('no trajectory, expected joint_names and points')
+    times, rows = _points(found[0]['points']) if 'points' in found[0] else _lists(found[0])
+    trajectory, notes = _trajectory(found[0]['joint_names'], times, rows)
+    if len(found) > 1:
+        notes = (f'the first of {len(found)} trajectories', *notes)
+    return LoadedTrajectory(trajectory, notes)
+
+
+def _documents(text: str) -> Iterator[Any]:
+    """
+    Yield the documents as lists, mappings and text; numbers are text, too.
+
+    Unlike the loaders of PyYAML, this neither recurses nor converts: no file can use up the stack,
+    contain itself, or create other objects. It is also several times as fast.
+
+    """
+    import yaml
+
+    loader = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)  # ten times as fast, if it was built
+    opened: list[tuple[Any, str | None, list[Any]]] = []  # kind of event, anchor, content
+    anchors: dict[str, Any] = {}
+    content: list[Any] = []
+    for event in yaml.parse(text, loader):
+        if isinstance(event, yaml.ScalarEvent):
+            value, anchor = event.value, event.anchor
+        elif isinstance(event, yaml.CollectionStartEvent):
+            if len(opened) == _DEEPEST:
+                line = event.start_mark.line + 1
+                raise TrajectoryError(f'line {line}: more than {_DEEPEST} levels of lists')
+            opened.append((type(event), event.anchor, content))
+            content = []
+            continue
+        elif isinstance(event, yaml.CollectionEndEvent):
+            kind, anchor, outer = opened.pop()
+            value, content = content, outer
+            if kind is yaml.MappingStartEvent:
+                names = (name if isinstance(name, str) else '' for name in value[::2])
+                value = dict(zip(names, value[1::2], strict=True))
+        elif isinstance(event, yaml.AliasEvent):
+            if event.anchor not in anchors:  # also if the alias is inside of what it refers to
+                line = event.start_mark.line + 1
+                raise TrajectoryError(f'line {line}: alias *{event.anchor} is not defined before')
+            value, anchor = anchors[event.anchor], None
+        elif isinstance(event, yaml.DocumentEndEvent):
+            yield from content
+            content, anchors = [], {}
+            continue
+        else:
+            continue
+        if anchor:
+            anchors[anchor] = value
+        content.append(value)
+
+
+def _unwrapped(document: Any) -> dict[str, Any] | None:
+    """Return the trajectory inside an action goal or the answer of a planner."""
+    while isinstance(document, dict) and 'joint_names' not in document:
+        document = next((document[name] for name in _ENCLOSING if name in document), None)
+    is_complete = isinstance(document, dict) and ('points' in document or 'positions' in document)
+    return document if is_complete else None
+
+
+def _points(points: Any) -> tuple[list[float], dict[str, list[Any]]]:
+    """Return times and rows of the points of a JointTrajectory."""
+    if not isinstance(points, list) or not all(isinstance(point, dict) for point in points):
+        raise TrajectoryError(
+            f'points is not a list of points; if it contains "...", {_WHOLE_OUTPUT}'
         )
+    times = [_seconds(point.get('time_from_start'), i) for i, point in enumerate(points)]
+    return times, {field: [point.get(field) for point in points] for field in _FIELDS}
+
+
+def _lists(document: dict[str, Any]) -> tuple[Floats, dict[str, list[Any]]]:
+    """Return times and rows of plain lists."""
+    if not isinstance(document.get('times'), list):
+        raise TrajectoryError('no list of times [s]')
+    times = _numbers(document['times'], len(document['times']), 'times')
+    rows: dict[str, list[Any]] = dict.fromkeys(_FIELDS, [None] * len(times))
+    for field in _FIELDS:
+        given = document.get(field)
+        if _is_given(given):
+            if not isinstance(given, list) or len(given) != len(times):
+                raise TrajectoryError(f'{field}: expected {len(times)} lists, one for each time')
+            rows[field] = given
+    return times, rows
+
+
+def _trajectory(names: Any, times: Any, rows: dict[str, list[Any]]) -> LoadedTrajectory:
+    """Check and convert joint names, times, and the rows of every field."""
+    if not isinstance(names, list) or not names or not all(isinstance(x, str) for x in names):
+        raise TrajectoryError(f'joint_names is {_short(names)}, expected a list of names')
+    arrays: list[Any] = []
+    notes = []
+    for field in _FIELDS:
+        given = [
+            _numbers(row, len(names), f'{field} of point {i}')
+            for i, row in enumerate(rows[field])
+            if _is_given(row)
+        ]
+        is_complete = len(given) == len(times)
+        if field == 'positions' and not is_complete:
+            raise TrajectoryError(f'{len(times) - len(given)} points have no positions')
+        if given and not is_complete:
+            notes.append(f'only {len(given)} of {len(times)} points have {field}: not used')
+        arrays.append(np.array(given).reshape(-1, len(names)) if is_complete else None)
+    trajectory = Trajectory(tuple(names), np.array(times, float), *arrays)
+    return LoadedTrajectory(trajectory, tuple(notes))
+
+
+def _is_given(values: Any) -> bool:
+    return bool(values) and values not in ('~', 'null')
+
+
+def _seconds(time: Any, point: int) -> float:
+    try:
+        if not isinstance(time, dict):
+            return float(time)
+        if set(time) <= {'sec', 'nanosec'}:
+            return float(time.get('sec', 0)) + 1e-9 * float(time.get('nanosec', 0))
+    except (TypeError, ValueError):
+        pass
+    raise TrajectoryError(
+        f'time_from_start of point {point} is {_short(time)}, expected sec and nanosec, or seconds'
+    )
+
+
+def _numbers(values: Any, count: int, where: str) -> Floats:
+    is_list = isinstance(values, list)
+    hint = f'; {_WHOLE_OUTPUT}' if not is_list or '...' in values else ''
+    if not is_list or len(values) != count:
+        found = len(values) if is_list else _short(values)
+        raise TrajectoryError(f'{where}: expected {count} numbers, got {found}{hint}')
+    try:
+        return np.array([float(value) for value in values])
+    except TypeError:
+        raise TrajectoryError(f'{where}: contains a list, expected numbers{hint}') from None
+    except ValueError as error:
+        raise TrajectoryError(f'{where}: {shortened(str(error), 100)}{hint}') from None
+
+
+def _short(value: Any) -> str:
+    return shortened(reprlib.repr(value))
 
 
 # ---- CSV -----------------------------------------------------------------------------------
@@ -147,37 +336,28 @@ def write_table(path: Path, trajectory: Trajectory, efforts: Floats) -> None:
 
 def _from_csv(path: Path, joint_names: Sequence[str]) -> LoadedTrajectory:
     times, columns, others = read_csv(path, joint_names, _QUANTITIES)
-    joints = tuple(
-        joint for joint, quantity in columns if quantity == _QUANTITIES[0] and joint in joint_names
-    )
     names = [*(f'{joint}.{quantity}' for joint, quantity in columns), *others]
+    joints = [joint for joint, kind in columns if kind == 'position' and joint in joint_names]
     if not joints:
         raise TrajectoryError(
-            f'{path}: no column has the positions of a joint of this robot; the columns are '
+            'no column has the positions of a joint of this robot; the columns are '
             f'{", ".join(["time", *names])}; the joints are {", ".join(joint_names)}'
         )
     for name in joint_names:
         if name not in joints and any(f'{name}.{q}' in names for q in (*_QUANTITIES, 'effort')):
             raise TrajectoryError(
-                f"{path}: joint '{name}' has no column of positions; expected '{name}' or "
+                f"joint '{name}' has no column of positions; expected '{name}' or "
                 f"'{name}.position'"
             )
-
-    def values(quantity: str) -> Floats | None:
-        found = [columns.get((joint, quantity)) for joint in joints]
-        given = [column for column in found if column is not None]
-        return np.stack(given, axis=1) if len(given) == len(joints) else None
-
-    arrays = {quantity: values(quantity) for quantity in _QUANTITIES}
-    unused = [
-        *(f'{j}.{q}' for j, q in columns if j not in joints or arrays[q] is None),
-        *others,
+    complete = [q for q in _QUANTITIES if all((joint, q) in columns for joint in joints)]
+    arrays: list[Any] = [
+        np.stack([columns[joint, q] for joint in joints], axis=1) if q in complete else None
+        for q in _QUANTITIES
     ]
-    positions = arrays.pop('position')
-    assert positions is not None
-    trajectory = Trajectory(joints, times, positions, *arrays.values())
+    unused = [f'{j}.{q}' for j, q in columns if j not in joints or q not in complete]
+    unused += others
     notes = (f'columns not used: {", ".join(unused)}',) if unused else ()
-    return LoadedTrajectory(trajectory, notes)
+    return LoadedTrajectory(Trajectory(tuple(joints), times, *arrays), notes)
 
 
 # ---- rosbag2 -------------------------------------------------------------------------------
@@ -198,21 +378,23 @@ def _from_bag(
     bag: Bag, joint_names: Sequence[str], topic: str | None, progress: Callable[[float], None]
 ) -> LoadedTrajectory:
     topics = _topics_with_data(bag, topic)
-    found = _longest_trajectories(
-        bag, [name for name in topics if bag.types[name] == JOINT_TRAJECTORY], progress
-    )
+    planned = [name for name in topics if bag.types[name] == JOINT_TRAJECTORY]
     measured = [name for name in topics if bag.types[name] == JOINT_STATE]
+    found = _longest_trajectories(bag, planned, progress)
     is_single = all(len(each.message.points) == 1 for each in found)
     if measured and is_single:
-        chosen = _choose_topic(bag, measured)
-        messages = bag.messages(chosen, progress)
-        trajectory, notes = _from_states(bag.path, messages, joint_names)
+        chosen = _DEFAULT_TOPIC if _DEFAULT_TOPIC in measured else measured[0]
+        if len(measured) > 1 and chosen != _DEFAULT_TOPIC:
+            several = ', '.join(measured)
+            raise TrajectoryError(
+                f'several topics have joint states, {several}; choose one with --topic'
+            )
+        trajectory, notes = _from_states(bag.messages(chosen, progress), joint_names)
         skipped = ', '.join(each.topic for each in found)
-        notes = (f'topic {chosen}', *notes)
         notes += (f'not used, single points only: {skipped}',) if found else ()
-        return LoadedTrajectory(trajectory, notes)
+        return LoadedTrajectory(trajectory, (f'topic {chosen}', *notes))
     if not found:
-        raise TrajectoryError(f'{bag.path}: every trajectory in it is empty')
+        raise TrajectoryError('every trajectory in it is empty')
     trajectory, notes = _from_trajectories(found)
     others = {name for name, kind in bag.types.items() if kind in (JOINT_TRAJECTORY, JOINT_STATE)}
     others -= {each.topic for each in found}
@@ -233,75 +415,55 @@ def _topics_with_data(bag: Bag, requested: str | None) -> list[str]:
         topic = bag.find_topic(requested)
         if topic not in topics:
             raise TrajectoryError(
-                f"{bag.path}: no trajectory or joint state on topic '{requested}'; topics are "
-                f'{listed}'
+                f"no trajectory or joint state on topic '{requested}'; topics are {listed}"
             )
         return [topic]
     if not topics:
-        raise TrajectoryError(
-            f'{bag.path}: no JointTrajectory or JointState messages; topics are {listed}'
-        )
+        raise TrajectoryError(f'no JointTrajectory or JointState messages; topics are {listed}')
     return topics
-
-
-def _choose_topic(bag: Bag, topics: Sequence[str]) -> str:
-    if _DEFAULT_TOPIC in topics:
-        return _DEFAULT_TOPIC
-    if len(topics) > 1:
-        raise TrajectoryError(
-            f'{bag.path}: several topics have joint states, {", ".join(topics)}; choose one with '
-            '--topic'
-        )
-    return topics[0]
 
 
 def _longest_trajectories(
     bag: Bag, topics: Sequence[str], progress: Callable[[float], None]
 ) -> list[_Longest]:
     """Find the longest trajectory of each topic; sort by length, longest first."""
-    found: dict[str, _Longest] = {}
+    found: list[_Longest] = []
     for topic in topics:
+        longest, number, total = None, 0, 0
         for _, message in bag.messages(topic, progress):
-            if not len(message.points):
-                continue
-            best = found.get(topic, _Longest(topic, message, 1, 0))
-            best = best._replace(total=best.total + 1)
-            if len(message.points) > len(best.message.points):
-                best = best._replace(message=message, number=best.total)
-            found[topic] = best
-    return sorted(found.values(), key=lambda each: len(each.message.points), reverse=True)
+            total += len(message.points) > 0
+            if len(message.points) > (len(longest.points) if longest else 0):
+                longest, number = message, total
+        if longest:
+            found.append(_Longest(topic, longest, number, total))
+    return sorted(found, key=lambda each: len(each.message.points), reverse=True)
 
 
-def _from_trajectories(found: Sequence[_Longest]) -> tuple[Trajectory, tuple[str, ...]]:
+def _from_trajectories(found: Sequence[_Longest]) -> LoadedTrajectory:
     """Convert the first trajectory; mention the others in notes."""
     first = found[0]
-    points = [
-        {
-            **{f: np.asarray(getattr(p, f)).tolist() for f in ('positions', *DERIVATIVES)},
-            'time_from_start': {
-                'sec': int(p.time_from_start.sec),
-                'nanosec': int(p.time_from_start.nanosec),
-            },
-        }
-        for p in first.message.points
-    ]
-    notes: tuple[str, ...] = (f'topic {first.topic}',)
+    points = first.message.points
+    durations = [point.time_from_start for point in points]
+    times = [float(each.sec) + 1e-9 * float(each.nanosec) for each in durations]
+    rows = {
+        field: [np.asarray(getattr(point, field)).tolist() for point in points]
+        for field in _FIELDS
+    }
+    trajectory, more = _trajectory(list(first.message.joint_names), times, rows)
+    note = f'topic {first.topic}'
     if first.total > 1:
-        notes = (f'topic {first.topic}: trajectory {first.number} of {first.total}',)
+        note += f': trajectory {first.number} of {first.total}'
+    notes = [note]
     if len(found) > 1:
-        others = (f'{each.topic} ({_points(len(each.message.points))})' for each in found[1:])
-        notes += (f'other topics: {", ".join(others)}; choose with --topic',)
-    trajectory, more = trajectory_from_points(list(first.message.joint_names), points)
-    return trajectory, notes + more
-
-
-def _points(count: int) -> str:
-    return f'{count} point{"" if count == 1 else "s"}'
+        counts = [(each.topic, len(each.message.points)) for each in found[1:]]
+        others = (f'{topic} ({count} point{"s" if count > 1 else ""})' for topic, count in counts)
+        notes.append(f'other topics: {", ".join(others)}; choose with --topic')
+    return LoadedTrajectory(trajectory, (*notes, *more))
 
 
 def _from_states(
-    path: Path, messages: Iterable[tuple[int, Any]], joint_names: Sequence[str]
-) -> tuple[Trajectory, tuple[str, ...]]:
+    messages: Iterable[tuple[int, Any]], joint_names: Sequence[str]
+) -> LoadedTrajectory:
     """Convert the joint states of one publisher: those with the most frequent list of names."""
     by_names: dict[tuple[str, ...], list[tuple[float, Any]]] = {}
     for received, message in messages:
@@ -313,7 +475,7 @@ def _from_states(
     if not known:
         found_names = ', '.join(sorted({name for names in by_names for name in names}))
         raise TrajectoryError(
-            f'{path}: its joint states have no joint of this robot, only {found_names or "none"}'
+            f'its joint states have no joint of this robot, only {found_names or "none"}'
         )
     names, found = max(known.items(), key=lambda item: len(item[1]))
     rising = [found[0]]
@@ -338,4 +500,5 @@ def _from_states(
         recorded = np.array([np.asarray(m.velocity)[kept] for _, m in rising])
         velocities = recorded if np.isfinite(recorded).all() else None
     joints = tuple(names[k] for k in kept)
-    return Trajectory(joints, times - times[0], positions, velocities), tuple(notes)
+    trajectory = Trajectory(joints, times - times[0], positions, velocities)
+    return LoadedTrajectory(trajectory, tuple(notes))

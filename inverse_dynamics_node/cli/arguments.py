@@ -1,11 +1,19 @@
-"""Command-line arguments that several commands have in common."""
+"""Command-line arguments that several commands have in common, and the robots that they name."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
+import math
 from pathlib import Path
+import sys
 
-from ..dynamics.loaded_robot import STANDARD_GRAVITY
+from ..dynamics.inverse_dynamics import InverseDynamics, STANDARD_GRAVITY
+from ..errors import UrdfError
+from ..robot.end_effector import last_link
+from ..robot.model import Floats
+from ..robot.urdf import load_urdf
+from .console import waiting
 from .output_files import picture_path
 
 
@@ -81,16 +89,35 @@ def add_strict(parser: argparse.ArgumentParser, condition: str) -> None:
     parser.add_argument('--strict', action='store_true', help=f'exit with 3 if {condition}')
 
 
-def joint_position(text: str) -> tuple[str, float]:
-    """
-    Parse the position of a joint.
+def add_at(parser: argparse.ArgumentParser, which: str) -> None:
+    """Add the option --at; which joints it is for is text for the help."""
+    parser.add_argument(
+        '--at',
+        action='append',
+        default=[],
+        type=_joint_position,
+        metavar='JOINT=POSITION',
+        help=f'position of a joint that {which} [rad, m] (default: 0, or the nearest end of its '
+        'range); may be repeated',
+    )
 
-    Raises
-    ------
-    argparse.ArgumentTypeError
-        If the text is not JOINT=POSITION.
 
-    """
+def number(expected: str, is_valid: Callable[[float], bool]) -> Callable[[str], float]:
+    """Return the type of an option for numbers; what is expected is text for its errors."""
+
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not is_valid(value):
+            raise argparse.ArgumentTypeError(f"'{text}' is not {expected}")
+        return value
+
+    return parse
+
+
+def _joint_position(text: str) -> tuple[str, float]:
     name, _, position = text.rpartition('=')
     try:
         return name, float(position)
@@ -107,3 +134,60 @@ def _payload(text: str) -> list[float]:
     if len(values) not in (1, 4):
         raise argparse.ArgumentTypeError(f"'{text}' is not MASS or MASS,X,Y,Z")
     return values
+
+
+def read_source_text(path: Path | str) -> Path | str:
+    """Return the text of standard input for ``-``, and anything else as it is."""
+    if str(path) != '-':
+        return path
+    text = sys.stdin.read()
+    if not text.lstrip('\ufeff \t\r\n').startswith('<'):  # otherwise it would be a path
+        raise UrdfError(['is not XML'], 'standard input')
+    return text
+
+
+def load_dynamics(path: Path | str, gravity: Floats | tuple[float, ...]) -> InverseDynamics:
+    """
+    Load a robot description, and compile the functions that compute its efforts.
+
+    Parameters
+    ----------
+    path : pathlib.Path or str
+        A file; ``-`` is standard input; or XML text.
+    gravity : array_like, shape (3,)
+        Free-fall acceleration in the frame of the base link [m/s^2].
+
+    Raises
+    ------
+    UrdfError
+        If the file does not exist, or is not a usable robot description.
+    ConfigurationError
+        If gravity is not three finite numbers.
+
+    """
+    source = read_source_text(path)
+    with waiting('loading (the first time, compiling takes some seconds)'):
+        return InverseDynamics(load_urdf(source), gravity)
+
+
+def stem_of(path: Path) -> str:
+    """Return the start of the names of files about a robot."""
+    return 'robot' if str(path) == '-' else path.stem
+
+
+def attach_payload(dynamics: InverseDynamics, options: argparse.Namespace) -> str:
+    """
+    Attach the payload of the command line, if there is one, to the link that carries it.
+
+    Returns
+    -------
+    description : str
+        Text for titles; empty without a payload.
+
+    """
+    if options.payload is None:
+        return ''
+    link = options.link or last_link(dynamics.robot)
+    mass, *com = options.payload
+    dynamics.set_payload(link, mass, com or (0.0, 0.0, 0.0))
+    return f"payload {mass:g} kg on link '{link}'"

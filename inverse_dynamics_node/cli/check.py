@@ -10,33 +10,18 @@ from typing import Any
 
 import numpy as np
 
-from ..analysis.workspace import (
-    explore,
-    payload_capacity,
-    PayloadCapacity,
-    SAMPLES,
-    Workspace,
-)
+from ..analysis.sizing import explore, payload_capacity, PayloadCapacity, SAMPLES, Workspace
 from ..report.quantities import decimals, effort_unit, fraction, number
 from ..report.robot_tables import model_tables
 from ..report.tables import Table, WIDTH
 from ..report.warnings import warnings_about
 from ..robot.end_effector import last_link
-from ..robot.model import Floats, RobotModel
-from ..robot.model_warning import ModelWarning
-from .arguments import (
-    add_force,
-    add_gravity,
-    add_link,
-    add_picture,
-    add_strict,
-    add_urdf,
-    picture_or,
-)
+from ..robot.model import Floats, ModelWarning, RobotModel
+from . import arguments
 from .console import progress, show, show_warnings
 from .output_files import check_outputs, new_file, output_path
+from .pictures.check import draw
 from .pictures.style import try_to_draw
-from .robots import load_dynamics, stem_of
 
 EPILOG = """\
 examples:
@@ -66,10 +51,10 @@ def add_parser(subparsers: Any) -> None:
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    add_urdf(parser)
-    add_link(parser)
-    add_gravity(parser)
-    add_picture(parser, '<name of the URDF>_check.png')
+    arguments.add_urdf(parser)
+    arguments.add_link(parser)
+    arguments.add_gravity(parser)
+    arguments.add_picture(parser, '<name of the URDF>_check.png')
     parser.add_argument(
         '--poses',
         type=output_path,
@@ -82,8 +67,8 @@ def add_parser(subparsers: Any) -> None:
         default=SAMPLES,
         help='number of poses, rounded up to a power of two (default: %(default)s)',
     )
-    add_force(parser)
-    add_strict(parser, 'there are warnings')
+    arguments.add_force(parser)
+    arguments.add_strict(parser, 'there are warnings')
     parser.set_defaults(run=run)
 
 
@@ -95,13 +80,13 @@ def _sample_count(text: str) -> int:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
-    picture = f'{stem_of(options.urdf)}_check.png'
+    picture = f'{arguments.stem_of(options.urdf)}_check.png'
     check_outputs(
         [options.urdf],
-        {'--poses': options.poses, '--picture': picture_or(options, picture)},
+        {'--poses': options.poses, '--picture': arguments.picture_or(options, picture)},
         options.force,
     )
-    dynamics = load_dynamics(options.urdf, options.gravity)
+    dynamics = arguments.load_dynamics(options.urdf, options.gravity)
     robot = dynamics.robot
     show(*model_tables(dynamics))
     warnings = warnings_about(robot)
@@ -116,15 +101,9 @@ def run(options: argparse.Namespace) -> int:
     if robot.joint_names and options.poses:
         write_poses(workspace, options.poses)
     if robot.joint_names and not options.no_picture:
-        from .pictures.check import draw
-
         print()
-        path = try_to_draw(
-            partial(draw, dynamics, workspace, payload, options.urdf.name),
-            options.picture,
-            picture,
-        )
-        if path:
+        drawing = partial(draw, dynamics, workspace, payload, options.urdf.name)
+        if path := try_to_draw(drawing, options, picture):
             print(f'picture: {path}')
     return _WARNED if options.strict and warnings else 0
 

@@ -19,32 +19,16 @@ from ..analysis.diagnosis import (
     Recording,
 )
 from ..analysis.recordings.measured_states import read_measured_states
-from ..dynamics.loaded_robot import FRICTION_WIDTH
+from ..dynamics.inverse_dynamics import FRICTION_WIDTH
 from ..errors import ConfigurationError, RecordingError
 from ..report.compare_report import comparison_table, friction_table, verdict
 from ..report.diagnosis_text import diagnosis_warning
-from ..robot.end_effector import last_link
 from ..robot.limit_checks import position_warnings
-from .arguments import (
-    add_force,
-    add_friction,
-    add_gravity,
-    add_link,
-    add_payload,
-    add_picture,
-    add_strict,
-    add_urdf,
-    picture_or,
-)
-from .console import (
-    progress,
-    say,
-    show,
-    show_warnings,
-)
+from . import arguments
+from .console import progress, say, show, show_warnings
 from .output_files import check_outputs, new_file, output_path
+from .pictures.compare import draw
 from .pictures.style import try_to_draw
-from .robots import attach_payload, load_dynamics
 
 EPILOG = """\
 examples:
@@ -80,7 +64,7 @@ def add_parser(subparsers: Any) -> None:
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    add_urdf(parser)
+    arguments.add_urdf(parser)
     parser.add_argument('recording', type=Path, help='rosbag2 folder, .mcap, .db3 or .csv file')
     parser.add_argument(
         '--topic', help='topic of the joint states (default: the only one with efforts)'
@@ -91,10 +75,11 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         '--to', dest='end', type=float, metavar='S', help='ignore later samples [s]'
     )
-    add_link(parser, '; the only link searched for an unknown payload (default: all tips)')
-    add_payload(parser)
-    add_gravity(parser)
-    add_friction(parser)
+    role = '; the only link searched for an unknown payload (default: all tips)'
+    arguments.add_link(parser, role)
+    arguments.add_payload(parser)
+    arguments.add_gravity(parser)
+    arguments.add_friction(parser)
     parser.add_argument(
         '--coulomb-width',
         type=float,
@@ -108,9 +93,9 @@ def add_parser(subparsers: Any) -> None:
         metavar='FILE',
         help='file for the fitted friction, as parameters of the node',
     )
-    add_picture(parser, '<name of the recording>_compare.png')
-    add_force(parser)
-    add_strict(parser, 'there are warnings')
+    arguments.add_picture(parser, '<name of the recording>_compare.png')
+    arguments.add_force(parser)
+    arguments.add_strict(parser, 'there are warnings')
     parser.set_defaults(run=run)
 
 
@@ -120,14 +105,14 @@ def run(options: argparse.Namespace) -> int:
     picture = f'{options.recording.stem}_compare.png'
     check_outputs(
         [options.urdf, options.recording],
-        {'--parameters': options.parameters, '--picture': picture_or(options, picture)},
+        {'--parameters': options.parameters, '--picture': arguments.picture_or(options, picture)},
         options.force,
     )
-    dynamics = load_dynamics(options.urdf, options.gravity)
+    dynamics = arguments.load_dynamics(options.urdf, options.gravity)
     robot = dynamics.robot
     if options.friction:
         dynamics.set_friction(width=FRICTION_WIDTH if width is None else width)
-    load = attach_payload(dynamics, options.link or last_link(robot), options.payload)
+    load = arguments.attach_payload(dynamics, options)
     with progress('reading') as report:
         recording, notes = read_measured_states(
             options.recording, robot.joint_names, options.topic, report, robot.mimic_names
@@ -147,17 +132,10 @@ def run(options: argparse.Namespace) -> int:
     if options.parameters:
         write_parameters(result, robot.joint_names, options.parameters)
         print(f'friction: {options.parameters}')
-    if not options.no_picture:
-        from .pictures.compare import draw
-
-        source = f'{robot.name}: {", ".join(filter(None, (options.recording.name, load)))}'
-        path = try_to_draw(
-            partial(draw, result, source, verdict(result)),
-            options.picture,
-            picture,
-        )
-        if path:
-            print(f'picture: {path}')
+    source = f'{robot.name}: {", ".join(filter(None, (options.recording.name, load)))}'
+    drawing = partial(draw, result, source, verdict(result))
+    if path := try_to_draw(drawing, options, picture):
+        print(f'picture: {path}')
     return _FOUND if options.strict and warnings else 0
 
 

@@ -1,19 +1,51 @@
-"""The command `demo`: the node on a simulated robot."""
+"""
+The command `demo`: the node on a simulated robot.
+
+Only `main` of this package imports this module, and only to run it, because it needs ROS.
+"""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import nullcontext
+from dataclasses import replace
 import math
 import os
 from pathlib import Path
+import shutil
 import signal
 import sys
-from typing import Any
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
 
+import numpy as np
+
+from ..analysis.excitation import Excitation, find_excitation, motion_limits, States, whole_states
+from ..analysis.identification import IdentificationResult, identify_parameters
+from ..analysis.identification.result import calibrated_urdf, identified_parameters
+from ..analysis.recordings.measured_states import read_measured_states
+from ..dynamics.inverse_dynamics import InverseDynamics
 from ..errors import InverseDynamicsError
+from ..report.tables import Table
+from ..robot.model import Floats
+from ..robot.urdf import load_urdf
+from ..simulation.demo.commander import History
+from ..simulation.demo.demo import run_demo
+from ..simulation.demo.demo_setup import DemoSetup
+from ..simulation.demo.identification import (
+    check_identification,
+    follow,
+    rms_errors,
+    SUMMARY,
+    unknown_robot,
+    UnknownRobot,
+)
+from ..simulation.demo.processes import stay_on_this_machine, unused_domain
+from ..simulation.demo.results import excuse, ScenarioResult
+from ..simulation.demo.scenarios import SCENARIOS
 from .arguments import add_force
+from .console import progress, say, show
 from .output_files import check_outputs, new_file, output_path, picture_path
 
 EPILOG = """
@@ -29,23 +61,14 @@ exit code: 0 passed; 1 failed, or cannot be run; 2 invalid arguments."""
 
 CALIBRATE = 'calibrate'
 """The scenario that needs more than one run, and the analysis of a recording."""
+_FRACTION = 0.6
+"""Fraction of the limits that its motion uses; the errors with the wrong URDF need the rest."""
 
-
-def add_parser(subparsers: Any) -> None:
-    """Add the command to the list; it parses its own arguments."""
-    parser: argparse.ArgumentParser = subparsers.add_parser(
-        'demo', help='run the node on a simulated robot (needs ROS 2 and MuJoCo)', add_help=False
-    )
-    parser.set_defaults(run=lambda options: main([]))
+Draw = Callable[[Path], None]
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the demo from the command line; return the exit code."""
-    # Imported here, because no other command needs ROS.
-    from ..simulation.demo.demo import run_demo
-    from ..simulation.demo.processes import stay_on_this_machine, unused_domain
-    from .identification_demo import run_identification
-
     options = _parse(arguments)
     outputs = {'--picture': options.picture, '--record': options.record}
     check_outputs([options.urdf], outputs, options.force)
@@ -56,8 +79,14 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         with unused_domain() if options.domain is None else nullcontext(options.domain) as domain:
             os.environ['ROS_DOMAIN_ID'] = str(domain)
-            run = run_identification if options.scenario == CALIBRATE else run_demo
-            return 0 if run(options, lambda: bool(stops), new_file) else 1
+            run = _run_identification if options.scenario == CALIBRATE else _run_scenario
+            outcome, draw = run(options, lambda: bool(stops))
+            if options.picture:
+                with new_file(options.picture) as path:
+                    draw(path)
+                print(f'picture: {options.picture}')
+            print(outcome, flush=True)
+            return 1 if outcome.failures else 0
     except KeyboardInterrupt:
         print('stopped')
         return 128 + stops[0]
@@ -73,9 +102,6 @@ def _new_folder(text: str) -> Path:
 
 
 def _parse(arguments: list[str] | None) -> argparse.Namespace:
-    from ..simulation.demo.identification import SUMMARY
-    from ..simulation.demo.scenarios import SCENARIOS
-
     summaries = {name: scenario.summary for name, scenario in SCENARIOS.items()}
     summaries[CALIBRATE] = SUMMARY
 
@@ -154,3 +180,143 @@ def _add_files(parser: argparse.ArgumentParser) -> None:
         help='storage of the recording (default: %(default)s)',
     )
     add_force(parser)
+
+
+def _run_scenario(
+    options: argparse.Namespace, stopped: Callable[[], bool]
+) -> tuple[ScenarioResult, Draw]:
+    """Run a scenario of the simulation; return verdict and picture."""
+    result = run_demo(options, stopped)
+
+    def draw(path: Path) -> None:
+        from .pictures import demo as pictures
+
+        title = f'{result.title}. {result.outcome}'
+        pictures.draw(path, result.robot, title, result.timeline, result.history)
+
+    return result.outcome, draw
+
+
+class _Result(NamedTuple):
+    """Both runs, and the identification between them."""
+
+    histories: tuple[History, History]
+    errors: tuple[Floats, Floats]
+    """Root mean squares of the tracking errors, each of shape (n,) [rad or m]."""
+    identified: IdentificationResult
+
+
+def _run_identification(
+    options: argparse.Namespace, stopped: Callable[[], bool]
+) -> tuple[ScenarioResult, Draw]:
+    """Excite, record, identify, and follow the motion again; return verdict and picture."""
+    urdf = str(options.urdf.resolve())
+    robot = load_urdf(urdf)
+    dynamics = InverseDynamics(robot)
+    limits = motion_limits(robot, fraction=_FRACTION)
+    print('searching for an exciting motion', flush=True)
+    with progress('searching for an exciting motion') as report:
+        excitation = find_excitation(dynamics, limits, options.duration, progress=report)
+    motion = _ExcitationMotion(excitation)
+    setup = DemoSetup(urdf, robot, motion.sample(0.0)[0], options.duration, options.link)
+    truth = unknown_robot(setup)
+    say(
+        'The simulated robot has other masses and centres of mass than the URDF, and friction '
+        'and rotors that the URDF leaves out.'
+    )
+    result = _runs(setup, motion, truth, options, stopped)
+    outcome = check_identification(setup, *result.errors, result.identified.accepted)
+    outcome = replace(outcome, excuse=excuse(result.histories[1]))
+    print()
+    show(_table(setup, truth, result))
+
+    def draw(path: Path) -> None:
+        from .pictures import demo as pictures
+
+        title, names = f'{robot.name}: calibrate. {outcome}', robot.joint_names
+        pictures.draw_identification(names, result.histories, result.errors, title, path)
+
+    return outcome, draw
+
+
+class _ExcitationMotion:
+    """A motion of all joints for the commander; after its end the robot rests."""
+
+    def __init__(self, excitation: Excitation) -> None:
+        self._series, self._limits = excitation.series, excitation.limits
+
+    def sample(self, time: float) -> tuple[Floats, Floats, Floats]:
+        """Return positions, velocities and accelerations at one time, each of shape (n,)."""
+        times = np.array([min(max(time, 0.0), self._series.duration)])
+        q, qd, qdd = whole_states(self._limits, States(*self._series.sample(times)))
+        return q[0], qd[0], qdd[0]
+
+
+def _runs(
+    setup: DemoSetup,
+    motion: _ExcitationMotion,
+    truth: UnknownRobot,
+    options: argparse.Namespace,
+    stopped: Callable[[], bool],
+) -> _Result:
+    """Follow the motion with the URDF, identify the recording, and follow it again."""
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        actual, recorded = folder / 'actual.urdf', folder / 'recorded'
+        calibrated, parameters = folder / 'calibrated.urdf', folder / 'node.yaml'
+        actual.write_bytes(truth.urdf)
+        robot = [str(actual), '--friction', '--armature', *(f'{x:.9f}' for x in truth.armature)]
+
+        def run(title: str, record: Path | None, *node: str) -> tuple[History, Floats]:
+            history = follow(setup, motion, robot, [*node], record, options, stopped, title)
+            return history, rms_errors(history, setup.duration)
+
+        before, errors_before = run('with the URDF', recorded, *_description(setup.urdf))
+        if options.record:
+            shutil.copytree(recorded, options.record)
+            print(f'recorded: {options.record}')
+        recording, _ = read_measured_states(recorded, setup.robot.joint_names)
+        print('identifying', flush=True)
+        with progress('identifying') as report:
+            result = identify_parameters(setup.robot, [recording], progress=report)
+        say(f'{result.verdict}.')
+        calibrated.write_bytes(calibrated_urdf(result, setup.urdf))
+        parameters.write_text(identified_parameters(result), encoding='utf-8')
+        after, errors_after = run(
+            'with the calibrated URDF',
+            None,
+            *('--params-file', str(parameters)),
+            *_description(str(calibrated)),
+        )
+    return _Result((before, after), (errors_before, errors_after), result)
+
+
+def _description(urdf: str) -> list[str]:
+    return ['-p', f"robot_description_file:='{urdf}'"]
+
+
+def _table(setup: DemoSetup, truth: UnknownRobot, result: _Result) -> Table:
+    """Return the errors of both runs, and the simulated and identified friction and rotors."""
+    found = {joint.name: joint.terms for joint in result.identified.joints}
+    rows = []
+    for k, name in enumerate(setup.robot.joint_names):
+        is_slide, terms = setup.robot.is_prismatic_joint[k], found.get(name)
+        units = ('mm  ', 'N  ', 'kg    ') if is_slide else ('mrad', 'N m', 'kg m^2')
+        before, after = (1000.0 * float(errors[k]) for errors in result.errors)
+        coulomb = f'{terms.coulomb:.3g}' if terms else '-'
+        armature = f'{terms.armature:.3g}' if terms else '-'
+        rows.append(
+            (
+                name,
+                f'{before:.3g}',
+                f'{after:.3g} {units[0]}',
+                f'{truth.coulomb[k]:.3g}',
+                f'{coulomb} {units[1]}',
+                f'{truth.armature[k]:.3g}',
+                f'{armature} {units[2]}',
+            )
+        )
+    columns = ('joint', 'error before', 'after', 'Coulomb', 'identified', 'rotor', 'identified')
+    return Table(
+        'Tracking errors (RMS), and simulated and identified values', columns, tuple(rows)
+    )

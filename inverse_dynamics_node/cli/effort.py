@@ -11,44 +11,25 @@ from typing import Any
 
 import numpy as np
 
-from ..analysis.requirements import effort_requirements, EffortRequirements
+from ..analysis.sizing import effort_requirements, EffortRequirements, joint_ranges
 from ..analysis.trajectory_files import (
     FORMATS,
     LoadedTrajectory,
     read_trajectory,
     write_table,
+    write_trajectory,
 )
-from ..analysis.trajectory_yaml import write_trajectory
-from ..analysis.workspace import joint_ranges
-from ..dynamics.trajectory import (
-    complete,
-    refine,
-    smooth,
-    Trajectory,
-)
+from ..dynamics.trajectory import complete, refine, smooth, Trajectory
 from ..errors import ConfigurationError, unknown_name
 from ..report.quantities import decimals, effort_unit, fraction, number
 from ..report.tables import Table
-from ..robot.end_effector import last_link
 from ..robot.limit_checks import position_warnings
-from ..robot.model import Floats, RobotModel
-from ..robot.model_warning import ModelWarning
-from .arguments import (
-    add_force,
-    add_friction,
-    add_gravity,
-    add_link,
-    add_payload,
-    add_picture,
-    add_strict,
-    add_urdf,
-    joint_position,
-    picture_or,
-)
+from ..robot.model import Floats, ModelWarning, RobotModel
+from . import arguments
 from .console import progress, show, show_warnings
 from .output_files import check_outputs, new_file, output_path
+from .pictures.effort import draw
 from .pictures.style import try_to_draw
-from .robots import attach_payload, load_dynamics
 
 EPILOG = f"""\
 {FORMATS}
@@ -71,6 +52,7 @@ _EXCEEDED = 3
 _FAR_BEYOND = 10.0
 """Ratio to the limit above which the unit of an effort or a speed is probably wrong."""
 _TERMS = ('inertia', 'velocity', 'gravity', 'friction')
+_rate = arguments.number('a rate from 0 to 100000 Hz', lambda rate: 0.0 <= rate <= 1e5)
 
 
 def add_parser(subparsers: Any) -> None:
@@ -83,21 +65,13 @@ def add_parser(subparsers: Any) -> None:
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    add_urdf(parser)
+    arguments.add_urdf(parser)
     parser.add_argument('trajectory', type=Path, help='a file or recording, see below')
     parser.add_argument('--topic', help='topic of a recording (default: see below)')
-    add_payload(parser)
-    add_link(parser)
-    add_friction(parser)
-    parser.add_argument(
-        '--at',
-        action='append',
-        default=[],
-        type=joint_position,
-        metavar='JOINT=POSITION',
-        help='position of a joint that the trajectory does not move [rad, m] (default: 0, or the '
-        'nearest end of its range); may be repeated',
-    )
+    arguments.add_payload(parser)
+    arguments.add_link(parser)
+    arguments.add_friction(parser)
+    arguments.add_at(parser, 'the trajectory does not move')
     parser.add_argument(
         '--smooth',
         type=_rate,
@@ -112,14 +86,14 @@ def add_parser(subparsers: Any) -> None:
         help='least number of evaluated states per second; 0: only the points of the trajectory '
         '(default: %(default)g)',
     )
-    add_gravity(parser)
+    arguments.add_gravity(parser)
     parser.add_argument(
         '--csv',
         type=output_path,
         metavar='FILE',
         help='file for the efforts over time (default: <name of the trajectory>_efforts.csv)',
     )
-    add_picture(parser, '<name of the trajectory>_efforts.png')
+    arguments.add_picture(parser, '<name of the trajectory>_efforts.png')
     parser.add_argument(
         '--trajectory-out',
         type=output_path,
@@ -127,8 +101,8 @@ def add_parser(subparsers: Any) -> None:
         help='file for the trajectory with velocities, accelerations and efforts, in the format '
         'of `ros2 topic pub`',
     )
-    add_force(parser)
-    add_strict(parser, 'a limit of effort, speed or position is exceeded')
+    arguments.add_force(parser)
+    arguments.add_strict(parser, 'a limit of effort, speed or position is exceeded')
     parser.set_defaults(run=run)
 
 
@@ -141,13 +115,13 @@ def run(options: argparse.Namespace) -> int:
         {
             '--csv': table,
             '--trajectory-out': options.trajectory_out,
-            '--picture': picture_or(options, f'{stem}.png'),
+            '--picture': arguments.picture_or(options, f'{stem}.png'),
         },
         options.force,
     )
-    dynamics = load_dynamics(options.urdf, options.gravity)
+    dynamics = arguments.load_dynamics(options.urdf, options.gravity)
     robot = dynamics.robot
-    load = attach_payload(dynamics, options.link or last_link(robot), options.payload)
+    load = arguments.attach_payload(dynamics, options)
     if options.friction:
         dynamics.set_friction()
     others = _others(robot, options.at)
@@ -182,28 +156,13 @@ def run(options: argparse.Namespace) -> int:
         written.append(options.trajectory_out)
         with new_file(options.trajectory_out) as temporary:
             write_trajectory(temporary, whole, requirements.efforts[points])
-    if not options.no_picture:
-        from .pictures.effort import draw
-
-        title = f'{robot.name}: efforts along {options.trajectory.name}\n{load}'
-        path = try_to_draw(
-            partial(draw, robot, fine, requirements, title), options.picture, f'{stem}.png'
-        )
-        if path:
-            written.append(path)
+    title = f'{robot.name}: efforts along {options.trajectory.name}\n{load}'
+    drawing = partial(draw, robot, fine, requirements, title)
+    if path := try_to_draw(drawing, options, f'{stem}.png'):
+        written.append(path)
     print('\n'.join(f'written: {path}' for path in written))
     is_exceeded = requirements.is_too_strong | requirements.is_too_fast | requirements.is_too_far
     return _EXCEEDED if options.strict and is_exceeded.any() else 0
-
-
-def _rate(text: str) -> float:
-    try:
-        rate = float(text)
-    except ValueError:
-        rate = -1.0
-    if not 0.0 <= rate <= 1e5:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a rate from 0 to 100000 Hz")
-    return rate
 
 
 def _others(robot: RobotModel, places: Sequence[tuple[str, float]]) -> Floats:

@@ -23,26 +23,15 @@ from ..analysis.excitation import (
     swept_box,
     whole_states,
 )
-from ..analysis.trajectory_files import write_table
-from ..analysis.trajectory_yaml import write_trajectory
+from ..analysis.trajectory_files import write_table, write_trajectory
 from ..dynamics.trajectory import Trajectory, trajectory_efforts
 from ..report.excitation_tables import excitation_tables
-from ..robot.end_effector import last_link
 from ..robot.model import Floats
-from .arguments import (
-    add_force,
-    add_gravity,
-    add_link,
-    add_payload,
-    add_picture,
-    add_urdf,
-    joint_position,
-    picture_or,
-)
+from . import arguments
 from .console import progress, say, show
 from .output_files import check_outputs, new_file, output_path
+from .pictures.excite import draw
 from .pictures.style import try_to_draw
-from .robots import attach_payload, load_dynamics, stem_of
 
 EPILOG = """\
 examples:
@@ -63,6 +52,7 @@ _YAML_RATE = 20.0
 """Points per second of the JointTrajectory; controllers interpolate with 5th degree [Hz]."""
 _SLOW = 0.2
 """Fraction of the speed limits at which the arm moves to the start pose."""
+_positive = arguments.number('a number above 0', lambda value: 0.0 < value <= 1e6)
 
 
 def add_parser(subparsers: Any) -> None:
@@ -76,12 +66,12 @@ def add_parser(subparsers: Any) -> None:
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    add_urdf(parser)
+    arguments.add_urdf(parser)
     _add_limits(parser)
     _add_motion(parser)
-    add_payload(parser)
-    add_link(parser)
-    add_gravity(parser)
+    arguments.add_payload(parser)
+    arguments.add_link(parser)
+    arguments.add_gravity(parser)
     _add_files(parser)
     parser.set_defaults(run=run)
 
@@ -99,15 +89,7 @@ def _add_limits(parser: argparse.ArgumentParser) -> None:
         metavar='JOINT=LOW:HIGH',
         help='range of a joint, to be used in full [rad, m]; may be repeated',
     )
-    parser.add_argument(
-        '--at',
-        action='append',
-        default=[],
-        type=joint_position,
-        metavar='JOINT=POSITION',
-        help='position of a joint that does not move [rad, m] (default: 0, or the nearest end of '
-        'its range); may be repeated',
-    )
+    arguments.add_at(parser, 'does not move')
     parser.add_argument(
         '--floor',
         type=float,
@@ -174,13 +156,13 @@ def _add_files(parser: argparse.ArgumentParser) -> None:
         help='file for the motion as JointTrajectory (default: <name of the URDF>_excite.yaml); '
         'the way to the start pose goes to a file whose name ends with _start.yaml',
     )
-    add_picture(parser, '<name of the URDF>_excite.png')
-    add_force(parser)
+    arguments.add_picture(parser, '<name of the URDF>_excite.png')
+    arguments.add_force(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
-    stem = f'{stem_of(options.urdf)}_excite'
+    stem = f'{arguments.stem_of(options.urdf)}_excite'
     if options.speed < 1.0:
         stem = f'{stem}_speed_{options.speed:g}'
     csv = options.csv or Path(f'{stem}.csv')
@@ -192,13 +174,13 @@ def run(options: argparse.Namespace) -> int:
             '--csv': csv,
             '--trajectory-out': yaml,
             'start of --trajectory-out': start,
-            '--picture': picture_or(options, f'{stem}.png'),
+            '--picture': arguments.picture_or(options, f'{stem}.png'),
         },
         options.force,
     )
-    dynamics = load_dynamics(options.urdf, options.gravity)
+    dynamics = arguments.load_dynamics(options.urdf, options.gravity)
     robot = dynamics.robot
-    attach_payload(dynamics, options.link or last_link(robot), options.payload)
+    arguments.attach_payload(dynamics, options)
     limits = motion_limits(
         robot,
         options.joints,
@@ -231,16 +213,10 @@ def run(options: argparse.Namespace) -> int:
         f'{yaml}: the motion as JointTrajectory',
         f'{start}: to its start pose within {_seconds_to_start(excitation):g} s, from anywhere',
     ]
-    if not options.no_picture:
-        from .pictures.excite import draw
-
-        path = try_to_draw(
-            partial(draw, dynamics, excitation, trajectory, efforts, box, options.urdf.name),
-            options.picture,
-            f'{stem}.png',
-        )
-        if path:
-            written.append(f'{path}: picture')
+    source = options.urdf.name
+    drawing = partial(draw, dynamics, excitation, trajectory, efforts, box, source)
+    if path := try_to_draw(drawing, options, f'{stem}.png'):
+        written.append(f'{path}: picture')
     print('\n'.join(f'written: {line}' for line in written))
     return 0
 
@@ -284,16 +260,6 @@ def _range(text: str) -> tuple[str, tuple[float, float]]:
         return name, (float(low), float(high))
     except ValueError:
         raise argparse.ArgumentTypeError(f"'{text}' is not JOINT=LOW:HIGH") from None
-
-
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 < value <= 1e6:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a number above 0")
-    return value
 
 
 def _speed(text: str) -> float:

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from ..analysis.identification import IdentificationResult, identify_parameters
-from ..analysis.identification.export import calibrated_urdf, node_parameters
+from ..analysis.identification.result import calibrated_urdf, identified_parameters
 from ..analysis.recordings.measured_states import read_measured_states
-from ..analysis.recordings.recording import Recording
+from ..analysis.recordings.signals import Recording
 from ..report.identification_json import as_json
 from ..report.identification_tables import (
     body_table,
@@ -22,21 +22,12 @@ from ..report.identification_tables import (
 from ..report.tables import Table
 from ..robot.end_effector import last_link
 from ..robot.limit_checks import position_warnings
-from ..robot.model_warning import ModelWarning
-from .arguments import (
-    add_force,
-    add_gravity,
-    add_link,
-    add_payload,
-    add_picture,
-    add_strict,
-    add_urdf,
-    picture_or,
-)
+from ..robot.model import ModelWarning
+from . import arguments
 from .console import progress, say, show, show_warnings
 from .output_files import check_outputs, new_file, output_path
+from .pictures.identify import draw
 from .pictures.style import try_to_draw
-from .robots import load_dynamics, read_source_text, stem_of
 
 EPILOG = """\
 examples:
@@ -69,7 +60,7 @@ def add_parser(subparsers: Any) -> None:
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    add_urdf(parser)
+    arguments.add_urdf(parser)
     parser.add_argument(
         'recordings',
         type=Path,
@@ -112,30 +103,30 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         '--topic', help='topic of the joint states (default: the only one with efforts)'
     )
-    add_link(parser)
-    add_payload(parser)
-    add_gravity(parser)
-    add_picture(parser, '<name of the robot>_identify.png')
-    add_force(parser)
-    add_strict(parser, 'the identified model is not accepted')
+    arguments.add_link(parser)
+    arguments.add_payload(parser)
+    arguments.add_gravity(parser)
+    arguments.add_picture(parser, '<name of the robot>_identify.png')
+    arguments.add_force(parser)
+    arguments.add_strict(parser, 'the identified model is not accepted')
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
-    picture = f'{stem_of(options.urdf)}_identify.png'
+    picture = f'{arguments.stem_of(options.urdf)}_identify.png'
     check_outputs(
         [options.urdf, *options.recordings, *options.validate],
         {
             '--output': options.output,
             '--parameters': options.parameters,
             '--json': options.json,
-            '--picture': picture_or(options, picture),
+            '--picture': arguments.picture_or(options, picture),
         },
         options.force,
     )
-    source = read_source_text(options.urdf)
-    robot = load_dynamics(source, options.gravity).robot
+    source = arguments.read_source_text(options.urdf)
+    robot = arguments.load_dynamics(source, options.gravity).robot
     payload = None
     if options.payload is not None:
         mass, *com = options.payload
@@ -150,17 +141,10 @@ def run(options: argparse.Namespace) -> int:
     files = _write(result, source, options)
     _show(result, tuple(dict.fromkeys([*notes, *more_notes])), [*runs, *unseen])
     print('\n'.join(files), end='\n' if files else '')
-    if not options.no_picture:
-        from .pictures.identify import draw
-
-        names = ', '.join(path.name for path in options.recordings)
-        path = try_to_draw(
-            partial(draw, result, f'{robot.name}: {names}'),
-            options.picture,
-            picture,
-        )
-        if path:
-            print(f'picture: {path}')
+    names = ', '.join(path.name for path in options.recordings)
+    drawing = partial(draw, result, f'{robot.name}: {names}')
+    if path := try_to_draw(drawing, options, picture):
+        print(f'picture: {path}')
     return _NOT_ACCEPTED if options.strict and not result.accepted else 0
 
 
@@ -218,7 +202,7 @@ def _write(
         lines.append(f'{what}: {options.output}')
     if options.parameters:
         with new_file(options.parameters) as path:
-            path.write_text(node_parameters(result), encoding='utf-8')
+            path.write_text(identified_parameters(result), encoding='utf-8')
         lines.append(f'parameters of the node: {options.parameters}')
     if options.json:
         text = json.dumps(as_json(result), indent=2, ensure_ascii=False)

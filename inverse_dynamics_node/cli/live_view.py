@@ -8,16 +8,11 @@ import os
 import time
 from typing import Any, TYPE_CHECKING
 
-from ..analysis.diagnosis.agreement import Agreement, Obstacle, Outcome
-from ..control.status import (
-    JointStatesStatus,
-    NodeStatus,
-    OtherNodesStatus,
-    ReferenceStatus,
-)
+from ..analysis.diagnosis.live import Agreement, Obstacle, Outcome
+from ..control.status import JointStatesStatus, NodeStatus, OtherNodesStatus, ReferenceStatus
 from ..errors import escaped
 from ..report.agreement_text import sentence
-from .terminal import colour_console
+from .console import colour_console
 
 if TYPE_CHECKING:
     from ..ros.observer import Observer, Sample
@@ -49,11 +44,10 @@ class LiveView:
         return self
 
     def __exit__(self, *_: object) -> None:
-        from rich.text import Text
 
         self._live.stop()
         if self.last_words:
-            self._console.print(Text(self.last_words), soft_wrap=True)
+            self._console.print(_text(self.last_words), soft_wrap=True)
 
     def show(self, observer: Observer, sample: Sample | None, agreement: Agreement) -> None:
         """Show the latest values."""
@@ -64,18 +58,17 @@ class LiveView:
 def screen(observer: Observer, sample: Sample | None, agreement: Agreement, width: int) -> Any:
     """Return what there is to show as a renderable of rich, the most important first."""
     from rich.console import Group
-    from rich.text import Text
 
-    status = None if agreement.cause is Obstacle.NO_DIAGNOSTICS else observer.status
+    status = None if agreement.obstacle is Obstacle.NO_DIAGNOSTICS else observer.status
     parts: list[Any] = [
         _headline(observer, agreement),
-        Text(sentence(agreement), _COLOURS.get(agreement.outcome, 'yellow') + ' bold'),
+        _text(sentence(agreement), _COLOURS.get(agreement.outcome, 'yellow') + ' bold'),
     ]
     if status is not None:
         parts += _problems(status)
-    parts.append(Text(''))
+    parts.append(_text(''))
     if sample is not None:
-        parts += [_joint_table(observer, sample, agreement, width), Text('')]
+        parts += [_joint_table(observer, sample, agreement, width), _text('')]
     if status is not None:
         parts.append(_node_table(status))
     parts += _log(observer)
@@ -86,7 +79,6 @@ def _cropped(content: Any, console: Any) -> Any:
     """Replace what is below the edge of the terminal by the number of lines."""
     from rich.console import Group
     from rich.segment import Segment, Segments
-    from rich.text import Text
 
     lines = console.render_lines(content, console.options.update(height=None), pad=False)
     rest = len(lines) - console.height
@@ -94,20 +86,18 @@ def _cropped(content: Any, console: Any) -> Any:
         return content
     shown = [[*line, Segment.line()] for line in lines[: console.height - 1]]
     hint = f'... and {rest + 1} more lines: enlarge the terminal'
-    return Group(Segments([each for line in shown for each in line]), Text(hint, 'cyan'))
+    return Group(Segments([each for line in shown for each in line]), _text(hint, 'cyan'))
 
 
 def _headline(observer: Observer, agreement: Agreement) -> Any:
-    from rich.text import Text
-
-    text = Text(observer.name, 'bold')
+    text = _text(observer.name, 'bold')
     if observer.robot is not None:
         text.append(f"  robot '{observer.robot.name}'", 'not bold')
     status = observer.status
     if status is None:
         text.append('  waiting for its diagnostics', 'not bold yellow')
         return text
-    if agreement.cause is Obstacle.NO_DIAGNOSTICS:
+    if agreement.obstacle is Obstacle.NO_DIAGNOSTICS:
         text.append('  NO DIAGNOSTICS', 'bold red')
         return text
     loop = status.loop
@@ -121,7 +111,6 @@ def _headline(observer: Observer, agreement: Agreement) -> Any:
 
 def _joint_table(observer: Observer, sample: Sample, agreement: Agreement, width: int) -> Any:
     from rich.table import Table
-    from rich.text import Text
 
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0), header_style='cyan')
     table.add_column('joint')  # the only column that becomes narrower
@@ -129,15 +118,17 @@ def _joint_table(observer: Observer, sample: Sample, agreement: Agreement, width
         table.add_column(title, justify='right', no_wrap=True)
     bar = min(BAR, max(0, width - WIDTH_WITHOUT_BAR))
     table.add_column('', no_wrap=True, width=bar)
+    problems = {joint for fault in agreement.faults for joint in fault.joints}
+    problems.update(agreement.saturated)
     for row in joint_rows(observer, sample):
-        marked = row['name'] in (*agreement.joints, *agreement.also_swapped, *agreement.saturated)
+        marked = row['name'] in problems
         unit = 'mm' if row['is_prismatic'] else 'deg'
         position = row['position']
         if position is not None:
             position *= 1e3 if row['is_prismatic'] else 180.0 / math.pi
         effort = 'N' if row['is_prismatic'] else 'N m'
         table.add_row(
-            Text(row['name'], no_wrap=True, overflow='ellipsis'),
+            _text(row['name'], no_wrap=True, overflow='ellipsis'),
             _number(position, 1) + f' {unit:3}',
             *(_number(row[key], 2) for key in ('measured', 'modelled', 'residual')),
             f'{_number(row["command"], 2)} {effort:3}',
@@ -146,7 +137,7 @@ def _joint_table(observer: Observer, sample: Sample, agreement: Agreement, width
             style='bold red' if marked else '',
         )
     if not table.rows:
-        table.add_row(Text('no joint yet'))
+        table.add_row(_text('no joint yet'))
     return table
 
 
@@ -180,13 +171,12 @@ def joint_rows(observer: Observer, sample: Sample) -> list[dict[str, Any]]:
 
 def _node_table(status: NodeStatus) -> Any:
     from rich.table import Table
-    from rich.text import Text
 
     table = Table(box=None, pad_edge=False, show_header=False)
     table.add_column(style='cyan', no_wrap=True)
     table.add_column()
     for label, text in node_lines(status):
-        table.add_row(label, Text(text))
+        table.add_row(label, _text(text))
     return table
 
 
@@ -227,10 +217,8 @@ def _payload(status: NodeStatus) -> str:
 
 
 def _problems(status: NodeStatus) -> list[Any]:
-    from rich.text import Text
-
     return [
-        Text(
+        _text(
             f'{problem.level} {problem.part}: {problem.message}',
             'bold red' if problem.level == 'ERROR' else 'yellow',
         )
@@ -239,8 +227,6 @@ def _problems(status: NodeStatus) -> list[Any]:
 
 
 def _log(observer: Observer) -> list[Any]:
-    from rich.text import Text
-
     lines = []
     oldest = time.time() - RECENT
     recent = [line for line in observer.log if line.time > oldest]
@@ -249,13 +235,13 @@ def _log(observer: Observer) -> list[Any]:
         clock = time.strftime('%H:%M:%S', time.localtime(line.time))
         count = sum(other.text == line.text for other in recent)
         times = f' ({count} times)' if count > 1 else ''
-        lines.append(Text(f'{clock} {line.level} {line.text}{times}', 'yellow'))
-    return [Text(''), *lines] if lines else []
+        lines.append(_text(f'{clock} {line.level} {line.text}{times}', 'yellow'))
+    return [_text(''), *lines] if lines else []
 
 
 def as_line(observer: Observer, agreement: Agreement) -> str:
     """Return one line for a pipe."""
-    status = None if agreement.cause is Obstacle.NO_DIAGNOSTICS else observer.status
+    status = None if agreement.obstacle is Obstacle.NO_DIAGNOSTICS else observer.status
     words = [time.strftime('%H:%M:%S'), observer.name]
     if status is not None:
         words.append('dry run' if status.loop.is_dry_run else status.loop.state)
@@ -268,7 +254,9 @@ def as_json(
     observer: Observer, sample: Sample | None, agreement: Agreement, codes: Mapping[Outcome, int]
 ) -> dict[str, Any]:
     """Return all values for JSON; doc/watch.md describes the keys."""
-    status = None if agreement.cause is Obstacle.NO_DIAGNOSTICS else observer.status
+    status = None if agreement.obstacle is Obstacle.NO_DIAGNOSTICS else observer.status
+    fault = agreement.faults[0] if agreement.faults else None
+    values = agreement.numbers or (fault.values if fault else ())
     return {
         'time': time.time(),
         'node': observer.name,
@@ -277,9 +265,9 @@ def as_json(
         'cause': None if agreement.cause is None else agreement.cause.value,
         'sentence': sentence(agreement),
         'exit_code': codes[agreement.outcome],
-        'problem_joints': list(agreement.joints),
-        'problem_values': list(agreement.values),
-        'problem_link': agreement.link or None,
+        'problem_joints': list(fault.joints) if fault else [],
+        'problem_values': [_known(value) for value in values],
+        'problem_link': (fault.link or None) if fault else None,
         'unchecked_joints': [*agreement.unchecked, *agreement.unmeasured],
         'saturated_joints': list(agreement.saturated),
         'status': None if status is None else _status_json(status),
@@ -312,14 +300,19 @@ def _status_json(status: NodeStatus) -> dict[str, Any]:
     }
 
 
-def _bar(fraction: float | None, length: int) -> Any:
+def _text(*arguments: Any, **options: Any) -> Any:
+    """Return a text of rich, which is imported late: lines in a pipe do not need it."""
     from rich.text import Text
 
+    return Text(*arguments, **options)
+
+
+def _bar(fraction: float | None, length: int) -> Any:
     if fraction is None:
-        return Text('')
+        return _text('')
     filled = min(length, round(fraction * length))
     colour = 'red' if fraction >= AT_LIMIT else 'yellow' if fraction >= NEAR_LIMIT else 'green'
-    text = Text('█' * filled, colour)
+    text = _text('█' * filled, colour)
     text.append('░' * (length - filled), 'dim')
     return text
 

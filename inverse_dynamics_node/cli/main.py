@@ -10,8 +10,8 @@ import os
 import sys
 
 from ..errors import escaped, InverseDynamicsError, RecordingError, TrajectoryError
+from .console import escaped_output
 from .output_files import OutputError
-from .terminal import escaped_output
 
 COMMANDS = ('check', 'effort', 'compare', 'excite', 'identify', 'watch', 'demo', 'simulate')
 """Modules of this package; add_parser(subparsers) sets `run`, which returns the exit code."""
@@ -125,6 +125,11 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument('--version', action='store_true', help='show the version')
     subparsers = parser.add_subparsers(title='commands', metavar='COMMAND', required=True)
     for command in COMMANDS:
+        if command == 'demo':  # only listed here: it parses its own arguments, and needs ROS
+            about = 'run the node on a simulated robot (needs ROS 2 and MuJoCo)'
+            demo = subparsers.add_parser(command, help=about, add_help=False)
+            demo.set_defaults(run=lambda options: _run(['demo']))
+            continue
         # Imported here: this takes most of a second, and an interrupt must end it cleanly.
         import_module(f'.{command}', __package__).add_parser(subparsers)
     return parser

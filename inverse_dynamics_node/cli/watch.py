@@ -17,12 +17,19 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
-from ..analysis.diagnosis.agreement import Agreement, Obstacle, Outcome
-from ..analysis.diagnosis.live_check import check_agreement, StateRate
-from ..analysis.diagnosis.live_samples import DURATION, LiveWindow
+from ..analysis.diagnosis.live import (
+    Agreement,
+    check_agreement,
+    DURATION,
+    LiveWindow,
+    Obstacle,
+    Outcome,
+    StateRate,
+)
 from ..control.status import Level, ModelStatus
 from ..errors import ConfigurationError
 from ..report.agreement_text import sentence
+from . import arguments
 from .live_view import as_json, as_line, LiveView
 
 if TYPE_CHECKING:
@@ -59,6 +66,7 @@ _DISCOVERY = 1.5  # [s]; discovery takes up to this long, and longer on a busy m
 _PATIENCE = 5.0  # [s]; until the wait for a node is reported
 _MOST_DISCOVERY = 10.0  # [s]; until --for reports that there is no node
 _LOST = 3.5  # [s]; diagnostics are published once a second
+_positive = arguments.number('a positive number', lambda value: 0.0 < value < math.inf)
 
 
 def add_parser(subparsers: Any) -> None:
@@ -321,13 +329,3 @@ def _node_name(text: str) -> str:
             f"'{text}' cannot be the name of a node: letters, digits and _, with / between them"
         )
     return text
-
-
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a positive number")
-    return value

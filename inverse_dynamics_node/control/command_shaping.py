@@ -286,6 +286,12 @@ class CommandShaper:
         self._way, self._was_paused = other._way, other._was_paused
         self.begin()
 
+    @property
+    def continues(self) -> bool:
+        """Whether efforts were followed by the last command, or until a moment ago."""
+        is_brief = self._pause + self.clock.since <= _BRIEF and not self._is_new
+        return self._way is _Way.FOLLOWING or is_brief
+
     def follow(self, tau: Floats, added: Floats) -> bool:
         """
         Command computed efforts.
@@ -306,8 +312,7 @@ class CommandShaper:
         self._rows[_ADDED] = added
         gain, left, duration = self.gain, self._left, self._duration
         is_new, elapsed = self._is_new, self.clock.step
-        is_brief = self._pause + self.clock.since <= _BRIEF and not is_new
-        if self._way is _Way.FOLLOWING or is_brief:
+        if self.continues:
             if not self._is_paused:
                 gain = min(1.0, gain + ramp_fraction(elapsed, self._start_ramp))
                 left = max(0.0, left - elapsed / duration) if left else 0.0

@@ -36,7 +36,7 @@ class Reference(NamedTuple):
 
 class ControlLaw:
     """
-    Computes efforts from joint states and references, in one of the three modes.
+    Computes efforts from joint states and references, in one of the modes.
 
     The dynamics include all joints of the robot; those that are not commanded are assumed to have
     zero acceleration.
@@ -58,7 +58,15 @@ class ControlLaw:
         self._qdd, self._tau, self._rest = np.zeros((3, n))
         self._velocities = self._rest
         self._no_efforts = self.added = np.zeros(len(index))
-        """Efforts of the reference, to be added to the computed ones, shape (m,) [N m or N]."""
+        """
+        To be added to the computed efforts, shape (m,) [N m or N]: efforts of the reference, of
+        the springs and dampers of joint impedance, or of friction while the arm is guided.
+        """
+        self.equilibrium: Floats | None = None
+        """
+        Where joint impedance holds the commanded joints, shape (m,) [rad or m]; None for the
+        measured position of the next step.
+        """
         self._last_q, self._last_qd = np.zeros((2, n))
         self._last_reference: Reference | None = None
         self._has_last_inputs = False  # whether these led to the last command
@@ -71,6 +79,7 @@ class ControlLaw:
         self._timeouts = np.full(len(self._qdd), settings.uncommanded_state_timeout)
         self._timeouts[self._index] = settings.state_timeout
         self._velocity_filter.cutoff = settings.velocity_filter_cutoff
+        self._has_guiding_damping = bool(of_joint['guiding_damping'].any())
 
     def reset(self) -> None:
         """Forget the inputs of the last command."""
@@ -79,13 +88,17 @@ class ControlLaw:
 
     def phase(self, now: float, state: State, reference: Reference | None) -> Phase:
         """Return whether the reference is followed, and if not, why."""
+        is_held = self.settings.mode is Mode.JOINT_IMPEDANCE
+        without_reference = Phase.HOLDING if is_held else Phase.FLOATING
         if reference is None or self.settings.mode is Mode.GRAVITY_COMPENSATION:
-            return Phase.HOLDING
+            return without_reference
         timeout = self.settings.reference_timeout or math.inf
         # After a reset of the clock, the age is negative.
         if not 0.0 <= now - reference.time <= timeout:
-            return Phase.HOLDING
-        return Phase.TOO_FAR if self._is_far(state, reference) else Phase.RUNNING
+            return without_reference
+        if not self._is_far(state, reference):
+            return Phase.RUNNING
+        return Phase.HOLDING_TOO_FAR if is_held else Phase.TOO_FAR
 
     def efforts(self, now: float, state: State, reference: Reference | None) -> Floats | None:
         """
@@ -98,7 +111,8 @@ class ControlLaw:
         state : State
             The joint state.
         reference : Reference or None
-            The reference to follow; None for zero accelerations.
+            The reference to follow; None for zero accelerations, at the equilibrium of joint
+            impedance.
 
         Returns
         -------
@@ -106,8 +120,14 @@ class ControlLaw:
             Valid until the next call [N m or N]; None if there is no solution.
 
         """
-        is_closed = self.settings.mode is Mode.COMPUTED_TORQUE
-        self._followed = reference.positions if is_closed and reference else None
+        mode, positions = self.settings.mode, reference.positions if reference else None
+        self._followed = positions if mode is Mode.COMPUTED_TORQUE else None
+        if mode is not Mode.JOINT_IMPEDANCE:
+            self.equilibrium = None
+        elif positions is not None:
+            self.equilibrium = positions
+        elif self.equilibrium is None:
+            self.equilibrium = state.q[self._index].copy()
         qd = self._smooth(now, state)
         # The arrays of the state change with the next message.
         self._last_q[:], self._last_qd[:] = state.q, qd
@@ -117,6 +137,10 @@ class ControlLaw:
     def forget(self) -> None:
         """Note that the last command was not computed."""
         self._followed, self._has_last_inputs = None, False
+
+    def release(self) -> None:
+        """Let joint impedance hold the joints where they are in the next step."""
+        self.equilibrium = None
 
     def last_efforts(self) -> Floats | None:
         """Compute efforts anew from the inputs of the last command; None if there are none."""
@@ -129,6 +153,17 @@ class ControlLaw:
         """Velocities and accelerations of the last computed efforts, each of shape (n,)."""
         return self._velocities, self._qdd
 
+    @property
+    def followed(self) -> Reference | None:
+        """The reference that the last command followed; None if it followed none."""
+        return self._last_reference if self._has_last_inputs else None
+
+    def distance(self, start: Floats, target: Floats) -> Floats:
+        """Return target minus start, shape (m,); continuous joints take the shorter way."""
+        distance = target - start
+        turns = np.round(distance / (2.0 * math.pi))
+        return np.where(self._is_continuous, distance - 2.0 * math.pi * turns, distance)
+
     def cause_of_failure(self, scale: Floats) -> str:
         """Name the joint and the value that left the last step without a solution."""
         added, efforts = np.zeros((2, len(self._tau)))
@@ -137,7 +172,7 @@ class ControlLaw:
             efforts[self._index] = scale * (self._tau[self._index] + added[self._index])
         inputs = {
             'position': self._last_q,
-            'velocity': self._velocities,
+            'velocity': self._last_qd,
             'acceleration': self._qdd,
             'added effort': added,
         }
@@ -146,17 +181,14 @@ class ControlLaw:
     def _is_far(self, state: State, reference: Reference) -> bool:
         """Return whether the reference is too far from the joints, or has jumped too far."""
         limit = self.settings.max_position_jump
-        is_closed = self.settings.mode is Mode.COMPUTED_TORQUE
+        is_held = self.settings.mode is Mode.JOINT_IMPEDANCE
+        is_closed = is_held or self.settings.mode is Mode.COMPUTED_TORQUE
         if not limit or not is_closed or reference.positions is None:
             return False
-        start = state.q[self._index] if self._followed is None else self._followed
-        return bool(np.abs(self._distance(start, reference.positions)).max() > limit)
-
-    def _distance(self, start: Floats, target: Floats) -> Floats:
-        """Return target minus start; continuous joints take the shorter way."""
-        distance = target - start
-        turns = np.round(distance / (2.0 * math.pi))
-        return np.where(self._is_continuous, distance - 2.0 * math.pi * turns, distance)
+        start = self.equilibrium if is_held else self._followed
+        if start is None:
+            start = state.q[self._index]
+        return bool(np.abs(self.distance(start, reference.positions)).max() > limit)
 
     def _smooth(self, now: float, state: State) -> Floats:
         """Low-pass the measured velocities."""
@@ -169,7 +201,8 @@ class ControlLaw:
 
     def _efforts(self, q: Floats, qd: Floats, reference: Reference | None) -> Floats | None:
         mode = self.settings.mode
-        self._velocities = self._rest if mode is Mode.GRAVITY_COMPENSATION else qd
+        is_guided = mode is Mode.GRAVITY_COMPENSATION
+        self._velocities = self._rest if is_guided else qd
         if reference is None:
             self._qdd[self._index], self.added = 0.0, self._no_efforts
         else:
@@ -178,7 +211,11 @@ class ControlLaw:
                 qdd = self._with_feedback(q, qd, reference)
             self._qdd[self._index] = qdd
             self.added = reference.efforts
+        if mode is Mode.JOINT_IMPEDANCE:
+            self.added = self.added + self._impedance(q, qd, reference)
         try:
+            if is_guided:
+                self.added = self._guidance(q, qd)
             self.dynamics.efforts(q, self._velocities, self._qdd, out=self._tau)
         except JointStateError:
             return None
@@ -189,7 +226,7 @@ class ControlLaw:
         qdd = reference.accelerations
         with np.errstate(all='ignore'):
             if reference.positions is not None:
-                distance = self._distance(q[self._index], reference.positions)
+                distance = self.distance(q[self._index], reference.positions)
                 qdd = qdd + self._of_joint['kp'] * distance
             velocities: Floats | float | None = reference.velocities
             if velocities is None and reference.positions is not None:
@@ -197,6 +234,30 @@ class ControlLaw:
             if velocities is not None:
                 qdd = qdd + self._of_joint['kd'] * (velocities - qd[self._index])
         return qdd
+
+    def _impedance(self, q: Floats, qd: Floats, reference: Reference | None) -> Floats:
+        """Return the efforts of the springs and dampers, shape (m,) [N m or N]."""
+        velocities: Floats | float | None = reference.velocities if reference else None
+        if velocities is None:
+            velocities = 0.0
+        q, qd = q[self._index], qd[self._index]
+        equilibrium = q if self.equilibrium is None else self.equilibrium
+        with np.errstate(all='ignore'):
+            spring = self._of_joint['stiffness'] * self.distance(q, equilibrium)
+            damper = self._of_joint['impedance_damping'] * (velocities - qd)
+            efforts: Floats = spring + damper
+        return efforts
+
+    def _guidance(self, q: Floats, qd: Floats) -> Floats:
+        """Return the compensated friction minus the damping, shape (m,) [N m or N]."""
+        efforts = self._no_efforts
+        with np.errstate(all='ignore'):
+            if self.dynamics.has_drive_terms:
+                friction = self.dynamics.effort_terms(q, qd, self._rest).friction
+                efforts = self._of_joint['friction_scale'] * friction[self._index]
+            if self._has_guiding_damping:
+                efforts = efforts - self._of_joint['guiding_damping'] * qd[self._index]
+        return efforts
 
 
 def _compact_index(index: list[int]) -> Any:

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..dynamics.arguments import read_inertial, read_vector
-from ..dynamics.inverse_dynamics import InverseDynamics
-from ..dynamics.loaded_robot import STANDARD_GRAVITY
+from ..dynamics.inverse_dynamics import InverseDynamics, STANDARD_GRAVITY
 from ..errors import ConfigurationError, plain
 from ..robot.model import Floats
 from ..robot.rigid_body import combine, RigidBody

@@ -25,7 +25,6 @@ from .joint_state_kernels import (
 from .publisher_conflicts import alternating, copy_track, forget_silent, make_tracks
 
 _VELOCITY_TIMEOUT = 0.05  # [s]
-_MOST_LAYOUTS = 16  # more than this mean that names change with every message
 _MOST_FOREIGN_NAMES = 64  # names to remember that are not joints of this robot
 _LONGEST_NAME = 100  # of them [characters]; comparing longer ones takes time
 
@@ -49,86 +48,18 @@ class State(NamedTuple):
 
 @dataclass
 class Layout:
-    """The names in the messages of one publisher."""
+    """The names in the messages of one publisher, which repeats them in every message."""
 
+    names: tuple[str, ...]
+    """All names in the message."""
     places: Integers
     """Indices of the k named joints in the robot and in the message, shape (2, k)."""
     received: Floats
     """Positions, velocities and efforts of the last message, shape (3, names)."""
     has_joints: bool
     """Whether it names any joint of this robot."""
-    has_velocities: bool = False
-    """Whether each of its joints has had a velocity."""
-
-
-class Layouts:
-    """
-    Finds the layout of a message; a publisher repeats its names in every message.
-
-    Parameters
-    ----------
-    joint_names : sequence of str
-        The joints of the robot.
-
-    """
-
-    def __init__(self, joint_names: Sequence[str]) -> None:
-        self._index = {name: i for i, name in enumerate(joint_names)}
-        self._layouts: dict[tuple[str, ...], Layout] = {}
-        self._foreign_names: list[str] = []
-
-    def find(self, names: tuple[str, ...]) -> Layout:
-        """
-        Return the layout of messages with these names.
-
-        Parameters
-        ----------
-        names : tuple of str
-            Names in the message.
-
-        Raises
-        ------
-        JointStateError
-            If a joint is named twice.
-
-        """
-        layout = self._layouts.get(names)
-        if layout is None:
-            layout = self._make(names)
-            self._remember_foreign_names(names)
-            if len(self._layouts) >= _MOST_LAYOUTS:
-                self._layouts.clear()
-            self._layouts[names] = layout
-        return layout
-
-    def forget_velocities(self) -> None:
-        """Check the velocities in the next message of every layout."""
-        for layout in self._layouts.values():
-            layout.has_velocities = False
-
-    def similar_names(self, missing: Sequence[str]) -> list[str]:
-        """Return received names that are not joints of this robot, but resemble missing ones."""
-        closest: list[str] = []
-        for name in missing:
-            closest += difflib.get_close_matches(name, self._foreign_names, 1)
-        return list(dict.fromkeys(closest))
-
-    def _make(self, names: tuple[str, ...]) -> Layout:
-        in_message = [k for k, name in enumerate(names) if name in self._index]
-        in_robot = [self._index[names[k]] for k in in_message]
-        if len(set(in_robot)) != len(in_robot):
-            [(joint, _)] = Counter(names[k] for k in in_message).most_common(1)
-            raise JointStateError(f"joint '{joint}' is named twice")
-        places = np.array([in_robot, in_message], np.int64)
-        return Layout(places, np.zeros((3, len(names))), len(in_robot) > 0)
-
-    def _remember_foreign_names(self, names: tuple[str, ...]) -> None:
-        for name in names:
-            if len(self._foreign_names) >= _MOST_FOREIGN_NAMES:
-                return
-            is_known = name in self._index or name in self._foreign_names
-            if not is_known and len(name) <= _LONGEST_NAME:
-                self._foreign_names.append(name)
+    losses: int = -1
+    """Losses of velocities until each of its joints had one; -1 before that."""
 
 
 class JointStateCollector:
@@ -177,6 +108,8 @@ class JointStateCollector:
         publishers, or when any joint was reported with a velocity for the first time, or is no
         longer; cleared by the reader.
         """
+        self.has_leapt = False
+        """Set when a joint has moved further than it can; cleared by the reader."""
         self.velocity_timeout = _VELOCITY_TIMEOUT
         """
         Messages without a velocity are rejected for this long after the last one with it [s].
@@ -187,7 +120,8 @@ class JointStateCollector:
         """Number of joints, neither commanded nor locked, that were late at `rest_late`."""
         self._has_velocity = np.zeros(n, dtype=bool)
         self._index = {name: i for i, name in enumerate(self.joint_names)}
-        self._layouts = Layouts(self.joint_names)
+        self._foreign_names: list[str] = []
+        self._losses = 0  # times that velocities were lost
         self._lock(locked or {})
         self.is_free = self.times == -math.inf
         """Which joints are not locked, shape (n,)."""
@@ -202,10 +136,40 @@ class JointStateCollector:
         compile_kernels()
         self._find_oldest()
 
+    def layout(self, names: tuple[str, ...]) -> Layout:
+        """
+        Prepare to store messages with these names.
+
+        Raises
+        ------
+        JointStateError
+            If a joint is named twice.
+
+        """
+        in_message = [k for k, name in enumerate(names) if name in self._index]
+        in_robot = [self._index[names[k]] for k in in_message]
+        if len(set(in_robot)) != len(in_robot):
+            [(joint, _)] = Counter(names[k] for k in in_message).most_common(1)
+            raise JointStateError(f"joint '{joint}' is named twice")
+        self._remember_foreign_names(names)
+        places = np.array([in_robot, in_message], np.int64)
+        return Layout(names, places, np.zeros((3, len(names))), len(in_robot) > 0)
+
     def update(
         self,
         now: float,
         names: Sequence[str],
+        positions: Numbers,
+        velocities: Numbers,
+        efforts: Numbers = (),
+    ) -> bool:
+        """Store one joint state as `store` does, of any names."""
+        return self.store(now, self.layout(tuple(names)), positions, velocities, efforts)
+
+    def store(
+        self,
+        now: float,
+        layout: Layout,
         positions: Numbers,
         velocities: Numbers,
         efforts: Numbers = (),
@@ -217,9 +181,11 @@ class JointStateCollector:
         ----------
         now : float
             The time of arrival [s].
-        names, positions, velocities : sequences of equal length
-            Velocities may be empty, or NaN: they are zero then, except shortly after one was
-            reported, see `velocity_timeout`.
+        layout : Layout
+            For the names in the message, see `layout`.
+        positions, velocities : sequences of numbers
+            One for each name. Velocities may be empty, or NaN: they are zero then, except shortly
+            after one was reported, see `velocity_timeout`.
         efforts : sequence, optional
             Measured efforts: none, or one for each name.
 
@@ -234,13 +200,13 @@ class JointStateCollector:
             If the lengths differ, or a value that is needed is not finite; nothing has changed.
 
         """
+        names = layout.names
         if len(positions) != len(names):
             raise JointStateError(f'{len(names)} names, but {len(positions)} positions')
         if len(velocities) not in (0, len(names)):
             raise JointStateError(f'{len(names)} names, but {len(velocities)} velocities')
         if len(efforts) not in (0, len(names)):
             raise JointStateError(f'{len(names)} names, but {len(efforts)} efforts')
-        layout = self._layouts.find(tuple(names))
         received = layout.received
         received[0] = positions
         # Drivers leave out a velocity that they do not measure, or fill in NaN.
@@ -251,14 +217,14 @@ class JointStateCollector:
         arguments = (received, layout.places, self._known, self._tracks, self._is_commanded)
         result = (
             store_joint_state(*arguments, now, has_efforts)
-            if layout.has_velocities
+            if layout.losses == self._losses
             else NOT_FINITE
         )
         if result == NOT_FINITE:
             self._complete(layout, now)
             result = store_joint_state(*arguments, now, has_efforts)
         if result & JUMPED:
-            self.has_jumped = True
+            self.has_jumped = self.has_leapt = True
         if result & ALTERNATING or self._has_alternating:
             self._find_alternating()
         if layout.has_joints:
@@ -322,7 +288,10 @@ class JointStateCollector:
 
     def similar_names(self) -> list[str]:
         """Return reported names that are not joints of this robot, but resemble missing ones."""
-        return self._layouts.similar_names(self.missing())
+        closest: list[str] = []
+        for name in self.missing():
+            closest += difflib.get_close_matches(name, self._foreign_names, 1)
+        return list(dict.fromkeys(closest))
 
     def stale(self, now: float, timeout: float) -> list[str]:
         """Return commanded joints last reported too long ago or before a clock reset [s]."""
@@ -389,6 +358,14 @@ class JointStateCollector:
         """Return the joints that are reported, but without a velocity."""
         return self._named((self.times > LONG_AGO) & ~self._has_velocity)
 
+    def _remember_foreign_names(self, names: tuple[str, ...]) -> None:
+        for name in names:
+            if len(self._foreign_names) >= _MOST_FOREIGN_NAMES:
+                return
+            is_known = name in self._index or name in self._foreign_names
+            if not is_known and len(name) <= _LONGEST_NAME:
+                self._foreign_names.append(name)
+
     def _lock(self, locked: Mapping[str, float]) -> None:
         unknown = [name for name in locked if name not in self._index]
         if unknown:
@@ -420,11 +397,11 @@ class JointStateCollector:
         self._reject('velocity', qd, is_finite | ~has_velocity | is_lost, in_robot)
         if is_lost.any():
             self.lost_velocities += self._named_by(in_robot[is_lost])
-            self._layouts.forget_velocities()
+            self._losses += 1  # every layout is checked again
         is_new = is_finite & ~has_velocity & (times > LONG_AGO)
         self.has_jumped |= bool((is_lost | is_new | (times == LONG_AGO)).any())
         self._has_velocity[in_robot] = (has_velocity & ~is_lost) | is_finite
-        layout.has_velocities = bool(self._has_velocity[in_robot].all())
+        layout.losses = self._losses if self._has_velocity[in_robot].all() else -1
         layout.received[1, in_message] = np.where(is_finite, qd, 0.0)
 
     def _reject(

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..dynamics.effort_terms import EffortTerms, JointWrenches
-from ..dynamics.inverse_dynamics import InverseDynamics
-from ..dynamics.loaded_robot import STANDARD_GRAVITY
+from ..dynamics.inverse_dynamics import InverseDynamics, STANDARD_GRAVITY
 from ..errors import ConfigurationError
 from ..robot.limit_checks import implausible_positions, ImplausiblePosition
 from ..robot.model import Booleans, Floats, RobotModel
@@ -23,8 +22,9 @@ from .command_shaping import CommandShaper
 from .contact import ExternalEffortEstimator
 from .control_law import ControlLaw, joint_index, Reference
 from .external_loads import ExternalLoads
+from .joint_commands import DriveReference
 from .joint_states import JointStateCollector, State
-from .settings import LoadSettings, Settings, StalePolicy
+from .settings import LoadSettings, Mode, Settings, StalePolicy
 from .stop_damping import StopDamping
 from .supervision import COMPUTING_PHASES, DryRun, Phase, recovery_time, StateSupervisor
 
@@ -232,6 +232,7 @@ class Controller:
                 f'{", ".join(other.joints)}'
             )
         self.supervisor, self._time = other.supervisor, other._time
+        self.law.equilibrium = other.law.equilibrium
         self._shaper.continue_from(other._shaper)
         self.stop_damping.continue_from(other.stop_damping)
 
@@ -278,6 +279,8 @@ class Controller:
             return None
         if blocking is None:
             assert state is not None
+            if not shaper.continues:
+                law.release()  # the arm may have moved; the commands are blended
             phase = law.phase(now, state, reference)
             tau = law.efforts(now, state, reference if phase is Phase.RUNNING else None)
             if tau is not None and shaper.follow(tau, law.added):
@@ -362,6 +365,7 @@ class ControlLoop:
         self.reference: Reference | None = None
         self.has_imu = has_imu
         self.index = robot.joint_indices(self.controller.joints)
+        self._drive = DriveReference(self.controller.law)
 
     def start(self, *, is_dry_run: bool = False) -> None:
         """Let the efforts rise from zero; an earlier reference is dropped."""
@@ -417,7 +421,9 @@ class ControlLoop:
         # Before the first command nothing acts yet, so that loads need no ramp.
         elapsed = math.inf if controller.supervisor.phase is Phase.WAITING else ramp_step
         if self.loads.update(now, elapsed) or collector.has_jumped:
-            collector.has_jumped = False
+            if collector.has_leapt:
+                controller.law.release()
+            collector.has_jumped = collector.has_leapt = False
             controller.blend()
         if reference is not None and reference.time > now:
             # The clock was set back: the reference would return when its time comes.
@@ -507,6 +513,7 @@ class ControlLoop:
         """
         self.controller.continue_from(other.controller)
         self.reference = other.reference
+        self._drive.weight = other._drive.weight
         return self.copy_inputs_from(other)
 
     def copy_inputs_from(self, other: ControlLoop) -> list[str]:
@@ -541,16 +548,36 @@ class ControlLoop:
 
     def effort_terms(self) -> EffortTerms:
         """Compute the terms of the last efforts, each of shape (m,) [N m or N]."""
-        q = self.collector.q
-        return EffortTerms(
-            *(term[self.index] for term in self.dynamics.effort_terms(q, *self.controller.motion))
-        )
+        q, law = self.collector.q, self.controller.law
+        found = self.dynamics.effort_terms(q, *law.motion)
+        terms = EffortTerms(*(term[self.index] for term in found))
+        is_guided = law.settings.mode is Mode.GRAVITY_COMPENSATION
+        return terms._replace(friction=law.added) if is_guided else terms
 
     def base_wrench(self) -> tuple[Floats, Floats]:
         """Compute the force and moment that the mount exerts on the base link, in its frame."""
         q = self.collector.q
         wrenches: JointWrenches = self.dynamics.joint_wrenches(q, *self.controller.motion)
         return self.loads.at_base_link(wrenches.force[0], wrenches.moment[0])
+
+    def drive_reference(self) -> tuple[Floats, Floats]:
+        """
+        Return the motion to send with the last command; see `DriveReference`.
+
+        Returns
+        -------
+        positions, velocities : ndarray, shape (m,)
+            [rad or m], [rad/s or m/s].
+
+        """
+        controller, collector = self.controller, self.collector
+        q, qd = collector.q[self.index], collector.qd[self.index]
+        settings = controller.settings
+        if controller.phase not in COMPUTING_PHASES:
+            qd = np.zeros_like(qd)  # may be old, and the drive would follow them
+        return self._drive.motion(
+            q, qd, controller.ramp_step, settings.start_ramp, settings.max_position_jump
+        )
 
     def external_efforts(self) -> Floats:
         """Estimate external efforts from the last state: shape (n,), NaN where not measured."""

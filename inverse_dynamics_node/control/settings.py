@@ -1,10 +1,18 @@
-"""Settings of the controller and of the external loads."""
+"""
+Settings of the controller and of the external loads, which are parameters of the node, too.
+
+Each is declared once, with its default and its description for users.
+
+"""
+
+# ruff: noqa: RUF009 -- setting() returns a dataclasses.field
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 import enum
 import math
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +28,9 @@ class Mode(enum.Enum):
     COMPUTED_TORQUE = 'computed_torque'
     """Accelerations of the reference, with feedback of its positions and velocities."""
     GRAVITY_COMPENSATION = 'gravity_compensation'
-    """Zero accelerations at zero velocity; the reference is ignored."""
+    """Zero accelerations at zero velocity, for hand guiding; the reference is ignored."""
+    JOINT_IMPEDANCE = 'joint_impedance'
+    """Accelerations of the reference, and a spring and damper between it and each joint."""
 
 
 class StalePolicy(enum.Enum):
@@ -36,55 +46,164 @@ PerJoint = float | tuple[float, ...]
 """One number for all commanded joints, or one for each."""
 
 
+def setting(default: Any, summary: str, details: str = '', **properties: Any) -> Any:
+    """
+    Declare a setting that is also a parameter of the node.
+
+    Parameters
+    ----------
+    default : object
+        The value of the field. A limit that is infinite is 0 in a parameter file.
+    summary, details, **properties
+        See `Parameter` in node/parameter_types.py; times are in [s].
+
+    """
+    given = default.value if isinstance(default, enum.Enum) else default
+    given = 0.0 if given == math.inf else given
+    declaration = {'default': given, 'summary': summary, 'details': details, **properties}
+    return field(default=default, metadata=declaration)
+
+
 @dataclass(frozen=True)
 class Settings:
-    """How the controller treats its inputs and outputs. Times in [s]."""
+    """How the controller treats its inputs and outputs."""
 
-    mode: Mode = Mode.INVERSE_DYNAMICS
-    state_timeout: float = 0.1
-    """A state of a commanded joint older than this is lost."""
-    uncommanded_state_timeout: float = 1.0
-    """A joint that is not commanded and was last reported longer ago is taken to be at rest."""
-    reference_timeout: float = 0.5
-    """A reference older than this is ignored; 0: a reference holds until the next."""
-    on_stale_state: StalePolicy = StalePolicy.ZERO
-    start_ramp: float = 0.5
-    """Time for the efforts to rise from zero to their full values, and for blends."""
-    stop_ramp: float = 0.5
-    """Time for the efforts to fall from their full values to zero."""
-    stop_damping: float = 0.0
-    """Rate at which motion decays during a stop [1/s]; 0: not damped. See `StopDamping`."""
-    stop_timeout: float = 20.0
-    """Longest time of this damping, which fades within `stop_ramp` then."""
-    kp: PerJoint = 100.0
-    """Position gain of computed torque [1/s^2]."""
-    kd: PerJoint = 20.0
-    """Velocity gain of computed torque [1/s]."""
-    max_position_jump: float = 0.5
-    """
-    Computed torque: largest distance of a new reference from the measured position, and largest
-    step of a reference [rad or m]; 0: unlimited.
-    """
-    velocity_filter_cutoff: float = 0.0
-    """Cutoff of the first-order low-pass for measured velocities [Hz]; 0: no filter."""
-    effort_scale: PerJoint = 1.0
-    """Factor for the computed efforts."""
-    effort_offset: PerJoint = 0.0
-    """Added after scaling [N m or N]."""
-    use_urdf_effort_limits: bool = True
-    """Whether the efforts stay within the limits in the robot description."""
-    effort_limits: PerJoint = math.inf
-    """Tighter limits [N m or N]."""
-    effort_rate_limits: PerJoint = math.inf
-    """Fastest change of an effort [N m/s or N/s]."""
+    mode: Mode = setting(
+        Mode.INVERSE_DYNAMICS,
+        'How the reference is used',
+        '`inverse_dynamics`: its accelerations. `computed_torque`: these, with feedback of '
+        'position and velocity. `gravity_compensation`: not at all; the arm floats, for hand '
+        'guiding. `joint_impedance`: a spring and a damper hold each joint at the reference, or '
+        'where it is',
+    )
+    kp: PerJoint = setting(100.0, 'Position gain of `computed_torque`', unit='1/s^2', minimum=0.0)
+    kd: PerJoint = setting(20.0, 'Velocity gain of `computed_torque`', unit='1/s', minimum=0.0)
+    stiffness: PerJoint = setting(
+        10.0, 'Stiffness of the springs of `joint_impedance`', unit='N m/rad, N/m', minimum=0.0
+    )
+    impedance_damping: PerJoint = setting(
+        1.0, 'Damping of `joint_impedance`', unit='N m s/rad, N s/m', minimum=0.0
+    )
+    friction_scale: PerJoint = setting(
+        0.8,
+        'Share of the friction that `gravity_compensation` compensates',
+        'With `include_friction`, from the measured velocity. Other modes compensate all friction',
+        minimum=0.0,
+        maximum=1.0,
+    )
+    guiding_damping: PerJoint = setting(
+        0.0,
+        'Viscous damping of `gravity_compensation`, against motion',
+        unit='N m s/rad, N s/m',
+        minimum=0.0,
+    )
+    max_position_jump: float = setting(
+        0.5,
+        'Largest step of a reference of `computed_torque` or `joint_impedance`. 0: unlimited',
+        'Also the largest distance of a new reference from the measured position, or from the '
+        'position that `joint_impedance` holds',
+        unit='rad, m',
+        minimum=0.0,
+    )
+    velocity_filter_cutoff: float = setting(
+        0.0,
+        'Cutoff of the first-order low-pass for measured velocities. 0: no filter',
+        unit='Hz',
+        minimum=0.0,
+    )
+    effort_scale: PerJoint = setting(1.0, 'Factor for the efforts')
+    effort_offset: PerJoint = setting(0.0, 'Added to the scaled efforts', unit='N m, N')
+    use_urdf_effort_limits: bool = setting(
+        True, 'Keep efforts within `<limit effort>` of the URDF'
+    )
+    effort_limits: PerJoint = setting(
+        math.inf,
+        'Tighter limits of the efforts. 0: none',
+        'A changed limit applies along the start ramp: the bound of the efforts falls to it',
+        unit='N m, N',
+        minimum=0.0,
+        is_unlimited_at_zero=True,
+    )
+    effort_rate_limits: PerJoint = setting(
+        math.inf,
+        'Fastest change of the efforts, except along the stop ramp. 0: unlimited',
+        unit='N m/s, N/s',
+        minimum=0.0,
+        is_unlimited_at_zero=True,
+    )
+    state_timeout: float = setting(
+        0.1,
+        'A state of a commanded joint older than this is lost',
+        unit='s',
+        minimum=0.005,
+        maximum=60.0,
+    )
+    uncommanded_state_timeout: float = setting(
+        1.0,
+        'Joints that are not commanded are taken to be at rest after this time without a state',
+        'Such joints keep their last position and never stop the arm',
+        unit='s',
+        minimum=0.005,
+        maximum=60.0,
+    )
+    reference_timeout: float = setting(
+        0.5,
+        'A reference older than this is ignored. 0: a reference is used until the next one',
+        'Without a reference, the accelerations are zero',
+        unit='s',
+        minimum=0.0,
+        maximum=3600.0,
+    )
+    on_stale_state: StalePolicy = setting(
+        StalePolicy.ZERO,
+        'Efforts after the joint state is lost',
+        '`zero`: ramp to zero within `stop_ramp`. `hold`: keep the last efforts',
+    )
+    start_ramp: float = setting(
+        0.5,
+        'Time for the efforts to rise from zero, and for blends after live changes',
+        unit='s',
+        minimum=0.0,
+        maximum=60.0,
+    )
+    stop_ramp: float = setting(
+        0.5,
+        'Time for the efforts to fall to zero',
+        'A ramp that has started keeps its time. `ros2 launch` ends the ramp after 5 s',
+        unit='s',
+        minimum=0.0,
+        maximum=60.0,
+    )
+    stop_damping: float = setting(
+        0.0,
+        'Damping of an arm without brakes while it is stopped. 0: none',
+        'The rate at which motion decays: a larger one lets the arm sink more slowly. With 50, an '
+        'arm of usual proportions sinks at 0.3 m/s. Used from the next stop on',
+        unit='1/s',
+        minimum=0.0,
+        maximum=200.0,
+    )
+    stop_timeout: float = setting(
+        20.0,
+        'Longest time of `stop_damping`, which fades within `stop_ramp` then',
+        'Used from the next stop on',
+        unit='s',
+        minimum=0.0,
+        maximum=300.0,
+    )
 
     def expanded(self, m: int) -> dict[str, Floats]:
-        """Return the settings per joint by name, each of shape (m,); see `expand_per_joint`."""
-        return {
-            field.name: expand_per_joint(field.name, getattr(self, field.name), m)
-            for field in fields(self)
-            if field.type == 'PerJoint'
-        }
+        """
+        Return the settings per joint by name, each of shape (m,).
+
+        Raises
+        ------
+        ConfigurationError
+            If the number of values of one of them is neither 1 nor m.
+
+        """
+        names = [each.name for each in fields(self) if each.type == 'PerJoint']
+        return {name: _expanded(name, getattr(self, name), m) for name in names}
 
 
 LARGEST_GRAVITY = 100.0
@@ -93,44 +212,40 @@ LARGEST_GRAVITY = 100.0
 
 @dataclass(frozen=True)
 class LoadSettings:
-    """How fast external loads change. Times in [s]."""
+    """How fast external loads change."""
 
-    load_ramp: float = 0.5
-    """
-    Time in which a payload is ramped in, gravity changes by 9.8 m/s^2, or a lost external wrench
-    fades out.
-    """
-    wrench_timeout: float = 0.1
-    """An external wrench that is not renewed for this long fades out."""
-    imu_timeout: float = 0.2
-    """A motion of the base older than this is lost."""
-    imu_filter_cutoff: float = 20.0
-    """Cutoff of the first-order low-pass for the motion of the base [Hz]; 0: no filter."""
+    imu_filter_cutoff: float = setting(
+        20.0,
+        'Cutoff of the first-order low-pass for the motion of the base. 0: no filter',
+        unit='Hz',
+        minimum=0.0,
+    )
+    imu_timeout: float = setting(
+        0.2,
+        'Time without a message on `imu` after which the motion of the base is lost',
+        'While it is lost, gravity stays as it was, and the angular velocity is taken as zero',
+        unit='s',
+        minimum=0.005,
+        maximum=60.0,
+    )
+    load_ramp: float = setting(
+        0.5,
+        'Time in which a payload is ramped in, or a lost external wrench fades out',
+        'Gravity changes by 9.8 m/s^2 in this time. A ramp that has started keeps its time',
+        unit='s',
+        minimum=0.0,
+        maximum=60.0,
+    )
+    wrench_timeout: float = setting(
+        0.1,
+        'An external wrench that is not renewed for this long fades out',
+        unit='s',
+        minimum=0.0,
+        maximum=60.0,
+    )
 
 
-def expand_per_joint(name: str, values: PerJoint, m: int) -> Floats:
-    """
-    Return one number per commanded joint.
-
-    Parameters
-    ----------
-    name : str
-        Name of the setting, for the message.
-    values : float or tuple of float
-        One number for all joints, or one for each.
-    m : int
-        Number of commanded joints.
-
-    Returns
-    -------
-    numbers : ndarray, shape (m,)
-
-    Raises
-    ------
-    ConfigurationError
-        If the number of values is neither 1 nor m.
-
-    """
+def _expanded(name: str, values: PerJoint, m: int) -> Floats:
     numbers = np.atleast_1d(np.asarray(values, dtype=np.float64))
     if numbers.shape not in ((1,), (m,)):
         raise ConfigurationError(

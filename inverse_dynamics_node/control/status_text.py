@@ -15,7 +15,7 @@ from ..robot.model import Floats
 from .loop import ControlLoop
 from .settings import Mode, StalePolicy
 from .status import GraphInfo, Level, NodeNames, SimulatedTime
-from .supervision import COMPUTING_PHASES, Phase
+from .supervision import COMPUTING_PHASES, Phase, TOO_FAR_PHASES
 
 _LONG_SILENCE = 5.0  # [s]; after which connected publishers are suspicious
 _MISALIGNED = 5.0  # [degrees]; more than an error of mounting
@@ -49,11 +49,12 @@ def activity(now: float, loop: ControlLoop, *, is_dry_run: bool = False) -> str:
 def _computing(loop: ControlLoop) -> str:
     """Describe how efforts are computed; empty in the phases in which they are not."""
     phase, settings = loop.controller.phase, loop.controller.settings
-    if phase is Phase.HOLDING:
-        return f'{phase.value}: {_reason_to_hold(loop)}'
-    if phase is Phase.TOO_FAR:
+    doing = str(phase.value).partition(':')[0]
+    if phase in (Phase.FLOATING, Phase.HOLDING):
+        return f'{doing}: {_reason_for_no_reference(loop)}'
+    if phase in TOO_FAR_PHASES:
         return (
-            'holding position: the reference starts or jumps more than max_position_jump '
+            f'{doing}: the reference starts or jumps more than max_position_jump '
             f'({settings.max_position_jump:g} rad or m) away'
         )
     return str(phase.value) if phase in COMPUTING_PHASES or phase is Phase.WAITING else ''
@@ -69,7 +70,7 @@ def _consequence(loop: ControlLoop, is_dry_run: bool) -> str:
     return 'keeping the last efforts'
 
 
-def _reason_to_hold(loop: ControlLoop) -> str:
+def _reason_for_no_reference(loop: ControlLoop) -> str:
     settings = loop.controller.settings
     if settings.mode is Mode.GRAVITY_COMPENSATION:
         return 'the reference is not used in mode gravity_compensation'
@@ -251,15 +252,16 @@ def judge_joint_states(now: float, loop: ControlLoop, around: GraphInfo) -> Judg
         return Level.WARN, '; '.join(warnings)
     if collector.unseen():
         return Level.WARN, f'using the locked positions of {", ".join(collector.unseen())}'
-    if settings.mode is Mode.COMPUTED_TORQUE and collector.without_velocity():
-        return Level.WARN, 'no velocities: computed_torque has no damping'
+    is_closed = settings.mode in (Mode.COMPUTED_TORQUE, Mode.JOINT_IMPEDANCE)
+    if is_closed and collector.without_velocity():
+        return Level.WARN, f'no velocities: {settings.mode.value} has no damping'
     return Level.OK, 'fresh'
 
 
 def judge_reference(loop: ControlLoop, around: GraphInfo) -> Judgement:
     """Report whether the reference is followed."""
     controller = loop.controller
-    if around.is_active and controller.phase is Phase.TOO_FAR:
+    if around.is_active and controller.phase in TOO_FAR_PHASES:
         return Level.WARN, controller.phase.value
     if controller.is_stopping:
         return Level.OK, 'disabled'

@@ -23,14 +23,18 @@ class Phase(enum.Enum):
 
     WAITING = 'waiting for the first complete joint state'
     RUNNING = 'following the reference'
-    HOLDING = 'holding position'
-    TOO_FAR = 'holding position: the reference is too far away'
+    FLOATING = 'floating: no reference'
+    TOO_FAR = 'floating: the reference is too far away'
+    HOLDING = 'holding position: no reference'
+    HOLDING_TOO_FAR = 'holding position: the reference is too far away'
     STATE_LOST = 'joint states lost'
     NO_SOLUTION = 'no finite efforts for this joint state and reference'
     STOPPED = 'stopped'
 
 
-COMPUTING_PHASES = (Phase.RUNNING, Phase.HOLDING, Phase.TOO_FAR)
+TOO_FAR_PHASES = (Phase.TOO_FAR, Phase.HOLDING_TOO_FAR)
+"""Phases in which the reference is too far away."""
+COMPUTING_PHASES = (Phase.RUNNING, Phase.FLOATING, Phase.HOLDING, *TOO_FAR_PHASES)
 """Phases in which efforts are computed from a fresh state."""
 
 

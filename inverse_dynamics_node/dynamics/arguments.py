@@ -1,15 +1,83 @@
-"""Conversion of arguments to arrays, with errors that contain the argument's name and value."""
+"""Arguments of any shape as arrays, with errors that contain the argument's name and value."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 import math
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import ConfigurationError, JointStateError, plain
-from ..robot.model import Floats
+from ..robot.model import Floats, RobotModel
+from .batch import LANES
+from .jit import IS_COMPILED, OK
+
+Computation = Callable[[Sequence[Floats], Floats], int]
+"""Takes arguments and an array for the results; returns a status."""
+
+
+def over_states(
+    robot: RobotModel,
+    kind: tuple[int, ...],
+    few: Computation,
+    many: Computation | None,
+    out: Floats | None,
+    **arguments: ArrayLike,
+) -> Floats:
+    """
+    Compute a quantity of anything that numpy can read as rows of n numbers.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        Robot of n joints.
+    kind : tuple of int
+        Shape of the result for one state.
+    few : callable
+        Computes the quantity for arguments of shape (N, n).
+    many : callable, optional
+        Computes it quickly for N of at least `batch.LANES`; numba may have to compile it first.
+    out : ndarray, optional
+        Receives the result.
+    **arguments : array_like
+        Joint positions and so on, by name.
+
+    Returns
+    -------
+    result : ndarray, shape (..., *kind)
+        ``out`` if it was given.
+
+    Raises
+    ------
+    JointStateError
+        If a shape does not fit the robot, or a value is not finite.
+
+    """
+    rows, shape = broadcast(len(robot.joint_names), **arguments)
+    shape = (*shape[:-1], *kind)
+    if out is not None:
+        check_out(out, shape)
+    result = np.empty(shape) if out is None or not is_free(out, rows) else out
+    flat = result.reshape(len(rows[0]), *kind)
+    is_large = IS_COMPILED and robot.joint_names and len(flat) >= LANES
+    compute = many if many is not None and is_large else few
+    if compute(rows, flat) != OK:
+        raise explain(robot.joint_names, **arguments)
+    if out is None or result is out:
+        return result
+    out[...] = result
+    return out
+
+
+def one_by_one(one: Computation) -> Computation:
+    """Return the computation of several states by the computation of one."""
+
+    def few(rows: Sequence[Floats], results: Floats) -> int:
+        states = zip(zip(*rows, strict=True), results, strict=True)
+        return max((one(state, result) for state, result in states), default=OK)
+
+    return few
 
 
 def read_vectors(name: str, values: ArrayLike, n: int) -> Floats:
@@ -48,12 +116,7 @@ def _rows(vectors: Floats, shape: tuple[int, ...]) -> Floats:
     return vectors.reshape(math.prod(shape[:-1]), shape[-1])
 
 
-def explain(
-    joint_names: Sequence[str],
-    out: Floats | None = None,
-    shape: tuple[int, ...] | None = None,
-    **arguments: ArrayLike,
-) -> JointStateError:
+def explain(joint_names: Sequence[str], **arguments: ArrayLike) -> JointStateError:
     """Return the error of the first argument with a wrong shape or a value that is not finite."""
     n = len(joint_names)
     for name, values in arguments.items():
@@ -64,8 +127,6 @@ def explain(
             sample = f' (sample {where[:-1]})' if where[:-1] else ''
             joint = joint_names[where[-1]]
             return JointStateError(f"{name} of joint '{joint}' is {vectors[where]}{sample}")
-    if out is not None:
-        check_out(out, shape or (n,))
     return JointStateError(
         'the efforts overflow: a position, velocity or acceleration is finite, but too large'
     )

@@ -1,9 +1,10 @@
 """
 Efforts and regressors of many states at once; the equations are in `equations`.
 
-A block of states is computed together, each state in a lane: see `lanes`. Every step is a loop
-over the lanes of a block, which the compiler turns into vector instructions. This requires that a
-step is a function of its own, and that rows of each kind are an array of their own.
+A block of states is computed together, each state in a lane: component j of lane k is
+``rows[i, j * LANES + k]``, where i is a body or a joint. Every step is a loop over the lanes of a
+block, which the compiler turns into vector instructions. This requires that a step is a function
+of its own, and that rows of each kind are an array of their own.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from ..robot.model import Floats
-from .base_axes import Axes, axes_in_base, in_base
 from .equations import (
     add,
     angular_acceleration,
@@ -29,9 +29,9 @@ from .equations import (
     to_link,
     Vector,
 )
-from .jit import compile_for, simd_inline, simd_kernel, simd_step
-from .lanes import CACHE_LINE, cosine_and_sine, lane, LANES, LARGEST_ANGLE, store_lane, transpose
-from .newton_euler import joint_friction, NOT_FINITE, OK, own_wrench
+from .jit import compile_for, NOT_FINITE, OK, simd_inline, simd_kernel, simd_step
+from .link_kinematics import Axes, axes_in_base, in_base
+from .newton_euler import joint_friction, own_wrench
 from .regressor import block, in_frame_of_parameters, PARAMETERS, unit_twist
 from .robot_table import (
     ARMATURE,
@@ -47,6 +47,11 @@ from .robot_table import (
     vector,
 )
 
+LANES = 64  # states in a block, and states from which on blocks are faster than single states
+CACHE_LINE = 8  # numbers in a line of the processor's cache
+LARGEST_ANGLE = 1e5  # limit of `cosine_and_sine` [rad]
+ROUNDER = 1.5 * 2.0**52  # adding and subtracting it rounds to a whole number
+
 _FRAME = 12  # numbers in a lane: axes x, y, z and origin
 _TURNED = 18  # axes x, y, z, and motion
 _SIGNATURE = f'({"f8[:,:], " * 4}f8[:,:,::1], f8[:,::1], f8[:,::1], UniTuple(f8[:,::1], 11))'
@@ -59,7 +64,7 @@ def inverse_dynamics_many(states: Sequence[Floats], tau: Floats, robot: Floats) 
     Parameters
     ----------
     states : q, qd and qdd, each an ndarray of shape (N, n)
-        N is at least `lanes.LANES`.
+        N is at least `LANES`.
     tau : ndarray, shape (N, n)
         Receives the joint efforts; does not share memory with the states.
     robot : ndarray
@@ -156,6 +161,15 @@ def _blocks(
         if residue[0, k] != 0.0:
             return NOT_FINITE
     return OK
+
+
+@simd_step
+def transpose(source: Any, target: Any) -> None:
+    """Copy rows between arrays, of which one has the lanes and the other has the rows adjacent."""
+    for first in range(0, LANES, CACHE_LINE):
+        for row in range(len(source)):
+            for k in range(first, first + CACHE_LINE):
+                target[row, k] = source[row, k]
 
 
 @simd_step
@@ -411,6 +425,20 @@ def store_blocks(robot: Any, factors: Any, matrices: Any) -> None:
 
 
 @simd_inline
+def lane(rows: Any, i: int, j: int, k: int) -> Vector:
+    """Return the vector whose first component is component j of a row."""
+    return rows[i, j * LANES + k], rows[i, (j + 1) * LANES + k], rows[i, (j + 2) * LANES + k]
+
+
+@simd_inline
+def store_lane(rows: Any, i: int, j: int, k: int, v: Vector) -> None:
+    """Store a vector; see `lane`."""
+    rows[i, j * LANES + k] = v[0]
+    rows[i, (j + 1) * LANES + k] = v[1]
+    rows[i, (j + 2) * LANES + k] = v[2]
+
+
+@simd_inline
 def lane_axes(frames: Any, i: int, k: int) -> Axes:
     return lane(frames, i, 0, k), lane(frames, i, 3, k), lane(frames, i, 6, k)
 
@@ -425,3 +453,36 @@ def store_axes(frames: Any, i: int, k: int, axes: Axes) -> None:
     store_lane(frames, i, 0, k, axes[0])
     store_lane(frames, i, 3, k, axes[1])
     store_lane(frames, i, 6, k, axes[2])
+
+
+@simd_inline
+def cosine_and_sine(x: Any) -> tuple[Any, Any]:
+    """
+    Compute both to 2 units in the last place, without a branch, so that lanes vectorise.
+
+    The angle minus a whole number of quarter turns is at most pi/4. In that range the polynomials,
+    minimax by Remez' algorithm, have an error of 4e-18 before rounding.
+
+    """
+    quarters = (x * 0.6366197723675814 + ROUNDER) - ROUNDER
+    # pi/2 in three parts of 33, 33 and 53 bits, so that the first two products are exact.
+    near = x - quarters * 1.5707963267341256
+    second = quarters * 6.077100506303966e-11
+    r = near - second
+    rounded = (near - r) - second
+    r = r + (rounded - quarters * 2.0222662487959506e-21)
+    z = r * r
+    s = -2.505074748976053e-08 + z * 1.5896213905538575e-10
+    s = -0.00019841269829584776 + z * (2.7557313619688146e-06 + z * s)
+    s = -0.1666666666666663 + z * (0.008333333333322113 + z * s)
+    s = r + r * z * s
+    c = 2.0875723479154387e-09 - z * 1.1359658852901971e-11
+    c = 2.4801587289487012e-05 + z * (-2.7557314353789556e-07 + z * c)
+    c = 0.0416666666666666 + z * (-0.0013888888888874131 + z * c)
+    c = 1.0 - (0.5 * z - z * z * c)
+    # The quarter is -2 to 2, where -2 and 2 are the same.
+    quarter = quarters - 4.0 * ((quarters * 0.25 + ROUNDER) - ROUNDER)
+    odd, opposite = abs(quarter) == 1.0, abs(quarter) == 2.0
+    cosine, sine = (s, c) if odd else (c, s)
+    cosine = -cosine if opposite or quarter == 1.0 else cosine
+    return cosine, -sine if opposite or quarter == -1.0 else sine

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from ..robot.model import Floats
 from . import robot_table
 from .equations import to_parent, Vector
-from .jit import compiled, simd_inline
+from .jit import compiled, NOT_FINITE, OK, simd_inline, WRONG_SIZE
 from .newton_euler import (
     check,
     clear,
@@ -16,11 +16,8 @@ from .newton_euler import (
     inverse_dynamics,
     inward_pass,
     joint_friction,
-    NOT_FINITE,
-    OK,
     outward_pass,
     own_wrench,
-    WRONG_SIZE,
 )
 from .robot_table import (
     ARMATURE,
@@ -76,7 +73,7 @@ def effort_terms(
     state : 4 sequences of n floats
         Scratch space; the last row is zero.
     inertial, coriolis, gravity, external : tables
-        Tables with these terms only, from `TermTables`.
+        Tables with these terms only, from `term_tables`.
     terms : 5 sequences of n floats
         Receives the terms in the order of `EffortTerms`; may share memory with q, qd and qdd.
 
@@ -153,7 +150,7 @@ def any_of(v: Vector) -> bool:
 
 _NO_BODIES = (robot_table.MASS, robot_table.INERTIA_COLUMNS, robot_table.BASE_MOTION_COLUMNS)
 _NO_DRIVE_TERMS = (robot_table.DRIVE_TERM_COLUMNS, robot_table.HAS_DRIVE_TERMS)
-TERMS: dict[str, tuple[int | slice, ...]] = {
+_ABSENT: dict[str, tuple[int | slice, ...]] = {
     'inertial': (
         robot_table.BASE_MOTION_COLUMNS,
         robot_table.EXTERNAL_COLUMNS,
@@ -172,51 +169,22 @@ TERMS: dict[str, tuple[int | slice, ...]] = {
 """Terms of the efforts, and the columns that are zero in the table that computes each of them."""
 
 
-class TermTables:
-    """
-    Robot tables that leave one of the `TERMS`, kept until the loads change.
+class TermTables(NamedTuple):
+    """Robot tables that leave one term of the efforts, for `effort_terms`."""
 
-    Parameters
-    ----------
-    table : ndarray, shape (b, COLUMNS)
-        The table with all terms.
+    inertial: Floats
+    coriolis: Floats
+    gravity: Floats
+    external: Floats
 
-    """
 
-    def __init__(self, table: Floats) -> None:
-        self._table = table
-        self._kept: dict[str, tuple[int, Any]] = {}
-        self._of_kernel: tuple[Any, ...] = ()
-        self._revision = -1
-
-    def only(self, term: str, revision: int) -> Any:
-        """
-        Return the table of a term.
-
-        Parameters
-        ----------
-        term : str
-            One of the `TERMS`.
-        revision : int
-            Changes with every change of the table with all terms.
-
-        """
-        last, table = self._kept.get(term, (-1, None))
-        if last != revision:
-            reduced = self._table.copy()
-            for part in TERMS[term]:
-                reduced[:, part] = 0.0
-            table = reduced
-            self._kept[term] = revision, table
-        return table
-
-    def of_kernel(self, revision: int) -> tuple[Any, ...]:
-        """Return the tables that `effort_terms.effort_terms` takes."""
-        if self._revision != revision:
-            terms = ('inertial', 'coriolis', 'gravity', 'external')
-            self._of_kernel = tuple(self.only(term, revision) for term in terms)
-            self._revision = revision
-        return self._of_kernel
+def term_tables(table: Floats) -> TermTables:
+    """Return the tables of the terms, from the table of the robot and its loads."""
+    tables = TermTables(*(table.copy() for _ in _ABSENT))
+    for term, columns in _ABSENT.items():
+        for part in columns:
+            getattr(tables, term)[:, part] = 0.0
+    return tables
 
 
 class JointWrenches(NamedTuple):

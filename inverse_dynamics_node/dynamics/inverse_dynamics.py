@@ -1,4 +1,4 @@
-"""Inverse dynamics of one robot."""
+"""Inverse dynamics of one robot, with everything that acts on it."""
 
 from __future__ import annotations
 
@@ -9,19 +9,40 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..errors import ConfigurationError
 from ..robot.model import Floats, RobotModel
-from . import batch, effort_terms, link_kinematics, mass_matrix, newton_euler, regressor
-from .arguments import broadcast, check_out, explain, is_free
-from .dispatch import one_by_one, over_states
+from ..robot.rigid_body import combine, RigidBody
+from . import (
+    batch,
+    effort_terms,
+    link_kinematics,
+    mass_matrix,
+    newton_euler,
+    regressor,
+    robot_table,
+)
+from .arguments import (
+    broadcast,
+    check_out,
+    explain,
+    is_free,
+    one_by_one,
+    over_states,
+    read_inertial,
+    read_joints,
+    read_vector,
+)
 from .effort_terms import EffortTerms, JointWrenches, TermTables
-from .kernels import MATRICES as _MS
-from .kernels import MATRIX as _M
-from .kernels import prepared
-from .kernels import VECTOR as _V
-from .loaded_robot import LoadedRobot, STANDARD_GRAVITY
+from .jit import prepared
+
+STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
+"""Free-fall acceleration in a base frame whose z points up [m/s^2]; ISO 80000-3."""
+
+FRICTION_WIDTH = 0.01
+"""Speed at which smoothed Coulomb friction has 76 % of its value [rad/s or m/s]."""
 
 
-class InverseDynamics(LoadedRobot):
+class InverseDynamics:
     r"""
     Inverse dynamics of one robot: accelerations in, joint efforts out.
 
@@ -41,6 +62,13 @@ class InverseDynamics(LoadedRobot):
     ConfigurationError
         If gravity is not three finite numbers.
 
+    Attributes
+    ----------
+    robot : RobotModel
+        The robot without loads.
+    revision : int
+        Changes with every change of the loads.
+
     Notes
     -----
     The first object on a machine compiles for some seconds; the machine code is cached on disk. An
@@ -54,18 +82,53 @@ class InverseDynamics(LoadedRobot):
     """
 
     def __init__(self, robot: RobotModel, gravity: ArrayLike = STANDARD_GRAVITY) -> None:
-        super().__init__(robot, gravity)
-        self._inverse_dynamics = prepared(newton_euler.inverse_dynamics, _V, _V, _V, _V, _M)
-        self._batch = prepared(newton_euler.inverse_dynamics_batch, _M, _M, _M, _M, _M)
-        self._gravity_efforts = prepared(newton_euler.gravity_efforts, _V, _V, _M)
-        self._mass_matrix = prepared(mass_matrix.mass_matrix, _V, _M, _M)
-        self._effort_terms = prepared(effort_terms.effort_terms, *(3 * (_V,)), *(7 * (_M,)))
-        self._joint_wrenches = prepared(effort_terms.joint_wrenches, *(4 * (_V,)), _M, _M, _M)
+        self.robot = robot
+        self.revision = 0
+        self._table = robot_table.table_of(robot)
+        self._R_ZL = robot_table.rotations_to_z(robot)
+        self._R_LZ = np.ascontiguousarray(self._R_ZL.transpose(0, 2, 1)).reshape(-1, 9)
+        self._base_motion: Floats = np.zeros((3, 3))  # angular velocity; both accelerations
+        self._is_rotating = False  # whether the base has an angular velocity or acceleration
+        self._payloads: dict[str, RigidBody] = {}
+        self._wrenches: dict[str, tuple[Floats, Floats]] = {}
+        self.set_gravity(gravity)
+        self._inverse_dynamics = prepared(newton_euler.inverse_dynamics, 1, 1, 1, 1, 2)
+        self._batch = prepared(newton_euler.inverse_dynamics_batch, 2, 2, 2, 2, 2)
+        self._gravity_efforts = prepared(newton_euler.gravity_efforts, 1, 1, 2)
+        self._mass_matrix = prepared(mass_matrix.mass_matrix, 1, 2, 2)
+        self._effort_terms = prepared(effort_terms.effort_terms, 1, 1, 1, 2, 2, 2, 2, 2, 2, 2)
+        self._joint_wrenches = prepared(effort_terms.joint_wrenches, 1, 1, 1, 1, 2, 2, 2)
         n = len(robot.joint_names)
         self._zeros, self._tau, self._state = np.zeros(n), np.empty(n), np.zeros((4, n))
-        self._terms = TermTables(self.table)
         self._regressor_shape = n, 10 * (len(robot.parent) - 1)
+        self._terms = self.revision, effort_terms.term_tables(self._table)
         self._links: dict[str, Floats] = {}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the robot and its loads; compiled functions would be most of the bytes."""
+        loads = (self._table, self._base_motion, self._payloads, self._wrenches)
+        return type(self), (self.robot, self._gravity), loads
+
+    def __setstate__(self, loads: tuple[Any, ...]) -> None:
+        self._table[...], self._base_motion, payloads, wrenches = loads
+        self._is_rotating = bool(self._base_motion[:2].any())
+        self._payloads, self._wrenches = payloads.copy(), wrenches.copy()
+        self.revision += 1
+
+    @property
+    def gravity(self) -> Floats:
+        """Free-fall acceleration in the base frame, shape (3,) [m/s^2]; read-only."""
+        return self._gravity
+
+    @property
+    def table(self) -> Floats:
+        """The table of `robot_table` with the robot and its loads; not to be modified."""
+        return self._table
+
+    @property
+    def has_drive_terms(self) -> bool:
+        """Whether a joint has friction or armature."""
+        return bool(self._table[0, robot_table.HAS_DRIVE_TERMS])
 
     def efforts(
         self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: Floats | None = None
@@ -111,7 +174,7 @@ class InverseDynamics(LoadedRobot):
                     return tau
         except (AttributeError, TypeError, ValueError):  # lists, integers, views with strides
             pass
-        return self._efforts_of_any(self._table, q, qd, qdd, out)
+        return self._efforts_in(self._table, q, qd, qdd, out)
 
     def gravity_efforts(self, q: ArrayLike, out: Floats | None = None) -> Floats:
         """
@@ -143,7 +206,7 @@ class InverseDynamics(LoadedRobot):
                         return tau
             except (AttributeError, TypeError, ValueError):
                 pass
-        return self._efforts_of_any(self._table, q, self._zeros, self._zeros, out)
+        return self._efforts_in(self._table, q, self._zeros, self._zeros, out)
 
     def coriolis_efforts(self, q: ArrayLike, qd: ArrayLike, out: Floats | None = None) -> Floats:
         """
@@ -167,7 +230,7 @@ class InverseDynamics(LoadedRobot):
             If a shape does not fit the robot, or a value is not finite.
 
         """
-        table = self._terms.only('coriolis', self.revision)
+        table = self._term_tables().coriolis
         if not self._is_rotating:
             return self._efforts_in(table, q, qd, self._zeros, out)
         # Computed first, because `out` may be q.
@@ -210,14 +273,12 @@ class InverseDynamics(LoadedRobot):
                     return matrix
         except (AttributeError, TypeError, ValueError):
             pass
-        return over_states(
-            self.robot,
-            2 * self._zeros.shape,
-            one_by_one(lambda state, out: self._mass_matrix(*state, out, self._table)),
-            lambda states, out: self._mass_matrices(*states, out, self._table),
-            out,
-            q=q,
-        )
+        few = one_by_one(lambda state, out: self._mass_matrix(*state, out, self._table))
+
+        def many(states: Sequence[Floats], out: Floats) -> int:
+            return prepared(mass_matrix.mass_matrix_batch, 2, 3, 2)(*states, out, self._table)
+
+        return over_states(self.robot, 2 * self._zeros.shape, few, many, out, q=q)
 
     def effort_terms(
         self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: Floats | None = None
@@ -261,25 +322,6 @@ class InverseDynamics(LoadedRobot):
             return EffortTerms(*found)
         out[...] = found
         return EffortTerms(*out)
-
-    def _terms_of_state(self, q: Any, qd: Any, qdd: Any, out: Floats) -> EffortTerms:
-        """Compute all terms in one compiled call."""
-        tables = self._terms.of_kernel(self.revision)
-        if self._effort_terms(q, qd, qdd, self._state, *tables, out, self._table):
-            shape = (5, len(self._zeros))
-            raise explain(self.robot.joint_names, out, shape, q=q, qd=qd, qdd=qdd)
-        return EffortTerms(*out)
-
-    def _terms_of_many(self, q: Floats, qd: Floats, qdd: Floats, out: Floats) -> None:
-        """Compute the terms of many states by one pass over all of them for each term."""
-        zeros, only, revision = np.zeros(q.shape), self._terms.only, self.revision
-        terms = EffortTerms(*out)
-        self._efforts_in(only('inertial', revision), q, zeros, qdd, terms.inertial)
-        self.coriolis_efforts(q, qd, terms.coriolis)
-        self._efforts_in(only('gravity', revision), q, zeros, zeros, terms.gravity)
-        self._efforts_in(only('external', revision), q, zeros, zeros, terms.external)
-        if self._friction_terms(qd, qdd, out, self._table):
-            raise explain(self.robot.joint_names, q=q, qd=qd, qdd=qdd)
 
     def joint_wrenches(
         self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: Floats | None = None
@@ -325,7 +367,8 @@ class InverseDynamics(LoadedRobot):
             return self._joint_wrenches(*state, self._tau, self._R_LZ, out, self._table)
 
         def many(states: Sequence[Floats], out: Floats) -> int:
-            return self._all_wrenches(*states, self._tau, self._R_LZ, out, self._table)
+            compute = prepared(effort_terms.joint_wrenches_batch, 2, 2, 2, 1, 2, 3, 2)
+            return compute(*states, self._tau, self._R_LZ, out, self._table)
 
         wrenches = over_states(self.robot, shape, one_by_one(one), many, out, q=q, qd=qd, qdd=qdd)
         return JointWrenches(wrenches[..., :3], wrenches[..., 3:])
@@ -404,36 +447,6 @@ class InverseDynamics(LoadedRobot):
         """
         return self._of_link(self._jacobian, (6, len(self._zeros)), q, link, out)
 
-    def _of_link(
-        self,
-        compute: Callable[..., int],
-        shape: tuple[int, ...],
-        q: ArrayLike,
-        link: str,
-        out: Floats | None,
-    ) -> Floats:
-        """Compute a matrix of a link with a function of `link_kinematics`."""
-        if link not in self._links:
-            self._links[link] = self._row_of_link(link)
-        row = self._links[link]
-        try:
-            if q.ndim == 1:  # type: ignore[union-attr]
-                matrix = np.empty(shape) if out is None else out
-                if not compute(q, row, matrix, self._table):
-                    return matrix
-        except (AttributeError, TypeError, ValueError):
-            pass
-        each = one_by_one(lambda state, out: compute(*state, row, out, self._table))
-        return over_states(self.robot, shape, each, each, out, q=q)
-
-    def _row_of_link(self, link: str) -> Floats:
-        """Return the body of a link and its place in it, for `link_kinematics`."""
-        k = self.robot.link_index(link)
-        body = self.robot.link_body[k]
-        origin = self._R_ZL[body] @ self.robot.link_position[k]
-        axes = self._R_ZL[body] @ self.robot.link_rotation[k]
-        return np.array([body, *origin, *axes.T.ravel()])
-
     def regressor(
         self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: Floats | None = None
     ) -> Floats:
@@ -482,14 +495,13 @@ class InverseDynamics(LoadedRobot):
                     return matrix
         except (AttributeError, TypeError, ValueError):
             pass
-
-        def one(state: Sequence[Floats], out: Floats) -> int:
-            return self._regressor(*state, self._R_LZ, out, self._table)
+        one = self._regressor
+        few = one_by_one(lambda state, out: one(*state, self._R_LZ, out, self._table))
 
         def many(states: Sequence[Floats], out: Floats) -> int:
             return batch.regressor_many(states, out, self._R_LZ, self._table)
 
-        return over_states(self.robot, shape, one_by_one(one), many, out, q=q, qd=qd, qdd=qdd)
+        return over_states(self.robot, shape, few, many, out, q=q, qd=qd, qdd=qdd)
 
     def inertial_parameters(self) -> Floats:
         """
@@ -506,6 +518,190 @@ class InverseDynamics(LoadedRobot):
         parameters = [self._rigid_body(body).parameters() for body in bodies]
         return np.array(parameters).reshape(-1)
 
+    def set_gravity(self, gravity: ArrayLike) -> None:
+        """
+        Set gravity.
+
+        Parameters
+        ----------
+        gravity : array_like, shape (3,)
+            Free-fall acceleration in the base frame [m/s^2].
+
+        Raises
+        ------
+        ConfigurationError
+            If gravity is not three finite numbers.
+
+        """
+        self._gravity = read_vector('gravity', gravity, 'm/s^2')
+        self._gravity.setflags(write=False)
+        self._write_base()
+
+    def set_base_motion(
+        self,
+        angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
+        angular_acceleration: ArrayLike = (0.0, 0.0, 0.0),
+        linear_acceleration: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> None:
+        """
+        Set the motion of the base: omega_0, omega_dot_0 and v_dot_0 of LWP.
+
+        Parameters
+        ----------
+        angular_velocity, angular_acceleration, linear_acceleration : array_like, shape (3,)
+            Motion of the base frame and its origin, in the base frame [rad/s], [rad/s^2],
+            [m/s^2]. The linear acceleration does not include gravity; an accelerometer on the
+            base measures the linear acceleration minus gravity.
+
+        Raises
+        ------
+        ConfigurationError
+            If one is not three finite numbers.
+
+        """
+        motion = [
+            read_vector('angular_velocity', angular_velocity, 'rad/s'),
+            read_vector('angular_acceleration', angular_acceleration, 'rad/s^2'),
+            read_vector('linear_acceleration', linear_acceleration, 'm/s^2'),
+        ]
+        self._base_motion = np.array(motion)
+        self._is_rotating = bool(self._base_motion[:2].any())
+        self._write_base()
+
+    def set_payload(
+        self,
+        link: str,
+        mass: float,
+        com: ArrayLike = (0.0, 0.0, 0.0),
+        inertia: ArrayLike = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+    ) -> None:
+        """
+        Attach a rigid body to a link, replacing the payload that the link had.
+
+        Parameters
+        ----------
+        link : str
+            Any link of the robot description.
+        mass : float
+            Mass of the payload [kg]; 0 removes it.
+        com : array_like, shape (3,)
+            Centre of mass in the link's frame [m].
+        inertia : array_like, shape (3, 3)
+            Inertia about the centre of mass, along the axes of the link's frame [kg m^2].
+
+        Raises
+        ------
+        ConfigurationError
+            If the link does not exist, or no rigid body has such a mass and inertia.
+
+        """
+        k = self.robot.link_index(link)
+        payload = RigidBody(*read_inertial(mass, com, inertia))
+        self._payloads.pop(link, None)
+        if payload.mass > 0.0:
+            payload = payload.rotate(self.robot.link_rotation[k])
+            self._payloads[link] = payload.shift(self.robot.link_position[k])
+        self._write_inertial(int(self.robot.link_body[k]))
+
+    def set_external_wrench(
+        self,
+        link: str,
+        force: ArrayLike = (0.0, 0.0, 0.0),
+        moment: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> None:
+        """
+        Set the wrench that the world exerts on a link, replacing the previous one.
+
+        Parameters
+        ----------
+        link : str
+            Any link of the robot description.
+        force, moment : array_like, shape (3,)
+            In the link's frame, about its origin [N], [N m].
+
+        Raises
+        ------
+        ConfigurationError
+            If the link does not exist, or an argument is not three finite numbers.
+
+        """
+        k = self.robot.link_index(link)
+        R = self.robot.link_rotation[k]
+        f, n = R @ read_vector('force', force, 'N'), R @ read_vector('moment', moment, 'N m')
+        self._wrenches[link] = f, n + np.cross(self.robot.link_position[k], f)
+        self._write_external(int(self.robot.link_body[k]))
+
+    def set_friction(
+        self,
+        damping: ArrayLike | None = None,
+        coulomb: ArrayLike | None = None,
+        width: ArrayLike = FRICTION_WIDTH,
+        load_friction: ArrayLike = 0.0,
+    ) -> None:
+        r"""
+        Set friction: :math:`d\,\dot q + (c + \eta\,|\tau_{load}|) \tanh(\dot q / w)`.
+
+        Parameters
+        ----------
+        damping : array_like, shape (n,) or ()
+            Viscous friction d [N m s/rad or N s/m]; by default, that of the robot description.
+        coulomb : array_like, shape (n,) or ()
+            Coulomb friction c [N m or N]; by default, that of the robot description.
+        width : array_like, shape (n,) or ()
+            Speed w over which Coulomb friction is smoothed [rad/s or m/s].
+        load_friction : array_like, shape (n,) or ()
+            Increase eta of Coulomb friction per effort that loads the gear [-].
+
+        Raises
+        ------
+        ConfigurationError
+            If a value is negative or not finite, or the width is zero.
+
+        Notes
+        -----
+        The effort that loads the gear is what moves and holds the links: inertia, Coriolis and
+        centrifugal efforts, and gravity, with payloads, base motion and external wrenches. It
+        includes neither armature nor friction. Its product with eta is the usual model of gears
+        whose losses are proportional to the transmitted effort [1]_.
+
+        References
+        ----------
+        .. [1] P. Hamon, M. Gautier, P. Garrec, "Dynamic identification of robots with a dry
+           friction model depending on load and velocity", IROS, 2010.
+
+        """
+        n = len(self.robot.joint_names)
+        damping = self.robot.damping if damping is None else damping
+        coulomb = self.robot.friction if coulomb is None else coulomb
+        damping = read_joints('damping', damping, n)
+        coulomb = read_joints('coulomb', coulomb, n)
+        speeds = read_joints('width', width, n)
+        if not (speeds >= np.finfo(float).tiny).all():  # the inverse of less may be infinite
+            raise ConfigurationError(f'width is {width!r}, expected speeds above 0')
+        load_friction = read_joints('load_friction', load_friction, n)
+        # All arguments have been checked: a call that fails changes nothing.
+        robot_table.write_friction(self._table, damping, coulomb, speeds, load_friction)
+        self.revision += 1
+
+    def set_armature(self, armature: ArrayLike) -> None:
+        """
+        Set the reflected inertia of rotors and gears.
+
+        Parameters
+        ----------
+        armature : array_like, shape (n,) or ()
+            Rotor inertia times the square of the gear ratio [kg m^2 or kg].
+
+        Raises
+        ------
+        ConfigurationError
+            If a value is negative or not finite.
+
+        """
+        values = read_joints('armature', armature, len(self.robot.joint_names))
+        robot_table.write_joints(self._table, robot_table.ARMATURE, values)
+        self.revision += 1
+
     def _efforts_in(
         self,
         table: Any,
@@ -514,7 +710,7 @@ class InverseDynamics(LoadedRobot):
         qdd: ArrayLike,
         out: Floats | None = None,
     ) -> Floats:
-        """Compute efforts with a table of `TermTables`, quickly if the arguments are arrays."""
+        """Compute the efforts with a table, quickly if the arguments are the arrays of a state."""
         try:
             if q.ndim == 1:  # type: ignore[union-attr]
                 tau = np.empty_like(self._zeros) if out is None else out
@@ -522,17 +718,6 @@ class InverseDynamics(LoadedRobot):
                     return tau
         except (AttributeError, TypeError, ValueError):
             pass
-        return self._efforts_of_any(table, q, qd, qdd, out)
-
-    def _efforts_of_any(
-        self,
-        table: Any,
-        q: ArrayLike,
-        qd: ArrayLike,
-        qdd: ArrayLike,
-        out: Floats | None = None,
-    ) -> Floats:
-        """Compute efforts of anything that numpy can read as rows of n numbers."""
 
         def few(states: Sequence[Floats], out: Floats) -> int:
             return self._batch(*states, out, table)
@@ -542,27 +727,90 @@ class InverseDynamics(LoadedRobot):
 
         return over_states(self.robot, self._zeros.shape, few, many, out, q=q, qd=qd, qdd=qdd)
 
+    def _of_link(
+        self,
+        compute: Callable[..., int],
+        shape: tuple[int, ...],
+        q: ArrayLike,
+        link: str,
+        out: Floats | None,
+    ) -> Floats:
+        """Compute a matrix of a link with a function of `link_kinematics`."""
+        if link not in self._links:
+            self._links[link] = link_kinematics.row_of_link(self.robot, self._R_ZL, link)
+        row = self._links[link]
+        try:
+            if q.ndim == 1:  # type: ignore[union-attr]
+                matrix = np.empty(shape) if out is None else out
+                if not compute(q, row, matrix, self._table):
+                    return matrix
+        except (AttributeError, TypeError, ValueError):
+            pass
+        few = one_by_one(lambda state, out: compute(*state, row, out, self._table))
+        return over_states(self.robot, shape, few, None, out, q=q)
+
+    def _terms_of_state(self, q: Any, qd: Any, qdd: Any, out: Floats) -> EffortTerms:
+        """Compute all terms in one compiled call."""
+        tables = self._term_tables()
+        if self._effort_terms(q, qd, qdd, self._state, *tables, out, self._table):
+            check_out(out, (5, len(self._zeros)))
+            raise explain(self.robot.joint_names, q=q, qd=qd, qdd=qdd)
+        return EffortTerms(*out)
+
+    def _terms_of_many(self, q: Floats, qd: Floats, qdd: Floats, out: Floats) -> None:
+        """Compute the terms of many states by one pass over all of them for each term."""
+        zeros, tables, terms = np.zeros(q.shape), self._term_tables(), EffortTerms(*out)
+        self._efforts_in(tables.inertial, q, zeros, qdd, terms.inertial)
+        self.coriolis_efforts(q, qd, terms.coriolis)
+        self._efforts_in(tables.gravity, q, zeros, zeros, terms.gravity)
+        self._efforts_in(tables.external, q, zeros, zeros, terms.external)
+        if prepared(effort_terms.friction_batch, 2, 2, 3, 2)(qd, qdd, out, self._table):
+            raise explain(self.robot.joint_names, q=q, qd=qd, qdd=qdd)
+
+    def _term_tables(self) -> TermTables:
+        """Return the tables of `effort_terms`, made again if the loads have changed."""
+        revision, tables = self._terms
+        if revision != self.revision:
+            tables = effort_terms.term_tables(self._table)
+            self._terms = self.revision, tables
+        return tables
+
+    def _rigid_body(self, body: int) -> RigidBody:
+        """Combine a body of the robot with the payloads on it."""
+        robot = self.robot
+        own = RigidBody(robot.mass[body], robot.com[body], robot.inertia[body])
+        return combine([own, *self._on_body(self._payloads, body)])
+
+    def _write_base(self) -> None:
+        robot_table.write_base(self._table[0], self._base_motion, self._gravity)
+        self.revision += 1
+
+    def _write_inertial(self, body: int) -> None:
+        robot_table.write_inertial(self._table[body], self._R_ZL[body], *self._rigid_body(body))
+        self.revision += 1
+
+    def _write_external(self, body: int) -> None:
+        wrenches = self._on_body(self._wrenches, body)
+        robot_table.write_external(self._table[body], self._R_ZL[body], wrenches)
+        self.revision += 1
+
+    def _on_body(self, loads: dict[str, Any], body: int) -> Sequence[Any]:
+        robot = self.robot
+        return [
+            load
+            for link, load in loads.items()
+            if robot.link_body[robot.link_names.index(link)] == body
+        ]
+
     @cached_property
     def _regressor(self) -> Callable[..., int]:
         """Prepared at the first use, like the next ones, because most programs do not need it."""
-        return prepared(regressor.regressor, _V, _V, _V, _M, _M, _M)
+        return prepared(regressor.regressor, 1, 1, 1, 2, 2, 2)
 
     @cached_property
     def _pose(self) -> Callable[..., int]:
-        return prepared(link_kinematics.pose, _V, _V, _M, _M)
+        return prepared(link_kinematics.pose, 1, 1, 2, 2)
 
     @cached_property
     def _jacobian(self) -> Callable[..., int]:
-        return prepared(link_kinematics.jacobian, _V, _V, _M, _M)
-
-    @cached_property
-    def _mass_matrices(self) -> Callable[..., int]:
-        return prepared(mass_matrix.mass_matrix_batch, _M, _MS, _M)
-
-    @cached_property
-    def _friction_terms(self) -> Callable[..., int]:
-        return prepared(effort_terms.friction_batch, _M, _M, _MS, _M)
-
-    @cached_property
-    def _all_wrenches(self) -> Callable[..., int]:
-        return prepared(effort_terms.joint_wrenches_batch, _M, _M, _M, _V, _M, _MS, _M)
+        return prepared(link_kinematics.jacobian, 1, 1, 2, 2)

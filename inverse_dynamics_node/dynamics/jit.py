@@ -14,7 +14,14 @@ try:
 except ImportError:
     numba = None
 
+import numpy as np
+
 IS_COMPILED: bool = numba is not None and not numba.config.DISABLE_JIT
+
+# Statuses that the functions of the passes return
+OK = 0
+WRONG_SIZE = 1
+NOT_FINITE = 2
 
 # Allows a fused a * b + c and ignores the sign of zero. A NaN stays a NaN.
 FAST_MATH = {'contract', 'nsz', 'arcp'}
@@ -37,7 +44,7 @@ def compiled(function: Function) -> Function:
 
 
 def simd_kernel(function: Function) -> Function:
-    """Mark a function of `lanes` for compilation; it releases the interpreter lock."""
+    """Mark a function of `batch` for compilation; it releases the interpreter lock."""
     return _kept(function, fastmath=FAST_MATH, nogil=True) if IS_COMPILED else function
 
 
@@ -78,6 +85,47 @@ def compile_for(function: Any, *signatures: str) -> None:
                     dispatcher._cache = numba.core.caching.NullCache()
                 function.compile(signature)
         function.disable_compile()
+
+
+def prepared(function: Callable[..., int], *dimensions: int) -> Callable[..., int]:
+    """
+    Prepare a function of the passes for arrays: compile it, or run it on lists of floats.
+
+    Parameters
+    ----------
+    function : callable
+        Takes arrays, of which the last but one receives the results and the last is a table of
+        `robot_table`; returns a status.
+    *dimensions : int
+        Numbers of dimensions of the arguments, which are contiguous arrays of float64.
+
+    Returns
+    -------
+    prepared : callable
+        Takes the same arguments; raises a TypeError for arguments of other types.
+
+    """
+    if IS_COMPILED:
+        kinds = ', '.join(f'f8[{":, " * (count - 1)}::1]' for count in dimensions)
+        compile_for(function, f'({kinds})')
+        return function
+
+    def on_lists(*arguments: Any) -> int:
+        for values, dimension in zip(arguments, dimensions, strict=True):
+            if not isinstance(values, np.ndarray) or values.ndim != dimension:
+                raise TypeError
+            if values.dtype != np.float64:
+                raise TypeError
+        lists = [values.tolist() for values in arguments]
+        try:
+            status = function(*lists)
+        except ValueError:  # Python's sine of infinity
+            return NOT_FINITE
+        if arguments[-2].size:
+            arguments[-2][...] = lists[-2]
+        return status
+
+    return on_lists
 
 
 def _kept(function: Function, **options: Any) -> Function:

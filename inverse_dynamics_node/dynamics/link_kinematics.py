@@ -1,5 +1,5 @@
 """
-Pose and geometric Jacobian of one link for one state, in coordinates of the base.
+The links in coordinates of the base, for one state: axes, origins, pose and geometric Jacobian.
 
 References
 ----------
@@ -13,16 +13,45 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from .base_axes import axes, hold_base_axes, in_base, place_in_base
-from .equations import add, cross, subtract, Vector
-from .jit import compiled, simd_inline
-from .newton_euler import check, NOT_FINITE, OK, place_link, WRONG_SIZE
-from .robot_table import JOINT, JOINT_COUNT, joint_of, PARENT, POSITION, vector, Z_AXIS
+import numpy as np
+
+from ..robot.model import Floats, RobotModel
+from .equations import add, cross, dot, origin_in_parent, subtract, Vector
+from .jit import compiled, NOT_FINITE, OK, simd_inline, WRONG_SIZE
+from .newton_euler import check, place_link
+from .robot_table import (
+    COSINE,
+    JOINT,
+    JOINT_COUNT,
+    joint_of,
+    LENGTH,
+    OFFSET,
+    PARENT,
+    POSITION,
+    rotation,
+    SINE,
+    store,
+    vector,
+    X_AXIS,
+    Y_AXIS,
+    Z_AXIS,
+)
+
+Axes = tuple[Vector, Vector, Vector]
+"""Axes x, y, z of a frame."""
 
 # A link, as one row: its body, and its place in the frame of the body in the robot table
 BODY = 0
 ORIGIN = 1  # [m]
 AXES = 4  # nine columns: the axes x, y, z of the link, one after the other
+
+
+def row_of_link(robot: RobotModel, R_ZL: Floats, link: str) -> Floats:
+    """Return the row of a link; R_ZL as from `robot_table.rotations_to_z`."""
+    k = robot.link_index(link)
+    body = robot.link_body[k]
+    axes = R_ZL[body] @ robot.link_rotation[k]
+    return np.array([body, *(R_ZL[body] @ robot.link_position[k]), *axes.T.ravel()])
 
 
 @compiled
@@ -66,19 +95,9 @@ def pose(q: Sequence[float], link: Any, matrix: Any, robot: Any) -> int:
 @compiled
 def jacobian(q: Sequence[float], link: Any, matrix: Any, robot: Any) -> int:
     """
-    Compute the geometric Jacobian of the origin of a link.
+    Compute the geometric Jacobian of the origin of a link; arguments and status as for `pose`.
 
-    Parameters
-    ----------
-    q, link, robot
-        As for `pose`.
-    matrix : 6 sequences of n floats
-        Receives the Jacobian: three linear rows, then three angular ones.
-
-    Returns
-    -------
-    status : int
-        As `pose`.
+    The matrix, 6 sequences of n floats, receives three linear rows, then three angular ones.
 
     """
     n = int(robot[0][JOINT_COUNT])
@@ -122,3 +141,56 @@ def check_rows(matrix: Any) -> int:
         if check(matrix[i]) != OK:
             return NOT_FINITE
     return OK
+
+
+@simd_inline
+def hold_base_axes(base: Any) -> None:
+    """Store the axes and the origin of the base."""
+    store(base, X_AXIS, (1.0, 0.0, 0.0))
+    store(base, Y_AXIS, (0.0, 1.0, 0.0))
+    store(base, Z_AXIS, (0.0, 0.0, 1.0))
+    store(base, POSITION, (0.0, 0.0, 0.0))
+
+
+@simd_inline
+def place_in_base(link: Any, parent: Any) -> None:
+    """Store the axes and the origin of a link, after `place_link`."""
+    R, axes_P = rotation(link), axes(parent)
+    p = origin_in_parent(R, vector(link, OFFSET), link[LENGTH])
+    x, y, z = axes_in_base(axes_P, R, link[COSINE], link[SINE])
+    store(link, X_AXIS, x)
+    store(link, Y_AXIS, y)
+    store(link, Z_AXIS, z)
+    store(link, POSITION, add(vector(parent, POSITION), in_base(axes_P, p)))
+
+
+@simd_inline
+def axes(row: Any) -> Axes:
+    """Read the axes of a link."""
+    return vector(row, X_AXIS), vector(row, Y_AXIS), vector(row, Z_AXIS)
+
+
+@simd_inline
+def axes_in_base(axes_P: Axes, R: Any, c: Any, s: Any) -> Axes:
+    """Return the axes of a link from those of its parent; R, c and s as in `equations`."""
+    x = c * R[0] + s * R[1], c * R[3] + s * R[4], c * R[6] + s * R[7]
+    y = c * R[1] - s * R[0], c * R[4] - s * R[3], c * R[7] - s * R[6]
+    z = R[2], R[5], R[8]
+    return in_base(axes_P, x), in_base(axes_P, y), in_base(axes_P, z)
+
+
+@simd_inline
+def in_base(axes: Axes, v: Vector) -> Vector:
+    """Return a vector of the frame with these axes in coordinates of the base."""
+    x, y, z = axes
+    return (
+        x[0] * v[0] + y[0] * v[1] + z[0] * v[2],
+        x[1] * v[0] + y[1] * v[1] + z[1] * v[2],
+        x[2] * v[0] + y[2] * v[1] + z[2] * v[2],
+    )
+
+
+@simd_inline
+def in_frame(axes: Axes, v: Vector) -> Vector:
+    """Return a vector in coordinates of the base in the frame with these axes."""
+    return dot(axes[0], v), dot(axes[1], v), dot(axes[2], v)

@@ -21,28 +21,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from .base_axes import (
-    Axes,
-    axes,
-    hold_base_axes,
-    in_base,
-    place_in_base,
-)
-from .equations import (
-    add,
-    cross,
-    dot,
-    subtract,
-    symmetric,
-    Vector,
-)
-from .jit import compiled, simd_inline
-from .newton_euler import (
-    NOT_FINITE,
-    OK,
-    place_link,
-    WRONG_SIZE,
-)
+from .equations import add, cross, dot, subtract, symmetric, Vector
+from .jit import compiled, NOT_FINITE, OK, simd_inline, WRONG_SIZE
+from .link_kinematics import Axes, axes, hold_base_axes, in_base, place_in_base
+from .newton_euler import place_link
 from .robot_table import (
     ARMATURE,
     COM,

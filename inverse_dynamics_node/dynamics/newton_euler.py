@@ -30,7 +30,7 @@ from .equations import (
     to_link,
     Vector,
 )
-from .jit import compiled, simd_inline
+from .jit import compiled, NOT_FINITE, OK, simd_inline, WRONG_SIZE
 from .robot_table import (
     ACCEL,
     ARMATURE,
@@ -63,10 +63,6 @@ from .robot_table import (
     vector,
     wrench_of,
 )
-
-OK = 0
-WRONG_SIZE = 1
-NOT_FINITE = 2
 
 
 @compiled
@@ -137,18 +133,8 @@ def gravity_efforts(q: Sequence[float], tau: Any, robot: Any) -> int:
     """
     Compute the joint efforts that hold the robot still.
 
-    As `inverse_dynamics` for velocities and accelerations of zero, on a base that does not rotate:
-    every link has the acceleration of the base, in its own frame.
-
-    Parameters
-    ----------
-    q, tau, robot
-        As for `inverse_dynamics`.
-
-    Returns
-    -------
-    status : int
-        As `inverse_dynamics`.
+    As `inverse_dynamics`, with its arguments and status, for velocities and accelerations of zero
+    on a base that does not rotate: every link has the acceleration of the base, in its own frame.
 
     """
     n = int(robot[0][JOINT_COUNT])

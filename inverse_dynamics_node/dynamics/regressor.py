@@ -19,17 +19,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from .base_axes import (
-    Axes,
-    axes,
-    hold_base_axes,
-    in_base,
-    in_frame,
-    place_in_base,
-)
 from .equations import cross, dot, point_acceleration, subtract, Vector
-from .jit import compiled, simd_inline
-from .newton_euler import NOT_FINITE, OK, outward_pass, WRONG_SIZE
+from .jit import compiled, NOT_FINITE, OK, simd_inline, WRONG_SIZE
+from .link_kinematics import Axes, axes, hold_base_axes, in_base, in_frame, place_in_base
+from .newton_euler import outward_pass
 from .robot_table import (
     ACCEL,
     JOINT,

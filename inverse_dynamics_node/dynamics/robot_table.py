@@ -8,6 +8,7 @@ the first has the name.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -169,7 +170,7 @@ def table_of(robot: RobotModel) -> Floats:
     table[:, ROTATION : ROTATION + 9] = (
         R_ZL_of_parent @ robot.R_PL @ R_ZL.transpose(0, 2, 1)
     ).reshape(-1, 9)
-    table[:, OFFSET : OFFSET + 3] = rotate(R_ZL_of_parent, robot.p_PL)
+    table[:, OFFSET : OFFSET + 3] = np.einsum('kij,kj->ki', R_ZL_of_parent, robot.p_PL)
     for i in range(len(table)):
         write_inertial(table[i], R_ZL[i], robot.mass[i], robot.com[i], robot.inertia[i])
     table[:, PARENT] = robot.parent
@@ -188,14 +189,40 @@ def write_inertial(row: Floats, R_ZL: Floats, mass: float, com: Floats, inertia:
     row[INERTIA : INERTIA + 6] = (R_ZL @ inertia @ R_ZL.T)[_UPPER]
 
 
+def write_joints(table: Floats, column: int, values: Floats) -> None:
+    """Set a column of all joints."""
+    rows = table[1 : 1 + len(values)]
+    rows[:, column] = values
+    table[0, HAS_DRIVE_TERMS] = float(rows[:, [ARMATURE, DAMPING, COULOMB, LOAD_FRICTION]].any())
+
+
+def write_friction(
+    table: Floats, damping: Floats, coulomb: Floats, speeds: Floats, load_friction: Floats
+) -> None:
+    """Set the friction of all joints, with the speeds over which its step is smoothed."""
+    write_joints(table, DAMPING, damping)
+    write_joints(table, COULOMB, coulomb)
+    # Zero where it has no effect, so that it does not look like a load to generated code.
+    inverse = np.where((coulomb > 0.0) | (load_friction > 0.0), 1.0 / speeds, 0.0)
+    write_joints(table, INVERSE_WIDTH, inverse)
+    write_joints(table, LOAD_FRICTION, load_friction)
+
+
+def write_base(row: Floats, motion: Floats, gravity: Floats) -> None:
+    """Set the motion of the base: angular velocity, angular and linear acceleration."""
+    row[BASE_MOTION_COLUMNS] = motion.ravel()
+    row[ACCEL : ACCEL + 3] -= gravity  # LWP (31)
+
+
+def write_external(row: Floats, R_ZL: Floats, wrenches: Sequence[tuple[Floats, Floats]]) -> None:
+    """Set the sum of forces and moments on a body, given in the frame of the URDF."""
+    store(row, EXTERNAL_FORCE, R_ZL @ sum((f for f, _ in wrenches), np.zeros(3)))
+    store(row, EXTERNAL_MOMENT, R_ZL @ sum((n for _, n in wrenches), np.zeros(3)))
+
+
 def rotations_to_z(robot: RobotModel) -> Floats:
     """Return R_ZL of every body: from the URDF's frame (L) to the one with z on the axis (Z)."""
     return np.array([_rotation_of_z_to(axis).T for axis in robot.axis])
-
-
-def rotate(rotations: Floats, vectors: Floats) -> Floats:
-    """Rotate every vector by its own rotation: shapes (b, 3, 3) and (b, 3)."""
-    return np.asarray(np.einsum('kij,kj->ki', rotations, vectors))
 
 
 def _rotation_of_z_to(axis: Floats) -> Floats:

@@ -9,8 +9,8 @@ import numpy as np
 
 from ..errors import shortened, TrajectoryError, unknown_name
 from ..robot.model import Floats, Integers
+from .batch import LANES
 from .inverse_dynamics import InverseDynamics
-from .lanes import LANES
 
 MOST_NUMBERS = 2e7
 """Largest product of states and joints to insert; the results of more take gigabytes."""

@@ -1,27 +1,68 @@
-"""Finds the file with the robot description, given as a path or a URI; runs xacro if needed."""
+"""Finds the robot description: from the topic, a parameter or a file; runs xacro if needed."""
 
 from __future__ import annotations
 
+from concurrent.futures import Future
 import os
 from pathlib import Path
 import re
-from typing import NamedTuple
 from urllib.parse import unquote, urlsplit
 
 from lxml import etree
 
-from ..errors import ConfigurationError, UrdfError
+from ..control.loop import ControlLoop
+from ..errors import ConfigurationError, shortened, UrdfError
 from ..robot.model import RobotModel
 from ..robot.urdf import load_urdf
 from ..robot.urdf.xml import parse, read_source
+from .configure import build_loop
+from .parameters import Configuration
+from .worker import Worker
 
 _XACRO = re.compile(r'(?P<file>.+\.xacro)(?P<arguments>(?:\s+\w+:=\S*)*)\s*', re.S)
 
 
-class _Given(NamedTuple):
-    file: str
-    arguments: dict[str, str] | None
-    """For xacro; None if the file is a URDF."""
+def load_robot(configuration: Configuration, description: str) -> tuple[RobotModel, str]:
+    """
+    Load the robot description.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        The parameters.
+    description : str
+        The URDF from the topic, used if no parameter gives one.
+
+    Returns
+    -------
+    robot : RobotModel
+        The robot.
+    text : str
+        Its URDF.
+
+    Raises
+    ------
+    InverseDynamicsError
+        If there is no description, or it cannot be used.
+
+    """
+    missing = configuration.on_missing_inertial.value
+    if configuration.robot_description_file:
+        return load_file(configuration.robot_description_file, missing)
+    text = configuration.robot_description or description
+    if not text:
+        raise ConfigurationError(
+            'no robot description: none on the topic, and neither robot_description nor '
+            'robot_description_file is set'
+        )
+    if not text.lstrip('\ufeff \t\r\n').startswith('<'):  # load_urdf would open it as a file
+        is_parameter = bool(configuration.robot_description)
+        where = "parameter 'robot_description'" if is_parameter else 'the robot description'
+        hint = '; for a file, set robot_description_file' if is_parameter else ''
+        raise ConfigurationError(
+            f"{where} is '{shortened(text)}', expected the URDF as XML text{hint}"
+        )
+    return load_urdf(text, missing), text
 
 
 def load_file(given: str, on_missing_inertial: str) -> tuple[RobotModel, str]:
@@ -72,12 +113,13 @@ def load_file(given: str, on_missing_inertial: str) -> tuple[RobotModel, str]:
         raise ConfigurationError(f'robot_description_file: no such file: {path}{where}') from None
 
 
-def _split(given: str) -> _Given:
+def _split(given: str) -> tuple[str, dict[str, str] | None]:
+    """Return the file, and the arguments for xacro; None if the file is a URDF."""
     match = _XACRO.fullmatch(given)
     if match is None:
-        return _Given(given, None)
+        return given, None
     pairs = (argument.partition(':=') for argument in match['arguments'].split())
-    return _Given(match['file'], {name: value for name, _, value in pairs})
+    return match['file'], {name: value for name, _, value in pairs}
 
 
 def _load_xacro(
@@ -142,3 +184,90 @@ def _share_directory(package: str) -> Path:
         ) from None
     except ModuleNotFoundError as error:
         raise ConfigurationError(f'package:// needs ament_index_python: {error}') from None
+
+
+class DescriptionLoader:
+    """
+    Makes the control loop for a new robot description, which another process reads.
+
+    Reading takes tenths of a second, in which the robot must not be left without commands.
+
+    Parameters
+    ----------
+    worker : Worker
+        Reads the descriptions.
+
+    """
+
+    def __init__(self, worker: Worker) -> None:
+        self._worker = worker
+        self._loading: Future[tuple[RobotModel, str]] | None = None
+        self._next: tuple[Configuration, str] | None = None
+
+    @property
+    def is_loading(self) -> bool:
+        """Whether a description is being loaded, or its loop has not been taken yet."""
+        return self._loading is not None
+
+    def poll(self) -> bool:
+        """Start to read the description that waits; return whether a loop can be taken."""
+        is_ready = self._loading is not None and self._loading.done()
+        if self._next is not None and (is_ready or self._loading is None):
+            self._loading = self._worker.submit(load_robot, *self._next)
+            self._next = None
+            return False
+        return is_ready
+
+    def load(self, configuration: Configuration, description: str) -> None:
+        """
+        Load a description as soon as the one that is being read is done; it replaces both others.
+
+        Parameters
+        ----------
+        configuration : Configuration
+            The parameters.
+        description : str
+            The URDF as XML text.
+
+        """
+        self._next = configuration, description
+        self.poll()
+
+    def drop(self) -> None:
+        """Ignore the description that is being read, and the one that waits."""
+        self._loading = self._next = None
+
+    def take_loop(
+        self, old: ControlLoop, configuration: Configuration, is_active: bool
+    ) -> tuple[ControlLoop, list[str]]:
+        """
+        Return the new loop, with the state of the old one.
+
+        Parameters
+        ----------
+        old : ControlLoop
+            The loop in use.
+        configuration : Configuration
+            The parameters, which may have changed since `load`.
+        is_active : bool
+            Whether the old loop commands the robot: the new one then continues from its last
+            command, otherwise only inputs such as payloads are copied.
+
+        Returns
+        -------
+        loop : ControlLoop
+            The loop for the new description.
+        dropped : list of str
+            Links with a payload that no longer exist.
+
+        Raises
+        ------
+        InverseDynamicsError
+            If the description cannot be used, or not instead of the old one.
+
+        """
+        assert self._loading is not None
+        loading, self._loading = self._loading, None
+        loop = build_loop(configuration, *loading.result())
+        dropped = loop.continue_from(old) if is_active else loop.copy_inputs_from(old)
+        return loop, dropped

@@ -10,24 +10,23 @@ from typing import Any
 from geometry_msgs.msg import InertiaStamped, Vector3Stamped, WrenchStamped
 import numpy as np
 from rclpy.lifecycle import LifecycleNode
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
 from ..control.control_law import Reference
+from ..control.joint_states import JointStateCollector
 from ..control.loop import ControlLoop
 from ..control.status_text import describe_imu_frame
-from ..errors import ConfigurationError, InverseDynamicsError, JointStateError, shortened
+from ..errors import ConfigurationError, InverseDynamicsError, JointStateError, listed, shortened
 from ..robot.kinematics import rotation_of_rpy
 from ..robot.model import Floats
 from ..ros import qos
 from ..ros.cdr import JointStateReader
-from . import messages
-from .log import NodeLog
-from .outputs import Outputs
 from .parameters import BaseMotion, Configuration
 from .runner import LoopRunner
-from .trajectory_filler import TrajectoryFiller
+from .trajectory_filler import deserialize_trajectory, TrajectoryFiller
 
 _SMALL_CHANGE = 0.05  # of gravity, which is not logged
 _MAX_REFERENCE = 1 << 16  # [bytes]; reading it takes 2 ms, in which no command is sent
@@ -43,73 +42,59 @@ class Inputs:
         The node that subscribes.
     runner : LoopRunner
         Runs the loop that the messages are for.
-    outputs : Outputs
-        Shows whether measured efforts are needed.
     filler : TrajectoryFiller
         Handles trajectories.
-    log : NodeLog
-        For what the messages change.
-    configuration : Configuration
-        The parameters.
 
     """
 
-    def __init__(
-        self,
-        node: LifecycleNode,
-        runner: LoopRunner,
-        outputs: Outputs,
-        filler: TrajectoryFiller,
-        log: NodeLog,
-        configuration: Configuration,
-    ) -> None:
-        self._runner, self._outputs, self._filler, self._log = runner, outputs, filler, log
-        self._configuration = configuration
+    def __init__(self, node: LifecycleNode, runner: LoopRunner, filler: TrajectoryFiller) -> None:
+        self._runner, self._filler, self._log = runner, filler, runner.log
+        self._configuration: Configuration | None = None  # that the latest message was read with
         self._reported_gravity: tuple[ControlLoop, Floats] | None = None
         self._checked_imu: tuple[ControlLoop, str] | None = None
-        self._reader = JointStateReader()
+        self._collector: JointStateCollector | None = None  # that the reader prepares for
         self.last_joint_state = time.monotonic()
         """Steady time of the last message on joint_states [s]; at first, of the start."""
         self._R_BS: Floats = np.eye(3)
         self.state_count = 0
         """Updates of all commanded joints since the start, by one message or several."""
         self._last_state = -math.inf
-        self.apply(configuration)
-        for kind, topic, callback, profile in (
-            (Float64MultiArray, '~/desired_accelerations', self._on_accelerations, qos.RELIABLE),
-            # Messages for several links may arrive at once.
-            (InertiaStamped, '~/payload', self._on_payload, qos.QUEUED),
-            (WrenchStamped, '~/external_wrench', self._on_external_wrench, qos.QUEUED),
-            (Vector3Stamped, '~/gravity', self._on_gravity, qos.RELIABLE),
-            (Imu, 'imu', self._on_imu, qos.BEST_EFFORT),
-        ):
-            node.create_subscription(kind, topic, callback, profile, **qos.overridable())
-        self._states = node.create_subscription(
-            JointState,
-            'joint_states',
-            self._on_joint_state,
-            qos.BEST_EFFORT,
-            raw=True,
-            **qos.overridable(),
-        )
 
-        # Raw, because reading a long one takes seconds.
-        for topic, receive in (
-            ('~/reference', self._on_reference),
-            ('~/joint_trajectory_in', self._on_trajectory),
-        ):
-            node.create_subscription(
-                JointTrajectory, topic, receive, qos.RELIABLE, raw=True, **qos.overridable()
+        def subscribe(
+            kind: Any, topic: str, callback: Any, profile: QoSProfile, raw: bool = False
+        ) -> Any:
+            return node.create_subscription(
+                kind, topic, callback, profile, raw=raw, **qos.overridable()
             )
 
-    def apply(self, configuration: Configuration) -> None:
-        """Use changed parameters."""
-        self._configuration = configuration
-        self._reported_gravity = self._checked_imu = None
-        R_BS = rotation_of_rpy(*configuration.imu_orientation)
-        if self._runner.loop is not None and (R_BS != self._R_BS).any():
-            self._runner.loop.loads.expect_new_signal()
-        self._R_BS = R_BS
+        subscribe(
+            Float64MultiArray, '~/desired_accelerations', self._on_accelerations, qos.RELIABLE
+        )
+        # Messages for several links may arrive at once.
+        subscribe(InertiaStamped, '~/payload', self._on_payload, qos.QUEUED)
+        subscribe(WrenchStamped, '~/external_wrench', self._on_external_wrench, qos.QUEUED)
+        subscribe(Vector3Stamped, '~/gravity', self._on_gravity, qos.RELIABLE)
+        subscribe(Imu, 'imu', self._on_imu, qos.BEST_EFFORT)
+        self._states = subscribe(
+            JointState, 'joint_states', self._on_joint_state, qos.BEST_EFFORT, raw=True
+        )
+        # Raw, because reading a long one takes seconds.
+        subscribe(JointTrajectory, '~/reference', self._on_reference, qos.RELIABLE, raw=True)
+        subscribe(
+            JointTrajectory, '~/joint_trajectory_in', self._on_trajectory, qos.RELIABLE, raw=True
+        )
+
+    def _use_parameters(self, loop: ControlLoop) -> Configuration:
+        """Return the parameters; after a change of any, report the next messages again."""
+        configuration = self._runner.configuration
+        if configuration is not self._configuration:
+            self._configuration = configuration
+            self._reported_gravity = self._checked_imu = None
+            R_BS = rotation_of_rpy(*configuration.imu_orientation)
+            if (R_BS != self._R_BS).any():
+                loop.loads.expect_new_signal()
+            self._R_BS = R_BS
+        return configuration
 
     def read_latest_joint_state(self) -> None:
         """Handle the latest joint state before the executor does."""
@@ -123,23 +108,26 @@ class Inputs:
         loop = self._runner.loop
         if loop is None:
             return
+        if self._collector is not loop.collector:
+            self._collector = loop.collector
+            self._reader = JointStateReader(loop.collector.layout)
         now = self._runner.now()
         try:
-            names, positions, velocities, measured = self._reader.read(data)
-            efforts = self._measured_efforts(len(names), measured)
-            is_ours = loop.collector.update(now, names, positions, velocities, efforts)
+            layout, positions, velocities, measured = self._reader.read(data)
+            efforts = self._measured_efforts(len(layout.names), measured)
+            is_ours = loop.collector.store(now, layout, positions, velocities, efforts)
         except JointStateError as error:
             self._runner.reject('joint_states', error)
             return
         if loop.collector.time != self._last_state:
             self._last_state = loop.collector.time
             self.state_count += 1
-        if is_ours and self._runner.is_active and self._configuration.update_rate == 0.0:
+        if is_ours and self._runner.is_active and self._runner.configuration.update_rate == 0.0:
             self._runner.step(now)
 
     def _measured_efforts(self, count: int, measured: Floats) -> Floats | tuple[()]:
         """Return measured efforts if they are used, and NaN for missing ones."""
-        if not self._outputs.uses_measured_efforts:
+        if not self._runner.outputs.uses_measured_efforts:
             return ()
         if len(measured) == count:
             return measured
@@ -148,7 +136,7 @@ class Inputs:
         return np.full(count, math.nan)
 
     def _on_accelerations(self, message: Float64MultiArray) -> None:
-        self._store_reference('~/desired_accelerations', messages.read_accelerations, message)
+        self._store_reference('~/desired_accelerations', _read_accelerations, message)
 
     def _on_reference(self, data: bytes) -> None:
         self._store_reference('~/reference', _read_reference, data)
@@ -165,22 +153,22 @@ class Inputs:
 
     def _on_payload(self, message: InertiaStamped) -> None:
         def store(loop: ControlLoop, now: float) -> None:
-            payload = messages.read_payload(message)
-            if loop.loads.set_payload(*payload):
-                load = f'payload on link {payload.link!r}'
-                text = f'{load}: {payload.mass:g} kg' if payload.mass else f'{load} removed'
+            link, mass, com, inertia = _read_payload(message)
+            if loop.loads.set_payload(link, mass, com, inertia):
+                load = f'payload on link {link!r}'
+                text = f'{load}: {mass:g} kg' if mass else f'{load} removed'
                 self._log.report_message('~/payload', text, is_problem=False)
 
         self._handle('~/payload', store)
 
     def _on_external_wrench(self, message: WrenchStamped) -> None:
         def store(loop: ControlLoop, now: float) -> None:
-            link, force, moment = messages.read_wrench(message)
+            link, force, moment = _read_wrench(message)
             if loop.set_external_wrench(now, link, force, moment):
                 text = (
                     f'force {_listed(force)} N and moment {_listed(moment)} N m on link '
                     f"'{link}', until it is not renewed for "
-                    f'{self._configuration.wrench_timeout:g} s'
+                    f'{self._runner.configuration.wrench_timeout:g} s'
                 )
                 self._log.report_message('~/external_wrench', text, is_problem=False)
 
@@ -195,7 +183,7 @@ class Inputs:
                 )
             if loop.has_imu:
                 raise ConfigurationError("gravity is measured: parameter 'base_motion' is imu")
-            gravity = messages.read_vector(message.vector)
+            gravity = _read_vector(message.vector)
             loop.loads.set_gravity(gravity)
             self._report_gravity(loop, gravity)
 
@@ -203,13 +191,14 @@ class Inputs:
 
     def _report_gravity(self, loop: ControlLoop, gravity: Floats) -> None:
         """Report gravity that differs from the last report, and gravity that points up."""
+        configuration = self._use_parameters(loop)
         if self._reported_gravity is not None and self._reported_gravity[0] is loop:
             change = np.linalg.norm(gravity - self._reported_gravity[1])
             if change <= _SMALL_CHANGE * np.linalg.norm(gravity):
                 return
         self._reported_gravity = loop, gravity
         text = f"{_listed(gravity)} m/s^2 in the frame of '{loop.base_link}'"
-        expected = np.array(self._configuration.gravity)
+        expected = np.array(configuration.gravity)
         is_problem = bool(gravity @ expected < 0.0)
         if is_problem:
             text += (
@@ -220,11 +209,12 @@ class Inputs:
         self._log.report_message('~/gravity', text, is_problem=is_problem)
 
     def _on_imu(self, message: Imu) -> None:
-        if self._configuration.base_motion is not BaseMotion.IMU:
+        if self._runner.configuration.base_motion is not BaseMotion.IMU:
             return
 
         def store(loop: ControlLoop, now: float) -> None:
-            loop.set_base_motion(now, *messages.read_imu(message, self._R_BS))
+            self._use_parameters(loop)
+            loop.set_base_motion(now, *_read_imu(message, self._R_BS))
             if self._checked_imu != (loop, message.header.frame_id):
                 self._checked_imu = loop, message.header.frame_id
                 text = describe_imu_frame(loop, message.header.frame_id, self._R_BS)
@@ -260,10 +250,94 @@ def _listed(vector: Floats) -> str:
     return ', '.join(f'{x:.3g}' for x in vector)
 
 
+def _read_accelerations(
+    message: Float64MultiArray, joints: Sequence[str], now: float
+) -> Reference:
+    """Read accelerations in the order of the commanded joints."""
+    accelerations = _finite('acceleration', message.data, joints)
+    return Reference(accelerations, np.zeros(len(joints)), now)
+
+
 def _read_reference(data: bytes, joints: Sequence[str], now: float) -> Reference:
+    """Read the first point by joint name; missing accelerations and efforts are zero."""
     if len(data) > _MAX_REFERENCE:
         raise JointStateError(
             f'{len(data)} bytes, expected at most {_MAX_REFERENCE}: only the first point is used; '
             'send one point at a time'
         )
-    return messages.read_reference(messages.deserialize_trajectory(data), joints, now)
+    message = deserialize_trajectory(data)
+    if not message.points:
+        raise JointStateError('no points, expected one')
+    names = list(message.joint_names)
+    if sorted(names) != sorted(joints):
+        raise JointStateError(
+            f'joint_names are {listed(names) or "empty"}, expected {listed(joints)}'
+        )
+    order = [names.index(joint) for joint in joints]
+    point = message.points[0]
+
+    def read(what: str, values: Sequence[float]) -> Floats | None:
+        return _finite(what, values, names)[order] if len(values) else None
+
+    accelerations = read('acceleration', point.accelerations)
+    efforts = read('effort', point.effort)
+    positions = read('position', point.positions)
+    velocities = read('velocity', point.velocities)
+    if accelerations is None and positions is None and velocities is None and efforts is None:
+        raise JointStateError('points[0] is empty, expected accelerations')
+    zeros = np.zeros(len(joints))
+    return Reference(
+        zeros if accelerations is None else accelerations,
+        zeros if efforts is None else efforts,
+        now,
+        positions,
+        velocities,
+    )
+
+
+def _read_payload(message: InertiaStamped) -> tuple[str, float, Floats, Floats]:
+    """Read a link, and the mass, the centre of mass and the inertia about it of a load on it."""
+    body = message.inertia
+    inertia = [
+        [body.ixx, body.ixy, body.ixz],
+        [body.ixy, body.iyy, body.iyz],
+        [body.ixz, body.iyz, body.izz],
+    ]
+    return _frame(message), body.m, _read_vector(body.com), np.array(inertia)
+
+
+def _read_wrench(message: WrenchStamped) -> tuple[str, Floats, Floats]:
+    """Read a link, and the force and moment on it."""
+    return _frame(message), _read_vector(message.wrench.force), _read_vector(message.wrench.torque)
+
+
+def _read_imu(message: Imu, R_BS: Floats) -> tuple[Floats, Floats]:
+    """Read a specific force and an angular velocity, and turn them into the frame of the base."""
+    for what, covariance in (
+        ('linear acceleration', message.linear_acceleration_covariance),
+        ('angular velocity', message.angular_velocity_covariance),
+    ):
+        if covariance[0] == -1.0:
+            raise ConfigurationError(f'the covariance says that {what} is not measured')
+    force = _read_vector(message.linear_acceleration)
+    return R_BS @ force, R_BS @ _read_vector(message.angular_velocity)
+
+
+def _read_vector(message: Any) -> Floats:
+    """Read a message with x, y and z, such as Vector3 or Point."""
+    return np.array([message.x, message.y, message.z])
+
+
+def _frame(message: Any) -> str:
+    return str(message.header.frame_id)
+
+
+def _finite(what: str, values: Sequence[float], names: Sequence[str]) -> Floats:
+    numbers = np.array(values, dtype=np.float64)
+    if len(numbers) != len(names):
+        raise JointStateError(f'{len(numbers)} {what}s, expected {len(names)}: {listed(names)}')
+    is_finite = np.isfinite(numbers)
+    if not is_finite.all():
+        k = int(np.argmin(is_finite))
+        raise JointStateError(f"{what} of joint '{names[k]}' is {numbers[k]}")
+    return numbers

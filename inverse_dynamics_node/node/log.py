@@ -20,7 +20,7 @@ from ..control.status_text import (
     describe_lost_imu,
     join_names,
 )
-from ..control.supervision import COMPUTING_PHASES, Phase
+from ..control.supervision import COMPUTING_PHASES, Phase, TOO_FAR_PHASES
 from ..errors import shortened_lines
 
 _PERIOD = 2.0  # [s]; between repetitions of a lasting problem
@@ -234,7 +234,7 @@ class NodeLog:
         text = activity(now, loop, is_dry_run=is_dry_run)
         if key[0] in _ALARMS:
             self._logger.error(text)
-        elif key[0] is Phase.TOO_FAR:
+        elif key[0] in TOO_FAR_PHASES:
             self._logger.warning(text)
         else:
             self._logger.info(text)

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+import contextlib
+import io
 import os
 import resource
 import signal
+import stat
 import sys
 import traceback
 from types import FrameType
 from typing import Any
 import warnings
-
-from .nonblocking_output import report_failure, unblock_output
 
 # rclpy and numpy are imported below, after the signal handlers have been installed: the import
 # takes most of a second, and a signal in this time should end the process cleanly too.
@@ -56,7 +57,7 @@ class _Stop:
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node until a signal or a shutdown transition; return the exit code."""
     stop = _Stop()
-    unblock_output()
+    _unblock_output()
     try:
         return _main(list(sys.argv if args is None else args), stop)
     except Exception as error:
@@ -77,7 +78,7 @@ def run() -> None:
 def _main(args: list[str], stop: _Stop) -> int:
     warnings.showwarning = _show_warning
     if '--help' in args or '-h' in args:  # works without ROS, as --version does
-        from .usage import help_text
+        from .help import help_text
 
         print(help_text())
         return 0
@@ -89,7 +90,7 @@ def _main(args: list[str], stop: _Stop) -> int:
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     if limit != resource.RLIM_INFINITY and limit < _ADDRESS_SPACE:
         stop.release()  # until the node exists: libraries may wait forever for memory
-        report_failure(
+        _report(
             f'warning: the address space is limited to {limit >> 20} MB (ulimit -v), expected at '
             f'least {_ADDRESS_SPACE >> 20} MB; the process may fail to start, or hang'
         )
@@ -134,15 +135,15 @@ def _run(args: list[str], stop: _Stop) -> int:
 
     from .node import InverseDynamicsNode
     from .remaps import ineffective_files, ineffective_remaps, names_of
+    from .runner import Watchdog
     from .scheduling import Scheduling
-    from .watchdog import Watchdog
     from .worker import prepare_to_load, Worker
 
     prepare_to_load()
     scheduling = Scheduling()
     worker = Worker(has_process=True)
     if worker.problem:
-        report_failure(f'warning: {worker.problem}')
+        _report(f'warning: {worker.problem}')
     try:
         node = InverseDynamicsNode(lambda: stop.count > 1, scheduling, worker)
     except Exception as error:
@@ -157,7 +158,14 @@ def _run(args: list[str], stop: _Stop) -> int:
     executor.add_node(node)
     watchdog = Watchdog()
     try:
-        node.apply_scheduling(watchdog.native_id)
+        logger, values = node.get_logger(), node.configuration
+        is_well, text = scheduling.apply(
+            values.thread_priority, values.cpu_affinity, values.lock_memory, watchdog.native_id
+        )
+        if is_well:
+            logger.info(text)
+        else:
+            logger.warning(text)
         if not stop.count and not node.autostart():
             return 1
         while not stop.count and not node.is_finalized:
@@ -166,7 +174,7 @@ def _run(args: list[str], stop: _Stop) -> int:
                 node.catch_up()
             change = scheduling.limit_time()
             if change:
-                node.get_logger().warning(change)
+                logger.warning(change)
     finally:
         node.shut_down()
         watchdog.close()
@@ -189,12 +197,12 @@ def _make_executor(kind: Any) -> Any:
 
 
 def _fail(message: str, code: int = 1) -> int:
-    report_failure(message)
+    _report(message)
     return code
 
 
 def _fail_with_usage(message: str) -> int:
-    from .usage import USAGE
+    from .help import USAGE
 
     return _fail(f'{message}\n{USAGE}', code=2)
 
@@ -206,7 +214,57 @@ def _describe(error: Exception) -> str:
 
 
 def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
-    report_failure(f'warning: {message}')
+    _report(f'warning: {message}')
+
+
+def _unblock_output() -> None:
+    """
+    Make standard output and standard error safe to write to from the control loop.
+
+    Without a reader, text is dropped and the writer continues. rclpy's logger writes while it
+    holds Python's global lock, so that a write that blocks would stop all threads, and no thread
+    could take over the writing.
+
+    """
+    for number, name in ((1, 'stdout'), (2, 'stderr')):
+        try:
+            _unblock(number)
+        except OSError:  # closed: otherwise the next socket gets this number, and the log with it
+            _open_as(os.devnull, number, os.O_WRONLY)
+        output: Any = _LossyOutput(number, 'w', closefd=False)
+        setattr(sys, name, io.TextIOWrapper(output, errors='backslashreplace', write_through=True))
+
+
+def _report(message: str) -> None:
+    """Write a message to standard error."""
+    sys.stderr.write(f'inverse_dynamics_node: {message}\n')
+
+
+def _unblock(number: int) -> None:
+    """Open the same pipe or terminal again, non-blocking: other processes may use the first."""
+    mode = os.fstat(number).st_mode
+    if stat.S_ISSOCK(mode):  # cannot be opened again
+        os.set_blocking(number, False)
+    elif stat.S_ISFIFO(mode) or stat.S_ISCHR(mode):
+        flags = os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY
+        with contextlib.suppress(OSError):  # a terminal of another user, a pipe without a reader
+            _open_as(f'/proc/self/fd/{number}', number, flags)
+
+
+def _open_as(path: str, number: int, flags: int) -> None:
+    new = os.open(path, flags)
+    if new != number:
+        os.dup2(new, number)
+        os.close(new)
+
+
+class _LossyOutput(io.FileIO):
+    """A file that drops the text that cannot be written at once."""
+
+    def write(self, data: Any) -> int:
+        with contextlib.suppress(OSError):
+            super().write(data)
+        return len(data)
 
 
 if __name__ == '__main__':

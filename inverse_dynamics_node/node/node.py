@@ -17,7 +17,8 @@ from std_msgs.msg import String
 from ..errors import ConfigurationError, InverseDynamicsError, shortened_lines
 from ..ros import qos
 from ..ros.graph import Graph
-from .configure import apply_configuration, check_configuration, make_loop
+from .configure import make_loop
+from .description_file import load_robot
 from .inputs import Inputs
 from .log import BoundedLogger, NodeLog
 from .outputs import Outputs
@@ -26,14 +27,12 @@ from .ros_parameters import (
     changed_configuration,
     declare_parameters,
     is_own_parameter,
-    read_configuration,
     unknown_overrides,
     unused_qos_overrides,
 )
 from .runner import LoopRunner
 from .scheduling import Scheduling
-from .service_errors import contain_errors
-from .services import Services
+from .services import contain_errors, Services
 from .status_publisher import StatusPublisher
 from .trajectory_filler import TrajectoryFiller
 from .worker import Worker
@@ -76,34 +75,41 @@ class InverseDynamicsNode(LifecycleNode):
         self._scheduling = scheduling or Scheduling()
         super().__init__('inverse_dynamics', **kwargs)
         contain_errors(self, self._keep_up)
-        declare_parameters(self)
-        self._configuration = read_configuration(self)
+        configuration = declare_parameters(self)
         for problem in unknown_overrides(self):
             self.get_logger().warning(f'ignored {problem}')
         self.is_finalized = False
-        self._may_autostart = self._configuration.autostart
+        self._may_autostart = configuration.autostart
         self._description = ''  # the latest from the topic
         self._reason_to_stop = 'deactivated'
         self._uses_sim_time = self.get_parameter('use_sim_time').value
-        self._create_parts(skip_ramp)
+        self._create_parts(configuration, skip_ramp)
         for problem in unused_qos_overrides(self):
             self.get_logger().warning(problem)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
 
-    def _create_parts(self, skip_ramp: Callable[[], bool]) -> None:
+    def _create_parts(self, configuration: Configuration, skip_ramp: Callable[[], bool]) -> None:
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         now = time.monotonic  # the steady clock, read twenty times faster
         if self._uses_sim_time:
             now = lambda: self.get_clock().now().nanoseconds * 1e-9  # noqa: E731
         clock = self.get_clock() if self._uses_sim_time else steady
         log = NodeLog(self.get_logger())
-        self._outputs = Outputs(self, qos.RELIABLE, **qos.overridable())
-        self._graph = Graph(self, self._outputs.commands)
+        self._outputs = Outputs(self)
+        self._graph = Graph(self, *self._outputs.forms)
         self._runner = LoopRunner(
-            self, self._outputs, self._graph, log, clock, now, skip_ramp, self._worker
+            self,
+            self._outputs,
+            self._graph,
+            log,
+            clock,
+            now,
+            skip_ramp,
+            self._worker,
+            configuration,
         )
-        self._filler = TrajectoryFiller(self, log, self._worker, qos.RELIABLE, **qos.overridable())
+        self._filler = TrajectoryFiller(self, log, self._worker)
         self.create_subscription(
             String,
             'robot_description',
@@ -111,19 +117,10 @@ class InverseDynamicsNode(LifecycleNode):
             qos.LATCHED,
             **qos.overridable(),
         )
-        self._inputs = Inputs(
-            self, self._runner, self._outputs, self._filler, log, self._configuration
-        )
+        self._inputs = Inputs(self, self._runner, self._filler)
         Services(self, self._runner)
         self._diagnostics = StatusPublisher(
-            self,
-            self._runner,
-            self._inputs,
-            self._outputs,
-            self._graph,
-            log,
-            steady,
-            self._scheduling,
+            self, self._runner, self._inputs, steady, self._scheduling
         )
         self.create_timer(_SUBSCRIBERS_PERIOD, self._find_subscribers, clock=steady)
 
@@ -134,26 +131,7 @@ class InverseDynamicsNode(LifecycleNode):
     @property
     def configuration(self) -> Configuration:
         """The current values of all parameters."""
-        return self._configuration
-
-    def apply_scheduling(self, watchdog: int) -> None:
-        """
-        Set priority and CPUs of the threads, and lock the memory, as the parameters request.
-
-        Parameters
-        ----------
-        watchdog : int
-            Native id of the thread of the watchdog.
-
-        """
-        values = self._configuration
-        is_well, text = self._scheduling.apply(
-            values.thread_priority, values.cpu_affinity, values.lock_memory, watchdog
-        )
-        if is_well:
-            self.get_logger().info(text)
-        else:
-            self.get_logger().warning(text)
+        return self._runner.configuration
 
     # Life cycle
 
@@ -225,7 +203,7 @@ class InverseDynamicsNode(LifecycleNode):
             self._runner.start()
         joints = ', '.join(self._runner.loop.controller.joints)
         to = f'to {self._graph.with_subscribers()}'
-        if self._configuration.dry_run:
+        if self.configuration.dry_run:
             to = self._outputs.describe_dry_run(to)
         self.get_logger().info(f'efforts for {joints} {to}')
         self._may_autostart = False
@@ -268,13 +246,12 @@ class InverseDynamicsNode(LifecycleNode):
             return response
 
     def _configure(self) -> None:
-        configuration = self._configuration
-        self._inputs.apply(configuration)
+        configuration = self.configuration
         with self._scheduling.normal_priority():
-            loop = make_loop(configuration, self._description)
+            loop = make_loop(configuration, *load_robot(configuration, self._description))
         self._graph.expect_discovery()
         self._warn_of_launch(configuration)
-        self._runner.configure(loop, configuration)
+        self._runner.configure(loop)
         # A full garbage collection of the libraries' objects takes tens of milliseconds.
         gc.freeze()
 
@@ -288,10 +265,6 @@ class InverseDynamicsNode(LifecycleNode):
                 f'{_LAUNCH_SIGTERM_TIMEOUT:g} s after SIGINT, which ends the ramp: increase '
                 'sigterm_timeout of the launch action'
             )
-
-    def _use_configuration(self, configuration: Configuration) -> None:
-        self._configuration = configuration
-        self._inputs.apply(configuration)
 
     def _find_subscribers(self) -> None:
         self._outputs.find_subscribers()
@@ -311,7 +284,7 @@ class InverseDynamicsNode(LifecycleNode):
 
     def _check_change(self, parameters: list[Parameter]) -> None:
         """Keep the new configuration for `_apply_parameters`, which rclpy calls next."""
-        before, changed = self._configuration, {}
+        before, changed = self.configuration, {}
         self._next_configuration = before
         for parameter in parameters:
             if parameter.name == 'use_sim_time' and parameter.value != self._uses_sim_time:
@@ -334,24 +307,20 @@ class InverseDynamicsNode(LifecycleNode):
                         f"parameter '{name}' is read when the node is configured; deactivate and "
                         'clean up first'
                     )
-            check_configuration(self._runner.loop, after)
+            after.expanded(len(self._runner.loop.controller.joints))
         self._next_configuration = after
 
     def _apply_parameters(self, parameters: list[Parameter]) -> None:
-        before = self._configuration
-        if self._next_configuration is before:
+        if self._next_configuration is self.configuration:
             return
-        self._use_configuration(self._next_configuration)
+        self._runner.apply(self._next_configuration)
         if self._runner.loop is None:
             self.autostart()
-            return
-        apply_configuration(self._runner.loop, self._configuration, before)
-        self._runner.apply(self._configuration)
 
     # Robot description
 
     def _has_description(self) -> bool:
-        configuration = self._configuration
+        configuration = self.configuration
         return bool(
             configuration.robot_description
             or configuration.robot_description_file
@@ -359,7 +328,7 @@ class InverseDynamicsNode(LifecycleNode):
         )
 
     def _on_robot_description(self, message: String) -> None:
-        configuration = self._configuration
+        configuration = self.configuration
         if configuration.robot_description or configuration.robot_description_file:
             return
         if message.data == self._description:
@@ -369,4 +338,4 @@ class InverseDynamicsNode(LifecycleNode):
             self.autostart()
             return
         self.get_logger().info('received a new robot description')
-        self._runner.load_description(configuration, message.data)
+        self._runner.load_description(message.data)

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
+from array import array
+from collections.abc import Sequence
 from typing import Any
 
 from geometry_msgs.msg import WrenchStamped
 import numpy as np
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode
-from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 
 from ..control.loop import ControlLoop
 from ..robot.model import Floats
+from ..ros import qos
 from ..ros.cdr import serialize_numbers
-from ..ros.qos import LATCHED
-from . import messages
 
 TERM_TOPICS = ('inertial', 'velocity', 'gravity', 'friction', 'external')
 """Last parts of the topics of the `EffortTerms` of the dynamics, in their order."""
@@ -32,28 +32,29 @@ class Outputs:
     ----------
     node : LifecycleNode
         The node that publishes.
-    qos : QoSProfile
-        Quality of service of all topics.
-    **options
-        Passed to ``create_lifecycle_publisher``.
 
     """
 
-    def __init__(self, node: LifecycleNode, qos: QoSProfile, **options: Any) -> None:
+    def __init__(self, node: LifecycleNode) -> None:
         def publisher(kind: Any, topic: str) -> Any:
-            return node.create_lifecycle_publisher(kind, topic, qos, **options)
+            return node.create_lifecycle_publisher(kind, topic, qos.RELIABLE, **qos.overridable())
 
         self._clock = node.get_clock()
         self.commands = publisher(Float64MultiArray, '~/commands')
         self._joint_efforts = publisher(JointState, '~/joint_efforts')
+        self._joint_commands = publisher(JointState, '~/joint_commands')
         own_name = f'{node.get_fully_qualified_name()}/joint_efforts'
         self.may_command_by_name: bool = self._joint_efforts.topic_name != own_name
         """Whether ~/joint_efforts is remapped, as for a robot that takes commands by name."""
+        by_name = [self._joint_efforts] * self.may_command_by_name
+        self.forms: list[Any] = [self.commands, self._joint_commands, *by_name]
+        """The publishers of the commands, in each of their forms."""
         self._terms = [publisher(JointState, f'~/terms/{term}') for term in TERM_TOPICS]
         self._external_efforts = publisher(JointState, '~/external_efforts')
-        self._description = node.create_publisher(String, '~/robot_description', LATCHED)
+        self._description = node.create_publisher(String, '~/robot_description', qos.LATCHED)
         self._base_wrench = publisher(WrenchStamped, '~/base_wrench')
         self._efforts, self._wrench = JointState(), WrenchStamped()
+        self._complete = JointState()
         self._subscribed: set[Any] = set()
 
     def find_subscribers(self) -> None:
@@ -62,6 +63,7 @@ class Outputs:
             publisher
             for publisher in (
                 self._joint_efforts,
+                self._joint_commands,
                 *self._terms,
                 self._external_efforts,
                 self._base_wrench,
@@ -71,8 +73,8 @@ class Outputs:
 
     @property
     def receivers(self) -> int:
-        """Number of subscribers of the commands."""
-        return int(self.commands.get_subscription_count())
+        """Number of subscribers of the commands, in each of their forms."""
+        return sum(form.get_subscription_count() for form in self.forms)
 
     @property
     def uses_measured_efforts(self) -> bool:
@@ -99,6 +101,8 @@ class Outputs:
         """
         if sent is not None:
             self.commands.publish(serialize_numbers(sent))
+            if self._joint_commands in self._subscribed:
+                self._publish_joint_commands(loop, sent)
         by_name = sent if self.may_command_by_name else efforts
         if by_name is not None and self._joint_efforts in self._subscribed:
             self._publish_efforts(self._joint_efforts, loop.controller.joints, by_name)
@@ -115,7 +119,7 @@ class Outputs:
         zeros = np.zeros(len(loop.controller.joints))
         for _ in range(3):  # best-effort subscribers do not acknowledge
             self.publish_command(loop, zeros, zeros)
-        for publisher in (self.commands, self._joint_efforts):
+        for publisher in (self.commands, self._joint_efforts, self._joint_commands):
             publisher.wait_for_all_acked(Duration(seconds=1))
 
     def publish_explanation(self, loop: ControlLoop) -> None:
@@ -125,11 +129,20 @@ class Outputs:
                 if publisher in self._subscribed:
                     self._publish_efforts(publisher, loop.controller.joints, term)
         if self._base_wrench in self._subscribed:
-            messages.write_wrench(self._wrench, loop.base_link, *loop.base_wrench())
+            _write_wrench(self._wrench, loop.base_link, *loop.base_wrench())
             self._wrench.header.stamp = self._clock.now().to_msg()
             self._base_wrench.publish(self._wrench)
         if self._external_efforts in self._subscribed:
             self._publish_external_efforts(loop)
+
+    def _publish_joint_commands(self, loop: ControlLoop, efforts: Floats) -> None:
+        message = self._complete
+        _write_joint_efforts(message, loop.controller.joints, efforts)
+        positions, velocities = loop.drive_reference()
+        message.position = array('d', positions.tobytes())
+        message.velocity = array('d', velocities.tobytes())
+        message.header.stamp = self._clock.now().to_msg()
+        self._joint_commands.publish(message)
 
     def _publish_external_efforts(self, loop: ControlLoop) -> None:
         efforts = loop.external_efforts()
@@ -139,6 +152,19 @@ class Outputs:
             self._publish_efforts(self._external_efforts, names, efforts[measured])
 
     def _publish_efforts(self, publisher: Any, joints: Any, efforts: Floats) -> None:
-        messages.write_joint_efforts(self._efforts, joints, efforts)
+        _write_joint_efforts(self._efforts, joints, efforts)
         self._efforts.header.stamp = self._clock.now().to_msg()
         publisher.publish(self._efforts)
+
+
+def _write_joint_efforts(message: JointState, joints: Sequence[str], efforts: Floats) -> None:
+    """Write efforts into a reused message."""
+    message.name = list(joints)
+    message.effort = array('d', efforts.tobytes())
+
+
+def _write_wrench(message: WrenchStamped, link: str, force: Floats, moment: Floats) -> None:
+    """Write a wrench into a reused message."""
+    message.header.frame_id = link
+    for part, values in ((message.wrench.force, force), (message.wrench.torque, moment)):
+        part.x, part.y, part.z = values.tolist()

@@ -86,27 +86,22 @@ def _names(value: Any) -> tuple[str, ...]:
     return tuple(_text(name) for name in value or () if name)
 
 
-TEXT = Kind('a text', _text)
-FLAG = Kind('true or false', _flag)
 NUMBER = Kind('a finite number', _number, is_numeric=True)
 INTEGER = Kind('an integer', _integer, is_numeric=True)
-CPUS = Kind('-1, or an integer or a list of integers from 0', _cpus)
-VECTOR = Kind(
-    'three finite numbers, all with a decimal point or all without', _vector, is_numeric=True
-)
-NUMBERS = Kind(
+_NUMBERS = Kind(
     'a finite number, or a list of one for each commanded joint', _numbers, is_numeric=True
 )
-NAMES = Kind('a list of names', _names)
 _KINDS = {
-    str: TEXT,
-    bool: FLAG,
+    str: Kind('a text', _text),
+    bool: Kind('true or false', _flag),
     float: NUMBER,
     int: INTEGER,
-    tuple[int, ...]: CPUS,
-    tuple[float, float, float]: VECTOR,
-    PerJoint: NUMBERS,
-    tuple[str, ...]: NAMES,
+    tuple[int, ...]: Kind('-1, or an integer or a list of integers from 0', _cpus),
+    tuple[float, float, float]: Kind(
+        'three finite numbers, all with a decimal point or all without', _vector, is_numeric=True
+    ),
+    PerJoint: _NUMBERS,
+    tuple[str, ...]: Kind('a list of names', _names),
 }
 
 
@@ -136,6 +131,8 @@ class Parameter:
     """Whether a change applies at once; otherwise when the node is configured again."""
     is_read_only: bool = False
     """Whether the value is read only when the process starts."""
+    is_unlimited_at_zero: bool = False
+    """Whether 0 stands for an infinite limit."""
     default_note: str = ''
     """Describes a default that depends on the machine, or on how the node is started."""
 
@@ -174,7 +171,7 @@ class Parameter:
     @property
     def is_per_joint(self) -> bool:
         """Whether the value is one number for all commanded joints, or a list."""
-        return self.kind is NUMBERS
+        return self.kind is _NUMBERS
 
     @property
     def applies(self) -> str:
@@ -202,7 +199,13 @@ class Parameter:
                 else:
                     expected = f'{self.minimum:g} to {self.maximum:g}'
                 raise ConfigurationError(f'is {plain(value)}, expected {expected}')
-        return converted
+        return _unlimited_where_zero(converted) if self.is_unlimited_at_zero else converted
+
+
+def _unlimited_where_zero(numbers: PerJoint) -> PerJoint:
+    if isinstance(numbers, tuple):
+        return tuple(number or math.inf for number in numbers)
+    return numbers or math.inf
 
 
 def _hint(value: Any) -> str:

@@ -1,7 +1,8 @@
 """
 The parameters of the node, each declared once.
 
-The fields of `Configuration` are the declaration. The ROS parameters, the text of ``--help``,
+The fields of `Configuration` are the declaration, with those of `Settings` and `LoadSettings` in
+control/settings.py, from which it inherits. The ROS parameters, the text of ``--help``,
 config/inverse_dynamics.yaml and the table in doc/interface.md are generated from them;
 `make parameters` writes the two files.
 
@@ -16,13 +17,11 @@ from enum import Enum
 import math
 from typing import get_type_hints
 
-from ..control.settings import LARGEST_GRAVITY, LoadSettings, Mode, PerJoint, Settings, StalePolicy
-from ..dynamics.loaded_robot import FRICTION_WIDTH, STANDARD_GRAVITY
-from .memory_lock import has_realtime_kernel
+from ..control.settings import LARGEST_GRAVITY, LoadSettings, PerJoint, Settings
+from ..dynamics.inverse_dynamics import FRICTION_WIDTH, STANDARD_GRAVITY
 from .parameter_types import kind_of, NUMBER, Parameter, parameter
+from .scheduling import has_realtime_kernel
 
-_SETTINGS = Settings()
-_LOADS = LoadSettings()
 VALUE_OF_URDF = -1.0
 """Of `damping` and `coulomb`: use the value in the robot description."""
 
@@ -49,9 +48,9 @@ class Executor(Enum):
     SINGLE_THREADED = 'single_threaded'
 
 
-@dataclass(frozen=True)
-class Configuration:
-    """The checked values of all parameters."""
+@dataclass(frozen=True, kw_only=True)
+class Configuration(Settings, LoadSettings):
+    """The checked values of all parameters: the settings of the core, and those of the node."""
 
     robot_description: str = parameter(
         '',
@@ -97,12 +96,6 @@ class Configuration:
         'for 0.5 s, then nothing. Switched off: they rise from zero within `start_ramp`',
         default_note='false; true in the launch file',
     )
-    mode: Mode = parameter(
-        _SETTINGS.mode.value,
-        'How the reference is used',
-        '`inverse_dynamics`: its accelerations. `computed_torque`: these, with feedback of '
-        'position and velocity. `gravity_compensation`: not at all; the arm is held',
-    )
     gravity: tuple[float, float, float] = parameter(
         list(STANDARD_GRAVITY),
         'Free-fall acceleration in the frame of the base link. `~/gravity` changes it too',
@@ -124,35 +117,6 @@ class Configuration:
         minimum=-7.0,
         maximum=7.0,
     )
-    imu_filter_cutoff: float = parameter(
-        _LOADS.imu_filter_cutoff,
-        'Cutoff of the first-order low-pass for the motion of the base. 0: no filter',
-        unit='Hz',
-        minimum=0.0,
-    )
-    imu_timeout: float = parameter(
-        _LOADS.imu_timeout,
-        'Time without a message on `imu` after which the motion of the base is lost',
-        'While it is lost, gravity stays as it was, and the angular velocity is taken as zero',
-        unit='s',
-        minimum=0.005,
-        maximum=60.0,
-    )
-    load_ramp: float = parameter(
-        _LOADS.load_ramp,
-        'Time in which a payload is ramped in, or a lost external wrench fades out',
-        'Gravity changes by 9.8 m/s^2 in this time. A ramp that has started keeps its time',
-        unit='s',
-        minimum=0.0,
-        maximum=60.0,
-    )
-    wrench_timeout: float = parameter(
-        _LOADS.wrench_timeout,
-        'An external wrench that is not renewed for this long fades out',
-        unit='s',
-        minimum=0.0,
-        maximum=60.0,
-    )
     external_efforts_cutoff: float = parameter(
         10.0,
         'Cutoff of the first-order low-pass of `~/external_efforts`',
@@ -167,7 +131,7 @@ class Configuration:
         False,
         'Add the efforts that overcome friction',
         '`damping` * qd + (`coulomb` + `load_friction` * |load|) * tanh(qd / `coulomb_width`), '
-        'with the load of `load_friction`',
+        'with the load of `load_friction`. `gravity_compensation` adds the share `friction_scale`',
     )
     damping: PerJoint = parameter(
         VALUE_OF_URDF,
@@ -201,105 +165,6 @@ class Configuration:
         'Inertia of rotors and gears, reflected to the commanded joints',
         unit='kg m^2, kg',
         minimum=0.0,
-    )
-    kp: PerJoint = parameter(
-        _SETTINGS.kp, 'Position gain of `computed_torque`', unit='1/s^2', minimum=0.0
-    )
-    kd: PerJoint = parameter(
-        _SETTINGS.kd, 'Velocity gain of `computed_torque`', unit='1/s', minimum=0.0
-    )
-    max_position_jump: float = parameter(
-        _SETTINGS.max_position_jump,
-        'Largest step of a reference of `computed_torque`. 0: unlimited',
-        'Also the largest distance of a new reference from the measured position',
-        unit='rad, m',
-        minimum=0.0,
-    )
-    velocity_filter_cutoff: float = parameter(
-        _SETTINGS.velocity_filter_cutoff,
-        'Cutoff of the first-order low-pass for measured velocities. 0: no filter',
-        unit='Hz',
-        minimum=0.0,
-    )
-    effort_scale: PerJoint = parameter(_SETTINGS.effort_scale, 'Factor for the efforts')
-    effort_offset: PerJoint = parameter(
-        _SETTINGS.effort_offset, 'Added to the scaled efforts', unit='N m, N'
-    )
-    use_urdf_effort_limits: bool = parameter(
-        _SETTINGS.use_urdf_effort_limits, 'Keep efforts within `<limit effort>` of the URDF'
-    )
-    effort_limits: PerJoint = parameter(
-        0.0,
-        'Tighter limits of the efforts. 0: none',
-        'A changed limit applies along the start ramp: the bound of the efforts falls to it',
-        unit='N m, N',
-        minimum=0.0,
-    )
-    effort_rate_limits: PerJoint = parameter(
-        0.0,
-        'Fastest change of the efforts, except along the stop ramp. 0: unlimited',
-        unit='N m/s, N/s',
-        minimum=0.0,
-    )
-    state_timeout: float = parameter(
-        _SETTINGS.state_timeout,
-        'A state of a commanded joint older than this is lost',
-        unit='s',
-        minimum=0.005,
-        maximum=60.0,
-    )
-    uncommanded_state_timeout: float = parameter(
-        _SETTINGS.uncommanded_state_timeout,
-        'Joints that are not commanded are taken to be at rest after this time without a state',
-        'Such joints keep their last position and never stop the arm',
-        unit='s',
-        minimum=0.005,
-        maximum=60.0,
-    )
-    reference_timeout: float = parameter(
-        _SETTINGS.reference_timeout,
-        'A reference older than this is ignored. 0: a reference is used until the next one',
-        'Without a reference, the accelerations are zero',
-        unit='s',
-        minimum=0.0,
-        maximum=3600.0,
-    )
-    on_stale_state: StalePolicy = parameter(
-        _SETTINGS.on_stale_state.value,
-        'Efforts after the joint state is lost',
-        '`zero`: ramp to zero within `stop_ramp`. `hold`: keep the last efforts',
-    )
-    start_ramp: float = parameter(
-        _SETTINGS.start_ramp,
-        'Time for the efforts to rise from zero, and for blends after live changes',
-        unit='s',
-        minimum=0.0,
-        maximum=60.0,
-    )
-    stop_ramp: float = parameter(
-        _SETTINGS.stop_ramp,
-        'Time for the efforts to fall to zero',
-        'A ramp that has started keeps its time. `ros2 launch` ends the ramp after 5 s',
-        unit='s',
-        minimum=0.0,
-        maximum=60.0,
-    )
-    stop_damping: float = parameter(
-        _SETTINGS.stop_damping,
-        'Damping of an arm without brakes while it is stopped. 0: none',
-        'The rate at which motion decays: a larger one lets the arm sink more slowly. With 50, an '
-        'arm of usual proportions sinks at 0.3 m/s. Used from the next stop on',
-        unit='1/s',
-        minimum=0.0,
-        maximum=200.0,
-    )
-    stop_timeout: float = parameter(
-        _SETTINGS.stop_timeout,
-        'Longest time of `stop_damping`, which fades within `stop_ramp` then',
-        'Used from the next stop on',
-        unit='s',
-        minimum=0.0,
-        maximum=300.0,
     )
     autostart: bool = parameter(
         True,
@@ -346,30 +211,9 @@ class Configuration:
     """Positions of joints that are not commanded, until they are reported, by name [rad or m]."""
 
     @property
-    def settings(self) -> Settings:
-        """The parameters of the controller."""
-        values = {each.name: getattr(self, each.name) for each in fields(Settings)}
-        for name in ('effort_limits', 'effort_rate_limits'):
-            values[name] = _unlimited_where_zero(values[name])
-        return Settings(**values)
-
-    @property
-    def load_settings(self) -> LoadSettings:
-        """The parameters of external loads."""
-        return LoadSettings(
-            **{each.name: getattr(self, each.name) for each in fields(LoadSettings)}
-        )
-
-    @property
     def period(self) -> float:
         """Time between commands [s]; 0: one command for every joint state."""
         return 1.0 / self.update_rate if self.update_rate else 0.0
-
-
-def _unlimited_where_zero(numbers: PerJoint) -> PerJoint:
-    if isinstance(numbers, tuple):
-        return tuple(number or math.inf for number in numbers)
-    return numbers or math.inf
 
 
 LOCKED = 'locked_positions'
@@ -385,11 +229,14 @@ LOCKED_POSITION = Parameter(
     is_live=False,
 )
 _HINTS = get_type_hints(Configuration)
+_OF_CORE = {each.name for settings in (Settings, LoadSettings) for each in fields(settings)}
 PARAMETERS = {
     each.name: Parameter(kind_of(_HINTS[each.name]), **each.metadata)
-    for each in fields(Configuration)
+    # The robot first, then the settings of the core, then what concerns the process.
+    for each in sorted(
+        fields(Configuration),
+        key=lambda each: (each.metadata.get('is_read_only', False), each.name in _OF_CORE),
+    )
     if each.metadata
 }
 """All parameters by name, except those that start with ``locked_positions``."""
-PER_JOINT = frozenset(name for name, p in PARAMETERS.items() if p.is_per_joint)
-"""Parameters with one number for all commanded joints, or one for each."""

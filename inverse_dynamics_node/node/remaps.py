@@ -35,7 +35,7 @@ def ineffective_remaps(
     arguments: Sequence[str], names: Sequence[str], node: str, namespace: str
 ) -> list[str]:
     """
-    Find the remap rules that match no name of a node.
+    Describe the remap rules on a command line that match no name of a node.
 
     Parameters
     ----------
@@ -45,11 +45,6 @@ def ineffective_remaps(
         Topics and services of the node, before remapping.
     node, namespace : str
         Name and namespace of the node, after remapping.
-
-    Returns
-    -------
-    problems : list of str
-        One sentence for each rule without effect.
 
     """
     own = {_expanded(name, node, namespace) for name in names}
@@ -74,17 +69,9 @@ def expanded_tildes(arguments: Sequence[str]) -> list[str]:
 
 def with_parameter_files(arguments: Sequence[str]) -> list[str]:
     """
-    Look for the parameter files, also in home directories: no shell expands a ~ after ``:=``.
+    Return a command line with the home directory in place of ``~`` in names of parameter files.
 
-    Parameters
-    ----------
-    arguments : sequence of str
-        The command line.
-
-    Returns
-    -------
-    arguments : list of str
-        The same, with the home directory in place of ``~``.
+    No shell expands it after ``:=``.
 
     Raises
     ------
@@ -105,7 +92,7 @@ def with_parameter_files(arguments: Sequence[str]) -> list[str]:
 
 def ineffective_files(arguments: Sequence[str], name: str) -> list[str]:
     """
-    Find the parameter files that are for other nodes: their limits would not apply.
+    Describe the parameter files that are for other nodes: their limits would not apply.
 
     Parameters
     ----------
@@ -113,11 +100,6 @@ def ineffective_files(arguments: Sequence[str], name: str) -> list[str]:
         The command line, accepted by rcl.
     name : str
         Fully qualified name of the node.
-
-    Returns
-    -------
-    problems : list of str
-        One sentence for each file without effect.
 
     """
     import yaml  # which rclpy needs too

@@ -25,7 +25,7 @@ _QOS = 'qos_overrides'  # prefix of parameters that rclpy declares
 _RENAMED = {'payload_transition_time': 'load_ramp'}
 
 
-def declare_parameters(node: Node) -> None:
+def declare_parameters(node: Node) -> Configuration:
     """
     Declare every parameter, with the values from the command line and parameter files.
 
@@ -33,6 +33,11 @@ def declare_parameters(node: Node) -> None:
     ----------
     node : Node
         The node that gets the parameters.
+
+    Returns
+    -------
+    configuration : Configuration
+        The checked values.
 
     Raises
     ------
@@ -65,41 +70,12 @@ def declare_parameters(node: Node) -> None:
     # The joints are known only after a robot description has been loaded, so any name is accepted.
     for name in locked:
         node.declare_parameter(name, 0.0, _descriptor(LOCKED_POSITION))
+    return Configuration(**checked)
 
 
 def is_own_parameter(name: str) -> bool:
     """Return whether a parameter is not one of rclpy."""
     return name in PARAMETERS or name.startswith(f'{LOCKED}.')
-
-
-def read_configuration(node: Node) -> Configuration:
-    """
-    Read all parameters.
-
-    Parameters
-    ----------
-    node : Node
-        The node with the declared parameters.
-
-    Returns
-    -------
-    configuration : Configuration
-        The checked values.
-
-    Raises
-    ------
-    ConfigurationError
-        Naming every parameter with an invalid value.
-
-    """
-    locked = node.get_parameters_by_prefix(LOCKED)
-    names = [*PARAMETERS, *(f'{LOCKED}.{joint}' for joint in locked)]
-    values = {name: node.get_parameter(name).value for name in names}
-    checked, problems = _checked(values)
-    problems += _contradictions(checked)
-    if problems:
-        raise ConfigurationError(*problems)
-    return Configuration(**checked)
 
 
 def changed_configuration(before: Configuration, values: dict[str, Any]) -> Configuration:

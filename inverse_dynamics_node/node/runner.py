@@ -1,12 +1,15 @@
-"""Runs the control loop: on joint states, on timers, and down the stop ramp."""
+"""Runs the control loop: on joint states, on timers, down the stop ramp, and in a storm."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+import threading
 import time
+from typing import Any
 
 from rclpy.clock import Clock
 from rclpy.lifecycle import LifecycleNode
+from rclpy.task import Future
 from rclpy.timer import Timer
 
 from ..control.loop import Command, ControlLoop
@@ -15,7 +18,8 @@ from ..control.stop_damping import AT_REST, StopDamping
 from ..control.supervision import COMPUTING_PHASES
 from ..errors import JointStateError, shortened_lines
 from ..ros.graph import Graph
-from .description_loader import DescriptionLoader
+from .configure import apply_configuration
+from .description_file import DescriptionLoader
 from .log import NodeLog
 from .outputs import Outputs
 from .parameters import Configuration
@@ -24,6 +28,12 @@ from .worker import Worker
 _WATCH_PERIOD = 0.01  # [s]; between steps or checks while no joint states arrive
 _MAX_WATCH_PERIOD = 0.1  # [s]; between checks while they do
 _POLL_PERIOD = 0.0005  # [s]; between looks for a joint state during a stop that damps the motion
+_TIMEOUT = 0.1  # [s]; time-out of a spin that is not interrupted
+_PATIENCE = 0.03  # [s]; a spin that returns later than this is interrupted
+_CHECK_PERIOD = 0.05  # [s]
+_SHORT_TIMEOUT = 0.01  # [s]; the same three while there are too many messages
+_SHORT_PATIENCE = 0.005
+_SHORT_CHECK_PERIOD = 0.01
 
 
 class LoopRunner:
@@ -48,6 +58,8 @@ class LoopRunner:
         Returns whether to cut the stop ramp short.
     worker : Worker
         Reads robot descriptions.
+    configuration : Configuration
+        The parameters.
 
     """
 
@@ -61,10 +73,13 @@ class LoopRunner:
         now: Callable[[], float],
         skip_ramp: Callable[[], bool],
         worker: Worker,
+        configuration: Configuration,
     ) -> None:
-        self._node, self._outputs, self._graph, self._log = node, outputs, graph, log
+        self._node, self.outputs, self.graph, self.log = node, outputs, graph, log
         self._clock, self._skip_ramp = clock, skip_ramp
         self.now = now
+        self.configuration = configuration
+        """The current values of all parameters."""
         self.loop: ControlLoop | None = None
         """The loop for the current robot description; None while the node is unconfigured."""
         self.is_active = False
@@ -73,29 +88,18 @@ class LoopRunner:
         self._last_step = 0.0
         self._timers: list[Timer] = []
 
-    def configure(self, loop: ControlLoop, configuration: Configuration) -> None:
-        """
-        Use a loop for a robot, inactive at first.
-
-        Parameters
-        ----------
-        loop : ControlLoop
-            The compiled loop.
-        configuration : Configuration
-            The parameters that it was made with.
-
-        """
+    def configure(self, loop: ControlLoop) -> None:
+        """Use a compiled loop for a robot, inactive at first."""
         self.forget_robot()
-        self.loop = loop
-        self._configuration = configuration
+        self.loop, configuration = loop, self.configuration
         self.monitor = Monitor(configuration.period)
         # This timer notices lost states, whatever the update rate.
         self._watch_period = min(_WATCH_PERIOD, 0.5 * configuration.state_timeout)
         self._watch = self._create_timer(self._watch_period, self._on_watch)
         if configuration.period:
             self._create_timer(configuration.period, self._on_timer)
-        self._log.report_robot(loop)
-        self._outputs.publish_description(loop)
+        self.log.report_robot(loop)
+        self.outputs.publish_description(loop)
 
     def _create_timer(self, period: float, callback: Callable[[], None]) -> Timer:
         self._timers.append(self._node.create_timer(period, callback, clock=self._clock))
@@ -103,8 +107,10 @@ class LoopRunner:
 
     def apply(self, configuration: Configuration) -> None:
         """Use changed parameters; the current wait of the watch timer may not suit them."""
-        self._configuration = configuration
-        self._watch_after(self._watch_period)
+        before, self.configuration = self.configuration, configuration
+        if self.loop is not None:
+            apply_configuration(self.loop, configuration, before)
+            self._watch_after(self._watch_period)
 
     def forget_robot(self) -> None:
         """Drop the loop and its timers."""
@@ -115,24 +121,24 @@ class LoopRunner:
             self._node.destroy_timer(timer)
         self._timers = []
 
-    def load_description(self, configuration: Configuration, description: str) -> None:
+    def load_description(self, description: str) -> None:
         """Load another robot description, and switch to it when it is ready."""
-        self.loader.load(configuration, description)
+        self.loader.load(self.configuration, description)
         self._watch_after(self._watch_period)
 
     def start(self) -> None:
         """Start to command, from zero."""
         assert self.loop is not None
-        self.loop.start(is_dry_run=self._configuration.dry_run)
+        self.loop.start(is_dry_run=self.configuration.dry_run)
         self.monitor.pause()
-        self._outputs.find_subscribers()
-        self._log.begin()
+        self.outputs.find_subscribers()
+        self.log.begin()
         self.is_active = True
 
     def reject(self, topic: str, reason: object) -> None:
         """Count and log a message that cannot be used."""
         self.monitor.reject(topic, shortened_lines(str(reason)))
-        self._log.report_message(topic, f'message dropped: {reason}')
+        self.log.report_message(topic, f'message dropped: {reason}')
 
     def enable(self, *, is_enabled: bool) -> None:
         """Let the efforts rise, or fall to zero; a reference is dropped then."""
@@ -156,21 +162,21 @@ class LoopRunner:
         """
         assert self.loop is not None
         began = time.perf_counter()
-        if self.loop.dry_run.is_active is not self._configuration.dry_run:
+        if self.loop.dry_run.is_active is not self.configuration.dry_run:
             self._switch_dry_run(self.loop)
         command = self.loop.step(now)
         if command is None:
-            if self._graph.is_discovered:
-                self._log.report_waiting(self._missing)
+            if self.graph.is_discovered:
+                self.log.report_waiting(self._missing)
             return
         self._publish(now, command)
         took = time.perf_counter() - began
         self.monitor.step(now, took, command, self.loop.controller.joints)
         self._report_damping(self.loop)
-        self._log.report_step(now, self.loop, command, is_dry_run=self.loop.dry_run.is_active)
+        self.log.report_step(now, self.loop, command, is_dry_run=self.loop.dry_run.is_active)
         if self.loop.collector.lost_velocities:
-            publishers = self._graph.publishers('joint_states')
-            self._log.report_lost_velocities(self.loop.collector.lost_velocities, publishers)
+            publishers = self.graph.publishers('joint_states')
+            self.log.report_lost_velocities(self.loop.collector.lost_velocities, publishers)
             self.loop.collector.lost_velocities = []
         if self.loop.controller.phase in COMPUTING_PHASES:
             self._explain(self.loop)
@@ -178,11 +184,11 @@ class LoopRunner:
     def _publish(self, now: float, command: Command) -> None:
         assert self.loop is not None
         self._last_step = now
-        self._outputs.publish_command(self.loop, command.efforts, command.sent)
+        self.outputs.publish_command(self.loop, command.efforts, command.sent)
 
     def _switch_dry_run(self, loop: ControlLoop) -> None:
         """Begin a dry run, or end it as soon as the commands are zero."""
-        is_wanted, has_sent = self._configuration.dry_run, loop.dry_run.has_sent
+        is_wanted, has_sent = self.configuration.dry_run, loop.dry_run.has_sent
         time_to_fall = loop.controller.time_to_fall
         if not loop.switch_dry_run(is_wanted=is_wanted):
             return
@@ -190,34 +196,34 @@ class LoopRunner:
             after = f', after the stop ramp ({time_to_fall:.3g} s)' * has_sent
             text = f'dry run: no more commands{after}'
         else:
-            to = self._graph.with_subscribers()
+            to = self.graph.with_subscribers()
             text = f'end of the dry run: efforts rise from zero, to {to}'
         self._node.get_logger().info(text)
-        self._log.begin()
+        self.log.begin()
 
     def _missing(self) -> list[str]:
         assert self.loop is not None
         return self.loop.missing(
-            self._graph.with_publishers('joint_states'),
-            self._graph.with_publishers('imu'),
+            self.graph.with_publishers('joint_states'),
+            self.graph.with_publishers('imu'),
             self.now(),
         )
 
     def _explain(self, loop: ControlLoop) -> None:
         try:
-            self._outputs.publish_explanation(loop)
+            self.outputs.publish_explanation(loop)
         except JointStateError as error:
-            self._log.warn('explanation', str(error))
+            self.log.warn('explanation', str(error))
 
     def catch_up(self) -> None:
         """Do the work of the timers if they are late."""
-        if self._configuration.period:
+        if self.configuration.period:
             self._on_timer()
         self._on_watch()
 
     def step_if_late(self) -> None:
         """Step if the timer is late by more than half a period."""
-        now, period = self.now(), self._configuration.period
+        now, period = self.now(), self.configuration.period
         if self.is_active and period and now > self._last_step + 1.5 * period:
             self.step(now)
 
@@ -235,7 +241,7 @@ class LoopRunner:
             assert self.loop is not None
             now = self.now()
             state = self.loop.collector.state()
-            timeout = self._configuration.state_timeout
+            timeout = self.configuration.state_timeout
             if state is None or not 0.0 <= now - state.time <= timeout:
                 self.step(now)
             elif self._must_fall:
@@ -251,7 +257,7 @@ class LoopRunner:
     def _must_fall(self) -> bool:
         """Whether commands must fall to zero although joint states may arrive."""
         assert self.loop is not None
-        if self.loop.dry_run.is_active or self._configuration.dry_run:
+        if self.loop.dry_run.is_active or self.configuration.dry_run:
             return self.loop.dry_run.has_sent
         controller = self.loop.controller
         is_computing = controller.phase in COMPUTING_PHASES and not controller.is_stopping
@@ -270,7 +276,7 @@ class LoopRunner:
         if not self.loader.poll():
             return
         try:
-            loop, dropped = self.loader.take_loop(self.loop, self._configuration, self.is_active)
+            loop, dropped = self.loader.take_loop(self.loop, self.configuration, self.is_active)
         except Exception as error:  # any error of the process that read it
             self._node.get_logger().error(
                 f'kept the old robot description; the new one cannot be used: {error}'
@@ -280,8 +286,8 @@ class LoopRunner:
         for link in dropped:
             self._node.get_logger().warning(f"link '{link}' no longer exists; dropped its payload")
         self.loop = loop
-        self._log.report_robot(loop)
-        self._outputs.publish_description(loop)
+        self.log.report_robot(loop)
+        self.outputs.publish_description(loop)
 
     def ramp_down(self, reason: str, read_joint_state: Callable[[], None]) -> None:
         """
@@ -309,12 +315,12 @@ class LoopRunner:
             self._follow_stop_ramp(self.loop, read_joint_state)
         finally:
             self.now = now
-            self._outputs.publish_zeros(self.loop)
+            self.outputs.publish_zeros(self.loop)
         self._node.get_logger().info(f'stopped, zeros sent: {reason}')
 
     def _follow_stop_ramp(self, loop: ControlLoop, read_joint_state: Callable[[], None]) -> None:
         loop.controller.stop()
-        damping, period = loop.controller.stop_damping, self._configuration.period
+        damping, period = loop.controller.stop_damping, self.configuration.period
         while loop.has_to_stop and not self._skip_ramp():
             if damping.is_active:
                 time.sleep(min(period or _POLL_PERIOD, self._watch_period))
@@ -350,3 +356,56 @@ class LoopRunner:
             self._node.get_logger().info(text)
         else:
             self._node.get_logger().warning(text)
+
+
+class Watchdog:
+    """
+    Spins an executor so that it returns in time, even from a queue that never becomes empty.
+
+    rclpy's EventsExecutor queues one event for each message that arrives, and timers queue behind
+    them. Its time-out applies only once the queue is empty. A thread therefore ends the spin
+    between two events, and the caller does everything that is overdue. The events stay in the
+    queue. A new executor would drop them, but in rclpy 7.1 services no longer answer after that.
+
+    """
+
+    def __init__(self) -> None:
+        self.is_congested = False
+        """Whether the last spin had to be interrupted."""
+        self._future = Future()
+        self._deadline = float('inf')
+        self._is_closed = threading.Event()
+        self._thread = threading.Thread(target=self._watch, name='watchdog', daemon=True)
+        self._thread.start()
+
+    def spin(self, executor: Any) -> None:
+        """Let an executor handle events for about a tenth of a second."""
+        timeout, patience = (
+            (_SHORT_TIMEOUT, _SHORT_PATIENCE) if self.is_congested else (_TIMEOUT, _PATIENCE)
+        )
+        future = self._future = Future()
+        self._deadline = time.monotonic() + timeout + patience
+        # spin() never returns in builds against an old C library, and spin_once() would return
+        # for every message.
+        executor.spin_until_future_complete(future, timeout_sec=timeout)
+        self._deadline = float('inf')
+        self.is_congested = future.done()
+
+    @property
+    def native_id(self) -> int:
+        """Id of the thread in the kernel."""
+        assert self._thread.native_id is not None
+        return self._thread.native_id
+
+    def close(self) -> None:
+        """End the thread."""
+        self._is_closed.set()
+        self._thread.join()
+
+    def _watch(self) -> None:
+        while not self._is_closed.wait(
+            _SHORT_CHECK_PERIOD if self.is_congested else _CHECK_PERIOD
+        ):
+            future = self._future
+            if time.monotonic() > self._deadline and not future.done():
+                future.set_result(None)

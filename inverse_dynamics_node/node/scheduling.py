@@ -1,21 +1,24 @@
-"""Real-time priority of the control loop, and of the threads that it waits for."""
+"""Real-time priority of the control loop and the threads that it waits for; locked memory."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 import contextlib
+import ctypes
 import functools
 import os
+from pathlib import Path
+import platform
 import resource
 import threading
 import time
 
 from ..control.status import Level, SchedulingStatus
-from .memory_lock import lock_memory
 
 _MAX_CPU = 0.9  # above this fraction of one CPU within a window, the threads get normal priority,
 _CALM_CPU = 0.5  # until they need less than this
 _WINDOW, _CALM_WINDOW = 2.0, 10.0  # [s]
+_MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4  # mlockall(2), <asm-generic/mman.h>
 
 _HINT = (
     'to permit it, add "@realtime - rtprio 99" and "@realtime - memlock unlimited" to '
@@ -28,6 +31,13 @@ _HINT = (
 def available_cpus() -> frozenset[int]:
     """Return the numbers of the CPUs that the process could use when it was started."""
     return frozenset(os.sched_getaffinity(0))
+
+
+def has_realtime_kernel() -> bool:
+    """Return whether the kernel is built with PREEMPT_RT."""
+    file = Path('/sys/kernel/realtime')
+    is_marked = file.exists() and file.read_text().strip() == '1'
+    return is_marked or 'PREEMPT_RT' in platform.version().split()
 
 
 class Scheduling:
@@ -176,6 +186,28 @@ class Scheduling:
             threads=len(self._threads()),
             memory=self._memory,
         )
+
+
+def lock_memory() -> str:
+    """
+    Lock each page of this process when it is first used; return a description for the log.
+
+    Raises
+    ------
+    OSError
+        If the memory cannot be locked.
+
+    """
+    libc = ctypes.CDLL(None, use_errno=True)
+    _, limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+    resource.setrlimit(resource.RLIMIT_MEMLOCK, (limit, limit))
+    # Beyond a limit, a later allocation would fail, and end the process.
+    is_limited = limit != resource.RLIM_INFINITY
+    if libc.mlockall(_MCL_CURRENT | _MCL_ONFAULT | (0 if is_limited else _MCL_FUTURE)):
+        number = ctypes.get_errno()
+        bound = f' (memlock limit {limit >> 10} kB)' if is_limited else ''
+        raise OSError(number, f'memory cannot be locked: {os.strerror(number)}{bound}')
+    return 'memory in use at the start locked' if is_limited else 'memory locked'
 
 
 def _thread_ids() -> list[int]:

@@ -1,14 +1,25 @@
-"""The services of the node, besides those of every lifecycle node."""
+"""The services of the node, and a guard for those that rclpy creates."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
+from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.lifecycle import LifecycleNode
+from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 
-from .model_report import describe_robot
+from ..control.loop import ControlLoop
+from ..errors import JointStateError, shortened
+from ..report.model_report import model_report
+from ..robot.model import Floats
+from .ros_parameters import unknown_parameters
 from .runner import LoopRunner
+
+_TYPES = {kind.value for kind in Parameter.Type}
 
 
 class Services:
@@ -49,3 +60,118 @@ class Services:
         response.message = describe_robot(loop) if loop else 'there is no robot yet'
         self._logger.info(response.message)  # ros2 service call prints it on one long line
         return response
+
+
+def describe_robot(loop: ControlLoop) -> str:
+    """Describe the robot, and the efforts that hold it in its present pose if it is known."""
+    missing = loop.missing()
+    if missing:
+        return f'{_report(loop, None)}\n\nNot known yet: {", ".join(missing)}.'
+    try:
+        return _report(loop, loop.collector.q)
+    except JointStateError as error:
+        return f'{_report(loop, None)}\n\nNot known: {error}.'
+
+
+def _report(loop: ControlLoop, q: Floats | None) -> str:
+    return model_report(loop.dynamics, loop.controller.joints, q, loop.controller.limits)
+
+
+def contain_errors(node: LifecycleNode, keep_up: Callable[[], None]) -> None:
+    """
+    Catch the errors of the services and subscriptions that rclpy has created.
+
+    rclpy 7.1 raises out of the executor on a parameter whose type does not exist, a clock before
+    zero, or a lifecycle transition that is not possible now. The executor would survive that, but
+    a client would wait for its answer forever.
+
+    Parameters
+    ----------
+    node : LifecycleNode
+        A node without entities of its own yet: their errors must not be hidden.
+    keep_up : callable
+        Called after every request. Requests may fill the queue of the executor, and each takes as
+        long as several commands.
+
+    """
+    for service in node.services:
+        callback = service.callback
+        if service.srv_type is SetParameters:
+            callback = partial(_set_each, node)
+        elif service.srv_type is SetParametersAtomically:
+            callback = partial(_set_all, node)
+        service.callback = _contained(node, service.srv_name, callback, keep_up)
+    for subscription in node.subscriptions:
+        subscription.callback = _contained_subscription(
+            node, subscription.topic_name, subscription.callback
+        )
+
+
+def _contained(
+    node: LifecycleNode,
+    name: str,
+    callback: Callable[[Any, Any], Any],
+    keep_up: Callable[[], None],
+) -> Callable[[Any, Any], Any]:
+    def contained(request: Any, response: Any) -> Any:
+        try:
+            response = callback(request, response)
+        except Exception as error:
+            node.get_logger().error(f'{name}: request rejected: {_line(error)}')
+            response = type(response)()
+        keep_up()
+        return response
+
+    return contained
+
+
+def _set_each(node: LifecycleNode, request: Any, response: Any) -> Any:
+    response.results = [_set(node, [parameter]) for parameter in request.parameters]
+    return response
+
+
+def _set_all(node: LifecycleNode, request: Any, response: Any) -> Any:
+    response.result = _set(node, request.parameters)
+    return response
+
+
+def _set(node: LifecycleNode, parameters: Sequence[Any]) -> SetParametersResult:
+    """Set parameters together as rclpy does, or name the one that cannot be set."""
+    reason = _problem(node, parameters)
+    if reason:
+        return SetParametersResult(reason=reason)
+    return node.set_parameters_atomically(list(map(Parameter.from_parameter_msg, parameters)))
+
+
+def _problem(node: LifecycleNode, parameters: Sequence[Any]) -> str:
+    """Return why parameters cannot be set; rclpy 7.1 does not name those that are unknown."""
+    for parameter in parameters:
+        if parameter.value.type not in _TYPES:
+            return (
+                f"parameter '{shortened(parameter.name)}' has type {parameter.value.type}, "
+                f'expected {min(_TYPES)} to {max(_TYPES)}'
+            )
+        for problem in unknown_parameters(node, [parameter.name]):
+            return problem
+    return ''
+
+
+def _contained_subscription(
+    node: LifecycleNode, topic: str, callback: Callable[[Any], None]
+) -> Callable[[Any], None]:
+    reported: set[str] = set()  # /clock may have a thousand messages per second
+
+    def contained(message: Any) -> None:
+        try:
+            callback(message)
+        except Exception as error:
+            text = _line(error)
+            if text not in reported and len(reported) < 10:
+                reported.add(text)
+                node.get_logger().error(f'{topic}: message dropped: {text}')
+
+    return contained
+
+
+def _line(error: Exception) -> str:
+    return shortened(str(error).partition('\n')[0] or repr(error), 200)

@@ -15,10 +15,7 @@ from ..control.status import GraphInfo, Topics
 from ..control.status_text import describe_silence
 from ..ros import qos
 from ..ros.diagnostics import write_status
-from ..ros.graph import Graph
 from .inputs import Inputs
-from .log import NodeLog
-from .outputs import Outputs
 from .runner import LoopRunner
 from .scheduling import Scheduling
 
@@ -33,10 +30,8 @@ class StatusPublisher:
     ----------
     node : LifecycleNode
         The node that publishes.
-    runner, inputs, outputs, graph
+    runner, inputs
         The parts of the node that are reported on.
-    log : NodeLog
-        For the problems that are also logged.
     clock : Clock
         The steady clock.
     scheduling : Scheduling
@@ -49,14 +44,11 @@ class StatusPublisher:
         node: LifecycleNode,
         runner: LoopRunner,
         inputs: Inputs,
-        outputs: Outputs,
-        graph: Graph,
-        log: NodeLog,
         clock: Clock,
         scheduling: Scheduling,
     ) -> None:
         self._node, self._runner, self._inputs = node, runner, inputs
-        self._outputs, self._graph, self._log = outputs, graph, log
+        self._graph, self._log = runner.graph, runner.log
         self._scheduling = scheduling
         self._uses_sim_time = bool(node.get_parameter('use_sim_time').value)
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', qos.QUEUED)
@@ -108,7 +100,7 @@ class StatusPublisher:
         simulated = self._graph.simulated_time() if self._uses_sim_time else None
         is_paused = simulated is not None and simulated.unchanged_for > _PERIOD
         return GraphInfo(
-            receivers=self._outputs.receivers,
+            receivers=self._runner.outputs.receivers,
             publishers=publisher_count,
             is_active=self._runner.is_active,
             is_dry_run=loop is not None and loop.dry_run.is_active,

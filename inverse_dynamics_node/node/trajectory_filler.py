@@ -2,27 +2,30 @@
 
 from __future__ import annotations
 
+from array import array
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode
-from rclpy.qos import QoSProfile
-from rclpy.serialization import serialize_message
-from trajectory_msgs.msg import JointTrajectory
+from rclpy.serialization import deserialize_message, serialize_message
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from ..control.loop import ControlLoop
-from ..dynamics.trajectory import complete, joint_index, trajectory_efforts
+from ..dynamics.trajectory import complete, joint_index, Trajectory, trajectory_efforts
 from ..errors import TrajectoryError
-from . import messages
+from ..robot.model import Floats
+from ..ros import qos
 from .log import NodeLog
 from .worker import Worker
 
 _MAX_SIZE = 1_000_000  # [bytes]; takes some milliseconds to receive and to send, without commands
 _MAX_WAITING = 10
 _PERIOD = 0.005  # [s]; between looks for results
+_FIELDS = ('positions', 'velocities', 'accelerations', 'effort')
 
 
 class Filled(NamedTuple):
@@ -53,12 +56,12 @@ def fill(loop: ControlLoop, data: bytes) -> Filled:
         If the trajectory cannot be used.
 
     """
-    message = messages.deserialize_trajectory(data)
-    trajectory, notes = complete(messages.read_trajectory(message))
+    message = deserialize_trajectory(data)
+    trajectory, notes = complete(_read_trajectory(message))
     efforts = trajectory_efforts(loop.dynamics, trajectory, loop.collector.q)
     index = joint_index(trajectory.joint_names, loop.robot.joint_names)
     efforts = loop.calibrated(index, efforts)
-    filled = messages.write_trajectory(message, trajectory, efforts)
+    filled = _write_trajectory(message, trajectory, efforts)
     return Filled(serialize_message(filled), notes, loop.beyond_limits(index, efforts))
 
 
@@ -74,25 +77,14 @@ class TrajectoryFiller:
         For warnings.
     worker : Worker
         Computes the efforts.
-    qos : QoSProfile
-        Quality of service of the topic.
-    **options
-        Passed to ``create_publisher``.
 
     """
 
-    def __init__(
-        self,
-        node: LifecycleNode,
-        log: NodeLog,
-        worker: Worker,
-        qos: QoSProfile,
-        **options: Any,
-    ) -> None:
+    def __init__(self, node: LifecycleNode, log: NodeLog, worker: Worker) -> None:
         self._log, self._worker = log, worker
         self._waiting: deque[tuple[Future[Filled], Callable[[Exception], None]]] = deque()
         self._publisher = node.create_publisher(
-            JointTrajectory, '~/joint_trajectory_out', qos, **options
+            JointTrajectory, '~/joint_trajectory_out', qos.RELIABLE, **qos.overridable()
         )
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = node.create_timer(_PERIOD, self.poll, clock=steady)
@@ -157,3 +149,55 @@ class TrajectoryFiller:
             warning = f"~/joint_trajectory_in: efforts of '{name}' exceed its limit"
             self._log.warn(('trajectory beyond', name), warning)
         self._publisher.publish(filled.data)
+
+
+def deserialize_trajectory(data: bytes) -> JointTrajectory:
+    """Read a trajectory from a raw subscription, or raise a TrajectoryError."""
+    try:
+        return deserialize_message(data, JointTrajectory)
+    except Exception as error:  # RMWError, which is not public
+        raise TrajectoryError(f'{len(data)} bytes that are not a trajectory: {error}') from error
+
+
+def _read_trajectory(message: JointTrajectory) -> Trajectory:
+    """Read a whole trajectory."""
+    names, points = tuple(message.joint_names), message.points
+
+    def read(what: str) -> Floats | None:
+        rows = [getattr(point, what) for point in points]
+        lengths = {len(row) for row in rows}
+        if lengths <= {0}:
+            return None
+        if lengths != {len(names)}:
+            raise TrajectoryError(
+                f'points have {", ".join(map(str, sorted(lengths)))} {what}, expected '
+                f'{len(names)} each, or none'
+            )
+        return np.array(rows, dtype=np.float64)
+
+    positions = read('positions')
+    if positions is None:
+        raise TrajectoryError('no positions, expected one for every joint at every point')
+    times = [p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in points]
+    velocities, accelerations = read('velocities'), read('accelerations')
+    return Trajectory(names, np.array(times), positions, velocities, accelerations)
+
+
+def _write_trajectory(
+    message: JointTrajectory, trajectory: Trajectory, efforts: Floats
+) -> JointTrajectory:
+    """Make the message of a trajectory with efforts; header and times are those of `message`."""
+    result = JointTrajectory(header=message.header, joint_names=message.joint_names)
+    rows = (trajectory.positions, trajectory.velocities, trajectory.accelerations, efforts)
+    result.points = [
+        JointTrajectoryPoint(
+            **{
+                name: array('d', row[k].tobytes())
+                for name, row in zip(_FIELDS, rows, strict=True)
+                if row is not None
+            },
+            time_from_start=point.time_from_start,
+        )
+        for k, point in enumerate(message.points)
+    ]
+    return result

@@ -7,7 +7,7 @@ import math
 from types import MappingProxyType
 
 from ..analysis.diagnosis import Change, Fault, FaultKind
-from ..robot.model_warning import ModelWarning
+from ..robot.model import ModelWarning
 
 MOST_CHANGES = 3  # joints whose residuals are listed as evidence
 
@@ -33,11 +33,16 @@ def sentence(fault: Fault) -> str:
 def diagnosis_warning(fault: Fault) -> ModelWarning:
     """Return a fault as a warning, with a suggestion for the next run."""
     again = _options(fault)
-    hint = _ADVICE[fault.kind](fault)
+    hint = advice(fault)
     if again:
         hint += f' To see the remaining difference: {again}'
     parts = [_EVIDENCE.get(fault.kind, _fixed(''))(fault), _changes(fault)]
     return ModelWarning(f'{headline(fault)}: {"; ".join(filter(None, parts))}', hint)
+
+
+def advice(fault: Fault) -> str:
+    """Say what to do about a fault, in sentences."""
+    return _ADVICE[fault.kind](fault)
 
 
 def _options(fault: Fault) -> str:
@@ -108,9 +113,7 @@ def _fixed(text: str) -> Callable[[Fault], str]:
 _HEADLINES: Mapping[FaultKind, Callable[[Fault], str]] = MappingProxyType(
     {
         FaultKind.ORDER: _joints('the efforts of {} are in another order'),
-        FaultKind.GRAVITY_COMPENSATED: _fixed(
-            'the measured efforts lack gravity: the driver compensates it already'
-        ),
+        FaultKind.GRAVITY_COMPENSATED: _fixed('the measured efforts lack gravity'),
         FaultKind.MOUNTING: _mounting,
         FaultKind.UNIT: _unit,
         FaultKind.SIGN: _sign,
@@ -205,7 +208,7 @@ _EVIDENCE: Mapping[FaultKind, Callable[[Fault], str]] = MappingProxyType(
         ),
         FaultKind.OFFSET: lambda each: _values(each, 'N m', 'N'),
         FaultKind.NOT_MEASURED: lambda each: (
-            f'it is always the same value ({_values(each)}), while the modelled effort varies'
+            f'it is always the same value ({_values(each)}), unlike the modelled effort'
         ),
     }
 )
@@ -245,10 +248,13 @@ def _payload_advice(fault: Fault) -> str:
         )
     if fault.values[0] > 0.0:
         return (
-            'Add it to the URDF. If nothing is attached there, the masses or centres of mass of '
-            'the last links are wrong by about as much.'
+            'Add it to the URDF, or publish it on ~/payload of the node. If nothing is attached '
+            'there, the masses or centres of mass of the last links are wrong by about as much.'
         )
-    return 'Remove from the URDF all parts that the robot does not have, such as a tool or a hand.'
+    return (
+        'Remove from the URDF, or from ~/payload of the node, all parts that the robot does not '
+        'have, such as a tool or a hand.'
+    )
 
 
 def _mounting_advice(fault: Fault) -> str:
@@ -275,8 +281,9 @@ _ADVICE: Mapping[FaultKind, Callable[[Fault], str]] = MappingProxyType(
             'of its files.'
         ),
         FaultKind.GRAVITY_COMPENSATED: _fixed(
-            'Set include_gravity: false in the node. If gravity were compensated twice, the arm '
-            'would move upwards.'
+            'Unless brakes hold the arm, the driver compensates gravity already: set '
+            'include_gravity: false in the node. If gravity were compensated twice, the arm would '
+            'move upwards.'
         ),
         FaultKind.MOUNTING: _mounting_advice,
         FaultKind.UNIT: _fixed(
@@ -302,8 +309,8 @@ _ADVICE: Mapping[FaultKind, Callable[[Fault], str]] = MappingProxyType(
             'it, or leave these joints out of the comparison.'
         ),
         FaultKind.UNEXPLAINED: _fixed(
-            'Look at the picture. Possible causes are contact, a wrong link inertia, a drive at '
-            'its limit, and an effort that is filtered or delayed.'
+            'The picture of inverse_dynamics compare shows when. Possible causes are contact, a '
+            'wrong link inertia, a drive at its limit, and an effort that is filtered or delayed.'
         ),
     }
 )

@@ -43,7 +43,7 @@ def excitation_tables(
         Space that the robot sweeps.
 
     """
-    errors = expected_errors(excitation)
+    errors = expected_errors(excitation.unknowns, excitation.information)
     return [
         _motion(robot, excitation, trajectory, efforts, box),
         _joints(robot, excitation, errors),

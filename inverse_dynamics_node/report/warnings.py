@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from ..robot.limit_checks import effort_limit_warnings
-from ..robot.model import RobotModel
-from ..robot.model_warning import ModelWarning
+from ..robot.model import ModelWarning, RobotModel
 from .tables import Line, Style, WIDTH, wrapped
 
 

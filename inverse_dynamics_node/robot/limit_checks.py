@@ -10,8 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .model import Floats, RobotModel
-from .model_warning import ModelWarning
+from .model import Floats, ModelWarning, RobotModel
 
 _FAR_BEYOND = 50.0
 """An effort limit of this many times the moment of the robot's weight is a placeholder."""

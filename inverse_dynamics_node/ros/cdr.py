@@ -3,11 +3,12 @@ Reads serialized joint states and writes serialized commands.
 
 Deserializing a message takes longer than the dynamics. A publisher, however, always sends the same
 joint names. Only its first message is deserialized; later ones have the same layout, and their
-numbers are read in place.
+numbers are read in place. What the receiver makes of the names is kept with the layout.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 import struct
 from typing import Any, NamedTuple
 
@@ -28,16 +29,27 @@ _MAX_LAYOUTS = 16  # more than this many layouts mean that names change with eve
 class JointStateArrays(NamedTuple):
     """Contents of a joint state; lengths and values are not checked."""
 
-    names: tuple[str, ...]
+    joints: Any
+    """The names, or what was prepared for them."""
     positions: Floats
     velocities: Floats
     efforts: Floats
 
 
 class JointStateReader:
-    """Reads serialized joint states, fast if the layout of the message is known."""
+    """
+    Reads serialized joint states, fast if the layout of the message is known.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    prepare : callable
+        Makes `JointStateArrays.joints` from the names; called once for the messages of a publisher
+        in most cases.
+
+    """
+
+    def __init__(self, prepare: Callable[[tuple[str, ...]], Any] = tuple) -> None:
+        self._prepare = prepare
         self._layouts: list[_Layout] = []
 
     def read(self, data: bytes) -> JointStateArrays:
@@ -57,7 +69,7 @@ class JointStateReader:
         Raises
         ------
         JointStateError
-            If `data` is not a JointState.
+            If `data` is not a JointState, or from `prepare`.
 
         """
         for layout in self._layouts:
@@ -71,14 +83,14 @@ class JointStateReader:
         except Exception:  # the type depends on the middleware
             raise JointStateError(f'{len(data)} bytes are not a JointState') from None
         numbers = [np.asarray(x) for x in (message.position, message.velocity, message.effort)]
-        arrays = JointStateArrays(tuple(message.name), *numbers)
+        arrays = JointStateArrays(self._prepare(tuple(message.name)), *numbers)
         if data.startswith(_CDR_LITTLE_ENDIAN):
             self._remember(data, arrays)
         return arrays
 
     def _remember(self, data: bytes, arrays: JointStateArrays) -> None:
         try:
-            layout = _find_layout(data, arrays.names)
+            layout = _find_layout(data, arrays.joints)
         except struct.error:
             return
         # A middleware that aligns numbers differently gets no fast path.
@@ -116,7 +128,7 @@ class _Layout(NamedTuple):
     """Unpacks texts and counts; skips the stamp, padding and numbers."""
     fixed: tuple[Any, ...]
     """Texts and counts."""
-    names: tuple[str, ...]
+    joints: Any
     places: tuple[tuple[int, int], ...]
     """Count and offset of positions, velocities and efforts."""
 
@@ -126,14 +138,14 @@ class _Layout(NamedTuple):
     def arrays(self, data: bytes) -> JointStateArrays:
         positions, velocities, efforts = self.places
         return JointStateArrays(
-            self.names,
+            self.joints,
             np.frombuffer(data, _NUMBER, *positions),
             np.frombuffer(data, _NUMBER, *velocities),
             np.frombuffer(data, _NUMBER, *efforts),
         )
 
 
-def _find_layout(data: bytes, names: tuple[str, ...]) -> _Layout:
+def _find_layout(data: bytes, joints: Any) -> _Layout:
     """Walk through a message that could be deserialized, and note where everything is."""
     pattern, at = [f'<{_HEADER}s{_STAMP}x'], _HEADER + _STAMP
     places = []
@@ -164,4 +176,4 @@ def _find_layout(data: bytes, names: tuple[str, ...]) -> _Layout:
         at += size
     pattern.append(f'{len(data) - at}x')  # a serializer may append bytes
     whole = struct.Struct(''.join(pattern))
-    return _Layout(whole, whole.unpack(data), names, tuple(places))
+    return _Layout(whole, whole.unpack(data), joints, tuple(places))

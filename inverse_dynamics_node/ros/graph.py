@@ -26,13 +26,14 @@ class Graph:
     ----------
     node : LifecycleNode
         This node.
-    commands : publisher
-        The publisher of its commands.
+    *forms : publisher
+        The publishers of its commands, in each of their forms. Reported is the first one that has
+        subscribers.
 
     """
 
-    def __init__(self, node: LifecycleNode, commands: Any) -> None:
-        self._node, self._commands = node, commands
+    def __init__(self, node: LifecycleNode, *forms: Any) -> None:
+        self._node, self._forms = node, forms
         self._name = node.get_fully_qualified_name()
         self._last_rivals: set[str] = set()
         self._last_namesakes = 0
@@ -51,6 +52,11 @@ class Graph:
         """Whether publishers of inputs have had a second to be discovered."""
         return time.monotonic() >= self._discovered_at
 
+    @property
+    def _commands(self) -> Any:
+        used = (form for form in self._forms if form.get_subscription_count())
+        return next(used, self._forms[0])
+
     def with_publishers(self, name: str) -> str:
         """Return the resolved name of a topic and the number of its publishers."""
         topic = str(self._node.resolve_topic_name(name))
@@ -64,9 +70,10 @@ class Graph:
 
     def with_subscribers(self) -> str:
         """Return the name of the command topic and the nodes that subscribe to it."""
-        self._has_subscribers = bool(self._commands.get_subscription_count())
-        names = join_names(self._subscribers()) if self._has_subscribers else ''
-        return f'{self._commands.topic_name} ({names or "no subscriber yet"})'
+        commands = self._commands
+        self._has_subscribers = bool(commands.get_subscription_count())
+        names = join_names(self._subscribers(commands)) if self._has_subscribers else ''
+        return f'{commands.topic_name} ({names or "no subscriber yet"})'
 
     def subscriber_change(self) -> str:
         """
@@ -78,12 +85,13 @@ class Graph:
             Empty if nothing has changed since the last call of this or of `with_subscribers`.
 
         """
-        has_subscribers = bool(self._commands.get_subscription_count())
+        commands = self._commands
+        has_subscribers = bool(commands.get_subscription_count())
         if has_subscribers is self._has_subscribers:
             self._checks_left = _MAX_CHECKS
             return ''
-        topic = self._commands.topic_name
-        names = self._subscribers()
+        topic = commands.topic_name
+        names = self._subscribers(commands)
         if has_subscribers and _UNKNOWN in names and self._checks_left:
             self._checks_left -= 1  # the name arrives a little later than the subscription
             return ''
@@ -101,11 +109,12 @@ class Graph:
         second.
 
         """
-        topic = self._commands.topic_name
+        commands = self._commands
+        topic, kind = commands.topic_name, type_name(commands.msg_type)
         publishers = Counter(
             _name_of(info)
             for info in self._node.get_publishers_info_by_topic(topic)
-            if info.topic_type == 'std_msgs/msg/Float64MultiArray'
+            if info.topic_type == kind
         )
         publishers[self._name] -= 1  # the publisher of this node
         rivals = {name for name, count in publishers.items() if count > 0}
@@ -117,7 +126,7 @@ class Graph:
         seen = Others(
             name=self._name,
             commands=topic,
-            subscribers=tuple(self._subscribers()),
+            subscribers=tuple(self._subscribers(commands)),
             rivals=tuple(sorted(rivals & self._last_rivals)),
             namesakes=max(0, min(namesakes, self._last_namesakes)),
         )
@@ -136,9 +145,14 @@ class Graph:
             publishers=int(self._node.count_publishers(self._node.resolve_topic_name('/clock'))),
         )
 
-    def _subscribers(self) -> list[str]:
-        infos = self._node.get_subscriptions_info_by_topic(self._commands.topic_name)
+    def _subscribers(self, commands: Any) -> list[str]:
+        infos = self._node.get_subscriptions_info_by_topic(commands.topic_name)
         return sorted({_name_of(info) for info in infos})
+
+
+def type_name(message: type) -> str:
+    """Return the name of a message type, such as 'sensor_msgs/msg/JointState'."""
+    return f'{message.__module__.replace(".", "/").rpartition("/")[0]}/{message.__name__}'
 
 
 def _name_of(info: Any) -> str:

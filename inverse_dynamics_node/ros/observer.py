@@ -314,7 +314,7 @@ class Observer:
                 except JointStateError:
                     continue
                 target[:] = np.nan
-                for joint, effort in zip(arrays.names, arrays.efforts, strict=False):
+                for joint, effort in zip(arrays.joints, arrays.efforts, strict=False):
                     if joint in self._index:
                         target[self._index[joint]] = effort
                 if name == 'external_efforts':

@@ -1,18 +1,35 @@
-"""The position controller of a simulated robot, which holds it until commands arrive."""
+"""
+The position controller of a simulated robot, and the hand-over to the commands and back.
+
+It holds the robot until commands arrive, when they stop, and when a joint becomes too fast.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 import math
+from typing import Protocol
 
 import numpy as np
 
-from ..robot.model import Floats
+from ..robot.model import Floats, RobotModel
 from .mujoco.hardware import MujocoRobot
 
 BRAKING = 0.2  # [s] from any speed to rest
 _SWAY = (0.3, 0.1)  # [rad], [m]: largest sway of joints that turn and that slide
 _RANGE_FRACTION = 0.3  # of the range of a joint
 _SLOWEST, _STEP = 0.08, 0.013  # [Hz]: different for each joint, so that their motions differ
+GAP = 0.1  # [s]: a longer gap between commands restarts the time to the hand-over
+SILENCE = 0.5  # [s]: after this long without commands, the position controller takes over
+STEADY = 0.5  # [s]: commands that change by less than 1 % in this time have risen
+LONGEST = 10.0  # [s] until commands that never become steady take over too
+SPEED_FACTOR = 2.0  # of the velocity limit; motions within the limits overshoot them by less
+NO_LIMIT = (4.0 * math.pi, 2.0)  # [rad/s], [m/s] if the URDF has no velocity limit
+# Outside this range, limits in URDFs are placeholders, or too low for a robot pushed by hand.
+LEAST, MOST = (1.0, 0.25), (40.0, 5.0)  # [rad/s], [m/s]
+BRAKING_MARGIN = 1.25  # of the bounds: a smooth stop does not slow the robot down at once
+LONGEST_STEP = 0.002  # [s] of the position controller: slower ones are unstable
+COMPLAINT_PERIOD = 5.0  # [s] between errors: causes may recur thousands of times per second
 
 
 class PositionDrive:
@@ -76,3 +93,163 @@ class PositionDrive:
         velocity = 0.5 * self._speed * (1.0 + math.cos(rate * time)) * moves
         acceleration = -0.5 * self._speed * rate * math.sin(rate * time) * moves
         return position, velocity, acceleration
+
+
+class Log(Protocol):
+    """A logger of rclpy or of Python."""
+
+    def info(self, message: str) -> object:
+        """Log an event."""
+
+    def error(self, message: str) -> object:
+        """Log a fault."""
+
+
+def velocity_bounds(robot: RobotModel) -> Floats:
+    """
+    Return the speeds at which the velocity supervision stops a robot.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        The robot; a velocity limit of inf is unknown.
+
+    Returns
+    -------
+    bounds : ndarray, shape (n,)
+        Twice the velocity limits, or a default, within a plausible range [rad/s or m/s].
+
+    """
+    slides = robot.is_prismatic_joint
+    default, least, most = (
+        np.where(slides, by_kind[1], by_kind[0]) for by_kind in (NO_LIMIT, LEAST, MOST)
+    )
+    limits = robot.velocity_limits
+    wanted = np.where(np.isfinite(limits), SPEED_FACTOR * limits, default)
+    bounds: Floats = np.clip(wanted, least, most)
+    return bounds
+
+
+class HandOver:
+    """
+    Decides whether the position controller or the commands move a simulated robot.
+
+    The commands take over when they have arrived for a while and have stopped rising; earlier, the
+    robot would fall. The position controller takes over when the commands stop, on request, and
+    when a joint becomes too fast. In the last case, commands are ignored until they have paused.
+
+    Parameters
+    ----------
+    robot : MujocoRobot
+        The robot, without brakes.
+    drive : PositionDrive
+        Its position controller.
+    release : float
+        Time for which commands must have arrived before they take over [s].
+    log : Log
+        Receives the changes and the faults.
+
+    """
+
+    def __init__(self, robot: MujocoRobot, drive: PositionDrive, release: float, log: Log) -> None:
+        self._robot, self._drive, self._release, self._log = robot, drive, release, log
+        self._bounds = velocity_bounds(robot.robot)
+        self._last_command = self._flow_began = self._steady_since = -math.inf
+        self._steady_efforts = np.zeros(len(robot.command_names))
+        self._has_fault = self._is_requested = False
+        self._complaint_due = -math.inf
+
+    def hold(self, wanted: bool, now: float) -> tuple[bool, str]:
+        """Let the position controller hold the robot, or not; return success and consequence."""
+        self._is_requested = wanted
+        self._flow_began = self._steady_since = now
+        if wanted:
+            self._drive.stand_still(now)
+            return True, 'the position controller holds the robot; commands are ignored'
+        if self._has_fault:
+            return False, f'commands are ignored until they pause for {SILENCE} s'
+        return True, 'the robot follows the commands as soon as they have stopped rising'
+
+    def command(self, efforts: Sequence[float], now: float) -> None:
+        """Handle a complete and finite command [N m or N] that arrives at one time [s]."""
+        if now - self._last_command > GAP:
+            self._flow_began = self._steady_since = now
+            if self._drive.is_on:
+                self._drive.stand_still(now)
+        self._last_command = now
+        if self._drive.is_on:
+            self._compare(np.asarray(efforts), now)
+            if self._has_fault or self._is_requested or not self._is_due(now):
+                return
+            self._drive.is_on = False
+            self._log.info('the robot follows the commands')
+        self._robot.command(efforts)
+
+    def _compare(self, efforts: Floats, now: float) -> None:
+        """Note since when the efforts have been steady."""
+        size = np.abs(efforts)
+        tolerance = 0.01 * size + 0.002 * size.max(initial=0.0)
+        if (np.abs(efforts - self._steady_efforts) > tolerance).any():
+            self._steady_efforts, self._steady_since = efforts, now
+
+    def _is_due(self, now: float) -> bool:
+        flow = now - self._flow_began
+        steady = now - self._steady_since >= min(STEADY, self._release)
+        return flow >= self._release and (steady or flow >= LONGEST)
+
+    def advance(self, now: float, duration: float) -> None:
+        """Advance the robot from one time by a duration [s]."""
+        if now - self._last_command > SILENCE:
+            self._handle_silence(now)
+        steps = max(1, math.ceil(duration / LONGEST_STEP - 1e-6))
+        for i in range(steps):
+            self._step(now + i * duration / steps, duration / steps)
+
+    def _handle_silence(self, now: float) -> None:
+        if self._has_fault:
+            self._has_fault = False
+            self._log.info('the commands have paused; the robot will follow the next ones')
+        if not self._drive.is_on:
+            self._drive.take_over(now)
+            self._log.info('no commands: the position controller of the robot holds it')
+
+    def _step(self, now: float, duration: float) -> None:
+        if not self._drive.is_on:
+            speeds = self._robot.advance_within(duration, self._bounds)
+            if speeds is None:
+                return
+            self._has_fault = True
+            self._drive.stand_still(now)
+            self._log.error(
+                f'{self._excess(speeds)}: the position controller brakes the robot and holds it. '
+                'Check signs, units and payloads by inverse_dynamics watch. Commands are ignored '
+                f'until they pause for {SILENCE} s: set dry_run of the node to true, and to false '
+                'when the cause is removed'
+            )
+        self._drive.act(now)
+        speeds = self._robot.advance_within(duration, BRAKING_MARGIN * self._bounds)
+        if speeds is not None:
+            self._brake(self._excess(speeds), now)
+
+    def _brake(self, excess: str, now: float) -> None:
+        """Stop a robot that is too fast although the position controller holds it."""
+        self._robot.stop()
+        self._drive.take_over(now)
+        if now >= self._complaint_due:
+            self._complaint_due = now + COMPLAINT_PERIOD
+            self._log.error(
+                f'{excess}, although the position controller holds it: brakes stop the robot. '
+                'Is a payload or a push too large for the effort limits of the URDF?'
+            )
+
+    def _excess(self, speeds: Floats) -> str:
+        """Return the joint that exceeds its bound the most, with the values."""
+        robot = self._robot.robot
+        i = int(np.argmax(speeds / self._bounds))
+        unit = 'm/s' if robot.is_prismatic_joint[i] else 'rad/s'
+        limit = robot.velocity_limits[i]
+        source = f'velocity limit {limit:.3g}' if math.isfinite(limit) else 'no velocity limit'
+        return (
+            f"joint '{robot.joint_names[i]}' reaches {speeds[i]:.3g} {unit}, more than "
+            f'{self._bounds[i]:.3g} {unit} ({source} in the URDF)'
+        )

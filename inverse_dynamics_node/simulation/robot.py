@@ -43,7 +43,6 @@ import rclpy
 from rclpy.executors import Executor
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.time import Time
 from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import Imu, JointState
@@ -57,15 +56,14 @@ from ..robot.kinematics import rotation_of_rpy
 from ..robot.model import Floats
 from ..robot.urdf import load_urdf
 from ..ros.middleware import start_ros
-from .drive import PositionDrive
-from .hand_over import COMPLAINT_PERIOD, GAP, HandOver
+from ..ros.qos import LATCHED
+from .drive import COMPLAINT_PERIOD, GAP, HandOver, PositionDrive
 from .mujoco.hardware import MujocoRobot
 from .mujoco.model import SimulationError
-from .tilt import Tilt
+from .mujoco.world import Tilt
 from .trajectory import start_pose
 
 MOST_LAG = 0.5  # [s]: simulated time lags behind the steady clock by this much at most
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class RobotNode(Node):

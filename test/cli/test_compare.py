@@ -5,7 +5,7 @@ import re
 
 from inverse_dynamics_node import load_urdf
 from inverse_dynamics_node.analysis.recordings.measured_states import read_measured_states
-from inverse_dynamics_node.analysis.recordings.recording import Recording
+from inverse_dynamics_node.analysis.recordings.signals import Recording
 from inverse_dynamics_node.cli.main import main
 import numpy as np
 import pytest

@@ -2,7 +2,7 @@
 
 import time
 
-from inverse_dynamics_node.analysis import workspace
+from inverse_dynamics_node.analysis import sizing
 from inverse_dynamics_node.analysis.trajectory_files import read_trajectory
 from inverse_dynamics_node.cli.main import main
 from inverse_dynamics_node.dynamics import trajectory
@@ -116,7 +116,7 @@ def test_a_bag_with_a_jump_of_the_clock_is_one_line(here, capsys):
 
 def write_states(path, times):
     """Write a bag with these stamps."""
-    from inverse_dynamics_node.analysis.recordings.recording import Recording
+    from inverse_dynamics_node.analysis.recordings.signals import Recording
 
     zeros = np.tile([0, -1, 0.5, 0, 0, 0], (len(times), 1))
     write_bag(path, Recording(JOINTS, times, zeros, 0.0 * zeros, zeros))
@@ -156,16 +156,16 @@ def test_many_joints_shorten_the_search_of_check(here, capsys, monkeypatch):
     assert main(['check', str(STANFORD), '--no-picture', '--samples', '64']) == 0
     thorough = capsys.readouterr().out
     assert 'too many joints' not in thorough
-    monkeypatch.setattr(workspace, '_MOST_BODIES', 2000.0)
+    monkeypatch.setattr(sizing, '_MOST_BODIES', 2000.0)
     assert main(['check', str(STANFORD), '--no-picture', '--samples', '64']) == 0
     assert 'too many joints' in capsys.readouterr().out
 
 
 @pytest.mark.parametrize('joints', [6, 30, 60, 100, 200, 500, 2000])
 def test_the_search_of_check_is_bounded(joints):
-    starts, windows, moved = workspace._extent_of_search(joints)
+    starts, windows, moved = sizing._extent_of_search(joints)
     bodies = joints * starts * len(windows) * min(moved, joints) * 35 * joints
-    assert bodies <= max(workspace._MOST_BODIES, 35 * joints**2)
+    assert bodies <= max(sizing._MOST_BODIES, 35 * joints**2)
     if joints <= 60:
         assert (starts, len(windows)) == (3, 4)
         assert moved >= joints

@@ -1,11 +1,8 @@
 """Pictures of robots with many joints and branches: legible, complete, nothing overlaps."""
 
-from inverse_dynamics_node.analysis.recordings.recording import Recording
+from inverse_dynamics_node.analysis.recordings.signals import Recording
 from inverse_dynamics_node.cli.main import main
-from inverse_dynamics_node.cli.pictures import check as check_picture
-from inverse_dynamics_node.cli.pictures import compare as compare_picture
-from inverse_dynamics_node.cli.pictures import effort as effort_picture
-from inverse_dynamics_node.cli.pictures.style import runs_of
+from inverse_dynamics_node.cli.pictures import style
 from inverse_dynamics_node.dynamics.inverse_dynamics import InverseDynamics
 from inverse_dynamics_node.robot.urdf import load_urdf
 from large_robots import three_finger_hand, two_arms
@@ -32,8 +29,7 @@ def drawn(monkeypatch):
         path.touch()
         figures.append(figure)
 
-    for module in (check_picture, compare_picture, effort_picture):
-        monkeypatch.setattr(module, 'save', save)
+    monkeypatch.setattr(style, 'save', save)
     return figures
 
 
@@ -140,6 +136,6 @@ def test_compare_names_joints_and_recording(robot, drawn, here):
 
 
 def test_numbers_in_a_row_are_a_range():
-    assert runs_of([1, 2, 5, 4, 3]) == '1-5'
-    assert runs_of([3, 7, 8]) == '3, 7, 8'
-    assert runs_of([9, 1, 2, 3]) == '1-3, 9'
+    assert style.runs_of([1, 2, 5, 4, 3]) == '1-5'
+    assert style.runs_of([3, 7, 8]) == '3, 7, 8'
+    assert style.runs_of([9, 1, 2, 3]) == '1-3, 9'

@@ -9,8 +9,8 @@ import time
 from types import SimpleNamespace
 
 from inverse_dynamics_node import load_urdf
-from inverse_dynamics_node.analysis.diagnosis.agreement import Agreement, Obstacle, Outcome
-from inverse_dynamics_node.cli import live_view, terminal
+from inverse_dynamics_node.analysis.diagnosis.live import Agreement, Obstacle, Outcome
+from inverse_dynamics_node.cli import console, live_view
 from inverse_dynamics_node.cli.main import main
 from inverse_dynamics_node.control.status import (
     EffortsStatus,
@@ -133,8 +133,7 @@ def test_a_node_cannot_control_the_terminal_of_watch(monkeypatch):
     monkeypatch.setenv('COLUMNS', '200')
     monkeypatch.setenv('TERM', 'xterm')
     monkeypatch.setattr(sys, 'stdout', output)
-    console = terminal.colour_console()
-    console.print(live_view.screen(observer, sample, agreement, 200))
+    console.colour_console().print(live_view.screen(observer, sample, agreement, 200))
     text = output.getvalue()
     assert '\\x9b2J' in text
     assert '[red]m[/red] [/x] :smile:' in text
@@ -148,8 +147,6 @@ def test_a_node_cannot_control_the_terminal_of_watch(monkeypatch):
 
 def test_names_of_files_are_no_markup(here, monkeypatch):
     pytest.importorskip('rich')
-    from inverse_dynamics_node.cli import console
-
     output = io.StringIO()
     output.isatty = lambda: True
     monkeypatch.setenv('TERM', 'xterm')

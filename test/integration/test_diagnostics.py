@@ -123,7 +123,7 @@ def test_payload_and_warnings_about_the_model_are_reported(run_node, robot, wait
 def test_every_lifecycle_state_is_reported(run_node, robot, wait_for_status):
     run_node(**PATIENT)
     robot.publish_state(NAMES, Q, np.zeros(6))
-    wait_for_status('loop', OK, 'holding position: no reference')
+    wait_for_status('loop', OK, 'floating: no reference')
     assert robot.change_state('deactivate')
     wait_for_status('loop', OK, 'inactive')
     wait_for_status('joint states', OK, 'fresh')

@@ -71,7 +71,7 @@ def test_a_dry_run_sends_no_command_and_can_be_switched_off_and_on(run_node, rob
     robot.publish_state(NAMES, Q, ZERO)
     wait_for_efforts(robot, HOLD)
     robot.wait_for_text(node, 'on ~/joint_efforts only: dry run, nothing is sent to')
-    robot.wait_for_text(node, 'dry run: holding position: no reference')
+    robot.wait_for_text(node, 'dry run: floating: no reference')
 
     def shows_dry_run(array):
         statuses = {status.name.partition(': ')[2]: status for status in array.status}
@@ -156,10 +156,16 @@ def test_remapped_joint_efforts_are_commands_in_a_dry_run(run_node, robot):
     """A robot may receive its commands by name, as in Isaac Sim."""
     node = run_node('-r', '~/joint_efforts:=/joint_command', **RAMPED, dry_run=True)
     heard = robot.listen(JointState, '/joint_command')
+    complete = robot.listen(JointState, 'inverse_dynamics/joint_commands')
     terms = robot.listen(JointState, 'inverse_dynamics/terms/gravity')
     robot.publish_state(NAMES, Q, ZERO)
     robot.wait_until(lambda: len(terms) > 100, 'terms')
-    assert heard == []
+    assert heard == complete == []
     robot.wait_for_text(node, ', nor to /joint_command')
     robot.set_parameter('dry_run', False)
     robot.wait_for(heard, lambda m: list(m.effort) == pytest.approx(list(HOLD)), 'efforts')
+    robot.wait_for(complete, lambda m: list(m.effort) == pytest.approx(list(HOLD)), 'efforts')
+    node.interrupt()
+    assert robot.wait_for_end(node) == 0
+    robot.wait_for(complete, lambda m: not any(m.effort), 'zeros')
+    assert list(complete[-1].position) == pytest.approx(list(Q))

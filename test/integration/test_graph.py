@@ -113,18 +113,18 @@ def test_activities_are_reported_in_plain_words(run_node, robot):
     node = run_node(**{**FAST, 'state_timeout': 2.0, 'stop_ramp': 1.0})
     robot.publish_state(NAMES, Q, np.zeros(6))
     robot.wait_for_text(node, '[INFO]')
-    robot.wait_for_text(node, 'holding position: no reference')
+    robot.wait_for_text(node, 'floating: no reference')
     robot.publish_accelerations(np.zeros(6))
     robot.wait_for_text(node, 'following the reference')
     robot._always = []
-    robot.wait_for_text(node, 'holding position: no reference for more than 0.5 s')
+    robot.wait_for_text(node, 'floating: no reference for more than 0.5 s')
     robot.state = None
     reason = f'no joint state of {", ".join(NAMES)} for more than 2 s'
     robot.wait_for_text(node, f'ramping efforts down: {reason}')
     robot.wait_for_text(node, f'stopped, zeros sent: {reason}')
     robot.publish_state(NAMES, Q, np.zeros(6))
-    count = len(lines(node, 'holding position'))
-    robot.wait_until(lambda: len(lines(node, 'holding position')) > count, 'holding again')
+    count = len(lines(node, 'floating'))
+    robot.wait_until(lambda: len(lines(node, 'floating')) > count, 'floating again')
     node.interrupt()
     assert robot.wait_for_end(node) == 0
     assert lines(node, 'ramping efforts down: the process is ending')

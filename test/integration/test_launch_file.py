@@ -6,8 +6,8 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 
+from inverse_dynamics_node.node.help import PUBLISHED, SUBSCRIBED
 from inverse_dynamics_node.node.parameters import PARAMETERS
-from inverse_dynamics_node.node.usage import PUBLISHED, SUBSCRIBED
 from launch_arguments import ARGUMENTS, FOLDER, LAUNCH, NODE, ros_arguments, SUBSTITUTIONS
 import rclpy
 from rclpy.context import Context

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from rcl_interfaces.srv import DescribeParameters
 from robot_files import ROOT, STANFORD
+from sensor_msgs.msg import JointState
 
 MODEL = load_urdf(STANFORD)
 DYNAMICS = InverseDynamics(MODEL)
@@ -422,6 +423,48 @@ def test_computed_torque_does_not_start_with_a_jump(run_node, robot):
     robot.wait_for_command(HOLD)
 
 
+def test_joint_impedance_holds_the_arm_and_follows_the_reference(run_node, robot):
+    node = run_node(**PATIENT, mode='joint_impedance', stiffness=50, impedance_damping=4)
+    publish_shuffled_state(robot)
+    robot.wait_for_text(node, 'holding position: no reference')
+    robot.wait_for_command(HOLD - 4.0 * QD)
+    moved = Q + 0.02
+    robot.publish_state(NAMES, moved, QD)
+    model = DYNAMICS.efforts(moved, QD, np.zeros(6))
+    robot.wait_for_command(model + 50.0 * (Q - moved) - 4.0 * QD)
+    assert robot.set_parameter('stiffness', [50.0, 50.0, 50.0, 0.0, 0.0, 0.0]).successful
+    stiffness = np.array([50.0, 50.0, 50.0, 0.0, 0.0, 0.0])
+    robot.wait_for_command(model + stiffness * (Q - moved) - 4.0 * QD)
+    q_ref, qd_ref = Q + 0.05, QD - 0.02
+    robot.publish_reference(NAMES, QDD, positions=q_ref, velocities=qd_ref)
+    model = DYNAMICS.efforts(moved, QD, QDD)
+    robot.wait_for_command(model + stiffness * (q_ref - moved) + 4.0 * (qd_ref - QD))
+
+
+def test_a_guided_arm_switches_to_joint_impedance_without_a_step(run_node, robot):
+    settings = {**PATIENT, 'start_ramp': 2.0, 'use_urdf_effort_limits': False}
+    run_node(
+        **settings,
+        mode='gravity_compensation',
+        include_friction=True,
+        damping=3,
+        coulomb=0,
+        friction_scale=0.5,
+        guiding_damping=20,
+        impedance_damping=0,
+    )
+    publish_shuffled_state(robot)
+    guided = DYNAMICS.gravity_efforts(Q) + (0.5 * 3.0 - 20.0) * QD
+    robot.wait_for_command(guided)
+    robot.commands.clear()
+    assert robot.set_parameter('mode', 'joint_impedance').successful
+    held = HOLD + 3.0 * QD
+    robot.wait_for_command(held)
+    # A busy machine may lose some of the 200 commands of the blend.
+    steps = np.abs(np.diff(robot.commands, axis=0)).max(axis=0)
+    assert (steps <= 0.2 * np.abs(held - guided) + 1e-9).all(), steps
+
+
 def test_friction_and_armature_are_added_on_request(run_node, robot):
     run_node(**PATIENT, include_friction=True, damping=2, coulomb=0.5, armature=0.3)
     publish_shuffled_state(robot)
@@ -442,6 +485,27 @@ def test_joint_efforts_contain_names_and_efforts_only(run_node, robot):
     assert list(message.name) == NAMES
     assert len(message.position) == len(message.velocity) == 0
     assert message.header.stamp.sec > 0
+
+
+def test_complete_commands_contain_the_motion_of_the_reference(run_node, robot):
+    run_node(**PATIENT)
+    publish_shuffled_state(robot)
+    heard = robot.listen(JointState, 'inverse_dynamics/joint_commands')
+
+    def wait_for(position, velocity, effort):
+        expected = [*position, *velocity, *effort]
+        return robot.wait_for(
+            heard,
+            lambda m: [*m.position, *m.velocity, *m.effort] == pytest.approx(expected),
+            'a complete command',
+        )
+
+    message = wait_for(Q, QD, HOLD)
+    assert list(message.name) == NAMES
+    assert message.header.stamp.sec > 0
+    target, speed = Q + 0.1, QD - 0.2
+    robot.publish_reference(NAMES, QDD, positions=target, velocities=speed)
+    wait_for(target, speed, DYNAMICS.efforts(Q, QD, QDD))
 
 
 def test_commands_are_sent_at_the_update_rate(run_node, robot):

@@ -9,7 +9,8 @@ pytest.importorskip('rclpy')
 pytest.importorskip('mujoco')
 pytest.importorskip('rosbags')
 
-from inverse_dynamics_node.simulation.demo.recorder import LATCHED, Recorder, stamp_of
+from inverse_dynamics_node.ros.qos import LATCHED
+from inverse_dynamics_node.simulation.demo.recorder import Recorder, stamp_of
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node

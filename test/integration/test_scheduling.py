@@ -125,7 +125,7 @@ def test_the_loop_and_the_middleware_get_the_priority_and_others_do_not(run_node
 BUSY = """
 import os
 from inverse_dynamics_node.node.scheduling import Scheduling
-from inverse_dynamics_node.node.watchdog import Watchdog
+from inverse_dynamics_node.node.runner import Watchdog
 scheduling = Scheduling()
 watchdog = Watchdog()
 print(scheduling.apply(50, (), False, watchdog.native_id))
@@ -186,7 +186,7 @@ def test_invalid_values_prevent_the_start(run_node):
 
 
 LOCK = """
-from inverse_dynamics_node.node.memory_lock import lock_memory
+from inverse_dynamics_node.node.scheduling import lock_memory
 import threading
 import numpy
 print(lock_memory())

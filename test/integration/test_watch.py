@@ -84,7 +84,7 @@ def last_object(output):
 def test_verdicts_of_a_dry_run_in_a_pipe(run_node, robot, watch):
     node = run_node(**PATIENT)
     hold(robot)
-    robot.wait_for_text(node, 'holding position')
+    robot.wait_for_text(node, 'floating')
     code, output = decided(watch)
     assert code == 0, output
     lines = [line for line in output.splitlines() if '/inverse_dynamics' in line]
@@ -108,10 +108,8 @@ def test_verdicts_of_a_dry_run_in_a_pipe(run_node, robot, watch):
     last = last_object(output)
     assert (code, last['exit_code'], last['outcome'], last['cause']) == (3, 3, 'differ', 'sign')
     assert last['problem_joints'] == ['joint_3']
-    assert (
-        last['sentence']
-        == 'joint_3: measured and modelled effort have opposite signs; do not go live'
-    )
+    assert last['sentence'].startswith('joint_3 has its sign swapped; ')
+    assert '; do not go live. Change the sign in the driver' in last['sentence']
     assert last['status']['dry_run'] is True
     assert last['status']['mode'] == 'inverse_dynamics'
     assert last['status']['joint_state_timeout'] == 5.0
@@ -135,7 +133,7 @@ def test_node_is_found_by_name_with_its_remapped_topics(run_node, robot, watch):
     left = run_node(*(x for remap in remaps for x in ('-r', remap)), **PATIENT)
     hold(robot)
     for node in (first, left):
-        robot.wait_for_text(node, 'holding position')
+        robot.wait_for_text(node, 'floating')
     named = decided(watch, '/left/inverse_dynamics', '--json')
     assert named[0] == 0, named[1]
     assert last_object(named[1])['node'] == '/left/inverse_dynamics'
@@ -230,7 +228,7 @@ BAR = r'([█░](\x1b\[[\d;]*m)*){12}'
 def test_view_fits_the_terminal_and_restores_it(run_node, robot, terminal):
     node = run_node(**PATIENT)
     hold(robot)
-    robot.wait_for_text(node, 'holding position')
+    robot.wait_for_text(node, 'floating')
     view = terminal(*ANY_RATE, '--for', '600')
     robot.wait_until(lambda: 'model and robot agree' in view.screen, 'verdict on the screen')
     before = view.screen

@@ -9,7 +9,7 @@ import time
 
 from builtin_interfaces.msg import Duration
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.node import description_loader
+from inverse_dynamics_node.node import description_file
 from inverse_dynamics_node.node.worker import Worker
 from node_process import PATIENCE
 import numpy as np
@@ -108,8 +108,8 @@ def read_slowly(configuration, description):
 
 
 def test_superseded_descriptions_are_not_read(monkeypatch):
-    monkeypatch.setattr(description_loader, 'load_robot', read_slowly)
-    loader = description_loader.DescriptionLoader(Worker())
+    monkeypatch.setattr(description_file, 'load_robot', read_slowly)
+    loader = description_file.DescriptionLoader(Worker())
     for k in range(50):
         loader.load(None, k)
     MAY_END.set()

@@ -6,7 +6,7 @@ wrench of the floating joint.
 """
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.dynamics.loaded_robot import STANDARD_GRAVITY
+from inverse_dynamics_node.dynamics.inverse_dynamics import STANDARD_GRAVITY
 from kinematics import assert_close
 from loads import apply, everything, random_loads
 import numpy as np

@@ -4,13 +4,15 @@ from dataclasses import replace
 
 from identification_runs import exciting_motion, real_robot, record
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.analysis.base_parameters import base_parameters
+from inverse_dynamics_node.analysis.columns import base_parameters
 from inverse_dynamics_node.analysis.identification import identify_parameters
-from inverse_dynamics_node.analysis.identification.export import calibrated_urdf
-from inverse_dynamics_node.analysis.identification.identified_bodies import identified_bodies
-from inverse_dynamics_node.analysis.identification.regression import IdentificationProblem
+from inverse_dynamics_node.analysis.identification.problem import (
+    IdentificationProblem,
+    identified_bodies,
+)
+from inverse_dynamics_node.analysis.identification.result import calibrated_urdf
+from inverse_dynamics_node.dynamics.inverse_dynamics import STANDARD_GRAVITY
 from inverse_dynamics_node.dynamics.jit import IS_COMPILED
-from inverse_dynamics_node.dynamics.loaded_robot import STANDARD_GRAVITY
 from inverse_dynamics_node.robot.rigid_body import RigidBody
 import numpy as np
 import pytest

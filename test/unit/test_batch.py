@@ -2,9 +2,8 @@
 
 from inverse_dynamics_node import JointStateError, load_urdf
 from inverse_dynamics_node.dynamics import batch
-from inverse_dynamics_node.dynamics.jit import IS_COMPILED, simd_step
-from inverse_dynamics_node.dynamics.lanes import cosine_and_sine
-from inverse_dynamics_node.dynamics.newton_euler import OK
+from inverse_dynamics_node.dynamics.batch import cosine_and_sine
+from inverse_dynamics_node.dynamics.jit import IS_COMPILED, OK, simd_step
 from loads import loaded_chain, loaded_dynamics
 import numpy as np
 from numpy.testing import assert_allclose

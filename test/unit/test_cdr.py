@@ -45,7 +45,7 @@ def assert_reads(reader, data):
     """Assert that the arrays equal those of the deserialized message, bit for bit."""
     message = deserialize_message(data, JointState)
     arrays = reader.read(data)
-    assert arrays.names == tuple(message.name)
+    assert arrays.joints == tuple(message.name)
     for ours, theirs in zip(
         arrays[1:], (message.position, message.velocity, message.effort), strict=True
     ):
@@ -130,7 +130,7 @@ def test_big_endian_is_read_too():
     data += bytes(-(len(data) - 4) % 8) + struct.pack('>dII', 0.25, 0, 0)
     reader = JointStateReader()
     for _ in range(2):
-        assert reader.read(data).names == ('elbow',)
+        assert reader.read(data).joints == ('elbow',)
         assert reader.read(data).positions.tolist() == [0.25]
     assert reader._layouts == []
 

@@ -106,7 +106,7 @@ def test_a_start_drops_the_earlier_reference():
     loop.reference = Reference(np.ones(6), np.zeros(6), 0.0)
     loop.start()
     loop.step(0.0)
-    assert loop.controller.phase is Phase.HOLDING
+    assert loop.controller.phase is Phase.FLOATING
 
 
 def test_another_description_continues_from_the_last_command():
@@ -464,7 +464,7 @@ def test_states_without_velocities_are_used_again_before_the_state_is_lost():
         with contextlib.suppress(JointStateError):
             loop.collector.update(now, NAMES, Q, [])
         assert loop.step(now).efforts.any()
-        assert loop.controller.phase is Phase.HOLDING
+        assert loop.controller.phase is Phase.FLOATING
     assert loop.collector.lost_velocities == list(NAMES)
 
 

@@ -255,12 +255,19 @@ def test_the_information_is_more_than_that_of_random_motions(planar, rng):
         assert log_det(series) < best - 3.0
 
 
+def drive_terms_of(unknowns):
+    """Return position, kind and joint of the unknowns of joints."""
+    first, m = unknowns.rigid_count, len(unknowns.noise)
+    columns = enumerate(unknowns.columns.tolist())
+    return [(u, *divmod(column - first, m)) for u, column in columns if column >= first]
+
+
 def test_the_number_of_unknowns_is_that_of_base_parameters(planar):
     # A planar arm in gravity has the inertia of both links, and two first moments of each; the
     # armature of the first joint adds to its inertia. Each joint has three of friction and offset.
-    kinds = [kind for _, kind in planar.unknowns.names()]
-    assert len(kinds) == 13
-    assert [kinds.count(kind) for kind in ('damping', 'Coulomb', 'offset')] == [2, 2, 2]
+    assert len(planar.unknowns.columns) == 13
+    kinds = [kind for _, kind, _ in drive_terms_of(planar.unknowns)]
+    assert [kinds.count(kind) for kind in (1, 2, 3)] == [2, 2, 2]
 
 
 def test_the_gradient_of_the_search_is_that_of_its_value(planar, rng):
@@ -277,7 +284,7 @@ def test_the_gradient_of_the_search_is_that_of_its_value(planar, rng):
 
 
 def test_expected_errors_are_those_of_simulated_recordings(planar, rng):
-    unknowns, limits = planar.unknowns, planar.limits
+    unknowns = planar.unknowns
     count = round(SAMPLES_PER_SECOND * planar.series.duration)
     states = States(*planar.series.sample(np.arange(count) / SAMPLES_PER_SECOND))
     columns = unknowns.of_efforts(states) / unknowns.noise[:, np.newaxis]
@@ -288,16 +295,11 @@ def test_expected_errors_are_those_of_simulated_recordings(planar, rng):
         measured = matrix @ truth + rng.normal(size=len(matrix))
         found.append(np.linalg.lstsq(matrix, measured, rcond=None)[0])
     spread = np.std(found, axis=0)
-    errors = expected_errors(planar)
-    kinds = {name: k for k, name in enumerate(('armature', 'damping', 'Coulomb', 'offset'))}
-    compared = 0
-    for u, (joint, kind) in enumerate(unknowns.names()):
-        if kind in kinds:
-            row = limits.joint_names.index(joint)
-            expected = errors.of_joints[row, kinds[kind]]
-            assert spread[u] == pytest.approx(expected, rel=0.25), (joint, kind)
-            compared += 1
-    assert compared >= 6
+    errors = expected_errors(unknowns, planar.information)
+    terms = drive_terms_of(unknowns)
+    assert len(terms) >= 6
+    for u, kind, joint in terms:
+        assert spread[u] == pytest.approx(errors.of_joints[joint, kind], rel=0.25)
     assert (errors.efforts > 0.1 * unknowns.noise).all()
     assert (errors.efforts < unknowns.noise).all()
 

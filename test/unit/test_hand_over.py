@@ -6,11 +6,11 @@ import pytest
 from robot_files import ROOT, STANFORD
 
 pytest.importorskip('mujoco')
-from inverse_dynamics_node.simulation.drive import PositionDrive
-from inverse_dynamics_node.simulation.hand_over import (
+from inverse_dynamics_node.simulation.drive import (
     BRAKING_MARGIN,
     HandOver,
     LONGEST,
+    PositionDrive,
     velocity_bounds,
 )
 from inverse_dynamics_node.simulation.mujoco.hardware import MujocoRobot

@@ -7,8 +7,11 @@ pytest.importorskip('rclpy')
 
 from inverse_dynamics_node import load_urdf
 from inverse_dynamics_node.simulation.demo.demo_setup import DemoSetup
-from inverse_dynamics_node.simulation.demo.identification import check_identification
-from inverse_dynamics_node.simulation.demo.unknown_robot import MASS, unknown_robot
+from inverse_dynamics_node.simulation.demo.identification import (
+    check_identification,
+    MASS,
+    unknown_robot,
+)
 from inverse_dynamics_node.simulation.mujoco.hardware import MujocoRobot
 import numpy as np
 from numpy.testing import assert_allclose

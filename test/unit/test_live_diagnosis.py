@@ -1,11 +1,16 @@
 """The diagnosis of a few seconds of measured and modelled efforts."""
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.analysis.diagnosis.agreement import Obstacle, Outcome
 from inverse_dynamics_node.analysis.diagnosis.fault import FaultKind
-from inverse_dynamics_node.analysis.diagnosis.live import diagnose
-from inverse_dynamics_node.analysis.diagnosis.live_check import check_agreement, StateRate
-from inverse_dynamics_node.analysis.diagnosis.live_samples import LiveSamples, LiveWindow
+from inverse_dynamics_node.analysis.diagnosis.live import (
+    check_agreement,
+    diagnose_samples,
+    LiveSamples,
+    LiveWindow,
+    Obstacle,
+    Outcome,
+    StateRate,
+)
 from inverse_dynamics_node.report.agreement_text import sentence
 import numpy as np
 import pytest
@@ -43,7 +48,7 @@ def flipped(samples, *joints):
 @pytest.mark.parametrize('name', ROBOTS)
 def test_robot_like_the_model_agrees(name, moves):
     robot, samples = samples_of(name, moves)
-    agreement = diagnose(samples, robot, GRAVITY)
+    agreement = diagnose_samples(samples, robot, GRAVITY)
     assert agreement.outcome is Outcome.AGREE
     assert agreement.is_moving == moves
     assert all(0.0 < size.residual < 0.05 * size.measured for size in agreement.sizes)
@@ -51,7 +56,7 @@ def test_robot_like_the_model_agrees(name, moves):
 
 def test_sentence_of_an_agreement_has_residual_and_effort():
     robot, samples = samples_of()
-    text = sentence(diagnose(samples, robot, GRAVITY))
+    text = sentence(diagnose_samples(samples, robot, GRAVITY))
     assert text == (
         'model and robot agree: 0.13 N m RMS residual of 4.8 N m, 0.75 N RMS residual of 57 N; '
         'not checked, because the efforts are small: joint_6'
@@ -62,27 +67,33 @@ def test_sentence_of_an_agreement_has_residual_and_effort():
 @pytest.mark.parametrize('joint', ['joint_2', 'joint_3'])
 def test_swapped_sign_of_one_joint_is_named(joint, moves):
     robot, samples = samples_of(moves=moves)
-    agreement = diagnose(flipped(samples, joint), robot, GRAVITY)
+    agreement = diagnose_samples(flipped(samples, joint), robot, GRAVITY)
     assert (agreement.outcome, agreement.cause) == (Outcome.DIFFER, FaultKind.SIGN)
-    assert agreement.joints == (joint,)
-    assert sentence(agreement) == (
-        f'{joint}: measured and modelled effort have opposite signs; do not go live'
+    assert agreement.faults[0].joints == (joint,)
+    assert sentence(agreement).startswith(f'{joint} has its sign swapped; ')
+    assert sentence(agreement).endswith(
+        ' N; do not go live. Change the sign in the driver, or of the <axis> in the URDF if '
+        'positions have the wrong sign too. Do not send efforts of the node to this joint before '
+        'that: they would drive it in the wrong direction'
     )
 
 
 @BOTH
 def test_swapped_signs_of_all_joints_are_not_an_inverted_base(moves):
     robot, samples = samples_of(moves=moves)
-    agreement = diagnose(flipped(samples, *JOINTS), robot, GRAVITY)
+    agreement = diagnose_samples(flipped(samples, *JOINTS), robot, GRAVITY)
     assert agreement.cause is FaultKind.SIGN
-    assert agreement.joints == JOINTS
+    assert agreement.faults[0].is_every_joint
+    assert set(agreement.faults[0].joints) >= set(agreement.checked)
+    assert 'every joint has its sign swapped' in sentence(agreement)
 
 
 @pytest.mark.parametrize('joint', JOINTS)
 def test_sign_that_is_not_found_is_listed_as_not_checked(joint):
     robot, samples = samples_of(moves=False)
-    agreement = diagnose(flipped(samples, joint), robot, GRAVITY)
-    assert joint in (*agreement.joints, *agreement.unchecked)
+    agreement = diagnose_samples(flipped(samples, joint), robot, GRAVITY)
+    found = [name for fault in agreement.faults for name in fault.joints]
+    assert joint in (*found, *agreement.unchecked)
 
 
 @BOTH
@@ -94,42 +105,46 @@ def test_unknown_payload_of_2_kg_is_weighed(name, moves):
         real.set_payload(link, 2.0, (0.0, 0.0, 0.05))
 
     robot, samples = samples_of(name, moves, load)
-    agreement = diagnose(samples, robot, GRAVITY)
+    agreement = diagnose_samples(samples, robot, GRAVITY)
     assert (agreement.outcome, agreement.cause) == (Outcome.DIFFER, FaultKind.PAYLOAD)
-    assert agreement.link == link
-    assert agreement.values[0] == pytest.approx(2.0, rel=0.2)
-    assert f"link '{link}' carries about 2" in sentence(agreement)
+    assert agreement.faults[0].link == link
+    assert agreement.faults[0].values[0] == pytest.approx(2.0, rel=0.2)
+    assert f"link '{link}' carries " in sentence(agreement)
 
 
 def test_payload_and_swapped_sign_are_both_reported():
     robot, samples = samples_of(act=lambda real: real.set_payload('tool0', 2.0))
-    agreement = diagnose(flipped(samples, 'joint_2'), robot, GRAVITY)
-    assert agreement.cause is FaultKind.PAYLOAD
-    assert agreement.also_swapped == ('joint_2',)
-    assert 'opposite signs at joint_2; do not go live' in sentence(agreement)
+    agreement = diagnose_samples(flipped(samples, 'joint_2'), robot, GRAVITY)
+    sign, payload = agreement.faults
+    assert (sign.kind, sign.joints) == (FaultKind.SIGN, ('joint_2',))
+    assert (payload.kind, payload.link) == (FaultKind.PAYLOAD, 'tool0')
+    text = sentence(agreement)
+    assert text.startswith("joint_2 has its sign swapped; link 'tool0' carries 2.")
+    assert '; do not go live. Change the sign' in text
 
 
 def test_payload_that_the_robot_lacks_is_negative():
     robot, samples = samples_of(act=lambda real: real.set_payload('tool0', 2.0))
     swapped = samples._replace(measured=samples.modelled, modelled=samples.measured)
-    agreement = diagnose(swapped, robot, GRAVITY)
-    assert agreement.values[0] == pytest.approx(-2.0, rel=0.2)
-    assert "the model has about 2 kg at link 'tool0' that the robot lacks" in sentence(agreement)
+    agreement = diagnose_samples(swapped, robot, GRAVITY)
+    assert agreement.faults[0].values[0] == pytest.approx(-2.0, rel=0.2)
+    assert "link 'tool0' lacks 2." in sentence(agreement)
 
 
 @BOTH
 def test_tilted_base_is_found(moves):
     gravity = 9.80665 * np.array([0.0, -np.sin(0.5), -np.cos(0.5)])
     robot, samples = samples_of(moves=moves, act=lambda real: real.set_gravity(gravity))
-    agreement = diagnose(samples, robot, GRAVITY)
+    agreement = diagnose_samples(samples, robot, GRAVITY)
     assert agreement.cause is FaultKind.MOUNTING
-    assert agreement.values == pytest.approx(gravity, abs=0.3)
-    assert 'check the parameter gravity' in sentence(agreement)
+    assert agreement.faults[0].values == pytest.approx(gravity, abs=0.3)
+    assert 'the base is tilted by 2' in sentence(agreement)
+    assert 'Set gravity: [' in sentence(agreement)
 
 
 def test_gravity_that_the_driver_compensates_is_found():
     robot, samples = samples_of(act=lambda real: real.set_gravity((0.0, 0.0, 0.0)))
-    agreement = diagnose(samples, robot, GRAVITY)
+    agreement = diagnose_samples(samples, robot, GRAVITY)
     assert (agreement.outcome, agreement.cause) == (Outcome.DIFFER, FaultKind.GRAVITY_COMPENSATED)
     assert 'include_gravity: false' in sentence(agreement)
 
@@ -138,7 +153,7 @@ def test_friction_is_not_an_error_of_the_model():
     robot, samples = samples_of(
         act=lambda real: real.set_friction([1.0] * 6, [1.0, 2.0, 8.0, 0.2, 0.2, 0.02])
     )
-    assert diagnose(samples, robot, GRAVITY).outcome is Outcome.AGREE
+    assert diagnose_samples(samples, robot, GRAVITY).outcome is Outcome.AGREE
 
 
 @BOTH
@@ -146,26 +161,26 @@ def test_friction_is_not_an_error_of_the_model():
 def test_another_unit_is_named_with_its_factor(factor, moves):
     robot, samples = samples_of(moves=moves)
     wrong = samples._replace(measured=factor * samples.measured)
-    agreement = diagnose(wrong, robot, GRAVITY)
-    assert agreement.cause is FaultKind.SCALE
-    assert agreement.values == pytest.approx([factor] * len(agreement.joints), rel=0.02)
-    assert f'is {factor:g} times the modelled one' in sentence(agreement)
+    agreement = diagnose_samples(wrong, robot, GRAVITY)
+    assert agreement.cause is FaultKind.UNIT
+    assert agreement.faults[0].values == pytest.approx([factor], rel=0.02)
+    assert 'the efforts are in another unit: all are ' in sentence(agreement)
 
 
 def test_contact_is_an_unexplained_difference_of_its_joint():
     robot, samples = samples_of()
     measured = samples.measured.copy()
     measured[:, 1] += 30.0 * np.sin(7.0 * samples.times)
-    agreement = diagnose(samples._replace(measured=measured), robot, GRAVITY)
+    agreement = diagnose_samples(samples._replace(measured=measured), robot, GRAVITY)
     assert (agreement.outcome, agreement.cause) == (Outcome.DIFFER, FaultKind.UNEXPLAINED)
-    assert agreement.joints == ('joint_2',)
+    assert agreement.faults[0].joints == ('joint_2',)
 
 
 def test_small_difference_at_rest_may_be_friction():
     robot, samples = samples_of(moves=False)
     measured = samples.measured.copy()
     measured[:, 4] += 0.8
-    agreement = diagnose(samples._replace(measured=measured), robot, GRAVITY)
+    agreement = diagnose_samples(samples._replace(measured=measured), robot, GRAVITY)
     assert (agreement.outcome, agreement.cause) == (Outcome.UNDECIDED, Obstacle.AT_REST)
     assert 'move the arm to decide' in sentence(agreement)
 
@@ -173,14 +188,14 @@ def test_small_difference_at_rest_may_be_friction():
 def test_efforts_that_are_not_measured_cannot_be_compared():
     robot, samples = samples_of()
     nothing = samples._replace(measured=np.full_like(samples.measured, np.nan))
-    agreement = diagnose(nothing, robot, GRAVITY)
+    agreement = diagnose_samples(nothing, robot, GRAVITY)
     assert (agreement.outcome, agreement.cause) == (Outcome.UNDECIDED, Obstacle.NO_EFFORTS)
 
 
 def test_zero_efforts_of_an_arm_held_by_brakes_cannot_be_compared():
     robot, samples = samples_of(moves=False)
     zero = samples._replace(measured=np.zeros_like(samples.measured))
-    agreement = diagnose(zero, robot, GRAVITY)
+    agreement = diagnose_samples(zero, robot, GRAVITY)
     assert (agreement.outcome, agreement.cause) == (Outcome.UNDECIDED, Obstacle.ZERO_EFFORTS)
     assert 'brakes hold the arm' in sentence(agreement)
 
@@ -189,35 +204,35 @@ def test_joint_that_always_measures_zero_is_named():
     robot, samples = samples_of()
     measured = samples.measured.copy()
     measured[:, 2] = 0.0
-    agreement = diagnose(samples._replace(measured=measured), robot, GRAVITY)
+    agreement = diagnose_samples(samples._replace(measured=measured), robot, GRAVITY)
     assert (agreement.outcome, agreement.cause) == (Outcome.DIFFER, FaultKind.NOT_MEASURED)
-    assert agreement.joints == ('joint_3',)
+    assert agreement.faults[0].joints == ('joint_3',)
 
 
 def test_joints_without_effort_are_left_out():
     robot, samples = samples_of()
     measured = flipped(samples, 'joint_2').measured
     measured[:, 0] = np.nan
-    agreement = diagnose(samples._replace(measured=measured), robot, GRAVITY)
-    assert agreement.joints == ('joint_2',)
+    agreement = diagnose_samples(samples._replace(measured=measured), robot, GRAVITY)
+    assert agreement.faults[0].joints == ('joint_2',)
 
 
 def test_efforts_of_an_unloaded_arm_are_too_small_to_compare():
     robot, samples = samples_of(moves=False)
     small = samples._replace(measured=1e-3 * samples.measured, modelled=1e-3 * samples.modelled)
-    agreement = diagnose(small, robot, GRAVITY)
+    agreement = diagnose_samples(small, robot, GRAVITY)
     assert (agreement.outcome, agreement.cause) == (Outcome.UNDECIDED, Obstacle.SMALL_EFFORTS)
 
 
 def test_half_a_second_is_not_enough():
     robot, samples = samples_of()
     short = LiveSamples(samples.joint_names, *(signal[:25] for signal in samples[1:]))
-    assert diagnose(short, robot, GRAVITY).cause is Obstacle.TOO_FEW_SAMPLES
+    assert diagnose_samples(short, robot, GRAVITY).cause is Obstacle.TOO_FEW_SAMPLES
 
 
 def test_no_sample_is_not_enough():
     robot, _ = samples_of()
-    agreement = diagnose(LiveWindow(robot.joint_names).samples(), robot, GRAVITY)
+    agreement = diagnose_samples(LiveWindow(robot.joint_names).samples(), robot, GRAVITY)
     assert agreement.cause is Obstacle.TOO_FEW_SAMPLES
 
 
@@ -264,7 +279,7 @@ class TestSaturation:
         robot, samples = samples_of()
         agreement = judged(flipped(samples, 'joint_3'), robot, saturated=['joint_2'])
         assert agreement.cause is FaultKind.SIGN
-        assert sentence(agreement).endswith('; effort cut to its limit: joint_2')
+        assert '; effort cut to its limit: joint_2. ' in sentence(agreement)
 
 
 class TestFewJoints:
@@ -297,7 +312,7 @@ class TestFewJoints:
         robot, samples = samples_of()
         agreement = judged(samples, robot, ['joint_6'])
         assert 'joint_6' in agreement.unchecked
-        assert agreement.values == (0.0, 1.0)
+        assert agreement.numbers == (0.0, 1.0)
         assert judged(samples, robot).outcome is Outcome.AGREE
 
 

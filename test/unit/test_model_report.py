@@ -3,9 +3,13 @@
 from inverse_dynamics_node import load_urdf
 from inverse_dynamics_node.control.loop import ControlLoop
 from inverse_dynamics_node.control.settings import Settings
-from inverse_dynamics_node.node.model_report import describe_robot
 import numpy as np
+import pytest
 from robot_files import STANFORD
+
+pytest.importorskip('rclpy')
+
+from inverse_dynamics_node.node.services import describe_robot
 
 MODEL = load_urdf(STANFORD)
 

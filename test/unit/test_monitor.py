@@ -12,7 +12,7 @@ from inverse_dynamics_node.control.settings import Mode, Settings, StalePolicy
 from inverse_dynamics_node.control.status import GraphInfo, Level, Others, SimulatedTime
 from inverse_dynamics_node.control.status_text import activity, describe_imu_frame
 from inverse_dynamics_node.robot.kinematics import rotation_of_rpy
-from inverse_dynamics_node.robot.model_warning import ModelWarning
+from inverse_dynamics_node.robot.model import ModelWarning
 import numpy as np
 import pytest
 from robot_files import ROOT, STANFORD
@@ -138,7 +138,7 @@ def test_counts_rejected_messages_by_a_limited_number_of_reasons(loop):
         (0.05, FINE, 'joint states', Level.OK, 'fresh'),
         (5.0, FINE, 'joint states', Level.ERROR, 'lost: '),
         (5.0, FINE._replace(is_active=False), 'joint states', Level.WARN, 'lost: '),
-        (0.05, FINE, 'efforts', Level.OK, 'holding position: no reference'),
+        (0.05, FINE, 'efforts', Level.OK, 'floating: no reference'),
         (
             0.05,
             FINE._replace(receivers=0),
@@ -147,7 +147,7 @@ def test_counts_rejected_messages_by_a_limited_number_of_reasons(loop):
             'the commands have no subscribers',
         ),
         (0.05, FINE, 'reference', Level.OK, 'none'),
-        (0.05, FINE, 'loop', Level.OK, 'holding position: no reference'),
+        (0.05, FINE, 'loop', Level.OK, 'floating: no reference'),
         (0.05, FINE._replace(is_active=False, state='inactive'), 'loop', Level.OK, 'inactive'),
     ],
 )
@@ -178,32 +178,47 @@ def test_a_loop_that_started_within_the_second_is_not_slow(loop):
     assert status.values['rate [Hz]'] == '100.0'
 
 
-def test_warns_of_a_loop_without_damping():
-    loop = ControlLoop(ROBOT, settings=Settings(mode=Mode.COMPUTED_TORQUE))
+@pytest.mark.parametrize('mode', [Mode.COMPUTED_TORQUE, Mode.JOINT_IMPEDANCE])
+def test_warns_of_a_loop_without_damping(mode):
+    loop = ControlLoop(ROBOT, settings=Settings(mode=mode))
     loop.collector.update(0.0, JOINTS, [0.1, 0.2], [])
     status = part(Monitor().report(0.0, loop, FINE), 'joint states')
     assert status.level is Level.WARN
-    assert status.message == 'no velocities: computed_torque has no damping'
+    assert status.message == f'no velocities: {mode.value} has no damping'
     assert status.values['without velocity'] == ', '.join(JOINTS)
     loop.collector.update(0.0, JOINTS, [0.1, 0.2], [0.0, 0.0])
     assert part(Monitor().report(0.0, loop, FINE), 'joint states').level is Level.OK
 
 
-def test_activity_names_the_reason_to_hold(loop):
-    assert activity(0.0, loop) == 'holding position: no reference'
+def test_activity_names_the_reason_to_float(loop):
+    assert activity(0.0, loop) == 'floating: no reference'
     rest = np.zeros(2)
     loop.reference = Reference(rest, rest, 0.0)
     loop.step(0.05)
     assert activity(0.05, loop) == 'following the reference'
     loop.collector.update(1.0, JOINTS, [0.1, 0.2], [0.0, 0.0])
     loop.step(1.0)
-    assert activity(1.0, loop) == 'holding position: no reference for more than 0.5 s'
+    assert activity(1.0, loop) == 'floating: no reference for more than 0.5 s'
     loop.controller.apply(Settings(mode=Mode.GRAVITY_COMPENSATION))
     assert 'not used in mode gravity_compensation' in activity(1.0, loop)
     loop.controller.apply(Settings(mode=Mode.COMPUTED_TORQUE, max_position_jump=0.2))
     loop.reference = Reference(rest, rest, 1.0, positions=rest + 1.0)
     loop.step(1.0)
-    assert 'starts or jumps more than max_position_jump (0.2 rad or m) away' in activity(1.0, loop)
+    distance = 'the reference starts or jumps more than max_position_jump (0.2 rad or m) away'
+    assert activity(1.0, loop) == f'floating: {distance}'
+
+
+def test_activity_distinguishes_an_arm_that_is_held(loop):
+    loop.controller.apply(Settings(mode=Mode.JOINT_IMPEDANCE, max_position_jump=0.2))
+    loop.step(0.0)
+    assert activity(0.0, loop) == 'holding position: no reference'
+    loop.reference = Reference(np.zeros(2), np.zeros(2), 0.05, positions=np.ones(2))
+    loop.step(0.05)
+    distance = 'the reference starts or jumps more than max_position_jump (0.2 rad or m) away'
+    assert activity(0.05, loop) == f'holding position: {distance}'
+    status = part(Monitor().report(0.05, loop, FINE), 'reference')
+    assert status.level is Level.WARN
+    assert status.message == 'holding position: the reference is too far away'
 
 
 def step_until(loop, start, end):
@@ -237,11 +252,11 @@ def test_activity_while_disabled(loop):
 
 
 def test_a_dry_run_is_named_in_the_activity_and_in_the_report(loop):
-    assert activity(0.0, loop, is_dry_run=True) == 'dry run: holding position: no reference'
+    assert activity(0.0, loop, is_dry_run=True) == 'dry run: floating: no reference'
     for is_dry_run, word in ((True, 'yes'), (False, 'no')):
         status = part(Monitor().report(0.0, loop, FINE._replace(is_dry_run=is_dry_run)), 'loop')
         assert status.values['dry run'] == word
-        assert ('dry run: holding' in status.message) is is_dry_run
+        assert ('dry run: floating' in status.message) is is_dry_run
     loop.controller.stop()
     step_until(loop, 0.05, 2.0)
     assert activity(2.0, loop, is_dry_run=True) == 'dry run: stopped: disabled by ~/enable'

@@ -4,7 +4,7 @@ import re
 import subprocess
 import sys
 
-from inverse_dynamics_node.node.parameter_files import parameter_files, parameter_table
+from inverse_dynamics_node.node.help import parameter_files, parameter_table
 from inverse_dynamics_node.node.parameters import (
     LOCKED_POSITION,
     PARAMETERS,
@@ -21,7 +21,7 @@ def test_the_generated_parts_are_up_to_date(path):
 def test_the_generator_lists_the_files_that_change_and_needs_no_ros():
     code = (
         "import sys; sys.modules.update(dict.fromkeys(['rclpy', 'rcl_interfaces']));"
-        'from inverse_dynamics_node.node.parameter_files import main; main()'
+        'from inverse_dynamics_node.node.help import main; main()'
     )
     result = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True)
     assert (result.returncode, result.stdout, result.stderr) == (0, '', '')
@@ -42,7 +42,8 @@ def test_every_default_is_valid_and_described(name):
         assert not text.endswith('.')
         assert text.count('`') % 2 == 0
     # Each number is a quantity with a unit, except for factors and priorities.
-    has_none = name in ('effort_scale', 'load_friction', 'thread_priority')
+    factors = ('effort_scale', 'friction_scale', 'load_friction')
+    has_none = name in (*factors, 'thread_priority')
     assert bool(parameter.unit) == (parameter.kind.is_numeric and not has_none)
 
 

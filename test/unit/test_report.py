@@ -8,7 +8,7 @@ from inverse_dynamics_node.report.robot_tables import model_tables
 from inverse_dynamics_node.report.short_names import all_shortened, shortened
 from inverse_dynamics_node.report.tables import as_text, Style, Table, table_lines, WIDTH
 from inverse_dynamics_node.report.warnings import warnings_about, warnings_as_text
-from inverse_dynamics_node.robot.model_warning import ModelWarning
+from inverse_dynamics_node.robot.model import ModelWarning
 from inverse_dynamics_node.robot.urdf import load_urdf
 import numpy as np
 import pytest

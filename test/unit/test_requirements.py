@@ -1,6 +1,6 @@
 """The requirements of a trajectory, and states between its points."""
 
-from inverse_dynamics_node.analysis.requirements import effort_requirements
+from inverse_dynamics_node.analysis.sizing import effort_requirements
 from inverse_dynamics_node.dynamics.inverse_dynamics import InverseDynamics
 from inverse_dynamics_node.dynamics.trajectory import (
     complete,

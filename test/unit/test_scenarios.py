@@ -14,23 +14,28 @@ pytest.importorskip('rclpy')
 pytest.importorskip('mujoco')
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
+from inverse_dynamics_node.cli.pictures.demo import draw
 from inverse_dynamics_node.simulation.demo import results
-from inverse_dynamics_node.simulation.demo.commander import KD, resolved_acceleration
+from inverse_dynamics_node.simulation.demo.commander import History, resolved_acceleration
 from inverse_dynamics_node.simulation.demo.demo import describe_rotors
 from inverse_dynamics_node.simulation.demo.demo_setup import (
     DEFLECTION,
     DemoSetup,
     GRIP,
+    KD,
     KP,
 )
-from inverse_dynamics_node.simulation.demo.history import History
-from inverse_dynamics_node.simulation.demo.picture import draw
-from inverse_dynamics_node.simulation.demo.scenarios import SCENARIOS, TILT, Timeline
-from inverse_dynamics_node.simulation.demo.tracking import (
+from inverse_dynamics_node.simulation.demo.results import (
     check_tracking,
     find_failures,
     RATE_LIMIT,
     tracking_limits,
+)
+from inverse_dynamics_node.simulation.demo.scenarios import (
+    held_without_imu,
+    SCENARIOS,
+    TILT,
+    Timeline,
 )
 from inverse_dynamics_node.simulation.demo.view import (
     bar,
@@ -38,7 +43,6 @@ from inverse_dynamics_node.simulation.demo.view import (
     Snapshot,
     View,
 )
-from inverse_dynamics_node.simulation.demo.without_imu import held_without_imu
 from inverse_dynamics_node.simulation.mujoco.hardware import MujocoRobot
 from inverse_dynamics_node.simulation.mujoco.model import SimulationError
 from inverse_dynamics_node.simulation.trajectory import EFFORT_USED, effort_used, start_pose
@@ -392,7 +396,7 @@ class TestFriction:
             q[4] += (1.01 if beyond else 0.99) * 1e-3 * (moving[4] if time < 5.0 else rest[4])
             history.states.add(time, (q, rubbing.start, q))
             history.arrivals.append(time)
-        outcome = str(check_tracking(rubbing, history, 500.0))
+        outcome = str(check_tracking(rubbing, history))
         row = next(r for r in capsys.readouterr().out.splitlines() if r.startswith('joint_5'))
         numbers = [float(word) for word in row.split()[1:] if word != 'mrad']
         assert numbers[1::2] == pytest.approx([moving[4], rest[4]], abs=1e-3)

@@ -15,7 +15,7 @@ from inverse_dynamics_node import InverseDynamics, load_urdf, UrdfError
 from inverse_dynamics_node.errors import ConfigurationError
 from inverse_dynamics_node.simulation.mujoco.hardware import MujocoRobot
 from inverse_dynamics_node.simulation.mujoco.model import SimulationError
-from inverse_dynamics_node.simulation.tilt import rotation, Tilt
+from inverse_dynamics_node.simulation.mujoco.world import rotation, Tilt
 from inverse_dynamics_node.simulation.trajectory import (
     EFFORT_USED,
     effort_used,

@@ -2,7 +2,7 @@
 
 import math
 
-from inverse_dynamics_node.analysis.workspace import (
+from inverse_dynamics_node.analysis.sizing import (
     explore,
     joint_ranges,
     payload_capacity,

@@ -5,12 +5,10 @@ Compares a recording with the model, fits friction and diagnoses the differences
 for an explanation of the difference between measured and modelled efforts.
 """
 
-from ..recordings.recording import Recording
-from ..recordings.signals import Motion
+from ..recordings.signals import Motion, Recording
 from .fault import Change, Fault, FaultKind
 from .friction import friction_parameters, FrictionFit
-from .recording import diagnose_recording
-from .result import ComparisonResult, JointResidual
+from .recording import ComparisonResult, diagnose_recording, JointResidual
 
 __all__ = [
     'Change',

@@ -1,27 +1,28 @@
-"""The efforts of a recorded motion, measured and modelled."""
+"""The efforts of a recorded motion: measured, modelled, corrected, and with friction."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...robot.model import Booleans, Floats
-from ..columns import gravity_columns, payload_columns
+from ..columns import direction_of, friction_columns, gravity_columns, payload_columns
 from ..recordings.resampling import smooth_like_efforts
 from ..recordings.signals import Motion
-from .friction import is_moving, obstacle
-from .intervals import FaultInterval
-from .joint_samples import JointSamples
-from .loads import moves_with, tip_links
-from .regression_data import RegressionData
+from .fault import FaultKind
+from .friction import fit_friction, fit_shape, FrictionFit, is_moving, obstacle
+from .intervals import changing_gravity_efforts, FaultInterval
+from .joint_samples import CREDIBLE, JointSignals, sample_joints
+from .loads import loaded_links, point_mass_parameters
+from .regression_data import RegressionData, RobotFit
 
 SAMPLES_PER_WINDOW = 8  # used by fits; the samples of a smoothing window are dependent
-MOVED = 0.02  # [rad or m]; a joint that moved less shows no load
 INERTIAS = 50  # samples at which the effect of noisy accelerations is computed
 CONSTANT = 1e-9  # fraction of the largest effort; smaller variations are rounding errors
+ALL = slice(None)
 
 
 class ComparedEfforts:
@@ -64,15 +65,13 @@ class ComparedEfforts:
         q[:, index], qd[:, index], qdd[:, index] = motion.q, motion.qd, motion.qdd
         self.states = q, qd, qdd
         self.all_index = index
-        links = (link,) if link is not None else tip_links(robot)
-        moved = np.ptp(q, axis=0) > MOVED
-        self.links = tuple(link for link in links if moves_with(robot, link, moved))
+        self.links = loaded_links(robot, q, link)
         self.compared = [j for j in range(len(index)) if np.isfinite(motion.efforts[:, j]).all()]
         self.index = [index[j] for j in self.compared]
         self.names = [motion.joint_names[j] for j in self.compared]
         self.measured = motion.efforts[:, self.compared]
         self.qd, self.qdd = motion.qd[:, self.compared], motion.qdd[:, self.compared]
-        self.direction = smooth_like_efforts(motion, np.tanh(self.qd / width))
+        self.direction = smooth_like_efforts(motion, direction_of(self.qd, width))
         self.period = motion.period
         self.modelled: Floats = dynamics.efforts(*self.states)[:, self.index]
         # Friction is fitted again, to efforts without the friction that the dynamics may have.
@@ -81,7 +80,8 @@ class ComparedEfforts:
         self.gravity: Floats = terms.gravity[:, self.index]
         self.noise = self._noise()
         self.varying = self._varying()
-        self.constant = self._unexpectedly_constant()
+        least = 0.01 * float(np.max(np.abs(self.rigid)))
+        self.constant = np.flatnonzero(not_measured(self.measured, self.rigid, least)).tolist()
 
     @property
     def fit_samples(self) -> slice:
@@ -115,42 +115,26 @@ class ComparedEfforts:
 
     def regression_data(self) -> RegressionData:
         """Return the samples of the varying efforts, with all efforts that may explain them."""
-        q, _, _ = states = self.fit_states
-        robot, gravity = self.robot, self.dynamics.gravity
-        weight = gravity_columns(robot, q)
-        loads = [payload_columns(robot, gravity, link, states) for link in self.links]
-        joints = [self._joint_samples(c, weight, loads) for c in self.varying]
+        some, varying = self.fit_samples, self.varying
+        signals = JointSignals(
+            [self.index[c] for c in varying],
+            self.measured[some][:, varying],
+            self.rigid[some][:, varying],
+            self.gravity[some][:, varying],
+            self.direction[some][:, varying],
+            [self.used(c)[some] for c in varying],
+            [self.moves(c) for c in varying],
+            self.noise[varying],
+        )
+        robot, times = self.robot, self.motion.times[some]
+        joints = sample_joints(self.dynamics, times, self.fit_states, signals, self.links)
         duration = len(self.motion.times) * self.period
         sample_count = len(self.motion.times) / self.motion.window
-        bodies = [robot.link_body[robot.link_index(link)] for link in self.links]
-        masses = {k: float(robot.mass[b]) for k, b in zip(self.links, bodies, strict=True)}
-        return RegressionData(joints, masses, gravity, sample_count, duration)
-
-    def _joint_samples(self, c: int, weight: Floats, loads: Sequence[Floats]) -> JointSamples:
-        """Return the samples of a column, with the columns of `joint_samples`."""
-        some, i = self.fit_samples, self.index[c]
-        qd = self.qd[some, c]
-        columns = np.column_stack(
-            [
-                self.rigid[some, c],
-                self.gravity[some, c],
-                weight[:, i],
-                self.qdd[some, c],
-                qd,
-                self.direction[some, c],
-                np.ones_like(qd),
-                *(load[:, i] for load in loads),
-                self.measured[some][:, self.varying],
-            ]
-        )
-        used = self.used(c)[some]
-        return JointSamples(
-            columns[used],
-            self.motion.times[some][used],
-            self.moves(c),
-            float(self.noise[c]),
-            self.is_prismatic(c),
-        )
+        masses = {
+            link: float(robot.mass[robot.link_body[robot.link_index(link)]]) for link in self.links
+        }
+        gravity, heaviest = self.dynamics.gravity, float(np.sum(robot.mass))
+        return RegressionData(joints, masses, heaviest, gravity, sample_count, duration)
 
     def _noise(self) -> Floats:
         """Return the noise of measured minus modelled efforts, shape (c,)."""
@@ -170,8 +154,166 @@ class ComparedEfforts:
         variation = np.ptp(self.measured, axis=0)
         return [c for c in range(len(self.names)) if variation[c] > CONSTANT * largest]
 
-    def _unexpectedly_constant(self) -> list[int]:
-        """Return the columns whose measured effort is constant, but not the modelled one."""
-        least = 0.01 * float(np.max(np.abs(self.rigid)))
-        constant = sorted(set(range(len(self.names))) - set(self.varying))
-        return [c for c in constant if np.ptp(self.rigid[:, c]) > least]
+
+def not_measured(measured: Floats, modelled: Floats, least: Floats | float) -> Booleans:
+    """
+    Return which efforts are constant although the model varies, or zero although it does not.
+
+    Parameters
+    ----------
+    measured, modelled : ndarray, shape (K, c)
+        Efforts of c joints [N m or N].
+    least : float or ndarray, shape (c,)
+        Smaller modelled efforts, or variations of them, are ignored [N m or N].
+
+    Returns
+    -------
+    not_measured : ndarray of bool, shape (c,)
+
+    """
+    largest = np.max(np.abs([measured, modelled]))
+    is_constant = np.ptp(measured, axis=0) <= CONSTANT * largest
+    is_zero = np.max(np.abs(measured), axis=0) <= CONSTANT * largest
+    expected = np.where(is_zero, np.max(np.abs(modelled), axis=0), np.ptp(modelled, axis=0))
+    return np.asarray(is_constant & (expected > least))
+
+
+# ---- Corrected efforts ---------------------------------------------------------------------
+
+
+def corrected_efforts(
+    compared: ComparedEfforts, robot_fit: RobotFit, fault: FaultInterval | None = None
+) -> tuple[Floats, Floats]:
+    """Return measured efforts without sensor faults, and modelled ones of the candidate."""
+    measured = compared.measured / robot_fit.unit
+    correction = added_efforts(compared, robot_fit)
+    if fault is not None and fault.kind is FaultKind.PAYLOAD:
+        correction = correction * compared.inside(fault)[:, None]
+    if fault is not None and fault.kind is FaultKind.MOUNTING:
+        correction = changing_gravity_efforts(
+            fault, compared.robot, compared.states[0], compared.motion.times
+        )[:, compared.index]
+        correction = correction - compared.gravity
+    efforts = compared.rigid + correction
+    for j, (c, fit) in enumerate(zip(compared.varying, robot_fit.fits, strict=True)):
+        source = compared.measured[:, compared.varying[robot_fit.source[j]]]
+        measured[:, c] = fit.sensor_fault.sign * source / robot_fit.factor(j)
+        efforts[:, c] += fit.rotor * compared.qdd[:, c]
+    return measured, efforts
+
+
+def added_efforts(compared: ComparedEfforts, robot_fit: RobotFit) -> Floats:
+    """Return the efforts that the candidate model adds to the model."""
+    candidate = robot_fit.candidate
+    if candidate.kind is FaultKind.MOUNTING:
+        turned = gravity_columns(compared.robot, compared.states[0]) @ np.array(candidate.solution)
+        return np.asarray(turned[:, compared.index] - compared.gravity)
+    correction: Floats = np.zeros_like(compared.rigid)
+    if candidate.is_gravity_compensated:
+        correction -= compared.gravity
+    if candidate.kind is FaultKind.PAYLOAD:
+        mass, *com = candidate.solution
+        columns = payload_columns(
+            compared.robot, compared.dynamics.gravity, candidate.link, compared.states
+        )
+        efforts = columns @ point_mass_parameters(mass, np.array(com))
+        correction += efforts[:, compared.index]
+    return correction
+
+
+def as_recorded(compared: ComparedEfforts, efforts: Floats, robot_fit: RobotFit) -> Floats:
+    """Distort efforts in the way in which the driver distorts them."""
+    recorded: Floats = robot_fit.unit * efforts
+    for j, (c, fit) in enumerate(zip(compared.varying, robot_fit.fits, strict=True)):
+        source = compared.varying[robot_fit.source[j]]
+        recorded[:, source] = fit.sensor_fault.sign * robot_fit.factor(j) * efforts[:, c]
+    return recorded
+
+
+# ---- Friction ------------------------------------------------------------------------------
+
+
+def fit_joints(
+    compared: ComparedEfforts,
+    residual: Floats,
+    obscured: dict[int, str],
+    used: Booleans | slice = ALL,
+) -> list[FrictionFit]:
+    """Fit friction to a residual, which consists of the used samples."""
+    fits = []
+    for c in range(len(compared.names)):
+        fit = fit_friction(
+            compared.qd[used, c],
+            compared.direction[used, c],
+            residual[:, c],
+            compared.period,
+            compared.motion.window,
+            compared.width,
+        )
+        if c in obscured:
+            fit = FrictionFit.unknown(obscured[c], fit.offset if fit.unknown_because else 0.0)
+        fits.append(fit)
+    return fits
+
+
+def obscured(compared: ComparedEfforts, robot_fit: RobotFit) -> dict[int, str]:
+    """Return why the friction of some columns is unknown even if they moved enough."""
+    reasons = dict.fromkeys(compared.constant, 'its effort was not measured')
+    is_scaled = any(fit.sensor_fault.is_scaled for fit in robot_fit.fits)
+    for c, fit in zip(compared.varying, robot_fit.fits, strict=True):
+        if fit.moves and fit.remaining > CREDIBLE:
+            reasons[c] = 'its effort is not explained'
+        elif is_scaled and fit.is_friction_only:
+            reasons[c] = 'the unit of its effort is unknown'
+    return reasons
+
+
+def load_on_gears(compared: ComparedEfforts, robot_fit: RobotFit) -> Floats:
+    """Return the magnitude of the modelled efforts without friction and rotors, shape (K, c)."""
+    return np.abs(compared.rigid + added_efforts(compared, robot_fit))
+
+
+def with_shapes(
+    compared: ComparedEfforts, fits: list[FrictionFit], residual: Floats, load: Floats
+) -> list[FrictionFit]:
+    """Fit the shape of the friction of joints whose friction is known; see `load_on_gears`."""
+    return [
+        fit_shape(
+            fit,
+            compared.qd[:, c],
+            residual[:, c],
+            load[:, c],
+            partial(smooth_like_efforts, compared.motion),
+            compared.width,
+            compared.motion.window,
+        )
+        for c, fit in enumerate(fits)
+    ]
+
+
+def friction_efforts(compared: ComparedEfforts, c: int, fit: FrictionFit, load: Floats) -> Floats:
+    """Return the efforts of friction and offset of a column, with its load."""
+    qd = compared.qd[:, c]
+    if not fit.has_shape:
+        return fit.efforts(qd, compared.direction[:, c])
+    smooth = partial(smooth_like_efforts, compared.motion)
+    factors = np.array([fit.damping, fit.coulomb, fit.load_friction, fit.offset])
+    return np.asarray(friction_columns(qd, fit.width, load, smooth) @ factors)
+
+
+def with_friction_only(compared: ComparedEfforts) -> Floats:
+    """Return the modelled efforts with friction that is fitted without faults."""
+    efforts: Floats = compared.rigid.copy()
+    for c, fit in enumerate(fit_joints(compared, compared.measured - compared.rigid, {})):
+        efforts[:, c] += fit.damping * compared.qd[:, c]
+        efforts[:, c] += fit.coulomb * compared.direction[:, c]
+    return efforts
+
+
+def when_comparable(compared: ComparedEfforts, fits: list[FrictionFit]) -> list[Booleans]:
+    """Select the samples of every column at which fitted friction is valid."""
+    every = np.ones(len(compared.qd), dtype=bool)
+    return [
+        every if fit.unknown_because else is_moving(compared.qd[:, c], compared.width)
+        for c, fit in enumerate(fits)
+    ]

@@ -8,14 +8,16 @@ explains far more than a narrow step without load.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 import math
 from typing import NamedTuple
 
 import numpy as np
 
 from ...robot.model import Booleans, Floats
+from ..columns import friction_columns
 from ..least_squares import fit_nonnegative
+from ..node_parameters import node_parameters
 
 SURELY_MOVING = 3.0  # widths; at this speed tanh has 99.5 % of its final value
 LEAST_MOVING = 1.0  # [s] in each direction, to distinguish Coulomb friction from an offset
@@ -67,18 +69,26 @@ def is_moving(qd: Floats, width: float) -> Booleans:
     return np.asarray(np.abs(qd) > SURELY_MOVING * width)
 
 
-def obstacle(qd: Floats, period: float, width: float) -> str:
-    """Return why friction cannot be identified from a motion; empty if it can."""
+def lacks_reversal(qd: Floats, period: float, width: float, least: float = LEAST_MOVING) -> str:
+    """Return why a joint did not move in both directions for so long; empty if it did."""
     fast = SURELY_MOVING * width
     fastest = float(np.max(np.abs(qd)))
     if fastest <= fast:
         return f'it was never faster than {fastest:.2g}, expected more than {fast:g}'
     forth, back = period * (qd > fast).sum(), period * (qd < -fast).sum()
-    if min(forth, back) < LEAST_MOVING:
+    if min(forth, back) < least:
         return (
             f'it moved forward for {forth:.2g} s and back for {back:.2g} s, expected '
-            f'{LEAST_MOVING:g} s each'
+            f'{least:g} s each'
         )
+    return ''
+
+
+def obstacle(qd: Floats, period: float, width: float) -> str:
+    """Return why friction cannot be identified from a motion; empty if it can."""
+    reason = lacks_reversal(qd, period, width)
+    if reason:
+        return reason
     speeds = np.abs(qd[is_moving(qd, width)])
     slow, quick = np.quantile(speeds, [0.05, 0.95])
     if quick < SPREAD * slow:
@@ -181,11 +191,10 @@ def fit_shape(
                 squares, best, chosen = left, solution, other
     if chosen == width and best[2] == 0.0:
         return fit
-    direction = smooth(np.tanh(qd / chosen)[:, None])[:, 0]
-    grown = smooth((load * np.tanh(qd / chosen))[:, None])[:, 0]
-    features = np.column_stack([qd, direction, np.ones_like(qd)])
-    left = residual - features @ np.array([best[0], best[1], best[3]]) - best[2] * grown
-    errors = standard_errors(features, left, np.ones(len(qd), dtype=bool), window)
+    columns = friction_columns(qd, chosen, load, smooth)
+    left = residual - columns @ np.array(best)
+    every = np.ones(len(qd), dtype=bool)
+    errors = standard_errors(columns[:, [0, 1, 3]], left, every, window)
     return FrictionFit(best[0], best[1], best[3], *errors, '', chosen, best[2])
 
 
@@ -198,10 +207,8 @@ def _with_width(
     has_load: bool,
 ) -> tuple[float, tuple[float, float, float, float]]:
     """Return the mean square that is left, and damping, Coulomb, load friction and offset."""
-    direction = np.tanh(qd / width)
-    step = smooth(np.column_stack([direction, load * direction * has_load]))
-    features = np.column_stack([qd, step, np.ones_like(qd)])
-    factors, left = fit_nonnegative(features, residual, [3])
+    columns = friction_columns(qd, width, load * has_load, smooth)
+    factors, left = fit_nonnegative(columns, residual, [3])
     damping, coulomb, per_load, offset = factors.tolist()
     return left / len(qd), (damping, coulomb, per_load, offset)
 
@@ -253,42 +260,20 @@ def friction_parameters(
         For ``--ros-args --params-file``.
 
     """
-    unknown = [
-        f'# {name}: unknown, {fit.unknown_because}; -1.0 selects the friction of the URDF.'
-        for name, fit in zip(joint_names, fits, strict=True)
-        if fit.unknown_because
-    ]
-    names = ', '.join("'" + name.replace("'", "''") + "'" for name in joint_names)
-    lines = [
-        '# Friction, fitted to a recording: damping [N m s/rad, N s/m] and Coulomb friction '
-        '[N m, N].',
-        *unknown,
-        '/**:',
-        '  ros__parameters:',
-        f'    joints: [{names}]',
-        '    include_friction: true',
-        f'    damping: {_list(-1.0 if fit.unknown_because else fit.damping for fit in fits)}',
-        f'    coulomb: {_list(-1.0 if fit.unknown_because else fit.coulomb for fit in fits)}',
-    ]
+    values: dict[str, float | Sequence[float]] = {
+        'damping': [-1.0 if fit.unknown_because else fit.damping for fit in fits],
+        'coulomb': [-1.0 if fit.unknown_because else fit.coulomb for fit in fits],
+        'coulomb_width': width,
+    }
     if any(fit.has_shape for fit in fits):
-        widths = _list(fit.width if fit.has_shape else width for fit in fits)
-        lines.append(f'    coulomb_width: {widths}')
-        lines.append(f'    load_friction: {_list(fit.load_friction for fit in fits)}')
-    else:
-        lines.append(f'    coulomb_width: {ros_number(width)}')
+        values['coulomb_width'] = [fit.width if fit.has_shape else width for fit in fits]
+        values['load_friction'] = [fit.load_friction for fit in fits]
     if armature:
-        lines.append(f'    armature: {_list(armature)}')
-    return '\n'.join(lines) + '\n'
-
-
-def _list(values: Iterable[float]) -> str:
-    return f'[{", ".join(ros_number(value) for value in values)}]'
-
-
-def ros_number(value: float) -> str:
-    """Write a number with a decimal point, so that ROS reads a list of numbers as decimals."""
-    text = f'{value:.5g}'
-    if 'e' in text:
-        mantissa, exponent = text.split('e')
-        return f'{mantissa if "." in mantissa else mantissa + ".0"}e{exponent}'
-    return text if '.' in text else text + '.0'
+        values['armature'] = armature
+    title = (
+        'Friction, fitted to a recording: damping [N m s/rad, N s/m] and Coulomb friction '
+        '[N m, N].'
+    )
+    pairs = zip(joint_names, fits, strict=True)
+    unknown = {name: fit.unknown_because for name, fit in pairs if fit.unknown_because}
+    return node_parameters([title], joint_names, unknown, values)

@@ -7,6 +7,7 @@ such as a swapped sign.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import product
 import math
@@ -14,7 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...robot.model import Floats
+from ...dynamics.inverse_dynamics import InverseDynamics
+from ...robot.model import Booleans, Floats
+from ..columns import gravity_columns, payload_columns
 from ..least_squares import fit_nonnegative
 
 PARAMETER_COST = math.log(2.0)
@@ -26,6 +29,7 @@ CREDIBLE = 0.3  # fraction of the squares; if more remains, the effort is not ex
 FRICTION_ONLY = 0.01  # fraction of the squares; an effort of friction alone shows no unit
 MIN_OFFSET = 0.05  # fraction of a joint's RMS effort
 FRICTION = 0.03  # fraction of a joint's RMS effort; Coulomb friction above it is considerable
+MIN_VARIATION = 0.1  # of the modelled effort, relative to its RMS; any factor fits a constant
 
 # Columns of the samples of a joint; those of loads and of all measured efforts follow.
 MODEL, GRAVITY, WEIGHT, ACCELERATION, SPEED, DIRECTION, ONE, LOADS = 0, 1, 2, 5, 6, 7, 8, 9
@@ -56,6 +60,7 @@ class SensorFault(NamedTuple):
 
 
 NO_FAULT = SensorFault()
+ANOTHER_UNIT = SensorFault(is_scaled=True)
 SENSOR_FAULTS = tuple(SensorFault(*flags) for flags in product((False, True), repeat=4))
 
 
@@ -107,6 +112,13 @@ class JointSamples:
         triangle: Floats = np.asarray(np.linalg.qr(self.columns, mode='r'))
         self.triangle = triangle / math.sqrt(len(self.columns))
         self.squares = np.sum(self.triangle**2, axis=0)
+
+    @property
+    def shows_scale(self) -> bool:
+        """Whether the modelled effort varies enough to fit a factor to this joint alone."""
+        mean = float(self.triangle[:, MODEL] @ self.triangle[:, ONE])
+        variance = float(self.squares[MODEL]) - mean**2
+        return self.moves or variance > MIN_VARIATION**2 * float(self.squares[MODEL])
 
     def floor(self, measured: int) -> float:
         """Return the fraction of the squares below which an effort is explained."""
@@ -176,10 +188,9 @@ class JointSamples:
         best = self.fit(weights, measured, NO_FAULT, unit)
         if best.remaining < self.floor(measured):
             return best._replace(is_friction_only=self._is_friction_only(measured, best))
-        for sensor_fault in SENSOR_FAULTS[1:]:
-            if not self.moves and (sensor_fault.has_rotor or sensor_fault.has_offset):
-                continue
-            if unit != 1.0 and sensor_fault.is_scaled:
+        for sensor_fault, least in self._possible_faults(weights, measured, unit):
+            least_cost = math.log(least + self.floor(measured))
+            if least_cost + PARAMETER_COST * sensor_fault.parameters > best.cost:
                 continue
             fit = self.fit(weights, measured, sensor_fault, unit)
             is_small = abs(fit.offset * fit.scale) < MIN_OFFSET * rms
@@ -192,6 +203,21 @@ class JointSamples:
             )
             best = fit if is_credible else best
         return best._replace(is_friction_only=self._is_friction_only(measured, best))
+
+    def _possible_faults(
+        self, weights: Floats, measured: int, unit: float
+    ) -> Iterator[tuple[SensorFault, float]]:
+        """Yield sensor faults that may explain an effort, and a lower limit of what remains."""
+        has_scale = unit == 1.0 and self.shows_scale
+        for is_swapped in (False, True):
+            every = SensorFault(is_swapped, has_scale, self.moves, self.moves)
+            # The search takes its time in these fits: fewer parameters leave more than all do.
+            least = self.fit(weights, measured, every, unit).remaining
+            if least < CREDIBLE:
+                for sensor_fault in SENSOR_FAULTS[1:]:
+                    is_part = all(a <= b for a, b in zip(sensor_fault, every, strict=True))
+                    if sensor_fault.is_swapped == is_swapped and is_part:
+                        yield sensor_fault, least
 
     def _is_friction_only(self, measured: int, fit: JointFit) -> bool:
         return not fit.sensor_fault.is_scaled and self._needs_no_model(
@@ -220,3 +246,80 @@ class JointSamples:
         """Return whether hardly more remains without the model."""
         without = self.fit(np.zeros(1), measured, sensor_fault).remaining
         return without <= 2.0 * remaining + tolerance
+
+
+class JointSignals(NamedTuple):
+    """Signals of c joints of a robot at K times."""
+
+    joints: Sequence[int]
+    """Their positions in ``robot.joint_names``."""
+    measured: Floats
+    """Measured efforts, shape (K, c) [N m or N]."""
+    modelled: Floats
+    """Modelled efforts without friction to be fitted, shape (K, c) [N m or N]."""
+    gravity: Floats
+    """The part of them that is due to gravity, shape (K, c) [N m or N]."""
+    direction: Floats
+    """Smoothed directions, shape (K, c); see `direction_of`."""
+    used: Sequence[Booleans]
+    """The samples of each joint that are compared, each of shape (K,)."""
+    moves: Sequence[bool]
+    """Whether friction of each joint can be identified."""
+    noise: Floats
+    """Standard deviation of the noise of the efforts, shape (c,) [N m or N]."""
+
+
+def sample_joints(
+    dynamics: InverseDynamics,
+    times: Floats,
+    states: tuple[Floats, Floats, Floats],
+    signals: JointSignals,
+    links: Sequence[str],
+) -> list[JointSamples]:
+    """
+    Return the samples of joints, with the columns listed above.
+
+    Parameters
+    ----------
+    dynamics : InverseDynamics
+        Robot with n joints, and its gravity.
+    times : ndarray, shape (K,)
+        [s].
+    states : tuple of q, qd, qdd
+        Each of shape (K, n).
+    signals : JointSignals
+        Signals of c of the joints.
+    links : sequence of str
+        Links that may carry a load.
+
+    Returns
+    -------
+    samples : list of JointSamples
+
+    """
+    robot = dynamics.robot
+    q, qd, qdd = states
+    weight = gravity_columns(robot, q)
+    loads = [payload_columns(robot, dynamics.gravity, link, states) for link in links]
+    samples = []
+    for c, i in enumerate(signals.joints):
+        columns = np.column_stack(
+            [
+                signals.modelled[:, c],
+                signals.gravity[:, c],
+                weight[:, i],
+                qdd[:, i],
+                qd[:, i],
+                signals.direction[:, c],
+                np.ones(len(q)),
+                *(load[:, i] for load in loads),
+                signals.measured,
+            ]
+        )
+        used, is_prismatic = signals.used[c], bool(robot.is_prismatic_joint[i])
+        samples.append(
+            JointSamples(
+                columns[used], times[used], signals.moves[c], float(signals.noise[c]), is_prismatic
+            )
+        )
+    return samples

@@ -1,35 +1,38 @@
 """
-Diagnoses the difference between measured and modelled efforts of the last seconds.
+Compares measured and modelled efforts of the last seconds, for `watch`.
 
-`diagnose_recording` needs more motion and explains it more thoroughly. This works on a few
-seconds, also of an arm at rest, and compares with the model of the running node: its payloads,
-friction and gravity are part of the modelled efforts.
+The search for faults is that of recordings. The data differ: a few seconds, also of an arm at
+rest, and the efforts of the running node, whose payloads, friction and gravity are part of them.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+import enum
 from typing import NamedTuple
 
 import numpy as np
 
-from ...dynamics.loaded_robot import FRICTION_WIDTH
-from ...robot.end_effector import last_link
+from ...dynamics.inverse_dynamics import FRICTION_WIDTH, InverseDynamics
 from ...robot.model import Booleans, Floats, RobotModel
-from ..columns import gravity_columns, payload_columns
-from ..least_squares import fit_nonnegative
-from .agreement import Agreement, Obstacle, Outcome, Size
-from .compared_efforts import CONSTANT
-from .fault import FaultKind
-from .joint_samples import PARAMETER_COST
-from .live_samples import LiveSamples
-from .loads import MAX_REACH
+from ..columns import direction_of
+from .compared_efforts import not_measured
+from .diagnoses import diagnose, diagnose_constant
+from .fault import Change, Fault, FaultKind
+from .friction import is_moving, lacks_reversal
+from .joint_samples import JointSignals, NOISE_FLOOR, sample_joints
+from .loads import loaded_links
+from .regression_data import RegressionData, RobotFit
+
+DURATION = 10.0  # [s] of the window
 
 MIN_SAMPLES = 50  # one second at 50 Hz
+LEAST_MOVING = 0.1  # fraction of the samples in each direction: as of recordings, for 10 s
 MOVING = 0.02  # [rad/s or m/s]; RMS speed above which a joint moves
 AGREEMENT = 0.3  # RMS residual as a fraction of the effort, up to which model and robot agree
-SUSPICIOUS = 0.15  # the same, from which explanations are searched
+SUSPICIOUS = 0.15  # the same, from which grave faults are searched
 FLOOR_OF_LIMIT, FLOOR_OF_LARGEST = 0.02, 0.05
 """
 Residuals below these fractions of the joint's limit and of the largest modelled effort are
@@ -38,39 +41,176 @@ ignored; the smaller one applies, because limits of URDFs are often placeholders
 LEAST_FLOOR = 0.005  # fraction of the limit; sensors are not better
 REST_FACTOR = 2.5  # a joint at rest may be held by dry friction of any size up to breakaway
 FRICTION_AT_REST = 0.1  # fraction of the limit that dry friction may be
-SAME_SCALE = (0.7, 1.4)
-"""
-Factors in this range are model errors, not another unit. It is wider than that of a recording,
-because friction and gravity of a few seconds may look like a factor.
-"""
-MUST_REMAIN = 0.25  # fraction of the squares that an accepted explanation may leave
-SOFTENING = 0.1  # added to mean squares, which are 1 at the tolerance
 
 MOST_STATES = 60
 """
-States used by a fit; states that are closer in time differ little. Kernels for 64 states or more
-may have to be compiled first, for which the display would stop.
+States used by the search; states that are closer in time differ little. Kernels for 64 states or
+more may have to be compiled first, for which the display would stop.
 """
-MIN_MASS = 0.05  # [kg]
-MIN_TILT = math.radians(5.0)  # larger than in a recording, which separates it from friction
-SAME_MAGNITUDE = (0.8, 1.25)  # gravity of another magnitude has another cause
-WHOLE_WEIGHT = (0.75, 1.25)  # fraction of gravity that the driver compensates
+INDEPENDENT = 0.2  # [s] between samples whose filtered noise is independent
+LEAST_DURATION = 1.0
+"""
+[s] of samples, less than of a recording: an arm at rest shows no more later, and only residuals
+that are far above those of a short motion are searched.
+"""
+
+GRAVE = (
+    FaultKind.SIGN,
+    FaultKind.SCALE,
+    FaultKind.UNIT,
+    FaultKind.ORDER,
+    FaultKind.GRAVITY_COMPENSATED,
+    FaultKind.PAYLOAD,
+    FaultKind.MOUNTING,
+)
+"""
+Faults of which a small residual is reported too, and also one of slow states. Rotors and offsets
+below `AGREEMENT` do not matter, and other residuals may be due to the rate.
+"""
 
 
-class _RobotFit(NamedTuple):
-    """An explanation of all joints, and the squares that it leaves."""
-
-    kind: FaultKind | None
-    cost: float
-    remaining: float
-    """Mean square of residual over tolerance."""
-    swapped: tuple[int, ...] = ()
-    candidate: _Candidate | None = None
-    factors: tuple[float, ...] = ()
-    joints: tuple[int, ...] = ()
+# ---- The result ----------------------------------------------------------------------------
 
 
-def diagnose(
+class Outcome(enum.Enum):
+    """Whether model and robot agree, and the arm can be held by the efforts."""
+
+    AGREE = 'agree'
+    DIFFER = 'differ'
+    UNDECIDED = 'undecided'
+    SATURATED = 'saturated'
+    """The efforts are cut to their limits, and no difference was found."""
+    FEW_JOINTS = 'few_joints'
+    """They agree, but only few joints could be compared."""
+
+
+class Obstacle(enum.Enum):
+    """Why an agreement is not enough to go live, or cannot be decided, other than a fault."""
+
+    SLOW_STATES = 'slow_states'
+    SATURATED = 'saturated'
+    FEW_JOINTS = 'few_joints'
+    # It cannot be decided:
+    NO_DIAGNOSTICS = 'no_diagnostics'
+    NODE_STATE = 'node_state'
+    NO_EFFORTS = 'no_efforts'
+    ZERO_EFFORTS = 'zero_efforts'
+    TOO_FEW_SAMPLES = 'too_few_samples'
+    SMALL_EFFORTS = 'small_efforts'
+    AT_REST = 'at_rest'
+
+
+@dataclass(frozen=True)
+class Size:
+    """RMS efforts of all compared joints of one kind over the window [N m or N]."""
+
+    residual: float
+    """Measured minus modelled."""
+    measured: float
+    is_prismatic: bool = False
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Whether model and robot agree, and why not."""
+
+    outcome: Outcome
+    obstacle: Obstacle | None = None
+    """Why that is not enough to go live, or cannot be decided."""
+    faults: tuple[Fault, ...] = ()
+    """Why they differ, most important first; at rest, the difference that may be friction."""
+    numbers: tuple[float, ...] = ()
+    """
+    Measured and lowest sufficient rate [Hz] of `SLOW_STATES`; numbers of checked and of commanded
+    joints of `FEW_JOINTS`.
+    """
+    reason: str = ''
+    """Message of the node, for `NODE_STATE`."""
+    sizes: tuple[Size, ...] = ()
+    """Revolute joints first."""
+    checked: tuple[str, ...] = ()
+    """Joints whose efforts are large enough to see a wrong sign."""
+    unchecked: tuple[str, ...] = ()
+    """Joints whose efforts are too small for that."""
+    unmeasured: tuple[str, ...] = ()
+    """Commanded joints without measured efforts."""
+    saturated: tuple[str, ...] = ()
+    """Commanded joints whose efforts are cut to their limits."""
+    is_moving: bool = True
+    """Whether a compared joint moved in the window."""
+
+    @property
+    def cause(self) -> FaultKind | Obstacle | None:
+        """What decides the outcome; None if they agree."""
+        return self.obstacle or (self.faults[0].kind if self.faults else None)
+
+
+# ---- Samples -------------------------------------------------------------------------------
+
+
+class LiveSamples(NamedTuple):
+    """Samples of m joints at k times; NaN where a value is unknown."""
+
+    joint_names: tuple[str, ...]
+    times: Floats
+    """Shape (k,) [s]."""
+    q: Floats
+    """Shape (k, m) [rad or m], low-pass filtered like all signals below."""
+    qd: Floats
+    """Shape (k, m) [rad/s or m/s]."""
+    measured: Floats
+    """Measured efforts, shape (k, m) [N m or N]."""
+    modelled: Floats
+    """Efforts of the model for the measured motion, shape (k, m) [N m or N]."""
+
+
+class LiveWindow:
+    """
+    Keeps the samples of the last seconds.
+
+    Parameters
+    ----------
+    joint_names : sequence of str
+        The m joints.
+    duration : float
+        Length of the window [s].
+
+    """
+
+    def __init__(self, joint_names: Sequence[str], duration: float = DURATION) -> None:
+        self.joint_names = tuple(joint_names)
+        self.duration = duration
+        self._times: deque[float] = deque()
+        self._rows: deque[Floats] = deque()
+
+    def add(self, time: float, q: Floats, qd: Floats, measured: Floats, modelled: Floats) -> None:
+        """
+        Add one sample, and drop those that are older than the window.
+
+        Parameters
+        ----------
+        time : float
+            Time of the sample, not before that of the last one [s].
+        q, qd, measured, modelled : ndarray, shape (m,)
+            See `LiveSamples`.
+
+        """
+        self._times.append(time)
+        self._rows.append(np.array([q, qd, measured, modelled]))
+        while self._times[0] < time - self.duration:
+            self._times.popleft()
+            self._rows.popleft()
+
+    def samples(self) -> LiveSamples:
+        """Return the samples in the window."""
+        rows = np.array(self._rows).reshape(-1, 4, len(self.joint_names))
+        return LiveSamples(self.joint_names, np.array(self._times), *rows.transpose(1, 0, 2))
+
+
+# ---- The comparison ------------------------------------------------------------------------
+
+
+def diagnose_samples(
     samples: LiveSamples, robot: RobotModel, gravity: Floats, limits: Floats | None = None
 ) -> Agreement:
     """
@@ -103,64 +243,71 @@ def diagnose(
     if not columns or rows.sum() < MIN_SAMPLES:
         return Agreement(Outcome.UNDECIDED, Obstacle.TOO_FEW_SAMPLES)
     whole = LiveSamples(samples.joint_names, *(signal[rows] for signal in samples[1:]))
-    return _Comparison(whole, columns, robot, gravity, limits).agreement()
+    return _Comparison(whole, columns, InverseDynamics(robot, gravity), limits).agreement()
 
 
 class _Comparison:
     """Complete samples of the c compared joints; columns are these joints."""
 
     def __init__(
-        self,
-        whole: LiveSamples,
-        columns: list[int],
-        robot: RobotModel,
-        gravity: Floats,
-        limits: Floats,
+        self, whole: LiveSamples, columns: list[int], dynamics: InverseDynamics, limits: Floats
     ) -> None:
-        self.whole, self.columns, self.robot, self.gravity = whole, columns, robot, gravity
-        compared = whole.of_joints(columns)
-        self.names = compared.joint_names
-        self.measured, self.modelled = compared.measured, compared.modelled
-        self.qd = np.nan_to_num(compared.qd)
-        self.is_prismatic = robot.is_prismatic_joint[columns]
+        self.whole, self.dynamics = whole, dynamics
+        self.index = np.array(columns)
+        self.names = [whole.joint_names[i] for i in columns]
+        self.measured, self.modelled = whole.measured[:, columns], whole.modelled[:, columns]
+        self.is_prismatic = dynamics.robot.is_prismatic_joint[columns]
         self.limits = limits[columns]
-        self.moves: Booleans = _rms(self.qd) > MOVING
+        self.moves: Booleans = _rms(np.nan_to_num(whole.qd[:, columns])) > MOVING
         self.effort = np.maximum(_rms(self.measured), _rms(self.modelled))
         self.floor = self._floor()
-        self.residual = self._without_friction(self.measured - self.modelled)
-        self.tolerance = np.maximum(self.floor, SUSPICIOUS * self.effort)
+        self.is_checked = _rms(self.modelled) > self.floor
+        self.silent = not_measured(self.measured, self.modelled, self.floor) & self.is_checked
+        # An effort of zero where none is expected agrees, and has no squares to explain.
+        self.searched = np.flatnonzero(self.measured.any(axis=0) & ~self.silent)
 
     def agreement(self) -> Agreement:
         """Return whether model and robot agree."""
-        r = _rms(self.residual)
-        is_checked = _rms(self.modelled) > self.floor
         common = Agreement(
             Outcome.AGREE,
             sizes=self._sizes(),
-            checked=self._names(is_checked),
-            unchecked=self._names(~is_checked),
+            checked=self._names(self.is_checked),
+            unchecked=self._names(~self.is_checked),
             is_moving=bool(self.moves.any()),
         )
-        silent = self._silent(is_checked)
-        if silent.any():
-            if np.array_equal(silent, is_checked):
-                return replace(common, outcome=Outcome.UNDECIDED, cause=Obstacle.ZERO_EFFORTS)
+        is_zero = ~self.measured[:, self.silent].any()
+        if self.silent.any() and is_zero and np.array_equal(self.silent, self.is_checked):
+            return replace(common, outcome=Outcome.UNDECIDED, obstacle=Obstacle.ZERO_EFFORTS)
+        faults, left = self._search()
+        if not faults and self._may_be_friction(left):
+            unexplained = (self._unexplained(left),)
             return replace(
-                common,
-                outcome=Outcome.DIFFER,
-                cause=FaultKind.NOT_MEASURED,
-                joints=self._names(silent),
+                common, outcome=Outcome.UNDECIDED, obstacle=Obstacle.AT_REST, faults=unexplained
             )
-        differs = r > np.maximum(self.floor, AGREEMENT * self.effort)
-        if (r > self.tolerance).any():
-            fit = self._explain()
-            if fit is not None:
-                return self._explained(common, fit)
-        if differs.any():
-            return self._unexplained(common, differs, r)
-        if not is_checked.any():
-            return replace(common, outcome=Outcome.UNDECIDED, cause=Obstacle.SMALL_EFFORTS)
+        if left:
+            faults.append(self._unexplained(left))
+        if faults:
+            return replace(common, outcome=Outcome.DIFFER, faults=tuple(faults))
+        if not self.is_checked.any():
+            return replace(common, outcome=Outcome.UNDECIDED, obstacle=Obstacle.SMALL_EFFORTS)
         return common
+
+    def _search(self) -> tuple[list[Fault], dict[int, float]]:
+        """Return the faults of a known kind, and the residuals that they leave."""
+        constant = np.flatnonzero(self.silent).tolist()
+        silent = diagnose_constant({self.names[c]: float(self.measured[0, c]) for c in constant})
+        data = self._regression_data()
+        fit = data.friction_only()
+        left = self._exceeding(fit, AGREEMENT)
+        if not self._exceeding(fit, SUSPICIOUS):
+            return silent, left
+        found = data.explain()
+        faults = [
+            fault
+            for fault in diagnose(data, found, [self.names[c] for c in self.searched])
+            if fault.kind is not FaultKind.UNEXPLAINED and (left or fault.kind in GRAVE)
+        ]
+        return silent + faults, self._exceeding(found, AGREEMENT) if faults else left
 
     def _floor(self) -> Floats:
         """Return the residuals that are ignored, shape (c,)."""
@@ -174,144 +321,74 @@ class _Comparison:
         floor = np.maximum(floor, LEAST_FLOOR * finite)
         return np.asarray(np.where(self.moves, floor, REST_FACTOR * floor))
 
-    def _without_friction(self, residual: Floats) -> Floats:
-        """Subtract dry and viscous friction of the joints that moved in both directions."""
-        rest: Floats = residual.copy()
-        for c in np.flatnonzero(self.moves):
-            direction = np.tanh(self.qd[:, c] / FRICTION_WIDTH)
-            if min(np.mean(direction > 0.5), np.mean(direction < -0.5)) < 0.1:
-                continue
-            features = np.column_stack([direction, self.qd[:, c]])
-            rest[:, c] -= features @ fit_nonnegative(features, residual[:, c])[0]
-        return rest
-
-    def _silent(self, is_checked: Booleans) -> Booleans:
-        """Return which joints measure a constant zero where the model has an effort."""
-        largest = max(float(np.max(np.abs(self.modelled))), CONSTANT)
-        is_zero = np.max(np.abs(self.measured), axis=0) <= CONSTANT * largest
-        return np.asarray(is_zero & is_checked)
-
-    def _explain(self) -> _RobotFit | None:
-        """Return the explanation with the lowest cost, or None if none is good enough."""
-        nominal = self._fit(None, self.measured - self.modelled, 0)
-        swapped = self._swapped()
-        found = [nominal]
-        if len(swapped):
-            # One convention for all joints is as likely as an error of two of them.
-            parameters = 2 if self._is_all(swapped) else len(swapped)
-            found.append(self._fit(FaultKind.SIGN, self._flipped(swapped), parameters, swapped))
-        found += self._scaled()
-        for flips in {(), swapped}:
-            for candidate in self._candidates(flips):
-                left = self._flipped(flips) - candidate.efforts[:, self.columns]
-                parameters = candidate.parameters + len(flips)
-                fit = self._fit(candidate.kind, left, parameters, flips)
-                found.append(fit._replace(candidate=candidate))
-        best = min(found, key=lambda fit: fit.cost)
-        is_good = best is not nominal and best.remaining < MUST_REMAIN * nominal.remaining
-        return best if is_good else None
-
-    def _fit(
-        self, kind: FaultKind | None, left: Floats, parameters: int, swapped: tuple[int, ...] = ()
-    ) -> _RobotFit:
-        squares = float(np.mean((_rms(self._without_friction(left)) / self.tolerance) ** 2))
-        cost = len(self.names) * math.log(squares + SOFTENING) + PARAMETER_COST * parameters
-        return _RobotFit(kind, cost, squares, swapped)
-
-    def _swapped(self) -> tuple[int, ...]:
-        """Return the columns that the opposite sign explains far better."""
-        nominal, opposite = (
-            _rms(self.residual),
-            _rms(self._without_friction(-self.measured - self.modelled)),
-        )
-        is_swapped = (
-            (_rms(self.modelled) > 0.5 * self.floor)
-            & (nominal > self.tolerance)
-            & (opposite < 0.5 * nominal)
-        )
-        swapped = tuple(np.flatnonzero(is_swapped).tolist())
-        # Several, and all whose sign can be seen: the driver has another convention for all.
-        return tuple(range(len(self.names))) if self._is_all(swapped) else swapped
-
-    def _is_all(self, swapped: tuple[int, ...]) -> bool:
-        visible = np.flatnonzero(_rms(self.modelled) > self.floor)
-        return len(swapped) > 1 and set(visible.tolist()) <= set(swapped)
-
-    def _flipped(self, swapped: tuple[int, ...]) -> Floats:
-        sign = np.ones(len(self.names))
-        sign[list(swapped)] = -1.0
-        left: Floats = sign * self.measured - self.modelled
-        return left
-
-    def _candidates(self, flips: tuple[int, ...]) -> list[_Candidate]:
-        weights = np.zeros(len(self.whole.joint_names))
-        weights[self.columns] = 1.0 / self.tolerance
-        residual = np.zeros_like(self.whole.measured)
-        residual[:, self.columns] = self._flipped(flips)
-        return _fit_candidates(self.whole, residual, weights, self.robot, self.gravity)
-
-    def _scaled(self) -> list[_RobotFit]:
-        """
-        Try another unit of the measured efforts.
-
-        A factor of one joint needs efforts that vary; at rest any factor fits.
-
-        """
-        found = []
-        slopes, correlations = self._slopes()
-        significant = _rms(self.modelled) > self.floor
-        varies = np.std(self.modelled, axis=0) > np.maximum(self.floor, 0.1 * self.effort)
-        shared = float(
-            np.sum(np.sum(self.measured * self.modelled, axis=0) / self.tolerance**2)
-            / np.sum(np.sum(self.modelled**2, axis=0) / self.tolerance**2)
-        )
-        if significant.sum() >= 2 and _is_another_unit(shared):
-            left = self.measured / shared - self.modelled
-            # Measured efforts in a small unit have a small residual anyway.
-            fit = self._fit(FaultKind.SCALE, left, 2)
-            joints = tuple(np.flatnonzero(significant).tolist())
-            found.append(fit._replace(factors=(shared,) * len(joints), joints=joints))
-        wrong = [
-            c
-            for c in np.flatnonzero(varies & (correlations > 0.97)).tolist()
-            if _is_another_unit(slopes[c])
+    def _regression_data(self) -> RegressionData:
+        """Return the samples of the joints whose efforts are measured."""
+        robot, times = self.dynamics.robot, self.whole.times
+        q, qd = np.nan_to_num(self.whole.q), np.nan_to_num(self.whole.qd)
+        qdd: Floats = np.gradient(qd, times, axis=0)
+        duration = float(times[-1] - times[0])
+        period = duration / (len(times) - 1)
+        some = slice(None, None, -(-len(times) // MOST_STATES))
+        states = q[some], qd[some], qdd[some]
+        index = self.index[self.searched]
+        speeds = qd[:, index]
+        moves = [
+            not lacks_reversal(speed, period, FRICTION_WIDTH, LEAST_MOVING * duration)
+            for speed in speeds.T
         ]
-        if wrong:
-            left = self.measured - self.modelled
-            left[:, wrong] = self.measured[:, wrong] / slopes[wrong] - self.modelled[:, wrong]
-            fit = self._fit(FaultKind.SCALE, left, 2 * len(wrong))
-            found.append(
-                fit._replace(factors=tuple(float(slopes[c]) for c in wrong), joints=tuple(wrong))
-            )
-        return found
+        signals = JointSignals(
+            index.tolist(),
+            self.measured[some, self.searched],
+            self.modelled[some, self.searched],
+            self.dynamics.gravity_efforts(states[0])[:, index],
+            direction_of(speeds[some], FRICTION_WIDTH),
+            [
+                is_moving(speed[some], FRICTION_WIDTH) | (not moved)
+                for speed, moved in zip(speeds.T, moves, strict=True)
+            ],
+            moves,
+            self.floor[self.searched] / NOISE_FLOOR,
+        )
+        links = loaded_links(robot, q)
+        joints = sample_joints(self.dynamics, times[some], states, signals, links)
+        # The node may have a payload, which can be heavier than the body that carries it.
+        heaviest = float(np.sum(robot.mass))
+        return RegressionData(
+            joints,
+            dict.fromkeys(links, heaviest),
+            heaviest,
+            self.dynamics.gravity,
+            duration / INDEPENDENT,
+            duration,
+            LEAST_DURATION,
+        )
 
-    def _slopes(self) -> tuple[Floats, Floats]:
-        squares = np.maximum(np.sum(self.modelled**2, axis=0), 1e-300)
-        slopes: Floats = np.sum(self.measured * self.modelled, axis=0) / squares
-        a = self.measured - self.measured.mean(axis=0)
-        b = self.modelled - self.modelled.mean(axis=0)
-        norm = np.sqrt(np.sum(a**2, axis=0) * np.sum(b**2, axis=0))
-        correlations: Floats = np.sum(a * b, axis=0) / np.maximum(norm, 1e-300)
-        return slopes, correlations
+    def _exceeding(self, robot_fit: RobotFit, fraction: float) -> dict[int, float]:
+        """Return the residuals above this fraction of the effort, worst first [N m or N]."""
+        found = {}
+        for c, fit in zip(self.searched.tolist(), robot_fit.fits, strict=True):
+            residual = float(np.sqrt(fit.remaining) * _rms(self.measured)[c])
+            if residual > max(self.floor[c], fraction * self.effort[c]):
+                found[c] = residual
+        return dict(sorted(found.items(), key=lambda each: -each[1] / self.effort[each[0]]))
 
-    def _explained(self, common: Agreement, fit: _RobotFit) -> Agreement:
-        found = replace(common, outcome=Outcome.DIFFER, cause=fit.kind)
-        swapped = self._names(np.isin(np.arange(len(self.names)), fit.swapped))
-        if fit.kind is FaultKind.SIGN:
-            return replace(found, joints=swapped)
-        found = replace(found, also_swapped=swapped)
-        if fit.candidate is not None:
-            return replace(found, values=fit.candidate.values, link=fit.candidate.link)
-        return replace(found, joints=tuple(self.names[c] for c in fit.joints), values=fit.factors)
+    def _may_be_friction(self, differs: dict[int, float]) -> bool:
+        """Return whether dry friction of joints at rest may be the difference."""
+        if not differs or not np.isfinite(self.limits).all():
+            return False
+        return all(
+            not self.moves[c] and residual < FRICTION_AT_REST * self.limits[c]
+            for c, residual in differs.items()
+        )
 
-    def _unexplained(self, common: Agreement, differs: Booleans, r: Floats) -> Agreement:
-        worst = sorted(np.flatnonzero(differs), key=lambda c: -r[c] / self.tolerance[c])
-        names = tuple(self.names[c] for c in worst)
-        found = replace(common, cause=FaultKind.UNEXPLAINED, joints=names)
-        may_be_friction = ~self.moves & (r < FRICTION_AT_REST * self.limits)
-        if np.isfinite(self.limits).all() and may_be_friction[differs].all():
-            return replace(found, outcome=Outcome.UNDECIDED, cause=Obstacle.AT_REST)
-        return replace(found, outcome=Outcome.DIFFER)
+    def _unexplained(self, differs: dict[int, float]) -> Fault:
+        changes = [
+            Change(self.names[c], bool(self.is_prismatic[c]), left, left, _rms(self.measured)[c])
+            for c, left in differs.items()
+        ]
+        return Fault(
+            FaultKind.UNEXPLAINED, tuple(each.joint for each in changes), changes=tuple(changes)
+        )
 
     def _sizes(self) -> tuple[Size, ...]:
         residual = self.measured - self.modelled
@@ -329,99 +406,127 @@ class _Comparison:
         return tuple(self.names[c] for c in np.flatnonzero(selected))
 
 
-def _is_another_unit(factor: float) -> bool:
-    return factor > 1e-6 and not SAME_SCALE[0] < factor < SAME_SCALE[1]
-
-
 def _rms(signals: Floats) -> Floats:
     """Return the root mean square of each column."""
     result: Floats = np.sqrt(np.mean(signals**2, axis=0))
     return result
 
 
-class _Candidate(NamedTuple):
-    """A cause, and the efforts by which the measured ones exceed the model."""
-
-    kind: FaultKind
-    efforts: Floats
-    """Shape (k, n) [N m or N]."""
-    parameters: int
-    values: tuple[float, ...] = ()
-    link: str = ''
+# ---- The verdict ---------------------------------------------------------------------------
 
 
-def _fit_candidates(
-    samples: LiveSamples, residual: Floats, weights: Floats, robot: RobotModel, gravity: Floats
-) -> list[_Candidate]:
+DEFAULT_LEAST_RATE = 80.0  # [Hz]; the default of the controller manager of ros2_control is 100
+OF_GIVEN_RATE = 0.8  # fraction of the rate given by the user, below which states are slow
+OF_UPDATE_RATE = 0.5  # the same of update_rate: many drivers are slower than the loop
+
+LEAST_CHECKED = 0.25
+"""
+Fraction of the commanded joints that an agreement must rest on. At rest in a random pose, gravity
+loads two of six joints of a UR arm; one joint says little about the others.
+"""
+
+
+class StateRate(NamedTuple):
+    """Rates of joint states [Hz]."""
+
+    measured: float | None
+    """None if unknown."""
+    given: float | None = None
+    """Expected by the user."""
+    update_rate: float | None = None
+    """Requested rate of the commands; None if there is one for each joint state."""
+    is_simulated: bool = False
+    """Whether the node uses simulated time, which may be slower than real time."""
+
+    @property
+    def least(self) -> float:
+        """Rate below which joint states are slow."""
+        if self.given is not None:
+            return OF_GIVEN_RATE * self.given
+        if self.update_rate is not None:
+            return OF_UPDATE_RATE * self.update_rate
+        return 0.0 if self.is_simulated else DEFAULT_LEAST_RATE
+
+    @property
+    def is_slow(self) -> bool:
+        """Whether joint states arrive far too rarely."""
+        return self.measured is not None and self.measured < self.least
+
+
+def check_agreement(
+    reason: str,
+    rate: StateRate,
+    samples: LiveSamples | None,
+    robot: RobotModel | None,
+    gravity: Floats,
+    limits: Floats | None = None,
+    commanded: Sequence[str] = (),
+    saturated: Sequence[str] = (),
+) -> Agreement:
     """
-    Fit a missing payload, a wrong direction of gravity, and gravity that the driver compensates.
+    Check whether model and robot agree.
 
     Parameters
     ----------
-    samples : LiveSamples
-        Samples of all n joints at k times.
-    residual : ndarray, shape (k, n)
-        Measured minus modelled efforts [N m or N].
-    weights : ndarray, shape (n,)
-        Inverse tolerances of the residual of the joints; 0 for joints that are not compared.
-    robot : RobotModel
-        The robot.
-    gravity : ndarray, shape (3,)
-        Gravity of the model in the frame of the root link [m/s^2].
+    reason : str
+        Why the node does not compute efforts; empty if it does.
+    rate : StateRate
+        Rates of joint states.
+    samples : LiveSamples or None
+        The last seconds; None if the robot is unknown.
+    robot, gravity, limits
+        As for `diagnose_samples`.
+    commanded : sequence of str
+        The commanded joints.
+    saturated : sequence of str
+        Those whose efforts were cut to their limits in the last seconds.
 
     Returns
     -------
-    candidates : list of _Candidate
-        Those whose parameters are plausible.
+    agreement : Agreement
 
     """
-    step = max(1, -(-len(samples.times) // MOST_STATES))
-    some = slice(None, None, step)
-    q: Floats = np.nan_to_num(samples.q)
-    qd: Floats = np.nan_to_num(samples.qd)
-    qdd: Floats = np.zeros_like(qd)
-    if len(qd) > 1:
-        qdd[:] = np.gradient(qd, samples.times, axis=0)
-    states = q[some], qd[some], qdd[some]
-    target, times, all_times = residual[some], samples.times[some], samples.times
-    g = float(np.linalg.norm(gravity))
-    if g == 0.0:  # the driver compensates gravity, and possibly that of payloads too
-        return []
-
-    def at_all_times(efforts: Floats) -> Floats:
-        columns = [np.interp(all_times, times, column) for column in efforts.T]
-        result: Floats = np.column_stack(columns)
-        return result
-
-    def fit(regressors: Floats) -> Floats:
-        rows = (regressors * weights[:, None]).reshape(-1, regressors.shape[-1])
-        return np.asarray(
-            np.linalg.lstsq(rows, (target * weights).ravel(), rcond=1e-6)[0], dtype=np.float64
+    if reason:
+        return Agreement(Outcome.UNDECIDED, Obstacle.NODE_STATE, reason=reason)
+    if samples is None or robot is None:
+        agreement = Agreement(Outcome.UNDECIDED, Obstacle.TOO_FEW_SAMPLES)
+    else:
+        agreement = diagnose_samples(samples, robot, gravity, limits)
+    agreement = _completed(agreement, commanded, saturated)
+    is_grave = any(fault.kind in GRAVE for fault in agreement.faults)
+    if rate.is_slow and not is_grave:
+        agreement = replace(
+            agreement,
+            outcome=Outcome.DIFFER,
+            obstacle=Obstacle.SLOW_STATES,
+            faults=(),
+            numbers=(rate.measured or 0.0, rate.least),
         )
+    if saturated and (agreement.outcome is not Outcome.DIFFER or agreement.obstacle):
+        return replace(
+            agreement,
+            outcome=Outcome.SATURATED,
+            obstacle=Obstacle.SATURATED,
+            faults=(),
+            numbers=(),
+        )
+    return agreement
 
-    found = []
-    weight = gravity_columns(robot, states[0])
-    lacking = -(weight @ gravity)[..., None]
-    (fraction,) = fit(lacking)
-    if WHOLE_WEIGHT[0] < fraction < WHOLE_WEIGHT[1]:
-        efforts = at_all_times(lacking[..., 0])
-        found.append(_Candidate(FaultKind.GRAVITY_COMPENSATED, efforts, 1))
-    change = fit(weight)
-    actual = gravity + change
-    ratio = float(np.linalg.norm(actual)) / g
-    cosine = float(actual @ gravity) / (ratio * g * g) if ratio else 1.0
-    is_tilted = math.acos(min(1.0, max(-1.0, cosine))) > MIN_TILT
-    if is_tilted and SAME_MAGNITUDE[0] < ratio < SAME_MAGNITUDE[1]:
-        efforts = at_all_times(weight @ change)
-        found.append(_Candidate(FaultKind.MOUNTING, efforts, 3, tuple(actual.tolist())))
-    link = last_link(robot)
-    load = payload_columns(robot, gravity, link, states)
-    for parameters in (1, 4):
-        solution = fit(load[..., :parameters])
-        mass = float(solution[0])
-        distance = float(np.linalg.norm(solution[1:])) / max(abs(mass), 1e-9)
-        if abs(mass) < MIN_MASS or distance > MAX_REACH or mass < -float(np.sum(robot.mass)):
-            continue
-        efforts = at_all_times(load[..., :parameters] @ solution)
-        found.append(_Candidate(FaultKind.PAYLOAD, efforts, 1 + parameters, (mass,), link))
-    return found
+
+def _completed(
+    agreement: Agreement, commanded: Sequence[str], saturated: Sequence[str]
+) -> Agreement:
+    """Add what concerns the commanded joints; an agreement must rest on enough of them."""
+    compared = (*agreement.checked, *agreement.unchecked)
+    agreement = replace(agreement, saturated=tuple(saturated))
+    if not compared:
+        return agreement
+    unmeasured = tuple(joint for joint in commanded if joint not in compared)
+    agreement = replace(agreement, unmeasured=unmeasured)
+    count = len(set(commanded) & set(agreement.checked))
+    if agreement.outcome is Outcome.AGREE and count < LEAST_CHECKED * len(commanded):
+        numbers = (float(count), float(len(commanded)))
+        return replace(
+            agreement, outcome=Outcome.FEW_JOINTS, obstacle=Obstacle.FEW_JOINTS, numbers=numbers
+        )
+    return agreement

@@ -13,6 +13,7 @@ from ...robot.model import Booleans, Floats, RobotModel
 
 PARAMETERS = 10  # m; m c, three; m c c^T, six
 MOST_LINKS = 6  # links to try if none is named
+MOVED = 0.02  # [rad or m]; a joint that moved less shows no load
 MAX_REACH = 0.5  # [m] from the link to the centre of mass; a payload is nearer
 USUAL_REACH = 0.2  # [m]; where a coordinate has hardly any effect, the load is near the link
 MAX_COM_ERROR = 0.05  # [m]; a coordinate with a larger standard error is reported as unknown
@@ -32,6 +33,30 @@ def tip_links(robot: RobotModel) -> tuple[str, ...]:
         furthest = on_body[reach >= np.max(reach) - 1e-9][-1]
         links.append(robot.link_names[int(furthest)])
     return tuple(links)
+
+
+def loaded_links(robot: RobotModel, q: Floats, link: str | None = None) -> tuple[str, ...]:
+    """
+    Return the links on which a load may be found.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        Robot with n joints.
+    q : ndarray, shape (K, n)
+        Joint positions [rad or m].
+    link : str, optional
+        The only link that may carry a load; default: the tips of the tree.
+
+    Returns
+    -------
+    links : tuple of str
+        Those that moved; all of them if the whole robot was at rest.
+
+    """
+    links = (link,) if link is not None else tip_links(robot)
+    moved: Booleans = np.ptp(q, axis=0) > MOVED
+    return tuple(link for link in links if not moved.any() or moves_with(robot, link, moved))
 
 
 def moves_with(robot: RobotModel, link: str, moved: Booleans) -> bool:
@@ -88,7 +113,20 @@ def fit_payload(
         efforts = regressors @ point_mass_parameters(float(solution[0]), solution[1:])
         return np.append(efforts - residual, solution[1:] / USUAL_REACH)
 
-    found = least_squares(remaining, start, x_scale=[max(abs(mass), 0.1), 0.1, 0.1, 0.1])
+    def derivatives(solution: Floats) -> Floats:
+        mass, (x, y, z) = float(solution[0]), solution[1:]
+        moments = np.array(
+            [
+                [1.0, x, y, z, x * x, y * y, z * z, x * y, x * z, y * z],
+                [0.0, mass, 0.0, 0.0, 2.0 * mass * x, 0.0, 0.0, mass * y, mass * z, 0.0],
+                [0.0, 0.0, mass, 0.0, 0.0, 2.0 * mass * y, 0.0, mass * x, 0.0, mass * z],
+                [0.0, 0.0, 0.0, mass, 0.0, 0.0, 2.0 * mass * z, 0.0, mass * x, mass * y],
+            ]
+        )
+        return np.vstack([regressors @ moments.T, np.eye(4)[1:] / USUAL_REACH])
+
+    scale = [max(abs(mass), 0.1), 0.1, 0.1, 0.1]
+    found = least_squares(remaining, start, derivatives, x_scale=scale)
     variance = 2.0 * found.cost / max(sample_count - 4.0, 1.0)
     covariance = np.linalg.pinv(found.jac.T @ found.jac, rcond=1e-12) * variance
     # The formula gives no error to a parameter without effect, although it is unknown.

@@ -19,6 +19,7 @@ from ...robot.model import Floats
 from .fault import FaultKind
 from .joint_samples import (
     ACCELERATION,
+    ANOTHER_UNIT,
     CREDIBLE,
     DIRECTION,
     GRAVITY,
@@ -29,6 +30,7 @@ from .joint_samples import (
     NO_FAULT,
     ONE,
     PARAMETER_COST,
+    SensorFault,
     SPEED,
     WEIGHT,
 )
@@ -41,6 +43,7 @@ MIN_DURATION = 4.0  # [s] of samples; in less, chance explains too much
 OWN_CONTRIBUTION = 0.7  # of the squares that the nominal model leaves, to be left at most
 NO_GRAVITY = 0.25  # largest fraction of gravity in efforts that lack gravity
 CONSIDERABLE = 0.3  # fraction of a joint's modelled effort; less gravity may be a wrong model
+LIKE_A_LOAD = (0.3, 3.0)  # scales in this range are not another unit of an arm at rest
 SAME_UNIT = 1.25  # largest ratio between the factors of joints with the same unit
 
 
@@ -78,6 +81,10 @@ class RobotFit(NamedTuple):
         """Logarithm of the remaining squares, plus the cost of all parameters."""
         moved = sum(i != j for i, j in enumerate(self.source))
         parameters = self.candidate.parameters + moved + UNIT_PARAMETERS * (self.unit != 1.0)
+        swapped = [fit.sensor_fault.is_swapped for fit in self.fits if not fit.is_friction_only]
+        # One convention for all joints is as likely as an error of two of them.
+        if all(swapped):
+            parameters -= max(len(swapped) - 2, 0)
         return sum(fit.cost for fit in self.fits) + PARAMETER_COST * parameters
 
     @property
@@ -111,12 +118,16 @@ class RegressionData:
     links : mapping of str to float
         Links that may carry a load, with the mass of the body of each [kg]. The efforts of loads
         on them are in the samples, from column ``LOADS`` on.
+    heaviest : float
+        Largest mass of a load [kg].
     gravity : ndarray, shape (3,)
         Gravity of the model in the frame of the base link [m/s^2].
     sample_count : float
         Number of independent samples of a joint.
     duration : float
         Time that the samples represent [s].
+    least_duration : float
+        Time from which on an explanation is searched [s].
 
     """
 
@@ -124,16 +135,18 @@ class RegressionData:
         self,
         joints: Sequence[JointSamples],
         links: Mapping[str, float],
+        heaviest: float,
         gravity: Floats,
         sample_count: float,
         duration: float,
+        least_duration: float = MIN_DURATION,
     ) -> None:
         self.joints = tuple(joints)
         self.links = tuple(links)
-        self.link_masses = tuple(links.values())
+        self.link_masses, self.heaviest = tuple(links.values()), heaviest
         self.gravity = gravity
         self.sample_count = sample_count
-        self.duration = duration
+        self.duration, self.least_duration = duration, least_duration
         self.first_measured = LOADS + PARAMETERS * len(links)
         self.nominal = CandidateModel(None, self._weights({MODEL: 1.0}), 0)
 
@@ -141,7 +154,15 @@ class RegressionData:
         """Return the same data with other samples."""
         links = dict(zip(self.links, self.link_masses, strict=True))
         sample_count = self.sample_count * duration / self.duration
-        return RegressionData(joints, links, self.gravity, sample_count, duration)
+        return RegressionData(
+            joints,
+            links,
+            self.heaviest,
+            self.gravity,
+            sample_count,
+            duration,
+            self.least_duration,
+        )
 
     def restricted(self, interval: tuple[float, float], is_inside: bool) -> RegressionData:
         """Return the samples inside or outside of an interval [s]."""
@@ -185,7 +206,12 @@ class RegressionData:
     @property
     def is_too_short(self) -> bool:
         """Whether there are too few samples for an explanation."""
-        return self.duration < MIN_DURATION
+        return self.duration < self.least_duration
+
+    @property
+    def is_at_rest(self) -> bool:
+        """Whether no joint moves enough to identify its friction."""
+        return not any(samples.moves for samples in self.joints)
 
     def explain(self) -> RobotFit:
         """Return the credible explanation with the lowest cost."""
@@ -207,22 +233,33 @@ class RegressionData:
 
     def _candidates(self, nominal: RobotFit) -> list[RobotFit]:
         gravity_compensated = self._fit_joints(self.gravity_compensated())
-        found = [nominal, gravity_compensated]
+        found = [nominal, *self._common_unit(nominal)]
+        # At rest, efforts in a small unit seem to lack gravity.
+        if len(found) == 1 or not self.is_at_rest:
+            found.append(gravity_compensated)
         # Start without sensor faults, and with those that seem best for the model as it is.
-        for start in ([JointFit(NO_FAULT, 0.0, 1.0)] * len(self.joints), list(nominal.fits)):
+        starts = [[JointFit(NO_FAULT, 0.0, 1.0)] * len(self.joints), list(nominal.fits)]
+        swapped = [fit.sensor_fault.is_swapped for fit in nominal.fits]
+        if any(swapped):  # other faults may stand for a load
+            starts.append([JointFit(SensorFault(is_swapped=each), 0.0, 1.0) for each in swapped])
+        for start in starts:
             found += self._iterate(self._mounting, start)
             for k in range(len(self.links)):
                 found += self._iterate(partial(self._payload, k, self.nominal), start)
                 found += self._iterate(
                     partial(self._payload, k, gravity_compensated.candidate), start
                 )
-        return found + self._reordered() + self._common_unit(nominal)
+        return found + self._reordered()
 
     def _is_credible(self, robot_fit: RobotFit) -> bool:
         """Return whether a candidate model is possible, and improves enough by itself."""
         candidate = robot_fit.candidate
         if candidate.kind is None:
             return True
+        # One pose does not distinguish a load from its own compensation.
+        is_load = candidate.kind is FaultKind.PAYLOAD
+        if self.is_at_rest and is_load and candidate.is_gravity_compensated:
+            return False
         # Loads and gravity cannot be identified in unknown units.
         if robot_fit.is_scaled and candidate.kind is not FaultKind.GRAVITY_COMPENSATED:
             return False
@@ -235,10 +272,9 @@ class RegressionData:
         """Return the remaining fraction of the squares: mean of revolute and prismatic joints."""
         remaining = {False: 0.0, True: 0.0}
         squares = {False: 0.0, True: 0.0}
-        none_moves = not any(samples.moves for samples in self.joints)
         for j, (samples, fit) in enumerate(zip(self.joints, robot_fit.fits, strict=True)):
             # The effort of a joint at rest also contains an unknown dry friction.
-            if not (samples.moves or none_moves):
+            if not (samples.moves or self.is_at_rest):
                 continue
             measured = self.first_measured + robot_fit.source[j]
             square = float(samples.squares[measured]) / robot_fit.factor(j) ** 2
@@ -254,15 +290,16 @@ class RegressionData:
         is_shown = False
         for j, (samples, fit) in enumerate(zip(self.joints, robot_fit.fits, strict=True)):
             gravity, target = samples.triangle[:, GRAVITY], self._target(j, robot_fit)
+            measured = self.first_measured + robot_fit.source[j]
             is_heavy = samples.squares[GRAVITY] > CONSIDERABLE**2 * samples.squares[MODEL]
-            if is_heavy and samples.moves and fit.remaining > CREDIBLE:
-                return False
             # A joint at rest may have any dry friction, which looks like less gravity.
-            is_shown = is_shown or bool(is_heavy and samples.moves)
+            is_heavy = is_heavy and (samples.moves or self.is_at_rest)
+            if is_heavy and fit.remaining > max(CREDIBLE, samples.floor(measured)):
+                return False
+            is_shown = is_shown or bool(is_heavy)
             if samples.moves:
                 friction = np.linalg.qr(samples.triangle[:, [SPEED, DIRECTION]])[0]
                 gravity, target = (x - friction @ (friction.T @ x) for x in (gravity, target))
-            measured = self.first_measured + robot_fit.source[j]
             variance = fit.remaining + samples.floor(measured)
             variance *= float(samples.squares[measured]) / robot_fit.factor(j) ** 2
             numerator += float(gravity @ target) / variance
@@ -297,6 +334,7 @@ class RegressionData:
     def _common_unit(self, nominal: RobotFit) -> list[RobotFit]:
         """Scale the efforts of all joints alike, including those that hardly moved."""
         factors = [fit.scale for fit in nominal.fits if fit.sensor_fault.is_scaled]
+        factors += self._factors_at_rest(nominal)
         middle = float(np.median(factors)) if factors else 1.0
         alike = [x for x in factors if 1.0 / SAME_UNIT < x / middle < SAME_UNIT]
         if len(alike) < 2 or 2 * len(alike) < len(factors):
@@ -304,6 +342,20 @@ class RegressionData:
         units = float(np.exp(np.mean(np.log(alike)))) * np.linspace(0.9, 1.1, 21)
         found = [self._fit_joints(self.nominal, float(unit)) for unit in units]
         return [min(found, key=lambda each: each.cost)]
+
+    def _factors_at_rest(self, nominal: RobotFit) -> list[float]:
+        """Return the factors of joints that do not show a unit alone, but several together."""
+        factors = []
+        for j, (samples, fit) in enumerate(zip(self.joints, nominal.fits, strict=True)):
+            measured = self.first_measured + j
+            if not samples.shows_scale and fit.remaining > samples.floor(measured):
+                scaled = samples.fit(self.nominal.weights, measured, ANOTHER_UNIT)
+                if (
+                    scaled.remaining < CREDIBLE
+                    and not LIKE_A_LOAD[0] < scaled.scale < LIKE_A_LOAD[1]
+                ):
+                    factors.append(scaled.scale)
+        return factors
 
     def _weights(self, values: dict[int, float]) -> Floats:
         weights = np.zeros(self.first_measured)
@@ -400,7 +452,7 @@ class RegressionData:
         solution, errors = fit_payload(rows[0][:, load], rows[1], sample_count)
         # A body cannot lack more than its mass.
         least = -self.link_masses[k] - 3.0 * errors[0]
-        if abs(solution[0]) < 3.0 * errors[0] or solution[0] < least:
+        if abs(solution[0]) < 3.0 * errors[0] or not least < solution[0] < self.heaviest:
             return None
         if np.linalg.norm(solution[1:]) > MAX_REACH:
             return None

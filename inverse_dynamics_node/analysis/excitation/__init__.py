@@ -1,9 +1,16 @@
 """Designs a motion whose recording determines masses and friction as well as possible."""
 
-from .expected import expected_errors, ExpectedErrors
-from .extent import Extent, swept_box
 from .fourier import FourierSeries
-from .limits import FRACTION, motion_limits, MotionLimits
+from .information import expected_errors, ExpectedErrors
+from .limits import (
+    Extent,
+    FRACTION,
+    motion_limits,
+    MotionLimits,
+    States,
+    swept_box,
+    whole_states,
+)
 from .search import (
     DURATION,
     Excitation,
@@ -12,7 +19,6 @@ from .search import (
     NOISE,
     SAMPLES_PER_SECOND,
 )
-from .states import States, whole_states
 
 __all__ = [
     'DURATION',

@@ -10,20 +10,24 @@ its inverse is the covariance of the unknowns.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...robot.model import Floats, Integers
-from ..base_parameters import base_parameters, NAMES
-from .limits import MotionLimits
-from .states import random_states, States, whole_states
+from ..columns import base_parameters, NAMES
+from .limits import MotionLimits, random_states, States, whole_states
 
 OF_JOINT = ('armature', 'damping', 'Coulomb', 'offset')
 WIDTH = 0.02
 """Width of smoothed Coulomb friction, as a fraction of the largest speed."""
 _SAMPLES = 400
 """Random states from which the columns are selected."""
+_STATES = 500
+"""Random states within the limits for the error of predicted efforts."""
+_GROUPS = (slice(0, 1), slice(1, 4), slice(4, 10))
+"""Mass, first moments and moments of inertia among the parameters of a body."""
 
 
 class Unknowns:
@@ -69,11 +73,12 @@ class Unknowns:
 
     def of_efforts(self, states: States) -> Floats:
         """Return the derivatives of the efforts by the unknowns, shape (k, m, u)."""
-        is_rigid = self.columns < self.rigid_count
         Y = self.dynamics.regressor(*whole_states(self.limits, states))
-        rigid = Y[:, self.limits.index][:, :, self.columns[is_rigid]]
-        others = self._of_joints(states, self.columns[~is_rigid] - self.rigid_count)
-        columns: Floats = np.concatenate([rigid, others], axis=2)
+        drive_terms = self._drive_terms(states)
+        rigid, own, kind, joint = self._split()
+        columns: Floats = np.zeros((*states.q.shape, len(self.columns)))
+        columns[:, :, rigid] = Y[:, self.limits.index][:, :, self.columns[rigid]]
+        columns[:, joint, own] = drive_terms[kind, :, joint].T
         return columns
 
     def weighted_sum(self, weights: Floats) -> Callable[[States], Floats]:
@@ -95,15 +100,13 @@ class Unknowns:
         """
         k, m, _ = weights.shape
         scaled = weights / (self.noise[:, np.newaxis] * self.scale)
-        is_rigid = self.columns < self.rigid_count
+        rigid, own, kind, joint = self._split()
         of_bodies = np.zeros((k, len(self.limits.rest), self.rigid_count))
         rows = np.array(self.limits.index)[:, np.newaxis]
-        of_bodies[:, rows, self.columns[is_rigid]] = scaled[:, :, is_rigid]
+        of_bodies[:, rows, self.columns[rigid]] = scaled[:, :, rigid]
         flat = of_bodies.reshape(k, -1)
         of_joints = np.zeros((len(OF_JOINT), k, m))
-        for u in np.flatnonzero(~is_rigid):
-            kind, joint = divmod(int(self.columns[u]) - self.rigid_count, m)
-            of_joints[kind, :, joint] = scaled[:, joint, u]
+        of_joints[kind, :, joint] = scaled[:, joint, own].T
 
         def total(states: States) -> Floats:
             Y = self.dynamics.regressor(*whole_states(self.limits, states)).reshape(
@@ -116,30 +119,63 @@ class Unknowns:
 
         return total
 
-    def names(self) -> list[tuple[str, str]]:
-        """Return the body or joint, and the kind of each unknown."""
-        bodies, joints = self.dynamics.robot.body_names[1:], self.limits.joint_names
-        names = []
-        for column in self.columns.tolist():
-            if column < self.rigid_count:
-                body, kind = divmod(column, len(NAMES))
-                names.append((bodies[body], NAMES[kind]))
-            else:
-                kind, joint = divmod(column - self.rigid_count, len(joints))
-                names.append((joints[joint], OF_JOINT[kind]))
-        return names
-
-    def _of_joints(self, states: States, chosen: Integers) -> Floats:
-        """Return the columns of armature, damping, Coulomb friction and offsets."""
-        kinds = self._drive_terms(states)
-        _, k, m = kinds.shape
-        columns = np.zeros((k, m, len(chosen)))
-        for u, column in enumerate(chosen.tolist()):
-            kind, joint = divmod(column, m)
-            columns[:, joint, u] = kinds[kind, :, joint]
-        return columns
+    def _split(self) -> tuple[Integers, Integers, Integers, Integers]:
+        """Return which unknowns are of bodies and of joints; kinds and joints of the latter."""
+        is_rigid = self.columns < self.rigid_count
+        kind, joint = np.divmod(self.columns[~is_rigid] - self.rigid_count, len(self.noise))
+        return np.flatnonzero(is_rigid), np.flatnonzero(~is_rigid), kind, joint
 
     def _drive_terms(self, states: States) -> Floats:
         """Return the factors of the kinds in `OF_JOINT`, shape (4, k, m)."""
         step = np.tanh(states.qd / self.width)
         return np.stack([states.qdd, states.qd, step, np.ones_like(step)])
+
+
+@dataclass(frozen=True, eq=False)
+class ExpectedErrors:
+    """
+    Standard errors due to the assumed noise; NaN where the efforts determine no such unknown.
+
+    The unknowns of bodies are base parameters: where only a combination of parameters has an
+    effect, the error is that of the combination, listed under one of its members.
+
+    """
+
+    joint_names: tuple[str, ...]
+    """The m joints that move."""
+    noise: Floats
+    """Assumed standard deviation of measured efforts, shape (m,) [N m or N]."""
+    of_joints: Floats
+    """Of the kinds in `OF_JOINT`, shape (m, 4)."""
+    efforts: Floats
+    """Of the efforts of random states within the limits (RMS), shape (m,) [N m or N]."""
+    body_names: tuple[str, ...]
+    """The bodies without the base."""
+    of_bodies: Floats
+    """Largest of mass [kg], first moments [kg m] and inertia [kg m^2], shape (b - 1, 3)."""
+    count: int
+    """Number of unknowns."""
+
+
+def expected_errors(unknowns: Unknowns, information: Floats) -> ExpectedErrors:
+    """Compute the standard errors that follow from the information of a motion, shape (u, u)."""
+    limits, covariance = unknowns.limits, np.linalg.inv(information)
+    errors = np.sqrt(np.diagonal(covariance)) / unknowns.scale
+    m, robot = len(limits.joint_names), unknowns.dynamics.robot
+    everything = np.full(unknowns.rigid_count + len(OF_JOINT) * m, np.nan)
+    everything[unknowns.columns] = errors
+    of_bodies = everything[: unknowns.rigid_count].reshape(-1, len(NAMES))
+    groups = [np.where(np.isnan(of_bodies), -1.0, of_bodies)[:, group] for group in _GROUPS]
+    largest = np.stack([np.max(group, axis=1) for group in groups], axis=1)
+    states = random_states(limits, _STATES, np.random.default_rng(2))
+    columns = unknowns.of_efforts(states) / unknowns.scale
+    variances = np.einsum('kju,uv,kjv->kj', columns, covariance, columns, optimize=True)
+    return ExpectedErrors(
+        limits.joint_names,
+        unknowns.noise,
+        everything[unknowns.rigid_count :].reshape(len(OF_JOINT), m).T,
+        np.sqrt(np.mean(variances, axis=0)),
+        robot.body_names[1:],
+        np.where(largest < 0.0, np.nan, largest),
+        len(errors),
+    )

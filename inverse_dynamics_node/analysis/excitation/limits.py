@@ -1,16 +1,23 @@
-"""The limits of a motion: positions, speeds and efforts; assumptions where a URDF has none."""
+"""
+The limits of a motion, and states of the joints that move within them.
+
+Limits are those of positions, speeds, efforts and height; assumptions where a URDF has none.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import math
+from typing import NamedTuple
 
 import numpy as np
 
+from ...dynamics.inverse_dynamics import InverseDynamics
 from ...errors import ConfigurationError, listed
+from ...robot.kinematics import moving_points
 from ...robot.model import Floats, RobotModel
-from ..workspace import joint_ranges
+from ..sizing import joint_ranges
 
 FRACTION = 0.8
 """Fraction of the limits that a motion uses; the rest is for control and for unknown masses."""
@@ -20,6 +27,8 @@ ASSUMED_SLIDE = 1.0
 """Range of a prismatic joint without position limits [m]."""
 _LEAST_RANGE = 1e-3
 """Smallest range that is worth moving in [rad or m]."""
+_HEIGHT = 0.1
+"""Height below the floor that is as bad as twice the limit of a speed [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,3 +199,100 @@ def _chosen(
     if left_out:
         notes.append(f'not moved: {listed(left_out)}')
     return names
+
+
+# ---- States --------------------------------------------------------------------------------
+
+
+class States(NamedTuple):
+    """States of the m joints that move, each of shape (k, m)."""
+
+    q: Floats
+    """[rad or m]."""
+    qd: Floats
+    """[rad/s or m/s]."""
+    qdd: Floats
+    """[rad/s^2 or m/s^2]."""
+
+
+def whole_states(limits: MotionLimits, states: States) -> States:
+    """Return the states of all joints of the robot, each of shape (k, n)."""
+    k, n = len(states.q), len(limits.rest)
+    whole = States(np.tile(limits.rest, (k, 1)), np.zeros((k, n)), np.zeros((k, n)))
+    for part, values in zip(whole, states, strict=True):
+        part[:, limits.index] = values
+    return whole
+
+
+def random_states(limits: MotionLimits, count: int, rng: np.random.Generator) -> States:
+    """Draw states within the limits; accelerations are such as to reach the speed in 0.5 s."""
+    m = len(limits.speeds)
+    q = rng.uniform(limits.lower, limits.upper, (count, m))
+    qd = rng.uniform(-limits.speeds, limits.speeds, (count, m))
+    qdd = rng.uniform(-2.0 * limits.speeds, 2.0 * limits.speeds, (count, m))
+    return States(q, qd, qdd)
+
+
+def excess(
+    dynamics: InverseDynamics, limits: MotionLimits, states: States, aim: float = 1.0
+) -> Floats:
+    """
+    Return by how much states exceed each limit, relative to the limit.
+
+    Parameters
+    ----------
+    dynamics : InverseDynamics
+        The robot, with its loads.
+    limits : MotionLimits
+        The limits of its m joints that move.
+    states : States
+        States of these joints, each of shape (k, m).
+    aim : float
+        Fraction of the limits that is regarded as the limit.
+
+    Returns
+    -------
+    excess : ndarray, shape (k, c)
+        One column for each limit of position, speed, effort and height; 0 within it.
+
+    """
+    parts = [
+        np.abs(states.q - limits.middle) / limits.half,
+        np.abs(states.qd) / limits.speeds,
+    ]
+    whole = whole_states(limits, states)
+    bounded = np.isfinite(limits.efforts)
+    if bounded.any():
+        efforts = dynamics.efforts(*whole)
+        parts.append(np.abs(efforts[:, bounded]) / limits.efforts[bounded])
+    if math.isfinite(limits.floor):
+        heights = moving_points(dynamics.robot, whole.q, np.array([0.0, 0.0, 1.0]))
+        parts.append(aim + (limits.floor - heights) / _HEIGHT)
+    found: Floats = np.maximum(np.concatenate(parts, axis=1) - aim, 0.0)
+    return found
+
+
+class Extent(NamedTuple):
+    """A box in the frame of the base, each end of shape (3,) [m]."""
+
+    lowest: Floats
+    highest: Floats
+
+
+def swept_box(robot: RobotModel, q: Floats) -> Extent:
+    """
+    Return the box that contains the links that move, and their centres of mass, in all poses.
+
+    The thickness of the links is unknown.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        With n joints.
+    q : ndarray, shape (k, n)
+        Joint positions [rad or m].
+
+    """
+    sides = [moving_points(robot, q, axis) for axis in np.eye(3)]
+    lowest, highest = ([float(f(side)) for side in sides] for f in (np.min, np.max))
+    return Extent(np.array(lowest), np.array(highest))

@@ -23,11 +23,9 @@ from ...dynamics.inverse_dynamics import InverseDynamics
 from ...errors import ConfigurationError, listed
 from ...robot.kinematics import moving_points
 from ...robot.model import Floats
-from .feasibility import excess
 from .fourier import basis, FourierSeries
 from .information import Unknowns
-from .limits import MotionLimits
-from .states import gradient, States, whole_states
+from .limits import excess, MotionLimits, States, whole_states
 
 DURATION = 10.0  # [s]
 HARMONICS = 5
@@ -35,6 +33,8 @@ NOISE = 0.01
 """Assumed standard deviation of measured efforts, as a fraction of the effort limit."""
 SAMPLES_PER_SECOND = 10.0
 """Rate of independent samples: smoothing removes the rest of the noise [Hz]."""
+_STEP = 1e-6
+"""Step of difference quotients: of a position [rad or m], or relative to the largest speed."""
 _PER_HARMONIC = 16
 """Samples of the search for each harmonic."""
 _FINE = 8
@@ -278,7 +278,7 @@ class _Objective:
 
         value = -float(np.linalg.slogdet(information)[1])
         value += weight * u / k * float(np.sum(self._violation(states)))
-        slopes = gradient(linearised, states, motions.limits)
+        slopes = _gradient(linearised, states, motions.limits.speeds)
         of_coefficients = sum(
             part.T @ slope for part, slope in zip(motions.basis, slopes, strict=True)
         )
@@ -289,6 +289,27 @@ class _Objective:
         beyond = excess(self.motions.dynamics, self.motions.limits, states, self.aim)
         violation: Floats = np.sum(beyond**2, axis=1)
         return violation
+
+
+def _gradient(function: Callable[[States], Floats], states: States, speeds: Floats) -> States:
+    """
+    Differentiate a function of the state at every sample.
+
+    The function returns one number for each of k states, which depends on that state only.
+
+    """
+    here = function(states)
+    k, m = states.q.shape
+    slopes = States(*np.empty((3, k, m)))
+    for j in range(m):
+        steps = _STEP * np.array([1.0, speeds[j], speeds[j]])
+        moved = States(*(np.tile(part, (3, 1)) for part in states))
+        for order in range(3):
+            moved[order][order * k : (order + 1) * k, j] += steps[order]
+        changes = function(moved).reshape(3, k) - here
+        for order in range(3):
+            slopes[order][:, j] = changes[order] / steps[order]
+    return slopes
 
 
 def _even_times(count: int, duration: float) -> Floats:

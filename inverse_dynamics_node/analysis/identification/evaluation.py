@@ -6,11 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...robot.model import Floats
-from ...robot.pseudo_inertia import PARAMETERS
-from ..base_parameters import base_parameters
-from .estimator import Estimator, weights_of
-from .preparation import PreparedRecording
+from ...robot.model import Floats, RobotModel
+from ...robot.rigid_body import PARAMETERS
+from ..columns import base_parameters
+from ..recordings.signals import Motion
+from .drives import Delay, fit_terms, JointFit
+from .fit import mass_information, RobotFit, UrdfWeight, weights_of
+from .preparation import PreparedRecording, TrainingData
+from .problem import IdentificationProblem
 from .regression import (
     ARMATURE,
     COULOMB,
@@ -49,42 +52,63 @@ MOST_ADVICE = 4
 """Number of suggestions."""
 
 
-def evaluate(found: Estimator, validation: Sequence[PreparedRecording]) -> IdentificationResult:
-    """Return the result of an identification, evaluated on runs or by cross-validation."""
-    problem, identified = found.problem, found.problem.identified
-    model = found.solution.model
-    training, unseen = _evaluations(found, validation)
+def evaluate(
+    data: TrainingData,
+    fit: RobotFit,
+    friction: JointFit,
+    delay: Delay,
+    urdf_weight: UrdfWeight,
+    validation: Sequence[PreparedRecording],
+) -> IdentificationResult:
+    """
+    Return the result of an identification, evaluated on runs or by cross-validation.
+
+    Parameters
+    ----------
+    data : TrainingData
+        The recordings that were fitted.
+    fit, friction
+        The identified model, and friction fitted to what the robot description leaves.
+    delay, urdf_weight
+        What was found out on the way.
+    validation : sequence of PreparedRecording
+        Recordings that were not fitted; empty for cross-validation.
+
+    """
+    problem, identified = data.problem, data.problem.identified
+    training, unseen = _evaluations(data, fit, friction, validation)
     accepted = _explains(unseen) and _is_better(unseen)
-    chosen = model if accepted else found.friction
-    errors = _standard_errors(found) if accepted else _friction_errors(found)
+    chosen = fit.model if accepted else friction.model
+    errors = _standard_errors(fit) if accepted else _friction_errors(data, friction)
     joints = tuple(
-        _joint(found, j, chosen, errors[j], training, unseen) for j in range(len(problem.joints))
+        _joint(data, j, chosen, errors[j], _coupled_with(problem, fit, j), training, unseen)
+        for j in range(len(problem.joints))
     )
-    bodies = _bodies(found)
-    changed = identified.robot_with(model.bodies) if accepted else identified.robot
-    prepared = found.prepared
+    bodies = _bodies(problem, fit)
     return IdentificationResult(
         robot=identified.robot,
-        calibrated=changed,
+        calibrated=identified.robot_with(fit.model.bodies) if accepted else identified.robot,
         accepted=accepted,
         verdict=_verdict(accepted, unseen),
         joints=joints,
         bodies=bodies,
-        fixed=_fixed(found),
-        inertials=identified.link_inertials(model.bodies) if accepted else {},
+        fixed=_fixed(problem),
+        inertials=identified.link_inertials(fit.model.bodies) if accepted else {},
         unseen=unseen,
-        urdf_weight=found.urdf_weight,
-        trials=tuple((trial.urdf_weight, float(trial.losses.sum())) for trial in found.trials),
-        delay=found.delay,
-        delay_error=found.delay_error,
-        delay_removed=found.delay_removed,
-        smoothing=found.regression.resamplers[0].seconds,
-        sample_count=sum(len(run.motion.times) for run in prepared),
-        duration=sum(float(np.ptp(run.motion.times)) for run in prepared),
-        signals=tuple(run.derived for run in [*prepared, *validation]),
-        base_parameters=_base_parameters(found),
-        warnings=_warnings(found),
-        advice=what_to_record(found, bodies),
+        urdf_weight=urdf_weight.value,
+        trials=tuple(
+            (trial.urdf_weight, float(trial.losses.sum())) for trial in urdf_weight.trials
+        ),
+        delay=delay.seconds,
+        delay_error=delay.error,
+        delay_removed=data.correction.delay,
+        smoothing=data.regression.resamplers[0].seconds,
+        sample_count=sum(len(motion.times) for motion in data.motions),
+        duration=data.duration,
+        signals=tuple(run.derived for run in [*data.runs, *validation]),
+        base_parameters=_base_parameters(problem, fit),
+        warnings=_warnings(data, joints),
+        advice=what_to_record(data, bodies),
     )
 
 
@@ -94,39 +118,45 @@ def rms(values: Floats) -> Floats:
 
 
 def _evaluations(
-    found: Estimator, validation: Sequence[PreparedRecording]
+    data: TrainingData,
+    fit: RobotFit,
+    friction: JointFit,
+    validation: Sequence[PreparedRecording],
 ) -> tuple[Unseen, Unseen]:
     """Return efforts of the training data, and of data that the models have not seen."""
-    problem = found.problem
-    models = _urdf(found), found.friction, found.solution.model.exported()
-    regression = Regression(problem, found.motions, 0.0, found.equations.block_count)
-    regression.set_efforts(found.aligned(found.motions))
-    efforts = [regression.predict(model) for model in models]
+    problem, m, count = data.problem, len(data.problem.joints), fit.equations.block_count
+    urdf = Model(problem.identified.before, np.zeros((m, TERMS)), np.ones(m))
+    models = urdf, friction.model, fit.model.exported()
+
+    def predicted(motions: Sequence[Motion], blocks: int) -> tuple[Regression, list[Floats]]:
+        regression = Regression(problem, motions, 0.0, blocks)
+        regression = regression.with_efforts(data.correction.apply(motions))
+        return regression, [regression.predict(model) for model in models]
+
+    regression, efforts = predicted(data.motions, count)
     training = _unseen(regression, efforts, 'the training data')
     if validation:
-        motions = [run.motion for run in validation]
-        regression = Regression(problem, motions, 0.0, 1)
-        regression.set_efforts(found.aligned(motions))
-        efforts = [regression.predict(model) for model in models]
-        return training, _unseen(regression, efforts, 'recordings that were not used for the fit')
-    friction, identified = efforts[1].copy(), efforts[2].copy()
-    for block, fold in enumerate(found.folds()):
+        text = 'recordings that were not used for the fit'
+        return training, _unseen(*predicted([run.motion for run in validation], 1), text)
+    for block in range(count):
         rows = regression.block == block
-        for values, model in zip((friction, identified), fold, strict=True):
+        folds = _friction_without(data, friction, block), fit.without(block).exported()
+        for values, model in zip(efforts[1:], folds, strict=True):
             values[rows] = regression.predict(model)[rows]
-    count = found.equations.block_count
     text = f'blocks of the recordings, each predicted from the others ({count} blocks)'
-    return training, _unseen(regression, [efforts[0], friction, identified], text)
+    return training, _unseen(regression, efforts, text)
+
+
+def _friction_without(data: TrainingData, friction: JointFit, block: int) -> Model:
+    """Fit friction without one of the blocks."""
+    rows = (data.regression.block != block) & (data.regression.block >= 0)
+    before = data.problem.identified.before
+    return fit_terms(data.regression, before, friction.used, friction.model.widths, rows)
 
 
 def _unseen(regression: Regression, efforts: Sequence[Floats], description: str) -> Unseen:
-    urdf, friction, identified = efforts
+    urdf, friction, identified = (values.copy() for values in efforts)
     return Unseen(_times(regression), regression.efforts, urdf, friction, identified, description)
-
-
-def _urdf(found: Estimator) -> Model:
-    m = len(found.problem.joints)
-    return Model(found.problem.identified.before, np.zeros((m, TERMS)), np.ones(m))
 
 
 def _times(regression: Regression) -> Floats:
@@ -186,15 +216,16 @@ def _verdict(accepted: bool, unseen: Unseen) -> str:
 
 
 def _joint(
-    found: Estimator,
+    data: TrainingData,
     j: int,
     model: Model,
     errors: dict[str, float],
+    coupled_with: tuple[str, ...],
     training: Unseen,
     unseen: Unseen,
 ) -> JointResult:
-    problem = found.problem
-    robot, joint = problem.identified.robot, problem.joints[j]
+    robot, joint = data.problem.identified.robot, data.problem.joints[j]
+    gain = float(data.correction.gains[j])
 
     def residuals(data: Unseen) -> Residuals:
         return Residuals(
@@ -205,49 +236,51 @@ def _joint(
         )
 
     values = {name: float(model.joints[j, k]) for name, k in _NAMES.items()}
-    coupled = [
-        robot.joint_names[problem.joints[int(problem.neighbours[side, j])]]
-        for side, columns in enumerate(COUPLINGS)
-        if found.used[j, columns].any() and problem.neighbours[side, j] >= 0
-    ]
     return JointResult(
         name=robot.joint_names[joint],
         is_prismatic=bool(robot.is_prismatic_joint[joint]),
         measured=float(rms(unseen.measured[:, j])),
         unseen=residuals(unseen),
         training=residuals(training),
-        noise=float(
-            abs(found.gains[j]) * np.sqrt(np.mean([run.noise[j] ** 2 for run in found.prepared]))
-        ),
+        noise=float(abs(gain) * np.sqrt(np.mean([run.noise[j] ** 2 for run in data.runs]))),
         terms=DriveTerms(width=float(model.widths[j]), errors=errors, **values),
-        unknown_because='' if found.moving[j] else _NOT_MOVED,
-        coupled_with=tuple(coupled),
-        gain=float(found.gains[j]) if problem.currents else None,
+        unknown_because='' if data.moving[j] else _NOT_MOVED,
+        coupled_with=coupled_with,
+        gain=gain if data.problem.currents else None,
     )
 
 
-def _standard_errors(found: Estimator) -> list[dict[str, float]]:
+def _coupled_with(problem: IdentificationProblem, fit: RobotFit, j: int) -> tuple[str, ...]:
+    """Return the neighbours of a joint whose motion acts on it, nearest to the base first."""
+    names = problem.identified.robot.joint_names
+    return tuple(
+        names[problem.joints[int(problem.neighbours[side, j])]]
+        for side, columns in enumerate(COUPLINGS)
+        if fit.used[j, columns].any() and problem.neighbours[side, j] >= 0
+    )
+
+
+def _standard_errors(fit: RobotFit) -> list[dict[str, float]]:
     """Return standard errors of the terms of every joint, from the curvature of the fit."""
-    solution = found.solution
-    variances = np.diagonal(np.linalg.inv(solution.hessian))
-    first = PARAMETERS * len(solution.model.bodies)
+    variances = np.diagonal(np.linalg.inv(fit.hessian))
+    first = fit.model.bodies.size
     return [
         {
-            name: float(np.sqrt(variances[np.flatnonzero(solution.unknowns == column)[0]]))
+            name: float(np.sqrt(variances[np.flatnonzero(fit.unknowns == column)[0]]))
             for name, k in _NAMES.items()
-            if (column := first + TERMS * j + k) in solution.unknowns
+            if (column := first + TERMS * j + k) in fit.unknowns
         }
-        for j in range(len(found.problem.joints))
+        for j in range(len(fit.used))
     ]
 
 
-def _friction_errors(found: Estimator) -> list[dict[str, float]]:
+def _friction_errors(data: TrainingData, friction: JointFit) -> list[dict[str, float]]:
     """Return standard errors of friction that was fitted alone."""
-    regression, model = found.regression, found.friction
+    regression, model = data.regression, friction.model
     weights = weights_of(regression.residual(model))
     terms = regression.terms(model)
     errors = []
-    for j, used in enumerate(found.friction_used):
+    for j, used in enumerate(friction.used):
         chosen = np.flatnonzero(used)
         covariance = np.linalg.pinv(weights[j] * terms[:, j][:, chosen].T @ terms[:, j][:, chosen])
         deviations = dict(zip(chosen.tolist(), np.sqrt(np.diagonal(covariance)), strict=True))
@@ -257,11 +290,11 @@ def _friction_errors(found: Estimator) -> list[dict[str, float]]:
     return errors
 
 
-def _bodies(found: Estimator) -> tuple[BodyResult, ...]:
-    identified, solution = found.problem.identified, found.solution
-    covariance = np.linalg.inv(solution.hessian)
+def _bodies(problem: IdentificationProblem, fit: RobotFit) -> tuple[BodyResult, ...]:
+    identified = problem.identified
+    covariance, data_fractions = np.linalg.inv(fit.hessian), mass_information(fit)
     results = []
-    for k, parameters in enumerate(solution.model.bodies):
+    for k, parameters in enumerate(fit.model.bodies):
         rows = slice(PARAMETERS * k, PARAMETERS * k + 4)
         own = covariance[rows, rows]
         mass, com = float(parameters[0]), parameters[1:4] / parameters[0]
@@ -278,27 +311,29 @@ def _bodies(found: Estimator) -> tuple[BodyResult, ...]:
                 com_before=before[1:4] / before[0],
                 com=com,
                 com_error=np.sqrt(np.diagonal(jacobian @ own @ jacobian.T)),
-                data_fraction=float(found.data_fraction[k]),
+                data_fraction=float(data_fractions[k]),
             )
         )
     return tuple(results)
 
 
-def _base_parameters(found: Estimator) -> tuple[tuple[str, float, float], ...]:
+def _base_parameters(
+    problem: IdentificationProblem, fit: RobotFit
+) -> tuple[tuple[str, float, float], ...]:
     """Return names, values and standard errors of the base parameters."""
-    base, solution = base_parameters(found.problem.at_random_states()), found.solution
-    first = solution.model.bodies.size
-    values = base.combinations @ solution.model.bodies.ravel()
-    covariance = np.linalg.inv(solution.hessian)[:first, :first]
+    base = base_parameters(problem.at_random_states())
+    first = fit.model.bodies.size
+    values = base.combinations @ fit.model.bodies.ravel()
+    covariance = np.linalg.inv(fit.hessian)[:first, :first]
     variances = np.einsum('ri,ij,rj->r', base.combinations, covariance, base.combinations)
-    names = base.names(found.problem.identified.names)
+    names = base.names(problem.identified.names)
     errors = np.sqrt(np.maximum(variances, 0.0))
     return tuple(zip(names, values.tolist(), errors.tolist(), strict=True))
 
 
-def _fixed(found: Estimator) -> tuple[str, ...]:
+def _fixed(problem: IdentificationProblem) -> tuple[str, ...]:
     """Return the links with mass that were not identified."""
-    identified = found.problem.identified
+    identified = problem.identified
     robot = identified.robot
     changed = {link for links in identified.links for link in links}
     return tuple(
@@ -308,8 +343,8 @@ def _fixed(found: Estimator) -> tuple[str, ...]:
     )
 
 
-def _warnings(found: Estimator) -> tuple[tuple[str, str], ...]:
-    problem = found.problem
+def _warnings(data: TrainingData, joints: Sequence[JointResult]) -> tuple[tuple[str, str], ...]:
+    problem = data.problem
     names = problem.identified.robot.joint_names
     warnings = []
     if problem.currents:
@@ -327,39 +362,37 @@ def _warnings(found: Estimator) -> tuple[tuple[str, str], ...]:
                 'move it where gravity acts on it, or with high accelerations; the median of the '
                 'other gains was used, so that its friction and armature are in unknown units',
             )
-            for joint, known in zip(problem.joints, found.gain_known, strict=True)
+            for joint, known in zip(problem.joints, data.correction.is_gain_known, strict=True)
             if not known
         ]
-    for j, joint in enumerate(problem.joints):
-        for side, columns in enumerate(COUPLINGS):
-            other = int(problem.neighbours[side, j])
-            if other >= 0 and found.used[j, columns].any():
-                warnings.append(
-                    (
-                        f'the effort of {names[joint]} depends on the motion of '
-                        f'{names[problem.joints[other]]} in a way that no link explains',
-                        'probably their drives are coupled, as in many wrists. A URDF cannot '
-                        'express that: it was fitted, so that it does not pass for masses or '
-                        'friction, and is left out of the result',
-                    )
-                )
+    warnings += [
+        (
+            f'the effort of {joint.name} depends on the motion of {other} in a way that no link '
+            'explains',
+            'probably their drives are coupled, as in many wrists. A URDF cannot express that: it '
+            'was fitted, so that it does not pass for masses or friction, and is left out of the '
+            'result',
+        )
+        for joint in joints
+        for other in joint.coupled_with
+    ]
     return tuple(warnings)
 
 
 # ---- What to record next --------------------------------------------------------------------
 
 
-def what_to_record(found: Estimator, bodies: Sequence[BodyResult]) -> tuple[str, ...]:
+def what_to_record(data: TrainingData, bodies: Sequence[BodyResult]) -> tuple[str, ...]:
     """Return suggestions for the next recording, most useful first."""
-    problem = found.problem
+    problem = data.problem
     robot = problem.identified.robot
     advice = []
-    speeds = np.max([np.quantile(np.abs(m.qd), 0.95, axis=0) for m in found.motions], axis=0)
+    speeds = np.max([np.quantile(np.abs(m.qd), 0.95, axis=0) for m in data.motions], axis=0)
     for j, joint in enumerate(problem.joints):
         name = robot.joint_names[joint]
         unit = 'm/s' if robot.is_prismatic_joint[joint] else 'rad/s'
         limit = float(robot.velocity_limits[joint])
-        if not found.moving[j]:
+        if not data.moving[j]:
             advice.append(
                 f'move {name} to and fro for 30 s: its friction is unknown, and that of the '
                 'robot description is kept'
@@ -370,11 +403,10 @@ def what_to_record(found: Estimator, bodies: Sequence[BodyResult]) -> tuple[str,
                 f'record 30 s more of {name} at up to {goal:.2g} {unit}: it was faster than '
                 f'{speeds[joint]:.2g} {unit} for a twentieth of the time only'
             )
-    duration = sum(float(np.ptp(motion.times)) for motion in found.motions)
-    if duration < SHORT:
-        advice.append(f'record at least 30 s: these recordings last {duration:.3g} s')
+    if data.duration < SHORT:
+        advice.append(f'record at least 30 s: these recordings last {data.duration:.3g} s')
     unknown = [
-        body for body in bodies if body.data_fraction < LITTLE and not _is_first(found, body)
+        body for body in bodies if body.data_fraction < LITTLE and not _is_first(robot, body)
     ]
     if unknown:
         names = ', '.join(body.link for body in unknown[:3])
@@ -386,8 +418,7 @@ def what_to_record(found: Estimator, bodies: Sequence[BodyResult]) -> tuple[str,
     return tuple(advice[:MOST_ADVICE])
 
 
-def _is_first(found: Estimator, body: BodyResult) -> bool:
+def _is_first(robot: RobotModel, body: BodyResult) -> bool:
     """Return whether a joint of the base moves a body, so that its mass may have no effect."""
-    robot = found.problem.identified.robot
     number = int(robot.link_body[robot.link_index(body.link)])
     return int(robot.parent[number]) == 0

@@ -1,20 +1,31 @@
 """
-Fits bodies and joints together.
+Fits bodies and joints together: least squares over bodies that remain physical.
 
+The sum of squares has the entropic divergence of every body P from that of the robot description,
+P0, added: ``tr(P0^-1 P) - log det P`` [1]_. It is convex, finite only inside physics, and does not
+depend on units or frames. Friction and armature are kept positive by the same divergence of single
+numbers. The whole is self-concordant, so that Newton's method converges from anywhere inside.
 Blocked cross-validation chooses how closely the bodies follow the robot description.
+
+References
+----------
+.. [1] T. Lee, P. M. Wensing, F. C. Park, "Geometric robot dynamic identification: a convex
+   programming approach", IEEE Transactions on Robotics 36(2), 2020.
+
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from ...robot.model import Booleans, Floats, Integers
-from ...robot.pseudo_inertia import PARAMETERS
-from .drive_terms import SIGNED
-from .regression import LOAD, Model, moved_by, Regression, TERMS
-from .solver import minimise, Prior
+from ...robot.rigid_body import BASIS, PARAMETERS, pseudo_inertias
+from .problem import moved_by
+from .regression import LOAD, Model, Regression, SIGNED, TERMS
 
 URDF_WEIGHTS = tuple(10.0 ** np.arange(4.0, -0.1, -0.5))
 """
@@ -27,17 +38,32 @@ EXPECTED_ERROR = 0.3
 ENOUGH = 0.9
 """A mass may be more than twice that of the description if the recording determines it so well."""
 MOST_GROWTH = 2.0
+_MOST_STEPS = 200
+_DECREMENT = 1e-8
+"""Predicted decrease of the objective below which the minimum has been found."""
+_TO_EDGE = 0.95
+"""Largest fraction of the way to the edge of physics in one step."""
 
 
-class Solution(NamedTuple):
-    """Minimum of the regularised least squares."""
+class RobotFit(NamedTuple):
+    """Bodies and joints that minimise the regularised least squares."""
 
+    equations: Equations
+    weights: Floats
+    """Weights of the joints, shape (m,)."""
+    used: Booleans
+    """Terms of the joints that were fitted, shape (m, 13)."""
     model: Model
     unknowns: Integers
     """Indices of the unknowns: ten for each body, then thirteen for each joint."""
     hessian: Floats
     """Inverse of the covariance of the unknowns."""
     prior: Prior
+
+    def without(self, block: int) -> Model:
+        """Return the model fitted in the same way without one of the blocks."""
+        prior = self.prior.weights
+        return solve(self.equations, self.weights, prior, self.used, self.model, block).model
 
 
 def correlation(residual: Floats) -> float:
@@ -52,6 +78,13 @@ def correlation(residual: Floats) -> float:
     below = np.flatnonzero(products < 0.05)
     end = int(below[0]) if len(below) else max(1, count // 10)
     return float(max(1.0, 1.0 + 2.0 * products[1:end].sum()))
+
+
+def weights_of(residual: Floats) -> Floats:
+    """Return the weights of the joints: inverse variances, for dependent samples."""
+    squares = np.mean(residual**2, axis=0)
+    dependent = np.array([correlation(column) for column in residual.T])
+    return np.asarray(1.0 / (np.maximum(squares, 1e-6 * squares.max() + 1e-12) * dependent))
 
 
 class Equations:
@@ -111,7 +144,7 @@ def solve(
     used: Booleans,
     start: Model,
     without: int | None = None,
-) -> Solution:
+) -> RobotFit:
     """
     Minimise the weighted squares plus the divergence from the robot description.
 
@@ -150,7 +183,7 @@ def solve(
     joints = np.zeros(used.size)
     joints[terms] = x[count:]
     model = Model(x[:count].reshape(-1, PARAMETERS), joints.reshape(used.shape), start.widths)
-    return Solution(model, unknowns, hessian, prior)
+    return RobotFit(equations, weights, used, model, unknowns, hessian, prior)
 
 
 class Trial(NamedTuple):
@@ -161,9 +194,15 @@ class Trial(NamedTuple):
     """Weighted squares of blocks that the fit has not seen, shape (blocks,)."""
 
 
-def choose_urdf_weight(
-    equations: Equations, weights: Floats, used: Booleans, start: Model
-) -> tuple[float, list[Trial]]:
+class UrdfWeight(NamedTuple):
+    """The chosen weight of the robot description."""
+
+    value: float
+    trials: tuple[Trial, ...]
+    """All weights that were tried."""
+
+
+def choose_urdf_weight(fit: RobotFit) -> UrdfWeight:
     """
     Return the strongest weight whose prediction is not clearly worse than the best one.
 
@@ -171,66 +210,191 @@ def choose_urdf_weight(
     error of the differences between the blocks.
 
     """
+    equations, weights, used = fit.equations, fit.weights, fit.used
     trials = []
-    models = [start] * equations.block_count
-    bodies = len(start.bodies)
+    models = [fit.model] * equations.block_count
+    bodies = len(fit.model.bodies)
     for urdf_weight in URDF_WEIGHTS:
         losses = []
         for k in range(equations.block_count):
-            solution = solve(equations, weights, np.full(bodies, urdf_weight), used, models[k], k)
-            models[k] = solution.model
-            losses.append(float(weights @ equations.squares(solution.model, k)))
+            own = np.full(bodies, urdf_weight)
+            models[k] = solve(equations, weights, own, used, models[k], k).model
+            losses.append(float(weights @ equations.squares(models[k], k)))
         trials.append(Trial(float(urdf_weight), np.array(losses)))
     best = min(trials, key=lambda trial: trial.losses.sum())
     for trial in trials:
         excess = trial.losses - best.losses
         error = np.sqrt(len(excess)) * excess.std(ddof=1) if len(excess) > 1 else 0.0
         if excess.sum() <= min(error, 0.05 * best.losses.sum()):
-            return trial.urdf_weight, trials
-    return best.urdf_weight, trials
+            return UrdfWeight(trial.urdf_weight, tuple(trials))
+    return UrdfWeight(best.urdf_weight, tuple(trials))
 
 
 def solve_within_reason(
     equations: Equations, weights: Floats, urdf_weight: float, used: Booleans, start: Model
-) -> tuple[Solution, Floats]:
-    """
-    Solve, and hold masses that grow although the recording does not determine them.
-
-    Returns
-    -------
-    solution : Solution
-        Without such masses.
-    data_fraction : ndarray, shape (b,)
-        Fraction of the information about the mass of each body that comes from the recording.
-
-    """
+) -> RobotFit:
+    """Solve, and hold masses that grow although the recording does not determine them."""
     before = equations.regression.problem.identified.before[:, 0]
     urdf_weights = np.full(len(before), urdf_weight)
     for _ in range(40):
-        solution = solve(equations, weights, urdf_weights, used, start)
-        data_fraction = mass_information(solution)
-        growing = solution.model.bodies[:, 0] > 0.99 * MOST_GROWTH * before
-        held = growing & (data_fraction <= ENOUGH)
+        fit = solve(equations, weights, urdf_weights, used, start)
+        growing = fit.model.bodies[:, 0] > 0.99 * MOST_GROWTH * before
+        held = growing & (mass_information(fit) <= ENOUGH)
         if not held.any():
             break
         urdf_weights = np.where(held, 2.0 * urdf_weights, urdf_weights)
-        start = solution.model
-    return solution, data_fraction
+        start = fit.model
+    return fit
 
 
-def mass_information(solution: Solution) -> Floats:
+def mass_information(fit: RobotFit) -> Floats:
     """
-    Return the fraction of information about each mass that comes from the data.
+    Return the fraction of information about each mass that comes from the recordings, shape (b,).
 
     The rest is a mass of the robot description with its expected error. So the fraction does not
     depend on the weight of the description in the fit.
 
     """
-    count = len(solution.model.bodies)
-    variances = np.diagonal(np.linalg.inv(solution.hessian))[: 10 * count : 10]
+    count = len(fit.model.bodies)
+    variances = np.diagonal(np.linalg.inv(fit.hessian))[: 10 * count : 10]
     # The divergence alone determines a mass with the relative standard error 1 / sqrt(gamma).
     total = 1.0 / np.maximum(variances, 1e-300)
-    own = solution.prior.weights / solution.model.bodies[:, 0] ** 2
+    own = fit.prior.weights / fit.model.bodies[:, 0] ** 2
     measured = np.maximum(total - own, 0.0)
-    expected = 1.0 / (EXPECTED_ERROR * solution.prior.bodies[:, 0]) ** 2
+    expected = 1.0 / (EXPECTED_ERROR * fit.prior.bodies[:, 0]) ** 2
     return np.asarray(measured / (measured + expected))
+
+
+# ---- The solver ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """References of the unknowns; bodies come first, ten unknowns each."""
+
+    bodies: Floats
+    """Reference parameters of the bodies, shape (b, 10)."""
+    weights: Floats
+    """Weight of the divergence of each body, shape (b,)."""
+    positive: Integers
+    """Indices of the unknowns that are positive numbers, shape (s,)."""
+    scales: Floats
+    """References of these, shape (s,)."""
+    positive_weights: Floats
+    """Weight of the divergence of each of these, shape (s,)."""
+
+    def value(self, x: Floats) -> float:
+        """Return the divergence, infinite outside physics."""
+        matrices = pseudo_inertias(self._bodies(x))
+        numbers = x[self.positive]
+        if not (numbers > 0.0).all():
+            return np.inf
+        try:
+            factors = np.linalg.cholesky(matrices)
+        except np.linalg.LinAlgError:
+            return np.inf
+        log_det = 2.0 * np.log(np.diagonal(factors, axis1=1, axis2=2)).sum(axis=1)
+        linear = np.einsum('bk,bk->b', self._pull, self._bodies(x))
+        scalars = numbers / self.scales - np.log(numbers)
+        return float(self.weights @ (linear - log_det) + self.positive_weights @ scalars)
+
+    def derivatives(self, x: Floats) -> tuple[Floats, Floats]:
+        """Return gradient and Hessian of the divergence, shapes (p,) and (p, p)."""
+        gradient, hessian = np.zeros(len(x)), np.zeros((len(x), len(x)))
+        count = len(self.bodies)
+        inverses = np.linalg.inv(pseudo_inertias(self._bodies(x)))
+        products = np.einsum('bij,kjl->bkil', inverses, BASIS)
+        traces = np.trace(products, axis1=2, axis2=3)
+        blocks = np.einsum('bkij,blji->bkl', products, products) * self.weights[:, None, None]
+        gradient[: PARAMETERS * count] = (self.weights[:, None] * (self._pull - traces)).ravel()
+        for b in range(count):
+            rows = slice(PARAMETERS * b, PARAMETERS * (b + 1))
+            hessian[rows, rows] = blocks[b]
+        numbers = x[self.positive]
+        gradient[self.positive] = self.positive_weights * (1.0 / self.scales - 1.0 / numbers)
+        hessian[self.positive, self.positive] = self.positive_weights / numbers**2
+        return gradient, hessian
+
+    def longest_step(self, x: Floats, step: Floats) -> float:
+        """Return the multiple of a step that reaches the edge of physics; at most 1."""
+        longest = 1.0
+        numbers, change = x[self.positive], step[self.positive]
+        if (change < 0.0).any():
+            falling = change < 0.0
+            longest = _TO_EDGE * float(np.min(numbers[falling] / -change[falling]))
+            longest = min(longest, 1.0)
+        if len(self.bodies):
+            inverse = np.linalg.inv(np.linalg.cholesky(pseudo_inertias(self._bodies(x))))
+            change = inverse @ pseudo_inertias(self._bodies(step)) @ inverse.transpose(0, 2, 1)
+            least = float(np.linalg.eigvalsh(change).min())
+            if least < 0.0:
+                longest = min(longest, _TO_EDGE / -least)
+        return longest
+
+    def _bodies(self, x: Floats) -> Floats:
+        return x[: self.bodies.size].reshape(-1, PARAMETERS)
+
+    @cached_property
+    def _pull(self) -> Floats:
+        """Return the derivatives of ``tr(P0^-1 P)``, shape (b, 10)."""
+        inverses = np.linalg.inv(pseudo_inertias(self.bodies))
+        return np.asarray(np.einsum('bij,kji->bk', inverses, BASIS))
+
+
+def minimise(matrix: Floats, vector: Floats, prior: Prior, start: Floats) -> tuple[Floats, Floats]:
+    """
+    Minimise ``x^T A x / 2 - b^T x`` plus the divergence.
+
+    Parameters
+    ----------
+    matrix, vector : ndarray, shapes (p, p) and (p,)
+        A and b of the normal equations.
+    prior : Prior
+        The divergence.
+    start : ndarray, shape (p,)
+        Inside physics.
+
+    Returns
+    -------
+    x : ndarray, shape (p,)
+        The minimum.
+    hessian : ndarray, shape (p, p)
+        Second derivatives there; the inverse of the covariance.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the data determine too little.
+
+    """
+    from scipy.linalg import cho_factor, cho_solve
+
+    x = start.copy()
+    value = _value(matrix, vector, prior, x)
+    hessian = matrix
+    for _ in range(_MOST_STEPS):
+        gradient, hessian = prior.derivatives(x)
+        gradient += matrix @ x - vector
+        hessian += matrix
+        if not (np.isfinite(hessian).all() and (np.diagonal(hessian) > 0.0).all()):
+            raise np.linalg.LinAlgError('a parameter has no influence on the efforts')
+        size = 1.0 / np.sqrt(np.diagonal(hessian))
+        factor = cho_factor(hessian * np.outer(size, size) + 1e-14 * np.eye(len(x)))
+        step = -size * cho_solve(factor, size * gradient)
+        decrement = -float(gradient @ step)
+        if decrement < _DECREMENT:
+            break
+        length = prior.longest_step(x, step)
+        while length > 1e-6:
+            trial = _value(matrix, vector, prior, x + length * step)
+            if trial <= value - 1e-4 * length * decrement + 1e-14 * abs(value):
+                break
+            length *= 0.5
+        else:
+            break  # rounding errors: there is no better point
+        x, value = x + length * step, trial
+    return x, hessian
+
+
+def _value(matrix: Floats, vector: Floats, prior: Prior, x: Floats) -> float:
+    return 0.5 * float(x @ matrix @ x) - float(vector @ x) + prior.value(x)

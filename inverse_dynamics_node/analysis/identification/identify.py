@@ -1,4 +1,9 @@
-"""Identifies a robot from recordings: prepare them, fit, and evaluate the fit on unseen data."""
+"""
+Identifies a robot from recordings.
+
+`identify_parameters` lists the steps of the method; those that fit follow it. Every step returns a
+record of its own, which later steps read.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +11,31 @@ from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 
-from ...dynamics.loaded_robot import STANDARD_GRAVITY
+from ...dynamics.inverse_dynamics import STANDARD_GRAVITY
 from ...errors import RecordingError
 from ...robot.model import Floats, RobotModel
-from ..recordings.recording import Recording
-from .estimator import Estimator, GOOD_RECORDINGS
+from ..recordings.signals import Recording
+from .drives import choose_terms, Delay, estimate_delay, first_gains, JointFit
 from .evaluation import evaluate
-from .identified_bodies import identified_bodies
-from .preparation import measured_joints, prepare_all
-from .regression import IdentificationProblem
+from .fit import choose_urdf_weight, Equations, RobotFit, solve, solve_within_reason, weights_of
+from .preparation import (
+    GOOD_RECORDINGS,
+    measured_joints,
+    prepare_all,
+    training_data,
+    TrainingData,
+)
+from .problem import IdentificationProblem, identified_bodies
+from .regression import GAIN, WIDTH
 from .result import IdentificationResult
+
+ROUNDS = 3
+WIDTH_ROUNDS = 4
+DELAY_ROUNDS = 3
+GAIN_ROUNDS = 5
+LEAST_DELAY = 2e-4
+"""Delay that is not worth removing [s]."""
+FIRST_URDF_WEIGHT = 1.0
 
 
 def identify_parameters(
@@ -64,18 +84,121 @@ def identify_parameters(
 
     """
     joints = measured_joints(robot, [*recordings, *validation])
-    identified = identified_bodies(robot, fixed)
-    problem = IdentificationProblem(
-        identified, joints, np.array(gravity, dtype=float), payload, currents
-    )
-    every = prepare_all(robot, [*recordings, *validation], joints)
-    prepared, unseen = every[: len(recordings)], every[len(recordings) :]
+    bodies = identified_bodies(robot, fixed)
+    gravity = np.array(gravity, dtype=float)
+    problem = IdentificationProblem(bodies, joints, gravity, payload, currents)
+    runs = prepare_all(robot, [*recordings, *validation], joints)
+    training, unseen = runs[: len(recordings)], runs[len(recordings) :]
     progress(0.1)
     try:
-        found = Estimator(problem, prepared, progress)
-        return evaluate(found, unseen)
+        data = training_data(problem, training)
+        if currents:
+            data = with_first_gains(data)
+        progress(0.2)
+        fit = fit_in_turn(data, bodies.reference, np.full(len(bodies.bodies), FIRST_URDF_WEIGHT))
+        data, fit, delay = remove_delay(data, fit)
+        if currents:
+            data, fit = fit_gains(data, fit)
+        progress(0.6)
+        fit = fit._replace(weights=weights_of(data.regression.residual(fit.model)))
+        urdf_weight = choose_urdf_weight(fit)
+        progress(0.9)
+        fit = fit_with_widths(data, fit, urdf_weight.value)
+        friction = fit_friction(data)
+        return evaluate(data, fit, friction, delay, urdf_weight, unseen)
     except np.linalg.LinAlgError as error:
         raise RecordingError(
             f'the recordings determine too little: the fit has no solution ({error}); '
             f'{GOOD_RECORDINGS}'
         ) from None
+
+
+def with_first_gains(data: TrainingData) -> TrainingData:
+    """Scale currents by gains that agree with the masses of the robot description."""
+    before = data.problem.identified.before
+    gains, known = first_gains(data.regression, before, data.widths[3], data.moving)
+    return data.corrected(data.correction._replace(gains=gains, is_gain_known=known))
+
+
+def fit_friction(data: TrainingData) -> JointFit:
+    """Fit friction alone to what the robot description leaves."""
+    before = data.problem.identified.before
+    return choose_terms(data.regression, before, data.moving, data.widths, optional=False)
+
+
+def fit_in_turn(
+    data: TrainingData, bodies: Floats, urdf_weights: Floats, rounds: int = ROUNDS
+) -> RobotFit:
+    """Choose terms, and fit them together with the bodies, with weights from the residuals."""
+    for _ in range(rounds):
+        start, used = choose_terms(data.regression, bodies, data.moving, data.widths)
+        weights = weights_of(data.regression.residual(start))
+        fit = solve(Equations(data.regression, start), weights, urdf_weights, used, start)
+        bodies = fit.model.bodies
+    return fit
+
+
+def remove_delay(data: TrainingData, fit: RobotFit) -> tuple[TrainingData, RobotFit, Delay]:
+    """Shift the efforts by their delay, if that improves the fit."""
+    delay = Delay(0.0, 0.0)
+    for _ in range(DELAY_ROUNDS):
+        removed = data.correction.delay
+        more = estimate_delay(data.regression, fit)
+        delay = Delay(removed + more.seconds, more.error)
+        if abs(more.seconds) < max(2.0 * more.error, LEAST_DELAY):
+            break
+        weights, before = fit.weights, _loss(data, fit, fit.weights)
+        data, fit = _shift(data, fit, delay.seconds)
+        if _loss(data, fit, weights) > before:
+            data, fit = _shift(data, fit, removed)
+            delay = Delay(removed, more.error)
+            break
+    return data, fit, delay
+
+
+def _shift(data: TrainingData, fit: RobotFit, delay: float) -> tuple[TrainingData, RobotFit]:
+    data = data.corrected(data.correction._replace(delay=delay))
+    return data, fit_in_turn(data, fit.model.bodies, fit.prior.weights, 2)
+
+
+def _loss(data: TrainingData, fit: RobotFit, weights: Floats) -> float:
+    return float((weights * data.regression.residual(fit.model) ** 2).sum())
+
+
+def fit_gains(data: TrainingData, fit: RobotFit) -> tuple[TrainingData, RobotFit]:
+    """Fit gains with everything else, to first order."""
+    known, used = data.correction.is_gain_known, fit.used
+    with_gains = used.copy()
+    with_gains[:, GAIN] = known
+    for _ in range(GAIN_ROUNDS):
+        equations = Equations(data.regression, fit.model)
+        fit = solve(equations, fit.weights, fit.prior.weights, with_gains, fit.model)
+        change = 1.0 + np.clip(fit.model.joints[:, GAIN], -0.3, 0.3)
+        common = _common_factor(data, change)
+        gains = data.correction.gains * (np.where(known, change, 1.0) * common)
+        data = data.corrected(data.correction._replace(gains=gains))
+        fit = fit._replace(model=fit.model.scaled(common), weights=fit.weights / common**2)
+    return data, fit._replace(used=used)
+
+
+def _common_factor(data: TrainingData, change: Floats) -> float:
+    """Return the factor that keeps the mean of the gains, unless a mass is known."""
+    problem, known = data.problem, data.correction.is_gain_known
+    fixed = problem.identified.fixed_robot()
+    if problem.payload is not None or fixed.mass[1:].any() or not known.any():
+        return 1.0
+    return float(np.exp(-np.mean(np.log(change[known]))))
+
+
+def fit_with_widths(data: TrainingData, fit: RobotFit, urdf_weight: float) -> RobotFit:
+    """Fit with the chosen weight of the robot description, and fit the widths of friction."""
+    bodies = fit.model.bodies
+    fit = fit_in_turn(data, bodies, np.full(len(bodies), urdf_weight), 2)
+    # The widths of friction are fitted with everything else, to first order.
+    used = fit.used.copy()
+    used[:, WIDTH] = data.moving
+    for _ in range(WIDTH_ROUNDS):
+        equations = Equations(data.regression, fit.model)
+        fit = solve_within_reason(equations, fit.weights, urdf_weight, used, fit.model)
+        fit = fit._replace(model=fit.model.with_fitted_widths())
+    return fit

@@ -1,17 +1,20 @@
-"""Recordings as uniform motions of the whole robot."""
+"""Recordings as uniform motions of the whole robot, and as rows of a regression."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from ...errors import RecordingError
-from ...robot.model import Floats, RobotModel
-from ..recordings.recording import Recording
+from ...robot.model import Booleans, Floats, RobotModel
 from ..recordings.resampling import pieces
-from ..recordings.signals import derive, Motion
+from ..recordings.signals import derive, Motion, Recording
+from .drives import EffortCorrection, widths_to_try
+from .problem import IdentificationProblem
+from .regression import Regression
 
 HIGHEST_RATE = 250.0
 """Samples per second that are kept; the smoothed motions contain nothing faster."""
@@ -21,6 +24,19 @@ CLEAN = 0.05
 """Noise of an acceleration, as a fraction of its RMS, that does no harm."""
 LEAST_RANGE = 0.02
 """Range of positions below which a joint is not looked at [rad or m]."""
+SMOOTHING_RANGE = (0.1, 0.6)
+"""Shortest and longest smoothing window of the fit [s]."""
+BLOCKS = 8
+LEAST_DURATION = 3.0
+"""Duration of the smoothed recordings below which nothing is identified [s]."""
+LEAST_TRAVEL = {False: 0.02, True: 0.002}
+"""Travel of a joint below which its friction is unknown [rad], prismatic [m]."""
+LEAST_RETURN = 0.1
+"""Fraction of the travel that has to go in the other direction."""
+GOOD_RECORDINGS = (
+    'record all joints moving at the same time, slowly and fast, for 30 s or more; '
+    '`inverse_dynamics excite` plans such a motion'
+)
 
 
 class PreparedRecording(NamedTuple):
@@ -126,40 +142,18 @@ def _rms(values: Floats) -> Floats:
 def _prepare(
     robot: RobotModel, recording: Recording, joints: Sequence[int], stretch: float
 ) -> PreparedRecording:
-    """
-    Smooth a recording and derive velocities and accelerations.
-
-    Parameters
-    ----------
-    robot : RobotModel
-        Robot with n joints; those that were not recorded are assumed to rest at zero.
-    recording : Recording
-        The recording.
-    joints : sequence of int
-        Joints whose efforts are used, m of them.
-    stretch : float
-        Factor of the length of the smoothing window.
-
-    """
+    """Return the motion of the whole robot; joints that were not recorded rest at zero."""
     derived = derive(recording, stretch)
-    n, K = len(robot.joint_names), len(derived.times)
-    q, qd, qdd, efforts = np.zeros((4, K, n))
-    index = [robot.joint_names.index(name) for name in derived.joint_names]
-    q[:, index], qd[:, index], qdd[:, index] = derived.q, derived.qd, derived.qdd
-    efforts[:, index] = derived.efforts
-    period = derived.period
-    step = max(1, int(1.0 / (period * HIGHEST_RATE) + 1e-9))
+    step = max(1, int(1.0 / (derived.period * HIGHEST_RATE) + 1e-9))
     chosen = np.concatenate([np.arange(a, b, step) for a, b in pieces(derived.times)])
-    motion = Motion(
-        derived.times[chosen],
-        q[chosen],
-        qd[chosen],
-        qdd[chosen],
-        efforts[chosen][:, list(joints)],
-        2 * (derived.window // (2 * step)) + 1,
-        derived.degree,
-    )
+    q, qd, qdd = np.zeros((3, len(chosen), len(robot.joint_names)))
+    index = [robot.joint_names.index(name) for name in derived.joint_names]
+    q[:, index], qd[:, index] = derived.q[chosen], derived.qd[chosen]
+    qdd[:, index] = derived.qdd[chosen]
     columns = [derived.joint_names.index(robot.joint_names[i]) for i in joints]
+    efforts = derived.efforts[chosen][:, columns]
+    window = 2 * (derived.window // (2 * step)) + 1
+    motion = Motion(derived.times[chosen], q, qd, qdd, efforts, window, derived.degree)
     return PreparedRecording(motion, derived.effort_noise[columns], derived)
 
 
@@ -171,3 +165,94 @@ def _without_turns(robot: RobotModel, recording: Recording) -> Recording:
             is_known = np.isfinite(positions[:, j])
             positions[is_known, j] = np.unwrap(positions[is_known, j])
     return recording._replace(positions=positions)
+
+
+# ---- Rows of a regression ------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingData:
+    """The recordings to fit."""
+
+    problem: IdentificationProblem
+    runs: Sequence[PreparedRecording]
+    duration: float
+    """Of all recordings [s]."""
+    moving: Booleans
+    """Which of the m joints moved so that their friction can be identified."""
+    widths: Floats
+    """Widths of Coulomb friction to try, shape (w, m) [rad/s or m/s]."""
+    correction: EffortCorrection
+    regression: Regression
+    """The smoothed rows, with corrected efforts."""
+
+    @property
+    def motions(self) -> list[Motion]:
+        """The motions of the recordings."""
+        return [run.motion for run in self.runs]
+
+    def corrected(self, correction: EffortCorrection) -> TrainingData:
+        """Return the data with another correction of the efforts."""
+        regression = self.regression.with_efforts(correction.apply(self.motions))
+        return replace(self, correction=correction, regression=regression)
+
+
+def training_data(
+    problem: IdentificationProblem, runs: Sequence[PreparedRecording]
+) -> TrainingData:
+    """
+    Collect the rows of the recordings to fit.
+
+    Raises
+    ------
+    RecordingError
+        If the recordings are too short.
+
+    """
+    motions = [run.motion for run in runs]
+    moving = _moving_joints(problem, motions)
+    duration = sum(float(np.ptp(motion.times)) for motion in motions)
+    seconds = _smoothing_window(problem, motions, moving, duration)
+    regression = Regression(problem, motions, seconds, BLOCKS)
+    if duration < LEAST_DURATION or not len(regression.efforts):
+        raise RecordingError(
+            f'after smoothing, the recordings last {duration:.2g} s, expected at least '
+            f'{LEAST_DURATION:g} s in a row; {GOOD_RECORDINGS}'
+        )
+    m = len(problem.joints)
+    return TrainingData(
+        problem,
+        runs,
+        duration,
+        moving,
+        widths_to_try(np.quantile(np.abs(regression.qd), 0.95, axis=0)),
+        EffortCorrection(0.0, np.ones(m), np.zeros(m, dtype=bool)),
+        regression,
+    )
+
+
+def _smoothing_window(
+    problem: IdentificationProblem, motions: Sequence[Motion], moving: Booleans, duration: float
+) -> float:
+    """Choose a window that leaves the motion as it is: fast robots need a short one."""
+    ratios = []
+    for motion in motions:
+        for joint, moves in zip(problem.joints, moving, strict=True):
+            if moves:
+                qdd = max(float(_rms(motion.qdd[:, joint])), 1e-9)
+                ratios.append(float(_rms(motion.qd[:, joint])) / qdd)
+    typical = 0.7 * float(np.quantile(ratios, 0.25)) if ratios else np.inf
+    return float(np.clip(min(typical, duration / 40.0), *SMOOTHING_RANGE))
+
+
+def _moving_joints(problem: IdentificationProblem, motions: Sequence[Motion]) -> Booleans:
+    """Return which joints moved so that their friction can be identified."""
+    forth = np.zeros(len(problem.joints))
+    back = np.zeros(len(problem.joints))
+    for motion in motions:
+        steps = np.diff(motion.q[:, problem.joints], axis=0)
+        forth += np.maximum(steps, 0.0).sum(axis=0)
+        back -= np.minimum(steps, 0.0).sum(axis=0)
+    slides = problem.identified.robot.is_prismatic_joint[problem.joints]
+    least = np.where(slides, LEAST_TRAVEL[True], LEAST_TRAVEL[False])
+    return np.asarray(np.minimum(forth, back) > np.maximum(least, LEAST_RETURN * (forth + back)))

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from ...dynamics.inverse_dynamics import InverseDynamics
-from ...robot.model import Floats, Integers, RobotModel
-from ..columns import body_columns
+from ...robot.model import Floats, Integers
+from ..columns import direction_of
 from ..recordings.resampling import resampler
 from ..recordings.signals import Motion
-from .identified_bodies import IdentifiedBodies
+from .problem import IdentificationProblem
 
 ARMATURE, DAMPING, COULOMB, LOAD, OFFSET = range(5)
 EXPORTED = 5
@@ -24,9 +24,10 @@ WIDTH = 11
 """Effect of a small change of the width of Coulomb friction."""
 GAIN = 12
 """Effect of a small change of the gain of currents."""
-RANDOM_STATES = 60
 TERMS = 13
 """Columns of each joint besides those of the bodies."""
+SIGNED = ~np.isin(np.arange(TERMS), [ARMATURE, DAMPING, COULOMB, LOAD])
+"""Which of them may have negative factors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,9 +49,10 @@ class Model:
         return Model(self.bodies, joints, self.widths + change)
 
     def scaled(self, factor: float) -> Model:
-        """Return the model with all efforts multiplied by a factor."""
+        """Return the model with all efforts multiplied by a factor, and gains that fit."""
         joints = factor * self.joints
         joints[:, LOAD] /= factor
+        joints[:, GAIN] = 0.0
         return Model(factor * self.bodies, joints, self.widths)
 
     def exported(self) -> Model:
@@ -58,69 +60,6 @@ class Model:
         joints = self.joints.copy()
         joints[:, EXPORTED:] = 0.0
         return Model(self.bodies, joints, self.widths)
-
-
-class IdentificationProblem:
-    """
-    A robot in its surroundings, and the choice of what is identified.
-
-    Parameters
-    ----------
-    identified : IdentifiedBodies
-        Bodies to identify.
-    joints : sequence of int
-        Joints with measured efforts, m of them.
-    gravity : ndarray, shape (3,)
-        Free-fall acceleration in the base frame [m/s^2].
-    payload : tuple of link, mass and centre of mass, optional
-        Known payload.
-    currents : bool
-        Whether efforts were recorded as currents.
-
-    """
-
-    def __init__(
-        self,
-        identified: IdentifiedBodies,
-        joints: Sequence[int],
-        gravity: Floats,
-        payload: tuple[str, float, Sequence[float]] | None = None,
-        currents: bool = False,
-    ) -> None:
-        self.identified, self.joints = identified, list(joints)
-        self.gravity, self.payload, self.currents = gravity, payload, currents
-        self.neighbours = neighbours(identified.robot, self.joints)
-
-    def dynamics(self, robot: RobotModel) -> InverseDynamics:
-        """Return the dynamics of a robot with the payload, without friction."""
-        dynamics = InverseDynamics(robot, self.gravity)
-        if self.payload is not None:
-            dynamics.set_payload(*self.payload)
-        dynamics.set_friction(0.0, 0.0)
-        return dynamics
-
-    def efforts(self, robot: RobotModel, motion: Motion) -> Floats:
-        """Return efforts without friction and armature, shape (K, m)."""
-        efforts = self.dynamics(robot).efforts(motion.q, motion.qd, motion.qdd)
-        return efforts[:, self.joints]
-
-    def columns(self, motion: Motion) -> Floats:
-        """Return the columns of the identified bodies, shape (K, m, 10 b)."""
-        states = motion.q, motion.qd, motion.qdd
-        dynamics = self.dynamics(self.identified.robot)
-        return body_columns(dynamics, states, self.identified.bodies)[:, self.joints]
-
-    def at_random_states(self) -> Floats:
-        """Return the columns of the identified bodies at random states, shape (K m, 10 b)."""
-        robot = self.identified.robot
-        rng, n = np.random.default_rng(0), len(robot.joint_names)
-        states = rng.uniform(-1.0, 1.0, (3, RANDOM_STATES, n))
-        states *= np.array([np.pi, 3.0, 10.0])[:, None, None]
-        states[0][:, robot.is_prismatic_joint] *= 0.2
-        q, qd, qdd = states
-        columns = body_columns(self.dynamics(robot), (q, qd, qdd), self.identified.bodies)
-        table = columns[:, self.joints].reshape(-1, columns.shape[2])
-        return np.asarray(table / np.sqrt(np.mean(table**2)))
 
 
 class Regression:
@@ -161,12 +100,14 @@ class Regression:
         joints = problem.joints
         self.qdd = self._smooth([motion.qdd[:, joints] for motion in motions])
         self.qd = self._smooth([motion.qd[:, joints] for motion in motions])
-        self.set_efforts([motion.efforts for motion in motions])
+        self.efforts = self._smooth([motion.efforts for motion in motions])
         self.block = self._blocks(block_count)
 
-    def set_efforts(self, efforts: Sequence[Floats]) -> None:
-        """Set the measured efforts of every motion, each of shape (K, m)."""
-        self.efforts = self._smooth(efforts)
+    def with_efforts(self, efforts: Sequence[Floats]) -> Regression:
+        """Return the regression with other measured efforts of every motion, (K, m) each."""
+        other = copy(self)
+        other.efforts = self._smooth(efforts)
+        return other
 
     @cached_property
     def bodies(self) -> Floats:
@@ -190,7 +131,7 @@ class Regression:
         """Return the directions of Coulomb friction, shape (R, m)."""
         joints = self.problem.joints
         return self._smooth_discontinuous(
-            [np.tanh(m.qd[:, joints] / widths) for m in self.motions]
+            [direction_of(m.qd[:, joints], widths) for m in self.motions]
         )
 
     def terms(self, model: Model) -> Floats:
@@ -260,35 +201,3 @@ class Regression:
             numbers.append(np.where(is_border, -1, first + block))
             first += own
         return np.concatenate(numbers)
-
-
-def neighbours(robot: RobotModel, joints: Sequence[int]) -> Integers:
-    """
-    Return the joints next to each joint in a chain.
-
-    Returns
-    -------
-    neighbours : ndarray, shape (2, m)
-        Positions in the list of the joint nearer to the base and of the one nearer to the tip;
-        -1 if there is none, or more than one.
-
-    """
-    body_of = {int(robot.joint_index[b]): b for b in range(len(robot.parent) - 1, 0, -1)}
-    found = np.full((2, len(joints)), -1)
-    children = np.zeros(len(joints), dtype=int)
-    for k, joint in enumerate(joints):
-        parent = int(robot.joint_index[robot.parent[body_of[joint]]])
-        if parent in joints:
-            before = list(joints).index(parent)
-            found[0, k], found[1, before] = before, k
-            children[before] += 1
-    found[1, children != 1] = -1
-    return found
-
-
-def moved_by(robot: RobotModel, joint: int, bodies: Sequence[int]) -> list[int]:
-    """Return which of the bodies a joint moves."""
-    moved = np.zeros(len(robot.parent), dtype=bool)
-    for body in range(1, len(moved)):
-        moved[body] = moved[robot.parent[body]] or robot.joint_index[body] == joint
-    return [k for k, body in enumerate(bodies) if moved[body]]

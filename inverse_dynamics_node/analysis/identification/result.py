@@ -1,11 +1,14 @@
-"""The result of an identification."""
+"""The result of an identification, also as URDF and as parameters of the node."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+import os
 
 from ...robot.model import Floats, RobotModel
 from ...robot.rigid_body import RigidBody
+from ...robot.urdf.writer import Friction, rewrite
+from ..node_parameters import node_parameters
 from ..recordings.signals import Motion
 
 
@@ -139,3 +142,65 @@ class IdentificationResult:
     """Texts and hints."""
     advice: tuple[str, ...]
     """What to record next."""
+
+
+def calibrated_urdf(result: IdentificationResult, path_or_xml: str | os.PathLike[str]) -> bytes:
+    """
+    Return the robot description with identified inertials and friction.
+
+    Parameters
+    ----------
+    result : IdentificationResult
+        The result.
+    path_or_xml : str or path-like
+        The robot description that was calibrated.
+
+    Returns
+    -------
+    text : bytes
+        Only the numbers of changed inertials and of friction differ. Without an accepted model,
+        only friction is written.
+
+    """
+    robot = result.robot
+    friction = {
+        joint.name: Friction(joint.terms.damping, joint.terms.coulomb)
+        for joint in result.joints
+        if not joint.unknown_because
+    }
+    # The fitted friction includes that of mimicking joints.
+    for body in range(1, len(robot.parent)):
+        name = robot.body_names[body]
+        master = robot.joint_names[int(robot.joint_index[body])]
+        if name != master and master in friction:
+            friction[name] = Friction(0.0, 0.0)
+    return rewrite(path_or_xml, result.inertials, friction)
+
+
+_TITLE = (
+    'Identified from recordings: damping [N m s/rad, N s/m], Coulomb friction [N m, N] and',
+    'the speed over which it is smoothed [rad/s, m/s], Coulomb friction per load, armature',
+    '[kg m^2, kg] and offsets of the efforts [N m, N].',
+)
+
+
+def identified_parameters(result: IdentificationResult) -> str:
+    """Return friction, armature and offsets as parameters of the node, in YAML."""
+    joints = result.joints
+
+    def known(name: str, unknown: float) -> list[float]:
+        return [unknown if j.unknown_because else getattr(j.terms, name) for j in joints]
+
+    return node_parameters(
+        _TITLE,
+        [joint.name for joint in joints],
+        {joint.name: joint.unknown_because for joint in joints if joint.unknown_because},
+        {
+            'damping': known('damping', -1.0),
+            'coulomb': known('coulomb', -1.0),
+            'coulomb_width': known('width', 0.01),
+            'load_friction': known('load_friction', 0.0),
+            'armature': [joint.terms.armature for joint in joints],
+            'effort_offset': [joint.terms.offset for joint in joints],
+        },
+    )

@@ -2,33 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import islice
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from ...errors import RecordingError
 from ...robot.model import Floats
 from .files import Bag, BAG_SUFFIXES, JOINT_STATE, open_bag, read_csv
-from .recording import Recording
+from .signals import Recording
 
 _QUANTITIES = ('position', 'velocity', 'effort')
 _FIRST_MESSAGES = 100
 """Messages of a topic that are searched for efforts."""
-
-
-class Sample(NamedTuple):
-    """One message: the states of some joints at one time."""
-
-    stamp: int
-    """Stamp of the header [ns]; 0 if the driver does not set it."""
-    received: int
-    """Time at which the message was recorded [ns]."""
-    names: tuple[str, ...]
-    values: tuple[Any, Any, Any]
-    """Position, velocity and effort: each either empty or one number per name."""
 
 
 def read_measured_states(
@@ -80,8 +68,8 @@ def read_measured_states(
         )
     with open_bag(path) as bag:
         chosen = _choose_topic(bag, topic)
-        samples = _samples(bag, chosen, progress)
-        return _from_samples(f'{path} {chosen}', samples, joint_names, mimic_names)
+        messages = bag.messages(chosen, progress)
+        return _from_messages(f'{path} {chosen}', messages, joint_names, mimic_names)
 
 
 def _from_csv(
@@ -124,8 +112,8 @@ def _choose_topic(bag: Bag, requested: str | None) -> str:
 def _only_topic_with_efforts(bag: Bag, topics: list[str]) -> str:
     useful = []
     for topic in topics:
-        first = islice(_samples(bag, topic), _FIRST_MESSAGES)
-        if any(len(sample.values[0]) and len(sample.values[2]) for sample in first):
+        first = islice(bag.messages(topic), _FIRST_MESSAGES)
+        if any(len(message.position) and len(message.effort) for _, message in first):
             useful.append(topic)
     if len(useful) == 1:
         return useful[0]
@@ -136,19 +124,9 @@ def _only_topic_with_efforts(bag: Bag, topics: list[str]) -> str:
     )
 
 
-def _samples(
-    bag: Bag, topic: str, progress: Callable[[float], None] = lambda fraction: None
-) -> Iterator[Sample]:
-    for received, message in bag.messages(topic, progress):
-        stamp = message.header.stamp
-        values = message.position, message.velocity, message.effort
-        nanoseconds = stamp.sec * 1_000_000_000 + stamp.nanosec
-        yield Sample(nanoseconds, received, tuple(message.name), values)
-
-
-def _from_samples(
+def _from_messages(
     where: str,
-    samples: Iterable[Sample],
+    messages: Iterable[tuple[int, Any]],
     joint_names: Sequence[str],
     mimic_names: Sequence[str],
 ) -> tuple[Recording, tuple[str, ...]]:
@@ -157,29 +135,32 @@ def _from_samples(
     layouts: dict[tuple[str, ...], tuple[list[int], list[int]]] = {}
     stamps: list[tuple[int, int]] = []
     rows: list[Floats] = []
-    for k, sample in enumerate(samples):
-        layout = layouts.get(sample.names)
+    for k, (received, message) in enumerate(messages):
+        names = tuple(message.name)
+        layout = layouts.get(names)
         if layout is None:
-            columns = [i for i, name in enumerate(sample.names) if name in index]
-            joints = [index[sample.names[i]] for i in columns]
+            columns = [i for i, name in enumerate(names) if name in index]
+            joints = [index[names[i]] for i in columns]
             repeated = [joint_names[j] for j in sorted(joints) if joints.count(j) > 1]
             if repeated:
                 raise RecordingError(
                     f"{where}: message {k} has joint '{repeated[0]}' more than once"
                 )
-            layout = layouts[sample.names] = columns, joints
+            layout = layouts[names] = columns, joints
         columns, joints = layout
         row = np.full((3, len(joint_names)), np.nan)
-        for quantity, values, target in zip(_QUANTITIES, sample.values, row, strict=True):
+        for quantity, target in zip(_QUANTITIES, row, strict=True):
+            values = getattr(message, quantity)
             if len(values) == 0:
                 continue
-            if len(values) != len(sample.names):
+            if len(values) != len(names):
                 raise RecordingError(
                     f'{where}: message {k} has {len(values)} values of {quantity} for '
-                    f'{len(sample.names)} names'
+                    f'{len(names)} names'
                 )
             target[joints] = np.asarray(values, dtype=float)[columns]
-        stamps.append((sample.stamp, sample.received))
+        stamp = message.header.stamp  # 0 if the driver does not set it
+        stamps.append((stamp.sec * 1_000_000_000 + stamp.nanosec, received))
         rows.append(row)
     if not rows:
         raise RecordingError(f'{where}: no messages')

@@ -5,23 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ...analysis.diagnosis import ComparisonResult
 from ...report.compare_report import percent
 from ...report.diagnosis_text import amount
-from ...robot.model import Floats
-from .style import (
-    BLUE,
-    fitting,
-    GREY,
-    legend_below,
-    ORANGE,
-    save,
-    set_title,
-    style,
-    WIDTH,
-)
+from . import style
 
 _MOST_ROWS = 10
 """Number of joints with a row each; with more, every joint has a small picture."""
@@ -34,14 +21,14 @@ _NAME_LETTERS = 18
 def draw(result: ComparisonResult, source: str, title: str, path: Path) -> None:
     """Draw all joints and write them as a PNG."""
     count = len(result.joints)
-    with style() as pyplot:
+    with style.styled_pyplot() as pyplot:
         if count <= _MOST_ROWS:
             figure, lines = _rows(pyplot, result)
         else:
             figure, lines = _small(pyplot, result)
-        set_title(figure, source, title)
-        legend_below(figure, lines, _labels(result), ncols=3)
-        save(figure, path)
+        style.set_title(figure, source, title)
+        style.legend_below(figure, lines, _labels(result), ncols=3)
+        style.save(figure, path)
 
 
 def _labels(result: ComparisonResult) -> list[str]:
@@ -57,10 +44,10 @@ def _rows(pyplot: Any, result: ComparisonResult) -> tuple[Any, list[Any]]:
         2,
         sharex=True,
         squeeze=False,
-        figsize=(WIDTH, 1.3 + max(1.15, 2.2 / count) * count),
+        figsize=(style.WIDTH, 1.3 + max(1.15, 2.2 / count) * count),
         width_ratios=(1.6, 1.0),
     )
-    names = fitting([joint.name for joint in result.joints], 40)
+    names = style.fitting([joint.name for joint in result.joints], 40)
     for c, (left, right) in enumerate(axes):
         joint = result.joints[c]
         lines = _draw_efforts(left, result, c)
@@ -74,9 +61,9 @@ def _rows(pyplot: Any, result: ComparisonResult) -> tuple[Any, list[Any]]:
             loc='right',
             fontsize=8.5,
             pad=3,
-            color=GREY,
+            color=style.GREY,
         )
-        _fewer_ticks(left, right)
+        style.fewer_ticks(left, right)
     axes[0, 1].set_title('measured minus modelled', fontsize=9.5, pad=3)
     for ax in axes[-1]:
         ax.set_xlabel('time [s]')
@@ -89,9 +76,9 @@ def _small(pyplot: Any, result: ComparisonResult) -> tuple[Any, list[Any]]:
     count = len(result.joints)
     rows = -(-count // _ACROSS)
     figure, axes = pyplot.subplots(
-        rows, _ACROSS, sharex=True, squeeze=False, figsize=(WIDTH, 1.3 + 1.15 * rows)
+        rows, _ACROSS, sharex=True, squeeze=False, figsize=(style.WIDTH, 1.3 + 1.15 * rows)
     )
-    names = fitting([joint.name for joint in result.joints], _NAME_LETTERS)
+    names = style.fitting([joint.name for joint in result.joints], _NAME_LETTERS)
     for c, ax in enumerate(axes.flat):
         if c >= count:
             ax.set_axis_off()
@@ -99,8 +86,10 @@ def _small(pyplot: Any, result: ComparisonResult) -> tuple[Any, list[Any]]:
         joint = result.joints[c]
         lines = _draw_efforts(ax, result, c)
         ax.set_title(f'{names[c]} [{"N" if joint.is_prismatic else "N m"}]', fontsize=8.5, pad=3)
-        ax.set_title(f'RMS {joint.rms_corrected:.2g}', loc='right', fontsize=8, pad=3, color=GREY)
-        _fewer_ticks(ax)
+        ax.set_title(
+            f'RMS {joint.rms_corrected:.2g}', loc='right', fontsize=8, pad=3, color=style.GREY
+        )
+        style.fewer_ticks(ax)
     for ax in axes.flat[count - _ACROSS : count]:
         ax.tick_params(labelbottom=True)
     for ax in axes[-1]:
@@ -112,31 +101,18 @@ def _draw_efforts(ax: Any, result: ComparisonResult, c: int) -> list[Any]:
     """Draw measured and modelled efforts; the measured one is wide, so that all are visible."""
     times = result.motion.times
     signals = (
-        (result.measured, {'color': GREY, 'linewidth': 3.2, 'alpha': 0.55}),
-        (result.modelled, {'color': BLUE, 'linewidth': 1.1}),
-        (result.corrected, {'color': ORANGE, 'linewidth': 1.1}),
+        (result.measured, {'color': style.GREY, 'linewidth': 3.2, 'alpha': 0.55}),
+        (result.modelled, {'color': style.BLUE, 'linewidth': 1.1}),
+        (result.corrected, {'color': style.ORANGE, 'linewidth': 1.1}),
     )
-    return [ax.plot(*_thinned(times, values[:, c]), **look)[0] for values, look in signals]
+    return [
+        ax.plot(*style.thinned(times, values[:, c], _POINTS), **look)[0]
+        for values, look in signals
+    ]
 
 
 def _draw_difference(ax: Any, result: ComparisonResult, c: int) -> None:
     measured, times = result.measured[:, c], result.motion.times
-    for modelled, colour in ((result.modelled, BLUE), (result.corrected, ORANGE)):
-        difference = _thinned(times, measured - modelled[:, c])
+    for modelled, colour in ((result.modelled, style.BLUE), (result.corrected, style.ORANGE)):
+        difference = style.thinned(times, measured - modelled[:, c], _POINTS)
         ax.plot(*difference, color=colour, linewidth=0.9)
-
-
-def _thinned(times: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Reduce the number of points to the visible ones, with a break at every gap."""
-    step = max(1, len(times) // _POINTS)
-    t, y = times[::step], values[::step].copy()
-    gaps = np.flatnonzero(np.diff(t) > 1.5 * step * np.median(np.diff(times)))
-    y[gaps] = np.nan
-    return t, y
-
-
-def _fewer_ticks(*axes: Any) -> None:
-    for ax in axes:
-        ax.tick_params(labelsize=8.5)
-        ax.locator_params(axis='y', nbins=4)
-        ax.margins(x=0.01)

@@ -8,30 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from ...analysis.requirements import EffortRequirements
+from ...analysis.sizing import EffortRequirements
 from ...dynamics.trajectory import Trajectory
 from ...report.quantities import effort_unit, number
 from ...robot.model import RobotModel
-from .style import (
-    BLUE,
-    fitting,
-    GREEN,
-    GREY,
-    legend_below,
-    ORANGE,
-    PINK,
-    RED,
-    save,
-    set_title,
-    style,
-    WIDTH,
-)
+from . import style
 
 _PARTS = {
-    'gravity': GREEN,
-    'inertial': ORANGE,
-    'coriolis': PINK,
-    'friction': GREY,
+    'gravity': style.GREEN,
+    'inertial': style.ORANGE,
+    'coriolis': style.PINK,
+    'friction': style.GREY,
 }
 _LABELS = {'inertial': 'inertia', 'coriolis': 'velocity'}
 _NAME_LETTERS = {1: 80, 2: 50, 3: 32}
@@ -50,12 +37,12 @@ def draw(
     columns = 1 if m == 1 else 2 if m <= 12 else 3
     rows = math.ceil(m / columns)
     height = min(60.0, 1.3 + 1.7 * rows if rows > 1 else 3.6)
-    with style() as pyplot:
+    with style.styled_pyplot() as pyplot:
         figure, grid = pyplot.subplots(
-            rows, columns, figsize=(WIDTH, height), sharex=True, squeeze=False
+            rows, columns, figsize=(style.WIDTH, height), sharex=True, squeeze=False
         )
         panels = grid.ravel()
-        names = fitting(fine.joint_names, _NAME_LETTERS[columns])
+        names = style.fitting(fine.joint_names, _NAME_LETTERS[columns])
         for k, axes in enumerate(panels[:m]):
             _draw_joint(axes, robot, fine, requirements, k, names[k])
         for axes in panels[m:]:
@@ -64,9 +51,9 @@ def draw(
             axes.tick_params(labelbottom=True)
         for axes in grid[-1]:
             axes.set_xlabel('time [s]')
-        legend_below(figure, *panels[0].get_legend_handles_labels(), ncols=6)
-        set_title(figure, *title.splitlines())
-        save(figure, path)
+        style.legend_below(figure, *panels[0].get_legend_handles_labels(), ncols=6)
+        style.set_title(figure, *title.splitlines())
+        style.save(figure, path)
 
 
 def _draw_joint(
@@ -84,8 +71,10 @@ def _draw_joint(
         if part != 'friction' or np.any(requirements.terms.friction):
             label = _LABELS.get(part, part)
             axes.plot(times, term[shown, k], color=colour, linewidth=1.1, label=label)
-    colour = RED if requirements.is_too_strong[k] else BLUE
-    axes.plot(times, requirements.efforts[shown, k], color=BLUE, linewidth=2.0, label='effort')
+    colour = style.RED if requirements.is_too_strong[k] else style.BLUE
+    axes.plot(
+        times, requirements.efforts[shown, k], color=style.BLUE, linewidth=2.0, label='effort'
+    )
     axes.plot(
         requirements.peak_time[k], requirements.peak[k], 'D', color=colour, markersize=5, zorder=5
     )
@@ -96,7 +85,7 @@ def _draw_joint(
     if limit < 2.5 * peak:
         for end in (-limit, limit):
             if low - limit < end < high + limit and end * requirements.peak[k] >= 0.0:
-                axes.axhline(end, color=RED, linestyle='--', linewidth=1.2)
+                axes.axhline(end, color=style.RED, linestyle='--', linewidth=1.2)
     if peak <= _NEGLIGIBLE * float(np.max(np.abs(requirements.peak))):
         axes.set_ylim(-1.0, 1.0)  # rounding errors only
         peak = 0.0

@@ -13,24 +13,9 @@ from ...dynamics.trajectory import Trajectory
 from ...robot.end_effector import last_link
 from ...robot.kinematics import body_frames
 from ...robot.model import Floats, RobotModel
-from .style import (
-    BLUE,
-    COLOURS,
-    DARK,
-    fitting,
-    GREEN,
-    GREY,
-    legend_below,
-    ORANGE,
-    RED,
-    save,
-    set_title,
-    style,
-    WIDTH,
-)
+from . import style
 
 _VIEWS = (('side view', 0, 2), ('from above', 0, 1))
-_DASHES = ('-', '--', ':', '-.')
 _MOST_POINTS = 600
 """Largest number of states to draw; more are not visible."""
 
@@ -52,8 +37,8 @@ def draw(
         for values in (trajectory.times, trajectory.positions, trajectory.velocities)
     )
     whole = whole_states(limits, States(q, 0.0 * q, 0.0 * q)).q
-    with style() as pyplot:
-        figure = pyplot.figure(figsize=(WIDTH, 6.6))
+    with style.styled_pyplot() as pyplot:
+        figure = pyplot.figure(figsize=(style.WIDTH, 6.6))
         halves = figure.add_gridspec(1, 2, width_ratios=(1.0, 1.25))
         left, right = halves[0].subgridspec(2, 1), halves[1].subgridspec(3, 1)
         hand = last_link(robot)
@@ -76,14 +61,14 @@ def draw(
             below.tick_params(labelbottom=row == 2, labelsize=8.5)
         below.set_xlabel('time [s]')
         lines, names = below.get_legend_handles_labels()
-        set_title(
+        style.set_title(
             figure,
             f'{robot.name} ({source}): exciting motion of {trajectory.times[-1]:g} s, path of '
             f"link '{hand}'",
             'Collisions are not checked.',
         )
-        legend_below(figure, [*handles, *lines], [*labels, *names], ncols=5)
-        save(figure, path)
+        style.legend_below(figure, [*handles, *lines], [*labels, *names], ncols=5)
+        style.save(figure, path)
 
 
 def _draw_view(
@@ -99,17 +84,19 @@ def _draw_view(
     plane = [across, up]
     (left, bottom), (right, top) = box.lowest[plane], box.highest[plane]
     corners = np.array([[left, bottom], [right, bottom], [right, top], [left, top]])
-    axes.fill(*corners.T, facecolor=ORANGE, alpha=0.12, linewidth=0)
-    axes.fill(*corners.T, fill=False, edgecolor=ORANGE, linewidth=1.2, label='space of all links')
-    axes.plot(*path[:, plane].T, color=BLUE, linewidth=1.0, label='path of the hand')
+    axes.fill(*corners.T, facecolor=style.ORANGE, alpha=0.12, linewidth=0)
+    axes.fill(
+        *corners.T, fill=False, edgecolor=style.ORANGE, linewidth=1.2, label='space of all links'
+    )
+    axes.plot(*path[:, plane].T, color=style.BLUE, linewidth=1.0, label='path of the hand')
     _, positions = body_frames(robot, start)
     for body in range(1, len(robot.parent)):
         ends = positions[[robot.parent[body], body]][:, plane]
-        axes.plot(*ends.T, color=GREY, linewidth=3.5, solid_capstyle='round')
+        axes.plot(*ends.T, color=style.GREY, linewidth=3.5, solid_capstyle='round')
     last = int(robot.link_body[robot.link_index(last_link(robot))])
-    axes.plot(*np.array([positions[last], path[0]])[:, plane].T, color=GREY, linewidth=2.0)
-    axes.plot(*positions[0][plane], 's', color=DARK, markersize=8, label='base')
-    axes.plot(*path[0, plane], 'o', color=GREEN, markersize=7, label='start and end')
+    axes.plot(*np.array([positions[last], path[0]])[:, plane].T, color=style.GREY, linewidth=2.0)
+    axes.plot(*positions[0][plane], 's', color=style.DARK, markersize=8, label='base')
+    axes.plot(*path[0, plane], 'o', color=style.GREEN, markersize=7, label='start and end')
     axes.set_aspect('equal', adjustable='datalim')
     axes.locator_params(nbins=6)
     axes.set_xlabel(f'{"xyz"[across]} [m]', fontsize=9)
@@ -127,16 +114,6 @@ def _efforts_panel(efforts: Floats, limits: Floats) -> tuple[str, Floats]:
 
 def _draw_lines(axes: Any, times: Floats, values: Floats, names: tuple[str, ...]) -> None:
     for end in (-100.0, 100.0):
-        axes.axhline(end, color=RED, linewidth=0.9, linestyle='--')
-    for k, name in enumerate(fitting(names, 22)):
-        dashes = _DASHES[k // len(COLOURS) % len(_DASHES)]
-        axes.plot(
-            times,
-            values[:, k],
-            color=COLOURS[k % len(COLOURS)],
-            linestyle=dashes,
-            linewidth=1.3,
-            label=name,
-        )
+        axes.axhline(end, color=style.RED, linewidth=0.9, linestyle='--')
+    style.draw_lines(axes, times, values, names, linewidth=1.3)
     axes.set_ylim(-112.0, 112.0)
-    axes.margins(x=0.0)

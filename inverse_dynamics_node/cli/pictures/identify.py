@@ -8,26 +8,25 @@ from typing import Any
 import numpy as np
 
 from ...analysis.identification import IdentificationResult
-from ...robot.model import Floats
-from .style import BLUE, fitting, GREEN, GREY, legend_below, ORANGE, save, set_title, style, WIDTH
+from . import style
 
 _MOST_ROWS = 8
 """Number of joints whose efforts are drawn; of more, those with the largest residuals."""
 _POINTS = 1200
 _LOOKS: tuple[tuple[str, str, dict[str, Any]], ...] = (
-    ('measured', 'measured', {'color': GREY, 'linewidth': 3.2, 'alpha': 0.55}),
-    ('urdf', 'URDF', {'color': BLUE, 'linewidth': 0.9}),
-    ('friction', 'URDF with fitted friction', {'color': ORANGE, 'linewidth': 0.9}),
-    ('identified', 'identified', {'color': GREEN, 'linewidth': 1.2}),
+    ('measured', 'measured', {'color': style.GREY, 'linewidth': 3.2, 'alpha': 0.55}),
+    ('urdf', 'URDF', {'color': style.BLUE, 'linewidth': 0.9}),
+    ('friction', 'URDF with fitted friction', {'color': style.ORANGE, 'linewidth': 0.9}),
+    ('identified', 'identified', {'color': style.GREEN, 'linewidth': 1.2}),
 )
 
 
 def draw(result: IdentificationResult, source: str, path: Path) -> None:
     """Draw efforts, residuals and masses, and write them as a picture."""
     shown = _shown(result)
-    with style() as pyplot:
+    with style.styled_pyplot() as pyplot:
         height = max(4.6, 1.3 + 1.15 * len(shown))
-        figure = pyplot.figure(figsize=(WIDTH, height))
+        figure = pyplot.figure(figsize=(style.WIDTH, height))
         grid = figure.add_gridspec(1, 2, width_ratios=(1.6, 1.0))
         left = grid[0].subgridspec(len(shown), 1)
         right = grid[1].subgridspec(2, 1)
@@ -42,9 +41,9 @@ def draw(result: IdentificationResult, source: str, path: Path) -> None:
         figure.align_ylabels(axes)
         _draw_residuals(figure.add_subplot(right[0]), result)
         _draw_masses(figure.add_subplot(right[1]), result)
-        set_title(figure, source, f'{result.verdict}.')
-        legend_below(figure, lines, [label for _, label, _ in _LOOKS], ncols=4)
-        save(figure, path)
+        style.set_title(figure, source, f'{result.verdict}.')
+        style.legend_below(figure, lines, [label for _, label, _ in _LOOKS], ncols=4)
+        style.save(figure, path)
 
 
 def _shown(result: IdentificationResult) -> list[int]:
@@ -56,17 +55,15 @@ def _shown(result: IdentificationResult) -> list[int]:
 def _draw_efforts(ax: Any, result: IdentificationResult, joint: int) -> list[Any]:
     unseen, found = result.unseen, result.joints[joint]
     lines = [
-        ax.plot(*_thinned(unseen.times, getattr(unseen, name)[:, joint]), **look)[0]
+        ax.plot(*style.thinned(unseen.times, getattr(unseen, name)[:, joint], _POINTS), **look)[0]
         for name, _, look in _LOOKS
     ]
-    ax.set_title(fitting([found.name], 40)[0], fontsize=9.5, pad=3)
+    ax.set_title(style.fitting([found.name], 40)[0], fontsize=9.5, pad=3)
     residuals = found.unseen
     text = f'RMS left: {residuals.urdf:.2g}, {residuals.friction:.2g}, {residuals.identified:.2g}'
-    ax.set_title(text, loc='right', fontsize=8.5, pad=3, color=GREY)
+    ax.set_title(text, loc='right', fontsize=8.5, pad=3, color=style.GREY)
     ax.set_ylabel('[N]' if found.is_prismatic else '[N m]', fontsize=9)
-    ax.tick_params(labelsize=8.5)
-    ax.locator_params(axis='y', nbins=4)
-    ax.margins(x=0.01)
+    style.fewer_ticks(ax)
     return lines
 
 
@@ -83,7 +80,7 @@ def _draw_residuals(ax: Any, result: IdentificationResult) -> None:
         ax.plot([value, value], [place - 0.4, place + 0.4], color='black', linewidth=1.0)
     ax.set_xlim(0.0, min(1.6, 1.05 * max(1.0, *(j.unseen.friction / m for j, m in zip(
         joints, measured, strict=True)))))  # fmt: skip
-    ax.set_yticks(places, fitting([joint.name for joint in joints], 16), fontsize=8.5)
+    ax.set_yticks(places, style.fitting([joint.name for joint in joints], 16), fontsize=8.5)
     ax.invert_yaxis()
     ax.grid(axis='y', visible=False)
     ax.set_title('RMS left / measured (black: noise)', fontsize=9.5, pad=3)
@@ -96,14 +93,16 @@ def _draw_masses(ax: Any, result: IdentificationResult) -> None:
     before = [body.mass_before for body in bodies]
     after = [body.mass for body in bodies]
     errors = [body.mass_error for body in bodies]
-    ax.barh(places - 0.2, before, 0.36, color=BLUE)
-    ax.barh(places + 0.2, after, 0.36, color=GREEN, alpha=1.0 if result.accepted else 0.35)
+    ax.barh(places - 0.2, before, 0.36, color=style.BLUE)
+    ax.barh(places + 0.2, after, 0.36, color=style.GREEN, alpha=1.0 if result.accepted else 0.35)
     ax.errorbar(after, places + 0.2, xerr=errors, fmt='none', ecolor='black', elinewidth=1.0,
                 capsize=2.0)  # fmt: skip
     ax.set_xlim(0.0, 1.15 * max(*before, *after, 1e-9))
     labels = [
         f'{name} {body.data_fraction:.0%}'
-        for name, body in zip(fitting([body.link for body in bodies], 16), bodies, strict=True)
+        for name, body in zip(
+            style.fitting([body.link for body in bodies], 16), bodies, strict=True
+        )
     ]
     ax.set_yticks(places, labels, fontsize=8.5)
     ax.invert_yaxis()
@@ -111,11 +110,3 @@ def _draw_masses(ax: Any, result: IdentificationResult) -> None:
     rejected = '' if result.accepted else ', not accepted'
     ax.set_title(f'Mass [kg], % recorded{rejected}', fontsize=9.5, pad=3)
     ax.tick_params(labelsize=8.5)
-
-
-def _thinned(times: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Reduce the number of points to the visible ones, with a break at every gap."""
-    step = max(1, len(times) // _POINTS)
-    t, y = times[::step], values[::step].copy()
-    y[np.flatnonzero(np.diff(t) > 1.5 * step * np.median(np.diff(times)))] = np.nan
-    return t, y

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ...report.short_names import all_shortened
 from ...report.tables import wrapped
+from ...robot.model import Floats
 from ..output_files import new_file
 
 BLUE, ORANGE, GREEN, PINK, SKY, RED, YELLOW = (
@@ -22,6 +26,7 @@ BLUE, ORANGE, GREEN, PINK, SKY, RED, YELLOW = (
 )
 """The palette of Okabe and Ito, which is also suitable for the colour-blind."""
 COLOURS = (BLUE, ORANGE, GREEN, PINK, SKY, RED)
+_DASHES = ('-', '--', ':', '-.')
 GREY, PALE, DARK = '#8a8a8a', '#dddddd', '#333333'
 WIDTH = 9.0
 """Width of a picture [inch]; at 100 dots per inch the text is legible in a README."""
@@ -57,7 +62,7 @@ _STYLE = {
 
 
 @contextmanager
-def style() -> Iterator[Any]:
+def styled_pyplot() -> Iterator[Any]:
     """Apply the style within the body; yield pyplot, which opens no windows."""
     import matplotlib
 
@@ -99,23 +104,25 @@ def runs_of(numbers: Sequence[int]) -> str:
     )
 
 
-def try_to_draw(draw: Callable[[Path], None], requested: Path | None, default: str) -> Path | None:
+def try_to_draw(
+    draw: Callable[[Path], None], options: argparse.Namespace, default: str
+) -> Path | None:
     """
-    Draw a picture; where matplotlib is missing, print how to install it instead.
+    Draw a picture, if one is wanted; where matplotlib is missing, print how to install it instead.
 
     Parameters
     ----------
     draw : callable
         Draws the picture and writes it to the path that is passed to it.
-    requested : pathlib.Path, optional
-        Path from the command line.
+    options : argparse.Namespace
+        The options --picture and --no-picture of the command line.
     default : str
         Path to use if none was requested.
 
     Returns
     -------
     path : pathlib.Path or None
-        Path of the picture; None if matplotlib is missing.
+        Path of the picture; None if it is not wanted, or matplotlib is missing.
 
     Raises
     ------
@@ -123,16 +130,50 @@ def try_to_draw(draw: Callable[[Path], None], requested: Path | None, default: s
         If matplotlib is missing and the picture was requested.
 
     """
-    path = requested or Path(default)
+    if options.no_picture:
+        return None
+    path = options.picture or Path(default)
     try:
         with new_file(path) as temporary:
             draw(temporary)
     except ImportError as error:  # also raised by a build for another version of numpy
-        if requested:
+        if options.picture:
             raise ModuleNotFoundError(str(error), name='matplotlib') from error
         print(f'no picture: matplotlib cannot be imported ({error}). {_HOW_TO_GET_PICTURES}')
         return None
-    return path
+    return Path(path)
+
+
+def draw_lines(
+    axes: Any, times: Floats, values: Floats, names: Sequence[str], linewidth: float
+) -> None:
+    """Draw one line over time for each column of values, shape (k, n), with labels."""
+    for k, name in enumerate(fitting(names, 22)):
+        axes.plot(
+            times,
+            values[:, k],
+            color=COLOURS[k % len(COLOURS)],
+            linestyle=_DASHES[k // len(COLOURS) % len(_DASHES)],
+            linewidth=linewidth,
+            label=name,
+        )
+    axes.margins(x=0.0)
+
+
+def thinned(times: Floats, values: Floats, most: int) -> tuple[Floats, Floats]:
+    """Reduce the number of points to the visible ones, with a break at every gap."""
+    step = max(1, len(times) // most)
+    t, y = times[::step], values[::step].copy()
+    y[np.flatnonzero(np.diff(t) > 1.5 * step * np.median(np.diff(times)))] = np.nan
+    return t, y
+
+
+def fewer_ticks(*axes: Any) -> None:
+    """Use small labels, few ticks along y, and little room at the ends of x."""
+    for ax in axes:
+        ax.tick_params(labelsize=8.5)
+        ax.locator_params(axis='y', nbins=4)
+        ax.margins(x=0.01)
 
 
 def legend_below(

@@ -21,9 +21,8 @@ from typing import Any, cast, NamedTuple
 import numpy as np
 
 from ...robot.model import Floats
-from .. import base_axes, equations, mass_matrix, newton_euler, robot_table
-from ..jit import IS_COMPILED
-from ..newton_euler import NOT_FINITE, OK, WRONG_SIZE
+from .. import equations, link_kinematics, mass_matrix, newton_euler, robot_table
+from ..jit import IS_COMPILED, NOT_FINITE, OK, WRONG_SIZE
 
 if IS_COMPILED:
     import numba
@@ -168,7 +167,7 @@ def _functions_that_write(writer: Writer, inputs: list[RunTimeNumber]) -> dict[s
     def check_diagonal(matrix: list[list[Any]]) -> Any:
         return check([row[k] for k, row in enumerate(matrix)])
 
-    functions = {**vars(robot_table), **vars(equations), **vars(base_axes)}
+    functions = {**vars(robot_table), **vars(equations), **vars(link_kinematics)}
     functions |= {**vars(newton_euler), **vars(mass_matrix)}
     functions |= {'check': check, 'check_diagonal': check_diagonal}
     for function in (math.cos, math.fabs, math.sin, math.tanh):

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 
 from ...robot.model import Floats
 from ..inverse_dynamics import InverseDynamics
-from ..jit import IS_COMPILED
-from ..newton_euler import OK
+from ..jit import IS_COMPILED, OK
 from .codegen import acting_numbers, Code, write_out, write_out_mass_matrix
 
 

@@ -12,8 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..model import Floats, RobotModel
-from ..model_warning import ModelWarning
+from ..model import Floats, ModelWarning, RobotModel
 from ..rigid_body import combine, RigidBody
 
 

@@ -1,22 +1,28 @@
 """
-Checks of a URDF before its numbers are used.
+Checks of a URDF before its numbers are used: of each element, and of the tree they form.
 
-The format is read as urdfdom reads it, but stricter: where urdfdom logs a line and continues with
-a zero, this is an error, because a lost mass means a wrong effort. All errors are collected, each
-with its line, its place, and the value found.
+All errors are collected, each with its line, its place, and the value found.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
 
-from .elements import warn_if_misspelt
-from .inertials import check_link, check_missing_inertials
-from .joints import check_joint
-from .placeholders import warn_of_placeholders
-from .problems import Problems, quoted
-from .rules import CHILDREN, version_of, VERSIONS
-from .tree import check_mimic_loops, check_tree
+from ...errors import listed, unknown_name
+from .schema import (
+    check_joint,
+    check_link,
+    CHILDREN,
+    is_finite_decimal,
+    label,
+    MOMENTS,
+    Problems,
+    quoted,
+    version_of,
+    VERSIONS,
+    warn_if_misspelt,
+)
 from .xml import Element, is_xacro, MAX_LINKS, tag
 
 
@@ -88,3 +94,186 @@ def _check_version(root: Element, problems: Problems) -> None:
     if version not in VERSIONS:
         expected = f'expected one of {", ".join(VERSIONS)}'
         problems.error(root, f'robot version {quoted(version)} is not supported; {expected}')
+
+
+def check_tree(root: Element, links: Mapping[str, Element], problems: Problems) -> None:
+    """Check that the joints connect the links to one tree."""
+    holders: dict[str, Element] = {}
+    children: defaultdict[str, list[str]] = defaultdict(list)
+    all_ends_known = True
+    for joint in root:
+        if tag(joint) != 'joint':
+            continue
+        ends = _check_ends(joint, links, problems)
+        if ends is None:
+            all_ends_known = False
+            continue
+        parent, child = ends
+        if child in holders:
+            pair = f"'{holders[child].get('name')}' and '{joint.get('name')}'"
+            problems.error(joint, f"link '{child}' has two parent joints: {pair}")
+            continue
+        holders[child] = joint
+        children[parent].append(child)
+
+    if not links:
+        problems.error_of_all('the robot has no links')
+    elif len(links) == 1 and not any(tag(element) == 'joint' for element in root):
+        problems.error_of_all('the robot has one link and no joints: nothing to command')
+    elif all_ends_known:  # otherwise a broken joint explains why a link is not connected
+        _check_roots([name for name in links if name not in holders], links, children, problems)
+
+
+def _check_ends(
+    joint: Element, links: Mapping[str, Element], problems: Problems
+) -> tuple[str, str] | None:
+    """Return the names of parent and child link, if both exist."""
+    where, ends = label(joint), []
+    for end in ('parent', 'child'):
+        element = _only_child(joint, end)
+        name = None if element is None else element.get('link')
+        if name is None:
+            continue
+        if name in links:
+            ends.append(name)
+        elif not is_xacro(name):
+            text = f'{where}: {end} {unknown_name("link", name, links)}'
+            problems.error(element, text)
+    if len(ends) < 2:
+        return None
+    if ends[0] == ends[1]:
+        problems.error(joint, f"{where}: parent and child are the same link '{ends[0]}'")
+        return None
+    return ends[0], ends[1]
+
+
+def _check_roots(
+    roots: list[str],
+    links: Mapping[str, Element],
+    children: Mapping[str, list[str]],
+    problems: Problems,
+) -> None:
+    if not roots:
+        problems.error_of_all('no root link: the links form a cycle')
+        return
+    if len(roots) > 1:
+        names = listed([f"'{name}'" for name in roots])
+        problems.error_of_all(f'{len(roots)} root links: {names}; expected one')
+    reached, waiting = set(roots), list(roots)
+    while waiting:
+        found = [name for name in children.get(waiting.pop(), ()) if name not in reached]
+        reached.update(found)
+        waiting += found
+    adrift = [f"'{name}'" for name in links if name not in reached]
+    if adrift:
+        text = f"{len(adrift)} links are not connected to root '{roots[0]}' (cycle)"
+        problems.error_of_all(f'{text}: {listed(adrift)}')
+
+
+def check_mimic_loops(joints: Mapping[str, Element], problems: Problems) -> None:
+    """Check that every chain of mimicking joints ends."""
+    masters = {}
+    for name, joint in joints.items():
+        mimic = _only_child(joint, 'mimic') if joint.get('type') != 'fixed' else None
+        if mimic is not None and mimic.get('joint') not in (None, name):
+            masters[name] = mimic.get('joint')
+    settled: set[str] = set()
+    for start in masters:
+        path: dict[str, None] = {}
+        name = start
+        while name in masters and name not in settled and name not in path:
+            path[name] = None
+            name = masters[name]
+        if name in path:
+            members = list(path)
+            loop = [*members[members.index(name) :], name]
+            problems.error(joints[name], f'mimic loop: {" -> ".join(loop)}')
+        settled.update(path)
+
+
+def _only_child(element: Element, kind: str) -> Element | None:
+    """Return the first child of a kind."""
+    return next((child for child in element if tag(child) == kind), None)
+
+
+def check_missing_inertials(
+    links: Mapping[str, Element],
+    joints: Mapping[str, Element],
+    problems: Problems,
+    are_required: bool,
+) -> None:
+    """
+    Find links with a shape but without an inertial: an error if they are required.
+
+    Links without a shape are frames. The root link is left out, because it may be the ground.
+
+    """
+    children = {
+        child.get('link') for joint in joints.values() for child in joint if tag(child) == 'child'
+    }
+    text = 'has a shape but no <inertial>; it is treated as massless'
+    hint = 'write <inertial>, from CAD; without it the weight of this link is not compensated'
+    for name, link in links.items():
+        parts = {tag(part) for part in link}
+        if name not in children or 'inertial' in parts or not parts & {'visual', 'collision'}:
+            continue
+        if are_required:
+            problems.error(link, f'{label(link)}: {text}')
+        else:
+            problems.warning(link, label(link), text, hint)
+
+
+_FEWEST_ALIKE = 3
+"""Number of links; two links may well be equal parts."""
+_FRACTION_ALIKE = 0.8
+"""Fraction of the links with mass that have the same values if nobody measured them."""
+
+
+def warn_of_placeholders(links: Mapping[str, Element], problems: Problems) -> None:
+    """Warn of equal masses and inertias that an exporter or a person filled in."""
+    masses: dict[str, float] = {}
+    tensors: dict[str, tuple[float, ...]] = {}
+    for name, link in links.items():
+        mass, tensor = _numbers_of(link, 'mass', ['value']), _numbers_of(link, 'inertia', MOMENTS)
+        if mass and tensor and mass[0] > 0.0:
+            masses[name], tensors[name] = mass[0], tensor
+    count = len(masses)
+    unit = [name for name in masses if tensors[name] == (1.0, 0.0, 0.0, 1.0, 0.0, 1.0)]
+    if len(unit) > 1:
+        text = f'{len(unit)} of {count} links with mass have the inertia 1 1 1 kg m^2'
+        _warn(links[unit[0]], f'{text}: {listed(unit, 4)}', problems)
+    if count < _FEWEST_ALIKE:
+        return
+    alike = _with_most_common_value(tensors)
+    # Equal modules of a chain have equal masses too, and different principal moments.
+    ixx, ixy, ixz, iyy, iyz, izz = tensors[alike[0]]
+    is_sphere = ixx == iyy == izz and not (ixy or ixz or iyz)
+    are_different = len({masses[name] for name in alike}) > 1
+    if len(alike) >= _FRACTION_ALIKE * count and not unit and (is_sphere or are_different):
+        text = f'{len(alike)} of {count} links with mass have the same inertia'
+        _warn(links[alike[0]], f'{text}, ixx {ixx:g} kg m^2', problems)
+    heavy = [name for name, mass in masses.items() if mass == 1.0]
+    if len(heavy) >= max(_FEWEST_ALIKE, _FRACTION_ALIKE * count):
+        text = f'{len(heavy)} of {count} links with mass have a mass of 1 kg'
+        _warn(links[heavy[0]], text, problems)
+
+
+def _warn(link: Element, text: str, problems: Problems) -> None:
+    hint = 'take mass, centre of mass and inertia from CAD'
+    problems.warning(link, '', f'{text}: looks like a placeholder', hint)
+
+
+def _with_most_common_value(values: Mapping[str, tuple[float, ...]]) -> list[str]:
+    common = Counter(values.values()).most_common(1)[0][0]
+    return [name for name, value in values.items() if value == common]
+
+
+def _numbers_of(link: Element, kind: str, names: Sequence[str]) -> tuple[float, ...] | None:
+    """Return attributes of the inertial of a link; None unless all of them are numbers."""
+    part = link.find(f'inertial/{kind}')
+    if part is None:
+        return None
+    texts = [part.get(name, '') for name in names]
+    if not all(is_finite_decimal(text.strip()) for text in texts):
+        return None
+    return tuple(float(text) for text in texts)

@@ -16,12 +16,12 @@ from lxml import etree
 import numpy as np
 
 from ...errors import ConfigurationError, UrdfError
+from ..kinematics import rpy_of_quaternion
 from ..model import RobotModel
 from ..rigid_body import RigidBody
 from .bodies import build_model, Joint, Link, Mimic
 from .checks import check
-from .quaternions import rpy_of_quaternion
-from .rules import CHILDREN, CHILDREN_OF_FIXED, READ_ONCE, RULES
+from .schema import CHILDREN, CHILDREN_OF_FIXED, READ_ONCE, RULES
 from .xml import Element, parse, read_source, tag
 
 

@@ -16,11 +16,10 @@ from xml.parsers import expat
 
 import numpy as np
 
-from ..kinematics import rotation_of_rpy
+from ..kinematics import rotation_of_rpy, rpy_of_quaternion
 from ..model import Floats
 from ..rigid_body import RigidBody
-from .quaternions import rpy_of_quaternion
-from .rules import MOMENTS
+from .schema import MOMENTS
 from .xml import blank_declaration, declared_encoding, read_source
 
 _ROWS, _COLUMNS = (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)  # of the moments

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from lxml import etree
 
 from ...errors import UrdfError
-from ..model_warning import ModelWarning
+from ..model import ModelWarning
 
 Element = Any
 """An lxml element; lxml comes without types."""
@@ -163,14 +163,11 @@ def _without_odd_declaration(source: Source) -> tuple[Source, list[ModelWarning]
     found = _DECLARATION.match(source.data)
     if not found or _SOUND_DECLARATION.match(source.data):
         return source, []
-    blank = re.sub(rb'[^\r\n]', b' ', found[0])
-    encoding = _ENCODING.search(found[0])
-    declared = encoding[1].decode('ascii', 'replace') if encoding else 'utf-8'
     written = found[0].removeprefix(b'\xef\xbb\xbf').strip().decode('ascii', 'replace')
-    data = blank + source.data[found.end() :]
+    data, encoding = blank_declaration(source.data), declared_encoding(source.data)
     text = f'invalid XML declaration {shortened(written)} ignored'
     warning = ModelWarning(text, "harmless; write <?xml version='1.0'?>", line=1)
-    return source._replace(data=data, encoding=source.encoding or declared), [warning]
+    return source._replace(data=data, encoding=source.encoding or encoding), [warning]
 
 
 def _undeclared_prefixes(log: Any) -> list[ModelWarning]:

@@ -8,29 +8,116 @@ obeys ``e'' + kd e' + kp e = 0``. With a full reference, the node closes the loo
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable, Mapping
 import math
 import time
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from ...robot.model import Floats
+from ...ros.qos import BEST_EFFORT, LATCHED
 from ..trajectory import Reference
-from .history import History
+from .demo_setup import KD, KP
 
-# Critically damped at 20 rad/s: stiff enough that two samples of latency cost less than a
-# millirad, soft enough that holding one command for 20 ms does no harm.
-KP, KD = 400.0, 40.0
 SILENT = 0.05  # [s]: after this long without joint states, use the clock of the machine
-NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class Series:
+    """Rows of equal shape with ascending times [s]."""
+
+    def __init__(self) -> None:
+        self._times: list[float] = []
+        self._rows: list[ArrayLike] = []
+
+    def add(self, time: float, row: ArrayLike) -> None:
+        """Append a row, which must not be modified afterwards."""
+        self._times.append(time)
+        self._rows.append(row)
+
+    def __len__(self) -> int:
+        return len(self._times)
+
+    @property
+    def times(self) -> Floats:
+        """Times of the rows, shape (k,) [s]."""
+        return np.array(self._times)
+
+    @property
+    def rows(self) -> Floats:
+        """All rows, shape (k, ...)."""
+        return np.array(self._rows, dtype=float)
+
+    def between(self, begin: float, end: float) -> Floats:
+        """Return the rows with begin <= time < end [s], shape (k, ...)."""
+        first, last = np.searchsorted(self.times, (begin, end))
+        return np.array(self._rows[first:last], dtype=float)
+
+
+class History:
+    """
+    The motion of n joints and the commands of the node; times start with the motion [s].
+
+    Attributes
+    ----------
+    states : Series
+        Positions [rad or m], desired positions and measured efforts [N m or N]; rows of shape
+        (3, n).
+    commands : Series
+        Commanded efforts [N m or N]; rows of shape (m,).
+    external : Series
+        Estimated external efforts [N m or N], NaN for joints without an estimate; rows of shape
+        (n,).
+    brakes : Series
+        1 where the brakes went on, 0 where they opened.
+    arrivals : list of float
+        Times at which the commands were received, on the steady clock [s].
+
+    """
+
+    def __init__(self) -> None:
+        self.states = Series()
+        self.commands = Series()
+        self.external = Series()
+        self.brakes = Series()
+        self.arrivals: list[float] = []
+
+    def command_rate(self, begin: float = -math.inf) -> float:
+        """
+        Return the rate of the commands since a time on the steady clock [Hz].
+
+        This is the slope of a line fitted to the arrivals. Commands that arrive in one burst after
+        a pause shift this line but hardly change its slope, whereas the number of commands divided
+        by the time would include those that were queued before ``begin``.
+
+        Parameters
+        ----------
+        begin : float
+            Time on the steady clock [s]; by default the start of the motion.
+
+        """
+        times = np.array(self.arrivals[bisect_left(self.arrivals, begin) :])
+        if len(times) < 2:
+            return 0.0
+        since = times - times.mean()
+        spread = float(since @ since)
+        count = np.arange(len(times)) - 0.5 * (len(times) - 1)
+        return float(since @ count) / spread if spread > 0.0 else 0.0
+
+    def largest_error(self, begin: float, end: float) -> Floats:
+        """Return the largest position error of each joint between two times, shape (n,)."""
+        rows = self.states.between(begin, end)
+        if not len(rows):
+            return np.full(self.states.rows.shape[2:] or (1,), math.nan)
+        largest: Floats = np.max(np.abs(rows[:, 1] - rows[:, 0]), axis=0)
+        return largest
 
 
 def resolved_acceleration(
@@ -68,8 +155,6 @@ class Commander(Node):
         The n joints to move, in the node's order.
     sends : str
         Message to send for every joint state: 'accelerations', 'reference', or '' for none.
-    kp, kd : float
-        Gains of resolved acceleration [1/s^2] and [1/s].
 
     Attributes
     ----------
@@ -79,8 +164,6 @@ class Commander(Node):
         Time from the start of the trajectory to the stamp of the latest joint state [s].
     desired : ndarray, shape (n,)
         Desired positions at that time [rad or m].
-    command : ndarray, shape (m,)
-        Latest command of the node [N m or N]; empty before the first.
     commands : int
         Number of commands received from the node.
     external_efforts : int
@@ -92,24 +175,16 @@ class Commander(Node):
 
     """
 
-    def __init__(
-        self,
-        joint_names: tuple[str, ...],
-        sends: str = 'accelerations',
-        kp: float = KP,
-        kd: float = KD,
-    ) -> None:
+    def __init__(self, joint_names: tuple[str, ...], sends: str = 'accelerations') -> None:
         super().__init__('commander')
         self.state: tuple[Floats, Floats, Floats] | None = None
         self.time = 0.0
         self.desired: Floats = np.zeros(len(joint_names))
-        self.command: Floats = np.zeros(0)
         self.commands = 0
         self.external_efforts = 0
         self.brakes_on = True
         self.history = History()
         self._joint_names = joint_names
-        self._gains = kp, kd
         self._names: list[str] = []
         self._order: list[int] = []
         self._trajectory: Reference | None = None
@@ -119,7 +194,7 @@ class Commander(Node):
         self._now = 0.0
         self._event_publishers: dict[str, Any] = {}
         self._send = self._make_sender(sends)
-        self.create_subscription(JointState, 'joint_states', self._on_state, NEWEST)
+        self.create_subscription(JointState, 'joint_states', self._on_state, BEST_EFFORT)
         self.create_subscription(Bool, 'brakes', self._on_brakes, LATCHED)
         # A deep, reliable queue, because the commands are counted.
         self.create_subscription(
@@ -194,7 +269,7 @@ class Commander(Node):
     def _send_accelerations(self, sample: tuple[Floats, Floats, Floats]) -> None:
         assert self.state is not None
         q, qd, _ = self.state
-        self._message.data = resolved_acceleration(sample, q, qd, *self._gains).tolist()
+        self._message.data = resolved_acceleration(sample, q, qd, KP, KD).tolist()
         self._accelerations.publish(self._message)
 
     def _send_reference(self, sample: tuple[Floats, Floats, Floats]) -> None:
@@ -236,9 +311,8 @@ class Commander(Node):
 
     def _on_command(self, message: Float64MultiArray) -> None:
         self.commands += 1
-        self.command = np.array(message.data)
         if self._records and self._began is not None:
-            self.history.commands.add(self.now, self.command)
+            self.history.commands.add(self.now, np.array(message.data))
             self.history.arrivals.append(time.monotonic())
 
     def _on_external(self, message: JointState) -> None:

@@ -1,5 +1,5 @@
 """
-The demo: runs the node on a simulated robot, and prints, draws and records the result.
+The demo: runs the node on a simulated robot, and records the motion.
 
 Three processes communicate over ROS topics on this machine: the robot, the node, and this one,
 which sends references to the node and records the motion.
@@ -8,37 +8,55 @@ which sends references to the node and records the motion.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 import gc
+import math
 import os
 from pathlib import Path
 from textwrap import fill
+import time
+from typing import Any, NamedTuple
 
 import numpy as np
 import rclpy
+from rclpy.experimental import EventsExecutor
+from sensor_msgs.msg import Imu, JointState
+from std_msgs.msg import Bool, Float64MultiArray
+from trajectory_msgs.msg import JointTrajectory
 
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...errors import unknown_name
+from ...robot.model import RobotModel
 from ...robot.urdf import load_urdf
 from ...ros.middleware import start_ros
 from ..mujoco.model import SimulationError
-from ..trajectory import start_pose
+from ..trajectory import Reference, start_pose
+from .commander import Commander, History
 from .demo_setup import DemoSetup
-from .processes import running
-from .results import excuse
-from .run import DemoRun, topics_of
-from .scenarios import Scenario, SCENARIOS, Timeline
-from .tracking import check_tracking
-from .view import View
+from .processes import Processes, running
+from .results import excuse, ScenarioResult
+from .scenarios import NODE, Scenario, SCENARIOS, Timeline
+from .view import Snapshot, View
 
 MOST_LISTED = 7  # joints
-NewFile = Callable[[Path], AbstractContextManager[Path]]
+START_TIMEOUT = 60.0  # [s]: the first run on a machine compiles the dynamics
+SILENCE_TIMEOUT = 5.0  # [s]
 
 
-def run_demo(options: argparse.Namespace, stopped: Callable[[], bool], new_file: NewFile) -> bool:
-    """Run the whole demo; return whether it passed. The picture is written within `new_file`."""
+class DemoResult(NamedTuple):
+    """What a run of a scenario leaves: its verdict, and what a picture shows."""
+
+    outcome: ScenarioResult
+    title: str
+    robot: RobotModel
+    timeline: Timeline
+    history: History
+
+
+def run_demo(options: argparse.Namespace, stopped: Callable[[], bool]) -> DemoResult:
+    """Run a scenario, print the measurements, and write the recording."""
     scenario = SCENARIOS[options.scenario]
     urdf = str(options.urdf.resolve())
     robot = load_urdf(urdf)
@@ -46,66 +64,36 @@ def run_demo(options: argparse.Namespace, stopped: Callable[[], bool], new_file:
         raise SimulationError(unknown_name('link', options.link, robot.link_names))
     # This also compiles the dynamics, which the node then loads from the cache.
     start = start_pose(robot, InverseDynamics(robot))
-    setup = DemoSetup(urdf, robot, start, options.duration, options.link, options.friction)
+    setup = DemoSetup(
+        urdf, robot, start, options.duration, options.link, options.friction, options.rate
+    )
     timeline = scenario.prepare(setup)  # fails early if nothing can move
     view = View(robot, f'{robot.name}: {options.scenario}')
-    log = view.log if view.is_live else None  # above the live table
     if np.any(setup.armature):
         print(describe_rotors(setup))
     if timeline.note:
         print(timeline.note)
     print(_environment_hint())
-    with running(_commands(setup, scenario, options), log) as processes:
-        start_ros([])
-        run = DemoRun(robot, scenario, processes, stopped)
-        try:
-            return _perform(run, timeline, setup, view, options, new_file)
-        finally:
-            run.close()
-            rclpy.shutdown()
-
-
-def _perform(
-    run: DemoRun,
-    timeline: Timeline,
-    setup: DemoSetup,
-    view: View,
-    options: argparse.Namespace,
-    new_file: NewFile,
-) -> bool:
-    scenario, history = SCENARIOS[options.scenario], run.commander.history
-    recorder = None
+    print(f'waiting for robot and node: {urdf}', flush=True)
+    armature = setup.armature.tolist()
+    friction = ['--friction', '--armature', *map(str, armature)] if options.friction else []
+    parameters = {
+        'robot_description_file': f"'{urdf}'",
+        'include_friction': str(options.friction).lower(),
+        'armature': str(armature),
+    }
+    commands = commands_of(
+        scenario, options.rate, [urdf, *friction, *scenario.robot], [], parameters
+    )
+    with demo_run(scenario, timeline, view, commands, stopped, bool(options.record)) as run:
+        run.perform(setup.duration)
+        recorded = run.write(options.record, options.storage) if options.record else 0
+    history = run.commander.history
+    print()
+    outcome = replace(timeline.check(history), excuse=excuse(history))
     if options.record:
-        from .recorder import Recorder
-
-        recorder = Recorder(run.commander, topics_of(scenario, timeline), latched=('brakes',))
-    print(f'waiting for robot and node: {setup.urdf}', flush=True)
-    # Exempt the objects of the libraries from garbage collection, which would take 0.1 s a time.
-    # Commands that queue up during this are received in the wait below, before the measurement.
-    gc.collect()
-    gc.freeze()
-    run.wait_until_ready()
-    if recorder is not None:
-        recorder.begin()  # until now the brakes held the arm, and the efforts had no effect
-    with view.open():
-        run.perform(timeline, setup.duration, view)
-    if options.scenario == 'track':
-        outcome = check_tracking(setup, history, options.rate)
-    else:
-        print()
-        outcome = timeline.check(history)
-    outcome = replace(outcome, excuse=excuse(history))
-    if recorder is not None:
-        count = recorder.write(options.record, options.storage)
-        print(f'recorded: {count} messages in {options.record}')
-    if options.picture:
-        from .picture import draw
-
-        with new_file(options.picture) as path:
-            draw(path, setup.robot, f'{view.title}. {outcome}', timeline, history)
-        print(f'picture: {options.picture}')
-    print(outcome, flush=True)
-    return not outcome.failures
+        print(f'recorded: {recorded} messages in {options.record}')
+    return DemoResult(outcome, view.title, robot, timeline, history)
 
 
 def _environment_hint() -> str:
@@ -134,28 +122,219 @@ def describe_rotors(setup: DemoSetup) -> str:
     return fill(text, 100, break_on_hyphens=False)
 
 
-def _commands(
-    setup: DemoSetup, scenario: Scenario, options: argparse.Namespace
+def commands_of(
+    scenario: Scenario,
+    rate: float,
+    robot: list[str],
+    node: list[str],
+    parameters: Mapping[str, str],
 ) -> dict[str, list[str]]:
+    """Return the arguments of ``python -m`` for robot and node, by the name of the process."""
     package = 'inverse_dynamics_node'
-    urdf, armature = setup.urdf, setup.armature.tolist()
-    friction = ['--friction', '--armature', *map(str, armature)] if options.friction else []
-    parameters = {
-        'robot_description_file': f"'{urdf}'",
-        'update_rate': '0.0',
-        'include_friction': str(options.friction).lower(),
-        'armature': str(armature),
-        **scenario.parameters,
-    }
+    parameters = {'update_rate': '0.0', **parameters, **scenario.parameters}
     return {
         'the simulated robot': [
-            *(f'{package}.simulation.robot', urdf, '--rate', str(options.rate)),
-            *friction,
-            *scenario.robot,
+            *(f'{package}.simulation.robot', *robot, '--rate', str(rate)),
             *('--ros-args', '-r', 'commands:=inverse_dynamics/commands'),
         ],
         'the node': [
-            *(f'{package}.node.main', '--ros-args'),
+            *(f'{package}.node.main', '--ros-args', *node),
             *(x for name, value in parameters.items() for x in ('-p', f'{name}:={value}')),
         ],
     }
+
+
+@contextmanager
+def demo_run(
+    scenario: Scenario,
+    timeline: Timeline,
+    view: View,
+    commands: Mapping[str, list[str]],
+    stopped: Callable[[], bool],
+    records: bool,
+) -> Iterator[DemoRun]:
+    """
+    Start robot and node for one run; end them and leave ROS at the end of the context.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The scenario to perform.
+    timeline : Timeline
+        The same, prepared for the robot.
+    view : View
+        Shows the progress and, above a live table, the output of the processes.
+    commands : mapping of str to list of str
+        Arguments of the processes, see `commands_of`.
+    stopped : callable
+        Returns whether the user has asked to stop.
+    records : bool
+        Whether to record the topics of the run.
+
+    """
+    with running(commands, view.log if view.is_live else None) as processes:
+        start_ros([])
+        run = DemoRun(scenario, timeline, view, processes, stopped, records)
+        try:
+            yield run
+        finally:
+            run.close()
+            rclpy.shutdown()
+
+
+class DemoRun:
+    """One run, see `demo_run`: waits for robot and node, and follows the timeline."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        timeline: Timeline,
+        view: View,
+        processes: Processes,
+        stopped: Callable[[], bool],
+        records: bool,
+    ) -> None:
+        self.commander = Commander(view.robot.joint_names, scenario.sends)
+        self._timeline, self._view = timeline, view
+        self._words = timeline.begins
+        self._processes, self._stopped = processes, stopped
+        self._executor = EventsExecutor()
+        self._executor.add_node(self.commander)
+        self._recorder: Any = None
+        if records:
+            from .recorder import Recorder  # needs rosbags
+
+            topics = topics_of(scenario, timeline)
+            self._recorder = Recorder(self.commander, topics, latched=('brakes',))
+
+    def close(self) -> None:
+        """Leave ROS."""
+        self._executor.remove_node(self.commander)
+        self._executor.shutdown()
+        self.commander.destroy_node()
+
+    def write(self, folder: Path, storage: str) -> int:
+        """Write the recording of the run; return the number of messages."""
+        count: int = self._recorder.write(folder, storage)
+        return count
+
+    def perform(self, duration: float, standing: Reference | None = None) -> None:
+        """
+        Wait for robot and node, and follow the timeline from start to end.
+
+        Parameters
+        ----------
+        duration : float
+            Duration of the run [s].
+        standing : Reference, optional
+            Reference for the node from the first joint state on. Without it, the node holds the
+            robot by its model alone.
+
+        """
+        # Exempt the objects of the libraries from garbage collection, which would take 0.1 s a
+        # time. Commands that queue up during this are received in the wait below, before the
+        # measurement.
+        gc.collect()
+        gc.freeze()
+        self._wait_until_ready(standing)
+        if self._recorder is not None:
+            self._recorder.begin()  # until now the brakes held the arm: efforts had no effect
+        with self._view.open():
+            self._wait_for_topics()
+            self._follow(duration)
+
+    def _wait_until_ready(self, standing: Reference | None) -> None:
+        """Wait until the node holds the robot and the brakes are open."""
+        commander = self.commander
+        self._wait(lambda: commander.state is not None, 'the robot sends no joint states')
+        if standing is not None:
+            commander.follow(standing, records=False)
+        self._wait(lambda: commander.commands > 0, 'the node sends no commands')
+        self._wait(lambda: not commander.brakes_on, 'the brakes stay on: commands do not flow')
+
+    def _wait_for_topics(self) -> None:
+        """Wait for subscribers to the events, and for the external efforts if there are any."""
+        commander = self.commander
+        for event in self._timeline.events:
+            commander.advertise(event.messages)
+        self._wait(
+            lambda: not commander.topics_without_subscriber(),
+            lambda: f'no subscriber on {", ".join(commander.topics_without_subscriber())}',
+        )
+        if self._timeline.expected is not None:
+            commander.record_external_efforts()
+            self._wait(
+                lambda: commander.external_efforts > 0, 'the node sends no external efforts'
+            )
+
+    def _follow(self, duration: float) -> None:
+        commander, timeline, view = self.commander, self._timeline, self._view
+        view.announce(0.0, timeline.begins)
+        commander.follow(timeline.trajectory)
+        events = list(timeline.events)
+        last = time.monotonic()
+        line = 1.0
+        while commander.now < duration:
+            self._spin()
+            if commander.silence > SILENCE_TIMEOUT:
+                raise SimulationError('joint states stopped coming')
+            while events and commander.now >= events[0].time:
+                event = events.pop(0)
+                self._words = event.words
+                for topic, message in event.messages.items():
+                    commander.publish(topic, message)
+                view.announce(event.time, event.words)
+            is_second = commander.now >= min(line, duration)
+            if is_second and not view.is_live:
+                view.print_progress(self._snapshot(last))
+            elif view.is_due:
+                view.draw(self._snapshot(time.monotonic() - 1.0))
+            if is_second:
+                line = math.floor(commander.now) + 1.0
+                last = time.monotonic()
+
+    def _snapshot(self, since: float) -> Snapshot:
+        commander = self.commander
+        rate = commander.history.command_rate(since)
+        assert commander.state is not None
+        q, _, effort = commander.state
+        return Snapshot(
+            commander.now, rate, self._words, q, commander.desired, effort, commander.brakes_on
+        )
+
+    def _wait(self, condition: Callable[[], bool], otherwise: str | Callable[[], str]) -> None:
+        deadline = time.monotonic() + START_TIMEOUT
+        while not condition():
+            if time.monotonic() > deadline:
+                words = otherwise if isinstance(otherwise, str) else otherwise()
+                raise SimulationError(f'{words} (waited {START_TIMEOUT:.0f} s)')
+            self._spin()
+
+    def _spin(self) -> None:
+        """Handle pending events for a moment; raise if a process ended or the user stopped."""
+        if self._stopped():
+            raise KeyboardInterrupt
+        for name, process in self._processes.items():
+            if process.poll() is not None:
+                raise SimulationError(f'{name} ended early, with exit code {process.poll()}')
+        self._executor.spin_once(timeout_sec=0.05)
+
+
+def topics_of(scenario: Scenario, timeline: Timeline) -> dict[str, Any]:
+    """Return the topics of a run that are worth recording, with their message classes."""
+    topics: dict[str, Any] = {
+        'joint_states': JointState,
+        'brakes': Bool,
+        f'{NODE}/commands': Float64MultiArray,
+        f'{NODE}/joint_efforts': JointState,
+    }
+    if scenario.sends == 'accelerations':
+        topics[f'{NODE}/desired_accelerations'] = Float64MultiArray
+    elif scenario.sends == 'reference':
+        topics[f'{NODE}/reference'] = JointTrajectory
+    if timeline.expected is not None:
+        topics[f'{NODE}/external_efforts'] = JointState
+    if 'base_motion' in scenario.parameters:
+        topics['imu'] = Imu
+    events = {topic: type(m) for event in timeline.events for topic, m in event.messages.items()}
+    return topics | events

@@ -19,7 +19,10 @@ from ...robot.model import Floats, RobotModel
 from ..mujoco.hardware import require_inertia
 from ..trajectory import EFFORT_USED, effort_used
 
-KP, KD = 400.0, 40.0  # gains of the node's loop [1/s^2], [1/s], equal to the commander's
+# Gains [1/s^2], [1/s] of the loop, which the commander or the node closes. Critically damped at
+# 20 rad/s: stiff enough that two samples of latency cost less than a millirad, soft enough that
+# holding one command for 20 ms does no harm.
+KP, KD = 400.0, 40.0
 DEFLECTION = 0.2  # [rad or m]: largest deflection of a joint by a load or a push
 HEAVIEST = 5.0  # [kg]
 LEAST_LOAD = 0.01  # fraction of the robot's mass
@@ -28,6 +31,9 @@ LEAST_INERTIA = 0.1  # [kg m^2 per N m, kg per N] of dry friction, as of motors 
 LEAST_DECAY = 0.02  # [s]: viscous friction must not stop a joint faster than the loop reacts
 BOX = 0.1  # [m], side of a cubic load
 GRIP = (0.0, 0.0, 0.05)  # [m], centre of the load in the frame of the link
+
+Put = Callable[[InverseDynamics, str, float], None]
+"""Puts a load or a push of some size on a link."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +55,8 @@ class DemoSetup:
         Link to load and to push; empty to choose the hand, or a link near it.
     friction : bool
         Whether the joints have the friction of the URDF and the node compensates it.
+    rate : float
+        Rate of the joint states, and of the commands [Hz].
 
     """
 
@@ -58,6 +66,7 @@ class DemoSetup:
     duration: float
     link: str = ''
     friction: bool = False
+    rate: float = 500.0
 
     @cached_property
     def armature(self) -> Floats:
@@ -112,27 +121,18 @@ class DemoSetup:
         the link closest to the hand that withstands 1 % of the robot's mass.
 
         """
-        links = [self.link] if self.link else links_towards_base(self.robot)
         unit = np.eye(3) * BOX**2 / 6.0
-        chosen, heaviest = links[0], 0.0
-        for link in links:
 
-            def put(dynamics: InverseDynamics, mass: float, link: str = link) -> None:
-                dynamics.set_payload(link, mass, GRIP, mass * unit)
+        def put(dynamics: InverseDynamics, link: str, mass: float) -> None:
+            dynamics.set_payload(link, mass, GRIP, mass * unit)
 
-            mass = self._most(put, HEAVIEST)
-            if mass > heaviest:
-                chosen, heaviest = link, mass
-            if heaviest >= LEAST_LOAD * float(self.robot.mass.sum()):
-                break
-        return chosen, heaviest, heaviest * unit
+        enough = LEAST_LOAD * float(self.robot.mass.sum())
+        link, mass = self._place(put, HEAVIEST, enough)
+        return link, mass, mass * unit
 
     def capacity(self, link: str) -> float:
         """Return the mass on a link that takes a drive to its limit in the start pose [kg]."""
-        dynamics = InverseDynamics(self.robot)
-        alone = dynamics.gravity_efforts(self.start)
-        dynamics.set_payload(link, 1.0, GRIP)
-        change = dynamics.gravity_efforts(self.start) - alone
+        alone, change = self._effect(lambda dynamics: dynamics.set_payload(link, 1.0, GRIP))
         lifting = np.abs(change) > 1e-9
         spare = self.robot.effort_limits - alone * np.sign(change)
         return float(np.min(spare[lifting] / np.abs(change[lifting]), initial=np.inf))
@@ -145,20 +145,13 @@ class DemoSetup:
         the hand that withstands a firm one.
 
         """
-        links = [self.link] if self.link else links_towards_base(self.robot)
         direction = np.ones(3) / np.sqrt(3.0)
-        chosen, hardest = links[0], 0.0
-        for link in links:
 
-            def put(dynamics: InverseDynamics, force: float, link: str = link) -> None:
-                dynamics.set_external_wrench(link, force * direction)
+        def put(dynamics: InverseDynamics, link: str, force: float) -> None:
+            dynamics.set_external_wrench(link, force * direction)
 
-            force = self._most(put, HARDEST)
-            if force > hardest:
-                chosen, hardest = link, force
-            if hardest >= FIRM:
-                break
-        return chosen, hardest * direction
+        link, force = self._place(put, HARDEST, FIRM)
+        return link, force * direction
 
     def external_efforts(self, link: str, force: Floats, q: Floats) -> Floats:
         """Compute the joint efforts that balance a push on a link: -J^T F."""
@@ -167,13 +160,29 @@ class DemoSetup:
         difference: Floats = pushed.gravity_efforts(q) - alone.gravity_efforts(q)
         return difference
 
-    def _most(self, put: Callable[[InverseDynamics, float], None], limit: float) -> float:
+    def _place(self, put: Put, limit: float, enough: float) -> tuple[str, float]:
+        """Return the link closest to the hand that withstands enough, else the most, and that."""
+        links = [self.link] if self.link else links_towards_base(self.robot)
+        chosen, most = links[0], 0.0
+        for link in links:
+            size = self._most(put, link, limit)
+            if size > most:
+                chosen, most = link, size
+            if most >= enough:
+                break
+        return chosen, most
+
+    def _effect(self, put: Callable[[InverseDynamics], None]) -> tuple[Floats, Floats]:
+        """Return the efforts of gravity at the start, and how a load or a push changes them."""
+        dynamics = InverseDynamics(self.robot)
+        alone = dynamics.gravity_efforts(self.start)
+        put(dynamics)
+        return alone, dynamics.gravity_efforts(self.start) - alone
+
+    def _most(self, put: Put, link: str, limit: float) -> float:
         """Find the largest load or push, up to a limit, that joints and drives withstand."""
-        robot, start = self.robot, self.start
-        dynamics = InverseDynamics(robot)
-        alone = dynamics.gravity_efforts(start)
-        put(dynamics, 1.0)
-        change = dynamics.gravity_efforts(start) - alone
+        robot = self.robot
+        alone, change = self._effect(lambda dynamics: put(dynamics, link, 1.0))
         deflection = np.linalg.solve(self._mass_matrix(self.dynamics()), change) / KP
         most = min(limit, DEFLECTION / max(float(np.max(np.abs(deflection))), 1e-9))
         alone = np.where(np.abs(change) > 1e-9, alone, 0.0)  # ignore joints without a change

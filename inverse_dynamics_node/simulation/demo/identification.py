@@ -1,62 +1,106 @@
-"""One run of the scenario `calibrate`: the node follows a given motion on an unknown robot."""
+"""
+The scenario `calibrate`: the node follows a given motion on a robot that differs from its URDF.
+
+The robot has other masses, and friction and rotors that the URDF leaves out. Friction and rotors
+are sized by the inertia of the joints, so that every robot can move with them.
+"""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
 from dataclasses import dataclass
-import gc
 from pathlib import Path
 
 import numpy as np
-import rclpy
 
-from ...robot.model import Floats
-from ...ros.middleware import start_ros
-from ..trajectory import Oscillation
+from ...robot.model import Floats, RobotModel
+from ...robot.rigid_body import RigidBody
+from ...robot.urdf.writer import Friction, rewrite
+from ..trajectory import Reference
+from .commander import History
+from .demo import commands_of, demo_run
 from .demo_setup import DemoSetup
-from .history import History
-from .processes import running
 from .results import LEAST_FACTOR, result_of, ScenarioResult
-from .run import DemoRun, topics_of
-from .scenarios import COMPUTED_TORQUE, hold, PATIENT, Scenario, Timeline
+from .scenarios import COMPUTED_TORQUE, hold, PATIENT, Scenario, standing, Timeline
 from .view import View
 
 SUMMARY = 'identify masses, friction and rotors from an exciting motion; follow it again'
 # `follow` makes the timeline itself, because its motion depends on an analysis of the robot.
 _SCENARIO = Scenario(SUMMARY, hold, parameters={**COMPUTED_TORQUE, **PATIENT})
+MASS = (0.75, 1.35)
+"""Smallest and largest ratio of the masses of links to those in the URDF."""
+PLACE = (0.85, 1.15)
+"""The same for the coordinates of their centres of mass."""
+ROTOR = 0.4
+"""Inertia of rotors relative to that of the joint."""
+COULOMB = 3.0
+"""Acceleration at which the inertia of a joint takes as much effort as its friction [rad/s^2]."""
+DAMPING_SPEED = 1.5
+"""Speed at which viscous friction is as large as Coulomb friction [rad/s]."""
+LARGEST_FRICTION = 0.05
+"""Largest Coulomb friction, as a fraction of the effort limit."""
+_SEED = 1979
 
 
 @dataclass(frozen=True, eq=False)
-class GivenMotion:
-    """
-    A motion as the commander needs it; after its end the robot rests.
+class UnknownRobot:
+    """A robot as it is, which its URDF describes wrongly."""
 
-    Attributes
+    urdf: bytes
+    """The URDF with the right inertials and friction."""
+    armature: Floats
+    """Inertia of rotors, shape (n,) [kg m^2 or kg]."""
+    damping: Floats
+    """Viscous friction, shape (n,) [N m s/rad or N s/m]."""
+    coulomb: Floats
+    """Coulomb friction, shape (n,) [N m or N]."""
+
+
+def unknown_robot(setup: DemoSetup) -> UnknownRobot:
+    """
+    Draw a robot that its URDF describes wrongly, always the same for the same URDF.
+
+    Parameters
     ----------
-    start : ndarray, shape (n,)
-        Pose at the start [rad or m].
-    function : callable
-        Returns positions, velocities and accelerations, each of shape (k, n), for times of shape
-        (k,) from 0 to ``duration``.
-    duration : float
-        Duration [s].
+    setup : DemoSetup
+        The robot as in its URDF.
 
     """
+    robot, rng = setup.robot, np.random.default_rng(_SEED)
+    inertials = {}
+    for k, name in enumerate(robot.link_names):
+        factor, place = rng.uniform(*MASS), rng.uniform(*PLACE, 3)
+        if robot.link_mass[k] > 0.0:
+            inertials[name] = RigidBody(
+                factor * robot.link_mass[k],
+                place * robot.link_com[k],
+                factor * robot.link_inertia[k],
+            )
+    armature = ROTOR * setup.inertia
+    coulomb = np.minimum(
+        COULOMB * (setup.inertia + armature), LARGEST_FRICTION * robot.effort_limits
+    )
+    damping = coulomb / DAMPING_SPEED
+    return UnknownRobot(
+        rewrite(setup.urdf, inertials, _friction(robot, damping, coulomb)),
+        armature,
+        damping,
+        coulomb,
+    )
 
-    start: Floats
-    function: Callable[[Floats], tuple[Floats, Floats, Floats]]
-    duration: float
 
-    def sample(self, time: float) -> tuple[Floats, Floats, Floats]:
-        """Return positions, velocities and accelerations at one time, each of shape (n,)."""
-        q, qd, qdd = self.function(np.array([min(max(time, 0.0), self.duration)]))
-        return q[0], qd[0], qdd[0]
+def _friction(robot: RobotModel, damping: Floats, coulomb: Floats) -> dict[str, Friction]:
+    """Return the friction of all joints; mimicking joints have none of their own."""
+    friction = {name: Friction(0.0, 0.0) for name in robot.body_names[1:]}
+    for name, viscous, dry in zip(robot.joint_names, damping, coulomb, strict=True):
+        friction[name] = Friction(float(viscous), float(dry))
+    return friction
 
 
 def follow(
     setup: DemoSetup,
-    motion: GivenMotion,
+    motion: Reference,
     robot_arguments: list[str],
     node_arguments: list[str],
     record: Path | None,
@@ -70,9 +114,9 @@ def follow(
     Parameters
     ----------
     setup : DemoSetup
-        The robot as in its URDF.
-    motion : GivenMotion
-        The motion, from the pose in which the robot starts.
+        The robot as in its URDF, and the start and the duration of the motion.
+    motion : Reference
+        The motion; after its end the robot rests.
     robot_arguments : list of str
         Path of the URDF and further arguments of the simulated robot.
     node_arguments : list of str
@@ -87,47 +131,16 @@ def follow(
         Title of the live table, and description of the run.
 
     """
-    from .recorder import Recorder
-
     view = View(setup.robot, f'{setup.robot.name}: {title}')
-    log = view.log if view.is_live else None  # above the live table
-    package = 'inverse_dynamics_node'
-    parameters = {'update_rate': '0.0', **_SCENARIO.parameters}
-    commands = {
-        'the simulated robot': [
-            *(f'{package}.simulation.robot', *robot_arguments, '--rate', str(options.rate)),
-            *('--start', *(f'{x:.9f}' for x in motion.start)),  # argparse knows no -1e-5
-            *('--ros-args', '-r', 'commands:=inverse_dynamics/commands'),
-        ],
-        'the node': [
-            *(f'{package}.node.main', '--ros-args', *node_arguments),
-            *(x for name, value in parameters.items() for x in ('-p', f'{name}:={value}')),
-        ],
-    }
-    zeros = np.zeros_like(motion.start)
     timeline = Timeline(motion, lambda history: ScenarioResult(title), begins=title)
-    with running(commands, log) as processes:
-        start_ros([])
-        run = DemoRun(setup.robot, _SCENARIO, processes, stopped)
-        try:
-            recorder = None
-            if record is not None:
-                topics = topics_of(_SCENARIO, timeline)
-                recorder = Recorder(run.commander, topics, latched=('brakes',))
-            gc.collect()
-            gc.freeze()  # see `demo`
-            # The wrong model lets the robot sink as soon as the brakes open, unless it is held.
-            run.wait_until_ready(Oscillation(motion.start, zeros, zeros + 1.0, motion.duration))
-            if recorder is not None:
-                recorder.begin()
-            with view.open():
-                run.perform(timeline, motion.duration, view)
-            if recorder is not None and record is not None:
-                recorder.write(record, options.storage)
-            return run.commander.history
-        finally:
-            run.close()
-            rclpy.shutdown()
+    start = ['--start', *(f'{x:.9f}' for x in setup.start)]  # argparse knows no -1e-5
+    commands = commands_of(_SCENARIO, options.rate, [*robot_arguments, *start], node_arguments, {})
+    with demo_run(_SCENARIO, timeline, view, commands, stopped, bool(record)) as run:
+        # The wrong model lets the robot sink as soon as the brakes open, unless it is held.
+        run.perform(setup.duration, standing(setup))
+        if record is not None:
+            run.write(record, options.storage)
+    return run.commander.history
 
 
 def rms_errors(history: History, duration: float) -> Floats:

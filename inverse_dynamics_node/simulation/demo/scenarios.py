@@ -21,27 +21,24 @@ from geometry_msgs.msg import (
     WrenchStamped,
 )
 import numpy as np
+from numpy.typing import ArrayLike
 from std_msgs.msg import Bool, Header
 
+from ...dynamics.inverse_dynamics import InverseDynamics
 from ...robot.model import Floats
-from .. import tilt
+from ..mujoco.hardware import MujocoRobot
+from ..mujoco.world import Tilt, TILT_DURATION
 from ..trajectory import Oscillation, plan, Reference
 from . import results
-from .demo_setup import (
-    DemoSetup,
-    GRIP,
-    KD,
-    KP,
-)
-from .history import History
-from .results import ScenarioResult
-from .tracking import REST_FRACTION
-from .without_imu import held_without_imu
+from .commander import History
+from .demo_setup import DemoSetup, GRIP, KD, KP
+from .results import REST_FRACTION, ScenarioResult
 
 NODE, ROBOT = 'inverse_dynamics', 'simulated_robot'  # prefixes of topics
 TILT = math.radians(30.0) * np.array([1.0, 1.0, 0.0]) / math.sqrt(2.0)  # [rad]
 IMU_ORIENTATION = (0.2, -0.3, 1.1)  # [rad]: askew, as on a real robot
 LOST = 2.0  # [s] without joint states
+SIMULATED_PERIOD = 0.002  # [s] of the calculation without an IMU
 
 
 @dataclass(frozen=True)
@@ -117,7 +114,8 @@ class Scenario:
     least_duration: float = 10.0
 
 
-def _standing(setup: DemoSetup) -> Oscillation:
+def standing(setup: DemoSetup) -> Oscillation:
+    """Return the motion of an arm that stands in its start pose."""
     zeros = np.zeros(len(setup.start))
     return Oscillation(setup.start, zeros, zeros + 1.0, setup.duration)
 
@@ -125,19 +123,19 @@ def _standing(setup: DemoSetup) -> Oscillation:
 def hold(setup: DemoSetup) -> Timeline:
     """Hold the start pose without a reference."""
     return Timeline(
-        _standing(setup),
+        standing(setup),
         lambda history: results.check_hold(setup, history),
         begins='no reference: gravity compensation',
     )
 
 
 def track(setup: DemoSetup) -> Timeline:
-    """Move, then rest; `check_tracking` gives the result."""
+    """Move, then rest."""
     moving = (1.0 - REST_FRACTION) * setup.duration
     trajectory = plan(setup.robot, setup.dynamics(), setup.start, moving)
     return Timeline(
         trajectory,
-        lambda history: results.check_hold(setup, history),
+        lambda history: results.check_tracking(setup, history),
         begins='the arm follows a trajectory',
     )
 
@@ -190,7 +188,7 @@ def push(setup: DemoSetup) -> Timeline:
         return efforts
 
     return Timeline(
-        _standing(setup),
+        standing(setup),
         lambda history: results.check_push(setup, history, link, force, began, ended),
         (
             Event(
@@ -208,19 +206,57 @@ def push(setup: DemoSetup) -> Timeline:
 def tilted(setup: DemoSetup) -> Timeline:
     """Tilt the base, and keep it tilted."""
     began = 0.25 * setup.duration
-    settled = began + tilt.DURATION + results.SETTLED
+    settled = began + TILT_DURATION + results.SETTLED
     without = held_without_imu(setup, TILT, began)
     attitude = Vector3Stamped(vector=Vector3(x=TILT[0], y=TILT[1], z=TILT[2]))
     return Timeline(
-        _standing(setup),
+        standing(setup),
         lambda history: results.check_tilt(setup, history, settled, without),
         (
             Event(began, 'the base tilts by 30 degrees', {f'{ROBOT}/tilt': attitude}),
-            Event(began + tilt.DURATION, 'the base stays tilted', {}),
+            Event(began + TILT_DURATION, 'the base stays tilted', {}),
         ),
         'the base is level',
         without=without,
     )
+
+
+def held_without_imu(setup: DemoSetup, attitude: ArrayLike, began: float) -> tuple[Floats, Floats]:
+    """
+    Hold an arm by computed torque on a tilting base without an IMU.
+
+    Parameters
+    ----------
+    setup : DemoSetup
+        The robot, its pose and the duration.
+    attitude : array_like, shape (3,)
+        Final rotation vector of the base from level [rad].
+    began : float
+        Time at which the base begins to tilt [s].
+
+    Returns
+    -------
+    times : ndarray, shape (k,)
+        Times [s].
+    errors : ndarray, shape (k, n)
+        Position errors of the joints [rad or m].
+
+    """
+    simulated = MujocoRobot(setup.urdf, setup.robot, setup.start, friction=False)
+    simulated.brakes_on = False
+    dynamics = InverseDynamics(setup.robot)
+    order = [simulated.state_names.index(name) for name in setup.robot.joint_names]
+    tilt = Tilt()
+    tilt.turn_to(attitude, began)
+    times = np.arange(0.0, setup.duration, SIMULATED_PERIOD)
+    errors = np.zeros((len(times), len(setup.start)))
+    for time, error in zip(times, errors, strict=True):
+        q, qd = (values[order] for values in simulated.state()[:2])
+        error[:] = setup.start - q
+        simulated.command(dynamics.efforts(q, qd, KP * error - KD * qd))
+        simulated.world.set_base_motion(*tilt.motion(float(time)))
+        simulated.advance(SIMULATED_PERIOD)
+    return times, errors
 
 
 def sensor_lost(setup: DemoSetup) -> Timeline:
@@ -229,7 +265,7 @@ def sensor_lost(setup: DemoSetup) -> Timeline:
     back = lost + LOST
     sensors = f'{ROBOT}/sensors'
     return Timeline(
-        _standing(setup),
+        standing(setup),
         lambda history: results.check_sensor_lost(setup, history, lost, back),
         (
             Event(lost, 'joint states stop, brakes go on', {sensors: Bool(data=False)}),

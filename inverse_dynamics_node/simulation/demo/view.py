@@ -18,7 +18,6 @@ from rich.text import Text
 from ...robot.model import Floats, RobotModel
 
 LIVE_PERIOD = 0.2  # [s]: drawing takes a few milliseconds, during which the loop waits
-PLAIN_PERIOD = 1.0  # [s]
 FULL_ERROR = 0.1  # [rad or m] at the end of the bar; each tenth of the bar is a factor of 2.5
 WIDTH = 12  # of a bar
 
@@ -68,7 +67,7 @@ class View:
     """
 
     def __init__(self, robot: RobotModel, title: str, console: Console | None = None) -> None:
-        self._robot, self.title = robot, title
+        self.robot, self.title = robot, title
         self._units = [
             ('m', 'mm', 'N') if s else ('rad', 'mrad', 'N m') for s in robot.is_prismatic_joint
         ]
@@ -115,8 +114,8 @@ class View:
             *(('effort', 14), ('of its limit', 0)),
         ):
             table.add_column(f'{name:>{width}}', no_wrap=True)
-        limits = self._robot.effort_limits
-        for i, (name, units) in enumerate(zip(self._robot.joint_names, self._units, strict=True)):
+        limits = self.robot.effort_limits
+        for i, (name, units) in enumerate(zip(self.robot.joint_names, self._units, strict=True)):
             q, desired, effort = snapshot.q[i], snapshot.desired[i], snapshot.effort[i]
             fraction = abs(effort) / limits[i] if limits[i] > 0.0 else 0.0
             table.add_row(
@@ -142,9 +141,9 @@ class View:
     def print_progress(self, snapshot: Snapshot) -> None:
         """Print positions, desired positions, errors and efforts."""
         print(f'\nt = {snapshot.time:.1f} s   {snapshot.rate:.1f} commands/s')
-        wide = name_width(self._robot)
+        wide = name_width(self.robot)
         print(f'{"joint":{wide}}{"position":>15}{"desired":>15}{"error":>13}{"effort":>14}')
-        for i, (name, units) in enumerate(zip(self._robot.joint_names, self._units, strict=True)):
+        for i, (name, units) in enumerate(zip(self.robot.joint_names, self._units, strict=True)):
             q, desired, effort = snapshot.q[i], snapshot.desired[i], snapshot.effort[i]
             print(
                 f'{name:{wide}}{q:11.4f} {units[0]:3}{desired:11.4f} {units[0]:3}'

@@ -18,16 +18,11 @@ from lxml import etree
 import mujoco
 import numpy as np
 
-from ...dynamics.loaded_robot import STANDARD_GRAVITY
+from ...dynamics.inverse_dynamics import STANDARD_GRAVITY
 from ...errors import InverseDynamicsError
+from ...robot.kinematics import rpy_of_quaternion
 from ...robot.model import Floats
-from ...robot.urdf.quaternions import rpy_of_quaternion
-from ...robot.urdf.xml import (
-    Element,
-    parse,
-    read_source,
-    tag,
-)
+from ...robot.urdf.xml import Element, parse, read_source, tag
 
 OLDEST_MUJOCO = (3, 17)  # 3.13 rotates inertias the wrong way, and older ones ignore <mimic>
 LARGEST_STEP = 0.00025  # [s]: its error is far below the effect of one sample of latency
@@ -147,15 +142,21 @@ def _restore_inertias(model: Any, set_aside: dict[str, tuple[float, Floats]]) ->
         body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, link)
         if body <= 0:
             continue  # the root link is fixed to the ground: its mass has no effect
-        moments, axes = np.linalg.eigh(inertia)
-        axes *= np.linalg.det(axes)  # a rotation, not a reflection
-        principal, turned = np.zeros(4), np.zeros(4)
-        mujoco.mju_mat2Quat(principal, axes.ravel())
-        mujoco.mju_mulQuat(turned, model.body_iquat[body], principal)
+        turned = np.zeros(4)
         model.body_mass[body] = mass
-        model.body_inertia[body] = moments
+        model.body_inertia[body], principal = principal_axes(inertia)
+        mujoco.mju_mulQuat(turned, model.body_iquat[body], principal)
         model.body_iquat[body] = turned
     mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def principal_axes(inertia: Floats) -> tuple[Floats, Floats]:
+    """Return the principal moments of an inertia, shape (3,), and their axes as a quaternion."""
+    moments, axes = np.linalg.eigh(inertia)
+    axes *= np.linalg.det(axes)  # a rotation, not a reflection
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, axes.ravel())
+    return moments, quaternion
 
 
 def _set_options(model: Any) -> None:

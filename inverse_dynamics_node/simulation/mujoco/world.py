@@ -1,5 +1,5 @@
 """
-External influences on a simulated robot: payloads, pushes and a tilting base.
+External influences on a simulated robot: payloads, pushes and a base that tilts.
 
 MuJoCo's world frame is the frame of the robot's base. A moving base is therefore simulated by
 rotating gravity and adding the inertial forces of the rotating frame.
@@ -7,6 +7,7 @@ rotating gravity and adding the inertial forces of the rotating frame.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import Any
 
 import mujoco
@@ -14,13 +15,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...dynamics.arguments import read_inertial, read_vector
-from ...dynamics.loaded_robot import STANDARD_GRAVITY
+from ...dynamics.inverse_dynamics import STANDARD_GRAVITY
 from ...errors import unknown_name
+from ...robot.kinematics import rotation_about
 from ...robot.model import Floats
 from ...robot.rigid_body import combine, RigidBody
-from .model import SimulationError
+from ..trajectory import ease
+from .model import principal_axes, SimulationError
 
 POINT = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))  # inertia of a point mass
+TILT_DURATION = 3.0  # [s] of a change of attitude
 
 
 class World:
@@ -188,12 +192,67 @@ def _inertia(model: Any, body: int) -> Floats:
 
 
 def _write_inertial(model: Any, body: int, mass: float, com: Floats, inertia: Floats) -> None:
-    moments, axes = np.linalg.eigh(inertia)
-    axes *= np.linalg.det(axes)  # a rotation, not a reflection
     model.body_mass[body] = mass
     model.body_ipos[body] = com
-    model.body_inertia[body] = moments
-    mujoco.mju_mat2Quat(model.body_iquat[body], axes.ravel())
+    model.body_inertia[body], model.body_iquat[body] = principal_axes(inertia)
     # Clear the optimization flag that MuJoCo's compiler derived from the link without its load.
     model.body_sameframe[body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
     mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def rotation(vector: ArrayLike) -> Floats:
+    """Return the matrix of a rotation vector [rad], shape (3, 3)."""
+    vector = np.asarray(vector, float)
+    angle = float(np.linalg.norm(vector))
+    return rotation_about(vector / angle, angle) if angle else np.eye(3)
+
+
+@dataclass(eq=False)
+class Tilt:
+    """
+    The attitude of a base over time, initially level.
+
+    Attributes
+    ----------
+    began : float
+        Start time of the latest turn [s].
+    level : ndarray, shape (3, 3)
+        Rotation from the base frame at that time to the level frame.
+    turn : ndarray, shape (3,)
+        Rotation vector of the whole turn, in the base frame [rad].
+
+    """
+
+    began: float = -np.inf
+    level: Floats = field(default_factory=lambda: np.eye(3))
+    turn: Floats = field(default_factory=lambda: np.zeros(3))
+
+    def turn_to(self, attitude: ArrayLike, time: float) -> None:
+        """Turn from the attitude at a time [s] to a rotation vector from level [rad]."""
+        self.level = self.attitude(time)
+        self.began = time
+        quaternion, turn = np.zeros(4), np.zeros(3)
+        mujoco.mju_mat2Quat(quaternion, (self.level.T @ rotation(attitude)).ravel())
+        mujoco.mju_quat2Vel(turn, quaternion, 1.0)
+        self.turn = turn
+
+    def attitude(self, time: float) -> Floats:
+        """Return the rotation from the base frame at a time [s] to the level one, shape (3, 3)."""
+        progress = ease(np.array((time - self.began) / TILT_DURATION))[0]
+        matrix: Floats = self.level @ rotation(progress * self.turn)
+        return matrix
+
+    def motion(self, time: float) -> tuple[Floats, Floats, Floats]:
+        """
+        Return gravity and the motion of the base at a time [s].
+
+        Returns
+        -------
+        gravity, angular_velocity, angular_acceleration : ndarray, shape (3,)
+            In the base frame [m/s^2], [rad/s], [rad/s^2].
+
+        """
+        gravity = self.attitude(time).T @ STANDARD_GRAVITY
+        _, speed, acceleration = ease(np.array((time - self.began) / TILT_DURATION))
+        speed, acceleration = speed / TILT_DURATION, acceleration / TILT_DURATION**2
+        return gravity, speed * self.turn, acceleration * self.turn

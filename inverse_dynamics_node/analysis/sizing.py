@@ -1,0 +1,431 @@
+"""
+What motors and gears have to hold: the requirements of a trajectory, and of the whole workspace.
+
+Gravity efforts over the workspace show which payload the effort limits allow. Poses are samples of
+a low-discrepancy sequence over the joint ranges. A local search, joint by joint, starts from the
+worst samples and finds the worst poses, such as a fully extended arm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..dynamics.effort_terms import EffortTerms
+from ..dynamics.inverse_dynamics import InverseDynamics
+from ..dynamics.trajectory import Trajectory, whole_states
+from ..errors import ConfigurationError
+from ..robot.model import Booleans, Floats, Integers, RobotModel
+
+SAMPLES = 4096
+_CANDIDATES = 33
+"""Positions of one joint that the search tries: 11 degrees apart for a full turn."""
+_WINDOWS = (1.0, 1.0, 0.1, 0.01)
+"""Fractions of the range of a joint that the passes of the search cover."""
+_STARTS = 3
+"""Number of the worst samples from which the search for a worst pose starts."""
+_MOST_BODIES = 2e8
+"""Bodies whose gravity the search computes at most, which takes about ten seconds."""
+_TIE = 1e-9
+"""Efforts whose relative difference is smaller are regarded as equal."""
+_ROUNDING = 1e-6
+"""Excess over a limit that is ignored, because files may have only six digits."""
+
+
+@dataclass(frozen=True, eq=False)
+class Workspace:
+    """Efforts that hold a robot with n joints in s poses."""
+
+    robot: RobotModel
+    poses: Floats
+    """Joint positions, shape (s, n) [rad or m]: the worst pose of each joint, then samples."""
+    efforts: Floats
+    """Gravity efforts in those poses, shape (s, n) [N m or N]."""
+    limits: Floats
+    """Effort limits, shape (n,) [N m or N]; inf if there is none."""
+    is_search_shortened: bool = False
+    """Whether there were too many joints to search for the worst poses thoroughly."""
+
+    @property
+    def sampled(self) -> slice:
+        """Slice of the poses that are samples."""
+        return slice(len(self.limits), None)
+
+    @property
+    def worst(self) -> Integers:
+        """Index of the pose with the largest gravity effort of each joint, shape (n,)."""
+        # If several poses are equally bad, the first one is the result of the search.
+        sizes = np.abs(self.efforts)
+        highest = np.max(sizes, axis=0) * (1.0 - _TIE) - _TIE * np.max(sizes)
+        poses: Integers = np.argmax(sizes >= highest, axis=0)
+        return poses
+
+    @property
+    def peaks(self) -> Floats:
+        """Largest absolute gravity effort of each joint, shape (n,) [N m or N]."""
+        peaks: Floats = np.max(np.abs(self.efforts), axis=0)
+        return peaks
+
+    @property
+    def hardest(self) -> int:
+        """The joint closest to its limit; without limits, the one with the largest effort."""
+        ratios = self.peaks / self.limits
+        return int(np.argmax(ratios if np.any(ratios > 0.0) else self.peaks))
+
+
+class PayloadCapacity(NamedTuple):
+    """The largest point mass at the origin of a link that every joint can hold in every pose."""
+
+    link: str
+    mass: float
+    """[kg]; inf if no effort limit restricts it, 0 if gravity alone exceeds a limit."""
+    joint: str | None
+    """The joint that reaches its limit first; None if no joint does."""
+    pose: Floats
+    """The pose in which it does, shape (n,) [rad or m]."""
+
+
+def joint_ranges(robot: RobotModel) -> tuple[Floats, Floats]:
+    """Return the ends of the joint ranges, of at most one turn, each of shape (n,) [rad or m]."""
+    lower, upper = robot.lower.copy(), robot.upper.copy()
+    is_wide = ~robot.is_prismatic_joint & ~(upper - lower <= 2.0 * math.pi)
+    # The turn around zero, if it is within the limits.
+    start = np.clip(-math.pi, lower[is_wide], upper[is_wide] - 2.0 * math.pi)
+    lower[is_wide], upper[is_wide] = start, start + 2.0 * math.pi
+    return lower, upper
+
+
+def explore(
+    dynamics: InverseDynamics,
+    samples: int = SAMPLES,
+    effort_limits: ArrayLike | None = None,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> Workspace:
+    """
+    Compute the gravity efforts over the whole workspace.
+
+    Parameters
+    ----------
+    dynamics : InverseDynamics
+        The robot with n joints, and the loads on it.
+    samples : int
+        Number of poses from a Sobol sequence; rounded up to a power of two.
+    effort_limits : array_like, shape (n,), optional
+        Effort limits [N m or N]; default: those of the robot description.
+    progress : callable
+        Called now and then with the fraction done, 0 to 1.
+
+    Returns
+    -------
+    workspace : Workspace
+        Always the same for the same arguments.
+
+    Raises
+    ------
+    ConfigurationError
+        If there are no joints, or fewer than two samples.
+
+    """
+    from scipy.stats import qmc  # the import takes a second
+
+    robot = dynamics.robot
+    n = len(robot.joint_names)
+    if n == 0:
+        raise ConfigurationError(f"robot '{robot.name}' has no movable joint")
+    if samples < 2:
+        raise ConfigurationError(f'samples is {samples}, expected at least 2')
+    limits = robot.effort_limits if effort_limits is None else np.asarray(effort_limits, float)
+    lower, upper = joint_ranges(robot)
+    sequence = qmc.Sobol(n, scramble=False).random_base2(math.ceil(math.log2(samples)))
+    poses = lower + (upper - lower) * sequence
+    efforts = dynamics.gravity_efforts(poses)
+    noise = _TIE * float(np.max(np.abs(efforts)))
+    starts, windows, most_joints = _extent_of_search(n)
+    related_joints = _related_joints(robot)
+    found = []
+    for joint in range(n):
+        related = related_joints[joint]
+        moved = np.flatnonzero(related)
+        # The nearest joints matter most, if there are too many to move them all.
+        nearest = np.sort(moved[np.argsort(np.abs(moved - joint), kind='stable')[:most_joints]])
+
+        def size(poses: Floats, joint: int = joint) -> Floats:
+            return np.asarray(np.abs(dynamics.gravity_efforts(poses)[:, joint]))
+
+        tops = [
+            # Joints without influence on this one are set to zero, which is easier to picture.
+            _climb(
+                size,
+                np.where(related, poses[k], np.clip(0.0, lower, upper)),
+                nearest,
+                lower,
+                upper,
+                noise,
+                windows,
+            )
+            for k in np.argsort(-np.abs(efforts[:, joint]))[:starts]
+        ]
+        # The first one, except if another one is higher by more than rounding errors.
+        heights = size(np.array(tops))
+        found.append(tops[int(np.argmax(heights >= np.max(heights) * (1.0 - _TIE) - noise))])
+        progress((joint + 1) / n)
+    worst = np.array(found)
+    return Workspace(
+        robot,
+        np.concatenate([worst, poses]),
+        np.concatenate([dynamics.gravity_efforts(worst), efforts]),
+        limits,
+        most_joints < n or (starts, windows) != (_STARTS, _WINDOWS),
+    )
+
+
+def _extent_of_search(joints: int) -> tuple[int, tuple[float, ...], int]:
+    """Return how many starts, which windows and how many joints to search in bounded time."""
+    for starts, windows in ((_STARTS, _WINDOWS), (1, _WINDOWS), (1, _WINDOWS[:1])):
+        bodies = joints**2 * (_CANDIDATES + 2) * starts * len(windows)
+        most_joints = max(1, int(_MOST_BODIES / bodies))
+        if most_joints >= joints:
+            break
+    return starts, windows, most_joints
+
+
+def payload_capacity(
+    dynamics: InverseDynamics, workspace: Workspace, link: str
+) -> PayloadCapacity:
+    """
+    Compute the largest payload that the robot can hold at rest within its effort limits.
+
+    Parameters
+    ----------
+    dynamics : InverseDynamics
+        The robot for which the workspace was explored, with its present payload if it has one.
+    workspace : Workspace
+        Result of `explore`.
+    link : str
+        Any link of the robot description; the point mass is at its origin.
+
+    Returns
+    -------
+    capacity : PayloadCapacity
+        Valid for all poses of the workspace, and for the worst one that a search finds.
+
+    Raises
+    ------
+    ConfigurationError
+        If the link does not exist.
+
+    Notes
+    -----
+    Gravity efforts are linear in the mass, so that two of them per pose determine it.
+
+    """
+    robot, limits = workspace.robot, workspace.limits
+    if np.any(workspace.peaks > limits):
+        worst = workspace.poses[workspace.worst[workspace.hardest]]
+        return PayloadCapacity(link, 0.0, robot.joint_names[workspace.hardest], worst)
+    bare = InverseDynamics(robot, dynamics.gravity)
+    laden = InverseDynamics(robot, dynamics.gravity)
+    laden.set_payload(link, 1.0)
+
+    def masses(poses: Floats) -> Floats:
+        """Return the mass that each joint can hold in each pose, shape (s, n) [kg]."""
+        per_kilogram = laden.gravity_efforts(poses) - bare.gravity_efforts(poses)
+        efforts = dynamics.gravity_efforts(poses)
+        return _largest_masses(efforts, per_kilogram, limits)
+
+    def shortage(poses: Floats) -> Floats:
+        least: Floats = np.min(masses(poses), axis=1)
+        # Finite, and larger for smaller masses.
+        return 1.0 / (np.minimum(least, 1e9) + 1e-6)
+
+    everywhere = np.min(masses(workspace.poses), axis=1)
+    start: Floats = workspace.poses[np.argmin(everywhere)]
+    if math.isfinite(np.min(everywhere)):
+        lower, upper = joint_ranges(robot)
+        body = int(robot.link_body[robot.link_index(link)])
+        on_path = np.zeros(len(start), dtype=bool)
+        on_path[[j for j in _path(robot, body) if j >= 0]] = True
+        start = _climb(shortage, start, np.flatnonzero(on_path), lower, upper)
+    allowed = masses(start[np.newaxis])[0]
+    joint = int(np.argmin(allowed))
+    mass = min(float(allowed[joint]), float(np.min(everywhere)))
+    return PayloadCapacity(
+        link, mass, robot.joint_names[joint] if mass < math.inf else None, start
+    )
+
+
+def _largest_masses(efforts: Floats, per_kilogram: Floats, limits: Floats) -> Floats:
+    """Solve |efforts + mass * per_kilogram| = limits for the mass; 0 if there is no solution."""
+    slope = np.abs(per_kilogram)
+    # Effort in the direction in which the payload acts.
+    used = efforts * np.sign(per_kilogram)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        masses = np.where(slope > 1e-12, (limits - used) / slope, math.inf)
+    masses = np.where(np.isfinite(limits), masses, math.inf)
+    result: Floats = np.where(np.abs(efforts) > limits, 0.0, np.maximum(masses, 0.0))
+    return result
+
+
+def _climb(
+    height: Callable[[Floats], Floats],
+    start: Floats,
+    joints: Integers,
+    lower: Floats,
+    upper: Floats,
+    noise: float = 0.0,
+    windows: tuple[float, ...] = _WINDOWS,
+) -> Floats:
+    """
+    Maximize a function of the pose, one joint at a time, in smaller and smaller windows.
+
+    Gravity efforts are sinusoids of revolute and linear functions of prismatic joint positions, so
+    that there are few local maxima. Of equally high poses, the one nearest to zero is chosen.
+
+    """
+    pose: Floats = start.copy()
+    for fraction in windows:
+        half = 0.5 * fraction * (upper - lower)
+        for joint in joints:
+            low = max(lower[joint], pose[joint] - half[joint]) if fraction < 1.0 else lower[joint]
+            high = min(upper[joint], pose[joint] + half[joint]) if fraction < 1.0 else upper[joint]
+            places = np.linspace(low, high, _CANDIDATES)
+            places = np.append(places, [pose[joint], np.clip(0.0, lower[joint], upper[joint])])
+            poses = np.tile(pose, (len(places), 1))
+            poses[:, joint] = places
+            heights = height(poses)
+            best = float(np.max(heights))
+            ties = np.flatnonzero(heights >= best * (1.0 - _TIE) - noise)
+            pose = poses[ties[np.argmin(np.abs(places[ties]))]]
+    return pose
+
+
+def _related_joints(robot: RobotModel) -> Booleans:
+    """
+    Return which joints are on a path with each joint, shape (n, n).
+
+    Others have no influence on its effort.
+
+    """
+    related = np.zeros((len(robot.joint_names), len(robot.joint_names)), dtype=bool)
+    for body in range(1, len(robot.parent)):
+        path = _path(robot, body)
+        related[np.ix_(path, path)] = True
+    return related
+
+
+def _path(robot: RobotModel, body: int) -> list[int]:
+    """List the joints between the base and a body."""
+    path = []
+    while body > 0:
+        path.append(int(robot.joint_index[body]))
+        body = int(robot.parent[body])
+    return path
+
+
+# ---- Trajectories --------------------------------------------------------------------------
+
+
+class EffortRequirements(NamedTuple):
+    """Requirements of a trajectory with k times and m joints."""
+
+    efforts: Floats
+    """Joint efforts, shape (k, m) [N m or N]."""
+    terms: EffortTerms
+    """Terms of the efforts, each of shape (k, m) [N m or N]."""
+    peak: Floats
+    """Effort with the largest absolute value, with its sign, shape (m,) [N m or N]."""
+    peak_time: Floats
+    """Time of the peak, shape (m,) [s]."""
+    rms: Floats
+    """Root mean square of the effort over time, shape (m,) [N m or N]."""
+    rms_terms: Floats
+    """Root mean square of each term over time, shape (5, m) [N m or N]."""
+    speed: Floats
+    """Largest speed, shape (m,) [rad/s or m/s]."""
+    power: Floats
+    """Largest product of effort and velocity, shape (m,) [W]; 0 if the joint only brakes."""
+    braking: Floats
+    """Largest power that the joint absorbs, shape (m,) [W]; 0 if it never brakes."""
+    effort_limits: Floats
+    """Shape (m,) [N m or N]; inf if there is none."""
+    velocity_limits: Floats
+    """Shape (m,) [rad/s or m/s]; inf if there is none."""
+    is_too_strong: Booleans
+    """Whether the peak effort exceeds its limit, shape (m,)."""
+    is_too_fast: Booleans
+    """Whether the largest speed exceeds its limit, shape (m,)."""
+    is_too_far: Booleans
+    """Whether a position is outside its limits, shape (m,)."""
+
+
+def effort_requirements(
+    dynamics: InverseDynamics, trajectory: Trajectory, others: Floats | None = None
+) -> EffortRequirements:
+    """
+    Compute the requirements of a trajectory for the joints that it moves.
+
+    Parameters
+    ----------
+    dynamics : InverseDynamics
+        The robot with n joints, and the loads on it.
+    trajectory : Trajectory
+        Trajectory of any m of them, in any order, with velocities and accelerations.
+    others : ndarray, shape (n,), optional
+        Positions of the other joints [rad or m]; default: zero.
+
+    Returns
+    -------
+    requirements : EffortRequirements
+        Requirements of the joints in the order of the trajectory.
+
+    Raises
+    ------
+    TrajectoryError
+        If the robot does not have one of the joints, or a joint is named twice.
+    JointStateError
+        If a value is not finite.
+
+    """
+    robot = dynamics.robot
+    (q, qd, qdd), index = whole_states(dynamics, trajectory, others)
+    efforts = dynamics.efforts(q, qd, qdd)[:, index]
+    terms = EffortTerms(*(term[:, index] for term in dynamics.effort_terms(q, qd, qdd)))
+    velocities, positions = qd[:, index], q[:, index]
+    largest = np.argmax(np.abs(efforts), axis=0)
+    power = efforts * velocities
+    speed = np.max(np.abs(velocities), axis=0)
+    peak = efforts[largest, range(len(index))]
+    return EffortRequirements(
+        efforts=efforts,
+        terms=terms,
+        peak=peak,
+        peak_time=trajectory.times[largest],
+        rms=_rms(trajectory.times, efforts),
+        rms_terms=np.array([_rms(trajectory.times, term) for term in terms]),
+        speed=speed,
+        power=np.max(power, axis=0, initial=0.0),
+        braking=np.max(-power, axis=0, initial=0.0),
+        effort_limits=robot.effort_limits[index],
+        velocity_limits=robot.velocity_limits[index],
+        is_too_strong=np.abs(peak) > robot.effort_limits[index] * (1.0 + _ROUNDING),
+        is_too_fast=speed > robot.velocity_limits[index] * (1.0 + _ROUNDING),
+        is_too_far=np.any(
+            (positions < robot.lower[index] - _ROUNDING)
+            | (positions > robot.upper[index] + _ROUNDING),
+            axis=0,
+        ),
+    )
+
+
+def _rms(times: Floats, values: Floats) -> Floats:
+    """Return the root mean square over time by the trapezoidal rule; steps may differ."""
+    if len(times) == 1:
+        return np.asarray(np.abs(values[0]))
+    steps = np.diff(times)[:, np.newaxis]
+    squares = np.sum(0.5 * steps * (values[1:] ** 2 + values[:-1] ** 2), axis=0)
+    return np.asarray(np.sqrt(squares / (times[-1] - times[0])))

@@ -1,0 +1,282 @@
+"""The pictures of `demo`: a run with its events, and the errors before and after `calibrate`."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+import math
+from pathlib import Path
+from textwrap import wrap
+from typing import Any
+
+from matplotlib.figure import Figure
+import numpy as np
+
+from ...robot.model import Floats, RobotModel
+from ...simulation.demo.commander import History
+from ...simulation.demo.scenarios import Timeline
+from . import style
+
+MOST_POINTS = 1500
+LEAST_ERROR = 0.01  # [mrad, mm]: smallest range of the error axis
+ACROSS = 115  # letters that fit on a line above the axes
+LEGEND, KEY = 120, 8  # letters that fit on a line of the legend, and that a line sample takes
+JOINT_COLOURS = (*style.COLOURS, style.DARK)
+DASHES = ('-', (0, (5, 1.5)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)), (0, (8, 1.5, 1, 1.5, 1, 1.5)))
+"""Line styles; with the colours they distinguish 35 joints."""
+MOST_IN_ONE = 10
+"""Most joints whose efforts share one frame; more joints get one row each."""
+LEAST_FRACTION = 1e-3
+"""Efforts below this fraction of the limit, or of the largest effort, are drawn as almost zero."""
+MOST_LINES, LINE = 6, 0.19  # lines of the title, and the height of a line [inch]
+SHADES = ('#ffffff', '#fff1d6', '#e3f2e1', '#e8ecf7')
+
+
+def draw(
+    path: str | Path, robot: RobotModel, title: str, timeline: Timeline, history: History
+) -> None:
+    """
+    Draw a run and save it.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        Path of the picture; its suffix selects the format.
+    robot : RobotModel
+        Robot whose joints are drawn.
+    title : str
+        Title of the picture.
+    timeline : Timeline
+        Timeline of the run, with its events.
+    history : History
+        Recorded history of the run.
+
+    """
+    panels = [_errors, _efforts] + ([_contact] if timeline.expected else [])
+    lines = [part for line in title.splitlines() for part in _wrapped(line)]
+    if len(lines) > MOST_LINES:
+        lines = [*lines[: MOST_LINES - 1], '...']
+    count, columns = len(robot.joint_names), _columns(robot, history)
+    heights = [2.2] * len(panels)
+    rows = len(lines)
+    if count > MOST_IN_ONE:
+        heights[1] = LINE * (count + 2)
+    else:
+        rows += math.ceil(count / columns)
+    height = 2.2 + sum(heights) + LINE * max(0, rows - 4)
+    figure: Any = Figure(figsize=(style.WIDTH, height), dpi=style.DPI, layout='constrained')
+    all_axes = np.atleast_1d(figure.subplots(len(panels), sharex=True, height_ratios=heights))
+    for panel, axes in zip(panels, all_axes, strict=True):
+        panel(axes, robot, timeline, history)
+        _shade(axes, timeline, history)
+        axes.grid(alpha=0.3)
+        axes.margins(x=0.0)
+    all_axes[-1].set_xlabel('time [s]')
+    _explain(all_axes[0], timeline)
+    figure.suptitle('\n'.join(lines), fontsize=11)
+    handles, labels = all_axes[1].get_legend_handles_labels()
+    if handles:
+        style.legend_below(figure, handles, labels, ncols=columns, fontsize=9)
+    figure.savefig(path)
+
+
+def _wrapped(line: str) -> list[str]:
+    """Break a line of the title between words, never within numbers and names."""
+    return wrap(line, 110, break_long_words=False, break_on_hyphens=False)
+
+
+def _look(i: int) -> dict[str, Any]:
+    """Return colour and line style of a joint."""
+    return {
+        'color': JOINT_COLOURS[i % len(JOINT_COLOURS)],
+        'ls': DASHES[i // len(JOINT_COLOURS) % len(DASHES)],
+    }
+
+
+def _largest(history: History) -> Floats:
+    """Return the largest magnitude of the commanded effort of each joint [N m or N]."""
+    largest: Floats = np.max(np.abs(np.nan_to_num(history.commands.rows)), axis=0, initial=0.0)
+    return largest
+
+
+def _label(robot: RobotModel, history: History, i: int) -> str:
+    limit, largest = robot.effort_limits[i], _largest(history)[i]
+    unit = 'N' if robot.is_prismatic_joint[i] else 'N m'
+    of = f'of {limit:g} {unit}' if math.isfinite(limit) else f'{unit}, no limit'
+    return f'{robot.joint_names[i]}: {largest:.3g} {of}'
+
+
+def _columns(robot: RobotModel, history: History) -> int:
+    """Return the number of columns that fit into the legend."""
+    longest = max(len(_label(robot, history, i)) for i in range(len(robot.joint_names)))
+    return max(1, min(4, LEGEND // (longest + KEY)))
+
+
+def _thin(times: Floats, rows: Floats) -> tuple[Floats, Floats]:
+    """Reduce the number of points for drawing, and break lines at gaps in the data."""
+    step = max(1, len(times) // MOST_POINTS)
+    times, rows = times[::step], rows[::step]
+    gaps = np.flatnonzero(np.diff(times) > 0.2) + 1
+    times = np.insert(times, gaps, times[gaps - 1])
+    return times, np.insert(rows, gaps, np.nan, axis=0)
+
+
+def _errors(axes: Any, robot: RobotModel, timeline: Timeline, history: History) -> None:
+    times, rows = _thin(history.states.times, history.states.rows)
+    errors = 1000.0 * (rows[:, 1] - rows[:, 0])
+    for i in range(len(robot.joint_names)):
+        axes.plot(times, errors[:, i], lw=1.4, **_look(i))
+    if timeline.without is not None:
+        times, errors = _thin(*timeline.without)
+        for i in range(len(robot.joint_names)):
+            axes.plot(times, 1000.0 * errors[:, i], color=_look(i)['color'], lw=1.0, ls=':')
+        axes.plot([], [], color='gray', lw=1.0, ls=':', label='without the IMU (calculated)')
+        axes.plot([], [], color='gray', lw=1.4, label='with it')
+        axes.legend(loc='upper left', fontsize=9)
+    axes.set_ylabel('error [mrad, mm]')
+    axes.update_datalim([(0.0, -LEAST_ERROR), (0.0, LEAST_ERROR)])
+    axes.autoscale_view()
+
+
+def _efforts(axes: Any, robot: RobotModel, timeline: Timeline, history: History) -> None:
+    """
+    Draw the commands, those without joint states too, each joint to its own scale.
+
+    This keeps joints legible that use a small part of their limit, or have none. The legend, or
+    the label of the row, states the largest effort and the limit.
+
+    """
+    times, rows = _thin(history.commands.times, history.commands.rows)
+    largest = _largest(history)
+    least = np.where(np.isfinite(robot.effort_limits), robot.effort_limits, np.max(largest))
+    scale = np.maximum(largest, LEAST_FRACTION * least)
+    scale[scale == 0.0] = 1.0
+    count = len(robot.joint_names)
+    labels = [_label(robot, history, i) for i in range(count)]
+    if count > MOST_IN_ONE:
+        # One row per joint, because this many lines in one frame are illegible.
+        for i in range(count):
+            axes.plot(times, i - 0.45 * rows[:, i] / scale[i], lw=1.2, **_look(i))
+        axes.set_yticks(range(count), labels, fontsize=8)
+        axes.set_ylim(count - 0.4, -0.6)
+        axes.set_title('commanded efforts, with the largest', fontsize=9, loc='left')
+        return
+    for i, label in enumerate(labels):
+        axes.plot(times, 100.0 * rows[:, i] / scale[i], lw=1.2, label=label, **_look(i))
+    axes.set_ylabel('commanded effort\n[% of its largest, below]')
+
+
+def _contact(axes: Any, robot: RobotModel, timeline: Timeline, history: History) -> None:
+    assert timeline.expected is not None
+    times, rows = _thin(history.external.times, history.external.rows)
+    for i in range(len(robot.joint_names)):
+        axes.plot(times, rows[:, i], lw=1.4, **_look(i))
+    times, states = _thin(history.states.times, history.states.rows)
+    known = ~np.isnan(states[:, 0]).any(axis=1)
+    times = times[known]
+    expected = timeline.expected(times, states[known, 0])
+    for i in range(len(robot.joint_names)):
+        axes.plot(times, expected[:, i], color='black', lw=0.9, ls='--')
+    axes.plot([], [], color='gray', lw=1.4, label='found by the node')
+    axes.plot([], [], color='black', lw=0.9, ls='--', label='$-J^T F$')
+    axes.legend(loc='upper left', fontsize=9)
+    axes.set_ylabel('external efforts\n[N m, N]')
+
+
+def _edges(timeline: Timeline) -> list[float]:
+    return [0.0, *(event.time for event in timeline.events)]
+
+
+def _shade(axes: Any, timeline: Timeline, history: History) -> None:
+    edges = [*_edges(timeline), float(history.states.times[-1])]
+    for i, (begin, end) in enumerate(pairwise(edges)):
+        axes.axvspan(begin, end, color=SHADES[i % len(SHADES)], zorder=-10, lw=0)
+        if i:
+            axes.axvline(begin, color='black', lw=0.8)
+
+
+def _explain(axes: Any, timeline: Timeline) -> None:
+    """Write the descriptions of the events above the first panel, where they begin."""
+    words = [timeline.begins, *(event.words for event in timeline.events)]
+    end = axes.get_xlim()[1]
+    for i, (time, text) in enumerate(zip(_edges(timeline), words, strict=True)):
+        fits = time / end + len(text) / ACROSS < 1.0
+        axes.annotate(
+            text,
+            (time if fits else end, 1.0),
+            (2 if fits else 0, 4 + 13 * (len(words) - 1 - i)),
+            xycoords=('data', 'axes fraction'),
+            textcoords='offset points',
+            fontsize=9,
+            horizontalalignment='left' if fits else 'right',
+        )
+
+
+def draw_identification(
+    names: tuple[str, ...],
+    histories: tuple[History, History],
+    errors: tuple[Floats, Floats],
+    title: str,
+    path: Path,
+) -> None:
+    """
+    Draw the errors of all joints over time at one scale, and their root mean squares.
+
+    Parameters
+    ----------
+    names : tuple of str
+        The n joints.
+    histories : tuple of two History
+        Recorded with the URDF, and with the calibrated one.
+    errors : tuple of two ndarrays, shape (n,)
+        Root mean square errors of both [rad or m].
+    title : str
+        Title of the picture.
+    path : pathlib.Path
+        File to write.
+
+    """
+    with style.styled_pyplot() as pyplot:
+        figure = pyplot.figure(figsize=(style.WIDTH, max(5.2, 2.6 + 0.3 * len(names))))
+        halves = figure.add_gridspec(1, 2, width_ratios=(1.7, 1.0))
+        rows = halves[0].subgridspec(2, 1)
+        axes: Any = None
+        for row, (history, label) in enumerate(
+            zip(histories, ('with the URDF', 'with the calibrated URDF'), strict=True)
+        ):
+            axes = figure.add_subplot(rows[row], sharex=axes, sharey=axes)
+            _draw_errors(axes, history, names)
+            axes.set_title(label, fontsize=10)
+            axes.set_ylabel('error [mrad, mm]', fontsize=9)
+            axes.tick_params(labelbottom=row == 1, labelsize=8.5)
+        axes.set_xlabel('time [s]')
+        handles, labels = axes.get_legend_handles_labels()
+        bars = figure.add_subplot(halves[1])
+        _draw_bars(bars, names, errors)
+        more = bars.get_legend_handles_labels()
+        style.set_title(figure, title)
+        style.legend_below(figure, [*handles, *more[0]], [*labels, *more[1]], ncols=5)
+        style.save(figure, path)
+
+
+def _draw_errors(axes: Any, history: History, names: tuple[str, ...]) -> None:
+    times, rows = history.states.times, history.states.rows
+    shown = slice(None, None, max(1, len(times) // MOST_POINTS))
+    errors = 1000.0 * (rows[shown, 1] - rows[shown, 0])
+    style.draw_lines(axes, times[shown], errors, names, linewidth=1.2)
+
+
+def _draw_bars(axes: Any, names: tuple[str, ...], errors: tuple[Floats, Floats]) -> None:
+    """Draw the errors of every joint as two bars, with the ratio as text."""
+    before, after = (1000.0 * values for values in errors)
+    places = np.arange(len(names))
+    axes.barh(places - 0.18, before, 0.34, color=style.ORANGE, label='RMS with the URDF')
+    axes.barh(places + 0.18, after, 0.34, color=style.BLUE, label='RMS with the calibrated URDF')
+    for place, first, second in zip(places, before, after, strict=True):
+        text = f' {first / max(second, 1e-9):.3g} times'
+        axes.text(first, place - 0.18, text, va='center', fontsize=8.5, color=style.GREY)
+    axes.set_xscale('log')
+    axes.set_xlim(0.5 * float(np.min(after)), 8.0 * float(np.max(before)))
+    axes.set_yticks(places, style.fitting(names, 22), fontsize=8.5)
+    axes.set_ylim(len(names) - 0.5, -0.5)
+    axes.set_xlabel('RMS error [mrad, mm]', fontsize=9)
+    axes.grid(axis='y', visible=False)

@@ -1,0 +1,507 @@
+"""
+What an element of a URDF may contain, as tables, and the checks of one link or joint.
+
+The format is read as urdfdom reads it, but stricter: where urdfdom logs a line and continues with
+a zero, this is an error, because a lost mass means a wrong effort.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+import math
+import re
+
+import numpy as np
+
+from ...errors import unknown_name
+from ..limit_checks import limit_subject
+from ..model import ModelWarning
+from .xml import Element, is_xacro, shortened, tag
+
+SUPPORTED_TYPES = ('revolute', 'continuous', 'prismatic', 'fixed')
+
+VERSIONS = ('1.0', '1.1', '1.2')
+"""
+Versions of the format that are read, as in urdfdom 6.
+
+1.1 adds quaternions and capsules, 1.2 adds limits that inverse dynamics does not need.
+"""
+VERSIONS_WITH_QUATERNIONS = ('1.1', '1.2')
+
+
+def version_of(element: Element) -> str:
+    """Return the version of URDF that the document of an element declares."""
+    version: str = element.getroottree().getroot().get('version', '1.0')
+    return version
+
+
+CHILDREN = {
+    'robot': ('link', 'joint'),
+    'link': ('inertial',),
+    'inertial': ('origin', 'mass', 'inertia'),
+    'joint': (
+        'parent',
+        'child',
+        'origin',
+        'axis',
+        'limit',
+        'dynamics',
+        'mimic',
+        'safety_controller',
+    ),
+}
+"""The elements that the dynamics need; at most one of each, except links and joints."""
+
+READ_ONCE = 'origin'
+"""The element of which the first one is used if there are several."""
+
+CHILDREN_OF_FIXED = ('parent', 'child', 'origin')
+"""Other elements have no meaning on a fixed joint and are not checked there."""
+
+
+@dataclass(frozen=True)
+class Rule:
+    """The attributes of an element."""
+
+    names: tuple[str, ...] = ()
+    numbers: Mapping[str, int] = field(default_factory=dict)
+    """Attributes with numbers, and how many numbers each of them holds."""
+    required: tuple[str, ...] = ()
+    not_negative: tuple[str, ...] = ()
+    is_open: bool = False
+    """Whether other attributes are allowed; if not, an unknown one is probably misspelt."""
+
+
+def _scalars(*names: str) -> dict[str, int]:
+    return dict.fromkeys(names, 1)
+
+
+MOMENTS = ('ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz')
+_SAFETY = ('soft_lower_limit', 'soft_upper_limit', 'k_position', 'k_velocity')
+
+RULES = {
+    'robot': Rule(names=('name',)),
+    'link': Rule(names=('name',)),
+    'joint': Rule(names=('name', 'type')),
+    'inertial': Rule(),
+    'origin': Rule(numbers={'xyz': 3, 'rpy': 3, 'quat_xyzw': 4}),
+    'mass': Rule(numbers=_scalars('value'), required=('value',), not_negative=('value',)),
+    'inertia': Rule(numbers=_scalars(*MOMENTS), required=MOMENTS),
+    'parent': Rule(names=('link',), required=('link',)),
+    'child': Rule(names=('link',), required=('link',)),
+    'axis': Rule(numbers={'xyz': 3}, required=('xyz',)),
+    'limit': Rule(
+        numbers=_scalars('lower', 'upper', 'effort', 'velocity'),
+        required=('effort', 'velocity'),
+        not_negative=('effort', 'velocity'),
+        is_open=True,
+    ),
+    'dynamics': Rule(
+        numbers=_scalars('damping', 'friction'),
+        not_negative=('damping', 'friction'),
+        is_open=True,
+    ),
+    'mimic': Rule(names=('joint',), numbers=_scalars('multiplier', 'offset'), required=('joint',)),
+    'safety_controller': Rule(numbers=_scalars(*_SAFETY), required=('k_velocity',)),
+}
+
+
+# Errors and warnings
+
+_MAX_LINE = 65535
+"""libxml2 keeps line numbers in 16 bits: this one stands for all later lines."""
+
+
+class Problems:
+    """The errors and warnings of one robot description, in the order of the document."""
+
+    def __init__(self) -> None:
+        self._errors: list[tuple[float, str]] = []
+        self._warnings: list[tuple[float, ModelWarning]] = []
+
+    @property
+    def errors(self) -> list[str]:
+        return [text for _, text in sorted(self._errors, key=lambda entry: entry[0])]
+
+    @property
+    def warnings(self) -> list[ModelWarning]:
+        return [warning for _, warning in sorted(self._warnings, key=lambda entry: entry[0])]
+
+    def error(self, element: Element, text: str) -> None:
+        """Add an error at an element."""
+        line = _line_of(element)
+        text = text if line is None else f'line {line}: {text}'
+        self._errors.append((element.sourceline, text))
+
+    def error_of_all(self, text: str) -> None:
+        """Add an error of the description as a whole; it follows all others."""
+        self._errors.append((math.inf, text))
+
+    def warning(self, element: Element, subject: str, text: str, hint: str) -> None:
+        """Add a warning at an element."""
+        warning = ModelWarning(text, hint, subject, _line_of(element))
+        self._warnings.append((element.sourceline, warning))
+
+
+def _line_of(element: Element) -> int | None:
+    line: int = element.sourceline
+    return line if line < _MAX_LINE else None
+
+
+def label(element: Element) -> str:
+    """Name a link or joint in a message."""
+    return f"{tag(element)} '{element.get('name', '')}'"
+
+
+def quoted(text: str) -> str:
+    """Quote a value as it was found, or the start of a long one."""
+    return f"'{shortened(text)}'"
+
+
+# Children and attributes of one element
+
+# Python's float() also accepts '1_000', 'nan', 'infinity' and the digits of other scripts.
+_DECIMAL = re.compile(r'[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?')
+_SPELLING = 'correct the spelling, or remove it'
+
+
+def check_children(
+    element: Element, where: str, kinds: tuple[str, ...], problems: Problems
+) -> dict[str, Element]:
+    """
+    Return the children of the given kinds; more than one of a kind is an error.
+
+    Several origins are a warning only: urdfdom, and with it every ROS tool, reads the first one.
+
+    """
+    found: defaultdict[str, list[Element]] = defaultdict(list)
+    for child in element:
+        kind = tag(child)
+        found[kind].append(child)
+        if kind.startswith('xacro:'):
+            text = f'unprocessed xacro element <{kind}>; run xacro first'
+            problems.error(child, f'{where}: {text}')
+        warn_if_misspelt(child, where, kinds, problems)
+    for kind in kinds:
+        if len(found[kind]) < 2:
+            continue
+        count = f'{len(found[kind])} <{kind}> elements'
+        if kind == READ_ONCE:
+            hint = 'remove the others; this is the one that ROS tools use'
+            problems.warning(found[kind][1], where, f'{count}; only the first one is used', hint)
+        else:
+            problems.error(found[kind][1], f'{where}: {count}, at most one allowed')
+    return {kind: found[kind][0] for kind in kinds if found[kind]}
+
+
+def warn_if_misspelt(
+    element: Element, where: str, kinds: tuple[str, ...], problems: Problems
+) -> None:
+    """Warn if only the case of an element's name is wrong."""
+    kind = tag(element)
+    if kind not in kinds and kind.lower() in kinds:
+        text = f'<{kind}> ignored; URDF spells it <{kind.lower()}>'
+        problems.warning(element, where, text, _SPELLING)
+
+
+def check_attributes(
+    element: Element, where: str, problems: Problems
+) -> dict[str, tuple[float, ...]]:
+    """Check an element by its rule; return the numbers of the valid attributes."""
+    kind = tag(element)
+    rule = RULES[kind]
+    values: dict[str, tuple[float, ...]] = {}
+    missing = [name for name in rule.required if name not in element.attrib]
+    if missing:
+        problems.error(element, f'{where}: {_missing(kind, missing)}')
+    for name, text in element.attrib.items():
+        # The value of <mass value="2"/> is called 'mass', not 'mass value'.
+        what = kind if name == 'value' else f'{kind} {name}'
+        if name not in rule.names and name not in rule.numbers:
+            if not rule.is_open and not _is_prefixed(name):
+                unknown = f"attribute '{name}' is unknown and ignored"
+                problems.warning(element, f'{where} {kind}', unknown, _SPELLING)
+        elif is_xacro(text):
+            looks = f'{quoted(text)} looks like unprocessed xacro'
+            problems.error(element, f'{where} {what}: {looks}; run xacro first')
+        elif name in rule.numbers:
+            numbers = _numbers(text, rule.numbers[name])
+            if isinstance(numbers, str):
+                problems.error(element, f'{where} {what}: {numbers}')
+            elif name in rule.not_negative and numbers[0] < 0.0:
+                negative = f'{shortened(text.strip())} is negative'
+                hint = '; for no limit write a large number' if kind == 'limit' else ''
+                problems.error(element, f'{where}: {what} {negative}{hint}')
+            else:
+                values[name] = numbers
+    return values
+
+
+def _is_prefixed(name: str) -> bool:
+    return ':' in name or name.startswith('{')
+
+
+def _missing(kind: str, names: list[str]) -> str:
+    if kind in ('mass', 'parent', 'child'):
+        return f'<{kind} {names[0]}="..."/> is missing'
+    return f'<{kind}> lacks {", ".join(names)}' if kind != 'axis' else "<axis> lacks 'xyz'"
+
+
+def _numbers(text: str, count: int) -> tuple[float, ...] | str:
+    """Return the numbers in a text, or a message if they are not valid."""
+    words = text.split() if text.isascii() else [text]
+    if count > 1 and len(words) != count:
+        hint = ' (use spaces, not commas)' if ',' in text else ''
+        return f'expected {count} numbers, got {len(words)} in {quoted(text)}{hint}'
+    wrong = [word for word in words if not is_finite_decimal(word)]
+    if wrong or len(words) != count:
+        # Only the wrong word of several is quoted, which is found sooner.
+        shown = wrong[0] if count > 1 else text
+        return f'{quoted(shown)} is not a finite decimal number'
+    return tuple(float(word) for word in words)
+
+
+def is_finite_decimal(word: str) -> bool:
+    """Return whether a word is a decimal number that a float can hold."""
+    return bool(_DECIMAL.fullmatch(word)) and math.isfinite(float(word))
+
+
+def written(element: Element, name: str) -> str:
+    """Return the text of an attribute on one line."""
+    return ' '.join(element.get(name, '').split())
+
+
+UNIT_TOLERANCE = 1e-3
+"""A vector rounded to four digits is still a unit vector."""
+_QUATERNION_TOLERANCE = 0.1
+"""Rounding to one digit changes the norm of a quaternion by less; a typing error by more."""
+_MAX_RPY = 7.0
+"""Slightly more than a turn [rad]: a larger angle is probably in degrees."""
+
+
+def check_rotation(
+    origin: Element, where: str, values: Mapping[str, tuple[float, ...]], problems: Problems
+) -> None:
+    """Check the roll, pitch and yaw or the quaternion of an origin."""
+    if 'quat_xyzw' in origin.attrib:
+        _check_quaternion(origin, where, values, problems)
+    if any(abs(angle) > _MAX_RPY for angle in values.get('rpy', ())):
+        text = f"'{origin.get('rpy')}' is more than a turn; angles are in radians"
+        problems.warning(origin, f'{where} rpy', text, 'convert the angles from degrees')
+
+
+def _check_quaternion(
+    origin: Element, where: str, values: Mapping[str, tuple[float, ...]], problems: Problems
+) -> None:
+    version = version_of(origin)
+    if version in VERSIONS and version not in VERSIONS_WITH_QUATERNIONS:
+        # urdfdom ignores the attribute in these files, and the rotation with it.
+        text = f'quat_xyzw needs <robot version="1.1">, found version {version}; or write rpy'
+        problems.error(origin, f'{where}: {text}')
+    if 'rpy' in origin.attrib:
+        problems.error(origin, f'{where} has both rpy and quat_xyzw, expected one of them')
+    if 'quat_xyzw' not in values:
+        return
+    norm = math.hypot(*values['quat_xyzw'])
+    subject = f'{where} quat_xyzw'
+    text = f"'{written(origin, 'quat_xyzw')}' has norm {norm:g}"
+    if abs(norm - 1.0) > _QUATERNION_TOLERANCE:
+        problems.error(origin, f'{subject}: {text}, expected 1')
+    elif abs(norm - 1.0) > UNIT_TOLERANCE:
+        hint = 'harmless; write a quaternion of norm 1'
+        problems.warning(origin, subject, f'{text}; normalised', hint)
+
+
+# Links
+
+_MOMENT_TOLERANCE = 1e-3
+"""Rounded moments of a flat part miss the triangle inequality by this fraction of their sum."""
+_MAX_GYRATION = 10.0
+"""Largest plausible radius of gyration [m]; above, the inertia is not in kg m^2."""
+
+_TENSOR_HINT = (
+    'take the inertia about the centre of mass from CAD, in kg m^2; it affects only efforts of '
+    'accelerations, not gravity efforts'
+)
+
+
+def check_link(link: Element, problems: Problems) -> None:
+    """Check the <inertial> of a link, if it has one."""
+    where = label(link)
+    inertial = check_children(link, where, CHILDREN['link'], problems).get('inertial')
+    if inertial is None:
+        return
+    where += ' inertial'
+    parts = check_children(inertial, where, CHILDREN['inertial'], problems)
+    values: dict[str, tuple[float, ...]] = {}
+    for part in parts.values():
+        values |= check_attributes(part, where, problems)
+    if 'mass' not in parts:
+        problems.error(inertial, f'{where}: <mass value="..."/> is missing')
+    if 'inertia' not in parts:
+        problems.error(inertial, f'{where}: <inertia> is missing')
+    if 'origin' in parts:
+        check_rotation(parts['origin'], f'{where} origin', values, problems)
+    if 'value' in values and all(moment in values for moment in MOMENTS):
+        mass = values['value'][0]
+        _warn_of_odd_inertia(inertial, where, mass, [values[m][0] for m in MOMENTS], problems)
+
+
+def _warn_of_odd_inertia(
+    inertial: Element, where: str, mass: float, moments: Sequence[float], problems: Problems
+) -> None:
+    """Warn of an inertia that no rigid body of this mass can have."""
+    largest = max(abs(moment) for moment in moments)
+    if largest == 0.0:
+        if mass > 0.0:
+            text = f'mass {mass:g} kg with zero inertia'
+            problems.warning(inertial, where, text, _TENSOR_HINT)
+        return
+    if mass == 0.0:
+        text = 'zero mass with inertia; the inertia is kept'
+        hint = 'correct for the rotor of a motor; otherwise write the mass'
+        problems.warning(inertial, where, text, hint)
+    ixx, ixy, ixz, iyy, iyz, izz = (moment / largest for moment in moments)
+    principal = np.linalg.eigvalsh([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
+    slack = _MOMENT_TOLERANCE * float(np.abs(principal).sum())
+    small, middle, large = (float(moment) for moment in principal)
+    values = ', '.join(f'{moment * largest:.3g}' for moment in (small, middle, large))
+    if small < -slack:
+        text = f'inertia is not positive (principal moments {values} kg m^2)'
+        problems.warning(inertial, where, text, _TENSOR_HINT)
+    elif small + middle < large - slack:
+        text = (
+            f'impossible inertia: of its principal moments {values} kg m^2 one exceeds the sum '
+            'of the others'
+        )
+        problems.warning(inertial, where, text, _TENSOR_HINT)
+    if mass > 0.0 and large * largest > _MAX_GYRATION**2 * mass:
+        text = f'radius of gyration is more than {_MAX_GYRATION:g} m; inertias are in kg m^2'
+        hint = 'convert the inertia to kg m^2; CAD often exports g mm^2, 1e9 times that'
+        problems.warning(inertial, where, text, hint)
+
+
+# Joints
+
+_LIMITED_TYPES = ('revolute', 'prismatic')
+_UNSUPPORTED_TYPES = {
+    'planar': 'use two prismatic joints and a continuous one, with massless links between them',
+    'floating': 'remove it: the base may move, its motion is an input',
+}
+
+MIN_AXIS_LENGTH = 1e-6
+"""A shorter axis does not have a reliable direction."""
+_MAX_TURN = 50.0
+"""Largest plausible position limit [rad]; larger limits are probably in degrees."""
+
+_ZERO_LIMIT_HINTS = {
+    'effort': 'write the largest effort of the joint; without it, efforts are not limited',
+    'velocity': 'write the largest speed of the joint',
+}
+
+
+def check_joint(joint: Element, joints: Mapping[str, Element], problems: Problems) -> None:
+    """Check a joint; of the other joints, only the names and types are used."""
+    where, kind = label(joint), joint.get('type')
+    if kind in _UNSUPPORTED_TYPES:
+        text = f"joint type '{kind}' is not supported; {_UNSUPPORTED_TYPES[kind]}"
+        problems.error(joint, f'{where}: {text}')
+    elif kind not in SUPPORTED_TYPES:
+        found = '' if kind is None else f' {quoted(kind)}'
+        text = f'type{found} is not one of {", ".join(SUPPORTED_TYPES)}'
+        problems.error(joint, f'{where}: {text}')
+
+    kinds = CHILDREN_OF_FIXED if kind == 'fixed' else CHILDREN['joint']
+    parts = check_children(joint, where, kinds, problems)
+    values = {name: check_attributes(part, where, problems) for name, part in parts.items()}
+    for end in ('parent', 'child'):
+        if end not in parts:
+            problems.error(joint, f'{where}: <{end} link="..."/> is missing')
+    if 'origin' in parts:
+        check_rotation(parts['origin'], f'{where} origin', values['origin'], problems)
+    if kind in SUPPORTED_TYPES and kind != 'fixed':
+        _check_axis(joint, parts.get('axis'), values.get('axis', {}), problems)
+        _check_limit(joint, parts, values.get('limit', {}), problems)
+        if 'mimic' in parts:
+            check_mimic(joint, parts['mimic'], joints, problems)
+
+
+def _check_axis(
+    joint: Element,
+    axis: Element | None,
+    values: Mapping[str, tuple[float, ...]],
+    problems: Problems,
+) -> None:
+    where = label(joint)
+    if axis is None:
+        hint = 'write <axis xyz="..."/>, in the frame of the joint'
+        problems.warning(joint, where, 'no <axis>; 1 0 0 is used', hint)
+    if 'xyz' not in values:
+        return
+    length = math.hypot(*values['xyz'])
+    if length < MIN_AXIS_LENGTH:
+        text = f"axis has (near) zero length: '{written(axis, 'xyz')}'"
+        problems.error(axis, f'{where}: {text}')
+    elif abs(length - 1.0) > UNIT_TOLERANCE:
+        text = f"axis '{written(axis, 'xyz')}' has length {length:g}; normalised"
+        problems.warning(axis, where, text, 'harmless; write an axis of length 1')
+
+
+def _check_limit(
+    joint: Element,
+    parts: Mapping[str, Element],
+    values: Mapping[str, tuple[float, ...]],
+    problems: Problems,
+) -> None:
+    kind, limit = joint.get('type'), parts.get('limit')
+    if limit is None:
+        if kind in _LIMITED_TYPES:
+            problems.error(joint, f'{label(joint)}: <limit> is required for {kind} joints')
+        return
+    if 'mimic' not in parts:
+        for name, hint in _ZERO_LIMIT_HINTS.items():
+            if values.get(name) == (0.0,):
+                subject = limit_subject(joint.get('name', ''), name)
+                text = f'0 is read as unknown: the {name} is not limited'
+                problems.warning(limit, subject, text, hint)
+    if kind in _LIMITED_TYPES:
+        _check_range(joint, limit, values, problems)
+
+
+def _check_range(
+    joint: Element, limit: Element, values: Mapping[str, tuple[float, ...]], problems: Problems
+) -> None:
+    where, kind = label(joint), joint.get('type')
+    missing = [name for name in ('lower', 'upper') if name not in limit.attrib]
+    if any(name not in values for name in ('lower', 'upper') if name not in missing):
+        return
+    lower, upper = (values.get(name, (0.0,))[0] for name in ('lower', 'upper'))
+    if lower > upper:
+        hint = "; for a joint without limits write type 'continuous'" if kind == 'revolute' else ''
+        problems.error(limit, f'{where}: limit lower {lower:g} > upper {upper:g}{hint}')
+    elif missing:
+        text = f'<limit> has no {" and no ".join(missing)}; 0 is used'
+        problems.warning(limit, where, text, 'write both ends, in rad or m')
+    elif lower == upper:
+        text = f'limit lower = upper = {lower:g}: it cannot move'
+        problems.warning(limit, where, text, 'write a range, or make the joint fixed')
+    if kind == 'revolute' and max(abs(lower), abs(upper)) > _MAX_TURN:
+        text = f'limits {lower:g} to {upper:g} are many turns; angles are in radians'
+        problems.warning(limit, where, text, 'convert the angles from degrees')
+
+
+def check_mimic(
+    joint: Element, mimic: Element, joints: Mapping[str, Element], problems: Problems
+) -> None:
+    """Check that the master exists and moves."""
+    where, master = label(joint), mimic.get('joint')
+    if master is None or is_xacro(master):
+        return
+    if master not in joints:
+        problems.error(mimic, f'{where} mimic: {unknown_name("joint", master, joints)}')
+    elif master == joint.get('name'):
+        problems.error(mimic, f'{where} mimics itself')
+    elif joints[master].get('type') == 'fixed':
+        problems.error(mimic, f"{where} mimics '{master}' of type fixed")

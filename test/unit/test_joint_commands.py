@@ -1,0 +1,111 @@
+"""The complete command: what a drive with gains of its own receives beside the efforts."""
+
+import math
+
+from inverse_dynamics_node import load_urdf
+from inverse_dynamics_node.control.control_law import Reference
+from inverse_dynamics_node.control.loop import ControlLoop
+from inverse_dynamics_node.control.settings import Mode, Settings
+import numpy as np
+import pytest
+from robot_files import ROOT
+
+ARM = load_urdf(ROOT / 'test/robots/planar_2r.urdf')
+Q, QD = np.array([0.3, -0.2]), np.array([0.1, -0.4])
+TARGET, SPEED = Q + 0.1, np.array([0.5, 0.25])
+PERIOD = 0.005
+
+
+class Arm:
+    """A loop that is fed with the same state and reference in every step."""
+
+    def __init__(self, robot=ARM, **settings):
+        self.loop = ControlLoop(robot, settings=Settings(start_ramp=0.1, **settings))
+        self.loop.start()
+        self.now = 0.0
+
+    def step(self, q=Q, qd=QD, **reference):
+        loop, self.now = self.loop, self.now + PERIOD
+        if q is not None:
+            loop.collector.update(self.now, loop.robot.joint_names, q, qd)
+        if reference:
+            loop.reference = Reference(np.zeros(2), np.zeros(2), self.now, **reference)
+        assert loop.step(self.now) is not None
+        return loop.drive_reference()
+
+    def play(self, seconds, **arguments):
+        return [self.step(**arguments) for _ in range(round(seconds / PERIOD))]
+
+
+def test_gains_of_the_drive_add_nothing_without_a_reference():
+    for positions, velocities in Arm().play(0.2):
+        assert positions == pytest.approx(Q, abs=0.0)
+        assert velocities == pytest.approx(QD, abs=0.0)
+
+
+def test_the_motion_of_the_reference_is_reached_within_the_start_ramp():
+    arm = Arm()
+    arm.play(0.05)
+    motion = arm.play(0.2, positions=TARGET, velocities=SPEED)
+    steps = np.diff([Q, *(positions for positions, _ in motion)], axis=0)
+    assert np.abs(steps).max() <= 0.1 * PERIOD / 0.1 + 1e-12
+    assert motion[-1][0] == pytest.approx(TARGET, abs=1e-15)
+    assert motion[-1][1] == pytest.approx(SPEED, abs=1e-15)
+
+
+def test_a_reference_without_velocities_is_at_rest():
+    positions, velocities = Arm().play(0.2, positions=TARGET)[-1]
+    assert positions == pytest.approx(TARGET)
+    assert velocities == pytest.approx(np.zeros(2))
+
+
+def test_a_reference_without_motion_lets_the_gains_add_nothing():
+    reference = {'positions': None, 'velocities': None}
+    positions, velocities = Arm().play(0.2, **reference)[-1]
+    assert positions == pytest.approx(Q)
+    assert velocities == pytest.approx(QD)
+
+
+@pytest.mark.parametrize(('farthest', 'is_sent'), [(0.5, False), (0.0, True)])
+def test_a_distant_reference_is_not_sent_unless_the_distance_is_unlimited(farthest, is_sent):
+    arm = Arm(max_position_jump=farthest)
+    positions, _ = arm.play(0.2, positions=Q + 0.6)[-1]
+    assert positions == pytest.approx(Q + 0.6 * is_sent)
+
+
+def test_an_ignored_reference_is_not_sent():
+    arm = Arm(mode=Mode.GRAVITY_COMPENSATION)
+    positions, velocities = arm.play(0.2, positions=TARGET, velocities=SPEED)[-1]
+    assert positions == pytest.approx(Q)
+    assert velocities == pytest.approx(QD)
+
+
+def test_the_drive_is_at_rest_where_it_is_during_a_stop_and_without_states():
+    for has_states in (True, False):
+        arm = Arm()
+        arm.play(0.2, positions=TARGET, velocities=SPEED)
+        if has_states:
+            arm.loop.controller.stop()
+            motion = arm.step()
+        else:
+            motion = arm.play(0.5, q=None)[-1]
+        assert motion[0] == pytest.approx(Q)
+        assert motion[1] == pytest.approx(np.zeros(2))
+
+
+def test_a_continuous_joint_takes_the_shorter_way():
+    robot = load_urdf(ROOT / 'test/robots/planar_2r.urdf')
+    robot = robot.__class__(**{**vars(robot), 'is_continuous': np.array([True, False])})
+    arm = Arm(robot)
+    positions, _ = arm.play(0.2, positions=TARGET + np.array([6.0 * math.pi, 0.0]))[-1]
+    assert positions == pytest.approx(TARGET)
+
+
+def test_another_description_does_not_change_what_the_drive_receives():
+    arm = Arm()
+    before, _ = arm.play(0.2, positions=TARGET, velocities=SPEED)[-1]
+    loop = ControlLoop(ARM, settings=arm.loop.controller.settings)
+    loop.continue_from(arm.loop)
+    arm.loop = loop
+    after, _ = arm.step(positions=TARGET, velocities=SPEED)
+    assert after == pytest.approx(before, abs=1e-15)
