@@ -9,6 +9,8 @@ no clock: time is an argument.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 import math
 from typing import NamedTuple
 
@@ -277,6 +279,21 @@ class ExternalLoads:
             self.include_gravity = include_gravity
             self._write_base()
 
+    @contextmanager
+    def gravity_included(self, is_included: bool) -> Iterator[None]:
+        """Let gravity and the acceleration of the base act, or not, in the meantime."""
+        commanded = self.include_gravity
+        if is_included is commanded:
+            yield
+            return
+        self.include_gravity = is_included
+        self._write_base()
+        try:
+            yield
+        finally:
+            self.include_gravity = commanded
+            self._write_base()
+
     def at_base_link(self, force: Floats, moment: Floats) -> tuple[Floats, Floats]:
         """Express a wrench about the root's origin in and about the frame of the base link."""
         R_B0 = self._R_0B.T
@@ -319,6 +336,12 @@ class ExternalLoads:
     def gravity(self) -> Floats:
         """Free-fall acceleration in the base frame at present [m/s^2]."""
         return self._gravity
+
+    @property
+    def gravity_at_root(self) -> Floats:
+        """The same in the frame of the root link [m/s^2], whether or not it is included."""
+        at_root: Floats = self._R_0B @ self._gravity
+        return at_root
 
     def _ramp_payload(self, link: str, elapsed: float) -> None:
         ramp = self._ramps[link]
