@@ -282,17 +282,14 @@ class ExternalLoads:
     @contextmanager
     def gravity_included(self, is_included: bool) -> Iterator[None]:
         """Let gravity and the acceleration of the base act, or not, in the meantime."""
-        commanded = self.include_gravity
-        if is_included is commanded:
+        if is_included is self.include_gravity:
             yield
             return
-        self.include_gravity = is_included
-        self._write_base()
+        self._write_gravity(is_included)
         try:
             yield
         finally:
-            self.include_gravity = commanded
-            self._write_base()
+            self._write_gravity(self.include_gravity)
 
     def at_base_link(self, force: Floats, moment: Floats) -> tuple[Floats, Floats]:
         """Express a wrench about the root's origin in and about the frame of the base link."""
@@ -380,9 +377,11 @@ class ExternalLoads:
         self._write_base()
 
     def _write_base(self) -> None:
-        factor = 1.0 if self.include_gravity else 0.0
-        self.dynamics.set_gravity(self._R_0B @ (factor * self._gravity))
+        self._write_gravity(self.include_gravity)
         self.dynamics.set_base_motion(self._R_0B @ self._angular_velocity)
+
+    def _write_gravity(self, is_included: bool) -> None:
+        self.dynamics.set_gravity(float(is_included) * self.gravity_at_root)
 
 
 def _base_pose(dynamics: InverseDynamics, base_link: str) -> tuple[Floats, Floats]:
