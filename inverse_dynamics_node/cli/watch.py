@@ -133,7 +133,6 @@ class _Watch:
         self.agreement = Agreement(Outcome.UNDECIDED, Obstacle.TOO_FEW_SAMPLES)
         self._began = time.monotonic()
         self._known_since = math.inf
-        self._measured: Any = None  # what measured efforts contain, and their scale
         self._cut: dict[str, float] = {}  # when the effort of a joint was last cut to its limit
 
     def run(self) -> int:
@@ -188,18 +187,16 @@ class _Watch:
 
     def _poll(self) -> None:
         observer = self.observer
-        has_changed = observer.poll()
-        efforts = observer.status.efforts if observer.status else None
-        measured = (efforts.measures_gravity, efforts.measured_scale) if efforts else None
-        if has_changed or measured != self._measured:
-            robot, self._measured = observer.robot, measured
+        if observer.poll():
+            robot = observer.robot
             self.window = LiveWindow(robot.joint_names) if robot else None
             self.sample = None
-        if has_changed:
             self._cut.clear()
         if observer.status is not None and observer.status.efforts is not None:
             self._cut |= dict.fromkeys(observer.status.efforts.cut, observer.status_time)
         if self.window is not None:
+            efforts = (observer.status and observer.status.efforts) or EffortsStatus()
+            self.window.restart_after_change(efforts.measures_gravity, efforts.measured_scale)
             sample = self.sample = observer.sample()
             self.window.add(sample.time, sample.q, sample.qd, sample.measured, sample.modelled)
 

@@ -317,6 +317,14 @@ def test_window_keeps_its_duration():
     assert samples.modelled[-1].tolist() == [99.0, 99.0]
 
 
+def test_window_drops_samples_with_another_convention():
+    window = LiveWindow(('a', 'b'), 1.0)
+    for k, has_gravity in enumerate([False, False, True, True, True]):
+        window.restart_after_change(has_gravity, (1.0, -1.0))
+        window.add(0.1 * k, *np.full((4, 2), float(k)))
+    assert window.samples().times.tolist() == pytest.approx([0.2, 0.3, 0.4])
+
+
 def judged(samples, robot, commanded=JOINTS, saturated=(), rate=500.0):
     return check_agreement(
         '', StateRate(rate), samples, robot, GRAVITY, None, commanded, saturated

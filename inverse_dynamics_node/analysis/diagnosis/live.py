@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 import enum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -185,6 +185,7 @@ class LiveWindow:
         self.duration = duration
         self._times: deque[float] = deque()
         self._rows: deque[Floats] = deque()
+        self._measured: tuple[Any, ...] = ()
 
     def add(self, time: float, q: Floats, qd: Floats, measured: Floats, modelled: Floats) -> None:
         """
@@ -203,6 +204,13 @@ class LiveWindow:
         while self._times[0] < time - self.duration:
             self._times.popleft()
             self._rows.popleft()
+
+    def restart_after_change(self, *measured: Any) -> None:
+        """Drop all samples if what the measured efforts contain is not what it was."""
+        if measured != self._measured:
+            self._measured = measured
+            self._times.clear()
+            self._rows.clear()
 
     def samples(self) -> LiveSamples:
         """Return the samples in the window."""
