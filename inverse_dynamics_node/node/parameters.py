@@ -138,7 +138,8 @@ class Configuration(Settings, LoadSettings):
         'Whether the measured efforts contain gravity',
         '`as_commanded`: if `include_gravity` is true. Franka and KUKA FRI measure with gravity, '
         'but add it to commands: `included`, and `include_gravity` false. Used by '
-        '`~/external_efforts` and `inverse_dynamics watch`; commands do not depend on it',
+        '`~/external_efforts`, `inverse_dynamics watch` and `compare`; commands do not depend on '
+        'it',
     )
     measured_effort_scale: PerJoint = parameter(
         1.0,
