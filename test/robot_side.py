@@ -2,12 +2,14 @@
 
 from array import array
 from collections.abc import Callable
+import itertools
 import time
 
 from builtin_interfaces.msg import Time
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from node_process import PATIENCE, RUNNING
+import numpy as np
 import pytest
 from rcl_interfaces.srv import GetParameters, SetParameters
 import rclpy
@@ -31,6 +33,24 @@ def check_nodes(what):
         assert node.may_crash or 'Traceback' not in node.output, 'a node has crashed'
         has_ended = node.process.poll() is not None
         assert node.may_end or not has_ended, f'{what}: a node has ended before'
+
+
+def recording_at_rest(names, positions, efforts):
+    """Return joint states of an arm at rest, with the noise of sensors, in the order of time."""
+    random = np.random.default_rng(1)
+
+    def noise(size):
+        return random.normal(scale=size, size=len(names))
+
+    return [
+        JointState(
+            name=list(names),
+            position=list(positions + noise(1e-5)),
+            velocity=list(noise(1e-3)),
+            effort=list(efforts + noise(0.02)),
+        )
+        for _ in range(200)
+    ]
 
 
 class RobotSide:
@@ -88,6 +108,10 @@ class RobotSide:
             velocity=list(velocities),
             effort=list(efforts),
         )
+
+    def replay(self, recording):
+        """Publish joint states from now on, one after the other, RATE times a second."""
+        self._always.append((self._states, itertools.cycle(recording).__next__))
 
     def keep_publishing(self, topic, message):
         """Publish a message from now on, RATE times a second; return the argument of `cease`."""

@@ -15,10 +15,12 @@ from ..analysis.diagnosis import (
     diagnose_recording,
     FaultKind,
     friction_parameters,
+    GravityConvention,
     JointResidual,
     Recording,
 )
 from ..analysis.recordings.measured_states import read_measured_states
+from ..control.settings import MeasuredGravity
 from ..dynamics.inverse_dynamics import FRICTION_WIDTH
 from ..errors import ConfigurationError, RecordingError
 from ..report.compare_report import comparison_table, friction_table, verdict
@@ -35,6 +37,7 @@ examples:
   inverse_dynamics compare my_arm.urdf rosbag2_2026_11_21
   inverse_dynamics compare my_arm.urdf run.mcap --topic /joint_states --from 2 --to 30
   inverse_dynamics compare my_arm.urdf run.db3 --parameters friction.yaml
+  inverse_dynamics compare my_arm.urdf run.mcap --node-parameters driver.yaml
   inverse_dynamics compare my_arm.urdf run.csv --link tool0 --payload 1.5,0,0,0.05
 
 The recording is a rosbag2 folder, or one .mcap or .db3 file, with sensor_msgs/msg/JointState that
@@ -88,6 +91,13 @@ def add_parser(subparsers: Any) -> None:
         f'{FRICTION_WIDTH})',
     )
     parser.add_argument(
+        '--node-parameters',
+        type=Path,
+        metavar='FILE',
+        help='parameter file of the node, whose include_gravity, measured_gravity and '
+        'measured_effort_scale say what the recorded efforts contain',
+    )
+    parser.add_argument(
         '--parameters',
         type=output_path,
         metavar='FILE',
@@ -104,7 +114,7 @@ def run(options: argparse.Namespace) -> int:
     width = _friction_width(options)
     picture = f'{options.recording.stem}_compare.png'
     check_outputs(
-        [options.urdf, options.recording],
+        [options.urdf, options.recording, *filter(None, [options.node_parameters])],
         {'--parameters': options.parameters, '--picture': arguments.picture_or(options, picture)},
         options.force,
     )
@@ -118,7 +128,12 @@ def run(options: argparse.Namespace) -> int:
             options.recording, robot.joint_names, options.topic, report, robot.mimic_names
         )
     recording = _between(recording, options.start, options.end)
-    result = diagnose_recording(dynamics, recording, link=options.link, width=width)
+    convention, scale = _measured_efforts(options.node_parameters, robot.joint_names)
+    factors = np.array([scale.get(name, 1.0) for name in recording.joint_names])
+    recording = recording._replace(efforts=factors * recording.efforts)
+    result = diagnose_recording(
+        dynamics, recording, link=options.link, width=width, convention=convention
+    )
     say(verdict(result))
     print()
     warnings = [
@@ -144,6 +159,49 @@ def _friction_width(options: argparse.Namespace) -> float | None:
     if width is not None and not (math.isfinite(width) and width > 0.0):
         raise ConfigurationError(f'--coulomb-width is {width}, expected a speed above 0')
     return width
+
+
+def _measured_efforts(
+    path: Path | None, joint_names: tuple[str, ...]
+) -> tuple[GravityConvention, dict[str, float]]:
+    """Read whether efforts contain gravity, and factors of joints, from a file of the node."""
+    given = {} if path is None else _node_parameters(path)
+    try:
+        in_commands = given.get('include_gravity', True)
+        if not isinstance(in_commands, bool):
+            raise ValueError(f'include_gravity is {in_commands!r}, expected true or false')
+        name, choices = given.get('measured_gravity', 'as_commanded'), list(MeasuredGravity)
+        if name not in [choice.value for choice in choices]:
+            expected = ', '.join(choice.value for choice in choices)
+            raise ValueError(f'measured_gravity is {name!r}, expected one of {expected}')
+        values = np.asarray(given.get('measured_effort_scale', 1.0), dtype=np.float64).ravel()
+        joints = [*filter(None, given.get('joints') or ())] or joint_names
+        if len(values) not in (1, len(joints)):
+            raise ValueError(
+                f'measured_effort_scale has {len(values)} numbers, expected one, or one for each '
+                f'of {len(joints)} joints'
+            )
+    except (TypeError, ValueError) as error:
+        raise ConfigurationError(f'{path}: {error}') from None
+    scale = dict(zip(joints, np.broadcast_to(values, len(joints)).tolist(), strict=True))
+    in_measured = MeasuredGravity(name).is_included(in_commands)
+    return GravityConvention(in_commands, in_measured), scale
+
+
+def _node_parameters(path: Path) -> dict[str, Any]:
+    """Return the parameters in a file, under any name of the node."""
+    import yaml
+
+    try:
+        document = yaml.safe_load(path.read_text(encoding='utf-8'))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ConfigurationError(f'{path}: {" ".join(str(error).split())}') from None
+    nodes = document.values() if isinstance(document, dict) else ()
+    sections = [each.get('ros__parameters') for each in nodes if isinstance(each, dict)]
+    found: list[dict[str, Any]] = [each for each in sections if isinstance(each, dict)]
+    if not found:
+        raise ConfigurationError(f'{path} has no ros__parameters, expected parameters of the node')
+    return {name: value for each in found for name, value in each.items()}
 
 
 def _between(recording: Recording, start: float | None, end: float | None) -> Recording:

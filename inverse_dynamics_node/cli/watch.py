@@ -17,6 +17,7 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
+from ..analysis.diagnosis.fault import GravityConvention
 from ..analysis.diagnosis.live import (
     Agreement,
     check_agreement,
@@ -26,7 +27,7 @@ from ..analysis.diagnosis.live import (
     Outcome,
     StateRate,
 )
-from ..control.status import Level, ModelStatus
+from ..control.status import EffortsStatus, Level, ModelStatus, NodeStatus
 from ..errors import ConfigurationError
 from ..report.agreement_text import sentence
 from . import arguments
@@ -194,6 +195,8 @@ class _Watch:
         if observer.status is not None and observer.status.efforts is not None:
             self._cut |= dict.fromkeys(observer.status.efforts.cut, observer.status_time)
         if self.window is not None:
+            efforts = (observer.status and observer.status.efforts) or EffortsStatus()
+            self.window.restart_after_change(efforts.measures_gravity, efforts.measured_scale)
             sample = self.sample = observer.sample()
             self.window.add(sample.time, sample.q, sample.qd, sample.measured, sample.modelled)
 
@@ -216,10 +219,12 @@ class _Watch:
             rate,
             self.window.samples() if self.window else None,
             observer.robot,
-            np.array(model.gravity or np.zeros(3)),
+            np.array(model.gravity_at_root or model.gravity or np.zeros(3)),
             self._limits(),
             model.joints,
             [joint for joint, then in self._cut.items() if now < then + DURATION],
+            _convention(status),
+            self._payloads(),
         )
 
     def _reason(self) -> str:
@@ -244,6 +249,21 @@ class _Watch:
                 limits[robot.joint_names.index(joint)] = limit
         return limits
 
+    def _payloads(self) -> list[tuple[str, float, Any]]:
+        """Return link, mass [kg] and centre of mass [m] of each payload on the robot."""
+        robot, status = self.observer.robot, self.observer.status
+        if robot is None or status is None or status.model is None:
+            return []
+        loads = status.model.payloads
+        coms = np.array(status.model.payload_coms)
+        if coms.size != 3 * len(loads):
+            coms = np.zeros(3 * len(loads))
+        return [
+            (load.link, load.mass, com)
+            for load, com in zip(loads, coms.reshape(-1, 3), strict=True)
+            if load.link in robot.link_names
+        ]
+
     def _print_line(self) -> None:
         if self.options.json:
             print(
@@ -251,6 +271,13 @@ class _Watch:
             )
         else:
             print(as_line(self.observer, self.agreement), flush=True)
+
+
+def _convention(status: NodeStatus) -> GravityConvention:
+    """Return which efforts contain gravity, as the node says."""
+    model, efforts = status.model or ModelStatus(), status.efforts or EffortsStatus()
+    in_commands, in_measured = model.gravity is not None, efforts.measures_gravity
+    return GravityConvention(in_commands, in_commands if in_measured is None else in_measured)
 
 
 def next_time(due: float, period: float, now: float) -> float:

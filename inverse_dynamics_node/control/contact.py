@@ -34,6 +34,8 @@ class ExternalEffortEstimator:
     def __init__(self, dynamics: InverseDynamics, cutoff: float = 10.0) -> None:
         self.dynamics = dynamics
         n = len(dynamics.robot.joint_names)
+        self.scale = np.ones(n)
+        """From measured values to efforts in N m or N, shape (n,)."""
         self.filter = LowPass(np.zeros((2, n)), cutoff)
         """Filters velocities and measured minus modelled efforts at zero acceleration."""
         self._rest = self._accelerations = np.zeros(n)
@@ -53,8 +55,8 @@ class ExternalEffortEstimator:
         time : float
             Time of the state [s].
         q, qd, measured : ndarray, shape (n,)
-            Positions [rad or m], velocities [rad/s or m/s], efforts [N m or N]; NaN for efforts
-            that are not measured.
+            Positions [rad or m], velocities [rad/s or m/s], efforts in the unit of the driver; NaN
+            for efforts that are not measured.
 
         Returns
         -------
@@ -70,7 +72,7 @@ class ExternalEffortEstimator:
         """
         elapsed = time - self._time
         self._time = time
-        unexplained = measured - self.dynamics.efforts(q, qd, self._rest)
+        unexplained = self.scale * measured - self.dynamics.efforts(q, qd, self._rest)
         last_velocities, _ = self.filter.value
         # A joint whose effort is measured for the first time restarts: NaN is not finite.
         sample = np.array([qd, unexplained])

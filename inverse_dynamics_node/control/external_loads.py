@@ -9,6 +9,8 @@ no clock: time is an argument.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 import math
 from typing import NamedTuple
 
@@ -277,6 +279,18 @@ class ExternalLoads:
             self.include_gravity = include_gravity
             self._write_base()
 
+    @contextmanager
+    def gravity_included(self, is_included: bool) -> Iterator[None]:
+        """Let gravity and the acceleration of the base act, or not, in the meantime."""
+        if is_included is self.include_gravity:
+            yield
+            return
+        self._write_gravity(is_included)
+        try:
+            yield
+        finally:
+            self._write_gravity(self.include_gravity)
+
     def at_base_link(self, force: Floats, moment: Floats) -> tuple[Floats, Floats]:
         """Express a wrench about the root's origin in and about the frame of the base link."""
         R_B0 = self._R_0B.T
@@ -320,6 +334,12 @@ class ExternalLoads:
         """Free-fall acceleration in the base frame at present [m/s^2]."""
         return self._gravity
 
+    @property
+    def gravity_at_root(self) -> Floats:
+        """The same in the frame of the root link [m/s^2], whether or not it is included."""
+        at_root: Floats = self._R_0B @ self._gravity
+        return at_root
+
     def _ramp_payload(self, link: str, elapsed: float) -> None:
         ramp = self._ramps[link]
         fraction = min(1.0, ramp.fraction + ramp_fraction(elapsed, ramp.duration))
@@ -357,9 +377,11 @@ class ExternalLoads:
         self._write_base()
 
     def _write_base(self) -> None:
-        factor = 1.0 if self.include_gravity else 0.0
-        self.dynamics.set_gravity(self._R_0B @ (factor * self._gravity))
+        self._write_gravity(self.include_gravity)
         self.dynamics.set_base_motion(self._R_0B @ self._angular_velocity)
+
+    def _write_gravity(self, is_included: bool) -> None:
+        self.dynamics.set_gravity(float(is_included) * self.gravity_at_root)
 
 
 def _base_pose(dynamics: InverseDynamics, base_link: str) -> tuple[Floats, Floats]:

@@ -24,7 +24,7 @@ from .control_law import ControlLaw, joint_index, Reference
 from .external_loads import ExternalLoads
 from .joint_commands import DriveReference
 from .joint_states import JointStateCollector, State
-from .settings import LoadSettings, Mode, Settings, StalePolicy
+from .settings import LoadSettings, MeasuredGravity, Mode, Settings, StalePolicy
 from .stop_damping import StopDamping
 from .supervision import COMPUTING_PHASES, DryRun, Phase, recovery_time, StateSupervisor
 
@@ -362,6 +362,7 @@ class ControlLoop:
         self._set_velocity_timeout()
         self.loads = ExternalLoads(self.dynamics, load_settings, gravity, base_link)
         self.external_effort_estimator = ExternalEffortEstimator(self.dynamics)
+        self.measured_gravity = MeasuredGravity.AS_COMMANDED
         self.reference: Reference | None = None
         self.has_imu = has_imu
         self.index = robot.joint_indices(self.controller.joints)
@@ -582,9 +583,15 @@ class ControlLoop:
     def external_efforts(self) -> Floats:
         """Estimate external efforts from the last state: shape (n,), NaN where not measured."""
         collector = self.collector
-        return self.external_effort_estimator.update(
-            collector.time, collector.q, collector.qd, collector.efforts
-        )
+        with self.loads.gravity_included(self.measures_gravity):
+            return self.external_effort_estimator.update(
+                collector.time, collector.q, collector.qd, collector.efforts
+            )
+
+    @property
+    def measures_gravity(self) -> bool:
+        """Whether the efforts that the driver measures contain gravity."""
+        return self.measured_gravity.is_included(self.loads.include_gravity)
 
     @property
     def lacks_imu(self) -> bool:

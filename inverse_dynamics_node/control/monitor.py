@@ -177,6 +177,8 @@ class Monitor:
             topic=around.topics.joint_efforts,
             external_topic=around.topics.external_efforts,
             external_cutoff=loop.external_effort_estimator.cutoff,
+            measures_gravity=loop.measures_gravity,
+            measured_scale=tuple(loop.external_effort_estimator.scale[loop.index].tolist()),
             limits=tuple(loop.controller.limits.tolist()),
             cut=tuple(self._clamped_joints),
             cut_counts=dict(self.clamped),
@@ -271,7 +273,9 @@ def _model(now: float, loop: ControlLoop) -> ModelStatus:
         mass=float(np.sum(robot.mass)),
         joints=loop.controller.joints,
         payloads=tuple(Payload(load.mass, link) for link, load in loads.payloads.items()),
+        payload_coms=tuple(x for load in loads.payloads.values() for x in load.com.tolist()),
         gravity=tuple(loads.gravity.tolist()) if loads.include_gravity else None,
+        gravity_at_root=tuple(loads.gravity_at_root.tolist()),
         warnings=tuple(map(str, robot.warnings)),
     )
 

@@ -33,6 +33,21 @@ class Mode(enum.Enum):
     """Accelerations of the reference, and a spring and damper between it and each joint."""
 
 
+class MeasuredGravity(enum.Enum):
+    """Whether the efforts that the driver measures contain gravity."""
+
+    AS_COMMANDED = 'as_commanded'
+    """If the commands contain it."""
+    INCLUDED = 'included'
+    EXCLUDED = 'excluded'
+
+    def is_included(self, in_commands: bool) -> bool:
+        """Return whether they contain gravity, given whether commands do."""
+        if self is MeasuredGravity.AS_COMMANDED:
+            return in_commands
+        return self is MeasuredGravity.INCLUDED
+
+
 class StalePolicy(enum.Enum):
     """What to do with the efforts when the joint state is lost."""
 

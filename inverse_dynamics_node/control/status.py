@@ -170,6 +170,10 @@ class EffortsStatus(Part):
     topic: str = key('topic with names', default='')
     external_topic: str = key('topic of the external efforts', default='')
     external_cutoff: float | None = key('cutoff of the external efforts [Hz]', 'g')
+    measures_gravity: bool | None = key('measured efforts contain gravity')
+    """As the parameters say."""
+    measured_scale: tuple[float, ...] = key('scale of the measured efforts', 'g', default=())
+    """In the order of the commanded joints."""
     limits: tuple[float, ...] = key('limits [N m, N]', 'g', default=())
     """In the order of the commanded joints; inf if there is none."""
     cut: tuple[str, ...] = key('cut to limit since the last report', default=())
@@ -188,7 +192,12 @@ class ModelStatus(Part):
     joints: tuple[str, ...] = key('joints', default=())
     """Commanded joints."""
     payloads: tuple[Payload, ...] = key('payload', default=())
+    payload_coms: tuple[float, ...] = key('payload com [m]', '.4g', default=())
+    """Centres of mass of the payloads in the frames of their links, three numbers for each."""
     gravity: tuple[float, ...] | None = key('gravity [m/s^2]', '.3f', 'not included')
+    """That of the commands, in the frame of the base link."""
+    gravity_at_root: tuple[float, ...] | None = key('gravity in the root link [m/s^2]', '.3f')
+    """Whether or not it is included."""
     warnings: tuple[str, ...] = key('warning *', default=())
     """About the robot description."""
 
@@ -246,10 +255,15 @@ class NodeStatus:
 
     def limits(self) -> dict[str, float]:
         """Return the largest efforts by commanded joint [N m or N]; empty if they are unknown."""
-        if self.model is None or self.efforts is None:
-            return {}
-        pairs = zip(self.model.joints, self.efforts.limits, strict=False)
-        return dict(pairs) if len(self.model.joints) == len(self.efforts.limits) else {}
+        return self._by_joint(self.efforts.limits) if self.efforts else {}
+
+    def measured_scale(self) -> dict[str, float]:
+        """Return the factors of measured efforts by commanded joint; empty if unknown."""
+        return self._by_joint(self.efforts.measured_scale) if self.efforts else {}
+
+    def _by_joint(self, values: tuple[float, ...]) -> dict[str, float]:
+        joints = self.model.joints if self.model else ()
+        return dict(zip(joints, values, strict=True)) if len(joints) == len(values) else {}
 
     def problems(self) -> tuple[Problem, ...]:
         """Return the parts that are not OK, errors first."""

@@ -21,6 +21,7 @@ _LONG_SILENCE = 5.0  # [s]; after which connected publishers are suspicious
 _MISALIGNED = 5.0  # [degrees]; more than an error of mounting
 _SLOW = 0.95  # fraction of the requested rate below which the loop is too slow
 _DISCOVERY = 1.0  # [s]; how long a publisher may exist before it is discovered
+_DELAY = 0.005  # [s] from measurement to effort, as of a driver with 200 joint states per second
 _PAUSE = 5.0  # [s]; simulated time that stands still for longer is reported
 
 Judgement = tuple[Level, str]
@@ -202,6 +203,26 @@ def describe_late(loop: ControlLoop, now: float) -> list[str]:
         f'locked_positions.{name}'
         for name, age in loop.collector.late(now, timeout).items()
     ]
+
+
+def describe_light_joints(loop: ControlLoop) -> str:
+    """Describe joints that are too light for their gains of joint impedance; empty if none are."""
+    settings = loop.controller.settings
+    if settings.mode is not Mode.JOINT_IMPEDANCE:
+        return ''
+    gains = settings.expanded(len(loop.index))
+    inertia = loop.dynamics.mass_matrix(loop.collector.q).diagonal()[loop.index]
+    damping, stiffness = inertia / _DELAY, inertia / _DELAY**2
+    is_light = (gains['impedance_damping'] > damping) | (gains['stiffness'] > stiffness)
+    texts = [
+        f'{joint} may oscillate: with its inertia ({inertia[k]:.2g}) and a delay of '
+        f'{1e3 * _DELAY:g} ms, impedance_damping may be {damping[k]:.2g} and stiffness '
+        f'{stiffness[k]:.2g} at most'
+        for k, joint in enumerate(loop.controller.joints)
+        if is_light[k]
+    ]
+    advice = ['lower them for such a joint, or set armature to the inertia of its rotor']
+    return '; '.join(texts + advice * bool(texts))
 
 
 def describe_implausible(loop: ControlLoop) -> dict[str, str]:

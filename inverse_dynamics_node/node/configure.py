@@ -99,19 +99,24 @@ def apply_configuration(
         for name in PARAMETERS
         if before is None or getattr(before, name) != getattr(configuration, name)
     }
+    of_joint = configuration.expanded(len(loop.controller.joints))
     if not changed.isdisjoint(_DRIVES):
-        _apply_drives(loop, configuration)
+        _apply_drives(loop, configuration, of_joint)
     if not changed.isdisjoint(_LOADS):
         loop.loads.apply(configuration, configuration.include_gravity)
-    loop.external_effort_estimator.filter.cutoff = configuration.external_efforts_cutoff
+    loop.measured_gravity = configuration.measured_gravity
+    estimator = loop.external_effort_estimator
+    estimator.filter.cutoff = configuration.external_efforts_cutoff
+    estimator.scale[loop.index] = of_joint['measured_effort_scale']
     if before is not None and 'gravity' in changed and not loop.has_imu:
         loop.loads.set_gravity(configuration.gravity)
     loop.controller.apply(configuration)  # blends the effect of the changes above, too
 
 
-def _apply_drives(loop: ControlLoop, configuration: Configuration) -> None:
+def _apply_drives(
+    loop: ControlLoop, configuration: Configuration, of_joint: dict[str, Floats]
+) -> None:
     """Set friction and armature of the commanded joints; others have those of the URDF."""
-    of_joint = configuration.expanded(len(loop.controller.joints))
     robot, zeros = loop.robot, np.zeros(len(loop.robot.joint_names))
 
     def of_robot(name: str, others: Floats) -> Floats:

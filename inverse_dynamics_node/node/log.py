@@ -17,6 +17,7 @@ from ..control.status_text import (
     describe_alternating,
     describe_implausible,
     describe_late,
+    describe_light_joints,
     describe_lost_imu,
     join_names,
 )
@@ -238,6 +239,9 @@ class NodeLog:
             self._logger.warning(text)
         else:
             self._logger.info(text)
+        light_joints = describe_light_joints(loop) if key[0] in COMPUTING_PHASES else ''
+        if light_joints and self._is_due('light joints', _LONG_PERIOD):
+            self._logger.warning(light_joints)
 
     def _is_due(self, key: Hashable, period: float = _PERIOD) -> bool:
         now = time.monotonic()  # simulated time may pause or run fast

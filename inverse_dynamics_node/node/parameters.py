@@ -17,7 +17,13 @@ from enum import Enum
 import math
 from typing import get_type_hints
 
-from ..control.settings import LARGEST_GRAVITY, LoadSettings, PerJoint, Settings
+from ..control.settings import (
+    LARGEST_GRAVITY,
+    LoadSettings,
+    MeasuredGravity,
+    PerJoint,
+    Settings,
+)
 from ..dynamics.inverse_dynamics import FRICTION_WIDTH, STANDARD_GRAVITY
 from .parameter_types import kind_of, NUMBER, Parameter, parameter
 from .scheduling import has_realtime_kernel
@@ -126,6 +132,20 @@ class Configuration(Settings, LoadSettings):
     )
     include_gravity: bool = parameter(
         True, 'Set to false if the driver compensates gravity itself: UR, Franka, KUKA FRI'
+    )
+    measured_gravity: MeasuredGravity = parameter(
+        MeasuredGravity.AS_COMMANDED.value,
+        'Whether the measured efforts contain gravity',
+        '`as_commanded`: if `include_gravity` is true. Franka and KUKA FRI measure with gravity, '
+        'but add it to commands: `included`, and `include_gravity` false. Used by '
+        '`~/external_efforts`, `inverse_dynamics watch` and `compare`; commands do not depend on '
+        'it',
+    )
+    measured_effort_scale: PerJoint = parameter(
+        1.0,
+        'Factor that converts the measured efforts to N m or N',
+        'For a driver that measures currents, the N m per ampere of each joint. Negative for one '
+        'that measures with the opposite sign',
     )
     include_friction: bool = parameter(
         False,

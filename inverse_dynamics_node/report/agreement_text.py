@@ -87,6 +87,18 @@ def _at_rest(agreement: Agreement) -> str:
     )
 
 
+def _small_efforts(agreement: Agreement) -> str:
+    if agreement.has_gravity:
+        return (
+            'not compared: the modelled efforts are too small in this position; move the arm to '
+            'another one'
+        )
+    return (
+        'not compared: without gravity, the modelled efforts are too small, and so are the '
+        'measured ones; move the arm'
+    )
+
+
 def _listed(names: tuple[str, ...]) -> str:
     more = len(names) - _MOST_NAMES
     return ', '.join(names[:_MOST_NAMES]) + (f' and {more} more' if more > 0 else '')
@@ -122,13 +134,10 @@ _OBSTACLES: dict[Obstacle, Callable[[Agreement], str]] = {
     ),
     Obstacle.ZERO_EFFORTS: lambda agreement: (
         'not compared: all measured efforts are 0; brakes hold the arm, or the driver does not '
-        'report efforts'
+        'report efforts, or reports them without gravity (then set measured_gravity: excluded)'
     ),
     Obstacle.TOO_FEW_SAMPLES: lambda agreement: (
         f'not compared yet: collecting samples, up to {DURATION:g} s'
     ),
-    Obstacle.SMALL_EFFORTS: lambda agreement: (
-        'not compared: the modelled efforts are too small in this position; move the arm to '
-        'another one'
-    ),
+    Obstacle.SMALL_EFFORTS: _small_efforts,
 }

@@ -85,6 +85,18 @@ def _scale(fault: Fault) -> str:
     return 'the efforts are not torques or forces, but proportional to them'
 
 
+def _gravity_compensated(fault: Fault) -> str:
+    text = 'the measured efforts lack gravity'
+    return text if fault.is_commanded else f'{text}, although measured_gravity is included'
+
+
+def _gravity_measured(fault: Fault) -> str:
+    text = 'the measured efforts contain gravity'
+    if fault.is_commanded:
+        return f'{text}, although measured_gravity is excluded'
+    return f'{text}, commands do not include it'
+
+
 def _mounting(fault: Fault) -> str:
     angle = math.degrees(fault.angle)
     return f'the base is tilted by {angle:.0f} degrees from its mounting in the model'
@@ -113,7 +125,8 @@ def _fixed(text: str) -> Callable[[Fault], str]:
 _HEADLINES: Mapping[FaultKind, Callable[[Fault], str]] = MappingProxyType(
     {
         FaultKind.ORDER: _joints('the efforts of {} are in another order'),
-        FaultKind.GRAVITY_COMPENSATED: _fixed('the measured efforts lack gravity'),
+        FaultKind.GRAVITY_COMPENSATED: _gravity_compensated,
+        FaultKind.GRAVITY_MEASURED: _gravity_measured,
         FaultKind.MOUNTING: _mounting,
         FaultKind.UNIT: _unit,
         FaultKind.SIGN: _sign,
@@ -263,6 +276,32 @@ def _mounting_advice(fault: Fault) -> str:
     return f'Set gravity: [{_gravity(fault)}] in the node.'
 
 
+def _gravity_compensated_advice(fault: Fault) -> str:
+    if not fault.is_commanded:
+        return (
+            'Unless brakes hold the arm, the driver measures without gravity: set '
+            'measured_gravity: excluded in the node.'
+        )
+    return (
+        'Unless brakes hold the arm, the driver compensates gravity already: set '
+        'include_gravity: false in the node. If gravity were compensated twice, the arm would '
+        'move upwards. If the driver leaves gravity out of what it measures only, set '
+        'measured_gravity: excluded.'
+    )
+
+
+def _gravity_measured_advice(fault: Fault) -> str:
+    if fault.is_commanded:
+        return (
+            'Set measured_gravity: as_commanded in the node; if the driver adds gravity to the '
+            'commands, set include_gravity: false and measured_gravity: included.'
+        )
+    return (
+        'Is this intended? If the driver adds gravity to the commands, set measured_gravity: '
+        'included in the node. Otherwise set include_gravity: true, or the arm will sink.'
+    )
+
+
 def _offset_advice(fault: Fault) -> str:
     cause = 'A spring or a counterweight, which a URDF cannot describe, is another possible cause.'
     if fault.is_motor_side:
@@ -280,11 +319,8 @@ _ADVICE: Mapping[FaultKind, Callable[[Fault], str]] = MappingProxyType(
             'Compare the order of names and efforts in the driver, and the lists of joints in all '
             'of its files.'
         ),
-        FaultKind.GRAVITY_COMPENSATED: _fixed(
-            'Unless brakes hold the arm, the driver compensates gravity already: set '
-            'include_gravity: false in the node. If gravity were compensated twice, the arm would '
-            'move upwards.'
-        ),
+        FaultKind.GRAVITY_COMPENSATED: _gravity_compensated_advice,
+        FaultKind.GRAVITY_MEASURED: _gravity_measured_advice,
         FaultKind.MOUNTING: _mounting_advice,
         FaultKind.UNIT: _fixed(
             'The same factor for all joints is a different unit (1000: N mm): convert it.'

@@ -62,7 +62,7 @@ class Sample(NamedTuple):
     qd: Floats
     """Velocities, shape (n,) [rad/s or m/s]."""
     measured: Floats
-    """Shape (n,) [N m or N]."""
+    """With `measured_effort_scale` of the node, shape (n,) [N m or N]."""
     modelled: Floats
     """Efforts of the model for the measured motion, shape (n,) [N m or N]."""
     commands: Floats
@@ -197,6 +197,9 @@ class Observer:
         """Return the latest values."""
         now = time.monotonic()
         q, qd, measured = self._filtered.copy()
+        for joint, factor in (self.status.measured_scale() if self.status else {}).items():
+            if joint in self._index:
+                measured[self._index[joint]] *= factor
         if not np.isfinite(qd).any() and self._last_q is not None:
             last, last_values = self._last_q
             if now > last:

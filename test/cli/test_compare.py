@@ -113,6 +113,54 @@ def test_finds_compensated_gravity_and_nothing_with_zero_gravity(here, capsys):
     assert main([*arguments, '--gravity', '0', '0', '0']) == 0
 
 
+def test_parameters_of_the_node_say_what_the_recorded_efforts_contain(here, capsys):
+    dynamics, recording = made_up('seven_dof', rate=200.0, friction=(1.0, 1.0))
+    gravity = dynamics.gravity_efforts(recording.positions)
+    scale = [-1.0, 0.02, 1.0, 1.0, 1.0, 1.0, 30.0]
+    recording = recording._replace(efforts=(recording.efforts - gravity) / scale)
+    write_csv(here / 'run.csv', recording)
+    urdf = ROOT / 'test' / 'robots' / 'seven_dof.urdf'
+    given = ['--node-parameters', 'node.yaml', '--strict', '--no-picture']
+
+    def compared(**parameters):
+        parameters['joints'] = list(recording.joint_names)
+        sections = {'/**': {'ros__parameters': parameters}, 'other': 1}
+        (here / 'node.yaml').write_text(yaml.safe_dump(sections))
+        code = main(['compare', str(urdf), 'run.csv', *given])
+        return code, ' '.join(capsys.readouterr().out.split())
+
+    code, output = compared(include_gravity=False, measured_effort_scale=scale)
+    assert code == 0, output
+    assert compared(measured_gravity='excluded', measured_effort_scale=scale)[0] == 0
+    code, output = compared(
+        include_gravity=False, measured_gravity='included', measured_effort_scale=scale
+    )
+    assert code == 3
+    assert 'lack gravity, although measured_gravity is included' in output
+    assert compared(include_gravity=False)[0] == 3
+
+
+@pytest.mark.parametrize(
+    ('text', 'problem'),
+    [
+        ('', 'has no ros__parameters'),
+        ('[1', 'node.yaml'),
+        (
+            'a: {ros__parameters: {measured_gravity: yes}}',
+            'measured_gravity is True, expected one of',
+        ),
+        ('a: {ros__parameters: {include_gravity: 1}}', 'include_gravity is 1, expected true'),
+        ('a: {ros__parameters: {measured_effort_scale: [1, 2]}}', 'has 2 numbers, expected one'),
+        ('a: {ros__parameters: {measured_effort_scale: x}}', 'could not convert'),
+    ],
+)
+def test_parameters_of_the_node_that_cannot_be_used_are_explained(here, capsys, text, problem):
+    write_csv(here / 'run.csv', made_up('stanford', rate=200.0)[1])
+    (here / 'node.yaml').write_text(text)
+    assert compare('run.csv', '--node-parameters', 'node.yaml') != 0
+    assert problem in capsys.readouterr().err
+
+
 def test_friction_option_includes_the_friction_of_the_urdf(here, capsys):
     dynamics, recording = made_up('seven_dof', rate=200.0)
     dynamics.set_friction()

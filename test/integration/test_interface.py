@@ -17,6 +17,7 @@ from inverse_dynamics_node import InverseDynamics, load_urdf
 import numpy as np
 import pytest
 from robot_files import ROOT, STANFORD
+from robot_side import recording_at_rest
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
@@ -292,6 +293,28 @@ def test_external_efforts_are_measured_minus_model(run_node, robot, dynamics):
 
     message = robot.wait_for(heard, is_settled, 'external efforts')
     assert list(message.name) == NAMES[:4] + NAMES[5:]
+
+
+def test_external_efforts_of_a_driver_that_adds_gravity_and_measures_it(run_node, robot, dynamics):
+    sign = np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
+    settings = {'include_gravity': False, 'measured_effort_scale': sign.tolist()}
+    run_node(**PATIENT, **settings, measured_gravity='included')
+    heard = robot.listen(JointState, f'{OWN}/external_efforts')
+    held = dynamics.gravity_efforts(Q)
+    robot.replay(recording_at_rest(NAMES, Q, sign * held))
+
+    def wait_for_external_efforts(expected):
+        heard.clear()
+        near = pytest.approx(list(expected), abs=0.1)
+        robot.wait_for(heard, lambda m: list(m.effort) == near, 'external efforts')
+
+    wait_for_external_efforts(ZERO)
+    robot.wait_for_command(ZERO, 1e-3)
+    robot.set_parameter('measured_gravity', 'as_commanded')
+    wait_for_external_efforts(held)
+    robot.set_parameter('measured_effort_scale', (-sign).tolist())
+    wait_for_external_efforts(-held)
+    assert not robot.set_parameter('measured_effort_scale', [1.0, 1.0]).successful
 
 
 def test_external_efforts_are_published_only_while_efforts_are_measured(run_node, robot, dynamics):

@@ -15,10 +15,13 @@ import threading
 import time
 
 from fork_server import SERVER
+from geometry_msgs.msg import Inertia, InertiaStamped, Vector3
 from inverse_dynamics_node import InverseDynamics, load_urdf
 import numpy as np
 import pytest
 from robot_files import STANFORD
+from robot_side import recording_at_rest
+from std_msgs.msg import Header
 
 pytest.importorskip('rich')
 
@@ -125,6 +128,38 @@ def test_verdicts_of_a_dry_run_in_a_pipe(run_node, robot, watch):
     assert code == 4, output
     assert 'joint_states has no efforts' in output
     assert not robot.commands
+
+
+def test_gravity_that_a_driver_measures_but_adds_to_commands_is_named(run_node, robot, watch):
+    sign = np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
+    settings = {'include_gravity': False, 'measured_effort_scale': sign.tolist()}
+    node = run_node(**PATIENT, **settings)
+    real = InverseDynamics(load_urdf(STANFORD))
+    real.set_payload('tool0', 2.0, (0.0, 0.0, 0.1))
+    held = real.gravity_efforts(Q)
+    robot.replay(recording_at_rest(NAMES, Q, sign * held))
+    robot.wait_for_text(node, 'floating')
+    load = Inertia(m=2.0, com=Vector3(z=0.1))
+    message = InertiaStamped(header=Header(frame_id='tool0'), inertia=load)
+    robot.publish_until(
+        lambda: 'payload' in node.output, 'payload', 'inverse_dynamics/payload', message
+    )
+    code, output = decided(watch, '--json')
+    last = last_object(output)
+    assert (code, last['cause']) == (3, 'gravity_measured')
+    assert last['sentence'].startswith(
+        'the measured efforts contain gravity, commands do not include it; '
+    )
+    assert last['sentence'].endswith(
+        'Is this intended? If the driver adds gravity to the commands, set measured_gravity: '
+        'included in the node. Otherwise set include_gravity: true, or the arm will sink'
+    )
+    assert "link 'tool0' carries" not in last['sentence']  # the node knows the payload
+    assert last['joints'][1]['measured'] == pytest.approx(held[1], abs=0.1)
+    assert robot.set_parameter('measured_gravity', 'included').successful
+    code, output = decided(watch)
+    assert code == 0, output
+    assert 'model and robot agree: ' in output.splitlines()[-1]
 
 
 def test_node_is_found_by_name_with_its_remapped_topics(run_node, robot, watch):

@@ -9,6 +9,7 @@ from inverse_dynamics_node.analysis.diagnosis import (
     diagnose_recording,
     friction_parameters,
     FrictionFit,
+    GravityConvention,
     Recording,
 )
 from inverse_dynamics_node.analysis.diagnosis.loads import tip_links
@@ -178,6 +179,22 @@ def test_finds_compensated_gravity(name):
     lacking = recording.efforts - dynamics.gravity_efforts(recording.positions)
     result = diagnose_recording(dynamics, recording._replace(efforts=lacking))
     assert kinds(result) == ['gravity_compensated']
+    assert result.explained_corrected > 0.99
+
+
+@EVERY_ROBOT
+@pytest.mark.parametrize('in_commands', [False, True])
+def test_gravity_may_be_left_out_of_what_is_measured(name, in_commands):
+    dynamics, recording = run(name, friction=friction_of(name))
+    convention = GravityConvention(in_commands, in_measured=False)
+    result = diagnose_recording(dynamics, recording, convention=convention)
+    assert kinds(result) == ['gravity_measured']
+    assert result.faults[0].is_commanded == in_commands
+    assert result.explained_corrected > 0.99
+    lacking = recording.efforts - dynamics.gravity_efforts(recording.positions)
+    recording = recording._replace(efforts=lacking)
+    result = diagnose_recording(dynamics, recording, convention=convention)
+    assert kinds(result) == []
     assert result.explained_corrected > 0.99
 
 

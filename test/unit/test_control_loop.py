@@ -12,7 +12,7 @@ from inverse_dynamics_node import (
 from inverse_dynamics_node.control.contact import ExternalEffortEstimator
 from inverse_dynamics_node.control.control_law import Reference
 from inverse_dynamics_node.control.loop import ControlLoop
-from inverse_dynamics_node.control.settings import LoadSettings, Mode, Settings
+from inverse_dynamics_node.control.settings import LoadSettings, MeasuredGravity, Mode, Settings
 from inverse_dynamics_node.control.supervision import Phase
 import numpy as np
 import pytest
@@ -410,6 +410,50 @@ def test_external_efforts_are_measured_minus_modelled_efforts():
     found, alike = loop.external_efforts(), ExternalEffortEstimator(InverseDynamics(MODEL))
     alike.update(0.0, Q, np.zeros(6), hold + push)
     assert found == pytest.approx(alike.update(time_constant, Q, qd, hold))
+
+
+def external_efforts_of(contained, measured_gravity, include_gravity, scale=1.0):
+    """Return the estimate at rest, with a payload and with gravity from a topic."""
+    loop = ControlLoop(MODEL, settings=AT_ONCE)
+    loop.loads.apply(LoadSettings(load_ramp=0.0), include_gravity)
+    loop.loads.set_payload(TIP, 2.0, (0.0, 0.0, 0.1), np.zeros((3, 3)))
+    loop.loads.set_gravity((1.0, 0.0, -9.6))
+    loop.measured_gravity = measured_gravity
+    loop.external_effort_estimator.scale[:] = scale
+    loop.collector.update(0.0, NAMES, Q, np.zeros(6), contained / scale)
+    command = loop.step(0.0).efforts.copy()
+    found = loop.external_efforts()
+    assert loop.step(0.0).efforts == pytest.approx(command)
+    assert command.any() == include_gravity
+    return found
+
+
+@pytest.mark.parametrize('include_gravity', [False, True])
+def test_external_efforts_are_zero_if_the_measured_efforts_are_as_described(include_gravity):
+    hold = InverseDynamics(MODEL, (1.0, 0.0, -9.6))
+    hold.set_payload(TIP, 2.0, (0.0, 0.0, 0.1))
+    gravity = hold.gravity_efforts(Q)
+    included, excluded = MeasuredGravity.INCLUDED, MeasuredGravity.EXCLUDED
+    for contained, right, wrong in (
+        (gravity, included, excluded),
+        (np.zeros(6), excluded, included),
+    ):
+        efforts = external_efforts_of(contained, right, include_gravity)
+        assert efforts == pytest.approx(np.zeros(6), abs=1e-9)
+        efforts = external_efforts_of(contained, wrong, include_gravity)
+        assert np.abs(efforts) == pytest.approx(np.abs(gravity), abs=1e-9)
+    contained = gravity if include_gravity else np.zeros(6)
+    efforts = external_efforts_of(contained, MeasuredGravity.AS_COMMANDED, include_gravity)
+    assert efforts == pytest.approx(np.zeros(6), abs=1e-9)
+
+
+def test_measured_efforts_are_scaled():
+    hold = InverseDynamics(MODEL, (1.0, 0.0, -9.6))
+    hold.set_payload(TIP, 2.0, (0.0, 0.0, 0.1))
+    scale = np.array([-1.0, 0.02, 1.0, 3.0, -0.5, 1000.0])
+    measured = hold.gravity_efforts(Q) + np.arange(6.0)
+    found = external_efforts_of(measured, MeasuredGravity.INCLUDED, False, scale)
+    assert found == pytest.approx(np.arange(6.0), abs=1e-9)
 
 
 def test_efforts_rise_from_zero_after_a_start():

@@ -97,6 +97,8 @@ STATUSES = st.builds(
             topic=TEXTS,
             external_topic=TEXTS,
             external_cutoff=numbers(3),
+            measures_gravity=optional(st.booleans()),
+            measured_scale=st.lists(numbers(3, -999_999), max_size=7).map(tuple),
             limits=st.lists(numbers(3) | st.just(math.inf), min_size=1, max_size=7).map(tuple),
             cut=SEVERAL,
             cut_counts=TOTALS,
@@ -110,7 +112,9 @@ STATUSES = st.builds(
             mass=st.integers(0, 9999).map(lambda k: k / 100),
             joints=SOME,
             payloads=st.lists(st.builds(status.Payload, numbers(3), NAMES), max_size=2).map(tuple),
+            payload_coms=st.lists(st.sampled_from([0.0, -0.12, 1.5]), max_size=6).map(tuple),
             gravity=optional(st.tuples(*[numbers(3, -999_999)] * 3)),
+            gravity_at_root=optional(st.tuples(*[numbers(3, -999_999)] * 3)),
             warnings=st.lists(TEXTS, max_size=2).map(tuple),
         )
     ),
@@ -174,6 +178,7 @@ def test_values_that_cannot_be_read_are_left_out():
             {
                 'topic with names': '',
                 'topic of the external efforts': '',
+                'scale of the measured efforts': 'none',
                 'limits [N m, N]': '87, inf',
                 'cut to limit since the last report': 'none',
                 'elbow cut to limit': '3',

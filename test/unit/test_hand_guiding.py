@@ -78,7 +78,7 @@ def test_joints_in_another_order_and_others_than_the_commanded_ones():
     assert one.step(0.0, moving(0.0), None).efforts == pytest.approx(expected)
 
 
-@pytest.mark.parametrize('mode', set(Mode) - {Mode.GRAVITY_COMPENSATION})
+@pytest.mark.parametrize('mode', [mode for mode in Mode if mode is not Mode.GRAVITY_COMPENSATION])
 def test_other_modes_compensate_all_of_the_friction(mode):
     arm = guided(mode=mode, friction_scale=0.3, guiding_damping=9.0, impedance_damping=0.0)
     full = arm.dynamics.efforts(Q, QD, np.zeros(2))

@@ -1,7 +1,7 @@
 """The diagnosis of a few seconds of measured and modelled efforts."""
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
-from inverse_dynamics_node.analysis.diagnosis.fault import FaultKind
+from inverse_dynamics_node.analysis.diagnosis.fault import FaultKind, GravityConvention
 from inverse_dynamics_node.analysis.diagnosis.live import (
     check_agreement,
     diagnose_samples,
@@ -149,6 +149,76 @@ def test_gravity_that_the_driver_compensates_is_found():
     assert 'include_gravity: false' in sentence(agreement)
 
 
+def samples_with_gravity(name, moves, convention, has_gravity):
+    """Return the result for a driver that measures with or without gravity, and a payload."""
+    link, payload = load_urdf(ROBOTS[name]).link_names[-1], 3.0
+
+    def act(real):
+        real.set_payload(link, payload, (0.0, 0.0, 0.1))
+        real.set_gravity(GRAVITY if has_gravity else np.zeros(3))
+
+    robot, samples = samples_of(name, moves, act)
+    model = InverseDynamics(robot, GRAVITY if convention.in_measured else np.zeros(3))
+    model.set_payload(link, payload, (0.0, 0.0, 0.1))
+    qdd = np.gradient(samples.qd, samples.times, axis=0)
+    noise = 0.05 * np.random.default_rng(1).standard_normal(samples.measured.shape)
+    samples = samples._replace(
+        measured=samples.measured + noise, modelled=model.efforts(samples.q, samples.qd, qdd)
+    )
+    payloads = [(link, payload, np.array([0.0, 0.0, 0.1]))]
+    return diagnose_samples(samples, robot, GRAVITY, convention=convention, payloads=payloads)
+
+
+CONVENTIONS = [GravityConvention(*each) for each in np.ndindex(2, 2)]
+EACH_CONVENTION = pytest.mark.parametrize('convention', CONVENTIONS, ids=repr)
+
+
+@BOTH
+@EACH_CONVENTION
+@pytest.mark.parametrize('name', ROBOTS)
+def test_gravity_that_is_measured_as_described_is_no_fault(name, convention, moves):
+    has_gravity = convention.in_measured
+    agreement = samples_with_gravity(name, moves, convention, has_gravity)
+    assert not agreement.faults
+    if moves or has_gravity:
+        assert agreement.outcome is Outcome.AGREE
+    else:
+        assert agreement.cause is Obstacle.SMALL_EFFORTS
+        assert 'without gravity, the modelled efforts are too small' in sentence(agreement)
+
+
+@BOTH
+@EACH_CONVENTION
+@pytest.mark.parametrize('name', ROBOTS)
+def test_gravity_that_contradicts_the_convention_is_named(name, convention, moves):
+    has_gravity = not convention.in_measured
+    agreement = samples_with_gravity(name, moves, convention, has_gravity)
+    assert agreement.outcome is Outcome.DIFFER
+    kind = FaultKind.GRAVITY_MEASURED if has_gravity else FaultKind.GRAVITY_COMPENSATED
+    assert [fault.kind for fault in agreement.faults] == [kind]
+    headline, advice = {
+        (False, False): ('contain gravity, commands do not include it', 'measured_gravity: incl'),
+        (False, True): ('lack gravity, although measured_', 'measured_gravity: excluded'),
+        (True, False): ('contain gravity, although measured_', 'measured_gravity: as_commanded'),
+        (True, True): ('lack gravity', 'include_gravity: false'),
+    }[convention]
+    assert sentence(agreement).startswith(f'the measured efforts {headline}')
+    assert advice in sentence(agreement)
+
+
+def test_unknown_payload_beside_gravity_that_is_measured_is_weighed():
+    robot, samples = samples_of('stanford', True, lambda real: real.set_payload('tool0', 2.0))
+    model = InverseDynamics(robot, np.zeros(3))
+    qdd = np.gradient(samples.qd, samples.times, axis=0)
+    samples = samples._replace(modelled=model.efforts(samples.q, samples.qd, qdd))
+    agreement = diagnose_samples(
+        samples, robot, GRAVITY, convention=GravityConvention(False, False)
+    )
+    gravity, payload = agreement.faults
+    assert gravity.kind is FaultKind.GRAVITY_MEASURED
+    assert payload.values[0] == pytest.approx(2.0, rel=0.2)
+
+
 def test_friction_is_not_an_error_of_the_model():
     robot, samples = samples_of(
         act=lambda real: real.set_friction([1.0] * 6, [1.0, 2.0, 8.0, 0.2, 0.2, 0.02])
@@ -197,6 +267,7 @@ def test_zero_efforts_of_an_arm_held_by_brakes_cannot_be_compared():
     zero = samples._replace(measured=np.zeros_like(samples.measured))
     agreement = diagnose_samples(zero, robot, GRAVITY)
     assert (agreement.outcome, agreement.cause) == (Outcome.UNDECIDED, Obstacle.ZERO_EFFORTS)
+    assert 'measured_gravity: excluded' in sentence(agreement)
     assert 'brakes hold the arm' in sentence(agreement)
 
 
@@ -244,6 +315,14 @@ def test_window_keeps_its_duration():
     assert samples.times[0] == pytest.approx(8.9)
     assert len(samples.times) == 11
     assert samples.modelled[-1].tolist() == [99.0, 99.0]
+
+
+def test_window_drops_samples_with_another_convention():
+    window = LiveWindow(('a', 'b'), 1.0)
+    for k, has_gravity in enumerate([False, False, True, True, True]):
+        window.restart_after_change(has_gravity, (1.0, -1.0))
+        window.add(0.1 * k, *np.full((4, 2), float(k)))
+    assert window.samples().times.tolist() == pytest.approx([0.2, 0.3, 0.4])
 
 
 def judged(samples, robot, commanded=JOINTS, saturated=(), rate=500.0):

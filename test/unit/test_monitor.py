@@ -8,7 +8,7 @@ from inverse_dynamics_node import load_urdf
 from inverse_dynamics_node.control.control_law import Reference
 from inverse_dynamics_node.control.loop import Command, ControlLoop
 from inverse_dynamics_node.control.monitor import Monitor
-from inverse_dynamics_node.control.settings import Mode, Settings, StalePolicy
+from inverse_dynamics_node.control.settings import MeasuredGravity, Mode, Settings, StalePolicy
 from inverse_dynamics_node.control.status import GraphInfo, Level, Others, SimulatedTime
 from inverse_dynamics_node.control.status_text import activity, describe_imu_frame
 from inverse_dynamics_node.robot.kinematics import rotation_of_rpy
@@ -495,11 +495,27 @@ def test_the_model_is_described(loop):
     assert ROBOT.name in status.message
     assert status.values['payload'] == 'none'
     assert status.values['gravity [m/s^2]'].endswith('-9.807')
-    loop.loads.set_payload(ROBOT.link_names[-1], 2.5, np.zeros(3), np.zeros((3, 3)))
+    loop.loads.set_payload(ROBOT.link_names[-1], 2.5, [0.1, 0.0, 0.0], np.zeros((3, 3)))
     loop.loads.apply(loop.loads.settings, include_gravity=False)
     values = part(Monitor().report(0.05, loop, FINE), 'model').values
     assert values['payload'] == f'2.5 kg on {ROBOT.link_names[-1]}'
+    assert values['payload com [m]'] == '0.1, 0, 0'
     assert values['gravity [m/s^2]'] == 'not included'
+    assert values['gravity in the root link [m/s^2]'].endswith('-9.807')
+
+
+def test_what_measured_efforts_contain_is_described(loop):
+    def values():
+        return part(Monitor().report(0.05, loop, FINE), 'efforts').values
+
+    assert values()['measured efforts contain gravity'] == 'yes'
+    assert values()['scale of the measured efforts'] == '1, 1'
+    loop.loads.apply(loop.loads.settings, include_gravity=False)
+    loop.external_effort_estimator.scale[:] = -1.0, 0.5
+    assert values()['measured efforts contain gravity'] == 'no'
+    assert values()['scale of the measured efforts'] == '-1, 0.5'
+    loop.measured_gravity = MeasuredGravity.INCLUDED
+    assert values()['measured efforts contain gravity'] == 'yes'
 
 
 def test_warnings_about_the_description_are_listed():

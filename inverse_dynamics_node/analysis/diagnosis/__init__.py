@@ -6,7 +6,7 @@ for an explanation of the difference between measured and modelled efforts.
 """
 
 from ..recordings.signals import Motion, Recording
-from .fault import Change, Fault, FaultKind
+from .fault import Change, Fault, FaultKind, GravityConvention
 from .friction import friction_parameters, FrictionFit
 from .recording import ComparisonResult, diagnose_recording, JointResidual
 
@@ -16,6 +16,7 @@ __all__ = [
     'Fault',
     'FaultKind',
     'FrictionFit',
+    'GravityConvention',
     'JointResidual',
     'Motion',
     'Recording',

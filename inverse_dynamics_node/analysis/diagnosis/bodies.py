@@ -80,7 +80,7 @@ def wrong_bodies(
         data.is_too_short
         or not in_order
         or robot_fit.unit != 1.0
-        or robot_fit.candidate.is_gravity_compensated
+        or not (data.has_gravity and robot_fit.candidate.has_gravity)
         or data.unexplained(plain) < UNEXPLAINED
         or not any(samples.moves for samples in data.joints)
     ):

@@ -12,7 +12,7 @@ from ...robot.model import Booleans, Floats
 from ..columns import direction_of, friction_columns, gravity_columns, payload_columns
 from ..recordings.resampling import smooth_like_efforts
 from ..recordings.signals import Motion
-from .fault import FaultKind
+from .fault import FaultKind, GravityConvention
 from .friction import fit_friction, fit_shape, FrictionFit, is_moving, obstacle
 from .intervals import changing_gravity_efforts, FaultInterval
 from .joint_samples import CREDIBLE, JointSignals, sample_joints
@@ -43,6 +43,8 @@ class ComparedEfforts:
         Link that may carry an unknown load; default: the tips of the tree.
     width : float
         Speed over which Coulomb friction is smoothed [rad/s or m/s].
+    convention : GravityConvention
+        Whether the measured efforts contain gravity; the modelled ones follow it.
 
     """
 
@@ -54,9 +56,10 @@ class ComparedEfforts:
         others: ArrayLike | None,
         link: str | None,
         width: float,
+        convention: GravityConvention,
     ) -> None:
         self.dynamics, self.motion = dynamics, motion
-        self.width = width
+        self.width, self.convention = width, convention
         robot = self.robot = dynamics.robot
         K, n = len(motion.times), len(robot.joint_names)
         q, qd, qdd = np.zeros((3, K, n))
@@ -73,11 +76,13 @@ class ComparedEfforts:
         self.qd, self.qdd = motion.qd[:, self.compared], motion.qdd[:, self.compared]
         self.direction = smooth_like_efforts(motion, direction_of(self.qd, width))
         self.period = motion.period
-        self.modelled: Floats = dynamics.efforts(*self.states)[:, self.index]
-        # Friction is fitted again, to efforts without the friction that the dynamics may have.
         terms = dynamics.effort_terms(*self.states)
-        self.rigid: Floats = self.modelled - terms.friction[:, self.index]
         self.gravity: Floats = terms.gravity[:, self.index]
+        self.modelled: Floats = dynamics.efforts(*self.states)[:, self.index]
+        if not convention.in_measured:
+            self.modelled = self.modelled - self.gravity
+        # Friction is fitted again, to efforts without the friction that the dynamics may have.
+        self.rigid: Floats = self.modelled - terms.friction[:, self.index]
         self.noise = self._noise()
         self.varying = self._varying()
         least = 0.01 * float(np.max(np.abs(self.rigid)))
@@ -133,8 +138,15 @@ class ComparedEfforts:
         masses = {
             link: float(robot.mass[robot.link_body[robot.link_index(link)]]) for link in self.links
         }
-        gravity, heaviest = self.dynamics.gravity, float(np.sum(robot.mass))
-        return RegressionData(joints, masses, heaviest, gravity, sample_count, duration)
+        return RegressionData(
+            joints,
+            masses,
+            float(np.sum(robot.mass)),
+            self.dynamics.gravity,
+            sample_count,
+            duration,
+            convention=self.convention,
+        )
 
     def _noise(self) -> Floats:
         """Return the noise of measured minus modelled efforts, shape (c,)."""
@@ -209,8 +221,8 @@ def added_efforts(compared: ComparedEfforts, robot_fit: RobotFit) -> Floats:
         turned = gravity_columns(compared.robot, compared.states[0]) @ np.array(candidate.solution)
         return np.asarray(turned[:, compared.index] - compared.gravity)
     correction: Floats = np.zeros_like(compared.rigid)
-    if candidate.is_gravity_compensated:
-        correction -= compared.gravity
+    if candidate.has_gravity is not compared.convention.in_measured:
+        correction += compared.gravity if candidate.has_gravity else -compared.gravity
     if candidate.kind is FaultKind.PAYLOAD:
         mass, *com = candidate.solution
         columns = payload_columns(

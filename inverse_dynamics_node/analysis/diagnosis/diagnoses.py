@@ -41,7 +41,7 @@ def diagnose(data: RegressionData, robot_fit: RobotFit, names: Sequence[str]) ->
     found = _Faults(data, robot_fit, names)
     return [
         *found.order(),
-        *found.gravity_compensated(),
+        *found.other_gravity(),
         *found.mounting(),
         *found.unit(),
         *found.sensor_fault(FaultKind.SIGN, 'is_swapped'),
@@ -141,18 +141,19 @@ class _Faults:
     def _without_candidate(self) -> RobotFit:
         candidate = self.robot_fit.candidate
         base = self.data.nominal
-        if candidate.kind is FaultKind.PAYLOAD and candidate.is_gravity_compensated:
-            base = self.data.gravity_compensated()
+        if candidate.kind is FaultKind.PAYLOAD and self.data.contradicts(candidate):
+            base = self.data.other_gravity()
         return self.data.refit(self.robot_fit, candidate=base)
 
-    def gravity_compensated(self) -> list[Fault]:
-        if not self.robot_fit.candidate.is_gravity_compensated:
+    def other_gravity(self) -> list[Fault]:
+        """Return that the measured efforts lack gravity, or contain it, unexpectedly."""
+        candidate, other = self.robot_fit.candidate, self.data.other_gravity()
+        if other.kind is None or not self.data.contradicts(candidate):
             return []
-        with_gravity = self.robot_fit.candidate
-        weights = with_gravity.weights - self.data.gravity_compensated().weights
-        base = with_gravity._replace(weights=weights + self.data.nominal.weights)
-        without = self.data.refit(self.robot_fit, candidate=base)
-        return [Fault(FaultKind.GRAVITY_COMPENSATED, changes=self.changes(without))]
+        weights = candidate.weights - other.weights + self.data.nominal.weights
+        without = self.data.refit(self.robot_fit, candidate=candidate._replace(weights=weights))
+        is_commanded = self.data.convention.in_commands
+        return [Fault(other.kind, changes=self.changes(without), is_commanded=is_commanded)]
 
     def mounting(self) -> list[Fault]:
         candidate = self.robot_fit.candidate

@@ -23,6 +23,9 @@ class FaultKind(enum.Enum):
     OFFSET = 'offset'
     ROTOR_INERTIA = 'rotor_inertia'
     GRAVITY_COMPENSATED = 'gravity_compensated'
+    """The measured efforts lack gravity."""
+    GRAVITY_MEASURED = 'gravity_measured'
+    """They contain it, although the driver is said to leave it out."""
     MOUNTING = 'mounting'
     """Gravity has another direction than in the model."""
     PAYLOAD = 'payload'
@@ -30,6 +33,16 @@ class FaultKind(enum.Enum):
     """The masses of several links are wrong."""
     EXTERNAL_FORCE = 'external_force'
     UNEXPLAINED = 'unexplained'
+
+
+class GravityConvention(NamedTuple):
+    """Which efforts contain gravity, according to the parameters of the node."""
+
+    in_commands: bool = True
+    in_measured: bool = True
+
+
+WITH_GRAVITY = GravityConvention()
 
 
 class Change(NamedTuple):
@@ -72,6 +85,8 @@ class Fault(NamedTuple):
     """Whether it applies to all joints that show more than friction."""
     is_motor_side: bool = False
     """Whether the efforts contain the friction of the gears, as those of motor currents do."""
+    is_commanded: bool = True
+    """Whether commands contain the gravity that is compensated or measured."""
     interval: tuple[float, float] | None = None
     """Begin and end [s] if it applies to a part of the recording."""
 

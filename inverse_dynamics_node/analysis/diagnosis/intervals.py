@@ -319,7 +319,7 @@ def find_tilt(data: RegressionData, most_left: float) -> FaultInterval | None:
     """Fit gravity at several times of the recording, and friction for all of it."""
     strength = float(np.linalg.norm(data.gravity))
     moving = [j for j, samples in enumerate(data.joints) if samples.moves]
-    if strength == 0.0 or not moving:
+    if strength == 0.0 or not (data.has_gravity and moving):
         return None
     begin, end = span(data)
     count = int(min(MOST_KNOTS, max(4, round((end - begin) / KNOT_DISTANCE))))

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 import enum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from ...robot.model import Booleans, Floats, RobotModel
 from ..columns import direction_of
 from .compared_efforts import not_measured
 from .diagnoses import diagnose, diagnose_constant
-from .fault import Change, Fault, FaultKind
+from .fault import Change, Fault, FaultKind, GravityConvention, WITH_GRAVITY
 from .friction import is_moving, lacks_reversal
 from .joint_samples import JointSignals, NOISE_FLOOR, sample_joints
 from .loads import loaded_links
@@ -60,6 +60,7 @@ GRAVE = (
     FaultKind.UNIT,
     FaultKind.ORDER,
     FaultKind.GRAVITY_COMPENSATED,
+    FaultKind.GRAVITY_MEASURED,
     FaultKind.PAYLOAD,
     FaultKind.MOUNTING,
 )
@@ -138,6 +139,8 @@ class Agreement:
     """Commanded joints whose efforts are cut to their limits."""
     is_moving: bool = True
     """Whether a compared joint moved in the window."""
+    has_gravity: bool = True
+    """Whether the modelled efforts contain gravity."""
 
     @property
     def cause(self) -> FaultKind | Obstacle | None:
@@ -182,6 +185,7 @@ class LiveWindow:
         self.duration = duration
         self._times: deque[float] = deque()
         self._rows: deque[Floats] = deque()
+        self._measured: tuple[Any, ...] = ()
 
     def add(self, time: float, q: Floats, qd: Floats, measured: Floats, modelled: Floats) -> None:
         """
@@ -201,6 +205,13 @@ class LiveWindow:
             self._times.popleft()
             self._rows.popleft()
 
+    def restart_after_change(self, *measured: Any) -> None:
+        """Drop all samples if what the measured efforts contain is not what it was."""
+        if measured != self._measured:
+            self._measured = measured
+            self._times.clear()
+            self._rows.clear()
+
     def samples(self) -> LiveSamples:
         """Return the samples in the window."""
         rows = np.array(self._rows).reshape(-1, 4, len(self.joint_names))
@@ -211,7 +222,12 @@ class LiveWindow:
 
 
 def diagnose_samples(
-    samples: LiveSamples, robot: RobotModel, gravity: Floats, limits: Floats | None = None
+    samples: LiveSamples,
+    robot: RobotModel,
+    gravity: Floats,
+    limits: Floats | None = None,
+    convention: GravityConvention = WITH_GRAVITY,
+    payloads: Sequence[tuple[str, float, Floats]] = (),
 ) -> Agreement:
     """
     Compare measured and modelled efforts.
@@ -223,9 +239,14 @@ def diagnose_samples(
     robot : RobotModel
         The robot.
     gravity : ndarray, shape (3,)
-        Free-fall acceleration in the frame of the root link that the model contains [m/s^2].
+        Free-fall acceleration in the frame of the root link, whether or not the modelled efforts
+        contain gravity [m/s^2].
     limits : ndarray, shape (n,), optional
         Largest efforts [N m or N]; default: those of the robot.
+    convention : GravityConvention
+        Whether the modelled efforts contain gravity, as the measured ones should.
+    payloads : sequence of tuple
+        Link, mass [kg] and centre of mass in its frame [m] of the payloads in the model.
 
     Returns
     -------
@@ -243,16 +264,25 @@ def diagnose_samples(
     if not columns or rows.sum() < MIN_SAMPLES:
         return Agreement(Outcome.UNDECIDED, Obstacle.TOO_FEW_SAMPLES)
     whole = LiveSamples(samples.joint_names, *(signal[rows] for signal in samples[1:]))
-    return _Comparison(whole, columns, InverseDynamics(robot, gravity), limits).agreement()
+    dynamics = InverseDynamics(robot, gravity)
+    for link, mass, com in payloads:
+        dynamics.set_payload(link, mass, com)
+    return _Comparison(whole, columns, dynamics, limits, convention).agreement()
 
 
 class _Comparison:
     """Complete samples of the c compared joints; columns are these joints."""
 
     def __init__(
-        self, whole: LiveSamples, columns: list[int], dynamics: InverseDynamics, limits: Floats
+        self,
+        whole: LiveSamples,
+        columns: list[int],
+        dynamics: InverseDynamics,
+        limits: Floats,
+        convention: GravityConvention,
     ) -> None:
-        self.whole, self.dynamics = whole, dynamics
+        self.whole, self.dynamics, self.convention = whole, dynamics, convention
+        self.some = slice(None, None, -(-len(whole.times) // MOST_STATES))
         self.index = np.array(columns)
         self.names = [whole.joint_names[i] for i in columns]
         self.measured, self.modelled = whole.measured[:, columns], whole.modelled[:, columns]
@@ -274,6 +304,7 @@ class _Comparison:
             checked=self._names(self.is_checked),
             unchecked=self._names(~self.is_checked),
             is_moving=bool(self.moves.any()),
+            has_gravity=self.convention.in_measured,
         )
         is_zero = ~self.measured[:, self.silent].any()
         if self.silent.any() and is_zero and np.array_equal(self.silent, self.is_checked):
@@ -311,11 +342,15 @@ class _Comparison:
 
     def _floor(self) -> Floats:
         """Return the residuals that are ignored, shape (c,)."""
-        largest = np.zeros(len(self.names))
+        modelled, largest = _rms(self.modelled), np.zeros(len(self.names))
+        if not self.convention.in_measured:
+            # The driver leaves gravity out as exactly as the model of it is.
+            gravity = self.dynamics.gravity_efforts(np.nan_to_num(self.whole.q[self.some]))
+            modelled = np.maximum(modelled, _rms(gravity[:, self.index]))
         for kind in (False, True):
             same = self.is_prismatic == kind
             if same.any():
-                largest[same] = np.max(_rms(self.modelled)[same])
+                largest[same] = np.max(modelled[same])
         floor = np.minimum(FLOOR_OF_LIMIT * self.limits, FLOOR_OF_LARGEST * largest)
         finite = np.where(np.isfinite(self.limits), self.limits, 0.0)
         floor = np.maximum(floor, LEAST_FLOOR * finite)
@@ -328,7 +363,7 @@ class _Comparison:
         qdd: Floats = np.gradient(qd, times, axis=0)
         duration = float(times[-1] - times[0])
         period = duration / (len(times) - 1)
-        some = slice(None, None, -(-len(times) // MOST_STATES))
+        some = self.some
         states = q[some], qd[some], qdd[some]
         index = self.index[self.searched]
         speeds = qd[:, index]
@@ -361,6 +396,7 @@ class _Comparison:
             duration / INDEPENDENT,
             duration,
             LEAST_DURATION,
+            self.convention,
         )
 
     def _exceeding(self, robot_fit: RobotFit, fraction: float) -> dict[int, float]:
@@ -462,6 +498,8 @@ def check_agreement(
     limits: Floats | None = None,
     commanded: Sequence[str] = (),
     saturated: Sequence[str] = (),
+    convention: GravityConvention = WITH_GRAVITY,
+    payloads: Sequence[tuple[str, float, Floats]] = (),
 ) -> Agreement:
     """
     Check whether model and robot agree.
@@ -480,6 +518,8 @@ def check_agreement(
         The commanded joints.
     saturated : sequence of str
         Those whose efforts were cut to their limits in the last seconds.
+    convention, payloads
+        As for `diagnose_samples`.
 
     Returns
     -------
@@ -491,7 +531,7 @@ def check_agreement(
     if samples is None or robot is None:
         agreement = Agreement(Outcome.UNDECIDED, Obstacle.TOO_FEW_SAMPLES)
     else:
-        agreement = diagnose_samples(samples, robot, gravity, limits)
+        agreement = diagnose_samples(samples, robot, gravity, limits, convention, payloads)
     agreement = _completed(agreement, commanded, saturated)
     is_grave = any(fault.kind in GRAVE for fault in agreement.faults)
     if rate.is_slow and not is_grave:

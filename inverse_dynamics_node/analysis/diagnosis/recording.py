@@ -28,7 +28,7 @@ from .compared_efforts import (
     with_shapes,
 )
 from .diagnoses import diagnose, diagnose_bodies, diagnose_constant, diagnose_interval
-from .fault import Fault, FaultKind
+from .fault import Fault, FaultKind, GravityConvention, WITH_GRAVITY
 from .friction import FrictionFit
 from .intervals import best_interval, FaultInterval, find_fault_interval, MUCH_LOUDER
 from .regression_data import RegressionData, RobotFit
@@ -129,6 +129,7 @@ def diagnose_recording(
     others: ArrayLike | None = None,
     link: str | None = None,
     width: float | None = None,
+    convention: GravityConvention = WITH_GRAVITY,
 ) -> ComparisonResult:
     """
     Compare a recording with the model.
@@ -146,6 +147,8 @@ def diagnose_recording(
     width : float, optional
         Speed over which Coulomb friction is smoothed [rad/s or m/s]; default: fitted for each
         joint where the recording shows it.
+    convention : GravityConvention
+        Whether the recorded efforts contain gravity, as the driver is said to measure them.
 
     Returns
     -------
@@ -172,7 +175,7 @@ def diagnose_recording(
         recording = recording._replace(positions=positions)
     motion = derive(recording)
     common_width = FRICTION_WIDTH if width is None else width
-    compared = ComparedEfforts(dynamics, motion, index, others, link, common_width)
+    compared = ComparedEfforts(dynamics, motion, index, others, link, common_width, convention)
     return _result(compared, fits_shape=width is None)
 
 

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...robot.model import Floats
-from .fault import FaultKind
+from .fault import FaultKind, GravityConvention, WITH_GRAVITY
 from .joint_samples import (
     ACCELERATION,
     ANOTHER_UNIT,
@@ -44,6 +44,7 @@ OWN_CONTRIBUTION = 0.7  # of the squares that the nominal model leaves, to be le
 NO_GRAVITY = 0.25  # largest fraction of gravity in efforts that lack gravity
 CONSIDERABLE = 0.3  # fraction of a joint's modelled effort; less gravity may be a wrong model
 LIKE_A_LOAD = (0.3, 3.0)  # scales in this range are not another unit of an arm at rest
+GRAVITY_KINDS = FaultKind.GRAVITY_COMPENSATED, FaultKind.GRAVITY_MEASURED
 SAME_UNIT = 1.25  # largest ratio between the factors of joints with the same unit
 
 
@@ -51,13 +52,13 @@ class CandidateModel(NamedTuple):
     """A composition of the efforts of the whole robot."""
 
     kind: FaultKind | None
-    """Gravity that is compensated, a mounting or a payload; None for the model as it is."""
+    """Gravity compensated or measured, a mounting or a payload; None for the model as it is."""
     weights: Floats
     """Factors of the first columns of the samples."""
     parameters: int
     """Number of parameters."""
-    is_gravity_compensated: bool = False
-    """Whether the gravity efforts of the model are left out."""
+    has_gravity: bool = True
+    """Whether the efforts contain gravity."""
     link: str = ''
     """Link that carries the payload."""
     solution: tuple[float, ...] = ()
@@ -128,6 +129,8 @@ class RegressionData:
         Time that the samples represent [s].
     least_duration : float
         Time from which on an explanation is searched [s].
+    convention : GravityConvention
+        Whether the modelled efforts contain gravity, as the measured ones should.
 
     """
 
@@ -140,6 +143,7 @@ class RegressionData:
         sample_count: float,
         duration: float,
         least_duration: float = MIN_DURATION,
+        convention: GravityConvention = WITH_GRAVITY,
     ) -> None:
         self.joints = tuple(joints)
         self.links = tuple(links)
@@ -148,7 +152,9 @@ class RegressionData:
         self.sample_count = sample_count
         self.duration, self.least_duration = duration, least_duration
         self.first_measured = LOADS + PARAMETERS * len(links)
-        self.nominal = CandidateModel(None, self._weights({MODEL: 1.0}), 0)
+        self.convention, self.has_gravity = convention, convention.in_measured
+        weights = self._weights({MODEL: 1.0})
+        self.nominal = CandidateModel(None, weights, 0, has_gravity=self.has_gravity)
 
     def with_joints(self, joints: Sequence[JointSamples], duration: float) -> RegressionData:
         """Return the same data with other samples."""
@@ -162,6 +168,7 @@ class RegressionData:
             sample_count,
             duration,
             self.least_duration,
+            self.convention,
         )
 
     def restricted(self, interval: tuple[float, float], is_inside: bool) -> RegressionData:
@@ -224,19 +231,19 @@ class RegressionData:
         )
         if nominal.cost - lowest_cost < PARAMETER_COST:
             return nominal  # no further parameter can be worth its cost
-        # If an offset of a joint explains as much as missing gravity, prefer missing gravity.
+        # If an offset of a joint explains as much as missing gravity, prefer the latter.
         found = sorted(
             self._candidates(nominal),
-            key=lambda each: each.cost - COST_TOLERANCE * each.candidate.is_gravity_compensated,
+            key=lambda each: each.cost - COST_TOLERANCE * self.contradicts(each.candidate),
         )
         return next(each for each in found if each is nominal or self._is_credible(each))
 
     def _candidates(self, nominal: RobotFit) -> list[RobotFit]:
-        gravity_compensated = self._fit_joints(self.gravity_compensated())
+        other = self._fit_joints(self.other_gravity())
         found = [nominal, *self._common_unit(nominal)]
         # At rest, efforts in a small unit seem to lack gravity.
-        if len(found) == 1 or not self.is_at_rest:
-            found.append(gravity_compensated)
+        if len(found) == 1 or not (self.has_gravity and self.is_at_rest):
+            found.append(other)
         # Start without sensor faults, and with those that seem best for the model as it is.
         starts = [[JointFit(NO_FAULT, 0.0, 1.0)] * len(self.joints), list(nominal.fits)]
         swapped = [fit.sensor_fault.is_swapped for fit in nominal.fits]
@@ -246,9 +253,7 @@ class RegressionData:
             found += self._iterate(self._mounting, start)
             for k in range(len(self.links)):
                 found += self._iterate(partial(self._payload, k, self.nominal), start)
-                found += self._iterate(
-                    partial(self._payload, k, gravity_compensated.candidate), start
-                )
+                found += self._iterate(partial(self._payload, k, other.candidate), start)
         return found + self._reordered()
 
     def _is_credible(self, robot_fit: RobotFit) -> bool:
@@ -258,15 +263,15 @@ class RegressionData:
             return True
         # One pose does not distinguish a load from its own compensation.
         is_load = candidate.kind is FaultKind.PAYLOAD
-        if self.is_at_rest and is_load and candidate.is_gravity_compensated:
+        if self.is_at_rest and is_load and not candidate.has_gravity:
             return False
         # Loads and gravity cannot be identified in unknown units.
-        if robot_fit.is_scaled and candidate.kind is not FaultKind.GRAVITY_COMPENSATED:
+        if robot_fit.is_scaled and candidate.kind not in GRAVITY_KINDS:
             return False
         without = self.refit(robot_fit, candidate=self.nominal)
         if self.unexplained(robot_fit) > OWN_CONTRIBUTION * self.unexplained(without):
             return False
-        return not candidate.is_gravity_compensated or self._lacks_gravity(robot_fit)
+        return not self.contradicts(candidate) or self._explains_gravity(robot_fit)
 
     def unexplained(self, robot_fit: RobotFit) -> float:
         """Return the remaining fraction of the squares: mean of revolute and prismatic joints."""
@@ -284,14 +289,17 @@ class RegressionData:
             np.mean([remaining[kind] / squares[kind] for kind in squares if squares[kind]])
         )
 
-    def _lacks_gravity(self, robot_fit: RobotFit) -> bool:
-        """Return whether the efforts contain hardly any gravity, and are explained without it."""
+    def _explains_gravity(self, robot_fit: RobotFit) -> bool:
+        """Return whether heavy joints are explained, and hardly any gravity is left in them."""
         numerator = denominator = 0.0
         is_shown = False
         for j, (samples, fit) in enumerate(zip(self.joints, robot_fit.fits, strict=True)):
             gravity, target = samples.triangle[:, GRAVITY], self._target(j, robot_fit)
             measured = self.first_measured + robot_fit.source[j]
-            is_heavy = samples.squares[GRAVITY] > CONSIDERABLE**2 * samples.squares[MODEL]
+            modelled = samples.squares[MODEL]
+            if not self.has_gravity:
+                modelled = modelled + samples.squares[GRAVITY]
+            is_heavy = samples.squares[GRAVITY] > CONSIDERABLE**2 * modelled
             # A joint at rest may have any dry friction, which looks like less gravity.
             is_heavy = is_heavy and (samples.moves or self.is_at_rest)
             if is_heavy and fit.remaining > max(CREDIBLE, samples.floor(measured)):
@@ -363,11 +371,15 @@ class RegressionData:
             weights[column] = value
         return weights
 
-    def gravity_compensated(self) -> CandidateModel:
-        weights = self._weights({MODEL: 1.0, GRAVITY: -1.0})
-        return CandidateModel(
-            FaultKind.GRAVITY_COMPENSATED, weights, 1, is_gravity_compensated=True
-        )
+    def other_gravity(self) -> CandidateModel:
+        """Return the model that contains gravity if the convention does not, and vice versa."""
+        kind = GRAVITY_KINDS[not self.has_gravity]
+        weights = self._weights({MODEL: 1.0, GRAVITY: -1.0 if self.has_gravity else 1.0})
+        return CandidateModel(kind, weights, 1, has_gravity=not self.has_gravity)
+
+    def contradicts(self, candidate: CandidateModel) -> bool:
+        """Return whether a candidate model contains gravity in contrast to the convention."""
+        return candidate.has_gravity is not self.has_gravity
 
     def _fit_joints(self, candidate: CandidateModel, unit: float = 1.0) -> RobotFit:
         fits = tuple(
@@ -422,7 +434,9 @@ class RegressionData:
         return (np.vstack(stacked), np.concatenate(targets)) if stacked else None
 
     def _mounting(self, fits: list[JointFit]) -> CandidateModel | None:
-        """Fit the direction of gravity."""
+        """Fit the direction of the gravity in the model."""
+        if not self.has_gravity:
+            return None
         fixed = self._weights({MODEL: 1.0, GRAVITY: -1.0})
         rows = self._rows(fits, fixed)
         if rows is None:
@@ -462,7 +476,7 @@ class RegressionData:
             FaultKind.PAYLOAD,
             weights,
             4 + base.parameters,
-            base.is_gravity_compensated,
+            base.has_gravity,
             self.links[k],
             tuple(solution.tolist()),
             tuple(errors.tolist()),
