@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from ..simulation.drivers import DRIVERS, TORQUES
+
 EPILOG = """\
 The robot publishes joint_states with efforts, and is held by a position controller. Once commands
 have arrived for 1.5 s and have stopped rising, it follows them, as behind a
@@ -20,8 +22,13 @@ Topics of its own change the robot without the node being informed: ~/payload
 pushes it. The service ~/hold (std_srvs/SetBool) lets the position controller hold the robot, to
 change its load, or releases it; ~ is /simulated_robot.
 
+With --driver, commands, joint states and measured efforts are those of a driver. doc/robots.md
+has the sources, and config/robots a parameter file of this name.
+{drivers}
+
 examples:
   inverse_dynamics simulate my_arm.urdf
+  inverse_dynamics simulate my_arm.urdf --driver franka_ros2
   inverse_dynamics simulate my_arm.urdf --sway --friction
   inverse_dynamics simulate my_arm.urdf --namespace left --commands inverse_dynamics/commands
 
@@ -37,15 +44,18 @@ def add_parser(subparsers: Any) -> None:
         'simulate',
         help='simulate a robot to try the node on (needs ROS 2 and MuJoCo)',
         description='Simulate a robot behind the topics of a real one.',
-        epilog=EPILOG,
+        epilog=EPILOG.format(drivers='\n'.join(map(_line, DRIVERS))),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument('urdf', type=Path, help='the robot description')
     parser.add_argument(
+        '--driver', metavar='NAME', choices=DRIVERS, help='play a driver; its name is in the list'
+    )
+    parser.add_argument(
         '--commands',
-        default='forward_effort_controller/commands',
         metavar='TOPIC',
-        help='topic of the efforts, in the order of the joints in the URDF (default: %(default)s)',
+        help='topic of the commands, in the order of the joints in the URDF '
+        f'(default: {TORQUES.commands}, or that of the driver)',
     )
     parser.add_argument('--namespace', default='', help='namespace of the topics (default: none)')
     parser.add_argument(
@@ -66,8 +76,8 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         '--rate',
         type=float,
-        default=500.0,
-        help='rate of joint states [Hz] (default: %(default)g)',
+        help='rate of joint states [Hz] '
+        f'(default: {TORQUES.rate:g}, or a usual one of the driver)',
     )
     parser.set_defaults(run=run)
 
@@ -79,10 +89,22 @@ def run(options: argparse.Namespace) -> int:
     from ..simulation.robot import main
 
     stay_on_this_machine()
-    arguments = [str(options.urdf), '--drive', '--rate', str(options.rate)]
+    driver = DRIVERS[options.driver] if options.driver else TORQUES
+    arguments = [str(options.urdf), '--drive', '--rate', str(options.rate or driver.rate)]
+    arguments += ['--driver', options.driver] if options.driver else []
     arguments += ['--sway'] * options.sway + ['--friction'] * options.friction
     arguments += ['--held', *options.held] if options.held else []
-    arguments += ['--ros-args', '-r', f'commands:={options.commands}']
+    arguments += ['--ros-args', '-r', f'commands:={options.commands or driver.commands}']
+    arguments += ['-r', f'joint_states:={driver.joint_states}']
     namespace = options.namespace.strip('/')
     arguments += ['-r', f'__ns:=/{namespace}'] if namespace else []
     return main(arguments)
+
+
+def _line(name: str) -> str:
+    """Say in one line of the help how a driver differs from the default."""
+    driver = DRIVERS[name]
+    adds = ', adds gravity' if driver.adds_gravity else ''
+    measures = 'with' if driver.measures_gravity else 'without'
+    unit = '' if driver.measured_unit == 1.0 else ', not in N m'
+    return f'  {name:20} takes {driver.form.value}{adds}; measures {measures} gravity{unit}'

@@ -6,13 +6,13 @@ It holds the robot until commands arrive, when they stop, and when a joint becom
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 import math
 from typing import Protocol
 
 import numpy as np
 
 from ..robot.model import Floats, RobotModel
+from .drivers import Actuation, Command
 from .mujoco.hardware import MujocoRobot
 
 BRAKING = 0.2  # [s] from any speed to rest
@@ -140,8 +140,8 @@ class HandOver:
 
     Parameters
     ----------
-    robot : MujocoRobot
-        The robot, without brakes.
+    actuation : Actuation
+        The robot, without brakes, and its driver.
     drive : PositionDrive
         Its position controller.
     release : float
@@ -151,8 +151,11 @@ class HandOver:
 
     """
 
-    def __init__(self, robot: MujocoRobot, drive: PositionDrive, release: float, log: Log) -> None:
-        self._robot, self._drive, self._release, self._log = robot, drive, release, log
+    def __init__(
+        self, actuation: Actuation, drive: PositionDrive, release: float, log: Log
+    ) -> None:
+        self._actuation, self._drive, self._release, self._log = actuation, drive, release, log
+        self._robot = robot = actuation.robot
         self._bounds = velocity_bounds(robot.robot)
         self._last_command = self._flow_began = self._steady_since = -math.inf
         self._steady_efforts = np.zeros(len(robot.command_names))
@@ -170,20 +173,20 @@ class HandOver:
             return False, f'commands are ignored until they pause for {SILENCE} s'
         return True, 'the robot follows the commands as soon as they have stopped rising'
 
-    def command(self, efforts: Sequence[float], now: float) -> None:
-        """Handle a complete and finite command [N m or N] that arrives at one time [s]."""
+    def command(self, command: Command, now: float) -> None:
+        """Handle a complete and finite command that arrives at one time [s]."""
         if now - self._last_command > GAP:
             self._flow_began = self._steady_since = now
             if self._drive.is_on:
                 self._drive.stand_still(now)
         self._last_command = now
         if self._drive.is_on:
-            self._compare(np.asarray(efforts), now)
+            self._compare(self._actuation.with_gravity(command.efforts), now)
             if self._has_fault or self._is_requested or not self._is_due(now):
                 return
             self._drive.is_on = False
             self._log.info('the robot follows the commands')
-        self._robot.command(efforts)
+        self._actuation.command(command)
 
     def _compare(self, efforts: Floats, now: float) -> None:
         """Note since when the efforts have been steady."""
@@ -215,6 +218,7 @@ class HandOver:
 
     def _step(self, now: float, duration: float) -> None:
         if not self._drive.is_on:
+            self._actuation.act()
             speeds = self._robot.advance_within(duration, self._bounds)
             if speeds is None:
                 return

@@ -12,7 +12,8 @@ the sensors are lost.
 With ``--drive``, a position controller holds the arm in place of the brakes, and its efforts are
 those that an arm reports while its own controller holds it. It hands over to commands that have
 arrived for a while and have stopped rising. It takes over again when the commands stop, when a
-joint becomes too fast, and on the service ``~/hold``.
+joint becomes too fast, and on the service ``~/hold``. With ``--driver``, commands and measured
+efforts follow the conventions of a driver.
 
 Four topics disturb the robot:
 
@@ -45,6 +46,7 @@ from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.time import Time
 from rclpy.utilities import remove_ros_args
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import SetBool
@@ -58,6 +60,7 @@ from ..robot.urdf import load_urdf
 from ..ros.middleware import start_ros
 from ..ros.qos import LATCHED
 from .drive import COMPLAINT_PERIOD, GAP, HandOver, PositionDrive
+from .drivers import Actuation, Driver, DRIVERS, Form, read_command, TORQUES
 from .mujoco.hardware import MujocoRobot
 from .mujoco.model import SimulationError
 from .mujoco.world import Tilt
@@ -80,6 +83,8 @@ class RobotNode(Node):
         Roll, pitch and yaw of the IMU in the base frame [rad].
     drive : PositionDrive, optional
         Holds the robot in place of the brakes.
+    driver : Driver
+        Conventions of commands and measured efforts.
     **options
         Arguments of rclpy's ``Node``.
 
@@ -91,13 +96,15 @@ class RobotNode(Node):
         brake_release: float,
         imu_orientation: Sequence[float] = (0.0, 0.0, 0.0),
         drive: PositionDrive | None = None,
+        driver: Driver = TORQUES,
         **options: Any,
     ) -> None:
         super().__init__('simulated_robot', **options)
         self._robot = robot
+        self._actuation = Actuation(robot, driver)
         self._hand_over: HandOver | None = None
         if drive is not None:
-            self._hand_over = HandOver(robot, drive, brake_release, self.get_logger())
+            self._hand_over = HandOver(self._actuation, drive, brake_release, self.get_logger())
             self.create_service(SetBool, '~/hold', self._on_hold)
         self._R_BS = rotation_of_rpy(*imu_orientation)
         self._tilt = Tilt()
@@ -117,8 +124,11 @@ class RobotNode(Node):
         self._imu.header.frame_id = 'imu'
         self._imu.orientation_covariance[0] = -1.0  # the sensor reports no orientation
         self._imus = self.create_publisher(Imu, 'imu', 10)
+        self._clocks = self.create_publisher(Clock, '/clock', 10) if driver.has_clock else None
+        if driver.form is not Form.NONE:
+            kind = Float64MultiArray if driver.form is Form.EFFORTS else JointState
+            self.create_subscription(kind, 'commands', self._on_command, 10)
         for message, topic, callback in (
-            (Float64MultiArray, 'commands', self._on_command),
             (InertiaStamped, '~/payload', self._on_payload),
             (WrenchStamped, '~/push', self._on_push),
             (Vector3Stamped, '~/tilt', self._on_tilt),
@@ -128,7 +138,10 @@ class RobotNode(Node):
         # The first call of a logger takes tens of milliseconds, too long for the loop.
         held, topic = 'stands with its brakes on', self.resolve_topic_name('commands')
         if drive is not None:
-            held = f'is held by its position controller; it awaits commands on {topic}'
+            awaits = (
+                'takes no commands' if driver.form is Form.NONE else f'awaits commands on {topic}'
+            )
+            held = f'is held by its position controller; it {awaits}'
         self.get_logger().info(f'{robot.robot.name!r} {held}')
 
     def advance(self, duration: float) -> None:
@@ -144,6 +157,8 @@ class RobotNode(Node):
         # Stamps are in simulated time: after a pause of the machine they are the times of the
         # states, not the later times at which they are published.
         stamp = Time(nanoseconds=self._began + round(self._elapsed * 1e9)).to_msg()
+        if self._clocks is not None:
+            self._clocks.publish(Clock(clock=stamp))
         if self._has_sensors:
             self._publish_state(stamp)
         if self._imus.get_subscription_count():
@@ -154,7 +169,7 @@ class RobotNode(Node):
         self._state.header.stamp = stamp
         self._state.position = positions.tolist()
         self._state.velocity = velocities.tolist()
-        self._state.effort = efforts.tolist()
+        self._state.effort = self._actuation.measured(efforts).tolist()
         self._states.publish(self._state)
 
     def _publish_imu(self, stamp: Any) -> None:
@@ -203,30 +218,24 @@ class RobotNode(Node):
 
     # Commands
 
-    def _on_command(self, message: Float64MultiArray) -> None:
-        fault = self._fault(message)
-        if fault:
-            self._ignore(fault)
+    def _on_command(self, message: Float64MultiArray | JointState) -> None:
+        try:
+            command = read_command(self._actuation.driver, self._robot.command_names, message)
+        except ValueError as error:
+            self._ignore(str(error))
             return
         if self._hand_over is None:
             self._update_brakes()
-            self._robot.command(message.data)
+            self._actuation.command(command)
+            self._actuation.act()
         elif self._has_sensors:
-            self._hand_over.command(message.data, self._elapsed)
+            self._hand_over.command(command, self._elapsed)
 
     def _on_hold(self, request: Any, response: Any) -> Any:
         assert self._hand_over is not None
         response.success, response.message = self._hand_over.hold(request.data, self._elapsed)
         self.get_logger().info(response.message)
         return response
-
-    def _fault(self, message: Float64MultiArray) -> str:
-        expected = len(self._robot.command_names)
-        if len(message.data) != expected:
-            return f'it has {len(message.data)} efforts, expected {expected}'
-        if not all(map(math.isfinite, message.data)):
-            return 'an effort in it is not finite'
-        return ''
 
     def _ignore(self, fault: str) -> None:
         """Log an ignored command, at most once per complaint period."""
@@ -309,10 +318,11 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _serve(hardware: MujocoRobot, options: argparse.Namespace, stop: Callable[[], bool]) -> None:
     drive = None
-    if options.drive or options.sway:
+    driver = DRIVERS[options.driver] if options.driver else TORQUES
+    if options.drive or options.sway or options.driver:
         hardware.brakes_on = False
         drive = PositionDrive(hardware, options.sway)
-    node = RobotNode(hardware, options.brake_release, options.imu_orientation, drive)
+    node = RobotNode(hardware, options.brake_release, options.imu_orientation, drive, driver)
     executor = EventsExecutor()
     executor.add_node(node)
     # Collecting what the imports created takes 0.1 s, after which a node regards states as lost.
@@ -361,6 +371,9 @@ def _parse(arguments: list[str]) -> argparse.Namespace:
     )
     parser.add_argument(
         '--sway', action='store_true', help='the same, and it moves every joint back and forth'
+    )
+    parser.add_argument(
+        '--driver', choices=DRIVERS, help='the same, with the conventions of a driver'
     )
     parser.add_argument(
         '--armature',

@@ -13,6 +13,7 @@ from inverse_dynamics_node.simulation.drive import (
     PositionDrive,
     velocity_bounds,
 )
+from inverse_dynamics_node.simulation.drivers import Actuation, Command, TORQUES
 from inverse_dynamics_node.simulation.mujoco.hardware import MujocoRobot
 
 PERIOD = 0.002
@@ -75,7 +76,7 @@ class Bench:
         self.simulation.brakes_on = False
         self.log = Log()
         drive = PositionDrive(self.simulation, False)
-        self.hand_over = HandOver(self.simulation, drive, RELEASE, self.log)
+        self.hand_over = HandOver(Actuation(self.simulation, TORQUES), drive, RELEASE, self.log)
         self.bounds = velocity_bounds(self.robot)
         self.now = 0.0
 
@@ -89,7 +90,7 @@ class Bench:
         end = self.now + duration
         while self.now < end:
             if command is not None:
-                self.hand_over.command(command(), self.now)
+                self.hand_over.command(Command(command()), self.now)
             self.hand_over.advance(self.now, PERIOD)
             self.now += PERIOD
             rows.append((self.simulation.positions(), self.simulation.velocities()))

@@ -71,6 +71,7 @@ class MujocoRobot:
         self.brakes_on = True
         self._model = compile_model(urdf, friction)
         self._data = mujoco.MjData(self._model)
+        self._at_rest = mujoco.MjData(self._model)
         self.world = World(self._model, self._data, robot.body_names[0])
         address = {
             self._model.joint(i).name: int(self._model.jnt_dofadr[i])
@@ -192,6 +193,14 @@ class MujocoRobot:
     def bias_efforts(self) -> Floats:
         """Return the joint efforts of gravity and velocities, shape (n,), mimics folded in."""
         efforts: Floats = self._coupling.T @ self._data.qfrc_bias
+        return efforts
+
+    def gravity_efforts(self) -> Floats:
+        """Return the joint efforts of gravity alone, payloads included, shape (n,)."""
+        self._at_rest.qpos[:] = self._data.qpos
+        mujoco.mj_fwdPosition(self._model, self._at_rest)
+        mujoco.mj_fwdVelocity(self._model, self._at_rest)
+        efforts: Floats = self._coupling.T @ self._at_rest.qfrc_bias
         return efforts
 
     def _hold(self, joints: Collection[str]) -> None:

@@ -1,0 +1,202 @@
+"""What drivers do with commands and measured efforts; doc/robots.md has the sources."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+import enum
+from typing import Any, NamedTuple, TYPE_CHECKING
+
+import numpy as np
+
+from ..robot.model import Floats
+
+if TYPE_CHECKING:
+    from .mujoco.hardware import MujocoRobot
+
+
+class Form(enum.Enum):
+    """The messages in which a driver takes commands."""
+
+    EFFORTS = 'efforts in the order of the joints'
+    """std_msgs/Float64MultiArray, of a controller of ros2_control."""
+    NAMED_EFFORTS = 'efforts by name'
+    """sensor_msgs/JointState."""
+    MOTION = 'positions, velocities and efforts by name'
+    """sensor_msgs/JointState, for drives with gains of their own."""
+    NONE = 'no commands'
+
+
+@dataclass(frozen=True)
+class Driver:
+    """
+    The conventions of a driver.
+
+    By default, efforts in N m are taken and measured, and nothing is added to them.
+    """
+
+    form: Form = Form.EFFORTS
+    adds_gravity: bool = False
+    """Whether the robot adds gravity, and nothing else, to the commanded efforts."""
+    measures_gravity: bool = True
+    """Whether the measured efforts contain gravity."""
+    command_unit: float = 1.0
+    """Commanded value of 1 N m or 1 N."""
+    measured_unit: float = 1.0
+    """Measured value of 1 N m or 1 N."""
+    gains: tuple[float, float] = (0.0, 0.0)
+    """
+    Gains of position and velocity in the drives, for an inertia of 1 kg m^2 or 1 kg.
+
+    Those of real drives suit one arm. A simulated arm has them in proportion to the inertia of
+    each joint at the start.
+    """
+    commands: str = 'forward_effort_controller/commands'
+    """Topic of the commands."""
+    joint_states: str = 'joint_states'
+    """Topic of the joint states."""
+    rate: float = 500.0
+    """Rate of the joint states [Hz]."""
+    has_clock: bool = False
+    """Whether it is a simulator, which publishes ``/clock``."""
+
+
+TORQUES = Driver()
+"""A driver like an ideal robot."""
+_COMPLETE = 'inverse_dynamics/joint_commands'  # without a relay, as these drivers need it
+_AMPERE = 0.1  # [A/N m]; an example, because the one of UR is not published
+_MILLIAMPERE = 1000.0 / 1.793  # [mA/N m]; large motors of an Interbotix wx250s
+
+DRIVERS = {
+    'franka_ros2': Driver(adds_gravity=True, joint_states='franka/joint_states', rate=1000.0),
+    'ur': Driver(adds_gravity=True, measured_unit=_AMPERE),
+    'ur_torques': Driver(adds_gravity=True, measures_gravity=False),
+    'lbr_fri': Driver(
+        Form.MOTION,
+        adds_gravity=True,
+        gains=(150.0, 0.0),
+        commands=_COMPLETE,
+        joint_states='lbr/joint_states',
+    ),
+    'ros2_kortex': Driver(Form.NONE, measured_unit=-1.0, rate=1000.0),
+    'openarm': Driver(Form.MOTION, gains=(150.0, 10.0), commands=_COMPLETE, rate=100.0),
+    'dynamixel_current': Driver(command_unit=_MILLIAMPERE, measured_unit=_MILLIAMPERE, rate=100.0),
+    'mujoco_ros2_control': Driver(rate=200.0, has_clock=True),
+    'gz_ros2_control': Driver(commands='effort_controller/commands', rate=1000.0, has_clock=True),
+    'isaac_sim': Driver(Form.NAMED_EFFORTS, commands='joint_command', rate=100.0, has_clock=True),
+}
+"""
+By the names of their parameter files in ``config/robots``.
+
+``ur_torques`` is a newer version of the driver with ``use_currents_as_efforts: false``.
+"""
+
+
+class Command(NamedTuple):
+    """What a driver was told, for the m commanded joints in their order."""
+
+    efforts: Floats
+    """[N m or N]."""
+    positions: Floats | None = None
+    """[rad or m]; with `Form.MOTION` only, like the velocities [rad/s or m/s]."""
+    velocities: Floats | None = None
+
+
+def read_command(driver: Driver, joints: Sequence[str], message: Any) -> Command:
+    """
+    Read the message of a command.
+
+    Parameters
+    ----------
+    driver : Driver
+        Its form decides which message is expected.
+    joints : sequence of str
+        The commanded joints.
+    message : Float64MultiArray or JointState
+        From ROS.
+
+    Returns
+    -------
+    command : Command
+
+    Raises
+    ------
+    ValueError
+        If a value is missing or not finite.
+
+    """
+    if driver.form is Form.EFFORTS:
+        if len(message.data) != len(joints):
+            raise ValueError(f'it has {len(message.data)} efforts, expected {len(joints)}')
+        return Command(_finite(message.data, 'effort') / driver.command_unit)
+    efforts = _by_name(message, 'effort', joints) / driver.command_unit
+    if driver.form is Form.NAMED_EFFORTS:
+        return Command(efforts)
+    motion = (_by_name(message, field, joints) for field in ('position', 'velocity'))
+    return Command(efforts, *motion)
+
+
+def _by_name(message: Any, field: str, joints: Sequence[str]) -> Floats:
+    values = dict(zip(message.name, getattr(message, field), strict=False))
+    missing = [joint for joint in joints if joint not in values]
+    if missing:
+        raise ValueError(f'it has no {field} of {", ".join(missing)}')
+    return _finite([values[joint] for joint in joints], field)
+
+
+def _finite(values: Any, what: str) -> Floats:
+    array = np.array(values, float)
+    if not np.isfinite(array).all():
+        article = 'an' if what == 'effort' else 'a'
+        raise ValueError(f'{article} {what} in it is not finite')
+    return array
+
+
+class Actuation:
+    """
+    Turns the commands to a driver into efforts of the joints, and these into measured values.
+
+    Parameters
+    ----------
+    robot : MujocoRobot
+        The robot.
+    driver : Driver
+        The conventions.
+
+    """
+
+    def __init__(self, robot: MujocoRobot, driver: Driver) -> None:
+        self.robot, self.driver = robot, driver
+        joints = robot.command_names
+        self._index = [robot.robot.joint_names.index(name) for name in joints]
+        self._state_index = [robot.state_names.index(name) for name in joints]
+        inertia = robot.mass_matrix().diagonal()[self._index]
+        self._kp, self._kd = (gain * inertia for gain in driver.gains)
+        self._command = Command(np.zeros(len(joints)))
+
+    def command(self, command: Command) -> None:
+        """Apply a command until the next one."""
+        self._command = command
+
+    def with_gravity(self, efforts: Floats) -> Floats:
+        """Return commanded efforts with what the robot adds to them, shape (m,)."""
+        return efforts + self._gravity() if self.driver.adds_gravity else efforts
+
+    def act(self) -> None:
+        """Apply the efforts for the present state of the robot."""
+        efforts = self.with_gravity(self._command.efforts)
+        _, positions, velocities = self._command
+        if positions is not None and velocities is not None:
+            efforts = efforts + self._kp * (positions - self.robot.positions()[self._index])
+            efforts += self._kd * (velocities - self.robot.velocities()[self._index])
+        self.robot.command(efforts)
+
+    def measured(self, efforts: Floats) -> Floats:
+        """Return what the driver measures for efforts of the joints ``robot.state_names``."""
+        measured = efforts * self.driver.measured_unit
+        if not self.driver.measures_gravity:
+            measured[self._state_index] -= self.driver.measured_unit * self._gravity()
+        return measured
+
+    def _gravity(self) -> Floats:
+        return self.robot.gravity_efforts()[self._index]
