@@ -244,7 +244,7 @@ class _Watch:
         if robot is None or status is None:
             return None
         limits = robot.effort_limits.copy()
-        for joint, limit in status.limits().items():
+        for joint, limit in status.unscaled_limits().items():
             if joint in robot.joint_names:
                 limits[robot.joint_names.index(joint)] = limit
         return limits

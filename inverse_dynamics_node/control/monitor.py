@@ -179,6 +179,7 @@ class Monitor:
             external_cutoff=loop.external_effort_estimator.cutoff,
             measures_gravity=loop.measures_gravity,
             measured_scale=tuple(loop.external_effort_estimator.scale[loop.index].tolist()),
+            scale=tuple(loop.controller.scale.tolist()),
             limits=tuple(loop.controller.limits.tolist()),
             cut=tuple(self._clamped_joints),
             cut_counts=dict(self.clamped),

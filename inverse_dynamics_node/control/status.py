@@ -174,6 +174,8 @@ class EffortsStatus(Part):
     """As the parameters say."""
     measured_scale: tuple[float, ...] = key('scale of the measured efforts', 'g', default=())
     """In the order of the commanded joints."""
+    scale: tuple[float, ...] = key('scale', 'g', default=())
+    """From modelled efforts to commands, in the order of the commanded joints."""
     limits: tuple[float, ...] = key('limits [N m, N]', 'g', default=())
     """In the order of the commanded joints; inf if there is none."""
     cut: tuple[str, ...] = key('cut to limit since the last report', default=())
@@ -256,6 +258,15 @@ class NodeStatus:
     def limits(self) -> dict[str, float]:
         """Return the largest efforts by commanded joint [N m or N]; empty if they are unknown."""
         return self._by_joint(self.efforts.limits) if self.efforts else {}
+
+    def unscaled_limits(self) -> dict[str, float]:
+        """Return the efforts of the model at which the commands are at their limits."""
+        scale = self._by_joint(self.efforts.scale) if self.efforts else {}
+        return {
+            joint: limit / abs(scale[joint])
+            for joint, limit in self.limits().items()
+            if scale.get(joint)
+        }
 
     def measured_scale(self) -> dict[str, float]:
         """Return the factors of measured efforts by commanded joint; empty if unknown."""

@@ -98,6 +98,7 @@ STATUSES = st.builds(
             external_topic=TEXTS,
             external_cutoff=numbers(3),
             measures_gravity=optional(st.booleans()),
+            scale=st.lists(numbers(3, -999_999), max_size=7).map(tuple),
             measured_scale=st.lists(numbers(3, -999_999), max_size=7).map(tuple),
             limits=st.lists(numbers(3) | st.just(math.inf), min_size=1, max_size=7).map(tuple),
             cut=SEVERAL,
@@ -142,6 +143,13 @@ def test_a_message_of_another_node_is_not_read():
         assert read_status(message, name) is None
 
 
+def test_limits_of_currents_are_those_of_the_efforts_of_the_model():
+    efforts = status.EffortsStatus(scale=(500.0, -2.0, 0.0), limits=(1000.0, 8.0, 3.0))
+    model = status.ModelStatus(joints=('hip', 'knee', 'toe'))
+    arm = NodeStatus(LoopStatus(), efforts=efforts, model=model)
+    assert arm.unscaled_limits() == {'hip': 2.0, 'knee': 4.0}
+
+
 def test_values_that_cannot_be_read_are_left_out():
     fine = LoopStatus(Level.WARN, 'words', state='active', rate=5.0, phase=Phase.RUNNING)
     message = write_status(Time(), 'arm', NodeStatus(fine))
@@ -178,6 +186,7 @@ def test_values_that_cannot_be_read_are_left_out():
             {
                 'topic with names': '',
                 'topic of the external efforts': '',
+                'scale': 'none',
                 'scale of the measured efforts': 'none',
                 'limits [N m, N]': '87, inf',
                 'cut to limit since the last report': 'none',
