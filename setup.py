@@ -42,7 +42,8 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
         (f'share/{package_name}', ['package.xml']),
-        (f'share/{package_name}/config', glob('config/*')),
+        (f'share/{package_name}/config', glob('config/*.*')),
+        (f'share/{package_name}/config/robots', glob('config/robots/*')),
         (f'share/{package_name}/examples', glob('examples/*.py')),
         (f'share/{package_name}/launch', glob('launch/*')),
     ],

@@ -113,9 +113,14 @@ class RobotSide:
         """Publish joint states from now on, one after the other, RATE times a second."""
         self._always.append((self._states, itertools.cycle(recording).__next__))
 
-    def keep_publishing(self, topic, message):
-        """Publish a message from now on, RATE times a second; return the argument of `cease`."""
-        self._always.append((self.node.create_publisher(type(message), topic, 10), message))
+    def keep_publishing(self, topic, message, kind=None):
+        """
+        Publish a message from now on, RATE times a second; return the argument of `cease`.
+
+        A function that returns the message needs the kind of message, too.
+        """
+        publisher = self.node.create_publisher(kind or type(message), topic, 10)
+        self._always.append((publisher, message))
         return self._always[-1]
 
     def keep_ticking(self, start):

@@ -3,11 +3,15 @@
 import os
 import re
 
+from inverse_dynamics_node import load_urdf
+from inverse_dynamics_node.simulation.drivers import DRIVERS, Form
 import pytest
-from robot_files import ROOT, STANFORD
+from robot_files import real_robots, ROOT, STANFORD
 import yaml
 
 CONFIG = ROOT / 'config'
+PRESETS = sorted((CONFIG / 'robots').glob('*.yaml'))
+SEVEN_DOF = ROOT / 'test' / 'robots' / 'seven_dof.urdf'
 
 
 def parameters(path):
@@ -31,12 +35,13 @@ def test_the_file_of_all_parameters_has_their_defaults():
         assert ' '.join(parameter.description.split()) in words, name
 
 
-@pytest.mark.parametrize('path', sorted(CONFIG.glob('*.yaml')), ids=lambda path: path.stem)
+@pytest.mark.parametrize('path', sorted(CONFIG.rglob('*.yaml')), ids=lambda path: path.stem)
 def test_every_value_is_used_under_any_node_name(run_node, robot, path, tmp_path):
     given = parameters(path)
-    urdf = STANFORD.read_text()
-    for number, name in enumerate(filter(None, given.get('joints', ())), 1):
-        urdf = urdf.replace(f'"joint_{number}"', f'"{name}"')
+    source = SEVEN_DOF if len(given.get('joints', ())) == 7 else STANFORD
+    urdf, arm = source.read_text(), load_urdf(source)
+    for joint, name in zip(arm.joint_names, filter(None, given.get('joints', ())), strict=False):
+        urdf = urdf.replace(f'"{joint}"', f'"{name}"')
     (tmp_path / 'arm.urdf').write_text(urdf)
     given['robot_description_file'] = str(tmp_path / 'arm.urdf')
     node = run_node(
@@ -44,6 +49,36 @@ def test_every_value_is_used_under_any_node_name(run_node, robot, path, tmp_path
         robot_description_file=tmp_path / 'arm.urdf',
     )
     robot.peer = '/left/dynamics'
-    robot.wait_for_text(node, "robot 'stanford'")
+    robot.wait_for_text(node, f"robot '{arm.name}'")
     robot.wait_until(lambda: robot.get_state() == 'active', 'active')
     assert {name: robot.get_parameter(name) for name in given} == given
+
+
+@pytest.mark.parametrize('path', PRESETS, ids=lambda path: path.stem)
+def test_files_of_drivers_name_their_source_and_the_topics_of_the_simulated_driver(path):
+    driver, text = DRIVERS[path.stem], path.read_text()
+    head = ' '.join(text[: text.index('/**:')].replace('#', ' ').split())
+    assert 'Not tried' in head
+    assert re.search(r'source code\b.*?\([^)]*[0-9a-f]{7}', head)
+    assert 'doc/robots.md names the places' in head
+    assert f'--params-file {path.name}' in head
+    if driver.joint_states != 'joint_states':
+        assert f'joint_states:=/{driver.joint_states}' in head
+    if driver.form is not Form.NONE:
+        assert f'/{driver.commands}' in head
+    assert driver.has_clock is parameters(path).get('use_sim_time', False)
+
+
+def test_joints_of_a_driver_are_those_of_the_robot():
+    (ur5,) = (path for path in real_robots() if path.stem == 'ur5_robot')
+    assert parameters(CONFIG / 'robots' / 'ur.yaml')['joints'] == list(load_urdf(ur5).joint_names)
+    for path in PRESETS:
+        joints = parameters(path).get('joints', [])
+        assert len(set(joints)) == len(joints)
+        assert len(joints) in (0, 6, 7)
+        if path.stem != 'ur':
+            assert joints == [f'{joints[0][:-1]}{k}' for k in range(1, len(joints) + 1)]
+
+
+def test_every_driver_that_can_be_simulated_has_a_file():
+    assert {path.stem for path in PRESETS} == set(DRIVERS) - {'ur_torques'}
