@@ -22,8 +22,9 @@ Topics of its own change the robot without the node being informed: ~/payload
 pushes it. The service ~/hold (std_srvs/SetBool) lets the position controller hold the robot, to
 change its load, or releases it; ~ is /simulated_robot.
 
-With --driver, commands, joint states and measured efforts are those of a driver. doc/robots.md
-has the sources, and config/robots a parameter file of this name.
+With --driver, the robot takes commands and reports efforts by the conventions of a driver, on its
+topics; the commands of a driver that needs a relay are taken from the node itself. doc/robots.md
+describes the drivers, and config/robots has a parameter file for each.
 {drivers}
 
 examples:
@@ -104,7 +105,12 @@ def run(options: argparse.Namespace) -> int:
 def _line(name: str) -> str:
     """Say in one line of the help how a driver differs from the default."""
     driver = DRIVERS[name]
-    adds = ', adds gravity' if driver.adds_gravity else ''
-    measures = 'with' if driver.measures_gravity else 'without'
-    unit = '' if driver.measured_unit == 1.0 else ', not in N m'
-    return f'  {name:20} takes {driver.form.value}{adds}; measures {measures} gravity{unit}'
+    parts = {
+        f'takes {driver.form.value}': driver.form is not TORQUES.form,
+        'adds gravity to the commands': driver.adds_gravity,
+        'measures without gravity': not driver.measures_gravity,
+        'takes another unit than N m': driver.command_unit != 1.0,
+        'measures another unit than N m': driver.measured_unit != 1.0,
+        'publishes /clock': driver.has_clock,
+    }
+    return f'  {name:20} {"; ".join(part for part, applies in parts.items() if applies)}'
