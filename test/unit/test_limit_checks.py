@@ -3,7 +3,11 @@
 import math
 
 from inverse_dynamics_node import load_urdf
-from inverse_dynamics_node.robot.limit_checks import implausible_positions, position_warnings
+from inverse_dynamics_node.robot.limit_checks import (
+    effort_limit_warnings,
+    implausible_positions,
+    position_warnings,
+)
 import numpy as np
 import pytest
 
@@ -106,3 +110,73 @@ def test_warnings_about_degrees_come_first_with_their_own_hint(robot):
         'check units (rad, m), zero positions and the order of the joints'
     )
     assert position_warnings(robot, [0.0, 0.0, 0.0, 0.0]) == ()
+
+
+def reaching_arm(limits, weights=(2.0, 3.0), travel='-0.6', mounted=0.5):
+    """Return an arm that turns, turns without end, and slides; the base is heavy."""
+    masses = [100.0, *weights, 1.0]
+    coms = ['0 0 5', '0 0 0.2', '0 0.1 0', '0 0 0']
+    links = ''.join(
+        f'<link name="l{k}"><inertial><origin xyz="{com}"/><mass value="{mass}"/>'
+        '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        for k, (mass, com) in enumerate(zip(masses, coms, strict=True))
+    )
+    return load_urdf(
+        f"""<robot name="arm">{links}
+  <joint name="turn" type="revolute"><origin xyz="{mounted} 0 0"/>
+    <parent link="l0"/><child link="l1"/><axis xyz="0 1 0"/>
+    <limit lower="-3" upper="3" effort="{limits[0]}" velocity="2"/></joint>
+  <joint name="slide" type="prismatic"><origin xyz="0 0 1"/>
+    <parent link="l1"/><child link="l2"/><axis xyz="1 0 0"/>
+    <limit lower="{travel}" upper="0.2" effort="{limits[1]}" velocity="2"/></joint>
+  <joint name="spin" type="continuous"><origin xyz="0 0 0.3"/>
+    <parent link="l2"/><child link="l3"/><axis xyz="0 0 1"/>
+    <limit effort="{limits[2]}" velocity="2"/></joint>
+</robot>"""
+    )
+
+
+# Arms of 0.7, 0.5 + 1 + 0.6 + 0.1 and 2.1 + 0.3 m carry 2, 3 and 1 kg.
+MOST = 9.81 * (2.0 * 0.7 + 3.0 * 2.2 + 1.0 * 2.4)
+
+
+def test_effort_limits_are_compared_with_the_weight_of_the_stretched_robot():
+    found = effort_limit_warnings(reaching_arm([50.1 * MOST, 1e7, 49.9 * MOST]))
+    (warning,) = found
+    assert warning.subject == "joint 'turn' effort limit"
+    assert f'takes at most {MOST:.3g} N m: looks like a placeholder' in warning.text
+    assert warning.text.startswith(f'{50.1 * MOST:.7g} N m')
+    assert f'{MOST:.3g}' == '102'
+    assert effort_limit_warnings(reaching_arm([49.9 * MOST, 1e7, 49.8 * MOST])) == ()
+
+
+def test_the_reach_does_not_depend_on_the_direction_of_the_travel():
+    limit = 50.1 * MOST
+    text = str(effort_limit_warnings(reaching_arm([limit, 1.0, 1.0]))[0])
+    shorter = reaching_arm([limit, 1.0, 1.0], travel='-0.1')
+    # The travel of 0.2 m takes the place of that of 0.6 m for the second and the third link.
+    least = MOST - 9.81 * 0.4 * 4.0
+    assert f'at most {least:.3g} N m' in str(effort_limit_warnings(shorter)[0]) != text
+
+
+def test_equal_round_limits_of_revolute_joints_are_placeholders():
+    def chain(limits):
+        joints = ''.join(
+            f'<link name="l{k}"/><joint name="j{k}" type="{kind}"><parent link="l{k - 1}"/>'
+            f'<child link="l{k}"/><axis xyz="0 0 1"/>'
+            f'<limit lower="0" upper="1" effort="{limit}" velocity="2"/></joint>'
+            for k, (limit, kind) in enumerate(limits, 1)
+        )
+        robot = load_urdf(f'<robot name="arm"><link name="l0"/>{joints}</robot>')
+        return [warning.text for warning in effort_limit_warnings(robot)]
+
+    turning, sliding = (100.0, 'revolute'), (100.0, 'prismatic')
+    text = '3 of 3 effort limits of revolute joints are 100 N m: looks like a placeholder'
+    assert chain([turning] * 3) == [text]
+    assert chain([turning] * 3 + [(7.0, 'prismatic')] * 3) == [text]
+    assert chain([turning] * 2 + [sliding] * 3) == []
+    # At least 80 % of five joints.
+    four = '4 of 5 effort limits of revolute joints are 100 N m: looks like a placeholder'
+    assert chain([turning] * 4 + [(30.0, 'revolute')]) == [four]
+    assert chain([turning] * 3 + [(30.0, 'revolute')]) == []
+    assert chain([(30.0, 'revolute')] * 5) == []
