@@ -35,7 +35,14 @@ def test_the_file_of_all_parameters_has_their_defaults():
         assert ' '.join(parameter.description.split()) in words, name
 
 
-@pytest.mark.parametrize('path', sorted(CONFIG.rglob('*.yaml')), ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    'path',
+    [
+        *sorted(CONFIG.glob('*.yaml')),
+        *(pytest.param(path, marks=pytest.mark.long) for path in PRESETS),
+    ],
+    ids=lambda path: path.stem,
+)
 def test_every_value_is_used_under_any_node_name(run_node, robot, path, tmp_path):
     given = parameters(path)
     source = SEVEN_DOF if len(given.get('joints', ())) == 7 else STANFORD
