@@ -355,7 +355,7 @@ class CommandShaper:
         command -= np.copysign(change, command)
         self._flags[:] = False
 
-    def fall(self, damping: Floats | None = None) -> None:
+    def fall(self, damping: Floats | None = None, limits: Floats | None = None) -> None:
         """
         Ramp the commands down to zero, starting from the last one.
 
@@ -364,6 +364,8 @@ class CommandShaper:
         damping : ndarray, shape (m,), optional
             To be added; all of it is reduced by one factor where the sum would exceed a limit, so
             that it still opposes the motion [N m or N].
+        limits : ndarray, shape (m,), optional
+            Limits for this sum; by default, the present ones [N m or N].
 
         """
         if self._way is _Way.FALLING:
@@ -381,7 +383,8 @@ class CommandShaper:
         self.command[:] = self._stop.command()
         self._is_damped = damping is not None
         if damping is not None:
-            self.command[:] = add_within(self.command, damping, self._rows[_LIMIT])
+            limits = self._rows[_LIMIT] if limits is None else limits
+            self.command[:] = add_within(self.command, damping, limits)
         self._flags[:] = False
 
 

@@ -66,6 +66,11 @@ class DriveReference:
             velocities = np.zeros_like(qd) if reference.positions is not None else qd
         return q + self.weight * distance, qd + self.weight * (velocities - qd)
 
+    def rest(self, q: Floats) -> tuple[Floats, Floats]:
+        """Return positions and velocities of a robot that is left where it is."""
+        self.weight = 0.0
+        return q, np.zeros_like(q)
+
     def _distance(self, q: Floats, reference: Reference | None) -> Floats:
         if reference is None or reference.positions is None:
             return np.zeros_like(q)

@@ -16,7 +16,7 @@ POSITION, VELOCITY, TIME, EFFORT = range(4)
 # Rows of a message, one column per joint in the message.
 _POSITION, _VELOCITY, _EFFORT = range(3)
 # Results of `store_joint_state`: `CONSISTENT` plus any of the others, or `NOT_FINITE`.
-NOT_FINITE, CONSISTENT, ALTERNATING, JUMPED = 0, 1, 2, 4
+NOT_FINITE, CONSISTENT, ALTERNATING, JUMPED, LEAPT = 0, 1, 2, 4, 8
 
 
 def compile_kernels() -> None:
@@ -117,7 +117,7 @@ def store_joint_state(
             known[VELOCITY, i] = 0.0
         else:
             if is_jump:
-                result |= JUMPED
+                result |= JUMPED | LEAPT if is_commanded[i] else JUMPED
             known[POSITION, i] = received[_POSITION, j]
             known[VELOCITY, i] = received[_VELOCITY, j]
         known[TIME, i] = now

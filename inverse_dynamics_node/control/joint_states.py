@@ -18,6 +18,7 @@ from .joint_state_kernels import (
     compile_kernels,
     find_oldest,
     JUMPED,
+    LEAPT,
     LONG_AGO,
     NOT_FINITE,
     store_joint_state,
@@ -224,7 +225,8 @@ class JointStateCollector:
             self._complete(layout, now)
             result = store_joint_state(*arguments, now, has_efforts)
         if result & JUMPED:
-            self.has_jumped = self.has_leapt = True
+            self.has_jumped = True
+            self.has_leapt |= bool(result & LEAPT)
         if result & ALTERNATING or self._has_alternating:
             self._find_alternating()
         if layout.has_joints:

@@ -195,7 +195,7 @@ class Controller:
     def stop(self) -> None:
         """Ramp the efforts to zero from the next step on, and keep them there."""
         if not self.is_stopping and self.phase in COMPUTING_PHASES:
-            self.stop_damping.begin(self.settings)
+            self.stop_damping.begin(self.settings, self.scale.copy(), self.limits.copy())
         self.supervisor.is_stopping = True
 
     def resume(self) -> None:
@@ -292,7 +292,7 @@ class Controller:
         supervisor.phase = blocking
         if blocking is Phase.STOPPED:
             clock = shaper.clock
-            shaper.fall(damping.efforts(now, state, clock.step, clock.since, self.scale))
+            shaper.fall(damping.efforts(now, state, clock.step, clock.since), damping.limits)
         elif settings.on_stale_state is StalePolicy.ZERO:
             shaper.fall()
         else:
@@ -366,11 +366,12 @@ class ControlLoop:
         self.reference: Reference | None = None
         self.has_imu = has_imu
         self.index = robot.joint_indices(self.controller.joints)
-        self._drive = DriveReference(self.controller.law)
+        self.drive = DriveReference(self.controller.law)
 
     def start(self, *, is_dry_run: bool = False) -> None:
         """Let the efforts rise from zero; an earlier reference is dropped."""
         self.reference = None
+        self.drive.weight = 0.0
         self.controller.start()
         self.controller.supervisor.dry_run = DryRun(is_active=is_dry_run)
 
@@ -514,7 +515,7 @@ class ControlLoop:
         """
         self.controller.continue_from(other.controller)
         self.reference = other.reference
-        self._drive.weight = other._drive.weight
+        self.drive.weight = other.drive.weight
         return self.copy_inputs_from(other)
 
     def copy_inputs_from(self, other: ControlLoop) -> list[str]:
@@ -562,21 +563,13 @@ class ControlLoop:
         return self.loads.at_base_link(wrenches.force[0], wrenches.moment[0])
 
     def drive_reference(self) -> tuple[Floats, Floats]:
-        """
-        Return the motion to send with the last command; see `DriveReference`.
-
-        Returns
-        -------
-        positions, velocities : ndarray, shape (m,)
-            [rad or m], [rad/s or m/s].
-
-        """
+        """Return positions and velocities to send with the last command; see `DriveReference`."""
         controller, collector = self.controller, self.collector
         q, qd = collector.q[self.index], collector.qd[self.index]
+        if controller.phase not in COMPUTING_PHASES or self.dry_run.is_active:
+            return self.drive.rest(q)
         settings = controller.settings
-        if controller.phase not in COMPUTING_PHASES:
-            qd = np.zeros_like(qd)  # may be old, and the drive would follow them
-        return self._drive.motion(
+        return self.drive.motion(
             q, qd, controller.ramp_step, settings.start_ramp, settings.max_position_jump
         )
 

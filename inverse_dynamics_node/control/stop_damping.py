@@ -61,13 +61,26 @@ class StopDamping:
         """Whether the motion is damped, now or from the next command on."""
         self.report = ''
         """Why the damping has ended; cleared by the reader."""
+        self._scale = self.limits = np.zeros(len(index))
+        self._longest = 0.0  # [s] between commands lately
         self._passed = -1.0  # [s] since the first command of the stop; negative before it
         self._q = self._qd = self._times = np.zeros(len(index))
         self._rest_since = 0.0  # [s]
         self._rest = self._way = self._integral = self._q
 
-    def begin(self, settings: Settings) -> None:
-        """Damp from the next command on, if the settings say so; changes of them are ignored."""
+    def begin(self, settings: Settings, scale: Floats, limits: Floats) -> None:
+        """
+        Damp from the next command on, if the settings say so; changes of all three are ignored.
+
+        Parameters
+        ----------
+        settings : Settings
+            Rate, times and time-outs.
+        scale, limits : ndarray, shape (m,)
+            Factors from efforts to commands, and the largest commands.
+
+        """
+        self._scale, self.limits, self._longest = scale, limits, 0.0
         self.is_active = settings.stop_damping > 0.0
         self._settings, self._passed, self.report = settings, -1.0, ''
         self._way, self._integral = np.zeros((2, len(self._index)))
@@ -83,9 +96,7 @@ class StopDamping:
         self.__dict__.update(other.__dict__)
         self._dynamics, self._index, self._is_continuous = dynamics, index, is_continuous
 
-    def efforts(
-        self, now: float, state: State | None, step: float, since: float, scale: Floats
-    ) -> Floats | None:
+    def efforts(self, now: float, state: State | None, step: float, since: float) -> Floats | None:
         """
         Compute what is to be added to the efforts of the stop ramp.
 
@@ -99,8 +110,6 @@ class StopDamping:
             Time by which ramps advance with this command [s].
         since : float
             Time since the last command [s].
-        scale : ndarray, shape (m,)
-            Factors from efforts to commands.
 
         Returns
         -------
@@ -125,7 +134,7 @@ class StopDamping:
             return None
         assert state is not None
         factor = min(left, ramp_fraction(self._passed, settings.stop_ramp))
-        return self._damp(state, factor * self._rate(now - state.time, since), scale)
+        return self._damp(state, factor * self._rate(now - state.time, since))
 
     def _track(self, now: float, state: State | None, is_first: bool) -> str:
         """Follow positions and velocities; return why they cannot be used."""
@@ -163,17 +172,19 @@ class StopDamping:
         Return the rate of decay [1/s] for states and commands that are so old [s].
 
         A command acts until the next one, with a velocity that was measured before. The rate falls
-        with the square of the age, so that all commands for one state take away at most 0.82 of
-        the velocity: the sum of 1 / k^2 is 1.64.
+        with the square of the age, so that all commands for one state take away less than the
+        velocity. Commands may come in bursts, as for the messages of two drivers: what counts is
+        the longest of the last intervals.
 
         """
+        self._longest = since = max(since, 0.98 * self._longest)
         horizon = max(_LARGEST_SHARE / self._settings.stop_damping, since)
         age = max(age + since, horizon)
         return _LARGEST_SHARE * horizon / age**2
 
-    def _damp(self, state: State, rate: float, scale: Floats) -> Floats:
+    def _damp(self, state: State, rate: float) -> Floats:
         # A joint whose commands are zero cannot be damped, nor may others be for its sake.
-        qd = np.where(scale == 0.0, 0.0, self._qd)
+        qd = np.where(self._scale == 0.0, 0.0, self._qd)
         try:
             mass_matrix = self._dynamics.mass_matrix(state.q)[np.ix_(self._index, self._index)]
         except JointStateError:
@@ -181,4 +192,4 @@ class StopDamping:
         with np.errstate(all='ignore'):
             efforts = -rate * (mass_matrix @ qd)
             is_damping = qd @ efforts <= 0.0  # also false for NaN
-        return scale * efforts if is_damping else np.zeros(len(qd))
+        return self._scale * efforts if is_damping else np.zeros(len(qd))

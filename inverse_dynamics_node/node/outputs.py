@@ -103,6 +103,8 @@ class Outputs:
             self.commands.publish(serialize_numbers(sent))
             if self._joint_commands in self._subscribed:
                 self._publish_joint_commands(loop, sent)
+            else:
+                loop.drive.weight = 0.0  # a driver that appears is led to the reference
         by_name = sent if self.may_command_by_name else efforts
         if by_name is not None and self._joint_efforts in self._subscribed:
             self._publish_efforts(self._joint_efforts, loop.controller.joints, by_name)

@@ -39,7 +39,7 @@ class Graph:
         self._last_namesakes = 0
         self._last_time = -1
         self._last_advance = time.monotonic()
-        self._has_subscribers = False
+        self._has_subscribers, self._reported = False, ''  # the topic that was reported last
         self._checks_left = _MAX_CHECKS
         self.expect_discovery()
 
@@ -73,6 +73,7 @@ class Graph:
         commands = self._commands
         self._has_subscribers = bool(commands.get_subscription_count())
         names = join_names(self._subscribers(commands)) if self._has_subscribers else ''
+        self._reported = commands.topic_name
         return f'{commands.topic_name} ({names or "no subscriber yet"})'
 
     def subscriber_change(self) -> str:
@@ -90,15 +91,15 @@ class Graph:
         if has_subscribers is self._has_subscribers:
             self._checks_left = _MAX_CHECKS
             return ''
-        topic = commands.topic_name
         names = self._subscribers(commands)
         if has_subscribers and _UNKNOWN in names and self._checks_left:
             self._checks_left -= 1  # the name arrives a little later than the subscription
             return ''
         self._has_subscribers = has_subscribers
-        if has_subscribers:
-            return f'first subscriber of {topic}: {join_names(names)}'
-        return f'the last subscriber of {topic} is gone'
+        if not has_subscribers:
+            return f'the last subscriber of {self._reported} is gone'
+        self._reported = commands.topic_name
+        return f'first subscriber of {self._reported}: {join_names(names)}'
 
     def others(self) -> Others:
         """
@@ -109,15 +110,13 @@ class Graph:
         second.
 
         """
+        rivals: set[str] = set()
         commands = self._commands
-        topic, kind = commands.topic_name, type_name(commands.msg_type)
-        publishers = Counter(
-            _name_of(info)
-            for info in self._node.get_publishers_info_by_topic(topic)
-            if info.topic_type == kind
-        )
-        publishers[self._name] -= 1  # the publisher of this node
-        rivals = {name for name, count in publishers.items() if count > 0}
+        topic = commands.topic_name
+        for form in self._forms:
+            found = self._rivals(form)
+            topic = form.topic_name if found and not rivals else topic
+            rivals |= found
         nodes = Counter(
             _joined(namespace, name)
             for name, namespace in self._node.get_node_names_and_namespaces()
@@ -144,6 +143,17 @@ class Graph:
             unchanged_for=steady - self._last_advance,
             publishers=int(self._node.count_publishers(self._node.resolve_topic_name('/clock'))),
         )
+
+    def _rivals(self, commands: Any) -> set[str]:
+        """Return the other nodes that publish the same topic with the same type."""
+        kind = type_name(commands.msg_type)
+        publishers = Counter(
+            _name_of(info)
+            for info in self._node.get_publishers_info_by_topic(commands.topic_name)
+            if info.topic_type == kind
+        )
+        publishers[self._name] -= 1  # the publisher of this node
+        return {name for name, count in publishers.items() if count > 0}
 
     def _subscribers(self, commands: Any) -> list[str]:
         infos = self._node.get_subscriptions_info_by_topic(commands.topic_name)

@@ -6,6 +6,7 @@ from inverse_dynamics_node import load_urdf
 from inverse_dynamics_node.control.control_law import Reference
 from inverse_dynamics_node.control.loop import ControlLoop
 from inverse_dynamics_node.control.settings import Mode, Settings
+from inverse_dynamics_node.control.supervision import Phase
 import numpy as np
 import pytest
 from robot_files import ROOT
@@ -109,3 +110,38 @@ def test_another_description_does_not_change_what_the_drive_receives():
     arm.loop = loop
     after, _ = arm.step(positions=TARGET, velocities=SPEED)
     assert after == pytest.approx(before, abs=1e-15)
+
+
+def follow(arm, seconds=0.2):
+    """Follow a reference; return the last positions."""
+    return arm.play(seconds, positions=TARGET, velocities=SPEED)[-1][0]
+
+
+def test_the_drive_is_at_rest_where_it_is_at_the_begin_of_a_dry_run():
+    arm = Arm()
+    assert follow(arm) == pytest.approx(TARGET)
+    arm.loop.switch_dry_run(is_wanted=True)
+    positions, velocities = arm.step(positions=TARGET, velocities=SPEED)
+    assert positions == pytest.approx(Q)
+    assert velocities == pytest.approx(np.zeros(2))
+
+
+def test_the_drive_is_at_rest_where_it_is_without_finite_efforts():
+    arm = Arm()
+    follow(arm)
+    arm.now += PERIOD
+    arm.loop.collector.update(arm.now, ARM.joint_names, Q, QD)
+    arm.loop.reference = Reference(np.full(2, 1e306), np.zeros(2), arm.now, TARGET, SPEED)
+    arm.loop.step(arm.now)
+    assert arm.loop.controller.phase is Phase.NO_SOLUTION
+    positions, velocities = arm.loop.drive_reference()
+    assert positions == pytest.approx(Q)
+    assert velocities == pytest.approx(np.zeros(2))
+
+
+def test_the_drive_is_led_to_the_reference_again_after_a_start():
+    arm = Arm()
+    follow(arm)
+    arm.loop.start()
+    positions = follow(arm, PERIOD)
+    assert np.abs(positions - Q).max() <= 0.1 * PERIOD / 0.1 + 1e-12

@@ -353,3 +353,17 @@ def test_joints_that_are_too_light_for_their_gains_are_described():
     assert describe_light_joints(loop) == ''
     loop.controller.apply(replace(HELD, stiffness=1e9, mode=Mode.COMPUTED_TORQUE))
     assert describe_light_joints(loop) == ''
+
+
+def test_a_leap_of_a_joint_that_is_not_commanded_does_not_move_the_equilibrium():
+    settings = replace(HELD, stiffness=30.0, impedance_damping=2.0)
+    for joint, moves in ((0, True), (1, False)):
+        loop = ControlLoop(ROBOT, NAMES[:1], settings)
+        loop.collector.update(0.0, NAMES, Q, REST)
+        loop.step(0.0)
+        leapt = Q + np.array([0.01, 0.01])
+        leapt[joint] += 2.0
+        loop.collector.update(0.005, NAMES, leapt, REST)
+        loop.step(0.005)
+        held = loop.controller.law.equilibrium
+        assert held == pytest.approx(leapt[:1] if moves else Q[:1])

@@ -1,5 +1,6 @@
 """An arm without brakes sinks slowly when it is stopped."""
 
+from dataclasses import replace
 from functools import cache
 import math
 
@@ -290,6 +291,27 @@ def test_settings_that_change_under_way_apply_to_the_next_stop():
     settings = {**SLOW, 'stop_damping': 10.0, 'stop_timeout': 0.0}
     other.controller.apply(Settings(start_ramp=0.0, use_urdf_effort_limits=False, **settings))
     assert other.run(0.5) == pytest.approx(arm.run(0.5))
+
+
+@pytest.mark.parametrize('change', [{'effort_limits': 0.1}, {'effort_scale': 3.0}])
+def test_scale_and_limits_that_change_under_way_cause_no_step(change):
+    arm = Arm()
+    before = arm.stop(1.0)[-1]
+    assert np.abs(before).max() > 1.0
+    arm.controller.apply(replace(arm.controller.settings, **change))
+    assert arm.step() == pytest.approx(before, rel=0.05)
+
+
+def test_bursts_of_joint_states_do_not_weaken_the_protection():
+    """Two messages in a row, as of two drivers, and then a pause: the pause counts."""
+    arm = Arm(stop_damping=200.0)
+    arm.controller.stop()
+    for _ in range(60):
+        arm.step(0.0198)
+        last = arm.step(0.0002)
+    rates = -np.linalg.solve(DYNAMICS.mass_matrix(arm.q), last) / MOVING
+    assert (rates > 1.0).all()
+    assert (rates * 0.0198 <= 0.6).all()
 
 
 def test_the_time_to_fall_while_the_motion_is_damped_is_a_stop_ramp():
