@@ -10,7 +10,7 @@ import numpy as np
 
 from ..dynamics.inverse_dynamics import InverseDynamics
 from ..errors import ConfigurationError, JointStateError
-from ..robot.model import Floats, RobotModel
+from ..robot.model import Booleans, Floats, RobotModel
 from .filters import LowPass
 from .joint_states import State
 from .settings import Mode, Settings
@@ -160,9 +160,7 @@ class ControlLaw:
 
     def distance(self, start: Floats, target: Floats) -> Floats:
         """Return target minus start, shape (m,); continuous joints take the shorter way."""
-        distance = target - start
-        turns = np.round(distance / (2.0 * math.pi))
-        return np.where(self._is_continuous, distance - 2.0 * math.pi * turns, distance)
+        return shorter_way(target - start, self._is_continuous)
 
     def cause_of_failure(self, scale: Floats) -> str:
         """Name the joint and the value that left the last step without a solution."""
@@ -258,6 +256,12 @@ class ControlLaw:
             if self._has_guiding_damping:
                 efforts = efforts - self._of_joint['guiding_damping'] * qd[self._index]
         return efforts
+
+
+def shorter_way(distance: Floats, is_continuous: Booleans) -> Floats:
+    """Leave out full turns of continuous joints; both of shape (m,) [rad or m]."""
+    turns = np.round(distance / (2.0 * math.pi))
+    return np.where(is_continuous, distance - 2.0 * math.pi * turns, distance)
 
 
 def _compact_index(index: list[int]) -> Any:

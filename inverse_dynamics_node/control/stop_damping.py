@@ -14,6 +14,7 @@ from ..dynamics.inverse_dynamics import InverseDynamics
 from ..errors import JointStateError
 from ..robot.model import Floats
 from .command_shaping import ramp_fraction
+from .control_law import shorter_way
 from .joint_states import State
 from .settings import Settings
 
@@ -62,7 +63,7 @@ class StopDamping:
         self.report = ''
         """Why the damping has ended; cleared by the reader."""
         self._scale = self.limits = np.zeros(len(index))
-        self._longest = 0.0  # [s] between commands lately
+        self._longest = 0.0  # [s]; the longest of the last intervals between commands
         self._passed = -1.0  # [s] since the first command of the stop; negative before it
         self._q = self._qd = self._times = np.zeros(len(index))
         self._rest_since = 0.0  # [s]
@@ -147,8 +148,7 @@ class StopDamping:
             elapsed = times - self._times
             if not ((elapsed >= 0.0) & (elapsed <= timeout)).all():
                 return 'the joint states were lost'
-            way = q - self._q
-            way -= np.where(self._is_continuous, np.round(way / math.tau) * math.tau, 0.0)
+            way = shorter_way(q - self._q, self._is_continuous)
             memory = np.maximum(0.0, 1.0 - elapsed / _MEMORY)
             self._way = memory * (self._way + way)
             self._integral = memory * (self._integral + 0.5 * elapsed * (self._qd + qd))

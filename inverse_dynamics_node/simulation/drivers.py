@@ -93,7 +93,7 @@ By the names of their parameter files in ``config/robots``.
 
 
 class Command(NamedTuple):
-    """What a driver was told, for the m commanded joints in their order."""
+    """A command to a driver, for the m commanded joints in their order."""
 
     efforts: Floats
     """[N m or N]."""
