@@ -1,5 +1,5 @@
 """
-A model of what doc/interface.md promises about commands, apart from how they are computed.
+A model of what doc/behaviour.md promises about commands, apart from how they are computed.
 
 It asks the node for the inputs that a command was computed from, and for efforts of given inputs,
 but decides by itself which changes of the inputs are motion, and how far ramps may advance.
