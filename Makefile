@@ -92,7 +92,7 @@ bench: $(VENV)/bench.done
 	@$(CLEAN) PYTHONPATH=test $(BIN)/python -m benchmarks $(ARGS)
 
 bench-loop: $(VENV)/test.done
-	@$(CLEAN) PYTHONPATH=test $(BIN)/python -m benchmarks.loop --doc doc $(ARGS)
+	@$(CLEAN) PYTHONPATH=test $(BIN)/python -m benchmarks.loop --doc doc/evidence $(ARGS)
 
 # Sends a million messages, most of them invalid; ARGS='--messages 100000' sends fewer.
 storm: $(VENV)/test.done

@@ -1,1 +1,1 @@
-"""Benchmarks against other libraries: `make bench` runs them and writes doc/benchmarks.md."""
+"""Benchmarks against other libraries; `make bench` writes doc/evidence/benchmarks.md."""

@@ -24,7 +24,8 @@ def main() -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(prog='make bench', description=__doc__)
     parser.add_argument('--quick', action='store_true', help='few rounds; writes no page')
-    parser.add_argument('--doc', type=Path, default=ROOT / 'doc', help='folder of the page')
+    folder = ROOT / 'doc' / 'evidence'
+    parser.add_argument('--doc', type=Path, default=folder, help='folder of the page')
     arguments = parser.parse_args()
     warnings.simplefilter('ignore')  # libraries warn of the robots
     quick = arguments.quick

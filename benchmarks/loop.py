@@ -1,8 +1,8 @@
 """
 The loop of the node, from joint state to command, and of relays that compute nothing.
 
-`make bench-loop` runs it and writes doc/loop.md. Contenders take turns, with and without real-time
-priority, on an idle machine and beside busy processes; the others are stopped meanwhile.
+`make bench-loop` runs it and writes doc/evidence/loop.md. Contenders take turns, with and without
+real-time priority, on an idle machine and beside busy processes; the others are stopped meanwhile.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The tables of doc/loop.md."""
+"""The tables of doc/evidence/loop.md."""
 
 from __future__ import annotations
 

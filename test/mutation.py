@@ -3,7 +3,7 @@ Mutation testing: change the code in one place at a time, and see whether a test
 
 `make mutation` runs this, with names of mutants (patterns) as optional arguments. It copies the
 project to build/mutation, lets mutmut make and test the mutants there, and compares the survivors
-with the equivalent mutants listed in doc/mutation.md. The modules and tests are listed in
+with the equivalent mutants listed in test/mutation.md. The modules and tests are listed in
 pyproject.toml, [tool.mutmut].
 """
 
@@ -17,7 +17,7 @@ import sys
 
 ROOT = Path(__file__).resolve().parent.parent
 WORK = ROOT / 'build' / 'mutation'
-LIST = ROOT / 'doc' / 'mutation.md'
+LIST = ROOT / 'test' / 'mutation.md'
 COPIED = ('inverse_dynamics_node', 'test', 'config', 'pyproject.toml')
 LEAST_SCORE = 95.0  # [%] of the mutants that are not listed
 SURVIVED, NO_TESTS = 0, 33  # codes of mutmut; others are a failed test or a time-out

@@ -8,7 +8,9 @@ import pytest
 from robot_files import ROOT
 
 WIDTH = 100
-PAGES = [*sorted(ROOT.glob('*.md')), *sorted((ROOT / 'doc').glob('*.md'))]
+PAGES = [*sorted(ROOT.glob('*.md')), *sorted((ROOT / 'doc').rglob('*.md'))]
+PAGES.append(ROOT / 'test' / 'mutation.md')
+NOTATION = (ROOT / 'doc' / 'evidence' / 'notation.md').read_text()
 TEMPLATES = sorted((ROOT / 'benchmarks').glob('*.md'))
 
 
@@ -70,9 +72,7 @@ def anchor(title):
 
 
 def test_notation_lists_the_functions_of_each_equation():
-    rows = re.findall(
-        r'^\| \((\d+)\) \|.*\| (.*) \|$', (ROOT / 'doc/notation.md').read_text(), re.M
-    )
+    rows = re.findall(r'^\| \((\d+)\) \|.*\| (.*) \|$', NOTATION, re.M)
     assert [int(number) for number, _ in rows] == [31, 36, 37, 40, 44, 41, 42, 45, 46, 47]
     for number, functions in rows[1:]:
         for name in re.findall(r'`(\w+)`', functions):
@@ -80,6 +80,6 @@ def test_notation_lists_the_functions_of_each_equation():
 
 
 def test_notation_shows_the_recursion():
-    blocks = re.findall(r'```python\n(.*?)```', (ROOT / 'doc/notation.md').read_text(), re.S)
+    blocks = re.findall(r'```python\n(.*?)```', NOTATION, re.S)
     source = inspect.getsource(equations)
     assert blocks == [source[source.index('class Link(') :]]

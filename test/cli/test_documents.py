@@ -9,7 +9,7 @@ import pytest
 from robot_files import ROOT
 from simulated_runs import simulate_with_a_gripper, write_bag
 
-GALLERY = (ROOT / 'doc' / 'gallery.md').read_text()
+GALLERY = (ROOT / 'doc' / 'command_line.md').read_text()
 EXAMPLES = re.findall(r'```console\n\$ inverse_dynamics (.*?)\n(.*?)```', GALLERY, re.S)
 
 

@@ -63,7 +63,7 @@ def test_executable_parameters_and_topics_are_those_of_the_node():
 def test_documents_give_arguments_that_exist():
     commands = [
         command
-        for page in (ROOT / 'README.md', *(ROOT / 'doc').glob('*.md'))
+        for page in (ROOT / 'README.md', *(ROOT / 'doc').rglob('*.md'))
         for command in re.findall(r'^ros2 launch .*(?:\\\n.*)*', page.read_text(), re.M)
     ]
     given = {name for command in commands for name in re.findall(r' (\w+):=', command)}
