@@ -38,7 +38,7 @@ def pytest_configure(config):
 def pytest_collection_modifyitems(items):
     for item in items:
         if item.get_closest_marker('real_time'):
-            item.add_marker(pytest.mark.flaky(reruns=2, only_rerun=['StalledMachineError']))
+            item.add_marker(pytest.mark.flaky(reruns=5, only_rerun=['StalledMachineError']))
     # The longest test begins first, and the others fill the time of the other workers.
     items.sort(key=lambda item: item.path.name != 'test_first_hour.py')
 
