@@ -83,3 +83,22 @@ def test_notation_shows_the_recursion():
     blocks = re.findall(r'```python\n(.*?)```', NOTATION, re.S)
     source = inspect.getsource(equations)
     assert blocks == [source[source.index('class Link(') :]]
+
+
+def test_log_lines_of_the_troubleshooting_page_are_in_the_code():
+    page = (ROOT / 'doc' / 'troubleshooting.md').read_text()
+    code = ''.join(path.read_text() for path in (ROOT / 'inverse_dynamics_node').rglob('*.py'))
+    # Texts are split over lines, and names and numbers are filled in.
+    code = re.sub(r"""['"]\s+f?['"]""", '', code)
+    code += re.sub(r'\{[^{}]*\}', '...', code)
+    tables = re.findall(r'^\| (?:log|watch) \|.*\n(?:\|.*\n)+', page, re.M)
+    lines = [line for table in tables for row in table.splitlines()[2:] for line in logged(row)]
+    assert len(lines) > 30
+    for line in lines:
+        for part in line.split('...'):
+            assert part.strip(" :;,'()") in code, line
+
+
+def logged(row):
+    """Return the log lines in the first cell of a row."""
+    return re.findall(r'`([^`]+)`', row.split(' | ')[0])

@@ -1,4 +1,4 @@
-"""The README and doc/python.md agree with the code."""
+"""The README, doc/install.md, doc/interface.md and doc/python.md agree with the code."""
 
 import contextlib
 import io
@@ -8,12 +8,15 @@ import subprocess
 import sys
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
+from inverse_dynamics_node.cli.main import COMMANDS
 import numpy as np
 import pytest
 from robot_files import ROOT, STANFORD
 
 README = (ROOT / 'README.md').read_text()
-INTERFACE = (ROOT / 'doc' / 'interface.md').read_text()
+FIRST_HOUR, INSTALL, INTERFACE = (
+    (ROOT / 'doc' / name).read_text() for name in ('first_hour.md', 'install.md', 'interface.md')
+)
 
 
 def run_python_examples(text):
@@ -27,11 +30,6 @@ def run_python_examples(text):
             exec(code, names)
         assert output.getvalue() == expected
     return names
-
-
-def test_python_example_of_the_readme_prints_the_output_below_it(monkeypatch):
-    monkeypatch.chdir(ROOT)
-    run_python_examples(README)
 
 
 def test_python_page_prints_the_output_below_each_example(monkeypatch):
@@ -82,16 +80,26 @@ def test_names_in_the_table_of_tasks_are_in_the_rest_of_the_page():
         assert name in rest, name
 
 
-def commands(after):
-    """Return the first block of shell commands after some words of the README."""
-    return re.search(r'```sh\n(.*?)```', README.split(after)[1], re.S).group(1)
+def shell_blocks(page):
+    return re.findall(r'^```sh\n(.*?)^```', page, re.M | re.S)
+
+
+def test_commands_for_a_robot_are_those_of_the_first_hour():
+    on_a_robot = README.split('## On a robot')[1].split('## Command line')[0]
+    assert set(shell_blocks(on_a_robot)) <= set(shell_blocks(FIRST_HOUR))
+    assert on_a_robot.index('the arm falls') < on_a_robot.index('dry_run false')
+
+
+def test_readme_lists_every_command():
+    (block,) = shell_blocks(README.split('## Command line')[1])
+    assert {line.split()[1] for line in block.splitlines()} >= set(COMMANDS)
 
 
 def test_commands_after_the_demo_print_the_efforts_at_rest(tmp_path):
     pytest.importorskip('rclpy')
     pytest.importorskip('matplotlib')
     domain_coordinator = pytest.importorskip('domain_coordinator')
-    script = commands('After `make demo`')
+    (script,) = shell_blocks(INSTALL.split('After `make demo`')[1].split('\n## ')[0])
     assert len(script.splitlines()) == 5
     # The same place as a fresh clone after `make demo`, without another installation.
     (tmp_path / '.venv').symlink_to(sys.prefix)

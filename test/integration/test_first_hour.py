@@ -1,4 +1,9 @@
-"""Every command of doc/first_hour.md runs, and what the page shows appears in the outputs."""
+"""
+Every command of doc/first_hour.md and doc/robots.md runs.
+
+What the pages show appears in the outputs.
+
+"""
 
 import contextlib
 import os
@@ -23,8 +28,8 @@ from rclpy.signals import SignalHandlerOptions
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 pytestmark = pytest.mark.real_time
-PAGE = (ROOT / 'doc' / 'first_hour.md').read_text()
-BLOCKS = re.findall(r'^```(sh|text)\n(.*?)^```', PAGE, re.M | re.S)
+FIRST_HOUR, ROBOTS = ((ROOT / 'doc' / name).read_text() for name in ('first_hour.md', 'robots.md'))
+BLOCKS = re.findall(r'^```(sh|text)\n(.*?)^```', FIRST_HOUR + ROBOTS, re.M | re.S)
 PATIENCE = 120.0  # [s]
 PROGRAMS = {
     'inverse_dynamics': ['-m', 'inverse_dynamics_node.cli.main'],
@@ -71,7 +76,7 @@ class Session:
             (line,) = lines
             self.lasting[script] = self.copy(line)
         elif all(line.startswith(('ros2 ', 'inverse_dynamics ')) for line in lines):
-            for line in lines:
+            for line in re.split(r'\n| && ', script.strip()):
                 self.run_line(line)
         else:
             with self.log.open('a') as log:
@@ -165,8 +170,10 @@ def test_every_command_runs_and_prints_what_the_page_shows(session):
         session.stop('ros2 topic pub -r', 'python')
         if text.startswith(MAIN_NODE):
             session.stop(MAIN_NODE)
-        if text.startswith('ros2 run'):  # the arms that are no longer needed
-            session.stop('inverse_dynamics simulate', LEFT_NODE)
+        if '--driver' in text:
+            session.stop('')
+        elif text.startswith('ros2 run') and '/joint_states' not in text:
+            session.stop('inverse_dynamics simulate', LEFT_NODE)  # no longer needed
         session.run(text)
         ran += 1
         if text.startswith('python examples/record'):
@@ -179,7 +186,7 @@ def test_every_command_runs_and_prints_what_the_page_shows(session):
 
 
 def test_python_block_fills_a_trajectory_with_efforts(tmp_path, monkeypatch):
-    (code,) = re.findall(r'```python\n(.*?)```', PAGE, re.S)
+    (code,) = re.findall(r'```python\n(.*?)```', ROBOTS, re.S)
     (tmp_path / 'my_arm.urdf').write_text(STANFORD.read_text())
     monkeypatch.chdir(tmp_path)
     names = {}
@@ -206,6 +213,6 @@ def test_blocks_that_are_not_run_name_the_software_that_they_need():
         '# needs a colcon build',
         '# needs ros2_control',
         '# needs Isaac Sim',
-        '# needs two minutes of motion; record the second one as excite.csv, as in step 4',
+        '# needs two minutes of motion, and a recording of the second run as in step 4',
         '# needs half a minute of computation',
     }
