@@ -17,7 +17,7 @@ CLEAN := env -u PYTHONDONTWRITEBYTECODE -u PYTHONPATH -u LD_LIBRARY_PATH \
     ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
 
 .PHONY: demo test test-all test-plain test-oldest lint bench bench-loop storm mutation \
-    parameters clean
+    parameters pictures doc clean
 
 demo: $(VENV)/demo.done
 	@$(CLEAN) $(BIN)/python -m inverse_dynamics_node.cli.main demo '$(ROBOT)' $(ARGS)
@@ -62,6 +62,7 @@ test-all: $(VENV)/test.done lint
 	$(call verdict,random events,test/random_driver.py --events 1000000)
 	$(call verdict,suspensions,test/suspensions.py)
 	$(call stage,node,,$(NODE))
+	@$(MAKE) --no-print-directory doc && echo 'documents: built without warnings' >> $(SUMMARY)
 	@cat $(SUMMARY)
 
 FUZZED := test/property/test_urdf_fuzz.py test/property/test_command_laws.py \
@@ -106,6 +107,14 @@ mutation: $(VENV)/mutation.done
 parameters: $(VENV)/test.done
 	@$(CLEAN) $(BIN)/python -m inverse_dynamics_node.node.help --write
 
+# Draws the robot of the README.
+pictures: $(VENV)/test.done
+	@$(CLEAN) $(BIN)/python doc/pictures.py
+
+# Builds the site, as rosdoc2 does: build/doc/index.html. A warning is an error.
+doc: $(VENV)/doc.done
+	@$(CLEAN) $(BIN)/python -m sphinx --quiet --fail-on-warning -b html doc build/doc
+
 $(VENV)/pip.done:
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))' || \
 	    { echo "$(PYTHON) is $$($(PYTHON) --version 2>&1), expected Python 3.10 to 3.13:" \
@@ -118,6 +127,7 @@ $(VENV)/pip.done:
 EXTRAS_demo := ros,demo
 EXTRAS_test := ros,demo,cli,test
 EXTRAS_bench := bench
+EXTRAS_doc := doc
 EXTRAS_mutation := ros,mutation
 # These have no wheels for some machines; the tables show which are missing.
 PEERS := drake roboticstoolbox-python

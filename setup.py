@@ -25,6 +25,7 @@ test = [
     'ros-jazzy-domain-coordinator',
     'ruff==0.17.*',
 ]
+doc = ['myst-parser>=4', 'sphinx>=8']
 mutation = ['hypothesis>=6', 'mutmut==3.8.1', 'pytest>=8']
 bench = [
     'example-robot-data>=6',
@@ -63,6 +64,7 @@ setup(
         'cli': cli,
         'test': test,
         'bench': bench,
+        'doc': doc,
         'mutation': mutation,
     },
     zip_safe=False,
