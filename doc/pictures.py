@@ -1,23 +1,38 @@
 """
-Draw the robot of the README: `make pictures` writes doc/images/payload.png.
+Draw the pictures of the README and of doc/watch.md in doc/images: `make pictures`.
 
-The Stanford arm is held by springs and picks up a load, before and after the node knows of it.
-MuJoCo simulates and renders the arm; the efforts are those of the Python library.
+payload.png shows the Stanford arm, held by springs, which picks up a load, before and after the
+node knows of it. MuJoCo simulates and renders the arm; the efforts are those of the library.
+
+watch_*.svg are screens of `inverse_dynamics watch` beside a node and a simulated robot.
 """
 
+import argparse
+from contextlib import contextmanager
+import io
 import os
 from pathlib import Path
+import re
+import signal
+import subprocess
+import sys
+import time
 
 os.environ.setdefault('MUJOCO_GL', 'egl')  # renders without a screen
 
 from inverse_dynamics_node import InverseDynamics, load_urdf
+from inverse_dynamics_node.cli.live_view import screen
 from inverse_dynamics_node.cli.pictures import style
+from inverse_dynamics_node.cli.watch import _Watch
+from inverse_dynamics_node.ros.observer import find_nodes, Observer, observing_node
 from matplotlib.figure import Figure
 import mujoco
 import numpy as np
+from rich._export_format import CONSOLE_SVG_FORMAT
+from rich.console import Console
 
 ROOT = Path(__file__).resolve().parent.parent
-URDF = ROOT / 'config' / 'stanford.urdf'
+URDF, IMAGES = ROOT / 'config' / 'stanford.urdf', ROOT / 'doc' / 'images'
 POSE = np.array([0.0, 0.9, 0.75, 0.0, 0.67, 0.0])  # [rad], joint 3 slides [m]
 STIFFNESS = np.array([60.0, 60.0, 600.0, 20.0, 20.0, 20.0])  # [N m/rad], joint 3 [N/m]
 DAMPING = np.sqrt(STIFFNESS)
@@ -25,6 +40,7 @@ LOAD, ABOVE, HALF = 2.0, 0.06, 0.06  # [kg]; centre and half width of the cube [
 SETTLED = 12.0  # [s]
 VISIBLE = 0.01  # [rad, m]
 WIDTH, HEIGHT = 600, 500
+NODE, COLUMNS, WATCHED = '/inverse_dynamics', 104, 15.0  # [s]
 SCENES = (
     ('the node compensates gravity', 0.0, 0.0),
     ('2 kg that the node does not know', LOAD, 0.0),
@@ -92,7 +108,7 @@ def render(model, data):
         return renderer.render()
 
 
-def main():
+def draw_arm():
     """Draw the scenes side by side."""
     figure = Figure(figsize=(9.0, 2.8), dpi=150, layout='constrained')
     for axes, (title, load, known) in zip(figure.subplots(1, len(SCENES)), SCENES, strict=True):
@@ -103,7 +119,59 @@ def main():
         axes.set_axis_off()
         axes.set_title(title, fontsize=10, color=style.DARK)
         print(f'{title}: joint_2 is {1e3 * distance:.2f} mrad off')
-    figure.savefig(ROOT / 'doc' / 'images' / 'payload.png')
+    figure.savefig(IMAGES / 'payload.png')
+
+
+@contextmanager
+def running(*command):
+    """Run a module of the package until the end of the context."""
+    process = subprocess.Popen([sys.executable, '-m', *command], stderr=subprocess.DEVNULL)
+    try:
+        yield
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.wait()
+
+
+def draw_watch(name, scale, load):
+    """Write the screen of `watch` after ten seconds of a dry run."""
+    node = ['inverse_dynamics_node.node.main', '--ros-args', '-p', 'dry_run:=true']
+    node += ['-p', f'robot_description_file:={URDF}', '-p', f'measured_effort_scale:={scale}']
+    node += ['-r', '~/commands:=/forward_effort_controller/commands']
+    robot = ['inverse_dynamics_node.cli.main', 'simulate', str(URDF), '--sway']
+    with running(*robot), running(*node), observing_node() as ros:
+        if load:
+            publish_load(ros, load)
+        options = argparse.Namespace(node=NODE, duration=WATCHED, rate=None, json=False)
+        watch = _Watch(Observer(ros, NODE), lambda: find_nodes(ros), options)
+        watch._loop(lambda: None, 1.0)
+        console = Console(record=True, width=COLUMNS, file=io.StringIO(), force_terminal=True)
+        console.print(screen(watch.observer, watch.sample, watch.agreement, COLUMNS))
+    page = re.sub(r'@font-face \{.*?\}', '', CONSOLE_SVG_FORMAT, flags=re.DOTALL)
+    page = page.replace('Fira Code', 'DejaVu Sans Mono')
+    text = console.export_svg(title='inverse_dynamics watch', code_format=page, unique_id=name)
+    (IMAGES / f'{name}.svg').write_text('\n'.join(map(str.rstrip, text.splitlines())) + '\n')
+
+
+def publish_load(ros, mass):
+    """Attach a load to the simulated robot, of which the node does not know."""
+    from geometry_msgs.msg import InertiaStamped
+
+    message = InertiaStamped()
+    message.header.frame_id, message.inertia.m, message.inertia.com.z = 'tool0', mass, 0.05
+    publisher = ros.create_publisher(InertiaStamped, '/simulated_robot/payload', 1)
+    while not publisher.get_subscription_count():
+        time.sleep(0.1)
+    publisher.publish(message)
+    publisher.wait_for_all_acked()
+
+
+def main():
+    """Draw all pictures."""
+    draw_arm()
+    draw_watch('watch_agree', '1.0', 0.0)
+    draw_watch('watch_sign', '[1.0, -1.0, 1.0, 1.0, 1.0, 1.0]', 0.0)
+    draw_watch('watch_payload', '1.0', 2.0)
 
 
 if __name__ == '__main__':
