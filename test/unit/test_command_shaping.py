@@ -1,6 +1,6 @@
 """Ramps advance by at most one nominal step in one command, and interruptions are blended."""
 
-from inverse_dynamics_node.control.command_shaping import RampClock
+from inverse_dynamics_node.control.command_shaping import add_within, RampClock
 import numpy as np
 import pytest
 
@@ -93,3 +93,25 @@ def test_nothing_has_passed_at_a_start():
     assert clock.advance(7.0)
     assert clock.step == 0.0
     assert not clock.advance(7.01)
+
+
+def test_two_commands_at_one_time_are_no_interruption():
+    clock = RampClock()
+    clock.advance(5.0)
+    assert not clock.advance(5.0)
+    assert (clock.step, clock.since) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ('command', 'damping', 'total'),
+    [
+        ((3.0, -1.0), (1.0, 2.0), (4.0, 1.0)),  # there is room for all of it
+        ((3.0, -1.0), (4.0, 2.0), (5.0, 0.0)),  # for half, because of the first joint
+        ((-3.0, 1.0), (9.0, 2.0), (5.0, 1.0 + 16.0 / 9.0)),  # from the other side: for 8 of 9
+        ((6.0, 1.0), (1.0, 1.0), (6.0, 1.0)),  # a limit was tightened: for none of it
+        ((6.0, 1.0), (-2.0, 0.0), (4.0, 1.0)),
+    ],
+)
+def test_as_much_damping_is_added_as_the_limits_allow(command, damping, total):
+    found = add_within(np.array(command), np.array(damping), np.array([5.0, 5.0]))
+    assert found == pytest.approx(total)

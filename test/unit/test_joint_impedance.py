@@ -347,8 +347,15 @@ def test_joints_that_are_too_light_for_their_gains_are_described():
     inertia = DYNAMICS.mass_matrix(Q)[1, 1]
     loop.controller.apply(replace(HELD, impedance_damping=(0.0, 1.01 * inertia / 0.005)))
     text = describe_light_joints(loop)
-    assert text.startswith(f'{NAMES[1]} may oscillate: with its inertia ({inertia:.2g})')
-    assert NAMES[0] not in text
+    assert text == (
+        f'{NAMES[1]} may oscillate: with its inertia ({inertia:.2g}) and a delay of 5 ms, '
+        f'impedance_damping may be {inertia / 0.005:.2g} and stiffness {inertia / 0.005**2:.2g} '
+        'at most; lower them for such a joint, or set armature to the inertia of its rotor'
+    )
+    for share, is_light in ((0.99, False), (1.01, True)):
+        stiffness = (0.0, share * inertia / 0.005**2)
+        loop.controller.apply(replace(HELD, impedance_damping=0.0, stiffness=stiffness))
+        assert bool(describe_light_joints(loop)) is is_light
     loop.dynamics.set_armature(inertia)
     assert describe_light_joints(loop) == ''
     loop.controller.apply(replace(HELD, stiffness=1e9, mode=Mode.COMPUTED_TORQUE))

@@ -1,5 +1,6 @@
 """Positions far outside the limits are reported, with a hint if they look like degrees."""
 
+import dataclasses
 import math
 
 from inverse_dynamics_node import load_urdf
@@ -146,8 +147,25 @@ def test_effort_limits_are_compared_with_the_weight_of_the_stretched_robot():
     assert warning.subject == "joint 'turn' effort limit"
     assert f'takes at most {MOST:.3g} N m: looks like a placeholder' in warning.text
     assert warning.text.startswith(f'{50.1 * MOST:.7g} N m')
+    assert warning.hint.startswith('write the largest effort of the joint')
     assert f'{MOST:.3g}' == '102'
     assert effort_limit_warnings(reaching_arm([49.9 * MOST, 1e7, 49.8 * MOST])) == ()
+
+
+def test_limits_of_an_arm_of_a_few_grams_are_compared_too():
+    robot = reaching_arm([100.0, 1e7, 0.1], weights=(0.002, 0.003))
+    light = dataclasses.replace(robot, mass=robot.mass * [1.0, 1.0, 1.0, 0.001])
+    (warning,) = effort_limit_warnings(light)
+    assert warning.subject == "joint 'turn' effort limit"
+
+
+def test_a_limit_that_is_missing_is_not_a_placeholder():
+    robot = reaching_arm([0.0, 1e7, 49.9 * MOST])
+    assert robot.effort_limits[0] == math.inf
+    assert effort_limit_warnings(robot) == ()  # the loader has warned
+    (warning,) = effort_limit_warnings(dataclasses.replace(robot, warnings=()))
+    assert (warning.text, warning.subject) == ('missing', "joint 'turn' effort limit")
+    assert 'effort_limits of the node' in warning.hint
 
 
 def test_the_reach_does_not_depend_on_the_direction_of_the_travel():
@@ -160,6 +178,8 @@ def test_the_reach_does_not_depend_on_the_direction_of_the_travel():
 
 
 def test_equal_round_limits_of_revolute_joints_are_placeholders():
+    hint = 'write the largest effort of the joint, from the data sheet of its drive'
+
     def chain(limits):
         joints = ''.join(
             f'<link name="l{k}"/><joint name="j{k}" type="{kind}"><parent link="l{k - 1}"/>'
@@ -168,7 +188,9 @@ def test_equal_round_limits_of_revolute_joints_are_placeholders():
             for k, (limit, kind) in enumerate(limits, 1)
         )
         robot = load_urdf(f'<robot name="arm"><link name="l0"/>{joints}</robot>')
-        return [warning.text for warning in effort_limit_warnings(robot)]
+        warnings = effort_limit_warnings(robot)
+        assert all(warning.hint == hint for warning in warnings)
+        return [warning.text for warning in warnings]
 
     turning, sliding = (100.0, 'revolute'), (100.0, 'prismatic')
     text = '3 of 3 effort limits of revolute joints are 100 N m: looks like a placeholder'

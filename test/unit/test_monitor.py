@@ -9,7 +9,7 @@ from inverse_dynamics_node.control.control_law import Reference
 from inverse_dynamics_node.control.loop import Command, ControlLoop
 from inverse_dynamics_node.control.monitor import Monitor
 from inverse_dynamics_node.control.settings import MeasuredGravity, Mode, Settings, StalePolicy
-from inverse_dynamics_node.control.status import GraphInfo, Level, Others, SimulatedTime
+from inverse_dynamics_node.control.status import GraphInfo, Level, Others, SimulatedTime, Topics
 from inverse_dynamics_node.control.status_text import activity, describe_imu_frame
 from inverse_dynamics_node.robot.kinematics import rotation_of_rpy
 from inverse_dynamics_node.robot.model import ModelWarning
@@ -90,6 +90,10 @@ def test_warns_if_the_requested_rate_is_not_reached(loop):
     status = part(monitor.report(1.0, loop, FINE), 'loop')
     assert status.level is Level.WARN
     assert status.message == 'only 90.9 commands/s'
+    monitor = Monitor(1.0)
+    for now in (0.0, 2.0):
+        monitor.step(now, 1e-4, command(), JOINTS)
+    assert part(monitor.report(2.0, loop, FINE), 'loop').message == 'only 0.5 commands/s'
 
 
 def test_a_pause_and_a_clock_that_is_set_back_are_not_overruns(loop):
@@ -155,6 +159,46 @@ def test_levels_depend_on_whether_the_user_must_act(loop, now, around, name, lev
     status = part(Monitor().report(now, loop, around), name)
     assert status.level is level
     assert words in status.message
+
+
+def test_a_report_describes_the_loop_the_topics_and_the_limits():
+    settings = Settings(
+        mode=Mode.COMPUTED_TORQUE,
+        effort_scale=(2.0, -0.5),
+        effort_limits=(3.0, 4.0),
+        state_timeout=0.25,
+        start_ramp=0.2,
+    )
+    loop = ControlLoop(ROBOT, JOINTS[::-1], settings, period=0.05)
+    for now in (0.0, 0.05):
+        loop.collector.update(now, JOINTS, [0.1, 0.2], [0.0, 0.0])
+        loop.step(now)
+    topics = Topics('/states', '/commands_with_names', '/external')
+    around = FINE._replace(topics=topics, state_rate=123.4)
+    report = Monitor(0.05).report(0.05, loop, around)
+    names = ('loop', 'joint states', 'efforts', 'model')
+    loop_is, states_are, efforts_are, model_is = (part(report, name).values for name in names)
+    assert loop_is['state'] == 'active'
+    assert loop_is['mode'] == 'computed_torque'
+    assert loop_is['phase'] == 'floating: no reference'
+    assert loop_is['gain'] == '0.250'
+    assert states_are['topic'] == '/states'
+    assert states_are['rate [Hz]'] == '123.4'
+    assert states_are['timeout [s]'] == '0.25'
+    assert efforts_are['topic with names'] == '/commands_with_names'
+    assert efforts_are['topic of the external efforts'] == '/external'
+    assert efforts_are['cutoff of the external efforts [Hz]'] == '10'
+    assert efforts_are['scale'] == '2, -0.5'
+    assert efforts_are['limits [N m, N]'] == '3, 4'
+    assert model_is['joints'] == ', '.join(JOINTS[::-1])
+    assert float(model_is['mass [kg]']) == pytest.approx(ROBOT.mass.sum(), rel=1e-3)
+
+
+def test_a_node_that_is_not_active_has_a_state_but_no_phase(loop):
+    around = FINE._replace(is_active=False, state='inactive')
+    values = part(Monitor().report(0.0, loop, around), 'loop').values
+    assert values['state'] == 'inactive'
+    assert not {'mode', 'phase', 'dry run', 'gain'} & set(values)
 
 
 def test_without_a_robot_there_are_three_statuses():
@@ -232,6 +276,8 @@ def test_activity_names_the_joints_that_stop_the_arm(loop):
     assert activity(0.2, loop) == f'ramping efforts down: {reason}'
     step_until(loop, 0.2, 2.0)
     assert activity(2.0, loop) == f'stopped, zeros sent: {reason}'
+    report = Monitor().report(2.0, loop, FINE)
+    assert report.loop.message == report.efforts.message == activity(2.0, loop)
 
 
 def test_activity_distinguishes_the_policy_for_lost_states(loop):
@@ -239,6 +285,9 @@ def test_activity_distinguishes_the_policy_for_lost_states(loop):
     loop.controller.apply(Settings(on_stale_state=StalePolicy.HOLD))
     step_until(loop, 0.1, 2.0)
     assert activity(2.0, loop).startswith('keeping the last efforts: no joint state of ')
+    loop.controller.stop()
+    step_until(loop, 2.0, 2.1)
+    assert activity(2.1, loop) == 'ramping efforts down: disabled by ~/enable'
 
 
 def test_activity_while_disabled(loop):
@@ -254,9 +303,10 @@ def test_activity_while_disabled(loop):
 def test_a_dry_run_is_named_in_the_activity_and_in_the_report(loop):
     assert activity(0.0, loop, is_dry_run=True) == 'dry run: floating: no reference'
     for is_dry_run, word in ((True, 'yes'), (False, 'no')):
-        status = part(Monitor().report(0.0, loop, FINE._replace(is_dry_run=is_dry_run)), 'loop')
-        assert status.values['dry run'] == word
-        assert ('dry run: floating' in status.message) is is_dry_run
+        report = Monitor().report(0.0, loop, FINE._replace(is_dry_run=is_dry_run))
+        assert part(report, 'loop').values['dry run'] == word
+        for name in ('loop', 'efforts'):
+            assert ('dry run: floating' in part(report, name).message) is is_dry_run
     loop.controller.stop()
     step_until(loop, 0.05, 2.0)
     assert activity(2.0, loop, is_dry_run=True) == 'dry run: stopped: disabled by ~/enable'
@@ -618,7 +668,10 @@ def test_the_frame_of_an_imu_is_compared_with_the_robot_description():
         R_BS = robot.link_rotation[robot.link_index(name)]
         assert not describe_imu_frame(loop, name, R_BS)
         assert 'turns by 90 degrees' in describe_imu_frame(loop, name, R_BS @ quarter)
-        for yaw in np.linspace(0.0, 3.0, 50):  # the cosine of half a turn may round to below -1
+        tilted = R_BS @ rotation_of_rpy(math.radians(30.0), 0.0, 0.0)
+        assert 'turns by 30 degrees' in describe_imu_frame(loop, name, tilted)
+        for yaw in np.linspace(0.0, 3.0, 50):  # cosines may round to above 1 or below -1
             about, back = rotation_of_rpy(0.0, 0.0, yaw), rotation_of_rpy(0.0, 0.0, -yaw)
+            assert not describe_imu_frame(loop, name, R_BS @ about @ back)
             turned = R_BS @ about @ rotation_of_rpy(math.pi, 0.0, 0.0) @ back
             assert 'turns by 180 degrees' in describe_imu_frame(loop, name, turned)

@@ -3,6 +3,7 @@
 from inverse_dynamics_node.control.status import (
     EffortsStatus,
     JointStatesStatus,
+    key,
     Level,
     LoopStatus,
     MessagesStatus,
@@ -23,12 +24,20 @@ def test_values_of_the_commanded_joints_are_found_by_name():
 
 
 def test_values_are_unknown_if_they_do_not_belong_to_the_joints():
-    assert NodeStatus(LOOP, model=MODEL).limits() == {}
+    for values in (NodeStatus.limits, NodeStatus.unscaled_limits, NodeStatus.measured_scale):
+        assert values(NodeStatus(LOOP, model=MODEL)) == {}
     assert NodeStatus(LOOP, efforts=EFFORTS).limits() == {}
     assert NodeStatus(LOOP, efforts=EFFORTS).measured_scale() == {}
     other = ModelStatus(joints=('hip', 'knee', 'ankle'))
     assert NodeStatus(LOOP, efforts=EFFORTS, model=other).limits() == {}
     assert NodeStatus(LOOP, efforts=EffortsStatus(), model=MODEL).measured_scale() == {}
+
+
+def test_a_value_is_declared_with_its_key_format_and_default():
+    declared = key('rate [Hz]', '.1f', 'unknown', default=2.0)
+    assert declared.default == 2.0
+    assert declared.metadata == {'key': 'rate [Hz]', 'form': '.1f', 'absent': 'unknown'}
+    assert key('rate [Hz]').default is None
 
 
 def test_problems_are_the_parts_that_are_not_ok_errors_first():

@@ -163,6 +163,49 @@ def test_velocities_that_contradict_positions_leave_the_ordinary_stop(reported):
     assert 'contradict its positions' in arm.report
 
 
+@pytest.mark.parametrize('joints', [(), ROBOT.joint_names[1:]], ids=['all', 'one'])
+def test_the_joint_whose_velocities_contradict_its_positions_is_named(joints):
+    arm = Arm(joints=joints, reported=np.array([1.0, -1.0]))
+    arm.stop(1.0)
+    assert arm.report == f'the velocities of {ROBOT.joint_names[1]} contradict its positions'
+
+
+def test_a_small_constant_error_of_the_velocities_does_not_add_up():
+    arm = Arm(speed=np.array([0.0, 0.006]), reported=3.5)  # 0.015 rad/s too much
+    arm.controller.stop()
+    for _ in range(120):
+        arm.step(0.05)
+    assert arm.controller.stop_damping.is_active
+
+
+def test_joints_that_are_reported_at_different_rates_are_followed_at_their_own():
+    """Two drivers: one reports its fast joint all the time, the other at 20 Hz."""
+    settings = Settings(start_ramp=0.0, use_urdf_effort_limits=False, **SLOW)
+    arm = Controller(DYNAMICS, (), settings)
+    q, qd, times = Q.copy(), np.array([3.0, -0.2]), np.zeros(2)
+    for k in range(101):
+        now = PERIOD * k
+        q[0], times[0] = Q[0] + now * qd[0], now
+        if k % 10 == 0:
+            q[1], times[1] = Q[1] + now * qd[1], now
+        arm.step(now, State(q.copy(), qd, times.min(), times.copy()), None)
+        if k == 1:
+            arm.stop()
+    assert arm.stop_damping.is_active
+    assert not arm.stop_damping.report
+
+
+@pytest.mark.parametrize('value', ['positions', 'velocities'])
+def test_a_state_that_cannot_be_computed_with_leaves_the_ordinary_stop(value):
+    arm = Arm(stop_ramp=1.0)
+    plain = Arm(stop_ramp=1.0, stop_damping=0.0)
+    if value == 'positions':
+        arm.q = np.array([0.4, math.nan])
+    else:
+        arm.qd = np.array([1e308, -1e308])
+    assert arm.stop(PERIOD).tolist() == plain.stop(PERIOD).tolist()
+
+
 def test_a_stop_while_states_are_lost_is_not_damped():
     arm = Arm()
     arm.lost_since = arm.time

@@ -1,6 +1,7 @@
-"""Commands end without a step when a dry run begins, and wait for zero before they begin again."""
+"""Dry runs end commands without a step; efforts rise again when lost joint states are back."""
 
-from inverse_dynamics_node.control.supervision import DryRun
+from inverse_dynamics_node.control.joint_states import State
+from inverse_dynamics_node.control.supervision import DryRun, Phase, StateSupervisor
 import numpy as np
 import pytest
 
@@ -89,3 +90,45 @@ def test_a_dry_run_begins_at_once_if_nothing_has_been_sent():
     dry_run = DryRun()
     dry_run.begin(time_to_fall=1.0)
     assert dry_run.select(EFFORTS, DT) is None
+
+
+TIMEOUT = 0.1
+
+
+class Supervised:
+    """A supervisor of a controller that has computed efforts for a while."""
+
+    def __init__(self):
+        self.supervisor = StateSupervisor()
+        self.supervisor.phase = Phase.RUNNING
+        self.at(100.0)
+        self.at(109.9)
+
+    def at(self, time, gain=1.0, age=0.0):
+        """Return whether the states are lost; an age of None is that of no state at all."""
+        state = None if age is None else State(np.zeros(2), np.zeros(2), time - age)
+        lost = self.supervisor.blocking_phase(time, state, TIMEOUT, gain)
+        self.supervisor.phase = lost or Phase.RUNNING
+        return lost is Phase.STATE_LOST
+
+
+def test_losses_in_quick_succession_add_up_and_are_forgotten_after_a_while():
+    states = Supervised()
+    assert states.at(110.0, age=0.2)
+    assert not states.at(110.0, gain=0.97)
+    assert states.at(110.1, age=0.2)
+    assert not states.at(110.1, gain=0.99)
+    assert states.at(110.2, age=0.2)
+    assert states.at(110.2, gain=0.98)  # 0.06 in all, of 0.05
+    assert states.at(110.3, gain=0.9)
+    assert not states.at(110.41, gain=0.9)
+    assert not states.at(111.0)
+    assert states.at(111.1, age=0.2)
+    assert not states.at(111.1, gain=0.96)
+
+
+def test_the_first_state_of_a_joint_that_a_new_description_has_ends_the_loss():
+    states = Supervised()
+    assert states.at(110.0, age=None)
+    assert states.at(110.5, gain=0.2, age=None)
+    assert not states.at(111.0, gain=0.1)
