@@ -93,6 +93,12 @@ def test_it_rises_as_the_command_fades_and_stays_while_the_arm_moves():
     assert arm.controller.phase is Phase.STOPPED
 
 
+def test_a_weak_damping_acts_too():
+    arm = Arm(stop_damping=0.5)
+    command = arm.stop(2.0 * RAMP)[-1]
+    assert command == pytest.approx(expected(arm.q, MOVING, 0.5), rel=0.02)
+
+
 def test_it_ends_when_the_arm_is_at_rest():
     arm = Arm(speed=np.array([0.0, 0.0]))
     arm.stop(RAMP + 0.45)
@@ -195,6 +201,7 @@ def test_joints_that_are_reported_at_different_rates_are_followed_at_their_own()
     assert not arm.stop_damping.report
 
 
+@pytest.mark.filterwarnings('error')
 @pytest.mark.parametrize('value', ['positions', 'velocities'])
 def test_a_state_that_cannot_be_computed_with_leaves_the_ordinary_stop(value):
     arm = Arm(stop_ramp=1.0)
