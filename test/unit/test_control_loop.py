@@ -101,6 +101,13 @@ def test_terms_belong_to_the_commanded_joints_and_the_reference():
     )
 
 
+def test_the_friction_of_a_guided_arm_without_friction_is_zero_for_each_commanded_joint():
+    settings = Settings(start_ramp=0.0, mode=Mode.GRAVITY_COMPENSATION)
+    loop = report_all(ControlLoop(MODEL, NAMES[:2], settings))
+    loop.step(0.0)
+    assert loop.effort_terms().friction.tolist() == [0.0, 0.0]
+
+
 def test_a_start_drops_the_earlier_reference():
     loop = report_all(ControlLoop(MODEL, settings=AT_ONCE))
     loop.reference = Reference(np.ones(6), np.zeros(6), 0.0)

@@ -46,6 +46,8 @@ def test_gives_no_command_before_the_first_state():
     lift = controller()
     assert lift.step(0.0, None, reference(0.0, [1.0, 1.0])) is None
     assert lift.phase is Phase.WAITING
+    assert lift.has_effort is False
+    assert lift.stop_damping.report == ''
 
 
 def test_holds_gravity_without_a_reference():
@@ -433,6 +435,17 @@ def test_a_live_change_continues_from_the_last_command(change):
     assert efforts == pytest.approx(last)
 
 
+def test_a_live_change_does_not_add_the_efforts_of_the_reference_twice():
+    lift = controller(start_ramp=0.5)
+    pushing = reference(0.0, [0.0, 0.0], [4.0, 2.0])
+    for now in np.arange(0.0, 1.0, 0.05):
+        last = lift.step(now, state(now), pushing._replace(time=now)).efforts.copy()
+    assert last == pytest.approx(HOLD + [4.0, 2.0])
+    lift.apply(Settings(start_ramp=0.5, effort_scale=0.5))
+    now += 0.05
+    assert lift.step(now, state(now), pushing._replace(time=now)).efforts == pytest.approx(last)
+
+
 def test_a_start_ramp_of_zero_does_not_cut_off_a_blend_or_a_start():
     lift = controller(start_ramp=0.5)
     time = settled(lift)
@@ -509,7 +522,8 @@ def test_a_stop_ramp_under_way_keeps_its_time():
 
 
 def test_steps_that_are_always_late_still_end_the_stop_ramp():
-    lift = controller(stop_ramp=0.2, state_timeout=0.03, period=0.0)
+    lift = controller(stop_ramp=0.2, state_timeout=0.03)
+    lift = Controller(lift.dynamics, (), lift.settings)  # one command for every joint state
     lift.step(0.0, state(0.0), None)
     lift.stop()
     efforts = [lift.step(now, state(now), None).efforts[0] for now in 2.0 * np.arange(1, 14)]
@@ -795,6 +809,13 @@ def test_feedback_of_positions_without_velocities_is_damped():
     assert lift.step(0.0, moving, positions).efforts == pytest.approx(HOLD - [3.0, 1.0])
 
 
+def test_a_reference_without_positions_and_velocities_is_not_damped():
+    lift = controller(mode=Mode.COMPUTED_TORQUE, kd=10.0)
+    moving = State(np.zeros(2), np.array([0.1, 0.0]), 0.0)
+    command = lift.step(0.0, moving, reference(0.0, [1.0, 0.0]))
+    assert command.efforts == pytest.approx(HOLD + [3.0, 1.0])
+
+
 def test_the_velocity_filter_recovers_from_absurd_velocities():
     lift = controller(velocity_filter_cutoff=1000.0)
     lift.dynamics.set_friction(damping=1.0, coulomb=0.0)
@@ -997,6 +1018,19 @@ def test_the_cause_of_efforts_that_are_not_finite_is_named(received, wanted, set
     lift = controller(**settings)
     lift.step(0.01, received, reference(0.01, wanted))
     assert lift.phase is Phase.NO_SOLUTION
+    assert lift.cause_of_failure() == words
+
+
+@pytest.mark.parametrize(
+    ('efforts', 'words'),
+    [
+        ([0.0, 30.0], "the computed effort of joint 'high' is 4e+301"),
+        ([-math.inf, 0.0], "the added effort of joint 'low' is -inf"),
+    ],
+)
+def test_added_efforts_are_part_of_the_cause(efforts, words):
+    lift = controller(effort_scale=(1.0, 1e300))
+    lift.step(0.01, state(0.01), reference(0.01, [0.0, 0.0], efforts))
     assert lift.cause_of_failure() == words
 
 

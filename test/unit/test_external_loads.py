@@ -285,6 +285,15 @@ def test_repeating_a_payload_changes_nothing(loads, dynamics):
     assert not loads.set_payload(TIP, 0.0, com, INERTIA)
 
 
+@pytest.mark.parametrize(
+    'change', [(3.0, (0.0, 0.1, 0.05), INERTIA), (2.0, (0.0, 0.1, 0.06), INERTIA)]
+)
+def test_a_payload_that_differs_in_one_value_is_new(loads, change):
+    assert loads.set_payload(TIP, 2.0, (0.0, 0.1, 0.05), INERTIA)
+    assert loads.set_payload(TIP, *change)
+    assert loads.set_payload(TIP, *change[:2], 1.1 * INERTIA)
+
+
 def test_a_payload_has_the_inertia_that_was_set(loads, dynamics):
     other = InverseDynamics(load_urdf(STANFORD))
     other.set_payload(TIP, 2.0, (0.0, 0.1, 0.05), INERTIA)
@@ -366,6 +375,16 @@ def test_all_loads_act_on_another_description_at_once(loads, dynamics):
     for each in (loads, other):
         each.set_base_motion(2.1, (0.0, 3.0, 9.0), (0.3, 0.2, 0.1))
     assert other.dynamics.gravity_efforts(Q) == pytest.approx(dynamics.gravity_efforts(Q))
+
+
+def test_a_ramp_of_gravity_goes_on_with_another_description(loads):
+    loads.set_gravity(-DOWN)
+    pass_time(loads, 0.25)
+    other = ExternalLoads(InverseDynamics(load_urdf(STANFORD)), LoadSettings(load_ramp=60.0))
+    other.continue_from(loads)
+    for now, share in ((0.25, 0.5), (0.5, 0.0), (0.75, -0.5)):
+        pass_time(other, now)
+        assert other.dynamics.gravity == pytest.approx(share * DOWN)
 
 
 def test_other_axes_of_the_imu_restart_the_filter_once(dynamics):

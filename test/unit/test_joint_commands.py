@@ -139,9 +139,15 @@ def test_the_drive_is_at_rest_where_it_is_without_finite_efforts():
     assert velocities == pytest.approx(np.zeros(2))
 
 
-def test_the_drive_is_led_to_the_reference_again_after_a_start():
+@pytest.mark.parametrize('cause', ['start', 'stop'])
+def test_the_drive_is_led_to_the_reference_again_after_a_start_and_a_stop(cause):
     arm = Arm()
     follow(arm)
-    arm.loop.start()
+    if cause == 'start':
+        arm.loop.start()
+    else:
+        arm.loop.controller.stop()
+        arm.step()
+        arm.loop.controller.resume()
     positions = follow(arm, PERIOD)
     assert np.abs(positions - Q).max() <= 0.1 * PERIOD / 0.1 + 1e-12

@@ -96,6 +96,27 @@ def test_a_velocity_that_disappears_is_rejected_at_first_and_then_zero(collector
     assert collector.lost_velocities == []
 
 
+def test_velocities_that_several_publishers_lose_and_regain_are_noticed_every_time(collector):
+    collector.velocity_timeout = 0.25
+    layouts = [collector.layout(names) for names in (('elbow',), ('elbow', 'wrist'), ('wrist',))]
+
+    def report(now, speed):
+        for layout in layouts:
+            n = len(layout.names)
+            collector.store(now, layout, [0.0] * n, [speed] * n)
+
+    collector.store(0.0, layouts[0], [0.0], [])
+    assert collector.without_velocity() == ['elbow']
+    for start in (1.0, 2.0, 3.0):
+        report(start, 0.1)
+        assert collector.without_velocity() == []
+        collector.lost_velocities, collector.has_jumped = [], False
+        report(start + 0.5, NAN)
+        assert collector.lost_velocities == ['elbow', 'wrist']
+        assert collector.without_velocity() == ['elbow', 'wrist']
+        assert collector.has_jumped
+
+
 def test_a_velocity_that_is_infinite_is_rejected_after_a_while_too(collector):
     collector.update(1.0, ['elbow'], [2.0], [0.2])
     with pytest.raises(JointStateError, match="velocity of joint 'elbow' is inf"):
@@ -353,6 +374,32 @@ def test_contradictory_positions_are_forgotten_when_nobody_reports_them_any_more
     assert collector.is_consistent
     assert not collector.has_alternating
     assert collector.has_jumped == (joint == 'finger')
+
+
+@pytest.mark.parametrize('names', [['arm', 'finger'], ['finger', 'arm']])
+def test_a_leap_and_contradictory_positions_in_one_message_are_both_noticed(names):
+    def alarm(leap_at):
+        collector = JointStateCollector(names, {}, ['arm'])
+        for k in range(100):
+            position = {'arm': 2.0 * (k >= leap_at), 'finger': 1.5 * (k % 2)}
+            collector.has_leapt = False
+            collector.update(0.005 * k, names, [position[name] for name in names], [])
+            if collector.has_alternating:
+                break
+        return k, collector
+
+    count, collector = alarm(math.inf)
+    assert not collector.has_leapt
+    count_with_leap, collector = alarm(count)
+    assert count_with_leap == count < 99
+    assert collector.has_leapt
+
+
+def test_a_leap_is_kept_until_it_is_read():
+    collector = hand()
+    for now, q in ((0.0, [0.0] * 3), (0.005, [2.0, 0.0, 0.0]), (0.01, [2.0, 2.0, 0.0])):
+        collector.update(now, HAND, q, [])
+    assert collector.has_leapt
 
 
 def test_the_jump_of_a_late_joint_is_kept_while_another_one_alternates():
