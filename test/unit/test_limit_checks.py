@@ -168,6 +168,17 @@ def test_a_limit_that_is_missing_is_not_a_placeholder():
     assert 'effort_limits of the node' in warning.hint
 
 
+def test_a_travel_without_limits_is_not_part_of_the_reach():
+    robot = reaching_arm([50.1 * MOST, 1e7, 1.0])
+    free = dataclasses.replace(
+        robot,
+        lower=np.array([-3.0, -math.inf, -math.inf]),
+        upper=np.array([3.0, math.inf, math.inf]),
+    )
+    (warning,) = effort_limit_warnings(free)
+    assert f'takes at most {MOST - 9.81 * 0.6 * 4.0:.3g} N m' in warning.text
+
+
 def test_the_reach_does_not_depend_on_the_direction_of_the_travel():
     limit = 50.1 * MOST
     text = str(effort_limit_warnings(reaching_arm([limit, 1.0, 1.0]))[0])

@@ -673,5 +673,6 @@ def test_the_frame_of_an_imu_is_compared_with_the_robot_description():
         for yaw in np.linspace(0.0, 3.0, 50):  # cosines may round to above 1 or below -1
             about, back = rotation_of_rpy(0.0, 0.0, yaw), rotation_of_rpy(0.0, 0.0, -yaw)
             assert not describe_imu_frame(loop, name, R_BS @ about @ back)
-            turned = R_BS @ about @ rotation_of_rpy(math.pi, 0.0, 0.0) @ back
+            axis = np.array([math.cos(yaw), math.sin(yaw), yaw]) / math.hypot(1.0, yaw)
+            turned = R_BS @ (2.0 * np.outer(axis, axis) - np.eye(3))
             assert 'turns by 180 degrees' in describe_imu_frame(loop, name, turned)

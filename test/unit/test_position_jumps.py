@@ -83,6 +83,10 @@ def test_positions_that_move_in_a_pause_are_a_jump():
     assert jumps([0.0, 0.005, 0.09], 0.5 * q) == [False, False, False]
 
 
+def test_a_joint_that_rests_through_a_pause_has_not_jumped():
+    assert jumps([0.0, 0.5, 0.5, 0.51], np.zeros((4, N))) == [False] * 4
+
+
 def test_an_absurd_position_is_a_jump_and_not_full_turns():
     q = np.zeros((2, N))
     q[1] = 1e300

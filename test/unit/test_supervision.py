@@ -115,9 +115,9 @@ class Supervised:
 def test_losses_in_quick_succession_add_up_and_are_forgotten_after_a_while():
     states = Supervised()
     assert states.at(110.0, age=0.2)
-    assert not states.at(110.0, gain=0.97)
+    assert not states.at(110.0, gain=0.99)
     assert states.at(110.1, age=0.2)
-    assert not states.at(110.1, gain=0.99)
+    assert not states.at(110.1, gain=0.97)
     assert states.at(110.2, age=0.2)
     assert states.at(110.2, gain=0.98)  # 0.06 in all, of 0.05
     assert states.at(110.3, gain=0.9)
