@@ -102,6 +102,7 @@ def test_two_commands_at_one_time_are_no_interruption():
     assert (clock.step, clock.since) == (0.0, 0.0)
 
 
+@pytest.mark.filterwarnings('error')
 @pytest.mark.parametrize(
     ('command', 'damping', 'total'),
     [
