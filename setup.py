@@ -45,6 +45,7 @@ setup(
         (f'share/{package_name}', ['package.xml']),
         (f'share/{package_name}/config', glob('config/*.*')),
         (f'share/{package_name}/config/robots', glob('config/robots/*')),
+        (f'share/{package_name}/config/sros2', glob('config/sros2/*')),
         (f'share/{package_name}/examples', glob('examples/*.py')),
         (f'share/{package_name}/launch', glob('launch/*')),
     ],

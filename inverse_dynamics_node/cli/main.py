@@ -28,6 +28,7 @@ examples:
 The node itself is started by `inverse_dynamics_node`, or `ros2 run inverse_dynamics_node
 inverse_dynamics_node`."""
 
+_ROS_COMMANDS = 'watch', 'simulate'  # accept arguments of ROS
 _EXTRAS = {
     **dict.fromkeys(('matplotlib', 'rich', 'rosbags', 'yaml'), 'cli'),
     **dict.fromkeys(
@@ -97,10 +98,10 @@ def _run(arguments: list[str]) -> int:
         from .demo import main as run_demo
 
         return run_demo(arguments[1:])
-    if '--ros-args' in arguments:
+    if '--ros-args' in arguments and arguments[0] not in _ROS_COMMANDS:
         print(
-            'inverse_dynamics: --ros-args is for the node: ros2 run inverse_dynamics_node '
-            'inverse_dynamics_node --ros-args ...',
+            f'inverse_dynamics: --ros-args is for {" and ".join(_ROS_COMMANDS)}, and for the '
+            'node: ros2 run inverse_dynamics_node inverse_dynamics_node --ros-args ...',
             file=sys.stderr,
         )
         return 2
@@ -109,9 +110,21 @@ def _run(arguments: list[str]) -> int:
 
         print(f'inverse_dynamics {version()}')
         return 0
+    arguments, ros_arguments = _split(arguments)
     options = _parser().parse_args(arguments)
+    options.ros_arguments = ros_arguments
     code: int = options.run(options)
     return code
+
+
+def _split(arguments: list[str]) -> tuple[list[str], list[str]]:
+    """Separate the arguments from those of ROS, which begin with --ros-args and end with --."""
+    if '--ros-args' not in arguments:
+        return arguments, []
+    begin = arguments.index('--ros-args')
+    rest = arguments[begin:]
+    end = begin + (rest.index('--') if '--' in rest else len(rest))
+    return arguments[:begin] + arguments[end + 1 :], arguments[begin:end]
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -32,6 +32,7 @@ examples:
   inverse_dynamics simulate my_arm.urdf --driver franka_ros2
   inverse_dynamics simulate my_arm.urdf --sway --friction
   inverse_dynamics simulate my_arm.urdf --namespace left --commands inverse_dynamics/commands
+  inverse_dynamics simulate my_arm.urdf --ros-args -r imu:=/base/imu
 
 It runs until Ctrl-C, in the domain ROS_DOMAIN_ID; messages stay on this machine, unless
 ROS_AUTOMATIC_DISCOVERY_RANGE is set.
@@ -95,7 +96,8 @@ def run(options: argparse.Namespace) -> int:
     arguments += ['--driver', options.driver] if options.driver else []
     arguments += ['--sway'] * options.sway + ['--friction'] * options.friction
     arguments += ['--held', *options.held] if options.held else []
-    arguments += ['--ros-args', '-r', f'commands:={options.commands or driver.commands}']
+    arguments += [*options.ros_arguments, '--ros-args']  # the first rule for a name applies
+    arguments += ['-r', f'commands:={options.commands or driver.commands}']
     arguments += ['-r', f'joint_states:={driver.joint_states}']
     namespace = options.namespace.strip('/')
     arguments += ['-r', f'__ns:=/{namespace}'] if namespace else []

@@ -42,6 +42,7 @@ examples:
   inverse_dynamics watch /left/inverse_dynamics
   inverse_dynamics watch --for 10 && ros2 param set /inverse_dynamics dry_run false
   inverse_dynamics watch --json | jq .sentence
+  inverse_dynamics watch --ros-args --enclave /watch
 
 exit code of --for:
     0  model and robot agree
@@ -113,7 +114,7 @@ def run(options: argparse.Namespace) -> int:
     from ..ros.observer import find_nodes, Observer, observing_node  # needs ROS
 
     try:
-        with _signals_raise(), observing_node() as node:
+        with _signals_raise(), observing_node(options.ros_arguments) as node:
             name = _choose_node(node, options)
             watch = _Watch(Observer(node, name), lambda: find_nodes(node), options)
             return watch.run()

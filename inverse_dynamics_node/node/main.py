@@ -87,6 +87,8 @@ def _main(args: list[str], stop: _Stop) -> int:
 
         print(f'inverse_dynamics_node {version()}')
         return 0
+    if '--policy' in args:
+        return _print_policy(args)
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     if limit != resource.RLIM_INFINITY and limit < _ADDRESS_SPACE:
         stop.release()  # until the node exists: libraries may wait forever for memory
@@ -97,11 +99,23 @@ def _main(args: list[str], stop: _Stop) -> int:
     return _start(args, stop)
 
 
+def _print_policy(args: list[str]) -> int:
+    from ..errors import ConfigurationError
+    from .help import policy_for
+    from .remaps import with_parameter_files
+
+    try:
+        print(policy_for(with_parameter_files(args)), end='')
+    except ConfigurationError as error:
+        return _fail(str(error))
+    return 0
+
+
 def _start(args: list[str], stop: _Stop) -> int:
     try:
         import rclpy
 
-        from ..ros.middleware import start_ros
+        from ..ros.middleware import security_hints, start_ros
     except ModuleNotFoundError as error:
         return _fail(
             f'{error}: source a ROS 2 installation (. /opt/ros/jazzy/setup.sh), or '
@@ -120,7 +134,7 @@ def _start(args: list[str], stop: _Stop) -> int:
     except UnicodeEncodeError as error:
         return _fail(f'argument {error.object!r} is not UTF-8')
     except Exception as error:
-        return _fail('\n'.join([str(error), *expanded_tildes(args)]))
+        return _fail('\n'.join([str(error), *expanded_tildes(args), *security_hints(error)]))
     try:
         stray = remove_ros_args(args)[1:]
         if stray:
@@ -133,6 +147,7 @@ def _start(args: list[str], stop: _Stop) -> int:
 def _run(args: list[str], stop: _Stop) -> int:
     import rclpy.logging
 
+    from ..ros.middleware import security_hints
     from .node import InverseDynamicsNode
     from .remaps import ineffective_files, ineffective_remaps, names_of
     from .runner import Watchdog
@@ -147,7 +162,7 @@ def _run(args: list[str], stop: _Stop) -> int:
     try:
         node = InverseDynamicsNode(lambda: stop.count > 1, scheduling, worker)
     except Exception as error:
-        for problem in (str(error) or repr(error)).splitlines():
+        for problem in [*(str(error) or repr(error)).splitlines(), *security_hints(error)]:
             rclpy.logging.get_logger('inverse_dynamics').fatal(problem)
         return 1
     stop.catch()

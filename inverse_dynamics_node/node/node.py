@@ -22,7 +22,8 @@ from .description_file import load_robot
 from .inputs import Inputs
 from .log import BoundedLogger, NodeLog
 from .outputs import Outputs
-from .parameters import Configuration, PARAMETERS
+from .parameters import Configuration, FileChanges, PARAMETERS
+from .remaps import NODE_NAME
 from .ros_parameters import (
     changed_configuration,
     declare_parameters,
@@ -73,13 +74,14 @@ class InverseDynamicsNode(LifecycleNode):
     ) -> None:
         self._worker = worker or Worker()
         self._scheduling = scheduling or Scheduling()
-        super().__init__('inverse_dynamics', **kwargs)
+        super().__init__(NODE_NAME, **kwargs)
         contain_errors(self, self._keep_up)
         configuration = declare_parameters(self)
         for problem in unknown_overrides(self):
             self.get_logger().warning(f'ignored {problem}')
         self.is_finalized = False
         self._may_autostart = configuration.autostart
+        self._was_active = False
         self._description = ''  # the latest from the topic
         self._reason_to_stop = 'deactivated'
         self._uses_sim_time = self.get_parameter('use_sim_time').value
@@ -207,6 +209,7 @@ class InverseDynamicsNode(LifecycleNode):
             to = self._outputs.describe_dry_run(to)
         self.get_logger().info(f'efforts for {joints} {to}')
         self._may_autostart = False
+        self._was_active = True
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -298,6 +301,8 @@ class InverseDynamicsNode(LifecycleNode):
         if not changed:
             return
         after = changed_configuration(before, changed)
+        if after.robot_description_file != before.robot_description_file:
+            self._check_file_change(after)
         if self._runner.loop is not None:
             for name in changed:
                 field = name.partition('.')[0]
@@ -309,6 +314,20 @@ class InverseDynamicsNode(LifecycleNode):
                     )
             after.expanded(len(self._runner.loop.controller.joints))
         self._next_configuration = after
+
+    def _check_file_change(self, configuration: Configuration) -> None:
+        """Refuse a file that is chosen while the process runs, unless that is allowed."""
+        allowed = configuration.allow_description_file_changes
+        if allowed is FileChanges.NEVER:
+            reason = 'is read when the process starts'
+        elif allowed is FileChanges.BEFORE_ACTIVATION and self._was_active:
+            reason = 'cannot be set after the first activation'
+        else:
+            return
+        raise ConfigurationError(
+            f"parameter 'robot_description_file' {reason}: allow_description_file_changes is "
+            f'{allowed.value}'
+        )
 
     def _apply_parameters(self, parameters: list[Parameter]) -> None:
         if self._next_configuration is self.configuration:

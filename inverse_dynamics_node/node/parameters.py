@@ -47,6 +47,14 @@ class MissingInertial(Enum):
     REFUSE = 'refuse'
 
 
+class FileChanges(Enum):
+    """When another node may choose the file of the robot description."""
+
+    NEVER = 'never'
+    BEFORE_ACTIVATION = 'before_activation'
+    ALWAYS = 'always'
+
+
 class Executor(Enum):
     """The executor that spins the node."""
 
@@ -217,6 +225,15 @@ class Configuration(Settings, LoadSettings):
     cpu_affinity: tuple[int, ...] = parameter(
         -1,
         'The CPU, or list of CPUs, of the control loop and the middleware. -1: all',
+        is_live=False,
+        is_read_only=True,
+    )
+    allow_description_file_changes: FileChanges = parameter(
+        FileChanges.BEFORE_ACTIVATION.value,
+        'When `robot_description_file` may be set while the process runs',
+        'Whoever sets it chooses a file that this process opens, and code that xacro evaluates. '
+        '`before_activation`: until the node is activated for the first time. `never`: only the '
+        'command line and parameter files set it. Topics never name a file',
         is_live=False,
         is_read_only=True,
     )

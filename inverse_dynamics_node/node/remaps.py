@@ -1,4 +1,9 @@
-"""Mistakes in ROS arguments: remap rules and parameter files without effect, or missing files."""
+"""
+The ROS arguments of the node: the names that they lead to, and mistakes in them.
+
+Mistakes are remap rules and parameter files without effect, and files that do not exist.
+
+"""
 
 from __future__ import annotations
 
@@ -9,19 +14,73 @@ from typing import Any
 
 from ..errors import ConfigurationError, did_you_mean
 
-# Names that rcl creates; it lists them after remapping or not at all.
-_RCL_NAMES = (
-    '/clock',
-    '/rosout',
-    '/parameter_events',
-    '~/transition_event',
+NODE_NAME = 'inverse_dynamics'
+"""Default name of the node."""
+PUBLISHED_BY_ROS = '~/transition_event', '/rosout', '/parameter_events'
+LIFECYCLE_SERVICES = (
     '~/change_state',
     '~/get_state',
     '~/get_available_states',
     '~/get_available_transitions',
     '~/get_transition_graph',
 )
+# Names that rcl creates; it lists them after remapping or not at all.
+_RCL_NAMES = '/clock', *PUBLISHED_BY_ROS, *LIFECYCLE_SERVICES
+_PREFIX = re.compile(r'(rostopic|rosservice)://')
 _HOME = re.compile(r'/root/|/home/[^/]+/')
+
+
+class NodeNames:
+    """
+    The names of the node and its topics on a command line, resolved as rcl does.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+        The command line.
+
+    """
+
+    def __init__(self, arguments: Sequence[str]) -> None:
+        self._rules = [rule.partition(':=')[::2] for rule in _remaps(arguments)]
+        self.node = NODE_NAME
+        self.node = self._remapped('__node', '__name') or NODE_NAME
+        self.namespace = f'/{self._remapped("__ns").strip("/")}'
+        self.full_name = self._expanded('~')
+        self.uses_sim_time = self._uses_sim_time(arguments)
+
+    def resolve(self, name: str) -> str:
+        """Return the absolute name of a topic or service, after remapping."""
+        full_name = self._expanded(name)
+        for given, target in self._rules:
+            if self._expanded(_PREFIX.sub('', self._own(given))) == full_name:
+                return self._expanded(_PREFIX.sub('', target))
+        return full_name
+
+    def _remapped(self, *names: str) -> str:
+        """Return the first new value of a name that is not one of a topic; empty if none."""
+        return next((target for given, target in self._rules if self._own(given) in names), '')
+
+    def _own(self, given: str) -> str:
+        """Return the name in a rule, without the name of this node as a prefix."""
+        return given.removeprefix(f'{self.node}:')
+
+    def _expanded(self, name: str) -> str:
+        return _expanded(name, self.node, self.namespace)
+
+    def _uses_sim_time(self, arguments: Sequence[str]) -> bool:
+        value: Any = False
+        for k, given in _operands(arguments, '-p', '--param', '--params-file'):
+            if arguments[k - 1] == '--params-file':
+                for section, parameters in _sections(_content(given)).items():
+                    is_for_this = re.fullmatch(_pattern(section), self.full_name)
+                    if is_for_this and isinstance(parameters, dict):
+                        value = parameters.get('use_sim_time', value)
+            else:
+                name, _, text = given.partition(':=')
+                if self._own(name) == 'use_sim_time':
+                    value = text.lower() == 'true'
+        return value is True
 
 
 def names_of(node: Any) -> list[str]:
@@ -50,7 +109,7 @@ def ineffective_remaps(
     own = {_expanded(name, node, namespace) for name in names}
     problems = []
     for rule in _remaps(arguments):
-        given = re.sub(r'(rostopic|rosservice)://', '', rule.partition(':=')[0])
+        given = _PREFIX.sub('', rule.partition(':=')[0])
         given = given.removeprefix(f'{node}:')
         name = _expanded(given, node, namespace)
         if name not in own and '*' not in name and not re.match(r'(\w+:)?__', given):
@@ -102,17 +161,9 @@ def ineffective_files(arguments: Sequence[str], name: str) -> list[str]:
         Fully qualified name of the node.
 
     """
-    import yaml  # which rclpy needs too
-
     problems = []
     for _, file in _operands(arguments, '--params-file'):
-        if not os.path.isfile(file):  # a pipe has been read already
-            continue
-        with open(file, 'rb') as stream:
-            try:
-                sections = _sections(yaml.safe_load(stream))
-            except (yaml.YAMLError, ValueError, RecursionError):  # PyYAML is stricter than rcl
-                continue
+        sections = _sections(_content(file))
         if sections and not any(re.fullmatch(_pattern(section), name) for section in sections):
             problems.append(
                 f'--params-file {file} has no effect: it is for {", ".join(sections)}, this node '
@@ -121,13 +172,26 @@ def ineffective_files(arguments: Sequence[str], name: str) -> list[str]:
     return problems
 
 
-def _sections(content: Any, path: str = '') -> list[str]:
-    """List the names of nodes, with their wildcards, for which a file has parameters."""
+def _content(file: str) -> Any:
+    """Read a parameter file that rcl accepts; None if PyYAML, which is stricter, does not."""
+    import yaml  # which rclpy needs too
+
+    if not os.path.isfile(file):  # a pipe has been read already
+        return None
+    with open(file, 'rb') as stream:
+        try:
+            return yaml.safe_load(stream)
+        except (yaml.YAMLError, ValueError, RecursionError):
+            return None
+
+
+def _sections(content: Any, path: str = '') -> dict[str, Any]:
+    """Return the parameters in a file by the names of nodes, with their wildcards."""
     if not isinstance(content, dict):
-        return []
-    found = [path] if 'ros__parameters' in content else []
+        return {}
+    found = {path: content['ros__parameters']} if 'ros__parameters' in content else {}
     for key, value in content.items():
-        found += _sections(value, f'{path}/{str(key).strip("/")}')
+        found |= _sections(value, f'{path}/{str(key).strip("/")}')
     return found
 
 

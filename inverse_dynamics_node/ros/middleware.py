@@ -8,8 +8,11 @@ import os
 from pathlib import Path
 
 import rclpy
+from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import get_rmw_implementation_identifier
+
+from ..errors import ConfigurationError
 
 LOCAL_PROFILE = str(Path(__file__).with_name('local_udp.xml'))
 
@@ -20,6 +23,8 @@ _DEFAULT_PROFILES = 'DEFAULT_FASTRTPS_PROFILES.xml'  # read from the current fol
 _RANGE, _OLD_RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_LOCALHOST_ONLY'
 _WIDE_RANGES = '', 'SUBNET', 'OFF', 'SYSTEM_DEFAULT'  # rcl takes any other value as LOCALHOST
 _PEERS = 'ROS_STATIC_PEERS'
+_SECURITY, _STRATEGY = 'ROS_SECURITY_ENABLE', 'ROS_SECURITY_STRATEGY'
+_SECURE = 'rmw_fastrtps', 'rmw_cyclonedds', 'rmw_connextdds'
 
 
 def start_ros(arguments: Sequence[str] | None = None) -> None:
@@ -37,23 +42,80 @@ def start_ros(arguments: Sequence[str] | None = None) -> None:
     arguments : sequence of str, optional
         Arguments of ROS; by default those of the process.
 
+    Raises
+    ------
+    ConfigurationError
+        If ROS would start without the security that the environment asks for.
+
     """
-    settings = udp_settings(get_rmw_implementation_identifier(), os.environ)
+    rmw = get_rmw_implementation_identifier()
+    check_security(rmw, os.environ)
+    settings = udp_settings(rmw, os.environ)
     os.environ.update(settings)
     with _hidden_range() if _PROFILES[0] in settings else nullcontext():
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
 
 
-def describe_start_error(error: Exception) -> str:
-    """Describe in one line why ROS does not start; the usual reason is a missing enclave."""
-    reason = ' '.join(str(error).partition(', at /')[0].split())
-    hint = ''
-    if os.environ.get('ROS_SECURITY_ENABLE') == 'true':
-        hint = (
-            '; ROS_SECURITY_ENABLE is true: set ROS_SECURITY_KEYSTORE, and '
-            'ROS_SECURITY_ENCLAVE_OVERRIDE to an enclave for this command'
+def check_security(rmw: str, environment: Mapping[str, str]) -> None:
+    """
+    Refuse settings with which ROS would start without security, in silence.
+
+    ROS compares texts: with ``True`` or ``1`` security is off, with ``enforce`` not enforced. Only
+    implementations on DDS read the enclave; rmw_zenoh ignores it.
+
+    Parameters
+    ----------
+    rmw : str
+        Identifier of the RMW implementation.
+    environment : mapping
+        The current environment variables.
+
+    Raises
+    ------
+    ConfigurationError
+        Naming the setting and the values that are possible.
+
+    """
+    enabled, strategy = environment.get(_SECURITY, ''), environment.get(_STRATEGY, '')
+    problems = []
+    if enabled not in ('', 'true', 'false'):
+        problems.append(
+            f"{_SECURITY} is '{enabled}', expected true or false: ROS would start without security"
         )
-    return f'ROS does not start: {reason}{hint}'
+    elif enabled == 'true' and strategy not in ('', 'Enforce', 'Permissive'):
+        problems.append(
+            f"{_STRATEGY} is '{strategy}', expected Enforce or Permissive: ROS would not enforce "
+            'security'
+        )
+    elif enabled == 'true' and strategy == 'Enforce' and not rmw.startswith(_SECURE):
+        problems.append(
+            f'{rmw} does not enforce the security of ROS 2, expected one of '
+            f'{", ".join(_SECURE)} with {_STRATEGY}=Enforce'
+        )
+    if problems:
+        raise ConfigurationError(*problems)
+
+
+def security_hints(error: Exception) -> list[str]:
+    """Say what to look at after an error of ROS with security; empty otherwise."""
+    if os.environ.get(_SECURITY) != 'true' or not isinstance(error, RCLError):
+        return []
+    return [
+        f'{_SECURITY} is true: set ROS_SECURITY_KEYSTORE, choose an enclave with --ros-args '
+        '--enclave or ROS_SECURITY_ENCLAVE_OVERRIDE, and permit all topics and services in its '
+        'policy (inverse_dynamics_node --policy)'
+    ]
+
+
+@contextmanager
+def explained_start() -> Iterator[None]:
+    """Raise the errors of starting ROS and creating a node as a ConfigurationError of one line."""
+    try:
+        yield
+    except (RCLError, UnknownROSArgsError) as error:
+        reason = ' '.join(str(error).partition(', at /')[0].split())
+        text = '; '.join([f'ROS does not start: {reason}', *security_hints(error)])
+        raise ConfigurationError(text) from None
 
 
 def udp_settings(rmw: str, environment: Mapping[str, str]) -> dict[str, str]:

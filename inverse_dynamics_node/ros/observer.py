@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 import os
 import time
@@ -13,21 +13,21 @@ from diagnostic_msgs.msg import DiagnosticArray
 import numpy as np
 from rcl_interfaces.msg import Log
 import rclpy
-from rclpy._rclpy_pybind11 import RCLError
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from ..control.filters import LowPass
 from ..control.status import NodeStatus
-from ..errors import ConfigurationError, InverseDynamicsError, JointStateError
+from ..errors import InverseDynamicsError, JointStateError
 from ..robot.model import Floats, RobotModel
 from ..robot.urdf import load_urdf
 from . import qos
 from .cdr import JointStateReader
 from .diagnostics import read_status
-from .middleware import describe_start_error, start_ros
+from .middleware import explained_start, start_ros
 
 _MOST_WARNINGS = 50
 _RATES = 3  # reports, one per second
@@ -70,23 +70,27 @@ class Sample(NamedTuple):
 
 
 @contextmanager
-def observing_node() -> Iterator[Node]:
+def observing_node(arguments: Sequence[str] = ()) -> Iterator[Node]:
     """
     Yield a hidden node of this process, for `find_nodes` and `Observer`.
 
-    It has no parameter services and no log topic. Signals are left to the caller.
+    It has no services and no log topic. Signals are left to the caller.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+        Arguments of ROS.
 
     """
     try:
-        try:
-            start_ros([])
+        with explained_start():
+            start_ros([*arguments])
             node = rclpy.create_node(
                 f'_inverse_dynamics_watch_{os.getpid()}',
                 enable_rosout=False,
                 start_parameter_services=False,
+                parameter_overrides=[Parameter('start_type_description_service', value=False)],
             )
-        except RCLError as error:
-            raise ConfigurationError(describe_start_error(error)) from None
         try:
             yield node
         finally:

@@ -57,7 +57,7 @@ from ..errors import InverseDynamicsError
 from ..robot.kinematics import rotation_of_rpy
 from ..robot.model import Floats
 from ..robot.urdf import load_urdf
-from ..ros.middleware import start_ros
+from ..ros.middleware import explained_start, start_ros
 from ..ros.qos import LATCHED
 from .drive import COMPLAINT_PERIOD, GAP, HandOver, PositionDrive
 from .drivers import Actuation, Driver, DRIVERS, Form, read_command, TORQUES
@@ -305,7 +305,8 @@ def main(arguments: list[str] | None = None) -> int:
         hardware = MujocoRobot(
             options.robot, robot, start, options.friction, options.held, options.armature
         )
-        start_ros(arguments)
+        with explained_start():
+            start_ros(arguments)
         try:
             _serve(hardware, options, lambda: bool(stopped))
         finally:
@@ -322,7 +323,8 @@ def _serve(hardware: MujocoRobot, options: argparse.Namespace, stop: Callable[[]
     if options.drive or options.sway or options.driver:
         hardware.brakes_on = False
         drive = PositionDrive(hardware, options.sway)
-    node = RobotNode(hardware, options.brake_release, options.imu_orientation, drive, driver)
+    with explained_start():
+        node = RobotNode(hardware, options.brake_release, options.imu_orientation, drive, driver)
     executor = EventsExecutor()
     executor.add_node(node)
     # Collecting what the imports created takes 0.1 s, after which a node regards states as lost.

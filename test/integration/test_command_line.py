@@ -57,6 +57,12 @@ def test_help_is_the_same_with_ros_arguments():
     assert result.stdout == run([sys.executable, '-c', WITHOUT_ROS, '-h']).stdout
 
 
+def test_the_policy_is_printed_without_ros():
+    result = run([sys.executable, '-c', WITHOUT_ROS, '--policy'])
+    assert (result.returncode, result.stderr) == (0, '')
+    assert result.stdout == (ROOT / 'config/sros2/policy.xml').read_text()
+
+
 def test_version():
     for command in (NODE, [sys.executable, '-c', WITHOUT_ROS]):
         result = run([*command, '--version'])

@@ -299,17 +299,6 @@ def test_view_fits_the_terminal_and_restores_it(run_node, robot, terminal):
     assert view.is_restored()
 
 
-def test_security_without_an_enclave_is_one_line(robot, watch, monkeypatch, tmp_path):
-    monkeypatch.setenv('ROS_SECURITY_ENABLE', 'true')
-    monkeypatch.setenv('ROS_SECURITY_STRATEGY', 'Enforce')
-    monkeypatch.setenv('ROS_SECURITY_KEYSTORE', str(tmp_path))
-    ((code, output),) = watch([])
-    assert code == 1
-    (line,) = output.splitlines()
-    assert line.startswith('inverse_dynamics: ROS does not start: ')
-    assert 'ROS_SECURITY_ENCLAVE_OVERRIDE' in line
-
-
 def test_interrupt_ends_the_wait_for_a_node(robot, terminal):
     view = terminal()
     robot.wait_until(lambda: 'waiting for it' in view.screen, 'wait for a node')

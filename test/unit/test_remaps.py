@@ -5,6 +5,7 @@ from inverse_dynamics_node.node.remaps import (
     expanded_tildes,
     ineffective_files,
     ineffective_remaps,
+    NodeNames,
     with_parameter_files,
 )
 import pytest
@@ -137,3 +138,47 @@ def test_files_without_sections_are_not_reported(text, tmp_path):
     path = tmp_path / 'arm.yaml'
     path.write_text(text)
     assert ineffective_files(['--ros-args', '--params-file', str(path)], '/arm') == []
+
+
+def test_names_are_those_of_the_default_node_without_arguments():
+    names = NodeNames(['node'])
+    assert (names.full_name, names.uses_sim_time) == ('/inverse_dynamics', False)
+    assert names.resolve('imu') == '/imu'
+    assert names.resolve('~/commands') == '/inverse_dynamics/commands'
+
+
+@pytest.mark.parametrize(
+    ('rules', 'name', 'resolved'),
+    [
+        (['__ns:=/left'], 'imu', '/left/imu'),
+        (['arm:__ns:=/left', '__name:=arm'], '~/enable', '/left/arm/enable'),
+        (['inverse_dynamics:__ns:=/left', '__name:=arm'], '~/enable', '/arm/enable'),
+        (['other:__node:=arm'], '~', '/inverse_dynamics'),
+        (['imu:=a', 'imu:=b'], 'imu', '/a'),
+        (['__ns:=/left', '/left/imu:=~/a'], 'imu', '/left/inverse_dynamics/a'),
+        (['__node:=arm', 'arm:~/commands:=/x'], '~/commands', '/x'),
+        (['/diagnostics:=diagnostics', '__ns:=/left'], '/diagnostics', '/left/diagnostics'),
+    ],
+)
+def test_names_are_remapped(rules, name, resolved):
+    arguments = ['node', '--ros-args', *(x for rule in rules for x in ('-r', rule))]
+    assert NodeNames(arguments).resolve(name) == resolved
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'uses_sim_time'),
+    [
+        (['-p', 'use_sim_time:=true'], True),
+        (['-p', 'use_sim_time:=True', '-p', 'use_sim_time:=false'], False),
+        (['-p', 'other:use_sim_time:=true'], False),
+        (['-p', 'inverse_dynamics:use_sim_time:=true'], True),
+        (['--params-file', 'all.yaml'], True),
+        (['--params-file', 'all.yaml', '-p', 'use_sim_time:=false'], False),
+        (['--params-file', 'other.yaml'], False),
+    ],
+)
+def test_simulated_time_is_found(arguments, uses_sim_time, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for file, section in (('all.yaml', '/**'), ('other.yaml', 'other')):
+        (tmp_path / file).write_text(f'{section}:\n  ros__parameters:\n    use_sim_time: true\n')
+    assert NodeNames(['node', '--ros-args', *arguments]).uses_sim_time is uses_sim_time

@@ -1,0 +1,145 @@
+"""The policy of SROS 2 for the node, and for what it is connected to; needs no ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+from xml.sax.saxutils import escape, quoteattr
+
+from .remaps import LIFECYCLE_SERVICES, NodeNames, PUBLISHED_BY_ROS
+
+_HEADER = """\
+<?xml version="1.0" encoding="UTF-8"?>
+<!-- Who may publish, subscribe to and call what. doc/security.md describes how to use this file,
+     and how to make one for other names. A node that misses one of its topics does not start. -->
+"""
+_TYPE_DESCRIPTION = '~/get_type_description'
+_SERVICES_OF_ROS = (
+    *LIFECYCLE_SERVICES,
+    '~/describe_parameters',
+    '~/get_parameter_types',
+    '~/get_parameters',
+    '~/list_parameters',
+    '~/set_parameters',
+    '~/set_parameters_atomically',
+    _TYPE_DESCRIPTION,
+)
+_ROBOT = 'joint_states', 'robot_description', 'imu'  # what the robot publishes, not the user
+_COMMANDS = '~/commands', '~/joint_commands', '~/joint_efforts'
+_WATCHED = (
+    '/diagnostics',
+    '/rosout',
+    '~/robot_description',
+    'joint_states',
+    '~/joint_efforts',
+    '~/external_efforts',
+)
+_EVENTS = '/parameter_events'  # every node of rclpy publishes them
+_COMMAND_LINE = '/_ros2cli_*/get_type_description'  # of the nodes of `ros2 ...`
+
+
+class Enclave(NamedTuple):
+    """What the processes with one certificate may do; all names are absolute."""
+
+    path: str
+    namespace: str
+    node: str
+    """Name of the node; without effect, because no name is relative to it."""
+    subscribe: tuple[str, ...]
+    publish: tuple[str, ...]
+    reply: tuple[str, ...] = ()
+    """Services that are offered."""
+    request: tuple[str, ...] = ()
+    """Services that are called."""
+
+
+def enclaves(
+    arguments: Sequence[str],
+    subscribed: Iterable[str],
+    published: Iterable[str],
+    services: Iterable[str],
+) -> tuple[Enclave, ...]:
+    """
+    List what the node, its driver, `inverse_dynamics watch` and the command line `ros2` need.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+        The command line of the node, with its remap rules and parameters.
+    subscribed, published, services : iterable of str
+        Topics and services that the node declares, before remapping.
+
+    Returns
+    -------
+    enclaves : tuple of Enclave
+        In this order.
+
+    """
+    names = NodeNames(arguments)
+    subscribed, published, services = tuple(subscribed), tuple(published), tuple(services)
+    parent = names.namespace.rstrip('/')
+
+    def resolved(given: Iterable[str]) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(map(names.resolve, given)))
+
+    clock = ('/clock',) * names.uses_sim_time
+    offered = resolved((*services, *_SERVICES_OF_ROS))
+    node = Enclave(
+        names.full_name,
+        names.namespace,
+        names.node,
+        subscribe=resolved((*subscribed, *clock)),
+        publish=resolved((*published, *PUBLISHED_BY_ROS)),
+        reply=offered,
+    )
+    driver = Enclave(
+        f'{parent}/driver',
+        names.namespace,
+        'driver',
+        subscribe=resolved(_COMMANDS),
+        publish=(*resolved((*_ROBOT, *clock)), '/rosout', _EVENTS),
+    )
+    watch = Enclave(
+        f'{parent}/watch',
+        names.namespace,
+        'watch',
+        subscribe=resolved(_WATCHED),
+        publish=(_EVENTS,),
+    )
+    inputs = [topic for topic in subscribed if topic not in _ROBOT]
+    operator = Enclave(
+        f'{parent}/operator',
+        names.namespace,
+        'operator',
+        subscribe=resolved((*published, *PUBLISHED_BY_ROS, *_ROBOT, *clock)),
+        publish=(*resolved(inputs), '/rosout', _EVENTS),
+        reply=(_COMMAND_LINE,),
+        request=offered,
+    )
+    return node, driver, watch, operator
+
+
+def policy(found: Iterable[Enclave]) -> str:
+    """Write enclaves as a policy file of sros2."""
+    lines = ['<policy version="0.2.0">', '  <enclaves>']
+    for enclave in found:
+        lines += [
+            f'    <enclave path={quoteattr(enclave.path)}>',
+            '      <profiles>',
+            f'        <profile ns={quoteattr(enclave.namespace)} node={quoteattr(enclave.node)}>',
+            *_rules('topic', 'subscribe', enclave.subscribe),
+            *_rules('topic', 'publish', enclave.publish),
+            *_rules('service', 'reply', enclave.reply),
+            *_rules('service', 'request', enclave.request),
+            '        </profile>',
+            '      </profiles>',
+            '    </enclave>',
+        ]
+    return _HEADER + '\n'.join([*lines, '  </enclaves>', '</policy>']) + '\n'
+
+
+def _rules(kind: str, permission: str, names: Sequence[str]) -> list[str]:
+    if not names:
+        return []
+    entries = [f'            <{kind}>{escape(name)}</{kind}>' for name in names]
+    return [f'          <{kind}s {permission}="ALLOW">', *entries, f'          </{kind}s>']

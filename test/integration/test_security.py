@@ -1,0 +1,182 @@
+"""The policy of SROS 2 covers the node, and the node never starts without requested security."""
+
+from contextlib import nullcontext
+
+from fork_server import SERVER
+from inverse_dynamics_node.errors import ConfigurationError
+from inverse_dynamics_node.node.help import enclaves_for
+from inverse_dynamics_node.node.node import InverseDynamicsNode
+from inverse_dynamics_node.ros.middleware import check_security
+from node_process import PATIENCE
+import pytest
+from rclpy.context import Context
+from rclpy.parameter import Parameter
+from robot_files import STANFORD
+
+CONFIGURATIONS = {
+    'default': [],
+    'namespace and remaps': [
+        *('-r', '__ns:=/left', '-r', 'inverse_dynamics:__node:=arm', '-r', 'joint_states:=states'),
+        *('-r', '~/commands:=/left/controller/commands', '-r', '/diagnostics:=diagnostics'),
+        *('-r', '/left/arm/payload:=~/load', '-r', 'rosservice://~/enable:=enable'),
+        *('-r', 'other:imu:=/not/for/this/node', '-r', 'imu:=/base/imu', '-r', 'imu:=/second'),
+    ],
+    'simulated time and IMU': ['-p', 'use_sim_time:=true', '-p', 'base_motion:=imu'],
+}
+
+
+@pytest.fixture
+def start(domain_id):
+    """Return a function that creates the node in this process, with ROS arguments."""
+    context, nodes = Context(), []
+
+    def create(arguments):
+        context.init(args=arguments, domain_id=domain_id)
+        nodes.append(InverseDynamicsNode(context=context))
+        return nodes[-1]
+
+    yield create
+    for node in nodes:
+        node.destroy_node()
+    context.try_shutdown()
+
+
+@pytest.mark.parametrize('name', CONFIGURATIONS)
+def test_the_policy_covers_exactly_the_names_of_the_node(name, start):
+    arguments = ['--ros-args', *CONFIGURATIONS[name]]
+    node = start(arguments)
+    enclave, *_ = enclaves_for(arguments)
+    own = node.get_name(), node.get_namespace()
+    assert enclave.path == node.get_fully_qualified_name()
+    for permitted, find in (
+        (enclave.subscribe, node.get_subscriber_names_and_types_by_node),
+        (enclave.publish, node.get_publisher_names_and_types_by_node),
+        (enclave.reply, node.get_service_names_and_types_by_node),
+        (enclave.request, node.get_client_names_and_types_by_node),
+    ):
+        assert sorted(permitted) == sorted(name for name, _ in find(*own)), 'run `make parameters`'
+
+
+def test_the_configurations_differ(start):
+    names = [enclaves_for(['--ros-args', *x])[0] for x in CONFIGURATIONS.values()]
+    assert '/diagnostics' in names[0].publish
+    assert {'/left/states', '/base/imu', '/left/arm/load'} < set(names[1].subscribe)
+    assert {'/left/controller/commands', '/left/diagnostics'} < set(names[1].publish)
+    assert '/left/enable' in names[1].reply
+    assert set(names[2].subscribe) - set(names[0].subscribe) == {'/clock'}
+
+
+@pytest.mark.parametrize(
+    ('changes', 'refused_before', 'refused_after'),
+    [('never', True, True), ('before_activation', False, True), ('always', False, False)],
+)
+def test_the_file_of_the_robot_is_set_only_while_that_is_allowed(
+    start, changes, refused_before, refused_after, tmp_path
+):
+    given = ['-p', f'allow_description_file_changes:={changes}', '-p', 'autostart:=false']
+    node = start(['--ros-args', *given, '-p', f'robot_description_file:={STANFORD}'])
+
+    def is_refused(path):
+        (result,) = node.set_parameters([Parameter('robot_description_file', value=str(path))])
+        assert result.successful or f'allow_description_file_changes is {changes}' in result.reason
+        return not result.successful
+
+    others = [tmp_path / 'other.urdf', tmp_path / 'another.urdf']
+    others[0].write_text(STANFORD.read_text())
+    assert is_refused(others[0]) is refused_before
+    assert not is_refused(node.configuration.robot_description_file)  # as it is
+    node.trigger_configure()
+    node.trigger_activate()
+    node.trigger_deactivate()
+    node.trigger_cleanup()
+    assert is_refused(others[1]) is refused_after
+
+
+@pytest.mark.parametrize(
+    ('rmw', 'strategy', 'is_refused'),
+    [
+        ('rmw_zenoh_cpp', 'Enforce', True),
+        ('rmw_zenoh_cpp', 'Permissive', False),
+        ('rmw_cyclonedds_cpp', 'Enforce', False),
+        ('rmw_fastrtps_cpp', 'Enforce', False),
+    ],
+)
+def test_a_middleware_that_ignores_enclaves_is_refused(rmw, strategy, is_refused):
+    settings = {'ROS_SECURITY_ENABLE': 'true', 'ROS_SECURITY_STRATEGY': strategy}
+    expected = pytest.raises(ConfigurationError, match=rmw) if is_refused else nullcontext()
+    with expected:
+        check_security(rmw, settings)
+
+
+@pytest.mark.parametrize(
+    ('settings', 'words'),
+    [
+        ({}, 'ROS_SECURITY_KEYSTORE'),
+        ({'ROS_SECURITY_KEYSTORE': '{keystore}'}, "enclaves/nosuch' does not exist"),
+        (
+            {
+                'ROS_SECURITY_KEYSTORE': '{keystore}',
+                'ROS_SECURITY_ENCLAVE_OVERRIDE': '/inverse_dynamics',
+            },
+            'ROS_SECURITY_ENABLE is true: set ',
+        ),
+        ({'ROS_SECURITY_ENABLE': 'True'}, "ROS_SECURITY_ENABLE is 'True', expected true or false"),
+        (
+            {'ROS_SECURITY_STRATEGY': 'enforce'},
+            "ROS_SECURITY_STRATEGY is 'enforce', expected Enforce or Permissive",
+        ),
+    ],
+    ids=['no keystore', 'no enclave', 'no certificates', 'not quite true', 'not quite Enforce'],
+)
+def test_the_node_never_starts_unprotected(
+    run_node, robot, monkeypatch, tmp_path, settings, words
+):
+    (tmp_path / 'enclaves' / 'inverse_dynamics').mkdir(parents=True)
+    robot.publish_state(['joint_1'], [0.0])
+    monkeypatch.setenv('ROS_SECURITY_ENABLE', 'true')
+    monkeypatch.setenv('ROS_SECURITY_STRATEGY', 'Enforce')
+    for name, value in settings.items():
+        monkeypatch.setenv(name, value.format(keystore=tmp_path))
+    node = run_node('--enclave', '/nosuch', robot_description_file=STANFORD)
+    assert robot.wait_for_end(node) == 1
+    assert words in node.output
+    assert 'Traceback' not in node.output
+    assert 'efforts for' not in node.output
+    assert not robot.commands
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'words'),
+    [
+        (['watch'], 'ROS_SECURITY_ENCLAVE_OVERRIDE'),
+        (['watch', '--ros-args', '--enclave', '/nosuch'], "enclaves/nosuch' does not exist"),
+        (['simulate', STANFORD], 'ROS_SECURITY_ENCLAVE_OVERRIDE'),
+        (
+            ['simulate', STANFORD, '--ros-args', '--enclave', '/nosuch'],
+            "enclaves/nosuch' does not",
+        ),
+    ],
+    ids=['watch', 'watch with arguments', 'simulate', 'simulate with arguments'],
+)
+def test_tools_without_an_enclave_print_one_line(arguments, words, domain_id, tmp_path):
+    settings = {
+        'ROS_DOMAIN_ID': str(domain_id),
+        'ROS_SECURITY_ENABLE': 'true',
+        'ROS_SECURITY_STRATEGY': 'Enforce',
+        'ROS_SECURITY_KEYSTORE': str(tmp_path),
+    }
+    program = ['-m', 'inverse_dynamics_node.cli.main', *arguments]
+    result = SERVER.call(program, settings, timeout=PATIENCE)
+    assert (result.returncode, result.stdout) == (1, '')
+    (line,) = result.stderr.splitlines()
+    assert 'ROS does not start: ' in line
+    assert words in line
+
+
+def test_arguments_of_ros_end_with_two_dashes(domain_id):
+    arguments = ['watch', '--ros-args', '--foo', '--', '--for', '1']
+    program = ['-m', 'inverse_dynamics_node.cli.main', *arguments]
+    result = SERVER.call(program, {'ROS_DOMAIN_ID': str(domain_id)}, timeout=PATIENCE)
+    assert (result.returncode, result.stdout) == (1, '')
+    (line,) = result.stderr.splitlines()
+    assert '--foo' in line
