@@ -16,8 +16,8 @@ CLEAN := env -u PYTHONDONTWRITEBYTECODE -u PYTHONPATH -u LD_LIBRARY_PATH \
     -u ROS_LOCALHOST_ONLY -u ROS_SECURITY_ENABLE -u ROS_SECURITY_STRATEGY \
     ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
 
-.PHONY: demo test test-all test-plain test-oldest lint bench bench-loop storm mutation \
-    parameters pictures doc clean
+.PHONY: demo test test-all test-plain test-oldest lint bench bench-loop storm network-faults \
+    mutation parameters pictures doc clean
 
 demo: $(VENV)/demo.done
 	@$(CLEAN) $(BIN)/python -m inverse_dynamics_node.cli.main demo '$(ROBOT)' $(ARGS)
@@ -98,6 +98,10 @@ bench-loop: $(VENV)/test.done
 # Sends a million messages, most of them invalid; ARGS='--messages 100000' sends fewer.
 storm: $(VENV)/test.done
 	@$(CLEAN) $(BIN)/python -m benchmarks.storm $(ARGS)
+
+# Runs node and driver on two network namespaces, with lost and late packets and outages between them.
+network-faults: $(VENV)/test.done
+	@$(CLEAN) PYTHONPATH=test $(BIN)/python -m benchmarks.network_faults $(ARGS)
 
 # Takes about ten minutes on two idle cores: ARGS='*.command_shaping.*' for the mutants of one module.
 mutation: $(VENV)/mutation.done
