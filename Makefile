@@ -16,7 +16,7 @@ CLEAN := env -u PYTHONDONTWRITEBYTECODE -u PYTHONPATH -u LD_LIBRARY_PATH \
     -u ROS_LOCALHOST_ONLY -u ROS_SECURITY_ENABLE -u ROS_SECURITY_STRATEGY \
     ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
 
-.PHONY: demo test test-all test-plain test-oldest lint bench bench-loop storm network-faults \
+.PHONY: demo test test-all test-plain test-oldest lint bench bench-loop storm soak network-faults \
     mutation parameters pictures doc clean
 
 demo: $(VENV)/demo.done
@@ -98,6 +98,10 @@ bench-loop: $(VENV)/test.done
 # Sends a million messages, most of them invalid; ARGS='--messages 100000' sends fewer.
 storm: $(VENV)/test.done
 	@$(CLEAN) $(BIN)/python -m benchmarks.storm $(ARGS)
+
+# An hour with references, loads, descriptions and parameters that change; ARGS='--minutes 1' is shorter.
+soak: $(VENV)/test.done
+	@$(CLEAN) $(BIN)/python -m benchmarks.soak $(ARGS)
 
 # Runs node and driver on two network namespaces, with lost and late packets and outages between them.
 network-faults: $(VENV)/test.done
