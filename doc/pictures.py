@@ -134,20 +134,30 @@ def running(*command):
 
 
 def draw_watch(name, scale, load):
-    """Write the screen of `watch` after ten seconds of a dry run."""
+    """Draw the screen of `watch` in a dry run."""
     node = ['inverse_dynamics_node.node.main', '--ros-args', '-p', 'dry_run:=true']
     node += ['-p', f'robot_description_file:={URDF}', '-p', f'measured_effort_scale:={scale}']
-    node += ['-r', '~/commands:=/forward_effort_controller/commands']
+    node += ['-p', 'state_timeout:=0.5', '-r', '~/commands:=/forward_effort_controller/commands']
     robot = ['inverse_dynamics_node.cli.main', 'simulate', str(URDF), '--sway']
-    with running(*robot), running(*node), observing_node() as ros:
+    with observing_node() as ros, running(*robot):
+        while not ros.count_publishers('/joint_states'):
+            time.sleep(0.1)
         if load:
             publish_load(ros, load)
-        options = argparse.Namespace(node=NODE, duration=WATCHED, rate=None, json=False)
-        watch = _Watch(Observer(ros, NODE), lambda: find_nodes(ros), options)
-        watch._loop(lambda: None, 1.0)
-        console = Console(record=True, width=COLUMNS, file=io.StringIO(), force_terminal=True)
-        console.print(screen(watch.observer, watch.sample, watch.agreement, COLUMNS))
-    page = re.sub(r'@font-face \{.*?\}', '', CONSOLE_SVG_FORMAT, flags=re.DOTALL)
+        with running(*node):
+            draw_screen(ros, name)
+
+
+def draw_screen(ros, name):
+    """Watch the node for a while, and write the last screen."""
+    while NODE not in find_nodes(ros):
+        time.sleep(0.1)
+    options = argparse.Namespace(node=NODE, duration=WATCHED, rate=None, json=False)
+    watch = _Watch(Observer(ros, NODE), lambda: find_nodes(ros), options)
+    watch._loop(lambda: None, 1.0)
+    console = Console(record=True, width=COLUMNS, file=io.StringIO(), force_terminal=True)
+    console.print(screen(watch.observer, watch.sample, watch.agreement, COLUMNS))
+    page = re.sub(r'@font-face \{\{.*?\}\}', '', CONSOLE_SVG_FORMAT, flags=re.DOTALL)
     page = page.replace('Fira Code', 'DejaVu Sans Mono')
     text = console.export_svg(title='inverse_dynamics watch', code_format=page, unique_id=name)
     (IMAGES / f'{name}.svg').write_text('\n'.join(map(str.rstrip, text.splitlines())) + '\n')

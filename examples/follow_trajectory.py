@@ -32,7 +32,7 @@ robot = load_urdf(sys.argv[1])
 speed = float(sys.argv[3]) if len(sys.argv) > 3 else 1.0
 planned, _ = complete(read_trajectory(Path(sys.argv[2]), robot.joint_names).trajectory)
 
-start_ros()  # without shared memory, which could hold up the driver
+start_ros()  # without shared memory, which could delay the driver
 signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends the program while it waits
 node = rclpy.create_node('follow_trajectory')
 client = AsyncParameterClient(node, 'inverse_dynamics')

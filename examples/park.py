@@ -33,7 +33,7 @@ LARGEST_ERROR = 0.2  # [rad, m]; a robot that is further away does not follow
 speed = float(sys.argv[1])
 wanted = {name: float(value) for name, value in (word.split('=') for word in sys.argv[2:])}
 
-start_ros()  # without shared memory, which could hold up the driver
+start_ros()  # without shared memory, which could delay the driver
 signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends the program while it waits
 node = rclpy.create_node('park')
 client = AsyncParameterClient(node, 'inverse_dynamics')

@@ -23,7 +23,7 @@ if path.exists():
     sys.exit(f'{path}: exists; a recording is not replaced, choose another name')
 for number in (signal.SIGINT, signal.SIGTERM):
     signal.signal(number, lambda number, _: stopped.append(number))
-start_ros()  # without shared memory, which could hold up the driver
+start_ros()  # without shared memory, which could delay the driver
 node = rclpy.create_node('record_joint_states')
 names, columns, count = [], [], 0
 

@@ -129,7 +129,7 @@ def test_an_interrupt_ends_quietly(tmp_path):
     process.stderr.close()
 
 
-def test_only_demo_and_watch_need_ros():
+def test_only_watch_simulate_and_demo_need_ros():
     code = (
         'import sys\n'
         'class Refuse:\n'
@@ -141,6 +141,7 @@ def test_only_demo_and_watch_need_ros():
         'from inverse_dynamics_node.cli.main import main\n'
         f'assert main(["check", {str(STANFORD)!r}, "--no-picture"]) == 0\n'
         f'assert main(["demo", {str(STANFORD)!r}]) == 1\n'
+        f'assert main(["simulate", {str(STANFORD)!r}]) == 1\n'
         'sys.exit(main(["watch"]))\n'
     )
     result = subprocess.run(
@@ -151,7 +152,8 @@ def test_only_demo_and_watch_need_ros():
         'source an installed ROS 2, or in a virtual environment, in the',
         "pip install '.[ros,demo]'",
     ):
-        assert result.stderr.count(text) == 2  # of both
+        assert result.stderr.count(text) == 2  # of demo and watch
+    assert result.stderr.count('No module named') == 3
     assert 'Traceback' not in result.stderr
 
 
