@@ -150,10 +150,12 @@ def draw_watch(name, scale, load):
 
 def draw_screen(ros, name):
     """Watch the node for a while, and write the last screen."""
-    while NODE not in find_nodes(ros):
-        time.sleep(0.1)
     options = argparse.Namespace(node=NODE, duration=WATCHED, rate=None, json=False)
     watch = _Watch(Observer(ros, NODE), lambda: find_nodes(ros), options)
+    while watch.observer.status is None or not watch.observer.status.is_computing:
+        watch._poll()
+        time.sleep(0.01)
+    watch._began = time.monotonic()
     watch._loop(lambda: None, 1.0)
     console = Console(record=True, width=COLUMNS, file=io.StringIO(), force_terminal=True)
     console.print(screen(watch.observer, watch.sample, watch.agreement, COLUMNS))

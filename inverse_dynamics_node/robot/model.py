@@ -59,7 +59,7 @@ class RobotModel:
 
     name: str
     joint_names: tuple[str, ...]
-    """The n movable, non-mimic joints: depth first, in file order among siblings."""
+    """The n movable, non-mimic joints, depth first, in file order among siblings."""
 
     lower: Floats
     """Lower position limit, shape (n,) [rad or m]; -inf if there is none."""
