@@ -13,39 +13,45 @@ import numpy as np
 from ..analysis.excitation import (
     DURATION,
     Excitation,
-    Extent,
     find_excitation,
     FRACTION,
     HARMONICS,
+    keep_clear,
     motion_limits,
+    MotionLimits,
     NOISE,
     States,
-    swept_box,
     whole_states,
 )
 from ..analysis.trajectory_files import write_table, write_trajectory
 from ..dynamics.trajectory import Trajectory, trajectory_efforts
+from ..errors import ConfigurationError
 from ..report.excitation_tables import excitation_tables
-from ..robot.model import Floats
+from ..robot.capsules import body_capsules
+from ..robot.model import Floats, RobotModel
+from ..robot.urdf.shapes import read_shapes
 from . import arguments
-from .console import progress, say, show
+from .console import progress, say, show, waiting
 from .output_files import check_outputs, new_file, output_path
 from .pictures.excite import draw
 from .pictures.style import try_to_draw
 
 EPILOG = """\
 examples:
-  inverse_dynamics excite my_arm.urdf --floor 0.05
-  inverse_dynamics excite my_arm.urdf --floor 0.05 --speed 0.2
+  inverse_dynamics excite my_arm.urdf
+  inverse_dynamics excite my_arm.urdf --floor -0.1 --box 0.6 0 0.2 0.3 0.5 0.4
   inverse_dynamics excite my_arm.urdf --joints elbow wrist --range elbow=-1.0:1.5
+  inverse_dynamics excite my_arm.urdf --speed 0.2
   inverse_dynamics effort my_arm.urdf my_arm_excite.csv
 
-Collisions are not checked. Look at the picture and the printed space, restrict the motion with
---floor and --range, and rehearse it with --speed 0.2: the same path, five times slower. The motion
-is a JointTrajectory without efforts, as a joint_trajectory_controller expects it. A second file
-moves the arm slowly to the start pose. Record /joint_states meanwhile.
+The links stay 2 cm apart from each other, from the floor and from each --box, according to the
+collision shapes of the URDF. A payload has no shape: enclose it by a collision shape of the URDF.
+The straight way from the pose of --at to the start is checked too. Rehearse the motion with
+--speed 0.2: the same path, five times slower. The motion is a JointTrajectory without efforts, as
+a joint_trajectory_controller expects it. A second file moves the arm slowly to the start pose.
+Record /joint_states meanwhile.
 
-exit code: 0 done; 1 no motion is possible, or a file cannot be read or written; 2 invalid
+exit code: 0 done; 1 no safe motion was found, or a file cannot be read or written; 2 invalid
 arguments."""
 
 _YAML_RATE = 20.0
@@ -79,7 +85,11 @@ def add_parser(subparsers: Any) -> None:
 def _add_limits(parser: argparse.ArgumentParser) -> None:
     """Add the options for the space and the limits of the motion."""
     parser.add_argument(
-        '--joints', nargs='+', default=[], metavar='JOINT', help='joints to move (default: all)'
+        '--joints',
+        nargs='+',
+        default=[],
+        metavar='JOINT',
+        help='joints to move (default: all that carry more than a few grams)',
     )
     parser.add_argument(
         '--range',
@@ -89,14 +99,23 @@ def _add_limits(parser: argparse.ArgumentParser) -> None:
         metavar='JOINT=LOW:HIGH',
         help='range of a joint, to be used in full [rad, m]; may be repeated',
     )
-    arguments.add_at(parser, 'does not move')
+    arguments.add_at(parser, 'does not move, or of any joint before the motion')
     parser.add_argument(
         '--floor',
-        type=float,
-        default=-math.inf,
+        type=_floor,
+        default=0.0,
         metavar='Z',
-        help='least height of the origins of all links and of their centres of mass in the frame '
-        'of the base [m] (default: none)',
+        help="height of the floor in the frame of the base [m], or 'none' (default: 0)",
+    )
+    parser.add_argument(
+        '--box',
+        action='append',
+        nargs=6,
+        default=[],
+        type=float,
+        metavar=('X', 'Y', 'Z', 'LX', 'LY', 'LZ'),
+        help='an obstacle: centre and lengths of a box along the axes of the base [m]; may be '
+        'repeated',
     )
     parser.add_argument(
         '--fraction',
@@ -178,17 +197,11 @@ def run(options: argparse.Namespace) -> int:
         },
         options.force,
     )
-    dynamics = arguments.load_dynamics(options.urdf, options.gravity)
+    source = arguments.read_source_text(options.urdf)
+    dynamics = arguments.load_dynamics(source, options.gravity)
     robot = dynamics.robot
     arguments.attach_payload(dynamics, options)
-    limits = motion_limits(
-        robot,
-        options.joints,
-        options.fraction,
-        dict(options.range),
-        dict(options.at),
-        options.floor,
-    )
+    limits = _limits(robot, source, options)
     with progress('searching for the best motion') as report:
         noise = None if options.noise is None else np.array(options.noise)
         excitation = find_excitation(
@@ -196,9 +209,11 @@ def run(options: argparse.Namespace) -> int:
         )
     trajectory = excitation.series.trajectory(options.rate, options.speed)
     efforts = trajectory_efforts(dynamics, trajectory, limits.rest)
-    box = swept_box(robot, _positions(excitation, trajectory))
+    assert limits.clearance
+    box = limits.clearance.extent(_positions(excitation, trajectory))
     show(*excitation_tables(robot, excitation, trajectory, efforts, box))
-    _warn(dynamics.gravity, box, options)
+    say('Rehearse the motion slowly, with --speed 0.2.')
+    print()
 
     with new_file(csv) as temporary:
         write_table(temporary, trajectory, efforts)
@@ -213,12 +228,29 @@ def run(options: argparse.Namespace) -> int:
         f'{yaml}: the motion as JointTrajectory',
         f'{start}: to its start pose within {_seconds_to_start(excitation):g} s, from anywhere',
     ]
-    source = options.urdf.name
-    drawing = partial(draw, dynamics, excitation, trajectory, efforts, box, source)
+    drawing = partial(draw, dynamics, excitation, trajectory, efforts, box, options.urdf.name)
     if path := try_to_draw(drawing, options, f'{stem}.png'):
         written.append(f'{path}: picture')
     print('\n'.join(f'written: {line}' for line in written))
     return 0
+
+
+def _limits(robot: RobotModel, source: Path | str, options: argparse.Namespace) -> MotionLimits:
+    """Return the limits of the command line, and what the robot must keep clear of."""
+    limits = motion_limits(
+        robot, options.joints, options.fraction, dict(options.range), dict(options.at)
+    )
+    boxes = []
+    for values in options.box:
+        centre, lengths = np.array(values).reshape(2, 3)
+        if not np.isfinite(values).all() or not (lengths > 0.0).all():
+            raise ConfigurationError(
+                f'box is {values}, expected a centre and three lengths above 0'
+            )
+        boxes.append(np.array([centre - 0.5 * lengths, centre + 0.5 * lengths]))
+    with waiting('reading collision shapes'):
+        capsules = body_capsules(robot, *read_shapes(source))
+        return keep_clear(robot, limits, capsules, options.floor, boxes)
 
 
 def _positions(excitation: Excitation, trajectory: Trajectory) -> Floats:
@@ -241,18 +273,6 @@ def _to_start(excitation: Excitation) -> Trajectory:
     return Trajectory(excitation.series.joint_names, times, q, 0.0 * q, 0.0 * q)
 
 
-def _warn(gravity: Floats, box: Extent, options: argparse.Namespace) -> None:
-    text = 'Collisions are not checked: rehearse the motion slowly, with --speed 0.2.'
-    lowest = float(box.lowest[2])
-    is_upright = gravity[2] < 0.0 and abs(gravity[2]) > 0.9 * np.linalg.norm(gravity)
-    if is_upright and lowest < 0.0 and not math.isfinite(options.floor):
-        text = (
-            f'The motion goes {-lowest:.2f} m below the base: on a table, add --floor 0.1. {text}'
-        )
-    say(text)
-    print()
-
-
 def _range(text: str) -> tuple[str, tuple[float, float]]:
     name, _, ends = text.rpartition('=')
     low, _, high = ends.partition(':')
@@ -260,6 +280,15 @@ def _range(text: str) -> tuple[str, tuple[float, float]]:
         return name, (float(low), float(high))
     except ValueError:
         raise argparse.ArgumentTypeError(f"'{text}' is not JOINT=LOW:HIGH") from None
+
+
+def _floor(text: str) -> float:
+    if text == 'none':
+        return -math.inf
+    height = float(text)
+    if not math.isfinite(height):
+        raise argparse.ArgumentTypeError(f"'{text}' is not a height, or none")
+    return height
 
 
 def _speed(text: str) -> float:

@@ -1,4 +1,4 @@
-"""Tables that describe an exciting motion, and what its recording will determine."""
+"""Tables that describe an excitation motion, and what its recording will determine."""
 
 from __future__ import annotations
 
@@ -7,13 +7,16 @@ import math
 import numpy as np
 
 from ..analysis.excitation import (
+    CANDIDATES,
     Excitation,
     expected_errors,
     ExpectedErrors,
     Extent,
+    Nearest,
     SAMPLES_PER_SECOND,
 )
 from ..dynamics.trajectory import Trajectory
+from ..errors import listed
 from ..robot.model import Floats, RobotModel
 from .quantities import effort_unit, fraction, number
 from .tables import Table
@@ -27,7 +30,7 @@ def excitation_tables(
     box: Extent,
 ) -> list[Table]:
     """
-    Describe an exciting motion.
+    Describe an excitation motion.
 
     Parameters
     ----------
@@ -84,13 +87,37 @@ def _motion(
     notes = [
         f'{excitation.series.harmonics} harmonics of {1.0 / trajectory.times[-1]:.3g} Hz; at rest '
         'at both ends, in the pose of the column "start"',
-        f'space of the links and centres of mass: {sides} m in the frame of the base, plus the '
-        'thickness of links and tool',
+        f'space of the links: {sides} m in the frame of the base; a payload is not included',
+        *_distances(excitation),
         *excitation.limits.notes,
     ]
-    title = f'Exciting motion of {robot.name}: {trajectory.times[-1]:g} s'
+    title = f'Excitation motion of {robot.name}: {trajectory.times[-1]:g} s'
     columns = ('joint', 'start', 'moves', 'limits', 'speed', 'limit', 'effort', 'of limit')
     return Table(title, columns, tuple(rows), tuple(notes))
+
+
+def _distances(excitation: Excitation) -> list[str]:
+    """Say how near the links come to each other, to the floor and to boxes."""
+    kinds: dict[str, list[Nearest]] = {'floor': [], 'box': [], 'links': []}
+    for each in excitation.nearest:
+        kinds[each.names[1] if each.names[1] in kinds else 'links'].append(each)
+    clearance = excitation.limits.clearance
+    said = [
+        f'{found[0].distance:.3f} m ({found[0].names[0]} and {found[0].names[1]})'
+        for found in kinds.values()
+        if found
+    ]
+    if clearance is None:
+        return ['collisions are not checked']
+    notes = [
+        'smallest distances, on the way to the start too: '
+        + (', '.join(said) or 'more than 0.3 m')
+    ]
+    if clearance.unchecked:
+        notes.append(
+            f'near each other in almost all poses, and not checked: {listed(clearance.unchecked)}'
+        )
+    return notes
 
 
 def _joints(robot: RobotModel, excitation: Excitation, errors: ExpectedErrors) -> Table:
@@ -123,8 +150,8 @@ def _joints(robot: RobotModel, excitation: Excitation, errors: ExpectedErrors) -
             'efforts: of the identified model, in random states within the limits',
             f'{errors.count} unknowns, log det of their information '
             f'{excitation.log_det + errors.count * math.log(count):.4g}; the errors are '
-            f'{gain:.2g} times smaller (geometric mean) than those of random motions within the '
-            'same limits',
+            f'{gain:.2f} times smaller (geometric mean) than those of the best of {CANDIDATES} '
+            'random motions within the same limits',
         ),
     )
 

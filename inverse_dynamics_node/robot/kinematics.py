@@ -17,82 +17,40 @@ def body_frames(robot: RobotModel, q: Floats) -> tuple[Floats, Floats]:
     ----------
     robot : RobotModel
         With n joints and b bodies.
-    q : ndarray, shape (n,)
-        Joint positions [rad or m].
+    q : ndarray, shape (..., n)
+        Joint positions, of one or more states [rad or m].
 
     Returns
     -------
-    rotations : ndarray, shape (b, 3, 3)
+    rotations : ndarray, shape (..., b, 3, 3)
         Rotations from the body frames to the base frame.
-    positions : ndarray, shape (b, 3)
+    positions : ndarray, shape (..., b, 3)
         Origins of the body frames in the base frame [m].
 
     """
-    b = len(robot.parent)
-    rotations, positions = np.zeros((b, 3, 3)), np.zeros((b, 3))
-    rotations[0] = np.eye(3)
+    b, shape = len(robot.parent), q.shape[:-1]
+    rotations, positions = np.zeros((*shape, b, 3, 3)), np.zeros((*shape, b, 3))
+    rotations[..., 0, :, :] = np.eye(3)
     for body in range(1, b):
-        position = robot.multiplier[body] * q[robot.joint_index[body]] + robot.offset[body]
-        distance, angle = (position, 0.0) if robot.is_prismatic[body] else (0.0, position)
-        parent, R_PL = robot.parent[body], robot.R_PL[body]
-        origin = robot.p_PL[body] + R_PL @ (distance * robot.axis[body])
-        positions[body] = positions[parent] + rotations[parent] @ origin
-        rotations[body] = rotations[parent] @ R_PL @ rotation_about(robot.axis[body], angle)
+        place = robot.multiplier[body] * q[..., robot.joint_index[body]] + robot.offset[body]
+        parent, axis = robot.parent[body], robot.axis[body]
+        R = rotations[..., parent, :, :] @ robot.R_PL[body]
+        p = positions[..., parent, :] + rotations[..., parent, :, :] @ robot.p_PL[body]
+        if robot.is_prismatic[body]:
+            p = p + place[..., np.newaxis] * (R @ axis)
+        else:
+            R = R @ rotation_about(axis, place)
+        rotations[..., body, :, :], positions[..., body, :] = R, p
     return rotations, positions
 
 
-def moving_points(robot: RobotModel, q: Floats, direction: Floats) -> Floats:
-    """
-    Compute the positions of links and centres of mass in many poses, along one direction.
-
-    Parameters
-    ----------
-    robot : RobotModel
-        With n joints.
-    q : ndarray, shape (k, n)
-        Joint positions [rad or m].
-    direction : ndarray, shape (3,)
-        Unit vector in the base frame.
-
-    Returns
-    -------
-    distances : ndarray, shape (k, p)
-        From the origin of the base frame along the direction [m]: of the origins of all links
-        that joints move, and of the centres of mass of bodies with a mass.
-
-    """
-    # The direction in the frame of each body, and the distance of its origin
-    directions: list[Floats] = [np.tile(direction, (len(q), 1))]
-    distances: list[Floats] = [np.zeros(len(q))]
-    points = []
-    for body in range(1, len(robot.parent)):
-        parent, axis = robot.parent[body], robot.axis[body]
-        place = robot.multiplier[body] * q[:, robot.joint_index[body]] + robot.offset[body]
-        x, y, z = axis
-        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        distance = distances[parent] + directions[parent] @ robot.p_PL[body]
-        along = directions[parent] @ robot.R_PL[body]
-        if robot.is_prismatic[body]:
-            distance = distance + place * (along @ axis)
-        else:
-            across = along @ cross
-            sine, cosine = np.sin(place)[:, np.newaxis], np.cos(place)[:, np.newaxis]
-            along = along + sine * across + (1.0 - cosine) * (across @ cross)
-        directions.append(along)
-        distances.append(distance)
-        places = [robot.link_position[robot.link_body == body]]
-        if robot.mass[body] > 0.0:
-            places.append(robot.com[body][np.newaxis])
-        points.append(distance[:, np.newaxis] + along @ np.concatenate(places).T)
-    return np.concatenate(points, axis=1)
-
-
-def rotation_about(axis: Floats, angle: float) -> Floats:
-    """Return the matrix of a rotation about a unit vector [rad], by Rodrigues' formula."""
+def rotation_about(axis: Floats, angle: float | Floats) -> Floats:
+    """Return matrices of rotations about a unit vector, by Rodrigues' formula; angles in rad."""
     x, y, z = axis
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    matrix: Floats = np.eye(3) + math.sin(angle) * cross
-    matrix += (1.0 - math.cos(angle)) * (cross @ cross)
+    angle = np.asarray(angle)[..., np.newaxis, np.newaxis]
+    matrix: Floats = np.eye(3) + np.sin(angle) * cross
+    matrix += (1.0 - np.cos(angle)) * (cross @ cross)
     return matrix
 
 

@@ -18,7 +18,7 @@ NAMES = ROBOT.joint_names
 @pytest.fixture(autouse=True)
 def brief(monkeypatch):
     monkeypatch.setattr(search, '_ROUNDS', ((1e2, 4), (1e4, 4)))
-    monkeypatch.setattr(search, '_CANDIDATES', 4)
+    monkeypatch.setattr(search, 'CANDIDATES', 4)
 
 
 def excite(*arguments):

@@ -31,7 +31,7 @@ SOME = [*(ROBOTS / f'{name}.urdf' for name in NAMES), STANFORD]
 def brief(monkeypatch):
     """Search for a short time; the promises about limits do not depend on it."""
     monkeypatch.setattr(search, '_ROUNDS', ((1e2, 4), (1e4, 4)))
-    monkeypatch.setattr(search, '_CANDIDATES', 4)
+    monkeypatch.setattr(search, 'CANDIDATES', 4)
 
 
 def dynamics_of(path):

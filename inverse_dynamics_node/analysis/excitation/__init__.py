@@ -1,17 +1,18 @@
 """Designs a motion whose recording determines masses and friction as well as possible."""
 
+from .clearance import CLEARANCE, Clearance, Extent
 from .fourier import FourierSeries
 from .information import expected_errors, ExpectedErrors
 from .limits import (
-    Extent,
     FRACTION,
+    keep_clear,
     motion_limits,
     MotionLimits,
     States,
-    swept_box,
     whole_states,
 )
 from .search import (
+    CANDIDATES,
     DURATION,
     Excitation,
     find_excitation,
@@ -21,20 +22,24 @@ from .search import (
 )
 
 __all__ = [
+    'CANDIDATES',
+    'CLEARANCE',
     'DURATION',
     'FRACTION',
     'HARMONICS',
     'NOISE',
     'SAMPLES_PER_SECOND',
+    'Clearance',
     'Excitation',
     'ExpectedErrors',
     'Extent',
     'FourierSeries',
     'MotionLimits',
+    'Nearest',
     'States',
     'expected_errors',
     'find_excitation',
+    'keep_clear',
     'motion_limits',
-    'swept_box',
     'whole_states',
 ]

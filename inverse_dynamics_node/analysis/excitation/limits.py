@@ -1,13 +1,14 @@
 """
 The limits of a motion, and states of the joints that move within them.
 
-Limits are those of positions, speeds, efforts and height; assumptions where a URDF has none.
+Limits are those of positions, speeds and efforts; assumptions where a URDF has none. What the
+robot must keep clear of is in `clearance`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 from typing import NamedTuple
 
@@ -15,9 +16,10 @@ import numpy as np
 
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...errors import ConfigurationError, listed
-from ...robot.kinematics import moving_points
+from ...robot.capsules import Capsules
 from ...robot.model import Floats, RobotModel
 from ..sizing import joint_ranges
+from .clearance import Clearance, find_clearance
 
 FRACTION = 0.8
 """Fraction of the limits that a motion uses; the rest is for control and for unknown masses."""
@@ -27,8 +29,10 @@ ASSUMED_SLIDE = 1.0
 """Range of a prismatic joint without position limits [m]."""
 _LEAST_RANGE = 1e-3
 """Smallest range that is worth moving in [rad or m]."""
-_HEIGHT = 0.1
-"""Height below the floor that is as bad as twice the limit of a speed [m]."""
+_POSES = 400
+"""Random poses from which is found which parts of the robot may come near each other."""
+_LIGHT = (0.05, 0.05)
+"""A joint that carries less than this mass [kg], and this fraction of the mass of the robot."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +44,11 @@ class MotionLimits:
     index: list[int]
     """Their indices among the n joints of the robot."""
     rest: Floats
-    """Positions of all joints of the robot where they do not move, shape (n,) [rad or m]."""
+    """
+    Positions of all joints of the robot where they do not move, shape (n,) [rad or m].
+
+    The way to the start of a motion begins there.
+    """
     lower: Floats
     """Shape (m,) [rad or m]."""
     upper: Floats
@@ -49,8 +57,8 @@ class MotionLimits:
     """Shape (m,) [rad/s or m/s]."""
     efforts: Floats
     """Of all joints of the robot, shape (n,) [N m or N]; inf if there is none."""
-    floor: float = -math.inf
-    """Least height of all links and centres of mass in the frame of the base [m]."""
+    clearance: Clearance | None = None
+    """What the robot must keep clear of; None for nothing."""
     notes: tuple[str, ...] = ()
     """Sentences about assumptions."""
 
@@ -73,7 +81,6 @@ def motion_limits(
     fraction: float = FRACTION,
     ranges: Mapping[str, tuple[float, float]] | None = None,
     rest: Mapping[str, float] | None = None,
-    floor: float = -math.inf,
 ) -> MotionLimits:
     """
     Collect the limits of a motion.
@@ -83,16 +90,15 @@ def motion_limits(
     robot : RobotModel
         The robot, with its limits.
     joints : sequence of str
-        The joints to move; empty for all that can move.
+        The joints to move; empty for all that can move and carry more than a few grams.
     fraction : float
         Fraction of ranges, speeds and efforts to use.
     ranges : mapping of str to (float, float), optional
         Position ranges by joint, to be used in full, in place of those of the robot description
         [rad or m].
     rest : mapping of str to float, optional
-        Positions of joints that do not move [rad or m]; by default 0 or the nearest limit.
-    floor : float
-        Least height of all links and centres of mass in the frame of the base [m].
+        Positions of joints that do not move, and of those that do before the motion [rad or m];
+        by default 0 or the nearest limit.
 
     Raises
     ------
@@ -112,7 +118,7 @@ def motion_limits(
     for name, position in (rest or {}).items():
         positions[robot.joint_indices([name])[0]] = position
     still = _that_cannot_move(robot, lower, upper)
-    names = _chosen(robot, joints, still, notes)
+    names = _chosen(robot, joints, still, _light(robot), notes)
     index = robot.joint_indices(names)
     return MotionLimits(
         tuple(names),
@@ -122,8 +128,7 @@ def motion_limits(
         upper[index],
         speeds[index],
         fraction * robot.effort_limits,
-        floor,
-        tuple(notes),
+        notes=tuple(notes),
     )
 
 
@@ -180,23 +185,42 @@ def _that_cannot_move(robot: RobotModel, lower: Floats, upper: Floats) -> dict[s
     return still
 
 
+def _light(robot: RobotModel) -> dict[str, str]:
+    """Return the joints that carry next to nothing, such as those of fingers, with the mass."""
+    carried = robot.mass.copy()
+    for body in range(len(carried) - 1, 0, -1):
+        carried[robot.parent[body]] += carried[body] if robot.parent[body] > 0 else 0.0
+    of_joints = np.bincount(robot.joint_index[1:], carried[1:], len(robot.joint_names))
+    least = min(_LIGHT[0], _LIGHT[1] * float(robot.mass[1:].sum()))
+    return {
+        robot.joint_names[i]: f'it carries {of_joints[i]:.2g} kg; --joints moves it'
+        for i in np.flatnonzero(of_joints < least)
+    }
+
+
 def _chosen(
-    robot: RobotModel, joints: Sequence[str], still: dict[str, str], notes: list[str]
+    robot: RobotModel,
+    joints: Sequence[str],
+    still: dict[str, str],
+    light: dict[str, str],
+    notes: list[str],
 ) -> list[str]:
     """Return the joints to move, in the order of the robot."""
     robot.joint_indices(joints)
     for name in joints:
         if name in still:
             raise ConfigurationError(f"joint '{name}' cannot move: {still[name]}")
-    wanted = [name for name in robot.joint_names if name in joints or not joints]
-    names = [name for name in wanted if name not in still]
+    if not joints:
+        still = light | still
+    wanted = joints or robot.joint_names
+    names = [name for name in robot.joint_names if name in wanted and name not in still]
     if not names:
         reasons = '; '.join(f"'{name}': {reason}" for name, reason in still.items())
         raise ConfigurationError(
             f"robot '{robot.name}' has no joint that can move{f' ({reasons})' * bool(reasons)}"
         )
-    left_out = [f'{name} ({still[name]})' for name in wanted if name in still]
-    if left_out:
+    left_out = [f'{name} ({still[name]})' for name in robot.joint_names if name in still]
+    if left_out and not joints:
         notes.append(f'not moved: {listed(left_out)}')
     return names
 
@@ -233,6 +257,33 @@ def random_states(limits: MotionLimits, count: int, rng: np.random.Generator) ->
     return States(q, qd, qdd)
 
 
+def keep_clear(
+    robot: RobotModel,
+    limits: MotionLimits,
+    capsules: Capsules,
+    floor: float = -math.inf,
+    boxes: Sequence[Floats] = (),
+) -> MotionLimits:
+    """
+    Return limits of motions that hit nothing.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        The robot of n joints.
+    limits : MotionLimits
+        Other limits of its motion.
+    capsules : Capsules
+        Around its bodies.
+    floor, boxes
+        As for `find_clearance`.
+
+    """
+    poses = whole_states(limits, random_states(limits, _POSES, np.random.default_rng(3))).q
+    clearance = find_clearance(robot, capsules, poses, floor, boxes)
+    return replace(limits, clearance=clearance, notes=(*limits.notes, *capsules.notes))
+
+
 def excess(
     dynamics: InverseDynamics, limits: MotionLimits, states: States, aim: float = 1.0
 ) -> Floats:
@@ -253,46 +304,16 @@ def excess(
     Returns
     -------
     excess : ndarray, shape (k, c)
-        One column for each limit of position, speed, effort and height; 0 within it.
+        One column for each limit of position, speed and effort; 0 within it.
 
     """
     parts = [
         np.abs(states.q - limits.middle) / limits.half,
         np.abs(states.qd) / limits.speeds,
     ]
-    whole = whole_states(limits, states)
     bounded = np.isfinite(limits.efforts)
     if bounded.any():
-        efforts = dynamics.efforts(*whole)
+        efforts = dynamics.efforts(*whole_states(limits, states))
         parts.append(np.abs(efforts[:, bounded]) / limits.efforts[bounded])
-    if math.isfinite(limits.floor):
-        heights = moving_points(dynamics.robot, whole.q, np.array([0.0, 0.0, 1.0]))
-        parts.append(aim + (limits.floor - heights) / _HEIGHT)
     found: Floats = np.maximum(np.concatenate(parts, axis=1) - aim, 0.0)
     return found
-
-
-class Extent(NamedTuple):
-    """A box in the frame of the base, each end of shape (3,) [m]."""
-
-    lowest: Floats
-    highest: Floats
-
-
-def swept_box(robot: RobotModel, q: Floats) -> Extent:
-    """
-    Return the box that contains the links that move, and their centres of mass, in all poses.
-
-    The thickness of the links is unknown.
-
-    Parameters
-    ----------
-    robot : RobotModel
-        With n joints.
-    q : ndarray, shape (k, n)
-        Joint positions [rad or m].
-
-    """
-    sides = [moving_points(robot, q, axis) for axis in np.eye(3)]
-    lowest, highest = ([float(f(side)) for side in sides] for f in (np.min, np.max))
-    return Extent(np.array(lowest), np.array(highest))

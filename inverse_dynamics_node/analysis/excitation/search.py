@@ -21,8 +21,8 @@ import numpy as np
 
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...errors import ConfigurationError, listed
-from ...robot.kinematics import moving_points
 from ...robot.model import Floats
+from .clearance import CLEARANCE, Nearest, TOUCH
 from .fourier import basis, FourierSeries
 from .information import Unknowns
 from .limits import excess, MotionLimits, States, whole_states
@@ -39,7 +39,9 @@ _PER_HARMONIC = 16
 """Samples of the search for each harmonic."""
 _FINE = 8
 """Samples of the final check of the limits for each sample of the search."""
-_CANDIDATES = 30
+_WAY = 40
+"""Poses of the search on the way to the start."""
+CANDIDATES = 30
 """Random motions, the best of which starts the search."""
 _POSES = 300
 """Random poses among which those are found in which the drives hold the robot."""
@@ -71,7 +73,9 @@ class Excitation:
     log_det: float
     """Logarithm of its determinant."""
     random_log_det: float
-    """Median of the same for random motions within the same limits."""
+    """The largest of `CANDIDATES` random motions within the same limits."""
+    nearest: tuple[Nearest, ...] = ()
+    """Smallest distances during the motion, and on the way to it; the smallest first."""
 
 
 def find_excitation(
@@ -83,7 +87,7 @@ def find_excitation(
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Excitation:
     """
-    Find an exciting motion.
+    Find an excitation motion.
 
     Parameters
     ----------
@@ -117,7 +121,7 @@ def find_excitation(
     if harmonics < 2:
         raise ConfigurationError(f'harmonics is {harmonics}, expected at least 2')
     motions = MotionSpace(dynamics, limits, duration, harmonics)
-    candidates = motions.random(_CANDIDATES, np.random.default_rng(0))
+    candidates = motions.random(CANDIDATES, np.random.default_rng(0))
     if noise is None:
         noise = _assumed_noise(motions, candidates)
     unknowns = Unknowns(dynamics, limits, np.broadcast_to(noise, (len(limits.index),)))
@@ -125,16 +129,20 @@ def find_excitation(
     scores = [objective.log_det(x) for x in candidates]
     first = candidates[int(np.argmax(scores))]
     found = _improved(objective, first, progress)
-    best = max((motions.within_limits(found), first), key=objective.log_det)
-    coefficients = motions.coefficients(best)
-    return Excitation(
-        FourierSeries(limits.joint_names, duration, coefficients),
-        limits,
-        unknowns,
-        objective.information(best) * SAMPLES_PER_SECOND * duration,
-        objective.log_det(best),
-        float(np.median(scores)),
-    )
+    count = SAMPLES_PER_SECOND * duration
+    for x in sorted((motions.within_limits(found), *candidates), key=objective.log_det)[::-1]:
+        nearest = motions.nearest(x)
+        if not nearest or nearest[0].distance > TOUCH:
+            return Excitation(
+                FourierSeries(limits.joint_names, duration, motions.coefficients(x)),
+                limits,
+                unknowns,
+                count * objective.information(x),
+                objective.log_det(x),
+                max(scores),
+                nearest,
+            )
+    raise ConfigurationError('no motion was found that hits nothing: restrict it by --range')
 
 
 class MotionSpace:
@@ -157,6 +165,7 @@ class MotionSpace:
         # Without the end, which equals the start
         self.basis = basis(_even_times(count, duration), duration, harmonics)
         self._fine_basis = basis(_even_times(_FINE * count, duration), duration, harmonics)
+        self.way_clearance = limits.clearance and limits.clearance.from_pose(limits.rest)
 
     def coefficients(self, x: Floats) -> Floats:
         """Return the coefficients of a `FourierSeries`."""
@@ -171,7 +180,40 @@ class MotionSpace:
     def is_within_limits(self, x: Floats) -> bool:
         """Return whether a motion is within the limits, at the states of the final check."""
         states = States(*(part @ self.coefficients(x).T for part in self._fine_basis))
-        return not excess(self.dynamics, self.limits, states).any()
+        if excess(self.dynamics, self.limits, states).any():
+            return False
+        return self._is_clear(states.q)
+
+    def _is_clear(self, q: Floats) -> bool:
+        """Return whether positions, shape (k, m), and the way to the first of them are clear."""
+        if not (self.limits.clearance and self.way_clearance):
+            return True
+        zeros = np.zeros_like(q)
+        poses = whole_states(self.limits, States(q, zeros, zeros)).q
+        if not self.limits.clearance.is_kept(poses):
+            return False
+        return self.way_clearance.is_kept(self.way_to(q[0], _FINE * _WAY))
+
+    def nearest(self, x: Floats) -> tuple[Nearest, ...]:
+        """Return the smallest distances during a motion, and on the way to it."""
+        if not (self.limits.clearance and self.way_clearance):
+            return ()
+        clearance, q = self.limits.clearance, self._fine_basis[0] @ self.coefficients(x).T
+        zeros = np.zeros_like(q)
+        found = clearance.nearest(whole_states(self.limits, States(q, zeros, zeros)).q)
+        at_rest = clearance.nearest(self.limits.rest[np.newaxis])
+        touching = [each.names for each in at_rest if each.distance < CLEARANCE]
+        on_way = self.way_clearance.nearest(self.way_to(q[0], _WAY))
+        found += [each for each in on_way if each.names not in touching]
+        return tuple(sorted(found, key=lambda each: each.distance))
+
+    def way_to(self, start: Floats, count: int) -> Floats:
+        """Return poses of the straight way from rest to a start, shape (m,) -> (count, n)."""
+        rest = self.limits.rest
+        end = rest.copy()
+        end[self.limits.index] = start
+        way: Floats = rest + _even_times(count, 1.0)[:, np.newaxis] * (end - rest)
+        return way
 
     def random(self, count: int, rng: np.random.Generator) -> list[Floats]:
         """Draw motions about poses that the drives can hold, as large as the limits permit."""
@@ -222,15 +264,25 @@ class MotionSpace:
         zeros = np.zeros_like(poses)
         q = self.limits.middle + self.limits.half * poses
         beyond = excess(self.dynamics, self.limits, States(q, zeros, zeros))
-        is_within = ~beyond.any(axis=1)
-        if not is_within.any():
-            raise ConfigurationError(self._why(States(q, zeros, zeros)))
-        held: Floats = poses[is_within]
-        return held
+        held = np.flatnonzero(~beyond.any(axis=1))
+        found = []
+        for k in held:
+            if self._is_clear(q[k : k + 1]):
+                found.append(poses[k])
+            if len(found) == CANDIDATES:
+                break
+        if not found:
+            raise ConfigurationError(self._why(States(q, zeros, zeros), len(held)))
+        return np.array(found)
 
-    def _why(self, states: States) -> str:
-        """Explain why no pose is within the limits."""
+    def _why(self, states: States, held: int) -> str:
+        """Explain why no pose is within the limits; held is the number of those within efforts."""
         limits = self.limits
+        if held:
+            return (
+                f'none of {held} sampled poses is clear, with a clear way from the pose before '
+                'the motion: widen the ranges, lower the floor (--floor), or set the pose (--at)'
+            )
         efforts = np.abs(self.dynamics.efforts(*whole_states(limits, states)))
         least = np.min(efforts, axis=0)
         names = self.dynamics.robot.joint_names
@@ -238,13 +290,8 @@ class MotionSpace:
             f"joint '{names[i]}' needs {least[i]:.3g} of {limits.efforts[i]:.3g} N m or N"
             for i in np.flatnonzero(least > limits.efforts)
         ]
-        reason = listed(weak, 4) if weak else 'widen the ranges or lower the floor'
-        if not weak and math.isfinite(limits.floor):
-            q = whole_states(limits, states).q
-            heights = moving_points(self.dynamics.robot, q, np.array([0.0, 0.0, 1.0]))
-            highest = heights.min(axis=1).max()
-            reason += f' of {limits.floor:.3g} m; the robot stays above {highest:.3g} m at best'
-        return f'no sampled pose is within the limits of efforts and floor: {reason}'
+        reason = listed(weak, 4) if weak else 'widen the ranges'
+        return f'no sampled pose is within the limits of efforts: {reason}'
 
 
 class _Objective:
@@ -279,6 +326,9 @@ class _Objective:
         value = -float(np.linalg.slogdet(information)[1])
         value += weight * u / k * float(np.sum(self._violation(states)))
         slopes = _gradient(linearised, states, motions.limits.speeds)
+        missing, of_positions = self._missing_clearance(states.q)
+        value += weight * u / k * missing
+        slopes.q[:] += weight * u / k * of_positions
         of_coefficients = sum(
             part.T @ slope for part, slope in zip(motions.basis, slopes, strict=True)
         )
@@ -289,6 +339,20 @@ class _Objective:
         beyond = excess(self.motions.dynamics, self.motions.limits, states, self.aim)
         violation: Floats = np.sum(beyond**2, axis=1)
         return violation
+
+    def _missing_clearance(self, q: Floats) -> tuple[float, Floats]:
+        """Return the violation by positions, shape (k, m), and by the way; and its derivatives."""
+        motions, limits = self.motions, self.motions.limits
+        slopes = np.zeros_like(q)
+        if not (limits.clearance and motions.way_clearance):
+            return 0.0, slopes
+        zeros = np.zeros_like(q)
+        poses = whole_states(limits, States(q, zeros, zeros)).q
+        missing, of_poses = limits.clearance.violation(poses, self.aim)
+        slopes += of_poses[:, limits.index]
+        on_way, of_way = motions.way_clearance.violation(motions.way_to(q[0], _WAY), self.aim)
+        slopes[0] += _even_times(_WAY, 1.0) @ of_way[:, limits.index]
+        return float(missing.sum() + on_way.sum()), slopes
 
 
 def _gradient(function: Callable[[States], Floats], states: States, speeds: Floats) -> States:

@@ -31,6 +31,7 @@ def draw(
 ) -> None:
     """Draw two views of the path, and the motion of all joints; source names the URDF."""
     robot, limits = dynamics.robot, excitation.limits
+    nearest = excitation.nearest[0] if excitation.nearest else None
     shown = np.linspace(0, len(trajectory.times) - 1, _MOST_POINTS).round().astype(int)
     times, q, qd = (
         np.asarray(values)[shown]
@@ -63,9 +64,12 @@ def draw(
         lines, names = below.get_legend_handles_labels()
         style.set_title(
             figure,
-            f'{robot.name} ({source}): exciting motion of {trajectory.times[-1]:g} s, path of '
+            f'{robot.name} ({source}): excitation motion of {trajectory.times[-1]:g} s, path of '
             f"link '{hand}'",
-            'Collisions are not checked.',
+            f'Smallest distance {nearest.distance:.3f} m: {nearest.names[0]} and '
+            f'{nearest.names[1]}.'
+            if nearest
+            else 'Nothing comes near anything.',
         )
         style.legend_below(figure, [*handles, *lines], [*labels, *names], ncols=5)
         style.save(figure, path)

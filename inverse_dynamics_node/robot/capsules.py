@@ -1,0 +1,221 @@
+"""
+Capsules around the bodies of a robot, from its collision shapes.
+
+A capsule is the set of points within a radius of a segment. Its distances are quickly computed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ..errors import listed
+from .model import Floats, Integers, RobotModel
+from .urdf.shapes import Shape
+
+ASSUMED_RADIUS = 0.05
+"""Radius of bodies without a shape, as a fraction of the length of the longest chain."""
+_SPACING = 0.008
+"""Largest distance of neighbouring surface points [m]."""
+_CELLS = 120
+"""Cells along the longest side of a shape in which vertices are merged."""
+_DEPTH = 3
+"""A shape is halved at most this often."""
+_PRICE = 0.04
+"""A further capsule has to save this fraction of the size of a single one."""
+_CUTS = (0.35, 0.65)
+_STEPS = 10
+"""Steps to the centre of points across an axis."""
+
+
+@dataclass(frozen=True, eq=False)
+class Capsules:
+    """Capsules that contain the bodies of a robot, in the frames of the bodies."""
+
+    body: Integers
+    """The body of each capsule, shape (c,)."""
+    ends: Floats
+    """The ends of the segments, shape (c, 2, 3) [m]."""
+    radii: Floats
+    """Shape (c,) [m]."""
+    surfaces: tuple[Floats, ...]
+    """Points on the surface of each body, shape (k, 3) [m]; none where a shape is unknown."""
+    notes: tuple[str, ...]
+    """Sentences about bodies whose shape is unknown."""
+
+
+class _Piece(NamedTuple):
+    """A part of a shape, and the capsule around it."""
+
+    vertices: Floats
+    faces: Integers
+    ends: Floats
+    radius: float
+
+    @property
+    def size(self) -> float:
+        """Volume of the capsule; half of that of the ends, which overlap with neighbours."""
+        length = float(np.linalg.norm(self.ends[1] - self.ends[0]))
+        return self.radius**2 * (length + 2.0 / 3.0 * self.radius)
+
+
+def body_capsules(
+    robot: RobotModel, shapes: Iterable[Shape], unreadable: Mapping[str, str]
+) -> Capsules:
+    """
+    Return capsules around all bodies of a robot.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        The robot.
+    shapes, unreadable
+        From `read_shapes`. A body with an unreadable shape, or with a mass and without a shape,
+        gets capsules from its joint to its other points, with a radius of `ASSUMED_RADIUS`.
+
+    """
+    rows: list[tuple[int, Floats, float]] = []
+    points: list[list[Floats]] = [[np.empty((0, 3))] for _ in robot.parent]
+    for shape in shapes:
+        k = robot.link_index(shape.link)
+        rotation, position = robot.link_rotation[k], robot.link_position[k]
+        body = int(robot.link_body[k])
+        points[body].append(_surface(shape) @ rotation.T + position)
+        rows += [(body, p.ends @ rotation.T + position, p.radius) for p in _pieces(shape)]
+    reasons = {int(robot.link_body[robot.link_index(x)]): why for x, why in unreadable.items()}
+    shaped = {body for body, _, _ in rows}
+    for body in range(len(robot.parent)):
+        if body not in shaped and (robot.mass[body] > 0.0 or body == 0):
+            reasons.setdefault(body, 'it has no collision shape')
+    radius = ASSUMED_RADIUS * _longest_chain(robot)
+    for body in reasons:
+        points[body] = [np.empty((0, 3))]
+        rows += [(body, ends, radius) for ends in _bones(robot, body)]
+    names = first_links(robot)
+    why = [f'{names[body]} ({reasons[body]})' for body in sorted(reasons)]
+    notes = [f'a radius of {radius:.2g} m is assumed for {listed(why)}'] if why else []
+    bodies, ends, radii = zip(*rows, strict=True)
+    return Capsules(
+        np.array(bodies),
+        np.array(ends),
+        np.array(radii),
+        tuple(np.concatenate(each) for each in points),
+        tuple(notes),
+    )
+
+
+def first_links(robot: RobotModel) -> list[str]:
+    """Return the name of one link of each body."""
+    bodies = range(len(robot.parent))
+    return [robot.link_names[int(np.argmax(robot.link_body == body))] for body in bodies]
+
+
+def _longest_chain(robot: RobotModel) -> float:
+    lengths = [0.0]
+    for body in range(1, len(robot.parent)):
+        lengths.append(lengths[robot.parent[body]] + float(np.linalg.norm(robot.p_PL[body])))
+    return max(lengths)
+
+
+def _bones(robot: RobotModel, body: int) -> list[Floats]:
+    """Return segments from the origin of a body to those of its children and links."""
+    tips = [robot.p_PL[child] for child in np.flatnonzero(robot.parent == body)]
+    tips += [*robot.link_position[robot.link_body == body], robot.com[body]]
+    return [np.array([np.zeros(3), tip]) for tip in np.unique(np.round(tips, 6), axis=0)]
+
+
+# Shapes to capsules
+
+
+def _surface(shape: Shape) -> Floats:
+    """Return points on the surface of a shape."""
+    import trimesh
+
+    vertices, _ = trimesh.remesh.subdivide_to_size(shape.vertices, shape.faces, _SPACING, 20)
+    _, first = np.unique(np.round(2.0 * vertices / _SPACING), axis=0, return_index=True)
+    points: Floats = np.asarray(vertices)[first]
+    return points
+
+
+def _pieces(shape: Shape) -> list[_Piece]:
+    """Return pieces whose capsules contain the shape."""
+    # Details smaller than a cell do not matter; the radius makes up for their removal.
+    cell = float(np.ptp(shape.vertices, axis=0).max()) / _CELLS
+    rounded, index = np.unique(np.round(shape.vertices / cell), axis=0, return_inverse=True)
+    faces = np.unique(np.sort(index.ravel()[shape.faces], axis=1), axis=0)
+    faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2])]
+    whole = _piece(rounded * cell, faces)
+    _, pieces = _best_cut(whole, _DEPTH, _PRICE * whole.size)
+    return [p._replace(radius=p.radius + 0.5 * 3.0**0.5 * cell) for p in pieces]
+
+
+def _best_cut(piece: _Piece, depth: int, price: float) -> tuple[float, list[_Piece]]:
+    """Return a piece as one or more pieces, and their cost: size and price of each."""
+    one = piece.size + price, [piece]
+    if depth == 0 or piece.size < 2.0 * price:
+        return one
+    halves = min(_cuts(piece), key=lambda pair: sum(p.size for p in pair), default=())
+    if not halves:
+        return one
+    costs, pieces = zip(*(_best_cut(half, depth - 1, price) for half in halves), strict=True)
+    return min(one, (sum(costs), [*pieces[0], *pieces[1]]), key=lambda result: result[0])
+
+
+def _cuts(piece: _Piece) -> list[tuple[_Piece, _Piece]]:
+    """Cut a piece by planes."""
+    import trimesh
+
+    found = []
+    low, high = piece.vertices.min(axis=0), piece.vertices.max(axis=0)
+    for normal in np.eye(3):
+        for fraction in _CUTS:
+            origin = low + fraction * (high - low)
+            halves = [
+                trimesh.intersections.slice_faces_plane(
+                    piece.vertices, piece.faces, sign * normal, origin
+                )[:2]
+                for sign in (1.0, -1.0)
+            ]
+            if all(len(faces) for _, faces in halves):
+                first, second = (_piece(*half) for half in halves)
+                found.append((first, second))
+    return found
+
+
+def _piece(vertices: Floats, faces: Integers) -> _Piece:
+    """Return triangles with a small capsule around them."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    used, index = np.unique(faces, return_inverse=True)
+    vertices = vertices[used]
+    points = vertices
+    with suppress(QhullError):  # for points in a plane
+        points = vertices[ConvexHull(vertices).vertices]
+    principal = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
+    tried = [
+        _Piece(vertices, index.reshape(-1, 3), *_capsule_along(points, axis))
+        for axis in (principal[0], *np.eye(3))
+    ]
+    return min(tried, key=lambda piece: piece.size)
+
+
+def _capsule_along(points: Floats, axis: Floats) -> tuple[Floats, float]:
+    """Return the ends and the radius of a small capsule around points, along an axis."""
+    along = points @ axis
+    across = points - along[:, np.newaxis] * axis
+    centre = 0.5 * (across.max(axis=0) + across.min(axis=0))
+    for k in range(_STEPS):  # towards the farthest point, by less and less
+        offsets = across - centre
+        squares = np.einsum('ij,ij->i', offsets, offsets)
+        centre = centre + offsets[squares.argmax()] / (k + 2.0)
+    squares = np.sum((across - centre) ** 2, axis=1)
+    reach = np.sqrt(squares.max() - squares)
+    low, high = np.min(along + reach), np.max(along - reach)
+    if low > high:
+        low = high = 0.5 * (low + high)
+    radius = np.sqrt(np.max(squares + (along - np.clip(along, low, high)) ** 2))
+    return centre + np.outer([low, high], axis), float(radius)

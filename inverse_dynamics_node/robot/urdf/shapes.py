@@ -1,0 +1,124 @@
+"""The collision shapes of the links of a URDF as triangles; meshes are read with trimesh."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..kinematics import rotation_of_rpy, rpy_of_quaternion
+from ..model import Floats, Integers
+from .xml import Element, parse, read_source, tag
+
+
+class Shape(NamedTuple):
+    """One collision shape of a link, in the frame of the link."""
+
+    link: str
+    vertices: Floats
+    """Shape (v, 3) [m]."""
+    faces: Integers
+    """Three vertices of each triangle, shape (f, 3)."""
+
+
+def read_shapes(path_or_xml: str | os.PathLike[str]) -> tuple[list[Shape], dict[str, str]]:
+    """
+    Read the collision shapes of a robot, and the mesh files that they name.
+
+    Parameters
+    ----------
+    path_or_xml : str or path-like
+        As for `load_urdf`, which has accepted it.
+
+    Returns
+    -------
+    shapes : list of Shape
+        Those that can be read.
+    unreadable : dict
+        Why a shape of a link cannot be read, by the name of the link.
+
+    """
+    source = read_source(path_or_xml)
+    folder = None if source.name == 'URDF' else Path(path_or_xml).resolve().parent
+    shapes, unreadable = [], {}
+    for link in _children(parse(source)[0], 'link'):
+        name = link.get('name')
+        for collision in _children(link, 'collision'):
+            try:
+                shapes.append(_shape(name, collision, folder))
+            except Exception as error:  # trimesh passes on those of many readers
+                reason = str(error).partition('\n')[0] or type(error).__name__
+                unreadable.setdefault(name, reason)
+    return shapes, unreadable
+
+
+def _shape(link: str, collision: Element, folder: Path | None) -> Shape:
+    rotation, position = np.eye(3), np.zeros(3)
+    for origin in _children(collision, 'origin')[:1]:
+        position = _numbers(origin, 'xyz', '0 0 0')
+        if 'quat_xyzw' in origin.attrib:
+            origin.set('rpy', rpy_of_quaternion(origin.get('quat_xyzw')))
+        rotation = rotation_of_rpy(*_numbers(origin, 'rpy', '0 0 0'))
+    (geometry,) = _children(collision, 'geometry')
+    (solid,) = [child for child in geometry if isinstance(child.tag, str)]
+    mesh = _mesh(solid, folder)
+    vertices = np.asarray(mesh.vertices, float) @ rotation.T + position
+    if not len(mesh.faces) or not np.isfinite(vertices).all():
+        raise ValueError(f'<{tag(solid)}> has no triangles, or numbers that are not finite')
+    return Shape(link, vertices, np.asarray(mesh.faces))
+
+
+def _mesh(solid: Element, folder: Path | None) -> Any:
+    """Return the triangles of a solid; the vertices of round ones lie on its surface."""
+    import trimesh  # takes a third of a second
+
+    kind = tag(solid)
+    if kind == 'box':
+        return trimesh.creation.box(_numbers(solid, 'size'))
+    if kind == 'sphere':
+        return trimesh.creation.icosphere(2, *_numbers(solid, 'radius'))
+    if kind in ('cylinder', 'capsule'):
+        (radius,), (length,) = _numbers(solid, 'radius'), _numbers(solid, 'length')
+        create = trimesh.creation.cylinder if kind == 'cylinder' else trimesh.creation.capsule
+        return create(radius=radius, height=length)
+    if kind != 'mesh':
+        raise ValueError(f'<{kind}> is not a shape of URDF')
+    path = _mesh_file(solid.get('filename', ''), folder)
+    mesh = trimesh.load(path, force='mesh', process=False)
+    mesh.vertices = mesh.vertices * _numbers(solid, 'scale', '1 1 1')
+    return mesh
+
+
+def _mesh_file(name: str, folder: Path | None) -> Path:
+    """Find a mesh file: a path, or a file in a ROS package that is installed or nearby."""
+    scheme, _, rest = name.rpartition('://')
+    if scheme not in ('package', 'model'):
+        paths = [Path(rest) if folder is None else folder / rest]
+    else:
+        package, _, inside = rest.partition('/')
+        shares = [
+            Path(prefix) / 'share' for prefix in os.environ.get('AMENT_PREFIX_PATH', '').split(':')
+        ]
+        paths = [share / rest for share in shares]
+        for parent in folder.parents if folder else ():
+            paths += [parent / rest, *([parent / inside] if parent.name == package else [])]
+        if folder:
+            # A checkout may have another name than the package.
+            paths += [parent / inside for parent in (folder, *folder.parents)]
+    for path in paths:
+        if path.is_file():
+            return path
+    raise ValueError(f"mesh '{name}' not found")
+
+
+def _children(element: Element, kind: str) -> list[Element]:
+    return [child for child in element if tag(child) == kind]
+
+
+def _numbers(element: Element, name: str, default: str | None = None) -> Floats:
+    text = element.get(name, default)
+    if text is None:
+        raise ValueError(f'<{tag(element)}> lacks {name}')
+    return np.array([float(word) for word in text.split()])
