@@ -42,8 +42,10 @@ class Capsules:
     """The ends of the segments, shape (c, 2, 3) [m]."""
     radii: Floats
     """Shape (c,) [m]."""
+    names: tuple[str, ...]
+    """A link of the body of each capsule."""
     surfaces: tuple[Floats, ...]
-    """Points on the surface of each body, shape (k, 3) [m]; none where a shape is unknown."""
+    """Points on the surface of the shape in it, shape (k, 3) [m]; none for assumed capsules."""
     notes: tuple[str, ...]
     """Sentences about bodies whose shape is unknown."""
 
@@ -78,40 +80,38 @@ def body_capsules(
         gets capsules from its joint to its other points, with a radius of `ASSUMED_RADIUS`.
 
     """
-    rows: list[tuple[int, Floats, float]] = []
-    points: list[list[Floats]] = [[np.empty((0, 3))] for _ in robot.parent]
+    rows: list[tuple[int, Floats, float, Floats]] = []
     for shape in shapes:
         k = robot.link_index(shape.link)
         rotation, position = robot.link_rotation[k], robot.link_position[k]
-        body = int(robot.link_body[k])
-        points[body].append(_surface(shape) @ rotation.T + position)
-        rows += [(body, p.ends @ rotation.T + position, p.radius) for p in _pieces(shape)]
+        points = _surface(shape)
+        for piece in _pieces(shape):
+            ends = piece.ends @ rotation.T + position
+            inside = points[_distances(points, piece.ends) <= piece.radius]
+            body = int(robot.link_body[k])
+            rows.append((body, ends, piece.radius, inside @ rotation.T + position))
     reasons = {int(robot.link_body[robot.link_index(x)]): why for x, why in unreadable.items()}
-    shaped = {body for body, _, _ in rows}
+    shaped = {body for body, *_ in rows}
     for body in range(len(robot.parent)):
         if body not in shaped and (robot.mass[body] > 0.0 or body == 0):
             reasons.setdefault(body, 'it has no collision shape')
     radius = ASSUMED_RADIUS * _longest_chain(robot)
-    for body in reasons:
-        points[body] = [np.empty((0, 3))]
-        rows += [(body, ends, radius) for ends in _bones(robot, body)]
-    names = first_links(robot)
-    why = [f'{names[body]} ({reasons[body]})' for body in sorted(reasons)]
+    for body in sorted(reasons):
+        rows += [(body, ends, radius, np.empty((0, 3))) for ends in _bones(robot, body)]
+    links = [
+        robot.link_names[int(np.argmax(robot.link_body == b))] for b in range(len(robot.parent))
+    ]
+    why = [f'{links[body]} ({reasons[body]})' for body in sorted(reasons)]
     notes = [f'a radius of {radius:.2g} m is assumed for {listed(why)}'] if why else []
-    bodies, ends, radii = zip(*rows, strict=True)
+    bodies, ends, radii, surfaces = zip(*rows, strict=True)
     return Capsules(
         np.array(bodies),
         np.array(ends),
         np.array(radii),
-        tuple(np.concatenate(each) for each in points),
+        tuple(links[body] for body in bodies),
+        surfaces,
         tuple(notes),
     )
-
-
-def first_links(robot: RobotModel) -> list[str]:
-    """Return the name of one link of each body."""
-    bodies = range(len(robot.parent))
-    return [robot.link_names[int(np.argmax(robot.link_body == body))] for body in bodies]
 
 
 def _longest_chain(robot: RobotModel) -> float:
@@ -136,9 +136,17 @@ def _surface(shape: Shape) -> Floats:
     import trimesh
 
     vertices, _ = trimesh.remesh.subdivide_to_size(shape.vertices, shape.faces, _SPACING, 20)
-    _, first = np.unique(np.round(2.0 * vertices / _SPACING), axis=0, return_index=True)
+    _, first = np.unique(np.round(vertices / _SPACING), axis=0, return_index=True)
     points: Floats = np.asarray(vertices)[first]
     return points
+
+
+def _distances(points: Floats, ends: Floats) -> Floats:
+    """Return the distances of points, shape (k, 3), to a segment."""
+    along = ends[1] - ends[0]
+    places = np.clip((points - ends[0]) @ along / max(along @ along, 1e-12), 0.0, 1.0)
+    distances: Floats = np.linalg.norm(points - ends[0] - np.outer(places, along), axis=1)
+    return distances
 
 
 def _pieces(shape: Shape) -> list[_Piece]:

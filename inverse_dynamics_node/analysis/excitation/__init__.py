@@ -1,6 +1,6 @@
 """Designs a motion whose recording determines masses and friction as well as possible."""
 
-from .clearance import CLEARANCE, Clearance, Extent
+from .clearance import CLEARANCE, Clearance, Extent, Nearest
 from .fourier import FourierSeries
 from .information import expected_errors, ExpectedErrors
 from .limits import (

@@ -9,6 +9,7 @@ capsules may come.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 import math
@@ -16,27 +17,27 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...robot.capsules import Capsules, first_links
+from ...robot.capsules import Capsules
 from ...robot.kinematics import body_frames
 from ...robot.model import Floats, Integers, RobotModel
 
 CLEARANCE = 0.02
 """Least distance of the parts of a robot to each other, to the floor and to boxes [m]."""
-_NEARER = 0.01
-"""The same for parts that are near each other in many poses [m]."""
 TOUCH = 0.005
 """Surfaces are regarded as touching when their points are nearer than this [m]."""
 _MANY, _ALL = 0.3, 0.95
 """Fractions of the sampled poses."""
 _OFTEN = 0.02
 """Fraction of the sampled poses from which on surfaces are looked at."""
-_MOST_SURFACES = 80
+_MOST_LOOKS = 40
 """Poses in which they are looked at."""
+_UNSEEN = 0.005
+"""How much nearer capsules may come than in poses in which the surfaces are far apart [m]."""
 _ON_THE_WAY = 0.005
 """What is near in the first pose of a way may come nearer on the way by this [m]."""
 _FAR = 0.3
 """Larger distances are of no interest [m]."""
-_SCALE = 0.1
+_SCALE = 0.05
 """A distance that is this much too short is as bad as twice the limit of a speed [m]."""
 _SECTIONS = 30
 """Steps to the point of a segment that is nearest to a box; each leaves two thirds."""
@@ -87,7 +88,8 @@ class Clearance:
     boxes: Floats
     """Lowest and highest corners, shape (o, 2, 3) [m]."""
     needed: Floats
-    """Least distance: of the pairs, of each capsule to the floor, then to each box [m]."""
+    """Least distance: of the pairs, of both ends of each capsule to the floor, then of each
+    capsule to each box [m]."""
     unchecked: tuple[str, ...] = ()
     """What touches in almost all poses, such as 'wrist and floor'."""
 
@@ -95,7 +97,7 @@ class Clearance:
     def bodies(self) -> Integers:
         """Return both bodies of each row, shape (rows, 2); the base for floor and boxes."""
         body = self.capsules.body
-        single = np.tile(body, 1 + len(self.boxes))
+        single = np.tile(body, 2 + len(self.boxes))
         outside = np.stack([single, np.zeros_like(single)], axis=1)
         both: Integers = np.concatenate([body[self.pairs], outside])
         return both
@@ -127,14 +129,13 @@ class Clearance:
         limit = self.needed + margin
         parts = [self._between_capsules(a, b, middle, reach, limit)]
         if math.isfinite(self.floor):
-            heights = np.minimum(a[..., 2], b[..., 2]) - radii - self.floor
-            pose, k = np.nonzero(heights < limit[p : p + c])
-            is_first = (a[pose, k, 2] < b[pose, k, 2])[:, np.newaxis]
-            lower = np.where(is_first, a[pose, k], b[pose, k])
+            both = np.concatenate([a, b], axis=1)
+            heights = both[..., 2] - np.tile(radii, 2) - self.floor
+            pose, k = np.nonzero(heights < limit[p : p + 2 * c])
             normal = np.tile([0.0, 0.0, 1.0], (len(k), 1))
-            parts.append(Contacts(pose, p + k, heights[pose, k], _twice(lower), normal))
+            parts.append(Contacts(pose, p + k, heights[pose, k], _twice(both[pose, k]), normal))
         for o, (low, high) in enumerate(self.boxes):
-            first = p + c * (1 + o)
+            first = p + c * (2 + o)
             apart = np.linalg.norm(middle - np.clip(middle, low, high), axis=2) - reach
             pose, k = np.nonzero(apart < limit[first : first + c])
             points = _nearest_to_box(a[pose, k], b[pose, k], low, high)
@@ -199,13 +200,13 @@ class Clearance:
         found = self.contacts(q, margin)
         missing = (self.needed[found.row] + margin - found.distance) / _SCALE
         violation: Floats = np.bincount(found.pose, missing**2, len(q))
+        if not len(missing):
+            return violation, np.zeros(q.shape)
         return violation, self._slopes(q, found, -2.0 * missing / _SCALE)
 
     def _slopes(self, q: Floats, contacts: Contacts, weights: Floats) -> Floats:
         """Return derivatives of distances times weights: the work of forces along the normals."""
         robot, slopes = self.robot, np.zeros(q.shape)
-        if not len(weights):
-            return slopes
         rotations, positions = body_frames(robot, q)
         wrenches = np.zeros((*positions.shape[:2], 6))
         bodies = self.bodies[contacts.row]
@@ -243,32 +244,43 @@ class Clearance:
 
         """
         found = self.contacts(q, _FAR)
-        groups = _group_of_rows(self)
-        nearest = []
-        for group, (pose, distance) in _nearest_by_pose(found, groups).items():
-            order = np.argsort(distance)
-            pose, distance = pose[order], distance[order]
-            if group < len(self.robot.parent) ** 2:
-                # Surfaces are within capsules: where these are farther, they need no look.
-                distance = distance[: 1 + _MOST_SURFACES]
-                for k in range(len(distance)):
-                    if distance[k] >= distance[:k].min(initial=math.inf):
-                        distance = distance[:k]
-                        break
-                    distance[k : k + 1] = _surface_distances(
-                        self, group, q[pose[k : k + 1]], distance[k : k + 1]
-                    )
-            k = int(distance.argmin())
-            nearest.append(Nearest(self.names(group), float(distance[k]), int(pose[k])))
-        return sorted(nearest, key=lambda each: each.distance)
+        rotations, positions = body_frames(self.robot, q)
+        nearest: dict[tuple[str, str], Nearest] = {}
+        looks: Counter[tuple[str, str]] = Counter()
+        for k in np.argsort(found.distance):
+            pose, row, distance = int(found.pose[k]), int(found.row[k]), float(found.distance[k])
+            names = self.names(row)
+            best = nearest[names].distance if names in nearest else math.inf
+            # Surfaces are within capsules: where these are farther, they need no look.
+            if distance >= best or looks[names] >= _MOST_LOOKS:
+                continue
+            if row < len(self.pairs):
+                looks[names] += 1
+                distance = self._between_surfaces(row, rotations[pose], positions[pose], distance)
+            if distance < best:
+                nearest[names] = Nearest(names, distance, pose)
+        return sorted(nearest.values(), key=lambda each: each.distance)
 
-    def names(self, group: int) -> tuple[str, str]:
-        """Return what a group of `_group_of_rows` consists of."""
-        first, second = divmod(group, len(self.robot.parent))
-        b, names = len(self.robot.parent), first_links(self.robot)
-        if first < b:
+    def _between_surfaces(self, row: int, R: Floats, p: Floats, otherwise: float) -> float:
+        """Return the distance of the surfaces in both capsules of a pair, if they are known."""
+        from scipy.spatial import cKDTree
+
+        capsules = self.capsules
+        few, many = sorted(self.pairs[row], key=lambda k: len(capsules.surfaces[k]))
+        if not len(capsules.surfaces[few]):
+            return otherwise
+        body, other = capsules.body[few], capsules.body[many]
+        points = capsules.surfaces[few] @ R[body].T + p[body]
+        tree = cKDTree(capsules.surfaces[many])
+        return float(tree.query((points - p[other]) @ R[other])[0].min())
+
+    def names(self, row: int) -> tuple[str, str]:
+        """Return what a row is about: a link, and another link, 'floor' or 'box'."""
+        p, c, names = len(self.pairs), len(self.capsules.body), self.capsules.names
+        if row < p:
+            first, second = self.pairs[row]
             return names[first], names[second]
-        return names[second], 'floor' if first == b else 'box'
+        return names[(row - p) % c], 'floor' if row < p + 2 * c else 'box'
 
     def from_pose(self, q: Floats) -> Clearance:
         """Return what is needed on a way from a pose, shape (n,), near which something may be."""
@@ -320,93 +332,59 @@ def find_clearance(
     pairs = np.stack([i, j], axis=1)[apart]
     outside = np.where(body > 0, CLEARANCE, -math.inf)
     obstacles = np.array(boxes, float).reshape(-1, 2, 3)
-    needed = np.concatenate([np.full(len(pairs), CLEARANCE), *[outside] * (1 + len(obstacles))])
+    needed = np.concatenate([np.full(len(pairs), CLEARANCE), *[outside] * (2 + len(obstacles))])
     clearance = Clearance(robot, capsules, pairs, floor, obstacles, needed)
-    groups, unchecked = _group_of_rows(clearance), []
-    for group, (pose, distance) in _nearest_by_pose(clearance.contacts(poses), groups).items():
+    found, p = clearance.contacts(poses), len(pairs)
+    rotations, positions = body_frames(robot, poses)
+    for row in np.unique(found.row[found.row < p + 2 * c]):
+        of_row = found.row == row
+        pose, distance = found.pose[of_row], found.distance[of_row]
         share = len(pose) / len(poses)
-        kind = group // len(robot.parent) - len(robot.parent)
-        if kind < 0 and share > _OFTEN:
-            looked = slice(_MOST_SURFACES)
-            true = _surface_distances(clearance, group, poses[pose[looked]], distance[looked])
-            needed[groups == group] = _needed(distance, true, share)
-        elif kind == 0 and share > _ALL:
-            needed[groups == group] = -math.inf
-        if not np.isfinite(needed[groups == group]).any():
-            unchecked.append(' and '.join(clearance.names(group)))
-    kept = np.isfinite(needed[: len(pairs)])
-    needed = np.concatenate([needed[: len(pairs)][kept], needed[len(pairs) :]])
-    return replace(clearance, pairs=pairs[kept], needed=needed, unchecked=tuple(unchecked))
+        if row >= p:
+            # What is always near the floor is near the axis of the first joint.
+            needed[row] = -math.inf if share > _ALL else needed[row]
+        elif share > _OFTEN:
+            looked = zip(pose[:_MOST_LOOKS], distance[:_MOST_LOOKS], strict=True)
+            surfaces = [
+                clearance._between_surfaces(row, rotations[k], positions[k], otherwise)
+                for k, otherwise in looked
+            ]
+            needed[row] = _needed(distance, np.array(surfaces), share)
+    kept = np.isfinite(needed)
+    kept[p:] |= np.tile(body == 0, 2 + len(obstacles))
+    checked = {clearance.names(row) for row in np.flatnonzero(kept)}
+    dropped = {clearance.names(row): None for row in np.flatnonzero(~kept)}
+    return replace(
+        clearance,
+        pairs=pairs[kept[:p]],
+        needed=np.concatenate([needed[:p][kept[:p]], needed[p:]]),
+        unchecked=tuple(' and '.join(names) for names in dropped if names not in checked),
+    )
 
 
 def _needed(distance: Floats, surfaces: Floats, share: float) -> float:
     """
-    Return how near the capsules of two parts may come.
+    Return how near two capsules may come that are often nearer than the clearance.
 
     Parameters
     ----------
     distance : ndarray
-        Distances of the capsules in the poses in which they are near [m].
+        Their distances in the poses in which they are near [m].
     surfaces : ndarray
-        Those of the surfaces, in the first of these poses [m].
+        Those of the surfaces in them, in the first of these poses [m].
     share : float
         Fraction of all poses in which the capsules are near.
 
     """
-    is_near = surfaces < CLEARANCE
-    if share * np.mean(is_near) > _MANY:
-        is_near = surfaces < _NEARER
+    least = CLEARANCE
+    if share > _MANY:  # near each other by design, half as near may be too near
+        least = float(np.clip(0.5 * np.median(surfaces), TOUCH, CLEARANCE))
+    is_near = surfaces < least
     if share * np.mean(is_near) > _ALL:
         return -math.inf
-    return float(distance[: len(surfaces)][is_near].max() if is_near.any() else distance.min())
-
-
-def _group_of_rows(clearance: Clearance) -> Integers:
-    """
-    Return a number for each row that is the same for the same two bodies.
-
-    With b bodies, it is b i + j for the bodies i and j, b b + i for body i and the floor, and
-    b (b + 1) + i for body i and boxes.
-
-    """
-    p, bodies = len(clearance.pairs), clearance.bodies
-    b, c = len(clearance.robot.parent), len(clearance.capsules.body)
-    groups: Integers = bodies[:, 0] * b + bodies[:, 1]
-    groups[p:] = b * (b + 1) + bodies[p:, 0]
-    groups[p : p + c] -= b
-    return groups
-
-
-def _nearest_by_pose(contacts: Contacts, groups: Integers) -> dict[int, tuple[Integers, Floats]]:
-    """Return by group the poses with contacts, and the smallest distance in each of them."""
-    nearest = {}
-    group = groups[contacts.row]
-    for each in np.unique(group):
-        of_group = group == each
-        pose, index = np.unique(contacts.pose[of_group], return_inverse=True)
-        distance = np.full(len(pose), math.inf)
-        np.minimum.at(distance, index, contacts.distance[of_group])
-        nearest[int(each)] = pose, distance
-    return nearest
-
-
-def _surface_distances(
-    clearance: Clearance, group: int, poses: Floats, distance: Floats
-) -> Floats:
-    """Return the distances of points on the surfaces of two bodies; else those of capsules."""
-    from scipy.spatial import cKDTree
-
-    robot, surfaces = clearance.robot, clearance.capsules.surfaces
-    small, large = sorted(divmod(group, len(robot.parent)), key=lambda body: len(surfaces[body]))
-    if not len(surfaces[small]):
-        return distance
-    tree = cKDTree(surfaces[large])
-    rotations, positions = body_frames(robot, poses)
-    found = []
-    for R, p in zip(rotations, positions, strict=True):
-        points = surfaces[small] @ R[small].T + p[small]
-        found.append(float(tree.query((points - p[large]) @ R[large])[0].min()))
-    return np.array(found)
+    if not is_near.any():
+        return float(distance.min()) - _UNSEEN
+    return float(distance[: len(surfaces)][is_near].max())
 
 
 # Nearest points

@@ -38,8 +38,10 @@ _STEP = 1e-6
 _PER_HARMONIC = 16
 """Samples of the search for each harmonic."""
 _FINE = 8
-"""Samples of the final check of the limits for each sample of the search."""
-_WAY = 40
+"""Samples of the final check for each sample of the search, also on the way to the start."""
+_DENSER = 4
+"""Poses of the search for its samples: a link passes another one between two of them."""
+_WAY = 60
 """Poses of the search on the way to the start."""
 CANDIDATES = 30
 """Random motions, the best of which starts the search."""
@@ -165,6 +167,7 @@ class MotionSpace:
         # Without the end, which equals the start
         self.basis = basis(_even_times(count, duration), duration, harmonics)
         self._fine_basis = basis(_even_times(_FINE * count, duration), duration, harmonics)
+        self._pose_basis = basis(_even_times(_DENSER * count, duration), duration, harmonics)[0]
         self.way_clearance = limits.clearance and limits.clearance.from_pose(limits.rest)
 
     def coefficients(self, x: Floats) -> Floats:
@@ -192,7 +195,7 @@ class MotionSpace:
         poses = whole_states(self.limits, States(q, zeros, zeros)).q
         if not self.limits.clearance.is_kept(poses):
             return False
-        return self.way_clearance.is_kept(self.way_to(q[0], _FINE * _WAY))
+        return self.way_clearance.is_kept(self.way_to(q[0], _FINE // _DENSER * _WAY))
 
     def nearest(self, x: Floats) -> tuple[Nearest, ...]:
         """Return the smallest distances during a motion, and on the way to it."""
@@ -206,6 +209,37 @@ class MotionSpace:
         on_way = self.way_clearance.nearest(self.way_to(q[0], _WAY))
         found += [each for each in on_way if each.names not in touching]
         return tuple(sorted(found, key=lambda each: each.distance))
+
+    def missing_clearance(self, x: Floats, aim: float) -> tuple[float, Floats]:
+        """
+        Return by how much a motion and the way to it are too near something, and the slopes.
+
+        Parameters
+        ----------
+        x : ndarray, shape (m, 2 h - 1)
+            The motion.
+        aim : float
+            Fraction of the limits that is regarded as the limit.
+
+        Returns
+        -------
+        missing : float
+            Mean of `Clearance.violation` over the motion, and that over the way.
+        slopes : ndarray, shape (m, 2 h - 1)
+            Its derivatives by the coefficients.
+
+        """
+        if not (self.limits.clearance and self.way_clearance):
+            return 0.0, np.zeros(self.shape)
+        q = self._pose_basis @ self.coefficients(x).T
+        zeros, index = np.zeros_like(q), self.limits.index
+        poses = whole_states(self.limits, States(q, zeros, zeros)).q
+        missing, of_poses = self.limits.clearance.violation(poses, aim)
+        on_way, of_way = self.way_clearance.violation(self.way_to(q[0], _WAY), aim)
+        slopes = of_poses[:, index] / len(q)
+        slopes[0] += _even_times(_WAY, 1.0) @ of_way[:, index] / _WAY
+        of_coefficients: Floats = slopes.T @ self._pose_basis
+        return float(missing.mean() + on_way.mean()), of_coefficients
 
     def way_to(self, start: Floats, count: int) -> Floats:
         """Return poses of the straight way from rest to a start, shape (m,) -> (count, n)."""
@@ -326,33 +360,18 @@ class _Objective:
         value = -float(np.linalg.slogdet(information)[1])
         value += weight * u / k * float(np.sum(self._violation(states)))
         slopes = _gradient(linearised, states, motions.limits.speeds)
-        missing, of_positions = self._missing_clearance(states.q)
-        value += weight * u / k * missing
-        slopes.q[:] += weight * u / k * of_positions
         of_coefficients = sum(
             part.T @ slope for part, slope in zip(motions.basis, slopes, strict=True)
         )
-        of_x = np.asarray(of_coefficients).T * motions.limits.half[:, np.newaxis]
-        return value, of_x.ravel()
+        missing, of_poses = motions.missing_clearance(x, self.aim)
+        value += weight * u * missing
+        total = np.asarray(of_coefficients).T + weight * u * of_poses
+        return value, (total * motions.limits.half[:, np.newaxis]).ravel()
 
     def _violation(self, states: States) -> Floats:
         beyond = excess(self.motions.dynamics, self.motions.limits, states, self.aim)
         violation: Floats = np.sum(beyond**2, axis=1)
         return violation
-
-    def _missing_clearance(self, q: Floats) -> tuple[float, Floats]:
-        """Return the violation by positions, shape (k, m), and by the way; and its derivatives."""
-        motions, limits = self.motions, self.motions.limits
-        slopes = np.zeros_like(q)
-        if not (limits.clearance and motions.way_clearance):
-            return 0.0, slopes
-        zeros = np.zeros_like(q)
-        poses = whole_states(limits, States(q, zeros, zeros)).q
-        missing, of_poses = limits.clearance.violation(poses, self.aim)
-        slopes += of_poses[:, limits.index]
-        on_way, of_way = motions.way_clearance.violation(motions.way_to(q[0], _WAY), self.aim)
-        slopes[0] += _even_times(_WAY, 1.0) @ of_way[:, limits.index]
-        return float(missing.sum() + on_way.sum()), slopes
 
 
 def _gradient(function: Callable[[States], Floats], states: States, speeds: Floats) -> States:
