@@ -285,7 +285,10 @@ def _range(text: str) -> tuple[str, tuple[float, float]]:
 def _floor(text: str) -> float:
     if text == 'none':
         return -math.inf
-    height = float(text)
+    try:
+        height = float(text)
+    except ValueError:
+        height = math.nan
     if not math.isfinite(height):
         raise argparse.ArgumentTypeError(f"'{text}' is not a height, or none")
     return height

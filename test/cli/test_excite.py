@@ -46,7 +46,9 @@ def test_both_files_contain_the_motion_and_a_third_one_leads_to_its_start(here, 
         'Expected standard errors of one run',
         'space of the links',
         'noise',
-        'Collisions are not checked',
+        'smallest distances, on the way to the start too: ',
+        'a radius of 0.',
+        'random motions within the same limits',
     ):
         assert words in printed
     # The files are those that `effort` reads.
@@ -81,17 +83,17 @@ def test_options_restrict_the_motion(here, capsys):
     assert '0.5 N m' in capsys.readouterr().out
 
 
-def test_a_motion_below_the_base_is_reported_with_the_option_to_avoid_it(here, capsys):
-    urdf = """<robot name="r"><link name="base"/><link name="arm"><inertial>
-    <origin xyz="0.5 0 0"/><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0"
-    iyz="0"/></inertial></link><joint name="hinge" type="revolute"><parent link="base"/>
-    <child link="arm"/><axis xyz="0 1 0"/><limit lower="-1" upper="1" velocity="2" effort="50"/>
-    </joint></robot>"""
-    (here / 'arm.urdf').write_text(urdf)
-    assert main(['excite', 'arm.urdf', '--no-picture']) == 0
-    assert 'm below the base: on a table, add --floor 0.1' in capsys.readouterr().out
-    assert main(['excite', 'arm.urdf', '--no-picture', '--floor', '0']) == 0
-    assert 'below the base' not in capsys.readouterr().out
+def test_the_floor_is_at_the_base_unless_there_is_none(here, capsys):
+    assert excite() == 0
+    assert ' and floor)' in capsys.readouterr().out
+    assert excite('--floor', 'none', '--force') == 0
+    assert ' and floor)' not in capsys.readouterr().out
+
+
+def test_boxes_that_leave_no_room_end_with_a_reason(here, capsys):
+    assert excite('--box', '0', '0', '0', '3', '3', '3') == 1
+    assert 'widen the ranges, lower the floor (--floor)' in capsys.readouterr().err
+    assert not list(here.iterdir())
 
 
 @pytest.mark.parametrize(
@@ -103,7 +105,9 @@ def test_a_motion_below_the_base_is_reported_with_the_option_to_avoid_it(here, c
         (['--joints', 'hook'], 1, "joint 'hook' does not exist; joints are"),
         (['--fraction', '0'], 1, 'fraction is 0.0, expected more than 0, up to 1'),
         (['--harmonics', '1'], 1, 'harmonics is 1, expected at least 2'),
-        (['--floor', '5'], 1, 'lower the floor of 5 m; the robot stays above 0.'),
+        (['--floor', '5'], 1, 'lower the floor (--floor)'),
+        (['--floor', 'deep'], 2, "'deep' is not a height, or none"),
+        (['--box', '0', '0', '0', '1', '1', '0'], 1, 'three lengths above 0'),
     ],
 )
 def test_invalid_arguments_are_rejected_with_a_reason(here, capsys, arguments, code, words):

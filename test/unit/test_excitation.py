@@ -1,4 +1,4 @@
-"""Exciting motions: at rest at both ends, within all limits, and better than random ones."""
+"""Excitation motions: at rest at both ends, within all limits, and better than random ones."""
 
 import math
 
@@ -11,10 +11,8 @@ from inverse_dynamics_node.analysis.excitation import (
     SAMPLES_PER_SECOND,
     search,
     States,
-    swept_box,
     whole_states,
 )
-from inverse_dynamics_node.robot.kinematics import body_frames, moving_points
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -128,29 +126,6 @@ def test_a_motion_of_a_random_robot_is_within_weak_drives(seed, brief):
     assert (np.max(efforts, axis=0) > 0.2 * weak).any()
 
 
-def test_a_floor_keeps_links_and_centres_of_mass_above_it(brief):
-    dynamics = dynamics_of(STANFORD)
-    free = states_of(find(dynamics, motion_limits(dynamics.robot)))
-    floor = float(swept_box(dynamics.robot, free.q).lowest[2]) + 0.1
-    kept = states_of(find(dynamics, motion_limits(dynamics.robot, floor=floor)))
-    assert swept_box(dynamics.robot, kept.q).lowest[2] >= floor
-    assert np.ptp(kept.q, axis=0).min() > 1e-3
-
-
-def test_points_of_a_robot_are_those_of_its_frames(urdf_path, rng):
-    robot = load_urdf(urdf_path)
-    q = rng.uniform(-1.0, 1.0, (5, len(robot.joint_names)))
-    found = np.stack([moving_points(robot, q, axis) for axis in np.eye(3)], axis=2)
-    for pose, points in zip(q, found, strict=True):
-        rotations, positions = body_frames(robot, pose)
-        expected = []
-        for body in range(1, len(robot.parent)):
-            places = list(robot.link_position[robot.link_body == body])
-            places += [robot.com[body]] if robot.mass[body] > 0.0 else []
-            expected += [positions[body] + rotations[body] @ place for place in places]
-        assert_allclose(points, expected, atol=1e-12)
-
-
 def test_missing_limits_are_assumed_and_reported():
     limits = motion_limits(arm('effort="0" velocity="0"', 'continuous'), fraction=1.0)
     assert (limits.lower, limits.upper) == (-math.pi, math.pi)
@@ -193,6 +168,15 @@ def test_only_chosen_joints_move_and_the_others_stay(brief):
     assert not whole.qd[:, [0, 1, 4, 5]].any()
 
 
+def test_a_joint_that_carries_a_few_grams_moves_only_if_it_is_named():
+    light = load_urdf(PLANAR.read_text().replace('<mass value="2.0"/>', '<mass value="0.01"/>'))
+    assert motion_limits(light).joint_names == light.joint_names[:1]
+    assert 'it carries 0.01 kg; --joints moves it' in motion_limits(light).notes[-1]
+    assert motion_limits(light, light.joint_names).joint_names == light.joint_names
+    heavy = load_urdf(PLANAR)
+    assert motion_limits(heavy).joint_names == heavy.joint_names
+
+
 def test_a_joint_that_cannot_move_is_named():
     robot = arm('lower="0" upper="0" velocity="2" effort="50"')
     for joints in ([], ['hinge']):
@@ -227,7 +211,7 @@ def test_invalid_options_are_rejected(options, words):
 
 @pytest.fixture(scope='module')
 def planar():
-    """Return an exciting motion of a planar arm."""
+    """Return an excitation motion of a planar arm."""
     dynamics = dynamics_of(PLANAR)
     return find(dynamics, motion_limits(dynamics.robot), noise=np.array([0.5, 0.2]))
 

@@ -5,6 +5,7 @@ from inverse_dynamics_node.robot.kinematics import body_frames, rotation_about, 
 from inverse_dynamics_node.robot.urdf import load_urdf
 import kinematics
 import numpy as np
+from numpy.testing import assert_allclose
 import pytest
 from robot_files import ROOT
 
@@ -81,3 +82,13 @@ def test_roll_pitch_yaw_are_those_of_a_urdf():
     robot = load_urdf(text.replace('</robot>', sensor))
     expected = robot.link_rotation[robot.link_index('s')]
     assert rotation_of_rpy(0.3, -0.5, 2.0) == pytest.approx(expected)
+
+
+def test_frames_of_many_poses_are_those_of_each(urdf_path, rng):
+    robot = load_urdf(urdf_path)
+    q = rng.uniform(-1.0, 1.0, (2, 3, len(robot.joint_names)))
+    rotations, positions = body_frames(robot, q)
+    assert positions.shape == (2, 3, len(robot.parent), 3)
+    one = body_frames(robot, q[1, 2])
+    assert_allclose(rotations[1, 2], one[0], atol=1e-15)
+    assert_allclose(positions[1, 2], one[1], atol=1e-15)

@@ -143,8 +143,9 @@ class Clearance:
             distance -= radii[k]
             parts.append(Contacts(pose, first + k, distance, _twice(points), normal))
         found = _joined(parts)
-        near = found.distance < limit[found.row]
-        return Contacts(*(part[near] for part in found))
+        pose, row, distance, points, normal = found
+        near = distance < limit[row]
+        return Contacts(pose[near], row[near], distance[near], points[near], normal[near])
 
     def _between_capsules(
         self, a: Floats, b: Floats, middle: Floats, reach: Floats, limit: Floats
@@ -199,7 +200,8 @@ class Clearance:
         margin = (1.0 - aim) * _SCALE
         found = self.contacts(q, margin)
         missing = (self.needed[found.row] + margin - found.distance) / _SCALE
-        violation: Floats = np.bincount(found.pose, missing**2, len(q))
+        violation = np.zeros(len(q))
+        np.add.at(violation, found.pose, missing**2)
         if not len(missing):
             return violation, np.zeros(q.shape)
         return violation, self._slopes(q, found, -2.0 * missing / _SCALE)
@@ -256,12 +258,12 @@ class Clearance:
                 continue
             if row < len(self.pairs):
                 looks[names] += 1
-                distance = self._between_surfaces(row, rotations[pose], positions[pose], distance)
+                distance = self.between_surfaces(row, rotations[pose], positions[pose], distance)
             if distance < best:
                 nearest[names] = Nearest(names, distance, pose)
         return sorted(nearest.values(), key=lambda each: each.distance)
 
-    def _between_surfaces(self, row: int, R: Floats, p: Floats, otherwise: float) -> float:
+    def between_surfaces(self, row: int, R: Floats, p: Floats, otherwise: float) -> float:
         """Return the distance of the surfaces in both capsules of a pair, if they are known."""
         from scipy.spatial import cKDTree
 
@@ -346,14 +348,14 @@ def find_clearance(
         elif share > _OFTEN:
             looked = zip(pose[:_MOST_LOOKS], distance[:_MOST_LOOKS], strict=True)
             surfaces = [
-                clearance._between_surfaces(row, rotations[k], positions[k], otherwise)
+                clearance.between_surfaces(row, rotations[k], positions[k], otherwise)
                 for k, otherwise in looked
             ]
             needed[row] = _needed(distance, np.array(surfaces), share)
     kept = np.isfinite(needed)
     kept[p:] |= np.tile(body == 0, 2 + len(obstacles))
-    checked = {clearance.names(row) for row in np.flatnonzero(kept)}
-    dropped = {clearance.names(row): None for row in np.flatnonzero(~kept)}
+    checked = {clearance.names(row) for row in np.flatnonzero(kept).tolist()}
+    dropped = {clearance.names(row): None for row in np.flatnonzero(~kept).tolist()}
     return replace(
         clearance,
         pairs=pairs[kept[:p]],

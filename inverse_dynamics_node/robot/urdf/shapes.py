@@ -42,7 +42,8 @@ def read_shapes(path_or_xml: str | os.PathLike[str]) -> tuple[list[Shape], dict[
     """
     source = read_source(path_or_xml)
     folder = None if source.name == 'URDF' else Path(path_or_xml).resolve().parent
-    shapes, unreadable = [], {}
+    shapes: list[Shape] = []
+    unreadable: dict[str, str] = {}
     for link in _children(parse(source)[0], 'link'):
         name = link.get('name')
         for collision in _children(link, 'collision'):

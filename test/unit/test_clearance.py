@@ -1,0 +1,231 @@
+"""Capsules contain the shapes of a robot, and an excitation motion keeps them clear."""
+
+from inverse_dynamics_node import ConfigurationError, InverseDynamics, load_urdf
+from inverse_dynamics_node.analysis.excitation import (
+    CLEARANCE,
+    find_excitation,
+    keep_clear,
+    motion_limits,
+    search,
+    States,
+    whole_states,
+)
+from inverse_dynamics_node.analysis.excitation.clearance import find_clearance
+from inverse_dynamics_node.robot.capsules import body_capsules
+from inverse_dynamics_node.robot.kinematics import body_frames
+from inverse_dynamics_node.robot.urdf.shapes import read_shapes
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+from robot_files import STANFORD
+
+POST = 0.05  # half of the width of the base [m]
+ARM = f"""<robot name="r">
+<link name="post"><collision><origin xyz="0 0 0.3"/><geometry>
+  <box size="{2 * POST} {2 * POST} 0.6"/></geometry></collision></link>
+<link name="upper"><inertial><origin xyz="0.2 0 0"/><mass value="2"/>
+  <inertia ixx="0.02" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial>
+  <collision><origin xyz="0.2 0 0"/>
+  <geometry><box size="0.2 0.04 0.04"/></geometry></collision></link>
+<link name="fore"><inertial><origin xyz="0.2 0 0"/><mass value="1"/>
+  <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>
+  <collision><origin xyz="0.2 0 0" rpy="0 1.5707963 0"/>
+  <geometry><cylinder radius="0.02" length="0.3"/></geometry></collision></link>
+<joint name="turn" type="revolute"><parent link="post"/><child link="upper"/>
+  <origin xyz="0 0 0.4"/><axis xyz="0 0 1"/>
+  <limit lower="-3" upper="3" velocity="2" effort="50"/></joint>
+<joint name="fold" type="revolute"><parent link="upper"/><child link="fore"/>
+  <origin xyz="0.3 0 0"/><axis xyz="0 0 1"/>
+  <limit lower="-3" upper="3" velocity="2" effort="20"/></joint>
+</robot>"""
+
+
+@pytest.fixture
+def brief(monkeypatch):
+    """Search for a short time; the promises about distances do not depend on it."""
+    monkeypatch.setattr(search, '_ROUNDS', ((1e2, 4), (1e4, 4)))
+    monkeypatch.setattr(search, 'CANDIDATES', 4)
+
+
+def capsules_of(urdf, robot):
+    return body_capsules(robot, *read_shapes(urdf))
+
+
+def link(geometry):
+    return load_urdf(f'<robot name="r"><link name="a">{geometry}</link></robot>')
+
+
+def positions_of(excitation, rest=None):
+    q, qd, qdd = excitation.series.sample(np.linspace(0.0, excitation.series.duration, 2001))
+    return whole_states(excitation.limits, States(q, qd, qdd)).q
+
+
+def distance_of_fore_to_post(q):
+    """Return the distance of the fore-arm's axis from the square post, minus its radius."""
+    turn, both = q[:, :1], q[:, :1] + q[:, 1:]
+    along = np.linspace(0.05, 0.35, 200)
+    places = np.stack([0.3 * f(turn) + along * f(both) for f in (np.cos, np.sin)], axis=2)
+    beyond = np.maximum(np.abs(places) - POST, 0.0)
+    return np.min(np.linalg.norm(beyond, axis=2), axis=1) - 0.02
+
+
+SHAPES = (
+    '<box size="0.4 0.1 0.2"/>',
+    '<cylinder radius="0.05" length="0.3"/>',
+    '<sphere radius="0.1"/>',
+    '<capsule radius="0.05" length="0.3"/>',
+)
+
+
+@pytest.mark.parametrize('solid', SHAPES, ids=lambda solid: solid.split()[0][1:])
+def test_capsules_contain_a_shape_and_little_else(solid):
+    urdf = (
+        '<robot name="r"><link name="a"/><link name="b"><collision>'
+        f'<origin xyz="0.1 0.2 0.3" rpy="0.4 0.5 0.6"/><geometry>{solid}</geometry></collision>'
+        '</link><joint name="j" type="continuous"><parent link="a"/><child link="b"/></joint>'
+        '</robot>'
+    )
+    capsules = capsules_of(urdf, load_urdf(urdf))
+    (shape,), unreadable = read_shapes(urdf)
+    assert not unreadable
+    corners = shape.vertices[shape.faces]
+    points = np.concatenate([corners.reshape(-1, 3), corners.mean(axis=1)])
+    of_shape = capsules.body == 1
+    distances = [
+        np.linalg.norm(points - nearest(points, *ends), axis=1) - radius
+        for ends, radius in zip(capsules.ends[of_shape], capsules.radii[of_shape], strict=True)
+    ]
+    assert np.min(distances, axis=0).max() <= 1e-9
+    reach = np.linalg.norm(points - points.mean(axis=0), axis=1).max()
+    assert capsules.radii[of_shape].max() < 1.05 * reach
+
+
+def nearest(points, a, b):
+    along = b - a
+    t = np.clip((points - a) @ along / max(along @ along, 1e-12), 0.0, 1.0)
+    return a + np.outer(t, along)
+
+
+def test_the_distance_of_capsules_is_that_of_their_points(rng):
+    robot = load_urdf(ARM)
+    capsules = capsules_of(ARM, robot)
+    clearance = find_clearance(robot, capsules, rng.uniform(-3.0, 3.0, (50, 2)))
+    q = rng.uniform(-3.0, 3.0, (3, 2))
+    found = clearance.contacts(q, 10.0)
+    assert len(found.row) == 3 * len(clearance.pairs)
+    rotations, positions = body_frames(robot, q)
+    along = np.linspace(0.0, 1.0, 201)[:, np.newaxis]
+    for pose, row, distance in zip(found.pose, found.row, found.distance, strict=True):
+        sides = []
+        for k in clearance.pairs[row]:
+            body, (a, b) = capsules.body[k], capsules.ends[k]
+            points = a + along * (b - a)
+            sides.append(points @ rotations[pose, body].T + positions[pose, body])
+        apart = np.linalg.norm(sides[0][:, np.newaxis] - sides[1], axis=2).min()
+        radii = capsules.radii[clearance.pairs[row]].sum()
+        assert distance == pytest.approx(apart - radii, abs=2e-3)
+
+
+def test_slopes_of_the_violation_are_its_derivatives(rng):
+    urdf = STANFORD.read_text()
+    robot = load_urdf(urdf)
+    box = np.array([[0.2, -0.3, -0.3], [0.9, 0.5, 0.9]])
+    poses = rng.uniform(-1.0, 1.0, (30, 6))
+    clearance = find_clearance(robot, capsules_of(urdf, robot), poses, -0.1, [box])
+    q = rng.uniform(-1.0, 1.0, (4, 6))
+    violation, slopes = clearance.violation(q)
+    assert (violation > 0.0).all()
+    step = 1e-6
+    for j in range(6):
+        ends = [clearance.violation(q + sign * step * np.eye(6)[j])[0] for sign in (1.0, -1.0)]
+        assert_allclose(slopes[:, j], (ends[0] - ends[1]) / (2.0 * step), rtol=1e-3, atol=1e-3)
+    assert np.abs(slopes).max() > 1.0
+
+
+def test_a_motion_does_not_hit_the_base(brief):
+    robot = load_urdf(ARM)
+    dynamics = InverseDynamics(robot)
+    limits = motion_limits(robot)
+    free = find_excitation(dynamics, limits, harmonics=3)
+    assert distance_of_fore_to_post(positions_of(free)).min() < 0.0
+    clear = keep_clear(robot, limits, capsules_of(ARM, robot), 0.0)
+    excitation = find_excitation(dynamics, clear, harmonics=3)
+    q = positions_of(excitation)
+    way = np.linspace(0.0, 1.0, 300)[:, np.newaxis] * q[0]
+    smallest = min(distance_of_fore_to_post(part).min() for part in (q, way))
+    assert smallest > 0.9 * CLEARANCE
+    assert np.ptp(q, axis=0).min() > 0.5
+    reported = {each.names: each.distance for each in excitation.nearest}
+    assert reported['post', 'fore'] == pytest.approx(smallest, abs=0.01)
+
+
+@pytest.mark.parametrize('floor', [0.0, 0.2])
+def test_links_of_unknown_shape_stay_above_the_floor_with_an_assumed_radius(brief, floor):
+    urdf = STANFORD.read_text()
+    robot = load_urdf(urdf)
+    capsules = capsules_of(urdf, robot)
+    assert 'is assumed for' in capsules.notes[0]
+    assert 'it has no collision shape' in capsules.notes[0]
+    limits = keep_clear(robot, motion_limits(robot), capsules, floor)
+    q = positions_of(find_excitation(InverseDynamics(robot), limits, harmonics=3))
+    _, places = body_frames(robot, q)
+    assert places[:, 3:, 2].min() > floor + capsules.radii[0]
+
+
+def test_a_box_is_avoided(brief):
+    robot = load_urdf(ARM)
+    box = np.array([[0.3, 0.3, 0.2], [0.7, 0.7, 0.6]])
+    limits = keep_clear(robot, motion_limits(robot), capsules_of(ARM, robot), 0.0, [box])
+    q = positions_of(find_excitation(InverseDynamics(robot), limits, harmonics=3))
+    tips = 0.3 * np.array([np.cos(q[:, 0]), np.sin(q[:, 0])])
+    tips += 0.35 * np.array([np.cos(q.sum(axis=1)), np.sin(q.sum(axis=1))])
+    assert not ((tips > 0.3) & (tips < 0.7)).all(axis=0).any()
+
+
+def test_a_box_around_the_robot_leaves_no_motion():
+    robot = load_urdf(ARM)
+    box = np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 1.0]])
+    limits = keep_clear(robot, motion_limits(robot), capsules_of(ARM, robot), 0.0, [box])
+    with pytest.raises(ConfigurationError, match='sampled poses is clear'):
+        find_excitation(InverseDynamics(robot), limits)
+
+
+@pytest.mark.parametrize('name', ['package://my_arm/meshes/fore.stl', '../meshes/fore.stl'])
+def test_a_mesh_is_found_near_the_description(tmp_path, name):
+    import trimesh
+
+    folder = tmp_path / 'my_arm'
+    (folder / 'urdf').mkdir(parents=True)
+    (folder / 'meshes').mkdir()
+    trimesh.creation.box((0.3, 0.04, 0.04)).export(folder / 'meshes' / 'fore.stl')
+    urdf = ARM.replace('<cylinder radius="0.02" length="0.3"/>', f'<mesh filename="{name}"/>')
+    (folder / 'urdf' / 'arm.urdf').write_text(urdf)
+    shapes, unreadable = read_shapes(folder / 'urdf' / 'arm.urdf')
+    assert not unreadable
+    assert_allclose(np.ptp(shapes[-1].vertices, axis=0), (0.04, 0.04, 0.3), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ('solid', 'reason'),
+    [
+        ('<mesh filename="package://lost/fore.stl"/>', "mesh 'package://lost/fore.stl' not found"),
+        ('<cone radius="1"/>', '<cone> is not a shape of URDF'),
+        ('<sphere/>', '<sphere> lacks radius'),
+        ('<sphere radius="wide"/>', 'could not convert'),
+    ],
+)
+def test_a_shape_that_cannot_be_read_is_named_and_replaced(solid, reason):
+    urdf = ARM.replace('<cylinder radius="0.02" length="0.3"/>', solid)
+    robot = load_urdf(urdf)
+    capsules = capsules_of(urdf, robot)
+    assert reason in capsules.notes[0]
+    assert 'is assumed for fore' in capsules.notes[0]
+    assert_allclose(capsules.radii[capsules.body == 2], 0.05 * (0.4 + 0.3))
+
+
+def test_parts_that_touch_in_all_poses_are_not_checked(rng):
+    wide = ARM.replace('radius="0.02" length="0.3"', 'radius="0.3" length="0.7"')
+    robot = load_urdf(wide)
+    poses = rng.uniform(-0.1, 0.1, (100, 2))
+    clearance = find_clearance(robot, capsules_of(wide, robot), poses)
+    assert clearance.unchecked == ('post and fore',)
