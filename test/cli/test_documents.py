@@ -1,14 +1,16 @@
-"""The outputs in the gallery are those that the commands print."""
+"""The documents show outputs that the commands print, and commands that exist."""
 
 import re
 import shlex
 import shutil
 
-from inverse_dynamics_node.cli.main import main
+from inverse_dynamics_node.cli.main import _parser, COMMANDS, main
+from inverse_dynamics_node.node.parameters import PARAMETERS
 import pytest
 from robot_files import ROOT
 from simulated_runs import simulate_with_a_gripper, write_bag
 
+PAGES = [*sorted(ROOT.glob('*.md')), *sorted((ROOT / 'doc').rglob('*.md'))]
 GALLERY = (ROOT / 'doc' / 'command_line.md').read_text()
 EXAMPLES = re.findall(r'```console\n\$ inverse_dynamics (.*?)\n(.*?)```', GALLERY, re.S)
 
@@ -50,6 +52,37 @@ def test_a_bad_description_is_rejected_as_shown_in_the_gallery(tmp_path, monkeyp
 def test_the_gallery_shows_the_pictures_of_all_commands():
     names = re.findall(r'\]\(images/(\w+\.png)\)', GALLERY)
     assert {'check.png', 'effort.png', 'compare.png'} <= set(names)
+
+
+def commands_of(page):
+    """Yield the words of each command in the shell blocks of a page, without comments."""
+    for block in re.findall(r'^```sh\n(.*?)^```', page.read_text(), re.M | re.S):
+        text = re.sub(r"<<'END'.*?^END$", '', block, flags=re.M | re.S).replace('\\\n', ' ')
+        for line in re.split(r'\n| && |&$', text):
+            if words := shlex.split(line, comments=True):
+                yield words
+
+
+def test_commands_in_the_documents_exist():
+    demo = pytest.importorskip('inverse_dynamics_node.cli.demo')
+    parser, found = _parser(), set()
+    targets = re.search(r'^\.PHONY: (.*(?:\\\n.*)*)', (ROOT / 'Makefile').read_text(), re.M)[1]
+    for page in PAGES:
+        for words in commands_of(page):
+            match words:
+                case ['inverse_dynamics', 'demo', *options]:
+                    demo._parse(options)
+                case ['inverse_dynamics', command, *_] if command in COMMANDS:
+                    parser.parse_args(words[1:])
+                    found.add(command)
+                case ['make', target, *settings]:
+                    assert target in targets.split()
+                    if target == 'demo':
+                        options = dict(x.split('=', 1) for x in settings).get('ARGS', '')
+                        demo._parse(['my_arm.urdf', *shlex.split(options)])
+                case ['ros2', 'param', 'set', '/inverse_dynamics', parameter, _]:
+                    assert parameter in PARAMETERS
+    assert found == {*COMMANDS} - {'demo'}
 
 
 def words_of(text):
