@@ -118,3 +118,12 @@ def test_every_promise_about_faults_names_tests_that_exist():
         names = re.findall(r'`(\w+)`', tests)
         assert names, promise
         assert not [name for name in names if f'\ndef {name}(' not in code]
+
+
+def test_site_has_every_page():
+    index = (ROOT / 'doc' / 'index.rst').read_text()
+    pages = re.findall(r'^   ([\w/]+)$', index, re.M)
+    sources = [*(ROOT / 'doc').rglob('*.md'), ROOT / 'doc' / 'api.rst']
+    assert sorted(pages) == sorted(
+        str(path.relative_to(ROOT / 'doc').with_suffix('')) for path in sources
+    )
