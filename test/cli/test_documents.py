@@ -1,10 +1,12 @@
 """The documents show outputs that the commands print, and commands that exist."""
 
+from importlib import import_module
 import re
 import shlex
 import shutil
 
-from inverse_dynamics_node.cli.main import _parser, COMMANDS, main
+from inverse_dynamics_node.cli import main as main_module
+from inverse_dynamics_node.cli.main import COMMANDS, main
 from inverse_dynamics_node.node.parameters import PARAMETERS
 import pytest
 from robot_files import ROOT
@@ -63,26 +65,34 @@ def commands_of(page):
                 yield words
 
 
+def parse(command, options):
+    module = import_module(f'inverse_dynamics_node.cli.{command}')
+    if hasattr(module, 'make_parser'):
+        module.make_parser().parse(options)
+    elif command == 'demo':
+        module._parse(options)
+    else:
+        main_module._parser().parse_args([command, *options])
+
+
 def test_commands_in_the_documents_exist():
-    demo = pytest.importorskip('inverse_dynamics_node.cli.demo')
-    parser, found = _parser(), set()
+    pytest.importorskip('rclpy')
     targets = re.search(r'^\.PHONY: (.*(?:\\\n.*)*)', (ROOT / 'Makefile').read_text(), re.M)[1]
+    found = set()
     for page in PAGES:
         for words in commands_of(page):
             match words:
-                case ['inverse_dynamics', 'demo', *options]:
-                    demo._parse(options)
-                case ['inverse_dynamics', command, *_] if command in COMMANDS:
-                    parser.parse_args(words[1:])
+                case ['inverse_dynamics', command, *options] if command in COMMANDS:
+                    parse(command, options[: [*options, '--ros-args'].index('--ros-args')])
                     found.add(command)
-                case ['make', target, *settings]:
+                case ['make', 'demo', *settings]:
+                    options = dict(x.split('=', 1) for x in settings).get('ARGS', '')
+                    parse('demo', ['my_arm.urdf', *shlex.split(options)])
+                case ['make', target, *_]:
                     assert target in targets.split()
-                    if target == 'demo':
-                        options = dict(x.split('=', 1) for x in settings).get('ARGS', '')
-                        demo._parse(['my_arm.urdf', *shlex.split(options)])
                 case ['ros2', 'param', 'set', '/inverse_dynamics', parameter, _]:
                     assert parameter in PARAMETERS
-    assert found == {*COMMANDS} - {'demo'}
+    assert found == {*COMMANDS}
 
 
 def words_of(text):
