@@ -19,8 +19,8 @@ from .urdf.shapes import Shape
 
 ASSUMED_RADIUS = 0.05
 """Radius of bodies without a shape, as a fraction of the length of the longest chain."""
-_SPACING = 0.008
-"""Largest distance of neighbouring surface points [m]."""
+_SPACING = (0.008, 0.0125)
+"""Distance of surface points: at least this [m], and this fraction of the longest side."""
 _CELLS = 120
 """Cells along the longest side of a shape in which vertices are merged."""
 _DEPTH = 3
@@ -135,8 +135,9 @@ def _surface(shape: Shape) -> Floats:
     """Return points on the surface of a shape."""
     import trimesh
 
-    vertices, _ = trimesh.remesh.subdivide_to_size(shape.vertices, shape.faces, _SPACING, 20)
-    _, first = np.unique(np.round(vertices / _SPACING), axis=0, return_index=True)
+    spacing = max(_SPACING[0], _SPACING[1] * float(np.ptp(shape.vertices, axis=0).max()))
+    vertices, _ = trimesh.remesh.subdivide_to_size(shape.vertices, shape.faces, spacing, 20)
+    _, first = np.unique(np.round(vertices / spacing), axis=0, return_index=True)
     points: Floats = np.asarray(vertices)[first]
     return points
 

@@ -132,7 +132,9 @@ def find_excitation(
     first = candidates[int(np.argmax(scores))]
     found = _improved(objective, first, progress)
     count = SAMPLES_PER_SECOND * duration
-    for x in sorted((motions.within_limits(found), *candidates), key=objective.log_det)[::-1]:
+    for x in sorted((motions.within_limits(found, first), *candidates), key=objective.log_det)[
+        ::-1
+    ]:
         nearest = motions.nearest(x)
         if not nearest or nearest[0].distance > TOUCH:
             return Excitation(
@@ -262,15 +264,16 @@ class MotionSpace:
             found.append(self._largest(still, swing / self._size(still, swing)))
         return found
 
-    def within_limits(self, x: Floats) -> Floats:
-        """Return a motion that is reduced until it is within the limits."""
+    def within_limits(self, x: Floats, safe: Floats) -> Floats:
+        """Return a motion that is reduced, or mixed with a safe one, until it is within limits."""
         still = np.zeros(self.shape)
         still[:, 0] = x[:, 0]
-        for factor in np.linspace(1.0, 0.5, 51):
-            reduced: Floats = still + factor * (x - still)
-            if self.is_within_limits(reduced):
-                return reduced
-        return still
+        for end, smallest in ((still, 0.5), (safe, 0.0)):
+            for factor in np.linspace(1.0, smallest, 51):
+                reduced: Floats = end + factor * (x - end)
+                if self.is_within_limits(reduced):
+                    return reduced
+        return safe
 
     def _largest(self, still: Floats, swing: Floats) -> Floats:
         """Return the largest motion about a pose, of at most a given swing."""
