@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ...analysis.excitation import Excitation, Extent, States, whole_states
+from ...analysis.excitation import Clearance, Excitation, Extent, States, whole_states
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...dynamics.trajectory import Trajectory
 from ...robot.end_effector import last_link
@@ -47,6 +47,8 @@ def draw(
         for view, (title, across, up) in enumerate(_VIEWS):
             axes = figure.add_subplot(left[view])
             _draw_view(axes, robot, whole[0], path_of_hand, box, across, up)
+            if limits.clearance:
+                _draw_surroundings(axes, limits.clearance, across, up)
             axes.set_title(title, fontsize=9)
         handles, labels = axes.get_legend_handles_labels()
         panels: list[tuple[str, Floats]] = [
@@ -106,6 +108,15 @@ def _draw_view(
     axes.set_xlabel(f'{"xyz"[across]} [m]', fontsize=9)
     axes.set_ylabel(f'{"xyz"[up]} [m]', fontsize=9)
     axes.tick_params(labelsize=8.5)
+
+
+def _draw_surroundings(axes: Any, clearance: Clearance, across: int, up: int) -> None:
+    """Draw the floor, if height is shown, and boxes."""
+    if up == 2 and np.isfinite(clearance.floor):
+        axes.axhline(clearance.floor, color=style.DARK, linewidth=1.2, zorder=0)
+    for lowest, highest in clearance.boxes[:, :, [across, up]]:
+        (left, bottom), (right, top) = lowest, highest
+        axes.fill([left, right, right, left], [bottom, bottom, top, top], facecolor=style.GREY)
 
 
 def _efforts_panel(efforts: Floats, limits: Floats) -> tuple[str, Floats]:
