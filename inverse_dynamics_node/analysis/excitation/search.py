@@ -132,9 +132,8 @@ def find_excitation(
     first = candidates[int(np.argmax(scores))]
     found = _improved(objective, first, progress)
     count = SAMPLES_PER_SECOND * duration
-    for x in sorted((motions.within_limits(found, first), *candidates), key=objective.log_det)[
-        ::-1
-    ]:
+    safe = [motions.within_limits(found, first), *candidates]
+    for x in sorted(safe, key=objective.log_det, reverse=True):
         nearest = motions.nearest(x)
         if not nearest or nearest[0].distance > TOUCH:
             return Excitation(
