@@ -1,33 +1,106 @@
-"""Command-line arguments that several commands have in common, and the robots that they name."""
+"""The parser of a command, the arguments that several commands share, and the robots they name."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 import math
 from pathlib import Path
+import shutil
 import sys
+from typing import Any
 
 from ..dynamics.inverse_dynamics import InverseDynamics, STANDARD_GRAVITY
-from ..errors import UrdfError
+from ..errors import did_you_mean, shortened, UrdfError
+from ..report.tables import WIDTH, wrapped
 from ..robot.end_effector import last_link
 from ..robot.model import Floats
 from ..robot.urdf import load_urdf
 from .console import waiting
 from .output_files import picture_path
 
+ROBOT, RESULT = 'robot and load', 'result'
+"""Titles of groups of options that most commands have."""
 
-def add_urdf(parser: argparse.ArgumentParser) -> None:
-    """Add the argument for the robot description."""
-    parser.add_argument(
-        'urdf', type=Path, help="robot description; '-' reads it from standard input, as of xacro"
+
+class CommandParser(argparse.ArgumentParser):
+    """
+    The parser of one command.
+
+    Its help is wrapped to the terminal, and lists the options in groups: robot and load, those of
+    the command itself, and the result. A mistyped option leads to a suggestion.
+
+    Parameters
+    ----------
+    command : str
+        Name of the command.
+    description : str
+        One paragraph.
+    epilog : str
+        Paragraphs of text, which are wrapped, and paragraphs with indented lines, which are not.
+    own : str
+        Title of the group for options that are added without one.
+
+    """
+
+    def __init__(self, command: str, description: str, epilog: str, own: str = 'input') -> None:
+        width = min(WIDTH, shutil.get_terminal_size().columns - 2)
+        super().__init__(
+            prog=f'inverse_dynamics {command}',
+            description=_fitting(description, width),
+            epilog=_fitting(epilog, width),
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+            add_help=False,
+        )
+        titles = (ROBOT, own, RESULT, 'help')
+        self._option_groups = {title: self.add_argument_group(title) for title in titles}
+        self._own = own
+        self._names: list[str] = []
+        self.add_argument('-h', '--help', group='help', action='help', help='show this text')
+
+    def add_argument(self, *names: str, group: str = '', **properties: Any) -> argparse.Action:  # type: ignore[override]
+        """Add an argument; an option may name its group, such as `RESULT`."""
+        if not names[0].startswith('-'):
+            return super().add_argument(*names, **properties)
+        self._names += names
+        return self._option_groups[group or self._own].add_argument(*names, **properties)
+
+    def parse(self, arguments: Sequence[str]) -> argparse.Namespace:
+        """Parse the arguments of the command; print an error and exit with 2 if one is wrong."""
+        for argument in arguments:
+            name = argument.partition('=')[0]
+            if name == '--':
+                break
+            # Found here, an option is not confused with a missing argument.
+            if name.startswith('--') and not any(x.startswith(name) for x in self._names):
+                hint = did_you_mean(name, self._names)
+                self.error(f"there is no option '{shortened(name)}'{hint}")
+        return self.parse_args(arguments)
+
+
+def _fitting(text: str, width: int) -> str:
+    """Wrap the paragraphs of a text, except those with indented lines."""
+    paragraphs = text.strip('\n').split('\n\n')
+    return '\n\n'.join(
+        paragraph if '\n ' in paragraph else '\n'.join(wrapped(paragraph, width))
+        for paragraph in paragraphs
     )
 
 
-def add_gravity(parser: argparse.ArgumentParser) -> None:
+def add_urdf(parser: CommandParser) -> None:
+    """Add the argument for the robot description."""
+    parser.add_argument(
+        'urdf',
+        type=Path,
+        help="robot description; '-' reads it from standard input, for example from xacro",
+    )
+
+
+def add_gravity(parser: CommandParser) -> None:
     """Add the option --gravity."""
     parser.add_argument(
         '--gravity',
+        group=ROBOT,
         type=float,
         nargs=3,
         default=STANDARD_GRAVITY,
@@ -37,36 +110,49 @@ def add_gravity(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_link(parser: argparse.ArgumentParser, role: str = '') -> None:
+def add_link(parser: CommandParser, role: str = '') -> None:
     """Add the option --link; a second role of the link is text for the help."""
     text = 'link that carries the payload (default: tool0, else the end of the longest chain)'
-    parser.add_argument('--link', help=text + role)
+    parser.add_argument('--link', group=ROBOT, help=text + role)
 
 
-def add_payload(parser: argparse.ArgumentParser) -> None:
+def add_payload(parser: CommandParser) -> None:
     """Add the option --payload."""
     parser.add_argument(
         '--payload',
+        group=ROBOT,
         type=_payload,
         metavar='MASS[,X,Y,Z]',
         help='payload [kg] and its centre of mass in the frame of the link [m]',
     )
 
 
-def add_friction(parser: argparse.ArgumentParser) -> None:
+def add_friction(parser: CommandParser) -> None:
     """Add the option --friction."""
-    parser.add_argument('--friction', action='store_true', help='include the friction of the URDF')
+    parser.add_argument(
+        '--friction', group=ROBOT, action='store_true', help='include the friction of the URDF'
+    )
 
 
-def add_picture(parser: argparse.ArgumentParser, default: str) -> None:
-    """Add the options --picture and --no-picture; the default is text for the help."""
+def add_picture(parser: CommandParser, default: str = '') -> None:
+    """
+    Add the option --picture.
+
+    With a default, which is text for the help, a picture is written without it too, and the option
+    --no-picture prevents that.
+    """
+    text = f' (default: {default})' if default else ' (default: no picture)'
     parser.add_argument(
         '--picture',
+        group=RESULT,
         type=picture_path,
         metavar='FILE',
-        help=f'file for the picture: .png, .svg or .pdf (default: {default})',
+        help=f'file for a picture: .png, .svg or .pdf{text}',
     )
-    parser.add_argument('--no-picture', action='store_true', help='do not write a picture')
+    if default:
+        parser.add_argument(
+            '--no-picture', group=RESULT, action='store_true', help='do not write a picture'
+        )
 
 
 def picture_or(options: argparse.Namespace, default: str) -> Path | None:
@@ -74,25 +160,29 @@ def picture_or(options: argparse.Namespace, default: str) -> Path | None:
     return None if options.no_picture else options.picture or Path(default)
 
 
-def add_force(parser: argparse.ArgumentParser) -> None:
+def add_force(parser: CommandParser) -> None:
     """Add the option --force."""
     parser.add_argument(
         '--force',
+        group=RESULT,
         action='store_true',
         help='replace files that exist; unchanged outputs of earlier calls are replaced anyway, '
         'inputs never',
     )
 
 
-def add_strict(parser: argparse.ArgumentParser, condition: str) -> None:
+def add_strict(parser: CommandParser, condition: str) -> None:
     """Add the option --strict; the condition is text for the help."""
-    parser.add_argument('--strict', action='store_true', help=f'exit with 3 if {condition}')
+    parser.add_argument(
+        '--strict', group=RESULT, action='store_true', help=f'exit with 3 if {condition}'
+    )
 
 
-def add_at(parser: argparse.ArgumentParser, which: str) -> None:
+def add_at(parser: CommandParser, which: str) -> None:
     """Add the option --at; which joints it is for is text for the help."""
     parser.add_argument(
         '--at',
+        group=ROBOT,
         action='append',
         default=[],
         type=_joint_position,

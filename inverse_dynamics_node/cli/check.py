@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterable, Sequence
 import csv
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ..analysis.sizing import explore, payload_capacity, PayloadCapacity, SAMPLES, Workspace
+from ..errors import listed
 from ..report.quantities import decimals, effort_unit, fraction, number
 from ..report.robot_tables import model_tables
 from ..report.tables import Table, WIDTH
@@ -18,10 +19,11 @@ from ..report.warnings import warnings_about
 from ..robot.end_effector import last_link
 from ..robot.model import Floats, ModelWarning, RobotModel
 from . import arguments
-from .console import progress, show, show_warnings
+from .arguments import CommandParser, RESULT
+from .console import progress, say, show, show_warnings
 from .output_files import check_outputs, new_file, output_path
 from .pictures.check import draw
-from .pictures.style import try_to_draw
+from .pictures.style import write_picture
 
 EPILOG = """\
 examples:
@@ -40,23 +42,23 @@ warnings, and --strict was given."""
 _WARNED = 3
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the command."""
-    parser: argparse.ArgumentParser = subparsers.add_parser(
+def make_parser() -> CommandParser:
+    """Return the parser of the command."""
+    parser = CommandParser(
         'check',
-        help='report on a URDF: masses, limits, warnings, gravity efforts, payload capacity',
-        description='Report on a robot description: tree, masses and limits, warnings with hints, '
-        'gravity efforts over the workspace compared with the effort limits, and the payload that '
-        'the limits allow. Also writes a picture.',
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        'Report on a robot description. A verdict comes first; then tree, masses and limits, '
+        'gravity efforts over the workspace compared with the effort limits, the payload that the '
+        'limits allow, and warnings with hints.',
+        EPILOG,
+        own='search',
     )
     arguments.add_urdf(parser)
     arguments.add_link(parser)
     arguments.add_gravity(parser)
-    arguments.add_picture(parser, '<name of the URDF>_check.png')
+    arguments.add_picture(parser)
     parser.add_argument(
         '--poses',
+        group=RESULT,
         type=output_path,
         metavar='FILE',
         help='CSV file for the worst pose of every joint',
@@ -65,11 +67,12 @@ def add_parser(subparsers: Any) -> None:
         '--samples',
         type=_sample_count,
         default=SAMPLES,
+        metavar='N',
         help='number of poses, rounded up to a power of two (default: %(default)s)',
     )
     arguments.add_force(parser)
     arguments.add_strict(parser, 'there are warnings')
-    parser.set_defaults(run=run)
+    return parser
 
 
 def _sample_count(text: str) -> int:
@@ -80,32 +83,63 @@ def _sample_count(text: str) -> int:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
-    picture = f'{arguments.stem_of(options.urdf)}_check.png'
     check_outputs(
         [options.urdf],
-        {'--poses': options.poses, '--picture': arguments.picture_or(options, picture)},
+        {'--poses': options.poses, '--picture': options.picture},
         options.force,
     )
     dynamics = arguments.load_dynamics(options.urdf, options.gravity)
     robot = dynamics.robot
-    show(*model_tables(dynamics))
     warnings = warnings_about(robot)
-    if robot.joint_names:
-        link = options.link or last_link(robot)
-        with progress('computing poses') as report:
-            workspace = explore(dynamics, options.samples, progress=report)
-            payload = payload_capacity(dynamics, workspace, link)
-        show(workspace_table(workspace, payload))
-        warnings += beyond_limits(workspace)
-    show_warnings(warnings)
-    if robot.joint_names and options.poses:
+    if not robot.joint_names:
+        _show(f'{_usable(warnings)} No joint can move.', model_tables(dynamics), warnings)
+        return _WARNED if options.strict and warnings else 0
+    link = options.link or last_link(robot)
+    with progress('computing poses') as report:
+        workspace = explore(dynamics, options.samples, progress=report)
+        payload = payload_capacity(dynamics, workspace, link)
+    warnings += beyond_limits(workspace)
+    tables = [*model_tables(dynamics), workspace_table(workspace, payload)]
+    _show(f'{_usable(warnings)} {verdict(workspace, payload)}', tables, warnings)
+    if options.poses:
         write_poses(workspace, options.poses)
-    if robot.joint_names and not options.no_picture:
-        print()
+        print(f'written: {options.poses}')
+    if options.picture:
         drawing = partial(draw, dynamics, workspace, payload, options.urdf.name)
-        if path := try_to_draw(drawing, options, picture):
-            print(f'picture: {path}')
+        write_picture(drawing, options.picture)
+        print(f'written: {options.picture}')
     return _WARNED if options.strict and warnings else 0
+
+
+def _show(text: str, tables: Iterable[Table], warnings: Sequence[ModelWarning]) -> None:
+    """Print the verdict, the tables and the warnings."""
+    say(text)
+    print()
+    show(*tables)
+    if warnings:
+        show_warnings(warnings)
+        print()
+
+
+def _usable(warnings: Sequence[ModelWarning]) -> str:
+    count = len(warnings)
+    return f'Usable, with {count} warning{"s" * (count > 1)}.' if count else 'Usable, no warnings.'
+
+
+def verdict(workspace: Workspace, payload: PayloadCapacity) -> str:
+    """Say how hard gravity loads the joints, and what they can still carry."""
+    ratios = workspace.peaks / workspace.limits  # 0 without a limit
+    if not np.isfinite(workspace.limits).any():
+        return 'No joint has an effort limit.'
+    # All joints for which the rounded percentage is true
+    names = workspace.robot.joint_names
+    top = [name for name, x in zip(names, ratios, strict=True) if x > ratios.max() - 0.005]
+    text = f'Gravity takes at most {ratios.max():.0%} of an effort limit ({listed(top)}).'
+    if ratios.max() > 1.0:
+        return f'{text} The robot cannot hold itself in every pose.'
+    if payload.joint is None:
+        return f"{text} A payload at link '{payload.link}' loads no joint with an effort limit."
+    return f"{text} Payload left at link '{payload.link}': {payload.mass:.3g} kg."
 
 
 def workspace_table(workspace: Workspace, payload: PayloadCapacity) -> Table:

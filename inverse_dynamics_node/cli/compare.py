@@ -27,6 +27,7 @@ from ..report.compare_report import comparison_table, friction_table, verdict
 from ..report.diagnosis_text import diagnosis_warning
 from ..robot.limit_checks import position_warnings
 from . import arguments
+from .arguments import CommandParser, RESULT, ROBOT
 from .console import progress, say, show, show_warnings
 from .output_files import check_outputs, new_file, output_path
 from .pictures.compare import draw
@@ -57,15 +58,13 @@ warnings, and --strict was given."""
 _FOUND = 3
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the command."""
-    parser: argparse.ArgumentParser = subparsers.add_parser(
+def make_parser() -> CommandParser:
+    """Return the parser of the command."""
+    parser = CommandParser(
         'compare',
-        help='compare a recording with the model, fit friction, diagnose differences',
-        description='Compare the measured efforts of a recording with the modelled ones, fit '
+        'Compare the measured efforts of a recording with the modelled ones, fit '
         'friction, and diagnose the differences. Also writes a picture.',
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        EPILOG,
     )
     arguments.add_urdf(parser)
     parser.add_argument('recording', type=Path, help='rosbag2 folder, .mcap, .db3 or .csv file')
@@ -85,6 +84,7 @@ def add_parser(subparsers: Any) -> None:
     arguments.add_friction(parser)
     parser.add_argument(
         '--coulomb-width',
+        group=ROBOT,
         type=float,
         metavar='SPEED',
         help='speed over which Coulomb friction is smoothed [rad/s, m/s] (default: fitted, or '
@@ -99,6 +99,7 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument(
         '--parameters',
+        group=RESULT,
         type=output_path,
         metavar='FILE',
         help='file for the fitted friction, as parameters of the node',
@@ -106,7 +107,7 @@ def add_parser(subparsers: Any) -> None:
     arguments.add_picture(parser, '<name of the recording>_compare.png')
     arguments.add_force(parser)
     arguments.add_strict(parser, 'there are warnings')
-    parser.set_defaults(run=run)
+    return parser
 
 
 def run(options: argparse.Namespace) -> int:

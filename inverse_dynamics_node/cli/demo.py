@@ -7,7 +7,7 @@ Only `main` of this package imports this module, and only to run it, because it 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 import math
@@ -44,12 +44,11 @@ from ..simulation.demo.identification import (
 from ..simulation.demo.processes import stay_on_this_machine, unused_domain
 from ..simulation.demo.results import excuse, ScenarioResult
 from ..simulation.demo.scenarios import SCENARIOS
-from .arguments import add_force
+from .arguments import add_force, add_picture, CommandParser, RESULT
 from .console import progress, say, show
-from .output_files import check_outputs, new_file, output_path, picture_path
+from .output_files import check_outputs, new_file, output_path
 
-EPILOG = """
-
+EPILOG = """\
 examples:
   inverse_dynamics demo my_arm.urdf
   inverse_dynamics demo my_arm.urdf --scenario payload --link tool0 --picture payload.png
@@ -67,9 +66,8 @@ _FRACTION = 0.6
 Draw = Callable[[Path], None]
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run the demo from the command line; return the exit code."""
-    options = _parse(arguments)
+def run(options: argparse.Namespace) -> int:
+    """Run the demo; return the exit code."""
     outputs = {'--picture': options.picture, '--record': options.record}
     check_outputs([options.urdf], outputs, options.force)
     stay_on_this_machine()
@@ -79,8 +77,8 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         with unused_domain() if options.domain is None else nullcontext(options.domain) as domain:
             os.environ['ROS_DOMAIN_ID'] = str(domain)
-            run = _run_identification if options.scenario == CALIBRATE else _run_scenario
-            outcome, draw = run(options, lambda: bool(stops))
+            play = _run_identification if options.scenario == CALIBRATE else _run_scenario
+            outcome, draw = play(options, lambda: bool(stops))
             if options.picture:
                 with new_file(options.picture) as path:
                     draw(path)
@@ -101,48 +99,62 @@ def _new_folder(text: str) -> Path:
     return output_path(text)
 
 
-def _parse(arguments: list[str] | None) -> argparse.Namespace:
+class _Parser(CommandParser):
+    """Checks the options of the demo too."""
+
+    def parse(self, arguments: Sequence[str]) -> argparse.Namespace:
+        """Parse the arguments; print an error and exit with 2 if one is wrong."""
+        options = super().parse(arguments)
+        name = options.scenario
+        least = 5.0 if name == CALIBRATE else SCENARIOS[name].least_duration
+        if not 50.0 <= options.rate <= 5000.0:
+            self.error(f'--rate {options.rate:g} is not from 50 to 5000 Hz')
+        if not least <= options.duration < math.inf:
+            self.error(f'--duration {options.duration:g} is not {least:g} s or more')
+        if options.domain is not None and not 0 <= options.domain <= 232:
+            self.error(f'--domain {options.domain} is not from 0 to 232')
+        return options
+
+
+def make_parser() -> CommandParser:
+    """Return the parser of the command."""
     summaries = {name: scenario.summary for name, scenario in SCENARIOS.items()}
     summaries[CALIBRATE] = SUMMARY
-
-    parser = argparse.ArgumentParser(
-        prog='inverse_dynamics demo',
-        description='Run the node on a simulated robot in a scenario, and check the result.',
-        epilog='scenarios:\n'
-        + '\n'.join(f'  {name:12} {summary}' for name, summary in summaries.items())
-        + EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+    scenarios = '\n'.join(f'  {name:12} {summary}' for name, summary in summaries.items())
+    parser = _Parser(
+        'demo',
+        'Run the node on a simulated robot in a scenario, and check the result.',
+        f'scenarios:\n{scenarios}\n\n{EPILOG}',
+        own='run',
     )
     parser.add_argument('urdf', type=Path, help='the robot description')
     _add_run(parser, summaries)
     _add_files(parser)
-    options = parser.parse_args(arguments)
-    least = 5.0 if options.scenario == CALIBRATE else SCENARIOS[options.scenario].least_duration
-    if not 50.0 <= options.rate <= 5000.0:
-        parser.error(f'--rate {options.rate:g} is not from 50 to 5000 Hz')
-    if not least <= options.duration < math.inf:
-        parser.error(f'--duration {options.duration:g} is not {least:g} s or more')
-    if options.domain is not None and not 0 <= options.domain <= 232:
-        parser.error(f'--domain {options.domain} is not from 0 to 232')
-    return options
+    return parser
 
 
-def _add_run(parser: argparse.ArgumentParser, scenarios: Iterable[str]) -> None:
+def _add_run(parser: CommandParser, scenarios: Iterable[str]) -> None:
     """Add the options for the scenario and its conditions."""
     parser.add_argument(
-        '--scenario', choices=scenarios, default='track', help='see below (default: %(default)s)'
+        '--scenario',
+        choices=scenarios,
+        default='track',
+        metavar='NAME',
+        help='one of the list below (default: %(default)s)',
     )
     parser.add_argument(
         '--rate',
         type=float,
         default=500.0,
-        help='rate of joint states [Hz] (default: %(default)g)',
+        metavar='HZ',
+        help='rate of joint states (default: %(default)g)',
     )
     parser.add_argument(
         '--duration',
         type=float,
         default=15.0,
-        help='duration of the run [s] (default: %(default)g)',
+        metavar='SECONDS',
+        help='duration of the run (default: %(default)g)',
     )
     parser.add_argument(
         '--domain',
@@ -162,19 +174,19 @@ def _add_run(parser: argparse.ArgumentParser, scenarios: Iterable[str]) -> None:
     )
 
 
-def _add_files(parser: argparse.ArgumentParser) -> None:
+def _add_files(parser: CommandParser) -> None:
     """Add the options for the files to write."""
+    add_picture(parser)
     parser.add_argument(
-        '--picture',
-        type=picture_path,
-        metavar='FILE',
-        help='file for a picture: .png, .svg or .pdf',
-    )
-    parser.add_argument(
-        '--record', type=_new_folder, metavar='FOLDER', help='folder for a rosbag2 recording'
+        '--record',
+        group=RESULT,
+        type=_new_folder,
+        metavar='FOLDER',
+        help='folder for a rosbag2 recording',
     )
     parser.add_argument(
         '--storage',
+        group=RESULT,
         choices=('mcap', 'sqlite3'),
         default='mcap',
         help='storage of the recording (default: %(default)s)',

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from functools import partial
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -20,13 +19,14 @@ from ..analysis.trajectory_files import (
     write_trajectory,
 )
 from ..dynamics.trajectory import complete, refine, smooth, Trajectory
-from ..errors import ConfigurationError, unknown_name
+from ..errors import ConfigurationError, listed, unknown_name
 from ..report.quantities import decimals, effort_unit, fraction, number
 from ..report.tables import Table
 from ..robot.limit_checks import position_warnings
 from ..robot.model import Floats, ModelWarning, RobotModel
 from . import arguments
-from .console import progress, show, show_warnings
+from .arguments import CommandParser, RESULT
+from .console import progress, say, show, show_warnings
 from .output_files import check_outputs, new_file, output_path
 from .pictures.effort import draw
 from .pictures.style import try_to_draw
@@ -55,19 +55,21 @@ _TERMS = ('inertia', 'velocity', 'gravity', 'friction')
 _rate = arguments.number('a rate from 0 to 100000 Hz', lambda rate: 0.0 <= rate <= 1e5)
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the command."""
-    parser: argparse.ArgumentParser = subparsers.add_parser(
+def make_parser() -> CommandParser:
+    """Return the parser of the command."""
+    parser = CommandParser(
         'effort',
-        help='efforts, speeds and powers along a trajectory, compared with the limits',
-        description='Compute the joint efforts along a trajectory: peaks and means compared with '
+        'Compute the joint efforts along a trajectory: peaks and means compared with '
         'the limits, their terms, a table over time, and a picture.',
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        EPILOG,
     )
     arguments.add_urdf(parser)
-    parser.add_argument('trajectory', type=Path, help='a file or recording, see below')
-    parser.add_argument('--topic', help='topic of a recording (default: see below)')
+    parser.add_argument(
+        'trajectory', type=Path, help='a file or recording, see "trajectory files" below'
+    )
+    parser.add_argument(
+        '--topic', help='topic of a recording (default: see "trajectory files" below)'
+    )
     arguments.add_payload(parser)
     arguments.add_link(parser)
     arguments.add_friction(parser)
@@ -83,12 +85,14 @@ def add_parser(subparsers: Any) -> None:
         '--rate',
         type=_rate,
         default=200.0,
+        metavar='HZ',
         help='least number of evaluated states per second; 0: only the points of the trajectory '
         '(default: %(default)g)',
     )
     arguments.add_gravity(parser)
     parser.add_argument(
         '--csv',
+        group=RESULT,
         type=output_path,
         metavar='FILE',
         help='file for the efforts over time (default: <name of the trajectory>_efforts.csv)',
@@ -96,6 +100,7 @@ def add_parser(subparsers: Any) -> None:
     arguments.add_picture(parser, '<name of the trajectory>_efforts.png')
     parser.add_argument(
         '--trajectory-out',
+        group=RESULT,
         type=output_path,
         metavar='YAML',
         help='file for the trajectory with velocities, accelerations and efforts, in the format '
@@ -103,7 +108,7 @@ def add_parser(subparsers: Any) -> None:
     )
     arguments.add_force(parser)
     arguments.add_strict(parser, 'a limit of effort, speed or position is exceeded')
-    parser.set_defaults(run=run)
+    return parser
 
 
 def run(options: argparse.Namespace) -> int:
@@ -161,8 +166,32 @@ def run(options: argparse.Namespace) -> int:
     if path := try_to_draw(drawing, options, f'{stem}.png'):
         written.append(path)
     print('\n'.join(f'written: {path}' for path in written))
+    print()
+    say(verdict(requirements, fine.joint_names))
     is_exceeded = requirements.is_too_strong | requirements.is_too_fast | requirements.is_too_far
     return _EXCEEDED if options.strict and is_exceeded.any() else 0
+
+
+def verdict(requirements: EffortRequirements, names: Sequence[str]) -> str:
+    """Say whether the motion stays within the limits, and how close it comes to them."""
+    quantities = (
+        ('effort', np.abs(requirements.peak) / requirements.effort_limits),
+        ('speed', requirements.speed / requirements.velocity_limits),
+    )
+    is_far = requirements.is_too_far
+    is_beyond = requirements.is_too_strong | requirements.is_too_fast | is_far
+    parts = [
+        f'at most {ratios.max():.0%} of the {what} limit of {names[int(np.argmax(ratios))]}'
+        for what, ratios in quantities
+        if ratios.max() > 0.0
+    ]
+    if is_far.any():
+        far = [name for name, beyond in zip(names, is_far, strict=True) if beyond]
+        parts.append(f'positions of {listed(far)} outside their limits')
+    if not parts:
+        return 'No limit of effort or speed is known.'
+    does = 'exceeds limits' if is_beyond.any() else 'stays within the known limits'
+    return f'The motion {does}: {", ".join(parts)}.'
 
 
 def _others(robot: RobotModel, places: Sequence[tuple[str, float]]) -> Floats:
@@ -237,7 +266,7 @@ def requirement_tables(
                 f'{requirements.rms[k]:.{places}f}',
                 f'{requirements.speed[k]:.3g} {speed_unit}',
                 number(requirements.velocity_limits[k]),
-                f'{requirements.power[k]:.3g} W',
+                f'{_power(requirements.power[k])} W',
                 _marks(requirements, k),
             )
         )
@@ -271,6 +300,10 @@ def requirement_tables(
             ('inertia: due to accelerations; velocity: Coriolis and centrifugal',),
         ),
     ]
+
+
+def _power(value: float) -> str:
+    return f'{value:.3g}' if value >= 0.005 else '0'
 
 
 def _marks(requirements: EffortRequirements, k: int) -> str:

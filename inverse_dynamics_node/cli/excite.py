@@ -6,7 +6,6 @@ import argparse
 from functools import partial
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -31,6 +30,7 @@ from ..robot.capsules import body_capsules
 from ..robot.model import Floats, RobotModel
 from ..robot.urdf.shapes import read_shapes
 from . import arguments
+from .arguments import CommandParser, RESULT
 from .console import progress, say, show, waiting
 from .output_files import check_outputs, new_file, output_path
 from .pictures.excite import draw
@@ -61,16 +61,15 @@ _SLOW = 0.2
 _positive = arguments.number('a number above 0', lambda value: 0.0 < value <= 1e6)
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the command."""
-    parser: argparse.ArgumentParser = subparsers.add_parser(
+def make_parser() -> CommandParser:
+    """Return the parser of the command."""
+    parser = CommandParser(
         'excite',
-        help='a motion to record for the identification of masses and friction',
-        description='Find the motion within the limits from which masses and friction can be '
+        'Find the motion within the limits from which masses and friction can be '
         'identified best. Writes it as CSV and as JointTrajectory, with a picture, and reports '
         'the space that it takes and the standard errors to expect.',
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        EPILOG,
+        own='motion',
     )
     arguments.add_urdf(parser)
     _add_limits(parser)
@@ -79,10 +78,10 @@ def add_parser(subparsers: Any) -> None:
     arguments.add_link(parser)
     arguments.add_gravity(parser)
     _add_files(parser)
-    parser.set_defaults(run=run)
+    return parser
 
 
-def _add_limits(parser: argparse.ArgumentParser) -> None:
+def _add_limits(parser: CommandParser) -> None:
     """Add the options for the space and the limits of the motion."""
     parser.add_argument(
         '--joints',
@@ -121,28 +120,32 @@ def _add_limits(parser: argparse.ArgumentParser) -> None:
         '--fraction',
         type=float,
         default=FRACTION,
+        metavar='F',
         help='fraction of the limits of position, speed and effort to use (default: %(default)g)',
     )
 
 
-def _add_motion(parser: argparse.ArgumentParser) -> None:
+def _add_motion(parser: CommandParser) -> None:
     """Add the options for the motion itself."""
     parser.add_argument(
         '--duration',
         type=_positive,
         default=DURATION,
+        metavar='SECONDS',
         help='duration at full speed [s] (default: %(default)g)',
     )
     parser.add_argument(
         '--harmonics',
         type=int,
         default=HARMONICS,
+        metavar='N',
         help='number of harmonics, at least 2 (default: %(default)d)',
     )
     parser.add_argument(
         '--speed',
         type=_speed,
         default=1.0,
+        metavar='FACTOR',
         help='speed at which to write the motion, up to 1; 0.2 to rehearse it (default: 1)',
     )
     parser.add_argument(
@@ -154,22 +157,26 @@ def _add_motion(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         '--rate',
+        group=RESULT,
         type=_positive,
         default=100.0,
+        metavar='HZ',
         help='points per second of the CSV file (default: %(default)g)',
     )
 
 
-def _add_files(parser: argparse.ArgumentParser) -> None:
+def _add_files(parser: CommandParser) -> None:
     """Add the options for the files to write."""
     parser.add_argument(
         '--csv',
+        group=RESULT,
         type=output_path,
         metavar='FILE',
         help='file for the motion as CSV (default: <name of the URDF>_excite.csv)',
     )
     parser.add_argument(
         '--trajectory-out',
+        group=RESULT,
         type=output_path,
         metavar='YAML',
         help='file for the motion as JointTrajectory (default: <name of the URDF>_excite.yaml); '

@@ -6,7 +6,6 @@ import argparse
 from functools import partial
 import json
 from pathlib import Path
-from typing import Any
 
 from ..analysis.identification import IdentificationResult, identify_parameters
 from ..analysis.identification.result import calibrated_urdf, identified_parameters
@@ -24,6 +23,7 @@ from ..robot.end_effector import last_link
 from ..robot.limit_checks import position_warnings
 from ..robot.model import ModelWarning
 from . import arguments
+from .arguments import CommandParser, RESULT, ROBOT
 from .console import progress, say, show, show_warnings
 from .output_files import check_outputs, new_file, output_path
 from .pictures.identify import draw
@@ -50,15 +50,13 @@ was not accepted, and --strict was given."""
 _NOT_ACCEPTED = 3
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the command."""
-    parser: argparse.ArgumentParser = subparsers.add_parser(
+def make_parser() -> CommandParser:
+    """Return the parser of the command."""
+    parser = CommandParser(
         'identify',
-        help='calibrate a URDF: masses, friction and armature from recordings',
-        description='Identify masses, centres of mass, inertias, friction and armature from '
+        'Identify masses, centres of mass, inertias, friction and armature from '
         'recordings, and write a calibrated URDF. Also writes a picture.',
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        EPILOG,
     )
     arguments.add_urdf(parser)
     parser.add_argument(
@@ -77,19 +75,29 @@ def add_parser(subparsers: Any) -> None:
         help='recording to evaluate the result with, not used for the fit; may be repeated',
     )
     parser.add_argument(
-        '--output', type=output_path, metavar='FILE', help='file for the calibrated URDF'
+        '--output',
+        group=RESULT,
+        type=output_path,
+        metavar='FILE',
+        help='file for the calibrated URDF',
     )
     parser.add_argument(
         '--parameters',
+        group=RESULT,
         type=output_path,
         metavar='FILE',
         help='file for friction, armature and offsets, as parameters of the node',
     )
     parser.add_argument(
-        '--json', type=output_path, metavar='FILE', help='file for the report as JSON'
+        '--json',
+        group=RESULT,
+        type=output_path,
+        metavar='FILE',
+        help='file for the report as JSON',
     )
     parser.add_argument(
         '--fixed',
+        group=ROBOT,
         nargs='+',
         default=[],
         metavar='LINK',
@@ -109,7 +117,7 @@ def add_parser(subparsers: Any) -> None:
     arguments.add_picture(parser, '<name of the robot>_identify.png')
     arguments.add_force(parser)
     arguments.add_strict(parser, 'the identified model is not accepted')
-    parser.set_defaults(run=run)
+    return parser
 
 
 def run(options: argparse.Namespace) -> int:

@@ -2,31 +2,66 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from contextlib import nullcontext
 from importlib import import_module
 import os
 import sys
 
-from ..errors import escaped, InverseDynamicsError, RecordingError, TrajectoryError
+from ..errors import (
+    did_you_mean,
+    escaped,
+    InverseDynamicsError,
+    RecordingError,
+    shortened,
+    TrajectoryError,
+)
 from .console import escaped_output
 from .output_files import OutputError
 
-COMMANDS = ('check', 'effort', 'compare', 'excite', 'identify', 'watch', 'demo', 'simulate')
-"""Modules of this package; add_parser(subparsers) sets `run`, which returns the exit code."""
+_COMMANDS = {
+    'without a robot': {
+        'check': 'report on a URDF: masses, limits, warnings, gravity efforts, payload capacity',
+        'effort': 'efforts, speeds and powers along a trajectory, compared with the limits',
+        'excite': 'a motion to record for the identification of masses and friction',
+    },
+    'with recordings of a robot': {
+        'compare': 'compare a recording with the model, fit friction, diagnose differences',
+        'identify': 'calibrate a URDF: masses, friction and armature from recordings',
+    },
+    'with ROS 2': {
+        'watch': 'watch a running node: do model and robot agree?',
+        'simulate': 'simulate a robot to try the node on (needs MuJoCo)',
+        'demo': 'run the node on a simulated robot, with a verdict (needs MuJoCo)',
+    },
+}
+COMMANDS = tuple(name for group in _COMMANDS.values() for name in group)
+"""Modules of this package with make_parser(), and run(options), which returns the exit code."""
 
-EPILOG = """\
+_USAGE = """\
+usage: inverse_dynamics COMMAND [ARGUMENT]...
+       inverse_dynamics [-h] [--version]"""
+
+_HELP = f"""\
+{_USAGE}
+
+Check a URDF, compare it with the robot, calibrate it, and watch the node.
+
+{{commands}}
+
+options:
+  -h, --help  show this text; `inverse_dynamics COMMAND --help` describes a command
+  --version   show the version
+
 examples:
   inverse_dynamics check my_arm.urdf
   inverse_dynamics effort my_arm.urdf trajectory.yaml --payload 1.5 --link tool0
   inverse_dynamics compare my_arm.urdf rosbag2_2026_11_21
   inverse_dynamics identify my_arm.urdf rosbag2_2026_11_21 --output calibrated.urdf
   inverse_dynamics watch --for 10
-  inverse_dynamics effort --help
 
-The node itself is started by `inverse_dynamics_node`, or `ros2 run inverse_dynamics_node
-inverse_dynamics_node`."""
+exit code: 0 for success, 1 if an input cannot be read or used, 2 for invalid arguments; the help
+of a command lists its other codes. `inverse_dynamics_node --help` describes the node itself."""
 
 _ROS_COMMANDS = 'watch', 'simulate'  # accept arguments of ROS
 _EXTRAS = {
@@ -44,11 +79,11 @@ _EXTRAS = {
     ),
     'mujoco': 'demo',
 }
-_HERE = 'in a virtual environment, in the folder of the sources: pip install'
+_PIP = "in a virtual environment: pip install 'inverse_dynamics_node"
 _ADVICE = {
-    'cli': f"{_HERE} '.[cli]'",
-    'demo': f"{_HERE} '.[demo]'",
-    'ros': f"source an installed ROS 2, or {_HERE} '.[ros,demo]'",
+    'cli': f"{_PIP}[cli]'",
+    'demo': f"{_PIP}[demo]'",
+    'ros': f"source an installed ROS 2, or {_PIP}[ros,demo]'",
 }
 _INVALID_ARGUMENTS = 2
 _INTERRUPTED, _BROKEN_PIPE = 130, 141  # as a shell reports SIGINT and SIGPIPE
@@ -91,29 +126,36 @@ def _code_of(arguments: list[str]) -> int:
 
 
 def _run(arguments: list[str]) -> int:
-    if arguments[:1] == ['identify']:
-        # Its matrices are small: threads would take longer to start than to compute.
-        os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
-    if arguments[:1] == ['demo']:  # parses its own arguments, including --help
-        from .demo import main as run_demo
-
-        return run_demo(arguments[1:])
-    if '--ros-args' in arguments and arguments[0] not in _ROS_COMMANDS:
-        print(
-            f'inverse_dynamics: --ros-args is for {" and ".join(_ROS_COMMANDS)}, and for the '
-            'node: ros2 run inverse_dynamics_node inverse_dynamics_node --ros-args ...',
-            file=sys.stderr,
-        )
-        return 2
-    if arguments == ['--version']:
+    command, *others = arguments or ['']
+    if command in ('', '-h', '--help'):
+        print(_HELP.format(commands='\n\n'.join(map(_listing, _COMMANDS.items()))))
+        return 0 if command else _INVALID_ARGUMENTS
+    if command == '--version':
         from ..ros.version import version
 
         print(f'inverse_dynamics {version()}')
         return 0
-    arguments, ros_arguments = _split(arguments)
-    options = _parser().parse_args(arguments)
+    if '--ros-args' in arguments and command not in _ROS_COMMANDS:
+        return _fail(
+            f'--ros-args is for {" and ".join(_ROS_COMMANDS)}, and for the node: ros2 run '
+            'inverse_dynamics_node inverse_dynamics_node --ros-args ...',
+            _INVALID_ARGUMENTS,
+        )
+    if command not in COMMANDS:
+        kind, names = (
+            ('option', ['--help', '--version']) if command[0] == '-' else ('command', COMMANDS)
+        )
+        hint = did_you_mean(command, names) or f'; there are {", ".join(names)}'
+        return _fail(f"there is no {kind} '{shortened(command)}'{hint}", _INVALID_ARGUMENTS)
+    if command == 'identify':
+        # Its matrices are small: threads would take longer to start than to compute.
+        os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
+    # Imported here: this takes most of a second, and an interrupt must end it cleanly.
+    module = import_module(f'.{command}', __package__)
+    others, ros_arguments = _split(others)
+    options = module.make_parser().parse(others)
     options.ros_arguments = ros_arguments
-    code: int = options.run(options)
+    code: int = module.run(options)
     return code
 
 
@@ -127,25 +169,9 @@ def _split(arguments: list[str]) -> tuple[list[str], list[str]]:
     return arguments[:begin] + arguments[end + 1 :], arguments[begin:end]
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog='inverse_dynamics',
-        description='Check robot descriptions, and compute the efforts that motions require.',
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    # Handled before: the parsers of the commands take most of a second.
-    parser.add_argument('--version', action='store_true', help='show the version')
-    subparsers = parser.add_subparsers(title='commands', metavar='COMMAND', required=True)
-    for command in COMMANDS:
-        if command == 'demo':  # only listed here: it parses its own arguments, and needs ROS
-            about = 'run the node on a simulated robot (needs ROS 2 and MuJoCo)'
-            demo = subparsers.add_parser(command, help=about, add_help=False)
-            demo.set_defaults(run=lambda options: _run(['demo']))
-            continue
-        # Imported here: this takes most of a second, and an interrupt must end it cleanly.
-        import_module(f'.{command}', __package__).add_parser(subparsers)
-    return parser
+def _listing(group: tuple[str, dict[str, str]]) -> str:
+    title, commands = group
+    return '\n'.join([f'{title}:', *(f'  {name:<9} {text}' for name, text in commands.items())])
 
 
 def _fail(message: str, code: int = 1) -> int:

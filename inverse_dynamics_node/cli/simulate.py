@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from ..simulation.drivers import DRIVERS, TORQUES
+from .arguments import CommandParser
 
 EPILOG = """\
 The robot publishes joint_states with efforts, and is held by a position controller. Once commands
@@ -40,14 +40,13 @@ ROS_AUTOMATIC_DISCOVERY_RANGE is set.
 exit code: 0 stopped; 1 cannot be run; 2 invalid arguments."""
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the command to the list."""
-    parser: argparse.ArgumentParser = subparsers.add_parser(
+def make_parser() -> CommandParser:
+    """Return the parser of the command."""
+    parser = CommandParser(
         'simulate',
-        help='simulate a robot to try the node on (needs ROS 2 and MuJoCo)',
-        description='Simulate a robot behind the topics of a real one.',
-        epilog=EPILOG.format(drivers='\n'.join(map(_line, DRIVERS))),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        'Simulate a robot behind the topics of a real one.',
+        EPILOG.format(drivers='\n'.join(map(_line, DRIVERS))),
+        own='simulation',
     )
     parser.add_argument('urdf', type=Path, help='the robot description')
     parser.add_argument(
@@ -78,10 +77,10 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         '--rate',
         type=float,
-        help='rate of joint states [Hz] '
-        f'(default: {TORQUES.rate:g}, or a usual one of the driver)',
+        metavar='HZ',
+        help=f'rate of joint states (default: {TORQUES.rate:g}, or a usual one of the driver)',
     )
-    parser.set_defaults(run=run)
+    return parser
 
 
 def run(options: argparse.Namespace) -> int:

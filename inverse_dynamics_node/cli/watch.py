@@ -31,6 +31,7 @@ from ..control.status import EffortsStatus, Level, ModelStatus, NodeStatus
 from ..errors import ConfigurationError
 from ..report.agreement_text import sentence
 from . import arguments
+from .arguments import CommandParser, RESULT
 from .live_view import as_json, as_line, LiveView
 
 if TYPE_CHECKING:
@@ -71,16 +72,14 @@ _LOST = 3.5  # [s]; diagnostics are published once a second
 _positive = arguments.number('a positive number', lambda value: 0.0 < value < math.inf)
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the command to the list."""
-    parser: argparse.ArgumentParser = subparsers.add_parser(
+def make_parser() -> CommandParser:
+    """Return the parser of the command."""
+    parser = CommandParser(
         'watch',
-        help='watch a running node: do model and robot agree? (needs ROS 2)',
-        description='Show the joints and the state of a running node, and whether its model '
+        'Show the joints and the state of a running node, and whether its model '
         'agrees with the efforts that the robot measures. Only subscribes. On a terminal the view '
         'is updated in place; in a pipe there is one line per second.',
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        EPILOG,
     )
     parser.add_argument(
         'node',
@@ -91,13 +90,17 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument(
         '--for',
+        group=RESULT,
         dest='duration',
         type=_positive,
         metavar='SECONDS',
         help='end after this time, with an exit code that says whether model and robot agree',
     )
     parser.add_argument(
-        '--json', action='store_true', help='print one JSON object per second, see doc/watch.md'
+        '--json',
+        group=RESULT,
+        action='store_true',
+        help='print one JSON object per second, see doc/watch.md',
     )
     parser.add_argument(
         '--rate',
@@ -106,7 +109,7 @@ def add_parser(subparsers: Any) -> None:
         help='rate at which the robot publishes joint states; less than 80 %% of it is a problem '
         '(default: half of update_rate is sufficient, or 80 Hz without update_rate)',
     )
-    parser.set_defaults(run=run)
+    return parser
 
 
 def run(options: argparse.Namespace) -> int:

@@ -10,14 +10,19 @@ from robot_files import NOTHING_MOVES, real_robots, ROOT, STANFORD
 ROBOTS = ROOT / 'test' / 'robots'
 
 
-def test_reports_the_payload_capacity_and_draws_the_arm(tmp_path, capsys, size_of):
-    assert main(['check', str(STANFORD)]) == 0
+def test_begins_with_a_verdict_and_draws_the_arm_on_request(tmp_path, capsys, size_of):
+    assert main(['check', str(STANFORD), '--picture', 'arm.png']) == 0
     output = capsys.readouterr().out
-    assert "robot 'stanford'" in output
+    verdict, _, rest = output.partition('\n\n')
+    assert ' '.join(verdict.split()) == (
+        'Usable, no warnings. Gravity takes at most 32% of an effort limit (joint_2, joint_3). '
+        "Payload left at link 'tool0': 3.44 kg."
+    )
+    assert rest.startswith("robot 'stanford'\n")
     assert "at the origin of link 'tool0', at rest in every pose: 3.44 kg" in output
     assert 'joint_5 reaches its limit first' in ' '.join(output.split())
-    assert output.endswith('picture: stanford_check.png\n')
-    width, height = size_of(tmp_path / 'stanford_check.png')
+    assert output.endswith('\nwritten: arm.png\n')
+    width, height = size_of(tmp_path / 'arm.png')
     assert 800 <= width <= 1000
     assert 400 <= height <= 600
 
@@ -37,28 +42,32 @@ def test_draws_a_humanoid(tmp_path, size_of):
     assert size_of(tmp_path / 'p.png')[1] >= 900
 
 
-def test_draws_and_warns_without_limits(tmp_path, capsys):
+def test_warns_without_limits(tmp_path, capsys):
     urdf = tmp_path / 'lift.urdf'
     text = (ROBOTS / 'pendulum.urdf').read_text()
     urdf.write_text(text.replace('effort="10"', 'effort="0"'))
     assert main(['check', str(urdf), '--samples', '16']) == 0
-    assert main(['check', str(urdf), '--samples', '16', '--strict', '--no-picture']) == 3
+    assert main(['check', str(urdf), '--samples', '16', '--strict']) == 3
     output = capsys.readouterr().out
+    assert output.startswith('Usable, with 1 warning. No joint has an effort limit.\n')
     assert '0 is read as unknown' in output
+    assert not list(tmp_path.glob('*.png'))
     assert '-> write the largest effort of the joint' in output
 
 
 def test_gravity_beyond_a_limit_is_a_warning(tmp_path, capsys):
     urdf = tmp_path / 'weak.urdf'
     urdf.write_text(STANFORD.read_text().replace('effort="100"', 'effort="20"'))
-    assert main(['check', str(urdf), '--no-picture', '--strict']) == 3
+    assert main(['check', str(urdf), '--strict']) == 3
     output = capsys.readouterr().out
+    assert output.startswith('Usable, with 1 warning. Gravity takes at most 161% of an effort limit')
+    assert '(joint_2). The robot cannot hold itself in every pose.' in ' '.join(output.split())
     assert "joint 'joint_2': gravity takes 161% of its effort limit in the worst pose" in output
     assert 'none, gravity alone exceeds a limit' in output
 
 
 def test_gravity_can_be_set(capsys):
-    assert main(['check', str(STANFORD), '--no-picture', '--gravity', '0', '0', '0']) == 0
+    assert main(['check', str(STANFORD), '--gravity', '0', '0', '0']) == 0
     output = capsys.readouterr().out
     assert 'gravity: 0 0 0 m/s^2' in output
     assert 'unlimited, as it loads no joint with an effort limit' in output
@@ -72,13 +81,13 @@ def test_long_names_are_not_shortened_in_a_pipe(tmp_path, capsys):
     for short, long in names.items():
         text = text.replace(f'"{short}"', f'"{long}"')
     (tmp_path / 'long.urdf').write_text(text)
-    assert main(['check', 'long.urdf', '--no-picture', '--samples', '64']) == 0
+    assert main(['check', 'long.urdf', '--samples', '64']) == 0
     output = capsys.readouterr().out
     assert '…' not in output
     rows = output.split('Efforts that hold the robot')[1].split('Hardest')[0]
     assert all(name in rows for name in names.values())
     assert '--poses FILE writes them as CSV' in ' '.join(output.split())
-    assert main(['check', str(STANFORD), '--no-picture', '--samples', '64']) == 0
+    assert main(['check', str(STANFORD), '--samples', '64']) == 0
     assert '--poses' not in capsys.readouterr().out
 
 
@@ -93,7 +102,7 @@ def test_long_names_are_shortened_on_a_terminal(monkeypatch, capsys):
 
 
 def test_poses_are_written_by_name(tmp_path):
-    assert main(['check', str(STANFORD), '--no-picture', '--poses', 'poses.csv']) == 0
+    assert main(['check', str(STANFORD), '--poses', 'poses.csv']) == 0
     head, *rows = (tmp_path / 'poses.csv').read_text().splitlines()
     assert head.startswith('joint,gravity_effort,effort_limit,joint_1,')
     assert len(rows) == 6
@@ -103,7 +112,6 @@ def test_poses_are_written_by_name(tmp_path):
 def test_reads_standard_input(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(sys, 'stdin', io.StringIO(STANFORD.read_text()))
     assert main(['check', '-', '--samples', '16']) == 0
-    assert (tmp_path / 'robot_check.png').exists()
     monkeypatch.setattr(sys, 'stdin', io.StringIO('xacro: command not found'))
     assert main(['check', '-']) == 1
     assert capsys.readouterr().err == 'inverse_dynamics: standard input: is not XML\n'
@@ -120,7 +128,7 @@ def test_a_robot_without_movable_joints_is_reported(tmp_path, capsys):
     ('arguments', 'words'),
     [
         (['nowhere.urdf'], 'nowhere.urdf: cannot be read'),
-        ([str(STANFORD), '--link', 'tool9', '--no-picture'], "link 'tool9' does not exist"),
+        ([str(STANFORD), '--link', 'tool9'], "link 'tool9' does not exist"),
     ],
 )
 def test_errors_are_one_line(arguments, words, capsys):

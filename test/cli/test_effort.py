@@ -143,16 +143,25 @@ def test_strict_fails_beyond_a_limit(write, capsys):
     path = str(write(LISTS.replace('0.5, 1]', '0.05, 0.1]')))
     arguments = ['effort', str(STANFORD), path, '--no-picture']
     assert main(arguments) == 0
-    assert 'beyond: effort, speed' in capsys.readouterr().out
+    output = capsys.readouterr().out
+    assert 'beyond: effort, speed' in output
+    assert '\n\nThe motion exceeds limits: at most ' in output
     assert main([*arguments, '--strict']) == 3
     slow = str(write(LISTS.replace('0.5, 1]', '5, 10]')))
     assert main(['effort', str(STANFORD), slow, '--no-picture', '--strict']) == 0
+    last = capsys.readouterr().out.split('\n\n')[-1]
+    assert re.fullmatch(
+        r'The motion stays within the known limits: at most \d+% of the effort limit of joint_2, '
+        r'at most \d+% of the speed limit of joint_2.\n',
+        last.replace('\n', ' ').rstrip() + '\n',
+    )
 
 
 def test_warns_about_positions_in_degrees(write, capsys):
     degrees = LISTS.replace('[-1.0, 0.4], [-1.5', '[-57.3, 0.4], [-70').replace('[-1.0', '[-57.3')
     assert main(['effort', str(STANFORD), str(write(degrees)), '--no-picture']) == 0
     output = capsys.readouterr().out
+    assert 'positions of joint_2 outside their limits.' in ' '.join(output.split())
     assert re.search(r'joint_2 at -7\d(\.\d+)? rad, limits -1.745 to 1.745: degrees\?', output)
     assert re.search(r'joint_2: (effort|speed) [\d.]+ times .*its limit', output)
     assert main(['effort', str(STANFORD), str(write(LISTS)), '--no-picture']) == 0

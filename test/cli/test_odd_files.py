@@ -153,11 +153,11 @@ def test_a_fit_without_a_solution_is_one_line(here, capsys, monkeypatch):
 
 
 def test_many_joints_shorten_the_search_of_check(here, capsys, monkeypatch):
-    assert main(['check', str(STANFORD), '--no-picture', '--samples', '64']) == 0
+    assert main(['check', str(STANFORD), '--samples', '64']) == 0
     thorough = capsys.readouterr().out
     assert 'too many joints' not in thorough
     monkeypatch.setattr(sizing, '_MOST_BODIES', 2000.0)
-    assert main(['check', str(STANFORD), '--no-picture', '--samples', '64']) == 0
+    assert main(['check', str(STANFORD), '--samples', '64']) == 0
     assert 'too many joints' in capsys.readouterr().out
 
 

@@ -113,7 +113,7 @@ def test_two_outputs_with_one_name_are_refused(here, capsys):
 @pytest.mark.parametrize(
     ('command', 'name'),
     [
-        ('check arm.urdf', 'arm_check.png'),
+        ('check arm.urdf --picture mine.png', 'mine.png'),
         ('effort arm.urdf move.yaml', 'move_efforts.csv'),
         ('effort arm.urdf move.yaml', 'move_efforts.png'),
         ('compare arm.urdf move.csv', 'move_compare.png'),
@@ -150,7 +150,7 @@ def test_the_example_does_not_replace_a_recording(here):
 
 def test_force_replaces_a_file(here):
     (here / 'poses.csv').write_text('mine')
-    arguments = ['check', 'arm.urdf', '--no-picture', '--poses', 'poses.csv', '--force']
+    arguments = ['check', 'arm.urdf', '--poses', 'poses.csv', '--force']
     assert main(arguments) == 0
     assert (here / 'poses.csv').read_text().startswith('joint,gravity_effort')
 
@@ -225,7 +225,7 @@ def current_umask():
 
 
 def test_streams_are_written_as_they_are(here, capfd):
-    arguments = ['check', 'arm.urdf', '--no-picture', '--poses']
+    arguments = ['check', 'arm.urdf', '--poses']
     assert main([*arguments, '/dev/stdout']) == 0
     assert '\njoint_1,' in capfd.readouterr().out
     assert main([*arguments, '/dev/null']) == 0

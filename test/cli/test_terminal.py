@@ -57,7 +57,7 @@ def write_table(path, name, rows=400):
 def test_a_description_cannot_control_the_terminal(here, capsys):
     urdf = hostile_urdf(here / 'arm.urdf')
     (here / 'move.yaml').write_text('joint_names: [nope]\ntimes: [0]\npositions: [[0]]')
-    assert main(['check', urdf, '--no-picture', '--samples', '64']) == 0
+    assert main(['check', urdf, '--samples', '64']) == 0
     assert main(['effort', urdf, 'move.yaml', '--no-picture']) == 1
     output = capsys.readouterr()
     assert r'joint_2\x9b2J\u202e' in output.out
@@ -83,7 +83,7 @@ def test_colours_are_the_only_escape_sequences_on_a_terminal(here):
     urdf = hostile_urdf(here / 'arm.urdf')
     master, slave = pty.openpty()
     process = subprocess.Popen(
-        [sys.executable, '-m', 'inverse_dynamics_node.cli.main', 'check', urdf, '--no-picture'],
+        [sys.executable, '-m', 'inverse_dynamics_node.cli.main', 'check', urdf],
         env={**os.environ, 'PYTHONPATH': str(ROOT), 'TERM': 'xterm', 'COLUMNS': '160'},
         stdout=slave,
         stderr=slave,

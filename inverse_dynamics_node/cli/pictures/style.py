@@ -134,14 +134,30 @@ def try_to_draw(
         return None
     path = options.picture or Path(default)
     try:
-        with new_file(path) as temporary:
-            draw(temporary)
-    except ImportError as error:  # also raised by a build for another version of numpy
+        write_picture(draw, path)
+    except ModuleNotFoundError as error:
         if options.picture:
-            raise ModuleNotFoundError(str(error), name='matplotlib') from error
+            raise
         print(f'no picture: matplotlib cannot be imported ({error}). {_HOW_TO_GET_PICTURES}')
         return None
     return Path(path)
+
+
+def write_picture(draw: Callable[[Path], None], path: Path) -> None:
+    """
+    Draw a picture that was requested.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        If matplotlib is missing.
+
+    """
+    try:
+        with new_file(path) as temporary:
+            draw(temporary)
+    except ImportError as error:  # also raised by a build for another version of numpy
+        raise ModuleNotFoundError(str(error), name='matplotlib') from error
 
 
 def draw_lines(
