@@ -52,10 +52,89 @@ _INTRODUCTION = """\
 Publishes the joint efforts that produce the requested joint accelerations of a robot given by its
 URDF. A managed node: with autostart it configures and activates itself."""
 
-_EXAMPLE = """\
-example:
-  inverse_dynamics_node --ros-args -p robot_description_file:=my_arm.urdf \\
-      -r '~/commands:=/forward_effort_controller/commands'"""
+_OPTIONS = """\
+options:
+  -h, --help  show this text
+  --version   show the version
+  --policy    show a policy of SROS 2 for a node with these arguments
+  --ros-args  what follows is for ROS: -p, --params-file set parameters; -r remaps topics"""
+
+_EXAMPLES = """\
+examples:
+  A dry run computes, checks and publishes everything, but sends no ~/commands:
+    inverse_dynamics_node --ros-args -p robot_description_file:=my_arm.urdf -p dry_run:=true \\
+        -r '~/commands:=/forward_effort_controller/commands'
+  Go live if model and robot agree, without a new start:
+    inverse_dynamics watch --for 10 && ros2 param set /inverse_dynamics dry_run false"""
+
+_EXIT_CODES = """\
+exit code:
+  0  ended by SIGINT, SIGTERM, SIGHUP or a shutdown transition, after the stop ramp
+  1  not started, because of a parameter, the robot description or ROS; or an error in the program
+  2  invalid arguments"""
+
+_LOCKED_JOINT = f'{LOCKED}.<joint>'
+GROUPS = {
+    'safety': (
+        'dry_run',
+        'use_urdf_effort_limits',
+        'effort_limits',
+        'effort_rate_limits',
+        'max_position_jump',
+        'start_ramp',
+        'stop_ramp',
+        'stop_damping',
+        'stop_timeout',
+        'state_timeout',
+        'uncommanded_state_timeout',
+        'on_stale_state',
+        'reference_timeout',
+        'on_missing_inertial',
+    ),
+    'robot and driver': (
+        'robot_description',
+        'robot_description_file',
+        'joints',
+        _LOCKED_JOINT,
+        'base_link',
+        'include_gravity',
+        'measured_gravity',
+        'measured_effort_scale',
+        'effort_scale',
+        'effort_offset',
+        'velocity_filter_cutoff',
+    ),
+    'motion': ('mode', 'kp', 'kd', 'stiffness', 'impedance_damping', 'guiding_damping'),
+    'loads and base': (
+        'gravity',
+        'base_motion',
+        'imu_orientation',
+        'imu_filter_cutoff',
+        'imu_timeout',
+        'load_ramp',
+        'wrench_timeout',
+        'external_efforts_cutoff',
+    ),
+    'friction': (
+        'include_friction',
+        'friction_scale',
+        'damping',
+        'coulomb',
+        'coulomb_width',
+        'load_friction',
+        'armature',
+    ),
+    'process': (
+        'update_rate',
+        'autostart',
+        'executor',
+        'thread_priority',
+        'lock_memory',
+        'cpu_affinity',
+        'allow_unknown_parameters',
+    ),
+}
+"""The parameters in the order of ``--help``, by the titles of their groups."""
 
 SUBSCRIBED = {
     'joint_states': ('sensor_msgs/JointState', 'measured state'),
@@ -92,25 +171,29 @@ SERVICES = {
 }
 
 
+_WORDS = {"''": 'empty', "['']": 'all', 'None': 'none'}
+"""Names of defaults that are hard to read."""
+
+
 def help_text() -> str:
     """Describe the command line, topics, services and parameters of the node."""
+    parameters = {**PARAMETERS, _LOCKED_JOINT: LOCKED_POSITION}
     return '\n\n'.join(
         [
             USAGE,
             fill(_INTRODUCTION, _HELP_WIDTH),
-            'options:\n'
-            '  -h, --help  show this text\n'
-            '  --version   show the version\n'
-            '  --policy    show a policy of SROS 2 for a node with these arguments\n'
-            '  --ros-args  parameters (-p, --params-file) and other names of topics (-r)',
-            _EXAMPLE,
+            _OPTIONS,
+            _EXAMPLES,
+            _EXIT_CODES,
             _topics('subscribed topics', SUBSCRIBED),
             _topics('published topics', PUBLISHED),
             _topics('services', SERVICES),
-            'parameters, with defaults ("live": a change applies at once; "per joint": one number '
-            'for all\ncommanded joints, or a list with one for each):',
-            *(_describe(name, parameter) for name, parameter in PARAMETERS.items()),
-            _describe(f'{LOCKED}.<joint>', LOCKED_POSITION),
+            'Parameters, with defaults. "live": a change applies at once. "per joint": one number '
+            'for all\ncommanded joints, or a list with one for each.',
+            *(
+                '\n'.join([f'{title}:', *(_describe(name, parameters[name]) for name in names)])
+                for title, names in GROUPS.items()
+            ),
         ]
     )
 
@@ -121,9 +204,8 @@ def _topics(title: str, rows: dict[str, tuple[str, str]]) -> str:
 
 
 def _describe(name: str, parameter: Parameter) -> str:
-    default = parameter.default_text
-    if parameter.default in ('', [''], None):
-        default = '(none)' if parameter.default is None else '(empty)'
+    word = _WORDS.get(parameter.default_text)
+    default = f'({word})' if word else parameter.default_text
     remarks = [parameter.range_text] if parameter.range and parameter.range_text else []
     if parameter.is_per_joint:
         remarks.append('per joint')
@@ -193,7 +275,7 @@ def parameter_file() -> str:
 
 def parameter_table() -> str:
     """Return the table of all parameters in Markdown, and the details as a list below it."""
-    parameters = {**PARAMETERS, f'{LOCKED}.<joint>': LOCKED_POSITION}
+    parameters = {**PARAMETERS, _LOCKED_JOINT: LOCKED_POSITION}
     rows = [_row(name, parameter) for name, parameter in parameters.items()]
     details = [
         fill(f'- `{name}`: {_squared(parameter.details)}.', 100, subsequent_indent='  ')
@@ -206,11 +288,9 @@ def parameter_table() -> str:
 
 def _row(name: str, parameter: Parameter) -> str:
     star = '*' if parameter.is_per_joint else ''
-    words = {"''": 'empty', "['']": 'all', 'None': 'none'}
-    default = words.get(parameter.default_text, parameter.default_text)
     cells = (
         f'`{name}`{star}',
-        default,
+        _WORDS.get(parameter.default_text, parameter.default_text),
         _squared(parameter.unit),
         'yes' if parameter.is_live else 'no',
         parameter.range_text,

@@ -46,7 +46,12 @@ def test_help_lists_the_documented_topics_and_parameters_without_ros(option):
     assert sorted(found) == sorted(topics)
     table = page.split('## Parameters')[1].split('\n## ')[0]
     names = re.findall(r'^\| `([\w.<>]+)`', table, re.M)
-    assert re.findall(r'^  ([\w.<>]+): ', result.stdout, re.M) == names
+    shown = re.findall(r'^  ([\w.<>]+): ', result.stdout, re.M)
+    # A new parameter needs a place in GROUPS of node/help.py.
+    assert sorted(shown) == sorted(names)
+    assert shown[:3] == ['dry_run', 'use_urdf_effort_limits', 'effort_limits']  # safety first
+    for text in ('-p dry_run:=true', '\nexit code:\n', '\n  joints: (all)\n'):
+        assert text in result.stdout
     assert '  stop_ramp: 0.5  (0 to 60, live)\n' in result.stdout
     assert max(map(len, result.stdout.splitlines())) <= 100
 
