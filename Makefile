@@ -3,7 +3,20 @@
 
 PYTHON ?= python3
 ROBOT ?= config/stanford.urdf
-VENV := .venv
+
+# `make test ROS_DISTRO=kilted` tests with ROS 2 Kilted, in an environment of its own. A sourced ROS
+# sets the same name in the environment, which changes nothing here.
+ifeq ($(origin ROS_DISTRO),command line)
+ROS := $(ROS_DISTRO)
+else
+ROS := jazzy
+endif
+ROS_jazzy := ros
+ROS_kilted := kilted
+ifndef ROS_$(ROS)
+$(error ROS_DISTRO is $(ROS), expected jazzy or kilted)
+endif
+VENV := .venv$(if $(filter-out jazzy,$(ROS)),-$(ROS))
 BIN := $(VENV)/bin
 
 # Without these variables, a sourced ROS cannot replace the libraries in the environment made here,
@@ -17,7 +30,7 @@ CLEAN := env -u PYTHONDONTWRITEBYTECODE -u PYTHONPATH -u LD_LIBRARY_PATH \
     ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
 
 .PHONY: demo test test-all test-plain test-oldest lint bench bench-loop storm soak network-faults \
-    mutation parameters pictures doc clean
+    mutation parameters pictures doc release clean
 
 demo: $(VENV)/demo.done
 	@$(CLEAN) $(BIN)/python -m inverse_dynamics_node.cli.main demo '$(ROBOT)' $(ARGS)
@@ -123,6 +136,10 @@ pictures: $(VENV)/test.done
 doc: $(VENV)/doc.done
 	@$(CLEAN) $(BIN)/python -m sphinx --quiet --fail-on-warning -b html doc build/doc
 
+# Builds sdist and wheel in dist/, and checks their contents.
+release: $(VENV)/release.done
+	@$(CLEAN) $(BIN)/python test/release.py
+
 $(VENV)/pip.done:
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))' || \
 	    { echo "$(PYTHON) is $$($(PYTHON) --version 2>&1), expected Python 3.10 to 3.13:" \
@@ -132,11 +149,12 @@ $(VENV)/pip.done:
 	@$(CLEAN) $(BIN)/pip install --quiet 'pip>=25'
 	@touch $@
 
-EXTRAS_demo := ros,demo
-EXTRAS_test := ros,demo,cli,test
+EXTRAS_demo := $(ROS_$(ROS)),demo
+EXTRAS_test := $(ROS_$(ROS)),demo,cli,test
 EXTRAS_bench := bench
 EXTRAS_doc := doc
 EXTRAS_mutation := ros,mutation
+EXTRAS_release := release
 # These have no wheels for some machines; the tables show which are missing.
 PEERS := drake roboticstoolbox-python
 
@@ -149,4 +167,4 @@ $(VENV)/%.done: $(VENV)/pip.done setup.py pyproject.toml $(CONSTRAINED)
 	@touch $@
 
 clean:
-	rm -rf $(VENV) .venv-oldest build install log *.egg-info
+	rm -rf $(VENV) .venv-oldest .venv-kilted build dist install log *.egg-info

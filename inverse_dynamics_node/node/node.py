@@ -237,17 +237,6 @@ class InverseDynamicsNode(LifecycleNode):
         self.is_finalized = True
         return super().on_shutdown(state)
 
-    def _LifecycleNodeMixin__on_change_state(self, request: Any, response: Any) -> Any:  # noqa: N802
-        """Reject a transition that is not possible now; rclpy 7.1 would end the process."""
-        from rclpy._rclpy_pybind11 import RCLError
-
-        try:
-            return super()._LifecycleNodeMixin__on_change_state(request, response)
-        except RCLError as error:
-            self.get_logger().error(f'transition is not possible in this state: {error}')
-            response.success = False
-            return response
-
     def _configure(self) -> None:
         configuration = self.configuration
         with self._scheduling.normal_priority():

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.srv import ListParameters
 from rclpy.node import Node
 
 from ..errors import ConfigurationError, did_you_mean, plain, shortened
@@ -45,7 +46,7 @@ def declare_parameters(node: Node) -> Configuration:
         Naming every parameter that is unknown or has an invalid value.
 
     """
-    given = {name: parameter.value for name, parameter in node._parameter_overrides.items()}
+    given = {name: parameter.value for name, parameter in _overrides(node).items()}
     locked = [name for name in given if name.startswith(f'{LOCKED}.')]
     values = {name: parameter.default for name, parameter in PARAMETERS.items()}
     values.update({name: given[name] for name in (*PARAMETERS, *locked) if name in given})
@@ -111,15 +112,18 @@ def changed_configuration(before: Configuration, values: dict[str, Any]) -> Conf
 
 def unknown_parameters(node: Node, names: Iterable[str]) -> list[str]:
     """Describe each name that is not a parameter of a node, with the closest one."""
-    known = [*PARAMETERS, *node._parameters]
-    return [_describe_unknown(name, known) for name in names if name not in known]
+    others = [name for name in names if name not in PARAMETERS]
+    if not others:
+        return []
+    known = [*PARAMETERS, *_declared(node)]
+    return [_describe_unknown(name, known) for name in others if name not in known]
 
 
 def unknown_overrides(node: Node) -> list[str]:
     """Describe each name given at the start that is not a parameter of the node."""
     later = f'{LOCKED}.', f'{_QOS}.'  # may be declared later
     return unknown_parameters(
-        node, (name for name in node._parameter_overrides if not name.startswith(later))
+        node, (name for name in _overrides(node) if not name.startswith(later))
     )
 
 
@@ -140,13 +144,26 @@ def _describe_unknown(name: str, known: Iterable[str]) -> str:
 
 def unused_qos_overrides(node: Node) -> list[str]:
     """Describe each QoS override that no publisher or subscription of the node has declared."""
-    declared = [name for name in node._parameters if name.startswith(f'{_QOS}.')]
+    declared = [name for name in _declared(node) if name.startswith(f'{_QOS}.')]
     return [
         f"parameter '{name}' matches no publisher or subscription of this node"
         + did_you_mean(name, declared)
-        for name in node._parameter_overrides
+        for name in _overrides(node)
         if name.startswith(f'{_QOS}.') and name not in declared
     ]
+
+
+def _overrides(node: Node) -> dict[str, Any]:
+    """Return the parameters of the command line and of files by name, declared or not."""
+    # The public way declares them all: a mistyped name would then be a parameter.
+    overrides: dict[str, Any] = node._parameter_overrides
+    return overrides
+
+
+def _declared(node: Node) -> list[str]:
+    """List the parameters that a node has."""
+    names: list[str] = node.list_parameters([], ListParameters.Request.DEPTH_RECURSIVE).names
+    return names
 
 
 def _descriptor(parameter: Parameter) -> ParameterDescriptor:

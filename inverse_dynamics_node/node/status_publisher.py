@@ -104,6 +104,7 @@ class StatusPublisher:
             publishers=publisher_count,
             is_active=self._runner.is_active,
             is_dry_run=loop is not None and loop.dry_run.is_active,
+            # The only public way to it is a service.
             state=str(node._state_machine.current_state[1]),
             others=self._graph.others(),
             state_publishers=tuple(publishers),

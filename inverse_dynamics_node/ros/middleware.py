@@ -8,7 +8,6 @@ import os
 from pathlib import Path
 
 import rclpy
-from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import get_rmw_implementation_identifier
 
@@ -98,7 +97,7 @@ def check_security(rmw: str, environment: Mapping[str, str]) -> None:
 
 def security_hints(error: Exception) -> list[str]:
     """Say what to look at after an error of ROS with security; empty otherwise."""
-    if os.environ.get(_SECURITY) != 'true' or not isinstance(error, RCLError):
+    if os.environ.get(_SECURITY) != 'true' or not isinstance(error, RuntimeError):
         return []
     return [
         f'{_SECURITY} is true: set ROS_SECURITY_KEYSTORE, choose an enclave with --ros-args '
@@ -112,7 +111,7 @@ def explained_start() -> Iterator[None]:
     """Raise the errors of starting ROS and creating a node as a ConfigurationError of one line."""
     try:
         yield
-    except (RCLError, UnknownROSArgsError) as error:
+    except RuntimeError as error:  # the base of rclpy's errors, which have no public names
         reason = ' '.join(str(error).partition(', at /')[0].split())
         text = '; '.join([f'ROS does not start: {reason}', *security_hints(error)])
         raise ConfigurationError(text) from None

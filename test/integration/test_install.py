@@ -1,4 +1,8 @@
-"""Builds by colcon: `ros2 run` finds the executables, and the node starts."""
+"""
+Builds by colcon and wheels: the executables are found, and the node starts.
+
+With colcon, `ros2 run` finds them; a wheel needs no ROS but that from the package index.
+"""
 
 import os
 from pathlib import Path
@@ -10,6 +14,7 @@ import sysconfig
 
 from node_process import shared_memory_of
 import pytest
+from release import problems_of_sdist, problems_of_wheel
 from robot_files import ROOT
 
 README = (ROOT / 'README.md').read_text()
@@ -135,3 +140,81 @@ def test_documented_installation_runs_in_the_environment_of_the_workspace(tmp_pa
     result = run(f'. install/setup.sh\nexec {script}/inverse_dynamics_node --version')
     assert result.returncode == 0, result.stderr
     assert '0.1.0' in result.stdout
+
+
+@pytest.fixture(scope='module')
+def wheel(tmp_path_factory):
+    """Build an sdist from a copy of the sources, and a wheel from the sdist."""
+    folder = tmp_path_factory.mktemp('release')
+    copy_sources(folder / 'sources')
+    subprocess.run(
+        [sys.executable, 'setup.py', '--quiet', 'sdist', '--dist-dir', folder],
+        cwd=folder / 'sources',
+        check=True,
+        timeout=300,
+    )
+    (sdist,) = folder.glob('*.tar.gz')
+    assert problems_of_sdist(sdist) == []
+    options = ['--quiet', '--no-deps', '--wheel-dir', folder]
+    subprocess.run(
+        [sys.executable, '-m', 'pip', 'wheel', *options, sdist],
+        cwd=folder,
+        check=True,
+        timeout=300,
+    )
+    (wheel,) = folder.glob('*.whl')
+    return wheel
+
+
+# What a sourced ROS, or the environment of these tests, would add.
+FOREIGN = ('PYTHONPATH', 'LD_LIBRARY_PATH', 'AMENT_PREFIX_PATH', '_ROS_WHEELS_BOOTSTRAP_COMPLETE')
+
+
+@pytest.mark.long
+def test_the_wheel_runs_in_an_empty_environment(wheel, tmp_path, domain_id):
+    assert problems_of_wheel(wheel) == []
+    environment = {name: value for name, value in os.environ.items() if name not in FOREIGN}
+    environment['ROS_DOMAIN_ID'] = str(domain_id)
+    python = Path(sys.base_prefix, 'bin', f'python3.{sys.version_info.minor}')
+    subprocess.run([python, '-m', 'venv', tmp_path / 'venv'], check=True, env=environment)
+    folder = tmp_path / 'venv' / 'bin'
+    urdf = tmp_path / 'venv/share/inverse_dynamics_node/config/stanford.urdf'
+
+    def run(name, *arguments):
+        return subprocess.run(
+            [folder / name, *arguments],
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=600,
+        )
+
+    result = run('pip', 'install', '--quiet', f'{wheel}[cli]')
+    assert result.returncode == 0, result.stderr
+    result = run('inverse_dynamics', 'check', urdf, '--picture', 'arm.png')
+    assert result.stdout.startswith('Usable, no warnings. '), result.stderr
+    assert (tmp_path / 'arm.png').exists()
+    result = run('inverse_dynamics', 'demo', urdf)
+    assert result.returncode == 1
+    advice = result.stderr.partition("pip install '")[2].partition("'")[0]
+    assert advice == 'inverse_dynamics_node[ros,demo]', result.stderr
+    result = run('pip', 'install', '--quiet', advice)
+    assert result.returncode == 0, result.stderr
+    result = run('inverse_dynamics', 'demo', urdf, '--duration', '5')
+    assert '\nPASSED: ' in result.stdout, result.stdout + result.stderr
+    given = f'robot_description_file:={urdf}'
+    node = subprocess.Popen(
+        [folder / 'inverse_dynamics_node', '--ros-args', '-p', 'dry_run:=true', '-p', given],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    lines = []
+    for line in node.stdout:
+        lines.append(line)
+        if 'no command yet' in line:
+            node.send_signal(signal.SIGINT)
+    assert node.wait(120) == 0, lines
+    assert any("robot 'stanford', 20.8 kg" in line for line in lines), lines
