@@ -226,8 +226,8 @@ def _run_identification(
     robot = load_urdf(urdf)
     dynamics = InverseDynamics(robot)
     limits = motion_limits(robot, fraction=_FRACTION)
-    print('searching for an exciting motion', flush=True)
-    with progress('searching for an exciting motion') as report:
+    print('searching for an excitation motion', flush=True)
+    with progress('searching for an excitation motion') as report:
         excitation = find_excitation(dynamics, limits, options.duration, progress=report)
     motion = _ExcitationMotion(excitation)
     setup = DemoSetup(urdf, robot, motion.sample(0.0)[0], options.duration, options.link)

@@ -64,7 +64,8 @@ def _summary(dynamics: InverseDynamics) -> Table:
     moving, count = float(np.sum(robot.mass[1:])), len(robot.joint_names)
     listed = ', '.join(f'{number} {kind}' for kind, number in kinds.items())
     mimics = len(robot.parent) - 1 - count
-    followers = f', {mimics} of them mimic another' if mimics else ''
+    follow = 'mimics' if mimics == 1 else 'mimic'
+    followers = f', {mimics} of them {follow} another' if mimics else ''
     has_friction = int(np.count_nonzero(robot.damping + robot.friction))
     massless = [
         name

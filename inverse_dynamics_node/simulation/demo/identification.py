@@ -25,7 +25,7 @@ from .results import LEAST_FACTOR, result_of, ScenarioResult
 from .scenarios import COMPUTED_TORQUE, hold, PATIENT, Scenario, standing, Timeline
 from .view import View
 
-SUMMARY = 'identify masses, friction and rotors from an exciting motion; follow it again'
+SUMMARY = 'identify masses, friction and rotors from an excitation motion; follow it again'
 # `follow` makes the timeline itself, because its motion depends on an analysis of the robot.
 _SCENARIO = Scenario(SUMMARY, hold, parameters={**COMPUTED_TORQUE, **PATIENT})
 MASS = (0.75, 1.35)
