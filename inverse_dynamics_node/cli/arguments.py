@@ -58,7 +58,7 @@ class CommandParser(argparse.ArgumentParser):
         self._names: list[str] = []
         self.add_argument('-h', '--help', group='help', action='help', help='show this text')
 
-    def add_argument(self, *names: str, group: str = '', **properties: Any) -> argparse.Action:  # type: ignore[override]
+    def add_argument(self, *names: str, group: str = '', **properties: Any) -> argparse.Action:
         """Add an argument; an option may name its group, such as `RESULT`."""
         if not names[0].startswith('-'):
             return super().add_argument(*names, **properties)
