@@ -120,7 +120,7 @@ soak: $(VENV)/test.done
 network-faults: $(VENV)/test.done
 	@$(CLEAN) PYTHONPATH=test $(BIN)/python -m benchmarks.network_faults $(ARGS)
 
-# Takes about ten minutes on two idle cores: ARGS='*.command_shaping.*' for the mutants of one module.
+# Takes about half an hour on two idle cores: ARGS='*.command_shaping.*' for one module.
 mutation: $(VENV)/mutation.done
 	@$(CLEAN) $(BIN)/python test/mutation.py $(ARGS)
 
