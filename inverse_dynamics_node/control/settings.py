@@ -86,10 +86,10 @@ class Settings:
     mode: Mode = setting(
         Mode.INVERSE_DYNAMICS,
         'How the reference is used',
-        '`inverse_dynamics`: its accelerations. `computed_torque`: these, with feedback of '
-        'position and velocity. `gravity_compensation`: not at all; the arm floats, for hand '
-        'guiding. `joint_impedance`: a spring and a damper hold each joint at the reference, or '
-        'where it is',
+        '`inverse_dynamics` uses its accelerations. `computed_torque` adds feedback of position '
+        'and velocity. `gravity_compensation` ignores it: the arm floats, for hand guiding. In '
+        '`joint_impedance`, a spring and a damper hold each joint at the reference, or where '
+        'it is',
     )
     kp: PerJoint = setting(100.0, 'Position gain of `computed_torque`', unit='1/s^2', minimum=0.0)
     kd: PerJoint = setting(20.0, 'Velocity gain of `computed_torque`', unit='1/s', minimum=0.0)
@@ -134,14 +134,14 @@ class Settings:
     effort_limits: PerJoint = setting(
         math.inf,
         'Tighter limits of the efforts. 0: none',
-        'A changed limit applies along the start ramp: the bound of the efforts falls to it',
+        'A changed limit applies over the start ramp: the bound of the efforts falls to it',
         unit='N m, N',
         minimum=0.0,
         is_unlimited_at_zero=True,
     )
     effort_rate_limits: PerJoint = setting(
         math.inf,
-        'Fastest change of the efforts, except along the stop ramp. 0: unlimited',
+        'Fastest change of the efforts, except over the stop ramp. 0: unlimited',
         unit='N m/s, N/s',
         minimum=0.0,
         is_unlimited_at_zero=True,
@@ -184,7 +184,7 @@ class Settings:
     stop_ramp: float = setting(
         0.5,
         'Time for the efforts to fall to zero',
-        'A ramp that has started keeps its time. `ros2 launch` ends the ramp after 5 s',
+        'A change does not affect a ramp in progress. `ros2 launch` ends the ramp after 5 s',
         unit='s',
         minimum=0.0,
         maximum=60.0,
@@ -246,7 +246,7 @@ class LoadSettings:
     load_ramp: float = setting(
         0.5,
         'Time in which a payload is ramped in, or a lost external wrench fades out',
-        'Gravity changes by 9.8 m/s^2 in this time. A ramp that has started keeps its time',
+        'Gravity changes by 9.8 m/s^2 in this time. A change does not affect a ramp in progress',
         unit='s',
         minimum=0.0,
         maximum=60.0,

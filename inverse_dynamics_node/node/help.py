@@ -35,8 +35,8 @@ _YAML_HEADER = """\
 #
 # Efforts are in N m for a joint that turns and in N for one that slides. "per joint": one number
 # for all commanded joints, or a list with one for each; all numbers of a list have a decimal point
-# or none has. "live": a change applies at once; other parameters are read when the node is
-# configured.
+# or none has. "live": a change while the node runs is blended in over start_ramp; other parameters
+# are read when the node is configured.
 /**:
   ros__parameters:
 """
@@ -188,8 +188,8 @@ def help_text() -> str:
             _topics('subscribed topics', SUBSCRIBED),
             _topics('published topics', PUBLISHED),
             _topics('services', SERVICES),
-            'Parameters, with defaults. "live": a change applies at once. "per joint": one number '
-            'for all\ncommanded joints, or a list with one for each.',
+            'Parameters, with defaults. "live": a change is blended in over start_ramp. "per '
+            'joint": one\nnumber for all commanded joints, or a list with one for each.',
             *(
                 '\n'.join([f'{title}:', *(_describe(name, parameters[name]) for name in names)])
                 for title, names in GROUPS.items()

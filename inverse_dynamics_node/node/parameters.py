@@ -106,8 +106,8 @@ class Configuration(Settings, LoadSettings):
     dry_run: bool = parameter(
         False,
         'Compute, check and publish everything, but send no `~/commands`',
-        'Switched on while the node commands: these fall to zero within `stop_ramp`, zeros follow '
-        'for 0.5 s, then nothing. Switched off: they rise from zero within `start_ramp`',
+        'If switched on while the node sends commands, they fall to zero within `stop_ramp`, '
+        'zeros follow for 0.5 s, then nothing. If switched off, they rise within `start_ramp`',
         default_note='false; true in the launch file',
     )
     gravity: tuple[float, float, float] = parameter(
@@ -209,7 +209,7 @@ class Configuration(Settings, LoadSettings):
     thread_priority: int = parameter(
         50,
         'Priority of the control loop and the middleware in the scheduling policy `SCHED_FIFO`',
-        'Without the permission they keep normal priority, and a warning is logged',
+        'Without the permission, the threads keep normal priority, and a warning is logged',
         minimum=1,
         maximum=99,
         is_live=False,

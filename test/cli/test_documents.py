@@ -5,7 +5,6 @@ import re
 import shlex
 import shutil
 
-from inverse_dynamics_node.cli import main as main_module
 from inverse_dynamics_node.cli.main import COMMANDS, main
 from inverse_dynamics_node.node.parameters import PARAMETERS
 import pytest
@@ -66,13 +65,7 @@ def commands_of(page):
 
 
 def parse(command, options):
-    module = import_module(f'inverse_dynamics_node.cli.{command}')
-    if hasattr(module, 'make_parser'):
-        module.make_parser().parse(options)
-    elif command == 'demo':
-        module._parse(options)
-    else:
-        main_module._parser().parse_args([command, *options])
+    import_module(f'inverse_dynamics_node.cli.{command}').make_parser().parse(options)
 
 
 def test_commands_in_the_documents_exist():
