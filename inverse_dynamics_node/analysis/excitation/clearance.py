@@ -268,13 +268,17 @@ class Clearance:
         from scipy.spatial import cKDTree
 
         capsules = self.capsules
-        few, many = sorted(self.pairs[row], key=lambda k: len(capsules.surfaces[k]))
-        if not len(capsules.surfaces[few]):
+        if not self.has_surfaces(row):
             return otherwise
+        few, many = sorted(self.pairs[row], key=lambda k: len(capsules.surfaces[k]))
         body, other = capsules.body[few], capsules.body[many]
         points = capsules.surfaces[few] @ R[body].T + p[body]
         tree = cKDTree(capsules.surfaces[many])
         return float(tree.query((points - p[other]) @ R[other])[0].min())
+
+    def has_surfaces(self, row: int) -> bool:
+        """Return whether the shapes in both capsules of a pair are known."""
+        return all(len(self.capsules.surfaces[k]) for k in self.pairs[row])
 
     def names(self, row: int) -> tuple[str, str]:
         """Return what a row is about: a link, and another link, 'floor' or 'box'."""
@@ -337,21 +341,17 @@ def find_clearance(
     needed = np.concatenate([np.full(len(pairs), CLEARANCE), *[outside] * (2 + len(obstacles))])
     clearance = Clearance(robot, capsules, pairs, floor, obstacles, needed)
     found, p = clearance.contacts(poses), len(pairs)
-    rotations, positions = body_frames(robot, poses)
-    for row in np.unique(found.row[found.row < p + 2 * c]):
-        of_row = found.row == row
-        pose, distance = found.pose[of_row], found.distance[of_row]
-        share = len(pose) / len(poses)
-        if row >= p:
-            # What is always near the floor is near the axis of the first joint.
-            needed[row] = -math.inf if share > _ALL else needed[row]
-        elif share > _OFTEN:
-            looked = zip(pose[:_MOST_LOOKS], distance[:_MOST_LOOKS], strict=True)
-            surfaces = [
-                clearance.between_surfaces(row, rotations[k], positions[k], otherwise)
-                for k, otherwise in looked
-            ]
-            needed[row] = _needed(distance, np.array(surfaces), share)
+    # What is always near the floor is near the axis of the first joint.
+    always = np.bincount(found.row, minlength=len(needed)) > _ALL * len(poses)
+    floor_rows = slice(p, p + 2 * c)
+    needed[floor_rows][always[floor_rows]] = -math.inf
+    both = body[pairs] @ [len(robot.parent), 1]
+    is_pair = found.row < p
+    pose, row, distance = found.pose[is_pair], found.row[is_pair], found.distance[is_pair]
+    for each in np.unique(both[row]):
+        of = both[row] == each
+        for k, least in _needed(clearance, poses, pose[of], row[of], distance[of]).items():
+            needed[k] = least
     kept = np.isfinite(needed)
     kept[p:] |= np.tile(body == 0, 2 + len(obstacles))
     checked = {clearance.names(row) for row in np.flatnonzero(kept).tolist()}
@@ -364,29 +364,54 @@ def find_clearance(
     )
 
 
-def _needed(distance: Floats, surfaces: Floats, share: float) -> float:
+def _needed(
+    clearance: Clearance, poses: Floats, pose: Integers, row: Integers, distance: Floats
+) -> dict[int, float]:
     """
-    Return how near two capsules may come that are often nearer than the clearance.
+    Return how near the capsules of two bodies may come, if they are often near.
 
     Parameters
     ----------
-    distance : ndarray
-        Their distances in the poses in which they are near [m].
-    surfaces : ndarray
-        Those of the surfaces in them, in the first of these poses [m].
-    share : float
-        Fraction of all poses in which the capsules are near.
+    clearance : Clearance
+        Its surfaces are looked at.
+    poses : ndarray, shape (k, n)
+        All poses [rad or m].
+    pose, row, distance : ndarray, shape (c,)
+        Poses and rows of contacts of the two bodies, and the distances of the capsules [m].
+
+    Returns
+    -------
+    needed : dict of int to float
+        The least distances of rows [m]; -inf if it does not matter.
 
     """
+    near_poses = np.unique(pose)
+    share = len(near_poses) / len(poses)
+    if share <= _OFTEN:
+        return {}
+    if share > _MANY and not clearance.has_surfaces(row[0]):
+        return dict.fromkeys(row.tolist(), -math.inf)
+    looked = np.isin(pose, near_poses[:_MOST_LOOKS])
+    rotations, positions = body_frames(clearance.robot, poses)
+    surfaces = np.full(len(pose), math.inf)
+    for k in np.flatnonzero(looked):
+        surfaces[k] = clearance.between_surfaces(
+            int(row[k]), rotations[pose[k]], positions[pose[k]], distance[k]
+        )
+    of_poses = np.array([surfaces[pose == k].min() for k in near_poses[:_MOST_LOOKS]])
     least = CLEARANCE
-    if share > _MANY:  # near each other by design, half as near may be too near
-        least = float(np.clip(0.5 * np.median(surfaces), TOUCH, CLEARANCE))
-    is_near = surfaces < least
-    if share * np.mean(is_near) > _ALL:
-        return -math.inf
-    if not is_near.any():
-        return float(distance.min()) - _UNSEEN
-    return float(distance[: len(surfaces)][is_near].max())
+    if share > _MANY:  # near each other by design: half as near may be too near
+        least = float(np.clip(0.5 * np.median(of_poses), TOUCH, CLEARANCE))
+    if share * np.mean(of_poses < least) > _ALL:
+        return dict.fromkeys(row.tolist(), -math.inf)
+    needed = {}
+    for each in np.unique(row).tolist():
+        is_near = (row == each) & (surfaces < least)
+        if is_near.any():
+            needed[each] = float(distance[is_near].max())
+        else:
+            needed[each] = float(distance[row == each].min()) - _UNSEEN
+    return needed
 
 
 # Nearest points
