@@ -109,7 +109,7 @@ def test_a_file_has_fewer_than_600_lines(path):
     lines = path.read_text().splitlines()
     if path == PACKAGE / 'dynamics' / 'inverse_dynamics.py':
         # One public class, of which almost half is the documentation of its methods.
-        assert len(lines) < 820
+        assert len(lines) < 900
         return
     assert len(lines) < 600, 'move one of its concepts to its own file'
 

@@ -146,18 +146,17 @@ def is_free(out: Floats, others: Sequence[Floats]) -> bool:
     return out.flags.c_contiguous and not any(np.may_share_memory(out, x) for x in others)
 
 
-def read_joints(name: str, values: ArrayLike, n: int) -> Floats:
-    """Convert one number per joint, or one for all joints, to non-negative numbers."""
+def read_joints(name: str, values: ArrayLike, n: int, is_signed: bool = False) -> Floats:
+    """Convert one number per joint, or one for all joints; not negative, unless it is signed."""
     try:
         numbers = np.broadcast_to(np.asarray(values, dtype=np.float64), (n,))
     except (TypeError, ValueError):
         raise ConfigurationError(
             f'{name} is {plain(values)!r}, expected one number, or one for each of {n} joints'
         ) from None
-    if not (np.isfinite(numbers) & (numbers >= 0.0)).all():
-        raise ConfigurationError(
-            f'{name} is {plain(values)!r}, expected finite numbers of at least 0'
-        )
+    if not (np.isfinite(numbers) & (is_signed | (numbers >= 0.0))).all():
+        least = '' if is_signed else ' of at least 0'
+        raise ConfigurationError(f'{name} is {plain(values)!r}, expected finite numbers{least}')
     return numbers
 
 

@@ -31,10 +31,12 @@ from .equations import (
 )
 from .jit import compile_for, NOT_FINITE, OK, simd_inline, simd_kernel, simd_step
 from .link_kinematics import Axes, axes_in_base, in_base
-from .newton_euler import joint_friction, own_wrench
+from .newton_euler import joint_friction, own_wrench, spring_effort
 from .regressor import block, in_frame_of_parameters, PARAMETERS, unit_twist
 from .robot_table import (
     ARMATURE,
+    COUPLING,
+    coupling_of,
     friction_of,
     JOINT,
     MULTIPLIER,
@@ -154,7 +156,7 @@ def _blocks(
             regressor_pass(robot, R_LZ, place, motion, frames, turned, factors, residue)
             store_blocks(robot, factors, all_matrices[states])
         else:
-            inward_pass(tau, robot, place, wrench)
+            inward_pass(q, tau, robot, place, wrench)
             finish(qd, qdd, tau, robot, residue)
             transpose(tau, all_tau[:, states])
     for k in range(LANES):
@@ -196,11 +198,11 @@ def outward_pass(
 
 
 @simd_step
-def inward_pass(tau: Any, robot: Any, place: Any, wrench: Any) -> None:
+def inward_pass(q: Any, tau: Any, robot: Any, place: Any, wrench: Any) -> None:
     """Propagate forces and moments from tips to base, and project them onto the joint axes."""
     for joint in range(len(tau)):
         for k in range(LANES):
-            tau[joint, k] = 0.0
+            tau[joint, k] = spring_effort(robot[joint + 1], q[joint, k])
     for i in range(len(robot) - 1, 0, -1):
         parent, joint = int(robot[i, PARENT]), int(robot[i, JOINT])
         project(tau, robot, i, joint, wrench)
@@ -306,6 +308,9 @@ def finish(qd: Any, qdd: Any, tau: Any, robot: Any, residue: Any) -> None:
     """Add the terms of a single joint: rotor inertia and friction; check."""
     for joint in range(len(tau)):
         armature, numbers = robot[joint + 1, ARMATURE], friction_of(robot[joint + 1])
+        if robot[joint + 1, COUPLING] != 0.0:
+            share_drive(qd, qdd, tau, robot, joint, residue)
+            continue
         for k in range(LANES):
             load = tau[joint, k]
             friction = joint_friction(numbers, qd[joint, k], load)
@@ -313,6 +318,22 @@ def finish(qd: Any, qdd: Any, tau: Any, robot: Any, residue: Any) -> None:
             tau[joint, k] = effort
             # The difference is 0 only for finite numbers, and a NaN stays a NaN.
             residue[0, k] = residue[0, k] + (effort - effort)
+
+
+@simd_step
+def share_drive(qd: Any, qdd: Any, tau: Any, robot: Any, joint: int, residue: Any) -> None:
+    """Add the terms of a drive that also turns with the joint before; see `drive_terms`."""
+    armature, numbers = robot[joint + 1, ARMATURE], friction_of(robot[joint + 1])
+    ratio, before = coupling_of(robot[joint + 1])
+    for k in range(LANES):
+        rate, rate_dot = qd[before, k], qdd[before, k]
+        rate, rate_dot = qd[joint, k] + ratio * rate, qdd[joint, k] + ratio * rate_dot
+        friction = joint_friction(numbers, rate, tau[joint, k])
+        effort = armature * rate_dot + friction
+        tau[before, k] = tau[before, k] + ratio * effort
+        effort = tau[joint, k] + effort
+        tau[joint, k] = effort
+        residue[0, k] = residue[0, k] + (effort - effort)
 
 
 @simd_step

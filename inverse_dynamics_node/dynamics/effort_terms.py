@@ -21,6 +21,7 @@ from .newton_euler import (
 )
 from .robot_table import (
     ARMATURE,
+    coupling_of,
     EXTERNAL_FORCE,
     EXTERNAL_MOMENT,
     friction_of,
@@ -43,9 +44,9 @@ class EffortTerms(NamedTuple):
     coriolis: Floats
     """C(q, qd) qd: Coriolis and centrifugal efforts, including those of a rotating base."""
     gravity: Floats
-    """g(q), and the efforts due to the acceleration and rotation of the base."""
+    """g(q), springs, and the efforts due to the acceleration and rotation of the base."""
     friction: Floats
-    """Viscous and Coulomb friction, including the part that grows with the load."""
+    """Friction, including the parts that grow with the load and the root of the speed."""
     external: Floats
     """Minus the efforts that the external wrenches exert."""
 
@@ -138,8 +139,22 @@ def friction_terms(
     for joint in range(len(friction)):
         row = robot[joint + 1]
         load = inertial[joint] + coriolis[joint] + gravity[joint] + external[joint]
-        load -= row[ARMATURE] * qdd[joint]  # on the motor's side of the gear
-        friction[joint] = joint_friction(friction_of(row), qd[joint], load)
+        ratio, before = coupling_of(row)
+        if ratio != 0.0:
+            rotor = row[ARMATURE] * (qdd[joint] + ratio * qdd[before])
+            friction[joint] = load - rotor
+            friction[before] -= ratio * rotor
+        else:
+            friction[joint] = load - row[ARMATURE] * qdd[joint]  # on the motor's side of the gear
+    for joint in range(len(friction)):
+        row = robot[joint + 1]
+        ratio, before = coupling_of(row)
+        if ratio != 0.0:
+            rate = qd[joint] + ratio * qd[before]
+            friction[joint] = joint_friction(friction_of(row), rate, friction[joint])
+            friction[before] += ratio * friction[joint]
+        else:
+            friction[joint] = joint_friction(friction_of(row), qd[joint], friction[joint])
 
 
 @simd_inline
@@ -150,21 +165,22 @@ def any_of(v: Vector) -> bool:
 
 _NO_BODIES = (robot_table.MASS, robot_table.INERTIA_COLUMNS, robot_table.BASE_MOTION_COLUMNS)
 _NO_DRIVE_TERMS = (robot_table.DRIVE_TERM_COLUMNS, robot_table.HAS_DRIVE_TERMS)
+_NO_SPRINGS = (robot_table.SPRING_COLUMNS, robot_table.HAS_SPRINGS)
 _ABSENT: dict[str, tuple[int | slice, ...]] = {
     'inertial': (
         robot_table.BASE_MOTION_COLUMNS,
         robot_table.EXTERNAL_COLUMNS,
-        robot_table.DAMPING,
-        robot_table.COULOMB,
-        robot_table.LOAD_FRICTION,
+        robot_table.FRICTION_COLUMNS,
+        *_NO_SPRINGS,
     ),
     'coriolis': (
         robot_table.BASE_ACCELERATION_COLUMNS,
         robot_table.EXTERNAL_COLUMNS,
         *_NO_DRIVE_TERMS,
+        *_NO_SPRINGS,
     ),
     'gravity': (robot_table.EXTERNAL_COLUMNS, *_NO_DRIVE_TERMS),
-    'external': (*_NO_BODIES, *_NO_DRIVE_TERMS),
+    'external': (*_NO_BODIES, *_NO_DRIVE_TERMS, *_NO_SPRINGS),
 }
 """Terms of the efforts, and the columns that are zero in the table that computes each of them."""
 

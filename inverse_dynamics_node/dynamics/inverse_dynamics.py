@@ -349,8 +349,8 @@ class InverseDynamics:
         Notes
         -----
         LWP (45) and (46). The moment about the axis of a revolute joint, or the force along the
-        axis of a prismatic one, is the joint's effort without armature and friction, which act
-        inside the joint.
+        axis of a prismatic one, is the joint's effort without armature, friction and springs,
+        which act inside the joint.
 
         """
         shape = (len(self._R_LZ), 6)
@@ -481,7 +481,7 @@ class InverseDynamics:
         -----
         Links that fixed joints hold together are one body. A body that a mimic joint moves has
         columns of its own, and adds to the row of the joint that is mimicked. Gravity and the
-        motion of the base are included. Armature, friction and external wrenches are not: the
+        motion of the base are included. Armature, friction, springs and wrenches are not: the
         efforts due to them do not depend on pi. Payloads are part of pi and do not change Y.
 
         The first call on a machine compiles; the machine code is cached on disk.
@@ -511,7 +511,7 @@ class InverseDynamics:
         -------
         parameters : ndarray, shape (10 (b - 1),)
             In the order of the columns of `regressor`. ``regressor(q, qd, qdd) @ parameters`` are
-            the efforts of a robot without armature, friction and external wrenches.
+            the efforts of a robot without drive terms, springs and external wrenches.
 
         """
         bodies = range(1, len(self.robot.parent))
@@ -637,9 +637,12 @@ class InverseDynamics:
         coulomb: ArrayLike | None = None,
         width: ArrayLike = FRICTION_WIDTH,
         load_friction: ArrayLike = 0.0,
+        sqrt_damping: ArrayLike = 0.0,
     ) -> None:
         r"""
-        Set friction: :math:`d\,\dot q + (c + \eta\,|\tau_{load}|) \tanh(\dot q / w)`.
+        Set friction: :math:`d\,v + (c + \eta\,|\tau_{load}| + s \sqrt{|v|}) \tanh(v / w)`.
+
+        The speed v is that of the joint, or of its drive if that is coupled to another joint.
 
         Parameters
         ----------
@@ -651,6 +654,9 @@ class InverseDynamics:
             Speed w over which Coulomb friction is smoothed [rad/s or m/s].
         load_friction : array_like, shape (n,) or ()
             Increase eta of Coulomb friction per effort that loads the gear [-].
+        sqrt_damping : array_like, shape (n,) or ()
+            Friction s per square root of the speed, of gears with much grease at low speeds
+            [N m (s/rad)^0.5 or N (s/m)^0.5].
 
         Raises
         ------
@@ -660,9 +666,9 @@ class InverseDynamics:
         Notes
         -----
         The effort that loads the gear is what moves and holds the links: inertia, Coriolis and
-        centrifugal efforts, and gravity, with payloads, base motion and external wrenches. It
-        includes neither armature nor friction. Its product with eta is the usual model of gears
-        whose losses are proportional to the transmitted effort [1]_.
+        centrifugal efforts, and gravity, with payloads, springs, base motion and external
+        wrenches. It includes neither armature nor friction. Its product with eta is the usual
+        model of gears whose losses are proportional to the transmitted effort [1]_.
 
         References
         ----------
@@ -678,9 +684,10 @@ class InverseDynamics:
         speeds = read_joints('width', width, n)
         if not (speeds >= np.finfo(float).tiny).all():  # the inverse of less may be infinite
             raise ConfigurationError(f'width is {width!r}, expected speeds above 0')
-        load_friction = read_joints('load_friction', load_friction, n)
+        per_load = read_joints('load_friction', load_friction, n)
+        per_root = read_joints('sqrt_damping', sqrt_damping, n)
         # All arguments have been checked: a call that fails changes nothing.
-        robot_table.write_friction(self._table, damping, coulomb, speeds, load_friction)
+        robot_table.write_friction(self._table, damping, coulomb, speeds, per_load, per_root)
         self.revision += 1
 
     def set_armature(self, armature: ArrayLike) -> None:
@@ -700,6 +707,62 @@ class InverseDynamics:
         """
         values = read_joints('armature', armature, len(self.robot.joint_names))
         robot_table.write_joints(self._table, robot_table.ARMATURE, values)
+        self.revision += 1
+
+    def set_drive_coupling(self, coupling: ArrayLike) -> None:
+        r"""
+        Couple drives to the joints before them, as in wrists whose gears run through a joint.
+
+        The speed of the drive of joint k is :math:`v_k = \dot q_k + g_k\,\dot q_{k-1}`. Its
+        friction and armature act on joint k, and g times as much on the joint before.
+
+        Parameters
+        ----------
+        coupling : array_like, shape (n,) or ()
+            Turn g of each drive per turn of the joint that moves its carrier [-]; 0 for a drive of
+            its own.
+
+        Raises
+        ------
+        ConfigurationError
+            If a value is not finite, or not 0 for a joint on the base.
+
+        """
+        values = read_joints('coupling', coupling, len(self.robot.joint_names), is_signed=True)
+        for k in np.flatnonzero(values):
+            if self._table[k + 1, robot_table.JOINT_BEFORE] < 0.0:
+                raise ConfigurationError(
+                    f"coupling of joint '{self.robot.joint_names[k]}' is {values[k]}, expected 0: "
+                    'no joint comes before it'
+                )
+        robot_table.write_joints(self._table, robot_table.COUPLING, values)
+        self.revision += 1
+
+    def set_springs(self, stiffness: ArrayLike, rest: ArrayLike = 0.0) -> None:
+        r"""
+        Set springs or counterweights at joints, which add :math:`k\,(q - q_0)` to the efforts.
+
+        They belong to the efforts that hold the robot still: to `gravity_efforts` and to the term
+        ``gravity``. They relieve the gears, or load them.
+
+        Parameters
+        ----------
+        stiffness : array_like, shape (n,) or ()
+            Stiffness k [N m/rad or N/m]; negative for one that drives the joint away from rest.
+        rest : array_like, shape (n,) or ()
+            Joint position q_0 at which the spring exerts no effort [rad or m].
+
+        Raises
+        ------
+        ConfigurationError
+            If a value is not finite.
+
+        """
+        n = len(self.robot.joint_names)
+        values = read_joints('stiffness', stiffness, n, is_signed=True)
+        preload = -values * read_joints('rest', rest, n, is_signed=True)
+        robot_table.write_joints(self._table, robot_table.STIFFNESS, values)
+        robot_table.write_joints(self._table, robot_table.PRELOAD, preload)
         self.revision += 1
 
     def _efforts_in(

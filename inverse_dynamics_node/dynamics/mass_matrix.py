@@ -29,6 +29,7 @@ from .robot_table import (
     ARMATURE,
     COM,
     COMPOSITE,
+    coupling_of,
     inertia,
     JOINT,
     JOINT_COUNT,
@@ -74,6 +75,11 @@ def mass_matrix(q: Sequence[float], matrix: Any, robot: Any) -> int:
             matrix[i][j] = 0.0
         # A position that is not finite must not go unnoticed where no entry depends on it.
         matrix[i][i] = robot[i + 1][ARMATURE] + (q[i] - q[i])
+        ratio, before = coupling_of(robot[i + 1])
+        if ratio != 0.0:
+            shared = ratio * robot[i + 1][ARMATURE]
+            matrix[i][before] = matrix[before][i] = shared
+            matrix[before][before] += ratio * shared
     hold_base_axes(robot[0])
     for i in range(1, len(robot)):
         link = robot[i]

@@ -9,7 +9,7 @@ numba, a list of lists for Python.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import cos, fabs, sin, tanh
+from math import cos, fabs, sin, sqrt, tanh
 from typing import Any
 
 from .equations import (
@@ -36,10 +36,12 @@ from .robot_table import (
     ARMATURE,
     body_of,
     COSINE,
+    coupling_of,
     FORCE,
     frame_of,
     friction_of,
     HAS_DRIVE_TERMS,
+    HAS_SPRINGS,
     JOINT,
     JOINT_COUNT,
     joint_of,
@@ -53,11 +55,13 @@ from .robot_table import (
     PARENT,
     place_of,
     POSITION_OFFSET,
+    PRELOAD,
     RATE,
     RATE_DOT,
     rotation,
     SINE,
     SLIDES,
+    STIFFNESS,
     store,
     store_wrench,
     vector,
@@ -99,7 +103,11 @@ def inverse_dynamics(
     if has_drive_terms:
         for joint in range(n):  # kept, because tau may be the array of qd or qdd
             robot[joint + 1][RATE], robot[joint + 1][RATE_DOT] = qd[joint], qdd[joint]
-    clear(tau)
+    if robot[0][HAS_SPRINGS] != 0.0:
+        for joint in range(n):
+            tau[joint] = spring_effort(robot[joint + 1], q[joint])
+    else:
+        clear(tau)
     inward_pass(tau, robot)
     if has_drive_terms:
         drive_terms(tau, robot)
@@ -153,7 +161,8 @@ def gravity_efforts(q: Sequence[float], tau: Any, robot: Any) -> int:
         store(link, FORCE, subtract(force_net, external_force))
         store(link, MOMENT, subtract(moment, external_moment))
     for joint in range(n):
-        tau[joint] = q[joint] - q[joint]  # 0, or NaN where no effort depends on it
+        # A spring's effort; without one 0, or NaN where no effort depends on the position
+        tau[joint] = spring_effort(robot[joint + 1], q[joint])
     inward_pass(tau, robot)
     return check(tau)
 
@@ -223,33 +232,52 @@ def inward_pass(tau: Any, robot: Any) -> None:
         tau[joint] += multiplier * joint_effort(force, moment, slides)  # (47)
 
 
+@simd_inline
+def spring_effort(row: Any, position: Any) -> Any:
+    """Return the effort of the spring or counterweight at a joint, on the side of the links."""
+    return row[STIFFNESS] * position + row[PRELOAD]
+
+
 @compiled
 def drive_terms(tau: Any, robot: Any) -> None:
     """
-    Add the terms of a single joint to the efforts of the inward pass: rotor inertia and friction.
+    Add the terms of a single drive to the efforts of the inward pass: rotor inertia and friction.
 
     Friction is an internal pair at one joint and does not propagate to the joints below. This is
     the authors' form of 1980, tau = n . z + b qd; with LWP (22), (23) of 1979 it would propagate.
+    A drive that also turns with the joint before acts on both joints: equal power.
 
     """
     for joint in range(len(tau)):
         row = robot[joint + 1]
-        friction = joint_friction(friction_of(row), row[RATE], tau[joint])
-        tau[joint] += row[ARMATURE] * row[RATE_DOT] + friction
+        rate, rate_dot = row[RATE], row[RATE_DOT]
+        ratio, before = coupling_of(row)
+        if ratio != 0.0:
+            rate += ratio * robot[before + 1][RATE]
+            rate_dot += ratio * robot[before + 1][RATE_DOT]
+        friction = joint_friction(friction_of(row), rate, tau[joint])
+        effort = row[ARMATURE] * rate_dot + friction
+        tau[joint] += effort
+        if ratio != 0.0:
+            tau[before] += ratio * effort  # its friction has been computed: joints are in order
 
 
 @simd_inline
 def joint_friction(numbers: Any, rate: Any, load: Any) -> Any:
     """
-    Return the viscous and Coulomb friction of a joint with these numbers, from `friction_of`.
+    Return the friction of a drive with these numbers, from `friction_of`.
 
     Coulomb friction may grow with the load on the gear: the effort (47) that links, payloads and
-    external wrenches require. Rotor inertia and friction act on the motor's side of the gear.
+    external wrenches require, less that of a spring. Rotor inertia and friction act on the motor's
+    side of the gear.
 
     """
-    damping, coulomb, load_friction, inverse_width = numbers
-    if coulomb != 0.0 or load_friction != 0.0:
-        return damping * rate + (coulomb + load_friction * fabs(load)) * tanh(inverse_width * rate)
+    damping, coulomb, load_friction, sqrt_damping, inverse_width = numbers
+    if coulomb != 0.0 or load_friction != 0.0 or sqrt_damping != 0.0:
+        dry = coulomb + load_friction * fabs(load)
+        if sqrt_damping != 0.0:
+            dry += sqrt_damping * sqrt(fabs(rate))
+        return damping * rate + dry * tanh(inverse_width * rate)
     return damping * rate
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ..robot.model import Floats, RobotModel
+from ..robot.model import Floats, Integers, RobotModel
 from .jit import simd_inline
 
 # The body and its joint
@@ -31,37 +31,45 @@ SLIDES = 26  # 1.0 for a prismatic joint, 0.0 for a revolute one
 EXTERNAL_FORCE = 27  # that the world exerts on the body [N]
 EXTERNAL_MOMENT = 30  # about the body's origin [N m]
 # Joint k, in row k + 1 because there are more bodies than joints
-ARMATURE = 33
-DAMPING = 34
-COULOMB = 35
-INVERSE_WIDTH = 36  # of the smoothed step of Coulomb friction [s/rad or s/m]
-LOAD_FRICTION = 37  # Coulomb friction per effort that the links require
+STIFFNESS = 33  # of the spring at the joint [N m/rad or N/m]
+PRELOAD = 34  # effort of the spring at joint position 0 [N m or N]
+COUPLING = 35  # turn of the drive per turn of the joint before
+ARMATURE = 36
+DAMPING = 37
+COULOMB = 38
+INVERSE_WIDTH = 39  # of the smoothed step of Coulomb friction [s/rad or s/m]
+LOAD_FRICTION = 40  # Coulomb friction per effort that the links require
+SQRT_DAMPING = 41  # friction per square root of the speed
+JOINT_BEFORE = 42  # joint that moves the body that carries this joint; -1 at the base
 # The robot, in the row of the base
-JOINT_COUNT = 38
-HAS_DRIVE_TERMS = 39
+JOINT_COUNT = 43
+HAS_DRIVE_TERMS = 44
+HAS_SPRINGS = 45
 # Scratch space of the passes, except for the motion of the base, which is an input
-COSINE = 40  # of the angle by which the joint has turned
-SINE = 41
-LENGTH = 42  # by which the joint has slid [m]
-OMEGA = 43
-OMEGA_DOT = 46
-ACCEL = 49
-FORCE = 52
-MOMENT = 55
-RATE = 58  # of joint k
-RATE_DOT = 59
-COMPOSITE = 60  # ten columns, used by `mass_matrix` only
-POSITION = 70  # of the frame's origin in the base; the passes use neither this nor the axes
-X_AXIS = 73  # of the frame, in coordinates of the base
-Y_AXIS = 76
-Z_AXIS = 79
-COLUMNS = 82
+COSINE = 46  # of the angle by which the joint has turned
+SINE = 47
+LENGTH = 48  # by which the joint has slid [m]
+OMEGA = 49
+OMEGA_DOT = 52
+ACCEL = 55
+FORCE = 58
+MOMENT = 61
+RATE = 64  # of joint k
+RATE_DOT = 65
+COMPOSITE = 66  # ten columns, used by `mass_matrix` only
+POSITION = 76  # of the frame's origin in the base; the passes use neither this nor the axes
+X_AXIS = 79  # of the frame, in coordinates of the base
+Y_AXIS = 82
+Z_AXIS = 85
+COLUMNS = 88
 
 # Ranges of columns, to set them together
 COM_COLUMNS = slice(COM, COM + 3)
 INERTIA_COLUMNS = slice(INERTIA, INERTIA + 6)
 EXTERNAL_COLUMNS = slice(EXTERNAL_FORCE, EXTERNAL_MOMENT + 3)
-DRIVE_TERM_COLUMNS = slice(ARMATURE, LOAD_FRICTION + 1)
+SPRING_COLUMNS = slice(STIFFNESS, PRELOAD + 1)
+DRIVE_TERM_COLUMNS = slice(COUPLING, SQRT_DAMPING + 1)
+FRICTION_COLUMNS = slice(DAMPING, SQRT_DAMPING + 1)
 BASE_MOTION_COLUMNS = slice(OMEGA, ACCEL + 3)
 BASE_ACCELERATION_COLUMNS = slice(OMEGA_DOT, ACCEL + 3)
 
@@ -122,8 +130,15 @@ def load_of(row: Any) -> Any:
 
 @simd_inline
 def friction_of(row: Any) -> Any:
-    """Read the damping, Coulomb friction, load friction, and inverse width of the step."""
-    return row[DAMPING], row[COULOMB], row[LOAD_FRICTION], row[INVERSE_WIDTH]
+    """Read damping, friction by Coulomb, load and root of speed, and inverse width of the step."""
+    per_load, per_root = row[LOAD_FRICTION], row[SQRT_DAMPING]
+    return row[DAMPING], row[COULOMB], per_load, per_root, row[INVERSE_WIDTH]
+
+
+@simd_inline
+def coupling_of(row: Any) -> Any:
+    """Read how far the drive of a joint turns with the joint before, and the index of that."""
+    return row[COUPLING], int(row[JOINT_BEFORE])
 
 
 @simd_inline
@@ -179,6 +194,7 @@ def table_of(robot: RobotModel) -> Floats:
     table[:, MULTIPLIER] = robot.multiplier
     table[:, POSITION_OFFSET] = robot.offset
     table[:, SLIDES] = robot.is_prismatic
+    table[1 : 1 + len(robot.joint_names), JOINT_BEFORE] = joints_before(robot)
     return table
 
 
@@ -193,19 +209,27 @@ def write_joints(table: Floats, column: int, values: Floats) -> None:
     """Set a column of all joints."""
     rows = table[1 : 1 + len(values)]
     rows[:, column] = values
-    table[0, HAS_DRIVE_TERMS] = float(rows[:, [ARMATURE, DAMPING, COULOMB, LOAD_FRICTION]].any())
+    acting = [ARMATURE, DAMPING, COULOMB, LOAD_FRICTION, SQRT_DAMPING]
+    table[0, HAS_DRIVE_TERMS] = float(rows[:, acting].any())
+    table[0, HAS_SPRINGS] = float(rows[:, SPRING_COLUMNS].any())
 
 
 def write_friction(
-    table: Floats, damping: Floats, coulomb: Floats, speeds: Floats, load_friction: Floats
+    table: Floats,
+    damping: Floats,
+    coulomb: Floats,
+    speeds: Floats,
+    load_friction: Floats,
+    sqrt_damping: Floats,
 ) -> None:
     """Set the friction of all joints, with the speeds over which its step is smoothed."""
     write_joints(table, DAMPING, damping)
     write_joints(table, COULOMB, coulomb)
     # Zero where it has no effect, so that it does not look like a load to generated code.
-    inverse = np.where((coulomb > 0.0) | (load_friction > 0.0), 1.0 / speeds, 0.0)
-    write_joints(table, INVERSE_WIDTH, inverse)
+    steps = coulomb + load_friction + sqrt_damping
+    write_joints(table, INVERSE_WIDTH, np.where(steps > 0.0, 1.0 / speeds, 0.0))
     write_joints(table, LOAD_FRICTION, load_friction)
+    write_joints(table, SQRT_DAMPING, sqrt_damping)
 
 
 def write_base(row: Floats, motion: Floats, gravity: Floats) -> None:
@@ -218,6 +242,21 @@ def write_external(row: Floats, R_ZL: Floats, wrenches: Sequence[tuple[Floats, F
     """Set the sum of forces and moments on a body, given in the frame of the URDF."""
     store(row, EXTERNAL_FORCE, R_ZL @ sum((f for f, _ in wrenches), np.zeros(3)))
     store(row, EXTERNAL_MOMENT, R_ZL @ sum((n for _, n in wrenches), np.zeros(3)))
+
+
+def joints_before(robot: RobotModel) -> Integers:
+    """
+    Return the joint that moves the body on which each joint sits, shape (n,).
+
+    It is -1 on the base, and where that body mimics a joint which comes later.
+
+    """
+    before = np.full(len(robot.joint_names), -1)
+    for body in range(len(robot.parent) - 1, 0, -1):  # the master last, if others mimic it
+        parent, joint = int(robot.parent[body]), int(robot.joint_index[body])
+        carrier = int(robot.joint_index[parent]) if parent > 0 else -1
+        before[joint] = carrier if carrier < joint else -1
+    return before
 
 
 def rotations_to_z(robot: RobotModel) -> Floats:

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.dynamics.jit import IS_COMPILED
+from inverse_dynamics_node.dynamics.robot_table import joints_before
 from kinematics import assert_close, derivative, link_inertia, rotation_of_rpy, Tree
 from loads import apply, everything, random_loads, samples, some_links, without_any
 import numpy as np
@@ -218,6 +219,69 @@ def test_armature_is_inertia_on_the_diagonal(case, rng):
     assert_close(geared.mass_matrix(q), bare.mass_matrix(q) + np.diag(armature))
     assert_close(geared.efforts(q, qd, qdd), bare.efforts(q, qd, qdd) + armature * qdd)
     assert_close(geared.effort_terms(q, qd, qdd).inertial, geared.mass_matrix(q) @ qdd)
+
+
+def set_drives(dynamics, rng):
+    """Set coupled drives, springs and all kinds of friction; return their numbers."""
+    n = len(dynamics.robot.joint_names)
+    before = joints_before(dynamics.robot)
+    drives = np.eye(n)
+    for k in np.flatnonzero(before >= 0):
+        drives[k, before[k]] = rng.choice([0.0, 1.0, -0.4])
+    friction = rng.uniform(0.2, 2.0, (5, n))
+    armature, stiffness, rest = rng.uniform(0.1, 2.0, (3, n))
+    dynamics.set_friction(*friction)
+    dynamics.set_armature(armature)
+    dynamics.set_drive_coupling((drives - np.eye(n)).sum(axis=1))
+    dynamics.set_springs(stiffness, rest)
+    return drives, friction, armature, stiffness, rest
+
+
+@given(robots_with_states(), seeds)
+def test_springs_act_on_joints_and_drives_on_all_joints_that_turn_them(case, rng):
+    _, robot, (q, qd, qdd) = case
+    names = 'set_friction', 'set_armature'
+    calls = [call for call in random_loads(robot, rng) if call[0] not in names]
+    bare, dynamics = (apply(InverseDynamics(robot), calls) for _ in range(2))
+    drives, friction, armature, stiffness, rest = set_drives(dynamics, rng)
+    damping, coulomb, width, eta, per_root = friction
+    spring, rate = stiffness * (q - rest), drives @ qd
+    load = bare.efforts(q, qd, qdd) + spring
+    dry = coulomb + eta * np.abs(load) + per_root * np.sqrt(np.abs(rate))
+    expected = drives.T @ (damping * rate + dry * np.tanh(rate / width))
+    rotors = drives.T @ np.diag(armature) @ drives
+    total = load + rotors @ qdd + expected
+
+    assert_close(dynamics.efforts(q, qd, qdd), total)
+    assert_close(dynamics.mass_matrix(q), bare.mass_matrix(q) + rotors)
+    many = [np.tile(x, (70, 1)) for x in (q, qd, qdd)]
+    np.testing.assert_allclose(
+        dynamics.efforts(*many), np.tile(total, (70, 1)), atol=1e-10 * np.abs(total).max()
+    )
+    terms, others = dynamics.effort_terms(q, qd, qdd), bare.effort_terms(q, qd, qdd)
+    scale = np.abs(terms).max()
+    for actual, wanted in (
+        (terms.friction, expected),
+        (terms.inertial, others.inertial + rotors @ qdd),
+        (terms.gravity, others.gravity + spring),
+        (terms.coriolis, others.coriolis),
+        (terms.external, others.external),
+        (dynamics.effort_terms(*many).friction[3], expected),
+    ):
+        np.testing.assert_allclose(actual, wanted, rtol=0, atol=1e-10 * scale)
+    assert terms.friction @ qd >= 0.0  # friction never drives the robot
+
+
+@given(robots_with_states(vectors=1), seeds)
+def test_springs_belong_to_the_efforts_that_hold_the_robot(case, rng):
+    _, robot, (q,) = case
+    dynamics = InverseDynamics(robot)
+    expected = dynamics.gravity_efforts(q)
+    *_, stiffness, rest = set_drives(dynamics, rng)
+    assert_close(dynamics.gravity_efforts(q), expected + stiffness * (q - rest))
+    assert (dynamics.gravity_efforts(q) == dynamics.efforts(q, 0.0 * q, 0.0 * q)).all()
+    out = q.copy()
+    assert (dynamics.gravity_efforts(q) == dynamics.gravity_efforts(out, out)).all()
 
 
 # Effort terms

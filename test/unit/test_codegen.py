@@ -11,6 +11,7 @@ from inverse_dynamics_node import (
 )
 from inverse_dynamics_node.dynamics.generated import codegen, generated_dynamics
 from inverse_dynamics_node.dynamics.jit import IS_COMPILED
+from inverse_dynamics_node.dynamics.robot_table import joints_before
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -86,8 +87,10 @@ def set_everything(dynamics):
     dynamics.set_base_motion((0.1, 0.2, 0.3), (-0.3, 0.1, 0.2), (1.0, -2.0, 0.5))
     dynamics.set_payload(tip, 2.0, (0.1, 0.2, 0.3), np.diag([0.1, 0.2, 0.3]))
     dynamics.set_external_wrench(tip, (1.0, 2.0, 3.0), (0.3, 0.2, 0.1))
-    dynamics.set_friction(0.3, 0.2, 0.05, 0.1)
+    dynamics.set_friction(0.3, 0.2, 0.05, 0.1, 0.15)
     dynamics.set_armature(0.05)
+    dynamics.set_drive_coupling(np.where(joints_before(dynamics.robot) < 0, 0.0, 0.6))
+    dynamics.set_springs(4.0, 0.3)
 
 
 def test_same_efforts_of_our_robots_and_with_loads_set_later(urdf_path, rng):
@@ -120,7 +123,8 @@ def test_code_is_used_while_existing_loads_change(dynamics, rng, monkeypatch):
         dynamics.set_payload(dynamics.robot.link_names[-1], scale * 3.0, (0.3, 0.1, 0.2))
         dynamics.set_external_wrench(dynamics.robot.link_names[-1], (scale, 4.0, 0.1))
         dynamics.set_gravity((scale, 0.3, -9.0))
-        dynamics.set_friction(scale, scale, 0.1, scale)
+        dynamics.set_friction(scale, scale, 0.1, scale, scale)
+        dynamics.set_springs(scale, 0.3)
         assert_same(dynamics, generated, rng)
         assert_code_is_used(dynamics, generated, monkeypatch)
 

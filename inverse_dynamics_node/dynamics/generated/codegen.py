@@ -44,6 +44,7 @@ def acting_numbers(table: Floats) -> Any:
         robot_table.COM_COLUMNS,
         robot_table.INERTIA_COLUMNS,
         robot_table.EXTERNAL_COLUMNS,
+        robot_table.SPRING_COLUMNS,
         robot_table.DRIVE_TERM_COLUMNS,
     ):
         mask[:, part] = True
@@ -170,7 +171,7 @@ def _functions_that_write(writer: Writer, inputs: list[RunTimeNumber]) -> dict[s
     functions = {**vars(robot_table), **vars(equations), **vars(link_kinematics)}
     functions |= {**vars(newton_euler), **vars(mass_matrix)}
     functions |= {'check': check, 'check_diagonal': check_diagonal}
-    for function in (math.cos, math.fabs, math.sin, math.tanh):
+    for function in (math.cos, math.fabs, math.sin, math.sqrt, math.tanh):
         functions[function.__name__] = writer.elementary(function)
     for name, function in functions.items():
         if hasattr(function, 'py_func'):
