@@ -8,7 +8,7 @@ import numpy as np
 
 from ..control.loop import ControlLoop
 from ..control.settings import LoadSettings
-from ..dynamics.inverse_dynamics import FRICTION_WIDTH
+from ..dynamics.inverse_dynamics import FRICTION_WIDTH, InverseDynamics
 from ..dynamics.trajectory import complete, Trajectory
 from ..robot.model import Floats, RobotModel
 from .parameters import BaseMotion, Configuration, PARAMETERS
@@ -19,7 +19,11 @@ _DRIVES = (
     'coulomb',
     'coulomb_width',
     'load_friction',
+    'sqrt_damping',
     'armature',
+    'drive_coupling',
+    'spring_stiffness',
+    'spring_rest',
 )
 _LOADS = ('include_gravity', *(each.name for each in fields(LoadSettings)))
 
@@ -72,6 +76,15 @@ def build_loop(configuration: Configuration, robot: RobotModel, text: str) -> Co
     return loop
 
 
+def check_configuration(loop: ControlLoop, configuration: Configuration) -> None:
+    """Raise a ConfigurationError if the values for joints do not fit the robot of a loop."""
+    of_joint = configuration.expanded(len(loop.controller.joints))
+    if of_joint['drive_coupling'].any():
+        coupling = np.zeros(len(loop.robot.joint_names))
+        coupling[loop.index] = of_joint['drive_coupling']
+        InverseDynamics(loop.robot).set_drive_coupling(coupling)
+
+
 def apply_configuration(
     loop: ControlLoop, configuration: Configuration, before: Configuration | None = None
 ) -> None:
@@ -116,22 +129,26 @@ def apply_configuration(
 def _apply_drives(
     loop: ControlLoop, configuration: Configuration, of_joint: dict[str, Floats]
 ) -> None:
-    """Set friction and armature of the commanded joints; others have those of the URDF."""
+    """Set the drives and springs of the commanded joints; others have the friction of the URDF."""
     robot, zeros = loop.robot, np.zeros(len(loop.robot.joint_names))
 
-    def of_robot(name: str, others: Floats) -> Floats:
+    def of_robot(name: str, others: Floats = zeros, least: float = -np.inf) -> Floats:
         chosen: Floats = others.copy()
         given = of_joint[name]
-        chosen[loop.index] = np.where(given < 0.0, others[loop.index], given)
+        chosen[loop.index] = np.where(given < least, others[loop.index], given)
         return chosen
 
     widths = configuration.coulomb_width
     width = FRICTION_WIDTH if isinstance(widths, tuple) else widths  # of the other joints
     factor = 1.0 if configuration.include_friction else 0.0
-    loop.dynamics.set_friction(
-        factor * of_robot('damping', robot.damping),
-        factor * of_robot('coulomb', robot.friction),
+    dynamics = loop.dynamics
+    dynamics.set_drive_coupling(of_robot('drive_coupling'))  # first: it may raise an error
+    dynamics.set_friction(
+        factor * of_robot('damping', robot.damping, 0.0),
+        factor * of_robot('coulomb', robot.friction, 0.0),
         of_robot('coulomb_width', zeros + width),
-        factor * of_robot('load_friction', zeros),
+        factor * of_robot('load_friction'),
+        factor * of_robot('sqrt_damping'),
     )
-    loop.dynamics.set_armature(of_robot('armature', zeros))
+    dynamics.set_armature(of_robot('armature'))
+    dynamics.set_springs(of_robot('spring_stiffness'), of_robot('spring_rest'))

@@ -17,7 +17,7 @@ from std_msgs.msg import String
 from ..errors import ConfigurationError, InverseDynamicsError, shortened_lines
 from ..ros import qos
 from ..ros.graph import Graph
-from .configure import make_loop
+from .configure import check_configuration, make_loop
 from .description_file import load_robot
 from .inputs import Inputs
 from .log import BoundedLogger, NodeLog
@@ -301,7 +301,7 @@ class InverseDynamicsNode(LifecycleNode):
                         f"parameter '{name}' is read when the node is configured; deactivate and "
                         'clean up first'
                     )
-            after.expanded(len(self._runner.loop.controller.joints))
+            check_configuration(self._runner.loop, after)
         self._next_configuration = after
 
     def _check_file_change(self, configuration: Configuration) -> None:

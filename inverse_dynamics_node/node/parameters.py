@@ -158,8 +158,9 @@ class Configuration(Settings, LoadSettings):
     include_friction: bool = parameter(
         False,
         'Add the efforts that overcome friction',
-        '`damping` * qd + (`coulomb` + `load_friction` * |load|) * tanh(qd / `coulomb_width`), '
-        'with the load of `load_friction`. `gravity_compensation` adds the share `friction_scale`',
+        '`damping` * qd + (`coulomb` + `load_friction` * |load| + `sqrt_damping` * sqrt(|qd|)) * '
+        'tanh(qd / `coulomb_width`), with the load of `load_friction`. `gravity_compensation` '
+        'adds the share `friction_scale`',
     )
     damping: PerJoint = parameter(
         VALUE_OF_URDF,
@@ -183,16 +184,41 @@ class Configuration(Settings, LoadSettings):
     load_friction: PerJoint = parameter(
         0.0,
         'Increase of Coulomb friction per load on the gear: 0.05 is 5 % of it',
-        'The load is the effort that moves and holds the links, payloads and external wrenches '
-        'included. `armature` and friction are on the side of the motor and are no part of it',
+        'The load is the effort that moves and holds the links, payloads, springs and external '
+        'wrenches included. `armature` and friction are on the side of the motor and are no part '
+        'of it',
         minimum=0.0,
         maximum=10.0,
+    )
+    sqrt_damping: PerJoint = parameter(
+        0.0,
+        'Friction per square root of the speed, beside `damping`',
+        unit='N m (s/rad)^0.5, N (s/m)^0.5',
+        minimum=0.0,
     )
     armature: PerJoint = parameter(
         0.0,
         'Inertia of rotors and gears, reflected to the commanded joints',
         unit='kg m^2, kg',
         minimum=0.0,
+    )
+    drive_coupling: PerJoint = parameter(
+        0.0,
+        'Turn of the drive of a joint per turn of the joint before it, as in coupled wrists',
+        'Friction and `armature` follow the speed of the drive, and act on both joints. 0 for a '
+        'joint on the base link',
+        minimum=-100.0,
+        maximum=100.0,
+    )
+    spring_stiffness: PerJoint = parameter(
+        0.0,
+        'Stiffness of a spring or counterweight at each commanded joint',
+        'It is part of the model, whatever `include_gravity` is; `stiffness` is that of '
+        '`joint_impedance`',
+        unit='N m/rad, N/m',
+    )
+    spring_rest: PerJoint = parameter(
+        0.0, 'Joint position at which this spring exerts no effort', unit='rad, m'
     )
     autostart: bool = parameter(
         True,

@@ -279,6 +279,24 @@ def test_terms_add_up_to_the_efforts(run_node, robot, dynamics):
     assert total == pytest.approx(dynamics.efforts(Q, QD, QDD))
 
 
+def test_springs_and_coupled_drives_are_live_parameters(run_node, robot, dynamics):
+    coupling = [0.0, 0.0, 0.0, 0.0, 0.0, 0.8]
+    run_node(**PATIENT, include_friction=True, damping=0.5, coulomb=0.2, drive_coupling=coupling)
+    robot.publish_state(NAMES, Q, QD)
+    robot.publish_accelerations(QDD)
+    dynamics.set_friction(0.5, 0.2)
+    dynamics.set_drive_coupling(coupling)
+    robot.wait_for_command(dynamics.efforts(Q, QD, QDD))
+    for name, value in (('spring_stiffness', 20.0), ('spring_rest', 0.1), ('sqrt_damping', 0.3)):
+        assert robot.set_parameter(name, value).successful
+    dynamics.set_friction(0.5, 0.2, sqrt_damping=0.3)
+    dynamics.set_springs(20.0, 0.1)
+    robot.wait_for_command(dynamics.efforts(Q, QD, QDD))
+    refused = robot.set_parameter('drive_coupling', 1.0)
+    assert not refused.successful
+    assert "coupling of joint 'joint_1' is 1.0, expected 0" in refused.reason
+
+
 def test_external_efforts_are_measured_minus_model(run_node, robot, dynamics):
     run_node(**PATIENT)
     heard = robot.listen(JointState, f'{OWN}/external_efforts')
