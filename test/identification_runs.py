@@ -16,7 +16,7 @@ from scipy.linalg import expm
 
 @dataclass(frozen=True)
 class Real:
-    """A real robot: its bodies and the friction of its joints."""
+    """A real robot, a chain: its bodies, the friction of its joints, springs and couplings."""
 
     robot: object
     armature: np.ndarray
@@ -25,19 +25,25 @@ class Real:
     width: np.ndarray
     load_friction: np.ndarray
     offset: np.ndarray
+    sqrt_damping: float | np.ndarray = 0.0
+    coupling: float | np.ndarray = 0.0
+    stiffness: float | np.ndarray = 0.0
+    rest: float | np.ndarray = 0.0
 
     def efforts(self, q, qd, qdd, gravity=(0.0, 0.0, -9.80665)):
         dynamics = InverseDynamics(self.robot, gravity)
         dynamics.set_friction(0.0, 0.0)
-        load = dynamics.efforts(q, qd, qdd)
-        friction = self.coulomb + self.load_friction * np.abs(load)
-        return (
-            load
-            + self.armature * qdd
-            + self.damping * qd
-            + friction * np.tanh(qd / self.width)
-            + self.offset
-        )
+        load = dynamics.efforts(q, qd, qdd) + self.stiffness * (q - self.rest)
+        coupling = np.broadcast_to(self.coupling, self.damping.shape)
+        speed, rate = qd.copy(), qdd.copy()
+        speed[..., 1:] += coupling[1:] * qd[..., :-1]
+        rate[..., 1:] += coupling[1:] * qdd[..., :-1]
+        dry = self.coulomb + self.load_friction * np.abs(load)
+        dry = dry + self.sqrt_damping * np.sqrt(np.abs(speed))
+        drive = self.armature * rate + self.damping * speed + dry * np.tanh(speed / self.width)
+        efforts = load + drive + self.offset
+        efforts[..., :-1] += coupling[1:] * drive[..., 1:]
+        return efforts
 
 
 def other_bodies(robot, rng, spread=0.15):

@@ -48,7 +48,7 @@ def node_parameters(
 
 def _decimal(value: float) -> str:
     """Write a number with a decimal point, so that ROS reads a list of numbers as decimals."""
-    text = f'{value:.5g}'
+    text = f'{value:.10g}'
     if 'e' in text:
         mantissa, exponent = text.split('e')
         return f'{mantissa if "." in mantissa else mantissa + ".0"}e{exponent}'

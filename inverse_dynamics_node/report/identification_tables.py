@@ -45,6 +45,7 @@ def friction_table(result: IdentificationResult) -> Table:
         'width) + armature * acceleration + offset, in N m, rad and s (prismatic joints: N, m, '
         's). Standard errors cover random errors only. Joints without an armature or a load '
         'friction predict as well without it.',
+        *_extra_notes(result),
         *_gain_notes(result),
         *(
             f'{joint.name}: friction unknown, {joint.unknown_because}.'
@@ -53,6 +54,32 @@ def friction_table(result: IdentificationResult) -> Table:
         ),
     )
     return Table('Joints', columns, tuple(rows), notes)
+
+
+def _extra_notes(result: IdentificationResult) -> list[str]:
+    """Return sentences about the terms that few joints have."""
+    notes = []
+    for joint in result.joints:
+        terms, unit = joint.terms, ('m' if joint.is_prismatic else 'rad')
+        force = 'N' if joint.is_prismatic else 'N m'
+        if terms.stiffness:
+            value = with_error(terms.stiffness, terms.errors['stiffness'])
+            notes.append(
+                f'{joint.name}: {value} {force}/{unit} * (position - {terms.rest:.3g} {unit}) of '
+                'a spring or counterweight.'
+            )
+        if terms.sqrt_damping:
+            value = with_error(terms.sqrt_damping, terms.errors['sqrt_damping'])
+            notes.append(
+                f'{joint.name}: {value} {force} * square root of |velocity| is added to Coulomb '
+                'friction.'
+            )
+        if terms.coupling:
+            notes.append(
+                f'{joint.name}: the drive has the velocity of the joint + {terms.coupling:.3g} * '
+                f'that of {joint.coupled_with[0]}, and acts on both.'
+            )
+    return notes
 
 
 def _gain_notes(result: IdentificationResult) -> list[str]:

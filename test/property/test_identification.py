@@ -5,18 +5,42 @@ from dataclasses import replace
 from identification_runs import exciting_motion, real_robot, record
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.analysis.columns import base_parameters
-from inverse_dynamics_node.analysis.identification import identify_parameters
+from inverse_dynamics_node.analysis.identification import (
+    DriveTerms,
+    identify_parameters,
+    regression,
+)
 from inverse_dynamics_node.analysis.identification.problem import (
     IdentificationProblem,
     identified_bodies,
 )
-from inverse_dynamics_node.analysis.identification.result import calibrated_urdf
+from inverse_dynamics_node.analysis.identification.regression import (
+    ARMATURE,
+    COULOMB,
+    DAMPING,
+    EXPORTED,
+    LOAD,
+    Model,
+    OFFSET,
+    Regression,
+    SPRING,
+    SQRT,
+    TERMS,
+)
+from inverse_dynamics_node.analysis.identification.result import (
+    calibrated_urdf,
+    identified_parameters,
+)
+from inverse_dynamics_node.analysis.recordings.signals import Motion
 from inverse_dynamics_node.dynamics.inverse_dynamics import STANDARD_GRAVITY
 from inverse_dynamics_node.dynamics.jit import IS_COMPILED
+from inverse_dynamics_node.node.configure import build_loop
+from inverse_dynamics_node.node.parameters import Configuration, PARAMETERS
 from inverse_dynamics_node.robot.rigid_body import RigidBody
 import numpy as np
 import pytest
 from robot_files import STANFORD
+import yaml
 
 # Without compiled functions these tests take minutes.
 pytestmark = pytest.mark.skipif(not IS_COMPILED, reason='numba is not here, or off')
@@ -141,22 +165,144 @@ def test_gains_of_currents_are_found_up_to_a_common_factor():
     assert 'up to one common factor' in result.warnings[0][0]
 
 
-def test_a_coupled_wrist_is_named_and_does_not_pass_for_friction():
-    robot, rng = load_urdf(STANFORD), np.random.default_rng(5)
+def identified(seed=5, duration=20.0, **changes):
+    """Identify a robot that differs from its description, and has other drives."""
+    robot, rng = load_urdf(STANFORD), np.random.default_rng(seed)
     real = real_robot(robot, rng)
-    motion = exciting_motion(robot, rng, 20.0, 100.0)
-    recording = record(real, motion, rng)
-    _, _, qd, qdd = motion
-    coupling = np.zeros_like(qd)
-    coupling[:, 4] = 3.0 * real.damping[4] * qd[:, 5] + real.armature[4] * qdd[:, 5]
-    coupling[:, 4] += 2.0 * real.coulomb[4] * np.tanh(qd[:, 5] / real.width[5])
-    result = identify_parameters(robot, [recording._replace(efforts=recording.efforts + coupling)])
-    assert [joint.coupled_with for joint in result.joints] == [
-        (),
-        (),
-        (),
-        (),
-        ('joint_6',),
-        (),
-    ]
+    real = replace(real, **{name: make(real) for name, make in changes.items()})
+    motion = exciting_motion(robot, rng, duration, 50.0)
+    return real, motion, identify_parameters(robot, [record(real, motion, rng)])
+
+
+def of_joint(k, value):
+    return np.where(np.arange(6) == k, value, 0.0)
+
+
+def extras_of(result):
+    """Return the names of the extras that were found, joint by joint."""
+    names = 'sqrt_damping', 'coupling', 'stiffness'
+    return [[name for name in names if getattr(j.terms, name)] for j in result.joints]
+
+
+def exported_efforts(result, q, qd, qdd):
+    """Compute the efforts of a result by the library."""
+    terms = {name: [getattr(j.terms, name) for j in result.joints] for name in vars(DriveTerms())}
+    dynamics = InverseDynamics(result.calibrated)
+    dynamics.set_drive_coupling(terms['coupling'])
+    dynamics.set_friction(
+        terms['damping'],
+        terms['coulomb'],
+        terms['width'],
+        terms['load_friction'],
+        terms['sqrt_damping'],
+    )
+    dynamics.set_armature(terms['armature'])
+    dynamics.set_springs(terms['stiffness'], terms['rest'])
+    return dynamics.efforts(q, qd, qdd) + terms['offset']
+
+
+def test_a_coupled_wrist_is_found():
+    real, motion, result = identified(
+        coupling=lambda real: of_joint(5, 0.8),
+        damping=lambda real: real.damping * np.where(np.arange(6) == 5, 3.0, 1.0),
+    )
+    assert extras_of(result) == [[], [], [], [], [], ['coupling']]
+    assert result.joints[5].terms.coupling == pytest.approx(0.8, rel=0.05)
+    assert [joint.coupled_with for joint in result.joints][4:] == [('joint_6',), ('joint_5',)]
     assert result.joints[4].terms.coulomb == pytest.approx(real.coulomb[4], rel=0.2)
+    assert 'the drive of joint_6 also turns with joint_5' in result.warnings[0][0]
+    check_exported(result, real, motion)
+
+
+def test_a_counterweight_is_found():
+    real, motion, result = identified(
+        stiffness=lambda real: of_joint(1, 60.0), rest=lambda real: of_joint(1, -1.0)
+    )
+    assert extras_of(result) == [[], ['stiffness'], [], [], [], []]
+    assert result.joints[1].terms.stiffness == pytest.approx(60.0, rel=0.1)
+    assert result.joints[1].terms.rest == pytest.approx(-1.0, abs=0.2)
+    assert result.joints[1].terms.offset == 0.0
+    check_exported(result, real, motion)
+
+
+def test_friction_with_the_root_of_the_speed_is_found():
+    real, motion, result = identified(
+        sqrt_damping=lambda real: of_joint(0, 4.0 * real.coulomb[0]),
+        coulomb=lambda real: real.coulomb * np.where(np.arange(6) == 0, 0.3, 1.0),
+    )
+    assert extras_of(result) == [['sqrt_damping'], [], [], [], [], []]
+    check_exported(result, real, motion)
+
+
+def test_the_regression_and_the_library_have_the_same_efforts():
+    robot, rng = load_urdf(STANFORD), np.random.default_rng(8)
+    bodies = identified_bodies(robot)
+    problem = IdentificationProblem(bodies, range(6), np.array(STANDARD_GRAVITY))
+    times, q, qd, qdd = exciting_motion(robot, rng, 4.0, 50.0)
+    motion = Motion(times, q, qd, qdd, np.zeros_like(q), 1, 4)  # without smoothing
+    joints = rng.uniform(0.2, 2.0, (6, TERMS))
+    joints[3:, SPRING] = joints[:, EXPORTED:] = 0.0
+    couplings = np.array([0.0, 0.0, 0.0, 0.5, 0.0, -1.0])
+    model = Model(bodies.before, joints, rng.uniform(0.05, 0.5, 6), couplings)
+    dynamics = InverseDynamics(robot)
+    damping, coulomb, per_load, per_root = joints[:, [DAMPING, COULOMB, LOAD, SQRT]].T
+    dynamics.set_friction(damping, coulomb, model.widths, per_load, per_root)
+    dynamics.set_armature(joints[:, ARMATURE])
+    dynamics.set_drive_coupling(couplings)
+    offset, stiffness = joints[:, OFFSET], joints[:, SPRING]
+    is_spring = stiffness > 0.0
+    dynamics.set_springs(stiffness, np.where(is_spring, -offset, 0.0) / np.maximum(stiffness, 0.1))
+    expected = dynamics.efforts(q, qd, qdd) + np.where(is_spring, 0.0, offset)
+    actual = Regression(problem, [motion], 0.0, 1).predict(model)
+    assert len(actual) == len(expected)
+    np.testing.assert_allclose(actual, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+
+
+def check_exported(result, real, motion):
+    """Compare the library with the robot, and the node with the library."""
+    _, q, qd, qdd = motion
+    assert result.accepted
+    actual = exported_efforts(result, q, qd, qdd)
+    expected = real.efforts(q, qd, qdd)
+    error = np.sqrt(np.mean((actual - expected) ** 2, axis=0))
+    assert (error < 0.05 * np.sqrt(np.mean(expected**2, axis=0))).all()
+    values = yaml.safe_load(identified_parameters(result))['/**']['ros__parameters']
+    values = {
+        name: each.check(values.get(name, each.default)) for name, each in PARAMETERS.items()
+    }
+    configuration = Configuration(**values)
+    loop = build_loop(configuration, load_urdf(calibrated_urdf(result, STANFORD).decode()), '')
+    offset = np.array(values['effort_offset'])
+    tolerance = 1e-9 * np.abs(expected).max()
+    of_node = loop.dynamics.efforts(q, qd, qdd) + offset
+    np.testing.assert_allclose(of_node, actual, rtol=0, atol=tolerance)
+
+
+def test_joints_that_moved_in_a_fixed_ratio_are_named_and_nothing_is_invented(monkeypatch):
+    robot, rng = load_urdf(STANFORD), np.random.default_rng(6)
+    motion = exciting_motion(robot, rng, 20.0, 50.0)
+    for signal in motion[1:]:
+        signal[:, 5] = -0.5 * signal[:, 4]
+    recording = record(real_robot(robot, rng), motion, rng)
+    result = identify_parameters(robot, [recording])
+    assert result.accepted
+    assert extras_of(result) == [[]] * 6
+    assert 'joint_5 and joint_6 moved in a fixed ratio' in [text for text, _ in result.warnings]
+    assert result.advice[0] == (
+        'joint_5 and joint_6 moved in a fixed ratio; record a motion in which they move '
+        'independently'
+    )
+    monkeypatch.setattr(regression, 'FIXED_RATIO', 2.0)
+    unaware = identify_parameters(robot, [recording])
+    assert not [text for text, _ in unaware.warnings if 'fixed ratio' in text]
+    assert result.bodies[-1].data_fraction < unaware.bodies[-1].data_fraction
+
+
+@pytest.mark.long  # minutes
+def test_nothing_is_invented_on_robots_without_extras():
+    found = []
+    for seed in range(40):
+        per_load = np.full(6, 0.03 * (seed % 3))
+        _, _, result = identified(seed, load_friction=lambda real, value=per_load: value)
+        found += [(seed, names) for names in extras_of(result) if names]
+    assert not found

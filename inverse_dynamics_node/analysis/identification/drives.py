@@ -12,6 +12,7 @@ description, and a known payload, decide.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -25,25 +26,23 @@ from .fit import correlation, RobotFit
 from .regression import (
     ARMATURE,
     COULOMB,
-    COUPLINGS,
     DAMPING,
     LOAD,
     Model,
     OFFSET,
     Regression,
     SIGNED,
+    SPRING,
+    SQRT,
     TERMS,
+    WIDTH,
 )
 
 FRICTION: tuple[int, ...] = (DAMPING, COULOMB, OFFSET)
-CANDIDATES: tuple[tuple[int, ...], ...] = (
-    (ARMATURE,),
-    (LOAD,),
-    tuple(range(TERMS)[COUPLINGS[0]]),
-    tuple(range(TERMS)[COUPLINGS[1]]),
-)
-LEAST_IMPROVEMENT = np.array([0.01, 0.02, 0.3, 0.3])
+LEAST_IMPROVEMENT = {ARMATURE: 0.01, LOAD: 0.02, SQRT: 0.1}
 """Fraction of the squares by which each candidate must improve the prediction."""
+LEAST_ERRORS = {ARMATURE: 1.0, LOAD: 1.0, SQRT: 2.0}
+"""The same in standard errors of the differences between blocks."""
 LARGEST_LOAD = 0.1
 """Load friction of a poor gear [-]: the standard deviation that is expected beforehand."""
 WIDTHS = 10
@@ -60,7 +59,7 @@ class JointFit(NamedTuple):
     model: Model
     """With the chosen terms; others are zero."""
     used: Booleans
-    """Which terms were chosen, shape (m, 13)."""
+    """Which terms were chosen, shape (m, 10)."""
 
 
 class Delay(NamedTuple):
@@ -93,7 +92,11 @@ def widths_to_try(speeds: Floats, slowest: float = 0.002) -> Floats:
 
 
 def choose_terms(
-    regression: Regression, bodies: Floats, moving: Booleans, grid: Floats, optional: bool = True
+    regression: Regression,
+    start: JointFit | RobotFit,
+    moving: Booleans,
+    grid: Floats,
+    optional: bool = True,
 ) -> JointFit:
     """
     Fit the terms of all joints to what the bodies leave.
@@ -102,8 +105,8 @@ def choose_terms(
     ----------
     regression : Regression
         Samples with blocks.
-    bodies : ndarray, shape (b, 10)
-        Parameters of the bodies.
+    start : JointFit or RobotFit
+        The bodies, and the springs and couplings that are kept.
     moving : ndarray, shape (m,)
         Whether friction of the joint can be identified.
     grid : ndarray, shape (w, m)
@@ -112,45 +115,54 @@ def choose_terms(
         Whether to try more than friction.
 
     """
-    m = len(regression.problem.joints)
-    target = regression.efforts - regression.rigid(bodies)
-    grams = _block_grams(regression, bodies, grid, target)
-    joints, used = np.zeros((m, TERMS)), np.zeros((m, TERMS), dtype=bool)
-    widths = np.zeros(m)
-    for j in range(m):
+    found = JointFit(start.model, start.used)
+    # Again with couplings: what coupled drives exert on the joints before them is known then.
+    for _ in range(2 if start.model.couplings.any() else 1):
+        found = _choose_terms(regression, found, moving, grid, optional)
+    return found
+
+
+def _choose_terms(
+    regression: Regression, start: JointFit, moving: Booleans, grid: Floats, optional: bool
+) -> JointFit:
+    model = start.model
+    target = regression.efforts - regression.rigid(model.bodies) - regression.shared(model)
+    grams = _block_grams(regression, model, grid, target)
+    joints, used = np.zeros(start.used.shape), np.zeros(start.used.shape, dtype=bool)
+    widths = np.zeros(len(used))
+    for j in range(len(used)):
         chosen: tuple[int, ...] = (OFFSET,)
         width = 0
         if moving[j]:
-            chosen, width = _best(grams[j], optional)
+            kept = (SPRING,) if start.used[j, SPRING] else ()
+            chosen, width = _best(grams[j], (*FRICTION, *kept), optional)
         used[j, list(chosen)] = True
         widths[j] = grid[width, j]
         joints[j, list(chosen)] = _fit(grams[j][width].sum(axis=0), chosen)
-    return JointFit(Model(bodies, joints, widths), used)
+    return JointFit(replace(model, joints=joints, widths=widths), used)
 
 
-def fit_terms(
-    regression: Regression, bodies: Floats, used: Booleans, widths: Floats, rows: Booleans
-) -> Model:
-    """Fit chosen terms to some rows of what the bodies leave."""
-    target = regression.efforts - regression.rigid(bodies)
-    model = Model(bodies, np.zeros(used.shape), widths)
+def fit_terms(regression: Regression, friction: JointFit, rows: Booleans) -> Model:
+    """Fit chosen terms to some rows of what the bodies leave; no drive is coupled."""
+    model = friction.model
+    target = regression.efforts - regression.rigid(model.bodies)
     terms = regression.terms(model)
-    joints = np.zeros(used.shape)
-    for j in range(len(joints)):
+    joints = np.zeros(model.joints.shape)
+    for j, used in enumerate(friction.used):
         table = np.column_stack([terms[rows, j], target[rows, j]])
-        chosen = np.flatnonzero(used[j]).tolist()
+        chosen = np.flatnonzero(used).tolist()
         joints[j, chosen] = _fit(table.T @ table, chosen)
-    return Model(bodies, joints, widths)
+    return replace(model, joints=joints)
 
 
 def _block_grams(
-    regression: Regression, bodies: Floats, grid: Floats, target: Floats
+    regression: Regression, model: Model, grid: Floats, target: Floats
 ) -> list[Floats]:
-    """Return products of columns for each joint, shape (w, blocks, 14, 14)."""
+    """Return products of columns for each joint, shape (w, blocks, 11, 11)."""
     blocks = [regression.block == k for k in range(regression.block.max() + 1)]
     found = np.zeros((target.shape[1], len(grid), len(blocks), TERMS + 1, TERMS + 1))
     for w, widths in enumerate(grid):
-        terms = regression.terms(Model(bodies, np.zeros((target.shape[1], TERMS)), widths))
+        terms = regression.terms(replace(model, widths=widths))
         for j in range(target.shape[1]):
             table = np.column_stack([terms[:, j], target[:, j]])
             for k, rows in enumerate(blocks):
@@ -158,21 +170,28 @@ def _block_grams(
     return list(found)
 
 
-def _best(grams: Floats, optional: bool) -> tuple[tuple[int, ...], int]:
-    """Return the terms and the number of the width that predict best."""
-    chosen = FRICTION
-    losses, width = _losses(grams, chosen)
-    candidates = list(range(len(CANDIDATES))) if optional else []
+def _best(grams: Floats, chosen: tuple[int, ...], optional: bool) -> tuple[tuple[int, ...], int]:
+    """Return the terms, more than those given, and the number of the width that predict best."""
+    candidates = list(LEAST_IMPROVEMENT) if optional else []
     while candidates:
-        trials = [(_losses(grams, (*chosen, *CANDIDATES[c])), c) for c in candidates]
-        (new, new_width), best = min(trials, key=lambda trial: trial[0][0].sum())
-        gains = losses - new
-        error = np.sqrt(len(gains)) * gains.std(ddof=1) if len(gains) > 1 else np.inf
-        if gains.sum() < max(LEAST_IMPROVEMENT[best] * losses.sum(), error):
+        trials = [(_improvement(grams, chosen, candidate), candidate) for candidate in candidates]
+        improvement, best = max(trials)
+        if improvement < 1.0:
             break
-        chosen, losses, width = (*chosen, *CANDIDATES[best]), new, new_width
+        chosen = (*chosen, best)
         candidates.remove(best)
-    return tuple(sorted(chosen)), width
+    return tuple(sorted(chosen)), _losses(grams, chosen)[1]
+
+
+def _improvement(grams: Floats, chosen: tuple[int, ...], candidate: int) -> float:
+    """Return how much better a further term predicts, relative to the least improvement."""
+    if candidate == SQRT:  # is not to make up for the distance between two widths
+        chosen = (*chosen, WIDTH)
+    losses, new = _losses(grams, chosen)[0], _losses(grams, (*chosen, candidate))[0]
+    gains = losses - new
+    error = np.sqrt(len(gains)) * gains.std(ddof=1) if len(gains) > 1 else np.inf
+    least = max(LEAST_IMPROVEMENT[candidate] * losses.sum(), LEAST_ERRORS[candidate] * error)
+    return float(gains.sum() / max(least, 1e-300))
 
 
 def _losses(grams: Floats, chosen: Sequence[int]) -> tuple[Floats, int]:
@@ -290,16 +309,16 @@ def estimate_delay(regression: Regression, fit: RobotFit) -> Delay:
 
     """
     model, weights = fit.model, fit.weights
-    terms = regression.terms(model)
-    predicted = regression.rigid(model.bodies) + (terms * model.joints).sum(axis=-1)
+    predicted = regression.predict(model)
     residual = regression.efforts - predicted
     effect = -_rate(regression, predicted)
     count, b = len(regression.problem.joints), len(model.bodies)
     vector = np.zeros(PARAMETERS * b + TERMS * count)
     for j in range(count):
         vector[: PARAMETERS * b] += weights[j] * effect[:, j] @ regression.bodies[:, j]
-        own = PARAMETERS * b + TERMS * j + np.arange(TERMS)
-        vector[own] += weights[j] * effect[:, j] @ terms[:, j]
+    for j, owner, columns in regression.actions(model):
+        own = PARAMETERS * b + TERMS * owner + np.arange(TERMS)
+        vector[own] += weights[j] * effect[:, j] @ columns
     vector = vector[fit.unknowns]
     total = float((weights * effect**2).sum())
     identified = total - float(vector @ np.linalg.solve(fit.hessian, vector))

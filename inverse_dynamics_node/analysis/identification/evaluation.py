@@ -17,12 +17,13 @@ from .problem import IdentificationProblem
 from .regression import (
     ARMATURE,
     COULOMB,
-    COUPLINGS,
     DAMPING,
     LOAD,
     Model,
     OFFSET,
     Regression,
+    SPRING,
+    SQRT,
     TERMS,
 )
 from .result import BodyResult, DriveTerms, IdentificationResult, JointResult, Residuals, Unseen
@@ -32,6 +33,8 @@ _NAMES = {
     'damping': DAMPING,
     'coulomb': COULOMB,
     'load_friction': LOAD,
+    'sqrt_damping': SQRT,
+    'stiffness': SPRING,
     'offset': OFFSET,
 }
 _NOT_MOVED = 'it did not move far enough in both directions'
@@ -81,8 +84,7 @@ def evaluate(
     chosen = fit.model if accepted else friction.model
     errors = _standard_errors(fit) if accepted else _friction_errors(data, friction)
     joints = tuple(
-        _joint(data, j, chosen, errors[j], _coupled_with(problem, fit, j), training, unseen)
-        for j in range(len(problem.joints))
+        _joint(data, j, chosen, errors[j], training, unseen) for j in range(len(problem.joints))
     )
     bodies = _bodies(problem, fit)
     return IdentificationResult(
@@ -125,7 +127,7 @@ def _evaluations(
 ) -> tuple[Unseen, Unseen]:
     """Return efforts of the training data, and of data that the models have not seen."""
     problem, m, count = data.problem, len(data.problem.joints), fit.equations.block_count
-    urdf = Model(problem.identified.before, np.zeros((m, TERMS)), np.ones(m))
+    urdf = Model(problem.identified.before, np.zeros((m, TERMS)), np.ones(m), np.zeros(m))
     models = urdf, friction.model, fit.model.exported()
 
     def predicted(motions: Sequence[Motion], blocks: int) -> tuple[Regression, list[Floats]]:
@@ -150,8 +152,7 @@ def _evaluations(
 def _friction_without(data: TrainingData, friction: JointFit, block: int) -> Model:
     """Fit friction without one of the blocks."""
     rows = (data.regression.block != block) & (data.regression.block >= 0)
-    before = data.problem.identified.before
-    return fit_terms(data.regression, before, friction.used, friction.model.widths, rows)
+    return fit_terms(data.regression, friction, rows)
 
 
 def _unseen(regression: Regression, efforts: Sequence[Floats], description: str) -> Unseen:
@@ -220,7 +221,6 @@ def _joint(
     j: int,
     model: Model,
     errors: dict[str, float],
-    coupled_with: tuple[str, ...],
     training: Unseen,
     unseen: Unseen,
 ) -> JointResult:
@@ -236,6 +236,10 @@ def _joint(
         )
 
     values = {name: float(model.joints[j, k]) for name, k in _NAMES.items()}
+    rest = 0.0
+    if values['stiffness'] != 0.0:  # the offset is part of the spring then
+        rest, values['offset'] = -values['offset'] / values['stiffness'], 0.0
+        errors = {name: error for name, error in errors.items() if name != 'offset'}
     return JointResult(
         name=robot.joint_names[joint],
         is_prismatic=bool(robot.is_prismatic_joint[joint]),
@@ -243,21 +247,25 @@ def _joint(
         unseen=residuals(unseen),
         training=residuals(training),
         noise=float(abs(gain) * np.sqrt(np.mean([run.noise[j] ** 2 for run in data.runs]))),
-        terms=DriveTerms(width=float(model.widths[j]), errors=errors, **values),
+        terms=DriveTerms(
+            width=float(model.widths[j]),
+            rest=rest,
+            coupling=float(model.couplings[j]),
+            errors=errors,
+            **values,
+        ),
         unknown_because='' if data.moving[j] else _NOT_MOVED,
-        coupled_with=coupled_with,
+        coupled_with=_coupled_with(data.problem, model, j),
         gain=gain if data.problem.currents else None,
     )
 
 
-def _coupled_with(problem: IdentificationProblem, fit: RobotFit, j: int) -> tuple[str, ...]:
-    """Return the neighbours of a joint whose motion acts on it, nearest to the base first."""
-    names = problem.identified.robot.joint_names
-    return tuple(
-        names[problem.joints[int(problem.neighbours[side, j])]]
-        for side, columns in enumerate(COUPLINGS)
-        if fit.used[j, columns].any() and problem.neighbours[side, j] >= 0
-    )
+def _coupled_with(problem: IdentificationProblem, model: Model, j: int) -> tuple[str, ...]:
+    """Return the joints with which a joint shares a drive, nearest to the base first."""
+    names, before = problem.identified.robot.joint_names, problem.before
+    others = [int(before[j])] if model.couplings[j] else []
+    others += [k for k in np.flatnonzero(model.couplings).tolist() if before[k] == j]
+    return tuple(names[problem.joints[k]] for k in others)
 
 
 def _standard_errors(fit: RobotFit) -> list[dict[str, float]]:
@@ -367,16 +375,30 @@ def _warnings(data: TrainingData, joints: Sequence[JointResult]) -> tuple[tuple[
         ]
     warnings += [
         (
-            f'the effort of {joint.name} depends on the motion of {other} in a way that no link '
-            'explains',
-            'probably their drives are coupled, as in many wrists. A URDF cannot express that: it '
-            'was fitted, so that it does not pass for masses or friction, and is left out of the '
-            'result',
+            f'the drive of {joint.name} also turns with {joint.coupled_with[0]}, by '
+            f'{joint.terms.coupling:.3g} of its motion',
+            'as in many wrists. A URDF cannot express that: it is the parameter drive_coupling of '
+            'the node',
         )
         for joint in joints
-        for other in joint.coupled_with
+        if joint.terms.coupling != 0.0
+    ]
+    warnings += [
+        (
+            f'{group} moved in a fixed ratio',
+            'record a motion in which they move independently; a coupling of their drives cannot '
+            'be told from their inertia and friction now',
+        )
+        for group in _moved_together(data)
     ]
     return tuple(warnings)
+
+
+def _moved_together(data: TrainingData) -> list[str]:
+    """Return the names of joints that moved in a fixed ratio, group by group."""
+    names = data.problem.identified.robot.joint_names
+    groups = [[names[data.problem.joints[j]] for j in group] for group in data.regression.together]
+    return [f'{", ".join(group[:-1])} and {group[-1]}' for group in groups]
 
 
 # ---- What to record next --------------------------------------------------------------------
@@ -386,7 +408,10 @@ def what_to_record(data: TrainingData, bodies: Sequence[BodyResult]) -> tuple[st
     """Return suggestions for the next recording, most useful first."""
     problem = data.problem
     robot = problem.identified.robot
-    advice = []
+    advice = [
+        f'{group} moved in a fixed ratio; record a motion in which they move independently'
+        for group in _moved_together(data)
+    ]
     speeds = np.max([np.quantile(np.abs(m.qd), 0.95, axis=0) for m in data.motions], axis=0)
     for j, joint in enumerate(problem.joints):
         name = robot.joint_names[joint]

@@ -16,7 +16,7 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -52,10 +52,10 @@ class RobotFit(NamedTuple):
     weights: Floats
     """Weights of the joints, shape (m,)."""
     used: Booleans
-    """Terms of the joints that were fitted, shape (m, 13)."""
+    """Terms of the joints that were fitted, shape (m, 10)."""
     model: Model
     unknowns: Integers
-    """Indices of the unknowns: ten for each body, then thirteen for each joint."""
+    """Indices of the unknowns: ten for each body, then ten for each joint."""
     hessian: Floats
     """Inverse of the covariance of the unknowns."""
     prior: Prior
@@ -95,18 +95,20 @@ class Equations:
         robot, identified = regression.problem.identified.robot, regression.problem.identified
         b, m = len(identified.bodies), len(regression.problem.joints)
         self.size, self.block_count = PARAMETERS * b + TERMS * m, int(regression.block.max()) + 1
-        terms = regression.terms(model)
+        actions = regression.actions(model)
         self.index: list[Integers] = []
         self.all: list[Floats] = []
         self.blocks: list[list[Floats]] = []
         for j, joint in enumerate(regression.problem.joints):
             moved = np.array(moved_by(robot, joint, identified.bodies), dtype=int)
             body = (PARAMETERS * moved[:, None] + np.arange(PARAMETERS)).ravel()
-            self.index.append(np.append(body, PARAMETERS * b + TERMS * j + np.arange(TERMS)))
+            own = [(owner, columns) for row, owner, columns in actions if row == j]
+            terms = [PARAMETERS * b + TERMS * owner + np.arange(TERMS) for owner, _ in own]
+            self.index.append(np.concatenate([body, *terms]))
             table = np.column_stack(
                 [
                     regression.bodies[:, j][:, body],
-                    terms[:, j],
+                    *(columns for _, columns in own),
                     regression.efforts[:, j] - regression.known[:, j],
                 ]
             )
@@ -156,7 +158,7 @@ def solve(
         Inverse variances of the joints, for dependent samples.
     urdf_weight : ndarray, shape (b,)
         Weight of the divergence of every body.
-    used : ndarray, shape (m, 13)
+    used : ndarray, shape (m, 10)
         Terms that are fitted; the others are zero.
     start : Model
         First guess; its terms set the scales of those that are positive.
@@ -182,7 +184,8 @@ def solve(
     x, hessian = minimise(matrix[np.ix_(unknowns, unknowns)], vector[unknowns], prior, x)
     joints = np.zeros(used.size)
     joints[terms] = x[count:]
-    model = Model(x[:count].reshape(-1, PARAMETERS), joints.reshape(used.shape), start.widths)
+    bodies = x[:count].reshape(-1, PARAMETERS)
+    model = replace(start, bodies=bodies, joints=joints.reshape(used.shape))
     return RobotFit(equations, weights, used, model, unknowns, hessian, prior)
 
 
@@ -252,17 +255,34 @@ def mass_information(fit: RobotFit) -> Floats:
     Return the fraction of information about each mass that comes from the recordings, shape (b,).
 
     The rest is a mass of the robot description with its expected error. So the fraction does not
-    depend on the weight of the description in the fit.
+    depend on the weight of the description in the fit. Efforts of joints that moved in a fixed
+    ratio do not count, because it is not known which of the joints they belong to.
 
     """
     count = len(fit.model.bodies)
-    variances = np.diagonal(np.linalg.inv(fit.hessian))[: 10 * count : 10]
+    hessian = _without_dependent_joints(fit)
+    variances = np.diagonal(np.linalg.inv(hessian))[: 10 * count : 10]
     # The divergence alone determines a mass with the relative standard error 1 / sqrt(gamma).
     total = 1.0 / np.maximum(variances, 1e-300)
     own = fit.prior.weights / fit.model.bodies[:, 0] ** 2
     measured = np.maximum(total - own, 0.0)
     expected = 1.0 / (EXPECTED_ERROR * fit.prior.bodies[:, 0]) ** 2
     return np.asarray(measured / (measured + expected))
+
+
+def _without_dependent_joints(fit: RobotFit) -> Floats:
+    """Return the Hessian without the efforts of joints that moved in a fixed ratio."""
+    groups = fit.equations.regression.together
+    if not groups:
+        return fit.hessian
+    weights, dependent = np.zeros_like(fit.weights), np.concatenate(groups)
+    weights[dependent] = fit.weights[dependent]
+    matrix, _ = fit.equations.normal(weights)
+    hessian = fit.hessian - matrix[np.ix_(fit.unknowns, fit.unknowns)]
+    # Their own terms, on which nothing else depends, keep a curvature.
+    diagonal = np.arange(fit.model.bodies.size, len(hessian))
+    hessian[diagonal, diagonal] += 1e-6 * np.diagonal(fit.hessian)[diagonal]
+    return np.asarray(hessian)
 
 
 # ---- The solver ----------------------------------------------------------------------------

@@ -17,6 +17,7 @@ from ...robot.model import Floats, RobotModel
 from ..recordings.signals import Recording
 from .drives import choose_terms, Delay, estimate_delay, first_gains, JointFit
 from .evaluation import evaluate
+from .extras import with_extra, without_useless_extras
 from .fit import choose_urdf_weight, Equations, RobotFit, solve, solve_within_reason, weights_of
 from .preparation import (
     GOOD_RECORDINGS,
@@ -26,7 +27,7 @@ from .preparation import (
     TrainingData,
 )
 from .problem import IdentificationProblem, identified_bodies
-from .regression import GAIN, WIDTH
+from .regression import GAIN, Model, RATIO, TERMS, WIDTH
 from .result import IdentificationResult
 
 ROUNDS = 3
@@ -95,7 +96,9 @@ def identify_parameters(
         if currents:
             data = with_first_gains(data)
         progress(0.2)
-        fit = fit_in_turn(data, bodies.reference, np.full(len(bodies.bodies), FIRST_URDF_WEIGHT))
+        start = without_terms(data, bodies.reference)
+        fit = fit_in_turn(data, start, np.full(len(bodies.bodies), FIRST_URDF_WEIGHT))
+        fit = fit_with_extras(data, fit)
         data, fit, delay = remove_delay(data, fit)
         if currents:
             data, fit = fit_gains(data, fit)
@@ -104,6 +107,8 @@ def identify_parameters(
         urdf_weight = choose_urdf_weight(fit)
         progress(0.9)
         fit = fit_with_widths(data, fit, urdf_weight.value)
+        if (needed := without_useless_extras(data.regression, fit)) is not fit:
+            fit = fit_with_widths(data, needed, urdf_weight.value)
         friction = fit_friction(data)
         return evaluate(data, fit, friction, delay, urdf_weight, unseen)
     except np.linalg.LinAlgError as error:
@@ -120,21 +125,35 @@ def with_first_gains(data: TrainingData) -> TrainingData:
     return data.corrected(data.correction._replace(gains=gains, is_gain_known=known))
 
 
+def without_terms(data: TrainingData, bodies: Floats) -> JointFit:
+    """Return bodies alone, to begin with."""
+    m = len(data.problem.joints)
+    model = Model(bodies, np.zeros((m, TERMS)), np.ones(m), np.zeros(m))
+    return JointFit(model, np.zeros((m, TERMS), dtype=bool))
+
+
 def fit_friction(data: TrainingData) -> JointFit:
     """Fit friction alone to what the robot description leaves."""
-    before = data.problem.identified.before
-    return choose_terms(data.regression, before, data.moving, data.widths, optional=False)
+    start = without_terms(data, data.problem.identified.before)
+    return choose_terms(data.regression, start, data.moving, data.widths, optional=False)
 
 
 def fit_in_turn(
-    data: TrainingData, bodies: Floats, urdf_weights: Floats, rounds: int = ROUNDS
+    data: TrainingData, fit: JointFit | RobotFit, urdf_weights: Floats, rounds: int = ROUNDS
 ) -> RobotFit:
     """Choose terms, and fit them together with the bodies, with weights from the residuals."""
     for _ in range(rounds):
-        start, used = choose_terms(data.regression, bodies, data.moving, data.widths)
+        start, used = choose_terms(data.regression, fit, data.moving, data.widths)
         weights = weights_of(data.regression.residual(start))
         fit = solve(Equations(data.regression, start), weights, urdf_weights, used, start)
-        bodies = fit.model.bodies
+    assert isinstance(fit, RobotFit)
+    return fit
+
+
+def fit_with_extras(data: TrainingData, fit: RobotFit) -> RobotFit:
+    """Fit with springs, roots of speeds and couplings, as many as the prediction gains from."""
+    while (better := with_extra(data.regression, data.moving, fit)) is not None:
+        fit = fit_in_turn(data, better, fit.prior.weights, 2)
     return fit
 
 
@@ -158,7 +177,7 @@ def remove_delay(data: TrainingData, fit: RobotFit) -> tuple[TrainingData, Robot
 
 def _shift(data: TrainingData, fit: RobotFit, delay: float) -> tuple[TrainingData, RobotFit]:
     data = data.corrected(data.correction._replace(delay=delay))
-    return data, fit_in_turn(data, fit.model.bodies, fit.prior.weights, 2)
+    return data, fit_in_turn(data, fit, fit.prior.weights, 2)
 
 
 def _loss(data: TrainingData, fit: RobotFit, weights: Floats) -> float:
@@ -192,13 +211,13 @@ def _common_factor(data: TrainingData, change: Floats) -> float:
 
 def fit_with_widths(data: TrainingData, fit: RobotFit, urdf_weight: float) -> RobotFit:
     """Fit with the chosen weight of the robot description, and fit the widths of friction."""
-    bodies = fit.model.bodies
-    fit = fit_in_turn(data, bodies, np.full(len(bodies), urdf_weight), 2)
-    # The widths of friction are fitted with everything else, to first order.
+    fit = fit_in_turn(data, fit, np.full(len(fit.model.bodies), urdf_weight), 2)
+    # The widths of friction and the couplings are fitted with everything else, to first order.
     used = fit.used.copy()
     used[:, WIDTH] = data.moving
+    used[:, RATIO] = fit.model.couplings != 0.0
     for _ in range(WIDTH_ROUNDS):
         equations = Equations(data.regression, fit.model)
         fit = solve_within_reason(equations, fit.weights, urdf_weight, used, fit.model)
-        fit = fit._replace(model=fit.model.with_fitted_widths())
+        fit = fit._replace(model=fit.model.with_fitted_shapes())
     return fit

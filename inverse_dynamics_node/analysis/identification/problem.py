@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...dynamics.inverse_dynamics import InverseDynamics
+from ...dynamics.robot_table import joints_before
 from ...errors import ConfigurationError
 from ...robot.model import Floats, Integers, RobotModel
 from ...robot.rigid_body import (
@@ -175,7 +176,7 @@ class IdentificationProblem:
     ) -> None:
         self.identified, self.joints = identified, list(joints)
         self.gravity, self.payload, self.currents = gravity, payload, currents
-        self.neighbours = _neighbours(identified.robot, self.joints)
+        self.before = _joints_before(identified.robot, self.joints)
 
     def dynamics(self, robot: RobotModel) -> InverseDynamics:
         """Return the dynamics of a robot with the payload, without friction."""
@@ -209,28 +210,10 @@ class IdentificationProblem:
         return np.asarray(table / np.sqrt(np.mean(table**2)))
 
 
-def _neighbours(robot: RobotModel, joints: Sequence[int]) -> Integers:
-    """
-    Return the joints next to each joint in a chain.
-
-    Returns
-    -------
-    neighbours : ndarray, shape (2, m)
-        Positions in the list of the joint nearer to the base and of the one nearer to the tip;
-        -1 if there is none, or more than one.
-
-    """
-    body_of = {int(robot.joint_index[b]): b for b in range(len(robot.parent) - 1, 0, -1)}
-    found = np.full((2, len(joints)), -1)
-    children = np.zeros(len(joints), dtype=int)
-    for k, joint in enumerate(joints):
-        parent = int(robot.joint_index[robot.parent[body_of[joint]]])
-        if parent in joints:
-            before = list(joints).index(parent)
-            found[0, k], found[1, before] = before, k
-            children[before] += 1
-    found[1, children != 1] = -1
-    return found
+def _joints_before(robot: RobotModel, joints: Sequence[int]) -> Integers:
+    """Return the position in the list of the joint before each of m joints; -1 for none."""
+    before = joints_before(robot)[list(joints)]
+    return np.array([list(joints).index(k) if k in joints else -1 for k in before.tolist()])
 
 
 def moved_by(robot: RobotModel, joint: int, bodies: Sequence[int]) -> list[int]:

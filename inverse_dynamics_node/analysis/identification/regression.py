@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,19 +15,23 @@ from ..recordings.resampling import resampler
 from ..recordings.signals import Motion
 from .problem import IdentificationProblem
 
-ARMATURE, DAMPING, COULOMB, LOAD, OFFSET = range(5)
-EXPORTED = 5
-"""Number of terms of a joint that a URDF and the node know."""
-COUPLINGS = (slice(5, 8), slice(8, 11))
-"""Acceleration, velocity and direction of the neighbours nearer to the base and to the tip."""
-WIDTH = 11
+ARMATURE, DAMPING, COULOMB, LOAD, SQRT, SPRING, OFFSET = range(7)
+EXPORTED = 7
+"""Number of terms of a joint that the node knows."""
+WIDTH = 7
 """Effect of a small change of the width of Coulomb friction."""
-GAIN = 12
+RATIO = 8
+"""Effect of a small change of the coupling of the drive."""
+GAIN = 9
 """Effect of a small change of the gain of currents."""
-TERMS = 13
+TERMS = 10
 """Columns of each joint besides those of the bodies."""
-SIGNED = ~np.isin(np.arange(TERMS), [ARMATURE, DAMPING, COULOMB, LOAD])
+OF_DRIVE = [ARMATURE, DAMPING, COULOMB, LOAD, SQRT, WIDTH, RATIO]
+"""Those that follow the drive, which may also turn with the joint before."""
+SIGNED = ~np.isin(np.arange(TERMS), [ARMATURE, DAMPING, COULOMB, LOAD, SQRT])
 """Which of them may have negative factors."""
+FIXED_RATIO = 0.995
+"""Correlation of velocities from which on two joints moved in a fixed ratio."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,29 +41,38 @@ class Model:
     bodies: Floats
     """Shape (b, 10)."""
     joints: Floats
-    """Shape (m, 13): the columns of `Regression.terms`, from armature to gain."""
+    """Shape (m, 10): the columns of `Regression.terms`, from armature to gain."""
     widths: Floats
     """Speeds over which Coulomb friction is smoothed, shape (m,) [rad/s or m/s]."""
+    couplings: Floats
+    """Turn of each drive per turn of the joint before, shape (m,)."""
 
-    def with_fitted_widths(self) -> Model:
-        """Return the model with the change of the widths applied to them, within reason."""
+    def with_fitted_shapes(self) -> Model:
+        """Return the model with the changes of widths and couplings applied, within reason."""
         joints = self.joints.copy()
         change = np.clip(joints[:, WIDTH], -0.3 * self.widths, 0.4 * self.widths)
-        joints[:, WIDTH] = 0.0
-        return Model(self.bodies, joints, self.widths + change)
+        most = 0.5 * np.abs(self.couplings)
+        couplings = self.couplings + np.clip(joints[:, RATIO], -most, most)
+        joints[:, [WIDTH, RATIO]] = 0.0
+        return Model(self.bodies, joints, self.widths + change, couplings)
 
     def scaled(self, factor: float) -> Model:
         """Return the model with all efforts multiplied by a factor, and gains that fit."""
         joints = factor * self.joints
         joints[:, LOAD] /= factor
         joints[:, GAIN] = 0.0
-        return Model(factor * self.bodies, joints, self.widths)
+        return replace(self, bodies=factor * self.bodies, joints=joints)
 
     def exported(self) -> Model:
         """Return the model without what neither a URDF nor the node can express."""
         joints = self.joints.copy()
         joints[:, EXPORTED:] = 0.0
-        return Model(self.bodies, joints, self.widths)
+        return replace(self, joints=joints)
+
+    def springs(self, q: Floats) -> Floats:
+        """Return the efforts of the springs at positions of shape (K, m), with their offsets."""
+        stiffness, offset = self.joints[:, SPRING], self.joints[:, OFFSET]
+        return np.asarray(stiffness * q + np.where(stiffness != 0.0, offset, 0.0))
 
 
 class Regression:
@@ -81,8 +94,8 @@ class Regression:
     ----------
     efforts : ndarray, shape (R, m)
         Measured efforts.
-    qdd, qd : ndarray, shape (R, m)
-        Columns of armature and damping.
+    qdd, qd, q : ndarray, shape (R, m)
+        Columns of armature, damping and springs.
     block : ndarray, shape (R,)
         Number of the contiguous block that a row belongs to; -1 for rows at their borders.
 
@@ -100,6 +113,7 @@ class Regression:
         joints = problem.joints
         self.qdd = self._smooth([motion.qdd[:, joints] for motion in motions])
         self.qd = self._smooth([motion.qd[:, joints] for motion in motions])
+        self.q = self._smooth([motion.q[:, joints] for motion in motions])
         self.efforts = self._smooth([motion.efforts for motion in motions])
         self.block = self._blocks(block_count)
 
@@ -136,38 +150,85 @@ class Regression:
 
     def terms(self, model: Model) -> Floats:
         """
-        Return the columns of the joints themselves, shape (R, m, 13).
+        Return the columns of the joints themselves, shape (R, m, 10).
 
-        They depend on the model by the widths of Coulomb friction, by the efforts that load the
-        gears, and by the friction that changes with the width.
+        They depend on the model by the widths of Coulomb friction and the couplings of the drives,
+        by the efforts that load the gears, and by the friction that changes with the width.
 
         """
-        robot = self.problem.identified.robot_with(model.bodies)
-        speeds = [motion.qd[:, self.problem.joints] / model.widths for motion in self.motions]
-        loads = [np.abs(self.problem.efforts(robot, motion)) for motion in self.motions]
-        steps = [np.tanh(speed) for speed in speeds]
-        direction = self._smooth_discontinuous(steps)
-        loaded = self._smooth_discontinuous([a * b for a, b in zip(steps, loads, strict=True)])
-        coulomb, per_load = model.joints[:, COULOMB], model.joints[:, LOAD]
-        widening = self._smooth_discontinuous(
-            [
-                (coulomb + per_load * load) * speed * (step**2 - 1.0) / model.widths
-                for load, speed, step in zip(loads, speeds, steps, strict=True)
-            ]
+        robot, joints = self.problem.identified.robot_with(model.bodies), self.problem.joints
+        before = self.problem.before
+        coulomb, per_load, per_root = (model.joints[:, k] for k in (COULOMB, LOAD, SQRT))
+        parts = []
+        for motion in self.motions:
+            qd = motion.qd[:, joints]
+            rate = qd + model.couplings * qd[:, before]
+            load = self.problem.efforts(robot, motion) + model.springs(motion.q[:, joints])
+            speed, load, root = rate / model.widths, np.abs(load), np.sqrt(np.abs(rate))
+            step = np.tanh(speed)
+            slope = (coulomb + per_load * load + per_root * root) * (1.0 - step**2) / model.widths
+            parts.append((step, load * step, root * step, -slope * speed, slope * qd[:, before]))
+        direction, loaded, rooted, widening, coupling = (
+            self._smooth_discontinuous(signals) for signals in zip(*parts, strict=True)
         )
-        own = [self.qdd, self.qd, direction, loaded, np.ones_like(self.qd)]
-        coupled = [
-            np.where(others >= 0, signal[:, others], 0.0)
-            for others in self.problem.neighbours
-            for signal in (self.qdd, self.qd, direction)
-        ]
+        armature, damping = model.joints[:, ARMATURE], model.joints[:, DAMPING]
+        coupling += armature * self.qdd[:, before] + damping * self.qd[:, before]
         gain = -self.rigid(model.bodies) if self.problem.currents else np.zeros_like(self.qd)
-        return np.stack([*own, *coupled, widening, gain], axis=-1)
+        columns = (
+            self.qdd + model.couplings * self.qdd[:, before],
+            self.qd + model.couplings * self.qd[:, before],
+            direction,
+            loaded,
+            rooted,
+            self.q,
+            np.ones_like(self.qd),
+            widening,
+            coupling,
+            gain,
+        )
+        return np.stack(columns, axis=-1)
+
+    def actions(self, model: Model) -> list[tuple[int, int, Floats]]:
+        """
+        Return on which joint the terms of which joint act, and their columns, shape (R, 10).
+
+        The terms of a joint act on itself. Those of a coupled drive act on the joint before, too.
+
+        """
+        terms = self.terms(model)
+        found = [(j, j, terms[:, j]) for j in range(len(model.joints))]
+        for j in np.flatnonzero(model.couplings).tolist():
+            shared = np.zeros(terms[:, j].shape)
+            shared[:, OF_DRIVE] = model.couplings[j] * terms[:, j, OF_DRIVE]
+            shared[:, RATIO] += terms[:, j, OF_DRIVE] @ model.joints[j, OF_DRIVE]
+            found.append((int(self.problem.before[j]), j, shared))
+        return found
+
+    def shared(self, model: Model) -> Floats:
+        """Return the efforts of coupled drives on the joints before them, shape (R, m)."""
+        efforts = np.zeros_like(self.qd)
+        for joint, owner, columns in self.actions(model):
+            if joint != owner:
+                efforts[:, joint] += columns @ model.joints[owner]
+        return efforts
+
+    @cached_property
+    def together(self) -> tuple[tuple[int, ...], ...]:
+        """Groups of joints that always moved in a fixed ratio, by their positions in the list."""
+        spread = self.qd.std(axis=0)
+        moved = np.flatnonzero(spread > 1e-6 * spread.max())
+        if len(moved) < 2:
+            return ()
+        related = np.abs(np.corrcoef(self.qd[:, moved].T)) > FIXED_RATIO
+        groups = {tuple(moved[row].tolist()) for row in related if row.sum() > 1}
+        return tuple(sorted(groups))
 
     def predict(self, model: Model) -> Floats:
         """Return modelled efforts, shape (R, m)."""
-        terms = self.terms(model)
-        return np.asarray(self.rigid(model.bodies) + (terms * model.joints).sum(axis=-1))
+        efforts = self.rigid(model.bodies)
+        for joint, owner, columns in self.actions(model):
+            efforts[:, joint] += columns @ model.joints[owner]
+        return efforts
 
     def residual(self, model: Model) -> Floats:
         """Return measured minus modelled efforts, shape (R, m)."""

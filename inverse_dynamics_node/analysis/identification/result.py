@@ -36,10 +36,18 @@ class DriveTerms:
     """Speed over which Coulomb friction is smoothed [rad/s or m/s]."""
     load_friction: float = 0.0
     """Coulomb friction per effort that loads the gear [-]."""
+    sqrt_damping: float = 0.0
+    """Friction per square root of the speed [N m (s/rad)^0.5 or N (s/m)^0.5]."""
     armature: float = 0.0
     """[kg m^2 or kg]."""
+    coupling: float = 0.0
+    """Turn of the drive per turn of the joint before [-]."""
+    stiffness: float = 0.0
+    """Of a spring or counterweight [N m/rad or N/m]."""
+    rest: float = 0.0
+    """Position at which it exerts no effort [rad or m]."""
     offset: float = 0.0
-    """[N m or N]."""
+    """[N m or N]; 0 with a spring, which contains it."""
     errors: dict[str, float] = field(default_factory=dict)
     """Standard errors by the names above."""
 
@@ -61,7 +69,7 @@ class JointResult:
     unknown_because: str
     """Why its friction could not be identified; empty if it could."""
     coupled_with: tuple[str, ...]
-    """Joints whose motion acts on it without passing through the links."""
+    """Joints with which it shares a drive."""
     gain: float | None = None
     """Effort per recorded current; None if efforts were recorded."""
 
@@ -182,15 +190,23 @@ _TITLE = (
     'the speed over which it is smoothed [rad/s, m/s], Coulomb friction per load, armature',
     '[kg m^2, kg] and offsets of the efforts [N m, N].',
 )
+_EXTRAS = {
+    'sqrt_damping': 'sqrt_damping',
+    'drive_coupling': 'coupling',
+    'spring_stiffness': 'stiffness',
+    'spring_rest': 'rest',
+}
+"""Parameters of the node that are only written if a joint needs them."""
 
 
 def identified_parameters(result: IdentificationResult) -> str:
-    """Return friction, armature and offsets as parameters of the node, in YAML."""
+    """Return friction, armature, springs and offsets as parameters of the node, in YAML."""
     joints = result.joints
 
     def known(name: str, unknown: float) -> list[float]:
         return [unknown if j.unknown_because else getattr(j.terms, name) for j in joints]
 
+    extras = {name: known(term, 0.0) for name, term in _EXTRAS.items()}
     return node_parameters(
         _TITLE,
         [joint.name for joint in joints],
@@ -202,5 +218,6 @@ def identified_parameters(result: IdentificationResult) -> str:
             'load_friction': known('load_friction', 0.0),
             'armature': [joint.terms.armature for joint in joints],
             'effort_offset': [joint.terms.offset for joint in joints],
+            **{name: values for name, values in extras.items() if any(values)},
         },
     )

@@ -1,0 +1,219 @@
+"""
+Terms that few robots need, and that other unknowns may look like: springs and coupled drives.
+
+Each is added if the whole model, fitted with it, predicts blocks of the recording clearly better
+that it was not fitted to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ...robot.model import Booleans, Floats, RobotModel
+from .fit import Equations, RobotFit, solve
+from .problem import moved_by
+from .regression import ARMATURE, Model, RATIO, Regression, SPRING, WIDTH
+
+LEAST_GAIN = 0.1
+"""Fraction of the squares of a joint that the prediction has to gain from a spring."""
+LEAST_GAIN_OF_COUPLING = 0.3
+"""The same for a coupling, in the squares of both joints."""
+ERRORS = 2.0
+"""Standard errors of the mean gain of blocks that it has to gain."""
+LEAST_RELATION = 0.1
+"""Fraction of the residual of a joint that the motion of the other one has to explain."""
+RATIOS = (-3.0, -1.0, -0.3, -0.1, 0.1, 0.3, 1.0, 3.0)
+"""Couplings to begin with."""
+RATIO_ROUNDS = 3
+WRIST = 3
+"""Number of joints at the end of a chain that may be a wrist."""
+INTERSECTION = 2e-3
+"""Largest distance between axes that intersect, as those of coupled drives [m]."""
+
+
+def with_extra(regression: Regression, moving: Booleans, fit: RobotFit) -> RobotFit | None:
+    """
+    Return the fit with the most useful extra, or None if the prediction gains from none.
+
+    Parameters
+    ----------
+    regression : Regression
+        Samples with blocks.
+    moving : ndarray, shape (m,)
+        Whether friction of the joint can be identified.
+    fit : RobotFit
+        Fit with the extras that have been found.
+
+    """
+    used = fit.used.copy()
+    used[:, WIDTH] = moving
+    equations = Equations(regression, fit.model)
+    base = _solved(fit, equations, used, fit.model)
+    trials: list[tuple[list[int], float, RobotFit]] = []
+    for j in np.flatnonzero(moving).tolist():
+        if not used[j, SPRING]:
+            more = used.copy()
+            more[j, SPRING] = True
+            trials.append(([j], LEAST_GAIN, _solved(fit, equations, more, fit.model)))
+        before = int(regression.problem.before[j])
+        if (
+            may_be_coupled(regression, moving, j)
+            and not fit.model.couplings[j]
+            and _relation(regression, fit.model, before, j) > LEAST_RELATION
+        ):
+            more = used.copy()
+            more[[before, j], ARMATURE] = True
+            coupled = _coupled(regression, fit, more, j)
+            trials.append(([before, j], LEAST_GAIN_OF_COUPLING, coupled))
+    gains = [_fitted_gain(base, trial, joints) / least for joints, least, trial in trials]
+    for at in sorted(range(len(trials)), key=gains.__getitem__, reverse=True):
+        joints, least, trial = trials[at]
+        if gains[at] < 1.0:
+            break
+        if is_needed(base, trial, joints, least):
+            return trial._replace(model=trial.model.with_fitted_shapes())
+    return None
+
+
+def without_useless_extras(regression: Regression, fit: RobotFit) -> RobotFit:
+    """Return the fit itself, or without the extras that the prediction does not gain from."""
+    used, couplings = fit.used.copy(), fit.model.couplings.copy()
+    for j in range(len(used)):
+        if fit.used[j, SPRING]:
+            less = fit.used.copy()
+            less[j, SPRING] = False
+            base = _solved(fit, fit.equations, less, fit.model)
+            used[j, SPRING] = is_needed(base, fit, [j], LEAST_GAIN)
+        if couplings[j]:
+            before = int(regression.problem.before[j])
+            base = _uncoupled(regression, fit, j)
+            is_used = is_needed(base, fit, [before, j], LEAST_GAIN_OF_COUPLING)
+            couplings[j] = couplings[j] if is_used else 0.0
+    if (used == fit.used).all() and (couplings == fit.model.couplings).all():
+        return fit
+    return fit._replace(used=used, model=replace(fit.model, couplings=couplings))
+
+
+def is_needed(base: RobotFit, fit: RobotFit, joints: Sequence[int], least: float) -> bool:
+    """
+    Return whether a larger model predicts blocks clearly better that it was not fitted to.
+
+    It has to gain a fraction of the squares of some joints, and to gain in most of the blocks:
+    single blocks, such as one with the fastest motion, may have most of the squares.
+
+    """
+    losses, new = _unseen_losses(base), _unseen_losses(fit)
+    scale = np.maximum(losses.sum(axis=0), 1e-300)
+    if ((losses - new) / scale).sum() < least * len(joints):
+        return False
+    before, after = ((each[:, joints] / scale[joints]).sum(axis=1) for each in (losses, new))
+    gains = np.log(np.maximum(before, 1e-9) / np.maximum(after, 1e-9))
+    return len(gains) > 1 and bool(gains.mean() > ERRORS * gains.std(ddof=1) / len(gains) ** 0.5)
+
+
+def may_be_coupled(regression: Regression, moving: Booleans, j: int) -> bool:
+    """
+    Return whether the drive of a joint could also turn with the joint before.
+
+    Gears run through a joint in wrists, whose drives sit further back: at the end of a chain, if
+    both joints turn about axes that intersect. The columns of joints that moved in a fixed ratio
+    are collinear, so that nothing can be said.
+
+    """
+    problem = regression.problem
+    robot, before = problem.identified.robot, int(problem.before[j])
+    if before < 0 or not (moving[j] and moving[before]):
+        return False
+    if any(j in group and before in group for group in regression.together):
+        return False
+    joints = problem.joints[before], problem.joints[j]
+    if robot.is_prismatic_joint[list(joints)].any():
+        return False
+    turning = np.flatnonzero(np.isin(robot.joint_index, problem.joints) & ~robot.is_prismatic)
+    is_last = len(moved_by(robot, joints[1], turning.tolist())) < WRIST
+    return is_last and _axes_intersect(robot, *joints)
+
+
+def _relation(regression: Regression, model: Model, first: int, second: int) -> float:
+    """Return how much of the residual of two joints the motion of the other one explains."""
+    residual = regression.residual(model)
+    direction = regression.direction(model.widths)
+    signals = np.stack([regression.qdd, regression.qd, direction, np.ones_like(direction)], -1)
+    explained = []
+    for j, other in ((first, second), (second, first)):
+        own, both = signals[:, j], np.hstack([signals[:, j], signals[:, other, :3]])
+        left = [
+            float(np.sum((residual[:, j] - columns @ solution) ** 2))
+            for columns in (own, both)
+            for solution in [np.linalg.lstsq(columns, residual[:, j], rcond=None)[0]]
+        ]
+        explained.append(1.0 - left[1] / max(left[0], 1e-300))
+    return max(explained)
+
+
+def _axes_intersect(robot: RobotModel, before: int, joint: int) -> bool:
+    """Return whether the axes of two successive joints intersect, and are not parallel."""
+    bodies = robot.joint_index.tolist()
+    first, second = (bodies.index(k, 1) for k in (before, joint))
+    axis = robot.R_PL[second] @ robot.axis[second]
+    normal = np.cross(robot.axis[first], axis)
+    length = float(np.linalg.norm(normal))
+    return length > 0.1 and abs(float(normal @ robot.p_PL[second])) < INTERSECTION * length
+
+
+def _solved(fit: RobotFit, equations: Equations, used: Booleans, start: Model) -> RobotFit:
+    return solve(equations, fit.weights, fit.prior.weights, used, start)
+
+
+def _coupled(regression: Regression, fit: RobotFit, used: Booleans, j: int) -> RobotFit:
+    """Fit the coupling of a drive, from the best of several ratios."""
+
+    def fitted(model: Model) -> RobotFit:
+        return _solved(fit, Equations(regression, model), used, model)
+
+    def with_ratio(ratio: float) -> Model:
+        couplings = fit.model.couplings.copy()
+        couplings[j] = ratio
+        return replace(fit.model, couplings=couplings)
+
+    best = min((fitted(with_ratio(ratio)) for ratio in RATIOS), key=_fitted_loss)
+    used = used.copy()
+    used[j, RATIO] = True
+    for _ in range(RATIO_ROUNDS):
+        best = fitted(best.model.with_fitted_shapes())
+    return best
+
+
+def _uncoupled(regression: Regression, fit: RobotFit, j: int) -> RobotFit:
+    """Fit without the coupling of a drive."""
+    couplings, used = fit.model.couplings.copy(), fit.used.copy()
+    couplings[j], used[j, RATIO] = 0.0, False
+    used[[regression.problem.before[j], j], ARMATURE] = True
+    model = replace(fit.model, couplings=couplings)
+    return _solved(fit, Equations(regression, model), used, model)
+
+
+def _fitted_losses(fit: RobotFit) -> Floats:
+    """Return the weighted squares of the joints in the data of the fit, shape (m,)."""
+    equations = fit.equations
+    squares = [equations.squares(fit.model, k) for k in range(equations.block_count)]
+    return np.asarray(fit.weights * np.sum(squares, axis=0))
+
+
+def _fitted_loss(fit: RobotFit) -> float:
+    return float(_fitted_losses(fit).sum())
+
+
+def _fitted_gain(base: RobotFit, fit: RobotFit, joints: Sequence[int]) -> float:
+    """Return the fraction of the squares of some joints that a larger model gains."""
+    losses = _fitted_losses(base)
+    return (float(losses.sum()) - _fitted_loss(fit)) / max(float(losses[joints].sum()), 1e-300)
+
+
+def _unseen_losses(fit: RobotFit) -> Floats:
+    """Return the squares of the joints in blocks that were left out of the fit, (blocks, m)."""
+    blocks = range(fit.equations.block_count)
+    return np.array([fit.equations.squares(fit.without(k), k) for k in blocks])
