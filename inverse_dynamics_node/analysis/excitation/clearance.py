@@ -25,6 +25,8 @@ CLEARANCE = 0.02
 """Least distance of the parts of a robot to each other, to the floor and to boxes [m]."""
 TOUCH = 0.005
 """Surfaces are regarded as touching when their points are nearer than this [m]."""
+_ALWAYS = 0.01
+"""Parts that are nearer in almost all poses are left out [m]."""
 _MANY, _ALL = 0.3, 0.95
 """Fractions of the sampled poses."""
 _OFTEN = 0.02
@@ -402,7 +404,7 @@ def _needed(
     least = CLEARANCE
     if share > _MANY:  # near each other by design: half as near may be too near
         least = float(np.clip(0.5 * np.median(of_poses), TOUCH, CLEARANCE))
-    if share * np.mean(of_poses < least) > _ALL:
+    if share * np.mean(of_poses < max(least, _ALWAYS)) > _ALL:
         return dict.fromkeys(row.tolist(), -math.inf)
     needed = {}
     for each in np.unique(row).tolist():
