@@ -94,6 +94,7 @@ GROUPS = {
     'robot and driver': (
         'robot_description',
         'robot_description_file',
+        'allow_description_file_changes',
         'joints',
         _LOCKED_JOINT,
         'base_link',
