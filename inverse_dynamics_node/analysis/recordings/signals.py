@@ -17,7 +17,7 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...robot.model import Floats, Integers
-from .signal_quality import cut_off, lag, white_noise
+from .signal_quality import cut_off, lag, resolution, white_noise
 
 WINDOWS = {1: (0.10, 3), 2: (0.15, 5)}
 """
@@ -79,6 +79,14 @@ class Motion(NamedTuple):
     """Recorded velocities that are later than the positions, by joint [s]; they are not used."""
     cut_off: float = math.inf
     """Frequency above which the recorded efforts are empty, as after a low-pass filter [Hz]."""
+    raw_efforts: Floats = np.zeros((0, 0))
+    """Efforts as they were recorded, shape (K, m) [N m or N]."""
+    qd_noise: Floats = np.zeros(0)
+    """
+    Noise of the recorded velocities, shape (m,) [rad/s or m/s].
+
+    Their resolution is part of it. Without recorded velocities, that of the derived ones.
+    """
 
     @property
     def period(self) -> float:
@@ -134,7 +142,9 @@ def derive(recording: Recording, stretch: float = 1.0) -> Motion:
             f'the recording has no {4 * half * period:.2g} s without a gap (it lasts '
             f'{duration:.3g} s): too little to differentiate'
         )
-    instants, q, qd, qdd, efforts = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
+    instants, q, qd, qdd, efforts, raw = (
+        np.concatenate(parts) for parts in zip(*pieces, strict=True)
+    )
     notes = _notes(columns, inconsistent, len(pieces), lost)
     method = _method(orders, period, 2 * half + 1, degree)
     window = 2 * half + 1
@@ -161,6 +171,8 @@ def derive(recording: Recording, stretch: float = 1.0) -> Motion:
         qdd_noise=np.array([each[1] for each in noise]),
         lags=lags,
         cut_off=float(np.median(cut_offs)) if cut_offs else math.inf,
+        raw_efforts=raw,
+        qd_noise=np.array([each[2] for each in noise]),
     )
 
 
@@ -260,16 +272,16 @@ def _smooth(
         if order == 1 and column.qd is not None:
             recorded = column.at(column.qd, grid)
             qd[:, j], qdd[:, j] = smooth(recorded), smooth(recorded, 1)
-    tau = smooth(tau)
-    tau[:, [not column.has_effort for column in columns]] = np.nan
+    efforts = np.stack([smooth(tau), tau])
+    efforts[:, :, [not column.has_effort for column in columns]] = np.nan
     inner = slice(window[0] // 2, len(grid) - window[0] // 2)
-    return grid[inner], smooth(q)[inner], qd[inner], qdd[inner], tau[inner]
+    return grid[inner], smooth(q)[inner], qd[inner], qdd[inner], *efforts[:, inner]
 
 
 def _noise(
     column: RecordedColumn, order: int, grid: Floats, period: float, window: int, degree: int
-) -> tuple[float, float]:
-    """Estimate the noise of the smoothed effort and of the acceleration of a column."""
+) -> tuple[float, float, float]:
+    """Estimate the noise of the smoothed effort, the acceleration and the velocity of a column."""
     from scipy.signal import savgol_coeffs, savgol_filter
 
     centre = float(savgol_coeffs(window, degree)[window // 2])
@@ -277,12 +289,20 @@ def _noise(
     def noise(values: Floats) -> float:
         return white_noise(values, savgol_filter(values, window, degree), centre)
 
+    def derived(values: Floats, order: int) -> float:
+        derivative = savgol_coeffs(window, degree, deriv=order, delta=period)
+        # The filter attenuates white noise by the square root of its weight in the middle.
+        return float(np.linalg.norm(derivative)) / math.sqrt(centre) * noise(values)
+
+    if column.qd is None:
+        velocity = derived(column.at(column.q, grid), 1)
+    else:
+        recorded = column.at(column.qd, grid)
+        # At rest, a velocity may alternate between two steps of its resolution.
+        velocity = math.hypot(noise(recorded) / math.sqrt(centre), resolution(column.qd))
     source = column.qd if order == 1 and column.qd is not None else column.q
-    derivative = savgol_coeffs(window, degree, deriv=order, delta=period)
-    # The filter attenuates white noise by the square root of its weight in the middle.
-    gain = float(np.linalg.norm(derivative)) / math.sqrt(centre)
     effort = noise(column.at(column.tau, grid)) if column.has_effort else math.nan
-    return effort, gain * noise(column.at(source, grid))
+    return effort, derived(column.at(source, grid), order), velocity
 
 
 def _method(orders: list[int], period: float, window: int, degree: int) -> str:
