@@ -111,6 +111,12 @@ def listed(names: Collection[str], most: int = _MOST_LISTED) -> str:
     return f'{shown}, ... ({len(names)} in all)' if len(names) > most else shown
 
 
+def significant(value: float, digits: int = 3) -> str:
+    """Write a number with some significant digits, and all digits before the decimal point."""
+    text = f'{value:.{digits}g}'
+    return f'{value:.0f}' if 'e+' in text else text
+
+
 def plain(value: Any) -> Any:
     """Return an array as a list, which is shown without its type; other values as they are."""
     return value.tolist() if hasattr(value, 'tolist') else value

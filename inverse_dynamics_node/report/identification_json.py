@@ -20,6 +20,7 @@ def as_json(result: IdentificationResult) -> dict[str, Any]:
             'accepted': result.accepted,
             'verdict': result.verdict,
             'unseen_data': result.unseen.description,
+            'unseen_smoothing_window': result.unseen.smoothing,
             'joints': [_joint(joint) for joint in result.joints],
             'bodies': [
                 {
@@ -62,9 +63,10 @@ def _joint(joint: JointResult) -> dict[str, Any]:
     terms = joint.terms
     return {
         'name': joint.name,
-        'unit': 'N' if joint.is_prismatic else 'N m',
+        'unit': joint.unit,
         'measured': joint.measured,
         **_residuals(joint.unseen),
+        'identified_unsmoothed': joint.unsmoothed,
         'noise': joint.noise,
         'training': _residuals(joint.training),
         'damping': terms.damping,

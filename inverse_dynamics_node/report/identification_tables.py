@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import math
 
-from ..analysis.identification import IdentificationResult, JointResult
+from ..analysis.identification import BodyResult, IdentificationResult, JointResult
+from ..errors import significant
 from .compare_report import motion_notes
 from .quantities import with_error
 from .tables import Table
+
+DETERMINED = 0.5
+"""Fraction of the information about a mass from the recordings that determines it."""
+NOTED_CHANGE = 0.1
+"""Relative change of another mass that gets a note."""
 
 
 def residual_table(result: IdentificationResult) -> Table:
@@ -15,25 +21,28 @@ def residual_table(result: IdentificationResult) -> Table:
     rows = [
         (
             joint.name,
-            f'{joint.measured:.4g}',
-            f'{joint.unseen.urdf:.3g}',
-            f'{joint.unseen.friction:.3g}',
-            f'{joint.unseen.identified:.3g}',
-            f'{joint.noise:.2g}',
-            'N' if joint.is_prismatic else 'N m',
-            f'{joint.training.friction:.3g}',
-            f'{joint.training.identified:.3g}',
+            significant(joint.measured, 4),
+            significant(joint.unseen.urdf),
+            significant(joint.unseen.friction),
+            significant(joint.unseen.identified),
+            significant(joint.noise, 2),
+            significant(joint.unsmoothed),
+            joint.unit,
+            significant(joint.training.friction),
+            significant(joint.training.identified),
         )
         for joint in result.joints
     ]
-    columns = ('joint', 'measured', 'URDF', '+ friction', 'identified', 'noise', '',
+    columns = ('joint', 'measured', 'URDF', '+ friction', 'identified', 'noise', 'raw', '',
                'fitted: + friction', 'identified')  # fmt: skip
     notes = (
-        f'RMS of the measured effort and of its difference to three models. Left: unseen data, '
-        f'{result.unseen.description}. Right: the data that were fitted. Noise: the part of '
-        'the residual that no model can explain, from the high frequencies of the efforts.',
+        f'RMS of the measured effort and of its difference to three models, smoothed over '
+        f'{1e3 * result.unseen.smoothing:.0f} ms. Left: unseen data, {result.unseen.description}. '
+        'Right: the data that were fitted. Noise: the part of the residual that no model can '
+        'explain, from the high frequencies of the efforts. Raw: what the identified model leaves '
+        'of the efforts as they were recorded.',
     )
-    return Table('Measured minus modelled efforts', columns, tuple(rows), notes, frozenset({6}))
+    return Table('Measured minus modelled efforts', columns, tuple(rows), notes, frozenset({7}))
 
 
 def friction_table(result: IdentificationResult) -> Table:
@@ -43,8 +52,8 @@ def friction_table(result: IdentificationResult) -> Table:
     notes = (
         'damping * velocity + (Coulomb + per load * |effort of the links|) * tanh(velocity / '
         'width) + armature * acceleration + offset, in N m, rad and s (prismatic joints: N, m, '
-        's). Standard errors cover random errors only. Joints without an armature or a load '
-        'friction predict as well without it.',
+        's). Standard errors contain random errors and the spread between blocks of the '
+        'recordings. Joints without an armature or a load friction predict as well without it.',
         *_extra_notes(result),
         *_gain_notes(result),
         *(
@@ -83,7 +92,11 @@ def _extra_notes(result: IdentificationResult) -> list[str]:
 
 
 def _gain_notes(result: IdentificationResult) -> list[str]:
-    gains = [f'{joint.name} {joint.gain:.4g}' for joint in result.joints if joint.gain is not None]
+    gains = [
+        f'{joint.name} {significant(joint.gain, 4)}'
+        for joint in result.joints
+        if joint.gain is not None
+    ]
     return [f'Efforts are currents times gains: {", ".join(gains)}.'] if gains else []
 
 
@@ -111,11 +124,12 @@ def body_table(result: IdentificationResult) -> Table:
     """Return masses and centres of mass before and after."""
     rows = []
     for body in result.bodies:
+        mark = ' *' if _follows_others(body) else ''
         rows.append(
             (
                 body.link,
-                f'{body.mass_before:.4g}',
-                with_error(body.mass, body.mass_error),
+                significant(body.mass_before, 4),
+                with_error(body.mass, body.mass_error) + mark,
                 _millimetres(body.com_before),
                 _millimetres(body.com),
                 f'{1e3 * float(max(body.com_error)):.0f}',
@@ -123,12 +137,22 @@ def body_table(result: IdentificationResult) -> Table:
             )
         )
     columns = ('link', 'mass [kg]', 'identified', 'centre of mass [mm]', 'identified', '±',
-               'recorded')  # fmt: skip
+               'on its own')  # fmt: skip
     merged = [body for body in result.bodies if len(body.links) > 1]
     notes = [
-        'Recorded: fraction of the information about the mass that comes from the recordings; the '
-        'rest comes from the robot description. Masses that no effort depends on keep their '
-        'value. Centres of mass are in the frame of the joint that moves the link.',
+        'On its own: how far the recordings determine this mass alone, whatever the other masses '
+        'are; the rest of what is known comes from the robot description. Masses that no effort '
+        'depends on keep their value. Centres of mass are in the frame of the joint that moves '
+        'the link.',
+        *(
+            [
+                '*: the recordings hardly determine this mass on its own. It changed with other '
+                'parameters of the bodies, of which only combinations have an effect: the efforts '
+                'are right, the mass need not be.'
+            ]
+            if any(map(_follows_others, result.bodies))
+            else []
+        ),
         *(
             f'{body.link} stands for {", ".join(body.links)}, which fixed joints hold together.'
             for body in merged
@@ -141,6 +165,12 @@ def body_table(result: IdentificationResult) -> Table:
     return Table('Bodies', columns, tuple(rows), tuple(notes))
 
 
+def _follows_others(body: BodyResult) -> bool:
+    """Return whether a mass changed that the recordings hardly determine on its own."""
+    change = abs(body.mass - body.mass_before) / body.mass_before
+    return body.data_fraction < DETERMINED and change > NOTED_CHANGE
+
+
 def summary_lines(result: IdentificationResult) -> tuple[str, ...]:
     """Return sentences about the data and the fit."""
     delay = ''
@@ -150,9 +180,9 @@ def summary_lines(result: IdentificationResult) -> tuple[str, ...]:
             f'; efforts are {abs(result.delay) * 1e3:.1f} ± '
             f'{result.delay_error * 1e3:.1f} ms {late}'
         )
-        delay += ', which was removed' if result.delay_removed else ''
+        delay += ', which the fit removed' if result.delay_removed else ''
     return (
-        f'{result.sample_count} samples over {result.duration:.3g} s; efforts and all '
+        f'{result.sample_count} samples over {significant(result.duration)} s; efforts and all '
         f'columns of the fit smoothed over {result.smoothing * 1e3:.0f} ms; weight of the '
         f'robot description {result.urdf_weight:.3g}, by cross-validation{delay}.',
         *(f'{note}.' for note in notes_of(result)),

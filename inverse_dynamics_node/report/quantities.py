@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from ..errors import significant
 from ..robot.model import Floats, RobotModel
 
 
@@ -44,6 +45,6 @@ def decimals(values: Floats, digits: int = 4) -> int:
 def with_error(value: float, error: float) -> str:
     """Write a value with as many digits as its standard error justifies."""
     if not error > 0.0 or not math.isfinite(error):
-        return f'{value:.4g}'
+        return significant(value, 4)
     places = min(6, max(0, 1 - math.floor(math.log10(error))))
     return f'{value:.{places}f} ± {error:.{places}f}'

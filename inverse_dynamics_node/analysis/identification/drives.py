@@ -22,7 +22,7 @@ from ...robot.rigid_body import PARAMETERS
 from ..least_squares import fit_nonnegative
 from ..recordings.resampling import pieces
 from ..recordings.signals import Motion
-from .fit import correlation, RobotFit
+from .fit import correlation, RobotFit, weights_of
 from .regression import (
     ARMATURE,
     COULOMB,
@@ -49,6 +49,12 @@ WIDTHS = 10
 """Widths to try."""
 SIGNIFICANT = 5.0
 """Standard errors by which a current has to depend on the modelled effort."""
+LEAST_CHANGE = 0.15
+"""Least change of all efforts by a common factor."""
+MOST_DISAGREEMENT = 0.5
+"""Fraction of this change by which those of single joints may differ from it, as an RMS."""
+EXPLAINS = 0.6
+"""Fraction of the improvement by the bodies that a common factor explains at least."""
 MOST_DELAY = 0.1
 """Longest delay in either direction [s]."""
 
@@ -286,6 +292,45 @@ def first_gains(
         gains[determined] = 1.0 / slopes[determined]
         gains[~determined] = np.median(np.abs(gains[determined]))
     return gains, determined
+
+
+def common_factor(regression: Regression, fit: RobotFit, friction: JointFit) -> float | None:
+    """
+    Return a factor of all efforts of the links that explains most of what the bodies improve.
+
+    Parameters
+    ----------
+    regression : Regression
+        The samples that were fitted.
+    fit : RobotFit
+        Fit of bodies and joints.
+    friction : JointFit
+        Terms of the joints, fitted to what the bodies of the robot description leave.
+
+    Returns
+    -------
+    factor : float or None
+        None if joints disagree, or if bodies explain far more.
+
+    """
+    left, rigid = regression.residual(friction.model), regression.rigid(friction.model.bodies)
+    weights, terms = weights_of(left), regression.terms(friction.model)
+    drives = friction.used | (np.arange(TERMS) == ARMATURE)
+    for j, used in enumerate(drives):  # without what drives explain as well
+        columns = np.linalg.qr(terms[:, j][:, used])[0]
+        for values in (left, rigid):
+            values[:, j] -= columns @ (columns.T @ values[:, j])
+    squares = np.maximum((rigid**2).sum(axis=0), 1e-300)
+    changes, information = (rigid * left).sum(axis=0) / squares, weights * squares
+    change = float(information @ changes / information.sum())
+    improvement = float(information.sum()) * change**2
+    after = regression.residual(fit.model)
+    possible = float(weights @ (left**2 - after**2).sum(axis=0))
+    disagreement = float(np.sqrt(information @ (changes - change) ** 2 / information.sum()))
+    is_common = disagreement < MOST_DISAGREEMENT * abs(change) and len(changes) > 1
+    if abs(change) < LEAST_CHANGE or not is_common or improvement < EXPLAINS * possible:
+        return None
+    return 1.0 + change
 
 
 # ---- Delay --------------------------------------------------------------------------------------

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
+from ...errors import significant
 from ...robot.model import Floats, RobotModel
 from ...robot.rigid_body import PARAMETERS
 from ..columns import base_parameters
 from ..recordings.signals import Motion
-from .drives import Delay, fit_terms, JointFit
+from .drives import common_factor, Delay, fit_terms, JointFit
 from .fit import mass_information, RobotFit, UrdfWeight, weights_of
 from .preparation import PreparedRecording, TrainingData
 from .problem import IdentificationProblem
@@ -79,12 +81,27 @@ def evaluate(
 
     """
     problem, identified = data.problem, data.problem.identified
-    training, unseen = _evaluations(data, fit, friction, validation)
+    m = len(problem.joints)
+    urdf = Model(identified.before, np.zeros((m, TERMS)), np.ones(m), np.zeros(m))
+    least = data.least_widths
+    models = urdf, friction.model.exported(least), fit.model.exported(least)
+    folds = _folds(data, fit, friction)
+    training, unseen = _evaluations(data, models, folds, validation)
     accepted = _explains(unseen) and _is_better(unseen)
-    chosen = fit.model if accepted else friction.model
-    errors = _standard_errors(fit) if accepted else _friction_errors(data, friction)
+    if accepted:
+        chosen, errors = models[2], _standard_errors(fit)
+        spread = _spread([fold.identified.joints for fold in folds])
+    else:
+        chosen, errors = models[1], _friction_errors(data, friction)
+        spread = _spread([fold.friction.joints for fold in folds])
+    errors = [
+        {name: max(error, float(spread[j, _NAMES[name]])) for name, error in each.items()}
+        for j, each in enumerate(errors)
+    ]
+    runs = validation or data.runs
     joints = tuple(
-        _joint(data, j, chosen, errors[j], training, unseen) for j in range(len(problem.joints))
+        _joint(data, j, chosen, errors[j], training, unseen, runs)
+        for j in range(m)
     )
     bodies = _bodies(problem, fit)
     return IdentificationResult(
@@ -109,7 +126,7 @@ def evaluate(
         duration=data.duration,
         signals=tuple(run.derived for run in [*data.runs, *validation]),
         base_parameters=_base_parameters(problem, fit),
-        warnings=_warnings(data, joints),
+        warnings=_warnings(data, joints, fit, friction, accepted),
         advice=what_to_record(data, bodies),
     )
 
@@ -119,45 +136,81 @@ def rms(values: Floats) -> Floats:
     return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
 
 
+class Fold(NamedTuple):
+    """Models that were fitted without one of the blocks."""
+
+    friction: Model
+    identified: Model
+
+
+def _folds(data: TrainingData, fit: RobotFit, friction: JointFit) -> list[Fold]:
+    """Fit both models without each of the blocks in turn."""
+    regression = data.regression
+    folds = []
+    for block in range(fit.equations.block_count):
+        rows = (regression.block != block) & (regression.block >= 0)
+        without = fit_terms(regression, friction, rows)
+        least = data.least_widths
+        folds.append(Fold(without.exported(least), fit.without(block).exported(least)))
+    return folds
+
+
 def _evaluations(
     data: TrainingData,
-    fit: RobotFit,
-    friction: JointFit,
+    models: Sequence[Model],
+    folds: Sequence[Fold],
     validation: Sequence[PreparedRecording],
 ) -> tuple[Unseen, Unseen]:
     """Return efforts of the training data, and of data that the models have not seen."""
-    problem, m, count = data.problem, len(data.problem.joints), fit.equations.block_count
-    urdf = Model(problem.identified.before, np.zeros((m, TERMS)), np.ones(m), np.zeros(m))
-    models = urdf, friction.model, fit.model.exported()
-
-    def predicted(motions: Sequence[Motion], blocks: int) -> tuple[Regression, list[Floats]]:
-        regression = Regression(problem, motions, 0.0, blocks)
-        regression = regression.with_efforts(data.correction.apply(motions))
-        return regression, [regression.predict(model) for model in models]
-
-    regression, efforts = predicted(data.motions, count)
-    training = _unseen(regression, efforts, 'the training data')
+    training = _efforts(data, data.runs, models, (), 'the training data')
     if validation:
         text = 'recordings that were not used for the fit'
-        return training, _unseen(*predicted([run.motion for run in validation], 1), text)
-    for block in range(count):
+        return training, _efforts(data, validation, models, (), text)
+    text = f'blocks of the recordings, each predicted from the others ({len(folds)} blocks)'
+    return training, _efforts(data, data.runs, models, folds, text)
+
+
+def _efforts(
+    data: TrainingData,
+    runs: Sequence[PreparedRecording],
+    models: Sequence[Model],
+    folds: Sequence[Fold],
+    description: str,
+) -> Unseen:
+    """Return measured efforts and those of the models; of blocks, by the fits without them."""
+    motions = [run.motion for run in runs]
+    raw = [motion._replace(efforts=motion.raw_efforts, window=1) for motion in motions]
+    regression, (urdf, friction, identified) = _predicted(data, motions, models, folds)
+    unsmoothed, (last,) = _predicted(data, raw, models[-1:], [fold[-1:] for fold in folds])
+    return Unseen(
+        _times(regression),
+        regression.efforts,
+        urdf,
+        friction,
+        identified,
+        description,
+        smoothing=max(run.derived.window * run.derived.period for run in runs),
+        unsmoothed=rms(unsmoothed.efforts - last),
+    )
+
+
+def _predicted(
+    data: TrainingData,
+    motions: Sequence[Motion],
+    models: Sequence[Model],
+    folds: Sequence[Sequence[Model]],
+) -> tuple[Regression, list[Floats]]:
+    """Predict all rows; those of a block by the last models of its fold."""
+    regression = Regression(data.problem, motions, 0.0, max(1, len(folds)))
+    # Efforts are as late as they were recorded: models do not contain a delay.
+    gains = data.correction.gains
+    regression = regression.with_efforts([motion.efforts * gains for motion in motions])
+    efforts = [regression.predict(model) for model in models]
+    for block, fold in enumerate(folds):
         rows = regression.block == block
-        folds = _friction_without(data, friction, block), fit.without(block).exported()
-        for values, model in zip(efforts[1:], folds, strict=True):
+        for values, model in zip(efforts[-len(fold) :], fold, strict=True):
             values[rows] = regression.predict(model)[rows]
-    text = f'blocks of the recordings, each predicted from the others ({count} blocks)'
-    return training, _unseen(regression, efforts, text)
-
-
-def _friction_without(data: TrainingData, friction: JointFit, block: int) -> Model:
-    """Fit friction without one of the blocks."""
-    rows = (data.regression.block != block) & (data.regression.block >= 0)
-    return fit_terms(data.regression, friction, rows)
-
-
-def _unseen(regression: Regression, efforts: Sequence[Floats], description: str) -> Unseen:
-    urdf, friction, identified = (values.copy() for values in efforts)
-    return Unseen(_times(regression), regression.efforts, urdf, friction, identified, description)
+    return regression, efforts
 
 
 def _times(regression: Regression) -> Floats:
@@ -196,18 +249,21 @@ def _verdict(accepted: bool, unseen: Unseen) -> str:
         float(np.linalg.norm(rms(unseen.measured - efforts)))
         for efforts in (unseen.urdf, unseen.friction, unseen.identified)
     ]
-    urdf, friction, identified = (f'{total:.3g}' for total in totals)
+    urdf, friction, identified = map(significant, totals)
     if accepted:
+        unsmoothed = significant(float(np.linalg.norm(unseen.unsmoothed)))
         return (
-            f'On unseen data the identified model leaves {identified} N m, the robot description '
-            f'{urdf}, and with fitted friction {friction} (root of the sum of squares over joints)'
+            f'On unseen data the identified model leaves {identified} N m of the efforts smoothed '
+            f'over {1e3 * unseen.smoothing:.0f} ms ({unsmoothed} N m of the raw ones), the robot '
+            f'description {urdf}, and with fitted friction {friction} (root of the sum of squares '
+            'over joints)'
         )
     if not _explains(unseen):
         return (
-            f'The efforts are hardly related to the motion: they vary by {_variation(unseen):.3g} '
-            f'N m, and the identified model leaves {identified} N m on unseen data. Check that '
-            'the recording has the efforts of these joints, at the times of the positions. Masses '
-            'are kept'
+            f'The efforts are hardly related to the motion: they vary by '
+            f'{significant(_variation(unseen))} N m, and the identified model leaves {identified} '
+            'N m on unseen data. Check that the recording has the efforts of these joints, at the '
+            'times of the positions. Masses are kept'
         )
     return (
         f'The identified model does not predict unseen data better ({identified} N m) than the '
@@ -223,6 +279,7 @@ def _joint(
     errors: dict[str, float],
     training: Unseen,
     unseen: Unseen,
+    runs: Sequence[PreparedRecording],
 ) -> JointResult:
     robot, joint = data.problem.identified.robot, data.problem.joints[j]
     gain = float(data.correction.gains[j])
@@ -246,7 +303,8 @@ def _joint(
         measured=float(rms(unseen.measured[:, j])),
         unseen=residuals(unseen),
         training=residuals(training),
-        noise=float(abs(gain) * np.sqrt(np.mean([run.noise[j] ** 2 for run in data.runs]))),
+        noise=float(abs(gain) * np.sqrt(np.mean([run.noise[j] ** 2 for run in runs]))),
+        unsmoothed=float(unseen.unsmoothed[j]),
         terms=DriveTerms(
             width=float(model.widths[j]),
             rest=rest,
@@ -266,6 +324,17 @@ def _coupled_with(problem: IdentificationProblem, model: Model, j: int) -> tuple
     others = [int(before[j])] if model.couplings[j] else []
     others += [k for k in np.flatnonzero(model.couplings).tolist() if before[k] == j]
     return tuple(names[problem.joints[k]] for k in others)
+
+
+def _spread(joints: Sequence[Floats]) -> Floats:
+    """
+    Return standard errors of terms by the jackknife: from fits without each of the blocks.
+
+    They contain that friction was not the same throughout. With one block, they are zero.
+
+    """
+    values = np.array(joints)
+    return np.asarray(np.sqrt(max(len(values) - 1, 0)) * values.std(axis=0))
 
 
 def _standard_errors(fit: RobotFit) -> list[dict[str, float]]:
@@ -351,7 +420,13 @@ def _fixed(problem: IdentificationProblem) -> tuple[str, ...]:
     )
 
 
-def _warnings(data: TrainingData, joints: Sequence[JointResult]) -> tuple[tuple[str, str], ...]:
+def _warnings(
+    data: TrainingData,
+    joints: Sequence[JointResult],
+    fit: RobotFit,
+    friction: JointFit,
+    accepted: bool,
+) -> tuple[tuple[str, str], ...]:
     problem = data.problem
     names = problem.identified.robot.joint_names
     warnings = []
@@ -391,6 +466,8 @@ def _warnings(data: TrainingData, joints: Sequence[JointResult]) -> tuple[tuple[
         )
         for group in _moved_together(data)
     ]
+    warnings += _unexplained(joints, accepted)
+    warnings += _common_factor(data, fit, friction)
     return tuple(warnings)
 
 
@@ -399,6 +476,39 @@ def _moved_together(data: TrainingData) -> list[str]:
     names = data.problem.identified.robot.joint_names
     groups = [[names[data.problem.joints[j]] for j in group] for group in data.regression.together]
     return [f'{", ".join(group[:-1])} and {group[-1]}' for group in groups]
+
+
+def _unexplained(joints: Sequence[JointResult], accepted: bool) -> list[tuple[str, str]]:
+    """Name the joints for which the result is worse than no model at all."""
+    warnings = []
+    for joint in joints:
+        left = joint.unseen.identified if accepted else joint.unseen.friction
+        if left > joint.measured:
+            warnings.append(
+                (
+                    f'the result leaves {significant(left)} {joint.unit} of the effort of '
+                    f'{joint.name} on unseen data, more than was measured '
+                    f'({significant(joint.measured)} {joint.unit})',
+                    'do not use the result for this joint: check the sign and the unit of its '
+                    'effort, and that it moved in the recordings to fit as it does in the others',
+                )
+            )
+    return warnings
+
+
+def _common_factor(data: TrainingData, fit: RobotFit, friction: JointFit) -> list[tuple[str, str]]:
+    """Name a common factor of all efforts, which passes for masses."""
+    factor = common_factor(data.regression, fit, friction)
+    if data.problem.currents or factor is None:
+        return []
+    return [
+        (
+            f'all efforts of the links are {factor:.2f} times those of the robot description',
+            'it explains most of what the identified bodies improve. Probably the efforts have '
+            'another unit or gain, and the masses of the robot description are right: weigh a '
+            'link, or record a known payload',
+        )
+    ]
 
 
 # ---- What to record next --------------------------------------------------------------------

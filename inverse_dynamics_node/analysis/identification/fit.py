@@ -27,7 +27,7 @@ from ...robot.rigid_body import BASIS, PARAMETERS, pseudo_inertias
 from .problem import moved_by
 from .regression import LOAD, Model, Regression, SIGNED, TERMS
 
-URDF_WEIGHTS = tuple(10.0 ** np.arange(4.0, -0.1, -0.5))
+URDF_WEIGHTS = tuple(10.0 ** np.arange(4.0, -2.1, -0.5))
 """
 Weights of the robot description, strongest first.
 

@@ -84,12 +84,12 @@ def identify_parameters(
         If a link does not exist, or nothing is left to identify.
 
     """
-    joints = measured_joints(robot, [*recordings, *validation])
+    joints = measured_joints(robot, recordings)
     bodies = identified_bodies(robot, fixed)
     gravity = np.array(gravity, dtype=float)
     problem = IdentificationProblem(bodies, joints, gravity, payload, currents)
-    runs = prepare_all(robot, [*recordings, *validation], joints)
-    training, unseen = runs[: len(recordings)], runs[len(recordings) :]
+    training, stretch = prepare_all(robot, recordings, joints)
+    unseen, _ = prepare_all(robot, validation, joints, stretch)
     progress(0.1)
     try:
         data = training_data(problem, training)

@@ -63,11 +63,11 @@ class Model:
         joints[:, GAIN] = 0.0
         return replace(self, bodies=factor * self.bodies, joints=joints)
 
-    def exported(self) -> Model:
-        """Return the model without what neither a URDF nor the node can express."""
+    def exported(self, least_widths: Floats) -> Model:
+        """Return the model as the node applies it: what it cannot express is missing."""
         joints = self.joints.copy()
         joints[:, EXPORTED:] = 0.0
-        return replace(self, joints=joints)
+        return replace(self, joints=joints, widths=np.maximum(self.widths, least_widths))
 
     def springs(self, q: Floats) -> Floats:
         """Return the efforts of the springs at positions of shape (K, m), with their offsets."""

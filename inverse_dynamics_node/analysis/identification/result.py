@@ -64,6 +64,8 @@ class JointResult:
     training: Residuals
     noise: float
     """Noise in the smoothed effort [N m or N]."""
+    unsmoothed: float
+    """RMS that the identified model leaves of the unseen effort as recorded [N m or N]."""
     terms: DriveTerms
     """Terms of the result: the identified model, or friction alone if it was not accepted."""
     unknown_because: str
@@ -72,6 +74,11 @@ class JointResult:
     """Joints with which it shares a drive."""
     gain: float | None = None
     """Effort per recorded current; None if efforts were recorded."""
+
+    @property
+    def unit(self) -> str:
+        """Unit of its effort."""
+        return 'N' if self.is_prismatic else 'N m'
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +112,10 @@ class Unseen:
     friction: Floats
     identified: Floats
     description: str
+    smoothing: float
+    """Window over which the efforts were smoothed [s]."""
+    unsmoothed: Floats
+    """RMS that the identified model leaves of the efforts as recorded, shape (m,) [N m or N]."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -108,5 +108,5 @@ def _draw_masses(ax: Any, result: IdentificationResult) -> None:
     ax.invert_yaxis()
     ax.grid(axis='y', visible=False)
     rejected = '' if result.accepted else ', not accepted'
-    ax.set_title(f'Mass [kg], % recorded{rejected}', fontsize=9.5, pad=3)
+    ax.set_title(f'Mass [kg], % determined on its own{rejected}', fontsize=9.5, pad=3)
     ax.tick_params(labelsize=8.5)
