@@ -99,10 +99,7 @@ def evaluate(
         for j, each in enumerate(errors)
     ]
     runs = validation or data.runs
-    joints = tuple(
-        _joint(data, j, chosen, errors[j], training, unseen, runs)
-        for j in range(m)
-    )
+    joints = tuple(_joint(data, j, chosen, errors[j], training, unseen, runs) for j in range(m))
     bodies = _bodies(problem, fit)
     return IdentificationResult(
         robot=identified.robot,

@@ -29,7 +29,7 @@ CLEAN = 0.05
 """Noise of an acceleration, as a fraction of its RMS, that does no harm."""
 LEAST_RANGE = 0.02
 """Range of positions below which a joint is not looked at [rad or m]."""
-SMOOTHING_RANGE = (0.1, 0.45)
+SMOOTHING_RANGE = (0.1, 0.4)
 """
 Shortest and longest smoothing window of the fit [s].
 
