@@ -123,7 +123,11 @@ GROUPS = {
         'coulomb',
         'coulomb_width',
         'load_friction',
+        'sqrt_damping',
         'armature',
+        'drive_coupling',
+        'spring_stiffness',
+        'spring_rest',
     ),
     'process': (
         'update_rate',
