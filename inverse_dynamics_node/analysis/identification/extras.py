@@ -7,8 +7,9 @@ that it was not fitted to.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -52,12 +53,28 @@ def with_extra(regression: Regression, moving: Booleans, fit: RobotFit) -> Robot
     used[:, WIDTH] = moving
     equations = Equations(regression, fit.model)
     base = _solved(fit, equations, used, fit.model)
-    trials: list[tuple[list[int], float, RobotFit]] = []
+    trials = []
+    for joints, least, make in _candidates(regression, moving, fit, equations, used):
+        try:
+            trial = make()
+        except np.linalg.LinAlgError:  # the recordings do not determine it
+            continue
+        trials.append((_fitted_gain(base, trial, joints) / least, joints, least, trial))
+    for gain, joints, least, trial in sorted(trials, key=lambda each: -each[0]):
+        if gain >= 1.0 and is_needed(base, trial, joints, least):
+            return trial._replace(model=trial.model.with_fitted_shapes())
+    return None
+
+
+def _candidates(
+    regression: Regression, moving: Booleans, fit: RobotFit, equations: Equations, used: Booleans
+) -> Iterator[tuple[list[int], float, Callable[[], RobotFit]]]:
+    """Yield joints that an extra acts on, the least gain, and a function that fits with it."""
     for j in np.flatnonzero(moving).tolist():
         if not used[j, SPRING]:
             more = used.copy()
             more[j, SPRING] = True
-            trials.append(([j], LEAST_GAIN, _solved(fit, equations, more, fit.model)))
+            yield [j], LEAST_GAIN, partial(_solved, fit, equations, more, fit.model)
         before = int(regression.problem.before[j])
         if (
             may_be_coupled(regression, moving, j)
@@ -66,16 +83,8 @@ def with_extra(regression: Regression, moving: Booleans, fit: RobotFit) -> Robot
         ):
             more = used.copy()
             more[[before, j], ARMATURE] = True
-            coupled = _coupled(regression, fit, more, j)
-            trials.append(([before, j], LEAST_GAIN_OF_COUPLING, coupled))
-    gains = [_fitted_gain(base, trial, joints) / least for joints, least, trial in trials]
-    for at in sorted(range(len(trials)), key=gains.__getitem__, reverse=True):
-        joints, least, trial = trials[at]
-        if gains[at] < 1.0:
-            break
-        if is_needed(base, trial, joints, least):
-            return trial._replace(model=trial.model.with_fitted_shapes())
-    return None
+            make = partial(_coupled, regression, fit, more, j)
+            yield [before, j], LEAST_GAIN_OF_COUPLING, make
 
 
 def without_useless_extras(regression: Regression, fit: RobotFit) -> RobotFit:
@@ -105,7 +114,10 @@ def is_needed(base: RobotFit, fit: RobotFit, joints: Sequence[int], least: float
     single blocks, such as one with the fastest motion, may have most of the squares.
 
     """
-    losses, new = _unseen_losses(base), _unseen_losses(fit)
+    try:
+        losses, new = _unseen_losses(base), _unseen_losses(fit)
+    except np.linalg.LinAlgError:  # some blocks do not determine it
+        return False
     scale = np.maximum(losses.sum(axis=0), 1e-300)
     if ((losses - new) / scale).sum() < least * len(joints):
         return False

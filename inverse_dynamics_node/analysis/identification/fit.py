@@ -399,7 +399,7 @@ def minimise(matrix: Floats, vector: Floats, prior: Prior, start: Floats) -> tup
         if not (np.isfinite(hessian).all() and (np.diagonal(hessian) > 0.0).all()):
             raise np.linalg.LinAlgError('a parameter has no influence on the efforts')
         size = 1.0 / np.sqrt(np.diagonal(hessian))
-        factor = cho_factor(hessian * np.outer(size, size) + 1e-14 * np.eye(len(x)))
+        factor = cho_factor(hessian * np.outer(size, size) + 1e-12 * np.eye(len(x)))
         step = -size * cho_solve(factor, size * gradient)
         decrement = -float(gradient @ step)
         if decrement < _DECREMENT:
