@@ -116,12 +116,13 @@ GROUPS = {
         'wrench_timeout',
         'external_efforts_cutoff',
     ),
-    'friction': (
+    'friction, drives and springs': (
         'include_friction',
         'friction_scale',
         'damping',
         'coulomb',
         'coulomb_width',
+        'sqrt_damping',
         'load_friction',
         'sqrt_damping',
         'armature',
