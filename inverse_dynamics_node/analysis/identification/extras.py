@@ -22,7 +22,7 @@ LEAST_GAIN = 0.1
 """Fraction of the squares of a joint that the prediction has to gain from a spring."""
 LEAST_GAIN_OF_COUPLING = 0.3
 """The same for a coupling, in the squares of both joints."""
-ERRORS = 2.0
+ERRORS = 3.0
 """Standard errors of the mean gain of blocks that it has to gain."""
 LEAST_RELATION = 0.1
 """Fraction of the residual of a joint that the motion of the other one has to explain."""
