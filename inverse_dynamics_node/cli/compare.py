@@ -46,11 +46,11 @@ has efforts; or a .csv file with a header of `time` [s] and, for each joint, `<j
 just `<joint>`), `<joint>.velocity` (optional) and `<joint>.effort`. Twenty seconds in which every
 joint moves in both directions, at different speeds, are enough.
 
-Differences that it can diagnose: a swapped sign; efforts that are currents, or in another unit;
-gravity compensated by the driver; a different mounting of the base; a payload; joints in another
-order; inertia of rotors; an offset; a driver that does not measure; several wrong links. Loads,
-pushes and a base that tilts may last for a part of the recording. Friction is fitted separately,
-and --parameters writes it for the node.
+Differences that it can diagnose: a swapped sign; a reversed axis; positions in degrees; efforts
+that are currents, in another unit, or late; gravity compensated by the driver; a different
+mounting of the base; a payload; joints in another order; inertia of rotors; an offset; a driver
+that does not measure; several wrong links. Loads, pushes and a base that tilts may last for a part
+of the recording. Friction is fitted separately, and --parameters writes it for the node.
 
 exit code: 0 compared; 1 the recording cannot be compared; 2 invalid arguments; 3 there are
 warnings, and --strict was given."""

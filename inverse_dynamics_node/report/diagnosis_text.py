@@ -62,6 +62,24 @@ def _options(fault: Fault) -> str:
 # ---- Headlines -----------------------------------------------------------------------------
 
 
+def _positions(fault: Fault) -> str:
+    positions = f'the positions of {listed(fault.joints)}'
+    if fault.values:
+        return f'{positions} are in degrees, and nothing else can be diagnosed'
+    return f'{positions} are far outside their limits, and nothing else can be diagnosed'
+
+
+def _reversed_axis(fault: Fault) -> str:
+    is_one = len(fault.joints) == 1
+    axes = 'has its axis' if is_one else 'have their axes'
+    return f'{listed(fault.joints)} {axes} reversed: position, velocity and effort'
+
+
+def _delay(fault: Fault) -> str:
+    seconds = fault.values[0]
+    return f'the efforts are {1e3 * abs(seconds):.0f} ms {"late" if seconds > 0.0 else "early"}'
+
+
 def _sign(fault: Fault) -> str:
     if fault.is_every_joint:
         return 'every joint has its sign swapped'
@@ -124,6 +142,9 @@ def _fixed(text: str) -> Callable[[Fault], str]:
 
 _HEADLINES: Mapping[FaultKind, Callable[[Fault], str]] = MappingProxyType(
     {
+        FaultKind.POSITIONS: _positions,
+        FaultKind.REVERSED_AXIS: _reversed_axis,
+        FaultKind.DELAY: _delay,
         FaultKind.ORDER: _joints('the efforts of {} are in another order'),
         FaultKind.GRAVITY_COMPENSATED: _gravity_compensated,
         FaultKind.GRAVITY_MEASURED: _gravity_measured,
@@ -142,7 +163,7 @@ _HEADLINES: Mapping[FaultKind, Callable[[Fault], str]] = MappingProxyType(
         ),
     }
 )
-_STARTS_WITH_JOINT = (FaultKind.SIGN, FaultKind.ROTOR_INERTIA)
+_STARTS_WITH_JOINT = (FaultKind.SIGN, FaultKind.REVERSED_AXIS, FaultKind.ROTOR_INERTIA)
 
 
 # ---- Evidence ------------------------------------------------------------------------------
@@ -315,6 +336,18 @@ def _offset_advice(fault: Fault) -> str:
 
 _ADVICE: Mapping[FaultKind, Callable[[Fault], str]] = MappingProxyType(
     {
+        FaultKind.POSITIONS: _fixed(
+            'Convert the positions to rad; check the zero positions, and that the limits belong '
+            'to this robot.'
+        ),
+        FaultKind.REVERSED_AXIS: _fixed(
+            'Change the sign of the <axis> in the URDF, or of positions, velocities and efforts '
+            'in the driver. Do not send efforts of the node to this joint before that.'
+        ),
+        FaultKind.DELAY: _fixed(
+            'The driver may filter the efforts, or publish them later than the positions. '
+            'inverse_dynamics identify takes the delay into account.'
+        ),
         FaultKind.ORDER: _fixed(
             'Compare the order of names and efforts in the driver, and the lists of joints in all '
             'of its files.'
@@ -329,7 +362,7 @@ _ADVICE: Mapping[FaultKind, Callable[[Fault], str]] = MappingProxyType(
         FaultKind.SCALE: _scale_advice,
         FaultKind.PAYLOAD: _payload_advice,
         FaultKind.BODIES: _fixed(
-            'No payload on one link explains this. Fit all links to the recording: '
+            'Fit all links to the recording: '
             'inverse_dynamics identify URDF RUN --output calibrated.urdf'
         ),
         FaultKind.EXTERNAL_FORCE: _fixed(

@@ -104,3 +104,52 @@ def test_compare_and_watch_say_the_same(motion, act, change, kind):
         assert headline(watched) == words
         assert words[1:] in verdict(result)
         assert sentence(agreement).startswith(words)
+
+
+def distorted(joint_names, times, states, modelled_by, efforts):
+    """Return what `compare` and `watch` say of recorded positions, velocities and efforts."""
+    recording = Recording(joint_names, times, *states, efforts)
+    modelled = modelled_by.efforts(*states, np.gradient(states[1], times, axis=0))
+    live = LiveSamples(joint_names, times, *states, efforts, modelled)
+    result = diagnose_recording(modelled_by, recording)
+    return result, diagnose_samples(live, modelled_by.robot, modelled_by.gravity)
+
+
+def test_compare_and_watch_find_a_reversed_axis(motion):
+    robot, times, (q, qd, qdd) = motion
+    model, signs = InverseDynamics(robot), np.ones(7)
+    signs[2] = -1.0
+    efforts = signs * model.efforts(q, qd, qdd)
+    said = distorted(robot.joint_names, times, (signs * q, signs * qd), model, efforts)
+    for each in said:
+        (fault,) = each.faults
+        assert (fault.kind, fault.joints) == (FaultKind.REVERSED_AXIS, ('arm_roll',))
+    assert said[0].explained < 0.9
+    assert said[0].explained_corrected > 0.998
+    assert headline(said[0].faults[0]) == headline(said[1].faults[0])
+    assert said[1].outcome is Outcome.DIFFER
+
+
+def test_compare_finds_two_reversed_axes(motion):
+    robot, times, (q, qd, qdd) = motion
+    model, signs = InverseDynamics(robot), np.ones(7)
+    signs[[1, 4]] = -1.0
+    efforts = signs * model.efforts(q, qd, qdd)
+    result = diagnose_recording(
+        model, Recording(robot.joint_names, times, signs * q, signs * qd, efforts)
+    )
+    (fault,) = result.faults
+    assert fault.joints == ('shoulder_lift', 'forearm_roll')
+
+
+def test_positions_in_degrees_end_the_diagnosis(motion):
+    robot, times, (q, qd, qdd) = motion
+    model = InverseDynamics(robot)
+    said = distorted(
+        robot.joint_names, times, (np.degrees(q), np.degrees(qd)), model, model.efforts(q, qd, qdd)
+    )
+    for each in said:
+        (fault,) = each.faults
+        assert fault.kind is FaultKind.POSITIONS
+        assert 'in degrees, and nothing else can be diagnosed' in headline(fault)
+    assert said[1].outcome is Outcome.DIFFER

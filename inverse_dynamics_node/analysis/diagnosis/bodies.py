@@ -1,8 +1,10 @@
 """
-Checks whether the inertial parameters of several links are wrong.
+Checks whether the inertial parameters of several links are wrong, and what is wrong beside them.
 
-All links are fitted to one half of the recording, close to those of the model. If they predict the
-other half far better than the explanation that has been found, no simpler cause is credible.
+All links are fitted near those of the model, together with friction, rotors and offsets. If links
+that were fitted to one half of the recording predict the other half far better than the
+explanation that has been found, no simpler cause is credible. A payload, a mounting and a delay of
+the efforts are credible beside wrong links if these would have to be far more wrong without them.
 """
 
 from __future__ import annotations
@@ -14,47 +16,115 @@ import numpy as np
 
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...robot.model import Booleans, Floats, Integers
-from .joint_samples import ACCELERATION, DIRECTION, MODEL, ONE, SPEED
-from .regression_data import RegressionData, RobotFit
+from .fault import FaultKind
+from .intervals import FaultInterval
+from .joint_samples import (
+    ACCELERATION,
+    DIRECTION,
+    JointFit,
+    LOADS,
+    MIN_OFFSET,
+    ONE,
+    SPEED,
+    WEIGHT,
+)
+from .loads import PARAMETERS
+from .regression_data import CandidateModel, LIKE_A_LOAD, RegressionData, RobotFit
 
 MOST_SAMPLES = 800  # of the recording that are used
 BLOCKS = 10  # contiguous parts; fitted to those with an even number, tested with the others
-WRONG = 0.3  # standard deviation of masses, relative to those of the model
+SEGMENTS = 40  # contiguous parts; those that fit badly have less weight
+ROUNDS = 4  # of fitting links and weights in turn
+SPREADS = (0.1, 0.2, 0.3, 0.5)
+"""Standard deviations of masses relative to those of the model, of which the best is chosen."""
 SIZE = 0.2  # [m], of centres of mass and radii of gyration
 LIGHTEST = 0.1  # [kg]; lighter bodies are not more accurate
+FRICTION = 10.0  # standard deviation of friction, relative to the effort of the joint
+OFFSET = 0.3  # standard deviation of offsets, relative to the effort of the joint
+LOUD = 4.0  # times the median of the squares; a part with more has little weight
+HEAVIEST = 10.0  # [kg], standard deviation of payloads
+STRENGTH = 0.02  # standard deviation of the strength of gravity, relative
 UNEXPLAINED = 0.01  # fraction of the squares; with less, the links are accurate enough
-BETTER = 0.35  # fraction of the unexplained squares that the links leave at most, for one cause
-
-
-VARIANTS = (
-    ('is_scaled', 'has_rotor', 'has_offset'),
-    ('is_scaled', 'has_offset'),
-    ('is_scaled',),
-)
-"""Sensor faults that wrong links may replace, the most first; rotors are often real."""
+BETTER = 0.35
+"""
+Fraction of the unexplained squares that the links leave at most, if all causes that were found
+before are needed beside them.
+"""
+CHANGING = 2.0  # times what a changing gravity leaves, which can explain almost anything
+NEEDED = 10.0  # least increase of the evidence by a cause beside wrong links
+CERTAIN = 5.0  # standard errors
+ROTOR = 0.05  # fraction of a joint's RMS effort; smaller rotors are not reported
+DELAY = 0.1  # [s], standard deviation of delays
 
 
 class Bodies(NamedTuple):
-    """Residuals before and after fitting all links, in the half that was not used."""
+    """Links that explain more, and residuals in the half that they were not fitted to."""
 
     robot_fit: RobotFit
-    """The explanation without the parts that wrong links replace."""
+    """The explanation beside wrong links."""
+    change: Floats
+    """Of the inertial parameters of the links, shape (10 b,)."""
     before: Floats
-    """RMS of each joint, shape (n,) [N m or N]."""
+    """RMS of each joint without fitted links, shape (n,) [N m or N]."""
     after: Floats
     """RMS of each joint, shape (n,) [N m or N]."""
+    delay: float
+    """By which the measured efforts are late, to first order [s]."""
+    delay_error: float
+    """Standard error [s]."""
+    unexplained: float
+    """
+    Fraction of the squares that is left in the half that the links were not fitted to; parts of
+    the recording that fit badly have less weight.
+    """
+    unexplained_anywhere: float
+    """The same with equal weights."""
+    are_wrong: bool
+    """Whether friction leaves more than it does if the links are accurate enough."""
+    has_own_gravity: bool
+    """Whether gravity in the efforts is that of the wrong links."""
+
+    def explain_more(
+        self, data: RegressionData, before: RobotFit, fault: FaultInterval | None
+    ) -> bool:
+        """Return whether an explanation is not credible, because the links explain far more."""
+        if fault is None:
+            left = data.unexplained(before)
+        elif fault.kind is FaultKind.MOUNTING:
+            return self.confirmed(fault) is None
+        else:
+            left = fault.data.unexplained(fault.outside)
+        return self.unexplained < (BETTER if self._confirms(before) else 1.0) * left
+
+    def confirmed(self, fault: FaultInterval | None) -> FaultInterval | None:
+        """Return a cause in a part of the recording; None if the links explain a tilting base."""
+        if fault is None or fault.kind is not FaultKind.MOUNTING:
+            return fault
+        return None if self.unexplained_anywhere < CHANGING * fault.left else fault
+
+    def _confirms(self, before: RobotFit) -> bool:
+        """Return whether an explanation has no cause that is not needed beside the links."""
+        candidate = before.candidate
+        if candidate.has_gravity and candidate.kind not in (None, self.robot_fit.candidate.kind):
+            return False
+        return not any(
+            is_found > is_needed
+            for fit, beside in zip(before.fits, self.robot_fit.fits, strict=True)
+            for is_found, is_needed in zip(fit.sensor_fault, beside.sensor_fault, strict=True)
+        )
 
 
-def wrong_bodies(
+def fit_bodies(
     data: RegressionData,
     robot_fit: RobotFit,
     dynamics: InverseDynamics,
     states: tuple[Floats, Floats, Floats],
     rows: list[Booleans],
     index: list[int],
+    rates: Floats,
 ) -> Bodies | None:
     """
-    Return the residuals with fitted links, if these explain far more than the explanation.
+    Fit all links to the efforts.
 
     Parameters
     ----------
@@ -68,141 +138,277 @@ def wrong_bodies(
         Times that the samples of each joint contain.
     index : list of int
         Index of each joint in the model.
+    rates : ndarray, shape (K, n)
+        Derivatives of the explained efforts with respect to time [N m/s or N/s].
 
     Returns
     -------
     bodies : Bodies or None
+        None if the recording does not show the links.
 
     """
-    in_order = robot_fit.source == tuple(range(len(index)))
-    plain = data.friction_only()
-    if (
-        data.is_too_short
-        or not in_order
-        or robot_fit.unit != 1.0
-        or not (data.has_gravity and robot_fit.candidate.has_gravity)
-        or data.unexplained(plain) < UNEXPLAINED
-        or not any(samples.moves for samples in data.joints)
-    ):
-        return None
-    every = max(1, len(states[0]) // MOST_SAMPLES)
-    chosen: Integers = np.arange(0, len(states[0]), every)
-    regressor = dynamics.regressor(*(np.ascontiguousarray(x[chosen]) for x in states))
-    tried: list[RobotFit] = []
-    for replaced in VARIANTS:
-        base = robot_fit._replace(candidate=data.nominal)
-        for flag in replaced:
-            base = data.refit(base, without=flag)
-        if tried and [x.sensor_fault for x in base.fits] == [
-            x.sensor_fault for x in tried[-1].fits
-        ]:
-            continue
-        tried.append(base)
-        after = _unseen(data, base, dynamics, regressor, rows, index, chosen)
-        left = tuple(
-            fit._replace(remaining=fit.remaining * float(x / max(fit.rms, 1e-12)) ** 2)
-            for fit, x in zip(base.fits, after, strict=True)
-        )
-        unexplained = data.unexplained(base._replace(fits=left))
-        limit = 1.0 if _has_several_causes(robot_fit) else BETTER
-        if unexplained < limit * data.unexplained(robot_fit):
-            return Bodies(base, np.array([fit.rms for fit in base.fits]), after)
-    return None
-
-
-def _has_several_causes(robot_fit: RobotFit) -> bool:
-    """Return whether an explanation combines a load or a mounting with faults of joints."""
-    flags = [fit.sensor_fault.is_scaled or fit.sensor_fault.has_offset for fit in robot_fit.fits]
-    return robot_fit.candidate.kind is not None and any(flags)
-
-
-def _unseen(
-    data: RegressionData,
-    robot_fit: RobotFit,
-    dynamics: InverseDynamics,
-    regressor: Floats,
-    rows: list[Booleans],
-    index: list[int],
-    chosen: Integers,
-) -> Floats:
-    """Return the RMS residual of each joint in the half that the links were not fitted to."""
-    block = chosen * BLOCKS // len(rows[0])
-    halves = [
-        _rows(data, robot_fit, regressor, rows, index, chosen, block % 2 == half)
-        for half in (0, 1)
-    ]
-    prior = _prior(dynamics, halves[0].matrix.shape[1])
-    residuals = []
-    for fitted, tested in (halves, halves[::-1]):
-        matrix = np.vstack([fitted.matrix, prior])
-        target = np.append(fitted.target, np.zeros(len(prior)))
-        change = np.linalg.lstsq(matrix, target, rcond=1e-12)[0]
-        residuals.append((tested.target - tested.matrix @ change) * tested.scale)
-    joints = np.concatenate([half.joint for half in halves[::-1]])
-    squares = np.concatenate(residuals) ** 2
-    found: Floats = np.array([fit.rms for fit in robot_fit.fits])
-    for j in np.unique(joints):
-        found[j] = math.sqrt(float(np.mean(squares[joints == j])))
-    return found
-
-
-class _Rows(NamedTuple):
-    """Weighted rows of a linear regression."""
-
-    matrix: Floats
-    target: Floats
-    joint: Integers
-    """Joint of each row."""
-    scale: Floats
-    """Effort by which each row was divided."""
-
-
-def _rows(
-    data: RegressionData,
-    robot_fit: RobotFit,
-    regressor: Floats,
-    rows: list[Booleans],
-    index: list[int],
-    chosen: Integers,
-    half: Booleans,
-) -> _Rows:
-    matrices, targets, joints, scales = [], [], [], []
     moving = [j for j, samples in enumerate(data.joints) if samples.moves]
-    width = regressor.shape[2]
-    for position, j in enumerate(moving):
-        samples, fit = data.joints[j], robot_fit.fits[j]
-        used = rows[j][chosen] & half
-        own = np.cumsum(rows[j])[chosen[used]] - 1  # rows of the samples
-        columns = samples.columns[own]
-        matrix = np.zeros((len(own), width + 4 * len(moving)))
-        matrix[:, :width] = regressor[used, index[j]]
-        at = width + 4 * position
-        matrix[:, at : at + 2] = columns[:, [SPEED, DIRECTION]]
-        matrix[:, at + 2] = columns[:, ACCELERATION] * fit.sensor_fault.has_rotor
-        matrix[:, at + 3] = columns[:, ONE] * fit.sensor_fault.has_offset
-        target = fit.sensor_fault.sign * columns[:, data.first_measured + j] - columns[:, MODEL]
-        square = float(samples.squares[data.first_measured + j])
-        left = fit.remaining + samples.floor(data.first_measured + j)
-        scale = math.sqrt(left * square)
+    if data.is_too_short or not moving:
+        return None
+    # A driver compensates the gravity of the real links, or of those in the model.
+    found = [
+        _Problem(data, robot_fit, dynamics, states, rows, index, rates, moving, own).solve()
+        for own in ((True,) if robot_fit.candidate.has_gravity else (False, True))
+    ]
+    return min(found, key=lambda each: each.unexplained_anywhere)
+
+
+class _Problem:
+    """
+    Weighted rows of a linear regression.
+
+    Unknowns are the changes of all links; friction, rotor and offset of each joint; gravity;
+    payloads; and the delay of the efforts.
+    """
+
+    def __init__(
+        self,
+        data: RegressionData,
+        robot_fit: RobotFit,
+        dynamics: InverseDynamics,
+        states: tuple[Floats, Floats, Floats],
+        rows: list[Booleans],
+        index: list[int],
+        rates: Floats,
+        moving: list[int],
+        has_own_gravity: bool,
+    ) -> None:
+        fits = tuple(_without_doubtful_scale(fit) for fit in robot_fit.fits)
+        robot_fit = data.refit(robot_fit._replace(fits=fits))
+        self.data, self.robot_fit, self.moving = data, robot_fit, moving
+        every = max(1, len(states[0]) // MOST_SAMPLES)
+        chosen: Integers = np.arange(0, len(states[0]), every)
+        q, qd, qdd = (np.ascontiguousarray(x[chosen]) for x in states)
+        self.has_gravity = robot_fit.candidate.has_gravity
+        self.has_own_gravity = has_own_gravity
+        regressor = dynamics.regressor(q, qd, qdd)
+        if not has_own_gravity:
+            regressor = regressor - dynamics.regressor(q, np.zeros_like(q), np.zeros_like(q))
+        self.width = regressor.shape[2]
+        self.own = self.width + 4 * np.arange(len(moving))  # first column of each joint
+        self.gravity = self.width + 4 * len(moving)
+        self.payloads = self.gravity + 3
+        self.delay = self.payloads + 4 * len(data.links)
+        base = data.other_gravity() if data.contradicts(robot_fit.candidate) else data.nominal
+        self.base = base
+        self.prior = self._prior(dynamics)
+        parts, targets, joints, times = [], [], [], []
+        for position, j in enumerate(moving):
+            samples, fit = data.joints[j], robot_fit.fits[j]
+            used = rows[j][chosen]
+            columns = samples.columns[np.cumsum(rows[j])[chosen[used]] - 1]
+            matrix = np.zeros((len(columns), self.delay + 1))
+            matrix[:, : self.width] = regressor[used, index[j]]
+            own = columns[:, [SPEED, DIRECTION, ACCELERATION, ONE]]
+            matrix[:, self.own[position] : self.own[position] + 4] = own
+            matrix[:, self.gravity : self.gravity + 3] = columns[:, WEIGHT : WEIGHT + 3]
+            for k in range(len(data.links)):
+                first = self.payloads + 4 * k
+                load = LOADS + PARAMETERS * k
+                matrix[:, first : first + 4] = columns[:, load : load + 4]
+            matrix[:, self.delay] = -rates[chosen[used], j]
+            source = columns[:, data.first_measured + robot_fit.source[j]]
+            target = fit.sensor_fault.sign * source / robot_fit.factor(j)
+            targets.append(target - columns[:, : data.first_measured] @ base.weights)
+            parts.append(matrix)
+            joints.append(np.full(len(columns), position))
+            times.append(chosen[used] / len(rows[j]))
+        self.matrix, self.target = np.vstack(parts), np.concatenate(targets)
+        self.joint, time = np.concatenate(joints), np.concatenate(times)
+        self.half = (time * BLOCKS).astype(int) % 2
+        self.segment = (time * SEGMENTS).astype(int)
         # Samples within a smoothing window are not independent.
-        scale *= math.sqrt(max(len(chosen) / data.sample_count, 1.0))
-        matrices.append(matrix / scale)
-        targets.append(target / scale)
-        joints.append(np.full(len(own), j))
-        scales.append(np.full(len(own), scale))
-    return _Rows(
-        np.vstack(matrices),
-        np.concatenate(targets),
-        np.concatenate(joints),
-        np.concatenate(scales),
-    )
+        self.dependence = max(len(chosen) / data.sample_count, 1.0)
+
+    def _prior(self, dynamics: InverseDynamics) -> Floats:
+        """Return the inverse covariance of all unknowns, before the recording is seen."""
+        masses = np.maximum(dynamics.robot.mass[1:], LIGHTEST)
+        size = np.array([1.0, *3 * [SIZE], *6 * [SIZE**2]])
+        deviation = np.full(self.delay + 1, DELAY)
+        deviation[: self.width] = (masses[:, None] * size).reshape(-1)
+        for position, j in enumerate(self.moving):
+            columns = self.data.joints[j].squares[[SPEED, DIRECTION, ACCELERATION, ONE]]
+            ratio = np.array([FRICTION, FRICTION, 1.0, OFFSET]) * math.sqrt(self._square(j))
+            own = slice(self.own[position], self.own[position] + 4)
+            deviation[own] = ratio / np.sqrt(np.maximum(columns, 1e-12))
+        for first in range(self.payloads, self.delay, 4):
+            deviation[first : first + 4] = HEAVIEST * size[:4]
+        g_0 = max(float(np.linalg.norm(self.data.gravity)), 1e-12)
+        deviation[self.gravity : self.gravity + 3] = g_0
+        prior: Floats = np.diag(deviation**-2.0)
+        # The strength of gravity is known.
+        known = slice(self.gravity, self.gravity + 3)
+        prior[known, known] += np.outer(*2 * [self.data.gravity]) / (STRENGTH * g_0**2) ** 2
+        return prior
+
+    def _square(self, j: int) -> float:
+        """Return the mean square of the effort of a joint in the unit of the model."""
+        measured = self.data.first_measured + self.robot_fit.source[j]
+        return float(self.data.joints[j].squares[measured]) / self.robot_fit.factor(j) ** 2
+
+    def solve(self) -> Bodies:
+        """Fit the links, and choose what is wrong beside them."""
+        causes = []
+        if self.has_gravity:
+            loads = range(self.payloads, self.delay, 4)
+            causes += [slice(self.gravity, self.payloads), *(slice(k, k + 4) for k in loads)]
+        used = np.ones(self.delay + 1, dtype=bool)
+        used[self.gravity : self.delay] = used[self.own + 3] = False
+        weights = self._weights(_with(used, *causes))
+        system = self._system(weights)
+        fit, candidate = self._best_fit(used, system), self.base
+        least = fit.evidence + NEEDED
+        for cause in causes:
+            other = self._best_fit(_with(used, cause), system)
+            found = self._candidate(other, cause)
+            if found is not None and other.evidence > least:
+                fit, candidate, least = other, found, other.evidence
+        for position, j in enumerate(self.moving):
+            own = int(self.own[position]) + 3
+            other = self._best_fit(_with(fit.used, slice(own, own + 1)), system)
+            is_large = abs(other.solution[own]) > MIN_OFFSET * math.sqrt(self._square(j))
+            if is_large and other.evidence > fit.evidence + NEEDED:
+                fit = other
+        return self._bodies(fit, weights, candidate)
+
+    def _system(self, weights: Floats) -> tuple[Floats, Floats]:
+        """Return the products of weighted columns with all columns, and with the target."""
+        weighted = weights[:, None] * self.matrix
+        return self.matrix.T @ weighted, weighted.T @ self.target
+
+    def _best_fit(self, used: Booleans, system: tuple[Floats, Floats]) -> _Fit:
+        """Fit the used unknowns, with the most likely accuracy of the links."""
+        products, vector = system[0][np.ix_(used, used)], system[1][used]
+        fits = (self._fit(used, products, vector, spread) for spread in SPREADS)
+        return max(fits, key=lambda each: each.evidence)
+
+    def _fit(self, used: Booleans, products: Floats, vector: Floats, spread: float) -> _Fit:
+        """Solve the equations for links of some accuracy."""
+        prior = self.prior[np.ix_(used, used)]
+        prior[: self.width, : self.width] /= spread**2
+        hessian = products + prior
+        covariance = np.linalg.inv(hessian)
+        solution, errors = np.zeros((2, len(used)))
+        solution[used] = covariance @ vector
+        errors[used] = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+        volume = np.linalg.slogdet(prior)[1] - np.linalg.slogdet(hessian)[1]
+        evidence = 0.5 * float(vector @ solution[used] + volume)
+        return _Fit(used, solution, errors, evidence)
+
+    def _weights(self, used: Booleans) -> Floats:
+        """Return inverse variances of the rows, from the residuals of a fit."""
+
+        def mean(of: Integers, squares: Floats, weights: Floats, count: int) -> Floats:
+            sums = np.bincount(of, weights * squares, count)
+            return np.asarray(sums / np.maximum(np.bincount(of, weights, count), 1e-12))
+
+        fits, moving = self.robot_fit.fits, self.moving
+        square = np.array([self._square(j) for j in moving])
+        floor = np.array([self._floor(j) for j in moving]) * square
+        variance = np.array([fits[j].remaining for j in moving]) * square + floor
+        trust = np.ones(len(self.target))
+        for _ in range(ROUNDS):
+            weights = trust / variance[self.joint] / self.dependence
+            fit = self._best_fit(used, self._system(weights))
+            residual = self.target - self.matrix @ fit.solution
+            relative = residual**2 / variance[self.joint]
+            sizes = mean(self.segment, relative, np.ones_like(relative), SEGMENTS)
+            # A push during a part of the recording says nothing about the links.
+            loudness = sizes / (LOUD * max(float(np.median(sizes)), 1e-12))
+            trust = (1.0 / (1.0 + loudness**2))[self.segment]
+            variance = mean(self.joint, residual**2, trust, len(moving)) + floor
+        return np.asarray(trust / variance[self.joint] / self.dependence)
+
+    def _floor(self, j: int) -> float:
+        return self.data.joints[j].floor(self.data.first_measured + self.robot_fit.source[j])
+
+    def _candidate(self, fit: _Fit, cause: slice) -> CandidateModel | None:
+        """Return a candidate model of a fitted cause; None if it is not possible or certain."""
+        data, solution, errors = self.data, fit.solution[cause], fit.errors[cause]
+        if cause.start == self.gravity:
+            gravity = data.gravity + solution
+            gravity *= np.linalg.norm(data.gravity) / np.linalg.norm(gravity)
+            return data.mounted(gravity) if data.is_tilted(gravity) else None
+        k, mass = (cause.start - self.payloads) // 4, float(solution[0])
+        if abs(mass) < CERTAIN * errors[0]:
+            return None
+        com = solution[1:] / mass
+        errors = np.append(errors[0], errors[1:] / abs(mass))
+        return data.loaded(k, self.base, np.array([mass, *com]), errors)
+
+    def _bodies(self, fit: _Fit, weights: Floats, candidate: CandidateModel) -> Bodies:
+        """Return the explanation beside the links, and test it with unseen samples."""
+        data, before = self.data, self.robot_fit
+        after = np.array([each.rms for each in before.fits])
+        residual = np.zeros_like(self.target)
+        for half in (False, True):
+            system = self._system(np.where(self.half == half, weights, 0.0))
+            seen = self._best_fit(fit.used, system)
+            tested = self.half != half
+            residual[tested] = (self.target - self.matrix @ seen.solution)[tested]
+        fits = list(data.refit(before, self.base).fits)
+        left, anywhere = fits.copy(), fits.copy()
+        for position, j in enumerate(self.moving):
+            own, square = self.joint == position, self._square(j)
+            squares = residual[own] ** 2
+            weighted = float(np.average(squares, weights=weights[own]))
+            after[j] = math.sqrt(weighted) * before.factor(j)
+            left[j] = fits[j]._replace(remaining=weighted / square)
+            anywhere[j] = fits[j]._replace(remaining=float(np.mean(squares)) / square)
+            fault = fits[j].sensor_fault._replace(
+                has_rotor=self._has_rotor(fit, position, j),
+                has_offset=bool(fit.used[self.own[position] + 3]),
+            )
+            fits[j] = fits[j]._replace(sensor_fault=fault)
+        robot_fit = before._replace(candidate=candidate, fits=tuple(fits))
+        rms = np.array([each.rms for each in data.refit(robot_fit).fits])
+        return Bodies(
+            robot_fit,
+            fit.solution[: self.width],
+            rms,
+            after,
+            float(fit.solution[self.delay]),
+            float(fit.errors[self.delay]),
+            data.unexplained(robot_fit._replace(fits=tuple(left))),
+            data.unexplained(robot_fit._replace(fits=tuple(anywhere))),
+            data.unexplained(data.friction_only()) > UNEXPLAINED,
+            self.has_own_gravity,
+        )
+
+    def _has_rotor(self, fit: _Fit, position: int, j: int) -> bool:
+        rotor = int(self.own[position]) + 2
+        size = math.sqrt(float(self.data.joints[j].squares[ACCELERATION])) * fit.solution[rotor]
+        is_certain = fit.solution[rotor] > CERTAIN * fit.errors[rotor]
+        return bool(is_certain and size > ROTOR * math.sqrt(self._square(j)))
 
 
-def _prior(dynamics: InverseDynamics, width: int) -> Floats:
-    """Return rows that keep the links near those of the model."""
-    masses = np.maximum(dynamics.inertial_parameters()[::10], LIGHTEST)
-    size = np.array([1.0, *3 * [SIZE], *6 * [SIZE**2]])
-    deviation = WRONG * (masses[:, None] * size).reshape(-1)
-    rows: Floats = np.zeros((len(deviation), width))
-    rows[:, : len(deviation)] = np.diag(1.0 / deviation)
-    return rows
+class _Fit(NamedTuple):
+    """Solution of the regression."""
+
+    used: Booleans
+    """Which unknowns were fitted."""
+    solution: Floats
+    """Zero where an unknown is not used."""
+    errors: Floats
+    """Standard errors."""
+    evidence: float
+    """Logarithm of the likelihood of the efforts, but for a constant."""
+
+
+def _with(used: Booleans, *causes: slice) -> Booleans:
+    used = used.copy()
+    for cause in causes:
+        used[cause] = True
+    return used
+
+
+def _without_doubtful_scale(fit: JointFit) -> JointFit:
+    """Return a fit without a scale that wrong links may cause."""
+    if not LIKE_A_LOAD[0] < fit.scale < LIKE_A_LOAD[1]:
+        return fit
+    return fit._replace(sensor_fault=fit.sensor_fault._replace(is_scaled=False))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from functools import partial
 
 import numpy as np
@@ -9,14 +10,20 @@ from numpy.typing import ArrayLike
 
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...robot.model import Booleans, Floats
-from ..columns import direction_of, friction_columns, gravity_columns, payload_columns
-from ..recordings.resampling import smooth_like_efforts
+from ..columns import (
+    direction_of,
+    friction_columns,
+    gravity_columns,
+    payload_columns,
+    STATES_AT_ONCE,
+)
+from ..recordings.resampling import pieces, smooth_like_efforts
 from ..recordings.signals import Motion
 from .fault import FaultKind, GravityConvention
 from .friction import fit_friction, fit_shape, FrictionFit, is_moving, obstacle
 from .intervals import changing_gravity_efforts, FaultInterval
 from .joint_samples import CREDIBLE, JointSignals, sample_joints
-from .loads import loaded_links, point_mass_parameters
+from .loads import loaded_links, PARAMETERS, point_mass_parameters
 from .regression_data import RegressionData, RobotFit
 
 SAMPLES_PER_WINDOW = 8  # used by fits; the samples of a smoothing window are dependent
@@ -60,6 +67,7 @@ class ComparedEfforts:
     ) -> None:
         self.dynamics, self.motion = dynamics, motion
         self.width, self.convention = width, convention
+        self._arguments = index, others, link, width, convention
         robot = self.robot = dynamics.robot
         K, n = len(motion.times), len(robot.joint_names)
         q, qd, qdd = np.zeros((3, K, n))
@@ -99,6 +107,64 @@ class ComparedEfforts:
         q, qd, qdd = self.states
         return q[self.fit_samples], qd[self.fit_samples], qdd[self.fit_samples]
 
+    def undistorted(self, signs: Floats, delay: float) -> ComparedEfforts:
+        """
+        Return what would be compared without a fault of the recorded states.
+
+        Parameters
+        ----------
+        signs : ndarray, shape (m,)
+            -1 for joints whose axis is reversed, otherwise 1.
+        delay : float
+            Time by which the efforts are late [s].
+
+        """
+        motion = self.motion
+        efforts = signs * _later(motion, motion.efforts, delay)
+        q, qd, qdd = (signs * each for each in (motion.q, motion.qd, motion.qdd))
+        motion = motion._replace(q=q, qd=qd, qdd=qdd, efforts=efforts)
+        return ComparedEfforts(self.dynamics, motion, *self._arguments)
+
+    def distorted(self, efforts: Floats, signs: Floats, delay: float) -> Floats:
+        """Return efforts of shape (K, c) with such a fault."""
+        return signs[self.compared] * _later(self.motion, efforts, -delay)
+
+    def with_bodies(self, change: Floats, has_own_gravity: bool) -> ComparedEfforts:
+        """
+        Return what would be compared with other links.
+
+        Parameters
+        ----------
+        change : ndarray, shape (10 b,)
+            Of the inertial parameters.
+        has_own_gravity : bool
+            Whether gravity in the measured efforts is that of these links, or has been removed.
+
+        """
+        other = copy(self)
+        other.rigid, other.gravity = self.rigid.copy(), self.gravity.copy()
+        for k in range(0, len(self.rigid), STATES_AT_ONCE):
+            some = slice(k, k + STATES_AT_ONCE)
+            q, qd, qdd = (np.ascontiguousarray(x[some]) for x in self.states)
+            other.rigid[some] += self.dynamics.regressor(q, qd, qdd)[:, self.index] @ change
+            at_rest = self.dynamics.regressor(q, *np.zeros((2, *q.shape)))[:, self.index] @ change
+            if not has_own_gravity and self.convention.in_measured:
+                other.gravity[some] += at_rest
+            elif not has_own_gravity:
+                other.rigid[some] -= at_rest
+        return other
+
+    def rates(self, robot_fit: RobotFit) -> Floats:
+        """Return the derivatives of explained efforts of varying joints [N m/s or N/s]."""
+        efforts = corrected_efforts(self, robot_fit)[1][:, self.varying]
+        columns = self.qd[:, self.varying], self.direction[:, self.varying]
+        for j, fit in enumerate(robot_fit.fits):
+            efforts[:, j] += fit.damping * columns[0][:, j] + fit.coulomb * columns[1][:, j]
+        times = self.motion.times
+        return np.concatenate(
+            [np.gradient(efforts[a:b], times[a:b], axis=0) for a, b in pieces(times)]
+        )
+
     def inside(self, fault: FaultInterval) -> Booleans:
         """Return which samples are in a part of the recording."""
         begin, end = fault.interval
@@ -135,8 +201,11 @@ class ComparedEfforts:
         joints = sample_joints(self.dynamics, times, self.fit_states, signals, self.links)
         duration = len(self.motion.times) * self.period
         sample_count = len(self.motion.times) / self.motion.window
+        own_masses = self.dynamics.inertial_parameters()[::PARAMETERS]
+        mass_with_loads = np.append(robot.mass[0], own_masses)
         masses = {
-            link: float(robot.mass[robot.link_body[robot.link_index(link)]]) for link in self.links
+            link: float(mass_with_loads[robot.link_body[robot.link_index(link)]])
+            for link in self.links
         }
         return RegressionData(
             joints,
@@ -188,6 +257,18 @@ def not_measured(measured: Floats, modelled: Floats, least: Floats | float) -> B
     is_zero = np.max(np.abs(measured), axis=0) <= CONSTANT * largest
     expected = np.where(is_zero, np.max(np.abs(modelled), axis=0), np.ptp(modelled, axis=0))
     return np.asarray(is_constant & (expected > least))
+
+
+def _later(motion: Motion, efforts: Floats, delay: float) -> Floats:
+    """Return efforts as they are after a delay [s]."""
+    if not delay:
+        return efforts
+    parts = []
+    for begin, end in pieces(motion.times):
+        times = motion.times[begin:end]
+        columns = [np.interp(times + delay, times, column) for column in efforts[begin:end].T]
+        parts.append(np.stack(columns, axis=1))
+    return np.concatenate(parts)
 
 
 # ---- Corrected efforts ---------------------------------------------------------------------

@@ -8,6 +8,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .axes import Axes
 from .bodies import Bodies
 from .fault import Change, Fault, FaultKind
 from .intervals import FaultInterval
@@ -83,6 +84,29 @@ def diagnose_bodies(bodies: Bodies, data: RegressionData, names: Sequence[str]) 
     return Fault(
         FaultKind.BODIES, changes=tuple(sorted(changes, key=lambda each: each.after - each.before))
     )
+
+
+def diagnose_axes(data: RegressionData, axes: Axes, names: Sequence[str]) -> list[Fault]:
+    """Return the fault of reversed axes, given the samples as they were recorded."""
+    joints = tuple(name for name, sign in zip(names, axes.signs, strict=True) if sign < 0.0)
+    if not joints:
+        return []
+    fits = data.friction_only().fits, axes.data.friction_only().fits
+    changes = [
+        Change(
+            name,
+            samples.is_prismatic,
+            before.rms,
+            after.rms,
+            math.sqrt(samples.squares[data.first_measured + j]),
+        )
+        for j, (name, samples, before, after) in enumerate(
+            zip(names, data.joints, *fits, strict=True)
+        )
+        if after.rms < CHANGED * before.rms
+    ]
+    changes.sort(key=lambda each: each.after - each.before)
+    return [Fault(FaultKind.REVERSED_AXIS, joints, changes=tuple(changes))]
 
 
 def diagnose_constant(values: Mapping[str, float]) -> list[Fault]:

@@ -14,6 +14,12 @@ class FaultKind(enum.Enum):
     SIGN = 'sign'
     SCALE = 'scale'
     """The efforts of joints are in another unit, or are motor currents."""
+    POSITIONS = 'positions'
+    """The positions are in another unit, such as degrees."""
+    REVERSED_AXIS = 'reversed_axis'
+    """Position, velocity and effort of a joint have the opposite sign."""
+    DELAY = 'delay'
+    """The efforts are later than the positions."""
     UNIT = 'unit'
     """The efforts of all joints are in the same other unit."""
     ORDER = 'order'

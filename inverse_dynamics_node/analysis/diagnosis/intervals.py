@@ -36,6 +36,7 @@ EXPLAINED_OUTSIDE = 0.1  # largest unexplained fraction of the squares outside o
 REFINEMENTS = 3  # of the begin and end of a load
 LONGEST_FORCE = 0.5  # fraction of the recording
 LOUDER = 9.0  # ratio of the mean squares inside and outside, from which on there is a part
+LOUDER_LOAD = 3.0  # the same of a load that explains most of what is inside
 MUCH_LOUDER = 25.0  # the same for an external force, which may have any course over time
 IMPROVES = 0.3  # fraction of the unexplained squares that a cause must leave at most
 NOT_EXPLAINED = 9.0  # times the floor; a joint with less is explained, and no part is searched
@@ -69,6 +70,8 @@ class FaultInterval(NamedTuple):
     """Times at which gravity was fitted, shape (k,) [s]."""
     gravity: Floats | None = None
     """Gravity in the base frame at the knots, shape (k, 3) [m/s^2]."""
+    left: float = math.nan
+    """Unexplained fraction of the squares with that gravity."""
 
 
 def span(data: RegressionData) -> tuple[float, float]:
@@ -208,6 +211,10 @@ def _load(
         interval = _refined(data, best)
     assert best is not None
     left = best.data.unexplained(best.outside)
+    rest = data.restricted(best.interval, is_inside=False)
+    # A force of any course leaves more inside than the model does outside.
+    if left > LOUDER_LOAD * rest.unexplained(rest.friction_only()) + AS_GOOD:
+        return None
     return best if left < IMPROVES * data.unexplained(robot_fit) else None
 
 
@@ -238,13 +245,13 @@ def _force(
         return None
     # The model with friction, or else with the rotors and offsets of the whole recording.
     found = outside.friction_only()
+    is_unit = robot_fit.is_scaled or any(fit.sensor_fault.is_swapped for fit in robot_fit.fits)
+    if robot_fit.candidate.kind is None and not is_unit:
+        others = outside.refit(robot_fit)
+        if outside.unexplained(others) < IMPROVES * outside.unexplained(found):
+            found = others
     if outside.unexplained(found) > IMPROVES * unexplained:
-        is_unit = robot_fit.is_scaled or any(fit.sensor_fault.is_swapped for fit in robot_fit.fits)
-        if robot_fit.candidate.kind is not None or is_unit:
-            return None
-        found = outside.refit(robot_fit)
-        if outside.unexplained(found) > IMPROVES * unexplained:
-            return None
+        return None
     inside = without_friction(data, found).restricted(interval, is_inside=True)
     joints = tuple(
         j
@@ -346,7 +353,7 @@ def find_tilt(data: RegressionData, most_left: float) -> FaultInterval | None:
         interval = float(knots[0]), interval[1]
     robot_fit = data.friction_only()
     return FaultInterval(
-        FaultKind.MOUNTING, interval, robot_fit, data, knots=knots, gravity=gravity
+        FaultKind.MOUNTING, interval, robot_fit, data, knots=knots, gravity=gravity, left=left
     )
 
 

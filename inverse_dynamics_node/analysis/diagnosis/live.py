@@ -1,8 +1,10 @@
 """
 Compares measured and modelled efforts of the last seconds, for `watch`.
 
-The search for faults is that of recordings. The data differ: a few seconds, also of an arm at
-rest, and the efforts of the running node, whose payloads, friction and gravity are part of them.
+The search for faults is that of recordings, except for a delay and for several wrong links: a few
+seconds of filtered samples do not separate these from friction. The data differ: they are the last
+seconds, also of an arm at rest, and the efforts of the running node, whose payloads, friction and
+gravity are part of them.
 """
 
 from __future__ import annotations
@@ -18,8 +20,9 @@ import numpy as np
 from ...dynamics.inverse_dynamics import FRICTION_WIDTH, InverseDynamics
 from ...robot.model import Booleans, Floats, RobotModel
 from ..columns import direction_of
+from .axes import diagnose_positions, search_axes
 from .compared_efforts import not_measured
-from .diagnoses import diagnose, diagnose_constant
+from .diagnoses import diagnose, diagnose_axes, diagnose_constant
 from .fault import Change, Fault, FaultKind, GravityConvention, WITH_GRAVITY
 from .friction import is_moving, lacks_reversal
 from .joint_samples import JointSignals, NOISE_FLOOR, sample_joints
@@ -55,6 +58,8 @@ that are far above those of a short motion are searched.
 """
 
 GRAVE = (
+    FaultKind.POSITIONS,
+    FaultKind.REVERSED_AXIS,
     FaultKind.SIGN,
     FaultKind.SCALE,
     FaultKind.UNIT,
@@ -309,6 +314,9 @@ class _Comparison:
         is_zero = ~self.measured[:, self.silent].any()
         if self.silent.any() and is_zero and np.array_equal(self.silent, self.is_checked):
             return replace(common, outcome=Outcome.UNDECIDED, obstacle=Obstacle.ZERO_EFFORTS)
+        robot, q = self.dynamics.robot, self.whole.q
+        if positions := diagnose_positions(robot, q, self.whole.joint_names):
+            return replace(common, outcome=Outcome.DIFFER, faults=tuple(positions))
         faults, left = self._search()
         if not faults and self._may_be_friction(left):
             unexplained = (self._unexplained(left),)
@@ -327,15 +335,17 @@ class _Comparison:
         """Return the faults of a known kind, and the residuals that they leave."""
         constant = np.flatnonzero(self.silent).tolist()
         silent = diagnose_constant({self.names[c]: float(self.measured[0, c]) for c in constant})
-        data = self._regression_data()
+        data = self._regression_data(np.ones(len(self.searched)))
         fit = data.friction_only()
         left = self._exceeding(fit, AGREEMENT)
         if not self._exceeding(fit, SUSPICIOUS):
             return silent, left
-        found = data.explain()
+        names = [self.names[c] for c in self.searched]
+        axes = search_axes(data, self._regression_data)
+        found = axes.robot_fit
         faults = [
             fault
-            for fault in diagnose(data, found, [self.names[c] for c in self.searched])
+            for fault in [*diagnose_axes(data, axes, names), *diagnose(axes.data, found, names)]
             if fault.kind is not FaultKind.UNEXPLAINED and (left or fault.kind in GRAVE)
         ]
         return silent + faults, self._exceeding(found, AGREEMENT) if faults else left
@@ -356,16 +366,23 @@ class _Comparison:
         floor = np.maximum(floor, LEAST_FLOOR * finite)
         return np.asarray(np.where(self.moves, floor, REST_FACTOR * floor))
 
-    def _regression_data(self) -> RegressionData:
-        """Return the samples of the joints whose efforts are measured."""
+    def _regression_data(self, signs: Floats) -> RegressionData:
+        """Return the samples of the joints whose efforts are measured, given their directions."""
         robot, times = self.dynamics.robot, self.whole.times
         q, qd = np.nan_to_num(self.whole.q), np.nan_to_num(self.whole.qd)
         qdd: Floats = np.gradient(qd, times, axis=0)
         duration = float(times[-1] - times[0])
         period = duration / (len(times) - 1)
-        some = self.some
+        some, index = self.some, self.index[self.searched]
+        every = np.ones(q.shape[1])
+        every[index] = signs
+        modelled = self.modelled[some, self.searched]
         states = q[some], qd[some], qdd[some]
-        index = self.index[self.searched]
+        if (signs < 0.0).any():
+            modelled = signs * (modelled - self._rigid(*states)[:, index])
+            q, qd, qdd = every * q, every * qd, every * qdd
+            states = q[some], qd[some], qdd[some]
+            modelled += self._rigid(*states)[:, index]
         speeds = qd[:, index]
         moves = [
             not lacks_reversal(speed, period, FRICTION_WIDTH, LEAST_MOVING * duration)
@@ -373,8 +390,8 @@ class _Comparison:
         ]
         signals = JointSignals(
             index.tolist(),
-            self.measured[some, self.searched],
-            self.modelled[some, self.searched],
+            signs * self.measured[some, self.searched],
+            modelled,
             self.dynamics.gravity_efforts(states[0])[:, index],
             direction_of(speeds[some], FRICTION_WIDTH),
             [
@@ -398,6 +415,13 @@ class _Comparison:
             LEAST_DURATION,
             self.convention,
         )
+
+    def _rigid(self, *states: Floats) -> Floats:
+        """Return the efforts of the bodies, with gravity if the measured ones contain it."""
+        efforts = self.dynamics.efforts(*states)
+        if not self.convention.in_measured:
+            efforts = efforts - self.dynamics.gravity_efforts(states[0])
+        return efforts
 
     def _exceeding(self, robot_fit: RobotFit, fraction: float) -> dict[int, float]:
         """Return the residuals above this fraction of the effort, worst first [N m or N]."""

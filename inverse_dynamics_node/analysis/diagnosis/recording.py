@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,7 +15,8 @@ from ...dynamics.inverse_dynamics import FRICTION_WIDTH, InverseDynamics
 from ...errors import RecordingError
 from ...robot.model import Booleans, Floats, RobotModel
 from ..recordings.signals import derive, Motion, Recording
-from .bodies import Bodies, wrong_bodies
+from .axes import Axes, diagnose_positions, search_axes
+from .bodies import Bodies, CERTAIN, fit_bodies
 from .compared_efforts import (
     added_efforts,
     as_recorded,
@@ -27,11 +31,22 @@ from .compared_efforts import (
     with_friction_only,
     with_shapes,
 )
-from .diagnoses import diagnose, diagnose_bodies, diagnose_constant, diagnose_interval
+from .diagnoses import (
+    diagnose,
+    diagnose_axes,
+    diagnose_bodies,
+    diagnose_constant,
+    diagnose_interval,
+)
 from .fault import Fault, FaultKind, GravityConvention, WITH_GRAVITY
 from .friction import FrictionFit
 from .intervals import best_interval, FaultInterval, find_fault_interval, MUCH_LOUDER
 from .regression_data import RegressionData, RobotFit
+
+REVERSED = 0.7  # fraction of the squares that fitted links leave at most, of that without
+MIN_DELAY, MAX_DELAY = 0.01, 0.3  # [s]; efforts that are later or earlier than that are reported
+SMALL_STEP = 0.001  # [s]; a smaller change of a delay ends its search
+DELAY_ROUNDS = 5  # of estimating a delay, each to first order
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,18 +206,9 @@ def _indices(names: tuple[str, ...], robot: RobotModel) -> list[int]:
     return [robot.joint_names.index(name) for name in names]
 
 
-def _result(compared: ComparedEfforts, *, fits_shape: bool) -> ComparisonResult:
-    data = compared.regression_data()
-    robot_fit = data.explain()
-    fault = find_fault_interval(data, robot_fit)
-    bodies = None
-    if fault is not None:
-        fault = _refined(compared, fault)
-        data, robot_fit = fault.data, fault.outside
-    else:
-        bodies = _wrong_bodies(compared, data, robot_fit)
-        if bodies is not None:
-            robot_fit = bodies.robot_fit
+def _result(recorded: ComparedEfforts, *, fits_shape: bool) -> ComparisonResult:
+    found = _search(recorded)
+    compared, robot_fit, fault = found.compared, found.robot_fit, found.interval
     measured, efforts = corrected_efforts(compared, robot_fit, fault)
     used = np.ones(len(efforts), dtype=bool)
     if fault is not None and fault.kind is FaultKind.EXTERNAL_FORCE:
@@ -214,24 +220,136 @@ def _result(compared: ComparedEfforts, *, fits_shape: bool) -> ComparisonResult:
         fits = with_shapes(compared, fits, measured - efforts, load)
     for c, fit in enumerate(fits):
         efforts[:, c] += friction_efforts(compared, c, fit, load[:, c])
-    recorded = as_recorded(compared, efforts, robot_fit)
-    when = [used & each for each in when_comparable(compared, fits)]
-    rubbing = with_friction_only(compared)
+    corrected = as_recorded(compared, efforts, robot_fit)
+    corrected = compared.distorted(corrected, found.signs, found.delay)
+    when = [used & each for each in when_comparable(recorded, fits)]
+    rubbing = with_friction_only(recorded)
     return ComparisonResult(
-        motion=compared.motion,
-        compared=tuple(compared.compared),
+        motion=recorded.motion,
+        compared=tuple(recorded.compared),
         joints=tuple(
-            _joint_residual(compared, c, fits[c], rubbing[:, c], recorded[:, c], when[c])
+            _joint_residual(recorded, c, fits[c], rubbing[:, c], corrected[:, c], when[c])
             for c in range(len(fits))
         ),
-        measured=compared.measured,
-        modelled=compared.modelled,
-        corrected=recorded,
-        faults=_faults(compared, data, robot_fit, fault, bodies),
-        width=compared.width,
-        is_too_short=data.is_too_short,
-        moving=tuple(_moving(compared)),
+        measured=recorded.measured,
+        modelled=recorded.modelled,
+        corrected=corrected,
+        faults=found.faults,
+        width=recorded.width,
+        is_too_short=found.data.is_too_short,
+        moving=tuple(_moving(recorded)),
     )
+
+
+class _Found(NamedTuple):
+    """The explanation of a recording."""
+
+    compared: ComparedEfforts
+    """Without faults of the recorded states."""
+    data: RegressionData
+    robot_fit: RobotFit
+    faults: tuple[Fault, ...]
+    signs: Floats
+    """-1 for joints of the motion whose axis is reversed, otherwise 1; shape (m,)."""
+    delay: float = 0.0
+    """Of the efforts [s]."""
+    interval: FaultInterval | None = None
+
+
+def _search(recorded: ComparedEfforts) -> _Found:
+    """Explain the efforts."""
+    motion, names = recorded.motion, [recorded.names[c] for c in recorded.varying]
+    constant = {recorded.names[c]: float(recorded.measured[0, c]) for c in recorded.constant}
+    silent = diagnose_constant(constant)
+    data = recorded.regression_data()
+    every = np.ones(len(motion.joint_names))
+    positions = diagnose_positions(recorded.robot, motion.q, motion.joint_names)
+    if positions:  # everything else would be computed with them
+        return _Found(recorded, data, data.friction_only(), (*positions, *silent), every)
+
+    def undistorted(signs: Floats, delay: float = 0.0) -> ComparedEfforts:
+        return recorded.undistorted(_of_motion(recorded, signs), delay)
+
+    def with_signs(signs: Floats) -> RegressionData | None:
+        other = undistorted(signs)
+        return other.regression_data() if other.varying == recorded.varying else None
+
+    axes = search_axes(data, with_signs)
+    if (axes.signs < 0.0).any():
+        axes = _confirmed(undistorted, axes, Axes(np.ones(len(names)), data, data.explain()))
+    compared, delay = undistorted(axes.signs), _delay(partial(undistorted, axes.signs), axes)
+    faults, robot_fit, late = diagnose_axes(data, axes, names), axes.robot_fit, axes.data
+    if delay:
+        compared = undistorted(axes.signs, delay)
+        late = compared.regression_data()
+        robot_fit = late.explain()
+        faults.append(Fault(FaultKind.DELAY, values=(delay,)))
+    found = _beside_links(compared, late, robot_fit)
+    return found._replace(
+        faults=(*silent, *faults, *found.faults),
+        signs=_of_motion(recorded, axes.signs),
+        delay=delay,
+    )
+
+
+def _confirmed(
+    undistorted: Callable[[Floats], ComparedEfforts], reversed_: Axes, recorded: Axes
+) -> Axes:
+    """Return reversed axes, or those that were recorded if wrong links explain as much."""
+    left = []
+    for each in (reversed_, recorded):
+        bodies = _fitted_bodies(undistorted(each.signs), each.data, each.robot_fit)
+        left.append(math.inf if bodies is None else bodies.unexplained_anywhere)
+    return recorded if left[0] > REVERSED * left[1] else reversed_
+
+
+def _delay(undistorted: Callable[[float], ComparedEfforts], axes: Axes) -> float:
+    """Return by which the efforts are late [s]; 0 if that is short or not certain."""
+    data, robot_fit, delay = axes.data, axes.robot_fit, 0.0
+    for _ in range(DELAY_ROUNDS):
+        compared = undistorted(delay)
+        if delay:
+            data = compared.regression_data()
+            robot_fit = data.refit(robot_fit)
+        bodies = _fitted_bodies(compared, data, robot_fit)
+        if bodies is None or abs(delay) > MAX_DELAY:
+            return 0.0
+        delay += bodies.delay
+        if abs(delay) < max(0.5 * MIN_DELAY, CERTAIN * bodies.delay_error):
+            return 0.0
+        if abs(bodies.delay) < SMALL_STEP:
+            break
+    return delay if abs(delay) > MIN_DELAY else 0.0
+
+
+def _of_motion(compared: ComparedEfforts, signs: Floats) -> Floats:
+    """Return signs of all joints of the motion, given those of joints with varying efforts."""
+    every = np.ones(len(compared.motion.joint_names))
+    every[[compared.compared[c] for c in compared.varying]] = signs
+    return every
+
+
+def _beside_links(compared: ComparedEfforts, data: RegressionData, robot_fit: RobotFit) -> _Found:
+    """Return an explanation with wrong links, and a part with its own cause, where needed."""
+    names = [compared.names[c] for c in compared.varying]
+    fault = find_fault_interval(data, robot_fit)
+    bodies = _fitted_bodies(compared, data, robot_fit)
+    nearer, faults = compared, []
+    if bodies is not None and bodies.explain_more(data, robot_fit, fault):
+        nearer = compared.with_bodies(bodies.change, bodies.has_own_gravity)
+        data = nearer.regression_data()
+        robot_fit = data.refit(bodies.robot_fit)
+        fault = bodies.confirmed(find_fault_interval(data, robot_fit))
+        if bodies.are_wrong:
+            faults = [diagnose_bodies(bodies, data, names)]
+    limited = []
+    if fault is not None:
+        fault = _refined(nearer, fault)
+        data, robot_fit = fault.data, fault.outside
+        limited = diagnose_interval(fault, names)
+    if compared.varying and (fault is None or fault.kind is FaultKind.EXTERNAL_FORCE):
+        faults = diagnose(data, robot_fit, names) + faults
+    return _Found(compared, data, robot_fit, (*limited, *faults), np.zeros(0), 0.0, fault)
 
 
 def _refined(compared: ComparedEfforts, fault: FaultInterval) -> FaultInterval:
@@ -256,15 +374,31 @@ def _refined(compared: ComparedEfforts, fault: FaultInterval) -> FaultInterval:
     return fault._replace(interval=best_interval(compared.motion.times, gain, fault.interval))
 
 
-def _wrong_bodies(
+def _fitted_bodies(
     compared: ComparedEfforts, data: RegressionData, robot_fit: RobotFit
 ) -> Bodies | None:
-    """Return the residuals with fitted links if several links are wrong."""
+    """Return the fit of all links."""
     if not compared.varying:
         return None
     rows = [compared.used(c)[compared.fit_samples] for c in compared.varying]
     index = [compared.index[c] for c in compared.varying]
-    return wrong_bodies(data, robot_fit, compared.dynamics, compared.fit_states, rows, index)
+    plain, found = data.friction_only(), []
+    is_plain = (
+        robot_fit.source == plain.source
+        and not data.contradicts(robot_fit.candidate)
+        and not robot_fit.is_scaled
+        and not any(fit.sensor_fault.is_swapped for fit in robot_fit.fits)
+    )
+    # Wrong links may look like another sign, unit or order, but not the other way round.
+    starts = (robot_fit,) if is_plain else (plain, robot_fit)
+    for start in starts:
+        rates = compared.rates(start)[compared.fit_samples]
+        states = compared.fit_states
+        bodies = fit_bodies(data, start, compared.dynamics, states, rows, index, rates)
+        if bodies is None:
+            return None
+        found.append(bodies)
+    return min(found, key=lambda each: each.unexplained_anywhere)
 
 
 def _moving(compared: ComparedEfforts) -> list[int]:
@@ -299,24 +433,6 @@ def _joint_residual(
         friction=friction,
         is_varying=is_varying,
     )
-
-
-def _faults(
-    compared: ComparedEfforts,
-    data: RegressionData,
-    robot_fit: RobotFit,
-    fault: FaultInterval | None,
-    bodies: Bodies | None,
-) -> tuple[Fault, ...]:
-    constant = {compared.names[c]: float(compared.measured[0, c]) for c in compared.constant}
-    names = [compared.names[c] for c in compared.varying]
-    found = [] if fault is None else diagnose_interval(fault, names)
-    if compared.varying and (fault is None or fault.kind is FaultKind.EXTERNAL_FORCE):
-        found += diagnose(data, robot_fit, names)
-    if bodies is not None:
-        found = [each for each in found if each.kind is not FaultKind.UNEXPLAINED]
-        found.append(diagnose_bodies(bodies, data, names))
-    return (*diagnose_constant(constant), *found)
 
 
 def _rms(values: Floats) -> float:

@@ -45,6 +45,8 @@ NO_GRAVITY = 0.25  # largest fraction of gravity in efforts that lack gravity
 CONSIDERABLE = 0.3  # fraction of a joint's modelled effort; less gravity may be a wrong model
 LIKE_A_LOAD = (0.3, 3.0)  # scales in this range are not another unit of an arm at rest
 GRAVITY_KINDS = FaultKind.GRAVITY_COMPENSATED, FaultKind.GRAVITY_MEASURED
+STRENGTH = 0.02  # largest relative change of the strength of gravity by a mounting
+MIN_TILT = math.radians(3.0)
 SAME_UNIT = 1.25  # largest ratio between the factors of joints with the same unit
 
 
@@ -442,15 +444,20 @@ class RegressionData:
         if rows is None:
             return None
         regressors = rows[0][:, WEIGHT : WEIGHT + 3]
-        gravity = np.linalg.lstsq(regressors, rows[1], rcond=1e-6)[0]
+        gravity = np.asarray(np.linalg.lstsq(regressors, rows[1], rcond=1e-6)[0], dtype=float)
+        return self.mounted(gravity) if self.is_tilted(gravity) else None
+
+    def is_tilted(self, gravity: Floats) -> bool:
+        """Return whether gravity has another direction than in the model, and its strength."""
         g, g_0 = np.linalg.norm(gravity), np.linalg.norm(self.gravity)
         # A different magnitude has another cause than the mounting.
-        if g_0 == 0.0 or not 0.8 * g_0 < g < 1.25 * g_0:
-            return None
-        angle = math.acos(np.clip(gravity @ self.gravity / (g * g_0), -1.0, 1.0))
-        if angle < math.radians(3.0):
-            return None
-        weights = fixed.copy()
+        if g_0 == 0.0 or abs(g / g_0 - 1.0) > STRENGTH:
+            return False
+        return math.acos(np.clip(gravity @ self.gravity / (g * g_0), -1.0, 1.0)) > MIN_TILT
+
+    def mounted(self, gravity: Floats) -> CandidateModel:
+        """Return the model with another gravity in the frame of the base link [m/s^2]."""
+        weights = self._weights({MODEL: 1.0, GRAVITY: -1.0})
         weights[WEIGHT : WEIGHT + 3] = gravity
         return CandidateModel(FaultKind.MOUNTING, weights, 3, solution=tuple(gravity.tolist()))
 
@@ -464,12 +471,19 @@ class RegressionData:
         load = slice(LOADS + PARAMETERS * k, LOADS + PARAMETERS * (k + 1))
         sample_count = self.sample_count * len(self.joints)
         solution, errors = fit_payload(rows[0][:, load], rows[1], sample_count)
+        return (
+            self.loaded(k, base, solution, errors) if abs(solution[0]) > 3.0 * errors[0] else None
+        )
+
+    def loaded(
+        self, k: int, base: CandidateModel, solution: Floats, errors: Floats
+    ) -> CandidateModel | None:
+        """Return a base candidate model with a point mass on link k, if that is possible."""
         # A body cannot lack more than its mass.
         least = -self.link_masses[k] - 3.0 * errors[0]
-        if abs(solution[0]) < 3.0 * errors[0] or not least < solution[0] < self.heaviest:
+        if not least < solution[0] < self.heaviest or np.linalg.norm(solution[1:]) > MAX_REACH:
             return None
-        if np.linalg.norm(solution[1:]) > MAX_REACH:
-            return None
+        load = slice(LOADS + PARAMETERS * k, LOADS + PARAMETERS * (k + 1))
         weights = base.weights.copy()
         weights[load] = point_mass_parameters(float(solution[0]), solution[1:])
         return CandidateModel(
