@@ -343,10 +343,11 @@ def find_clearance(
     needed = np.concatenate([np.full(len(pairs), CLEARANCE), *[outside] * (2 + len(obstacles))])
     clearance = Clearance(robot, capsules, pairs, floor, obstacles, needed)
     found, p = clearance.contacts(poses), len(pairs)
-    # What is always near the floor is near the axis of the first joint.
-    always = np.bincount(found.row, minlength=len(needed)) > _ALL * len(poses)
-    floor_rows = slice(p, p + 2 * c)
-    needed[floor_rows][always[floor_rows]] = -math.inf
+    # No motion lifts what is always near the floor at one height: it is on the axis of a joint.
+    for row in range(p, p + 2 * c):
+        heights = found.distance[found.row == row]
+        if len(heights) > _ALL * len(poses) and np.ptp(heights) < _ALWAYS:
+            needed[row] = -math.inf
     both = body[pairs] @ [len(robot.parent), 1]
     is_pair = found.row < p
     pose, row, distance = found.pose[is_pair], found.row[is_pair], found.distance[is_pair]
