@@ -154,7 +154,9 @@ def payload_columns(
     return np.asarray(columns @ parameters.T)
 
 
-_MOMENTS = (3, 3), (0, 3), (1, 3), (2, 3), (0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)
+SECOND_MOMENTS = (0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)
+"""Axes of the last six parameters of a load."""
+_MOMENTS = (3, 3), (0, 3), (1, 3), (2, 3), *SECOND_MOMENTS
 """Element of the second moment of mass that belongs to each parameter of a load."""
 
 

@@ -127,6 +127,17 @@ def add_payload(parser: CommandParser) -> None:
     )
 
 
+def add_node_parameters(parser: CommandParser) -> None:
+    """Add the option --node-parameters."""
+    parser.add_argument(
+        '--node-parameters',
+        type=Path,
+        metavar='FILE',
+        help='parameter file of the node, whose include_gravity, measured_gravity and '
+        'measured_effort_scale say what the recorded efforts contain',
+    )
+
+
 def add_friction(parser: CommandParser) -> None:
     """Add the option --friction."""
     parser.add_argument(

@@ -90,13 +90,7 @@ def make_parser() -> CommandParser:
         help='speed over which Coulomb friction is smoothed [rad/s, m/s] (default: fitted, or '
         f'{FRICTION_WIDTH})',
     )
-    parser.add_argument(
-        '--node-parameters',
-        type=Path,
-        metavar='FILE',
-        help='parameter file of the node, whose include_gravity, measured_gravity and '
-        'measured_effort_scale say what the recorded efforts contain',
-    )
+    arguments.add_node_parameters(parser)
     parser.add_argument(
         '--parameters',
         group=RESULT,
@@ -129,7 +123,7 @@ def run(options: argparse.Namespace) -> int:
             options.recording, robot.joint_names, options.topic, report, robot.mimic_names
         )
     recording = _between(recording, options.start, options.end)
-    convention, scale = _measured_efforts(options.node_parameters, robot.joint_names)
+    convention, scale = measured_efforts(options.node_parameters, robot.joint_names)
     factors = np.array([scale.get(name, 1.0) for name in recording.joint_names])
     recording = recording._replace(efforts=factors * recording.efforts)
     result = diagnose_recording(
@@ -162,7 +156,7 @@ def _friction_width(options: argparse.Namespace) -> float | None:
     return width
 
 
-def _measured_efforts(
+def measured_efforts(
     path: Path | None, joint_names: tuple[str, ...]
 ) -> tuple[GravityConvention, dict[str, float]]:
     """Read whether efforts contain gravity, and factors of joints, from a file of the node."""

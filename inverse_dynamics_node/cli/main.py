@@ -28,6 +28,7 @@ _COMMANDS = {
     'with recordings of a robot': {
         'compare': 'compare a recording with the model, fit friction, diagnose differences',
         'identify': 'calibrate a URDF: masses, friction and armature from recordings',
+        'payload': 'measure mass and centre of mass of a payload, with and without it',
     },
     'with ROS 2': {
         'watch': 'watch a running node: do model and robot agree?',
@@ -58,6 +59,7 @@ examples:
   inverse_dynamics effort my_arm.urdf trajectory.yaml --payload 1.5 --link tool0
   inverse_dynamics compare my_arm.urdf rosbag2_2026_11_21
   inverse_dynamics identify my_arm.urdf rosbag2_2026_11_21 --output calibrated.urdf
+  inverse_dynamics payload my_arm.urdf loaded.mcap --empty empty.mcap
   inverse_dynamics watch --for 10
 
 exit code: 0 for success, 1 if an input cannot be read or used, 2 for invalid arguments; the help
@@ -147,7 +149,7 @@ def _run(arguments: list[str]) -> int:
         )
         hint = did_you_mean(command, names) or f'; there are {", ".join(names)}'
         return _fail(f"there is no {kind} '{shortened(command)}'{hint}", _INVALID_ARGUMENTS)
-    if command == 'identify':
+    if command in ('identify', 'payload'):
         # Its matrices are small: threads would take longer to start than to compute.
         os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
     # Imported here: this takes most of a second, and an interrupt must end it cleanly.

@@ -84,7 +84,7 @@ def make_parser() -> CommandParser:
     parser.add_argument(
         'node',
         nargs='?',
-        type=_node_name,
+        type=node_name,
         metavar='NODE',
         help='name of the node, as in ros2 node list (default: the only one there is)',
     )
@@ -118,7 +118,7 @@ def run(options: argparse.Namespace) -> int:
 
     try:
         with _signals_raise(), observing_node(options.ros_arguments) as node:
-            name = _choose_node(node, options)
+            name = choose_node(node, options.node, is_patient=not options.duration)
             watch = _Watch(Observer(node, name), lambda: find_nodes(node), options)
             return watch.run()
     finally:
@@ -289,8 +289,25 @@ def next_time(due: float, period: float, now: float) -> float:
     return due + period if due + period > now else now + period
 
 
-def _choose_node(node: Any, options: argparse.Namespace) -> str:
-    """Return the name of the node to watch; wait for it, with --for not for long."""
+def choose_node(node: Any, wanted: str | None, is_patient: bool) -> str:
+    """
+    Find the name of the node that is meant.
+
+    Parameters
+    ----------
+    node : Node
+        The node of this process.
+    wanted : str or None
+        Its name, or the end of it; None if it is the only one.
+    is_patient : bool
+        Whether to wait until there is one.
+
+    Raises
+    ------
+    ConfigurationError
+        If there are several, or none after a while.
+
+    """
     from ..ros.observer import find_nodes
 
     began = time.monotonic()
@@ -298,25 +315,24 @@ def _choose_node(node: Any, options: argparse.Namespace) -> str:
     while True:
         names = find_nodes(node)
         waited = time.monotonic() - began
-        chosen = [name for name in names if _is_named(name, options.node)]
-        if chosen and (waited > _DISCOVERY or options.node in chosen):
+        chosen = [name for name in names if _is_named(name, wanted)]
+        if chosen and (waited > _DISCOVERY or wanted in chosen):
             break
-        if options.duration and waited > _MOST_DISCOVERY:
-            raise ConfigurationError(_not_found(options.node, names))
+        if not is_patient and waited > _MOST_DISCOVERY:
+            raise ConfigurationError(_not_found(wanted, names))
         if waited > _PATIENCE and not has_announced:
-            print(f'{_not_found(options.node, names)}; waiting for it', file=sys.stderr)
+            print(f'{_not_found(wanted, names)}; waiting for it', file=sys.stderr)
             has_announced = True
         time.sleep(0.05)
-    if options.node in chosen:
-        return str(options.node)
+    if wanted in chosen:
+        return str(wanted)
     return _only(chosen)
 
 
 def _only(names: list[str]) -> str:
     if len(names) > 1:
         raise ConfigurationError(
-            f'{len(names)} nodes: {", ".join(names)}; choose one, as in '
-            f'inverse_dynamics watch {names[0]}'
+            f'{len(names)} nodes: {", ".join(names)}; choose one by its name, such as {names[0]}'
         )
     return names[0] if names else ''
 
@@ -354,7 +370,8 @@ def _signals_raise() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _node_name(text: str) -> str:
+def node_name(text: str) -> str:
+    """Check the name of a node on the command line."""
     if not re.fullmatch(r'/?(\w+/)*[A-Za-z_]\w*', text, re.ASCII):
         raise argparse.ArgumentTypeError(
             f"'{text}' cannot be the name of a node: letters, digits and _, with / between them"

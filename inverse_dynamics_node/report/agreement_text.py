@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 import math
 
-from ..analysis.diagnosis import FaultKind
+from ..analysis.diagnosis import Fault, FaultKind
 from ..analysis.diagnosis.live import Agreement, DURATION, Obstacle, Size
-from .diagnosis_text import advice, headline, listed
+from .diagnosis_text import advice, centre_of_mass, headline, listed
 
 _MOST_NAMES = 4
 
@@ -34,12 +34,20 @@ def sentence(agreement: Agreement) -> str:
 
 def _differ(agreement: Agreement) -> str:
     """Say what `compare` says of the same faults, and what to do about the first."""
-    parts = [*map(headline, agreement.faults), _sizes(agreement)]
+    parts = [*map(_headline, agreement.faults), _sizes(agreement)]
     if any(fault.kind is FaultKind.SIGN for fault in agreement.faults):
         parts.append('do not go live')
     if agreement.saturated:
         parts.append(f'effort cut to its limit: {_listed(agreement.saturated)}')
     return f'{"; ".join(parts)}. {advice(agreement.faults[0]).removesuffix(".")}'
+
+
+def _headline(fault: Fault) -> str:
+    """Return the headline; that of a payload with its centre of mass, as far as it is known."""
+    text = headline(fault)
+    if fault.kind is not FaultKind.PAYLOAD or all(map(math.isnan, fault.values[1:])):
+        return text
+    return f'{text}, at {centre_of_mass(fault)} m in its frame'
 
 
 def _agree(agreement: Agreement) -> str:

@@ -212,12 +212,16 @@ def _scale_evidence(fault: Fault) -> str:
 
 
 def _payload_evidence(fault: Fault) -> str:
-    mass, *com = fault.values
-    where = ', '.join('unknown' if math.isnan(x) else f'{round(x, 3) + 0.0:.3f}' for x in com)
     return (
-        f'{mass:.3f} kg (standard error of random errors {fault.error:.2g}) at ({where}) m in '
-        'its frame, as a point mass'
+        f'{fault.values[0]:.3f} kg (standard error of random errors {fault.error:.2g}) at '
+        f'{centre_of_mass(fault)} m in its frame, as a point mass'
     )
+
+
+def centre_of_mass(fault: Fault) -> str:
+    """Write the centre of mass of a payload in the frame of its link [m]."""
+    known = ('unknown' if math.isnan(x) else f'{round(x, 3) + 0.0:.3f}' for x in fault.values[1:])
+    return f'({", ".join(known)})'
 
 
 def _order_evidence(fault: Fault) -> str:
@@ -398,4 +402,12 @@ def listed(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f'{", ".join(names[:-1])} and {names[-1]}'
 
 
-__all__ = ['Change', 'amount', 'diagnosis_warning', 'headline', 'listed', 'sentence']
+__all__ = [
+    'Change',
+    'amount',
+    'centre_of_mass',
+    'diagnosis_warning',
+    'headline',
+    'listed',
+    'sentence',
+]

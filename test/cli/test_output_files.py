@@ -48,6 +48,7 @@ COMMANDS = {
     'excite arm.urdf': ['--csv', '--trajectory-out', '--picture'],
     'identify arm.urdf move.csv': ['--output', '--parameters', '--json', '--picture'],
     'identify arm.urdf move.yaml --validate move.csv': ['--json'],
+    'payload arm.urdf move.csv': ['--picture'],
     'demo arm.urdf': ['--picture'],
 }
 OPTIONS = [(command, option) for command, options in COMMANDS.items() for option in options]

@@ -109,7 +109,9 @@ def test_unknown_payload_of_2_kg_is_weighed(name, moves):
     assert (agreement.outcome, agreement.cause) == (Outcome.DIFFER, FaultKind.PAYLOAD)
     assert agreement.faults[0].link == link
     assert agreement.faults[0].values[0] == pytest.approx(2.0, rel=0.2)
-    assert f"link '{link}' carries " in sentence(agreement)
+    text, com = sentence(agreement), agreement.faults[0].values[1:]
+    assert f"link '{link}' carries " in text
+    assert (' m in its frame; ' in text) == np.isfinite(com).any()
 
 
 def test_payload_and_swapped_sign_are_both_reported():

@@ -1,0 +1,140 @@
+"""The command `payload`: mass and centre of mass of what the robot carries, from recordings."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..analysis.payload import measure_payload, PayloadEstimate
+from ..analysis.recordings.measured_states import read_measured_states
+from ..analysis.recordings.signals import Recording
+from ..report.payload_report import (
+    as_json,
+    inertia_table,
+    inertial_element,
+    payload_table,
+    topic_command,
+    verdict,
+)
+from ..robot.end_effector import last_link
+from . import arguments
+from .arguments import CommandParser, RESULT
+from .compare import measured_efforts
+from .console import progress, say, show
+from .output_files import check_outputs, new_file
+from .pictures.payload import draw
+from .watch import choose_node, node_name
+
+EPILOG = """\
+examples:
+  inverse_dynamics payload my_arm.urdf loaded.mcap --empty empty.mcap --link tool0
+  inverse_dynamics payload my_arm.urdf loaded.csv --empty empty.csv --apply
+  inverse_dynamics payload my_arm.urdf loaded.csv --empty empty.csv --json | jq .mass
+
+Record the same motion twice, without and with the payload: 20 s or more in which all joints move
+slowly, up and down, in both directions. Or let the arm rest in 6 to 8 poses for 2 s each, and
+approach each from the same side. The recordings are those of `inverse_dynamics compare`.
+
+exit code: 0 measured; 1 a recording cannot be used, or the node did not take the payload;
+2 invalid arguments; 3 the recordings do not show the mass, or not all of the centre of mass."""
+
+_NOT_SHOWN = 3
+_DEFAULT_NODE = '/inverse_dynamics'
+
+
+def make_parser() -> CommandParser:
+    """Return the parser of the command."""
+    parser = CommandParser(
+        'payload',
+        'Measure mass and centre of mass of a payload from two recordings of the same motion, '
+        'with and without it. Prints the message for the node, and an <inertial>.',
+        EPILOG,
+    )
+    arguments.add_urdf(parser)
+    parser.add_argument(
+        'loaded', type=Path, metavar='LOADED', help='recording with the payload: rosbag2 folder, '
+        '.mcap, .db3 or .csv file'
+    )  # fmt: skip
+    parser.add_argument(
+        '--empty', type=Path, metavar='RUN', help='recording of the same motion without it'
+    )
+    parser.add_argument(
+        '--topic', help='topic of the joint states (default: the only one with efforts)'
+    )
+    arguments.add_link(parser)
+    arguments.add_gravity(parser)
+    arguments.add_node_parameters(parser)
+    parser.add_argument(
+        '--json', group=RESULT, action='store_true', help='print the result as JSON'
+    )
+    parser.add_argument(
+        '--apply',
+        group=RESULT,
+        nargs='?',
+        const=True,
+        type=node_name,
+        metavar='NODE',
+        help='publish the payload to a running node, and wait until it has it (needs ROS 2; '
+        'default: the only node there is)',
+    )
+    arguments.add_picture(parser)
+    arguments.add_force(parser)
+    return parser
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command; return the exit code."""
+    recordings = [options.loaded, *filter(None, [options.empty])]
+    inputs = [options.urdf, *recordings, *filter(None, [options.node_parameters])]
+    check_outputs(inputs, {'--picture': options.picture}, options.force)
+    dynamics = arguments.load_dynamics(options.urdf, options.gravity)
+    robot, link = dynamics.robot, options.link or last_link(dynamics.robot)
+    robot.link_index(link)
+    loaded, *others = (_read(path, robot, options) for path in recordings)
+    empty = others[0] if others else None
+    result = measure_payload(robot, loaded, empty, link, options.gravity)
+    apparent = empty and measure_payload(robot, empty, None, link, options.gravity)
+    is_shown = result.is_certain and not result.unknown
+    if options.json:
+        print(json.dumps(as_json(result, apparent)))
+    else:
+        say(verdict(result))
+        print()
+        show(inertia_table(result), payload_table(result, robot, apparent))
+        if is_shown:
+            print(topic_command(result, _DEFAULT_NODE))
+            print(inertial_element(result))
+    if options.picture:
+        title = f'{robot.name}: {options.loaded.name}'
+        with new_file(options.picture) as path:
+            draw(result, title, verdict(result), path)
+    if options.apply is not None and is_shown:
+        name = _apply(result, None if options.apply is True else options.apply)
+        if not options.json:
+            print(f'{name} has the payload')
+    return 0 if is_shown else _NOT_SHOWN
+
+
+def _read(path: Path, robot: Any, options: argparse.Namespace) -> Recording:
+    with progress(f'reading {path.name}') as report:
+        recording, _ = read_measured_states(
+            path, robot.joint_names, options.topic, report, robot.mimic_names
+        )
+    _, scale = measured_efforts(options.node_parameters, robot.joint_names)
+    factors = np.array([scale.get(name, 1.0) for name in recording.joint_names])
+    return recording._replace(efforts=factors * recording.efforts)
+
+
+def _apply(result: PayloadEstimate, name: str | None) -> str:
+    """Publish the payload to a node, and wait until it has it; return its full name."""
+    from ..ros.observer import Observer, observing_node  # needs ROS
+    from ..ros.payload import apply_payload
+
+    with observing_node([]) as node:
+        found = choose_node(node, name, is_patient=False)
+        apply_payload(node, Observer(node, found), result.link, result.body)
+    return found

@@ -1,0 +1,142 @@
+"""The report of `payload`: a sentence, a table, a message for the node, and values for JSON."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from ..analysis.payload import PayloadEstimate
+from ..robot.model import Floats, RobotModel
+from .diagnosis_text import amount, listed
+from .quantities import with_error
+from .tables import Table
+
+_WITHOUT_EMPTY = (
+    'Without an empty run, wrong links pass for a payload, 0.02 to 0.44 kg on eleven real robots. '
+    'Their part of the standard error is a guess: record the same motion without the payload, and '
+    'pass it as --empty.'
+)
+
+
+def verdict(result: PayloadEstimate) -> str:
+    """Say what the link carries, in one or two sentences."""
+    mass = f'{with_error(result.body.mass, result.mass_error)} kg'
+    if not result.is_certain:
+        return (
+            f"No payload can be seen on link '{result.link}': {mass}, expected a mass above three "
+            'standard errors.'
+        )
+    text = f"Link '{result.link}' carries {mass}"
+    if not result.unknown:
+        com = ', '.join(f'{1e3 * x:.0f}' for x in result.body.com)
+        error = 1e3 * float(max(result.com_error))
+        return f'{text}, with its centre of mass at ({com}) ± {max(error, 1.0):.0f} mm.'
+    return (
+        f'{text}. The recordings do not show {listed(result.unknown)} of its centre of mass: '
+        'record poses, or a motion, in which the payload turns about two horizontal axes.'
+    )
+
+
+def payload_table(
+    result: PayloadEstimate, robot: RobotModel, apparent: PayloadEstimate | None
+) -> Table:
+    """Return the efforts of the payload beside what they leave; notes say what was compared."""
+    rows = []
+    for name, measured, left in zip(
+        result.joint_names, _rms(result.fitted), _rms(result.residuals), strict=True
+    ):
+        slides = bool(robot.is_prismatic_joint[robot.joint_names.index(name)])
+        rows.append((name, amount(measured, slides), amount(left, slides)))
+    compared = f'{result.poses} poses' if result.poses else f'{result.duration:.1f} s of motion'
+    if math.isnan(result.matched):
+        notes = [f'From {compared}. {_WITHOUT_EMPTY}']
+    else:
+        notes = [f'From {compared}, of which {result.matched:.0%} are in the empty run too.']
+    if apparent is not None:
+        mass = with_error(apparent.body.mass, apparent.mass_error)
+        notes.append(
+            f'Alone, the empty run looks like a payload of {mass} kg, which --empty removes.'
+        )
+    if not result.shows_inertia:
+        notes.append('The inertia is assumed: the recordings do not show it.')
+    columns = ('joint', 'payload', 'left')
+    return Table('RMS efforts of the payload, and what they leave', columns, tuple(rows),
+                 tuple(notes))  # fmt: skip
+
+
+def inertia_table(result: PayloadEstimate) -> Table:
+    """Return mass and centre of mass with their standard errors."""
+    rows = [('mass [kg]', with_error(result.body.mass, result.mass_error))]
+    rows += [
+        (f'{axis} [mm]', 'unknown' if axis in result.unknown else with_error(1e3 * x, 1e3 * error))
+        for axis, x, error in zip('xyz', result.body.com, result.com_error, strict=True)
+    ]
+    return Table(f'Payload in the frame of {result.link}', ('', 'value'), tuple(rows))
+
+
+def topic_command(result: PayloadEstimate, node: str) -> str:
+    """Return the command that publishes the payload to a node."""
+    mass, com, inertia = result.body
+    numbers = [f'm: {mass:.4g}', f'com: {_mapping("xyz", com)}']
+    numbers += [f'{name}: {value:.4g}' for name, value in _moments(inertia)]
+    message = f'{{header: {{frame_id: {result.link}}}, inertia: {{{", ".join(numbers)}}}}}'
+    return f"ros2 topic pub --once {node}/payload geometry_msgs/msg/InertiaStamped '{message}'"
+
+
+def inertial_element(result: PayloadEstimate) -> str:
+    """Return the payload as an element of a URDF, in the frame of the link."""
+    mass, com, inertia = result.body
+    origin = ' '.join(f'{x:.4f}' for x in com)
+    moments = ' '.join(f'{name}="{value:.4g}"' for name, value in _moments(inertia))
+    return (
+        f'<inertial><origin xyz="{origin}"/><mass value="{mass:.4g}"/><inertia {moments}/>'
+        '</inertial>'
+    )
+
+
+def as_json(result: PayloadEstimate, apparent: PayloadEstimate | None) -> dict[str, Any]:
+    """Return the result as values for JSON; unknown coordinates are null."""
+    known = [axis not in result.unknown for axis in 'xyz']
+    return {
+        'link': result.link,
+        'mass': result.body.mass,
+        'mass_error': result.mass_error,
+        'com': [
+            x if is_known else None for x, is_known in zip(result.body.com, known, strict=True)
+        ],
+        'com_error': result.com_error.tolist(),
+        'inertia': result.body.inertia.tolist(),
+        'shows_inertia': result.shows_inertia,
+        'is_certain': result.is_certain,
+        'poses': result.poses,
+        'duration': result.duration,
+        'matched': None if math.isnan(result.matched) else result.matched,
+        'apparent_mass_of_empty_arm': None if apparent is None else apparent.body.mass,
+        'joints': [
+            {'name': name, 'payload': measured, 'left': left}
+            for name, measured, left in zip(
+                result.joint_names,
+                _rms(result.fitted).tolist(),
+                _rms(result.residuals).tolist(),
+                strict=True,
+            )
+        ],
+    }
+
+
+def _rms(signals: Floats) -> Floats:
+    return np.asarray(np.sqrt(np.mean(signals**2, axis=0)))
+
+
+def _mapping(names: str, values: Floats) -> str:
+    pairs = (f'{name}: {value:.4f}' for name, value in zip(names, values, strict=True))
+    return f'{{{", ".join(pairs)}}}'
+
+
+def _moments(inertia: Any) -> list[tuple[str, float]]:
+    return [
+        (f'i{a}{b}', float(inertia['xyz'.index(a), 'xyz'.index(b)]))
+        for a, b in ('xx', 'xy', 'xz', 'yy', 'yz', 'zz')
+    ]

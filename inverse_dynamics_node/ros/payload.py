@@ -1,0 +1,81 @@
+"""Publishes a payload to a running node, and waits until its diagnostics list it."""
+
+from __future__ import annotations
+
+import math
+import time
+
+from geometry_msgs.msg import Inertia, InertiaStamped, Vector3
+from rclpy.node import Node
+from std_msgs.msg import Header
+
+from ..errors import ConfigurationError
+from ..robot.rigid_body import RigidBody
+from . import qos
+from .observer import Observer
+
+_PATIENCE = 10.0  # [s]; diagnostics come once a second
+_REPETITION = 3.0  # [s]; a message that is sent as topics are connected may be lost
+_PRECISION = 1e-3  # of the numbers in the diagnostics, relative
+_POLL = 0.02  # [s]
+
+
+def apply_payload(node: Node, observer: Observer, link: str, payload: RigidBody) -> None:
+    """
+    Publish a payload, and wait until the node has it.
+
+    Parameters
+    ----------
+    node : Node
+        The node of this process.
+    observer : Observer
+        The node to publish to.
+    link : str
+        Link that carries the payload.
+    payload : RigidBody
+        In the frame of the link.
+
+    Raises
+    ------
+    ConfigurationError
+        If the node does not take it, with the last line of its log.
+
+    """
+    mass, com, inertia = payload
+    message = InertiaStamped(
+        header=Header(frame_id=link),
+        inertia=Inertia(
+            m=mass,
+            com=Vector3(x=float(com[0]), y=float(com[1]), z=float(com[2])),
+            ixx=float(inertia[0, 0]),
+            ixy=float(inertia[0, 1]),
+            ixz=float(inertia[0, 2]),
+            iyy=float(inertia[1, 1]),
+            iyz=float(inertia[1, 2]),
+            izz=float(inertia[2, 2]),
+        ),
+    )
+    topic = f'{observer.name}/payload'
+    publisher = node.create_publisher(InertiaStamped, topic, qos.QUEUED)
+    end, due = time.monotonic() + _PATIENCE, 0.0
+    while not _has_payload(observer, link, payload):
+        now = time.monotonic()
+        if now > end:
+            last = f': {observer.log[-1].text}' if observer.log else ''
+            raise ConfigurationError(f'{observer.name} has not taken the payload on {topic}{last}')
+        if now > due and publisher.get_subscription_count():
+            publisher.publish(message)
+            due = now + _REPETITION
+        time.sleep(_POLL)
+        observer.poll()
+
+
+def _has_payload(observer: Observer, link: str, payload: RigidBody) -> bool:
+    model = observer.status.model if observer.status else None
+    if model is None or len(model.payload_coms) != 3 * len(model.payloads):
+        return False
+    for k, load in enumerate(model.payloads):
+        com = model.payload_coms[3 * k : 3 * k + 3]
+        if load.link == link and math.isclose(load.mass, payload.mass, rel_tol=_PRECISION):
+            return math.dist(com, payload.com.tolist()) < _PRECISION
+    return False

@@ -1,0 +1,81 @@
+"""The command `payload` on simulated recordings."""
+
+import json
+import shlex
+from xml.etree import ElementTree
+
+from inverse_dynamics_node import load_urdf
+from inverse_dynamics_node.cli.main import main
+import numpy as np
+from payload_runs import Arm, motion_of, poses_of
+import pytest
+from robot_files import ROOT
+from simulated_runs import write_csv
+import yaml
+
+URDF = ROOT / 'test' / 'robots' / 'seven_dof.urdf'
+MASS, COM = 2.0, np.array([0.02, -0.03, 0.07])
+RUNS = [str(URDF), 'loaded.csv', '--empty', 'empty.csv', '--link', 'tool0']
+
+
+def record(here, motion=motion_of, **options):
+    """Record an arm without and with a load."""
+    robot, rng = load_urdf(URDF), np.random.default_rng(0)
+    arm, motion = Arm(robot, rng), motion(robot, rng, **options)
+    motion = tuple(signal[::3] for signal in motion)
+    for name, load in (('empty', None), ('loaded', ('tool0', MASS, COM, 0.004 * np.eye(3)))):
+        write_csv(here / f'{name}.csv', arm.record(motion, load))
+
+
+def test_prints_a_message_and_an_element_of_the_payload(here, capsys, size_of):
+    record(here, duration=16.0)
+    assert main(['payload', *RUNS, '--picture', 'payload.png']) == 0
+    text = capsys.readouterr().out
+    assert text.startswith("Link 'tool0' carries ")
+    assert 'Alone, the empty run looks like a payload of' in text
+    (command,) = (line for line in text.splitlines() if line.startswith('ros2 topic pub'))
+    *start, topic, kind, message = shlex.split(command)
+    assert start == ['ros2', 'topic', 'pub', '--once']
+    assert (topic, kind) == ('/inverse_dynamics/payload', 'geometry_msgs/msg/InertiaStamped')
+    message = yaml.safe_load(message)
+    assert message['header'] == {'frame_id': 'tool0'}
+    inertia = message['inertia']
+    assert inertia.pop('m') == pytest.approx(MASS, rel=0.02)
+    com = inertia.pop('com')
+    np.testing.assert_allclose([com[axis] for axis in 'xyz'], COM, atol=0.005)
+    assert set(inertia) == {'ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz'}
+    assert min(inertia['ixx'], inertia['iyy'], inertia['izz']) > 0.0
+    (element,) = (line for line in text.splitlines() if line.startswith('<inertial>'))
+    element = ElementTree.fromstring(element)
+    assert float(element.find('mass').get('value')) == pytest.approx(MASS, rel=0.02)
+    origin = [float(x) for x in element.find('origin').get('xyz').split()]
+    np.testing.assert_allclose(origin, COM, atol=0.005)
+    assert set(element.find('inertia').attrib) == set(inertia)
+    assert size_of(here / 'payload.png')[0] == 900
+
+
+def test_prints_json(here, capsys):
+    record(here, duration=16.0)
+    assert main(['payload', *RUNS, '--json']) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report['mass'] == pytest.approx(MASS, abs=3.0 * report['mass_error'])
+    assert 0.0 < report['mass_error'] < 0.05
+    assert np.abs(np.array(report['com']) - COM).max() < 0.005
+    assert report['is_certain'] is True
+    assert 0.9 < report['matched'] <= 1.0
+    assert abs(report['apparent_mass_of_empty_arm']) < 1.5
+    assert [joint['name'] for joint in report['joints']] == list(load_urdf(URDF).joint_names)
+
+
+def test_one_pose_shows_the_mass_at_most(here, capsys):
+    record(here, poses_of, count=1)
+    assert main(['payload', *RUNS, '--apply']) == 3
+    text = capsys.readouterr().out
+    assert 'ros2 topic pub' not in text
+    assert '<inertial>' not in text
+
+
+def test_reports_an_unknown_link(here, capsys):
+    record(here, duration=5.0)
+    assert main(['payload', str(URDF), 'loaded.csv', '--link', 'tool']) == 1
+    assert "tool'" in capsys.readouterr().err
