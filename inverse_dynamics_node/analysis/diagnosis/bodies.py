@@ -45,6 +45,7 @@ LOUD = 4.0  # times the median of the squares; a part with more has little weigh
 HEAVIEST = 10.0  # [kg], standard deviation of payloads
 STRENGTH = 0.02  # standard deviation of the strength of gravity, relative
 UNEXPLAINED = 0.01  # fraction of the squares; with less, the links are accurate enough
+SMALL = 4e-4  # fraction of the squares, 2 % RMS; an explanation that leaves less needs no links
 BETTER = 0.35
 """
 Fraction of the unexplained squares that the links leave at most, if all causes that were found
@@ -94,6 +95,8 @@ class Bodies(NamedTuple):
             return self.confirmed(fault) is None
         else:
             left = fault.data.unexplained(fault.outside)
+        if left < SMALL:
+            return False
         return self.unexplained < (BETTER if self._confirms(before) else 1.0) * left
 
     def confirmed(self, fault: FaultInterval | None) -> FaultInterval | None:
