@@ -167,7 +167,8 @@ def measure_payload(
     """
     runs = [loaded] if empty is None else [loaded, empty]
     joints = measured_joints(robot, runs)
-    motions = [run.motion for run in prepare_all(robot, runs, joints)]
+    prepared, _ = prepare_all(robot, runs, joints)
+    motions = [run.motion for run in prepared]
     dynamics = InverseDynamics(robot, gravity)
     dynamics.set_friction(0.0, 0.0)
     rests = [_rests(motion) for motion in motions]
