@@ -344,10 +344,10 @@ def find_clearance(
     clearance = Clearance(robot, capsules, pairs, floor, obstacles, needed)
     found, p = clearance.contacts(poses), len(pairs)
     # No motion lifts what is always near the floor at one height: it is on the axis of a joint.
-    for row in range(p, p + 2 * c):
-        heights = found.distance[found.row == row]
+    for end in range(p, p + 2 * c):
+        heights = found.distance[found.row == end]
         if len(heights) > _ALL * len(poses) and np.ptp(heights) < _ALWAYS:
-            needed[row] = -math.inf
+            needed[end] = -math.inf
     both = body[pairs] @ [len(robot.parent), 1]
     is_pair = found.row < p
     pose, row, distance = found.pose[is_pair], found.row[is_pair], found.distance[is_pair]
