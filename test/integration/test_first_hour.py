@@ -114,7 +114,7 @@ class Session:
     def wait_for(self, line):
         """Wait for a line of the page; any number matches a number."""
         words = [re.escape(word) for word in line.split()]
-        pattern = r'\s+'.join(re.sub(r'(\\-)?\d[\d.\\]*', r'-?[\\d.]+', word) for word in words)
+        pattern = r'\s+'.join(re.sub(r'(\\-)?\d+(\\\.\d+)*', r'-?[\\d.]+', word) for word in words)
         deadline = time.monotonic() + PATIENCE
         while not re.search(pattern, self.log_text()):
             assert time.monotonic() < deadline, f'{line!r} is not in:\n{self.log_text()}'
