@@ -92,7 +92,7 @@ def test_commands_for_a_robot_are_those_of_the_first_hour():
 
 def test_readme_lists_every_command():
     (block,) = shell_blocks(README.split('## Command line')[1])
-    assert {line.split()[1] for line in block.splitlines()} >= set(COMMANDS)
+    assert {line.split()[1] for line in block.splitlines()} == set(COMMANDS)
 
 
 def test_commands_after_the_demo_print_the_efforts_at_rest(tmp_path):
