@@ -124,7 +124,6 @@ GROUPS = {
         'coulomb_width',
         'sqrt_damping',
         'load_friction',
-        'sqrt_damping',
         'armature',
         'drive_coupling',
         'spring_stiffness',

@@ -309,11 +309,12 @@ def test_changed_load_friction_causes_no_jump(run_node, robot):
     assert 'expected 1e-06 to 100' in robot.set_parameter('coulomb_width', [0.0] * 6).reason
 
 
+@pytest.mark.real_time  # what a node was too late to see is blended in
 def test_efforts_follow_the_joints_while_parameters_change_all_the_time(run_node, robot):
     run_node(**PATIENT)
     robot.publish_state(NAMES, Q, ZERO)
     robot.wait_for_command(HOLD)
-    assert robot.set_parameter('start_ramp', 10.0).successful  # never ends if a change restarts it
+    assert robot.set_parameter('start_ramp', 60.0).successful  # a blend would be seen
     client = robot.node.create_client(SetParameters, 'inverse_dynamics/set_parameters')
     robot.wait_until(client.service_is_ready, 'service')
     futures = []
@@ -336,7 +337,9 @@ def test_efforts_follow_the_joints_while_parameters_change_all_the_time(run_node
         return fraction == 1.0 and len(futures) > 20
 
     robot.wait_until(has_moved, '20 changes while the arm moves')
-    robot.wait_for_command(HOLD_ELSEWHERE, tolerance=1e-6)
+    moved = len(robot.commands)
+    robot.wait_until(lambda: len(robot.commands) > moved + 3 * RATE, 'commands after the motion')
+    assert robot.commands[-1] == pytest.approx(HOLD_ELSEWHERE, rel=1e-6, abs=1e-6)
     robot.node.destroy_timer(timer)
 
 
