@@ -2,6 +2,7 @@
 
 from inverse_dynamics_node import ConfigurationError, InverseDynamics, load_urdf
 from inverse_dynamics_node.analysis.excitation import (
+    clearance as clearances,
     CLEARANCE,
     find_excitation,
     keep_clear,
@@ -229,3 +230,18 @@ def test_parts_that_touch_in_all_poses_are_not_checked(rng):
     poses = rng.uniform(-0.02, 0.02, (20, 2))
     clearance = find_clearance(robot, capsules_of(long, robot), poses)
     assert clearance.unchecked == ('post and fore',)
+
+
+def test_capsules_come_only_as_near_as_in_poses_that_were_looked_at(rng, monkeypatch):
+    monkeypatch.setattr(clearances, '_MOST_LOOKS', 2)
+    robot = load_urdf(ARM)
+    capsules = capsules_of(ARM, robot)
+    q = rng.uniform(-3.0, 3.0, (2000, 2))
+    distance = distance_of_fore_to_post(q)
+    # The capsule of the post reaches beyond its sides, and the two poses there are looked at.
+    beside = q[(distance > CLEARANCE) & (distance < 0.03)][:2]
+    inside = q[distance < -0.015][:10]
+    away = q[distance > 0.2][:100]
+    clearance = find_clearance(robot, capsules, np.concatenate([beside, inside, away]))
+    assert clearance.is_kept(beside)
+    assert not any(clearance.is_kept(pose[np.newaxis]) for pose in inside)

@@ -409,11 +409,12 @@ def _needed(
         return dict.fromkeys(row.tolist(), -math.inf)
     needed = {}
     for each in np.unique(row).tolist():
-        is_near = (row == each) & (surfaces < least)
+        of_row = looked & (row == each)
+        is_near = of_row & (surfaces < least)
         if is_near.any():
             needed[each] = float(distance[is_near].max())
-        else:
-            needed[each] = float(distance[row == each].min()) - _UNSEEN
+        elif of_row.any():
+            needed[each] = float(distance[of_row].min()) - _UNSEEN
     return needed
 
 
