@@ -23,6 +23,8 @@ _SPACING = (0.008, 0.0125)
 """Distance of surface points: at least this [m], and this fraction of the longest side."""
 _CELLS = 120
 """Cells along the longest side of a shape in which vertices are merged."""
+_SMALLEST = 1e-6
+"""Length of shapes that are points [m]."""
 _DEPTH = 3
 """A shape is halved at most this often."""
 _PRICE = 0.04
@@ -153,10 +155,12 @@ def _distances(points: Floats, ends: Floats) -> Floats:
 def _pieces(shape: Shape) -> list[_Piece]:
     """Return pieces whose capsules contain the shape."""
     # Details smaller than a cell do not matter; the radius makes up for their removal.
-    cell = float(np.ptp(shape.vertices, axis=0).max()) / _CELLS
+    cell = max(float(np.ptp(shape.vertices, axis=0).max()), _SMALLEST) / _CELLS
     rounded, index = np.unique(np.round(shape.vertices / cell), axis=0, return_inverse=True)
     faces = np.unique(np.sort(index.ravel()[shape.faces], axis=1), axis=0)
     faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2])]
+    if not len(faces):  # as thin as a wire
+        return [_piece(shape.vertices, shape.faces)]
     whole = _piece(rounded * cell, faces)
     _, pieces = _best_cut(whole, _DEPTH, _PRICE * whole.size)
     return [p._replace(radius=p.radius + 0.5 * 3.0**0.5 * cell) for p in pieces]

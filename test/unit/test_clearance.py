@@ -75,6 +75,8 @@ SHAPES = (
     '<cylinder radius="0.05" length="0.3"/>',
     '<sphere radius="0.1"/>',
     '<capsule radius="0.05" length="0.3"/>',
+    '<cylinder radius="0.001" length="0.5"/>',
+    '<box size="0 0 0"/>',
 )
 
 
