@@ -1,5 +1,7 @@
 """Capsules contain the shapes of a robot, and an excitation motion keeps them clear."""
 
+from dataclasses import replace
+
 from inverse_dynamics_node import ConfigurationError, InverseDynamics, load_urdf
 from inverse_dynamics_node.analysis.excitation import (
     clearance as clearances,
@@ -247,3 +249,25 @@ def test_capsules_come_only_as_near_as_in_poses_that_were_looked_at(rng, monkeyp
     clearance = find_clearance(robot, capsules, np.concatenate([beside, inside, away]))
     assert clearance.is_kept(beside)
     assert not any(clearance.is_kept(pose[np.newaxis]) for pose in inside)
+
+
+def test_shapes_that_are_known_are_checked_beside_an_unknown_one(rng):
+    robot = load_urdf(ARM)
+    capsules = capsules_of(ARM, robot)
+    fore = np.flatnonzero(capsules.body == 2)[0]
+    capsules = replace(
+        capsules,
+        body=np.r_[2, capsules.body],
+        ends=np.concatenate([capsules.ends[[fore]], capsules.ends]),
+        radii=np.r_[capsules.radii[fore], capsules.radii],
+        names=('fore', *capsules.names),
+        surfaces=(np.empty((0, 3)), *capsules.surfaces),
+    )
+    q = rng.uniform(-3.0, 3.0, (2000, 2))
+    distance = distance_of_fore_to_post(q)
+    beside = q[(distance > CLEARANCE) & (distance < 0.03)][:8]
+    away, inside = q[distance > 0.2][:8], q[distance < -0.015]
+    clearance = find_clearance(robot, capsules, np.concatenate([beside, away]))
+    assert clearance.unchecked == ()
+    assert clearance.is_kept(beside)
+    assert not any(clearance.is_kept(pose[np.newaxis]) for pose in inside[:10])

@@ -392,8 +392,10 @@ def _needed(
     share = len(near_poses) / len(poses)
     if share <= _OFTEN:
         return {}
-    if share > _MANY and not clearance.has_surfaces(row[0]):
-        return dict.fromkeys(row.tolist(), -math.inf)
+    is_known = np.array([clearance.has_surfaces(each) for each in row.tolist()])
+    if share > _MANY and not is_known.all():
+        others = _needed(clearance, poses, pose[is_known], row[is_known], distance[is_known])
+        return {**dict.fromkeys(row[~is_known].tolist(), -math.inf), **others}
     looked = np.isin(pose, near_poses[:_MOST_LOOKS])
     rotations, positions = body_frames(clearance.robot, poses)
     surfaces = np.full(len(pose), math.inf)
