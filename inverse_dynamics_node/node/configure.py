@@ -10,6 +10,7 @@ from ..control.loop import ControlLoop
 from ..control.settings import LoadSettings
 from ..dynamics.inverse_dynamics import FRICTION_WIDTH, InverseDynamics
 from ..dynamics.trajectory import complete, Trajectory
+from ..errors import ConfigurationError
 from ..robot.model import Floats, RobotModel
 from .parameters import BaseMotion, Configuration, PARAMETERS
 
@@ -79,10 +80,22 @@ def build_loop(configuration: Configuration, robot: RobotModel, text: str) -> Co
 def check_configuration(loop: ControlLoop, configuration: Configuration) -> None:
     """Raise a ConfigurationError if the values for joints do not fit the robot of a loop."""
     of_joint = configuration.expanded(len(loop.controller.joints))
+    _check_springs(loop, of_joint)
     if of_joint['drive_coupling'].any():
         coupling = np.zeros(len(loop.robot.joint_names))
         coupling[loop.index] = of_joint['drive_coupling']
         InverseDynamics(loop.robot).set_drive_coupling(coupling)
+
+
+def _check_springs(loop: ControlLoop, of_joint: dict[str, Floats]) -> None:
+    """Refuse springs at continuous joints: a full turn in a reported position would be a jump."""
+    is_turning = loop.robot.is_continuous[loop.index]
+    for k in np.flatnonzero(is_turning & (of_joint['spring_stiffness'] != 0.0)):
+        raise ConfigurationError(
+            f"spring_stiffness of joint '{loop.controller.joints[k]}' is "
+            f'{of_joint["spring_stiffness"][k]:g}, expected 0: the joint is continuous, and its '
+            'position may be reported with full turns left out'
+        )
 
 
 def apply_configuration(
@@ -130,6 +143,7 @@ def _apply_drives(
     loop: ControlLoop, configuration: Configuration, of_joint: dict[str, Floats]
 ) -> None:
     """Set the drives and springs of the commanded joints; others have the friction of the URDF."""
+    _check_springs(loop, of_joint)
     robot, zeros = loop.robot, np.zeros(len(loop.robot.joint_names))
 
     def of_robot(name: str, others: Floats = zeros, least: float = -np.inf) -> Floats:

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 from inverse_dynamics_node import ConfigurationError, InverseDynamics, load_urdf
 from inverse_dynamics_node.analysis.excitation import (
-    clearance as clearances,
     CLEARANCE,
     find_excitation,
     keep_clear,
@@ -12,6 +11,9 @@ from inverse_dynamics_node.analysis.excitation import (
     search,
     States,
     whole_states,
+)
+from inverse_dynamics_node.analysis.excitation import (
+    clearance as clearances,
 )
 from inverse_dynamics_node.analysis.excitation.clearance import find_clearance
 from inverse_dynamics_node.robot.capsules import body_capsules

@@ -70,8 +70,9 @@ def _candidates(
     regression: Regression, moving: Booleans, fit: RobotFit, equations: Equations, used: Booleans
 ) -> Iterator[tuple[list[int], float, Callable[[], RobotFit]]]:
     """Yield joints that an extra acts on, the least gain, and a function that fits with it."""
+    is_continuous = regression.problem.identified.robot.is_continuous[regression.problem.joints]
     for j in np.flatnonzero(moving).tolist():
-        if not used[j, SPRING]:
+        if not used[j, SPRING] and not is_continuous[j]:
             more = used.copy()
             more[j, SPRING] = True
             yield [j], LEAST_GAIN, partial(_solved, fit, equations, more, fit.model)
