@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ..analysis.payload import measure_payload, PayloadEstimate
 from ..analysis.recordings.measured_states import read_measured_states
 from ..analysis.recordings.signals import Recording
+from ..errors import ConfigurationError
 from ..report.payload_report import (
     as_json,
     inertia_table,
@@ -21,6 +22,7 @@ from ..report.payload_report import (
     verdict,
 )
 from ..robot.end_effector import last_link
+from ..robot.model import RobotModel
 from . import arguments
 from .arguments import CommandParser, RESULT
 from .compare import measured_efforts
@@ -94,10 +96,18 @@ def run(options: argparse.Namespace) -> int:
     dynamics = arguments.load_dynamics(options.urdf, options.gravity)
     robot, link = dynamics.robot, options.link or last_link(dynamics.robot)
     robot.link_index(link)
-    loaded, *others = (_read(path, robot, options) for path in recordings)
+    convention, scale = measured_efforts(options.node_parameters, robot.joint_names)
+    if options.empty is None and not convention.in_measured:
+        raise ConfigurationError(
+            f'{options.node_parameters}: the recorded efforts do not contain gravity; expected a '
+            'recording without the payload, --empty'
+        )
+    loaded, *others = (_read(path, robot, options.topic, scale) for path in recordings)
     empty = others[0] if others else None
     result = measure_payload(robot, loaded, empty, link, options.gravity)
-    apparent = empty and measure_payload(robot, empty, None, link, options.gravity)
+    apparent = None
+    if empty is not None and convention.in_measured:
+        apparent = measure_payload(robot, empty, None, link, options.gravity)
     is_shown = result.is_certain and not result.unknown
     if options.json:
         print(json.dumps(as_json(result, apparent)))
@@ -119,12 +129,14 @@ def run(options: argparse.Namespace) -> int:
     return 0 if is_shown else _NOT_SHOWN
 
 
-def _read(path: Path, robot: Any, options: argparse.Namespace) -> Recording:
+def _read(
+    path: Path, robot: RobotModel, topic: str | None, scale: Mapping[str, float]
+) -> Recording:
+    """Read a recording, with the efforts of joints multiplied by their factors."""
     with progress(f'reading {path.name}') as report:
         recording, _ = read_measured_states(
-            path, robot.joint_names, options.topic, report, robot.mimic_names
+            path, robot.joint_names, topic, report, robot.mimic_names
         )
-    _, scale = measured_efforts(options.node_parameters, robot.joint_names)
     factors = np.array([scale.get(name, 1.0) for name in recording.joint_names])
     return recording._replace(efforts=factors * recording.efforts)
 

@@ -79,3 +79,12 @@ def test_reports_an_unknown_link(here, capsys):
     record(here, duration=5.0)
     assert main(['payload', str(URDF), 'loaded.csv', '--link', 'tool']) == 1
     assert "tool'" in capsys.readouterr().err
+
+
+def test_efforts_without_gravity_need_an_empty_run(here, capsys):
+    parameters = {'/**': {'ros__parameters': {'measured_gravity': 'excluded'}}}
+    (here / 'node.yaml').write_text(yaml.safe_dump(parameters))
+    run = ['payload', str(URDF), 'loaded.csv', '--node-parameters', 'node.yaml']
+    (here / 'loaded.csv').write_text('')
+    assert main(run) == 1
+    assert 'do not contain gravity; expected a recording without' in capsys.readouterr().err
