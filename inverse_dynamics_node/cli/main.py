@@ -65,7 +65,7 @@ examples:
 exit code: 0 for success, 1 if an input cannot be read or used, 2 for invalid arguments; the help
 of a command lists its other codes. `inverse_dynamics_node --help` describes the node itself."""
 
-_ROS_COMMANDS = 'watch', 'simulate'  # accept arguments of ROS
+_ROS_COMMANDS = 'payload', 'watch', 'simulate'  # accept arguments of ROS
 _EXTRAS = {
     **dict.fromkeys(('matplotlib', 'rich', 'rosbags', 'yaml'), 'cli'),
     **dict.fromkeys(
@@ -139,7 +139,7 @@ def _run(arguments: list[str]) -> int:
         return 0
     if '--ros-args' in arguments and command not in _ROS_COMMANDS:
         return _fail(
-            f'--ros-args is for {" and ".join(_ROS_COMMANDS)}, and for the node: ros2 run '
+            f'--ros-args is for {", ".join(_ROS_COMMANDS)}, and for the node: ros2 run '
             'inverse_dynamics_node inverse_dynamics_node --ros-args ...',
             _INVALID_ARGUMENTS,
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 import json
 from pathlib import Path
 
@@ -123,7 +123,8 @@ def run(options: argparse.Namespace) -> int:
         with new_file(options.picture) as path:
             draw(result, title, verdict(result), path)
     if options.apply is not None and is_shown:
-        name = _apply(result, None if options.apply is True else options.apply)
+        wanted = None if options.apply is True else options.apply
+        name = _apply(result, wanted, options.ros_arguments)
         if not options.json:
             print(f'{name} has the payload')
     return 0 if is_shown else _NOT_SHOWN
@@ -141,12 +142,12 @@ def _read(
     return recording._replace(efforts=factors * recording.efforts)
 
 
-def _apply(result: PayloadEstimate, name: str | None) -> str:
+def _apply(result: PayloadEstimate, name: str | None, ros_arguments: Sequence[str]) -> str:
     """Publish the payload to a node, and wait until it has it; return its full name."""
     from ..ros.observer import Observer, observing_node  # needs ROS
     from ..ros.payload import apply_payload
 
-    with observing_node([]) as node:
+    with observing_node(ros_arguments) as node:
         found = choose_node(node, name, is_patient=False)
         apply_payload(node, Observer(node, found), result.link, result.body)
     return found
