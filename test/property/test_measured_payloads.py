@@ -62,7 +62,7 @@ def test_errors_of_arms_with_torque_sensors(name, motion):
     masses = np.array([load[1] for _, _, load in runs])
     assert rms(errors[:, 0] / masses) < 0.02
     assert rms(errors[:, 1:]) < 0.005
-    assert 0.5 < rms(errors / standard_errors) < 1.3  # 0.60 to 0.90: rather too large than too small
+    assert 0.5 < rms(errors / standard_errors) < 1.3  # some are too large
 
 
 def rms(values):
