@@ -214,7 +214,8 @@ class Configuration(Settings, LoadSettings):
         0.0,
         'Stiffness of a spring or counterweight at each commanded joint',
         'It is part of the model, whatever `include_gravity` is; `stiffness` is that of '
-        '`joint_impedance`. 0 for a continuous joint',
+        '`joint_impedance`. Without a real spring, the commands push the joint away from '
+        '`spring_rest`. 0 for a continuous joint',
         unit='N m/rad, N/m',
     )
     spring_rest: PerJoint = parameter(

@@ -145,7 +145,10 @@ def find_excitation(
                 max(scores),
                 nearest,
             )
-    raise ConfigurationError('no motion was found that hits nothing: restrict it by --range')
+    raise ConfigurationError(
+        'no motion was found that hits nothing, nor does the way to it: restrict it with --range, '
+        'or set the pose before it with --at'
+    )
 
 
 class MotionSpace:
