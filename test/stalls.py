@@ -4,7 +4,7 @@ import threading
 import time
 
 PERIOD = 0.01  # [s]
-TOLERATED = 0.05  # [s]; a simulated arm that gets no command for longer leaves its path
+TOLERATED = 0.02  # [s]; a simulated arm that gets no command for longer leaves its path
 
 
 class StalledMachineError(AssertionError):
