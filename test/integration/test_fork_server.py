@@ -59,6 +59,7 @@ def test_signals_reach_a_program():
     process.stdout.close()
 
 
+@pytest.mark.flaky(reruns=2)  # Python discards an interrupt that arrives in a finalizer
 def test_a_signal_right_after_the_start_reaches_a_program():
     for _ in range(10):
         process = SERVER.run(['-c', 'import time; time.sleep(60.0)'])
