@@ -867,7 +867,7 @@ class InverseDynamics:
 
     @cached_property
     def _regressor(self) -> Callable[..., int]:
-        """Prepared at the first use, like the next ones, because most programs do not need it."""
+        """Like the functions below, compiled at its first use: most programs never use it."""
         return prepared(regressor.regressor, 1, 1, 1, 2, 2, 2)
 
     @cached_property

@@ -130,7 +130,7 @@ def with_parameter_files(arguments: Sequence[str]) -> list[str]:
     """
     Return a command line with the home directory in place of ``~`` in names of parameter files.
 
-    No shell expands it after ``:=``.
+    The shell does not expand ``~`` after ``:=``.
 
     Raises
     ------
@@ -206,7 +206,7 @@ def _remaps(arguments: Sequence[str]) -> Iterator[str]:
 
 
 def _operands(arguments: Sequence[str], *options: str) -> Iterator[tuple[int, str]]:
-    """Find what follows some ROS options, with its index."""
+    """Find the arguments that follow these ROS options, each with its index."""
     is_ros = is_operand = False
     for k, argument in enumerate(arguments):
         if is_operand:

@@ -31,7 +31,7 @@ def start_ros(arguments: Sequence[str] | None = None) -> None:
     Initialize rclpy, without its signal handlers and without shared memory.
 
     The first message to a new subscriber makes Fast DDS 2.14 open a port in shared memory, within
-    the call of the publisher. A race between the two processes lets this call sleep for 0.33 s,
+    the call of the publisher. A race between the two processes can block this call for 0.33 s,
     and a control loop with it (issue 6535 of Fast DDS). Messages take UDP instead, also within a
     machine. The environment variables for this are set in this process, and its children inherit
     them.

@@ -97,7 +97,7 @@ class RobotFit(NamedTuple):
 
     @property
     def changes_nothing(self) -> bool:
-        """Whether the model with friction is all that there is."""
+        """Whether nothing but the model and its friction is assumed: no fault, no other unit."""
         return (
             self.candidate.kind is None
             and self.unit == 1.0

@@ -229,7 +229,7 @@ class Clearance:
         return slopes
 
     def is_kept(self, q: Floats) -> bool:
-        """Return whether all poses are as clear as needed; a few of them are looked at first."""
+        """Return whether all poses are as clear as needed; a few of them are checked first."""
         return not any(len(self.contacts(part).row) for part in (q[::16], q))
 
     def nearest(self, q: Floats) -> list[Nearest]:

@@ -254,9 +254,9 @@ def mass_information(fit: RobotFit) -> Floats:
     """
     Return the fraction of information about each mass that comes from the recordings, shape (b,).
 
-    The rest is a mass of the robot description with its expected error. So the fraction does not
+    The rest comes from the robot description and its expected error. So the fraction does not
     depend on the weight of the description in the fit. Efforts of joints that moved in a fixed
-    ratio do not count, because it is not known which of the joints they belong to.
+    ratio are ignored, because it is not known which of the joints they belong to.
 
     """
     count = len(fit.model.bodies)

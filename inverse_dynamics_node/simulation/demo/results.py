@@ -94,7 +94,7 @@ def check_hold(setup: DemoSetup, history: History) -> ScenarioResult:
 def check_payload(
     setup: DemoSetup, history: History, picked_up: float, sent: float
 ) -> ScenarioResult:
-    """Judge a load: it causes an error until the node receives it."""
+    """Judge whether a load causes an error only until the node receives its mass."""
     before = worst(setup, history.largest_error(0.0, picked_up))
     unknown = worst(setup, history.largest_error(picked_up, sent))
     known = worst(setup, history.largest_error(sent + SETTLED, np.inf))
