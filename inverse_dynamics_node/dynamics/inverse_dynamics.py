@@ -728,6 +728,12 @@ class InverseDynamics:
             If a value is not finite, or not 0 for a joint on the base.
 
         """
+        values = self.checked_coupling(coupling)
+        robot_table.write_joints(self._table, robot_table.COUPLING, values)
+        self.revision += 1
+
+    def checked_coupling(self, coupling: ArrayLike) -> Floats:
+        """Return one number per joint, shape (n,), or the error of `set_drive_coupling`."""
         values = read_joints('coupling', coupling, len(self.robot.joint_names), is_signed=True)
         for k in np.flatnonzero(values):
             if self._table[k + 1, robot_table.JOINT_BEFORE] < 0.0:
@@ -735,8 +741,7 @@ class InverseDynamics:
                     f"coupling of joint '{self.robot.joint_names[k]}' is {values[k]}, expected 0: "
                     'no joint comes before it'
                 )
-        robot_table.write_joints(self._table, robot_table.COUPLING, values)
-        self.revision += 1
+        return values
 
     def set_springs(self, stiffness: ArrayLike, rest: ArrayLike = 0.0) -> None:
         r"""

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..control.loop import ControlLoop
 from ..control.settings import LoadSettings
-from ..dynamics.inverse_dynamics import FRICTION_WIDTH, InverseDynamics
+from ..dynamics.inverse_dynamics import FRICTION_WIDTH
 from ..dynamics.trajectory import complete, Trajectory
 from ..errors import ConfigurationError
 from ..robot.model import Floats, RobotModel
@@ -81,10 +81,9 @@ def check_configuration(loop: ControlLoop, configuration: Configuration) -> None
     """Raise a ConfigurationError if the values for joints do not fit the robot of a loop."""
     of_joint = configuration.expanded(len(loop.controller.joints))
     _check_springs(loop, of_joint)
-    if of_joint['drive_coupling'].any():
-        coupling = np.zeros(len(loop.robot.joint_names))
-        coupling[loop.index] = of_joint['drive_coupling']
-        InverseDynamics(loop.robot).set_drive_coupling(coupling)
+    coupling = np.zeros(len(loop.robot.joint_names))
+    coupling[loop.index] = of_joint['drive_coupling']
+    loop.dynamics.checked_coupling(coupling)
 
 
 def _check_springs(loop: ControlLoop, of_joint: dict[str, Floats]) -> None:
