@@ -95,16 +95,6 @@ class RobotFit(NamedTuple):
         """Whether the effort of a joint has another unit."""
         return self.unit != 1.0 or any(fit.sensor_fault.is_scaled for fit in self.fits)
 
-    @property
-    def changes_nothing(self) -> bool:
-        """Whether nothing but the model and its friction is assumed: no fault, no other unit."""
-        return (
-            self.candidate.kind is None
-            and self.unit == 1.0
-            and self.source == tuple(range(len(self.source)))
-            and not any(any(fit.sensor_fault) for fit in self.fits)
-        )
-
     def factor(self, joint: int) -> float:
         """Return the measured effort of a joint divided by its actual effort, without sign."""
         return self.unit * self.fits[joint].scale
@@ -207,10 +197,6 @@ class RegressionData:
             for j, samples in enumerate(self.joints)
         )
         return RobotFit(self.nominal, fits, tuple(range(len(fits))))
-
-    def with_sensor_faults(self) -> RobotFit:
-        """Return the model as it is, with the best sensor fault of every joint."""
-        return self._fit_joints(self.nominal)
 
     @property
     def is_too_short(self) -> bool:
