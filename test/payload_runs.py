@@ -74,7 +74,7 @@ def random_load(link, rng, mass):
 
 
 def motion_of(robot, rng, duration=30.0, speed=1.0):
-    """Return an exciting motion."""
+    """Return an excitation motion."""
     return exciting_motion(robot, rng, duration, 125.0, speed)
 
 

@@ -115,7 +115,7 @@ class _Samples(NamedTuple):
 
 
 class _Rows(NamedTuple):
-    """Rows of the regression of m joints, shape (R, m, ...) each but for times and blocks."""
+    """Rows of the regression of m joints, shape (R, m, ...) each, except times and blocks."""
 
     times: Floats
     """(R,) [s]."""

@@ -400,7 +400,7 @@ class _Fit(NamedTuple):
     errors: Floats
     """Standard errors."""
     evidence: float
-    """Logarithm of the likelihood of the efforts, but for a constant."""
+    """Logarithm of the likelihood of the efforts, except for a constant."""
 
 
 def _with(used: Booleans, *causes: slice) -> Booleans:

@@ -3,7 +3,7 @@ Distances of a robot to itself, to the floor and to boxes, and their slopes.
 
 Which parts may come near is decided as planning tools do, from sampled poses: neighbours are left
 out, and parts that touch in almost all poses. Capsules are larger than the parts; where they say
-that parts are often near each other, points on the surfaces of the parts tell how near the
+that parts are often near each other, points on the surfaces of the parts show how near the
 capsules may come.
 """
 
