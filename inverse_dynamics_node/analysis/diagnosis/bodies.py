@@ -223,10 +223,25 @@ class _Problem:
             times.append(chosen[used] / len(rows[j]))
         self.matrix, self.target = np.vstack(parts), np.concatenate(targets)
         self.joint, time = np.concatenate(joints), np.concatenate(times)
-        self.half = (time * BLOCKS).astype(int) % 2
         self.segment = (time * SEGMENTS).astype(int)
+        self.half = self.segment // (SEGMENTS // BLOCKS) % 2
+        self.products = [self._products(k) for k in range(len(moving))]
         # Samples within a smoothing window are not independent.
         self.dependence = max(len(chosen) / data.sample_count, 1.0)
+
+    def _products(self, position: int) -> tuple[Integers, Integers, Floats]:
+        """
+        Return the first row of each segment of a joint, the columns that are not zero, products.
+
+        All weights are the same within a segment: the products of its columns, and of its target,
+        are computed once.
+        """
+        rows = np.flatnonzero(self.joint == position)
+        first = np.unique(self.segment[rows], return_index=True)[1]
+        values = np.column_stack([self.matrix[rows], self.target[rows]])
+        columns = np.flatnonzero(values.any(axis=0))
+        products = [part.T @ part for part in np.split(values[:, columns], first[1:])]
+        return rows[first], columns, np.array(products)
 
     def _prior(self, dynamics: InverseDynamics) -> Floats:
         """Return the inverse covariance of all unknowns, before the recording is seen."""
@@ -281,27 +296,36 @@ class _Problem:
 
     def _system(self, weights: Floats) -> tuple[Floats, Floats]:
         """Return the products of weighted columns with all columns, and with the target."""
-        weighted = weights[:, None] * self.matrix
-        return self.matrix.T @ weighted, weighted.T @ self.target
+        size = self.delay + 2
+        system = np.zeros((size, size))
+        for rows, columns, products in self.products:
+            system[np.ix_(columns, columns)] += np.tensordot(weights[rows], products, 1)
+        return system[:-1, :-1], system[:-1, -1]
 
     def _best_fit(self, used: Booleans, system: tuple[Floats, Floats]) -> _Fit:
         """Fit the used unknowns, with the most likely accuracy of the links."""
-        products, vector = system[0][np.ix_(used, used)], system[1][used]
-        fits = (self._fit(used, products, vector, spread) for spread in SPREADS)
-        return max(fits, key=lambda each: each.evidence)
+        from scipy.linalg import lu_factor, lu_solve
 
-    def _fit(self, used: Booleans, products: Floats, vector: Floats, spread: float) -> _Fit:
-        """Solve the equations for links of some accuracy."""
+        products, vector = system[0][np.ix_(used, used)], system[1][used]
         prior = self.prior[np.ix_(used, used)]
-        prior[: self.width, : self.width] /= spread**2
-        hessian = products + prior
-        covariance = np.linalg.inv(hessian)
+        prior_volume = np.linalg.slogdet(prior)[1]
+        best, most = (prior, vector), -math.inf
+        for spread in SPREADS:
+            hessian = products + prior
+            hessian[: self.width, : self.width] += prior[: self.width, : self.width] * (
+                spread**-2 - 1.0
+            )
+            factors = lu_factor(hessian)
+            values = lu_solve(factors, vector)
+            volume = prior_volume - 2.0 * self.width * math.log(spread)
+            volume -= np.log(np.abs(np.diagonal(factors[0]))).sum()
+            evidence = 0.5 * float(vector @ values + volume)
+            if evidence > most:
+                best, most = (hessian, values), evidence
         solution, errors = np.zeros((2, len(used)))
-        solution[used] = covariance @ vector
-        errors[used] = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-        volume = np.linalg.slogdet(prior)[1] - np.linalg.slogdet(hessian)[1]
-        evidence = 0.5 * float(vector @ solution[used] + volume)
-        return _Fit(used, solution, errors, evidence)
+        solution[used] = best[1]
+        errors[used] = np.sqrt(np.maximum(np.diagonal(np.linalg.inv(best[0])), 0.0))
+        return _Fit(used, solution, errors, most)
 
     def _weights(self, used: Booleans) -> Floats:
         """Return inverse variances of the rows, from the residuals of a fit."""

@@ -182,35 +182,38 @@ def fit_shape(
     """
     if fit.unknown_because:
         return fit
-    squares, best = _with_width(qd, residual, load, smooth, width, False)
+    columns = {
+        each: friction_columns(qd, each, load, smooth) for each in dict.fromkeys((width, *WIDTHS))
+    }
+    triangles = {each: _triangle(of, residual) for each, of in columns.items()}
+    squares, best = _with_load(triangles[width], False)
     chosen = width
     for has_load in (False, True):
-        for other in (width, *WIDTHS):
-            left, solution = _with_width(qd, residual, load, smooth, other, has_load)
+        for other, triangle in triangles.items():
+            left, solution = _with_load(triangle, has_load)
             if left < BETTER * squares and solution[2] < MOST_LOAD:
                 squares, best, chosen = left, solution, other
     if chosen == width and best[2] == 0.0:
         return fit
-    columns = friction_columns(qd, chosen, load, smooth)
-    left = residual - columns @ np.array(best)
+    unexplained = residual - columns[chosen] @ np.array(best)
     every = np.ones(len(qd), dtype=bool)
-    errors = standard_errors(columns[:, [0, 1, 3]], left, every, window)
+    errors = standard_errors(columns[chosen][:, [0, 1, 3]], unexplained, every, window)
     return FrictionFit(best[0], best[1], best[3], *errors, '', chosen, best[2])
 
 
-def _with_width(
-    qd: Floats,
-    residual: Floats,
-    load: Floats,
-    smooth: Callable[[Floats], Floats],
-    width: float,
-    has_load: bool,
+def _triangle(columns: Floats, residual: Floats) -> Floats:
+    """Return rows that give the same least squares as all samples."""
+    return np.asarray(np.linalg.qr(np.column_stack([columns, residual]), mode='r'))
+
+
+def _with_load(
+    triangle: Floats, has_load: bool
 ) -> tuple[float, tuple[float, float, float, float]]:
-    """Return the mean square that is left, and damping, Coulomb, load friction and offset."""
-    columns = friction_columns(qd, width, load * has_load, smooth)
-    factors, left = fit_nonnegative(columns, residual, [3])
+    """Return the squares that are left, and damping, Coulomb, load friction and offset."""
+    columns = triangle[:, :-1] * [1.0, 1.0, has_load, 1.0]
+    factors, left = fit_nonnegative(columns, triangle[:, -1], [3])
     damping, coulomb, per_load, offset = factors.tolist()
-    return left / len(qd), (damping, coulomb, per_load, offset)
+    return left, (damping, coulomb, per_load, offset)
 
 
 def standard_errors(
