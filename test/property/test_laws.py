@@ -160,7 +160,7 @@ def let_everything_act(dynamics, rng):
     dynamics.set_armature(rng.uniform(0.0, 0.3, n))
 
 
-@settings(max_examples=20)
+@settings(max_examples=10)
 @given(cases())
 def test_generated_code_agrees_with_the_general_kernel(case):
     _, robot, vectors = case

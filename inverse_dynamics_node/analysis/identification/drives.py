@@ -240,6 +240,9 @@ def _expect_little_load(matrices: Floats, grams: Floats, index: Integers) -> Non
 
 
 def _nonnegative(matrix: Floats, vector: Floats, signed: Booleans) -> Floats:
+    factors: Floats = np.linalg.solve(matrix, vector)
+    if (factors[~signed] >= 0.0).all():
+        return factors
     root = np.linalg.cholesky(matrix).T
     return fit_nonnegative(root, np.linalg.solve(root.T, vector), signed)[0]
 
