@@ -3,6 +3,7 @@
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.analysis.recordings.signals import Recording
 import numpy as np
+import pytest
 from robot_files import ROOT, STANFORD
 
 ROBOTS = {
@@ -10,6 +11,9 @@ ROBOTS = {
     'seven_dof': ROOT / 'test' / 'robots' / 'seven_dof.urdf',
     'branched': ROOT / 'test' / 'robots' / 'branched.urdf',
 }
+EVERY_ROBOT = pytest.mark.parametrize(
+    'name', [pytest.param('stanford', marks=pytest.mark.long), 'seven_dof', 'branched']
+)
 
 
 def exciting(robot, times, rng):

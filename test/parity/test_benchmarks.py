@@ -17,6 +17,7 @@ def arm():
     return stanford()
 
 
+@pytest.mark.long
 def test_lagrangian_form_gives_the_same_efforts(arm):
     q, qd, qdd = states = random_states(arm.n, 3)
     efforts = InverseDynamics(arm.model).efforts(*states)

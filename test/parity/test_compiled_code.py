@@ -39,6 +39,7 @@ def run(code, folder=ROOT, **environment):
 
 
 @needs_numba
+@pytest.mark.long  # `make test` also runs the tests of the kernels without numba
 def test_plain_python_gives_the_same_efforts():
     compiled, *expected = run(PRINT_EFFORTS).stdout.split()
     plain, *efforts = run(PRINT_EFFORTS, NUMBA_DISABLE_JIT='1').stdout.split()

@@ -15,14 +15,12 @@ from inverse_dynamics_node.report.compare_report import (
 from inverse_dynamics_node.report.diagnosis_text import diagnosis_warning
 import numpy as np
 import pytest
-from runs import ROBOTS, run
+from runs import EVERY_ROBOT, run
 from scipy.signal import butter, sosfiltfilt
 import yaml
 
 # Without compiled functions these tests take an hour.
 pytestmark = pytest.mark.skipif(not IS_COMPILED, reason='numba is not here, or off')
-
-EVERY_ROBOT = pytest.mark.parametrize('name', ROBOTS)
 
 
 def kinds(result):

@@ -20,14 +20,13 @@ from inverse_dynamics_node.report.diagnosis_text import headline
 import numpy as np
 import pytest
 from robot_files import ROOT
-from runs import exciting, ROBOTS, run
+from runs import EVERY_ROBOT, exciting, ROBOTS, run
 
 # Without compiled functions these tests take an hour.
 pytestmark = pytest.mark.skipif(not IS_COMPILED, reason='numba is not here, or off')
 
 TIP = {'stanford': 'tool0', 'seven_dof': 'tool0', 'branched': 'right_forearm'}
 GRIPPER_ARM = ROOT / 'test' / 'robots' / 'gripper_arm.urdf'
-EVERY_ROBOT = pytest.mark.parametrize('name', ROBOTS)
 
 
 def friction_of(name):

@@ -91,14 +91,15 @@ def normalized_errors(result, real):
     return (np.array(values) - true) / np.array(errors)
 
 
+@pytest.mark.long
 def test_standard_errors_of_the_base_parameters_are_honest():
     robot, z = load_urdf(STANFORD), []
-    for seed in range(3):
+    for seed in range(6):
         rng = np.random.default_rng(seed)
         real = real_robot(robot, rng)
         recording = record(real, exciting_motion(robot, rng, 12.0, 50.0), rng)
         z += normalized_errors(identify_parameters(robot, [recording]), real).tolist()
-    assert len(z) > 95
+    assert len(z) > 190
     assert 0.8 < np.sqrt(np.mean(np.square(z))) < 1.3
     assert np.mean(np.abs(z) < 2.0) > 0.9
 

@@ -16,9 +16,23 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 from random_trees import random_chain, urdf_of
-from robot_files import NOTHING_MOVES, STANFORD
+from robot_files import NOTHING_MOVES, OUR_ROBOTS, STANFORD
 
 needs_numba = pytest.mark.skipif(not IS_COMPILED, reason='numba is not in use')
+
+
+@pytest.fixture(
+    params=[
+        path
+        if path.stem in ('stanford', 'branched', 'mimic_gripper')
+        else pytest.param(path, marks=pytest.mark.long)
+        for path in OUR_ROBOTS
+    ],
+    ids=lambda path: path.stem,
+)
+def urdf_path(request):
+    """Return the path of a robot; most of them are for `make test-all`."""
+    return request.param
 
 
 @pytest.fixture

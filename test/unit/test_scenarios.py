@@ -431,9 +431,7 @@ def test_a_failure_on_a_busy_machine_says_so():
 
 
 @pytest.mark.parametrize('name', SCENARIOS)
-@pytest.mark.parametrize('path', [STANFORD, GRIPPER_ARM], ids=lambda path: path.stem)
-def test_picture_is_drawn(tmp_path, path, name):
-    setup = stage_of(path)
+def test_picture_is_drawn(tmp_path, name, setup):
     timeline = SCENARIOS[name].prepare(setup)
     history = history_of(setup, (3.0, 0.01), (6.0, 0.1), (99.0, 0.0))
     picture = tmp_path / 'run.png'
