@@ -240,7 +240,7 @@ def _expect_little_load(matrices: Floats, grams: Floats, index: Integers) -> Non
 
 
 def _nonnegative(matrix: Floats, vector: Floats, signed: Booleans) -> Floats:
-    factors: Floats = np.linalg.solve(matrix, vector)
+    factors: Floats = np.asarray(np.linalg.solve(matrix, vector))
     if (factors[~signed] >= 0.0).all():
         return factors
     root = np.linalg.cholesky(matrix).T
