@@ -136,6 +136,7 @@ def recording(tmp_path):
     return path
 
 
+@pytest.mark.long
 def test_commands_report_without_matplotlib(run_without_matplotlib, recording, tmp_path):
     pick = ROOT / 'doc' / 'stanford_pick.yaml'
     for command, report in (

@@ -33,7 +33,7 @@ def drawn(monkeypatch):
     return figures
 
 
-@pytest.fixture(params=ROBOTS)
+@pytest.fixture(params=[pytest.param('stanford', marks=pytest.mark.long), *list(ROBOTS)[1:]])
 def robot(request, here):
     (here / 'arm.urdf').write_text(ROBOTS[request.param]())
     return load_urdf(here / 'arm.urdf')

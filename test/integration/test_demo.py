@@ -201,6 +201,7 @@ class TestDemo:
         assert (code == 0 and 'PASSED: efforts were zero' in output) or is_busy, output
         assert picture.stat().st_size > 10_000
 
+    @pytest.mark.long
     def test_a_terminal_shows_a_live_table(self, domain_id):
         ours, theirs = pty.openpty()
         environment = {'TERM': 'xterm', 'COLUMNS': '120'}

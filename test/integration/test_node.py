@@ -128,7 +128,10 @@ def test_reference_that_is_lost_leaves_the_arm_floating(run_node, robot):
     robot.wait_for_command(HOLD)
 
 
-@pytest.mark.parametrize('update_rate', [0, 2, 250])
+@pytest.mark.parametrize(
+    'update_rate',
+    [0, pytest.param(2, marks=pytest.mark.long), pytest.param(250, marks=pytest.mark.long)],
+)
 def test_a_lost_state_leads_to_zeros_that_continue(run_node, robot, update_rate):
     timeout, ramp = 1.0, 2.0
     node = run_node(

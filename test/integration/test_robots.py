@@ -41,7 +41,7 @@ ADDED = {
         'effort_limits': 33000.0,
     },
 }
-IN_EVERY_RUN = ('franka_ros2', 'openarm')
+IN_EVERY_RUN = ('franka_ros2',)
 
 
 def swing(elapsed):

@@ -42,7 +42,7 @@ def assert_ramped(robot, since, start, way, ramp=2.0):
             assert gone < 0.1 + (time_ - since) / ramp
 
 
-@pytest.mark.parametrize('rate', [0, 100])
+@pytest.mark.parametrize('rate', [0, pytest.param(100, marks=pytest.mark.long)])
 def test_a_suspended_process_continues_from_its_last_command(run_node, robot, rate):
     node = run_node(**{**RAMPED, 'state_timeout': 0.5, 'stop_ramp': 2.0}, update_rate=rate)
     robot.publish_state(NAMES, Q, ZERO)

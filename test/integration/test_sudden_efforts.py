@@ -12,7 +12,7 @@ Q = np.array([0.0, 0.5, 0.0, 0.5, 0.0, 0.0, 0.0])
 ZERO = np.zeros(7)
 
 
-@pytest.mark.parametrize('rate', [0, 200])
+@pytest.mark.parametrize('rate', [pytest.param(0, marks=pytest.mark.long), 200])
 def test_no_effort_jumps_after_a_suspension_while_the_arm_moves(run_node, robot, rate):
     node = run_node(robot_description_file=FILE, update_rate=rate)
     move(robot)

@@ -40,6 +40,7 @@ def test_operations_of_a_pendulum_are_those_counted_by_hand():
     assert operations.count_newton_euler(pendulum, folds=False).total > folded.total
 
 
+@pytest.mark.long
 def test_straight_line_code_gives_the_same_efforts(arm):
     states = random_states(arm.n, 3)
     efforts = InverseDynamics(arm.model).efforts(*states)

@@ -483,6 +483,7 @@ def run_without_numba():
 
 
 @pytest.mark.skipif(not IS_COMPILED, reason='numba is not in use')
+@pytest.mark.long
 def test_plain_python_gives_the_same_with_loads():
     expected = samples()
     is_compiled, actual = run_without_numba()
