@@ -123,10 +123,8 @@ def test_payload_causes_an_error_until_the_node_receives_it(record, path):
     before = usual(errors, times, 0.0, picked_up)
     unknown = usual(errors, times, picked_up, sent)
     known = usual(errors, times, sent + SETTLED)
-    assert before < 0.02
-    assert unknown > 0.05, 'the load is too small for the test'
-    assert known < 0.02
-    assert unknown > 10.0 * known
+    assert unknown > 0.1, 'the load is too small for the test'
+    assert max(before, known) < 0.3 * unknown
 
 
 @each_arm(first=GRIPPER_ARM)
@@ -140,8 +138,8 @@ def test_arm_holds_still_on_a_tilting_base(record, path):
     cosine = forces[0] @ forces[-1] / np.linalg.norm(forces[0]) / np.linalg.norm(forces[-1])
     assert np.degrees(np.arccos(cosine)) == pytest.approx(30.0, abs=0.1)
     assert times[-1] > DURATION - 1.0
-    assert usual(errors, times, 0.0) < 0.02
-    assert usual(errors, times, times[-1] - 1.0) < 0.003
+    assert usual(errors, times, 0.0) < 0.04
+    assert usual(errors, times, times[-1] - 1.0) < 0.01
 
 
 @each_arm(first=STANFORD)
