@@ -110,11 +110,11 @@ bench-loop: $(VENV)/test.done
 
 # Sends a million messages, most of them invalid; ARGS='--messages 100000' sends fewer.
 storm: $(VENV)/test.done
-	@$(CLEAN) $(BIN)/python -m benchmarks.storm $(ARGS)
+	@$(CLEAN) PYTHONPATH=test $(BIN)/python -m benchmarks.storm $(ARGS)
 
 # An hour with references, loads, descriptions and parameters that change; ARGS='--minutes 1' is shorter.
 soak: $(VENV)/test.done
-	@$(CLEAN) $(BIN)/python -m benchmarks.soak $(ARGS)
+	@$(CLEAN) PYTHONPATH=test $(BIN)/python -m benchmarks.soak $(ARGS)
 
 # Runs node and driver on two network namespaces, with lost and late packets and outages between them.
 network-faults: $(VENV)/test.done

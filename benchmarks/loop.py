@@ -35,7 +35,6 @@ LONG_TURN = 5.0  # [s]; with `update_rate`
 
 NODE = 'inverse_dynamics_node.node.main'
 RELAYS = 'benchmarks.relays'
-PACKAGES = ('inverse_dynamics_node', 'numpy', 'numba', 'ros-jazzy-rclpy', 'ros-rmw-fastrtps-cpp')
 
 
 def main() -> None:
@@ -47,7 +46,7 @@ def main() -> None:
     )
     parser.add_argument('--doc', type=Path, help='folder of the page')
     arguments = parser.parse_args()
-    before = machine.describe(PACKAGES)
+    before = machine.describe(machine.ROS_PACKAGES)
     is_permitted = priorities.raise_robot_side()
     busy = priorities.BusyProcesses(BUSY_PROCESSES)
     try:

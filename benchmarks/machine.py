@@ -18,6 +18,14 @@ PACKAGES = (
     'drake',
     'roboticstoolbox-python',
 )
+ROS_PACKAGES = (
+    'inverse_dynamics_node',
+    'numpy',
+    'numba',
+    'ros-jazzy-rclpy',
+    'ros-rmw-fastrtps-cpp',
+)
+"""For measurements of the node."""
 
 
 def describe(packages: Sequence[str] = PACKAGES) -> str:

@@ -1,22 +1,29 @@
 """
 Lets the node run for a long time while everything that may change does.
 
-Joint states arrive without pause; references, payloads, wrenches, gravity, robot descriptions and
-parameters change, and all outputs are read. The program prints memory, threads, open files,
-latencies and gaps for each quarter of the time. It fails if a command is incomplete, not finite or
-beyond its limits, if the memory grows, if threads or files accumulate, or if the node does not end
-with zeros.
+Joint states arrive without pause; references, payloads, wrenches, gravity, robot descriptions,
+trajectories and parameters change. All outputs are read, most of them in turn. The program prints
+latencies, gaps, memory, threads and open files for each quarter of the time, as a table for
+doc/evidence/reliability.md. It fails if
+
+- a command is incomplete, not finite or beyond its limits;
+- a message or a parameter is refused, or an output is missing;
+- the node sends no command for much longer than this program had to wait for the machine;
+- the memory grows, or threads or files accumulate;
+- the node does not end with zeros and code 0.
 
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import math
 import os
 from pathlib import Path
 import re
 import signal
+import struct
 import subprocess
 import sys
 import tempfile
@@ -25,9 +32,11 @@ from typing import Any, NamedTuple
 
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 
+from diagnostic_msgs.msg import DiagnosticArray
 from domain_coordinator import domain_id
 from geometry_msgs.msg import InertiaStamped, Vector3Stamped, WrenchStamped
 from inverse_dynamics_node import load_urdf
+from inverse_dynamics_node.ros.middleware import start_ros
 import numpy as np
 from rcl_interfaces.srv import SetParameters
 import rclpy
@@ -38,24 +47,51 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from . import machine, priorities, processes
+
 ROBOT = Path(__file__).parent.parent / 'test/robots/seven_dof.urdf'
 NODE = 'inverse_dynamics'
-OUTPUTS = ('joint_efforts', 'external_efforts', 'terms/gravity', 'terms/external')
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+OUTPUTS = {
+    f'{NODE}/external_efforts': JointState,
+    f'{NODE}/joint_trajectory_out': JointTrajectory,
+    f'{NODE}/robot_description': String,
+    '/diagnostics': DiagnosticArray,
+}
+"""The outputs that are read all the time."""
+IN_TURN = {
+    f'{NODE}/joint_efforts': JointState,
+    f'{NODE}/joint_commands': JointState,
+    f'{NODE}/terms/inertial': JointState,
+    f'{NODE}/terms/velocity': JointState,
+    f'{NODE}/terms/gravity': JointState,
+    f'{NODE}/terms/friction': JointState,
+    f'{NODE}/terms/external': JointState,
+    f'{NODE}/base_wrench': WrenchStamped,
+}
+"""Those that are read one after the other: all of them at once take more than a millisecond."""
+TURN = 2.0  # [s]
 MOST_GROWTH = 20.0  # [MB]; from the first quarter to the last
 GAP = 0.1  # [s]; a longer time between commands is counted
+LONGEST_GAP = 0.5  # [s]; between commands, beyond the longest gap of the joint states
 PATIENCE = 60.0  # [s]
+NUMBERS = 1000  # of joint states that are told apart
+STEP = 1000.0  # [N m]; between the measured efforts of two of them
+FAULTS = 'message dropped', 'Traceback', 'kept the old robot description'
 PARAMETERS = {
     'effort_scale': (1.0, 0.95),
     'include_friction': (True, False),
     'velocity_filter_cutoff': (0.0, 50.0),
-    'mode': ('inverse_dynamics', 'computed_torque', 'joint_impedance'),
+    'armature': (0.0, 0.01),
+    'start_ramp': (0.5, 0.2),
+    'mode': ('inverse_dynamics', 'computed_torque', 'joint_impedance', 'gravity_compensation'),
 }
 
 
 HEAD = """\
-| quarter | commands | median latency [ms] | 99 % [ms] | gaps over 0.1 s | of the driver itself | \
-memory [MB] | threads | files |
-|---|---|---|---|---|---|---|---|---|"""
+| quarter | joint states | commands | median latency [ms] | 99 % [ms] | gaps over 0.1 s \
+| longest [ms] | longest of the driver [ms] | memory [MB] | of its child [MB] | threads | files |
+|---|---|---|---|---|---|---|---|---|---|---|---|"""
 
 
 class SoakError(Exception):
@@ -65,25 +101,35 @@ class SoakError(Exception):
 class Quarter(NamedTuple):
     """What was measured in a quarter of the time."""
 
+    states: int
     commands: int
     latency: float
-    """Median from a joint state to the command [ms]."""
+    """Median from a joint state to the command that was computed from it [ms]."""
     late: float
     """99 % of them [ms]."""
     gaps: int
     """Times of more than `GAP` between commands."""
-    own_gaps: int
-    """The same between the joint states that this program sent."""
+    longest: float
+    """The longest time between two commands [ms]."""
+    longest_own: float
+    """The longest time between two joint states that this program sent [ms]."""
     memory: float
-    """Resident memory of the node [MB]."""
+    """Median of the resident memory of the node [MB]."""
+    child_memory: float
+    """The same of the process that reads robot descriptions and trajectories [MB]."""
     threads: int
+    """The lowest number; some exist for a moment only."""
     files: int
+
+    def __str__(self) -> str:
+        cells = [str(each if isinstance(each, int) else round(each, 2)) for each in self]
+        return f'{" | ".join(cells)} |'
 
 
 class Robot:
     """Publishes joint states and all inputs, and checks every command."""
 
-    def __init__(self, rate: float) -> None:
+    def __init__(self, rate: float, pid: int) -> None:
         self.model = load_urdf(ROBOT)
         self.text = ROBOT.read_text()
         self.node = rclpy.create_node('robot')
@@ -91,16 +137,21 @@ class Robot:
         self.executor.add_node(self.node)
         self.random = np.random.default_rng(1)
         self.last: list[float] = []
-        self.outputs = dict.fromkeys(OUTPUTS, 0)
-        self.changes = 0
-        self.begin_quarter()
+        self.outputs = dict.fromkeys([*OUTPUTS, *IN_TURN], 0)
+        self.changes = dict.fromkeys(('descriptions', 'payloads', 'gravities', 'parameters'), 0)
+        self.changes['trajectories'] = 0
+        self._pid = pid
+        self._turn = 0
+        self._number = 0
+        self._times = np.full(NUMBERS, np.nan)
         self._sent = self._received = math.nan
-        self._state = JointState(name=self.model.joint_names, effort=[0.0] * 7)
+        self._state = JointState(name=self.model.joint_names)
+        self.begin_quarter()
         publish = self.node.create_publisher
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._states = publish(JointState, 'joint_states', 1)
-        self._descriptions = publish(String, 'robot_description', latched)
+        self._descriptions = publish(String, 'robot_description', LATCHED)
         self._references = publish(JointTrajectory, f'{NODE}/reference', 1)
+        self._trajectories = publish(JointTrajectory, f'{NODE}/joint_trajectory_in', 1)
         self._payloads = publish(InertiaStamped, f'{NODE}/payload', 1)
         self._wrenches = publish(WrenchStamped, f'{NODE}/external_wrench', 1)
         self._gravities = publish(Vector3Stamped, f'{NODE}/gravity', 1)
@@ -109,19 +160,50 @@ class Robot:
         self._descriptions.publish(String(data=self.text))
         subscribe = self.node.create_subscription
         subscribe(Float64MultiArray, f'{NODE}/commands', self._on_command, 100)
-        for name in OUTPUTS:
-            subscribe(JointState, f'{NODE}/{name}', lambda _, name=name: self._count(name), 10)
+        for name, kind in OUTPUTS.items():
+            qos = LATCHED if kind is String else 10
+            subscribe(kind, name, self._reader(name), qos, raw=True)
+        # Subscriptions come and go on a node that no executor knows: their events could crash it.
+        self.reader = rclpy.create_node('reader')
+        self._subscription: Any = None
+        self._topics = itertools.cycle(IN_TURN)
+        self._read_next()
+        self.node.create_timer(TURN, self._read_next)
         self.node.create_timer(1.0 / rate, self._publish_state)
         self.node.create_timer(0.01, self._publish_inputs)
         self.node.create_timer(0.5, self._change)
+        self.node.create_timer(1.0, self._sample)
 
     def begin_quarter(self) -> None:
-        """Forget the latencies and gaps."""
+        """Forget the latencies, gaps and samples."""
         self.latencies: list[float] = []
-        self.gaps = self.own_gaps = 0
+        self.states = self.commands = self.gaps = 0
+        self.longest = self.longest_own = 0.0
+        self.samples: list[tuple[float, float, int, int]] = []
 
-    def _count(self, name: str) -> None:
-        self.outputs[name] += 1
+    def _reader(self, name: str) -> Any:
+        def count(data: bytes) -> None:
+            self.outputs[name] += 1
+
+        def read(data: bytes) -> None:
+            self.outputs[name] += 1
+            self._on_external_efforts(data)
+
+        return read if name == f'{NODE}/external_efforts' else count
+
+    def _read_next(self) -> None:
+        """Subscribe to the next of the outputs that are read in turn."""
+        if self._subscription is not None:
+            self.reader.destroy_subscription(self._subscription)
+        self._topic = next(self._topics)
+        self._subscription = self.reader.create_subscription(
+            IN_TURN[self._topic], self._topic, lambda _: None, 100, raw=True
+        )
+
+    def _take(self) -> None:
+        subscription = self._subscription.handle
+        while subscription.take_message(IN_TURN[self._topic], True) is not None:
+            self.outputs[self._topic] += 1
 
     def _motion(self) -> tuple[Any, Any]:
         phases = 0.7 * time.monotonic() + np.arange(7.0)
@@ -130,12 +212,18 @@ class Robot:
     def _publish_state(self) -> None:
         q, qd = self._motion()
         self._state.position, self._state.velocity = q.tolist(), qd.tolist()
+        # The node repeats this number in the external efforts, from which the latency is known.
+        self._number = (self._number + 1) % NUMBERS
+        self._state.effort = [0.0] * 6 + [STEP * self._number]
         now = time.monotonic()
-        self.own_gaps += now - self._sent > GAP
-        self._sent = now
+        if now - self._sent > self.longest_own:
+            self.longest_own = now - self._sent
+        self._sent = self._times[self._number] = now
+        self.states += 1
         self._states.publish(self._state)
 
     def _publish_inputs(self) -> None:
+        self._take()
         q, qd = self._motion()
         accelerations = 0.2 * self.random.normal(size=7)
         point = JointTrajectoryPoint(positions=q, velocities=qd, accelerations=accelerations)
@@ -148,45 +236,77 @@ class Robot:
 
     def _change(self) -> None:
         """Change one thing after the other."""
-        self.changes += 1
-        turn = self.changes % 4
+        self._turn += 1
+        turn = self._turn % 4
         if turn == 0:
             load = InertiaStamped()
             load.header.frame_id = self.model.link_names[-1]
             load.inertia.m = float(self.random.choice([0.0, 0.5, 1.0]))
             self._payloads.publish(load)
+            self.changes['payloads'] += 1
         elif turn == 1:
             gravity = Vector3Stamped()
             gravity.vector.x, gravity.vector.z = float(self.random.normal(scale=0.5)), -9.8
             self._gravities.publish(gravity)
+            self.changes['gravities'] += 1
         elif turn == 2:
-            self._set_parameter()
-        elif self.changes % 20 == 3:
-            factor = self.random.uniform(0.9, 1.1)
-            text = re.sub(
-                r'<mass value="([\d.]+)"',
-                lambda found: f'<mass value="{factor * float(found[1]):.6f}"',
-                self.text,
-            )
-            self._descriptions.publish(String(data=text))
+            self._set_parameters(str(self.random.choice(list(PARAMETERS))))
+        elif self._turn % 20 == 3:
+            self._publish_description()
+        elif self._turn % 20 == 11:
+            self._publish_trajectory()
 
-    def _set_parameter(self) -> None:
-        name = str(self.random.choice(list(PARAMETERS)))
-        choices = PARAMETERS[name]
-        value = choices[int(self.random.integers(len(choices)))]
-        request = SetParameters.Request(
-            parameters=[Parameter(name, value=value).to_parameter_msg()]
+    def _publish_description(self) -> None:
+        factor = self.random.uniform(0.9, 1.1)
+        text = re.sub(
+            r'<mass value="([\d.]+)"',
+            lambda found: f'<mass value="{factor * float(found[1]):.6f}"',
+            self.text,
         )
+        self._descriptions.publish(String(data=text))
+        self.changes['descriptions'] += 1
+
+    def _publish_trajectory(self) -> None:
+        message = JointTrajectory(joint_names=self.model.joint_names)
+        for k in range(200):
+            point = JointTrajectoryPoint(positions=0.5 * np.sin(0.02 * k + np.arange(7.0)))
+            point.time_from_start.sec, point.time_from_start.nanosec = divmod(10**7 * k, 10**9)
+            message.points.append(point)
+        self._trajectories.publish(message)
+        self.changes['trajectories'] += 1
+
+    def _set_parameters(self, name: str) -> None:
+        choices = PARAMETERS[name]
+        self.set(name, choices[int(self.random.integers(len(choices)))])
+        self.changes['parameters'] += 1
+
+    def set(self, name: str, value: Any) -> None:
+        """Set a parameter; check the answers to earlier requests."""
+        for answer in self._answers:
+            if answer.done() and not answer.result().results[0].successful:
+                raise SoakError(f'a parameter is refused: {answer.result().results[0].reason}')
         self._answers = [answer for answer in self._answers if not answer.done()]
-        self._answers.append(self._set.call_async(request))
         if len(self._answers) > 20:
             raise SoakError(f'{len(self._answers)} requests have no answer')
+        message = Parameter(name, value=value).to_parameter_msg()
+        self._answers.append(self._set.call_async(SetParameters.Request(parameters=[message])))
+
+    def prepare(self) -> None:
+        """Wait for commands and services, and let the external efforts follow at once."""
+        self.spin(PATIENCE, lambda: any(self.last) and self._set.service_is_ready())
+        if not any(self.last):
+            raise SoakError(f'no command within {PATIENCE:g} s')
+        self.set('external_efforts_cutoff', 10000.0)
+        self.spin(2.0)
+        self.begin_quarter()
 
     def _on_command(self, message: Float64MultiArray) -> None:
         now = time.monotonic()
-        self.gaps += now - self._received > GAP
-        self._received = now
-        self.latencies.append(now - self._sent)
+        self.commands += 1
+        gap, self._received = now - self._received, now
+        if gap > self.longest:
+            self.longest = gap
+        self.gaps += gap > GAP
         self.last = list(message.data)
         if len(self.last) != len(self.model.joint_names):
             raise SoakError(f'a command has {len(self.last)} efforts')
@@ -195,71 +315,105 @@ class Robot:
         if (np.abs(self.last) > self.model.effort_limits).any():
             raise SoakError(f'a command exceeds the limits: {self.last}')
 
+    def _on_external_efforts(self, data: bytes) -> None:
+        """Note the latency of the command that the node sent just before these efforts."""
+        number = round(struct.unpack_from('<d', data, len(data) - 8)[0] / STEP) % NUMBERS
+        latency = self._received - self._times[number]
+        if latency > 0.0:  # otherwise this command is lost
+            self.latencies.append(latency)
+
+    def _sample(self) -> None:
+        process = Path(f'/proc/{self._pid}')
+        self.samples.append(
+            (
+                processes.resident(self._pid),
+                sum(map(processes.resident, processes.children(self._pid))),
+                len(list((process / 'task').iterdir())),
+                len(list((process / 'fd').iterdir())),
+            )
+        )
+
     def spin(self, duration: float, is_over: Any = lambda: False) -> None:
         """Publish for some time [s], or until something is true."""
         end = time.monotonic() + duration
         while time.monotonic() < end and not is_over():
             self.executor.spin_once(timeout_sec=0.1)
 
-    def measure(self, pid: int) -> Quarter:
+    def measure(self) -> Quarter:
         """Return what was measured since the begin of the quarter, and begin another."""
+        self._sample()
         latencies = 1000.0 * np.array(self.latencies or [math.nan])
-        process = Path(f'/proc/{pid}')
-        pages = int((process / 'statm').read_text().split()[1])
+        memory, child_memory, _, _ = np.median(self.samples, axis=0)
         quarter = Quarter(
-            len(self.latencies),
+            self.states,
+            self.commands,
             float(np.median(latencies)),
             float(np.quantile(latencies, 0.99)),
             self.gaps,
-            self.own_gaps,
-            pages * os.sysconf('SC_PAGE_SIZE') / 2**20,
-            len(list((process / 'task').iterdir())),
-            len(list((process / 'fd').iterdir())),
+            1000.0 * self.longest,
+            1000.0 * self.longest_own,
+            float(memory),
+            float(child_memory),
+            min(sample[2] for sample in self.samples),
+            min(sample[3] for sample in self.samples),
         )
         self.begin_quarter()
         return quarter
 
 
-def run(seconds: float, rate: float, output: Any) -> list[Quarter]:
-    """Run the node; return the measurements of each quarter."""
-    node = subprocess.Popen(
-        [sys.executable, '-m', 'inverse_dynamics_node.node.main'], stdout=output, stderr=output
+def run(seconds: float, rate: float, log: Any) -> Robot:
+    """Run the node and print the measurements of each quarter; raise a SoakError if they fail."""
+    node = processes.start(
+        ['inverse_dynamics_node.node.main'], stdin=subprocess.DEVNULL, stdout=log, stderr=log
     )
-    robot = Robot(rate)
+    robot = None
     try:
-        robot.spin(PATIENCE, lambda: any(robot.last))
-        if not any(robot.last):
-            raise SoakError(f'no command within {PATIENCE:g} s')
-        robot.spin(2.0)
-        robot.begin_quarter()
-        quarters = []
-        for _ in range(4):
+        robot = Robot(rate, node.pid)
+        robot.prepare()
+        begin = os.fstat(log.fileno()).st_size  # before, messages find no robot
+        print(HEAD)
+        quarters: list[Quarter] = []
+        for number in range(1, 5):
             robot.spin(0.25 * seconds, lambda: node.poll() is not None)
             if node.poll() is not None:
                 raise SoakError(f'the node ended with code {node.returncode}')
-            quarters.append(robot.measure(node.pid))
+            quarters.append(robot.measure())
+            print(f'| {number} | {quarters[-1]}', flush=True)
         node.send_signal(signal.SIGTERM)
         robot.spin(PATIENCE, lambda: node.poll() is not None)
         robot.spin(0.2)
-        check(robot, quarters, node.returncode)
+        log.seek(begin)
+        check(robot, quarters, node.returncode, log.readlines())
     finally:
-        node.terminate()
-        node.wait(PATIENCE)
-        robot.executor.shutdown()
-        robot.node.destroy_node()
-    return quarters
+        processes.end([node])
+        if robot:
+            robot.executor.shutdown()
+            robot.node.destroy_node()
+            robot.reader.destroy_node()
+    return robot
 
 
-def check(robot: Robot, quarters: list[Quarter], code: int | None) -> None:
+def check(robot: Robot, quarters: list[Quarter], code: int | None, lines: list[str]) -> None:
     """Raise a SoakError unless the node has ended well, and nothing has accumulated."""
-    first, last = quarters[0], quarters[-1]
+    first, second, _, last = quarters
     problems = [f'no message on {name}' for name, count in robot.outputs.items() if not count]
     if code != 0 or any(robot.last):
         problems.append(f'it ended with code {code}, and the last command was {robot.last}')
-    if last.memory - first.memory > MOST_GROWTH:
-        problems.append(f'the memory grew by {last.memory - first.memory:.0f} MB')
+    for what, growth in (
+        ('the node', last.memory - first.memory),
+        # At first, it touches more and more of the pages that it shares with the node.
+        ('its child', last.child_memory - second.child_memory),
+    ):
+        if growth > MOST_GROWTH:
+            problems.append(f'the memory of {what} grew by {growth:.0f} MB')
     if last.threads > first.threads or last.files > first.files:
         problems.append('threads or files have accumulated')
+    for number, each in enumerate(quarters, start=1):
+        if each.longest > 1000.0 * LONGEST_GAP + each.longest_own:
+            problems.append(f'no command for {each.longest:.0f} ms in quarter {number}')
+        if math.isnan(each.latency):
+            problems.append(f'no external efforts in quarter {number}')
+    problems += [line.strip() for line in lines if any(fault in line for fault in FAULTS)][:5]
     if problems:
         raise SoakError('; '.join(problems))
 
@@ -267,25 +421,33 @@ def check(robot: Robot, quarters: list[Quarter], code: int | None) -> None:
 def main() -> int:
     """Run the node and print a table with a verdict; return the exit code."""
     parser = argparse.ArgumentParser(prog='make soak', description=__doc__)
-    parser.add_argument('--minutes', type=float, default=60.0)
+    parser.add_argument('--minutes', type=float, default=60.0, help='at least 0.3')
     parser.add_argument('--rate', type=float, default=1000.0, help='of joint states [Hz]')
     options = parser.parse_args()
+    processes.heed_signals()
+    before = machine.describe(machine.ROS_PACKAGES)
+    priorities.raise_robot_side()
     with domain_id() as domain, tempfile.NamedTemporaryFile('w+', suffix='.log') as log:
         os.environ['ROS_DOMAIN_ID'] = str(domain)
-        rclpy.init(args=[])
+        start_ros([])
         try:
-            quarters = run(60.0 * options.minutes, options.rate, log)
+            robot = run(60.0 * options.minutes, options.rate, log)
         except SoakError as failure:
             log.seek(0)
             print(f'{log.read()[-3000:]}\nFAILED: {failure}', file=sys.stderr)
             return 1
+        except KeyboardInterrupt:
+            print('interrupted', file=sys.stderr)
+            return 130
         finally:
             rclpy.shutdown()
-    print(HEAD)
-    for number, each in enumerate(quarters, start=1):
-        values = [str(value if isinstance(value, int) else round(value, 2)) for value in each]
-        print(f'| {number} | {" | ".join(values)} |')
-    print(f'Nothing accumulated in {options.minutes:g} minutes, and the node ended with zeros.')
+    print(f'\n{before} Load {machine.load()} at the end.')
+    print(f'Changes: {", ".join(f"{n} {name}" for name, n in robot.changes.items())}.')
+    print(f'Messages of the other outputs: {sum(robot.outputs.values())}.')
+    print(
+        f'Nothing accumulated in {options.minutes:g} minutes at {options.rate:g} Hz. Each command '
+        'was complete, finite and within its limits; the node ended with zeros.'
+    )
     return 0
 
 

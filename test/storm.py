@@ -34,6 +34,8 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 LATCHED = QoSProfile(
     depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )  # compatible with all subscriptions
+STOCK = 50  # messages of each topic, one of which is replaced after every ROUNDS
+ROUNDS = 100  # of one message to each topic
 BAD_NUMBERS = [np.nan, np.inf, -np.inf, 1e300, -1e300, 5e-324, 0.0]
 TEXTS = ['', 'link_1', 'link_6', 'nowhere', 'x' * 10000, 'line\nfeed', '\u00fc\u4e2d\U0001f916']
 
@@ -142,31 +144,34 @@ class Weather:
 
 
 def storm(messages, seconds, seed, name, joints):
-    """Publish; return how many messages were sent to each topic."""
+    """Publish; return how many messages were sent, and how long it took [s]."""
     rng = np.random.default_rng(seed)
     weather = Weather(rng, joints)
     node = rclpy.create_node(f'storm_{seed}')
     sources = []
     for kind, topic, make in weather.topics(name):
-        stock = [serialize_message(make()) for _ in range(50)]
+        stock = [serialize_message(make()) for _ in range(STOCK)]
         # Bytes that are not a message of this type.
         stock.append(b'\x00\x01\x00\x00' + rng.bytes(40))
-        sources.append((node.create_publisher(kind, topic, LATCHED), stock))
+        sources.append((node.create_publisher(kind, topic, LATCHED), stock, make))
     deadline = time.monotonic() + seconds
-    while not all(publisher.get_subscription_count() for publisher, _ in sources):
+    while not all(publisher.get_subscription_count() for publisher, *_ in sources):
         if time.monotonic() > deadline:
             break
         time.sleep(0.02)
     print('all subscriptions are found', flush=True)
-    sent = 0
+    sent, began = 0, time.monotonic()
     try:
         while sent < messages and time.monotonic() < deadline:
-            for publisher, stock in sources:
-                publisher.publish(stock[int(rng.integers(len(stock)))])
-                sent += 1
+            for row in rng.integers(STOCK + 1, size=(ROUNDS, len(sources))).tolist():
+                for (publisher, stock, _), k in zip(sources, row, strict=True):
+                    publisher.publish(stock[k])
+            sent += ROUNDS * len(sources)
+            for _, stock, make in sources:
+                stock[int(rng.integers(STOCK))] = serialize_message(make())
     finally:
         node.destroy_node()
-    return sent
+    return sent, time.monotonic() - began
 
 
 def main():
@@ -180,8 +185,10 @@ def main():
     # SIGTERM ends it cleanly: a process that is killed leaves its shared memory behind.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit())
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    sent = storm(options.messages, options.seconds, options.seed, options.node, options.joints)
-    print(f'sent {sent}', flush=True)
+    sent, took = storm(
+        options.messages, options.seconds, options.seed, options.node, options.joints
+    )
+    print(f'sent {sent} in {took:.3f} s', flush=True)
     rclpy.shutdown()
 
 

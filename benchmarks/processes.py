@@ -1,0 +1,104 @@
+"""Processes that a long measurement starts, and what is known of them from outside."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+import contextlib
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import time
+from types import FrameType
+from typing import Any, NamedTuple
+
+from . import priorities
+
+PATIENCE = 30.0  # [s]; for a process to end after SIGTERM
+
+
+class Memory(NamedTuple):
+    """Memory of a process and of its children [MB]."""
+
+    resident: float
+    """Of the process alone, with what it shares."""
+    proportional: float
+    """With its part of the pages that it shares with others."""
+    unique: float
+    """Pages that nobody else uses."""
+
+
+def heed_signals() -> None:
+    """Let SIGTERM and SIGHUP end this program as Ctrl-C does, with all its ``finally`` blocks."""
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, interrupt)
+
+
+def start(
+    module: Sequence[str], prepare: Callable[[], None] = priorities.normal, **options: Any
+) -> subprocess.Popen[str]:
+    """
+    Start a Python module, given with its arguments, at normal priority.
+
+    Ctrl-C does not reach it: this program ends it.
+
+    """
+    return subprocess.Popen(
+        [sys.executable, '-m', *module],
+        preexec_fn=prepare,
+        start_new_session=True,
+        text=True,
+        **options,
+    )
+
+
+def end(processes: Sequence[subprocess.Popen[Any]]) -> None:
+    """End processes; SIGTERM first, so that they remove their shared memory."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)  # the next Ctrl-C would leave some of them behind
+    for process in processes:
+        process.terminate()
+    for process in processes:
+        try:
+            process.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def cpu_time(pid: int) -> float:
+    """Return the CPU time of all threads of a process [s]."""
+    return time.clock_gettime((~pid << 3) | 2)  # clock_getcpuclockid(3)
+
+
+def memory(pid: int) -> Memory:
+    """Return the memory of a process and of its children."""
+    own = _sizes(pid)
+    all_of_them = [own, *map(_sizes, children(pid))]
+    unique = sum(each['Private_Clean'] + each['Private_Dirty'] for each in all_of_them)
+    return Memory(own['Rss'], sum(each['Pss'] for each in all_of_them), unique)
+
+
+def children(pid: int) -> list[int]:
+    """Return the processes that a process has started."""
+    found = []
+    for path in Path(f'/proc/{pid}/task').iterdir():
+        with contextlib.suppress(OSError):  # the thread has ended
+            found += [int(each) for each in (path / 'children').read_text().split()]
+    return found
+
+
+def resident(pid: int) -> float:
+    """Return the memory that a process occupies [MB]."""
+    pages = int(Path(f'/proc/{pid}/statm').read_text().split()[1])
+    return pages * os.sysconf('SC_PAGE_SIZE') / 2**20
+
+
+def _sizes(pid: int) -> dict[str, float]:
+    lines = Path(f'/proc/{pid}/smaps_rollup').read_text().splitlines()[1:]
+    return {line.split(':')[0]: int(line.split()[1]) / 1024 for line in lines}
