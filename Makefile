@@ -29,7 +29,7 @@ CLEAN := env -u PYTHONDONTWRITEBYTECODE -u PYTHONPATH -u LD_LIBRARY_PATH \
     -u ROS_LOCALHOST_ONLY -u ROS_SECURITY_ENABLE -u ROS_SECURITY_STRATEGY \
     ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
 
-.PHONY: demo test test-all test-plain test-oldest lint bench bench-loop storm soak network-faults \
+.PHONY: demo test test-all test-plain test-oldest lint bench bench-loop storm soak arms network-faults \
     mutation parameters pictures doc release clean
 
 demo: $(VENV)/demo.done
@@ -108,13 +108,17 @@ bench: $(VENV)/bench.done
 bench-loop: $(VENV)/test.done
 	@$(CLEAN) PYTHONPATH=test $(BIN)/python -m benchmarks.loop --doc doc/evidence $(ARGS)
 
-# Sends a million messages, most of them invalid; ARGS='--messages 100000' sends fewer.
+# Sends a million messages, most of them invalid; ARGS='--messages 10000000' sends more.
 storm: $(VENV)/test.done
 	@$(CLEAN) PYTHONPATH=test $(BIN)/python -m benchmarks.storm $(ARGS)
 
 # An hour with references, loads, descriptions and parameters that change; ARGS='--minutes 1' is shorter.
 soak: $(VENV)/test.done
 	@$(CLEAN) PYTHONPATH=test $(BIN)/python -m benchmarks.soak $(ARGS)
+
+# Runs ten arms at 200 Hz on this machine; ARGS='--arms 5 --rate 500 --seconds 20' runs others.
+arms: $(VENV)/test.done
+	@$(CLEAN) PYTHONPATH=test $(BIN)/python -m benchmarks.arms $(ARGS)
 
 # Runs node and driver on two network namespaces, with lost and late packets and outages between them.
 network-faults: $(VENV)/test.done

@@ -84,6 +84,11 @@ def memory(pid: int) -> Memory:
     return Memory(own['Rss'], sum(each['Pss'] for each in all_of_them), unique)
 
 
+def total(memories: Sequence[Memory]) -> Memory:
+    """Add memories."""
+    return Memory(*map(sum, zip(*memories, strict=True)))
+
+
 def children(pid: int) -> list[int]:
     """Return the processes that a process has started."""
     found = []
