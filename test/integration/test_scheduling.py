@@ -123,10 +123,11 @@ def test_the_loop_and_the_middleware_get_the_priority_and_others_do_not(run_node
 
 
 BUSY = """
-import os
-from inverse_dynamics_node.node.scheduling import Scheduling
+import os, time
+from inverse_dynamics_node.node import scheduling
 from inverse_dynamics_node.node.runner import Watchdog
-scheduling = Scheduling()
+scheduling._WINDOW = scheduling._CALM_WINDOW = 0.3
+scheduling = scheduling.Scheduling()
 watchdog = Watchdog()
 print(scheduling.apply(50, (), False, watchdog.native_id))
 print(os.sched_getscheduler(0))
@@ -134,23 +135,29 @@ while not (report := scheduling.limit_time()):
     pass
 print(os.sched_getscheduler(0), os.sched_getscheduler(watchdog.native_id))
 print(report, scheduling.status().level.name)
+while not (report := scheduling.limit_time()):
+    time.sleep(0.01)
+print(os.sched_getscheduler(0), os.sched_getscheduler(watchdog.native_id))
+print(report, scheduling.status().level.name)
 os._exit(0)
 """
 
 
 @needs_permission
-def test_a_loop_that_never_sleeps_loses_the_priority():
+def test_a_loop_that_never_sleeps_loses_the_priority_until_it_sleeps():
     """It would leave hardly any time to other programs, and the kernel would pause it."""
     busy = subprocess.Popen([sys.executable, '-c', BUSY], stdout=subprocess.PIPE, text=True)
     try:
         output, _ = busy.communicate(timeout=PATIENCE)
     finally:
         busy.kill()
-    applied, before, after, report = output.splitlines()
+    applied, before, after, report, later, again = output.splitlines()
     assert 'SCHED_FIFO priority 50' in applied
     assert (before, after) == (f'{os.SCHED_FIFO}', f'{os.SCHED_OTHER} {os.SCHED_OTHER}')
     assert '% of a CPU, expected at most 90 %; reduce the rates' in report
     assert report.endswith('WARN')
+    assert later == f'{os.SCHED_FIFO} {os.SCHED_FIFO}'
+    assert again == 'SCHED_FIFO again: the process needs less CPU time OK'
 
 
 def test_without_permission_the_node_works_and_says_what_to_do(run_node, robot):
