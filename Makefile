@@ -1,5 +1,6 @@
-# `make demo`, `make test`, `make bench`, `make bench-loop`, `make storm` and `make mutation` set up
-# .venv and run. ARGS='...' is passed on: `make test ARGS=test/unit` runs some of the tests.
+# `make demo`, `make test`, `make bench`, `make bench-loop`, `make storm`, `make soak`, `make arms` and
+# `make mutation` set up .venv and run. ARGS='...' is passed on: `make test ARGS=test/unit` runs some
+# of the tests.
 
 PYTHON ?= python3
 ROBOT ?= config/stanford.urdf
