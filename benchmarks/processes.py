@@ -76,6 +76,15 @@ def cpu_time(pid: int) -> float:
     return time.clock_gettime((~pid << 3) | 2)  # clock_getcpuclockid(3)
 
 
+def waiting_times(pid: int) -> dict[str, float]:
+    """Return how long each thread of a process has waited for a CPU [s], by its number."""
+    found = {}
+    for path in Path(f'/proc/{pid}/task').iterdir():
+        with contextlib.suppress(OSError):  # the thread has ended
+            found[path.name] = 1e-9 * int((path / 'schedstat').read_text().split()[1])
+    return found
+
+
 def memory(pid: int) -> Memory:
     """Return the memory of a process and of its children."""
     own = _sizes(pid)

@@ -118,7 +118,7 @@ class Quarter(NamedTuple):
     child_memory: float
     """The same of the process that reads robot descriptions and trajectories [MB]."""
     threads: int
-    """The lowest number; some exist for a moment only."""
+    """The median; some exist for a moment only."""
     files: int
 
     def __str__(self) -> str:
@@ -343,7 +343,7 @@ class Robot:
         """Return what was measured since the begin of the quarter, and begin another."""
         self._sample()
         latencies = 1000.0 * np.array(self.latencies or [math.nan])
-        memory, child_memory, _, _ = np.median(self.samples, axis=0)
+        memory, child_memory, threads, files = np.median(self.samples, axis=0)
         quarter = Quarter(
             self.states,
             self.commands,
@@ -354,8 +354,8 @@ class Robot:
             1000.0 * self.longest_own,
             float(memory),
             float(child_memory),
-            min(sample[2] for sample in self.samples),
-            min(sample[3] for sample in self.samples),
+            round(threads),
+            round(files),
         )
         self.begin_quarter()
         return quarter
