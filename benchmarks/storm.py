@@ -180,7 +180,7 @@ def run(messages: int, seconds: float, log: Any) -> tuple[dict[str, str], list[s
         lines = [storm.stdout for storm in storms[2:]]
         robot.wait(lambda: len(select.select(lines, (), (), 0.0)[0]) == 2, 'the second storm')
         sent_before = robot.commands
-        robot.wait(lambda: robot.commands > sent_before + 300, 'commands during the storm')
+        robot.wait(lambda: robot.commands > sent_before + 50, 'commands during the storm')
         waiting = Waiting(node.pid)
         robot.is_publishing = False
         zeros = robot.wait(
