@@ -172,7 +172,7 @@ class Robot:
         self.node.create_timer(1.0 / rate, self._publish_state)
         self.node.create_timer(0.01, self._publish_inputs)
         self.node.create_timer(0.5, self._change)
-        self.node.create_timer(1.0, self._sample)
+        self.sampling = self.node.create_timer(1.0, self._sample)
 
     def begin_quarter(self) -> None:
         """Forget the latencies, gaps and samples."""
@@ -379,6 +379,7 @@ def run(seconds: float, rate: float, log: Any) -> Robot:
                 raise SoakError(f'the node ended with code {node.returncode}')
             quarters.append(robot.measure())
             print(f'| {number} | {quarters[-1]}', flush=True)
+        robot.sampling.cancel()  # a process that has ended has no memory
         node.send_signal(signal.SIGTERM)
         robot.spin(PATIENCE, lambda: node.poll() is not None)
         robot.spin(0.2)
