@@ -1,7 +1,7 @@
 """
 External loads as time passes: payloads, wrenches, gravity and the motion of the base.
 
-Payloads and gravity change along a ramp, so that the efforts do not jump. Wrenches and the motion
+Payloads and gravity change over a ramp, so that the efforts do not jump. Wrenches and the motion
 of the base apply at once, and fade out or are held when they stop coming. A ramp keeps the time
 with which it began, and neither changed settings nor jumps of the clock turn it back. No ROS, and
 no clock: time is an argument.
@@ -175,7 +175,7 @@ class ExternalLoads:
 
     def set_gravity(self, gravity: ArrayLike) -> None:
         """
-        Set gravity, along a ramp.
+        Set gravity, over a ramp.
 
         Parameters
         ----------

@@ -150,7 +150,7 @@ class Controller:
 
     @property
     def gain(self) -> float:
-        """Factor of the computed efforts: rises from 0 to 1 along the start ramp."""
+        """Factor of the computed efforts: rises from 0 to 1 over the start ramp."""
         return self._shaper.gain
 
     @property

@@ -86,8 +86,9 @@ class Settings:
     mode: Mode = setting(
         Mode.INVERSE_DYNAMICS,
         'How the reference is used',
-        '`inverse_dynamics` uses its accelerations. `computed_torque` adds feedback of position '
-        'and velocity. `gravity_compensation` ignores it: the arm floats, for hand guiding. In '
+        '`inverse_dynamics` uses the accelerations of the reference. `computed_torque` adds '
+        'feedback of position and velocity. `gravity_compensation` ignores the reference: the '
+        'arm floats, for hand guiding. In '
         '`joint_impedance`, a spring and a damper hold each joint at the reference, or where '
         'it is',
     )
@@ -200,7 +201,7 @@ class Settings:
     )
     stop_timeout: float = setting(
         20.0,
-        'Longest time of `stop_damping`, which fades within `stop_ramp` then',
+        'Longest time of `stop_damping`, which then fades within `stop_ramp`',
         'Used from the next stop on',
         unit='s',
         minimum=0.0,
@@ -238,7 +239,8 @@ class LoadSettings:
     imu_timeout: float = setting(
         0.2,
         'Time without a message on `imu` after which the motion of the base is lost',
-        'While it is lost, gravity stays as it was, and the angular velocity is taken as zero',
+        'While the motion is lost, gravity stays as it was, and the angular velocity is taken as '
+        'zero',
         unit='s',
         minimum=0.005,
         maximum=60.0,

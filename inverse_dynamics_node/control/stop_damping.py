@@ -39,7 +39,7 @@ class StopDamping:
 
     The damping is ``-r D M(q) qd`` for the commanded joints: each velocity decays at the rate D,
     and gravity makes the arm sink at the speed at which both are equal. The factor r rises from 0
-    to 1 along the stop ramp. The damping lasts until the arm is at rest, or a time has passed.
+    to 1 over the stop ramp. The damping lasts until the arm is at rest, or a time has passed.
 
     It never drives the arm: its power is never positive, and all that follows from one joint state
     together takes away less than the velocity that was measured. It ends at once when joint states

@@ -49,7 +49,7 @@ class DryRun:
     Decides which efforts are sent: the computed ones, or in a dry run none.
 
     A receiver holds the last command forever. At the begin of a dry run, the commands therefore
-    fall from the last one to zero along the stop ramp, and zeros follow for half a second. After
+    fall from the last one to zero over the stop ramp, and zeros follow for half a second. After
     that nothing is sent, so that another node may command the robot. The computed efforts are not
     affected.
 

@@ -144,8 +144,8 @@ class Configuration(Settings, LoadSettings):
     measured_gravity: MeasuredGravity = parameter(
         MeasuredGravity.AS_COMMANDED.value,
         'Whether the measured efforts contain gravity',
-        '`as_commanded`: if `include_gravity` is true. Franka and KUKA FRI measure with gravity, '
-        'but add it to commands: `included`, and `include_gravity` false. Used by '
+        '`as_commanded`: they do if `include_gravity` is true. Franka and KUKA FRI measure with '
+        'gravity, but add it to commands: `included`, and `include_gravity` false. Used by '
         '`~/external_efforts`, `inverse_dynamics watch` and `compare`; commands do not depend on '
         'it',
     )
@@ -183,10 +183,10 @@ class Configuration(Settings, LoadSettings):
     )
     load_friction: PerJoint = parameter(
         0.0,
-        'Increase of Coulomb friction per load on the gear: 0.05 is 5 % of it',
+        'Increase of Coulomb friction per load on the gear: 0.05 adds 5 % of the load',
         'The load is the effort that moves and holds the links, payloads, springs and external '
-        'wrenches included. `armature` and friction are on the side of the motor and are no part '
-        'of it',
+        'wrenches included. `armature` and friction are on the side of the motor and are not '
+        'part of it',
         minimum=0.0,
         maximum=10.0,
     )

@@ -48,7 +48,7 @@ class Services:
             return response
         self._runner.enable(is_enabled=request.data)
         response.success = True
-        response.message = f'efforts {"rise" if request.data else "fall to zero"} along the ramp'
+        response.message = f'efforts {"rise" if request.data else "fall to zero"} over the ramp'
         if loop.dry_run.is_active:
             response.message += ' (dry run: nothing is sent)'
         self._logger.info(response.message)

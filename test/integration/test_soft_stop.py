@@ -261,7 +261,7 @@ def test_an_arm_is_parked(domain_id, run_node, robot):
         robot.wait_until(lambda: parking.poll() is not None, 'end of the example')
         output, _ = parking.communicate(PATIENCE)
         assert parking.wait() == 0, output
-        assert 'parked: efforts fall to zero along the ramp' in output
+        assert 'parked: efforts fall to zero over the ramp' in output
         robot.wait_for_text(node, 'ramping efforts down: disabled by ~/enable')
         at = dict(zip(states[-1].name, states[-1].position, strict=True))
     assert (at['arm_2'], at['arm_4']) == pytest.approx((1.2, -0.6), abs=0.2)
