@@ -1,4 +1,4 @@
-"""What was identified as parameters of the node, in YAML."""
+"""Identified values, written as parameters of the node in YAML."""
 
 from __future__ import annotations
 

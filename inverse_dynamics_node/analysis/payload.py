@@ -3,8 +3,8 @@ The payload that a robot carries, from recordings with and without it.
 
 The efforts of two runs of one motion differ by those of the payload, which are linear in its ten
 inertial parameters. Wrong links, friction and offsets are in both runs, and cancel. Without an
-empty run, the links are unknowns as well, each as wrong as those of robot descriptions usually
-are: what they could pass off as a payload is then part of the standard error.
+empty run, the links are unknowns as well, with the usual errors of robot descriptions. What these
+errors could add to the payload is then part of the standard error.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ WIDTH = 0.05  # [rad/s or m/s] over which Coulomb friction is smoothed
 GAIN = 0.01  # relative error of the gain of each measured effort
 GAIN_ALONE = 0.05  # the same without an empty run, where it acts on the weight of the arm
 LINK_ERROR = 0.15  # relative error of the masses of links, and of their distribution
-APPARENT = 0.25  # [kg] that empty arms seem to carry: 0.02 to 0.44 on eleven real ones
+APPARENT = 0.25  # [kg] that empty arms seem to carry; 0.02 to 1.5 on real ones
 REACH_OF_LINKS = 0.1  # [m] from the link to where this seems to be
 RADIUS = 0.05  # [m]; radius of gyration of a payload, where the recording does not show it
 REACH = 0.5  # [m] within which the centre of mass of a payload is
@@ -126,7 +126,7 @@ class _Rows(NamedTuple):
     terms: Floats
     """Of each joint alone, (R, m, t): offset, drift, friction."""
     arm: Floats
-    """Modelled efforts that a wrong gain multiplies besides those of the payload."""
+    """Modelled efforts of the arm, which a wrong gain multiplies too."""
     target: Floats
     """Efforts to explain."""
     block: Integers

@@ -228,7 +228,9 @@ def _documents(text: str) -> Iterator[Any]:
         elif isinstance(event, yaml.AliasEvent):
             if event.anchor not in anchors:  # also if the alias is inside of what it refers to
                 line = event.start_mark.line + 1
-                raise TrajectoryError(f'line {line}: alias *{event.anchor} is not defined before')
+                raise TrajectoryError(
+                    f'line {line}: alias *{event.anchor} is used before it is defined'
+                )
             value, anchor = anchors[event.anchor], None
         elif isinstance(event, yaml.DocumentEndEvent):
             yield from content

@@ -204,7 +204,7 @@ def add_at(parser: CommandParser, which: str) -> None:
 
 
 def number(expected: str, is_valid: Callable[[float], bool]) -> Callable[[str], float]:
-    """Return the type of an option for numbers; what is expected is text for its errors."""
+    """Return the type of an option for numbers; its errors quote `expected`."""
 
     def parse(text: str) -> float:
         try:

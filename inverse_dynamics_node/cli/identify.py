@@ -1,4 +1,4 @@
-"""The command `identify`: recordings to a calibrated robot description."""
+"""The command `identify`: from recordings to a calibrated robot description."""
 
 from __future__ import annotations
 

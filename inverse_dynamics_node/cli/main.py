@@ -28,7 +28,7 @@ _COMMANDS = {
     'with recordings of a robot': {
         'compare': 'compare a recording with the model, fit friction, diagnose differences',
         'identify': 'calibrate a URDF: masses, friction and armature from recordings',
-        'payload': 'measure mass and centre of mass of a payload, with and without it',
+        'payload': 'measure a payload: its mass and centre of mass, from recordings',
     },
     'with ROS 2': {
         'watch': 'watch a running node: do model and robot agree?',

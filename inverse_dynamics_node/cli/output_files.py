@@ -180,7 +180,7 @@ def _identity(path: Path) -> object:
 
 
 def _files_of(source: Path) -> list[Path]:
-    """List the files of an input: if it is the folder of a recording, those in it."""
+    """List the files of an input; of a folder, the files of the recording in it."""
     if not source.is_dir():
         return [source]
     return [

@@ -62,7 +62,7 @@ def make_parser() -> CommandParser:
         '.mcap, .db3 or .csv file'
     )  # fmt: skip
     parser.add_argument(
-        '--empty', type=Path, metavar='RUN', help='recording of the same motion without it'
+        '--empty', type=Path, metavar='RUN', help='the same motion, recorded without the payload'
     )
     parser.add_argument(
         '--topic', help='topic of the joint states (default: the only one with efforts)'
@@ -80,7 +80,7 @@ def make_parser() -> CommandParser:
         const=True,
         type=node_name,
         metavar='NODE',
-        help='publish the payload to a running node, and wait until it has it (needs ROS 2; '
+        help='publish the payload to a running node, and wait until the node has it (needs ROS 2; '
         'default: the only node there is)',
     )
     arguments.add_picture(parser)
@@ -143,7 +143,7 @@ def _read(
 
 
 def _apply(result: PayloadEstimate, name: str | None, ros_arguments: Sequence[str]) -> str:
-    """Publish the payload to a node, and wait until it has it; return its full name."""
+    """Publish the payload to a node, and wait until the node has it; return its full name."""
     from ..ros.observer import Observer, observing_node  # needs ROS
     from ..ros.payload import apply_payload
 

@@ -285,7 +285,7 @@ def _convention(status: NodeStatus) -> GravityConvention:
 
 
 def next_time(due: float, period: float, now: float) -> float:
-    """Return when to act again: after a delay, such as that of the first model, not at once."""
+    """Return when to act again; after a delay, missed times are not made up for."""
     return due + period if due + period > now else now + period
 
 
@@ -353,7 +353,7 @@ def _not_found(wanted: str | None, names: list[str]) -> str:
 
 @contextmanager
 def _signals_raise() -> Iterator[None]:
-    """End as on Ctrl-C on SIGTERM and SIGHUP too, so that the terminal is restored."""
+    """Treat SIGTERM and SIGHUP like Ctrl-C, so that the terminal is restored."""
 
     def stop(number: int, _: Any) -> None:
         raise SystemExit(128 + number)

@@ -332,7 +332,7 @@ class CommandShaper:
         return are_finite
 
     def hold(self) -> None:
-        """Repeat the last command; if a limit was tightened, reduce it along a blend."""
+        """Repeat the last command; if a limit was tightened, reduce it over a blend."""
         elapsed = self.clock.step
         if self._way is _Way.FALLING:
             self._way, self._pause = _Way.HOLDING, math.inf

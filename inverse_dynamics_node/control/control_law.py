@@ -135,7 +135,7 @@ class ControlLaw:
         return self._efforts(state.q, qd, reference)
 
     def forget(self) -> None:
-        """Note that the last command was not computed."""
+        """Remember that the last command was not computed."""
         self._followed, self._has_last_inputs = None, False
 
     def release(self) -> None:

@@ -319,7 +319,7 @@ class JointStateCollector:
         return {self.joint_names[i]: float(now - self.times[i]) for i in np.flatnonzero(is_late)}
 
     def alternating(self) -> dict[str, tuple[float, float]]:
-        """Find joints whose positions alternate faster than they can move, with two of them."""
+        """Find joints whose positions alternate faster than they can move, with two positions."""
         found = alternating(self._tracks)
         return {self.joint_names[i]: positions for i, positions in found.items()}
 

@@ -189,8 +189,8 @@ def describe_imu_frame(loop: ControlLoop, frame: str, R_BS: Floats) -> str:
     if angle < _MISALIGNED:
         return ''
     return (
-        f"frame_id is '{frame}', which the robot description turns by {angle:.0f} degrees "
-        'against imu_orientation'
+        f"frame_id is '{frame}', whose orientation in the robot description differs from "
+        f'imu_orientation by {angle:.0f} degrees'
     )
 
 

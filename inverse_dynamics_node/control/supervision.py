@@ -48,7 +48,7 @@ class DryRun:
     """
     Decides which efforts are sent: the computed ones, or in a dry run none.
 
-    A receiver holds the last command forever. At the begin of a dry run, the commands therefore
+    A receiver holds the last command forever. At the start of a dry run, the commands therefore
     fall from the last one to zero over the stop ramp, and zeros follow for half a second. After
     that nothing is sent, so that another node may command the robot. The computed efforts are not
     affected.
@@ -138,7 +138,7 @@ class StateSupervisor:
     Decides whether efforts may be computed, and whether they are sent.
 
     They are not computed before the first complete joint state, while joint states are lost (too
-    old or inconsistent, or that until recently), and while the controller is stopped. Intermittent
+    old or inconsistent, now or until recently), and while the controller is stopped. Intermittent
     states would otherwise raise and lower the efforts again and again, which shakes the arm.
 
     """

@@ -30,7 +30,7 @@ _LOADS = ('include_gravity', *(each.name for each in fields(LoadSettings)))
 
 
 def make_loop(configuration: Configuration, robot: RobotModel, text: str) -> ControlLoop:
-    """Make the control loop as `build_loop` does; compile it, and make slow first calls."""
+    """Make the control loop as `build_loop` does; compile it, and make the slow first calls."""
     loop = build_loop(configuration, robot, text)
     loop.dynamics.gravity_efforts(np.zeros(len(loop.robot.joint_names)))
     complete(Trajectory(('x',), np.arange(2.0), np.zeros((2, 1))))  # imports the splines

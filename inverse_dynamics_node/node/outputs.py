@@ -110,7 +110,7 @@ class Outputs:
             self._publish_efforts(self._joint_efforts, loop.controller.joints, by_name)
 
     def describe_dry_run(self, to: str) -> str:
-        """Describe where efforts are published in a dry run, and `to` which topic they are not."""
+        """Describe where efforts are published in a dry run; `to` names the topic without them."""
         if self.may_command_by_name:
             by_name = self._joint_efforts.topic_name
             return f'are computed: dry run, nothing is sent {to}, nor to {by_name}'

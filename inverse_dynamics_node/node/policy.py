@@ -11,7 +11,7 @@ from .remaps import LIFECYCLE_SERVICES, NodeNames, PUBLISHED_BY_ROS
 _HEADER = """\
 <?xml version="1.0" encoding="UTF-8"?>
 <!-- Who may publish, subscribe to and call what. doc/security.md describes how to use this file,
-     and how to make one for other names. A node that misses one of its topics does not start. -->
+     and how to make one for other names. A node that may not use a topic does not start. -->
 """
 _TYPE_DESCRIPTION = '~/get_type_description'
 _SERVICES_OF_ROS = (

@@ -232,7 +232,7 @@ class LoopRunner:
             self.step(self.now())
 
     def _on_watch(self) -> None:
-        """Step while joint states are missing or lost, or efforts fall, unless others do."""
+        """Step if joint states are missing or lost, or if efforts fall and nothing else steps."""
         if self.loop is None:  # an event of a timer that has been destroyed was still queued
             return
         self._switch_loop()

@@ -67,7 +67,7 @@ def fill(loop: ControlLoop, data: bytes) -> Filled:
 
 class TrajectoryFiller:
     """
-    Publishes trajectories with the efforts that they take, on ``~/joint_trajectory_out``.
+    Publishes trajectories with the efforts that they require, on ``~/joint_trajectory_out``.
 
     Parameters
     ----------

@@ -57,7 +57,7 @@ def _agree(agreement: Agreement) -> str:
 def _few_joints(agreement: Agreement) -> str:
     count, total = agreement.numbers
     return (
-        f'model and robot agree in {count:.0f} of {total:.0f} joints only: '
+        f'model and robot agree in only {count:.0f} of {total:.0f} joints: '
         f'{_compared(agreement)}; move the arm to check the others'
     )
 

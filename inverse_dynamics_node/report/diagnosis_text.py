@@ -274,8 +274,8 @@ def _scale_advice(fault: Fault) -> str:
     if fault.is_same_factor:
         return 'The same factor for all joints is a different unit (1000: N mm): convert it.'
     return (
-        'They may be motor currents, or torques before the gears: divide by these factors (torque '
-        'constant times gear ratio is their inverse).'
+        'They may be motor currents, or torques before the gears: divide by these factors (each '
+        'is 1 / (torque constant * gear ratio)).'
     )
 
 
@@ -310,7 +310,7 @@ def _gravity_compensated_advice(fault: Fault) -> str:
     return (
         'Unless brakes hold the arm, the driver compensates gravity already: set '
         'include_gravity: false in the node. If gravity were compensated twice, the arm would '
-        'move upwards. If the driver leaves gravity out of what it measures only, set '
+        'move upwards. If the driver leaves gravity out of its measurements only, set '
         'measured_gravity: excluded.'
     )
 
@@ -331,9 +331,9 @@ def _offset_advice(fault: Fault) -> str:
     cause = 'A spring or a counterweight, which a URDF cannot describe, is another possible cause.'
     if fault.is_motor_side:
         return (
-            'The efforts contain the friction of the gears, so that they seem to come from motor '
-            f'currents: look for an offset of the current or for friction that differs between '
-            f'the directions. {cause}'
+            'The efforts contain the friction of the gears, so they are probably derived from '
+            'motor currents: look for an offset of the current, or for friction that differs '
+            f'between the directions. {cause}'
         )
     return f'Zero the torque sensors in a pose in which the modelled effort is zero. {cause}'
 

@@ -53,7 +53,8 @@ def friction_table(result: IdentificationResult) -> Table:
         'damping * velocity + (Coulomb + per load * |effort of the links|) * tanh(velocity / '
         'width) + armature * acceleration + offset, in N m, rad and s (prismatic joints: N, m, '
         's). Standard errors contain random errors and the spread between blocks of the '
-        'recordings. Joints without an armature or a load friction predict as well without it.',
+        'recordings. An armature or a load friction that does not improve the prediction is left '
+        'out.',
         *_extra_notes(result),
         *_gain_notes(result),
         *(

@@ -14,9 +14,9 @@ from .quantities import with_error
 from .tables import Table
 
 _WITHOUT_EMPTY = (
-    'Without an empty run, wrong links pass for a payload, 0.02 to 0.44 kg on eleven real robots. '
-    'Their part of the standard error is a guess: record the same motion without the payload, and '
-    'pass it as --empty.'
+    'Without an empty run, errors in the links look like a payload, of 0.02 to 1.5 kg on real '
+    'robots. Their part of the standard error is a guess: record the same motion without the '
+    'payload, and pass it as --empty.'
 )
 
 
@@ -53,7 +53,7 @@ def payload_table(
     if math.isnan(result.matched):
         notes = [f'From {compared}. {_WITHOUT_EMPTY}']
     else:
-        notes = [f'From {compared}, of which {result.matched:.0%} are in the empty run too.']
+        notes = [f'From {compared}; the empty run covers {result.matched:.0%} of this.']
     if apparent is not None:
         mass = with_error(apparent.body.mass, apparent.mass_error)
         notes.append(

@@ -62,7 +62,7 @@ class _Piece(NamedTuple):
 
     @property
     def size(self) -> float:
-        """Volume of the capsule; half of that of the ends, which overlap with neighbours."""
+        """Volume of the capsule over pi, with half of its ends, which overlap with neighbours."""
         length = float(np.linalg.norm(self.ends[1] - self.ends[0]))
         return self.radius**2 * (length + 2.0 / 3.0 * self.radius)
 

@@ -2,7 +2,7 @@
 Writes `NodeStatus` to ``/diagnostics`` in the format of REP-107, and reads it back.
 
 The keys and formats are declared with the values. Both directions use the same kind of text for a
-value, so that it has the precision of that text after the way through a message.
+value, so a value that was read back has the precision of that text.
 """
 
 from __future__ import annotations

@@ -56,7 +56,7 @@ class PositionDrive:
         self.take_over(0.0)
 
     def take_over(self, now: float) -> None:
-        """Brake from now on [s], and hold the robot where it comes to rest."""
+        """Brake from the time ``now`` on [s], and hold the robot where it comes to rest."""
         self.is_on = True
         self._start, self._began = self._robot.positions(), now
         self._speed = self._robot.velocities()
@@ -66,7 +66,7 @@ class PositionDrive:
         self._side = np.where(self._start > middle, -1.0, 1.0)
 
     def stand_still(self, now: float) -> None:
-        """Stop swaying from now on [s], so that the robot is at rest when it is released."""
+        """Stop swaying at the time ``now`` [s]: the robot is at rest when it is released."""
         self._amplitude = np.zeros_like(self._amplitude)
         self.take_over(now)
 
@@ -226,9 +226,9 @@ class HandOver:
             self._drive.stand_still(now)
             self._log.error(
                 f'{self._excess(speeds)}: the position controller brakes the robot and holds it. '
-                'Check signs, units and payloads by inverse_dynamics watch. Commands are ignored '
-                f'until they pause for {SILENCE} s: set dry_run of the node to true, and to false '
-                'when the cause is removed'
+                'Check signs, units and payloads with inverse_dynamics watch. Commands are '
+                f'ignored until they pause for {SILENCE} s: set dry_run of the node to true, and '
+                'to false when the cause is removed'
             )
         self._drive.act(now)
         speeds = self._robot.advance_within(duration, BRAKING_MARGIN * self._bounds)

@@ -23,7 +23,7 @@ JOINTS = tuple(f'joint_{i}' for i in range(1, 7))
 @pytest.mark.parametrize(
     ('text', 'words'),
     [
-        ('&a {trajectory: *a}', 'alias \\*a is not defined before'),
+        ('&a {trajectory: *a}', 'alias \\*a is used before it is defined'),
         ('&a [*a]', 'alias'),
         (BOMB + 'joint_names: *a11\npoints: []', r'joint_names is \[\['),
         (BOMB + 'joint_names: [j]\ntimes: [0]\npositions: [*a11]', 'expected 1 numbers, got 9'),

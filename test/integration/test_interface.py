@@ -179,7 +179,7 @@ def test_the_imu_replaces_gravity_in_every_orientation(run_node, robot, dynamics
     robot.wait_for_command(dynamics.efforts(Q, QD, ZERO), tolerance=1e-6)
     assert 'frame_id' not in node.output
     robot._always[-1][1].header.frame_id = 'base_link'
-    words = "imu: frame_id is 'base_link', which the robot description turns by 90 degrees against"
+    words = 'in the robot description differs from imu_orientation by 90 degrees'
     robot.wait_for_text(node, words)
 
 

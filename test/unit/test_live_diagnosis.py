@@ -374,7 +374,7 @@ class TestFewJoints:
         assert len(checked) == 1
         agreement = judged(samples, robot, robot.joint_names)
         assert (agreement.outcome, agreement.cause) == (Outcome.FEW_JOINTS, Obstacle.FEW_JOINTS)
-        assert sentence(agreement).startswith('model and robot agree in 1 of 7 joints only: ')
+        assert sentence(agreement).startswith('model and robot agree in only 1 of 7 joints: ')
         assert sentence(agreement).endswith('; move the arm to check the others')
 
     def test_the_others_are_not_measured(self):

@@ -70,7 +70,7 @@ class Bodies(NamedTuple):
     after: Floats
     """RMS of each joint, shape (n,) [N m or N]."""
     delay: float
-    """By which the measured efforts are late, to first order [s]."""
+    """Delay of the measured efforts, to first order [s]."""
     delay_error: float
     """Standard error [s]."""
     unexplained: float
@@ -106,7 +106,7 @@ class Bodies(NamedTuple):
         return None if self.unexplained_anywhere < CHANGING * fault.left else fault
 
     def _confirms(self, before: RobotFit) -> bool:
-        """Return whether an explanation has no cause that is not needed beside the links."""
+        """Return whether every cause in an explanation is needed beside the links."""
         candidate = before.candidate
         if candidate.has_gravity and candidate.kind not in (None, self.robot_fit.candidate.kind):
             return False

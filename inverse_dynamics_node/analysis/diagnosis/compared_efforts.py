@@ -350,7 +350,7 @@ def fit_joints(
 
 
 def obscured(compared: ComparedEfforts, robot_fit: RobotFit) -> dict[int, str]:
-    """Return why the friction of some columns is unknown even if they moved enough."""
+    """Return why the friction of some joints is unknown although they moved enough."""
     reasons = dict.fromkeys(compared.constant, 'its effort was not measured')
     is_scaled = any(fit.sensor_fault.is_scaled for fit in robot_fit.fits)
     for c, fit in zip(compared.varying, robot_fit.fits, strict=True):

@@ -170,7 +170,7 @@ class _Faults:
         return self.data.refit(self.robot_fit, candidate=base)
 
     def other_gravity(self) -> list[Fault]:
-        """Return that the measured efforts lack gravity, or contain it, unexpectedly."""
+        """Return the fault of measured efforts that unexpectedly lack gravity, or contain it."""
         candidate, other = self.robot_fit.candidate, self.data.other_gravity()
         if other.kind is None or not self.data.contradicts(candidate):
             return []

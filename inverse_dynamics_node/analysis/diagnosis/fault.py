@@ -94,7 +94,7 @@ class Fault(NamedTuple):
     is_commanded: bool = True
     """Whether commands contain the gravity that is compensated or measured."""
     interval: tuple[float, float] | None = None
-    """Begin and end [s] if it applies to a part of the recording."""
+    """Start and end [s] if it applies to a part of the recording."""
 
     @property
     def is_same_factor(self) -> bool:

@@ -70,7 +70,7 @@ def is_moving(qd: Floats, width: float) -> Booleans:
 
 
 def lacks_reversal(qd: Floats, period: float, width: float, least: float = LEAST_MOVING) -> str:
-    """Return why a joint did not move in both directions for so long; empty if it did."""
+    """Return why a joint did not move long enough in both directions; empty if it did."""
     fast = SURELY_MOVING * width
     fastest = float(np.max(np.abs(qd)))
     if fastest <= fast:

@@ -91,7 +91,7 @@ class Outcome(enum.Enum):
 
 
 class Obstacle(enum.Enum):
-    """Why an agreement is not enough to go live, or cannot be decided, other than a fault."""
+    """Reasons, other than faults, why an agreement is not enough to go live, or not known."""
 
     SLOW_STATES = 'slow_states'
     SATURATED = 'saturated'
@@ -211,7 +211,7 @@ class LiveWindow:
             self._rows.popleft()
 
     def restart_after_change(self, *measured: Any) -> None:
-        """Drop all samples if what the measured efforts contain is not what it was."""
+        """Drop all samples if the measured efforts now contain something else."""
         if measured != self._measured:
             self._measured = measured
             self._times.clear()
@@ -433,7 +433,7 @@ class _Comparison:
         return dict(sorted(found.items(), key=lambda each: -each[1] / self.effort[each[0]]))
 
     def _may_be_friction(self, differs: dict[int, float]) -> bool:
-        """Return whether dry friction of joints at rest may be the difference."""
+        """Return whether dry friction of joints at rest may explain the difference."""
         if not differs or not np.isfinite(self.limits).all():
             return False
         return all(

@@ -304,7 +304,7 @@ def _confirmed(
 
 
 def _delay(undistorted: Callable[[float], ComparedEfforts], axes: Axes) -> float:
-    """Return by which the efforts are late [s]; 0 if that is short or not certain."""
+    """Return by how much the efforts are late [s]; 0 if that is little or uncertain."""
     data, robot_fit, delay = axes.data, axes.robot_fit, 0.0
     for _ in range(DELAY_ROUNDS):
         compared = undistorted(delay)
@@ -353,7 +353,7 @@ def _beside_links(compared: ComparedEfforts, data: RegressionData, robot_fit: Ro
 
 
 def _refined(compared: ComparedEfforts, fault: FaultInterval) -> FaultInterval:
-    """Return a part whose begin and end are accurate to a sample."""
+    """Return a part whose start and end are accurate to a sample."""
     if fault.kind is FaultKind.MOUNTING:
         return fault
     is_force = fault.kind is FaultKind.EXTERNAL_FORCE

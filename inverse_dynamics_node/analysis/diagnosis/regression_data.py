@@ -340,7 +340,7 @@ class RegressionData:
         return [min(found, key=lambda each: each.cost)]
 
     def _factors_at_rest(self, nominal: RobotFit) -> list[float]:
-        """Return the factors of joints that do not show a unit alone, but several together."""
+        """Return the factors of joints that show a unit only together, not one by one."""
         factors = []
         for j, (samples, fit) in enumerate(zip(self.joints, nominal.fits, strict=True)):
             measured = self.first_measured + j
@@ -483,7 +483,7 @@ class RegressionData:
         )
 
     def _reordered(self) -> list[RobotFit]:
-        """Assign the efforts of joints that are not explained to each other's joints."""
+        """Exchange the measured efforts of unexplained joints, if that explains them."""
         from scipy.optimize import linear_sum_assignment
 
         n, weights = len(self.joints), self.nominal.weights

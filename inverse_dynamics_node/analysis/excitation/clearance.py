@@ -30,13 +30,13 @@ _ALWAYS = 0.01
 _MANY, _ALL = 0.3, 0.95
 """Fractions of the sampled poses."""
 _OFTEN = 0.02
-"""Fraction of the sampled poses from which on surfaces are looked at."""
+"""Surfaces are looked at if parts are near in more than this fraction of the sampled poses."""
 _MOST_LOOKS = 40
 """Poses in which they are looked at."""
 _UNSEEN = 0.005
 """How much nearer capsules may come than in poses in which the surfaces are far apart [m]."""
 _ON_THE_WAY = 0.005
-"""What is near in the first pose of a way may come nearer on the way by this [m]."""
+"""How much nearer parts may come on a way than in its first pose, if they are near there [m]."""
 _FAR = 0.3
 """Larger distances are of no interest [m]."""
 _SCALE = 0.05
@@ -291,7 +291,7 @@ class Clearance:
         return names[(row - p) % c], 'floor' if row < p + 2 * c else 'box'
 
     def from_pose(self, q: Floats) -> Clearance:
-        """Return what is needed on a way from a pose, shape (n,), near which something may be."""
+        """Return what a way from a pose, shape (n,), needs; parts may be too near in that pose."""
         needed = self.needed.copy()
         found = self.contacts(q[np.newaxis])
         np.minimum.at(needed, found.row, found.distance - _ON_THE_WAY)
@@ -466,7 +466,7 @@ def _of_box(points: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
 
 
 def _twice(points: Floats) -> Floats:
-    """Return points of capsules also as those of what does not move, where they do not matter."""
+    """Return points of capsules twice: the second ones, of what does not move, have no effect."""
     return np.stack([points, points], axis=1)
 
 

@@ -120,7 +120,7 @@ class Unknowns:
         return total
 
     def _split(self) -> tuple[Integers, Integers, Integers, Integers]:
-        """Return which unknowns are of bodies and of joints; kinds and joints of the latter."""
+        """Return indices of the unknowns of bodies and of joints; kind and joint of the latter."""
         is_rigid = self.columns < self.rigid_count
         kind, joint = np.divmod(self.columns[~is_rigid] - self.rigid_count, len(self.noise))
         return np.flatnonzero(is_rigid), np.flatnonzero(~is_rigid), kind, joint

@@ -30,14 +30,14 @@ ASSUMED_SLIDE = 1.0
 _LEAST_RANGE = 1e-3
 """Smallest range that is worth moving in [rad or m]."""
 _POSES = 400
-"""Random poses from which is found which parts of the robot may come near each other."""
+"""Number of random poses that show which parts of the robot may come near each other."""
 _LIGHT = (0.05, 0.05)
 """A joint that carries less than this mass [kg], and this fraction of the mass of the robot."""
 
 
 @dataclass(frozen=True, eq=False)
 class MotionLimits:
-    """Limits of m joints of a robot, which the others join at rest."""
+    """Limits of the m joints of a robot that move; the others rest."""
 
     joint_names: tuple[str, ...]
     """The m joints that move."""

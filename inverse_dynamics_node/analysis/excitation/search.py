@@ -40,13 +40,13 @@ _PER_HARMONIC = 16
 _FINE = 8
 """Samples of the final check for each sample of the search, also on the way to the start."""
 _DENSER = 4
-"""Poses of the search for its samples: a link passes another one between two of them."""
+"""Poses for each sample of the search: between two samples, a link can pass another one."""
 _WAY = 60
 """Poses of the search on the way to the start."""
 CANDIDATES = 30
 """Random motions, the best of which starts the search."""
 _POSES = 300
-"""Random poses among which those are found in which the drives hold the robot."""
+"""Number of random poses in the search for those in which the drives hold the robot."""
 _ROUNDS = ((1e1, 60), (1e2, 60), (1e3, 60), (1e4, 60))
 """Weights of violated limits, relative to one unknown, and iterations."""
 _LARGEST_WORK = 1.5e9
@@ -146,7 +146,7 @@ def find_excitation(
                 nearest,
             )
     raise ConfigurationError(
-        'no motion was found that hits nothing, nor does the way to it: restrict it with --range, '
+        'every motion that was tried, or the way to it, hits something: restrict it with --range, '
         'or set the pose before it with --at'
     )
 
@@ -319,8 +319,9 @@ class MotionSpace:
         limits = self.limits
         if held:
             return (
-                f'none of {held} sampled poses is clear, with a clear way from the pose before '
-                'the motion: widen the ranges, lower the floor (--floor), or set the pose (--at)'
+                f'none of {held} sampled poses is clear and reached on a clear way from the pose '
+                'before the motion: widen the ranges, lower the floor (--floor), or set the pose '
+                '(--at)'
             )
         efforts = np.abs(self.dynamics.efforts(*whole_states(limits, states)))
         least = np.min(efforts, axis=0)

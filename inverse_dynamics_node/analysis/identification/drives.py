@@ -1,12 +1,12 @@
 """
-What drives add to the efforts of the bodies: friction and armature, gains of currents, a delay.
+The part of drives in the efforts: friction and armature, gains of currents, a delay.
 
 A term of a joint is used if it improves the prediction of blocks of the recording that it was not
 fitted to.
 
 A current is the effort divided by a gain. Gains and masses are only known together: if all of them
-were multiplied by the same factor, the currents would be the same. The masses of the robot
-description, and a known payload, decide.
+were multiplied by the same factor, the currents would be the same. A known payload determines this
+factor, or else the masses of the robot description.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ SIGNIFICANT = 5.0
 LEAST_CHANGE = 0.15
 """Least change of all efforts by a common factor."""
 MOST_DISAGREEMENT = 0.5
-"""Fraction of this change by which those of single joints may differ from it, as an RMS."""
+"""Fraction of this change by which the changes of the joints may differ from it, as an RMS."""
 EXPLAINS = 0.6
 """Fraction of the improvement by the bodies that a common factor explains at least."""
 MOST_DELAY = 0.1
@@ -177,7 +177,7 @@ def _block_grams(
 
 
 def _best(grams: Floats, chosen: tuple[int, ...], optional: bool) -> tuple[tuple[int, ...], int]:
-    """Return the terms, more than those given, and the number of the width that predict best."""
+    """Return the given and further terms, and the index of the width, that predict best."""
     candidates = list(LEAST_IMPROVEMENT) if optional else []
     while candidates:
         trials = [(_improvement(grams, chosen, candidate), candidate) for candidate in candidates]
@@ -233,7 +233,7 @@ def _fit(gram: Floats, chosen: Sequence[int]) -> Floats:
 
 
 def _expect_little_load(matrices: Floats, grams: Floats, index: Integers) -> None:
-    """Expect a small load friction, or a load that hardly changes stands for Coulomb friction."""
+    """Expect a small load friction: a load that hardly changes looks like Coulomb friction."""
     squares = 0.1 * grams[..., -1, -1] / np.maximum(grams[..., OFFSET, OFFSET], 1.0)
     for k in np.flatnonzero(index == LOAD):
         matrices[..., k, k] += squares / LARGEST_LOAD**2

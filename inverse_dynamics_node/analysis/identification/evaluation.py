@@ -327,7 +327,7 @@ def _spread(joints: Sequence[Floats]) -> Floats:
     """
     Return standard errors of terms by the jackknife: from fits without each of the blocks.
 
-    They contain that friction was not the same throughout. With one block, they are zero.
+    They include changes of the friction between the blocks. With one block, they are zero.
 
     """
     values = np.array(joints)
@@ -431,8 +431,8 @@ def _warnings(
         warnings.append(
             (
                 'gains, masses and friction are known up to one common factor',
-                'the efforts of the URDF decide it. If its masses may be wrong, record a run with '
-                'a known payload: --payload MASS,X,Y,Z --link LINK',
+                'the masses of the URDF determine this factor. If they may be wrong, record a run '
+                'with a known payload: --payload MASS,X,Y,Z --link LINK',
             )
         )
         warnings += [
@@ -459,7 +459,7 @@ def _warnings(
         (
             f'{group} moved in a fixed ratio',
             'record a motion in which they move independently; a coupling of their drives cannot '
-            'be told from their inertia and friction now',
+            'be distinguished from their inertia and friction',
         )
         for group in _moved_together(data)
     ]
@@ -494,16 +494,16 @@ def _unexplained(joints: Sequence[JointResult], accepted: bool) -> list[tuple[st
 
 
 def _common_factor(data: TrainingData, fit: RobotFit, friction: JointFit) -> list[tuple[str, str]]:
-    """Name a common factor of all efforts, which passes for masses."""
+    """Name a common factor of all efforts, which looks like other masses."""
     factor = common_factor(data.regression, fit, friction)
     if data.problem.currents or factor is None:
         return []
     return [
         (
             f'all efforts of the links are {factor:.2f} times those of the robot description',
-            'it explains most of what the identified bodies improve. Probably the efforts have '
-            'another unit or gain, and the masses of the robot description are right: weigh a '
-            'link, or record a known payload',
+            'this factor explains most of what the identified bodies improve. The efforts '
+            'probably have another unit or gain, and the masses of the robot description are '
+            'right: weigh a link, or record a known payload',
         )
     ]
 
@@ -526,14 +526,14 @@ def what_to_record(data: TrainingData, bodies: Sequence[BodyResult]) -> tuple[st
         limit = float(robot.velocity_limits[joint])
         if not data.moving[j]:
             advice.append(
-                f'move {name} to and fro for 30 s: its friction is unknown, and that of the '
+                f'move {name} back and forth for 30 s: its friction is unknown, and that of the '
                 'robot description is kept'
             )
         elif speeds[joint] < min(SLOW * limit, FAST_ENOUGH):
             goal = min(FAST_ENOUGH, 0.5 * limit)
             advice.append(
                 f'record 30 s more of {name} at up to {goal:.2g} {unit}: it was faster than '
-                f'{speeds[joint]:.2g} {unit} for a twentieth of the time only'
+                f'{speeds[joint]:.2g} {unit} for only a twentieth of the time'
             )
     if data.duration < SHORT:
         advice.append(f'record at least 30 s: these recordings last {data.duration:.3g} s')

@@ -1,8 +1,8 @@
 """
 Terms that few robots need, and that other unknowns may look like: springs and coupled drives.
 
-Each is added if the whole model, fitted with it, predicts blocks of the recording clearly better
-that it was not fitted to.
+Each is added if the whole model, fitted with it, gives clearly better predictions of blocks of the
+recording that it was not fitted to.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ LEAST_GAIN = 0.1
 LEAST_GAIN_OF_COUPLING = 0.3
 """The same for a coupling, in the squares of both joints."""
 ERRORS = 3.0
-"""Standard errors of the mean gain of blocks that it has to gain."""
+"""Least mean gain of the blocks, in standard errors of this mean."""
 LEAST_RELATION = 0.1
 """Fraction of the residual of a joint that the motion of the other one has to explain."""
 RATIOS = (-3.0, -1.0, -0.3, -0.1, 0.1, 0.3, 1.0, 3.0)
@@ -109,7 +109,7 @@ def without_useless_extras(regression: Regression, fit: RobotFit) -> RobotFit:
 
 def is_needed(base: RobotFit, fit: RobotFit, joints: Sequence[int], least: float) -> bool:
     """
-    Return whether a larger model predicts blocks clearly better that it was not fitted to.
+    Return whether a larger model predicts blocks clearly better, without being fitted to them.
 
     It has to gain a fraction of the squares of some joints, and to gain in most of the blocks:
     single blocks, such as one with the fastest motion, may have most of the squares.
@@ -151,7 +151,7 @@ def may_be_coupled(regression: Regression, moving: Booleans, j: int) -> bool:
 
 
 def _relation(regression: Regression, model: Model, first: int, second: int) -> float:
-    """Return how much of the residual of two joints the motion of the other one explains."""
+    """Return how much of the residual of each of two joints the motion of the other explains."""
     residual = regression.residual(model)
     direction = regression.direction(model.widths)
     signals = np.stack([regression.qdd, regression.qd, direction, np.ones_like(direction)], -1)

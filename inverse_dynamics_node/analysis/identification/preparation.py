@@ -26,7 +26,7 @@ Twice the shortest one is 0.3 s, or 0.2 s with velocities. With encoder noise of
 Hz, it reduces the error of the model by a sixth; twice as much gains less than a hundredth.
 """
 CLEAN = 0.05
-"""Noise of an acceleration, as a fraction of its RMS, that does no harm."""
+"""Noise of an acceleration that is acceptable, as a fraction of its RMS."""
 LEAST_RANGE = 0.02
 """Range of positions below which a joint is not looked at [rad or m]."""
 SMOOTHING_RANGE = (0.1, 0.4)
@@ -212,8 +212,8 @@ def _columns(derived: Motion, names: Sequence[str]) -> list[int]:
     measured = [derived.joint_names[j] for j in np.flatnonzero(is_measured)]
     if missing := [name for name in names if name not in measured]:
         raise RecordingError(
-            f'a recording to evaluate the result with has no efforts of {", ".join(missing)}, '
-            f'which the recordings to fit have; it has those of {", ".join(measured)}'
+            f'a recording for the evaluation has no efforts of {", ".join(missing)}, unlike the '
+            f'recordings to fit; it has efforts of {", ".join(measured)}'
         )
     return [derived.joint_names.index(name) for name in names]
 

@@ -31,7 +31,7 @@ OF_DRIVE = [ARMATURE, DAMPING, COULOMB, LOAD, SQRT, WIDTH, RATIO]
 SIGNED = ~np.isin(np.arange(TERMS), [ARMATURE, DAMPING, COULOMB, LOAD, SQRT])
 """Which of them may have negative factors."""
 FIXED_RATIO = 0.995
-"""Correlation of velocities from which on two joints moved in a fixed ratio."""
+"""Two joints moved in a fixed ratio if their velocities have at least this correlation."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -105,7 +105,7 @@ def smooth_like_efforts(motion: Motion, values: Floats) -> Floats:
 
 
 def pieces(times: Floats) -> list[tuple[int, int]]:
-    """Return begin and end of the parts without gaps."""
+    """Return start and end of the parts without gaps."""
     steps = np.diff(times)
     breaks = np.flatnonzero(steps > 1.5 * np.median(steps)) + 1
     return list(zip([0, *breaks], [*breaks, len(times)], strict=True))

@@ -382,7 +382,7 @@ class RecordedColumn:
         self.varies = self.has_effort and bool(np.ptp(self.tau) > 0.0)
 
     def spans(self) -> list[tuple[float, float]]:
-        """Return begin and end of the intervals without gaps."""
+        """Return start and end of the intervals without gaps."""
         breaks = np.flatnonzero(np.diff(self.t) > GAP * self.period)
         starts = [0, *(breaks + 1)]
         ends = [*breaks, len(self.t) - 1]

@@ -322,8 +322,8 @@ _MAX_GYRATION = 10.0
 """Largest plausible radius of gyration [m]; above, the inertia is not in kg m^2."""
 
 _TENSOR_HINT = (
-    'take the inertia about the centre of mass from CAD, in kg m^2; it affects only efforts of '
-    'accelerations, not gravity efforts'
+    'take the inertia about the centre of mass from CAD, in kg m^2; it affects only the '
+    'efforts due to accelerations'
 )
 
 

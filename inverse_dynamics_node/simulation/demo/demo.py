@@ -250,7 +250,7 @@ class DemoRun:
         if standing is not None:
             commander.follow(standing, records=False)
         self._wait(lambda: commander.commands > 0, 'the node sends no commands')
-        self._wait(lambda: not commander.brakes_on, 'the brakes stay on: commands do not flow')
+        self._wait(lambda: not commander.brakes_on, 'the brakes stay on: no commands arrive')
 
     def _wait_for_topics(self) -> None:
         """Wait for subscribers to the events, and for the external efforts if there are any."""
