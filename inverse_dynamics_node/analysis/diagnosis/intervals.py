@@ -33,7 +33,7 @@ from .regression_data import RegressionData, RobotFit
 SEGMENTS = 40  # of a recording, whose edges are possible limits of a part
 LONGEST = 0.9  # fraction of the recording; the rest shows the friction
 EXPLAINED_OUTSIDE = 0.1  # largest unexplained fraction of the squares outside of the part
-REFINEMENTS = 3  # of the begin and end of a load
+REFINEMENTS = 3  # of the start and end of a load
 LONGEST_FORCE = 0.5  # fraction of the recording
 LOUDER = 9.0  # ratio of the mean squares inside and outside, from which on there is a part
 LOUDER_LOAD = 3.0  # the same of a load that explains most of what is inside
