@@ -14,8 +14,7 @@ from ..analysis.sizing import explore, payload_capacity, PayloadCapacity, SAMPLE
 from ..errors import listed
 from ..report.quantities import decimals, effort_unit, fraction, number
 from ..report.robot_tables import model_tables
-from ..report.tables import Table, WIDTH
-from ..report.warnings import warnings_about
+from ..report.tables import Table, warnings_about, WIDTH
 from ..robot.end_effector import last_link
 from ..robot.model import Floats, ModelWarning, RobotModel
 from . import arguments

@@ -15,8 +15,17 @@ import sys
 from typing import Any
 
 from ..errors import escaped
-from ..report.tables import as_text, Line, Style, Table, table_lines, WIDTH, wrapped
-from ..report.warnings import warning_lines, warnings_as_text
+from ..report.tables import (
+    as_text,
+    Line,
+    Style,
+    Table,
+    table_lines,
+    warning_lines,
+    warnings_as_text,
+    WIDTH,
+    wrapped,
+)
 from ..robot.model import ModelWarning
 
 _COLOURS = {

@@ -11,8 +11,8 @@ from ..analysis.identification import IdentificationResult, identify_parameters
 from ..analysis.identification.result import calibrated_urdf, identified_parameters
 from ..analysis.recordings.measured_states import read_measured_states
 from ..analysis.recordings.signals import Recording
-from ..report.identification_json import as_json
-from ..report.identification_tables import (
+from ..report.identification_report import (
+    as_json,
     body_table,
     friction_table,
     residual_table,

@@ -14,7 +14,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from ..control.loop import ControlLoop
 from ..errors import JointStateError, shortened
-from ..report.model_report import model_report
+from ..report.robot_tables import model_report
 from ..robot.model import Floats
 from .ros_parameters import unknown_parameters
 from .runner import LoopRunner

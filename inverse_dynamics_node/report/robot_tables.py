@@ -1,4 +1,4 @@
-"""Tables that describe a robot: masses, tree, limits, order of the commands, gravity efforts."""
+"""Describes a robot: masses, tree, limits, order of the commands, gravity efforts, warnings."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..dynamics.inverse_dynamics import InverseDynamics
 from ..errors import ConfigurationError
 from ..robot.model import Floats, Integers, RobotModel
 from .quantities import decimals, effort_unit, fraction, kind_of, number
-from .tables import Table, wrapped
+from .tables import as_text, Table, warnings_about, warnings_as_text, wrapped
 
 
 def model_tables(
@@ -56,6 +56,31 @@ def model_tables(
     if q is not None:
         tables.append(_at_rest(dynamics, np.asarray(q, dtype=np.float64), limits))
     return tables
+
+
+def model_report(
+    dynamics: InverseDynamics,
+    joints: Sequence[str] = (),
+    q: ArrayLike | None = None,
+    effort_limits: ArrayLike | None = None,
+) -> str:
+    """
+    Describe the robot in plain text, at most 100 columns wide.
+
+    Parameters
+    ----------
+    dynamics, joints, q, effort_limits
+        As for `model_tables`.
+
+    Raises
+    ------
+    ConfigurationError, JointStateError
+        As for `model_tables`.
+
+    """
+    tables = model_tables(dynamics, joints, q, effort_limits)
+    warnings = warnings_about(dynamics.robot)
+    return '\n\n'.join([*map(as_text, tables), warnings_as_text(warnings)])
 
 
 def _summary(dynamics: InverseDynamics) -> Table:

@@ -1,5 +1,5 @@
 """
-Tables as lines of text.
+Tables and warnings as lines of text.
 
 A table contains strings only, so that every reader gets the same numbers: logs and services plain
 text, a terminal the same lines in colours.
@@ -7,16 +7,20 @@ text, a terminal the same lines in colours.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from enum import auto, Enum
 import math
 import textwrap
 from typing import NamedTuple
 
 from ..errors import escaped
-from .short_names import all_shortened, shortened, SHORTEST_NAME
+from ..robot.limit_checks import effort_limit_warnings
+from ..robot.model import ModelWarning, RobotModel
 
 WIDTH = 100
 """Largest width of a report, in characters."""
+SHORTEST_NAME = 12
+"""Names are not shortened to fewer characters than this."""
 _GAP = '  '
 
 
@@ -56,20 +60,7 @@ class Line(NamedTuple):
 
 
 def as_text(table: Table, width: int = WIDTH, whole_names: bool = False) -> str:
-    """
-    Format a table as plain text.
-
-    Parameters
-    ----------
-    table, width, whole_names
-        As for `table_lines`.
-
-    Returns
-    -------
-    text : str
-        Several lines, without a line end after the last.
-
-    """
+    """Format a table as plain text, without a line end after the last; see `table_lines`."""
     return '\n'.join(line.text for line in table_lines(table, width, whole_names))
 
 
@@ -132,3 +123,75 @@ def _aligned(table: Table, width: float) -> list[str]:
         )
         for name, row in zip(names, cells, strict=True)
     ]
+
+
+# ---- Warnings ------------------------------------------------------------------------------
+
+
+def warnings_about(robot: RobotModel) -> tuple[ModelWarning, ...]:
+    """Return all warnings about a robot description: of the loader, and about effort limits."""
+    return (*robot.warnings, *effort_limit_warnings(robot))
+
+
+def warnings_as_text(warnings: Sequence[ModelWarning], width: int = WIDTH) -> str:
+    """Format warnings as plain text, those with the same hint together."""
+    return '\n'.join(line.text for line in warning_lines(warnings, width))
+
+
+def warning_lines(warnings: Sequence[ModelWarning], width: int = WIDTH) -> list[Line]:
+    """Format warnings, those with the same hint together."""
+    if not warnings:
+        return [Line('No warnings.', Style.NO_WARNINGS)]
+    plural = 's' if len(warnings) > 1 else ''
+    lines = [Line(f'{len(warnings)} warning{plural}', Style.WARNINGS)]
+    for hint, group in _by_hint(warnings).items():
+        for warning in group:
+            lines += [Line(x, Style.WARNING) for x in wrapped(str(warning), width, '  ', '    ')]
+        lines += [Line(x, Style.HINT) for x in wrapped(hint, width, '    -> ', '       ')]
+    return lines
+
+
+def _by_hint(warnings: Iterable[ModelWarning]) -> dict[str, list[ModelWarning]]:
+    groups: dict[str, list[ModelWarning]] = {}
+    for warning in warnings:
+        groups.setdefault(warning.hint, []).append(warning)
+    return groups
+
+
+# ---- Names ---------------------------------------------------------------------------------
+
+
+def all_shortened(names: Sequence[str], size: int) -> list[str]:
+    """Shorten names so that they remain distinct; a common prefix is dropped first."""
+    short = [shortened(name, size) for name in names]
+    if len(set(short)) == len(set(names)):
+        return short
+    head = _common_prefix(names)
+    tail = _common_prefix([name[head:][::-1] for name in names])
+    # Keep the part in which the names differ.
+    parts = [name[head : len(name) - tail] for name in names]
+    short = [f'…{shortened(part, size - 1)}' if head else shortened(part, size) for part in parts]
+    for first in (size // 3, size // 4, 2 * size // 3, 1):
+        if len(set(short)) == len(set(names)):
+            break
+        # Names of several branches differ at both ends: keep more of one of them.
+        rest = size - 1 - first
+        short = [n if len(n) <= size else f'{n[:first]}…{n[len(n) - rest :]}' for n in names]
+    return short
+
+
+def shortened(text: str, size: int) -> str:
+    """Shorten a text in its middle, because joint names differ at their start or end."""
+    if len(text) <= size:
+        return text
+    stem = text.removesuffix('_joint')
+    if stem != text and size >= SHORTEST_NAME:  # the suffix carries no information
+        return f'{shortened(stem, size - 1)}…'
+    head = (size - 1) // 2
+    return f'{text[:head]}…{text[len(text) - (size - 1 - head) :]}'
+
+
+def _common_prefix(names: Sequence[str]) -> int:
+    """Return the length of the common prefix of the names."""
+    letters = list(zip(*names, strict=False))
+    return next((i for i, each in enumerate(letters) if len(set(each)) > 1), len(letters))

@@ -11,7 +11,7 @@ from inverse_dynamics_node.analysis.identification.result import (
     identified_parameters,
 )
 from inverse_dynamics_node.errors import RecordingError
-from inverse_dynamics_node.report.identification_tables import body_table, residual_table
+from inverse_dynamics_node.report.identification_report import body_table, residual_table
 import numpy as np
 import pytest
 from robot_files import ROOT

@@ -2,12 +2,19 @@
 
 from inverse_dynamics_node.dynamics.inverse_dynamics import InverseDynamics
 from inverse_dynamics_node.errors import ConfigurationError, JointStateError, UrdfError
-from inverse_dynamics_node.report.model_report import model_report
 from inverse_dynamics_node.report.quantities import effort_unit
-from inverse_dynamics_node.report.robot_tables import model_tables
-from inverse_dynamics_node.report.short_names import all_shortened, shortened
-from inverse_dynamics_node.report.tables import as_text, Style, Table, table_lines, WIDTH
-from inverse_dynamics_node.report.warnings import warnings_about, warnings_as_text
+from inverse_dynamics_node.report.robot_tables import model_report, model_tables
+from inverse_dynamics_node.report.tables import (
+    all_shortened,
+    as_text,
+    shortened,
+    Style,
+    Table,
+    table_lines,
+    warnings_about,
+    warnings_as_text,
+    WIDTH,
+)
 from inverse_dynamics_node.robot.model import ModelWarning
 from inverse_dynamics_node.robot.urdf import load_urdf
 import numpy as np

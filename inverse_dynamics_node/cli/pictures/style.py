@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ...report.short_names import all_shortened
-from ...report.tables import wrapped
+from ...report.tables import all_shortened, wrapped
 from ...robot.model import Floats
 from ..output_files import new_file
 
