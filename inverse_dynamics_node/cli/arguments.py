@@ -277,15 +277,7 @@ def stem_of(path: Path) -> str:
 
 
 def attach_payload(dynamics: InverseDynamics, options: argparse.Namespace) -> str:
-    """
-    Attach the payload of the command line, if there is one, to the link that carries it.
-
-    Returns
-    -------
-    description : str
-        Text for titles; empty without a payload.
-
-    """
+    """Attach the payload of the command line; return text for titles, empty without one."""
     if options.payload is None:
         return ''
     link = options.link or last_link(dynamics.robot)

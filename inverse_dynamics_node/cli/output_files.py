@@ -31,15 +31,7 @@ class OutputError(InverseDynamicsError):
 
 
 def output_path(text: str) -> Path:
-    """
-    Parse the path of a file to write.
-
-    Raises
-    ------
-    argparse.ArgumentTypeError
-        If the file cannot be written.
-
-    """
+    """Parse the path of a file to write; raise ArgumentTypeError if it cannot be written."""
     path = Path(text)
     folder = path.parent
     if path.is_dir():
@@ -54,15 +46,7 @@ def output_path(text: str) -> Path:
 
 
 def picture_path(text: str) -> Path:
-    """
-    Parse the path of a picture to write.
-
-    Raises
-    ------
-    argparse.ArgumentTypeError
-        If the file cannot be written, or its suffix is not one of `PICTURE_SUFFIXES`.
-
-    """
+    """Parse the path of a picture to write, whose suffix is one of `PICTURE_SUFFIXES`."""
     path = output_path(text)
     if path.suffix.lower() not in PICTURE_SUFFIXES:
         raise argparse.ArgumentTypeError(

@@ -291,16 +291,9 @@ def next_time(due: float, period: float, now: float) -> float:
 
 def choose_node(node: Any, wanted: str | None, is_patient: bool) -> str:
     """
-    Find the name of the node that is meant.
+    Find the full name of the node that is meant, by its name or the end of it; None for the only.
 
-    Parameters
-    ----------
-    node : Node
-        The node of this process.
-    wanted : str or None
-        Its name, or the end of it; None if it is the only one.
-    is_patient : bool
-        Whether to wait until there is one.
+    A patient search waits until there is one.
 
     Raises
     ------

@@ -39,12 +39,7 @@ def search_axes(
     """
     Explain efforts, with other directions of axes if these explain more.
 
-    Parameters
-    ----------
-    data : RegressionData
-        Samples of n joints.
-    with_signs : callable
-        Returns the samples for given signs of the axes, shape (n,).
+    The function returns the samples for given signs of the n axes.
 
     """
     best = Axes(np.ones(len(data.joints)), data, data.explain())

@@ -111,12 +111,8 @@ class ComparedEfforts:
         """
         Return what would be compared without a fault of the recorded states.
 
-        Parameters
-        ----------
-        signs : ndarray, shape (m,)
-            -1 for joints whose axis is reversed, otherwise 1.
-        delay : float
-            Time by which the efforts are late [s].
+        Signs, shape (m,), are -1 for joints whose axis is reversed; the delay is that of the
+        efforts [s].
 
         """
         motion = self.motion
@@ -131,14 +127,9 @@ class ComparedEfforts:
 
     def with_bodies(self, change: Floats, has_own_gravity: bool) -> ComparedEfforts:
         """
-        Return what would be compared with other links.
+        Return what would be compared with a change of the inertial parameters, shape (10 b,).
 
-        Parameters
-        ----------
-        change : ndarray, shape (10 b,)
-            Of the inertial parameters.
-        has_own_gravity : bool
-            Whether gravity in the measured efforts is that of these links, or has been removed.
+        Gravity in the measured efforts is that of these links, or has been removed.
 
         """
         other = copy(self)
@@ -240,16 +231,8 @@ def not_measured(measured: Floats, modelled: Floats, least: Floats | float) -> B
     """
     Return which efforts are constant although the model varies, or zero although it does not.
 
-    Parameters
-    ----------
-    measured, modelled : ndarray, shape (K, c)
-        Efforts of c joints [N m or N].
-    least : float or ndarray, shape (c,)
-        Smaller modelled efforts, or variations of them, are ignored [N m or N].
-
-    Returns
-    -------
-    not_measured : ndarray of bool, shape (c,)
+    Efforts have shape (K, c). Modelled efforts, or variations of them, below the least one of a
+    joint are ignored [N m or N].
 
     """
     largest = np.max(np.abs([measured, modelled]))

@@ -21,24 +21,7 @@ MOST_UNEXPLAINED = 0.5  # fraction of the squares; if more remains, the model ex
 
 
 def diagnose(data: RegressionData, robot_fit: RobotFit, names: Sequence[str]) -> list[Fault]:
-    """
-    Divide an explanation into faults.
-
-    Parameters
-    ----------
-    data : RegressionData
-        Samples of n joints.
-    robot_fit : RobotFit
-        Explanation of the efforts of these joints.
-    names : sequence of str
-        Names of the joints.
-
-    Returns
-    -------
-    faults : list of Fault
-        Most important first; empty if the model explains the efforts without changes.
-
-    """
+    """Divide an explanation into faults, most important first; none if it changes nothing."""
     found = _Faults(data, robot_fit, names)
     return [
         *found.order(),

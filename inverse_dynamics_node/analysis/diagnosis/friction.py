@@ -110,25 +110,8 @@ def fit_friction(
     """
     Fit friction and an offset to the efforts that the model does not explain.
 
-    Parameters
-    ----------
-    qd : ndarray, shape (K,)
-        Velocities of the joint [rad/s or m/s].
-    direction : ndarray, shape (K,)
-        ``tanh(qd / width)``, smoothed in the same way as the measured efforts.
-    residual : ndarray, shape (K,)
-        Measured minus modelled effort without friction [N m or N].
-    period : float
-        Time between samples [s].
-    window : int
-        Number of samples of the smoothing window.
-    width : float
-        Speed over which Coulomb friction is smoothed [rad/s or m/s].
-
-    Returns
-    -------
-    fit : FrictionFit
-        Neither damping nor Coulomb friction is negative.
+    The direction is ``tanh(qd / width)``, smoothed over the window [samples] as the measured
+    efforts were. Neither damping nor Coulomb friction is negative.
 
     """
     reason = obstacle(qd, period, width)

@@ -82,19 +82,9 @@ def span(data: RegressionData) -> tuple[float, float]:
 
 def find_fault_interval(data: RegressionData, robot_fit: RobotFit) -> FaultInterval | None:
     """
-    Return the part of a recording to which a cause is limited, if there is one.
+    Return the part of a recording to which a cause is limited.
 
-    Parameters
-    ----------
-    data : RegressionData
-        Samples of the whole recording.
-    robot_fit : RobotFit
-        The best explanation of the whole recording.
-
-    Returns
-    -------
-    fault : FaultInterval or None
-        None if a part does not explain far more than the explanation of all samples.
+    None if a part does not explain far more than the best explanation of all samples.
 
     """
     if data.duration < MIN_DURATION or not _is_open(data, robot_fit):
@@ -293,21 +283,9 @@ def without_friction(data: RegressionData, robot_fit: RobotFit) -> RegressionDat
 
 def best_interval(times: Floats, gain: Floats, start: tuple[float, float]) -> tuple[float, float]:
     """
-    Return the interval with the largest sum.
+    Return the interval with the largest sum of gains; the start if no sample has a gain.
 
-    Parameters
-    ----------
-    times : ndarray, shape (K,)
-        [s].
-    gain : ndarray, shape (K,)
-        How much better each sample is explained inside of the interval than outside.
-    start : tuple of float
-        Result if no sample has a gain.
-
-    Returns
-    -------
-    begin, end : float
-        [s].
+    The gain of a sample says how much better it is explained inside of the interval than outside.
 
     """
     sums = np.concatenate([[0.0], np.cumsum(gain)])
@@ -412,26 +390,7 @@ def _fit_gravity(data: RegressionData, moving: list[int], knots: Floats) -> tupl
 def changing_gravity_efforts(
     fault: FaultInterval, robot: RobotModel, q: Floats, times: Floats
 ) -> Floats:
-    """
-    Return the efforts of a gravity that changes over time.
-
-    Parameters
-    ----------
-    fault : FaultInterval
-        A base that tilts, with gravity at k knots.
-    robot : RobotModel
-        Robot with n joints.
-    q : ndarray, shape (K, n)
-        Joint positions [rad or m].
-    times : ndarray, shape (K,)
-        [s].
-
-    Returns
-    -------
-    efforts : ndarray, shape (K, n)
-        Interpolated linearly between the knots [N m or N].
-
-    """
+    """Return efforts, shape (K, n), of a gravity that is interpolated between its knots."""
     if fault.knots is None or fault.gravity is None:
         return np.zeros_like(q)
     knots, gravity = fault.knots, fault.gravity

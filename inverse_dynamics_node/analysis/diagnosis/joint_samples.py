@@ -128,22 +128,9 @@ class JointSamples:
         self, weights: Floats, measured: int, sensor_fault: SensorFault, unit: float = 1.0
     ) -> JointFit:
         """
-        Fit a sensor fault to a measured effort.
+        Fit a sensor fault to the measured effort in a column, whose unit is known.
 
-        Parameters
-        ----------
-        weights : ndarray
-            Factors of the first columns: the candidate model.
-        measured : int
-            Column of the measured effort.
-        sensor_fault : SensorFault
-            The parameters to fit.
-        unit : float
-            Known factor of the measured effort.
-
-        Returns
-        -------
-        fit : JointFit
+        Weights are the factors of the first columns: the candidate model.
 
         """
         R = self.triangle
@@ -276,27 +263,7 @@ def sample_joints(
     signals: JointSignals,
     links: Sequence[str],
 ) -> list[JointSamples]:
-    """
-    Return the samples of joints, with the columns listed above.
-
-    Parameters
-    ----------
-    dynamics : InverseDynamics
-        Robot with n joints, and its gravity.
-    times : ndarray, shape (K,)
-        [s].
-    states : tuple of q, qd, qdd
-        Each of shape (K, n).
-    signals : JointSignals
-        Signals of c of the joints.
-    links : sequence of str
-        Links that may carry a load.
-
-    Returns
-    -------
-    samples : list of JointSamples
-
-    """
+    """Return the samples of joints, with the columns listed above, and loads on some links."""
     robot = dynamics.robot
     q, qd, qdd = states
     weight = gravity_columns(robot, q)

@@ -193,17 +193,7 @@ class LiveWindow:
         self._measured: tuple[Any, ...] = ()
 
     def add(self, time: float, q: Floats, qd: Floats, measured: Floats, modelled: Floats) -> None:
-        """
-        Add one sample, and drop those that are older than the window.
-
-        Parameters
-        ----------
-        time : float
-            Time of the sample, not before that of the last one [s].
-        q, qd, measured, modelled : ndarray, shape (m,)
-            See `LiveSamples`.
-
-        """
+        """Add a sample, which is not older than the last one, and drop those before the window."""
         self._times.append(time)
         self._rows.append(np.array([q, qd, measured, modelled]))
         while self._times[0] < time - self.duration:
@@ -235,27 +225,11 @@ def diagnose_samples(
     payloads: Sequence[tuple[str, float, Floats]] = (),
 ) -> Agreement:
     """
-    Compare measured and modelled efforts.
+    Compare measured and modelled efforts of all n joints of a robot, in its order.
 
-    Parameters
-    ----------
-    samples : LiveSamples
-        Samples of all n joints of the robot, in its order.
-    robot : RobotModel
-        The robot.
-    gravity : ndarray, shape (3,)
-        Free-fall acceleration in the frame of the root link, whether or not the modelled efforts
-        contain gravity [m/s^2].
-    limits : ndarray, shape (n,), optional
-        Largest efforts [N m or N]; default: those of the robot.
-    convention : GravityConvention
-        Whether the modelled efforts contain gravity, as the measured ones should.
-    payloads : sequence of tuple
-        Link, mass [kg] and centre of mass in its frame [m] of the payloads in the model.
-
-    Returns
-    -------
-    agreement : Agreement
+    Gravity is that in the frame of the root link, whether or not the modelled efforts contain it.
+    The limits are those of the robot by default. Payloads have link, mass [kg] and centre of mass
+    in its frame [m].
 
     """
     limits = robot.effort_limits if limits is None else limits

@@ -37,21 +37,9 @@ def tip_links(robot: RobotModel) -> tuple[str, ...]:
 
 def loaded_links(robot: RobotModel, q: Floats, link: str | None = None) -> tuple[str, ...]:
     """
-    Return the links on which a load may be found.
+    Return the links on which a load may be found: the given one, or the tips of the tree.
 
-    Parameters
-    ----------
-    robot : RobotModel
-        Robot with n joints.
-    q : ndarray, shape (K, n)
-        Joint positions [rad or m].
-    link : str, optional
-        The only link that may carry a load; default: the tips of the tree.
-
-    Returns
-    -------
-    links : tuple of str
-        Those that moved; all of them if the whole robot was at rest.
+    Links that did not move are left out, unless the whole robot was at rest.
 
     """
     links = (link,) if link is not None else tip_links(robot)
@@ -86,21 +74,10 @@ def fit_payload(
     regressors: Floats, residual: Floats, sample_count: float
 ) -> tuple[Floats, Floats]:
     """
-    Fit a point mass to efforts.
+    Fit a point mass to efforts, from rows with equal variances and ten columns.
 
-    Parameters
-    ----------
-    regressors : ndarray, shape (r, 10)
-        Weighted so that all rows have the same variance.
-    residual : ndarray, shape (r,)
-        Efforts to explain, with the same weights.
-    sample_count : float
-        Number of independent samples that the rows represent.
-
-    Returns
-    -------
-    solution, errors : ndarray, shape (4,)
-        Mass [kg] and centre of mass [m], and their standard errors.
+    Returns mass [kg] and centre of mass [m], and their standard errors, each of shape (4,). The
+    number of independent samples may be smaller than that of the rows.
 
     """
     from scipy.optimize import least_squares

@@ -104,23 +104,7 @@ def choose_terms(
     grid: Floats,
     optional: bool = True,
 ) -> JointFit:
-    """
-    Fit the terms of all joints to what the bodies leave.
-
-    Parameters
-    ----------
-    regression : Regression
-        Samples with blocks.
-    start : JointFit or RobotFit
-        The bodies, and the springs and couplings that are kept.
-    moving : ndarray, shape (m,)
-        Whether friction of the joint can be identified.
-    grid : ndarray, shape (w, m)
-        Widths to choose from.
-    optional : bool
-        Whether to try more than friction.
-
-    """
+    """Fit the terms of all joints to what the bodies leave; friction only where joints move."""
     found = JointFit(start.model, start.used)
     # Again with couplings: what coupled drives exert on the joints before them is known then.
     for _ in range(2 if start.model.couplings.any() else 1):
@@ -254,25 +238,10 @@ def first_gains(
     regression: Regression, bodies: Floats, widths: Floats, moving: Booleans
 ) -> tuple[Floats, Booleans]:
     """
-    Estimate gains with the masses of the robot description.
+    Estimate gains from currents as efforts, with the bodies of the robot description, (b, 10).
 
-    Parameters
-    ----------
-    regression : Regression
-        With currents as efforts.
-    bodies : ndarray, shape (b, 10)
-        Bodies of the description.
-    widths : ndarray, shape (m,)
-        Widths of Coulomb friction.
-    moving : ndarray, shape (m,)
-        Whether the friction of the joint matters.
-
-    Returns
-    -------
-    gains : ndarray, shape (m,)
-        Effort per current; negative for a current with the opposite sign. If a gain cannot be
-        determined, the median of the others.
-    determined : ndarray, shape (m,)
+    Returns the gains, shape (m,), and whether each is determined. A gain is negative for a current
+    with the opposite sign; if it cannot be determined, it is the median of the others.
 
     """
     rigid = regression.rigid(bodies)
@@ -301,19 +270,7 @@ def common_factor(regression: Regression, fit: RobotFit, friction: JointFit) -> 
     """
     Return a factor of all efforts of the links that explains most of what the bodies improve.
 
-    Parameters
-    ----------
-    regression : Regression
-        The samples that were fitted.
-    fit : RobotFit
-        Fit of bodies and joints.
-    friction : JointFit
-        Terms of the joints, fitted to what the bodies of the robot description leave.
-
-    Returns
-    -------
-    factor : float or None
-        None if joints disagree, or if bodies explain far more.
+    None if joints disagree, or if bodies explain far more than that.
 
     """
     left, rigid = regression.residual(friction.model), regression.rigid(friction.model.bodies)
@@ -341,19 +298,9 @@ def common_factor(regression: Regression, fit: RobotFit, friction: JointFit) -> 
 
 def estimate_delay(regression: Regression, fit: RobotFit) -> Delay:
     """
-    Estimate how late the measured efforts are, together with all other unknowns.
+    Estimate how late the measured efforts are, together with all other unknowns, to first order.
 
-    Parameters
-    ----------
-    regression : Regression
-        The samples that were fitted.
-    fit : RobotFit
-        Fit without a delay.
-
-    Returns
-    -------
-    delay : Delay
-        Of the efforts as they are corrected now, to first order.
+    The delay is that of the efforts as they are corrected now.
 
     """
     model, weights = fit.model, fit.weights

@@ -66,18 +66,9 @@ def evaluate(
     validation: Sequence[PreparedRecording],
 ) -> IdentificationResult:
     """
-    Return the result of an identification, evaluated on runs or by cross-validation.
+    Return the result of an identification, evaluated on validation recordings.
 
-    Parameters
-    ----------
-    data : TrainingData
-        The recordings that were fitted.
-    fit, friction
-        The identified model, and friction fitted to what the robot description leaves.
-    delay, urdf_weight
-        What was found out on the way.
-    validation : sequence of PreparedRecording
-        Recordings that were not fitted; empty for cross-validation.
+    Without any, blocks of the recordings that were fitted are predicted from the others.
 
     """
     problem, identified = data.problem, data.problem.identified

@@ -36,19 +36,7 @@ INTERSECTION = 2e-3
 
 
 def with_extra(regression: Regression, moving: Booleans, fit: RobotFit) -> RobotFit | None:
-    """
-    Return the fit with the most useful extra, or None if the prediction gains from none.
-
-    Parameters
-    ----------
-    regression : Regression
-        Samples with blocks.
-    moving : ndarray, shape (m,)
-        Whether friction of the joint can be identified.
-    fit : RobotFit
-        Fit with the extras that have been found.
-
-    """
+    """Return the fit with the most useful extra, or None if the prediction gains from none."""
     used = fit.used.copy()
     used[:, WIDTH] = moving
     equations = Equations(regression, fit.model)

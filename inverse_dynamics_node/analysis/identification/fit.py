@@ -150,20 +150,10 @@ def solve(
     """
     Minimise the weighted squares plus the divergence from the robot description.
 
-    Parameters
-    ----------
-    equations : Equations
-        Of b identified bodies and m joints.
-    weights : ndarray, shape (m,)
-        Inverse variances of the joints, for dependent samples.
-    urdf_weight : ndarray, shape (b,)
-        Weight of the divergence of every body.
-    used : ndarray, shape (m, 10)
-        Terms that are fitted; the others are zero.
-    start : Model
-        First guess; its terms set the scales of those that are positive.
-    without : int, optional
-        Block to leave out.
+    Weights are inverse variances of the joints, shape (m,), for dependent samples; the weights of
+    the divergence belong to the bodies, shape (b,). Terms that are not used, shape (m, 10), are
+    zero. The terms of the first guess set the scales of those that are positive. One block may be
+    left out.
 
     """
     identified = equations.regression.problem.identified
@@ -363,23 +353,9 @@ class Prior:
 
 def minimise(matrix: Floats, vector: Floats, prior: Prior, start: Floats) -> tuple[Floats, Floats]:
     """
-    Minimise ``x^T A x / 2 - b^T x`` plus the divergence.
+    Minimise ``x^T A x / 2 - b^T x`` plus the divergence, from a start inside physics.
 
-    Parameters
-    ----------
-    matrix, vector : ndarray, shapes (p, p) and (p,)
-        A and b of the normal equations.
-    prior : Prior
-        The divergence.
-    start : ndarray, shape (p,)
-        Inside physics.
-
-    Returns
-    -------
-    x : ndarray, shape (p,)
-        The minimum.
-    hessian : ndarray, shape (p, p)
-        Second derivatives there; the inverse of the covariance.
+    Returns x, and the second derivatives there, which are the inverse of the covariance.
 
     Raises
     ------

@@ -263,15 +263,7 @@ class TrainingData:
 def training_data(
     problem: IdentificationProblem, runs: Sequence[PreparedRecording]
 ) -> TrainingData:
-    """
-    Collect the rows of the recordings to fit.
-
-    Raises
-    ------
-    RecordingError
-        If the recordings are too short.
-
-    """
+    """Collect the rows of the recordings to fit; raise RecordingError if they are too short."""
     motions = [run.motion for run in runs]
     moving = _moving_joints(problem, motions)
     duration = sum(float(np.ptp(motion.times)) for motion in motions)

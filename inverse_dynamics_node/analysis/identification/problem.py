@@ -66,18 +66,10 @@ class IdentifiedBodies:
 
     def link_inertials(self, parameters: Floats) -> dict[str, RigidBody]:
         """
-        Distribute the parameters of the identified bodies to their links.
+        Distribute physical parameters of the identified bodies, shape (b, 10), to their links.
 
-        Parameters
-        ----------
-        parameters : ndarray, shape (b, 10)
-            Physical parameters of the identified bodies.
-
-        Returns
-        -------
-        inertials : dict of str to RigidBody
-            By name of the link, in the frame of the link. All links of a body change by the same
-            linear map of space and density, so that each of them remains physical.
+        Returns the inertial of each link in its own frame. All links of a body change by the same
+        linear map of space and density, so that each of them remains physical.
 
         """
         inertials = {}
@@ -101,14 +93,7 @@ class IdentifiedBodies:
 
 def identified_bodies(robot: RobotModel, fixed: Collection[str] = ()) -> IdentifiedBodies:
     """
-    Select the bodies to identify.
-
-    Parameters
-    ----------
-    robot : RobotModel
-        The robot.
-    fixed : collection of str
-        Links that do not change.
+    Select the bodies to identify; those of fixed links do not change.
 
     Raises
     ------

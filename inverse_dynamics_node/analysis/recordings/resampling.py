@@ -42,17 +42,7 @@ class Resampler(NamedTuple):
 
 
 def resampler(motion: Motion, seconds: float) -> Resampler:
-    """
-    Return the resampler of a motion.
-
-    Parameters
-    ----------
-    motion : Motion
-        Motion at K times.
-    seconds : float
-        Length of the window [s]; with 0, signals are left as they are in the motion.
-
-    """
+    """Return the resampler of a motion; with a window of 0 s, signals are left as they are."""
     from scipy.signal import savgol_coeffs
 
     half = max(round(0.5 * seconds / motion.period), 0)
@@ -78,21 +68,7 @@ def resampler(motion: Motion, seconds: float) -> Resampler:
 
 
 def smooth_like_efforts(motion: Motion, values: Floats) -> Floats:
-    """
-    Smooth signals in the same way as the measured efforts of a motion.
-
-    Parameters
-    ----------
-    motion : Motion
-        Motion at K times.
-    values : ndarray, shape (K, c)
-        Signals that change as fast as Coulomb friction at a reversal.
-
-    Returns
-    -------
-    smoothed : ndarray, shape (K, c)
-
-    """
+    """Smooth signals of shape (K, c) in the same way as the measured efforts of a motion."""
     from scipy.signal import savgol_filter
 
     parts = [

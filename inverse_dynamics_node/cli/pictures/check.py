@@ -146,22 +146,10 @@ def draw_arm(
     axes: Any, dynamics: InverseDynamics, q: Floats, joint: int, link: str, view: int = 0
 ) -> None:
     """
-    Draw the robot from the side.
+    Draw the robot from the side, with gravity pointing down.
 
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-        To draw in.
-    dynamics : InverseDynamics
-        The robot; its gravity points down in the picture.
-    q : ndarray, shape (n,)
-        Joint positions [rad or m].
-    joint : int
-        The joint to highlight.
-    link : str
-        The link to mark, which carries a payload.
-    view : int
-        0 for the side that shows most of the robot, 1 for a view at right angles to it.
+    One joint is highlighted, and the link that carries a payload marked. View 0 is the side that
+    shows most of the robot, view 1 is at right angles to it.
 
     """
     robot = dynamics.robot

@@ -34,23 +34,7 @@ SHADES = ('#ffffff', '#fff1d6', '#e3f2e1', '#e8ecf7')
 def draw(
     path: str | Path, robot: RobotModel, title: str, timeline: Timeline, history: History
 ) -> None:
-    """
-    Draw a run and save it.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        Path of the picture; its suffix selects the format.
-    robot : RobotModel
-        Robot whose joints are drawn.
-    title : str
-        Title of the picture.
-    timeline : Timeline
-        Timeline of the run, with its events.
-    history : History
-        Recorded history of the run.
-
-    """
+    """Draw a run with its events, and save it in the format of the suffix of the path."""
     panels = [_errors, _efforts] + ([_contact] if timeline.expected else [])
     lines = [part for line in title.splitlines() for part in _wrapped(line)]
     if len(lines) > MOST_LINES:
@@ -218,23 +202,7 @@ def draw_identification(
     title: str,
     path: Path,
 ) -> None:
-    """
-    Draw the errors of all joints over time at one scale, and their root mean squares.
-
-    Parameters
-    ----------
-    names : tuple of str
-        The n joints.
-    histories : tuple of two History
-        Recorded with the URDF, and with the calibrated one.
-    errors : tuple of two ndarrays, shape (n,)
-        Root mean square errors of both [rad or m].
-    title : str
-        Title of the picture.
-    path : pathlib.Path
-        File to write.
-
-    """
+    """Draw the errors of all joints over time at one scale, and their root mean squares."""
     with style.styled_pyplot() as pyplot:
         figure = pyplot.figure(figsize=(style.WIDTH, max(5.2, 2.6 + 0.3 * len(names))))
         halves = figure.add_gridspec(1, 2, width_ratios=(1.7, 1.0))

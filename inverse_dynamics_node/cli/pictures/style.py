@@ -109,24 +109,8 @@ def try_to_draw(
     """
     Draw a picture, if one is wanted; where matplotlib is missing, print how to install it instead.
 
-    Parameters
-    ----------
-    draw : callable
-        Draws the picture and writes it to the path that is passed to it.
-    options : argparse.Namespace
-        The options --picture and --no-picture of the command line.
-    default : str
-        Path to use if none was requested.
-
-    Returns
-    -------
-    path : pathlib.Path or None
-        Path of the picture; None if it is not wanted, or matplotlib is missing.
-
-    Raises
-    ------
-    ModuleNotFoundError
-        If matplotlib is missing and the picture was requested.
+    Returns the path of the picture; None if there is none. If the option --picture requested it, a
+    missing matplotlib is an error.
 
     """
     if options.no_picture:
@@ -143,15 +127,7 @@ def try_to_draw(
 
 
 def write_picture(draw: Callable[[Path], None], path: Path) -> None:
-    """
-    Draw a picture that was requested.
-
-    Raises
-    ------
-    ModuleNotFoundError
-        If matplotlib is missing.
-
-    """
+    """Draw a picture that was requested; without matplotlib, raise ModuleNotFoundError."""
     try:
         with new_file(path) as temporary:
             draw(temporary)
