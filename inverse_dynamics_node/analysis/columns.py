@@ -1,5 +1,5 @@
 """
-Columns of regressions: efforts of one unit of an unknown.
+Columns of regressions, efforts of one unit of an unknown, and least squares with them.
 
 Efforts are linear in gravity, in the inertial parameters of bodies and payloads, and in friction.
 They depend on combinations of the inertial parameters, the base parameters. A QR decomposition
@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..dynamics.inverse_dynamics import InverseDynamics
-from ..robot.model import Floats, Integers, RobotModel
+from ..robot.model import Booleans, Floats, Integers, RobotModel
 from ..robot.rigid_body import PARAMETERS, parameters_of_pseudo_inertias
 
 NAMES = ('m', 'mx', 'my', 'mz', 'Ixx', 'Ixy', 'Iyy', 'Ixz', 'Iyz', 'Izz')
@@ -200,3 +200,44 @@ def base_parameters(matrix: Floats) -> BaseParameters:
         triangle[:rank, :rank], triangle[:rank, rank:]
     )
     return BaseParameters(combinations, order[:rank])
+
+
+# ---- Least squares -------------------------------------------------------------------------
+
+
+def fit_nonnegative(
+    features: Floats, target: Floats, signed: Sequence[int] | Booleans = ()
+) -> tuple[Floats, float]:
+    """
+    Fit factors of columns that are not negative, such as those of friction.
+
+    Parameters
+    ----------
+    features : ndarray, shape (K, p)
+        Columns.
+    target : ndarray, shape (K,)
+        What their sum explains.
+    signed : sequence of int, or ndarray of bool
+        The columns whose factors may be negative, such as that of an offset.
+
+    Returns
+    -------
+    factors : ndarray, shape (p,)
+    left : float
+        Sum of squares that is not explained.
+
+    """
+    from scipy.optimize import nnls
+
+    if not features.shape[1]:
+        return np.zeros(0), float(target @ target)
+    chosen = list(signed) if not isinstance(signed, np.ndarray) else signed
+    both = np.column_stack([features, -features[:, chosen]])
+    lengths = np.linalg.norm(both, axis=0)
+    lengths[lengths == 0.0] = 1.0
+    triangle = np.asarray(np.linalg.qr(np.column_stack([both / lengths, target]), mode='r'))
+    solution, norm = nnls(triangle[:, :-1], triangle[:, -1])
+    solution /= lengths
+    factors: Floats = solution[: features.shape[1]].copy()
+    factors[chosen] -= solution[features.shape[1] :]
+    return factors, float(norm) ** 2

@@ -6,6 +6,7 @@ import math
 
 from ..analysis.diagnosis import ComparisonResult, JointResidual, Motion
 from .diagnosis_text import amount, sentence
+from .quantities import motion_notes, with_error
 from .tables import Table
 
 AT_NOISE = 1.5  # times the noise; a smaller residual cannot be distinguished from it
@@ -94,25 +95,6 @@ def _quality(motion: Motion) -> str:
     return f'{len(motion.times)} samples over {duration:.3g} s; {motion.method}.'
 
 
-def motion_notes(motion: Motion) -> list[str]:
-    """Return sentences about ignored, repaired and doubtful data, without a full stop."""
-    notes = list(motion.notes)
-    if motion.lags:
-        late = ', '.join(f'{name} {1e3 * value:.0f} ms' for name, value in motion.lags.items())
-        notes.append(
-            f'recorded velocities lag the positions ({late}); velocities were derived from the '
-            'positions instead'
-        )
-    if math.isfinite(motion.cut_off):
-        notes.append(
-            f'the efforts contain nothing above about {motion.cut_off:.0f} Hz, not even noise: '
-            'they were low-pass filtered before they were recorded (or computed without noise). '
-            'Friction at reversals is distorted by that; record what the driver publishes, '
-            'without a filter'
-        )
-    return notes
-
-
 def friction_table(result: ComparisonResult) -> Table:
     """Return the fitted friction with standard errors."""
     has_shape = any(joint.friction.has_shape for joint in result.joints)
@@ -123,9 +105,9 @@ def friction_table(result: ComparisonResult) -> Table:
         shape = ('-', '-')
         if not fit.unknown_because:
             numbers = (
-                _with_error(fit.damping, fit.damping_error),
-                _with_error(fit.coulomb, fit.coulomb_error),
-                _with_error(fit.offset, fit.offset_error),
+                with_error(fit.damping, fit.damping_error),
+                with_error(fit.coulomb, fit.coulomb_error),
+                with_error(fit.offset, fit.offset_error),
             )
             own_width = fit.width if fit.has_shape else result.width
             shape = f'{own_width:g}', f'{fit.load_friction:.3f}'
@@ -164,14 +146,6 @@ def percent(fraction: float) -> str:
     if abs(fraction) < 5e-4:
         return '0.0%'
     return f'{fraction:.2%}' if fraction > 0.99 else f'{fraction:.1%}'
-
-
-def _with_error(value: float, error: float) -> str:
-    """Write a value with as many digits as its standard error justifies."""
-    if not error > 0.0 or not math.isfinite(error):
-        return f'{value:.4g}'
-    places = min(6, max(0, 1 - math.floor(math.log10(error))))
-    return f'{value:.{places}f} ± {error:.{places}f}'
 
 
 def _or_dash(value: float, how: str) -> str:

@@ -10,8 +10,7 @@ import numpy as np
 
 from ..analysis.identification import BodyResult, IdentificationResult, JointResult, Residuals
 from ..errors import significant
-from .compare_report import motion_notes
-from .quantities import with_error
+from .quantities import motion_notes, with_error
 from .tables import Table
 
 DETERMINED = 0.5

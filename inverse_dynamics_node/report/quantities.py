@@ -1,4 +1,4 @@
-"""Numbers, units and kinds of joints as text."""
+"""Numbers, units, kinds of joints, and notes about recorded data as text."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from ..analysis.recordings.signals import Motion
 from ..errors import significant
 from ..robot.model import Floats, RobotModel
 
@@ -48,3 +49,22 @@ def with_error(value: float, error: float) -> str:
         return significant(value, 4)
     places = min(6, max(0, 1 - math.floor(math.log10(error))))
     return f'{value:.{places}f} ± {error:.{places}f}'
+
+
+def motion_notes(motion: Motion) -> list[str]:
+    """Return sentences about ignored, repaired and doubtful data, without a full stop."""
+    notes = list(motion.notes)
+    if motion.lags:
+        late = ', '.join(f'{name} {1e3 * value:.0f} ms' for name, value in motion.lags.items())
+        notes.append(
+            f'recorded velocities lag the positions ({late}); velocities were derived from the '
+            'positions instead'
+        )
+    if math.isfinite(motion.cut_off):
+        notes.append(
+            f'the efforts contain nothing above about {motion.cut_off:.0f} Hz, not even noise: '
+            'they were low-pass filtered before they were recorded (or computed without noise). '
+            'Friction at reversals is distorted by that; record what the driver publishes, '
+            'without a filter'
+        )
+    return notes

@@ -9,10 +9,10 @@ from inverse_dynamics_node.dynamics.jit import IS_COMPILED
 from inverse_dynamics_node.report.compare_report import (
     comparison_table,
     friction_table,
-    motion_notes,
     verdict,
 )
 from inverse_dynamics_node.report.diagnosis_text import diagnosis_warning
+from inverse_dynamics_node.report.quantities import motion_notes
 import numpy as np
 import pytest
 from runs import EVERY_ROBOT, run

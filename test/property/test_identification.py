@@ -10,15 +10,13 @@ from inverse_dynamics_node.analysis.identification import (
     identify_parameters,
     regression,
 )
-from inverse_dynamics_node.analysis.identification.problem import (
-    IdentificationProblem,
-    identified_bodies,
-)
 from inverse_dynamics_node.analysis.identification.regression import (
     ARMATURE,
     COULOMB,
     DAMPING,
     EXPORTED,
+    IdentificationProblem,
+    identified_bodies,
     LOAD,
     Model,
     OFFSET,

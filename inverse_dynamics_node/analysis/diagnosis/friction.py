@@ -15,8 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...robot.model import Booleans, Floats
-from ..columns import friction_columns
-from ..least_squares import fit_nonnegative
+from ..columns import fit_nonnegative, friction_columns
 from ..node_parameters import node_parameters
 
 SURELY_MOVING = 3.0  # widths; at this speed tanh has 99.5 % of its final value

@@ -17,8 +17,7 @@ import numpy as np
 
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...robot.model import Booleans, Floats
-from ..columns import gravity_columns, payload_columns
-from ..least_squares import fit_nonnegative
+from ..columns import fit_nonnegative, gravity_columns, payload_columns
 
 PARAMETER_COST = math.log(2.0)
 """A parameter must halve the remaining squares to be accepted."""

@@ -20,9 +20,14 @@ import numpy as np
 from ...dynamics.inverse_dynamics import FRICTION_WIDTH, InverseDynamics
 from ...robot.model import Booleans, Floats, RobotModel
 from ..columns import direction_of
-from .axes import diagnose_positions, search_axes
 from .compared_efforts import not_measured
-from .diagnoses import diagnose, diagnose_axes, diagnose_constant
+from .diagnoses import (
+    diagnose,
+    diagnose_axes,
+    diagnose_constant,
+    diagnose_positions,
+    search_axes,
+)
 from .fault import Change, Fault, FaultKind, GravityConvention, WITH_GRAVITY
 from .friction import is_moving, lacks_reversal
 from .joint_samples import JointSignals, NOISE_FLOOR, sample_joints

@@ -15,7 +15,6 @@ from ...dynamics.inverse_dynamics import FRICTION_WIDTH, InverseDynamics
 from ...errors import RecordingError
 from ...robot.model import Booleans, Floats, RobotModel
 from ..recordings.signals import derive, Motion, Recording
-from .axes import Axes, diagnose_positions, search_axes
 from .bodies import Bodies, CERTAIN, fit_bodies
 from .compared_efforts import (
     added_efforts,
@@ -32,11 +31,14 @@ from .compared_efforts import (
     with_shapes,
 )
 from .diagnoses import (
+    Axes,
     diagnose,
     diagnose_axes,
     diagnose_bodies,
     diagnose_constant,
     diagnose_interval,
+    diagnose_positions,
+    search_axes,
 )
 from .fault import Fault, FaultKind, GravityConvention, WITH_GRAVITY
 from .friction import FrictionFit

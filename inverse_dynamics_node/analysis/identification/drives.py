@@ -19,7 +19,7 @@ import numpy as np
 
 from ...robot.model import Booleans, Floats, Integers
 from ...robot.rigid_body import PARAMETERS
-from ..least_squares import fit_nonnegative
+from ..columns import fit_nonnegative
 from ..recordings.resampling import pieces
 from ..recordings.signals import Motion
 from .fit import correlation, RobotFit, weights_of

@@ -15,11 +15,11 @@ from ..recordings.signals import Motion
 from .drives import common_factor, Delay, fit_terms, JointFit
 from .fit import mass_information, RobotFit, UrdfWeight, weights_of
 from .preparation import PreparedRecording, TrainingData
-from .problem import IdentificationProblem
 from .regression import (
     ARMATURE,
     COULOMB,
     DAMPING,
+    IdentificationProblem,
     LOAD,
     Model,
     OFFSET,

@@ -15,8 +15,7 @@ import numpy as np
 
 from ...robot.model import Booleans, Floats, RobotModel
 from .fit import Equations, RobotFit, solve
-from .problem import moved_by
-from .regression import ARMATURE, Model, RATIO, Regression, SPRING, WIDTH
+from .regression import ARMATURE, Model, moved_by, RATIO, Regression, SPRING, WIDTH
 
 LEAST_GAIN = 0.1
 """Fraction of the squares of a joint that the prediction has to gain from a spring."""

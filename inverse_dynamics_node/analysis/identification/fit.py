@@ -24,8 +24,7 @@ import numpy as np
 
 from ...robot.model import Booleans, Floats, Integers
 from ...robot.rigid_body import BASIS, PARAMETERS, pseudo_inertias
-from .problem import moved_by
-from .regression import LOAD, Model, Regression, SIGNED, TERMS
+from .regression import LOAD, Model, moved_by, Regression, SIGNED, TERMS
 
 URDF_WEIGHTS = tuple(10.0 ** np.arange(4.0, -2.1, -0.5))
 """

@@ -26,8 +26,7 @@ from .preparation import (
     training_data,
     TrainingData,
 )
-from .problem import IdentificationProblem, identified_bodies
-from .regression import GAIN, Model, RATIO, TERMS, WIDTH
+from .regression import GAIN, IdentificationProblem, identified_bodies, Model, RATIO, TERMS, WIDTH
 from .result import IdentificationResult
 
 ROUNDS = 3

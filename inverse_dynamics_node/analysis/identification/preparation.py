@@ -13,8 +13,7 @@ from ...robot.model import Booleans, Floats, RobotModel
 from ..recordings.resampling import pieces
 from ..recordings.signals import derive, Motion, Recording
 from .drives import EffortCorrection, widths_to_try
-from .problem import IdentificationProblem
-from .regression import Regression
+from .regression import IdentificationProblem, Regression
 
 HIGHEST_RATE = 250.0
 """Samples per second that are kept; the smoothed motions contain nothing faster."""
