@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 import math
 from types import MappingProxyType
 
-from ..analysis.diagnosis import Change, Fault, FaultKind
+from ..analysis.diagnosis import Fault, FaultKind
 from ..robot.model import ModelWarning
 
 MOST_CHANGES = 3  # joints whose residuals are listed as evidence
@@ -400,14 +400,3 @@ def amount(effort: float, is_prismatic: bool) -> str:
 def listed(names: Sequence[str]) -> str:
     """Join names by commas, and the last one by 'and'."""
     return names[0] if len(names) == 1 else f'{", ".join(names[:-1])} and {names[-1]}'
-
-
-__all__ = [
-    'Change',
-    'amount',
-    'centre_of_mass',
-    'diagnosis_warning',
-    'headline',
-    'listed',
-    'sentence',
-]

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..analysis.recordings.signals import Motion
 from ..errors import significant
 from ..robot.model import Floats, RobotModel
+
+if TYPE_CHECKING:
+    from ..analysis.recordings.signals import Motion
 
 
 def kind_of(robot: RobotModel, body: int) -> str:

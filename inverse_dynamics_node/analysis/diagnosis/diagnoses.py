@@ -122,16 +122,8 @@ def diagnose_interval(fault: FaultInterval, names: Sequence[str]) -> list[Fault]
 
 def diagnose_bodies(bodies: Bodies, data: RegressionData, names: Sequence[str]) -> Fault:
     """Return the fault of several wrong links."""
-    changes = []
-    for j, (before, after) in enumerate(zip(bodies.before, bodies.after, strict=True)):
-        if after < CHANGED * before:
-            samples = data.joints[j]
-            measured = math.sqrt(samples.squares[data.first_measured + j])
-            change = Change(names[j], samples.is_prismatic, float(before), float(after), measured)
-            changes.append(change)
-    return Fault(
-        FaultKind.BODIES, changes=tuple(sorted(changes, key=lambda each: each.after - each.before))
-    )
+    before, after = bodies.before.tolist(), bodies.after.tolist()
+    return Fault(FaultKind.BODIES, changes=_changes(data, names, before, after))
 
 
 def diagnose_axes(data: RegressionData, axes: Axes, names: Sequence[str]) -> list[Fault]:
@@ -139,22 +131,27 @@ def diagnose_axes(data: RegressionData, axes: Axes, names: Sequence[str]) -> lis
     joints = tuple(name for name, sign in zip(names, axes.signs, strict=True) if sign < 0.0)
     if not joints:
         return []
-    fits = data.friction_only().fits, axes.data.friction_only().fits
-    changes = [
-        Change(
-            name,
-            samples.is_prismatic,
-            before.rms,
-            after.rms,
-            math.sqrt(samples.squares[data.first_measured + j]),
-        )
-        for j, (name, samples, before, after) in enumerate(
-            zip(names, data.joints, *fits, strict=True)
-        )
-        if after.rms < CHANGED * before.rms
-    ]
-    changes.sort(key=lambda each: each.after - each.before)
-    return [Fault(FaultKind.REVERSED_AXIS, joints, changes=tuple(changes))]
+    before = [fit.rms for fit in data.friction_only().fits]
+    after = [fit.rms for fit in axes.data.friction_only().fits]
+    changes = _changes(data, names, before, after)
+    return [Fault(FaultKind.REVERSED_AXIS, joints, changes=changes)]
+
+
+def _changes(
+    data: RegressionData,
+    names: Sequence[str],
+    before: Sequence[float],
+    after: Sequence[float],
+    source: Sequence[int] | None = None,
+) -> tuple[Change, ...]:
+    """Return the joints whose RMS residual falls, the largest reduction first."""
+    found = []
+    for j, samples in enumerate(data.joints):
+        if after[j] < CHANGED * before[j]:
+            measured = data.first_measured + (j if source is None else source[j])
+            size = math.sqrt(samples.squares[measured])
+            found.append(Change(names[j], samples.is_prismatic, before[j], after[j], size))
+    return tuple(sorted(found, key=lambda each: each.after - each.before))
 
 
 def diagnose_positions(robot: RobotModel, q: Floats, names: tuple[str, ...]) -> list[Fault]:
@@ -192,17 +189,8 @@ class _Faults:
 
     def changes(self, without: RobotFit) -> tuple[Change, ...]:
         """Return the joints that are explained worse without a part of the explanation."""
-        found = []
-        for j, (before, after) in enumerate(zip(without.fits, self.fits, strict=True)):
-            samples = self.data.joints[j]
-            source = self.robot_fit.source[j]
-            measured = math.sqrt(samples.squares[self.data.first_measured + source])
-            if after.rms < CHANGED * before.rms:
-                change = Change(
-                    self.names[j], samples.is_prismatic, before.rms, after.rms, measured
-                )
-                found.append(change)
-        return tuple(sorted(found, key=lambda each: each.after - each.before))
+        before, after = ([fit.rms for fit in fits] for fits in (without.fits, self.fits))
+        return _changes(self.data, self.names, before, after, self.robot_fit.source)
 
     def order(self) -> list[Fault]:
         source = self.robot_fit.source

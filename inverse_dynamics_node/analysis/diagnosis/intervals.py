@@ -28,7 +28,7 @@ from .joint_samples import (
     SPEED,
     WEIGHT,
 )
-from .regression_data import RegressionData, RobotFit
+from .regression_data import MIN_TILT, RegressionData, RobotFit
 
 SEGMENTS = 40  # of a recording, whose edges are possible limits of a part
 LONGEST = 0.9  # fraction of the recording; the rest shows the friction
@@ -50,7 +50,6 @@ MOST_ROWS = 800  # samples of a joint that are used for a changing gravity
 GRAVITY_RANGE = 5.0  # [m/s^2], standard deviation of gravity at a knot
 GRAVITY_STEP = 2.0  # [m/s^2], standard deviation of its change between knots
 STRENGTH = 0.25  # largest relative change of the strength of gravity
-MIN_TILT = math.radians(3.0)
 
 
 class FaultInterval(NamedTuple):
@@ -312,16 +311,12 @@ def find_tilt(data: RegressionData, most_left: float) -> FaultInterval | None:
     gravity, left = _fit_gravity(data, moving, knots)
     if left > most_left:
         return None
-    angles = np.arccos(
-        np.clip(gravity @ data.gravity / (np.linalg.norm(gravity, axis=1) * strength), -1, 1)
-    )
     lengths = np.linalg.norm(gravity, axis=1)
+    angles = np.arccos(np.clip(gravity @ data.gravity / (lengths * strength), -1, 1))
     mean = gravity.mean(axis=0) / np.linalg.norm(gravity.mean(axis=0))
-    turns = np.arccos(np.clip(gravity @ mean / np.linalg.norm(gravity, axis=1), -1, 1))
-    if (
-        min(angles.max(), 2.0 * turns.max()) < MIN_TILT
-        or np.abs(lengths / strength - 1.0).max() > 0.25
-    ):
+    turns = np.arccos(np.clip(gravity @ mean / lengths, -1, 1))
+    is_small = min(angles.max(), 2.0 * turns.max()) < MIN_TILT
+    if is_small or np.abs(lengths / strength - 1.0).max() > STRENGTH:
         return None
     tilted: Booleans = angles > max(MIN_TILT, 0.2 * float(angles.max()))
     at = np.flatnonzero(tilted)

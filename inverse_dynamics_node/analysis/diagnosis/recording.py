@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from ...dynamics.inverse_dynamics import FRICTION_WIDTH, InverseDynamics
 from ...errors import RecordingError
 from ...robot.model import Booleans, Floats, RobotModel
-from ..recordings.signals import derive, Motion, Recording
+from ..recordings.signals import derive, Motion, Recording, without_turns
 from .bodies import Bodies, CERTAIN, fit_bodies
 from .compared_efforts import (
     added_efforts,
@@ -183,14 +183,7 @@ def diagnose_recording(
     if link is not None:
         robot.link_index(link)  # raises if it does not exist
     index = _indices(recording.joint_names, robot)
-    continuous = [j for j, i in enumerate(index) if robot.is_continuous[i]]
-    if continuous:
-        positions = recording.positions.copy()
-        for j in continuous:
-            is_known = np.isfinite(positions[:, j])
-            positions[is_known, j] = np.unwrap(positions[is_known, j])
-        recording = recording._replace(positions=positions)
-    motion = derive(recording)
+    motion = derive(without_turns(robot, recording))
     common_width = FRICTION_WIDTH if width is None else width
     compared = ComparedEfforts(dynamics, motion, index, others, link, common_width, convention)
     return _result(compared, fits_shape=width is None)

@@ -14,7 +14,7 @@ from ..columns import base_parameters
 from ..recordings.signals import Motion
 from .drives import common_factor, Delay, fit_terms, JointFit
 from .fit import mass_information, RobotFit, UrdfWeight, weights_of
-from .preparation import PreparedRecording, TrainingData
+from .preparation import PreparedRecording, rms, TrainingData
 from .regression import (
     ARMATURE,
     COULOMB,
@@ -117,11 +117,6 @@ def evaluate(
         warnings=_warnings(data, joints, fit, friction, accepted),
         advice=what_to_record(data, bodies),
     )
-
-
-def rms(values: Floats) -> Floats:
-    """Return the root mean square of columns."""
-    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
 
 
 class Fold(NamedTuple):

@@ -11,7 +11,7 @@ import numpy as np
 from ...errors import RecordingError
 from ...robot.model import Booleans, Floats, RobotModel
 from ..recordings.resampling import pieces
-from ..recordings.signals import derive, Motion, Recording
+from ..recordings.signals import derive, Motion, Recording, without_turns
 from .drives import EffortCorrection, widths_to_try
 from .regression import IdentificationProblem, Regression
 
@@ -123,7 +123,7 @@ def prepare_all(
         If a recording is too short, or one of these joints has no measured effort.
 
     """
-    turned = [_without_turns(robot, each) for each in recordings]
+    turned = [without_turns(robot, each) for each in recordings]
     quiet = [without_noisy_velocities(each) for each in turned]
     stretch = stretch or max(_stretch(each) for each in quiet)
     pairs = zip(turned, quiet, strict=True)
@@ -156,7 +156,7 @@ def _stretch(recording: Recording) -> float:
         moves = np.ptp(motion.q, axis=0) > LEAST_RANGE
         if not moves.any():
             break
-        changes = _rms(motion.qd[:, moves]) / np.maximum(_rms(motion.qdd[:, moves]), 1e-9)
+        changes = rms(motion.qd[:, moves]) / np.maximum(rms(motion.qdd[:, moves]), 1e-9)
         seconds = motion.window * motion.period
         if stretch > STRETCHES[0] and seconds > float(np.median(changes)):
             break  # the motion itself would be smoothed away
@@ -168,10 +168,11 @@ def _stretch(recording: Recording) -> float:
 
 def _relative_noise(motion: Motion) -> Floats:
     """Return the noise of the accelerations relative to their RMS, shape (m,)."""
-    return np.asarray(motion.qdd_noise / np.maximum(_rms(motion.qdd), 1e-9))
+    return np.asarray(motion.qdd_noise / np.maximum(rms(motion.qdd), 1e-9))
 
 
-def _rms(values: Floats) -> Floats:
+def rms(values: Floats) -> Floats:
+    """Return the root mean square of columns."""
     return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
 
 
@@ -215,16 +216,6 @@ def _columns(derived: Motion, names: Sequence[str]) -> list[int]:
             f'recordings to fit; it has efforts of {", ".join(measured)}'
         )
     return [derived.joint_names.index(name) for name in names]
-
-
-def _without_turns(robot: RobotModel, recording: Recording) -> Recording:
-    """Remove jumps by a whole turn from the positions of continuous joints."""
-    positions = recording.positions.copy()
-    for j, name in enumerate(recording.joint_names):
-        if robot.is_continuous[robot.joint_names.index(name)]:
-            is_known = np.isfinite(positions[:, j])
-            positions[is_known, j] = np.unwrap(positions[is_known, j])
-    return recording._replace(positions=positions)
 
 
 # ---- Rows of a regression ------------------------------------------------------------------
@@ -294,8 +285,8 @@ def _smoothing_window(
     for motion in motions:
         for joint, moves in zip(problem.joints, moving, strict=True):
             if moves:
-                qdd = max(float(_rms(motion.qdd[:, joint])), 1e-9)
-                ratios.append(float(_rms(motion.qd[:, joint])) / qdd)
+                qdd = max(float(rms(motion.qdd[:, joint])), 1e-9)
+                ratios.append(float(rms(motion.qd[:, joint])) / qdd)
     typical = 0.7 * float(np.quantile(ratios, 0.25)) if ratios else np.inf
     return float(np.clip(min(typical, duration / 40.0), *SMOOTHING_RANGE))
 

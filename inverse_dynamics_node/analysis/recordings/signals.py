@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...errors import RecordingError
-from ...robot.model import Floats, Integers
+from ...robot.model import Floats, Integers, RobotModel
 from .signal_quality import cut_off, lag, resolution, white_noise
 
 WINDOWS = {1: (0.10, 3), 2: (0.15, 5)}
@@ -92,6 +92,16 @@ class Motion(NamedTuple):
     def period(self) -> float:
         """Time between samples [s]."""
         return float(np.median(np.diff(self.times)))
+
+
+def without_turns(robot: RobotModel, recording: Recording) -> Recording:
+    """Remove jumps by a whole turn from the positions of continuous joints."""
+    positions = recording.positions.copy()
+    for j, name in enumerate(recording.joint_names):
+        if robot.is_continuous[robot.joint_names.index(name)]:
+            is_known = np.isfinite(positions[:, j])
+            positions[is_known, j] = np.unwrap(positions[is_known, j])
+    return recording._replace(positions=positions)
 
 
 def derive(recording: Recording, stretch: float = 1.0) -> Motion:
