@@ -20,9 +20,8 @@ from ..robot.limit_checks import implausible_positions, ImplausiblePosition
 from ..robot.model import Booleans, Floats, RobotModel
 from .command_shaping import CommandShaper
 from .contact import ExternalEffortEstimator
-from .control_law import ControlLaw, joint_index, Reference
+from .control_law import ControlLaw, DriveReference, joint_index, Reference
 from .external_loads import ExternalLoads
-from .joint_commands import DriveReference
 from .joint_states import JointStateCollector, State
 from .settings import LoadSettings, MeasuredGravity, Mode, Settings, StalePolicy
 from .stop_damping import StopDamping
