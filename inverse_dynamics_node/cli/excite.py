@@ -19,15 +19,14 @@ from ..analysis.excitation import (
     motion_limits,
     MotionLimits,
     NOISE,
-    States,
-    whole_states,
+    whole_positions,
 )
 from ..analysis.trajectory_files import write_table, write_trajectory
 from ..dynamics.trajectory import Trajectory, trajectory_efforts
 from ..errors import ConfigurationError
 from ..report.excitation_tables import excitation_tables
 from ..robot.capsules import body_capsules
-from ..robot.model import Floats, RobotModel
+from ..robot.model import RobotModel
 from ..robot.urdf.shapes import read_shapes
 from . import arguments
 from .arguments import CommandParser, RESULT
@@ -217,7 +216,7 @@ def run(options: argparse.Namespace) -> int:
     trajectory = excitation.series.trajectory(options.rate, options.speed)
     efforts = trajectory_efforts(dynamics, trajectory, limits.rest)
     assert limits.clearance
-    box = limits.clearance.extent(_positions(excitation, trajectory))
+    box = limits.clearance.extent(whole_positions(limits, trajectory.positions))
     show(*excitation_tables(robot, excitation, trajectory, efforts, box))
     say('Rehearse the motion slowly, with --speed 0.2.')
     print()
@@ -258,12 +257,6 @@ def _limits(robot: RobotModel, source: Path | str, options: argparse.Namespace) 
     with waiting('reading collision shapes'):
         capsules = body_capsules(robot, *read_shapes(source))
         return keep_clear(robot, limits, capsules, options.floor, boxes)
-
-
-def _positions(excitation: Excitation, trajectory: Trajectory) -> Floats:
-    """Return the positions of all joints, shape (k, n)."""
-    zeros = np.zeros_like(trajectory.positions)
-    return whole_states(excitation.limits, States(trajectory.positions, zeros, zeros)).q
 
 
 def _seconds_to_start(excitation: Excitation) -> float:

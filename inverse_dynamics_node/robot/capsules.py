@@ -6,7 +6,7 @@ A capsule is the set of points within a radius of a segment. Its distances are q
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -32,6 +32,10 @@ _PRICE = 0.04
 _CUTS = (0.35, 0.65)
 _STEPS = 10
 """Steps to the centre of points across an axis."""
+
+
+_Row = tuple[int, Floats, float, Floats]
+"""A body, the ends and the radius of a capsule, and points on the surface in it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,11 +82,13 @@ def body_capsules(
     robot : RobotModel
         The robot.
     shapes, unreadable
-        From `read_shapes`. A body with an unreadable shape, or with a mass and without a shape,
-        gets capsules from its joint to its other points, with a radius of `ASSUMED_RADIUS`.
+        From `read_shapes`. A body with an unreadable shape, or with a mass and without a shape
+        around it, gets capsules from its joint to its other points, with a radius of
+        `ASSUMED_RADIUS`.
 
     """
-    rows: list[tuple[int, Floats, float, Floats]] = []
+    rows: list[_Row] = []
+    shaped = set()
     for shape in shapes:
         k = robot.link_index(shape.link)
         rotation, position = robot.link_rotation[k], robot.link_position[k]
@@ -91,12 +97,10 @@ def body_capsules(
             ends = piece.ends @ rotation.T + position
             inside = points[_distances(points, piece.ends) <= piece.radius]
             body = int(robot.link_body[k])
+            shaped.add(k)
             rows.append((body, ends, piece.radius, inside @ rotation.T + position))
-    reasons = {int(robot.link_body[robot.link_index(x)]): why for x, why in unreadable.items()}
-    shaped = {body for body, *_ in rows}
-    for body in range(len(robot.parent)):
-        if body not in shaped and (robot.mass[body] > 0.0 or body == 0):
-            reasons.setdefault(body, 'it has no collision shape')
+    reasons = _shapeless(robot, rows, shaped)
+    reasons |= {int(robot.link_body[robot.link_index(x)]): why for x, why in unreadable.items()}
     radius = ASSUMED_RADIUS * _longest_chain(robot)
     for body in sorted(reasons):
         rows += [(body, ends, radius, np.empty((0, 3))) for ends in _bones(robot, body)]
@@ -114,6 +118,23 @@ def body_capsules(
         surfaces,
         tuple(notes),
     )
+
+
+def _shapeless(robot: RobotModel, rows: Sequence[_Row], shaped: set[int]) -> dict[int, str]:
+    """Return bodies without a shape around their mass, with the reason; shaped are links."""
+    reasons = {}
+    for body in range(len(robot.parent)):
+        points = [row[-1] for row in rows if row[0] == body]
+        if not points and (robot.mass[body] > 0.0 or body == 0):
+            reasons[body] = 'it has no collision shape'
+        links = np.flatnonzero(robot.link_body == body)
+        heaviest = int(links[robot.link_mass[links].argmax()])
+        if points and robot.link_mass[heaviest] > 0.0 and heaviest not in shaped:
+            # A shape may be that of a link of its own, or only that of a camera beside the mass.
+            beyond = np.concatenate(points) - robot.com[body]
+            if (beyond.min(axis=0) > 0.0).any() or (beyond.max(axis=0) < 0.0).any():
+                reasons[body] = 'no shape around its centre of mass'
+    return reasons
 
 
 def _longest_chain(robot: RobotModel) -> float:

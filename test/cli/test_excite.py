@@ -105,7 +105,7 @@ def test_boxes_that_leave_no_room_end_with_a_reason(here, capsys):
         (['--joints', 'hook'], 1, "joint 'hook' does not exist; joints are"),
         (['--fraction', '0'], 1, 'fraction is 0.0, expected more than 0, up to 1'),
         (['--harmonics', '1'], 1, 'harmonics is 1, expected at least 2'),
-        (['--floor', '5'], 1, 'lower the floor (--floor)'),
+        (['--floor', '5'], 1, 'or switch it off (--floor none)'),
         (['--floor', 'deep'], 2, "'deep' is not a height, or none"),
         (['--box', '0', '0', '0', '1', '1', '0'], 1, 'three lengths above 0'),
     ],

@@ -9,8 +9,7 @@ from inverse_dynamics_node.analysis.excitation import (
     keep_clear,
     motion_limits,
     search,
-    States,
-    whole_states,
+    whole_positions,
 )
 from inverse_dynamics_node.analysis.excitation import (
     clearance as clearances,
@@ -60,9 +59,9 @@ def link(geometry):
     return load_urdf(f'<robot name="r"><link name="a">{geometry}</link></robot>')
 
 
-def positions_of(excitation, rest=None):
-    q, qd, qdd = excitation.series.sample(np.linspace(0.0, excitation.series.duration, 2001))
-    return whole_states(excitation.limits, States(q, qd, qdd)).q
+def positions_of(excitation):
+    q, _, _ = excitation.series.sample(np.linspace(0.0, excitation.series.duration, 2001))
+    return whole_positions(excitation.limits, q)
 
 
 def distance_of_fore_to_post(q):
@@ -228,6 +227,68 @@ def test_a_shape_that_cannot_be_read_is_named_and_replaced(solid, reason):
     assert reason in capsules.notes[0]
     assert 'is assumed for fore' in capsules.notes[0]
     assert_allclose(capsules.radii[capsules.body == 2], 0.05 * (0.4 + 0.3))
+
+
+def test_a_small_part_does_not_stand_for_the_link_that_carries_it():
+    shape = '<collision><origin xyz="0.2 0 0" rpy="0 1.5707963 0"/>'
+    arm = ARM.replace('<cylinder radius="0.02" length="0.3"/>', '<box size="0.04 0.04 0.3"/>')
+    before, _, after = arm.partition(shape)
+    body = before + '</link><link name="camera">' + shape.replace('0.2 0 0', '0.1 0.1 0') + after
+    urdf = body.replace(
+        '</robot>',
+        '<joint name="screw" type="fixed"><parent link="fore"/><child link="camera"/></joint>'
+        '</robot>',
+    )
+    capsules = capsules_of(urdf, load_urdf(urdf))
+    assert 'is assumed for fore (no shape around its centre of mass)' in capsules.notes[0]
+    is_assumed = np.isclose(capsules.radii, 0.05 * (0.4 + 0.3))
+    assert is_assumed.any()
+    assert (capsules.body[is_assumed] == 2).all()
+    # The shape of a link may be that of another one, with the same place.
+    around = urdf.replace('0.1 0.1 0', '0.2 0 0')
+    assert not capsules_of(around, load_urdf(around)).notes
+
+
+def test_the_smallest_distance_is_that_of_all_poses(rng):
+    robot = load_urdf(ARM)
+    clearance = find_clearance(robot, capsules_of(ARM, robot), rng.uniform(-3.0, 3.0, (50, 2)))
+    q = rng.uniform(-3.0, 3.0, (100, 2))
+    rotations, positions = body_frames(robot, q)
+    smallest = min(
+        clearance.between_surfaces(row, R, p, np.inf)
+        for row in range(len(clearance.pairs))
+        for R, p in zip(rotations, positions, strict=True)
+    )
+    (found,) = clearance.nearest(q)
+    assert found.distance == smallest
+
+
+LIFT = """<robot name="r"><link name="base"/>
+<link name="plate"><inertial><mass value="1"/>
+  <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>
+  <collision><geometry><sphere radius="0.05"/></geometry></collision></link>
+<joint name="lift" type="prismatic"><parent link="base"/><child link="plate"/>
+  <axis xyz="0 0 1"/><limit lower="-1" upper="1" velocity="1" effort="50"/></joint></robot>"""
+
+
+@pytest.mark.parametrize(
+    ('heights', 'is_kept'),
+    [
+        (np.linspace(-0.2, 0.2, 100), True),
+        (np.linspace(-0.2, 0.0, 100), False),
+        (np.linspace(-0.2, 0.2, 100) - 0.1 * np.linspace(0.0, np.pi, 100), False),
+        (np.maximum(np.linspace(-1.0, 0.2, 100), -0.2), False),
+    ],
+    ids=['rises', 'ends below', 'falls', 'rises late'],
+)
+def test_what_begins_below_the_floor_has_to_rise(heights, is_kept):
+    robot = load_urdf(LIFT)
+    poses = np.linspace(-1.0, 1.0, 50)[:, np.newaxis]
+    clearance = find_clearance(robot, capsules_of(LIFT, robot), poses, 0.0)
+    way = heights[:, np.newaxis]
+    assert not clearance.is_kept(way)
+    assert clearance.is_kept(way, is_way=True) is is_kept
+    assert clearance.violation(way, is_way=True)[0].any() != is_kept
 
 
 def test_parts_that_touch_in_all_poses_are_not_checked(rng):

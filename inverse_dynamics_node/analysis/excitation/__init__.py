@@ -9,6 +9,7 @@ from .limits import (
     motion_limits,
     MotionLimits,
     States,
+    whole_positions,
     whole_states,
 )
 from .search import (
@@ -41,5 +42,6 @@ __all__ = [
     'find_excitation',
     'keep_clear',
     'motion_limits',
+    'whole_positions',
     'whole_states',
 ]

@@ -9,11 +9,11 @@ capsules may come.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,13 +36,13 @@ _MOST_LOOKS = 40
 _UNSEEN = 0.005
 """How much nearer capsules may come than in poses in which the surfaces are far apart [m]."""
 _ON_THE_WAY = 0.005
-"""How much nearer parts may come on a way than in its first pose, if they are near there [m]."""
+"""What is too near in the first pose of a way may first come nearer by this [m]."""
 _FAR = 0.3
 """Larger distances are of no interest [m]."""
 _SCALE = 0.05
 """A distance that is this much too short is as bad as twice the limit of a speed [m]."""
-_SECTIONS = 30
-"""Steps to the point of a segment that is nearest to a box; each leaves two thirds."""
+_PLACES = np.linspace(0.0, 1.0, 33)[:, np.newaxis]
+"""Points of a segment, of which the one that is nearest to a box is found."""
 _CHUNK = 200
 """Poses for which distances are computed together."""
 
@@ -93,7 +93,7 @@ class Clearance:
     """Least distance: of the pairs, of both ends of each capsule to the floor, then of each
     capsule to each box [m]."""
     unchecked: tuple[str, ...] = ()
-    """What touches in almost all poses, such as 'wrist and floor'."""
+    """What is near in many poses and is not checked at all, such as 'wrist and floor'."""
 
     @property
     def bodies(self) -> Integers:
@@ -154,20 +154,17 @@ class Clearance:
     ) -> Contacts:
         """Return contacts of pairs whose surrounding spheres are near each other."""
         i, j = self.pairs.T
-        near = np.full((len(reach), len(reach)), -1.0)
-        near[i, j] = np.maximum(reach[i] + reach[j] + limit[: len(i)], 0.0) ** 2
-        rows = np.zeros(near.shape, int)
-        rows[i, j] = np.arange(len(i))
-        squares = np.einsum('kcx,kcx->kc', middle, middle)
-        products = middle @ middle.transpose(0, 2, 1)
-        apart = squares[:, :, np.newaxis] + squares[:, np.newaxis] - 2.0 * products
-        pose, i, j = np.nonzero(apart < near)
+        near = np.maximum(reach[i] + reach[j] + limit[: len(i)], 0.0) ** 2
+        x, y, z = np.ascontiguousarray(middle.transpose(2, 1, 0))  # ten times as fast
+        apart = (x[i] - x[j]) ** 2 + (y[i] - y[j]) ** 2 + (z[i] - z[j]) ** 2
+        row, pose = np.nonzero(apart < near[:, np.newaxis])
+        i, j = self.pairs[row].T
         first, second = _nearest(a[pose, i], b[pose, i], a[pose, j], b[pose, j])
         offset = first - second
         distance = np.linalg.norm(offset, axis=1)
         normal = offset / np.maximum(distance, 1e-9)[:, np.newaxis]
         distance -= self.capsules.radii[i] + self.capsules.radii[j]
-        return Contacts(pose, rows[i, j], distance, np.stack([first, second], axis=1), normal)
+        return Contacts(pose, row, distance, np.stack([first, second], axis=1), normal)
 
     def _ends(self, q: Floats) -> tuple[Floats, Floats]:
         """Return both ends of the capsules in the frame of the base, each of shape (k, c, 3)."""
@@ -180,7 +177,19 @@ class Clearance:
         )
         return first, second
 
-    def violation(self, q: Floats, aim: float = 1.0) -> tuple[Floats, Floats]:
+    def _missing(self, q: Floats, margin: float, is_way: bool) -> tuple[Contacts, Floats]:
+        """Return contacts, and how much of the needed distance they lack, shape (c,) [m]."""
+        found = self.contacts(q, margin)
+        missing = self.needed[found.row] + margin - found.distance
+        if is_way:
+            is_first, permitted = found.pose == 0, np.zeros(len(self.needed))
+            permitted[found.row[is_first]] = missing[is_first] + _ON_THE_WAY
+            missing -= permitted[found.row] * (1.0 - found.pose / len(q))
+        return found, np.maximum(missing, 0.0)
+
+    def violation(
+        self, q: Floats, aim: float = 1.0, is_way: bool = False
+    ) -> tuple[Floats, Floats]:
         """
         Return by how much poses are too near something, and the slopes of that.
 
@@ -190,6 +199,9 @@ class Clearance:
             Joint positions [rad or m].
         aim : float
             Fraction of the limits that is regarded as the limit.
+        is_way : bool
+            Whether the poses are a way. What is too near in the first of them may be
+            so by less and less.
 
         Returns
         -------
@@ -200,8 +212,8 @@ class Clearance:
 
         """
         margin = (1.0 - aim) * _SCALE
-        found = self.contacts(q, margin)
-        missing = (self.needed[found.row] + margin - found.distance) / _SCALE
+        found, missing = self._missing(q, margin, is_way)
+        missing /= _SCALE
         violation = np.zeros(len(q))
         np.add.at(violation, found.pose, missing**2)
         if not len(missing):
@@ -228,9 +240,9 @@ class Clearance:
             wrenches[:, robot.parent[body]] += wrenches[:, body]
         return slopes
 
-    def is_kept(self, q: Floats) -> bool:
+    def is_kept(self, q: Floats, is_way: bool = False) -> bool:
         """Return whether all poses are as clear as needed; a few of them are checked first."""
-        return not any(len(self.contacts(part).row) for part in (q[::16], q))
+        return not any(self._missing(part, 0.0, is_way)[1].any() for part in (q[::16], q))
 
     def nearest(self, q: Floats) -> list[Nearest]:
         """
@@ -250,33 +262,39 @@ class Clearance:
         found = self.contacts(q, _FAR)
         rotations, positions = body_frames(self.robot, q)
         nearest: dict[tuple[str, str], Nearest] = {}
-        looks: Counter[tuple[str, str]] = Counter()
         for k in np.argsort(found.distance):
             pose, row, distance = int(found.pose[k]), int(found.row[k]), float(found.distance[k])
             names = self.names(row)
             best = nearest[names].distance if names in nearest else math.inf
             # Surfaces are within capsules: where these are farther, they need no look.
-            if distance >= best or looks[names] >= _MOST_LOOKS:
+            if distance >= best:
                 continue
             if row < len(self.pairs):
-                looks[names] += 1
-                distance = self.between_surfaces(row, rotations[pose], positions[pose], distance)
+                frames = rotations[pose], positions[pose]
+                distance = self.between_surfaces(row, *frames, distance, best)
             if distance < best:
                 nearest[names] = Nearest(names, distance, pose)
         return sorted(nearest.values(), key=lambda each: each.distance)
 
-    def between_surfaces(self, row: int, R: Floats, p: Floats, otherwise: float) -> float:
-        """Return the distance of the surfaces in both capsules of a pair, if they are known."""
+    @cached_property
+    def _trees(self) -> list[Any]:
+        """Trees of the surface points in each capsule."""
         from scipy.spatial import cKDTree
 
+        return [cKDTree(points) for points in self.capsules.surfaces]
+
+    def between_surfaces(
+        self, row: int, R: Floats, p: Floats, otherwise: float, below: float = math.inf
+    ) -> float:
+        """Return the distance of both surfaces of a pair, if known; inf unless below a value."""
         capsules = self.capsules
         if not self.has_surfaces(row):
             return otherwise
         few, many = sorted(self.pairs[row], key=lambda k: len(capsules.surfaces[k]))
         body, other = capsules.body[few], capsules.body[many]
         points = capsules.surfaces[few] @ R[body].T + p[body]
-        tree = cKDTree(capsules.surfaces[many])
-        return float(tree.query((points - p[other]) @ R[other])[0].min())
+        points = (points - p[other]) @ R[other]
+        return float(self._trees[many].query(points, distance_upper_bound=below)[0].min())
 
     def has_surfaces(self, row: int) -> bool:
         """Return whether the shapes in both capsules of a pair are known."""
@@ -289,13 +307,6 @@ class Clearance:
             first, second = self.pairs[row]
             return names[first], names[second]
         return names[(row - p) % c], 'floor' if row < p + 2 * c else 'box'
-
-    def from_pose(self, q: Floats) -> Clearance:
-        """Return what a way from a pose, shape (n,), needs; parts may be too near in that pose."""
-        needed = self.needed.copy()
-        found = self.contacts(q[np.newaxis])
-        np.minimum.at(needed, found.row, found.distance - _ON_THE_WAY)
-        return replace(self, needed=needed)
 
     def extent(self, q: Floats) -> Extent:
         """Return the box that contains the parts that move, in all poses, shape (k, n)."""
@@ -437,19 +448,12 @@ def _nearest(a: Floats, b: Floats, c: Floats, d: Floats) -> tuple[Floats, Floats
 
 
 def _nearest_to_box(start: Floats, end: Floats, low: Floats, high: Floats) -> Floats:
-    """Return the points of segments that are nearest to a box; the distance is convex."""
-    along = end - start
-    left, right = np.zeros(len(start)), np.ones(len(start))
-    for _ in range(_SECTIONS):
-        third = (right - left) / 3.0
-        at = [start + t[:, np.newaxis] * along for t in (left + third, right - third)]
-        first, second = (_of_box(points, low, high)[0] for points in at)
-        left, right = (
-            np.where(first < second, left, left + third),
-            np.where(first < second, right - third, right),
-        )
-    points: Floats = start + (0.5 * (left + right))[:, np.newaxis] * along
-    return points
+    """Return the points of segments that are nearest to a box."""
+    points: Floats = start[:, np.newaxis] + _PLACES * (end - start)[:, np.newaxis]
+    distances, _ = _of_box(points.reshape(-1, 3), low, high)
+    best = distances.reshape(points.shape[:2]).argmin(axis=1)
+    nearest: Floats = points[np.arange(len(points)), best]
+    return nearest
 
 
 def _of_box(points: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:

@@ -241,10 +241,17 @@ class States(NamedTuple):
 
 def whole_states(limits: MotionLimits, states: States) -> States:
     """Return the states of all joints of the robot, each of shape (k, n)."""
-    k, n = len(states.q), len(limits.rest)
-    whole = States(np.tile(limits.rest, (k, 1)), np.zeros((k, n)), np.zeros((k, n)))
-    for part, values in zip(whole, states, strict=True):
+    q = whole_positions(limits, states.q)
+    whole = States(q, np.zeros_like(q), np.zeros_like(q))
+    for part, values in zip(whole[1:], states[1:], strict=True):
         part[:, limits.index] = values
+    return whole
+
+
+def whole_positions(limits: MotionLimits, q: Floats) -> Floats:
+    """Return the positions of all joints, shape (k, n), for those of the m that move."""
+    whole: Floats = np.tile(limits.rest, (len(q), 1))
+    whole[:, limits.index] = q
     return whole
 
 
@@ -279,7 +286,8 @@ def keep_clear(
         As for `find_clearance`.
 
     """
-    poses = whole_states(limits, random_states(limits, _POSES, np.random.default_rng(3))).q
+    poses = random_states(limits, _POSES, np.random.default_rng(3)).q
+    poses = whole_positions(limits, poses)
     clearance = find_clearance(robot, capsules, poses, floor, boxes)
     return replace(limits, clearance=clearance, notes=(*limits.notes, *capsules.notes))
 

@@ -21,11 +21,11 @@ import numpy as np
 
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...errors import ConfigurationError, listed
-from ...robot.model import Floats
+from ...robot.model import Floats, Integers
 from .clearance import CLEARANCE, Nearest, TOUCH
 from .fourier import basis, FourierSeries
 from .information import Unknowns
-from .limits import excess, MotionLimits, States, whole_states
+from .limits import excess, MotionLimits, States, whole_positions, whole_states
 
 DURATION = 10.0  # [s]
 HARMONICS = 5
@@ -40,13 +40,17 @@ _PER_HARMONIC = 16
 _FINE = 8
 """Samples of the final check for each sample of the search, also on the way to the start."""
 _DENSER = 4
-"""Poses for each sample of the search: between two samples, a link can pass another one."""
+"""Poses of the search for its samples: a link passes another one between two of them."""
+_COARSE, _SHRINKING = 8, 0.95
+"""Random motions are checked at each of so many states, then at all, and made smaller by this."""
 _WAY = 60
 """Poses of the search on the way to the start."""
 CANDIDATES = 30
 """Random motions, the best of which starts the search."""
 _POSES = 300
-"""Number of random poses in the search for those in which the drives hold the robot."""
+"""Random poses among which those are found in which the drives hold the robot."""
+_NEARLY_ALL = 0.9
+"""Fraction of these poses that are below a floor that is probably at a wrong height."""
 _ROUNDS = ((1e1, 60), (1e2, 60), (1e3, 60), (1e4, 60))
 """Weights of violated limits, relative to one unknown, and iterations."""
 _LARGEST_WORK = 1.5e9
@@ -172,7 +176,6 @@ class MotionSpace:
         self.basis = basis(_even_times(count, duration), duration, harmonics)
         self._fine_basis = basis(_even_times(_FINE * count, duration), duration, harmonics)
         self._pose_basis = basis(_even_times(_DENSER * count, duration), duration, harmonics)[0]
-        self.way_clearance = limits.clearance and limits.clearance.from_pose(limits.rest)
 
     def coefficients(self, x: Floats) -> Floats:
         """Return the coefficients of a `FourierSeries`."""
@@ -184,33 +187,30 @@ class MotionSpace:
         """Return the states of the search."""
         return States(*(part @ self.coefficients(x).T for part in self.basis))
 
-    def is_within_limits(self, x: Floats) -> bool:
-        """Return whether a motion is within the limits, at the states of the final check."""
-        states = States(*(part @ self.coefficients(x).T for part in self._fine_basis))
+    def is_within_limits(self, x: Floats, every: int = 1) -> bool:
+        """Return whether a motion is within the limits, at states of the final check."""
+        states = States(*(part[::every] @ self.coefficients(x).T for part in self._fine_basis))
         if excess(self.dynamics, self.limits, states).any():
             return False
-        return self._is_clear(states.q)
+        return self._is_clear(states.q, every)
 
-    def _is_clear(self, q: Floats) -> bool:
+    def _is_clear(self, q: Floats, every: int = 1) -> bool:
         """Return whether positions, shape (k, m), and the way to the first of them are clear."""
-        if not (self.limits.clearance and self.way_clearance):
+        clearance = self.limits.clearance
+        if clearance is None:
             return True
-        zeros = np.zeros_like(q)
-        poses = whole_states(self.limits, States(q, zeros, zeros)).q
-        if not self.limits.clearance.is_kept(poses):
-            return False
-        return self.way_clearance.is_kept(self.way_to(q[0], _FINE // _DENSER * _WAY))
+        way = self.way_to(q[0], _FINE // _DENSER * _WAY // every)
+        return clearance.is_kept(whole_positions(self.limits, q)) and clearance.is_kept(way, True)
 
     def nearest(self, x: Floats) -> tuple[Nearest, ...]:
         """Return the smallest distances during a motion, and on the way to it."""
-        if not (self.limits.clearance and self.way_clearance):
-            return ()
         clearance, q = self.limits.clearance, self._fine_basis[0] @ self.coefficients(x).T
-        zeros = np.zeros_like(q)
-        found = clearance.nearest(whole_states(self.limits, States(q, zeros, zeros)).q)
+        if clearance is None:
+            return ()
+        found = clearance.nearest(whole_positions(self.limits, q))
         at_rest = clearance.nearest(self.limits.rest[np.newaxis])
         touching = [each.names for each in at_rest if each.distance < CLEARANCE]
-        on_way = self.way_clearance.nearest(self.way_to(q[0], _WAY))
+        on_way = clearance.nearest(self.way_to(q[0], _WAY))
         found += [each for each in on_way if each.names not in touching]
         return tuple(sorted(found, key=lambda each: each.distance))
 
@@ -233,13 +233,12 @@ class MotionSpace:
             Its derivatives by the coefficients.
 
         """
-        if not (self.limits.clearance and self.way_clearance):
+        clearance, index = self.limits.clearance, self.limits.index
+        if clearance is None:
             return 0.0, np.zeros(self.shape)
         q = self._pose_basis @ self.coefficients(x).T
-        zeros, index = np.zeros_like(q), self.limits.index
-        poses = whole_states(self.limits, States(q, zeros, zeros)).q
-        missing, of_poses = self.limits.clearance.violation(poses, aim)
-        on_way, of_way = self.way_clearance.violation(self.way_to(q[0], _WAY), aim)
+        missing, of_poses = clearance.violation(whole_positions(self.limits, q), aim)
+        on_way, of_way = clearance.violation(self.way_to(q[0], _WAY), aim, is_way=True)
         slopes = of_poses[:, index] / len(q)
         slopes[0] += _even_times(_WAY, 1.0) @ of_way[:, index] / _WAY
         of_coefficients: Floats = slopes.T @ self._pose_basis
@@ -247,9 +246,7 @@ class MotionSpace:
 
     def way_to(self, start: Floats, count: int) -> Floats:
         """Return poses of the straight way from rest to a start, shape (m,) -> (count, n)."""
-        rest = self.limits.rest
-        end = rest.copy()
-        end[self.limits.index] = start
+        rest, (end,) = self.limits.rest, whole_positions(self.limits, start[np.newaxis])
         way: Floats = rest + _even_times(count, 1.0)[:, np.newaxis] * (end - rest)
         return way
 
@@ -282,10 +279,12 @@ class MotionSpace:
         low, high = 0.0, 1.0
         for _ in range(12):
             middle = 0.5 * (low + high)
-            if self.is_within_limits(still + middle * swing):
+            if self.is_within_limits(still + middle * swing, _COARSE):
                 low = middle
             else:
                 high = middle
+        while not self.is_within_limits(still + low * swing):
+            low *= _SHRINKING
         return still + low * swing
 
     def _size(self, still: Floats, swing: Floats) -> Floats:
@@ -311,18 +310,14 @@ class MotionSpace:
             if len(found) == CANDIDATES:
                 break
         if not found:
-            raise ConfigurationError(self._why(States(q, zeros, zeros), len(held)))
+            raise ConfigurationError(self._why(States(q, zeros, zeros), held))
         return np.array(found)
 
-    def _why(self, states: States, held: int) -> str:
-        """Explain why no pose is within the limits; held is the number of those within efforts."""
+    def _why(self, states: States, held: Integers) -> str:
+        """Explain why no pose is within the limits; held are those within the effort limits."""
         limits = self.limits
-        if held:
-            return (
-                f'none of {held} sampled poses is clear and reached on a clear way from the pose '
-                'before the motion: widen the ranges, lower the floor (--floor), or set the pose '
-                '(--at)'
-            )
+        if len(held):
+            return self._why_not_clear(whole_positions(limits, states.q[held]))
         efforts = np.abs(self.dynamics.efforts(*whole_states(limits, states)))
         least = np.min(efforts, axis=0)
         names = self.dynamics.robot.joint_names
@@ -332,6 +327,25 @@ class MotionSpace:
         ]
         reason = listed(weak, 4) if weak else 'widen the ranges'
         return f'no sampled pose is within the limits of efforts: {reason}'
+
+    def _why_not_clear(self, poses: Floats) -> str:
+        """Explain why none of some poses, shape (k, n), is clear."""
+        said, clearance = f'none of {len(poses)} sampled poses is clear', self.limits.clearance
+        assert clearance
+        found = clearance.contacts(poses)
+        is_floor = [clearance.names(row)[1] == 'floor' for row in found.row.tolist()]
+        below = len(np.unique(found.pose[is_floor]))
+        if below < _NEARLY_ALL * len(poses):
+            return (
+                f'{said}, with a clear way from the pose before the motion: widen the ranges, '
+                'lower the floor (--floor), or set the pose (--at)'
+            )
+        lowest = float(clearance.extent(poses).lowest[2])
+        height = math.floor(10.0 * (lowest - CLEARANCE)) / 10.0
+        return (
+            f'{said}: {below} reach below the floor at {clearance.floor:g} m, down to '
+            f'{lowest:.2f} m; lower the floor (--floor {height:g}) or switch it off (--floor none)'
+        )
 
 
 class _Objective:

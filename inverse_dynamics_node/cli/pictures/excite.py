@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ...analysis.excitation import Clearance, Excitation, Extent, States, whole_states
+from ...analysis.excitation import Clearance, Excitation, Extent, whole_positions
 from ...dynamics.inverse_dynamics import InverseDynamics
 from ...dynamics.trajectory import Trajectory
 from ...robot.end_effector import last_link
@@ -37,7 +37,7 @@ def draw(
         np.asarray(values)[shown]
         for values in (trajectory.times, trajectory.positions, trajectory.velocities)
     )
-    whole = whole_states(limits, States(q, 0.0 * q, 0.0 * q)).q
+    whole = whole_positions(limits, q)
     with style.styled_pyplot() as pyplot:
         figure = pyplot.figure(figsize=(style.WIDTH, 6.6))
         halves = figure.add_gridspec(1, 2, width_ratios=(1.0, 1.25))
