@@ -48,7 +48,7 @@ _WAY = 60
 CANDIDATES = 30
 """Random motions, the best of which starts the search."""
 _POSES = 300
-"""Random poses among which those are found in which the drives hold the robot."""
+"""Number of random poses in the search for those in which the drives hold the robot."""
 _NEARLY_ALL = 0.9
 """Fraction of these poses that are below a floor that is probably at a wrong height."""
 _ROUNDS = ((1e1, 60), (1e2, 60), (1e3, 60), (1e4, 60))
