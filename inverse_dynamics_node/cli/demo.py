@@ -271,7 +271,7 @@ def _runs(
     options: argparse.Namespace,
     stopped: Callable[[], bool],
 ) -> _Result:
-    """Follow the motion with the URDF, identify the recording, and follow it again."""
+    """Follow the motion with the URDF, identify the arm, and follow the motion again."""
     with TemporaryDirectory() as name:
         folder = Path(name)
         actual, recorded = folder / 'actual.urdf', folder / 'recorded'

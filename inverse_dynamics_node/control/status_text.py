@@ -182,7 +182,7 @@ def describe_imu_frame(loop: ControlLoop, frame: str, R_BS: Floats) -> str:
         return ''
     link = robot.link_index(frame)
     if robot.link_body[link]:
-        return f"frame_id is '{frame}', a link that joints move, expected a link of the base"
+        return f"frame_id is '{frame}', a link moved by joints, expected one fixed to the base"
     base = robot.link_index(loop.base_link)
     turned = robot.link_rotation[base].T @ robot.link_rotation[link] @ R_BS.T
     angle = math.degrees(math.acos(min(1.0, max(-1.0, 0.5 * (float(np.trace(turned)) - 1.0)))))

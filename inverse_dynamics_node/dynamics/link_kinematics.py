@@ -181,7 +181,7 @@ def axes_in_base(axes_P: Axes, R: Any, c: Any, s: Any) -> Axes:
 
 @simd_inline
 def in_base(axes: Axes, v: Vector) -> Vector:
-    """Return a vector of the frame with these axes in coordinates of the base."""
+    """Return in coordinates of the base a vector that is given in the frame with these axes."""
     x, y, z = axes
     return (
         x[0] * v[0] + y[0] * v[1] + z[0] * v[2],
@@ -192,5 +192,5 @@ def in_base(axes: Axes, v: Vector) -> Vector:
 
 @simd_inline
 def in_frame(axes: Axes, v: Vector) -> Vector:
-    """Return a vector in coordinates of the base in the frame with these axes."""
+    """Return in the frame with these axes a vector that is given in coordinates of the base."""
     return dot(axes[0], v), dot(axes[1], v), dot(axes[2], v)

@@ -34,7 +34,7 @@ _MAX_KEYS = 1000  # bounds the memory; beyond it, a message may be repeated earl
 
 class BoundedLogger:
     """
-    A logger that shortens long lines: most texts contain names from messages or files.
+    A logger that shortens lines: names from messages or files can make them very long.
 
     Parameters
     ----------

@@ -662,7 +662,7 @@ def test_the_frame_of_an_imu_is_compared_with_the_robot_description():
     moving = next(name for name in robot.link_names if name not in fixed)
     for name in ('', 'imu_link', loop.base_link):
         assert not describe_imu_frame(loop, name, np.eye(3))
-    assert 'a link that joints move' in describe_imu_frame(loop, moving, np.eye(3))
+    assert 'a link moved by joints' in describe_imu_frame(loop, moving, np.eye(3))
     quarter = rotation_of_rpy(0.0, 0.0, math.pi / 2)
     for name in fixed:
         R_BS = robot.link_rotation[robot.link_index(name)]

@@ -52,7 +52,7 @@ WITH_GRAVITY = GravityConvention()
 
 
 class Change(NamedTuple):
-    """RMS residual of one joint, with fitted friction, without and with a fault."""
+    """RMS residual of one joint without a fault and with it; friction is fitted in both cases."""
 
     joint: str
     is_prismatic: bool

@@ -262,7 +262,7 @@ class RegressionData:
         return not self.contradicts(candidate) or self._explains_gravity(robot_fit)
 
     def unexplained(self, robot_fit: RobotFit) -> float:
-        """Return the remaining fraction of the squares: mean of revolute and prismatic joints."""
+        """Return the unexplained fraction of squared efforts, averaged over both joint types."""
         remaining = {False: 0.0, True: 0.0}
         squares = {False: 0.0, True: 0.0}
         for j, (samples, fit) in enumerate(zip(self.joints, robot_fit.fits, strict=True)):

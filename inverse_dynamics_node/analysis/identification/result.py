@@ -41,7 +41,7 @@ class DriveTerms:
     armature: float = 0.0
     """[kg m^2 or kg]."""
     coupling: float = 0.0
-    """Turn of the drive per turn of the joint before [-]."""
+    """Turn of the drive per turn of the preceding joint [-]."""
     stiffness: float = 0.0
     """Of a spring or counterweight [N m/rad or N/m]."""
     rest: float = 0.0

@@ -342,7 +342,9 @@ def _notes(
     if merged:
         notes.append(f'averaged {merged} duplicate samples with the same stamp')
     if pieces > 1:
-        notes.append(f'{pieces - 1} gaps in the recording: each part was derived separately')
+        notes.append(
+            f'{pieces - 1} gaps in the recording: each part was differentiated separately'
+        )
     if lost > 0.0:
         notes.append(f'ignored {lost:.2g} s between gaps that are too short to differentiate')
     return tuple(notes)

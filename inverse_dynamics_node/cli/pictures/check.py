@@ -239,7 +239,7 @@ def _draw_masses(axes: Any, robot: RobotModel, centres: Floats) -> None:
 def _draw_joints(
     axes: Any, robot: RobotModel, flat: Floats, joint: int
 ) -> list[tuple[Floats, list[int]]]:
-    """Draw the joints; return places and the numbers, from 1, of the joints to label there."""
+    """Draw the joints; return the places of labels, each with the numbers of its joints from 1."""
     many = len(robot.joint_names) > _MOST_NUMBERS
     apart = 0.07 * (float(np.max(np.ptp(flat, axis=0))) or 1.0)
     places: list[tuple[Floats, list[int]]] = []
