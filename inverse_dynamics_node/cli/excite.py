@@ -48,7 +48,7 @@ collision shapes of the URDF. A payload has no shape: enclose it by a collision 
 The straight way from the pose of --at to the start is checked too. Rehearse the motion with
 --speed 0.2: the same path, five times slower. The motion is a JointTrajectory without efforts, as
 a joint_trajectory_controller expects it. A second file moves the arm slowly to the start pose.
-Record /joint_states meanwhile.
+Send it first. Record /joint_states during the motion.
 
 exit code: 0 done; 1 no safe motion was found, or a file cannot be read or written; 2 invalid
 arguments."""

@@ -75,7 +75,7 @@ class ControlLaw:
         self._followed: Floats | None = None  # reference positions of the last step with feedback
 
     def apply(self, settings: Settings, of_joint: Mapping[str, Floats]) -> None:
-        """Change the settings; ``of_joint`` has those that are expanded, see `Settings`."""
+        """Change the settings; ``of_joint`` is what `Settings.expanded` returns for them."""
         self.settings, self._of_joint = settings, of_joint
         self._timeouts = np.full(len(self._qdd), settings.uncommanded_state_timeout)
         self._timeouts[self._index] = settings.state_timeout

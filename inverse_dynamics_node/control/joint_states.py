@@ -331,9 +331,9 @@ class JointStateCollector:
 
     def rest_late(self, now: float, timeout: float) -> None:
         """
-        Set late joints that are not commanded to rest.
+        Set the velocities of late joints to zero, except those of commanded joints.
 
-        Otherwise, a joint whose states stop coming would keep its last velocity forever.
+        Otherwise, a joint whose states no longer arrive would keep its last velocity forever.
 
         Parameters
         ----------

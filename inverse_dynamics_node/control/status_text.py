@@ -305,7 +305,7 @@ def judge_efforts(
 
 
 def judge_model(now: float, loop: ControlLoop) -> Judgement:
-    """Report that the motion of the base is unknown, and warnings about the description."""
+    """Report an unknown motion of the base, or else warnings about the description."""
     unknown = describe_lost_imu(now, loop)
     if loop.lacks_imu:
         unknown = 'the motion of the base is unknown: no message on imu yet'

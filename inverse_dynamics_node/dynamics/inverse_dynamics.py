@@ -713,14 +713,15 @@ class InverseDynamics:
         r"""
         Couple drives to the joints before them, as in wrists whose gears run through a joint.
 
-        The speed of the drive of joint k is :math:`v_k = \dot q_k + g_k\,\dot q_{k-1}`. Its
-        friction and armature act on joint k, and g times as much on the joint before.
+        The speed of the drive of joint k is :math:`v_k = \dot q_k + g_k\,\dot q_{k-1}`. The
+        effort of its friction and armature acts on joint k, and g times this effort on the joint
+        before.
 
         Parameters
         ----------
         coupling : array_like, shape (n,) or ()
-            Turn g of each drive per turn of the joint that moves its carrier [-]; 0 for a drive of
-            its own.
+            Turns g of each drive per turn of the joint before [-]; 0 for a drive that turns with
+            its own joint only.
 
         Raises
         ------

@@ -144,8 +144,9 @@ class Scheduling:
         """
         Give the threads normal priority while the process needs almost all of a CPU.
 
-        Call this again and again. The kernel leaves other programs 5 % of a CPU on which a
-        real-time loop never sleeps, enough to stop it from a terminal, but not to work.
+        Call this again and again. If a real-time loop never sleeps, the kernel leaves only 5 % of
+        its CPU to other programs. That is enough to stop the loop from a terminal, but not for
+        other work.
 
         Returns
         -------

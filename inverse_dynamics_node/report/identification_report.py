@@ -42,8 +42,8 @@ def residual_table(result: IdentificationResult) -> Table:
         f'RMS of the measured effort and of its difference to three models, smoothed over '
         f'{1e3 * result.unseen.smoothing:.0f} ms. Left: unseen data, {result.unseen.description}. '
         'Right: the data that were fitted. Noise: the part of the residual that no model can '
-        'explain, from the high frequencies of the efforts. Raw: what the identified model leaves '
-        'of the efforts as they were recorded.',
+        'explain, estimated from the high frequencies of the efforts. Raw: what the identified '
+        'model leaves of the efforts as they were recorded.',
     )
     return Table('Measured minus modelled efforts', columns, tuple(rows), notes, frozenset({7}))
 
@@ -150,9 +150,9 @@ def body_table(result: IdentificationResult) -> Table:
         'the link.',
         *(
             [
-                '*: the recordings hardly determine this mass on its own. It changed with other '
-                'parameters of the bodies, of which only combinations have an effect: the efforts '
-                'are right, the mass need not be.'
+                '*: the recordings hardly determine this mass on its own. It changed together '
+                'with other parameters of the bodies, because the efforts depend only on '
+                'combinations of them: the efforts are right, but the mass may be wrong.'
             ]
             if any(map(_follows_others, result.bodies))
             else []

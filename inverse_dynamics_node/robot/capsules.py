@@ -66,7 +66,7 @@ class _Piece(NamedTuple):
 
     @property
     def size(self) -> float:
-        """Volume of the capsule over pi, with half of its ends, which overlap with neighbours."""
+        """Volume divided by pi; the round ends count half, as they overlap with neighbours."""
         length = float(np.linalg.norm(self.ends[1] - self.ends[0]))
         return self.radius**2 * (length + 2.0 / 3.0 * self.radius)
 

@@ -57,7 +57,8 @@ def test_residuals_are_printed_with_their_smoothing_and_for_raw_efforts():
         assert joint.unsmoothed == pytest.approx(0.1 * joint.measured, rel=0.2)
     assert 'smoothed over 140 ms' in residual_table(result).notes[0]
     raw = np.linalg.norm([joint.unsmoothed for joint in result.joints])
-    assert f'smoothed over 140 ms ({raw:.3g} N m of the raw ones)' in result.verdict
+    assert 'after smoothing over 140 ms; without smoothing,' in result.verdict
+    assert result.verdict.endswith(f' leaves {raw:.3g} N m')
 
 
 def test_a_delay_is_part_of_the_residuals():

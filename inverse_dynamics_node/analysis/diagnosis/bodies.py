@@ -64,7 +64,7 @@ class Bodies(NamedTuple):
     robot_fit: RobotFit
     """The explanation beside wrong links."""
     change: Floats
-    """Of the inertial parameters of the links, shape (10 b,)."""
+    """Change of the inertial parameters of the links, shape (10 b,)."""
     before: Floats
     """RMS of each joint without fitted links, shape (n,) [N m or N]."""
     after: Floats

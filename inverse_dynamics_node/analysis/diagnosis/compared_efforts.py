@@ -315,7 +315,7 @@ def fit_joints(
     obscured: dict[int, str],
     used: Booleans | slice = ALL,
 ) -> list[FrictionFit]:
-    """Fit friction to a residual, which consists of the used samples."""
+    """Fit the friction of every joint to a residual that has rows for the used samples only."""
     fits = []
     for c in range(len(compared.names)):
         fit = fit_friction(

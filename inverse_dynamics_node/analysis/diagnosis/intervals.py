@@ -282,9 +282,9 @@ def without_friction(data: RegressionData, robot_fit: RobotFit) -> RegressionDat
 
 def best_interval(times: Floats, gain: Floats, start: tuple[float, float]) -> tuple[float, float]:
     """
-    Return the interval with the largest sum of gains; the start if no sample has a gain.
+    Return the interval with the largest sum of gains, or `start` if no sample has a gain.
 
-    The gain of a sample says how much better it is explained inside of the interval than outside.
+    The gain of a sample says how much better it is explained if it is part of the interval.
 
     """
     sums = np.concatenate([[0.0], np.cumsum(gain)])

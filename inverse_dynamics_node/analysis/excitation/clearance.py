@@ -221,7 +221,7 @@ class Clearance:
         return violation, self._slopes(q, found, -2.0 * missing / _SCALE)
 
     def _slopes(self, q: Floats, contacts: Contacts, weights: Floats) -> Floats:
-        """Return derivatives of distances times weights: the work of forces along the normals."""
+        """Return weighted sums of the slopes of distances, as the work of forces along normals."""
         robot, slopes = self.robot, np.zeros(q.shape)
         rotations, positions = body_frames(robot, q)
         wrenches = np.zeros((*positions.shape[:2], 6))

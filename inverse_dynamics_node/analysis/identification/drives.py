@@ -52,7 +52,7 @@ SIGNIFICANT = 5.0
 LEAST_CHANGE = 0.15
 """Least change of all efforts by a common factor."""
 MOST_DISAGREEMENT = 0.5
-"""Fraction of this change by which the changes of the joints may differ from it, as an RMS."""
+"""Largest RMS deviation of single joints from this change, as a fraction of it."""
 EXPLAINS = 0.6
 """Fraction of the improvement by the bodies that a common factor explains at least."""
 MOST_DELAY = 0.1
@@ -174,7 +174,7 @@ def _best(grams: Floats, chosen: tuple[int, ...], optional: bool) -> tuple[tuple
 
 
 def _improvement(grams: Floats, chosen: tuple[int, ...], candidate: int) -> float:
-    """Return how much better a further term predicts, relative to the least improvement."""
+    """Return the improvement by a further term, divided by the improvement that is required."""
     if candidate == SQRT:  # is not to make up for the distance between two widths
         chosen = (*chosen, WIDTH)
     losses, new = _losses(grams, chosen)[0], _losses(grams, (*chosen, candidate))[0]

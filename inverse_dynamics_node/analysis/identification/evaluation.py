@@ -236,10 +236,11 @@ def _verdict(accepted: bool, unseen: Unseen) -> str:
     if accepted:
         unsmoothed = significant(float(np.linalg.norm(unseen.unsmoothed)))
         return (
-            f'On unseen data the identified model leaves {identified} N m of the efforts smoothed '
-            f'over {1e3 * unseen.smoothing:.0f} ms ({unsmoothed} N m of the raw ones), the robot '
-            f'description {urdf}, and with fitted friction {friction} (root of the sum of squares '
-            'over joints)'
+            f'On unseen data the identified model leaves {identified} N m of the efforts '
+            f'unexplained, the robot description {urdf} N m, and the robot description with '
+            f'fitted friction {friction} N m. Each figure is the root of the sum of squares over '
+            f'joints, after smoothing over {1e3 * unseen.smoothing:.0f} ms; without smoothing, '
+            f'the identified model leaves {unsmoothed} N m'
         )
     if not _explains(unseen):
         return (

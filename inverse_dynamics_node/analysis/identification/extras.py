@@ -214,6 +214,6 @@ def _fitted_gain(base: RobotFit, fit: RobotFit, joints: Sequence[int]) -> float:
 
 
 def _unseen_losses(fit: RobotFit) -> Floats:
-    """Return the squares of the joints in blocks that were left out of the fit, (blocks, m)."""
+    """Return the squared residuals of the joints in blocks left out of the fit, (blocks, m)."""
     blocks = range(fit.equations.block_count)
     return np.array([fit.equations.squares(fit.without(k), k) for k in blocks])

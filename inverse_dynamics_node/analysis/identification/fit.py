@@ -51,7 +51,7 @@ class RobotFit(NamedTuple):
     weights: Floats
     """Weights of the joints, shape (m,)."""
     used: Booleans
-    """Terms of the joints that were fitted, shape (m, 10)."""
+    """Which terms of the joints were fitted, shape (m, 10)."""
     model: Model
     unknowns: Integers
     """Indices of the unknowns: ten for each body, then ten for each joint."""
@@ -183,7 +183,7 @@ class Trial(NamedTuple):
 
     urdf_weight: float
     losses: Floats
-    """Weighted squares of blocks that the fit has not seen, shape (blocks,)."""
+    """Weighted squared residuals of blocks that the fit has not seen, shape (blocks,)."""
 
 
 class UrdfWeight(NamedTuple):

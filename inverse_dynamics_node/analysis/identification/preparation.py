@@ -27,7 +27,7 @@ Hz, it reduces the error of the model by a sixth; twice as much gains less than 
 CLEAN = 0.05
 """Noise of an acceleration that is acceptable, as a fraction of its RMS."""
 LEAST_RANGE = 0.02
-"""Range of positions below which a joint is not looked at [rad or m]."""
+"""A joint with a smaller range of positions does not affect the smoothing [rad or m]."""
 SMOOTHING_RANGE = (0.1, 0.4)
 """
 Shortest and longest smoothing window of the fit [s].
@@ -47,7 +47,7 @@ LEAST_DURATION = 3.0
 LEAST_TRAVEL = {False: 0.02, True: 0.002}
 """Travel of a joint below which its friction is unknown [rad], prismatic [m]."""
 LEAST_RETURN = 0.1
-"""Fraction of the travel that has to go in the other direction."""
+"""Least travel in each of the two directions, as a fraction of the whole travel."""
 GOOD_RECORDINGS = (
     'record all joints moving at the same time, slowly and fast, for 30 s or more; '
     '`inverse_dynamics excite` plans such a motion'

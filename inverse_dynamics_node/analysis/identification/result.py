@@ -65,7 +65,7 @@ class JointResult:
     noise: float
     """Noise in the smoothed effort [N m or N]."""
     unsmoothed: float
-    """RMS that the identified model leaves of the unseen effort as recorded [N m or N]."""
+    """RMS residual of the identified model on unseen data, without smoothing [N m or N]."""
     terms: DriveTerms
     """Terms of the result: the identified model, or friction alone if it was not accepted."""
     unknown_because: str

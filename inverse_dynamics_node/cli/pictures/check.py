@@ -186,7 +186,7 @@ def _frame(axes: Any, points: Floats) -> None:
 
 
 def _side_view(gravity: Floats, points: Floats, view: int) -> Floats:
-    """Return the projection to (across, up), shape (3, 2), that shows the points widest."""
+    """Return the projection to (across, up), shape (3, 2), that spreads the points most widely."""
     size = float(np.linalg.norm(gravity))
     up = -gravity / size if size > 0.0 else np.array([0.0, 0.0, 1.0])
     spread = points - points[0]

@@ -201,8 +201,8 @@ def _folded_friction(
     Return damping and friction at the joints, with those of mimicking joints added.
 
     A joint that mimics with multiplier m moves m times as fast, and its effort acts on its master
-    m times: viscous friction is multiplied by m squared. The size of Coulomb friction does not
-    depend on the speed, but its sign follows m: it is multiplied by |m|.
+    m times. Viscous friction is therefore multiplied by m squared. Coulomb friction has the same
+    size at all speeds, and always opposes the motion: it is multiplied by |m|.
 
     """
     damping, friction = [0.0] * len(index), [0.0] * len(index)
