@@ -119,8 +119,8 @@ def payload_columns(
     """
     Compute the efforts of a load, separately for each of its parameters.
 
-    A load is a second moment of mass in the homogeneous coordinates of its link. Those of its body
-    are linear in them, and efforts are linear in the parameters of the body.
+    A load is a second moment of mass in the homogeneous coordinates of its link. The parameters of
+    its body are linear in this moment, and efforts are linear in the parameters of the body.
 
     Parameters
     ----------

@@ -79,7 +79,7 @@ class PayloadEstimate:
     fitted: Floats
     """Efforts of the payload, shape (R, m) [N m or N]."""
     duration: float
-    """Of the part of the loaded run that was used [s]."""
+    """Duration of the part of the loaded run that was used [s]."""
     poses: int
     """Number of poses in which the arm rested; 0 for a motion."""
     matched: float
@@ -412,7 +412,7 @@ class _Fit:
         return _variance(np.asarray(np.linalg.inv(known[np.ix_(own, own)])), self.x)
 
     def _between(self) -> Floats:
-        """Return the variances by the spread of fits without one of the blocks, shape (4,)."""
+        """Return the variances from the spread of fits without one block each, shape (4,)."""
         if len(self.products) < 2:
             return np.zeros(4)
         others = [_solution(self._solve(*self._normal(k), self.x)) for k in self.products]

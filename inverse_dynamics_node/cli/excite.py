@@ -44,7 +44,7 @@ examples:
   inverse_dynamics effort my_arm.urdf my_arm_excite.csv
 
 The links stay 2 cm apart from each other, from the floor and from each --box, according to the
-collision shapes of the URDF. A payload has no shape: enclose it by a collision shape of the URDF.
+collision shapes of the URDF. A payload has no shape: enclose it in a collision shape of the URDF.
 The straight way from the pose of --at to the start is checked too. Rehearse the motion with
 --speed 0.2: the same path, five times slower. The motion is a JointTrajectory without efforts, as
 a joint_trajectory_controller expects it. A second file moves the arm slowly to the start pose.

@@ -22,14 +22,17 @@ def verdict(result: ComparisonResult) -> str:
         f'the model explains {percent(result.explained)} of the measured effort and leaves '
         f'{_total(result, "rms_residual")} RMS of {_total(result, "rms_measured")}'
     )
-    corrected = f'{percent(result.explained_corrected)} and {_total(result, "rms_corrected")}'
+    explained, left = percent(result.explained_corrected), _total(result, 'rms_corrected')
     if result.faults:
         opening = '; '.join(
             sentence(each) if k == 0 else sentence(each)[0].lower() + sentence(each)[1:]
             for k, each in enumerate(result.faults)
         )
-        return f'{opening}. As it is, {modelled}; with that and friction, {corrected}.'
-    text = f'{modelled[0].upper()}{modelled[1:]}; with fitted friction, {corrected}.'
+        return (
+            f'{opening}. As it is, {modelled}; corrected for this, and with fitted friction, it '
+            f'explains {explained} and leaves {left}.'
+        )
+    text = f'{modelled[0].upper()}{modelled[1:]}; with fitted friction, {explained} and {left}.'
     if all(joint.friction.unknown_because for joint in result.joints):
         text = f'{modelled[0].upper()}{modelled[1:]}; friction cannot be fitted.'
     if result.is_too_short:
@@ -63,10 +66,10 @@ def comparison_table(result: ComparisonResult, notes: tuple[str, ...]) -> Table:
     remarks = (
         'RMS of measured and modelled efforts; residual: measured minus modelled; friction: the '
         f'same with fitted friction; corrected: with friction and offset{findings_too}; noise: '
-        'the part of it that smoothing leaves, below which there is nothing to explain. '
+        'what smoothing leaves of the noise, so a residual below it needs no explanation. '
         'explained: 1 - (corrected / measured)^2. scale: measured is about scale * modelled + an '
-        'offset. Only samples at which the joint moves, unless its friction is unknown: at rest, '
-        'dry friction can have any value up to its maximum.',
+        'offset. Only samples at which the joint moves are used, unless its friction is unknown: '
+        'at rest, dry friction can have any value up to its maximum.',
         _quality(result.motion),
         *(f'{note[0].upper()}{note[1:]}.' for note in (*motion_notes(result.motion), *notes)),
     )

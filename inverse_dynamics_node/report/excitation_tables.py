@@ -146,7 +146,7 @@ def _joints(robot: RobotModel, excitation: Excitation, errors: ExpectedErrors) -
             f'assumed: measured efforts with the noise in the first column, {count:g} independent '
             f'samples in {duration:g} s, and no other errors; more runs reduce all errors, four '
             'runs by half',
-            'efforts: of the identified model, in random states within the limits',
+            'efforts: those that the identified model predicts in random states within the limits',
             f'{errors.count} unknowns, log det of their information '
             f'{excitation.log_det + errors.count * math.log(count):.4g}; the errors are '
             f'{gain:.2f} times smaller (geometric mean) than those of the best of {CANDIDATES} '

@@ -14,9 +14,9 @@ from .quantities import motion_notes, with_error
 from .tables import Table
 
 DETERMINED = 0.5
-"""Fraction of the information about a mass from the recordings that determines it."""
+"""Fraction of the information that the recordings must give to determine a mass."""
 NOTED_CHANGE = 0.1
-"""Relative change of another mass that gets a note."""
+"""A mass that is not determined gets a note if it changes by more than this fraction."""
 
 
 def residual_table(result: IdentificationResult) -> Table:
@@ -170,7 +170,7 @@ def body_table(result: IdentificationResult) -> Table:
 
 
 def _follows_others(body: BodyResult) -> bool:
-    """Return whether a mass changed that the recordings hardly determine on its own."""
+    """Return whether a mass changed although the recordings hardly determine it on its own."""
     change = abs(body.mass - body.mass_before) / body.mass_before
     return body.data_fraction < DETERMINED and change > NOTED_CHANGE
 

@@ -15,8 +15,8 @@ from .tables import Table
 
 _WITHOUT_EMPTY = (
     'Without an empty run, errors in the links look like a payload, of 0.02 to 1.5 kg on real '
-    'robots. Their part of the standard error is a guess: record the same motion without the '
-    'payload, and pass it as --empty.'
+    'robots. The standard error includes only a guess of these errors: record the same motion '
+    'without the payload, and pass it as --empty.'
 )
 
 

@@ -48,8 +48,8 @@ UNEXPLAINED = 0.01  # fraction of the squares; with less, the links are accurate
 SMALL = 4e-4  # fraction of the squares, 2 % RMS; an explanation that leaves less needs no links
 BETTER = 0.35
 """
-Fraction of the unexplained squares that the links leave at most, if all causes that were found
-before are needed beside them.
+If all causes that were found before are needed beside the links, these must leave less than this
+fraction of the unexplained squares.
 """
 CHANGING = 2.0  # times what a changing gravity leaves, which can explain almost anything
 NEEDED = 10.0  # least increase of the evidence by a cause beside wrong links
@@ -59,7 +59,7 @@ DELAY = 0.1  # [s], standard deviation of delays
 
 
 class Bodies(NamedTuple):
-    """Links that explain more, and residuals in the half that they were not fitted to."""
+    """Fitted links that explain more, and residuals in the half that they were not fitted to."""
 
     robot_fit: RobotFit
     """The explanation beside wrong links."""
@@ -81,7 +81,7 @@ class Bodies(NamedTuple):
     unexplained_anywhere: float
     """The same with equal weights."""
     are_wrong: bool
-    """Whether friction leaves more than it does if the links are accurate enough."""
+    """Whether the model with friction leaves more than it would with accurate links."""
     has_own_gravity: bool
     """Whether gravity in the efforts is that of the wrong links."""
 
@@ -231,10 +231,10 @@ class _Problem:
 
     def _products(self, position: int) -> tuple[Integers, Integers, Floats]:
         """
-        Return the first row of each segment of a joint, the columns that are not zero, products.
+        Return the first row of each segment of a joint, its nonzero columns, and their products.
 
-        All weights are the same within a segment: the products of its columns, and of its target,
-        are computed once.
+        All weights are the same within a segment, so that the products of its columns, and of its
+        target, need to be computed only once.
         """
         rows = np.flatnonzero(self.joint == position)
         first = np.unique(self.segment[rows], return_index=True)[1]

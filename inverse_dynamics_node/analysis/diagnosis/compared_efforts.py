@@ -368,7 +368,7 @@ def with_shapes(
 
 
 def friction_efforts(compared: ComparedEfforts, c: int, fit: FrictionFit, load: Floats) -> Floats:
-    """Return the efforts of friction and offset of a column, with its load."""
+    """Return the efforts of friction and offset of a column, given the load on its gear."""
     qd = compared.qd[:, c]
     if not fit.has_shape:
         return fit.efforts(qd, compared.direction[:, c])

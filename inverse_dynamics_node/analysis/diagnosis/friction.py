@@ -184,14 +184,14 @@ def fit_shape(
 
 
 def _triangle(columns: Floats, residual: Floats) -> Floats:
-    """Return rows that give the same least squares as all samples."""
+    """Return rows that lead to the same least-squares fits as all samples."""
     return np.asarray(np.linalg.qr(np.column_stack([columns, residual]), mode='r'))
 
 
 def _with_load(
     triangle: Floats, has_load: bool
 ) -> tuple[float, tuple[float, float, float, float]]:
-    """Return the squares that are left, and damping, Coulomb, load friction and offset."""
+    """Return the remaining sum of squares, and damping, Coulomb, load friction and offset."""
     columns = triangle[:, :-1] * [1.0, 1.0, has_load, 1.0]
     factors, left = fit_nonnegative(columns, triangle[:, -1], [3])
     damping, coulomb, per_load, offset = factors.tolist()

@@ -267,7 +267,7 @@ def with_loads_inside(data: RegressionData, interval: tuple[float, float]) -> Re
 
 
 def without_friction(data: RegressionData, robot_fit: RobotFit) -> RegressionData:
-    """Return samples whose efforts do not contain the friction of an explanation."""
+    """Return samples without the friction, rotors and offsets of an explanation."""
     joints = []
     for j, (samples, fit) in enumerate(zip(data.joints, robot_fit.fits, strict=True)):
         columns = samples.columns.copy()

@@ -229,7 +229,7 @@ class JointSamples:
         remaining: float,
         tolerance: float = FLOOR**2,
     ) -> bool:
-        """Return whether hardly more remains without the model."""
+        """Return whether a fit without the model leaves hardly more unexplained."""
         without = self.fit(np.zeros(1), measured, sensor_fault).remaining
         return without <= 2.0 * remaining + tolerance
 

@@ -53,13 +53,13 @@ FRICTION_AT_REST = 0.1  # fraction of the limit that dry friction may be
 MOST_STATES = 60
 """
 States used by the search; states that are closer in time differ little. Kernels for 64 states or
-more may have to be compiled first, for which the display would stop.
+more may have to be compiled first, and the display would stop meanwhile.
 """
 INDEPENDENT = 0.2  # [s] between samples whose filtered noise is independent
 LEAST_DURATION = 1.0
 """
-[s] of samples, less than of a recording: an arm at rest shows no more later, and only residuals
-that are far above those of a short motion are searched.
+[s] of samples, less than of a recording: an arm at rest shows no more later, and causes are only
+searched for if the residuals are far larger than a short motion can make them.
 """
 
 GRAVE = (
@@ -75,8 +75,8 @@ GRAVE = (
     FaultKind.MOUNTING,
 )
 """
-Faults of which a small residual is reported too, and also one of slow states. Rotors and offsets
-below `AGREEMENT` do not matter, and other residuals may be due to the rate.
+Faults that are reported even if the residual is small, or the joint states are slow. Rotors and
+offsets below `AGREEMENT` do not matter, and other residuals may be due to the rate.
 """
 
 
@@ -96,7 +96,7 @@ class Outcome(enum.Enum):
 
 
 class Obstacle(enum.Enum):
-    """Reasons, other than faults, why an agreement is not enough to go live, or not known."""
+    """Reasons other than faults why agreement is unknown, or is not enough to go live."""
 
     SLOW_STATES = 'slow_states'
     SATURATED = 'saturated'

@@ -290,7 +290,7 @@ def _search(recorded: ComparedEfforts) -> _Found:
 def _confirmed(
     undistorted: Callable[[Floats], ComparedEfforts], reversed_: Axes, recorded: Axes
 ) -> Axes:
-    """Return reversed axes, or those that were recorded if wrong links explain as much."""
+    """Return the reversed axes, or the recorded ones if wrong links explain as much with them."""
     left = []
     for each in (reversed_, recorded):
         bodies = _fitted_bodies(undistorted(each.signs), each.data, each.robot_fit)
@@ -397,7 +397,7 @@ def _fitted_bodies(
 
 
 def _moving(compared: ComparedEfforts) -> list[int]:
-    """Leave out joints that friction may have held all the time, unless it may hold all."""
+    """Leave out joints that friction may have held all the time, unless these are all joints."""
     moving = [c for c in compared.varying if compared.moves(c)]
     return moving or compared.varying
 

@@ -120,7 +120,7 @@ class RegressionData:
     duration : float
         Time that the samples represent [s].
     least_duration : float
-        Time from which on an explanation is searched [s].
+        Shortest duration for which an explanation is searched [s].
     convention : GravityConvention
         Whether the modelled efforts contain gravity, as the measured ones should.
 
@@ -303,7 +303,7 @@ class RegressionData:
         return is_shown and abs(numerator) < NO_GRAVITY * denominator
 
     def _target(self, j: int, robot_fit: RobotFit) -> Floats:
-        """Return the reduced effort of a joint that an explanation leaves to friction."""
+        """Return what an explanation leaves to the friction of a joint, for reduced samples."""
         R, fit = self.joints[j].triangle, robot_fit.fits[j]
         measured = R[:, self.first_measured + robot_fit.source[j]]
         target: Floats = fit.sensor_fault.sign / robot_fit.factor(j) * measured
@@ -366,7 +366,7 @@ class RegressionData:
         return CandidateModel(kind, weights, 1, has_gravity=not self.has_gravity)
 
     def contradicts(self, candidate: CandidateModel) -> bool:
-        """Return whether a candidate model contains gravity in contrast to the convention."""
+        """Return whether only one of candidate model and convention contains gravity."""
         return candidate.has_gravity is not self.has_gravity
 
     def _fit_joints(self, candidate: CandidateModel, unit: float = 1.0) -> RobotFit:

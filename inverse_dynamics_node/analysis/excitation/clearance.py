@@ -34,15 +34,15 @@ _OFTEN = 0.02
 _MOST_LOOKS = 40
 """Poses in which they are looked at."""
 _UNSEEN = 0.005
-"""How much nearer capsules may come than in poses in which the surfaces are far apart [m]."""
+"""Capsules may come nearer by this than in poses in which the surfaces are far apart [m]."""
 _ON_THE_WAY = 0.005
-"""What is too near in the first pose of a way may first come nearer by this [m]."""
+"""Parts that are too near in the first pose of a way may at first come nearer by this [m]."""
 _FAR = 0.3
 """Larger distances are of no interest [m]."""
 _SCALE = 0.05
 """A distance that is this much too short is as bad as twice the limit of a speed [m]."""
 _PLACES = np.linspace(0.0, 1.0, 33)[:, np.newaxis]
-"""Points of a segment, of which the one that is nearest to a box is found."""
+"""Places on a segment, among which the one that is nearest to a box is found."""
 _CHUNK = 200
 """Poses for which distances are computed together."""
 
@@ -55,12 +55,12 @@ class Extent(NamedTuple):
 
 
 class Contacts(NamedTuple):
-    """Where something is near something else in some poses; c of them."""
+    """The c places where something is near something else in some poses."""
 
     pose: Integers
     row: Integers
     distance: Floats
-    """Shape (c,) [m]; negative inside each other."""
+    """Shape (c,) [m]; negative where they overlap."""
     points: Floats
     """The nearest points of both, on the axes of capsules, shape (c, 2, 3) [m]."""
     normal: Floats
@@ -73,7 +73,7 @@ class Nearest(NamedTuple):
     names: tuple[str, str]
     """A link, and another link, 'floor' or 'box'."""
     distance: float
-    """Of links, between points on their surfaces if their shapes are known [m]."""
+    """For links, between points on their surfaces if their shapes are known [m]."""
     pose: int
 
 
@@ -200,8 +200,8 @@ class Clearance:
         aim : float
             Fraction of the limits that is regarded as the limit.
         is_way : bool
-            Whether the poses are a way. What is too near in the first of them may be
-            so by less and less.
+            Whether the poses are a way. Parts that are too near in the first of them
+            must then gradually move apart.
 
         Returns
         -------
@@ -286,7 +286,7 @@ class Clearance:
     def between_surfaces(
         self, row: int, R: Floats, p: Floats, otherwise: float, below: float = math.inf
     ) -> float:
-        """Return the distance of both surfaces of a pair, if known; inf unless below a value."""
+        """Return the distance of both surfaces, or `otherwise`; inf if it is not below a value."""
         capsules = self.capsules
         if not self.has_surfaces(row):
             return otherwise

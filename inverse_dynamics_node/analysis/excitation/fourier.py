@@ -91,8 +91,8 @@ def basis(times: Floats, duration: float, harmonics: int) -> tuple[Floats, Float
     Returns
     -------
     values, first, second : ndarray, shape (k, 2 h - 1)
-        A constant, and h - 1 combinations each of the sines and of the cosines whose velocity and
-        acceleration at both ends is zero.
+        A constant, h - 1 combinations of the sines, and h - 1 of the cosines; their velocity and
+        acceleration are zero at both ends.
 
     """
     orders = np.arange(1.0, harmonics + 1.0)

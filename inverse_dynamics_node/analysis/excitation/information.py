@@ -146,13 +146,13 @@ class ExpectedErrors:
     noise: Floats
     """Assumed standard deviation of measured efforts, shape (m,) [N m or N]."""
     of_joints: Floats
-    """Of the kinds in `OF_JOINT`, shape (m, 4)."""
+    """Errors of the kinds in `OF_JOINT`, shape (m, 4)."""
     efforts: Floats
-    """Of the efforts of random states within the limits (RMS), shape (m,) [N m or N]."""
+    """RMS errors of the efforts in random states within the limits, shape (m,) [N m or N]."""
     body_names: tuple[str, ...]
     """The bodies without the base."""
     of_bodies: Floats
-    """Largest of mass [kg], first moments [kg m] and inertia [kg m^2], shape (b - 1, 3)."""
+    """Largest errors of mass [kg], first moments [kg m], inertia [kg m^2], shape (b - 1, 3)."""
     count: int
     """Number of unknowns."""
 

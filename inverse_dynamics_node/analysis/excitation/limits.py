@@ -32,7 +32,7 @@ _LEAST_RANGE = 1e-3
 _POSES = 400
 """Number of random poses that show which parts of the robot may come near each other."""
 _LIGHT = (0.05, 0.05)
-"""A joint that carries less than this mass [kg], and this fraction of the mass of the robot."""
+"""A joint that carries less than this mass [kg] and this fraction of the robot is light."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +97,8 @@ def motion_limits(
         Position ranges by joint, to be used in full, in place of those of the robot description
         [rad or m].
     rest : mapping of str to float, optional
-        Positions of joints that do not move, and of those that do before the motion [rad or m];
-        by default 0 or the nearest limit.
+        Positions of joints that do not move, and positions before the motion of those that do
+        [rad or m]; by default 0 or the nearest limit.
 
     Raises
     ------

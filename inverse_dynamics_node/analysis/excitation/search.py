@@ -40,9 +40,9 @@ _PER_HARMONIC = 16
 _FINE = 8
 """Samples of the final check for each sample of the search, also on the way to the start."""
 _DENSER = 4
-"""Poses of the search for its samples: a link passes another one between two of them."""
+"""Poses to check for each sample of the search: links may hit each other between samples."""
 _COARSE, _SHRINKING = 8, 0.95
-"""Random motions are checked at each of so many states, then at all, and made smaller by this."""
+"""Random motions are checked at every 8th state, then at all, and reduced by this factor."""
 _WAY = 60
 """Poses of the search on the way to the start."""
 CANDIDATES = 30
@@ -54,7 +54,7 @@ _NEARLY_ALL = 0.9
 _ROUNDS = ((1e1, 60), (1e2, 60), (1e3, 60), (1e4, 60))
 """Weights of violated limits, relative to one unknown, and iterations."""
 _LARGEST_WORK = 1.5e9
-"""Entries of regressors to compute: limits the iterations for robots with many joints."""
+"""Most entries of regressors to compute; robots with many joints get fewer iterations."""
 _FEWEST_ITERATIONS = 5
 _AIM = 0.99
 """Fraction of the limits that the search aims at, as penalties permit small violations."""
@@ -314,7 +314,7 @@ class MotionSpace:
         return np.array(found)
 
     def _why(self, states: States, held: Integers) -> str:
-        """Explain why no pose is within the limits; held are those within the effort limits."""
+        """Explain why no pose is within the limits; `held` are those within the effort limits."""
         limits = self.limits
         if len(held):
             return self._why_not_clear(whole_positions(limits, states.q[held]))

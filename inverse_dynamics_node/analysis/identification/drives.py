@@ -54,7 +54,7 @@ LEAST_CHANGE = 0.15
 MOST_DISAGREEMENT = 0.5
 """Largest RMS deviation of single joints from this change, as a fraction of it."""
 EXPLAINS = 0.6
-"""Fraction of the improvement by the bodies that a common factor explains at least."""
+"""Least fraction of the improvement by the bodies that a common factor must explain."""
 MOST_DELAY = 0.1
 """Longest delay in either direction [s]."""
 
@@ -185,7 +185,7 @@ def _improvement(grams: Floats, chosen: tuple[int, ...], candidate: int) -> floa
 
 
 def _losses(grams: Floats, chosen: Sequence[int]) -> tuple[Floats, int]:
-    """Return remaining squares of each block, fitted to the others, for the best width."""
+    """Return the squared residuals of each block after a fit to the others, and the best width."""
     others = grams.sum(axis=1, keepdims=True) - grams if grams.shape[1] > 1 else grams
     factors = np.zeros((*grams.shape[:2], TERMS + 1))
     factors[..., -1] = 1.0
@@ -196,7 +196,7 @@ def _losses(grams: Floats, chosen: Sequence[int]) -> tuple[Floats, int]:
 
 
 def _fits(grams: Floats, chosen: Sequence[int]) -> Floats:
-    """Solve many least squares at once; unsigned terms are not negative."""
+    """Solve many least-squares problems at once; terms without a sign do not become negative."""
     index: Integers = np.array(chosen)
     matrices = grams[..., index[:, None], index].copy()
     _expect_little_load(matrices, grams, index)
@@ -212,7 +212,7 @@ def _fits(grams: Floats, chosen: Sequence[int]) -> Floats:
 
 
 def _fit(gram: Floats, chosen: Sequence[int]) -> Floats:
-    """Solve least squares with products of columns."""
+    """Solve a least-squares problem, given the products of its columns."""
     return np.asarray(_fits(gram[None], chosen)[0])
 
 
@@ -238,7 +238,7 @@ def first_gains(
     regression: Regression, bodies: Floats, widths: Floats, moving: Booleans
 ) -> tuple[Floats, Booleans]:
     """
-    Estimate gains from currents as efforts, with the bodies of the robot description, (b, 10).
+    Estimate the gains from currents to efforts, given the bodies of the description, (b, 10).
 
     Returns the gains, shape (m,), and whether each is determined. A gain is negative for a current
     with the opposite sign; if it cannot be determined, it is the median of the others.
@@ -268,9 +268,9 @@ def first_gains(
 
 def common_factor(regression: Regression, fit: RobotFit, friction: JointFit) -> float | None:
     """
-    Return a factor of all efforts of the links that explains most of what the bodies improve.
+    Return a common factor of all link efforts that explains most of the gain by the bodies.
 
-    None if joints disagree, or if bodies explain far more than that.
+    None if the joints disagree on a factor, or if the bodies explain far more than it does.
 
     """
     left, rigid = regression.residual(friction.model), regression.rigid(friction.model.bodies)

@@ -160,7 +160,7 @@ def _efforts(
     folds: Sequence[Fold],
     description: str,
 ) -> Unseen:
-    """Return measured efforts and those of the models; of blocks, by the fits without them."""
+    """Return measured and predicted efforts; blocks are predicted by the fits without them."""
     motions = [run.motion for run in runs]
     raw = [motion._replace(efforts=motion.raw_efforts, window=1) for motion in motions]
     regression, (urdf, friction, identified) = _predicted(data, motions, models, folds)
@@ -183,7 +183,7 @@ def _predicted(
     models: Sequence[Model],
     folds: Sequence[Sequence[Model]],
 ) -> tuple[Regression, list[Floats]]:
-    """Predict all rows; those of a block by the last models of its fold."""
+    """Predict all rows; in each block, the models of its fold take the place of the last ones."""
     regression = Regression(data.problem, motions, 0.0, max(1, len(folds)))
     # Efforts are as late as they were recorded: models do not contain a delay.
     gains = data.correction.gains
@@ -474,7 +474,8 @@ def _unexplained(joints: Sequence[JointResult], accepted: bool) -> list[tuple[st
                     f'{joint.name} on unseen data, more than was measured '
                     f'({significant(joint.measured)} {joint.unit})',
                     'do not use the result for this joint: check the sign and the unit of its '
-                    'effort, and that it moved in the recordings to fit as it does in the others',
+                    'effort, and that it moved in a similar way in the recordings that were '
+                    'fitted and in the others',
                 )
             )
     return warnings

@@ -18,9 +18,9 @@ from .fit import Equations, RobotFit, solve
 from .regression import ARMATURE, Model, moved_by, RATIO, Regression, SPRING, WIDTH
 
 LEAST_GAIN = 0.1
-"""Fraction of the squares of a joint that the prediction has to gain from a spring."""
+"""Fraction by which a spring must reduce the squared residuals of its joint in the prediction."""
 LEAST_GAIN_OF_COUPLING = 0.3
-"""The same for a coupling, in the squares of both joints."""
+"""The same for a coupling, as the mean of both joints."""
 ERRORS = 3.0
 """Least mean gain of the blocks, in standard errors of this mean."""
 LEAST_RELATION = 0.1
@@ -56,7 +56,7 @@ def with_extra(regression: Regression, moving: Booleans, fit: RobotFit) -> Robot
 def _candidates(
     regression: Regression, moving: Booleans, fit: RobotFit, equations: Equations, used: Booleans
 ) -> Iterator[tuple[list[int], float, Callable[[], RobotFit]]]:
-    """Yield joints that an extra acts on, the least gain, and a function that fits with it."""
+    """Yield for each extra the joints that it acts on, the least gain, and a fitting function."""
     is_continuous = regression.problem.identified.robot.is_continuous[regression.problem.joints]
     for j in np.flatnonzero(moving).tolist():
         if not used[j, SPRING] and not is_continuous[j]:
@@ -98,8 +98,8 @@ def is_needed(base: RobotFit, fit: RobotFit, joints: Sequence[int], least: float
     """
     Return whether a larger model predicts blocks clearly better, without being fitted to them.
 
-    It has to gain a fraction of the squares of some joints, and to gain in most of the blocks:
-    single blocks, such as one with the fastest motion, may have most of the squares.
+    It has to reduce the squared residuals of some joints by a fraction, and to gain in most of
+    the blocks: a single block, such as the fastest motion, may have most of the squares.
 
     """
     try:
@@ -118,9 +118,9 @@ def may_be_coupled(regression: Regression, moving: Booleans, j: int) -> bool:
     """
     Return whether the drive of a joint could also turn with the joint before.
 
-    Gears run through a joint in wrists, whose drives sit further back: at the end of a chain, if
-    both joints turn about axes that intersect. The columns of joints that moved in a fixed ratio
-    are collinear, so that nothing can be said.
+    This is so in wrists, where gears run through a joint because their drives sit further back.
+    A wrist is at the end of a chain, and both joints turn about axes that intersect. Nothing can
+    be said of joints that moved in a fixed ratio, because their columns are collinear.
 
     """
     problem = regression.problem
@@ -197,7 +197,7 @@ def _uncoupled(regression: Regression, fit: RobotFit, j: int) -> RobotFit:
 
 
 def _fitted_losses(fit: RobotFit) -> Floats:
-    """Return the weighted squares of the joints in the data of the fit, shape (m,)."""
+    """Return the weighted squared residuals of the joints in the fitted data, shape (m,)."""
     equations = fit.equations
     squares = [equations.squares(fit.model, k) for k in range(equations.block_count)]
     return np.asarray(fit.weights * np.sum(squares, axis=0))
@@ -208,7 +208,7 @@ def _fitted_loss(fit: RobotFit) -> float:
 
 
 def _fitted_gain(base: RobotFit, fit: RobotFit, joints: Sequence[int]) -> float:
-    """Return the fraction of the squares of some joints that a larger model gains."""
+    """Return the gain by a larger model, as a fraction of the squared residuals of some joints."""
     losses = _fitted_losses(base)
     return (float(losses.sum()) - _fitted_loss(fit)) / max(float(losses[joints].sum()), 1e-300)
 

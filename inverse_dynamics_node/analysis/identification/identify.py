@@ -125,7 +125,7 @@ def with_first_gains(data: TrainingData) -> TrainingData:
 
 
 def without_terms(data: TrainingData, bodies: Floats) -> JointFit:
-    """Return bodies alone, to begin with."""
+    """Return a model of the bodies without terms of the joints, to begin with."""
     m = len(data.problem.joints)
     model = Model(bodies, np.zeros((m, TERMS)), np.ones(m), np.zeros(m))
     return JointFit(model, np.zeros((m, TERMS), dtype=bool))
@@ -150,7 +150,7 @@ def fit_in_turn(
 
 
 def fit_with_extras(data: TrainingData, fit: RobotFit) -> RobotFit:
-    """Fit with springs, roots of speeds and couplings, as many as the prediction gains from."""
+    """Fit with all springs, roots of speeds and couplings that improve the prediction."""
     while (better := with_extra(data.regression, data.moving, fit)) is not None:
         fit = fit_in_turn(data, better, fit.prior.weights, 2)
     return fit

@@ -43,7 +43,7 @@ class DriveTerms:
     coupling: float = 0.0
     """Turn of the drive per turn of the preceding joint [-]."""
     stiffness: float = 0.0
-    """Of a spring or counterweight [N m/rad or N/m]."""
+    """Stiffness of a spring or counterweight [N m/rad or N/m]."""
     rest: float = 0.0
     """Position at which it exerts no effort [rad or m]."""
     offset: float = 0.0
