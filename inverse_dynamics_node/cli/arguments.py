@@ -267,7 +267,7 @@ def load_dynamics(path: Path | str, gravity: Floats | tuple[float, ...]) -> Inve
 
     """
     source = read_source_text(path)
-    with waiting('loading (the first time, compiling takes some seconds)'):
+    with waiting('loading (the first time, compiling takes up to a minute)'):
         return InverseDynamics(load_urdf(source), gravity)
 
 
