@@ -127,7 +127,10 @@ def read_command(driver: Driver, joints: Sequence[str], message: Any) -> Command
     """
     if driver.form is Form.EFFORTS:
         if len(message.data) != len(joints):
-            raise ValueError(f'it has {len(message.data)} efforts, expected {len(joints)}')
+            raise ValueError(
+                f'it has {len(message.data)} efforts, expected {len(joints)}: '
+                '--held lists the joints that take none'
+            )
         return Command(_finite(message.data, 'effort') / driver.command_unit)
     efforts = _by_name(message, 'effort', joints) / driver.command_unit
     if driver.form is Form.NAMED_EFFORTS:

@@ -109,7 +109,11 @@ def test_commands_by_name_come_in_any_order():
 @pytest.mark.parametrize(
     ('driver', 'message', 'fault'),
     [
-        ('ur', SimpleNamespace(data=[1.0]), 'it has 1 efforts, expected 2'),
+        (
+            'ur',
+            SimpleNamespace(data=[1.0]),
+            'it has 1 efforts, expected 2: --held lists the joints that take none',
+        ),
         ('ur', SimpleNamespace(data=[1.0, np.nan]), 'an effort in it is not finite'),
         ('isaac_sim', joint_state(name=['elbow'], effort=[1.0]), 'it has no effort of shoulder'),
         (
