@@ -350,9 +350,13 @@ class TestWorld:
         simulation = MujocoRobot(MIMIC, robot, [0.1, 0.4], friction=False, held=['right_finger'])
         simulation.brakes_on = False
         assert simulation.command_names == ('lift',)
-        simulation.command(InverseDynamics(robot).gravity_efforts([0.1, 0.4])[:1])
+        gravity = InverseDynamics(robot).gravity_efforts([0.1, 0.4])
+        simulation.command(gravity[:1])
         simulation.advance(2.0)
-        assert state_of(simulation)[0] == pytest.approx([0.1, 0.4], abs=0.002)
+        positions, _, efforts = state_of(simulation)
+        assert positions == pytest.approx([0.1, 0.4], abs=0.002)
+        assert abs(gravity[1]) > 0.01
+        assert efforts == pytest.approx(gravity, rel=0.01)  # a held joint measures what holds it
 
     def test_unknown_held_joint_is_reported(self):
         with pytest.raises(SimulationError, match="joint 'nope' does not exist; joints are"):

@@ -87,6 +87,7 @@ class MujocoRobot:
         free = [i for i, name in enumerate(robot.joint_names) if name not in held]
         self.command_names = tuple(robot.joint_names[i] for i in free)
         self._command_order = [self._order[i] for i in free]
+        self._held_order = [address[name] for name in held]
         self._command_limits = robot.effort_limits[free]
         moving = [address[name] for name in robot.body_names[1:]]
         self._coupling = np.zeros((len(moving), len(robot.joint_names)))
@@ -98,9 +99,11 @@ class MujocoRobot:
         self._hold(held)
 
     def state(self) -> tuple[Floats, Floats, Floats]:
-        """Return positions, velocities and applied efforts of the joints ``state_names``."""
+        """Return positions, velocities and efforts of the joints ``state_names``."""
         order, data = self._state_order, self._data
-        return data.qpos[order], data.qvel[order], data.qfrc_applied[order]
+        efforts = data.qfrc_applied.copy()
+        efforts[self._held_order] = data.qfrc_passive[self._held_order]
+        return data.qpos[order], data.qvel[order], efforts[order]
 
     def command(self, efforts: ArrayLike) -> None:
         """Apply efforts [N m or N], in the order of ``command_names``, until the next call."""
@@ -214,6 +217,7 @@ class MujocoRobot:
             self._model.jnt_stiffness[joint] = stiffness
             self._model.dof_damping[dof] = 2.0 * math.sqrt(HELD_STIFFNESS) * inertia[i]
             self._model.qpos_spring[dof] = self._data.qpos[dof] + load[i] / stiffness
+        mujoco.mj_forward(self._model, self._data)
 
 
 def require_inertia(robot: RobotModel, mass_matrix: Floats) -> None:
