@@ -6,7 +6,6 @@ import argparse
 from functools import partial
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,12 +14,9 @@ from ..analysis.diagnosis import (
     diagnose_recording,
     FaultKind,
     friction_parameters,
-    GravityConvention,
     JointResidual,
     Recording,
 )
-from ..analysis.recordings.measured_states import read_measured_states
-from ..control.settings import MeasuredGravity
 from ..dynamics.inverse_dynamics import FRICTION_WIDTH
 from ..errors import ConfigurationError, RecordingError
 from ..report.compare_report import comparison_table, friction_table, verdict
@@ -28,10 +24,11 @@ from ..report.diagnosis_text import diagnosis_warning
 from ..robot.limit_checks import position_warnings
 from . import arguments
 from .arguments import CommandParser, RESULT, ROBOT
-from .console import progress, say, show, show_warnings
+from .console import say, show, show_warnings
 from .output_files import check_outputs, new_file, output_path
 from .pictures.compare import draw
 from .pictures.style import try_to_draw
+from .recordings import measured_efforts, read_recording
 
 EPILOG = """\
 examples:
@@ -118,14 +115,9 @@ def run(options: argparse.Namespace) -> int:
     if options.friction:
         dynamics.set_friction(width=FRICTION_WIDTH if width is None else width)
     load = arguments.attach_payload(dynamics, options)
-    with progress('reading') as report:
-        recording, notes = read_measured_states(
-            options.recording, robot.joint_names, options.topic, report, robot.mimic_names
-        )
-    recording = _between(recording, options.start, options.end)
     convention, scale = measured_efforts(options.node_parameters, robot.joint_names)
-    factors = np.array([scale.get(name, 1.0) for name in recording.joint_names])
-    recording = recording._replace(efforts=factors * recording.efforts)
+    recording, notes = read_recording(options.recording, robot, options.topic, scale)
+    recording = _between(recording, options.start, options.end)
     result = diagnose_recording(
         dynamics, recording, link=options.link, width=width, convention=convention
     )
@@ -154,49 +146,6 @@ def _friction_width(options: argparse.Namespace) -> float | None:
     if width is not None and not (math.isfinite(width) and width > 0.0):
         raise ConfigurationError(f'--coulomb-width is {width}, expected a speed above 0')
     return width
-
-
-def measured_efforts(
-    path: Path | None, joint_names: tuple[str, ...]
-) -> tuple[GravityConvention, dict[str, float]]:
-    """Read whether efforts contain gravity, and factors of joints, from a file of the node."""
-    given = {} if path is None else _node_parameters(path)
-    try:
-        in_commands = given.get('include_gravity', True)
-        if not isinstance(in_commands, bool):
-            raise ValueError(f'include_gravity is {in_commands!r}, expected true or false')
-        name, choices = given.get('measured_gravity', 'as_commanded'), list(MeasuredGravity)
-        if name not in [choice.value for choice in choices]:
-            expected = ', '.join(choice.value for choice in choices)
-            raise ValueError(f'measured_gravity is {name!r}, expected one of {expected}')
-        values = np.asarray(given.get('measured_effort_scale', 1.0), dtype=np.float64).ravel()
-        joints = [*filter(None, given.get('joints') or ())] or joint_names
-        if len(values) not in (1, len(joints)):
-            raise ValueError(
-                f'measured_effort_scale has {len(values)} numbers, expected one, or one for each '
-                f'of {len(joints)} joints'
-            )
-    except (TypeError, ValueError) as error:
-        raise ConfigurationError(f'{path}: {error}') from None
-    scale = dict(zip(joints, np.broadcast_to(values, len(joints)).tolist(), strict=True))
-    in_measured = MeasuredGravity(name).is_included(in_commands)
-    return GravityConvention(in_commands, in_measured), scale
-
-
-def _node_parameters(path: Path) -> dict[str, Any]:
-    """Return the parameters in a file, under any name of the node."""
-    import yaml
-
-    try:
-        document = yaml.safe_load(path.read_text(encoding='utf-8'))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigurationError(f'{path}: {" ".join(str(error).split())}') from None
-    nodes = document.values() if isinstance(document, dict) else ()
-    sections = [each.get('ros__parameters') for each in nodes if isinstance(each, dict)]
-    found: list[dict[str, Any]] = [each for each in sections if isinstance(each, dict)]
-    if not found:
-        raise ConfigurationError(f'{path} has no ros__parameters, expected parameters of the node')
-    return {name: value for each in found for name, value in each.items()}
 
 
 def _between(recording: Recording, start: float | None, end: float | None) -> Recording:

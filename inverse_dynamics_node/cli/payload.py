@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 import json
 from pathlib import Path
 
-import numpy as np
-
 from ..analysis.payload import measure_payload, PayloadEstimate
-from ..analysis.recordings.measured_states import read_measured_states
-from ..analysis.recordings.signals import Recording
 from ..errors import ConfigurationError
 from ..report.payload_report import (
     as_json,
@@ -22,14 +18,13 @@ from ..report.payload_report import (
     verdict,
 )
 from ..robot.end_effector import last_link
-from ..robot.model import RobotModel
 from . import arguments
 from .arguments import CommandParser, RESULT
-from .compare import measured_efforts
-from .console import progress, say, show
+from .console import say, show
+from .nodes import choose_node, node_name
 from .output_files import check_outputs, new_file
 from .pictures.payload import draw
-from .watch import choose_node, node_name
+from .recordings import measured_efforts, read_recording
 
 EPILOG = """\
 examples:
@@ -90,9 +85,8 @@ def make_parser() -> CommandParser:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
-    recordings = [options.loaded, *filter(None, [options.empty])]
-    inputs = [options.urdf, *recordings, *filter(None, [options.node_parameters])]
-    check_outputs(inputs, {'--picture': options.picture}, options.force)
+    inputs = [options.urdf, options.loaded, options.empty, options.node_parameters]
+    check_outputs([*filter(None, inputs)], {'--picture': options.picture}, options.force)
     dynamics = arguments.load_dynamics(options.urdf, options.gravity)
     robot, link = dynamics.robot, options.link or last_link(dynamics.robot)
     robot.link_index(link)
@@ -102,8 +96,10 @@ def run(options: argparse.Namespace) -> int:
             f'{options.node_parameters}: the recorded efforts do not contain gravity; expected a '
             'recording without the payload, --empty'
         )
-    loaded, *others = (_read(path, robot, options.topic, scale) for path in recordings)
-    empty = others[0] if others else None
+    loaded, _ = read_recording(options.loaded, robot, options.topic, scale)
+    empty = None
+    if options.empty is not None:
+        empty, _ = read_recording(options.empty, robot, options.topic, scale)
     result = measure_payload(robot, loaded, empty, link, options.gravity)
     apparent = None
     if empty is not None and convention.in_measured:
@@ -128,18 +124,6 @@ def run(options: argparse.Namespace) -> int:
         if not options.json:
             print(f'{name} has the payload')
     return 0 if is_shown else _NOT_SHOWN
-
-
-def _read(
-    path: Path, robot: RobotModel, topic: str | None, scale: Mapping[str, float]
-) -> Recording:
-    """Read a recording, with the efforts of joints multiplied by their factors."""
-    with progress(f'reading {path.name}') as report:
-        recording, _ = read_measured_states(
-            path, robot.joint_names, topic, report, robot.mimic_names
-        )
-    factors = np.array([scale.get(name, 1.0) for name in recording.joint_names])
-    return recording._replace(efforts=factors * recording.efforts)
 
 
 def _apply(result: PayloadEstimate, name: str | None, ros_arguments: Sequence[str]) -> str:

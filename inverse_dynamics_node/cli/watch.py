@@ -8,8 +8,6 @@ from contextlib import contextmanager
 import gc
 import json
 import math
-import os
-import re
 import signal
 import sys
 import time
@@ -28,11 +26,11 @@ from ..analysis.diagnosis.live import (
     StateRate,
 )
 from ..control.status import EffortsStatus, Level, ModelStatus, NodeStatus
-from ..errors import ConfigurationError
 from ..report.agreement_text import sentence
 from . import arguments
 from .arguments import CommandParser, RESULT
 from .live_view import as_json, as_line, LiveView
+from .nodes import choose_node, MOST_DISCOVERY, node_name, only_one
 
 if TYPE_CHECKING:
     from ..ros.observer import Observer, Sample
@@ -65,9 +63,6 @@ CODES = {
 _POLL = 0.02  # [s]
 _LINE = 1.0  # [s]; between lines and checks
 _FRAME = 0.25  # [s]
-_DISCOVERY = 1.5  # [s]; discovery takes up to this long, and longer on a busy machine
-_PATIENCE = 5.0  # [s]; until the wait for a node is reported
-_MOST_DISCOVERY = 10.0  # [s]; until --for reports that there is no node
 _LOST = 3.5  # [s]; diagnostics are published once a second
 _positive = arguments.number('a positive number', lambda value: 0.0 < value < math.inf)
 
@@ -175,8 +170,8 @@ class _Watch:
 
     def _check_choice(self, now: float) -> None:
         """Stop if another node is discovered late, and no name was given."""
-        if self.options.node is None and now < self._began + _MOST_DISCOVERY:
-            _only(self.find())
+        if self.options.node is None and now < self._began + MOST_DISCOVERY:
+            only_one(self.find())
 
     def _end(self, now: float) -> float:
         """Return the time at which to end: a while after the state of the node is known."""
@@ -186,7 +181,7 @@ class _Watch:
         if math.isinf(self._known_since) and status and (robot or not status.is_computing):
             self._known_since = now
         if math.isinf(self._known_since):
-            return self._began + _MOST_DISCOVERY
+            return self._began + MOST_DISCOVERY
         return float(self._known_since + self.options.duration)
 
     def _poll(self) -> None:
@@ -289,61 +284,6 @@ def next_time(due: float, period: float, now: float) -> float:
     return due + period if due + period > now else now + period
 
 
-def choose_node(node: Any, wanted: str | None, is_patient: bool) -> str:
-    """
-    Find the full name of the node that is meant, by its name or the end of it; None for the only.
-
-    A patient search waits until there is one.
-
-    Raises
-    ------
-    ConfigurationError
-        If there are several, or none after a while.
-
-    """
-    from ..ros.observer import find_nodes
-
-    began = time.monotonic()
-    has_announced = False
-    while True:
-        names = find_nodes(node)
-        waited = time.monotonic() - began
-        chosen = [name for name in names if _is_named(name, wanted)]
-        if chosen and (waited > _DISCOVERY or wanted in chosen):
-            break
-        if not is_patient and waited > _MOST_DISCOVERY:
-            raise ConfigurationError(_not_found(wanted, names))
-        if waited > _PATIENCE and not has_announced:
-            print(f'{_not_found(wanted, names)}; waiting for it', file=sys.stderr)
-            has_announced = True
-        time.sleep(0.05)
-    if wanted in chosen:
-        return str(wanted)
-    return _only(chosen)
-
-
-def _only(names: list[str]) -> str:
-    if len(names) > 1:
-        raise ConfigurationError(
-            f'{len(names)} nodes: {", ".join(names)}; choose one by its name, such as {names[0]}'
-        )
-    return names[0] if names else ''
-
-
-def _is_named(name: str, wanted: str | None) -> bool:
-    return wanted is None or name == wanted or name.endswith(f'/{wanted.lstrip("/")}')
-
-
-def _not_found(wanted: str | None, names: list[str]) -> str:
-    domain = os.environ.get('ROS_DOMAIN_ID', '0')
-    reach = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET')
-    where = f'ROS_DOMAIN_ID is {domain}, ROS_AUTOMATIC_DISCOVERY_RANGE is {reach}'
-    if wanted is None:
-        return f'no inverse dynamics node found ({where})'
-    others = f'; there are {", ".join(names)}' if names else ''
-    return f"no inverse dynamics node '{wanted}' found{others} ({where})"
-
-
 @contextmanager
 def _signals_raise() -> Iterator[None]:
     """Treat SIGTERM and SIGHUP like Ctrl-C, so that the terminal is restored."""
@@ -361,12 +301,3 @@ def _signals_raise() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def node_name(text: str) -> str:
-    """Check the name of a node on the command line."""
-    if not re.fullmatch(r'/?(\w+/)*[A-Za-z_]\w*', text, re.ASCII):
-        raise argparse.ArgumentTypeError(
-            f"'{text}' cannot be the name of a node: letters, digits and _, with / between them"
-        )
-    return text

@@ -1,0 +1,92 @@
+"""Recordings that commands read, and what the efforts in them contain."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..analysis.diagnosis import GravityConvention
+from ..analysis.recordings.measured_states import read_measured_states
+from ..analysis.recordings.signals import Recording
+from ..control.settings import MeasuredGravity
+from ..errors import ConfigurationError
+from ..robot.model import RobotModel
+from .console import progress
+
+
+def read_recording(
+    path: Path, robot: RobotModel, topic: str | None, scale: Mapping[str, float]
+) -> tuple[Recording, tuple[str, ...]]:
+    """
+    Read a recording, and show the progress.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The recording.
+    robot : RobotModel
+        The robot.
+    topic : str or None
+        Topic of the joint states, if there are several.
+    scale : mapping of str to float
+        Factors of the efforts of joints, by name.
+
+    Returns
+    -------
+    recording : Recording
+    notes : tuple of str
+        What was noticed.
+
+    """
+    with progress(f'reading {path.name}') as report:
+        recording, notes = read_measured_states(
+            path, robot.joint_names, topic, report, robot.mimic_names
+        )
+    factors = np.array([scale.get(name, 1.0) for name in recording.joint_names])
+    return recording._replace(efforts=factors * recording.efforts), notes
+
+
+def measured_efforts(
+    path: Path | None, joint_names: tuple[str, ...]
+) -> tuple[GravityConvention, dict[str, float]]:
+    """Read whether efforts contain gravity, and factors of joints, from a file of the node."""
+    given = {} if path is None else _node_parameters(path)
+    try:
+        in_commands = given.get('include_gravity', True)
+        if not isinstance(in_commands, bool):
+            raise ValueError(f'include_gravity is {in_commands!r}, expected true or false')
+        name, choices = given.get('measured_gravity', 'as_commanded'), list(MeasuredGravity)
+        if name not in [choice.value for choice in choices]:
+            expected = ', '.join(choice.value for choice in choices)
+            raise ValueError(f'measured_gravity is {name!r}, expected one of {expected}')
+        values = np.asarray(given.get('measured_effort_scale', 1.0), dtype=np.float64).ravel()
+        joints = [*filter(None, given.get('joints') or ())] or joint_names
+        if len(values) not in (1, len(joints)):
+            raise ValueError(
+                f'measured_effort_scale has {len(values)} numbers, expected one, or one for each '
+                f'of {len(joints)} joints'
+            )
+    except (TypeError, ValueError) as error:
+        raise ConfigurationError(f'{path}: {error}') from None
+    scale = dict(zip(joints, np.broadcast_to(values, len(joints)).tolist(), strict=True))
+    in_measured = MeasuredGravity(name).is_included(in_commands)
+    return GravityConvention(in_commands, in_measured), scale
+
+
+def _node_parameters(path: Path) -> dict[str, Any]:
+    """Return the parameters in a file, under any name of the node."""
+    import yaml
+
+    try:
+        document = yaml.safe_load(path.read_text(encoding='utf-8'))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ConfigurationError(f'{path}: {" ".join(str(error).split())}') from None
+    nodes = document.values() if isinstance(document, dict) else ()
+    sections = [each.get('ros__parameters') for each in nodes if isinstance(each, dict)]
+    found: list[dict[str, Any]] = [each for each in sections if isinstance(each, dict)]
+    if not found:
+        raise ConfigurationError(f'{path} has no ros__parameters, expected parameters of the node')
+    return {name: value for each in found for name, value in each.items()}
