@@ -60,6 +60,7 @@ class Arm:
         efforts = self.efforts(q, qd, qdd, times, load)
         size = np.sqrt(np.mean(efforts**2, axis=0))
         q = q - SAG * efforts / (size + 0.05 * size.max())
+        efforts = self.efforts(q, qd, qdd, times, load)  # those of the states that are recorded
         efforts = efforts + noise * size * self.rng.normal(size=q.shape)
         self.clock += times[-1] + PAUSE
         late = 0.1 * self.rng.uniform()

@@ -20,18 +20,16 @@ from ..dynamics.inverse_dynamics import InverseDynamics
 from ..errors import RecordingError
 from ..robot.model import Booleans, Floats, Integers, RobotModel
 from ..robot.rigid_body import (
-    BASIS,
     moved_inside,
     PARAMETERS,
     parameters_of_pseudo_inertias,
-    pseudo_inertias,
     rigid_body,
     RigidBody,
 )
 from .columns import body_columns, direction_of, payload_columns, SECOND_MOMENTS
-from .identification.fit import weights_of
+from .identification.fit import Prior, weights_of
 from .identification.preparation import measured_joints, prepare_all
-from .recordings.resampling import pieces, resampler
+from .recordings.resampling import pieces, Resampler, resampler
 from .recordings.signals import Motion, Recording
 
 STILL = 0.01  # [rad/s or m/s]; below this speed of all joints the arm rests
@@ -52,6 +50,7 @@ REACH = 0.5  # [m] within which the centre of mass of a payload is
 MOST_COM_ERROR = 0.05  # [m]; coordinates with a larger standard error are unknown
 CERTAIN = 3.0  # standard errors that a mass has to be above zero
 LIGHTEST = 0.1  # [kg]; the extent of lighter payloads does not matter
+LEAST_NOISE = 0.05  # of the typical squares that are left, relative to the effort of the joint
 _SMALLEST = 1e-6  # [kg]
 _ROUNDS, _STEPS = 6, 2
 
@@ -102,35 +101,23 @@ class PayloadEstimate:
         return bool(self.body.mass > CERTAIN * self.mass_error)
 
 
-class _Samples(NamedTuple):
-    """States of the robot with n joints, and efforts of m joints, at k times."""
-
-    times: Floats
-    states: tuple[Floats, Floats, Floats]
-    efforts: Floats
-
-    def at(self, index: Integers) -> _Samples:
-        q, qd, qdd = (signal[index] for signal in self.states)
-        return _Samples(self.times[index], (q, qd, qdd), self.efforts[index])
-
-
 class _Rows(NamedTuple):
-    """Rows of the regression of m joints, shape (R, m, ...) each, except times and blocks."""
+    """Rows of the regression of m joints."""
 
     times: Floats
     """(R,) [s]."""
     payload: Floats
-    """(R, m, 10)."""
+    """Columns of the payload, (R, m, 10)."""
     links: Floats
-    """(R, m, 10 b); b is 0 if there is an empty run."""
+    """Columns of the links, (R, m, 10 b); b is 0 if there is an empty run."""
     terms: Floats
-    """Of each joint alone, (R, m, t): offset, drift, friction."""
+    """Columns of each joint alone, (R, m, t): offset, drift, friction."""
     arm: Floats
-    """Modelled efforts of the arm, which a wrong gain multiplies too."""
+    """Modelled efforts that a wrong gain multiplies besides those of the payload, (R, m)."""
     target: Floats
-    """Efforts to explain."""
+    """Efforts to explain, (R, m)."""
     block: Integers
-    """Contiguous part that a row belongs to, shape (R,)."""
+    """Contiguous part that a row belongs to, (R,)."""
 
     def where(self, chosen: Booleans) -> _Rows:
         """Return some of the rows."""
@@ -167,43 +154,48 @@ def measure_payload(
     """
     runs = [loaded] if empty is None else [loaded, empty]
     joints = measured_joints(robot, runs)
-    prepared, _ = prepare_all(robot, runs, joints)
-    motions = [run.motion for run in prepared]
+    motions = [run.motion for run in prepare_all(robot, runs, joints)[0]]
     dynamics = InverseDynamics(robot, gravity)
     dynamics.set_friction(0.0, 0.0)
     rests = [_rests(motion) for motion in motions]
-    is_still = all(_is_still(motion, own) for motion, own in zip(motions, rests, strict=True))
+    is_still = all(map(_is_still, motions, rests))
+    smooth = None if is_still else resampler(motions[0], WINDOW)
     if is_still:
-        loaded_samples, *others = (
-            _poses(motion, own) for motion, own in zip(motions, rests, strict=True)
-        )
-    else:
-        loaded_samples, *others = (
-            _Samples(m.times, (m.q, m.qd, m.qdd), m.efforts) for m in motions
-        )
-    is_near, partners = np.ones(len(loaded_samples.times), dtype=bool), None
-    if others:
-        index, is_near = _match(robot, loaded_samples, others[0])
-        partners = others[0].at(index)
-        if np.mean(is_near) < LEAST_MATCHED:
-            raise RecordingError(
-                f'the empty run is another motion: {np.mean(is_near):.0%} of the loaded run passes'
-                f' within {NEAR:g} rad (m) and {NEAR:g} rad/s (m/s) of it, expected at least '
-                f'{LEAST_MATCHED:.0%}; run the same motion, or the same poses, twice'
-            )
-    motion = None if is_still else motions[0]
-    rows = _rows(dynamics, link, joints, loaded_samples, partners, is_near, motion)
-    fit = _Fit(rows, robot, is_still)
-    return fit.estimate(
+        motions = list(map(_poses, motions, rests))
+    partner, is_near, matched = None, np.ones(len(motions[0].times), dtype=bool), math.nan
+    if empty is not None:
+        partner, is_near = _partner(robot, *motions)
+        matched = float(np.mean(is_near))
+    rows = _rows(dynamics, link, joints, motions[0], partner, smooth)
+    if smooth is not None:
+        is_near = smooth(is_near.astype(float)) > 1.0 - 1e-6
+    rows = rows.where(is_near)
+    prior = _prior_of_links(robot) if empty is None else np.zeros((0, 0))
+    fit = _Fit(rows, prior, GAIN_ALONE if empty is None else GAIN)
+    covariance, _ = fit.covariances()
+    variances = _variance(covariance, fit.x)
+    if empty is None:
+        offset = REACH_OF_LINKS / max(fit.x[0], LIGHTEST)
+        variances += (APPARENT * np.array([1.0, offset, offset, offset])) ** 2
+    errors = np.sqrt(variances)
+    fitted = rows.payload @ _parameters(fit.x)
+    return PayloadEstimate(
         link,
+        _body(fit.x),
+        float(errors[0]),
+        errors[1:],
+        _shows_inertia(covariance, fit.x),
         tuple(robot.joint_names[j] for j in joints),
+        rows.times,
+        fitted + fit.residual(),
+        fitted,
         float(np.ptp(rows.times)),
         len(rows.times) if is_still else 0,
-        float(np.mean(is_near)) if others else math.nan,
+        matched,
     )
 
 
-# ---- Samples -------------------------------------------------------------------------------
+# ---- States --------------------------------------------------------------------------------
 
 
 def _rests(motion: Motion) -> list[slice]:
@@ -227,80 +219,98 @@ def _is_still(motion: Motion, rests: Sequence[slice]) -> bool:
     return bool(sum(each.stop - each.start for each in rests) > 0.5 * len(motion.times))
 
 
-def _poses(motion: Motion, rests: Sequence[slice]) -> _Samples:
+def _poses(motion: Motion, rests: Sequence[slice]) -> Motion:
     """Return the mean of each rest; joints do not move in it."""
-    q, efforts = (
+    times, q, efforts = (
         np.array([np.mean(signal[each], axis=0) for each in rests])
-        for signal in (motion.q, motion.efforts)
+        for signal in (motion.times, motion.q, motion.efforts)
     )
-    times = np.array([float(np.mean(motion.times[each])) for each in rests])
-    return _Samples(times, (q, np.zeros_like(q), np.zeros_like(q)), efforts)
+    zeros = np.zeros_like(q)
+    return motion._replace(times=times, q=q, qd=zeros, qdd=zeros, efforts=efforts)
 
 
-def _match(robot: RobotModel, loaded: _Samples, empty: _Samples) -> tuple[Integers, Booleans]:
-    """Return the nearest empty sample of each loaded one, and whether it is near."""
+def _partner(robot: RobotModel, loaded: Motion, empty: Motion) -> tuple[Motion, Booleans]:
+    """Return the nearest empty state of each loaded one, and whether it is near."""
     from scipy.spatial import cKDTree
 
-    q, q_empty = loaded.states[0], empty.states[0].copy()
-    turns = np.round((np.mean(q, axis=0) - np.mean(q_empty, axis=0)) / (2.0 * np.pi))
-    q_empty += np.where(robot.is_continuous, 2.0 * np.pi * turns, 0.0)
-    points = np.hstack([q, loaded.states[1]])
-    others = np.hstack([q_empty, empty.states[1]])
+    q = empty.q.copy()
+    turns = np.round((np.mean(loaded.q, axis=0) - np.mean(q, axis=0)) / (2.0 * np.pi))
+    q += np.where(robot.is_continuous, 2.0 * np.pi * turns, 0.0)
+    points, others = np.hstack([loaded.q, loaded.qd]), np.hstack([q, empty.qd])
     _, index = cKDTree(others).query(points)
-    return index, np.asarray((np.abs(points - others[index]) < NEAR).all(axis=1))
+    is_near: Booleans = np.asarray((np.abs(points - others[index]) < NEAR).all(axis=1))
+    if np.mean(is_near) < LEAST_MATCHED:
+        raise RecordingError(
+            f'the empty run is another motion: {np.mean(is_near):.0%} of the loaded run passes '
+            f'within {NEAR:g} rad (m) and {NEAR:g} rad/s (m/s) of it, expected at least '
+            f'{LEAST_MATCHED:.0%}; run the same motion, or the same poses, twice'
+        )
+    q, qd, qdd, efforts = (x[index] for x in (empty.q, empty.qd, empty.qdd, empty.efforts))
+    return empty._replace(times=loaded.times, q=q, qd=qd, qdd=qdd, efforts=efforts), is_near
+
+
+# ---- Rows ----------------------------------------------------------------------------------
 
 
 def _rows(
     dynamics: InverseDynamics,
     link: str,
     joints: Sequence[int],
-    loaded: _Samples,
-    empty: _Samples | None,
-    is_near: Booleans,
-    motion: Motion | None,
+    loaded: Motion,
+    empty: Motion | None,
+    smooth: Resampler | None,
 ) -> _Rows:
-    """Return the rows of the regression; the motion is that of the loaded run, if it moves."""
-    robot = dynamics.robot
-    payload = payload_columns(robot, dynamics.gravity, link, loaded.states)[:, joints]
-    target = loaded.efforts - dynamics.efforts(*loaded.states)[:, joints]
-    arm, load = loaded.efforts - target, np.abs(loaded.efforts)
+    """Return the rows of the regression; states in poses are not smoothed."""
+    robot, states = dynamics.robot, (loaded.q, loaded.qd, loaded.qdd)
+    payload = payload_columns(robot, dynamics.gravity, link, states)[:, joints]
+    modelled, load = dynamics.efforts(*states)[:, joints], np.abs(loaded.efforts)
+    target, arm = loaded.efforts - modelled, modelled
     links = np.zeros((*target.shape, 0))
     if empty is None:
-        bodies = np.flatnonzero(robot.mass[1:] > 0.0) + 1
-        links = body_columns(dynamics, loaded.states, bodies.tolist())[:, joints]
+        links = body_columns(dynamics, states, _with_mass(robot))[:, joints]
     else:
-        target = target - (empty.efforts - dynamics.efforts(*empty.states)[:, joints])
-        arm, load = np.zeros_like(target), load - np.abs(empty.efforts)
+        of_empty = dynamics.efforts(empty.q, empty.qd, empty.qdd)[:, joints]
+        target, arm = target - (empty.efforts - of_empty), np.zeros_like(target)
+        load = load - np.abs(empty.efforts)
     ones = np.ones_like(target)
-    times = loaded.times
-    if motion is None:  # at rest, friction is a part of the offset
-        block: Integers = np.arange(len(times))
-        rows = _Rows(times, payload, links, ones[..., None], arm, target, block)
-        return rows.where(is_near)
-    smooth = resampler(motion, WINDOW)
-    place = (times - times[0]) / float(np.ptp(times))  # 0 to 1
-    speed = loaded.states[1][:, joints]
+    if smooth is None:  # friction is a part of the offset
+        block = np.arange(len(target))
+        return _Rows(loaded.times, payload, links, ones[..., None], arm, target, block)
+    place = (loaded.times - loaded.times[0]) / float(np.ptp(loaded.times))  # 0 to 1
+    speed = loaded.qd[:, joints]
     direction = direction_of(speed, WIDTH)
     continuous = [ones, ones * place[:, None], speed]
     if empty is None:
-        continuous.append(loaded.states[2][:, joints])
+        continuous.append(loaded.qdd[:, joints])
     terms = [
         smooth(np.stack(continuous, -1)),
         smooth.discontinuous(np.stack([direction, load * direction], -1)),
     ]
-    block = np.minimum(smooth(place) * BLOCKS, BLOCKS - 1).astype(int)
-    both = smooth(np.concatenate([payload, links], -1))
-    rows = _Rows(
+    return _Rows(
         smooth.times,
-        both[..., :PARAMETERS],
-        both[..., PARAMETERS:],
+        smooth(payload),
+        smooth(links),
         np.concatenate(terms, -1),
         smooth(arm),
         smooth(target),
-        block,
+        np.minimum(smooth(place) * BLOCKS, BLOCKS - 1).astype(int),
     )
-    used = smooth(is_near.astype(float)) > 1.0 - 1e-6
-    return rows.where(used)
+
+
+def _with_mass(robot: RobotModel) -> list[int]:
+    return [body for body in range(1, len(robot.mass)) if robot.mass[body] > 0.0]
+
+
+def _prior_of_links(robot: RobotModel) -> Floats:
+    """Return the inverse covariance of the changes of links with mass, shape (10 b, 10 b)."""
+    links = [
+        moved_inside(RigidBody(robot.mass[k], robot.com[k], robot.inertia[k]).parameters())
+        for k in _with_mass(robot)
+    ]
+    nominal = np.reshape(links, (-1, PARAMETERS))
+    weights, none = np.full(len(links), LINK_ERROR**-2), np.zeros(0)
+    divergence = Prior(nominal, weights, none.astype(int), none, none)
+    return divergence.derivatives(nominal.ravel())[1]
 
 
 # ---- The fit -------------------------------------------------------------------------------
@@ -314,157 +324,107 @@ class _Fit:
     the centre of mass; the efforts are linear in m, h and S + h h^T / m.
     """
 
-    def __init__(self, rows: _Rows, robot: RobotModel, is_still: bool) -> None:
-        self.rows, self.is_still = rows, is_still
-        _, m, t = rows.terms.shape
-        b = rows.links.shape[2]
-        self.first, t = PARAMETERS + b, t + 1
-        self.size = self.first + t * m
-        self.own = [
-            np.r_[np.arange(self.first), self.first + t * j + np.arange(t)] for j in range(m)
-        ]
-        self.gains = np.arange(self.first, self.size, t)
-        self.gain_error = GAIN_ALONE if b else GAIN
-        self.links_prior = _links_prior(robot) if b else np.zeros((0, 0))
-        self.weights = self._weights(rows.target)
-        x = np.zeros(self.size)
-        x[0], x[4:7] = 1.0, RADIUS**2
+    def __init__(self, rows: _Rows, prior_of_links: Floats, gain_error: float) -> None:
+        self.rows, self.prior_of_links, self.gain_error = rows, prior_of_links, gain_error
+        count, m, t = rows.terms.shape
+        self.first = PARAMETERS + rows.links.shape[2]
+        self.size = self.first + m * (1 + t)
+        self.joint = np.arange(m)
+        self.gains = self.first + self.joint * (1 + t)
+        own = np.zeros((count, m, m, 1 + t))
+        own[:, self.joint, self.joint, 1:] = rows.terms
+        parts = rows.payload, rows.links, own.reshape(count, m, -1), rows.target[..., None]
+        self.table = np.concatenate(parts, -1)
+        self.x = np.zeros(self.size)
+        self.x[0], self.x[4:7] = 1.0, RADIUS**2
+        residual = rows.target
         for _ in range(_ROUNDS):
-            self._assemble(x)
-            matrix, vector = self._normal()
-            for _ in range(_STEPS):
-                x = self._solve(matrix, vector, x)
-            self.weights = self._weights(self._residual(x))
-        self.x = x
-        # The spread between blocks contains what varies slowly, which residuals hide.
-        noise, between = self._noise(), self._between()
-        self.weights = self.weights / max(1.0, float(np.mean(between / noise)))
-        for _ in range(_STEPS):
-            self.x = self._solve(*self._normal(), self.x)
+            self._assemble()
+            self.weights = self._weights(residual)
+            self.x = self._solution()
+            residual = self.residual()
+        self.weights = self._weights(residual)
+        # The spread between blocks contains what varies slowly, which residuals hide. Fits without
+        # a block estimate the gains again, and so does the variance that it is compared with. The
+        # variance with known gains is a quarter of it or less, and would enlarge the errors.
+        ratio = self._between() / _variance(self.covariances()[1], self.x)
+        self.weights = self.weights / max(1.0, float(np.mean(ratio)))
+        self.x = self._solution()
 
-    def _assemble(self, x: Floats) -> None:
-        """Collect the columns of each joint and, last, the target; a wrong gain is linearised."""
+    def _assemble(self) -> None:
+        """Multiply the columns of each block and joint; a wrong gain is linearised."""
         rows = self.rows
-        gain = (rows.arm + rows.payload @ _parameters(x))[..., None]
-        table = np.concatenate(
-            [rows.payload, rows.links, gain, rows.terms, rows.target[..., None]], -1
-        )
-        self.tables = [np.ascontiguousarray(table[:, j]) for j in range(table.shape[1])]
-        self.products = {
-            int(block): [A[rows.block == block].T @ A[rows.block == block] for A in self.tables]
-            for block in np.unique(rows.block)
-        }
+        gain = rows.arm + rows.payload @ _parameters(self.x)
+        self.table[:, self.joint, self.gains] = gain
+        parts = (self.table[rows.block == k].swapaxes(0, 1) for k in np.unique(rows.block))
+        self.products = np.array([part.swapaxes(1, 2) @ part for part in parts])
 
     def _weights(self, residual: Floats) -> Floats:
-        if not self.is_still:
+        """Return inverse variances of the joints."""
+        if len(self.products) < len(self.rows.times):
             return weights_of(residual)
-        freedom = max(len(residual) - 2.0, 1.0)
-        squares = np.sum(residual**2, axis=0) / freedom
-        return np.asarray(1.0 / (squares + 0.05 * np.mean(squares) + 1e-12))
+        # With few poses, a joint may fit by chance. The floor is relative to the effort of each
+        # joint: one for all joints was above the noise of the wrist.
+        squares = np.sum(residual**2, axis=0) / max(len(residual) - 2.0, 1.0)
+        size = np.mean(self.rows.target**2, axis=0) + 1e-12
+        least = LEAST_NOISE * np.median(squares / size) * size
+        return np.asarray(1.0 / (squares + least + 1e-12))
 
-    def _residual(self, x: Floats) -> Floats:
-        factors = np.r_[-_parameters(x), -x[PARAMETERS:], 1.0]
-        return np.column_stack(
-            [A @ factors[np.r_[own, -1]] for A, own in zip(self.tables, self.own, strict=True)]
-        )
+    def residual(self) -> Floats:
+        """Return the efforts that are not explained, shape (R, m)."""
+        factors = np.r_[-_parameters(self.x), -self.x[PARAMETERS:], 1.0]
+        return np.asarray(self.table @ factors)
 
     def _normal(self, without: int | None = None) -> tuple[Floats, Floats]:
         """Return matrix and vector of the normal equations, without one of the blocks."""
-        matrix, vector = np.zeros((self.size, self.size)), np.zeros(self.size)
-        for block, products in self.products.items():
-            for own, weight, product in zip(self.own, self.weights, products, strict=True):
-                if block != without:
-                    matrix[np.ix_(own, own)] += weight * product[:-1, :-1]
-                    vector[own] += weight * product[:-1, -1]
-        return matrix, vector
+        chosen = np.arange(len(self.products)) != without
+        sums = np.tensordot(self.weights, np.sum(self.products[chosen], axis=0), 1)
+        return sums[:-1, :-1], sums[:-1, -1]
 
-    def _linearised(self, matrix: Floats, x: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return the matrix for the unknowns near x, with their prior, and the prior's mean."""
+    def _near(self, x: Floats, matrix: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return the slope of the parameters near x, and precision and mean of the prior."""
         slope = np.eye(self.size)
         slope[:PARAMETERS, :PARAMETERS] = _slope(x)
         mass = max(x[0], LIGHTEST)
         moment = mass * RADIUS**2
         mean = np.zeros(self.size)
         mean[4:7] = moment
-        precision = np.zeros(self.size)
+        precision = 1e-9 * (np.diagonal(matrix) + 1e-9)
         precision[0] = 1e-6
         precision[1:4] = 1.0 / (REACH * mass) ** 2
         precision[4:10] = 1.0 / moment**2
-        precision[self.first :] = 1e-9 * (np.diagonal(matrix)[self.first :] + 1e-9)
         precision[self.gains] = 1.0 / self.gain_error**2
-        known = slope.T @ matrix @ slope + np.diag(precision)
+        known = np.diag(precision)
         links = slice(PARAMETERS, self.first)
-        known[links, links] += self.links_prior
-        return slope, known, precision * mean
+        known[links, links] += self.prior_of_links
+        return slope, known, mean
 
-    def _solve(self, matrix: Floats, vector: Floats, x: Floats) -> Floats:
-        slope, known, prior = self._linearised(matrix, x)
-        shift = np.zeros(self.size)
-        shift[:PARAMETERS] = _parameters(x) - slope[:PARAMETERS, :PARAMETERS] @ x[:PARAMETERS]
-        right = slope.T @ (vector - matrix @ shift) + prior
-        found = np.linalg.solve(known, right)
-        return np.asarray(found)
+    def _solution(self, without: int | None = None) -> Floats:
+        """Solve the normal equations, which are linearised near the last solution."""
+        (matrix, vector), x = self._normal(without), self.x
+        for _ in range(_STEPS):
+            slope, known, mean = self._near(x, matrix)
+            shift = np.zeros(self.size)
+            shift[:PARAMETERS] = _parameters(x) - slope[:PARAMETERS, :PARAMETERS] @ x[:PARAMETERS]
+            right = slope.T @ (vector - matrix @ shift) + known @ mean
+            x = np.linalg.solve(slope.T @ matrix @ slope + known, right)
+        return np.asarray(x)
 
-    def _noise(self) -> Floats:
-        """Return the variances due to noise, without those of gains and links, shape (4,)."""
-        _, known, _ = self._linearised(self._normal()[0], self.x)
-        own = np.setdiff1d(np.r_[:PARAMETERS, self.first : self.size], self.gains)
-        return _variance(np.asarray(np.linalg.inv(known[np.ix_(own, own)])), self.x)
+    def covariances(self) -> tuple[Floats, Floats]:
+        """Return the covariance of the unknowns, and the part of it that is due to noise."""
+        matrix, _ = self._normal()
+        slope, known, _ = self._near(self.x, matrix)
+        data = slope.T @ matrix @ slope
+        whole: Floats = np.asarray(np.linalg.inv(data + known))
+        return whole, whole @ data @ whole
 
     def _between(self) -> Floats:
         """Return the variances from the spread of fits without one block each, shape (4,)."""
-        if len(self.products) < 2:
+        count = len(self.products)
+        if count < 2:
             return np.zeros(4)
-        others = [_solution(self._solve(*self._normal(k), self.x)) for k in self.products]
-        spread = np.array(others) - np.mean(others, axis=0)
-        return np.asarray((1.0 - 1.0 / len(others)) * np.sum(spread**2, axis=0))
-
-    def estimate(
-        self, link: str, names: tuple[str, ...], duration: float, poses: int, matched: float
-    ) -> PayloadEstimate:
-        """Return the payload with its standard errors."""
-        inverse: Floats = np.asarray(np.linalg.inv(self._linearised(self._normal()[0], self.x)[1]))
-        variance = _variance(inverse, self.x)
-        if len(self.links_prior):
-            offset = REACH_OF_LINKS / max(self.x[0], LIGHTEST)
-            variance += (APPARENT * np.array([1.0, offset, offset, offset])) ** 2
-        errors = np.sqrt(variance)
-        second = 4 + np.arange(3)
-        moment = max(self.x[0], LIGHTEST) * RADIUS**2
-        shown = bool(np.sqrt(np.trace(inverse[np.ix_(second, second)])) < 0.5 * moment)
-        efforts = self.rows.payload @ _parameters(self.x)
-        return PayloadEstimate(
-            link,
-            _body(self.x),
-            float(errors[0]),
-            errors[1:],
-            shown,
-            names,
-            self.rows.times,
-            efforts + self._residual(self.x),
-            efforts,
-            duration,
-            poses,
-            matched,
-        )
-
-
-def _links_prior(robot: RobotModel) -> Floats:
-    """
-    Return the inverse covariance of the changes of links with mass, shape (10 b, 10 b).
-
-    It is the curvature of the entropic divergence between bodies, which depends on neither units
-    nor frames, see `identification.fit`.
-
-    """
-    from scipy.linalg import block_diag
-
-    blocks = []
-    for body in np.flatnonzero(robot.mass[1:] > 0.0) + 1:
-        link = RigidBody(robot.mass[body], robot.com[body], robot.inertia[body])
-        changes = np.linalg.inv(pseudo_inertias(moved_inside(link.parameters()))) @ BASIS
-        blocks.append(np.einsum('kij,lji->kl', changes, changes) / LINK_ERROR**2)
-    return np.asarray(block_diag(*blocks))
+        others = [_mass_and_com(self._solution(k)) for k in range(count)]
+        return np.asarray((count - 1) * np.var(others, axis=0))
 
 
 def _parameters(x: Floats) -> Floats:
@@ -484,7 +444,7 @@ def _slope(x: Floats) -> Floats:
     return slope
 
 
-def _solution(x: Floats) -> Floats:
+def _mass_and_com(x: Floats) -> Floats:
     """Return mass and centre of mass, shape (4,)."""
     return np.asarray(np.r_[x[0], x[1:4] / _divisor(x)])
 
@@ -501,6 +461,12 @@ def _variance(covariance: Floats, x: Floats) -> Floats:
     slope[1:, 0] = -x[1:4] / _divisor(x) ** 2
     slope[1:, 1:] = np.eye(3) / _divisor(x)
     return np.asarray(np.diagonal(slope @ covariance[:4, :4] @ slope.T).copy())
+
+
+def _shows_inertia(covariance: Floats, x: Floats) -> bool:
+    """Return whether the second moments are better known than before the measurement."""
+    moment = max(x[0], LIGHTEST) * RADIUS**2
+    return bool(np.sqrt(np.trace(covariance[4:7, 4:7])) < 0.5 * moment)
 
 
 def _body(x: Floats) -> RigidBody:

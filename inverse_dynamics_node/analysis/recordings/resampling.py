@@ -99,4 +99,5 @@ def _matrix(kernel: Floats, centre: Integers, count: int) -> Any:
 
 def _apply(matrix: Any, values: Floats) -> Floats:
     flat = values.reshape(len(values), -1)
-    return np.asarray(matrix @ flat).reshape(-1, *values.shape[1:])
+    rows = np.asarray(matrix @ flat)
+    return rows.reshape(len(rows), *values.shape[1:])
