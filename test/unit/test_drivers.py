@@ -59,10 +59,13 @@ def test_it_adds_gravity_and_nothing_else():
 
 def test_measured_efforts_without_gravity_are_zero_at_rest_and_those_of_held_joints_stay():
     held = load_urdf(ARM).joint_names[-1]
-    actuation, _ = behind(DRIVERS['ur_torques'], held=[held])
+    actuation, dynamics = behind(DRIVERS['ur_torques'], held=[held])
     actuation.act()
     measured = actuation.measured(actuation.robot.state()[2])
-    assert np.abs(measured).max() < 1e-9
+    assert np.abs(measured[:-1]).max() < 1e-9
+    gravity = dynamics.gravity_efforts(actuation.robot.positions())[-1]
+    assert abs(gravity) > 1e-4
+    assert measured[-1] == pytest.approx(gravity, rel=0.05)
 
 
 def test_commands_and_measured_efforts_have_the_unit_of_the_driver():

@@ -667,12 +667,12 @@ def test_the_frame_of_an_imu_is_compared_with_the_robot_description():
     for name in fixed:
         R_BS = robot.link_rotation[robot.link_index(name)]
         assert not describe_imu_frame(loop, name, R_BS)
-        assert 'turns by 90 degrees' in describe_imu_frame(loop, name, R_BS @ quarter)
+        assert 'by 90 degrees' in describe_imu_frame(loop, name, R_BS @ quarter)
         tilted = R_BS @ rotation_of_rpy(math.radians(30.0), 0.0, 0.0)
-        assert 'turns by 30 degrees' in describe_imu_frame(loop, name, tilted)
+        assert 'by 30 degrees' in describe_imu_frame(loop, name, tilted)
         for yaw in np.linspace(0.0, 3.0, 50):  # cosines may round to above 1 or below -1
             about, back = rotation_of_rpy(0.0, 0.0, yaw), rotation_of_rpy(0.0, 0.0, -yaw)
             assert not describe_imu_frame(loop, name, R_BS @ about @ back)
             axis = np.array([math.cos(yaw), math.sin(yaw), yaw]) / math.hypot(1.0, yaw)
             turned = R_BS @ (2.0 * np.outer(axis, axis) - np.eye(3))
-            assert 'turns by 180 degrees' in describe_imu_frame(loop, name, turned)
+            assert 'by 180 degrees' in describe_imu_frame(loop, name, turned)
