@@ -127,6 +127,7 @@ def test_payload_causes_an_error_until_the_node_receives_it(record, path):
     assert max(before, known) < 0.3 * unknown
 
 
+@pytest.mark.long
 @each_arm(first=GRIPPER_ARM)
 def test_arm_holds_still_on_a_tilting_base(record, path):
     run = record(path, 'tilt')
@@ -142,6 +143,7 @@ def test_arm_holds_still_on_a_tilting_base(record, path):
     assert usual(errors, times, times[-1] - 1.0) < 0.01
 
 
+@pytest.mark.long
 @each_arm(first=STANFORD)
 def test_external_efforts_of_a_push_are_minus_jacobian_transposed_times_force(record, path):
     run = record(path, 'push')

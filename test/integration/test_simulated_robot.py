@@ -191,6 +191,7 @@ def simulated(domain_id, tmp_path):
     process.wait()
 
 
+@pytest.mark.long
 def test_process_survives_commands_that_are_far_too_large(simulated, robot):
     process, log = simulated
     states = robot.listen(JointState, 'joint_states')

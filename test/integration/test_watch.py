@@ -130,6 +130,7 @@ def test_verdicts_of_a_dry_run_in_a_pipe(run_node, robot, watch):
     assert not robot.commands
 
 
+@pytest.mark.long
 def test_gravity_that_a_driver_measures_but_adds_to_commands_is_named(run_node, robot, watch):
     sign = np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
     settings = {'include_gravity': False, 'measured_effort_scale': sign.tolist()}

@@ -132,6 +132,7 @@ def test_a_delay_of_the_efforts_is_found():
     assert result.accepted
 
 
+@pytest.mark.long
 def test_a_gripper_that_is_not_on_the_robot_does_no_harm():
     robot, rng = load_urdf(STANFORD), np.random.default_rng(4)
     real = real_robot(robot, rng)
