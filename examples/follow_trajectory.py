@@ -14,7 +14,7 @@ import signal
 import sys
 import time
 
-from inverse_dynamics_node import load_urdf
+from inverse_dynamics_node import InverseDynamicsError, load_urdf
 from inverse_dynamics_node.analysis.trajectory_files import read_trajectory
 from inverse_dynamics_node.dynamics.trajectory import complete, refine, Trajectory
 from inverse_dynamics_node.ros.middleware import start_ros
@@ -28,9 +28,14 @@ APPROACH = 0.2  # [rad/s, m/s]; mean speed to the first point
 AT_REST = 1.0  # [s] at the last point
 LARGEST_ERROR = 0.5  # [rad, m]; a robot that is further away does not follow
 
-robot = load_urdf(sys.argv[1])
+if len(sys.argv) not in (3, 4):
+    sys.exit(__doc__)
 speed = float(sys.argv[3]) if len(sys.argv) > 3 else 1.0
-planned, _ = complete(read_trajectory(Path(sys.argv[2]), robot.joint_names).trajectory)
+try:
+    robot = load_urdf(sys.argv[1])
+    planned, _ = complete(read_trajectory(Path(sys.argv[2]), robot.joint_names).trajectory)
+except InverseDynamicsError as error:
+    sys.exit(f'error: {error}')
 
 start_ros()  # without shared memory, which could delay the driver
 signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends the program while it waits

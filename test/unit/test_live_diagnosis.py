@@ -389,6 +389,15 @@ class TestFewJoints:
         )
         assert judged(some, robot, ['joint_2', 'joint_3']).outcome is Outcome.AGREE
 
+    def test_constant_efforts_of_a_joint_that_is_not_commanded_are_ignored(self):
+        robot, samples = samples_of()
+        measured = samples.measured.copy()
+        measured[:, 2] = 0.0
+        silent = samples._replace(measured=measured)
+        assert judged(silent, robot).cause is FaultKind.NOT_MEASURED
+        others = [name for name in JOINTS if name != 'joint_3']
+        assert judged(silent, robot, others).outcome is Outcome.AGREE
+
     def test_joints_that_are_not_commanded_do_not_count(self):
         robot, samples = samples_of()
         agreement = judged(samples, robot, ['joint_6'])

@@ -534,6 +534,7 @@ def check_agreement(
     if samples is None or robot is None:
         agreement = Agreement(Outcome.UNDECIDED, Obstacle.TOO_FEW_SAMPLES)
     else:
+        samples = _without_constant(samples, commanded)
         agreement = diagnose_samples(samples, robot, gravity, limits, convention, payloads)
     agreement = _completed(agreement, commanded, saturated)
     is_grave = any(fault.kind in GRAVE for fault in agreement.faults)
@@ -554,6 +555,14 @@ def check_agreement(
             numbers=(),
         )
     return agreement
+
+
+def _without_constant(samples: LiveSamples, commanded: Sequence[str]) -> LiveSamples:
+    """Leave out constant efforts of joints that the node does not command, such as a gripper."""
+    is_commanded = np.isin(samples.joint_names, commanded) if commanded else True
+    is_constant = (samples.measured == samples.measured[:1]).all(axis=0)
+    measured = np.where(is_constant & ~np.array(is_commanded), np.nan, samples.measured)
+    return samples._replace(measured=measured)
 
 
 def _completed(
