@@ -34,6 +34,7 @@ def test_draws_every_kind_of_robot(tmp_path, name, size_of):
     assert size_of(tmp_path / 'p.png')[1] >= 400
 
 
+@pytest.mark.long
 def test_draws_a_humanoid(tmp_path, size_of):
     paths = [path for path in real_robots() if path.name == 'talos_full_v2.urdf']
     if not paths:

@@ -47,7 +47,7 @@ def with_efforts(recording, change):
 # ---- Its findings --------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+@pytest.mark.parametrize('storage', ['mcap', pytest.param('sqlite3', marks=pytest.mark.long)])
 def test_finds_the_friction_of_the_simulated_robot(recorded, storage, here, capsys, size_of):
     write_bag(here / 'run', recorded, storage)
     assert compare('run', '--parameters', 'friction.yaml', '--strict') == 0
@@ -181,6 +181,7 @@ def test_friction_option_includes_the_friction_of_the_urdf(here, capsys):
     assert explained[1] > 99.5
 
 
+@pytest.mark.long
 def test_draws_many_joints(here, size_of):
     urdf = here / 'chain.urdf'
     links = ''.join(

@@ -185,7 +185,7 @@ def test_payload_friction_and_positions_change_the_result(tmp_path, write, capsy
     assert len(set(tables)) == 4
 
 
-@pytest.mark.parametrize('count', [1, 30])
+@pytest.mark.parametrize('count', [1, pytest.param(30, marks=pytest.mark.long)])
 def test_draws_any_number_of_joints(tmp_path, write, size_of, count):
     links = ''.join(
         f'<link name="l{i}"><inertial><mass value="1"/><origin xyz="0.1 0 0"/><inertia ixx="0.1" '

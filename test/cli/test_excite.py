@@ -65,6 +65,7 @@ def test_a_rehearsal_is_the_same_path_at_another_speed(here):
     assert_allclose(slow.velocities[::5], 0.2 * fast.velocities, atol=1e-8)
 
 
+@pytest.mark.long
 def test_the_picture_shows_the_path(here, size_of):
     assert main(['excite', str(STANFORD), '--picture', 'path.png', '--duration', '5']) == 0
     width, height = size_of(here / 'path.png')

@@ -33,7 +33,12 @@ def drawn(monkeypatch):
     return figures
 
 
-@pytest.fixture(params=[pytest.param('stanford', marks=pytest.mark.long), *list(ROBOTS)[1:]])
+LEFT_OUT = ('stanford', 'three_finger_hand')
+
+
+@pytest.fixture(
+    params=['two_arms', *(pytest.param(name, marks=pytest.mark.long) for name in LEFT_OUT)]
+)
 def robot(request, here):
     (here / 'arm.urdf').write_text(ROBOTS[request.param]())
     return load_urdf(here / 'arm.urdf')

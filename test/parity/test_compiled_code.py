@@ -94,6 +94,7 @@ def test_damaged_cache_is_a_warning(folder):
     assert warnings.count('not kept between runs') == 1
 
 
+@pytest.mark.long
 @needs_numba
 def test_cached_code_is_used_until_another_file_of_its_folder_changes(folder):
     assert call_kernel(folder) == (7.0, 0, '')

@@ -172,7 +172,7 @@ def play(first, accelerations, acts):
 accelerations = st.tuples(st.floats(-20.0, 20.0), st.floats(-20.0, 20.0))
 
 
-@settings(max_examples=300)
+@settings(max_examples=3 * settings.default.max_examples)
 @given(some_settings, accelerations, scenes)
 def test_commands_continue_from_the_last_one_and_stops_only_shrink_them(first, wanted, acts):
     play(first, wanted, acts)

@@ -230,7 +230,7 @@ def test_velocities_that_lag_the_positions_are_not_used(name, lag):
 
 
 @EVERY_ROBOT
-@pytest.mark.parametrize('rate', [125.0, 500.0])
+@pytest.mark.parametrize('rate', [125.0, pytest.param(500.0, marks=pytest.mark.long)])
 def test_efforts_that_were_filtered_before_are_reported(name, rate):
     dynamics, recording = run(name, friction=(1.0, 3.0), rate=rate)
     sos = butter(4, 2.0, fs=rate, output='sos')

@@ -53,7 +53,7 @@ def test_a_healthy_recording_is_explained_and_nothing_is_found(name, has_velocit
 
 
 @EVERY_ROBOT
-@pytest.mark.parametrize('rate', [40.0, 100.0, 1000.0])
+@pytest.mark.parametrize('rate', [40.0, 100.0, pytest.param(1000.0, marks=pytest.mark.long)])
 def test_recordings_of_any_rate_are_explained(name, rate):
     result = diagnose_recording(
         *run(name, rate=rate, has_velocities=False, friction=friction_of(name))

@@ -123,6 +123,7 @@ def test_efforts_that_are_not_related_to_the_motion_are_not_accepted():
     assert 'hardly related to the motion: they vary by' in result.verdict
 
 
+@pytest.mark.long
 def test_a_delay_of_the_efforts_is_found():
     robot, rng = load_urdf(STANFORD), np.random.default_rng(3)
     real = real_robot(robot, rng)
@@ -152,6 +153,7 @@ def test_a_gripper_that_is_not_on_the_robot_does_no_harm():
     assert left[1] == pytest.approx(left[0], rel=0.03)
 
 
+@pytest.mark.long
 def test_gains_of_currents_are_found_up_to_a_common_factor():
     robot, rng = load_urdf(STANFORD), np.random.default_rng(0)
     real = real_robot(robot, rng)

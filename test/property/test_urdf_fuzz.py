@@ -134,13 +134,13 @@ CHANGES = {
 }
 
 
-@settings(max_examples=600)
+@settings(max_examples=4 * settings.default.max_examples)
 @given(mutated())
 def test_mutated_elements_load_or_raise_urdf_error(text):
     loads_or_raises_urdf_error(text)
 
 
-@settings(max_examples=200)
+@settings(max_examples=2 * settings.default.max_examples)
 @given(st.data())
 def test_mutated_bytes_load_or_raise_urdf_error(tmp_path_factory, data):
     source = bytearray(SOURCES[data.draw(st.sampled_from(sorted(SOURCES)))])
@@ -152,7 +152,6 @@ def test_mutated_bytes_load_or_raise_urdf_error(tmp_path_factory, data):
     loads_or_raises_urdf_error(path)
 
 
-@settings(max_examples=100)
 @given(st.text() | st.text('<>/="robot &;!?[]-'))
 def test_random_text_raises_urdf_error(text):
     assert not loads_or_raises_urdf_error(f'<{text}')
