@@ -85,7 +85,8 @@ def on_state(message):
     """Publish the reference for this moment."""
     global motion, began
     positions = dict(zip(message.name, message.position, strict=True))
-    if names is None or not all(name in positions for name in names):
+    is_ready = names and publisher.get_subscription_count()
+    if not is_ready or not all(name in positions for name in names):
         return
     measured = np.array([positions[name] for name in names])
     if motion is None:

@@ -28,6 +28,7 @@ from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 AT_REST = 1.0  # [s] in the rest position
+LONGEST_STEP = 0.1  # [s]; the reference does not go on while no joint states arrive
 LARGEST_ERROR = 0.2  # [rad, m]; a robot that is further away does not follow
 
 speed = float(sys.argv[1])
@@ -45,7 +46,7 @@ mode = answer.result().values[0].string_value if answer.done() else 'unknown'
 if mode != 'computed_torque':
     sys.exit(f'the mode of the node is {mode}, expected computed_torque')
 publisher = node.create_publisher(JointTrajectory, 'inverse_dynamics/reference', 10)
-robot, names, start, way, duration, began, error, stopped = [None] * 7 + [[]]
+robot, names, start, way, duration, last, elapsed, stopped = *[None] * 6, 0.0, []
 
 
 def on_description(message):
@@ -70,8 +71,8 @@ def on_efforts(message):
 
 def plan(measured):
     """Begin to move from the measured positions."""
-    global start, way, duration, began
-    start, began = measured, time.monotonic()
+    global start, way, duration, last
+    start, last = measured, time.monotonic()
     way = np.array([wanted.get(name, q) for name, q in zip(names, measured, strict=True)]) - start
     index = [robot.joint_names.index(name) for name in names]
     # Continuous joints take the shorter way.
@@ -82,15 +83,17 @@ def plan(measured):
 
 def on_state(message):
     """Publish the reference for this moment: a quintic, which starts and ends at rest."""
-    global error
+    global last, elapsed
     positions = dict(zip(message.name, message.position, strict=True))
-    if names is None or robot is None or not all(name in positions for name in names):
+    is_ready = names and robot and publisher.get_subscription_count()
+    if not is_ready or not all(name in positions for name in names):
         return
     measured = np.array([positions[name] for name in names])
     if start is None:
         plan(measured)
-    rate = 1.0 / max(duration, 0.001)
-    u = min((time.monotonic() - began) * rate, 1.0)
+    now, rate = time.monotonic(), 1.0 / max(duration, 0.001)
+    last, elapsed = now, elapsed + min(now - last, LONGEST_STEP)
+    u = min(elapsed * rate, 1.0)
     point = JointTrajectoryPoint(
         positions=(start + (10.0 * u**3 - 15.0 * u**4 + 6.0 * u**5) * way).tolist(),
         velocities=(30.0 * (u * (1.0 - u)) ** 2 * rate * way).tolist(),
@@ -112,7 +115,7 @@ node.create_subscription(JointState, 'inverse_dynamics/joint_efforts', on_effort
 node.create_subscription(JointState, 'joint_states', on_state, 1)
 # A KeyboardInterrupt could end rclpy in the middle of a message.
 signal.signal(signal.SIGINT, lambda number, _: stopped.append(number))
-while not stopped and (start is None or time.monotonic() - began < duration + AT_REST):
+while not stopped and (start is None or elapsed < duration + AT_REST):
     rclpy.spin_once(node, timeout_sec=0.1)
 if not stopped:
     enable = node.create_client(SetBool, 'inverse_dynamics/enable')
