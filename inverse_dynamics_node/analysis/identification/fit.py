@@ -111,9 +111,9 @@ class Equations:
                     regression.efforts[:, j] - regression.known[:, j],
                 ]
             )
+            self.all.append(table.T @ table)  # also rows that belong to no block
             parts = [table[regression.block == k] for k in range(self.block_count)]
             self.blocks.append([part.T @ part for part in parts])
-            self.all.append(np.sum(self.blocks[-1], axis=0))
 
     def normal(self, weights: Floats, without: int | None = None) -> tuple[Floats, Floats]:
         """Return matrix and vector of the normal equations, without one of the blocks."""
