@@ -1,7 +1,7 @@
 """
-Turns computed efforts into commands: scale, offset, limits, and no jump between commands.
+Scales, offsets and limits computed efforts, and prevents jumps between commands.
 
-No ROS, and no clock: the time is an argument.
+This module uses neither ROS nor a clock. The time is an argument.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ import numpy as np
 from ..dynamics.jit import compile_for, compiled
 from ..robot.model import Booleans, Floats
 
-_BRIEF = 0.03  # [s]; after a pause of the computed efforts up to this long there is no blend
+_BRIEF = 0.03  # [s]; efforts that pause for no longer than this continue without a blend
 LARGEST = 1e300
-"""Larger efforts are rejected, so that sums and differences of two are finite."""
+"""Largest effort that is accepted [N m or N]; the sum of two such efforts is finite."""
 # Rows of `CommandShaper._rows`, one column per commanded joint.
 _INDEX, _ADDED, _SCALE, _OFFSET, _LIMIT, _RATE, _WANTED, _JUMP, _EXCESS, _COMMAND = range(10)
 NOMINAL_STEP = 0.01
-"""Ramps advance by at most this long in one command, unless commands are usually rarer [s]."""
-_LONGEST_STEP = 0.5  # [s]; at most this long even then
-_MEMORY = 8.0  # usual steps in which the usual step follows a change; it grows by at most 1/4
-_LEAST_PAUSE = 0.1  # [s]; shorter times between steps are no interruption
-_PAUSE = 4.0  # usual steps; neither are these
-_SETTLING = 0.2  # [s]; after an interruption, for messages that were sent before its end
+"""Longest time by which ramps advance per command [s], unless commands are usually rarer."""
+_LONGEST_STEP = 0.5  # [s]; limit of the usual interval, unless the period is longer
+_MEMORY = 8.0  # usual intervals; time constant of the mean, which grows by at most 1/4 at once
+_LEAST_PAUSE = 0.1  # [s]; a shorter interval is not an interruption
+_PAUSE = 4.0  # usual intervals; a shorter interval is not an interruption either
+_SETTLING = 0.2  # [s] after an interruption, in which messages from before its end may arrive
 
 
 class _Way(enum.Enum):
@@ -40,20 +40,18 @@ class _Way(enum.Enum):
 
 class RampClock:
     """
-    Measures the time by which ramps, blends and fades advance with the next command.
+    Measures the time by which ramps, blends and fades advance with each command.
 
-    This is the time since the last command, but at most one nominal step: 10 ms, or the period of
-    the loop if it is longer. On a machine or with a driver that is always slower, it is the usual
-    time between commands, which is a mean with the lengths as weights: several messages in a row
-    thus do not hide the pauses between them. A single pause makes it at most 25 % longer.
+    This time is the interval since the last command, but at most 10 ms or the period of the loop,
+    whichever is longer. If commands are usually rarer, the limit is their usual interval. The
+    usual interval is a mean that is weighted with the lengths of the intervals, so that a burst of
+    messages does not hide the pause before it. A single pause lengthens the usual interval by at
+    most 25 %.
 
-    A pause may end with old messages, a late timer or a jump of the clock. The robot has moved in
-    the meantime, but the commands have not: nothing may catch up.
+    A pause may end with old messages, a late timer or a jump of the clock. The robot has moved
+    during the pause, but the commands have not changed. Ramps therefore do not catch up.
 
-    Parameters
-    ----------
-    period : float
-        Time between commands [s]; 0 if there is one for every joint state.
+    ``period`` is the time between commands [s]; 0 if each joint state produces a command.
 
     """
 
@@ -65,26 +63,18 @@ class RampClock:
         self.since = 0.0
         """Time since the last command [s]; 0 after the clock was set back."""
         self.step = 0.0
-        """Time by which ramps advance [s]."""
+        """Time by which ramps advance with this command [s]."""
 
     def start(self) -> None:
-        """Let no time pass until the next command."""
+        """Restart the clock, so that ramps do not advance with the next command."""
         self._now, self._settling = math.inf, 0.0
 
     def advance(self, now: float) -> bool:
         """
-        Advance to the time of the next command.
+        Advance to the time of the next command [s]; return whether to blend this command.
 
-        Parameters
-        ----------
-        now : float
-            The time [s].
-
-        Returns
-        -------
-        is_interrupted : bool
-            Whether the command must be blended: at a start, and when and shortly after the process
-            was suspended, the machine stalled, or the clock jumped.
+        Commands are blended at a start, and until 0.2 s after the process was suspended, the
+        machine stalled or the clock jumped.
 
         """
         since, self._now = now - self._now, now
@@ -105,23 +95,23 @@ class RampClock:
 
 
 def ramp_fraction(elapsed: float, ramp: float) -> float:
-    """Return how much of a ramp has passed, 0 to 1; times in [s]."""
+    """Return the fraction of a ramp that has elapsed, 0 to 1; both times are in [s]."""
     return min(1.0, elapsed / ramp) if ramp > 0.0 else 1.0
 
 
 class StopRamp:
-    """Scales a command down to zero."""
+    """Ramps a command down to zero."""
 
     def __init__(self) -> None:
         self._top: Floats = np.zeros(0)
         self._duration = self._passed = 0.0  # [s]
 
     def begin(self, command: Floats, duration: float) -> None:
-        """Begin at a command, which is copied, and reach zero after a time [s]."""
+        """Start a ramp from a copy of the command down to zero; the duration is in [s]."""
         self._top, self._duration, self._passed = command.copy(), duration, 0.0
 
     def advance(self, elapsed: float) -> None:
-        """Advance by a time [s]."""
+        """Advance the ramp by the elapsed time [s]."""
         self._passed += elapsed
 
     @property
@@ -131,40 +121,39 @@ class StopRamp:
 
     @property
     def fraction(self) -> float:
-        """How much of the command is left, 1 to 0."""
+        """Remaining fraction of the command, from 1 to 0."""
         return max(0.0, 1.0 - ramp_fraction(self._passed, self._duration))
 
     def command(self) -> Floats:
-        """Return the command at present, as a new array."""
+        """Return the current command as a new array."""
         return self.fraction * self._top
 
 
 class CommandShaper:
     """
-    Turns computed efforts into commands, each of which continues from the one before.
+    Turns computed efforts into commands that continue from each other without jumps.
 
-    A command differs from the last one by no more than new joint states and references explain.
-    Everything else is a ramp that advances by `clock.step`, or is blended. After `clock` has been
-    advanced, `follow`, `hold` or `fall` produces a command. The start ramp multiplies the computed
-    efforts by `gain`. A blend adds the difference between the last command and the computed
-    efforts, and lets it fade. The stop ramp scales the command at which it began. Each of
-    them starts from the last command sent.
+    A command differs from the last command only as far as new joint states and references explain.
+    Every other change is a ramp or a blend, which advances by `clock.step`. To produce a command,
+    advance `clock`, then call `follow`, `hold` or `fall`.
 
-    A change during a blend starts a new blend that contains the rest of the old one. As soon as
-    two commands in a row do so, blends advance all the same: however often something changes, the
-    difference fades like that of a first-order low-pass, with the start ramp as its time
-    constant.
+    - The start ramp multiplies the computed efforts by `gain`.
+    - A blend fades out the difference between the last command and the computed efforts.
+    - The stop ramp scales down the command at which it began.
 
-    After a brief pause, such as a joint state that comes a little late, there is no new blend.
-    Intermittent states would otherwise restart it again and again, and a blend that restarts
+    Each ramp and each blend starts from the last command sent.
+
+    A change during a blend starts a new blend that contains the rest of the old blend. If two
+    successive commands start a blend, the blend advances nevertheless. However often something
+    changes, the difference then fades like that of a first-order low-pass with the start ramp as
+    its time constant.
+
+    A brief pause, for example a joint state that arrives slightly late, does not start a blend.
+    Otherwise, intermittent states would restart the blend again and again. A blend that restarts
     repeats the last command instead of following the joints.
 
-    Parameters
-    ----------
-    index : sequence of int
-        Positions of the m commanded joints among the n joints of the robot.
-    period : float
-        Time between commands [s]; 0 if there is one for every joint state.
+    ``index`` lists the positions of the m commanded joints among the n joints of the robot.
+    ``period`` is the time between commands [s]; 0 if each joint state produces a command.
 
     """
 
@@ -174,26 +163,25 @@ class CommandShaper:
         self._rows = np.zeros((10, m))
         self._rows[_INDEX] = index
         self.command: Floats = self._rows[_COMMAND]
-        """The last command, shape (m,) [N m or N]; the next one is written in its place."""
+        """The last command, shape (m,) [N m or N]; the next command overwrites it."""
         self._flags = np.zeros((2, m), dtype=bool)
         self.is_saturated: Booleans = self._flags[0]
-        """Which efforts of the last command were cut to their limits, shape (m,)."""
+        """Whether each effort of the last command was cut to its limit, shape (m,)."""
         self.is_slowed: Booleans = self._flags[1]
-        """Which efforts of the last command were slowed by a rate limit, shape (m,)."""
+        """Whether a rate limit slowed each effort of the last command, shape (m,)."""
         self.gain = 0.0
-        """Factor of the computed efforts: 0 before the start ramp, 1 after it."""
+        """Factor for the computed efforts: 0 before the start ramp, 1 after it."""
         self._has_rates = False
         self._start_ramp = self._stop_ramp = 0.0
         self._way = _Way.HOLDING
         self._is_new = False  # whether a blend begins with the next command
-        self._left = self._duration = 0.0  # fraction of the blend that is left, and its length [s]
-        # Whether ramp and blend do not advance with the next command, and whether they did not
-        # with the last one.
+        self._left = self._duration = 0.0  # remaining fraction of the blend, and its duration [s]
+        # Whether ramp and blend pause with the next command, and whether they did with the last.
         self._is_paused = self._was_paused = False
-        self._pause = math.inf  # [s] since computed efforts were followed; inf: blend in any case
+        self._pause = math.inf  # [s] since efforts were followed; inf: blend the next efforts
         self._stop = StopRamp()
         self._is_damped = False  # whether the last command contains damping
-        self._top_gain = self._top_left = 0.0  # gain and fraction of the blend before it
+        self._top_gain = self._top_left = 0.0  # gain and blend before the stop
         compile_for(blend_efforts, 'b1(f8[::1], f8[:,::1], b1[:,::1], f8, f8, b1, b1, f8)')
 
     def configure(
@@ -208,49 +196,36 @@ class CommandShaper:
         """
         Change the settings; call `begin` when all changes have been made.
 
-        Parameters
-        ----------
-        scale : ndarray, shape (m,)
-            Factors for the computed efforts.
-        offset : ndarray, shape (m,)
-            Added to the scaled efforts [N m or N].
-        limits : ndarray, shape (m,)
-            Largest magnitudes of the commands; may be infinite [N m or N].
-        rate_limits : ndarray, shape (m,)
-            Fastest changes of the commands; may be infinite [N m/s or N/s].
-        start_ramp : float
-            Time of the start ramp and of blends [s].
-        stop_ramp : float
-            Time of the stop ramp [s]; a ramp under way keeps its time.
+        All arrays have shape (m,). The computed efforts are multiplied by ``scale``, and
+        ``offset`` is added [N m or N]. Commands are limited in magnitude by ``limits`` [N m or N],
+        and in rate by ``rate_limits`` [N m/s or N/s]. Both limits may be infinite. The start ramp
+        and blends last for ``start_ramp`` [s]. A change of ``stop_ramp`` [s] does not affect a
+        stop ramp in progress.
 
         """
         self._rows[[_SCALE, _OFFSET, _LIMIT]] = scale, offset, limits
-        # Finite, because 0 s times infinity is NaN.
+        # The rates must be finite, because 0 s times infinity is NaN.
         self._rows[_RATE] = np.minimum(rate_limits, LARGEST)
         self._has_rates = bool(np.isfinite(rate_limits).any())
         self._start_ramp, self._stop_ramp = start_ramp, stop_ramp
 
     def begin(self, tau: Floats | None = None, added: Floats | float = 0.0) -> None:
         """
-        Blend from the last command into the computed efforts, within the start ramp.
+        Start a blend from the last command to the computed efforts over the start ramp.
 
-        A blend under way does not end sooner because of it. During a stop ramp, the blend waits
-        for the next computed efforts.
+        A blend in progress does not end sooner. During a stop ramp, the blend waits for the next
+        computed efforts.
 
-        Parameters
-        ----------
-        tau : ndarray, shape (n,), optional
-            Efforts computed from the inputs of the last command, after a change of settings
-            [N m or N]. Only the difference to these fades, and the next command contains all
-            that the inputs have changed since. By default, it equals the last command.
-        added : ndarray, shape (m,), optional
-            Efforts to add to these [N m or N].
+        After a change of settings, ``tau`` contains the efforts that result from the inputs of the
+        last command, shape (n,) [N m or N]. ``added`` is added to them, shape (m,). Only the
+        difference between these efforts and the last command fades, so that the next command
+        follows changed inputs at once. Without ``tau``, the next command equals the last command.
 
         """
         if self._way is _Way.FALLING:
             self._pause = math.inf
             return
-        # The start ramp begins with a blend, so that neither ends sooner.
+        # The blend ends neither before the start ramp nor before the blend in progress.
         self._duration = max(self._start_ramp, self._left * self._duration)
         self._left = 1.0 if self._duration > 0.0 else 0.0
         self._is_paused = self._left > 0.0 and not self._was_paused
@@ -263,7 +238,7 @@ class CommandShaper:
                 self.gain, self._is_new = gain, False
 
     def reset(self) -> None:
-        """Start at zero with the next command."""
+        """Start from zero with the next command."""
         self.command[:] = 0.0
         self.gain = self._left = self._duration = 0.0
         self._way, self._is_new, self._pause = _Way.HOLDING, False, math.inf
@@ -272,13 +247,13 @@ class CommandShaper:
 
     @property
     def time_to_fall(self) -> float:
-        """Time until the commands are zero, if they fall from now on or already do [s]."""
+        """Time until the commands are zero if a stop ramp starts now or is in progress [s]."""
         if self._way is not _Way.FALLING:
             return self._stop_ramp
         return max(self._stop_ramp if self._is_damped else 0.0, self._stop.time_left)
 
     def continue_from(self, other: CommandShaper) -> None:
-        """Continue from the last command of another robot description with the same joints."""
+        """Continue from the last command of a shaper for another URDF with the same joints."""
         self.clock = other.clock
         self.command[:], self._stop = other.command, other._stop
         self.gain, self._top_gain, self._top_left = other.gain, other._top_gain, other._top_left
@@ -288,25 +263,17 @@ class CommandShaper:
 
     @property
     def continues(self) -> bool:
-        """Whether efforts were followed by the last command, or until a moment ago."""
+        """Whether the last command, or one at most 30 ms ago, followed computed efforts."""
         is_brief = self._pause + self.clock.since <= _BRIEF and not self._is_new
         return self._way is _Way.FOLLOWING or is_brief
 
     def follow(self, tau: Floats, added: Floats) -> bool:
         """
-        Command computed efforts.
+        Command the computed efforts; return False if one is not finite or beyond `LARGEST`.
 
-        Parameters
-        ----------
-        tau : ndarray, shape (n,)
-            Computed efforts of all joints [N m or N].
-        added : ndarray, shape (m,)
-            Efforts to add to those of the commanded joints [N m or N].
-
-        Returns
-        -------
-        are_finite : bool
-            False if an effort is not finite or beyond `LARGEST`; nothing has changed then.
+        ``tau`` contains the computed efforts of all joints, shape (n,). ``added`` is added to the
+        efforts of the commanded joints, shape (m,) [N m or N]. If the result is False, the command
+        is unchanged.
 
         """
         self._rows[_ADDED] = added
@@ -317,7 +284,7 @@ class CommandShaper:
                 gain = min(1.0, gain + ramp_fraction(elapsed, self._start_ramp))
                 left = max(0.0, left - elapsed / duration) if left else 0.0
         else:
-            self._is_paused = False  # a new blend does not advance anyway
+            self._is_paused = False  # the first command of a blend does not advance it
             duration = max(self._start_ramp, left * duration)
             is_new = duration > 0.0
             left = 1.0 if is_new else 0.0
@@ -332,7 +299,7 @@ class CommandShaper:
         return are_finite
 
     def hold(self) -> None:
-        """Repeat the last command; if a limit was tightened, reduce it over a blend."""
+        """Repeat the last command; a blend reduces efforts that exceed a tightened limit."""
         elapsed = self.clock.step
         if self._way is _Way.FALLING:
             self._way, self._pause = _Way.HOLDING, math.inf
@@ -357,15 +324,11 @@ class CommandShaper:
 
     def fall(self, damping: Floats | None = None, limits: Floats | None = None) -> None:
         """
-        Ramp the commands down to zero, starting from the last one.
+        Ramp the commands down to zero, starting from the last command.
 
-        Parameters
-        ----------
-        damping : ndarray, shape (m,), optional
-            To be added; all of it is reduced by one factor where the sum would exceed a limit, so
-            that it still opposes the motion [N m or N].
-        limits : ndarray, shape (m,), optional
-            Limits for this sum; by default, the present ones [N m or N].
+        The efforts ``damping`` are added, shape (m,) [N m or N]. If a sum would exceed one of
+        ``limits``, one common factor reduces all these efforts, so that they still oppose the
+        motion. By default, the limits are those of `configure`.
 
         """
         if self._way is _Way.FALLING:
@@ -378,7 +341,7 @@ class CommandShaper:
             self._top_gain, self._top_left = self.gain, self._left
             self._stop.begin(self.command, self._stop_ramp)
         fraction = self._stop.fraction
-        # Scale gain and blend too: after a brief pause, computed efforts continue from there.
+        # Scale gain and blend too: after a brief pause, computed efforts continue with both.
         self.gain, self._left = fraction * self._top_gain, fraction * self._top_left
         self.command[:] = self._stop.command()
         self._is_damped = damping is not None
@@ -389,7 +352,7 @@ class CommandShaper:
 
 
 def add_within(command: Floats, damping: Floats, limit: Floats) -> Floats:
-    """Add as much of a vector as keeps all commands within their limits; each of shape (m,)."""
+    """Add the largest share of the damping that keeps commands within limits, shape (m,)."""
     bound = np.maximum(limit, np.abs(command))  # a limit may have been tightened
     room = bound - np.sign(damping) * command
     with np.errstate(all='ignore'):
@@ -410,36 +373,22 @@ def blend_efforts(
     elapsed: float,
 ) -> bool:
     """
-    Turn computed efforts into the next command if all are finite; otherwise change nothing.
+    Compute the next command; return False and change nothing if an effort is not finite.
 
-    Parameters
-    ----------
-    tau : ndarray, shape (n,)
-        Computed efforts of all joints [N m or N].
-    rows : ndarray, shape (10, m)
-        One column per commanded joint. Inputs: its index among the n joints, the effort to add,
-        scale, offset, limit and rate limit. Outputs: the computed effort, the difference and the
-        excess over the limit at the start of a blend, and the command, which is the last command
-        on entry.
-    flags : ndarray of bool, shape (2, m)
-        Receives which efforts are cut to their limits, and which are slowed by a rate limit.
-    gain : float
-        Factor of the computed efforts.
-    left : float
-        Fraction of the difference that is left.
-    is_new : bool
-        Whether a blend begins with the difference to the last command.
-    has_rates : bool
-        Whether there are rate limits.
-    elapsed : float
-        Time by which ramps advance [s].
+    ``tau`` contains the computed efforts of all joints, shape (n,) [N m or N]. ``rows`` has one
+    column per commanded joint, shape (10, m). The input rows are the index of the joint among the
+    n joints, the effort to add, the scale, the offset, the limit and the rate limit. The output
+    rows are the computed effort, the difference and the excess over the limit at the start of a
+    blend, and the command. On entry, the row of the command contains the last command. The first
+    row of ``flags`` receives whether each effort was cut to its limit, and the second row whether
+    a rate limit slowed it.
 
-    Returns
-    -------
-    are_finite : bool
+    ``gain`` is the factor for the computed efforts. ``left`` is the fraction of the difference
+    that has not faded yet. If ``is_new``, a blend begins with the difference to the last command.
+    ``has_rates`` says whether rate limits exist. Ramps advance by ``elapsed`` [s].
 
     """
-    # Convert to float: without numba, this is faster than numpy scalars, and does not warn.
+    # Without numba, floats are faster than numpy scalars, and do not warn.
     m = rows.shape[1]
     for k in range(m):
         effort = float(tau[int(rows[_INDEX, k])]) + float(rows[_ADDED, k])
@@ -455,10 +404,10 @@ def blend_efforts(
         effort *= gain
         if is_new:
             rows[_JUMP, k] = last - effort
-            # A command beyond a limit that has just been tightened stays there at first.
+            # A command beyond a newly tightened limit stays there at first.
             rows[_EXCESS, k] = max(0.0, abs(last) - limit)
         if is_new and left == 1.0:
-            effort = last  # without rounding
+            effort = last  # without rounding errors
         elif left != 0.0:
             bound = limit + left * float(rows[_EXCESS, k])
             blended = effort + left * float(rows[_JUMP, k])

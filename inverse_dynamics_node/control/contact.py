@@ -1,4 +1,4 @@
-"""Estimates external joint efforts (contact) as measured minus modelled effort."""
+"""Estimates external joint efforts, for example due to contact, from measured efforts."""
 
 from __future__ import annotations
 
@@ -17,17 +17,13 @@ class ExternalEffortEstimator:
     r"""
     Low-pass filtered difference between measured and modelled joint efforts.
 
-    Accelerations are not measured. They are derived from velocities that went through the same
-    low-pass :math:`L` as the efforts: :math:`L[\tau - C(q, \dot q)\,\dot q - g(q) - ...] -
-    M(q)\,\frac{d}{dt} L[\dot q]`. Both terms lag alike, so that they cancel for a motion that the
-    model explains.
+    Accelerations are not measured, but derived from filtered velocities. The same low-pass
+    :math:`L` filters velocities and efforts: :math:`L[\tau - C(q, \dot q)\,\dot q - g(q) - ...] -
+    M(q)\,\frac{d}{dt} L[\dot q]`. The two terms of this difference have the same lag. They
+    therefore cancel for a motion that the model explains.
 
-    Parameters
-    ----------
-    dynamics : InverseDynamics
-        The robot, with n joints; its payloads, wrenches and friction are part of the model.
-    cutoff : float
-        Cutoff of the first-order low-pass [Hz].
+    The model is ``dynamics``: a robot with n joints, its payloads, wrenches and friction.
+    ``cutoff`` is the cutoff of the first-order low-pass [Hz].
 
     """
 
@@ -35,9 +31,9 @@ class ExternalEffortEstimator:
         self.dynamics = dynamics
         n = len(dynamics.robot.joint_names)
         self.scale = np.ones(n)
-        """From measured values to efforts in N m or N, shape (n,)."""
+        """Factors that convert measured values into efforts [N m or N], shape (n,)."""
         self.filter = LowPass(np.zeros((2, n)), cutoff)
-        """Filters velocities and measured minus modelled efforts at zero acceleration."""
+        """Filters velocities, and measured minus modelled efforts at zero acceleration."""
         self._rest = self._accelerations = np.zeros(n)
         self._time = math.inf
 
@@ -48,33 +44,19 @@ class ExternalEffortEstimator:
 
     def update(self, time: float, q: Floats, qd: Floats, measured: Floats) -> Floats:
         """
-        Update the estimate with one joint state.
+        Update the estimate with one joint state; return measured minus modelled efforts.
 
-        Parameters
-        ----------
-        time : float
-            Time of the state [s].
-        q, qd, measured : ndarray, shape (n,)
-            Positions [rad or m], velocities [rad/s or m/s], efforts in the unit of the driver; NaN
-            for efforts that are not measured.
-
-        Returns
-        -------
-        efforts : ndarray, shape (n,)
-            Measured minus modelled efforts [N m or N]: external forces appear with the opposite
-            sign, and so do errors of the model. NaN where no effort is measured.
-
-        Raises
-        ------
-        JointStateError
-            If a position or velocity is not finite.
+        External forces appear in the result with the opposite sign [N m or N]. Errors of the model
+        appear in it, too. The measured efforts are in the unit of the driver. Efforts that are not
+        measured are NaN, in ``measured`` and in the result. All arrays have shape (n,). A position
+        or velocity that is not finite raises a JointStateError.
 
         """
         elapsed = time - self._time
         self._time = time
         unexplained = self.scale * measured - self.dynamics.efforts(q, qd, self._rest)
         last_velocities, _ = self.filter.value
-        # A joint whose effort is measured for the first time restarts: NaN is not finite.
+        # When the first effort of a joint is measured, its filter restarts: NaN is not finite.
         sample = np.array([qd, unexplained])
         velocities, unexplained = self.filter.update(time, sample, _LONGEST_GAP)
         if not 0.0 <= elapsed <= _LONGEST_GAP:

@@ -1,4 +1,4 @@
-"""The control law: efforts from joint states and references. No ROS, and no clock."""
+"""Computes efforts from joint states and references, without ROS and without a clock."""
 
 from __future__ import annotations
 
@@ -17,37 +17,31 @@ from .joint_states import State
 from .settings import Mode, Settings
 from .supervision import Phase
 
-_PLAUSIBLE = 1e9  # in SI units; a larger input is the cause of efforts that are not finite
+_PLAUSIBLE = 1e9  # in SI units; a larger input explains efforts that are not finite
 
 
 class Reference(NamedTuple):
     """Desired motion of the commanded joints."""
 
     accelerations: Floats
-    """Shape (m,) [rad/s^2 or m/s^2]."""
+    """Accelerations of the commanded joints, shape (m,) [rad/s^2 or m/s^2]."""
     efforts: Floats
-    """Added to the command, shape (m,) [N m or N]."""
+    """Efforts that are added to the command, shape (m,) [N m or N]."""
     time: float
-    """Time of arrival [s]."""
+    """Time at which the reference arrived [s]."""
     positions: Floats | None = None
-    """Shape (m,) [rad or m]; None if the reference has none."""
+    """Positions, shape (m,) [rad or m]; None if the reference has none."""
     velocities: Floats | None = None
-    """Shape (m,) [rad/s or m/s]; None if the reference has none."""
+    """Velocities, shape (m,) [rad/s or m/s]; None if the reference has none."""
 
 
 class ControlLaw:
     """
     Computes efforts from joint states and references, in one of the modes.
 
-    The dynamics include all joints of the robot; those that are not commanded are assumed to have
-    zero acceleration.
-
-    Parameters
-    ----------
-    dynamics : InverseDynamics
-        The robot, with n joints.
-    index : list of int
-        Positions of the m commanded joints among the n joints.
+    The dynamics include all n joints of the robot. Joints that are not commanded are assumed to
+    have zero acceleration. ``index`` lists the positions of the m commanded joints among the n
+    joints.
 
     """
 
@@ -60,22 +54,23 @@ class ControlLaw:
         self._velocities = self._rest
         self._no_efforts = self.added = np.zeros(len(index))
         """
-        To be added to the computed efforts, shape (m,) [N m or N]: efforts of the reference, of
-        the springs and dampers of joint impedance, or of friction while the arm is guided.
+        Efforts to add to the computed efforts, shape (m,) [N m or N]. They come from the
+        reference, from the springs and dampers of joint impedance, or from friction during hand
+        guiding.
         """
         self.equilibrium: Floats | None = None
         """
-        Where joint impedance holds the commanded joints, shape (m,) [rad or m]; None for the
-        measured position of the next step.
+        Positions at which joint impedance holds the commanded joints, shape (m,) [rad or m]. None
+        stands for the position that is measured in the next step.
         """
         self._last_q, self._last_qd = np.zeros((2, n))
         self._last_reference: Reference | None = None
-        self._has_last_inputs = False  # whether these led to the last command
+        self._has_last_inputs = False  # whether they produced the last command
         self._velocity_filter = LowPass(np.zeros(n))
         self._followed: Floats | None = None  # reference positions of the last step with feedback
 
     def apply(self, settings: Settings, of_joint: Mapping[str, Floats]) -> None:
-        """Change the settings; ``of_joint`` is what `Settings.expanded` returns for them."""
+        """Change the settings; ``of_joint`` is the result of `Settings.expanded`."""
         self.settings, self._of_joint = settings, of_joint
         self._timeouts = np.full(len(self._qdd), settings.uncommanded_state_timeout)
         self._timeouts[self._index] = settings.state_timeout
@@ -88,7 +83,7 @@ class ControlLaw:
         self._has_last_inputs = False
 
     def phase(self, now: float, state: State, reference: Reference | None) -> Phase:
-        """Return whether the reference is followed, and if not, why."""
+        """Return the phase, which says whether the reference is followed, or why not."""
         is_held = self.settings.mode is Mode.JOINT_IMPEDANCE
         without_reference = Phase.HOLDING if is_held else Phase.FLOATING
         if reference is None or self.settings.mode is Mode.GRAVITY_COMPENSATION:
@@ -103,22 +98,10 @@ class ControlLaw:
 
     def efforts(self, now: float, state: State, reference: Reference | None) -> Floats | None:
         """
-        Compute the efforts of all joints.
+        Compute the efforts of all joints, shape (n,) [N m or N]; None if there is no solution.
 
-        Parameters
-        ----------
-        now : float
-            The time [s].
-        state : State
-            The joint state.
-        reference : Reference or None
-            The reference to follow; None for zero accelerations, at the equilibrium of joint
-            impedance.
-
-        Returns
-        -------
-        tau : ndarray, shape (n,), or None
-            Valid until the next call [N m or N]; None if there is no solution.
+        Without a reference, all accelerations are zero, and joint impedance holds its equilibrium.
+        The result is valid until the next call. ``now`` is the time [s].
 
         """
         mode, positions = self.settings.mode, reference.positions if reference else None
@@ -136,15 +119,15 @@ class ControlLaw:
         return self._efforts(state.q, qd, reference)
 
     def forget(self) -> None:
-        """Remember that the last command was not computed."""
+        """Record that this law did not compute the last command."""
         self._followed, self._has_last_inputs = None, False
 
     def release(self) -> None:
-        """Let joint impedance hold the joints where they are in the next step."""
+        """Let joint impedance hold the joints at their positions in the next step."""
         self.equilibrium = None
 
     def last_efforts(self) -> Floats | None:
-        """Compute efforts anew from the inputs of the last command; None if there are none."""
+        """Recompute efforts from the inputs of the last command; None without such inputs."""
         if not self._has_last_inputs:
             return None
         return self._efforts(self._last_q, self._last_qd, self._last_reference)
@@ -164,7 +147,7 @@ class ControlLaw:
         return shorter_way(target - start, self._is_continuous)
 
     def cause_of_failure(self, scale: Floats) -> str:
-        """Name the joint and the value that left the last step without a solution."""
+        """Name the joint and the value that prevented a solution in the last step."""
         added, efforts = np.zeros((2, len(self._tau)))
         added[self._index] = self.added
         with np.errstate(all='ignore'):
@@ -190,11 +173,11 @@ class ControlLaw:
         return bool(np.abs(self.distance(start, reference.positions)).max() > limit)
 
     def _smooth(self, now: float, state: State) -> Floats:
-        """Low-pass the measured velocities."""
+        """Return the measured velocities, filtered by the low-pass."""
         if not self._velocity_filter.cutoff:
             return state.qd
         times = np.full(len(state.q), state.time) if state.times is None else state.times
-        # A late joint has been set to rest: apply that without waiting for its next state.
+        # A late joint has been set to rest: its filter restarts at once with zero velocity.
         is_late = now - times > self._timeouts
         return self._velocity_filter.update(times, state.qd, self._timeouts, is_late)
 
@@ -221,7 +204,7 @@ class ControlLaw:
         return self._tau
 
     def _with_feedback(self, q: Floats, qd: Floats, reference: Reference) -> Floats:
-        """Return the accelerations of computed torque."""
+        """Return the accelerations of the reference plus the feedback of computed torque."""
         qdd = reference.accelerations
         with np.errstate(all='ignore'):
             if reference.positions is not None:
@@ -248,7 +231,7 @@ class ControlLaw:
         return efforts
 
     def _guidance(self, q: Floats, qd: Floats) -> Floats:
-        """Return the compensated friction minus the damping, shape (m,) [N m or N]."""
+        """Return friction compensation minus guiding damping, shape (m,) [N m or N]."""
         efforts = self._no_efforts
         with np.errstate(all='ignore'):
             if self.dynamics.has_drive_terms:
@@ -261,47 +244,30 @@ class ControlLaw:
 
 class DriveReference:
     """
-    Positions and velocities to send with the efforts.
+    Computes positions and velocities to send with the efforts.
 
-    Such a drive adds ``kp (q_command - q) + kd (qd_command - qd)`` to the effort. It is sent the
-    reference while the reference is followed. Otherwise it is sent the measured motion, so that
-    its gains add nothing. A ramp leads from one to the other, because the gains are not known
-    here.
-
-    Parameters
-    ----------
-    law : ControlLaw
-        Knows the reference that is followed.
+    A drive that uses them adds ``kp (q_command - q) + kd (qd_command - qd)`` to the effort. While
+    ``law`` follows a reference, the drive receives this reference. Otherwise the drive receives
+    the measured motion, so that its gains add nothing. A ramp leads from one to the other, because
+    the gains of the drive are unknown here.
 
     """
 
     def __init__(self, law: ControlLaw) -> None:
         self._law = law
         self.weight = 0.0
-        """Weight of the reference, 0 to 1."""
+        """Weight of the reference against the measured motion, 0 to 1."""
 
     def motion(
         self, q: Floats, qd: Floats, elapsed: float, start_ramp: float, farthest: float
     ) -> tuple[Floats, Floats]:
         """
-        Return the positions and velocities to send.
+        Return positions [rad or m] and velocities [rad/s or m/s] to send, shape (m,).
 
-        Parameters
-        ----------
-        q, qd : ndarray, shape (m,)
-            Measured motion of the commanded joints [rad or m], [rad/s or m/s].
-        elapsed : float
-            Time by which ramps advance [s]; see `RampClock`.
-        start_ramp : float
-            Time in which the reference replaces the measured motion [s].
-        farthest : float
-            Largest distance of the reference from the joints [rad or m]; if it is farther away,
-            the measured motion is sent. 0: unlimited.
-
-        Returns
-        -------
-        positions, velocities : ndarray, shape (m,)
-            [rad or m], [rad/s or m/s].
+        ``q`` and ``qd`` are the measured motion of the commanded joints, shape (m,). Ramps advance
+        by ``elapsed`` [s], see `RampClock`. The reference replaces the measured motion over
+        ``start_ramp`` [s]. If the reference is farther from a joint than ``farthest`` [rad or m],
+        the measured motion is sent. A ``farthest`` of 0 means unlimited.
 
         """
         reference = self._law.followed
@@ -312,12 +278,12 @@ class DriveReference:
         self.weight = min(1.0, self.weight + ramp_fraction(elapsed, start_ramp))
         velocities = reference.velocities
         if velocities is None:
-            # A reference without any motion leaves the drive where it is.
+            # Without positions and velocities, the drive receives the measured motion.
             velocities = np.zeros_like(qd) if reference.positions is not None else qd
         return q + self.weight * distance, qd + self.weight * (velocities - qd)
 
     def rest(self, q: Floats) -> tuple[Floats, Floats]:
-        """Return positions and velocities of a robot that is left where it is."""
+        """Return the measured positions and zero velocities."""
         self.weight = 0.0
         return q, np.zeros_like(q)
 
@@ -328,13 +294,13 @@ class DriveReference:
 
 
 def shorter_way(distance: Floats, is_continuous: Booleans) -> Floats:
-    """Leave out full turns of continuous joints; both of shape (m,) [rad or m]."""
+    """Remove full turns of continuous joints from a distance, shape (m,) [rad or m]."""
     turns = np.round(distance / (2.0 * math.pi))
     return np.where(is_continuous, distance - 2.0 * math.pi * turns, distance)
 
 
 def _compact_index(index: list[int]) -> Any:
-    """Return consecutive indices as a slice, with which numpy takes a third of the time."""
+    """Return consecutive indices as a slice, which makes numpy three times as fast."""
     first = index[0]
     if index == list(range(first, first + len(index))):
         return slice(first, first + len(index))
@@ -342,7 +308,7 @@ def _compact_index(index: list[int]) -> Any:
 
 
 def joint_index(joints: Sequence[str], robot: RobotModel) -> list[int]:
-    """Return the indices of the commanded joints among those of the robot."""
+    """Return the indices of the commanded joints among the joints of the robot."""
     if not joints:
         raise ConfigurationError(f"robot '{robot.name}' has no movable joints")
     if len(set(joints)) != len(joints):
@@ -360,16 +326,10 @@ def _describe_overflow(
     joint_names: Sequence[str], inputs: Mapping[str, Floats], efforts: Floats
 ) -> str:
     """
-    Name the joint and the value that are the cause of efforts that are not finite.
+    Name the joint and the value that cause efforts that are not finite.
 
-    Parameters
-    ----------
-    joint_names : sequence of str
-        The n joints.
-    inputs : mapping of str to ndarray, shape (n,)
-        Inputs of the computation, by name.
-    efforts : ndarray, shape (n,)
-        Computed efforts [N m or N], for the case that the inputs are plausible.
+    ``inputs`` contains the inputs of the computation by name. If all inputs are plausible, a
+    computed effort is named. All arrays have shape (n,).
 
     """
     name, joint = _largest(inputs)
@@ -381,7 +341,7 @@ def _describe_overflow(
 
 
 def _largest(arrays: Mapping[str, Floats]) -> tuple[str, int]:
-    """Return the name and the index of the value with the largest magnitude; NaN is largest."""
+    """Return name and index of the value with the largest magnitude; NaN is the largest."""
     sizes = np.nan_to_num(np.abs(list(arrays.values())), nan=math.inf, posinf=math.inf)
     row, joint = np.unravel_index(np.argmax(sizes), sizes.shape)
     return list(arrays)[int(row)], int(joint)

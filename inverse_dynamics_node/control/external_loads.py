@@ -1,10 +1,10 @@
 """
-External loads as time passes: payloads, wrenches, gravity and the motion of the base.
+Applies external loads over time: payloads, wrenches, gravity and the motion of the base.
 
 Payloads and gravity change over a ramp, so that the efforts do not jump. Wrenches and the motion
-of the base apply at once, and fade out or are held when they stop coming. A ramp keeps the time
-with which it began, and neither changed settings nor jumps of the clock turn it back. No ROS, and
-no clock: time is an argument.
+of the base apply at once. If their messages stop, wrenches fade out, and the last direction of
+gravity is kept. A ramp keeps its initial duration. Neither changed settings nor jumps of the clock
+turn a ramp back. This module uses neither ROS nor a clock. The time is an argument.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from .command_shaping import ramp_fraction
 from .filters import LowPass
 from .settings import LARGEST_GRAVITY, LoadSettings
 
-STRONGEST = 500.0  # [m/s^2], [rad/s]; beyond fifty times gravity an IMU is broken
+STRONGEST = 500.0  # [m/s^2], [rad/s]; an IMU that measures more is broken
 _LARGEST_WRENCH = 1e9  # [N], [N m]; sums and products of smaller numbers are finite
 _LARGEST_PAYLOAD = 1e9  # [kg], [m], [kg m^2]; sums and products of smaller numbers are finite
-_ROUNDING = 1e-3  # of the moments of a flat body, as in a robot description
+_ROUNDING = 1e-3  # relative error of moments that are rounded, for example in a URDF
 NO_PAYLOAD = RigidBody(0.0, np.zeros(3), np.zeros((3, 3)))
 
 
@@ -37,13 +37,13 @@ class _PayloadRamp(NamedTuple):
     old: RigidBody
     new: RigidBody
     duration: float
-    """Time of the ramp [s]."""
+    """Duration of the ramp [s]."""
     fraction: float
-    """How much of it has passed."""
+    """Fraction of the ramp that has elapsed."""
 
     @property
     def payload(self) -> RigidBody:
-        """The payload at present."""
+        """The current payload."""
         return self.new if self.fraction == 1.0 else _blend_payloads(*self[:2], self.fraction)
 
 
@@ -51,33 +51,22 @@ class _Wrench(NamedTuple):
     force: Floats
     moment: Floats
     time: float
-    """Time of arrival [s]."""
+    """Time at which the wrench arrived [s]."""
     duration: float
-    """Time of the fade [s]; the setting until it begins."""
+    """Duration of the fade [s]; fixed when the fade starts."""
     fraction: float
-    """How much of the wrench is left; less than 1 once it fades."""
+    """Fraction of the wrench that is applied; less than 1 once the wrench fades."""
 
 
 class ExternalLoads:
     """
     Tracks the external loads on the robot and applies them to the dynamics.
 
-    Parameters
-    ----------
-    dynamics : InverseDynamics
-        The robot; only this object may set its payloads, wrenches, gravity and base motion.
-    settings : LoadSettings, optional
-        Timeouts and ramps; see `apply`.
-    gravity : array_like, shape (3,)
-        Initial free-fall acceleration in the base frame [m/s^2].
-    base_link : str
-        Link whose frame is the base frame; no movable joint may lie between it and the root.
-        Empty: the root link.
-
-    Raises
-    ------
-    ConfigurationError
-        If gravity is not three finite numbers, or a joint moves the base link.
+    Only this object may set payloads, wrenches, gravity and base motion of ``dynamics``.
+    ``gravity`` is the initial free-fall acceleration in the base frame, shape (3,) [m/s^2]. The
+    base frame is the frame of ``base_link``, or of the root link if this name is empty. A
+    ConfigurationError is raised if gravity is not three finite numbers, or if a joint moves the
+    base link.
 
     """
 
@@ -92,39 +81,28 @@ class ExternalLoads:
         self._R_0B, self._p_0B = _base_pose(dynamics, base_link)
         self.settings = settings or LoadSettings()
         self.payloads: dict[str, RigidBody] = {}
-        """Payload of every link that carries one, as last set; ramps may be under way."""
+        """Payload of each loaded link, as last set; ramps may be in progress."""
         self.include_gravity = True
-        """Whether gravity and the acceleration of the base act."""
+        """Whether the efforts include gravity and the acceleration of the base."""
         self.imu_time = -math.inf
-        """Time of the last motion of the base [s]."""
+        """Time of the last measured motion of the base [s]."""
         self._ramps: dict[str, _PayloadRamp] = {}
         self._wrenches: dict[str, _Wrench] = {}
         self._gravity = self._target = read_vector('gravity', gravity, 'm/s^2')
         self._angular_velocity: Floats = np.zeros(3)
         self._imu_filter = LowPass(np.zeros((2, 3)))  # gravity and angular velocity
         self._is_base_lost = True
-        self._is_new_signal = False  # since the last motion of the base
+        self._is_new_signal = False  # whether the next motion of the base is another signal
         self._gravity_ramp = self.settings.load_ramp  # [s]
         self._write_base()
 
     def set_payload(self, link: str, mass: float, com: ArrayLike, inertia: ArrayLike) -> bool:
         """
-        Ramp in the payload of a link, in place of an earlier one.
+        Ramp in the new payload of a link; return False if the link has this payload already.
 
-        Parameters
-        ----------
-        link, mass, com, inertia
-            As for `InverseDynamics.set_payload`; a mass of 0 removes the payload.
-
-        Returns
-        -------
-        is_new : bool
-            False if the link has exactly this payload already.
-
-        Raises
-        ------
-        ConfigurationError
-            If the link does not exist, or the payload is invalid: see `_read_payload`.
+        The arguments are those of `InverseDynamics.set_payload`. A mass of 0 removes the payload.
+        A ConfigurationError is raised if the link does not exist, or if `_read_payload` rejects
+        the payload.
 
         """
         self.dynamics.robot.link_index(link)
@@ -143,24 +121,12 @@ class ExternalLoads:
         self, now: float, link: str, force: ArrayLike, moment: ArrayLike
     ) -> bool:
         """
-        Apply a wrench that the world exerts on a link; it fades out unless it is renewed.
+        Apply a wrench of the environment to a link; the wrench fades out unless it is renewed.
 
-        Parameters
-        ----------
-        now : float
-            The time [s].
-        link, force, moment
-            As for `InverseDynamics.set_external_wrench`.
-
-        Returns
-        -------
-        has_jumped : bool
-            Whether the last wrench on this link was not renewed in time, so that efforts may jump.
-
-        Raises
-        ------
-        ConfigurationError
-            If the link does not exist, or force or moment are not three finite numbers up to 1e9.
+        The arguments are those of `InverseDynamics.set_external_wrench`, and the time [s]. The
+        result says whether efforts may jump, because the last wrench on this link was not renewed
+        in time. A ConfigurationError is raised if the link does not exist, or if a vector is not
+        three finite numbers up to 1e9.
 
         """
         self.dynamics.robot.link_index(link)
@@ -175,17 +141,9 @@ class ExternalLoads:
 
     def set_gravity(self, gravity: ArrayLike) -> None:
         """
-        Set gravity, over a ramp.
+        Ramp to a free-fall acceleration in the base frame, shape (3,) [m/s^2].
 
-        Parameters
-        ----------
-        gravity : array_like, shape (3,)
-            Free-fall acceleration in the base frame [m/s^2].
-
-        Raises
-        ------
-        ConfigurationError
-            If gravity is not three finite numbers up to 100.
+        A ConfigurationError is raised if gravity is not three finite numbers up to 100.
 
         """
         self._target = _read_bounded('gravity', gravity, 'm/s^2', LARGEST_GRAVITY)
@@ -195,26 +153,12 @@ class ExternalLoads:
         self, now: float, specific_force: ArrayLike, angular_velocity: ArrayLike
     ) -> bool:
         """
-        Set the motion of the base as an IMU on it measures it; it replaces gravity.
+        Set the motion of the base as measured by its IMU; this motion replaces gravity.
 
-        Parameters
-        ----------
-        now : float
-            The time [s].
-        specific_force : array_like, shape (3,)
-            Acceleration of the base minus gravity, v_dot_0 - g, in the base frame [m/s^2].
-        angular_velocity : array_like, shape (3,)
-            omega_0, in the base frame [rad/s].
-
-        Returns
-        -------
-        has_jumped : bool
-            Whether the motion was unknown until now, so that the efforts may jump.
-
-        Raises
-        ------
-        ConfigurationError
-            If one of them is not three finite numbers up to 500.
+        ``specific_force`` is v_dot_0 - g, the acceleration of the base minus gravity [m/s^2].
+        ``angular_velocity`` is omega_0 [rad/s]. Both vectors are in the base frame. The result
+        says whether efforts may jump, because the motion was unknown until now. A
+        ConfigurationError is raised if a vector is not three finite numbers up to 500.
 
         """
         force = _read_bounded('specific force', specific_force, 'm/s^2')
@@ -232,7 +176,7 @@ class ExternalLoads:
         return was_lost
 
     def expect_new_signal(self) -> None:
-        """Restart the filter with the next motion of the base, and blend that one in."""
+        """Restart the filter with the next motion of the base, and blend this motion in."""
         self._is_new_signal = True
 
     def is_base_known(self, now: float) -> bool:
@@ -241,19 +185,10 @@ class ExternalLoads:
 
     def update(self, now: float, elapsed: float) -> bool:
         """
-        Advance the ramps, fade out stale wrenches, and drop a lost IMU.
+        Advance the ramps, fade out stale wrenches, and drop the motion of a lost IMU.
 
-        Parameters
-        ----------
-        now : float
-            The time [s].
-        elapsed : float
-            Time by which ramps advance; see `RampClock` [s].
-
-        Returns
-        -------
-        has_jumped : bool
-            Whether the motion of the base was lost just now, so that the efforts may jump.
+        Ramps advance by ``elapsed`` [s], see `RampClock`. The result says whether efforts may
+        jump, because the motion of the base was lost just now.
 
         """
         for link in list(self._ramps):
@@ -271,7 +206,7 @@ class ExternalLoads:
         return True
 
     def apply(self, settings: LoadSettings, include_gravity: bool) -> None:
-        """Change the settings, and whether gravity acts; ramps under way keep their time."""
+        """Change the settings, and whether gravity is included; ramps keep their duration."""
         if settings.imu_filter_cutoff != self.settings.imu_filter_cutoff:
             self.expect_new_signal()
         self.settings = settings
@@ -281,7 +216,7 @@ class ExternalLoads:
 
     @contextmanager
     def gravity_included(self, is_included: bool) -> Iterator[None]:
-        """Let gravity and the acceleration of the base act, or not, in the meantime."""
+        """Include or exclude gravity and the acceleration of the base in this context."""
         if is_included is self.include_gravity:
             yield
             return
@@ -292,7 +227,7 @@ class ExternalLoads:
             self._write_gravity(self.include_gravity)
 
     def at_base_link(self, force: Floats, moment: Floats) -> tuple[Floats, Floats]:
-        """Express a wrench about the root's origin in and about the frame of the base link."""
+        """Convert a wrench at the root frame to the frame and origin of the base link."""
         R_B0 = self._R_0B.T
         return R_B0 @ force, R_B0 @ (moment - np.cross(self._p_0B, force))
 
@@ -300,15 +235,8 @@ class ExternalLoads:
         """
         Apply the loads of another robot description at once, without ramps.
 
-        Parameters
-        ----------
-        other : ExternalLoads
-            Must not be used afterwards.
-
-        Returns
-        -------
-        dropped : list of str
-            Links with payloads that this robot does not have.
+        The result lists the links with payloads that this robot does not have. ``other`` must not
+        be used afterwards.
 
         """
         dropped = []
@@ -331,12 +259,12 @@ class ExternalLoads:
 
     @property
     def gravity(self) -> Floats:
-        """Free-fall acceleration in the base frame at present [m/s^2]."""
+        """Current free-fall acceleration in the base frame [m/s^2]."""
         return self._gravity
 
     @property
     def gravity_at_root(self) -> Floats:
-        """The same in the frame of the root link [m/s^2], whether or not it is included."""
+        """Current free-fall acceleration in the root frame [m/s^2], even if not included."""
         at_root: Floats = self._R_0B @ self._gravity
         return at_root
 
@@ -385,7 +313,7 @@ class ExternalLoads:
 
 
 def _base_pose(dynamics: InverseDynamics, base_link: str) -> tuple[Floats, Floats]:
-    """Return the rotation from the base link's frame to the root's, and its origin there."""
+    """Return rotation and origin of the base link's frame in the frame of the root link."""
     robot = dynamics.robot
     if not base_link:
         return np.eye(3), np.zeros(3)
@@ -411,22 +339,10 @@ def _read_bounded(name: str, values: ArrayLike, unit: str, largest: float = STRO
 
 def _read_payload(mass: float, com: ArrayLike, inertia: ArrayLike) -> RigidBody:
     """
-    Validate a payload.
+    Validate a payload; return `NO_PAYLOAD` if its mass is zero.
 
-    Parameters
-    ----------
-    mass, com, inertia
-        As for `InverseDynamics.set_payload`.
-
-    Returns
-    -------
-    payload : RigidBody
-        `NO_PAYLOAD` if the mass is zero.
-
-    Raises
-    ------
-    ConfigurationError
-        If no rigid body has this mass and inertia, or a number is beyond 1e9.
+    A ConfigurationError is raised if no rigid body has this mass and inertia, or if a number is
+    larger than 1e9.
 
     """
     payload = RigidBody(*read_inertial(mass, com, inertia))
@@ -447,7 +363,7 @@ def _read_payload(mass: float, com: ArrayLike, inertia: ArrayLike) -> RigidBody:
             f'payload has an inertia that is physically impossible: one of its principal moments '
             f'{moments} kg m^2 exceeds the sum of the others'
         )
-    # Remove a moment that rounding left below zero: blends of two such inertias would be rejected.
+    # Remove moments that rounding made negative: a blend of such inertias would be rejected.
     shift = max(0.0, -float(principal[0]))
     return payload._replace(inertia=payload.inertia + shift * np.eye(3))
 
@@ -462,5 +378,5 @@ def _is_same(one: RigidBody, other: RigidBody) -> bool:
 
 
 def _blend_payloads(old: RigidBody, new: RigidBody, fraction: float) -> RigidBody:
-    """Return the body that consists of a fraction of the new payload and the rest of the old."""
+    """Return a body made of a fraction of the new payload and the rest of the old payload."""
     return combine([old.scale(1.0 - fraction), new.scale(fraction)])

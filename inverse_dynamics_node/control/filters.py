@@ -14,28 +14,23 @@ class LowPass:
     """
     First-order low-pass filter of a vector that is sampled at irregular times.
 
-    The elements may be sampled at different times. An element restarts, that is, its filtered
-    value becomes its latest sample, after a long gap, after a step back in time, and where the
+    The elements may be sampled at different times. After a long gap or a step back in time, an
+    element restarts: its filtered value becomes its latest sample. An element also restarts if its
     filtered value would not be finite.
 
-    Parameters
-    ----------
-    value : array_like, shape (k,)
-        Initial filtered value.
-    cutoff : float
-        Cutoff frequency [Hz]; 0: no filter.
+    ``value`` is the initial filtered value, shape (k,). A ``cutoff`` of 0 Hz disables the filter.
 
     """
 
     def __init__(self, value: ArrayLike, cutoff: float = 0.0) -> None:
         self.cutoff = cutoff
-        """Cutoff frequency [Hz]; 0: no filter."""
+        """Cutoff frequency [Hz]; 0 disables the filter."""
         self.value: Floats = np.array(value, dtype=np.float64)
-        """Filtered value, shape (k,); never written in place."""
+        """Filtered value, shape (k,); each update creates a new array."""
         self.reset()
 
     def reset(self) -> None:
-        """Restart all elements at the next sample."""
+        """Restart all elements with the next sample."""
         self._time: float | Floats = -math.inf
 
     def update(
@@ -46,24 +41,11 @@ class LowPass:
         restarts: bool | Booleans = False,
     ) -> Floats:
         """
-        Filter one sample.
+        Filter a sample, which is copied; return the filtered value, shape (k,).
 
-        Parameters
-        ----------
-        time : float or ndarray, shape (k,)
-            When the elements were sampled [s]. If it is one number, so are `longest_gap` and
-            `restarts`.
-        sample : ndarray, shape (k,)
-            The sample; not kept.
-        longest_gap : float or ndarray, shape (k,), optional
-            Elements whose last sample is older than this restart [s].
-        restarts : bool or ndarray of bool, shape (k,), optional
-            Further elements that restart.
-
-        Returns
-        -------
-        value : ndarray, shape (k,)
-            The filtered value.
+        ``time`` is one number for all elements, or an array of shape (k,) [s]. ``longest_gap`` [s]
+        and ``restarts`` have the same form. An element restarts if its last sample is older than
+        ``longest_gap``, or if its element of ``restarts`` is true.
 
         """
         elapsed = time - self._time

@@ -1,4 +1,4 @@
-"""Compiled functions on the arrays of the joint state collector."""
+"""Compiled functions for the arrays of `JointStateCollector`."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from .position_jumps import has_jumped
 from .publisher_conflicts import ignored_step, track, way
 
 LONG_AGO = -1e300
-"""Time of a locked joint that was never reported [s]; finite, so that differences are numbers."""
+"""Time of a locked joint that was never reported [s]; finite, so that no difference is NaN."""
 # Rows of the known state, one column per joint of the robot.
 POSITION, VELOCITY, TIME, EFFORT = range(4)
 # Rows of a message, one column per joint in the message.
 _POSITION, _VELOCITY, _EFFORT = range(3)
-# Results of `store_joint_state`: `CONSISTENT` plus any of the others, or `NOT_FINITE`.
+# Results of `store_joint_state`: `NOT_FINITE`, or `CONSISTENT` plus any other flags.
 NOT_FINITE, CONSISTENT, ALTERNATING, JUMPED, LEAPT = 0, 1, 2, 4, 8
 
 
 def compile_kernels() -> None:
-    """Compile all functions here, so that nothing compiles in the loop."""
+    """Compile all functions for joint states before the control loop starts."""
     compile_for(find_oldest, 'UniTuple(f8, 2)(f8[::1], b1[::1])')
     compile_for(ignored_step, 'f8(f8[:,::1], i8, f8)')
     compile_for(way, 'f8(f8[:,::1], i8, f8, f8)')
@@ -34,20 +34,10 @@ def compile_kernels() -> None:
 @compiled
 def find_oldest(times: Any, is_commanded: Any) -> tuple[float, float]:
     """
-    Find the oldest arrivals.
+    Return the oldest arrival among the commanded joints, and among the other joints [s].
 
-    Parameters
-    ----------
-    times : ndarray, shape (n,)
-        Arrival of each joint's state [s].
-    is_commanded : ndarray of bool, shape (n,)
-        Which joints are commanded.
-
-    Returns
-    -------
-    commanded, others : float
-        Oldest arrival among the commanded joints and among the others, without locked joints that
-        were never reported; inf if there are none [s].
+    ``times`` contains the arrival time of each joint's state, shape (n,). Locked joints that were
+    never reported are ignored. The result is inf where there are no joints.
 
     """
     commanded = others = math.inf
@@ -72,30 +62,21 @@ def store_joint_state(
     """
     Store the joint states of a message if all are finite; otherwise change nothing.
 
-    Parameters
-    ----------
-    received : ndarray, shape (3, l)
-        Positions, velocities and efforts of the l joints of a message.
-    places : ndarray, shape (2, k)
-        Indices of the k joints to store: among the n joints of the robot, and among the l.
-    known : ndarray, shape (4, n)
-        Receives positions, velocities, times and efforts. A joint that is not commanded keeps its
-        position, at rest, while its positions alternate.
-    tracks : ndarray, shape (20, n)
-        See `publisher_conflicts.make_tracks`.
-    is_commanded : ndarray of bool, shape (n,)
-        Which joints are commanded.
-    now : float
-        The time [s].
-    has_efforts : bool
-        Whether the message has efforts.
+    - ``received`` contains positions, velocities and efforts of the l joints of a message, shape
+      (3, l).
+    - ``places`` contains the indices of the k joints to store, shape (2, k): first among the n
+      joints of the robot, then among the l joints of the message.
+    - ``known`` receives positions, velocities, times and efforts, shape (4, n). A joint that is
+      not commanded keeps its position and zero velocity while its positions alternate.
+    - ``tracks`` comes from `publisher_conflicts.make_tracks`.
+    - ``now`` is the time [s].
 
-    Returns
-    -------
-    result : int
-        `NOT_FINITE` if a position or velocity is not finite. Otherwise `CONSISTENT`, plus
-        `ALTERNATING` if positions of a joint alternate faster than it can move, plus `JUMPED` if a
-        joint whose position is stored has moved further than it can.
+    The result is `NOT_FINITE` if a position or velocity is not finite. Otherwise it is
+    `CONSISTENT` plus the following flags:
+
+    - `ALTERNATING`: the positions of a joint alternate faster than it can move.
+    - `JUMPED`: a joint whose position is stored has moved further than it can.
+    - `LEAPT`: this joint is commanded.
 
     """
     in_robot, in_message = places[0], places[1]

@@ -1,4 +1,4 @@
-"""Collects joint states that arrive by name: positions, velocities and their age."""
+"""Collects joint states by joint name: positions, velocities, efforts and times of arrival."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from .joint_state_kernels import (
 from .publisher_conflicts import alternating, copy_track, forget_silent, make_tracks
 
 _VELOCITY_TIMEOUT = 0.05  # [s]
-_MOST_FOREIGN_NAMES = 64  # names to remember that are not joints of this robot
-_LONGEST_NAME = 100  # of them [characters]; comparing longer ones takes time
+_MOST_FOREIGN_NAMES = 64  # remembered names that are not joints of this robot
+_LONGEST_NAME = 100  # [characters]; longer names take too long to compare
 
 Numbers = Sequence[float] | Floats
 
@@ -40,52 +40,42 @@ class State(NamedTuple):
     qd: Floats
     """Joint velocities, shape (n,) [rad/s or m/s]."""
     time: float
-    """Oldest arrival among the commanded joints [s]."""
+    """Arrival of the oldest state of a commanded joint [s]."""
     times: Floats | None = None
-    """Arrival of each joint's state, shape (n,) [s]; None if all arrived at `time`."""
+    """Arrival of each joint's state, shape (n,) [s]; None if all states arrived at `time`."""
     is_consistent: bool = True
-    """False while positions of a commanded joint alternate faster than it can move."""
+    """False while positions of a commanded joint alternate faster than the joint can move."""
 
 
 @dataclass
 class Layout:
-    """The names in the messages of one publisher, which repeats them in every message."""
+    """The joint names of messages from one publisher, and where to store their values."""
 
     names: tuple[str, ...]
     """All names in the message."""
     places: Integers
-    """Indices of the k named joints in the robot and in the message, shape (2, k)."""
+    """Indices of the k known joints, in the robot and in the message, shape (2, k)."""
     received: Floats
-    """Positions, velocities and efforts of the last message, shape (3, names)."""
+    """Positions, velocities and efforts of the last message, shape (3, number of names)."""
     has_joints: bool
-    """Whether it names any joint of this robot."""
+    """Whether the message names any joint of this robot."""
     losses: int = -1
-    """Losses of velocities until each of its joints had one; -1 before that."""
+    """The collector's number of velocity losses when all joints here had one; -1 before that."""
 
 
 class JointStateCollector:
     """
-    Collects joint states that arrive by name, in any order, of all joints or of some.
+    Collects joint states that arrive by name, in any order, for all joints or for some.
 
-    Drivers of an arm and of its gripper often publish on one topic, each its own joints.
-    Therefore every joint has its own time.
+    The drivers of an arm and its gripper often publish their joints on the same topic. Every joint
+    therefore has its own time of arrival.
 
-    Parameters
-    ----------
-    joint_names : sequence of str
-        The n joints of the robot; others are ignored.
-    locked : mapping of str to float
-        Positions of joints that may never be reported [rad or m]. They apply until the joint is
-        reported for the first time. Such joints are never missing and never stale.
-    commanded : sequence of str
-        Joints whose state must be fresh; empty for all that are not locked.
-    robot : RobotModel, optional
-        Provides the speed limits that distinguish motion from alternating positions.
-
-    Raises
-    ------
-    ConfigurationError
-        If a locked joint is not among the n, or its position is not finite.
+    ``joint_names`` are the n joints of the robot. Other joints are ignored. ``locked`` contains
+    positions of joints that may never be reported [rad or m]. Such a position applies until the
+    joint is first reported. Locked joints are never missing and never stale. ``commanded`` are the
+    joints that need a fresh state; by default, all joints that are not locked. ``robot`` provides
+    the speed limits that distinguish motion from alternating positions. A ConfigurationError is
+    raised if a locked joint is unknown, or if its position is not finite.
 
     """
 
@@ -100,32 +90,32 @@ class JointStateCollector:
         n = len(self.joint_names)
         self._known = np.zeros((4, n))
         self.q, self.qd, self.times, self.efforts = self._known
-        """Rows of the known state, each of shape (n,); efforts are NaN where not measured."""
+        """Known state of the joints, each of shape (n,); efforts that are not measured are NaN."""
         self.times[:], self.efforts[:] = -math.inf, math.nan
         self.has_jumped = False
         """
-        Set when a joint has moved further than it can, when one that is not commanded may have
-        jumped, because it was locked or late until now, became late, or was reported by several
-        publishers, or when any joint was reported with a velocity for the first time, or is no
-        longer; cleared by the reader.
+        Set when the state may have jumped, and cleared by the reader. There are three causes:
+
+        - A joint has moved further than it can.
+        - A joint that is not commanded was locked or late until now, became late, or was reported
+          by several publishers.
+        - The velocity of a joint was reported for the first time, or is no longer reported.
         """
         self.has_leapt = False
-        """Set when a joint has moved further than it can; cleared by the reader."""
+        """Set when a commanded joint has moved further than it can; cleared by the reader."""
         self.velocity_timeout = _VELOCITY_TIMEOUT
-        """
-        Messages without a velocity are rejected for this long after the last one with it [s].
-        """
+        """After a velocity, messages without velocities are rejected for this time [s]."""
         self.lost_velocities: list[str] = []
         """Joints whose velocities are no longer reported; cleared by the reader."""
         self.late_count = 0
-        """Number of joints, neither commanded nor locked, that were late at `rest_late`."""
+        """Number of late joints in the last `rest_late`, except commanded and locked joints."""
         self._has_velocity = np.zeros(n, dtype=bool)
         self._index = {name: i for i, name in enumerate(self.joint_names)}
         self._foreign_names: list[str] = []
-        self._losses = 0  # times that velocities were lost
+        self._losses = 0  # how often velocities were lost
         self._lock(locked or {})
         self.is_free = self.times == -math.inf
-        """Which joints are not locked, shape (n,)."""
+        """Whether each joint is not locked, shape (n,)."""
         self._is_commanded = self.is_free & [
             not commanded or name in commanded for name in self.joint_names
         ]
@@ -138,15 +128,7 @@ class JointStateCollector:
         self._find_oldest()
 
     def layout(self, names: tuple[str, ...]) -> Layout:
-        """
-        Prepare to store messages with these names.
-
-        Raises
-        ------
-        JointStateError
-            If a joint is named twice.
-
-        """
+        """Prepare to store messages with these names; raise a JointStateError for duplicates."""
         in_message = [k for k, name in enumerate(names) if name in self._index]
         in_robot = [self._index[names[k]] for k in in_message]
         if len(set(in_robot)) != len(in_robot):
@@ -164,7 +146,7 @@ class JointStateCollector:
         velocities: Numbers,
         efforts: Numbers = (),
     ) -> bool:
-        """Store one joint state as `store` does, of any names."""
+        """Store one joint state with any names; see `store`."""
         return self.store(now, self.layout(tuple(names)), positions, velocities, efforts)
 
     def store(
@@ -178,27 +160,13 @@ class JointStateCollector:
         """
         Store one joint state completely, or reject it completely.
 
-        Parameters
-        ----------
-        now : float
-            The time of arrival [s].
-        layout : Layout
-            For the names in the message, see `layout`.
-        positions, velocities : sequences of numbers
-            One for each name. Velocities may be empty, or NaN: they are zero then, except shortly
-            after one was reported, see `velocity_timeout`.
-        efforts : sequence, optional
-            Measured efforts: none, or one for each name.
+        ``now`` is the time of arrival [s]. `layout` returns the layout for the names in the
+        message. There is one position for each name. There is also one velocity and one measured
+        effort for each name, or none. Velocities that are absent or NaN are zero, except shortly
+        after a velocity was reported, see `velocity_timeout`.
 
-        Returns
-        -------
-        has_joints : bool
-            Whether it named any of these joints.
-
-        Raises
-        ------
-        JointStateError
-            If the lengths differ, or a value that is needed is not finite; nothing has changed.
+        The result says whether the message names any of these joints. If the lengths differ or a
+        necessary value is not finite, a JointStateError is raised and nothing changes.
 
         """
         names = layout.names
@@ -210,7 +178,7 @@ class JointStateCollector:
             raise JointStateError(f'{len(names)} names, but {len(efforts)} efforts')
         received = layout.received
         received[0] = positions
-        # Drivers leave out a velocity that they do not measure, or fill in NaN.
+        # Drivers omit velocities that they do not measure, or send NaN.
         received[1] = velocities if len(velocities) else math.nan
         has_efforts = len(efforts) > 0
         if has_efforts:
@@ -235,46 +203,38 @@ class JointStateCollector:
 
     @property
     def time(self) -> float:
-        """Oldest arrival among the commanded joints, -inf if one was never reported [s]."""
+        """Oldest arrival among the commanded joints [s]; -inf if one was never reported."""
         return self._time
 
     @property
     def is_consistent(self) -> bool:
-        """False while positions of a commanded joint alternate faster than it can move."""
+        """False while positions of a commanded joint alternate faster than the joint can move."""
         return self._is_consistent
 
     @property
     def has_alternating(self) -> bool:
-        """Whether positions of any joint alternate faster than it can move."""
+        """Whether positions of any joint alternate faster than the joint can move."""
         return self._has_alternating
 
     def at(self, now: float, timeout: float) -> State | None:
-        """Return the latest state; late joints that are not commanded rest, see `rest_late`."""
+        """Return the latest state after a call of `rest_late`."""
         self.rest_late(now, timeout)
         return self.state()
 
     def state(self) -> State | None:
-        """Return the latest state, or None as long as a joint has never been reported."""
+        """Return the latest state; None until all joints that are not locked were reported."""
         if self._time == -math.inf or self._other_time == -math.inf:
             return None
         return State(self.q, self.qd, self._time, self.times, self._is_consistent)
 
     def check_free(self, names: Sequence[str]) -> None:
-        """
-        Reject locked joints.
-
-        Raises
-        ------
-        ConfigurationError
-            If one of the joints is locked.
-
-        """
+        """Raise a ConfigurationError if one of the joints is locked."""
         for name in names:
             if not self.is_free[self._index[name]]:
                 raise ConfigurationError(f"joint '{name}' is both commanded and locked")
 
     def continue_from(self, other: JointStateCollector) -> None:
-        """Copy the states of the joints that another robot description has too."""
+        """Copy the states of joints that the robot of another collector has, too."""
         for name, i in self._index.items():
             k = other._index.get(name)
             if k is not None and other.times[k] > LONG_AGO:
@@ -289,29 +249,22 @@ class JointStateCollector:
         return self._named(self.times == -math.inf)
 
     def similar_names(self) -> list[str]:
-        """Return reported names that are not joints of this robot, but resemble missing ones."""
+        """Return reported names that resemble missing joints, but are not joints of this robot."""
         closest: list[str] = []
         for name in self.missing():
             closest += difflib.get_close_matches(name, self._foreign_names, 1)
         return list(dict.fromkeys(closest))
 
     def stale(self, now: float, timeout: float) -> list[str]:
-        """Return commanded joints last reported too long ago or before a clock reset [s]."""
+        """Return commanded joints not reported within the timeout [s] or since a clock reset."""
         return self._named(self._is_commanded & self._is_old(now, timeout))
 
     def late(self, now: float, timeout: float) -> dict[str, float]:
         """
-        Find joints that are neither commanded nor locked and were last reported too long ago.
+        Return the late joints that are neither commanded nor locked, each with its age [s].
 
-        Parameters
-        ----------
-        now, timeout : float
-            Times [s].
-
-        Returns
-        -------
-        ages : dict of str to float
-            Time since each was reported, by name [s]; without those that were never reported.
+        A joint is late if it was not reported within the timeout [s]. Joints that were never
+        reported are not included.
 
         """
         is_late = self.is_free & ~self._is_commanded & self._is_old(now, timeout)
@@ -319,26 +272,21 @@ class JointStateCollector:
         return {self.joint_names[i]: float(now - self.times[i]) for i in np.flatnonzero(is_late)}
 
     def alternating(self) -> dict[str, tuple[float, float]]:
-        """Find joints whose positions alternate faster than they can move, with two positions."""
+        """Return the joints whose positions alternate too fast, each with two positions."""
         found = alternating(self._tracks)
         return {self.joint_names[i]: positions for i, positions in found.items()}
 
     def forget_silent(self, now: float) -> None:
-        """Forget that positions alternated if none of them arrives any more; time in [s]."""
+        """End the alternation of joints that are no longer reported; the time is in [s]."""
         if self._has_alternating:
             forget_silent(self._tracks, now - self.times)
             self._find_alternating()
 
     def rest_late(self, now: float, timeout: float) -> None:
         """
-        Set the velocities of late joints to zero, except those of commanded joints.
+        Set the velocities of late joints to zero, except for commanded joints; times are in [s].
 
         Otherwise, a joint whose states no longer arrive would keep its last velocity forever.
-
-        Parameters
-        ----------
-        now, timeout : float
-            Times [s].
 
         """
         if self._has_alternating:
@@ -353,11 +301,11 @@ class JointStateCollector:
         self.qd[is_resting] = 0.0
 
     def unseen(self) -> list[str]:
-        """Return the joints whose locked position is used because none was reported."""
+        """Return the joints that use their locked position because they were never reported."""
         return self._named(self.times == LONG_AGO)
 
     def without_velocity(self) -> list[str]:
-        """Return the joints that are reported, but without a velocity."""
+        """Return the joints that are reported without a velocity."""
         return self._named((self.times > LONG_AGO) & ~self._has_velocity)
 
     def _remember_foreign_names(self, names: tuple[str, ...]) -> None:
@@ -386,14 +334,14 @@ class JointStateCollector:
             self.times[self._index[name]] = LONG_AGO
 
     def _complete(self, layout: Layout, now: float) -> None:
-        """Replace velocities that are not measured by zeros, or raise a JointStateError."""
+        """Set velocities that are not measured to zero, or raise a JointStateError."""
         in_robot, in_message = layout.places
         q, qd = layout.received[:2, in_message]
         is_finite = np.isfinite(qd)
         self._reject('position', q, np.isfinite(q), in_robot)
         has_velocity, times = self._has_velocity[in_robot], self.times[in_robot]
-        # A velocity that is missing once is a fault. If it is missing for longer, the messages
-        # that had one may have been those of another publisher, such as ros2 topic pub.
+        # A velocity that is missing briefly is a fault. If it stays missing, earlier velocities
+        # may have come from another publisher, such as ros2 topic pub.
         is_recent = (now >= times) & (now < times + self.velocity_timeout)
         is_lost = has_velocity & np.isnan(qd) & ~is_recent
         self._reject('velocity', qd, is_finite | ~has_velocity | is_lost, in_robot)

@@ -1,7 +1,7 @@
 """
 The control loop of one robot: joint state -> phase -> efforts -> command.
 
-No ROS, and no clock: time is an argument.
+This module uses neither ROS nor a clock. The time is an argument.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from .settings import LoadSettings, MeasuredGravity, Mode, Settings, StalePolicy
 from .stop_damping import StopDamping
 from .supervision import COMPUTING_PHASES, DryRun, Phase, recovery_time, StateSupervisor
 
-# Settings that change the inputs of the computation; others only change what follows from them.
+# Settings that change the inputs of the computation. Other settings only change its results.
 _INPUT_SETTINGS = (
     'mode',
     'state_timeout',
@@ -42,37 +42,24 @@ class Command(NamedTuple):
     """Efforts to send to the robot."""
 
     efforts: Floats
-    """Shape (m,) [N m or N]; finite; valid until the next step."""
+    """Finite efforts, shape (m,) [N m or N]; valid until the next step."""
     is_saturated: Booleans
-    """Which efforts were cut to their limits, shape (m,)."""
+    """Whether each effort was cut to its limit, shape (m,)."""
     is_slowed: Booleans
-    """Which efforts were slowed by a rate limit, shape (m,)."""
+    """Whether a rate limit slowed each effort, shape (m,)."""
     sent: Floats | None = None
-    """Efforts for the robot [N m or N]; None if nothing is sent, see `DryRun`."""
+    """Efforts to send to the robot [N m or N]; None if nothing is sent, see `DryRun`."""
 
 
 class Controller:
     """
     Computes one command per step; the same inputs always produce the same commands.
 
-    The dynamics include all joints of the robot; those that are not commanded are assumed to have
-    zero acceleration.
-
-    Parameters
-    ----------
-    dynamics : InverseDynamics
-        The robot, with n joints.
-    joints : sequence of str
-        The m joints to command, in the order of the commands; empty for all, in the robot's order.
-    settings : Settings, optional
-        Modes, limits, ramps and timeouts.
-    period : float
-        Time between steps [s]; 0 if there is a step for every joint state.
-
-    Raises
-    ------
-    ConfigurationError
-        If a joint cannot be commanded, or a setting does not fit the joints.
+    The dynamics include all n joints of the robot. Joints that are not commanded are assumed to
+    have zero acceleration. ``joints`` are the m joints to command, in the order of the commands;
+    if empty, all joints of the robot. ``period`` is the time between steps [s]; 0 if there is a
+    step for each joint state. A ConfigurationError is raised if a joint cannot be commanded, or if
+    a setting does not fit the joints.
 
     """
 
@@ -101,13 +88,10 @@ class Controller:
         """
         Change the settings from the next step on, which continues from the last command.
 
-        To be called after other changes of the same kind, such as friction: the difference that
-        all of them make to the last efforts fades within the start ramp.
-
-        Raises
-        ------
-        ConfigurationError
-            If a list does not have one number for each commanded joint; nothing has changed then.
+        Call this after other changes of the same kind, such as friction. The difference that all
+        these changes make to the last efforts fades within the start ramp. If a setting per joint
+        has neither one value nor one value for each commanded joint, a ConfigurationError is
+        raised and nothing changes.
 
         """
         arrays = settings.expanded(len(self.joints))
@@ -136,25 +120,25 @@ class Controller:
         """
         Continue from the last command, and fade out the difference within the start ramp.
 
-        To be called after changes of the computed efforts that are not motion, such as the robot
-        description or gravity.
+        Call this when the computed efforts change without motion, for example after a change of
+        the robot description or gravity.
 
         """
         self._shaper.begin()
 
     @property
     def phase(self) -> Phase:
-        """What the last command was computed for."""
+        """Phase for which the last command was computed."""
         return self.supervisor.phase
 
     @property
     def gain(self) -> float:
-        """Factor of the computed efforts: rises from 0 to 1 over the start ramp."""
+        """Factor for the computed efforts; rises from 0 to 1 over the start ramp."""
         return self._shaper.gain
 
     @property
     def has_effort(self) -> bool:
-        """Whether an effort of the last command is not zero, or a stop still damps the motion."""
+        """Whether the last command has a nonzero effort, or a stop still damps the motion."""
         return bool(self._shaper.command.any()) or self.stop_damping.is_active
 
     @property
@@ -164,7 +148,7 @@ class Controller:
 
     @property
     def offset(self) -> Floats:
-        """Added to the scaled efforts, shape (m,) [N m or N]."""
+        """Offsets that are added to the scaled efforts, shape (m,) [N m or N]."""
         return self._of_joint['effort_offset']
 
     @property
@@ -174,7 +158,7 @@ class Controller:
 
     @property
     def time_to_fall(self) -> float:
-        """Time until the efforts are zero, if they fall from now on or already do [s]."""
+        """Time until the efforts are zero if a stop ramp starts now or is in progress [s]."""
         return self._shaper.time_to_fall
 
     @property
@@ -183,28 +167,28 @@ class Controller:
         return self.law.motion
 
     def cause_of_failure(self) -> str:
-        """Name the joint and the value that left the last step without a solution."""
+        """Name the joint and the value that prevented a solution in the last step."""
         return self.law.cause_of_failure(self.scale)
 
     @property
     def is_stopping(self) -> bool:
-        """Whether the efforts are to be zero; they may still be ramping down."""
+        """Whether a stop is requested; the efforts may still be ramping down."""
         return self.supervisor.is_stopping
 
     def stop(self) -> None:
-        """Ramp the efforts to zero from the next step on, and keep them there."""
+        """Ramp the efforts to zero from the next step on, and keep them at zero."""
         if not self.is_stopping and self.phase in COMPUTING_PHASES:
             self.stop_damping.begin(self.settings, self.scale.copy(), self.limits.copy())
         self.supervisor.is_stopping = True
 
     def resume(self) -> None:
-        """Let the efforts rise again from the last command, however short the stop was."""
+        """End a stop, however short, so that the efforts rise again from the last command."""
         if self.is_stopping:
-            self.blend()  # after a brief stop too: the reference may have been dropped
+            self.blend()  # even after a brief stop, because the reference may have been dropped
         self.supervisor.is_stopping = False
 
     def start(self) -> None:
-        """Let the efforts rise from zero, beginning at the next step with a fresh state."""
+        """Start with zero efforts, which rise from the next step with a fresh state."""
         self.supervisor.start()
         self.stop_damping.end()
         self.law.reset()
@@ -214,15 +198,8 @@ class Controller:
         """
         Continue from the last command of the controller of another robot description.
 
-        Parameters
-        ----------
-        other : Controller
-            Must command the same joints, and must not be used afterwards.
-
-        Raises
-        ------
-        ConfigurationError
-            If it commands other joints.
+        The other controller must not be used afterwards. If it commands other joints, a
+        ConfigurationError is raised.
 
         """
         if self.joints != other.joints:
@@ -237,28 +214,17 @@ class Controller:
 
     def step(self, now: float, state: State | None, reference: Reference | None) -> Command | None:
         """
-        Compute the command for one time.
+        Compute the command for one time; None before the first complete joint state.
 
-        Parameters
-        ----------
-        now : float
-            The time, on the clock of state and reference [s].
-        state : State or None
-            The latest joint state; None if there has been no complete one.
-        reference : Reference or None
-            The latest reference, if there has been one.
-
-        Returns
-        -------
-        command : Command or None
-            None before the first complete joint state since the start.
+        The time ``now`` is on the clock of state and reference [s]. ``state`` and ``reference``
+        are the latest ones, or None if there has been none.
 
         """
         self.pass_time(now)
         return self.command(state, reference)
 
     def pass_time(self, now: float) -> float:
-        """Advance to the time of the next command; return the time that ramps advance [s]."""
+        """Advance to the next command [s]; return the time by which ramps advance [s]."""
         self._time = now
         clock = self._shaper.clock
         if clock.advance(now):
@@ -266,7 +232,7 @@ class Controller:
         return clock.step
 
     def command(self, state: State | None, reference: Reference | None) -> Command | None:
-        """Compute the command for the time of `pass_time`; arguments as for `step`."""
+        """Compute the command for the time of `pass_time`; see `step` for the arguments."""
         now, settings = self._time, self.settings
         supervisor, law, shaper = self.supervisor, self.law, self._shaper
         damping = self.stop_damping
@@ -300,7 +266,7 @@ class Controller:
 
     @property
     def recovery_time(self) -> float:
-        """Time without a gap after which states that were lost are used again [s]."""
+        """How long joint states must arrive without a gap after a loss to be used again [s]."""
         return recovery_time(self.settings.state_timeout)
 
 
@@ -308,32 +274,13 @@ class ControlLoop:
     """
     Connects joint states, external loads, dynamics and controller of one robot.
 
-    Parameters
-    ----------
-    robot : RobotModel
-        The robot, with n joints.
-    joints : sequence of str
-        The m joints to command, in the order of the commands; empty for all.
-    settings : Settings, optional
-        Settings of the controller.
-    period : float
-        Time between steps [s]; 0 if there is a step for every joint state.
-    load_settings : LoadSettings, optional
-        Settings of the external loads.
-    gravity : array_like, shape (3,)
-        Free-fall acceleration in the frame of the base link [m/s^2].
-    base_link : str
-        Link whose frame is the base frame, see `ExternalLoads`.
-    locked : mapping of str to float
-        Positions of locked joints, see `JointStateCollector`; none of them may be commanded.
-    has_imu : bool
-        Whether the motion of the base is measured; there is no command before the first
-        measurement.
-
-    Raises
-    ------
-    ConfigurationError
-        If an argument does not fit the robot.
+    ``joints`` are the m joints to command, in the order of the commands; empty for all.
+    ``settings`` are the settings of the controller, and ``load_settings`` those of the external
+    loads. ``period`` is the time between steps [s]; 0 if there is a step for each joint state.
+    ``gravity`` is the free-fall acceleration in the frame of the base link [m/s^2], see
+    `ExternalLoads`. ``locked`` contains the positions of locked joints, which cannot be commanded,
+    see `JointStateCollector`. With ``has_imu``, there is no command before the first measured
+    motion of the base. An argument that does not fit the robot raises a ConfigurationError.
 
     """
 
@@ -368,7 +315,7 @@ class ControlLoop:
         self.drive = DriveReference(self.controller.law)
 
     def start(self, *, is_dry_run: bool = False) -> None:
-        """Let the efforts rise from zero; an earlier reference is dropped."""
+        """Start with zero efforts, and drop an earlier reference."""
         self.reference = None
         self.drive.weight = 0.0
         self.controller.start()
@@ -376,17 +323,17 @@ class ControlLoop:
 
     @property
     def dry_run(self) -> DryRun:
-        """Decides whether the commands are sent."""
+        """The dry run, which decides whether the commands are sent."""
         return self.controller.supervisor.dry_run
 
     @property
     def has_to_stop(self) -> bool:
-        """Whether the robot holds an effort, or a stop damps its motion."""
+        """Whether the robot holds a nonzero effort, or a stop damps its motion."""
         is_damped = self.controller.stop_damping.is_active and not self.dry_run.is_active
         return self.dry_run.has_effort or is_damped
 
     def switch_dry_run(self, *, is_wanted: bool) -> bool:
-        """Begin a dry run, or end it if the commands are zero; return whether this was done."""
+        """Start a dry run, or end it if the commands are zero; return whether it changed."""
         dry_run, controller = self.dry_run, self.controller
         if is_wanted is dry_run.is_active or not (is_wanted or dry_run.may_end):
             return False
@@ -401,25 +348,12 @@ class ControlLoop:
         return True
 
     def step(self, now: float) -> Command | None:
-        """
-        Compute the command for one time.
-
-        Parameters
-        ----------
-        now : float
-            The time [s].
-
-        Returns
-        -------
-        command : Command or None
-            None as long as a necessary input is missing: see `missing`.
-
-        """
+        """Compute the command for one time [s]; None while an input is missing, see `missing`."""
         controller, collector, reference = self.controller, self.collector, self.reference
         self._set_velocity_timeout()
         ramp_step = controller.pass_time(now)
         state = collector.at(now, controller.settings.uncommanded_state_timeout)
-        # Before the first command nothing acts yet, so that loads need no ramp.
+        # Before the first command, no effort acts, so that loads need no ramp.
         elapsed = math.inf if controller.supervisor.phase is Phase.WAITING else ramp_step
         if self.loads.update(now, elapsed) or collector.has_jumped:
             if collector.has_leapt:
@@ -427,7 +361,7 @@ class ControlLoop:
             collector.has_jumped = collector.has_leapt = False
             controller.blend()
         if reference is not None and reference.time > now:
-            # The clock was set back: the reference would return when its time comes.
+            # The clock was set back. The reference would apply again when its time comes.
             reference = self.reference = None
         if self.has_imu and self.lacks_imu:
             state = None
@@ -438,7 +372,7 @@ class ControlLoop:
         return command if sent is command.sent else command._replace(sent=sent)
 
     def _set_velocity_timeout(self) -> None:
-        # Before the state is lost: messages without velocities must not stop the arm.
+        # Shorter than the state timeout: messages without velocities must not stop the arm.
         self.collector.velocity_timeout = 0.5 * self.controller.settings.state_timeout
 
     def set_base_motion(
@@ -463,13 +397,8 @@ class ControlLoop:
         """
         Describe the necessary inputs that have not arrived yet.
 
-        Parameters
-        ----------
-        states, imu : str
-            Names of the topics, for the text.
-        now : float, optional
-            The time [s]. If it is given, positions that arrived too long ago or contradict each
-            other are described too.
+        ``states`` and ``imu`` are the names of the topics in the text. If the time ``now`` is
+        given [s], positions that are too old or contradict each other are described, too.
 
         """
         joints = self.collector.missing()
@@ -494,22 +423,11 @@ class ControlLoop:
 
     def continue_from(self, other: ControlLoop) -> list[str]:
         """
-        Continue from the last command and the inputs of the loop of another robot description.
+        Continue from the last command and the inputs of another control loop.
 
-        Parameters
-        ----------
-        other : ControlLoop
-            Must not be used afterwards.
-
-        Returns
-        -------
-        dropped : list of str
-            Links that no longer exist, so that their payloads were dropped.
-
-        Raises
-        ------
-        ConfigurationError
-            If it commands other joints; nothing has changed then.
+        The result lists the links that no longer exist, so that their payloads were dropped. The
+        other loop must not be used afterwards. If it commands other joints, a ConfigurationError
+        is raised and nothing changes.
 
         """
         self.controller.continue_from(other.controller)
@@ -518,20 +436,16 @@ class ControlLoop:
         return self.copy_inputs_from(other)
 
     def copy_inputs_from(self, other: ControlLoop) -> list[str]:
-        """Copy joint states and loads from the loop of another robot description, see above."""
+        """Copy joint states and loads from another loop; return what `continue_from` returns."""
         self.collector.continue_from(other.collector)
         return self.loads.continue_from(other.loads)
 
     def calibrated(self, index: Sequence[int], efforts: Floats) -> Floats:
         """
-        Apply scale and offset of the commands to efforts.
+        Apply scale and offset of the commands to efforts, shape (k, len(index)) [N m or N].
 
-        Parameters
-        ----------
-        index : sequence of int
-            Joints of the robot; efforts of joints that are not commanded stay unchanged.
-        efforts : ndarray, shape (k, len(index))
-            Computed efforts [N m or N].
+        ``index`` lists joints of the robot. Efforts of joints that are not commanded stay
+        unchanged.
 
         """
         scale, offset = np.ones_like(self.collector.q), np.zeros_like(self.collector.q)
@@ -540,7 +454,7 @@ class ControlLoop:
         return calibrated
 
     def beyond_limits(self, index: Sequence[int], efforts: Floats) -> list[str]:
-        """Return the joints whose efforts exceed their limits; arguments as for `calibrated`."""
+        """Return the joints whose efforts exceed their limits; see `calibrated`."""
         limits = self.robot.effort_limits.copy()
         limits[self.index] = self.controller.limits
         is_beyond = (np.abs(efforts) > limits[index]).any(axis=0)
@@ -556,7 +470,7 @@ class ControlLoop:
         return terms._replace(friction=law.added) if is_guided else terms
 
     def base_wrench(self) -> tuple[Floats, Floats]:
-        """Compute the force and moment that the mount exerts on the base link, in its frame."""
+        """Compute force and moment of the mount on the base link, in the frame of this link."""
         q = self.collector.q
         wrenches: JointWrenches = self.dynamics.joint_wrenches(q, *self.controller.motion)
         return self.loads.at_base_link(wrenches.force[0], wrenches.moment[0])
@@ -573,7 +487,7 @@ class ControlLoop:
         )
 
     def external_efforts(self) -> Floats:
-        """Estimate external efforts from the last state: shape (n,), NaN where not measured."""
+        """Estimate external efforts from the last state, shape (n,); NaN if not measured."""
         collector = self.collector
         with self.loads.gravity_included(self.measures_gravity):
             return self.external_effort_estimator.update(

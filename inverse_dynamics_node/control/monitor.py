@@ -1,4 +1,4 @@
-"""Health statistics of the node."""
+"""Collects health statistics of the node."""
 
 from __future__ import annotations
 
@@ -36,30 +36,27 @@ from .status_text import (
     judge_reference,
 )
 
-_MOST_REASONS = 20  # distinct ones to keep apart
-_LONGEST_PAUSE = 2.0  # [s]; updates further apart mean that this process did not run
+_MOST_REASONS = 20  # number of reasons that are counted separately
+_LONGEST_PAUSE = 2.0  # [s]; a longer time between updates means that this process did not run
 
 
 class Monitor:
     """
     Counts events, and summarizes them in periodic reports.
 
-    Parameters
-    ----------
-    period : float
-        Requested time between commands [s]; 0 for one command per joint state.
+    ``period`` is the requested time between commands [s]; 0 for one command per joint state.
 
     """
 
     def __init__(self, period: float = 0.0) -> None:
         self.rejected: Counter[str] = Counter()
-        """Rejected messages since the start, by topic and reason."""
+        """Number of rejected messages since the start, by topic and reason."""
         self.clamped: Counter[str] = Counter()
-        """Commands since the start in which the effort of a joint was cut to its limit."""
+        """Number of commands since the start in which an effort was cut to its limit, by joint."""
         self.slowed: Counter[str] = Counter()
-        """Commands since the start in which a rate limit slowed the effort of a joint."""
+        """Number of commands since the start in which a rate limit slowed an effort, by joint."""
         self.overruns = 0
-        """Commands since the start that were more than half a period late."""
+        """Number of commands since the start that were more than half a period late."""
         self.period = period
         self._last = math.nan
         # Since the last report:
@@ -70,18 +67,10 @@ class Monitor:
 
     def step(self, now: float, duration: float, command: Command, joints: Sequence[str]) -> None:
         """
-        Count one command.
+        Record one command.
 
-        Parameters
-        ----------
-        now : float
-            Time at which its computation began [s].
-        duration : float
-            Time to compute and send it [s].
-        command : Command
-            The command as sent.
-        joints : sequence of str
-            The commanded joints.
+        ``now`` is the time at which its computation began [s]. ``duration`` is the time to compute
+        and send it [s].
 
         """
         elapsed = now - self._last
@@ -98,7 +87,7 @@ class Monitor:
             self.slowed.update(_selected(joints, command.is_slowed))
 
     def pause(self) -> None:
-        """Leave the time until the next command out of the statistics."""
+        """Exclude the time until the next command from the statistics."""
         self._last = math.nan
 
     def reject(self, topic: str, reason: str) -> None:
@@ -113,14 +102,8 @@ class Monitor:
         """
         Report the status of the node since the last report; the caller adds the scheduling.
 
-        Parameters
-        ----------
-        now : float
-            The time [s].
-        loop : ControlLoop or None
-            None as long as the node is not configured.
-        around : GraphInfo
-            The state of the node, and its connections.
+        ``loop`` is None until the node is configured. ``around`` contains the state of the node
+        and its connections.
 
         """
         status = NodeStatus(
@@ -188,36 +171,18 @@ class Monitor:
 
 
 class StalledPublishers:
-    """
-    Measures for how long no message has arrived although there could have been one.
-
-    Parameters
-    ----------
-    now : float
-        The time [s].
-
-    """
+    """Measures for how long no message has arrived although a message was expected."""
 
     def __init__(self, now: float) -> None:
         self._since = self._last_update = now
 
     def update(self, now: float, last_message: float, is_expected: bool) -> float:
         """
-        Return the length of the silence.
+        Return the length of the silence [s].
 
-        Parameters
-        ----------
-        now : float
-            The time [s].
-        last_message : float
-            Time of the last message [s].
-        is_expected : bool
-            Whether a publisher is connected that could send.
-
-        Returns
-        -------
-        silence : float
-            Without the time in which nothing was expected, or this process did not run [s].
+        ``is_expected`` says whether a connected publisher could send. The silence does not include
+        time in which no message was expected, or in which this process did not run. All times are
+        in [s].
 
         """
         pause = now - self._last_update

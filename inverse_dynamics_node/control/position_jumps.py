@@ -1,13 +1,13 @@
 """
 Detects positions that change faster than a joint can move, whatever the cause.
 
-After the process was suspended, messages of the whole pause may arrive within milliseconds. Two
-nodes may report one joint, and an encoder may be reset. Times are those of arrival, so a joint may
-move a little further than its speed and the time explain: a message may have been late.
+When a suspended process resumes, messages of the whole pause may arrive within milliseconds. Two
+nodes may report one joint, or an encoder may be reset. All times are times of arrival. Messages
+may be late, so that a joint may move slightly further than its speed and the elapsed time permit.
 
-A joint has room on either side. The room grows with time at twice the speed limit, shrinks as the
-joint moves into it, and is limited by how late messages may be. It is lost after a pause, because
-messages of the pause may follow.
+Each joint has room for motion in either direction. The room grows with time at twice the speed
+limit, and shrinks as the joint moves into it. The largest delay of messages limits the room. After
+a pause the room is zero, because messages of the pause may follow.
 """
 
 from __future__ import annotations
@@ -28,26 +28,18 @@ from .publisher_conflicts import (
     SPEED,
 )
 
-_LATENESS = 0.03  # [s]; how late messages may be
-_LONGEST_STEP = 0.1  # [s]; after a longer time, a joint may have moved only as far as in this one
+_LATENESS = 0.03  # [s]; largest delay of messages
+_LONGEST_STEP = 0.1  # [s]; a longer interval permits no more motion than this interval
 
 
 @compiled
 def has_jumped(tracks: Any, i: int, position: float, elapsed: float) -> bool:
     """
-    Return whether a joint has moved further than it can; to be called before `track`.
+    Return whether a joint has moved further than it can; call this before `track`.
 
-    Parameters
-    ----------
-    tracks : ndarray, shape (21, n)
-        See `publisher_conflicts.make_tracks`.
-    i : int
-        Index of the joint.
-    position : float
-        Reported position [rad or m].
-    elapsed : float
-        Time since the last report of this joint [s]; inf if there was none, and negative if the
-        clock was set back since.
+    ``tracks`` comes from `publisher_conflicts.make_tracks`, and ``i`` is the index of the joint.
+    ``position`` is the reported position [rad or m]. ``elapsed`` is the time since the last report
+    of this joint [s]. It is inf if there was no report, and negative if the clock was set back.
 
     """
     speed = FACTOR * tracks[SPEED, i]
@@ -56,7 +48,7 @@ def has_jumped(tracks: Any, i: int, position: float, elapsed: float) -> bool:
         tracks[ROOM_ABOVE, i] = tracks[ROOM_BELOW, i] = most
         return False
     step = min(max(position - tracks[LAST, i], -LARGEST), LARGEST)
-    # A full turn of another joint would change the feedback of computed torque.
+    # A full turn of any other joint would change the feedback of computed torque.
     if abs(step) < LARGEST and tracks[IS_CONTINUOUS, i] != 0.0:
         step -= 2.0 * math.pi * np.rint(step / (2.0 * math.pi))
     if not 0.0 <= elapsed <= _LONGEST_STEP:

@@ -1,16 +1,20 @@
 """
 Detects positions that alternate faster than a joint can move: two publishers report one joint.
 
-Only the distance that a position goes *back* is added up, minus the distance that the joint could
-have covered since. A single jump (homing, an encoder reset) thus adds nothing, and neither does a
-fast motion with several samples between its turning points. Times are those of arrival, and
-messages may arrive late and several at once: a motion within the speed limit stays below the
-threshold as long as no message is later than `LATENESS`.
+Only steps *back* are added up, minus the distance that the joint could have covered since. A
+single jump, such as homing or an encoder reset, therefore adds nothing. A fast motion with several
+samples between its turning points also adds nothing. All times are times of arrival. Messages may
+arrive late, and several at once. A motion within the speed limit stays below the threshold as long
+as no message is later than `LATENESS`.
 
-Three kinds of small steps back are ignored, because they are not contradictions: those of noise
-and of coarse encoders, full turns of joints that turn, and those of a second publisher that relays
-the positions a little late. A relay steps back by a fraction of the way that the joint has just
-covered. If two publishers contradict each other, every step covers the whole way between them.
+Three kinds of small steps back are ignored, because they are not contradictions:
+
+- steps due to noise and coarse encoders
+- full turns of rotary joints
+- steps due to a second publisher that relays the positions slightly late
+
+A relay steps back by a fraction of the distance that the joint has just covered. If two publishers
+contradict each other, every step covers the whole distance between their positions.
 """
 
 from __future__ import annotations
@@ -24,46 +28,38 @@ from ..dynamics.jit import compiled
 from ..robot.model import Floats, RobotModel
 
 LATENESS = 1.0
-"""How late messages may arrive without being mistaken for alternation [s]."""
-FACTOR = 2.0  # by which a joint may exceed its speed limit
-_LEAST_COUNT = 4  # of turns: A, B, A, B, A, B
+"""Largest delay of messages that is not mistaken for alternating positions [s]."""
+FACTOR = 2.0  # factor by which a joint may exceed its speed limit
+_LEAST_COUNT = 4  # number of reversals before an alarm: A, B, A, B, A, B
+# Smallest plausible, default and largest plausible speed limit of revolute joints [rad/s], and of
+# prismatic joints [m/s].
 _SPEEDS = ((1.0, 10.0, 30.0), (0.1, 2.0, 5.0))
-# Smallest plausible speed limit, the limit to assume if there is none, and the largest plausible
-# one: of revolute [rad/s] and of prismatic joints [m/s].
 _NOISE = (0.02, 0.005)  # smaller steps are ignored [rad, m]
-_COARSEST = (0.1, 0.02)  # larger steps cannot be those of an encoder [rad, m]
+_COARSEST = (0.1, 0.02)  # an encoder has no larger steps [rad, m]
 _COUNTS = 2.5  # steps of an encoder up to this many times its smallest step are ignored
-_LEAST_STEP = 1e-6  # [rad, m]; smaller ones may be rounding errors
-_WINDOW = 0.1  # [s]; the way is that in this time or up to twice as long
-_RELAYED = 0.5  # fraction of the way; thus relays may be up to 50 ms late
-LARGEST = 1e6  # [rad, m]; larger steps are treated like this one
+_LEAST_STEP = 1e-6  # [rad, m]; smaller steps may be rounding errors
+_WINDOW = 0.1  # [s]; `way` is the range in the last one or two windows
+_RELAYED = 0.5  # fraction of `way` that is ignored, so that relays may be up to 50 ms late
+LARGEST = 1e6  # [rad, m]; larger steps are cut to this
 
-# Rows of tracks, one column per joint: constants, ...
+# Rows of tracks, with one column per joint. Constants:
 _CONSTANTS = 5
 SPEED, _IGNORED, _COARSE, IS_PRISMATIC, IS_CONTINUOUS = range(_CONSTANTS)
-# ... reported positions and steps, ...
+# Reported positions and steps:
 LAST, _STEP, _RAW_STEP, _EXCESS, _COUNT, _OTHER, _FLAG, _SMALLEST = range(5, 13)
-# ... and smallest and largest positions relative to the last one, in this window and the last.
+# Smallest and largest positions relative to the last position, in this and in the last window:
 _LOW, _HIGH, _LAST_LOW, _LAST_HIGH, _AGE, _ANY_STEP = range(13, 19)
-# ... and how far the joint may be the next time, see `position_jumps`.
+# Room for the next step, see `position_jumps`:
 ROOM_ABOVE, ROOM_BELOW = range(19, 21)
 _ROWS = 21
 
 
 def make_tracks(n: int, robot: RobotModel | None = None) -> Floats:
     """
-    Make the array of constants and memory of `track`.
+    Make the array of constants and memory of `track` for n joints, shape (21, n).
 
-    Parameters
-    ----------
-    n : int
-        Number of joints.
-    robot : RobotModel, optional
-        Provides the speed limits of its n joints; otherwise those assumed for revolute joints.
-
-    Returns
-    -------
-    tracks : ndarray, shape (21, n)
+    The speed limits are those of ``robot``. Without a robot, all joints are assumed to be
+    revolute.
 
     """
     tracks = np.zeros((_ROWS, n))
@@ -80,7 +76,7 @@ def make_tracks(n: int, robot: RobotModel | None = None) -> Floats:
 
 
 def copy_track(target: Floats, i: int, source: Floats, k: int) -> None:
-    """Continue the track of one joint in the tracks of another robot description."""
+    """Copy the memory of one joint into the tracks of another robot description."""
     target[_CONSTANTS:, i] = source[_CONSTANTS:, k]
 
 
@@ -93,17 +89,7 @@ def alternating(tracks: Floats) -> dict[int, tuple[float, float]]:
 
 
 def forget_silent(tracks: Floats, ages: Floats) -> None:
-    """
-    End the alarms of joints that are not reported any more.
-
-    Parameters
-    ----------
-    tracks : ndarray, shape (21, n)
-        See `make_tracks`.
-    ages : ndarray, shape (n,)
-        Time since the last report of each joint [s].
-
-    """
+    """End the alarms of joints that are no longer reported; the ages are in [s], shape (n,)."""
     is_over = tracks[_EXCESS] <= FACTOR * tracks[SPEED] * ages
     tracks[_FLAG, is_over] = tracks[_COUNT, is_over] = tracks[_EXCESS, is_over] = 0.0
 
@@ -111,24 +97,14 @@ def forget_silent(tracks: Floats, ages: Floats) -> None:
 @compiled
 def track(tracks: Any, i: int, position: float, elapsed: float) -> bool:
     """
-    Follow the positions of one joint.
+    Follow the positions of one joint; return whether they alternate.
 
-    Parameters
-    ----------
-    tracks : ndarray, shape (21, n)
-        See `make_tracks`.
-    i : int
-        Index of the joint.
-    position : float
-        Reported position [rad or m].
-    elapsed : float
-        Time since the last report of this joint [s]; negative if there was none.
+    ``tracks`` comes from `make_tracks`, and ``i`` is the index of the joint. ``position`` is the
+    reported position [rad or m]. ``elapsed`` is the time since the last report of this joint [s].
+    It is negative if there was no report.
 
-    Returns
-    -------
-    does_alternate : bool
-        Whether its positions alternate. This ends when they have been consistent for as long as
-        it takes to cover the distance at twice the speed limit, at most 1 s.
+    The alternation ends when the positions have been consistent for long enough. The required time
+    is that for the distance at twice the speed limit, at most 1 s.
 
     """
     raw = min(max(position - tracks[LAST, i], -LARGEST), LARGEST)
@@ -138,7 +114,7 @@ def track(tracks: Any, i: int, position: float, elapsed: float) -> bool:
         return bool(tracks[_FLAG, i] != 0.0)
     step = raw
     if tracks[IS_PRISMATIC, i] == 0.0:
-        # Joints that are not continuous may be reported with wraps, too.
+        # Positions of revolute joints with limits may wrap, too.
         step = raw - 2.0 * math.pi * np.rint(raw / (2.0 * math.pi))
     ignored = max(ignored_step(tracks, i, step), _RELAYED * way(tracks, i, step, elapsed))
     speed = tracks[SPEED, i]
@@ -146,7 +122,7 @@ def track(tracks: Any, i: int, position: float, elapsed: float) -> bool:
     if excess <= 0.0:
         excess = tracks[_COUNT, i] = tracks[_FLAG, i] = 0.0
     if abs(step) > ignored:
-        # A wheel that makes half a turn between two reports only seems to turn back.
+        # A wheel that makes half a turn between two reports only appears to turn back.
         if step * tracks[_STEP, i] < 0.0 and raw * tracks[_RAW_STEP, i] < 0.0:
             excess += min(abs(step), abs(tracks[_STEP, i]))
             tracks[_COUNT, i] += 1.0
@@ -162,7 +138,7 @@ def track(tracks: Any, i: int, position: float, elapsed: float) -> bool:
 @compiled
 def ignored_step(tracks: Any, i: int, step: float) -> float:
     """Return the largest step of a joint that noise or its encoder explains [rad or m]."""
-    # Of two steps, too: if two publishers take turns, only every second position is of one source.
+    # Add two steps, too: if two publishers take turns, every second position has one source.
     for change in (step, step + tracks[_ANY_STEP, i]):
         if abs(change) > _LEAST_STEP:
             tracks[_SMALLEST, i] = min(tracks[_SMALLEST, i], abs(change))
@@ -173,7 +149,7 @@ def ignored_step(tracks: Any, i: int, step: float) -> float:
 
 @compiled
 def way(tracks: Any, i: int, step: float, elapsed: float) -> float:
-    """Return the distance between the extreme positions that were reported recently [rad or m]."""
+    """Return the range of the positions that were reported recently [rad or m]."""
     tracks[_AGE, i] += elapsed
     if tracks[_AGE, i] > _WINDOW:
         is_recent = tracks[_AGE, i] <= 2.0 * _WINDOW

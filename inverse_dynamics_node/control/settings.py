@@ -1,8 +1,7 @@
 """
-Settings of the controller and of the external loads, which are parameters of the node, too.
+Settings of the controller and of the external loads, which are also parameters of the node.
 
-Each is declared once, with its default and its description for users.
-
+Each setting is declared once, with its default and its description for users.
 """
 
 # ruff: noqa: RUF009 -- setting() returns a dataclasses.field
@@ -24,25 +23,25 @@ class Mode(enum.Enum):
     """How the commanded accelerations are chosen."""
 
     INVERSE_DYNAMICS = 'inverse_dynamics'
-    """Accelerations of the reference."""
+    """Use the accelerations of the reference."""
     COMPUTED_TORQUE = 'computed_torque'
-    """Accelerations of the reference, with feedback of its positions and velocities."""
+    """Use the accelerations of the reference, with feedback of its positions and velocities."""
     GRAVITY_COMPENSATION = 'gravity_compensation'
-    """Zero accelerations at zero velocity, for hand guiding; the reference is ignored."""
+    """Use zero accelerations and velocities, for hand guiding; ignore the reference."""
     JOINT_IMPEDANCE = 'joint_impedance'
-    """Accelerations of the reference, and a spring and damper between it and each joint."""
+    """Use the accelerations of the reference, and add a spring and damper at each joint."""
 
 
 class MeasuredGravity(enum.Enum):
     """Whether the efforts that the driver measures contain gravity."""
 
     AS_COMMANDED = 'as_commanded'
-    """If the commands contain it."""
+    """The measured efforts contain gravity if the commands contain gravity."""
     INCLUDED = 'included'
     EXCLUDED = 'excluded'
 
     def is_included(self, in_commands: bool) -> bool:
-        """Return whether they contain gravity, given whether commands do."""
+        """Return whether measured efforts contain gravity, given whether commands do."""
         if self is MeasuredGravity.AS_COMMANDED:
             return in_commands
         return self is MeasuredGravity.INCLUDED
@@ -52,25 +51,21 @@ class StalePolicy(enum.Enum):
     """What to do with the efforts when the joint state is lost."""
 
     ZERO = 'zero'
-    """Ramp them down to zero."""
+    """Ramp the efforts down to zero."""
     HOLD = 'hold'
-    """Keep the last ones: for an arm that would fall, if its sensors can be trusted."""
+    """Keep the last efforts, for an arm that would fall, if its sensors can be trusted."""
 
 
 PerJoint = float | tuple[float, ...]
-"""One number for all commanded joints, or one for each."""
+"""One number for all commanded joints, or one number for each joint."""
 
 
 def setting(default: Any, summary: str, details: str = '', **properties: Any) -> Any:
     """
     Declare a setting that is also a parameter of the node.
 
-    Parameters
-    ----------
-    default : object
-        The value of the field. A limit that is infinite is 0 in a parameter file.
-    summary, details, **properties
-        See `Parameter` in node/parameter_types.py; times are in [s].
+    If ``default`` is an infinite limit, it is 0 in a parameter file. The other arguments are those
+    of `Parameter` in node/parameter_types.py; times are in [s].
 
     """
     given = default.value if isinstance(default, enum.Enum) else default
@@ -212,10 +207,7 @@ class Settings:
         """
         Return the settings per joint by name, each of shape (m,).
 
-        Raises
-        ------
-        ConfigurationError
-            If the number of values of one of them is neither 1 nor m.
+        If a setting has neither one value nor m values, a ConfigurationError is raised.
 
         """
         names = [each.name for each in fields(self) if each.type == 'PerJoint']
@@ -223,7 +215,7 @@ class Settings:
 
 
 LARGEST_GRAVITY = 100.0
-"""[m/s^2]; ten times that of the earth."""
+"""Largest accepted component of gravity [m/s^2], ten times that of the earth."""
 
 
 @dataclass(frozen=True)

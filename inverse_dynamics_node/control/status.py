@@ -1,8 +1,8 @@
 """
-What a node says about itself: one record, from the control loop to `watch`.
+The status that a node reports: one record, from the control loop to `watch`.
 
-`Monitor` makes it, `write_status` and `read_status` take it through ``/diagnostics``, and
-`status_text` says it in words.
+`Monitor` makes the record, `write_status` and `read_status` transfer it through ``/diagnostics``,
+and `status_text` describes it in words.
 """
 
 # ruff: noqa: RUF009 -- key() returns a dataclasses.field
@@ -16,11 +16,11 @@ from typing import Any, NamedTuple
 from .settings import Mode
 from .supervision import COMPUTING_PHASES, Phase
 
-_MOST_NAMES = 5  # of nodes, in one message
+_MOST_NAMES = 5  # of nodes that one message lists
 
 
 class Level(enum.IntEnum):
-    """Severity; the numbers are those of diagnostic_msgs."""
+    """Severity of a status; the numbers are those of diagnostic_msgs."""
 
     OK = 0
     WARN = 1
@@ -29,27 +29,27 @@ class Level(enum.IntEnum):
 
 
 class NodeNames(NamedTuple):
-    """The first few of many nodes."""
+    """Names of the first few nodes, and the number of further nodes."""
 
     first: tuple[str, ...] = ()
     more: int = 0
-    """How many more there are."""
+    """Number of further nodes."""
 
     @classmethod
     def of(cls, names: Sequence[str]) -> NodeNames:
-        """Keep the first few names."""
+        """Keep only the first few names."""
         return cls(tuple(names[:_MOST_NAMES]), max(0, len(names) - _MOST_NAMES))
 
     def __str__(self) -> str:
-        """Return the names, and how many more there are."""
+        """Return the names, and the number of further nodes."""
         return ', '.join(self.first) + (f' and {self.more} more' if self.more else '')
 
 
 class Payload(NamedTuple):
-    """The load on a link."""
+    """The payload of a link."""
 
     mass: float
-    """[kg]."""
+    """Mass [kg]."""
     link: str
 
     def __str__(self) -> str:
@@ -61,16 +61,9 @@ def key(name: str, form: str = '', absent: str = '', default: Any = None) -> Any
     """
     Declare a value with its key in ``/diagnostics``.
 
-    Parameters
-    ----------
-    name : str
-        The key; ``*`` stands for a name or number, with one key for each.
-    form : str
-        Format of numbers.
-    absent : str
-        Text for None; by default, the key is left out.
-    default : object
-        The value if it is not reported.
+    In ``name``, ``*`` stands for a name or number, with one key for each. ``form`` is the format
+    of numbers. ``absent`` is the text for None; without a text, the key is omitted. ``default`` is
+    the value if the key is not reported.
 
     """
     return field(default=default, metadata={'key': name, 'form': form, 'absent': absent})
@@ -78,32 +71,32 @@ def key(name: str, form: str = '', absent: str = '', default: Any = None) -> Any
 
 @dataclass(frozen=True)
 class Part:
-    """A part of the node."""
+    """The status of one part of the node."""
 
     level: Level = Level.OK
     message: str = ''
-    """The state in words."""
+    """The status in words."""
 
 
 @dataclass(frozen=True)
 class LoopStatus(Part):
-    """The control loop, and what it is doing; statistics are those since the last report."""
+    """The control loop and its activity; statistics cover the time since the last report."""
 
     state: str = key('state', default='')
     """Lifecycle state."""
     rate: float | None = key('rate [Hz]', '.1f')
-    """Of commands."""
+    """Rate of the commands [Hz]."""
     requested_rate: float | None = key('requested rate [Hz]', 'g', 'that of the joint states')
     period_p99: float | None = key('period p99 [ms]', '.3f', 'none')
     """99th percentile of the times between commands [s]."""
     period_worst: float | None = key('period worst [ms]', '.3f', 'none')
-    """[s]."""
+    """Longest time between commands [s]."""
     compute_time_p99: float | None = key('compute time p99 [ms]', '.3f', 'none')
-    """[s]."""
+    """99th percentile of the computation times [s]."""
     overruns: int | None = key('overruns')
-    """Commands since the start that were more than half a period late."""
+    """Number of commands since the start that were more than half a period late."""
     mode: Mode | None = key('mode')
-    """None unless the node is active; the same for the values below."""
+    """Mode of the controller; like the following values, None unless the node is active."""
     phase: Phase | None = key('phase')
     is_dry_run: bool | None = key('dry run')
     gain: float | None = key('gain', '.3f')
@@ -111,7 +104,7 @@ class LoopStatus(Part):
 
 @dataclass(frozen=True)
 class MessagesStatus(Part):
-    """Messages that could not be used, by topic and reason."""
+    """Number of rejected messages, by topic and reason."""
 
     rejected: Mapping[str, int] | None = key('*')
 
@@ -121,7 +114,7 @@ class OtherNodesStatus(Part):
     """Other nodes that use the topic of the commands, or the name of this node."""
 
     commands: str = key('commands', default='')
-    """The topic."""
+    """Topic of the commands."""
     subscribers: NodeNames = key('subscribers of the commands', default=NodeNames())
     rivals: NodeNames = key('other publishers of the commands', default=NodeNames())
     namesakes: int | None = key('other nodes with this name')
@@ -138,13 +131,13 @@ class ClockStatus(Part):
 
 @dataclass(frozen=True)
 class JointStatesStatus(Part):
-    """The joint states that arrive."""
+    """The joint states that the node receives."""
 
     topic: str = key('topic', default='')
     rate: float | None = key('rate [Hz]', '.1f')
-    """Of updates of all commanded joints."""
+    """Rate at which all commanded joints are updated [Hz]."""
     age: float | None = key('age [s]', '.3f', 'never')
-    """Of the oldest commanded joint."""
+    """Age of the oldest state of a commanded joint [s]."""
     timeout: float | None = key('timeout [s]', 'g')
     publishers: int | None = key('publishers')
     late: tuple[str, ...] = key('late, not commanded', default=())
@@ -158,31 +151,31 @@ class ReferenceStatus(Part):
 
     age: float | None = key('age [s]', '.3f', 'never')
     timeout: float | None = key('timeout [s]', 'g')
-    """0: unlimited."""
+    """Longest age of a reference that is followed [s]; 0 means unlimited."""
     mode: Mode | None = key('mode')
 
 
 @dataclass(frozen=True)
 class EffortsStatus(Part):
-    """The commands."""
+    """The commanded efforts, and the settings for measured efforts."""
 
     receivers: int | None = key('receivers')
     topic: str = key('topic with names', default='')
     external_topic: str = key('topic of the external efforts', default='')
     external_cutoff: float | None = key('cutoff of the external efforts [Hz]', 'g')
     measures_gravity: bool | None = key('measured efforts contain gravity')
-    """As the parameters say."""
+    """Whether the parameters say that measured efforts contain gravity."""
     measured_scale: tuple[float, ...] = key('scale of the measured efforts', 'g', default=())
-    """In the order of the commanded joints."""
+    """Factors for the measured efforts, in the order of the commanded joints."""
     scale: tuple[float, ...] = key('scale', 'g', default=())
-    """From modelled efforts to commands, in the order of the commanded joints."""
+    """Factors from modelled efforts to commands, in the order of the commanded joints."""
     limits: tuple[float, ...] = key('limits [N m, N]', 'g', default=())
-    """In the order of the commanded joints; inf if there is none."""
+    """Limits in the order of the commanded joints [N m or N]; inf if there is none."""
     cut: tuple[str, ...] = key('cut to limit since the last report', default=())
     cut_counts: Mapping[str, int] | None = key('* cut to limit')
-    """Commands since the start, by joint."""
+    """Number of commands since the start that were cut to the limit, by joint."""
     slowed_counts: Mapping[str, int] | None = key('* slowed')
-    """Commands since the start that a rate limit slowed, by joint."""
+    """Number of commands since the start that a rate limit slowed, by joint."""
 
 
 @dataclass(frozen=True)
@@ -197,11 +190,11 @@ class ModelStatus(Part):
     payload_coms: tuple[float, ...] = key('payload com [m]', '.4g', default=())
     """Centres of mass of the payloads in the frames of their links, three numbers for each."""
     gravity: tuple[float, ...] | None = key('gravity [m/s^2]', '.3f', 'not included')
-    """That of the commands, in the frame of the base link."""
+    """Gravity in the commands, in the frame of the base link; None if not included."""
     gravity_at_root: tuple[float, ...] | None = key('gravity in the root link [m/s^2]', '.3f')
-    """Whether or not it is included."""
+    """Gravity in the frame of the root link, even if the commands do not include it."""
     warnings: tuple[str, ...] = key('warning *', default=())
-    """About the robot description."""
+    """Warnings about the robot description."""
 
 
 @dataclass(frozen=True)
@@ -217,21 +210,21 @@ class SchedulingStatus(Part):
 
 
 class Problem(NamedTuple):
-    """A part of the node that is not OK."""
+    """A problem in one part of the node."""
 
     part: str
     level: str
-    """``WARN`` or ``ERROR``."""
+    """The level, ``WARN`` or ``ERROR``."""
     message: str
 
 
 @dataclass(frozen=True)
 class NodeStatus:
     """
-    Everything that a node says about itself, in the order in which it is published.
+    The complete status of a node, in the order in which it is published.
 
-    Parts that do not exist are None: those of the robot until the node is configured, and the
-    clock without simulated time.
+    Parts that do not exist are None. The parts of the robot exist once the node is configured. The
+    clock exists if simulated time is used.
 
     """
 
@@ -260,7 +253,7 @@ class NodeStatus:
         return self._by_joint(self.efforts.limits) if self.efforts else {}
 
     def unscaled_limits(self) -> dict[str, float]:
-        """Return the efforts of the model at which the commands are at their limits."""
+        """Return the modelled efforts at which the commands reach their limits, by joint."""
         scale = self._by_joint(self.efforts.scale) if self.efforts else {}
         return {
             joint: limit / abs(scale[joint])
@@ -269,7 +262,7 @@ class NodeStatus:
         }
 
     def measured_scale(self) -> dict[str, float]:
-        """Return the factors of measured efforts by commanded joint; empty if unknown."""
+        """Return the factors for measured efforts by commanded joint; empty if unknown."""
         return self._by_joint(self.efforts.measured_scale) if self.efforts else {}
 
     def _by_joint(self, values: tuple[float, ...]) -> dict[str, float]:
@@ -277,7 +270,7 @@ class NodeStatus:
         return dict(zip(joints, values, strict=True)) if len(joints) == len(values) else {}
 
     def problems(self) -> tuple[Problem, ...]:
-        """Return the parts that are not OK, errors first."""
+        """Return the parts whose level is not OK, errors first."""
         found = [
             (-part.level, Problem(name, part.level.name, part.message))
             for name, part in self.parts().items()
@@ -298,16 +291,16 @@ class Others(NamedTuple):
     rivals: tuple[str, ...] = ()
     """Other nodes that publish on the topic of the commands."""
     namesakes: int = 0
-    """Number of other nodes with the name of this one."""
+    """Number of other nodes with the name of this node."""
 
 
 class SimulatedTime(NamedTuple):
     """The clock of a simulation."""
 
     time: float
-    """[s]; 0 if none has arrived."""
+    """Simulated time [s]; 0 if none has arrived."""
     unchanged_for: float
-    """Steady time since it changed [s]."""
+    """How long the simulated time has not changed, on the steady clock [s]."""
     publishers: int
     """Number of publishers of /clock."""
 
@@ -336,9 +329,9 @@ class GraphInfo(NamedTuple):
     simulated: SimulatedTime | None = None
     """None unless the node uses simulated time."""
     is_dry_run: bool = False
-    """Whether the commands are not sent."""
+    """Whether the commands are not sent because of a dry run."""
     silence: float = 0.0
-    """Time since the last message on joint_states, of any joint [s]."""
+    """Time since the last message on joint_states, for any joint [s]."""
     state_rate: float = 0.0
-    """Updates of all commanded joints since the last report [Hz]."""
+    """Rate at which all commanded joints were updated since the last report [Hz]."""
     topics: Topics = Topics()

@@ -1,5 +1,5 @@
 """
-The status of the node in words: what it is doing and why, and what is wrong with its parts.
+Describes the status of the node: what the node does and why, and which problems it has.
 
 A function named ``judge_...`` returns the level and the message of one part of `NodeStatus`.
 """
@@ -17,30 +17,18 @@ from .settings import Mode, StalePolicy
 from .status import GraphInfo, Level, NodeNames, SimulatedTime
 from .supervision import COMPUTING_PHASES, Phase, TOO_FAR_PHASES
 
-_LONG_SILENCE = 5.0  # [s]; after which connected publishers are suspicious
-_MISALIGNED = 5.0  # [degrees]; more than an error of mounting
+_LONG_SILENCE = 5.0  # [s]; a connected publisher that is silent for longer is suspicious
+_MISALIGNED = 5.0  # [degrees]; larger than a mounting error
 _SLOW = 0.95  # fraction of the requested rate below which the loop is too slow
 _DISCOVERY = 1.0  # [s]; how long a publisher may exist before it is discovered
-_DELAY = 0.005  # [s] from measurement to effort, as of a driver with 200 joint states per second
+_DELAY = 0.005  # [s]; delay from measurement to effort, typical of 200 joint states per second
 _PAUSE = 5.0  # [s]; simulated time that stands still for longer is reported
 
 Judgement = tuple[Level, str]
 
 
 def activity(now: float, loop: ControlLoop, *, is_dry_run: bool = False) -> str:
-    """
-    Describe what the controller is doing, and why.
-
-    Parameters
-    ----------
-    now : float
-        The time [s].
-    loop : ControlLoop
-        The active control loop.
-    is_dry_run : bool
-        Whether its commands are not sent.
-
-    """
+    """Describe what the active control loop does, and why; the time is in [s]."""
     doing = _computing(loop)
     if not doing:
         doing = f'{_consequence(loop, is_dry_run)}: {_reason_to_stop(now, loop)}'
@@ -48,7 +36,7 @@ def activity(now: float, loop: ControlLoop, *, is_dry_run: bool = False) -> str:
 
 
 def _computing(loop: ControlLoop) -> str:
-    """Describe how efforts are computed; empty in the phases in which they are not."""
+    """Describe how efforts are computed; empty in phases without computed efforts."""
     phase, settings = loop.controller.phase, loop.controller.settings
     doing = str(phase.value).partition(':')[0]
     if phase in (Phase.FLOATING, Phase.HOLDING):
@@ -99,7 +87,7 @@ def _reason_to_stop(now: float, loop: ControlLoop) -> str:
 
 
 def describe_lost_imu(now: float, loop: ControlLoop) -> str:
-    """Describe that the motion of the base was measured, but no longer is; empty if it is."""
+    """Describe that the motion of the base is no longer measured; empty if not lost."""
     loads = loop.loads
     if not loop.has_imu or loop.lacks_imu or loads.is_base_known(now):
         return ''
@@ -110,7 +98,7 @@ def describe_lost_imu(now: float, loop: ControlLoop) -> str:
 
 
 def describe_recovery(loop: ControlLoop) -> str:
-    """Describe when efforts will rise again after joint states were lost."""
+    """Describe when efforts rise again after a loss of joint states."""
     controller = loop.controller
     return (
         'joint states were lost or contradictory; efforts rise after '
@@ -121,19 +109,9 @@ def describe_recovery(loop: ControlLoop) -> str:
 
 def describe_alternating(loop: ControlLoop, publishers: Sequence[str] = ()) -> dict[str, str]:
     """
-    Describe the joints whose positions alternate faster than they can move.
+    Describe positions that alternate faster than the joint can move, by name of the joint.
 
-    Parameters
-    ----------
-    loop : ControlLoop
-        The control loop.
-    publishers : sequence of str
-        Nodes that publish joint states, if known.
-
-    Returns
-    -------
-    descriptions : dict of str to str
-        By name of the joint.
+    ``publishers`` are the nodes that publish joint states, if known.
 
     """
     question = 'does more than one node publish it?'
@@ -160,21 +138,10 @@ def describe_silence(around: GraphInfo) -> str:
 
 def describe_imu_frame(loop: ControlLoop, frame: str, R_BS: Floats) -> str:
     """
-    Describe a frame of an IMU that contradicts the robot description.
+    Describe an IMU frame that contradicts the robot description; empty if it does not.
 
-    Parameters
-    ----------
-    loop : ControlLoop
-        The control loop.
-    frame : str
-        The frame of its messages, which need not be a link.
-    R_BS : ndarray, shape (3, 3)
-        The rotation from the frame to that of the base link, as set.
-
-    Returns
-    -------
-    text : str
-        Empty if there is no contradiction.
+    ``frame`` is the frame of the messages, which need not be a link. ``R_BS`` is the configured
+    rotation from this frame to the frame of the base link, shape (3, 3).
 
     """
     robot = loop.robot
@@ -195,7 +162,7 @@ def describe_imu_frame(loop: ControlLoop, frame: str, R_BS: Floats) -> str:
 
 
 def describe_late(loop: ControlLoop, now: float) -> list[str]:
-    """Describe the late joints that are not commanded, with their ages and the remedies."""
+    """Describe the late joints that are not commanded, with their ages and remedies."""
     timeout = loop.controller.settings.uncommanded_state_timeout
     return [
         f"joint '{name}' (not commanded) was last reported {age:.1f} s ago and is assumed to be "
@@ -206,7 +173,7 @@ def describe_late(loop: ControlLoop, now: float) -> list[str]:
 
 
 def describe_light_joints(loop: ControlLoop) -> str:
-    """Describe joints that are too light for their gains of joint impedance; empty if none are."""
+    """Describe joints that are too light for their impedance gains; empty if none are."""
     settings = loop.controller.settings
     if settings.mode is not Mode.JOINT_IMPEDANCE:
         return ''
@@ -231,14 +198,14 @@ def describe_implausible(loop: ControlLoop) -> dict[str, str]:
 
 
 def join_names(names: Sequence[str]) -> str:
-    """Join the first few names, and say how many more there are."""
+    """Join the first few names, and add the number of further names."""
     return str(NodeNames.of(names))
 
 
 def judge_loop(
     now: float, loop: ControlLoop | None, around: GraphInfo, rate: float, requested: float | None
 ) -> Judgement:
-    """Say what the loop is doing, unless it has fewer commands than requested; rates in [Hz]."""
+    """Describe the loop, or warn that its rate is lower than requested; rates in [Hz]."""
     if not around.is_active or loop is None:
         return Level.OK, around.state
     if requested and 0.0 < rate < _SLOW * requested:
@@ -305,7 +272,7 @@ def judge_efforts(
 
 
 def judge_model(now: float, loop: ControlLoop) -> Judgement:
-    """Report an unknown motion of the base, or else warnings about the description."""
+    """Report an unknown motion of the base, or warnings about the robot description."""
     unknown = describe_lost_imu(now, loop)
     if loop.lacks_imu:
         unknown = 'the motion of the base is unknown: no message on imu yet'

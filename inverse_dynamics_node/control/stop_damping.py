@@ -1,7 +1,7 @@
 """
-Damping during a stop, so that an arm without brakes sinks slowly.
+Damps the motion during a stop, so that an arm without brakes sinks slowly.
 
-No ROS, and no clock: times are arguments.
+This module uses neither ROS nor a clock. The times are arguments.
 """
 
 from __future__ import annotations
@@ -19,39 +19,36 @@ from .joint_states import State
 from .settings import Settings
 
 AT_REST = 'the arm is at rest'
-"""The usual reason for the end of the damping."""
-# An arm that moves by less than this, in this time, is at rest.
+"""The usual reason why the damping ends."""
+# An arm that moves less than this distance within this time is at rest.
 _REST_WAY, _REST_TIME = 2e-3, 0.5  # [rad or m], [s]
-# Velocities contradict positions if way and integral differ by more than this, plus a fraction of
-# the larger one. One may be twice the other, as when late messages arrive in a row. Both forget
-# what is older than about a second, or noise would add up.
-# Measured in simulation (UR10, Panda, an arm with a gripper; 200 and 1000 Hz; 5 ms of delay and
-# 0.01 rad/s of noise): the first number reaches 0.003 after a stop at rest, and 0.015 if each
-# joint moves at up to 2 rad/s before. A wrong sign is found within 0.12 s after a stop at rest,
-# when the tip moves at 0.18 m/s instead of 0.15 m/s, and within 0.02 s at 2 rad/s.
+# Velocities contradict positions if the change of position and the integral of the velocity differ
+# by more than a constant plus a fraction of the larger value. One value may be twice the other,
+# for example when late messages arrive together. Changes older than about a second are forgotten,
+# so that noise does not add up. In simulation (UR10, Panda, an arm with a gripper; 200 and 1000
+# Hz; delay 5 ms; noise 0.01 rad/s), the constant must be at least 0.003 after a stop at rest, and
+# 0.015 if each joint moves at up to 2 rad/s before. A wrong sign is found within 0.02 s at 2
+# rad/s. After a stop at rest it is found within 0.12 s, when the tip moves at 0.18 m/s instead of
+# 0.15 m/s.
 _LEAST_ERROR, _RELATIVE_ERROR, _MEMORY = 0.02, 0.5, 1.0  # [rad or m], none, [s]
-_LARGEST_SHARE = 0.5  # of its velocity that a joint may lose between two commands
+_LARGEST_SHARE = 0.5  # fraction of its velocity that a joint may lose between two commands
 
 
 class StopDamping:
     """
     Damps the motion of the commanded joints while the efforts of a stop fade.
 
-    The damping is ``-r D M(q) qd`` for the commanded joints: each velocity decays at the rate D,
-    and gravity makes the arm sink at the speed at which both are equal. The factor r rises from 0
-    to 1 over the stop ramp. The damping lasts until the arm is at rest, or a time has passed.
+    The damping effort is ``-r D M(q) qd``, with the mass matrix M of the commanded joints. Each
+    velocity decays at the rate D. The arm sinks at the speed at which damping and gravity are
+    equal. The factor r rises from 0 to 1 over the stop ramp. The damping ends when the arm is at
+    rest, or after a timeout.
 
-    It never drives the arm: its power is never positive, and all that follows from one joint state
-    together takes away less than the velocity that was measured. It ends at once when joint states
-    are lost or when velocities contradict positions. With the wrong sign of a velocity it would
-    drive the joint.
+    The damping never drives the arm. Its power is never positive, and all efforts computed from
+    one joint state together remove less than the measured velocity. The damping ends at once when
+    joint states are lost, or when velocities contradict positions: with the wrong sign of a
+    velocity, the damping would drive the joint.
 
-    Parameters
-    ----------
-    dynamics : InverseDynamics
-        The robot, with n joints.
-    index : list of int
-        Positions of the m commanded joints among the n joints.
+    ``index`` lists the positions of the m commanded joints among the n joints of the robot.
 
     """
 
@@ -61,7 +58,7 @@ class StopDamping:
         self.is_active = False
         """Whether the motion is damped, now or from the next command on."""
         self.report = ''
-        """Why the damping has ended; cleared by the reader."""
+        """Reason why the damping has ended; cleared by the reader."""
         self._scale = self.limits = np.zeros(len(index))
         self._longest = 0.0  # [s]; the longest of the last intervals between commands
         self._passed = -1.0  # [s] since the first command of the stop; negative before it
@@ -71,14 +68,11 @@ class StopDamping:
 
     def begin(self, settings: Settings, scale: Floats, limits: Floats) -> None:
         """
-        Damp from the next command on, if the settings say so; changes of all three are ignored.
+        Damp the motion from the next command on, if the settings contain stop damping.
 
-        Parameters
-        ----------
-        settings : Settings
-            Rate, times and time-outs.
-        scale, limits : ndarray, shape (m,)
-            Factors from efforts to commands, and the largest commands.
+        ``scale`` contains the factors from efforts to commands, and ``limits`` the largest
+        commands, each of shape (m,). Later changes of the settings, scale and limits have no
+        effect on this stop.
 
         """
         self._scale, self.limits, self._longest = scale, limits, 0.0
@@ -88,34 +82,22 @@ class StopDamping:
         self._rest = np.full(len(self._index), math.inf)
 
     def end(self, report: str = '') -> None:
-        """Return zeros from now on, until a stop begins."""
+        """End the damping until the next stop begins."""
         self.is_active, self.report = False, report or self.report
 
     def continue_from(self, other: StopDamping) -> None:
-        """Continue the stop of another robot description with the same commanded joints."""
+        """Continue a stop that began with another URDF of the same commanded joints."""
         dynamics, index, is_continuous = self._dynamics, self._index, self._is_continuous
         self.__dict__.update(other.__dict__)
         self._dynamics, self._index, self._is_continuous = dynamics, index, is_continuous
 
     def efforts(self, now: float, state: State | None, step: float, since: float) -> Floats | None:
         """
-        Compute what is to be added to the efforts of the stop ramp.
+        Compute the efforts to add to the stop ramp; None if the motion is not damped.
 
-        Parameters
-        ----------
-        now : float
-            The time [s].
-        state : State or None
-            The latest joint state.
-        step : float
-            Time by which ramps advance with this command [s].
-        since : float
-            Time since the last command [s].
-
-        Returns
-        -------
-        efforts : ndarray, shape (m,), or None
-            Scaled, without limits; None if the motion is not damped.
+        ``step`` is the time by which ramps advance with this command. ``since`` is the time since
+        the last command. All times are in [s]. The efforts are scaled but not limited, shape (m,)
+        [N m or N].
 
         """
         if not self.is_active:
@@ -138,7 +120,7 @@ class StopDamping:
         return self._damp(state, factor * self._rate(now - state.time, since))
 
     def _track(self, now: float, state: State | None, is_first: bool) -> str:
-        """Follow positions and velocities; return why they cannot be used."""
+        """Follow positions and velocities; return why they are unusable, or an empty text."""
         timeout = self._settings.state_timeout
         if state is None or not 0.0 <= now - state.time <= timeout or not state.is_consistent:
             return 'the joint states are lost or contradictory'
@@ -169,12 +151,12 @@ class StopDamping:
 
     def _rate(self, age: float, since: float) -> float:
         """
-        Return the rate of decay [1/s] for states and commands that are so old [s].
+        Return the rate of decay [1/s], given the age of the state and the command interval [s].
 
-        A command acts until the next one, with a velocity that was measured before. The rate falls
-        with the square of the age, so that all commands for one state take away less than the
-        velocity. Commands may come in bursts, as for the messages of two drivers: what counts is
-        the longest of the last intervals.
+        A command acts until the next command, with a velocity that was measured earlier. The rate
+        falls with the square of the age, so that all commands for one state together remove less
+        than the velocity. Commands may arrive in bursts, for example with messages of two drivers.
+        The longest of the recent intervals therefore determines the rate.
 
         """
         self._longest = since = max(since, 0.98 * self._longest)
@@ -183,7 +165,7 @@ class StopDamping:
         return _LARGEST_SHARE * horizon / age**2
 
     def _damp(self, state: State, rate: float) -> Floats:
-        # A joint whose commands are zero cannot be damped, nor may others be for its sake.
+        # A joint whose commands are zero cannot be damped, and must not affect other joints.
         qd = np.where(self._scale == 0.0, 0.0, self._qd)
         try:
             mass_matrix = self._dynamics.mass_matrix(state.q)[np.ix_(self._index, self._index)]

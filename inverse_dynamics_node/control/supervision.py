@@ -1,7 +1,7 @@
 """
-Supervision of the control loop: the phases, lost joint states, and dry runs.
+Supervises the control loop: phases, lost joint states and dry runs.
 
-No ROS, and no clock: times are arguments.
+This module uses neither ROS nor a clock. The times are arguments.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from ..robot.model import Floats
 from .command_shaping import StopRamp
 from .joint_states import State
 
-_LEAST_RECOVERY = 0.2  # [s]; shortest time without a gap after which lost states are used again
-_TOLERATED_DROP = 0.05  # of the gain; a loss that lowered it by less ends with the next state
-_ZEROS_TIME = 0.5  # [s]; zeros after the ramp, because best-effort subscribers may lose some
+_LEAST_RECOVERY = 0.2  # [s]; shortest recovery time after a loss of states
+_TOLERATED_DROP = 0.05  # drop of the gain; a loss with a smaller drop ends with the next state
+_ZEROS_TIME = 0.5  # [s]; zeros follow the ramp, because best-effort subscribers may lose some
 
 
 class Phase(enum.Enum):
@@ -33,7 +33,7 @@ class Phase(enum.Enum):
 
 
 TOO_FAR_PHASES = (Phase.TOO_FAR, Phase.HOLDING_TOO_FAR)
-"""Phases in which the reference is too far away."""
+"""Phases in which the reference is too far away from the joints."""
 COMPUTING_PHASES = (Phase.RUNNING, Phase.FLOATING, Phase.HOLDING, *TOO_FAR_PHASES)
 """Phases in which efforts are computed from a fresh state."""
 
@@ -46,17 +46,11 @@ class _Sent(enum.Enum):
 
 class DryRun:
     """
-    Decides which efforts are sent: the computed ones, or in a dry run none.
+    Decides which efforts are sent: the computed efforts, or no efforts during a dry run.
 
     A receiver holds the last command forever. At the start of a dry run, the commands therefore
-    fall from the last one to zero over the stop ramp, and zeros follow for half a second. After
-    that nothing is sent, so that another node may command the robot. The computed efforts are not
-    affected.
-
-    Parameters
-    ----------
-    is_active : bool
-        Whether to begin with a dry run.
+    fall to zero over the stop ramp. Zeros follow for half a second. After that, nothing is sent,
+    so that another node may command the robot. The computed efforts are not affected.
 
     """
 
@@ -67,36 +61,34 @@ class DryRun:
 
     @property
     def is_active(self) -> bool:
-        """Whether the computed efforts are not sent."""
+        """Whether a dry run is active, so that the computed efforts are not sent."""
         return self._sent is not _Sent.COMPUTED
 
     @property
     def may_end(self) -> bool:
-        """Whether there is a dry run, and the robot holds no effort of an earlier command."""
+        """Whether a dry run is active and the robot no longer holds a nonzero effort."""
         return self.is_active and not self.has_effort
 
     @property
     def has_effort(self) -> bool:
-        """Whether an effort of the last command that was sent is not zero."""
+        """Whether the last command sent has a nonzero effort."""
         return self._last is not None and bool(self._last.any())
 
     @property
     def has_sent(self) -> bool:
-        """Whether the robot may depend on this node: false once nothing is sent."""
+        """Whether the robot may depend on this node; false once nothing is sent."""
         return self._last is not None
 
     def end(self) -> None:
-        """Send the computed efforts from now on; they must rise from zero."""
+        """Send the computed efforts from now on; the caller must let them rise from zero."""
         self._sent = _Sent.COMPUTED
 
     def begin(self, time_to_fall: float) -> None:
         """
-        Let the commands fall to zero, and end.
+        Start a dry run: the commands fall to zero, then nothing is sent.
 
-        Parameters
-        ----------
-        time_to_fall : float
-            Time in which they fall; what is left of it if they already do [s].
+        ``time_to_fall`` is the duration of this fall. If the commands already fall, it is the
+        remaining time [s].
 
         """
         if self._last is None:
@@ -107,19 +99,9 @@ class DryRun:
 
     def select(self, efforts: Floats, elapsed: float) -> Floats | None:
         """
-        Select the efforts to send.
+        Return the efforts to send, shape (m,) [N m or N]; None if nothing is sent.
 
-        Parameters
-        ----------
-        efforts : ndarray, shape (m,)
-            The computed efforts [N m or N].
-        elapsed : float
-            Time by which ramps advance [s]; see `RampClock`.
-
-        Returns
-        -------
-        efforts : ndarray or None
-            None if nothing is to be sent.
+        Ramps advance by ``elapsed`` [s], see `RampClock`.
 
         """
         if self._sent is _Sent.COMPUTED:
@@ -137,42 +119,35 @@ class StateSupervisor:
     """
     Decides whether efforts may be computed, and whether they are sent.
 
-    They are not computed before the first complete joint state, while joint states are lost (too
-    old or inconsistent, now or until recently), and while the controller is stopped. Intermittent
-    states would otherwise raise and lower the efforts again and again, which shakes the arm.
+    No efforts are computed before the first complete joint state, while joint states are lost, and
+    while the controller is stopped. Joint states are lost while they are too old or inconsistent,
+    and for a recovery time afterwards. Without this time, intermittent states would raise and
+    lower the efforts again and again, which shakes the arm.
 
     """
 
     def __init__(self) -> None:
         self.phase = Phase.WAITING
-        """What the last command was computed for."""
+        """Phase for which the last command was computed."""
         self.is_stopping = False
-        """Whether the efforts are to be zero; they may still be ramping down."""
+        """Whether a stop is requested; the efforts may still be ramping down."""
         self.dry_run = DryRun()
         self._lost_gain = 0.0  # gain at which the states were lost
-        self._tolerated_drop = _TOLERATED_DROP  # of the gain, in losses in quick succession
+        self._tolerated_drop = _TOLERATED_DROP  # drop of the gain, for losses in quick succession
         self._fresh_since = math.inf  # arrival of the first state after the last gap
 
     def start(self) -> None:
-        """Wait for the first joint state."""
+        """Wait for the first joint state after a start."""
         self.is_stopping, self.phase = False, Phase.WAITING
 
     def blocking_phase(
         self, now: float, state: State | None, timeout: float, gain: float
     ) -> Phase | None:
         """
-        Return the phase in which no efforts may be computed; None if they may.
+        Return the phase that prevents the computation of efforts; None if they may be computed.
 
-        Parameters
-        ----------
-        now : float
-            The time [s].
-        state : State or None
-            The latest joint state; None if there has been no complete one.
-        timeout : float
-            Age from which on a state is too old [s].
-        gain : float
-            Factor of the computed efforts, from 0 to 1: falls while the states are lost.
+        A state is too old when its age exceeds ``timeout`` [s]. ``gain`` is the factor for the
+        computed efforts, from 0 to 1, which falls while the states are lost.
 
         """
         if self.phase is Phase.WAITING and self._is_lost(now, state, timeout, gain):
@@ -182,7 +157,7 @@ class StateSupervisor:
         return Phase.STATE_LOST if self._is_lost(now, state, timeout, gain) else None
 
     def _is_lost(self, now: float, state: State | None, timeout: float, gain: float) -> bool:
-        """Return whether the states are lost; after a reset of the clock, an age is negative."""
+        """Return whether states are lost; a negative age, after a clock reset, is also a loss."""
         was_lost = self.phase is Phase.STATE_LOST
         if state is None:
             # A joint of a new robot description was never reported. Its first state ends the loss.
@@ -208,5 +183,5 @@ class StateSupervisor:
 
 
 def recovery_time(timeout: float) -> float:
-    """Return the time without a gap after which states that were lost are used again [s]."""
+    """Return how long states must arrive without a gap after a loss to be used again [s]."""
     return max(2.0 * timeout, _LEAST_RECOVERY)
