@@ -316,8 +316,8 @@ def joint_index(joints: Sequence[str], robot: RobotModel) -> list[int]:
     unknown = [name for name in joints if name not in robot.joint_names]
     if unknown:
         raise ConfigurationError(
-            f"joints names '{unknown[0]}', which robot '{robot.name}' does not have or cannot be "
-            f'commanded (fixed, or mimicking another); it has {", ".join(robot.joint_names)}'
+            f"joints lists '{unknown[0]}', expected joints of robot '{robot.name}' that are not "
+            f'fixed and do not mimic another joint: {", ".join(robot.joint_names)}'
         )
     return robot.joint_indices(joints)
 

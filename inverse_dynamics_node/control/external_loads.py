@@ -351,8 +351,8 @@ def _read_payload(mass: float, com: ArrayLike, inertia: ArrayLike) -> RigidBody:
     )
     if largest > _LARGEST_PAYLOAD:
         raise ConfigurationError(
-            f'payload has {largest:g} for its mass, centre of mass or inertia, expected at most '
-            f'{_LARGEST_PAYLOAD:g} kg, m, kg m^2'
+            f'payload has {largest:g} as its mass, centre of mass or inertia, expected at most '
+            f'{_LARGEST_PAYLOAD:g} kg, m or kg m^2'
         )
     if not payload.mass:
         return NO_PAYLOAD
@@ -360,8 +360,8 @@ def _read_payload(mass: float, com: ArrayLike, inertia: ArrayLike) -> RigidBody:
     if principal[0] + principal[1] < principal[2] - _ROUNDING * np.sum(principal):
         moments = ', '.join(f'{moment:.3g}' for moment in principal)
         raise ConfigurationError(
-            f'payload has an inertia that is physically impossible: one of its principal moments '
-            f'{moments} kg m^2 exceeds the sum of the others'
+            f'payload has an inertia that is physically impossible: one of the principal moments '
+            f'({moments} kg m^2) exceeds the sum of the others'
         )
     # Remove moments that rounding made negative: a blend of such inertias would be rejected.
     shift = max(0.0, -float(principal[0]))

@@ -171,11 +171,11 @@ class JointStateCollector:
         """
         names = layout.names
         if len(positions) != len(names):
-            raise JointStateError(f'{len(names)} names, but {len(positions)} positions')
+            raise JointStateError(f'received {len(names)} names, but {len(positions)} positions')
         if len(velocities) not in (0, len(names)):
-            raise JointStateError(f'{len(names)} names, but {len(velocities)} velocities')
+            raise JointStateError(f'received {len(names)} names, but {len(velocities)} velocities')
         if len(efforts) not in (0, len(names)):
-            raise JointStateError(f'{len(names)} names, but {len(efforts)} efforts')
+            raise JointStateError(f'received {len(names)} names, but {len(efforts)} efforts')
         received = layout.received
         received[0] = positions
         # Drivers omit velocities that they do not measure, or send NaN.
@@ -322,14 +322,16 @@ class JointStateCollector:
             joints = ', '.join(self.joint_names)
             raise ConfigurationError(
                 *(
-                    f"locked_positions names '{name}'; joints are {joints}"
+                    f"locked_positions lists '{name}', expected joints of the robot: {joints}"
                     + did_you_mean(name, self.joint_names)
                     for name in unknown
                 )
             )
         for name, position in locked.items():
             if not math.isfinite(position):
-                raise ConfigurationError(f"locked position of joint '{name}' is {position}")
+                raise ConfigurationError(
+                    f"locked position of joint '{name}' is {position}, expected a finite number"
+                )
             self.q[self._index[name]] = position
             self.times[self._index[name]] = LONG_AGO
 

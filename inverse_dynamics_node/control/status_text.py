@@ -101,8 +101,8 @@ def describe_recovery(loop: ControlLoop) -> str:
     """Describe when efforts rise again after a loss of joint states."""
     controller = loop.controller
     return (
-        'joint states were lost or contradictory; efforts rise after '
-        f'{controller.recovery_time:g} s without a gap longer than state_timeout '
+        'joint states were lost or contradictory; efforts rise again after joint states have '
+        f'arrived for {controller.recovery_time:g} s without a gap longer than state_timeout '
         f'({controller.settings.state_timeout:g} s)'
     )
 
@@ -114,12 +114,12 @@ def describe_alternating(loop: ControlLoop, publishers: Sequence[str] = ()) -> d
     ``publishers`` are the nodes that publish joint states, if known.
 
     """
-    question = 'does more than one node publish it?'
+    question = 'does more than one node publish this joint?'
     if publishers:
         question = f'published by {join_names(publishers)}'
     return {
         joint: f'positions of {joint} alternate between {min(pair):.4g} and {max(pair):.4g} '
-        f'faster than it can move ({question})'
+        f'faster than the joint can move ({question})'
         for joint, pair in loop.collector.alternating().items()
     }
 
@@ -131,8 +131,8 @@ def describe_silence(around: GraphInfo) -> str:
     publishers = 'publisher is' if around.publishers == 1 else 'publishers are'
     return (
         f'no message on joint_states for {around.silence:.0f} s, although '
-        f'{around.publishers} {publishers} connected (one that was killed stays connected for up '
-        'to 20 s): if ros2 topic hz shows messages, restart this node'
+        f'{around.publishers} {publishers} connected (a killed publisher stays connected for up '
+        'to 20 s); if ros2 topic hz shows messages, restart this node'
     )
 
 
@@ -149,14 +149,14 @@ def describe_imu_frame(loop: ControlLoop, frame: str, R_BS: Floats) -> str:
         return ''
     link = robot.link_index(frame)
     if robot.link_body[link]:
-        return f"frame_id is '{frame}', a link moved by joints, expected one fixed to the base"
+        return f"frame_id is '{frame}', a link moved by joints, expected a link fixed to the base"
     base = robot.link_index(loop.base_link)
     turned = robot.link_rotation[base].T @ robot.link_rotation[link] @ R_BS.T
     angle = math.degrees(math.acos(min(1.0, max(-1.0, 0.5 * (float(np.trace(turned)) - 1.0)))))
     if angle < _MISALIGNED:
         return ''
     return (
-        f"frame_id is '{frame}', whose orientation in the robot description differs from "
+        f"frame_id is '{frame}', but its orientation in the robot description differs from "
         f'imu_orientation by {angle:.0f} degrees'
     )
 
@@ -183,12 +183,12 @@ def describe_light_joints(loop: ControlLoop) -> str:
     is_light = (gains['impedance_damping'] > damping) | (gains['stiffness'] > stiffness)
     texts = [
         f'{joint} may oscillate: with its inertia ({inertia[k]:.2g}) and a delay of '
-        f'{1e3 * _DELAY:g} ms, impedance_damping may be {damping[k]:.2g} and stiffness '
-        f'{stiffness[k]:.2g} at most'
+        f'{1e3 * _DELAY:g} ms, impedance_damping may be at most {damping[k]:.2g} and stiffness '
+        f'at most {stiffness[k]:.2g}'
         for k, joint in enumerate(loop.controller.joints)
         if is_light[k]
     ]
-    advice = ['lower them for such a joint, or set armature to the inertia of its rotor']
+    advice = ['lower these gains for such a joint, or set armature to the inertia of its rotor']
     return '; '.join(texts + advice * bool(texts))
 
 
@@ -216,8 +216,8 @@ def judge_loop(
 def judge_messages(recently: int, total: int) -> Judgement:
     """Report the number of rejected messages."""
     if recently:
-        return Level.WARN, f'{recently} rejected since the last report'
-    return Level.OK, f'{total} rejected in total'
+        return Level.WARN, f'messages rejected since the last report: {recently}'
+    return Level.OK, f'messages rejected in total: {total}'
 
 
 def judge_joint_states(now: float, loop: ControlLoop, around: GraphInfo) -> Judgement:
@@ -229,7 +229,9 @@ def judge_joint_states(now: float, loop: ControlLoop, around: GraphInfo) -> Judg
         return if_lost, '; '.join(filter(None, (f'waiting for {loop.missing()[0]}', silence)))
     stale = collector.stale(now, settings.state_timeout)
     if stale:
-        return if_lost, '; '.join(filter(None, (f'lost: {", ".join(stale)}', silence)))
+        return if_lost, '; '.join(
+            filter(None, (f'joint states are lost: {", ".join(stale)}', silence))
+        )
     conflicts = describe_alternating(loop, around.state_publishers)
     if conflicts:
         return Level.ERROR, '; '.join(conflicts.values())
@@ -239,10 +241,11 @@ def judge_joint_states(now: float, loop: ControlLoop, around: GraphInfo) -> Judg
     if warnings:
         return Level.WARN, '; '.join(warnings)
     if collector.unseen():
-        return Level.WARN, f'using the locked positions of {", ".join(collector.unseen())}'
+        joints = ', '.join(collector.unseen())
+        return Level.WARN, f'the locked positions of {joints} are used: they were never reported'
     is_closed = settings.mode in (Mode.COMPUTED_TORQUE, Mode.JOINT_IMPEDANCE)
     if is_closed and collector.without_velocity():
-        return Level.WARN, f'no velocities: {settings.mode.value} has no damping'
+        return Level.WARN, f'no velocities are reported: {settings.mode.value} has no damping'
     return Level.OK, 'fresh'
 
 
@@ -253,7 +256,7 @@ def judge_reference(loop: ControlLoop, around: GraphInfo) -> Judgement:
         return Level.WARN, controller.phase.value
     if controller.is_stopping:
         return Level.OK, 'disabled'
-    return Level.OK, 'followed' if controller.phase is Phase.RUNNING else 'none, or not used'
+    return Level.OK, 'followed' if controller.phase is Phase.RUNNING else 'no reference is used'
 
 
 def judge_efforts(
@@ -267,7 +270,7 @@ def judge_efforts(
             message += f': {names} subscribes with another type or quality of service'
         return Level.WARN, message
     if clamped:
-        return Level.WARN, f'cut to its limit: {", ".join(clamped)}'
+        return Level.WARN, f'effort cut to its limit: {", ".join(clamped)}'
     return Level.OK, activity(now, loop, is_dry_run=around.is_dry_run)
 
 
@@ -291,13 +294,16 @@ def judge_other_nodes(around: GraphInfo) -> Judgement:
     if others.rivals:
         problems.append(f'{others.commands} is also published by {join_names(others.rivals)}')
     if others.namesakes:
-        nodes = 'another node' if others.namesakes == 1 else f'{others.namesakes} other nodes'
-        problems.append(f'{nodes} with the name {others.name}')
+        is_one = others.namesakes == 1
+        nodes = 'another node has' if is_one else f'{others.namesakes} other nodes have'
+        problems.append(f'{nodes} the name {others.name}')
     if not problems:
         return Level.OK, 'no other node publishes the commands or has this name'
     # Nodes may take turns at publishing on a topic, but must never have the same name.
     is_error = (around.is_active and not around.is_dry_run) or others.namesakes
-    message = f'{"; ".join(problems)} (stop it; a killed node stays listed for up to 20 s)'
+    message = (
+        f'{"; ".join(problems)} (stop the other node; a killed node stays listed for up to 20 s)'
+    )
     return Level.ERROR if is_error else Level.WARN, message
 
 

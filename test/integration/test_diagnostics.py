@@ -212,5 +212,5 @@ def test_silent_publishers_are_reported(run_node, robot, wait_for_status):
     robot.state = None  # the publisher stays connected
     wait_for_status('joint states', ERROR, 'although 1 publisher is connected')
     robot.wait_for_text(
-        node, '(one that was killed stays connected for up to 20 s): if ros2 topic hz'
+        node, '(a killed publisher stays connected for up to 20 s); if ros2 topic hz'
     )

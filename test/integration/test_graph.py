@@ -69,7 +69,7 @@ def test_a_node_that_publishes_the_same_commands_is_named(run_node, robot, wait_
 def test_a_node_with_the_same_name_is_reported(run_node, robot):
     nodes = [run_node(**PATIENT), run_node(**PATIENT)]
     robot.publish_state(NAMES, Q, np.zeros(6))
-    words = 'another node with the name /inverse_dynamics'
+    words = 'another node has the name /inverse_dynamics'
     for node in nodes:
         robot.wait_for_text(node, words)
         assert '[ERROR]' in lines(node, words)[0]

@@ -447,7 +447,7 @@ def test_a_joint_that_is_never_reported_uses_its_locked_position(run_node, robot
 @pytest.mark.parametrize(
     ('locked', 'words'),
     [
-        ({'locked_positions.nope': 0.2}, "locked_positions names 'nope'"),
+        ({'locked_positions.nope': 0.2}, "locked_positions lists 'nope'"),
         ({'locked_positions.jiont_6': 0.2}, f"did you mean '{NAMES[5]}'?"),
         ({f'locked_positions.{NAMES[5]}': 'x'}, f"'locked_positions.{NAMES[5]}' is 'x'"),
         ({f'locked_positions.{NAMES[5]}': 0.1}, f"'{NAMES[5]}' is both commanded and locked"),

@@ -223,7 +223,7 @@ BAD_URDF = '<robot name="r"><link name="a"/><link name="a"/></robot>'
             "is 'arm.urdf', expected the URDF as XML text; for a file",
         ),
         ({**FAST, 'robot_description': f"'{BAD_URDF}'"}, 'are both set'),
-        ({**FAST, 'joints': '[nose]'}, "joints names 'nose'"),
+        ({**FAST, 'joints': '[nose]'}, "joints lists 'nose'"),
         ({**FAST, 'joints': '3'}, "parameter 'joints' is 3, expected a list of names"),
         ({**FAST, 'update_rate': -1}, "parameter 'update_rate' is -1, expected 0 to 10000"),
         ({**FAST, 'update_rate': -1.0}, "parameter 'update_rate' is -1.0, expected 0 to 10000"),

@@ -270,7 +270,10 @@ def test_same_inputs_give_the_same_commands():
 @pytest.mark.parametrize(
     ('joints', 'words'),
     [
-        (['low', 'middle'], "'middle', which robot 'lift' does not have .* it has low, high"),
+        (
+            ['low', 'middle'],
+            "'middle', expected joints of robot 'lift' that are not fixed .*: low, high",
+        ),
         (['low', 'low'], 'lists a joint twice: low, low'),
     ],
 )

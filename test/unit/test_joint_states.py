@@ -410,7 +410,9 @@ def test_the_jump_of_a_late_joint_is_kept_while_another_one_alternates():
 
 
 def test_a_locked_joint_that_does_not_exist_is_named_with_those_that_do():
-    with pytest.raises(ConfigurationError, match=r'nope.*; joints are arm, finger, thumb'):
+    with pytest.raises(
+        ConfigurationError, match=r'nope.*, expected joints of the robot: arm, finger, thumb'
+    ):
         hand({'nope': 0.0})
 
 

@@ -111,7 +111,7 @@ def test_counts_clamped_commands_and_warns_of_those_since_the_last_report(loop):
         monitor.step(0.0, 1e-4, command(SECOND, SECOND), JOINTS)
     status = part(monitor.report(1.0, loop, FINE), 'efforts')
     assert status.level is Level.WARN
-    assert status.message == f'cut to its limit: {JOINTS[1]}'
+    assert status.message == f'effort cut to its limit: {JOINTS[1]}'
     assert status.values[f'{JOINTS[1]} cut to limit'] == '3'
     assert status.values[f'{JOINTS[1]} slowed'] == '3'
     assert status.values['cut to limit since the last report'] == JOINTS[1]
@@ -131,9 +131,12 @@ def test_counts_rejected_messages_by_a_limited_number_of_reasons(loop):
     assert len(monitor.rejected) <= 21
     assert sum(monitor.rejected.values()) == 1002
     status = part(monitor.report(1.0, loop, FINE), 'messages')
-    assert (status.level, status.message) == (Level.WARN, '1002 rejected since the last report')
+    assert (status.level, status.message) == (
+        Level.WARN,
+        'messages rejected since the last report: 1002',
+    )
     status = part(monitor.report(2.0, loop, FINE), 'messages')
-    assert (status.level, status.message) == (Level.OK, '1002 rejected in total')
+    assert (status.level, status.message) == (Level.OK, 'messages rejected in total: 1002')
 
 
 @pytest.mark.parametrize(
@@ -150,7 +153,7 @@ def test_counts_rejected_messages_by_a_limited_number_of_reasons(loop):
             Level.WARN,
             'the commands have no subscribers',
         ),
-        (0.05, FINE, 'reference', Level.OK, 'none'),
+        (0.05, FINE, 'reference', Level.OK, 'no reference is used'),
         (0.05, FINE, 'loop', Level.OK, 'floating: no reference'),
         (0.05, FINE._replace(is_active=False, state='inactive'), 'loop', Level.OK, 'inactive'),
     ],
@@ -228,7 +231,7 @@ def test_warns_of_a_loop_without_damping(mode):
     loop.collector.update(0.0, JOINTS, [0.1, 0.2], [])
     status = part(Monitor().report(0.0, loop, FINE), 'joint states')
     assert status.level is Level.WARN
-    assert status.message == f'no velocities: {mode.value} has no damping'
+    assert status.message == f'no velocities are reported: {mode.value} has no damping'
     assert status.values['without velocity'] == ', '.join(JOINTS)
     loop.collector.update(0.0, JOINTS, [0.1, 0.2], [0.0, 0.0])
     assert part(Monitor().report(0.0, loop, FINE), 'joint states').level is Level.OK
@@ -332,9 +335,9 @@ NAMESAKES = Others('/arm', '/commands', namesakes=1)
         (Others('/arm', '/commands'), True, Level.OK, 'no other node publishes the commands'),
         (RIVALS, True, Level.ERROR, '/commands is also published by /a, /b'),
         (RIVALS, False, Level.WARN, '/commands is also published by /a, /b'),
-        (NAMESAKES, True, Level.ERROR, 'another node with the name /arm'),
-        (NAMESAKES, False, Level.ERROR, 'another node with the name /arm'),
-        (NAMESAKES._replace(namesakes=2), True, Level.ERROR, '2 other nodes with the name /arm'),
+        (NAMESAKES, True, Level.ERROR, 'another node has the name /arm'),
+        (NAMESAKES, False, Level.ERROR, 'another node has the name /arm'),
+        (NAMESAKES._replace(namesakes=2), True, Level.ERROR, '2 other nodes have the name /arm'),
     ],
 )
 def test_nodes_that_interfere_are_named(loop, others, is_active, level, words):
@@ -393,8 +396,8 @@ def test_reports_that_states_were_lost_until_they_have_been_fresh_for_a_while(lo
     for now, arrival, words in (
         (1.1, 0.9, f'lost: {", ".join(JOINTS)}'),
         (1.2, 0.9, 'lost: '),
-        (1.3, 1.3, 'efforts rise after 0.2 s without a gap longer than state_timeout (0.1 s)'),
-        (1.4, 1.4, 'efforts rise after 0.2 s'),
+        (1.3, 1.3, 'for 0.2 s without a gap longer than state_timeout (0.1 s)'),
+        (1.4, 1.4, 'efforts rise again after joint states have arrived for 0.2 s'),
     ):
         status = status_at(now, arrival)
         assert status.level is Level.ERROR
@@ -418,12 +421,12 @@ def test_contradictory_positions_are_an_error_with_the_publishers(loop):
     for k in range(100):
         loop.collector.update(0.001 * k, JOINTS, [0.1, 1.5 * (k % 2)], [0.0, 0.0])
         loop.step(0.001 * k)
-    words = f'positions of {JOINTS[1]} alternate between 0 and 1.5 faster than it can move'
+    words = f'positions of {JOINTS[1]} alternate between 0 and 1.5 faster than the joint can move'
     around = FINE._replace(state_publishers=('/robot', '/joint_state_publisher'))
     status = part(Monitor().report(0.1, loop, around), 'joint states')
     assert status.level is Level.ERROR
     assert status.message == f'{words} (published by /robot, /joint_state_publisher)'
-    assert f'{words} (does more than one node publish it?)' in activity(0.1, loop)
+    assert f'{words} (does more than one node publish this joint?)' in activity(0.1, loop)
 
 
 def test_no_command_is_late_without_a_period(loop):
@@ -612,7 +615,7 @@ def test_activity_without_usable_efforts_and_while_states_are_fresh_again(loop):
     step_until(loop, 0.05, 0.5)
     loop.collector.update(0.5, JOINTS, [0.1, 0.2], [0.0, 0.0])
     loop.step(0.5)
-    assert 'efforts rise after 0.2 s' in activity(0.5, loop)
+    assert 'efforts rise again after joint states have arrived for 0.2 s' in activity(0.5, loop)
 
 
 @pytest.mark.parametrize(
