@@ -73,8 +73,8 @@ class RampClock:
         """
         Advance to the time of the next command [s]; return whether to blend this command.
 
-        Commands are blended at a start, and until 0.2 s after the process was suspended, the
-        machine stalled or the clock jumped.
+        The first command after a start is blended. Commands are also blended until 0.2 s after the
+        process was suspended, the machine stalled or the clock jumped.
 
         """
         since, self._now = now - self._now, now
@@ -327,7 +327,7 @@ class CommandShaper:
         Ramp the commands down to zero, starting from the last command.
 
         The efforts ``damping`` are added, shape (m,) [N m or N]. If a sum would exceed one of
-        ``limits``, one common factor reduces all these efforts, so that they still oppose the
+        ``limits``, one common factor reduces all damping efforts, so that they still oppose the
         motion. By default, the limits are those of `configure`.
 
         """

@@ -29,7 +29,7 @@ from .settings import LARGEST_GRAVITY, LoadSettings
 STRONGEST = 500.0  # [m/s^2], [rad/s]; an IMU that measures more is broken
 _LARGEST_WRENCH = 1e9  # [N], [N m]; sums and products of smaller numbers are finite
 _LARGEST_PAYLOAD = 1e9  # [kg], [m], [kg m^2]; sums and products of smaller numbers are finite
-_ROUNDING = 1e-3  # relative error of moments that are rounded, for example in a URDF
+_ROUNDING = 1e-3  # fraction of the sum of the moments; rounding error for flat bodies
 NO_PAYLOAD = RigidBody(0.0, np.zeros(3), np.zeros((3, 3)))
 
 
@@ -227,7 +227,7 @@ class ExternalLoads:
             self._write_gravity(self.include_gravity)
 
     def at_base_link(self, force: Floats, moment: Floats) -> tuple[Floats, Floats]:
-        """Convert a wrench at the root frame to the frame and origin of the base link."""
+        """Convert a wrench in the root frame, about its origin, to the frame of the base link."""
         R_B0 = self._R_0B.T
         return R_B0 @ force, R_B0 @ (moment - np.cross(self._p_0B, force))
 

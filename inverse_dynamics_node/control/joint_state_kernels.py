@@ -76,7 +76,7 @@ def store_joint_state(
 
     - `ALTERNATING`: the positions of a joint alternate faster than it can move.
     - `JUMPED`: a joint whose position is stored has moved further than it can.
-    - `LEAPT`: this joint is commanded.
+    - `LEAPT`: the joint that has moved too far is commanded.
 
     """
     in_robot, in_message = places[0], places[1]

@@ -60,7 +60,7 @@ class Layout:
     has_joints: bool
     """Whether the message names any joint of this robot."""
     losses: int = -1
-    """The collector's number of velocity losses when all joints here had one; -1 before that."""
+    """Number of velocity losses when every joint of the layout had a velocity; -1 before."""
 
 
 class JointStateCollector:
@@ -217,7 +217,7 @@ class JointStateCollector:
         return self._has_alternating
 
     def at(self, now: float, timeout: float) -> State | None:
-        """Return the latest state after a call of `rest_late`."""
+        """Call `rest_late`, then return the latest state; times are in [s]."""
         self.rest_late(now, timeout)
         return self.state()
 
@@ -234,7 +234,7 @@ class JointStateCollector:
                 raise ConfigurationError(f"joint '{name}' is both commanded and locked")
 
     def continue_from(self, other: JointStateCollector) -> None:
-        """Copy the states of joints that the robot of another collector has, too."""
+        """Copy the states of the joints that both collectors have in common."""
         for name, i in self._index.items():
             k = other._index.get(name)
             if k is not None and other.times[k] > LONG_AGO:

@@ -216,8 +216,8 @@ class Controller:
         """
         Compute the command for one time; None before the first complete joint state.
 
-        The time ``now`` is on the clock of state and reference [s]. ``state`` and ``reference``
-        are the latest ones, or None if there has been none.
+        The time ``now`` is on the clock of state and reference [s]. ``state`` is the latest joint
+        state, and ``reference`` the latest reference. Each is None until it has arrived.
 
         """
         self.pass_time(now)

@@ -103,8 +103,8 @@ def track(tracks: Any, i: int, position: float, elapsed: float) -> bool:
     reported position [rad or m]. ``elapsed`` is the time since the last report of this joint [s].
     It is negative if there was no report.
 
-    The alternation ends when the positions have been consistent for long enough. The required time
-    is that for the distance at twice the speed limit, at most 1 s.
+    The alternation ends when the positions have been consistent for long enough. This takes as
+    long as the joint needs for the distance at twice its speed limit, but at most 1 s.
 
     """
     raw = min(max(position - tracks[LAST, i], -LARGEST), LARGEST)

@@ -29,7 +29,7 @@ class Mode(enum.Enum):
     GRAVITY_COMPENSATION = 'gravity_compensation'
     """Use zero accelerations and velocities, for hand guiding; ignore the reference."""
     JOINT_IMPEDANCE = 'joint_impedance'
-    """Use the accelerations of the reference, and add a spring and damper at each joint."""
+    """Use the accelerations of the reference; a spring and damper connect each joint to it."""
 
 
 class MeasuredGravity(enum.Enum):

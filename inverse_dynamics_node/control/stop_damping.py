@@ -155,8 +155,8 @@ class StopDamping:
 
         A command acts until the next command, with a velocity that was measured earlier. The rate
         falls with the square of the age, so that all commands for one state together remove less
-        than the velocity. Commands may arrive in bursts, for example with messages of two drivers.
-        The longest of the recent intervals therefore determines the rate.
+        than the measured velocity. Commands may arrive in bursts, for example with messages of two
+        drivers. The longest of the recent intervals therefore determines the rate.
 
         """
         self._longest = since = max(since, 0.98 * self._longest)
