@@ -1,9 +1,4 @@
-"""
-Compares a recording with the model, fits friction and diagnoses the differences.
-
-`diagnose_recording` derives the motion from the recorded joint states, fits friction, and searches
-for an explanation of the difference between measured and modelled efforts.
-"""
+"""Compares recordings with the model: derives the motion, fits friction, diagnoses differences."""
 
 from ..recordings.signals import Motion, Recording
 from .fault import Change, Fault, FaultKind, GravityConvention

@@ -1,4 +1,4 @@
-"""The efforts of a recorded motion: measured, modelled, corrected, and with friction."""
+"""Compares measured and modelled efforts of a recorded motion, with corrections and friction."""
 
 from __future__ import annotations
 
@@ -34,25 +34,14 @@ ALL = slice(None)
 
 class ComparedEfforts:
     """
-    The efforts of one motion, measured and modelled; columns are the compared joints.
+    Measured and modelled efforts of one motion, with one column for each compared joint.
 
-    Parameters
-    ----------
-    dynamics : InverseDynamics
-        The robot with n joints, and all known loads on it.
-    motion : Motion
-        Motion of m of its joints.
-    index : list of int
-        Positions of these joints in ``robot.joint_names``.
-    others : array_like, shape (n,), optional
-        Positions of the joints that were not recorded [rad or m]; default: zero.
-    link : str, optional
-        Link that may carry an unknown load; default: the tips of the tree.
-    width : float
-        Speed over which Coulomb friction is smoothed [rad/s or m/s].
-    convention : GravityConvention
-        Whether the measured efforts contain gravity; the modelled ones follow it.
-
+    The motion contains m of the n joints of the robot, and `index` holds their indices in
+    ``robot.joint_names``. Joints that were not recorded have the positions `others`, shape (n,)
+    [rad or m]; default: zero. The dynamics include all known loads; an unknown load may be on
+    `link`, by default on the tips of the tree. `width` is the speed over which Coulomb friction is
+    smoothed [rad/s or m/s]. The `convention` says whether measured efforts contain gravity, and
+    the modelled efforts follow the convention.
     """
 
     def __init__(
@@ -98,22 +87,20 @@ class ComparedEfforts:
 
     @property
     def fit_samples(self) -> slice:
-        """The samples that fits use."""
+        """Samples that are used for fits."""
         return slice(None, None, max(1, self.motion.window // SAMPLES_PER_WINDOW))
 
     @property
     def fit_states(self) -> tuple[Floats, Floats, Floats]:
-        """Positions, velocities and accelerations at the samples that fits use."""
+        """Positions, velocities and accelerations of the samples that are used for fits."""
         q, qd, qdd = self.states
         return q[self.fit_samples], qd[self.fit_samples], qdd[self.fit_samples]
 
     def undistorted(self, signs: Floats, delay: float) -> ComparedEfforts:
         """
-        Return what would be compared without a fault of the recorded states.
+        Return the comparison without reversed axes, and without a delay of the efforts [s].
 
-        Signs, shape (m,), are -1 for joints whose axis is reversed; the delay is that of the
-        efforts [s].
-
+        The signs, shape (m,), are -1 for joints with a reversed axis, and otherwise 1.
         """
         motion = self.motion
         efforts = signs * _later(motion, motion.efforts, delay)
@@ -122,15 +109,14 @@ class ComparedEfforts:
         return ComparedEfforts(self.dynamics, motion, *self._arguments)
 
     def distorted(self, efforts: Floats, signs: Floats, delay: float) -> Floats:
-        """Return efforts of shape (K, c) with such a fault."""
+        """Return efforts of shape (K, c) with reversed axes and with a delay [s]."""
         return signs[self.compared] * _later(self.motion, efforts, -delay)
 
     def with_bodies(self, change: Floats, has_own_gravity: bool) -> ComparedEfforts:
         """
-        Return what would be compared with a change of the inertial parameters, shape (10 b,).
+        Return the comparison with changed inertial parameters of b links, shape (10 b,).
 
-        Gravity in the measured efforts is that of these links, or has been removed.
-
+        `has_own_gravity` says whether the change also affects gravity in the measured efforts.
         """
         other = copy(self)
         other.rigid, other.gravity = self.rigid.copy(), self.gravity.copy()
@@ -146,7 +132,7 @@ class ComparedEfforts:
         return other
 
     def rates(self, robot_fit: RobotFit) -> Floats:
-        """Return the derivatives of explained efforts of varying joints [N m/s or N/s]."""
+        """Return the time derivatives of explained, varying efforts [N m/s or N/s]."""
         efforts = corrected_efforts(self, robot_fit)[1][:, self.varying]
         columns = self.qd[:, self.varying], self.direction[:, self.varying]
         for j, fit in enumerate(robot_fit.fits):
@@ -157,7 +143,7 @@ class ComparedEfforts:
         )
 
     def inside(self, fault: FaultInterval) -> Booleans:
-        """Return which samples are in a part of the recording."""
+        """Return which samples are in the interval of a fault."""
         begin, end = fault.interval
         return np.asarray((self.motion.times >= begin) & (self.motion.times <= end))
 
@@ -166,7 +152,7 @@ class ComparedEfforts:
         return not obstacle(self.qd[:, c], self.period, self.width)
 
     def used(self, c: int) -> Booleans:
-        """Return at which times the effort of a joint is compared."""
+        """Return which samples of a joint are compared."""
         if not self.moves(c):
             return np.ones(len(self.qd), dtype=bool)
         return is_moving(self.qd[:, c], self.width)
@@ -176,7 +162,7 @@ class ComparedEfforts:
         return bool(self.robot.is_prismatic_joint[self.index[c]])
 
     def regression_data(self) -> RegressionData:
-        """Return the samples of the varying efforts, with all efforts that may explain them."""
+        """Return the samples of the varying efforts, with columns for their explanations."""
         some, varying = self.fit_samples, self.varying
         signals = JointSignals(
             [self.index[c] for c in varying],
@@ -209,7 +195,7 @@ class ComparedEfforts:
         )
 
     def _noise(self) -> Floats:
-        """Return the noise of measured minus modelled efforts, shape (c,)."""
+        """Return the noise of measured minus modelled efforts, shape (c,) [N m or N]."""
         some = slice(None, None, max(1, len(self.motion.times) // INERTIAS))
         inertia = self.dynamics.mass_matrix(self.states[0][some])
         modelled: Floats = inertia[:, :, self.all_index] * self.motion.qdd_noise
@@ -220,8 +206,8 @@ class ComparedEfforts:
         return noise
 
     def _varying(self) -> list[int]:
-        """Return the columns whose measured effort varies by more than rounding errors."""
-        # Compare with all joints: the effort of a joint without load is rounding errors only.
+        """Return the columns in which the measured effort varies by more than rounding errors."""
+        # Compare with all joints: without load, the effort of a joint is only rounding errors.
         largest = max(float(np.max(np.abs(self.measured))), float(np.max(np.abs(self.rigid))))
         variation = np.ptp(self.measured, axis=0)
         return [c for c in range(len(self.names)) if variation[c] > CONSTANT * largest]
@@ -229,11 +215,11 @@ class ComparedEfforts:
 
 def not_measured(measured: Floats, modelled: Floats, least: Floats | float) -> Booleans:
     """
-    Return which efforts are constant although the model varies, or zero although it does not.
+    Return the joints with a measured effort that contradicts the model by being constant.
 
-    Efforts have shape (K, c). Modelled efforts, or variations of them, below the least one of a
-    joint are ignored [N m or N].
-
+    Efforts have shape (K, c). A constant measured effort contradicts a modelled effort that varies
+    by more than `least` [N m or N]. A measured effort of zero contradicts a modelled effort larger
+    than `least`.
     """
     largest = np.max(np.abs([measured, modelled]))
     is_constant = np.ptp(measured, axis=0) <= CONSTANT * largest
@@ -243,7 +229,7 @@ def not_measured(measured: Floats, modelled: Floats, least: Floats | float) -> B
 
 
 def _later(motion: Motion, efforts: Floats, delay: float) -> Floats:
-    """Return efforts as they are after a delay [s]."""
+    """Return the efforts that follow after a delay [s]."""
     if not delay:
         return efforts
     parts = []
@@ -260,7 +246,7 @@ def _later(motion: Motion, efforts: Floats, delay: float) -> Floats:
 def corrected_efforts(
     compared: ComparedEfforts, robot_fit: RobotFit, fault: FaultInterval | None = None
 ) -> tuple[Floats, Floats]:
-    """Return measured efforts without sensor faults, and modelled ones of the candidate."""
+    """Return measured efforts without sensor faults, and efforts of the candidate model."""
     measured = compared.measured / robot_fit.unit
     correction = added_efforts(compared, robot_fit)
     if fault is not None and fault.kind is FaultKind.PAYLOAD:
@@ -298,7 +284,7 @@ def added_efforts(compared: ComparedEfforts, robot_fit: RobotFit) -> Floats:
 
 
 def as_recorded(compared: ComparedEfforts, efforts: Floats, robot_fit: RobotFit) -> Floats:
-    """Distort efforts in the way in which the driver distorts them."""
+    """Return efforts as the driver would record them, with all sensor faults."""
     recorded: Floats = robot_fit.unit * efforts
     for j, (c, fit) in enumerate(zip(compared.varying, robot_fit.fits, strict=True)):
         source = compared.varying[robot_fit.source[j]]
@@ -315,7 +301,7 @@ def fit_joints(
     obscured: dict[int, str],
     used: Booleans | slice = ALL,
 ) -> list[FrictionFit]:
-    """Fit the friction of every joint to a residual that has rows for the used samples only."""
+    """Fit the friction of each joint to a residual, which has rows for the used samples only."""
     fits = []
     for c in range(len(compared.names)):
         fit = fit_friction(
@@ -352,7 +338,7 @@ def load_on_gears(compared: ComparedEfforts, robot_fit: RobotFit) -> Floats:
 def with_shapes(
     compared: ComparedEfforts, fits: list[FrictionFit], residual: Floats, load: Floats
 ) -> list[FrictionFit]:
-    """Fit the shape of the friction of joints whose friction is known; see `load_on_gears`."""
+    """Fit the shape of each friction that is known; the load is that of `load_on_gears`."""
     return [
         fit_shape(
             fit,
@@ -368,7 +354,7 @@ def with_shapes(
 
 
 def friction_efforts(compared: ComparedEfforts, c: int, fit: FrictionFit, load: Floats) -> Floats:
-    """Return the efforts of friction and offset of a column, given the load on its gear."""
+    """Return the effort of friction and offset of one joint, given the load on its gear."""
     qd = compared.qd[:, c]
     if not fit.has_shape:
         return fit.efforts(qd, compared.direction[:, c])
@@ -378,7 +364,7 @@ def friction_efforts(compared: ComparedEfforts, c: int, fit: FrictionFit, load: 
 
 
 def with_friction_only(compared: ComparedEfforts) -> Floats:
-    """Return the modelled efforts with friction that is fitted without faults."""
+    """Return the modelled efforts plus friction, which is fitted without any faults."""
     efforts: Floats = compared.rigid.copy()
     for c, fit in enumerate(fit_joints(compared, compared.measured - compared.rigid, {})):
         efforts[:, c] += fit.damping * compared.qd[:, c]
@@ -387,7 +373,7 @@ def with_friction_only(compared: ComparedEfforts) -> Floats:
 
 
 def when_comparable(compared: ComparedEfforts, fits: list[FrictionFit]) -> list[Booleans]:
-    """Select the samples of every column at which fitted friction is valid."""
+    """Return the samples of each joint at which its fitted friction is valid."""
     every = np.ones(len(compared.qd), dtype=bool)
     return [
         every if fit.unknown_because else is_moving(compared.qd[:, c], compared.width)

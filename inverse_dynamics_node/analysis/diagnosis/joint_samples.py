@@ -1,8 +1,8 @@
 """
-Samples of one joint, reduced so that any combination of columns can be fitted quickly.
+Reduces the samples of a joint so that any combination of columns can be fitted quickly.
 
-A *sensor fault* is the way in which the recorded effort of a joint differs from its actual effort,
-such as a swapped sign.
+A *sensor fault* is a difference between the recorded and the actual effort of a joint, such as a
+swapped sign.
 """
 
 from __future__ import annotations
@@ -20,41 +20,40 @@ from ...robot.model import Booleans, Floats
 from ..columns import fit_nonnegative, gravity_columns, payload_columns
 
 PARAMETER_COST = math.log(2.0)
-"""A parameter must halve the remaining squares to be accepted."""
-FLOOR = 0.03  # fraction of a joint's RMS effort; models are not more accurate than this
-NOISE_FLOOR = 2.0  # times the noise; a smaller RMS residual is explained
-SAME_SCALE = (0.8, 1.25)  # scales in this range are model errors, not another unit
-CREDIBLE = 0.3  # fraction of the squares; if more remains, the effort is not explained
-FRICTION_ONLY = 0.01  # fraction of the squares; an effort of friction alone shows no unit
-MIN_OFFSET = 0.05  # fraction of a joint's RMS effort
-FRICTION = 0.03  # fraction of a joint's RMS effort; Coulomb friction above it is considerable
-MIN_VARIATION = 0.1  # of the modelled effort, relative to its RMS; any factor fits a constant
-
-# Columns of the samples of a joint; those of loads and of all measured efforts follow.
+"""A parameter is accepted only if it halves the sum of squared residuals."""
+FLOOR = 0.03  # accuracy of models, as a fraction of a joint's RMS effort
+NOISE_FLOOR = 2.0  # an RMS residual below this multiple of the noise is explained
+SAME_SCALE = (0.8, 1.25)  # factors in this range are model errors, not another unit
+CREDIBLE = 0.3  # an explanation leaves at most this fraction of the squared effort
+FRICTION_ONLY = 0.01  # tolerance for a fit of friction alone, as a fraction of the squared effort
+MIN_OFFSET = 0.05  # least offset, as a fraction of a joint's RMS effort
+FRICTION = 0.03  # considerable Coulomb friction, as a fraction of a joint's RMS effort
+MIN_VARIATION = 0.1  # least variation of a modelled effort, relative to its RMS, to fit a factor
 MODEL, GRAVITY, WEIGHT, ACCELERATION, SPEED, DIRECTION, ONE, LOADS = 0, 1, 2, 5, 6, 7, 8, 9
 """
-Efforts of the model, of gravity, and of 1 m/s^2 of gravity along x, y and z; acceleration,
-velocity and direction of the joint; ones; efforts of loads.
+Columns of joint samples: modelled effort, gravity effort, and efforts of 1 m/s^2 of gravity along
+x, y and z. Acceleration, velocity and direction of the joint, and ones follow. The next columns
+are efforts of loads and the measured efforts of all joints.
 """
 
 
 class SensorFault(NamedTuple):
-    """How the measured effort of one joint differs from its actual effort."""
+    """Differences between the measured and the actual effort of one joint."""
 
     is_swapped: bool = False
     is_scaled: bool = False
     has_rotor: bool = False
-    """Whether an inertia that the model lacks acts on this joint only."""
+    """Whether the joint moves a rotor inertia that the model lacks."""
     has_offset: bool = False
 
     @property
     def parameters(self) -> int:
-        """Number of parameters; a scale has the weight of two, because it is rarely wrong."""
+        """Number of parameters; a wrong scale has the weight of two, because it is rare."""
         return sum(self) + self.is_scaled
 
     @property
     def sign(self) -> int:
-        """Sign of the measured effort."""
+        """Sign of the measured effort relative to the actual effort."""
         return -1 if self.is_swapped else 1
 
 
@@ -69,41 +68,41 @@ class JointFit(NamedTuple):
     sensor_fault: SensorFault
     cost: float
     remaining: float
-    """Fraction of the squares of the measured effort that is not explained."""
+    """Unexplained fraction of the squared measured effort."""
     moves: bool = True
     """Whether the joint moved enough to identify its friction."""
     is_friction_only: bool = False
-    """Whether friction alone explains as much, so that sign and unit cannot be identified."""
+    """Whether friction alone explains the effort equally well. Sign and unit are then unknown."""
     rms: float = 0.0
     """RMS of the residual, in the unit of the recorded effort."""
     damping: float = 0.0
-    """[N m s/rad or N s/m]."""
+    """Damping [N m s/rad or N s/m]."""
     coulomb: float = 0.0
-    """[N m or N]."""
+    """Coulomb friction [N m or N]."""
     has_friction: bool = False
-    """Whether Coulomb friction is a considerable part of the effort."""
+    """Whether Coulomb friction is considerable compared with the effort."""
     scale: float = 1.0
     rotor: float = 0.0
-    """Inertia [kg m^2 or kg]."""
+    """Rotor inertia [kg m^2 or kg]."""
     offset: float = 0.0
-    """Effort in the unit of the model [N m or N]."""
+    """Offset of the effort, in the unit of the model [N m or N]."""
 
 
 @dataclass
 class JointSamples:
-    """The samples of one joint, reduced to the scalar products of all columns."""
+    """Samples of one joint, reduced to the scalar products of all columns."""
 
     columns: Floats
-    """One row per sample, shape (K, p)."""
+    """One row for each of K samples, and p columns: shape (K, p)."""
     times: Floats
-    """Shape (K,) [s]."""
+    """Times of the samples, shape (K,) [s]."""
     moves: bool
     """Whether friction and offsets can be identified."""
     noise: float = 0.0
     """Standard deviation of the noise of the effort."""
     is_prismatic: bool = False
     triangle: Floats = field(init=False)
-    """Triangular factor of the samples, of shape (p, p)."""
+    """Triangular factor of the samples, shape (p, p)."""
     squares: Floats = field(init=False)
     """Mean square of each column."""
 
@@ -120,17 +119,16 @@ class JointSamples:
         return self.moves or variance > MIN_VARIATION**2 * float(self.squares[MODEL])
 
     def floor(self, measured: int) -> float:
-        """Return the fraction of the squares below which an effort is explained."""
+        """Return the fraction of the squared effort that model errors and noise may leave."""
         return float(FLOOR**2 + (NOISE_FLOOR * self.noise) ** 2 / self.squares[measured])
 
     def fit(
         self, weights: Floats, measured: int, sensor_fault: SensorFault, unit: float = 1.0
     ) -> JointFit:
         """
-        Fit a sensor fault to the measured effort in a column, whose unit is known.
+        Fit a sensor fault to the measured effort in a column, divided by its unit.
 
-        Weights are the factors of the first columns: the candidate model.
-
+        The candidate model is the sum of the first columns, multiplied by the weights.
         """
         R = self.triangle
         model = R[:, : len(weights)] @ weights
@@ -169,7 +167,7 @@ class JointSamples:
         )
 
     def best_fit(self, weights: Floats, measured: int, unit: float = 1.0) -> JointFit:
-        """Fit the most credible sensor fault to a measured effort, or none."""
+        """Return the fit with the most credible sensor fault, or without a sensor fault."""
         rms = math.sqrt(self.squares[measured]) / unit
         best = self.fit(weights, measured, NO_FAULT, unit)
         if best.remaining < self.floor(measured):
@@ -193,11 +191,11 @@ class JointSamples:
     def _possible_faults(
         self, weights: Floats, measured: int, unit: float
     ) -> Iterator[tuple[SensorFault, float]]:
-        """Yield sensor faults that may explain an effort, and a lower limit of what remains."""
+        """Yield possible sensor faults, each with the least fraction that it may leave."""
         has_scale = unit == 1.0 and self.shows_scale
         for is_swapped in (False, True):
             every = SensorFault(is_swapped, has_scale, self.moves, self.moves)
-            # The search takes its time in these fits: fewer parameters leave more than all do.
+            # Most of the time is spent in fits. A fit of fewer parameters leaves no less.
             least = self.fit(weights, measured, every, unit).remaining
             if least < CREDIBLE:
                 for sensor_fault in SENSOR_FAULTS[1:]:
@@ -211,7 +209,7 @@ class JointSamples:
         )
 
     def _is_arbitrary(self, measured: int, fit: JointFit) -> bool:
-        """Return whether friction alone explains as much, so that sign and scale are arbitrary."""
+        """Return whether sign and scale are arbitrary, because friction alone explains as much."""
         sensor_fault = fit.sensor_fault
         # Friction that accelerates the joint shows a swapped sign, even without the model.
         if sensor_fault.is_swapped and self._needs_no_model(
@@ -229,7 +227,7 @@ class JointSamples:
         remaining: float,
         tolerance: float = FLOOR**2,
     ) -> bool:
-        """Return whether a fit without the model leaves hardly more unexplained."""
+        """Return whether a fit without the model explains the effort almost as well."""
         without = self.fit(np.zeros(1), measured, sensor_fault).remaining
         return without <= 2.0 * remaining + tolerance
 
@@ -238,19 +236,19 @@ class JointSignals(NamedTuple):
     """Signals of c joints of a robot at K times."""
 
     joints: Sequence[int]
-    """Their positions in ``robot.joint_names``."""
+    """Indices of the c joints in ``robot.joint_names``."""
     measured: Floats
     """Measured efforts, shape (K, c) [N m or N]."""
     modelled: Floats
-    """Modelled efforts without friction to be fitted, shape (K, c) [N m or N]."""
+    """Modelled efforts without the friction that is fitted, shape (K, c) [N m or N]."""
     gravity: Floats
-    """The part of them that is due to gravity, shape (K, c) [N m or N]."""
+    """Modelled efforts of gravity, shape (K, c) [N m or N]."""
     direction: Floats
-    """Smoothed directions, shape (K, c); see `direction_of`."""
+    """Smoothed directions of motion, shape (K, c); see `direction_of`."""
     used: Sequence[Booleans]
-    """The samples of each joint that are compared, each of shape (K,)."""
+    """Masks of the samples that are compared, of shape (K,) for each joint."""
     moves: Sequence[bool]
-    """Whether friction of each joint can be identified."""
+    """Whether the friction of each joint can be identified."""
     noise: Floats
     """Standard deviation of the noise of the efforts, shape (c,) [N m or N]."""
 
@@ -262,7 +260,7 @@ def sample_joints(
     signals: JointSignals,
     links: Sequence[str],
 ) -> list[JointSamples]:
-    """Return the samples of joints, with the columns listed above, and loads on some links."""
+    """Return the samples of each joint in `signals`, with columns for loads on the given links."""
     robot = dynamics.robot
     q, qd, qdd = states
     weight = gravity_columns(robot, q)

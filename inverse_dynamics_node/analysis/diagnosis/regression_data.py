@@ -1,8 +1,8 @@
 """
-Finds the explanation of measured efforts that leaves least unexplained with fewest parameters.
+Searches for the explanation of measured efforts with small residuals and few parameters.
 
-A *candidate model* changes the efforts of the whole robot, as a payload does. The sensor of every
-joint may have a fault in addition.
+A *candidate model* changes the efforts of the whole robot, as a payload does. In addition, the
+effort sensor of each joint may have a fault.
 """
 
 from __future__ import annotations
@@ -36,29 +36,29 @@ from .joint_samples import (
 )
 from .loads import fit_payload, MAX_REACH, PARAMETERS, point_mass_parameters
 
-UNIT_PARAMETERS = 2  # a unit has the weight of two parameters, because it is rarely wrong
+UNIT_PARAMETERS = 2  # a wrong unit has the weight of two parameters, because it is rare
 COST_TOLERANCE = 0.1  # smaller differences of costs are ignored
-MAX_ITERATIONS = 3  # of fitting the candidate model and the sensor faults in turn
-MIN_DURATION = 4.0  # [s] of samples; in less, chance explains too much
-OWN_CONTRIBUTION = 0.7  # of the squares that the nominal model leaves, to be left at most
+MAX_ITERATIONS = 3  # candidate model and sensor faults are fitted in turn
+MIN_DURATION = 4.0  # [s] of samples; in shorter recordings, chance explains too much
+OWN_CONTRIBUTION = 0.7  # a candidate leaves at most this fraction of the nominal model's residual
 NO_GRAVITY = 0.25  # largest fraction of gravity in efforts that lack gravity
-CONSIDERABLE = 0.3  # fraction of a joint's modelled effort; less gravity may be a wrong model
-LIKE_A_LOAD = (0.3, 3.0)  # scales in this range are not another unit of an arm at rest
+CONSIDERABLE = 0.3  # less gravity than this fraction of the modelled effort may be a model error
+LIKE_A_LOAD = (0.3, 3.0)  # at rest, factors in this range may be due to a load, not to a unit
 GRAVITY_KINDS = FaultKind.GRAVITY_COMPENSATED, FaultKind.GRAVITY_MEASURED
-STRENGTH = 0.02  # largest relative change of the strength of gravity by a mounting
+STRENGTH = 0.02  # largest relative change of the magnitude of gravity by a mounting
 MIN_TILT = math.radians(3.0)
 SAME_UNIT = 1.25  # largest ratio between the factors of joints with the same unit
 
 
 class CandidateModel(NamedTuple):
-    """A composition of the efforts of the whole robot."""
+    """A linear combination of sample columns that models the efforts of the whole robot."""
 
     kind: FaultKind | None
-    """Gravity compensated or measured, a mounting or a payload; None for the model as it is."""
+    """Gravity (compensated or measured), mounting or payload; None for the unchanged model."""
     weights: Floats
     """Factors of the first columns of the samples."""
     parameters: int
-    """Number of parameters."""
+    """Number of parameters that change the model."""
     has_gravity: bool = True
     """Whether the efforts contain gravity."""
     link: str = ''
@@ -70,60 +70,46 @@ class CandidateModel(NamedTuple):
 
 
 class RobotFit(NamedTuple):
-    """A candidate model, and the fit of every joint to it."""
+    """A candidate model, with the fit of each joint."""
 
     candidate: CandidateModel
     fits: tuple[JointFit, ...]
     source: tuple[int, ...]
     """Index of the measured effort that belongs to each joint."""
     unit: float = 1.0
-    """Factor of the measured efforts of all joints."""
+    """Common factor of the measured efforts of all joints."""
 
     @property
     def cost(self) -> float:
-        """Logarithm of the remaining squares, plus the cost of all parameters."""
+        """Sum of the costs of all joints, plus the cost of parameters of the whole robot."""
         moved = sum(i != j for i, j in enumerate(self.source))
         parameters = self.candidate.parameters + moved + UNIT_PARAMETERS * (self.unit != 1.0)
         swapped = [fit.sensor_fault.is_swapped for fit in self.fits if not fit.is_friction_only]
-        # One convention for all joints is as likely as an error of two of them.
+        # An opposite sign convention of all joints is as likely as wrong signs of two joints.
         if all(swapped):
             parameters -= max(len(swapped) - 2, 0)
         return sum(fit.cost for fit in self.fits) + PARAMETER_COST * parameters
 
     @property
     def is_scaled(self) -> bool:
-        """Whether the effort of a joint has another unit."""
+        """Whether the effort of any joint has another unit."""
         return self.unit != 1.0 or any(fit.sensor_fault.is_scaled for fit in self.fits)
 
     def factor(self, joint: int) -> float:
-        """Return the measured effort of a joint divided by its actual effort, without sign."""
+        """Return the ratio of measured to actual effort of a joint, without its sign."""
         return self.unit * self.fits[joint].scale
 
 
 class RegressionData:
     """
-    The samples of all joints, and the search for their explanation.
+    The samples of n joints, and the search for their explanation.
 
-    Parameters
-    ----------
-    joints : sequence of JointSamples
-        Samples of n joints.
-    links : mapping of str to float
-        Links that may carry a load, with the mass of the body of each [kg]. The efforts of loads
-        on them are in the samples, from column ``LOADS`` on.
-    heaviest : float
-        Largest mass of a load [kg].
-    gravity : ndarray, shape (3,)
-        Gravity of the model in the frame of the base link [m/s^2].
-    sample_count : float
-        Number of independent samples of a joint.
-    duration : float
-        Time that the samples represent [s].
-    least_duration : float
-        Shortest duration for which an explanation is searched [s].
-    convention : GravityConvention
-        Whether the modelled efforts contain gravity, as the measured ones should.
-
+    Each of the `links` may carry a load of up to `heaviest` [kg]; the mapping contains the mass of
+    its body [kg]. Columns of the samples, from ``LOADS`` on, are the efforts of these loads.
+    Gravity is that of the model in the frame of the base link [m/s^2]. The samples represent
+    `duration` [s], and `sample_count` samples of each joint are independent. For less than
+    `least_duration` [s], no explanation is searched for. The `convention` says whether the
+    modelled efforts contain gravity, as the measured efforts should.
     """
 
     def __init__(
@@ -149,7 +135,7 @@ class RegressionData:
         self.nominal = CandidateModel(None, weights, 0, has_gravity=self.has_gravity)
 
     def with_joints(self, joints: Sequence[JointSamples], duration: float) -> RegressionData:
-        """Return the same data with other samples."""
+        """Return the same data with other samples, which represent this duration [s]."""
         links = dict(zip(self.links, self.link_masses, strict=True))
         sample_count = self.sample_count * duration / self.duration
         return RegressionData(
@@ -164,7 +150,7 @@ class RegressionData:
         )
 
     def restricted(self, interval: tuple[float, float], is_inside: bool) -> RegressionData:
-        """Return the samples inside or outside of an interval [s]."""
+        """Return the samples inside or outside an interval [s]."""
         begin, end = interval
         joints = []
         for samples in self.joints:
@@ -179,7 +165,7 @@ class RegressionData:
         return self.with_joints(joints, max(duration, 1e-9))
 
     def loads(self, k: int, start: RobotFit) -> list[RobotFit]:
-        """Fit payloads on link k without sensor faults."""
+        """Return fits of a payload on link k, without a search for sensor faults."""
         found: list[RobotFit] = []
         fits = start.fits
         for _ in range(MAX_ITERATIONS):
@@ -191,7 +177,7 @@ class RegressionData:
         return found
 
     def friction_only(self) -> RobotFit:
-        """Return the model as it is, with friction."""
+        """Return the unchanged model with fitted friction."""
         fits = tuple(
             samples.fit(self.nominal.weights, self.first_measured + j, NO_FAULT)
             for j, samples in enumerate(self.joints)
@@ -219,7 +205,7 @@ class RegressionData:
         )
         if nominal.cost - lowest_cost < PARAMETER_COST:
             return nominal  # no further parameter can be worth its cost
-        # If an offset of a joint explains as much as missing gravity, prefer the latter.
+        # Missing gravity is preferred to an offset of a joint that explains as much.
         found = sorted(
             self._candidates(nominal),
             key=lambda each: each.cost - COST_TOLERANCE * self.contradicts(each.candidate),
@@ -232,10 +218,10 @@ class RegressionData:
         # At rest, efforts in a small unit seem to lack gravity.
         if len(found) == 1 or not (self.has_gravity and self.is_at_rest):
             found.append(other)
-        # Start without sensor faults, and with those that seem best for the model as it is.
+        # Start without sensor faults, and with the best sensor faults for the unchanged model.
         starts = [[JointFit(NO_FAULT, 0.0, 1.0)] * len(self.joints), list(nominal.fits)]
         swapped = [fit.sensor_fault.is_swapped for fit in nominal.fits]
-        if any(swapped):  # other faults may stand for a load
+        if any(swapped):  # a load may look like other sensor faults
             starts.append([JointFit(SensorFault(is_swapped=each), 0.0, 1.0) for each in swapped])
         for start in starts:
             found += self._iterate(self._mounting, start)
@@ -245,11 +231,11 @@ class RegressionData:
         return found + self._reordered()
 
     def _is_credible(self, robot_fit: RobotFit) -> bool:
-        """Return whether a candidate model is possible, and improves enough by itself."""
+        """Return whether a candidate model is possible and explains enough by itself."""
         candidate = robot_fit.candidate
         if candidate.kind is None:
             return True
-        # One pose does not distinguish a load from its own compensation.
+        # In one pose, a load cannot be distinguished from its compensation.
         is_load = candidate.kind is FaultKind.PAYLOAD
         if self.is_at_rest and is_load and not candidate.has_gravity:
             return False
@@ -262,7 +248,7 @@ class RegressionData:
         return not self.contradicts(candidate) or self._explains_gravity(robot_fit)
 
     def unexplained(self, robot_fit: RobotFit) -> float:
-        """Return the unexplained fraction of squared efforts, averaged over both joint types."""
+        """Return the unexplained fraction of squares: mean of revolute and prismatic joints."""
         remaining = {False: 0.0, True: 0.0}
         squares = {False: 0.0, True: 0.0}
         for j, (samples, fit) in enumerate(zip(self.joints, robot_fit.fits, strict=True)):
@@ -278,7 +264,7 @@ class RegressionData:
         )
 
     def _explains_gravity(self, robot_fit: RobotFit) -> bool:
-        """Return whether heavy joints are explained, and hardly any gravity is left in them."""
+        """Return whether joints with much gravity are explained, and little gravity remains."""
         numerator = denominator = 0.0
         is_shown = False
         for j, (samples, fit) in enumerate(zip(self.joints, robot_fit.fits, strict=True)):
@@ -288,7 +274,7 @@ class RegressionData:
             if not self.has_gravity:
                 modelled = modelled + samples.squares[GRAVITY]
             is_heavy = samples.squares[GRAVITY] > CONSIDERABLE**2 * modelled
-            # A joint at rest may have any dry friction, which looks like less gravity.
+            # The unknown dry friction of a joint at rest looks like less gravity.
             is_heavy = is_heavy and (samples.moves or self.is_at_rest)
             if is_heavy and fit.remaining > max(CREDIBLE, samples.floor(measured)):
                 return False
@@ -303,7 +289,7 @@ class RegressionData:
         return is_shown and abs(numerator) < NO_GRAVITY * denominator
 
     def _target(self, j: int, robot_fit: RobotFit) -> Floats:
-        """Return what an explanation leaves to the friction of a joint, for reduced samples."""
+        """Return the reduced efforts of a joint that an explanation leaves to friction."""
         R, fit = self.joints[j].triangle, robot_fit.fits[j]
         measured = R[:, self.first_measured + robot_fit.source[j]]
         target: Floats = fit.sensor_fault.sign / robot_fit.factor(j) * measured
@@ -316,7 +302,7 @@ class RegressionData:
         candidate: CandidateModel | None = None,
         without: str = '',
     ) -> RobotFit:
-        """Fit again, with another candidate model or without a kind of sensor fault."""
+        """Fit again, with another candidate model or without one kind of sensor fault."""
         candidate = candidate or robot_fit.candidate
         fits = []
         for j, (samples, fit) in enumerate(zip(self.joints, robot_fit.fits, strict=True)):
@@ -328,7 +314,7 @@ class RegressionData:
         return robot_fit._replace(candidate=candidate, fits=tuple(fits))
 
     def _common_unit(self, nominal: RobotFit) -> list[RobotFit]:
-        """Scale the efforts of all joints alike, including those that hardly moved."""
+        """Fit one unit to the efforts of all joints, including joints that hardly moved."""
         factors = [fit.scale for fit in nominal.fits if fit.sensor_fault.is_scaled]
         factors += self._factors_at_rest(nominal)
         middle = float(np.median(factors)) if factors else 1.0
@@ -340,7 +326,7 @@ class RegressionData:
         return [min(found, key=lambda each: each.cost)]
 
     def _factors_at_rest(self, nominal: RobotFit) -> list[float]:
-        """Return the factors of joints that show a unit only together, not one by one."""
+        """Return the factors of joints that identify a unit only together with other joints."""
         factors = []
         for j, (samples, fit) in enumerate(zip(self.joints, nominal.fits, strict=True)):
             measured = self.first_measured + j
@@ -360,13 +346,13 @@ class RegressionData:
         return weights
 
     def other_gravity(self) -> CandidateModel:
-        """Return the model that contains gravity if the convention does not, and vice versa."""
+        """Return the model with gravity if the convention excludes it, otherwise without."""
         kind = GRAVITY_KINDS[not self.has_gravity]
         weights = self._weights({MODEL: 1.0, GRAVITY: -1.0 if self.has_gravity else 1.0})
         return CandidateModel(kind, weights, 1, has_gravity=not self.has_gravity)
 
     def contradicts(self, candidate: CandidateModel) -> bool:
-        """Return whether only one of candidate model and convention contains gravity."""
+        """Return whether candidate model and convention disagree on gravity."""
         return candidate.has_gravity is not self.has_gravity
 
     def _fit_joints(self, candidate: CandidateModel, unit: float = 1.0) -> RobotFit:
@@ -381,7 +367,7 @@ class RegressionData:
         fit_candidate: Callable[[list[JointFit]], CandidateModel | None],
         fits: list[JointFit],
     ) -> list[RobotFit]:
-        """Fit a candidate model to the joints, and the joints to the candidate model, in turn."""
+        """Fit the candidate model and the sensor faults of the joints in turn."""
         found: list[RobotFit] = []
         for _ in range(MAX_ITERATIONS):
             candidate = fit_candidate(fits)
@@ -395,11 +381,10 @@ class RegressionData:
 
     def _rows(self, fits: list[JointFit], fixed: Floats) -> tuple[Floats, Floats] | None:
         """
-        Stack the samples of all joints, weighted, with friction and sensor faults removed.
+        Return weighted columns and targets of all joints, without friction and sensor faults.
 
-        Returns columns and targets; the targets are the efforts that the fixed columns leave. None
-        if the units of all efforts are unknown.
-
+        The targets are the efforts that the `fixed` weights of the columns do not explain. Return
+        None if the units of all efforts are unknown.
         """
         stacked, targets = [], []
         for j, (samples, fit) in enumerate(zip(self.joints, fits, strict=True)):
@@ -422,7 +407,7 @@ class RegressionData:
         return (np.vstack(stacked), np.concatenate(targets)) if stacked else None
 
     def _mounting(self, fits: list[JointFit]) -> CandidateModel | None:
-        """Fit the direction of the gravity in the model."""
+        """Fit gravity; return None unless only its direction differs from the model."""
         if not self.has_gravity:
             return None
         fixed = self._weights({MODEL: 1.0, GRAVITY: -1.0})
@@ -434,7 +419,7 @@ class RegressionData:
         return self.mounted(gravity) if self.is_tilted(gravity) else None
 
     def is_tilted(self, gravity: Floats) -> bool:
-        """Return whether gravity has another direction than in the model, and its strength."""
+        """Return whether gravity differs from the model in direction, but not in magnitude."""
         g, g_0 = np.linalg.norm(gravity), np.linalg.norm(self.gravity)
         # A different magnitude has another cause than the mounting.
         if g_0 == 0.0 or abs(g / g_0 - 1.0) > STRENGTH:
@@ -442,7 +427,7 @@ class RegressionData:
         return math.acos(np.clip(gravity @ self.gravity / (g * g_0), -1.0, 1.0)) > MIN_TILT
 
     def mounted(self, gravity: Floats) -> CandidateModel:
-        """Return the model with another gravity in the frame of the base link [m/s^2]."""
+        """Return the model with this gravity in the frame of the base link [m/s^2]."""
         weights = self._weights({MODEL: 1.0, GRAVITY: -1.0})
         weights[WEIGHT : WEIGHT + 3] = gravity
         return CandidateModel(FaultKind.MOUNTING, weights, 3, solution=tuple(gravity.tolist()))
@@ -450,7 +435,7 @@ class RegressionData:
     def _payload(
         self, k: int, base: CandidateModel, fits: list[JointFit]
     ) -> CandidateModel | None:
-        """Fit a point mass on link k to the efforts that a base candidate model leaves."""
+        """Fit a point mass on link k to the residual efforts of a base candidate model."""
         rows = self._rows(fits, base.weights)
         if rows is None:
             return None
@@ -464,8 +449,8 @@ class RegressionData:
     def loaded(
         self, k: int, base: CandidateModel, solution: Floats, errors: Floats
     ) -> CandidateModel | None:
-        """Return a base candidate model with a point mass on link k, if that is possible."""
-        # A body cannot lack more than its mass.
+        """Add a point mass on link k to a candidate model; return None if it is impossible."""
+        # The missing mass of a body cannot exceed its mass.
         least = -self.link_masses[k] - 3.0 * errors[0]
         if not least < solution[0] < self.heaviest or np.linalg.norm(solution[1:]) > MAX_REACH:
             return None
@@ -483,7 +468,7 @@ class RegressionData:
         )
 
     def _reordered(self) -> list[RobotFit]:
-        """Exchange the measured efforts of unexplained joints, if that explains them."""
+        """Return a fit with exchanged efforts of unexplained joints, if this explains them."""
         from scipy.optimize import linear_sum_assignment
 
         n, weights = len(self.joints), self.nominal.weights
