@@ -1,9 +1,9 @@
 """
-Explanations of measured efforts as separate faults, each with its own contribution.
+Divides an explanation of measured efforts into separate faults with their contributions.
 
-A reversed axis changes position, velocity and effort of its joint alike. The joint looks right by
-itself, but every joint that moves it or is moved by it has another effort: the explanation is
-searched for again with other directions of the axes.
+A reversed axis negates position, velocity and effort of a joint, which looks right by itself. But
+the efforts of the joints before and after the joint in the tree are wrong. Therefore the search
+for an explanation is repeated with reversed axes.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ from .joint_samples import CREDIBLE, JointFit, NO_FAULT, PARAMETER_COST
 from .loads import MAX_COM_ERROR
 from .regression_data import RegressionData, RobotFit
 
-CHANGED = 0.9  # of the RMS residual; a joint whose residual falls by less is not affected
+CHANGED = 0.9  # a fault affects a joint if the RMS residual falls below this fraction
 MOST_UNEXPLAINED = 0.5  # fraction of the squares; if more remains, the model explains nothing
-FAR = 2.0 * np.pi  # [rad] outside the limits; a joint that turned once more is not as far
+FAR = 2.0 * np.pi  # [rad] outside the limits; more than one additional turn of a joint
 NOT_EXPLAINED = 9.0  # times the floor; if all joints have less, no axis is reversed
-LARGE = 0.05  # fraction of the squares that is not explained, whatever the floor
-AXIS_PARAMETERS = 2  # an axis has the weight of two parameters, because it is rarely wrong
+LARGE = 0.05  # a larger fraction of the squares is not explained, whatever the floor
+AXIS_PARAMETERS = 2  # a reversed axis has the weight of two parameters, because it is rare
 
 
 # ---- Directions of axes --------------------------------------------------------------------
 
 
 class Axes(NamedTuple):
-    """The directions of the axes, and the explanation of the efforts with these."""
+    """Directions of the axes, and the explanation of the efforts with these directions."""
 
     signs: Floats
-    """-1 for each of n joints whose axis is reversed, otherwise 1."""
+    """Sign of each axis, shape (n,): -1 if reversed, otherwise 1."""
     data: RegressionData
     robot_fit: RobotFit
 
@@ -48,10 +48,9 @@ def search_axes(
     data: RegressionData, with_signs: Callable[[Floats], RegressionData | None]
 ) -> Axes:
     """
-    Explain efforts, with other directions of axes if these explain more.
+    Explain efforts, with reversed axes if they explain more.
 
-    The function returns the samples for given signs of the n axes.
-
+    `with_signs` returns the samples for given signs of the n axes, or None to reject these signs.
     """
     best = Axes(np.ones(len(data.joints)), data, data.explain())
     while not data.is_too_short and _is_open(best):
@@ -73,7 +72,7 @@ def search_axes(
 
 
 def _is_open(axes: Axes) -> bool:
-    """Return whether a joint that moves is not explained."""
+    """Return whether the effort of a moving joint is not explained."""
     data, fit = axes.data, axes.robot_fit
     for samples, each, source in zip(data.joints, fit.fits, fit.source, strict=True):
         floor = samples.floor(data.first_measured + source)
@@ -86,7 +85,7 @@ def _is_open(axes: Axes) -> bool:
 
 
 def diagnose(data: RegressionData, robot_fit: RobotFit, names: Sequence[str]) -> list[Fault]:
-    """Divide an explanation into faults, most important first; none if it changes nothing."""
+    """Return the faults in an explanation, most important first; empty for the nominal model."""
     found = _Faults(data, robot_fit, names)
     return [
         *found.order(),
@@ -103,7 +102,7 @@ def diagnose(data: RegressionData, robot_fit: RobotFit, names: Sequence[str]) ->
 
 
 def diagnose_interval(fault: FaultInterval, names: Sequence[str]) -> list[Fault]:
-    """Return the fault that acts during a part of the recording."""
+    """Return the fault that acts during an interval of the recording."""
     if fault.kind is FaultKind.MOUNTING and fault.gravity is not None:
         angles = [angle_between(each, fault.data.gravity) for each in fault.gravity]
         steepest = int(np.argmax(angles))
@@ -121,13 +120,13 @@ def diagnose_interval(fault: FaultInterval, names: Sequence[str]) -> list[Fault]
 
 
 def diagnose_bodies(bodies: Bodies, data: RegressionData, names: Sequence[str]) -> Fault:
-    """Return the fault of several wrong links."""
+    """Return the fault that describes several wrong links."""
     before, after = bodies.before.tolist(), bodies.after.tolist()
     return Fault(FaultKind.BODIES, changes=_changes(data, names, before, after))
 
 
 def diagnose_axes(data: RegressionData, axes: Axes, names: Sequence[str]) -> list[Fault]:
-    """Return the fault of reversed axes, given the samples as they were recorded."""
+    """Return the fault that describes reversed axes; the samples are those before reversal."""
     joints = tuple(name for name, sign in zip(names, axes.signs, strict=True) if sign < 0.0)
     if not joints:
         return []
@@ -155,7 +154,7 @@ def _changes(
 
 
 def diagnose_positions(robot: RobotModel, q: Floats, names: tuple[str, ...]) -> list[Fault]:
-    """Return the fault of positions so far outside their limits that they have another unit."""
+    """Return a fault if positions are so far outside the limits that their unit is wrong."""
     far = [
         each
         for each in implausible_positions(robot, q, names)
@@ -169,14 +168,14 @@ def diagnose_positions(robot: RobotModel, q: Floats, names: tuple[str, ...]) -> 
 
 
 def diagnose_constant(values: Mapping[str, float]) -> list[Fault]:
-    """Return the fault of joints whose measured effort is constant, given their efforts."""
+    """Return a fault for joints with constant measured efforts, which are the given values."""
     if not values:
         return []
     return [Fault(FaultKind.NOT_MEASURED, tuple(values), tuple(values.values()))]
 
 
 class _Faults:
-    """The faults that one explanation consists of."""
+    """Derives the faults from one explanation."""
 
     def __init__(self, data: RegressionData, robot_fit: RobotFit, names: Sequence[str]) -> None:
         self.data, self.robot_fit, self.names = data, robot_fit, names
@@ -188,7 +187,7 @@ class _Faults:
         ]
 
     def changes(self, without: RobotFit) -> tuple[Change, ...]:
-        """Return the joints that are explained worse without a part of the explanation."""
+        """Return the joints that are explained worse in an explanation without one fault."""
         before, after = ([fit.rms for fit in fits] for fits in (without.fits, self.fits))
         return _changes(self.data, self.names, before, after, self.robot_fit.source)
 
@@ -220,7 +219,7 @@ class _Faults:
         return self.data.refit(self.robot_fit, candidate=base)
 
     def other_gravity(self) -> list[Fault]:
-        """Return the fault of measured efforts that unexpectedly lack gravity, or contain it."""
+        """Return the fault of measured efforts that unexpectedly lack or contain gravity."""
         candidate, other = self.robot_fit.candidate, self.data.other_gravity()
         if other.kind is None or not self.data.contradicts(candidate):
             return []
@@ -277,7 +276,7 @@ class _Faults:
         ]
 
     def sensor_fault(self, kind: FaultKind, flag: str) -> list[Fault]:
-        """Return the fault of the joints with one kind of sensor fault."""
+        """Return the fault of all joints with one kind of sensor fault."""
         found = [j for j, fit in enumerate(self.fits) if getattr(fit.sensor_fault, flag)]
         if not found:
             return []
@@ -298,7 +297,7 @@ class _Faults:
         ]
 
     def unexplained(self) -> list[Fault]:
-        """Return the joints that nothing explains; the worst ones if the sum is not explained."""
+        """Return the fault of unexplained joints: moving joints, or else all if most remains."""
         if self.data.is_too_short:
             return []
         left = [
@@ -326,7 +325,7 @@ class _Faults:
 
 
 def _value(fit: JointFit, kind: FaultKind) -> float:
-    """Return the number that describes a kind of sensor fault."""
+    """Return the number that describes one kind of sensor fault."""
     if kind is FaultKind.SIGN:
         return -1.0
     values = {

@@ -1,4 +1,4 @@
-"""Why measured and modelled efforts differ: the words that `compare` and `watch` share."""
+"""Causes of differences between measured and modelled efforts, for `compare` and `watch`."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ class FaultKind(enum.Enum):
 
     SIGN = 'sign'
     SCALE = 'scale'
-    """The efforts of joints are in another unit, or are motor currents."""
+    """The efforts of some joints are in another unit, or are motor currents."""
     POSITIONS = 'positions'
     """The positions are in another unit, such as degrees."""
     REVERSED_AXIS = 'reversed_axis'
     """Position, velocity and effort of a joint have the opposite sign."""
     DELAY = 'delay'
-    """The efforts are later than the positions."""
+    """The efforts are delayed relative to the positions."""
     UNIT = 'unit'
     """The efforts of all joints are in the same other unit."""
     ORDER = 'order'
-    """The efforts of joints are recorded under each other's names."""
+    """The efforts of some joints are recorded under the names of other joints."""
     NOT_MEASURED = 'not_measured'
-    """The measured effort never changes, although the modelled one does."""
+    """The measured effort never changes, although the modelled effort does."""
     OFFSET = 'offset'
     ROTOR_INERTIA = 'rotor_inertia'
     GRAVITY_COMPENSATED = 'gravity_compensated'
     """The measured efforts lack gravity."""
     GRAVITY_MEASURED = 'gravity_measured'
-    """They contain it, although the driver is said to leave it out."""
+    """The measured efforts contain gravity, although the driver should leave gravity out."""
     MOUNTING = 'mounting'
     """Gravity has another direction than in the model."""
     PAYLOAD = 'payload'
@@ -52,16 +52,16 @@ WITH_GRAVITY = GravityConvention()
 
 
 class Change(NamedTuple):
-    """RMS residual of one joint without a fault and with it; friction is fitted in both cases."""
+    """RMS residual of one joint before and after correction of a fault, with fitted friction."""
 
     joint: str
     is_prismatic: bool
     before: float
-    """[N m or N], as recorded."""
+    """RMS residual without the correction, in the unit of the recording [N m or N]."""
     after: float
-    """[N m or N], as recorded."""
+    """RMS residual with the correction, in the unit of the recording [N m or N]."""
     measured: float
-    """RMS of the measured effort [N m or N], as recorded."""
+    """RMS of the measured effort, in the unit of the recording [N m or N]."""
 
 
 class Fault(NamedTuple):
@@ -69,34 +69,35 @@ class Fault(NamedTuple):
 
     kind: FaultKind
     joints: tuple[str, ...] = ()
-    """Joints whose efforts it explains; empty if it concerns the whole robot."""
+    """Joints with the fault; empty if the fault concerns the whole robot."""
     values: tuple[float, ...] = ()
     """
-    Factor, inertia [kg m^2, kg] or offset [N m, N] of each joint; mass [kg] and centre of mass [m]
-    of a payload, NaN where unknown; gravity in the frame of the base link [m/s^2] of a mounting.
+    For joints: a factor, rotor inertia [kg m^2, kg] or effort [N m, N] of each joint. For a
+    payload: mass [kg] and centre of mass [m], NaN where unknown. For a mounting: gravity in the
+    frame of the base link [m/s^2]. For a delay: its duration [s].
     """
     changes: tuple[Change, ...] = ()
-    """Joints whose residual it reduces, the largest reduction first."""
+    """Joints with smaller residuals after the correction, largest reduction first."""
     error: float = 0.0
     """Standard error of the mass of a payload [kg]."""
     angle: float = 0.0
-    """Angle of a mounting to that in the model [rad]."""
+    """Angle between the actual mounting and the mounting in the model [rad]."""
     link: str = ''
     """Link that carries the payload."""
     sources: tuple[str, ...] = ()
-    """Names under which the efforts of ``joints`` were recorded, if in another order."""
+    """For a wrong order: names under which the efforts of ``joints`` were recorded."""
     unknown: tuple[str, ...] = ()
     """Joints whose unit is unknown because friction dominates."""
     is_every_joint: bool = False
-    """Whether it applies to all joints that show more than friction."""
+    """Whether all joints have the fault, except joints that show only friction."""
     is_motor_side: bool = False
-    """Whether the efforts contain the friction of the gears, as those of motor currents do."""
+    """Whether the efforts contain the friction of the gears, as motor currents do."""
     is_commanded: bool = True
-    """Whether commands contain the gravity that is compensated or measured."""
+    """Whether commanded efforts contain gravity."""
     interval: tuple[float, float] | None = None
-    """Start and end [s] if it applies to a part of the recording."""
+    """Start and end of a temporary fault [s]; None if the fault lasts all the time."""
 
     @property
     def is_same_factor(self) -> bool:
-        """Whether all factors are equal, as those of a unit are."""
+        """Whether the factors of all joints are nearly equal, as for a common unit."""
         return max(self.values) < SAME_FACTOR * min(self.values)

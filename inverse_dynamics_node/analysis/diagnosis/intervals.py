@@ -1,9 +1,9 @@
 """
-Finds causes that act during a part of a recording only: a load, a push, a base that tilts.
+Finds causes that act only during an interval of a recording: a load, a push, a tilting base.
 
-Friction, rotors and offsets are fitted to the rest of the recording, in which the model is right.
-Whatever is left inside the part is explained by a payload, or else by an external force. A base
-that tilts is found by a direction of gravity that changes over time.
+Outside the interval the model is right, and friction, rotor inertias and offsets are fitted there.
+Inside the interval, a payload explains the residual, or else an external force. A tilting base is
+found as a direction of gravity that changes over time.
 """
 
 from __future__ import annotations
@@ -30,47 +30,47 @@ from .joint_samples import (
 )
 from .regression_data import MIN_TILT, RegressionData, RobotFit
 
-SEGMENTS = 40  # of a recording, whose edges are possible limits of a part
-LONGEST = 0.9  # fraction of the recording; the rest shows the friction
-EXPLAINED_OUTSIDE = 0.1  # largest unexplained fraction of the squares outside of the part
+SEGMENTS = 40  # of equal length; an interval starts and ends at the edges of segments
+LONGEST = 0.9  # fraction of the recording; friction is identified from the rest
+EXPLAINED_OUTSIDE = 0.1  # largest unexplained fraction of the squares outside the interval
 REFINEMENTS = 3  # of the start and end of a load
 LONGEST_FORCE = 0.5  # fraction of the recording
-LOUDER = 9.0  # ratio of the mean squares inside and outside, from which on there is a part
-LOUDER_LOAD = 3.0  # the same of a load that explains most of what is inside
-MUCH_LOUDER = 25.0  # the same for an external force, which may have any course over time
-IMPROVES = 0.3  # fraction of the unexplained squares that a cause must leave at most
-NOT_EXPLAINED = 9.0  # times the floor; a joint with less is explained, and no part is searched
-NOT_EXPLAINED_BY_CANDIDATE = 1.5  # the same if the model has been changed already
+LOUDER = 9.0  # least ratio of the mean squares inside and outside an interval
+LOUDER_LOAD = 3.0  # largest ratio of the mean squares inside and outside, with a fitted load
+MUCH_LOUDER = 25.0  # least ratio for an external force, which may vary arbitrarily over time
+IMPROVES = 0.3  # a cause leaves at most this fraction of the unexplained squares
+NOT_EXPLAINED = 9.0  # times the floor; if all joints have less, no interval is searched for
+NOT_EXPLAINED_BY_CANDIDATE = 1.5  # times the floor, if a candidate has changed the model already
 AS_GOOD = 0.002  # unexplained fraction of the squares that a tilt may leave in any case
-MIN_DURATION = 6.0  # [s] of a recording whose parts are considered
+MIN_DURATION = 6.0  # [s]; no interval is searched for in shorter recordings
 
 KNOT_DISTANCE = 0.75  # [s] between the times at which a changing gravity is fitted
 MOST_KNOTS = 40
-MOST_ROWS = 800  # samples of a joint that are used for a changing gravity
+MOST_ROWS = 800  # samples of each joint that are used for a changing gravity
 GRAVITY_RANGE = 5.0  # [m/s^2], standard deviation of gravity at a knot
 GRAVITY_STEP = 2.0  # [m/s^2], standard deviation of its change between knots
-STRENGTH = 0.25  # largest relative change of the strength of gravity
+STRENGTH = 0.25  # largest relative change of the magnitude of gravity
 
 
 class FaultInterval(NamedTuple):
-    """A part of a recording, and the cause that acts during it."""
+    """An interval of a recording, and the cause that acts only during this interval."""
 
     kind: FaultKind
-    """A payload, an external force, or a mounting that changes."""
+    """A payload, an external force, or a changing mounting."""
     interval: tuple[float, float]
-    """Begin and end [s]."""
+    """Start and end of the interval [s]."""
     outside: RobotFit
-    """Explanation of these data."""
+    """Explanation of ``data``."""
     data: RegressionData
-    """Samples of the rest of the recording; if a load acts inside, all samples."""
+    """For an external force, the samples outside the interval; otherwise all samples."""
     joints: tuple[int, ...] = ()
-    """Joints on which an external force acts."""
+    """Indices of the joints on which an external force acts."""
     knots: Floats | None = None
-    """Times at which gravity was fitted, shape (k,) [s]."""
+    """The k times at which gravity was fitted, shape (k,) [s]."""
     gravity: Floats | None = None
-    """Gravity in the base frame at the knots, shape (k, 3) [m/s^2]."""
+    """Gravity in the base frame at the k knots, shape (k, 3) [m/s^2]."""
     left: float = math.nan
-    """Unexplained fraction of the squares with that gravity."""
+    """Unexplained fraction of the squares with the fitted gravity."""
 
 
 def span(data: RegressionData) -> tuple[float, float]:
@@ -81,10 +81,9 @@ def span(data: RegressionData) -> tuple[float, float]:
 
 def find_fault_interval(data: RegressionData, robot_fit: RobotFit) -> FaultInterval | None:
     """
-    Return the part of a recording to which a cause is limited.
+    Return the interval of a recording to which a cause is limited.
 
-    None if a part does not explain far more than the best explanation of all samples.
-
+    Return None unless such a cause explains far more than the best explanation of all samples.
     """
     if data.duration < MIN_DURATION or not _is_open(data, robot_fit):
         return None
@@ -98,8 +97,8 @@ def find_fault_interval(data: RegressionData, robot_fit: RobotFit) -> FaultInter
 
 
 def _is_open(data: RegressionData, robot_fit: RobotFit) -> bool:
-    """Return whether a joint that moves is not explained."""
-    # A load or a mounting that holds for a part only leaves less than nothing does.
+    """Return whether the effort of a moving joint is not explained."""
+    # Even if a load or a tilt is temporary, a candidate model for all samples explains a little.
     is_nominal = robot_fit.candidate.kind is None
     floors = NOT_EXPLAINED if is_nominal else NOT_EXPLAINED_BY_CANDIDATE
     return any(
@@ -133,7 +132,7 @@ def _interval(data: RegressionData, robot_fit: RobotFit) -> FaultInterval | None
     if not total or not possible.any():
         return None
     loudest_part = np.flatnonzero(possible)[np.argmin(cost[possible])]
-    # A part that lasts longer than the rest is not the louder one, but the rest is explained.
+    # If a cause acts most of the time, its interval is not louder, but the rest is explained.
     explained = left < 2.0 * float(left.min()) + AS_GOOD * total
     shortest = np.flatnonzero(explained)[np.argmin((last - first)[explained])]
     intervals = [(float(edges[first[k]]), float(edges[last[k]])) for k in (loudest_part, shortest)]
@@ -146,14 +145,14 @@ def _interval(data: RegressionData, robot_fit: RobotFit) -> FaultInterval | None
 
 
 def _pairs() -> tuple[Integers, Integers]:
-    """Return the first and last edges of all possible parts."""
+    """Return the first and last edges of all possible intervals."""
     first, last = np.triu_indices(SEGMENTS + 1, 1)
     chosen = last - first <= LONGEST * SEGMENTS
     return first[chosen], last[chosen]
 
 
 def _features(data: RegressionData, j: int) -> Floats:
-    """Return the columns of friction, rotor and offset, and the effort that the model leaves."""
+    """Return the columns of friction, rotor and offset, and the residual effort of the model."""
     columns = data.joints[j].columns
     target = columns[:, data.first_measured + j] - columns[:, MODEL]
     return np.column_stack([columns[:, [SPEED, DIRECTION, ACCELERATION, ONE]], target])
@@ -162,7 +161,7 @@ def _features(data: RegressionData, j: int) -> Floats:
 def _mean_squares(
     data: RegressionData, j: int, edges: Floats, first: Integers, last: Integers
 ) -> tuple[Floats, Floats, Floats]:
-    """Return mean squares inside and outside of all parts, and the number of samples inside."""
+    """Return mean squares inside and outside all intervals, and numbers of samples inside."""
     features = _features(data, j)
     scale = np.maximum(np.linalg.norm(features, axis=0), 1e-300)
     features = features / scale
@@ -187,7 +186,7 @@ def _mean_squares(
 def _load(
     data: RegressionData, interval: tuple[float, float], robot_fit: RobotFit
 ) -> FaultInterval | None:
-    """Return a part during which a load is carried; None if none explains it."""
+    """Return the interval of a carried load; None if no load explains the efforts."""
     best: FaultInterval | None = None
     for _ in range(REFINEMENTS):
         loaded = with_loads_inside(data, interval)
@@ -201,7 +200,7 @@ def _load(
     assert best is not None
     left = best.data.unexplained(best.outside)
     rest = data.restricted(best.interval, is_inside=False)
-    # A force of any course leaves more inside than the model does outside.
+    # A load does not explain an arbitrary force: more remains inside the interval than outside.
     if left > LOUDER_LOAD * rest.unexplained(rest.friction_only()) + AS_GOOD:
         return None
     return best if left < IMPROVES * data.unexplained(robot_fit) else None
@@ -227,12 +226,12 @@ def _refined(data: RegressionData, fault: FaultInterval) -> tuple[float, float]:
 def _force(
     data: RegressionData, interval: tuple[float, float], robot_fit: RobotFit
 ) -> FaultInterval | None:
-    """Return a part during which an external force acts; None if there is no clear push."""
+    """Return the interval of an external force; None if there is no clear push."""
     unexplained = data.unexplained(robot_fit)
     outside = data.restricted(interval, is_inside=False)
     if outside.is_too_short or interval[1] - interval[0] > LONGEST_FORCE * data.duration:
         return None
-    # The model with friction, or else with the rotors and offsets of the whole recording.
+    # Try the model with friction, then also with rotors and offsets of the whole recording.
     found = outside.friction_only()
     is_unit = robot_fit.is_scaled or any(fit.sensor_fault.is_swapped for fit in robot_fit.fits)
     if robot_fit.candidate.kind is None and not is_unit:
@@ -256,7 +255,7 @@ def _force(
 
 
 def with_loads_inside(data: RegressionData, interval: tuple[float, float]) -> RegressionData:
-    """Return samples in which loads act inside of an interval only."""
+    """Return samples in which loads act only inside an interval."""
     joints = []
     for samples in data.joints:
         columns = samples.columns.copy()
@@ -284,8 +283,7 @@ def best_interval(times: Floats, gain: Floats, start: tuple[float, float]) -> tu
     """
     Return the interval with the largest sum of gains, or `start` if no sample has a gain.
 
-    The gain of a sample says how much better it is explained if it is part of the interval.
-
+    The gain of a sample is the improvement of its explanation if the interval contains the sample.
     """
     sums = np.concatenate([[0.0], np.cumsum(gain)])
     lowest = np.minimum.accumulate(sums[:-1])
@@ -300,7 +298,7 @@ def best_interval(times: Floats, gain: Floats, start: tuple[float, float]) -> tu
 
 
 def find_tilt(data: RegressionData, most_left: float) -> FaultInterval | None:
-    """Fit gravity at several times of the recording, and friction for all of it."""
+    """Fit gravity at several times, with constant friction; return None without a clear tilt."""
     strength = float(np.linalg.norm(data.gravity))
     moving = [j for j, samples in enumerate(data.joints) if samples.moves]
     if strength == 0.0 or not (data.has_gravity and moving):
@@ -346,7 +344,7 @@ def _fit_gravity(data: RegressionData, moving: list[int], knots: Floats) -> tupl
         own = 3 * count + 4 * position
         matrix[:, own : own + 4] = columns[:, [SPEED, DIRECTION, ACCELERATION, ONE]]
         measured = columns[:, data.first_measured + j]
-        # The model contains its own gravity, which is replaced.
+        # Replace the gravity that the model contains.
         target = measured - columns[:, MODEL] + columns[:, GRAVITY]
         target = target - columns[:, WEIGHT : WEIGHT + 3] @ data.gravity
         floor = samples.floor(data.first_measured + j) * float(np.mean(measured**2))
@@ -385,7 +383,7 @@ def _fit_gravity(data: RegressionData, moving: list[int], knots: Floats) -> tupl
 def changing_gravity_efforts(
     fault: FaultInterval, robot: RobotModel, q: Floats, times: Floats
 ) -> Floats:
-    """Return efforts, shape (K, n), of a gravity that is interpolated between its knots."""
+    """Return the efforts of gravity, which is interpolated between knots, shape (K, n)."""
     if fault.knots is None or fault.gravity is None:
         return np.zeros_like(q)
     knots, gravity = fault.knots, fault.gravity

@@ -45,10 +45,10 @@ from .friction import FrictionFit
 from .intervals import best_interval, FaultInterval, find_fault_interval, MUCH_LOUDER
 from .regression_data import RegressionData, RobotFit
 
-REVERSED = 0.7  # fraction of the squares that fitted links leave at most, of that without
-MIN_DELAY, MAX_DELAY = 0.01, 0.3  # [s]; efforts that are later or earlier than that are reported
+REVERSED = 0.7  # reversed axes leave at most this fraction of the squares, with fitted links
+MIN_DELAY, MAX_DELAY = 0.01, 0.3  # [s]; delays between these limits are reported
 SMALL_STEP = 0.001  # [s]; a smaller change of a delay ends its search
-DELAY_ROUNDS = 5  # of estimating a delay, each to first order
+DELAY_ROUNDS = 5  # linear estimates of a delay
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,16 +62,16 @@ class JointResidual:
     rms_residual: float
     """RMS of measured minus modelled effort."""
     rms_friction: float
-    """The same with fitted friction, but without faults and offset."""
+    """RMS residual with fitted friction, but without faults and offset."""
     rms_corrected: float
-    """The same with fitted friction, offset and the faults."""
+    """RMS residual with fitted friction, offset and faults."""
     noise: float
-    """Standard deviation of the noise that smoothing leaves; a smaller residual is explained.
-
-    NaN if the recording was filtered before.
+    """
+    Standard deviation of the noise after smoothing; NaN if the recording was filtered before.
+    The model explains a residual that is smaller than the noise.
     """
     scale: float
-    """Measured effort is about ``scale * modelled + offset``, by least squares."""
+    """Least-squares fit: the measured effort is about ``scale * modelled + offset``."""
     offset: float
     friction: FrictionFit
     is_varying: bool
@@ -79,12 +79,12 @@ class JointResidual:
 
     @property
     def explained(self) -> float:
-        """Fraction of the squares of the effort that the model explains; NaN if constant."""
+        """Fraction of the squared effort that the model explains; NaN for a constant effort."""
         return self._explained(self.rms_residual)
 
     @property
     def explained_corrected(self) -> float:
-        """The same with fitted friction and offset, and the faults."""
+        """Fraction of the squared effort that model, friction, offset and faults explain."""
         return self._explained(self.rms_corrected)
 
     def _explained(self, residual: float) -> float:
@@ -98,19 +98,15 @@ class ComparisonResult:
     motion: Motion
     """The derived motion of all recorded joints."""
     compared: tuple[int, ...]
-    """Indices of the joints of the motion that have a measured effort; c of them."""
+    """Indices of the c joints in the motion that have a measured effort."""
     joints: tuple[JointResidual, ...]
-    """Residuals of these joints."""
+    """Residuals of the compared joints."""
     measured: Floats
     """Measured efforts, shape (K, c) [N m or N]."""
     modelled: Floats
-    """Modelled efforts, shape (K, c) [N m or N]; with friction if the dynamics have friction."""
+    """Modelled efforts, shape (K, c) [N m or N]; they contain friction if the dynamics do."""
     corrected: Floats
-    """
-    Efforts of the corrected model, as they would be recorded, shape (K, c) [N m or N].
-
-    The corrections are the fitted friction and the faults.
-    """
+    """Modelled efforts with friction and faults, as recorded, shape (K, c) [N m or N]."""
     faults: tuple[Fault, ...]
     """Explanations of the difference, most important first; empty if none is needed."""
     width: float
@@ -118,16 +114,16 @@ class ComparisonResult:
     is_too_short: bool
     """Whether there are too few samples to diagnose a difference."""
     moving: tuple[int, ...]
-    """Indices in ``joints`` of those that the sums below contain: those that moved, if any."""
+    """Indices of moving joints in ``joints``; if none moved, of joints with varying effort."""
 
     @property
     def explained(self) -> float:
-        """Explained fraction of the squares: mean of revolute and of prismatic joints."""
+        """Explained fraction of the squared efforts: mean of revolute and prismatic joints."""
         return self._mean([joint.rms_residual for joint in self.joints])
 
     @property
     def explained_corrected(self) -> float:
-        """The same with fitted friction and offset, and the faults."""
+        """Fraction of the squared efforts that model, friction, offset and faults explain."""
         return self._mean([joint.rms_corrected for joint in self.joints])
 
     def _mean(self, residuals: list[float]) -> float:
@@ -149,35 +145,16 @@ def diagnose_recording(
     convention: GravityConvention = WITH_GRAVITY,
 ) -> ComparisonResult:
     """
-    Compare a recording with the model.
+    Compare a recording of any joints, in any order, with the model of a robot with n joints.
 
-    Parameters
-    ----------
-    dynamics : InverseDynamics
-        The robot with n joints, and all known loads on it.
-    recording : Recording
-        Recording of any m of its joints, in any order.
-    others : array_like, shape (n,), optional
-        Positions of the joints that were not recorded [rad or m]; default: zero.
-    link : str, optional
-        Link that may carry an unknown load; default: the tips of the tree.
-    width : float, optional
-        Speed over which Coulomb friction is smoothed [rad/s or m/s]; default: fitted for each
-        joint where the recording shows it.
-    convention : GravityConvention
-        Whether the recorded efforts contain gravity, as the driver is said to measure them.
+    The dynamics include all known loads; an unknown load may be on `link`, by default on the tips
+    of the tree. Joints that were not recorded have the positions `others`, shape (n,) [rad or m];
+    default: zero. `width` is the speed over which Coulomb friction is smoothed [rad/s or m/s]. By
+    default, the width is fitted for each joint, if the recording shows it. The `convention` says
+    whether the driver should measure efforts with gravity.
 
-    Returns
-    -------
-    result : ComparisonResult
-
-    Raises
-    ------
-    RecordingError
-        If the robot does not have a recorded joint, or the recording is not usable.
-    ConfigurationError
-        If the link does not exist.
-
+    Raise RecordingError if the robot lacks a recorded joint or the recording is not usable, and
+    ConfigurationError if the link does not exist.
     """
     robot = dynamics.robot
     if link is not None:
@@ -240,26 +217,26 @@ class _Found(NamedTuple):
     """The explanation of a recording."""
 
     compared: ComparedEfforts
-    """Without faults of the recorded states."""
+    """Efforts without reversed axes and without a delay."""
     data: RegressionData
     robot_fit: RobotFit
     faults: tuple[Fault, ...]
     signs: Floats
-    """-1 for joints of the motion whose axis is reversed, otherwise 1; shape (m,)."""
+    """Sign of each axis in the motion, shape (m,): -1 if reversed, otherwise 1."""
     delay: float = 0.0
-    """Of the efforts [s]."""
+    """Delay of the efforts [s]."""
     interval: FaultInterval | None = None
 
 
 def _search(recorded: ComparedEfforts) -> _Found:
-    """Explain the efforts."""
+    """Explain the recorded efforts."""
     motion, names = recorded.motion, [recorded.names[c] for c in recorded.varying]
     constant = {recorded.names[c]: float(recorded.measured[0, c]) for c in recorded.constant}
     silent = diagnose_constant(constant)
     data = recorded.regression_data()
     every = np.ones(len(motion.joint_names))
     positions = diagnose_positions(recorded.robot, motion.q, motion.joint_names)
-    if positions:  # everything else would be computed with them
+    if positions:  # everything else would be computed with wrong positions
         return _Found(recorded, data, data.friction_only(), (*positions, *silent), every)
 
     def undistorted(signs: Floats, delay: float = 0.0) -> ComparedEfforts:
@@ -290,7 +267,7 @@ def _search(recorded: ComparedEfforts) -> _Found:
 def _confirmed(
     undistorted: Callable[[Floats], ComparedEfforts], reversed_: Axes, recorded: Axes
 ) -> Axes:
-    """Return the reversed axes, or the recorded ones if wrong links explain as much with them."""
+    """Return the reversed axes, or the recorded axes if wrong links explain as much."""
     left = []
     for each in (reversed_, recorded):
         bodies = _fitted_bodies(undistorted(each.signs), each.data, each.robot_fit)
@@ -299,7 +276,7 @@ def _confirmed(
 
 
 def _delay(undistorted: Callable[[float], ComparedEfforts], axes: Axes) -> float:
-    """Return by how much the efforts are late [s]; 0 if that is little or uncertain."""
+    """Return the delay of the efforts [s]; 0 if the delay is small or uncertain."""
     data, robot_fit, delay = axes.data, axes.robot_fit, 0.0
     for _ in range(DELAY_ROUNDS):
         compared = undistorted(delay)
@@ -318,14 +295,14 @@ def _delay(undistorted: Callable[[float], ComparedEfforts], axes: Axes) -> float
 
 
 def _of_motion(compared: ComparedEfforts, signs: Floats) -> Floats:
-    """Return signs of all joints of the motion, given those of joints with varying efforts."""
+    """Extend the signs of joints with varying efforts to all joints of the motion."""
     every = np.ones(len(compared.motion.joint_names))
     every[[compared.compared[c] for c in compared.varying]] = signs
     return every
 
 
 def _beside_links(compared: ComparedEfforts, data: RegressionData, robot_fit: RobotFit) -> _Found:
-    """Return an explanation with wrong links, and a part with its own cause, where needed."""
+    """Explain efforts; where needed, by wrong links and by a cause limited to an interval."""
     names = [compared.names[c] for c in compared.varying]
     fault = find_fault_interval(data, robot_fit)
     bodies = _fitted_bodies(compared, data, robot_fit)
@@ -348,7 +325,7 @@ def _beside_links(compared: ComparedEfforts, data: RegressionData, robot_fit: Ro
 
 
 def _refined(compared: ComparedEfforts, fault: FaultInterval) -> FaultInterval:
-    """Return a part whose start and end are accurate to a sample."""
+    """Return the fault with an interval that is accurate to one sample."""
     if fault.kind is FaultKind.MOUNTING:
         return fault
     is_force = fault.kind is FaultKind.EXTERNAL_FORCE
@@ -372,7 +349,7 @@ def _refined(compared: ComparedEfforts, fault: FaultInterval) -> FaultInterval:
 def _fitted_bodies(
     compared: ComparedEfforts, data: RegressionData, robot_fit: RobotFit
 ) -> Bodies | None:
-    """Return the fit of all links."""
+    """Fit the inertial parameters of all links; None if the data are not sufficient."""
     if not compared.varying:
         return None
     rows = [compared.used(c)[compared.fit_samples] for c in compared.varying]
@@ -384,7 +361,7 @@ def _fitted_bodies(
         and not robot_fit.is_scaled
         and not any(fit.sensor_fault.is_swapped for fit in robot_fit.fits)
     )
-    # Wrong links may look like another sign, unit or order, but not the other way round.
+    # Wrong links may look like a wrong sign, unit or order, but not the other way round.
     starts = (robot_fit,) if is_plain else (plain, robot_fit)
     for start in starts:
         rates = compared.rates(start)[compared.fit_samples]
@@ -397,7 +374,7 @@ def _fitted_bodies(
 
 
 def _moving(compared: ComparedEfforts) -> list[int]:
-    """Leave out joints that friction may have held all the time, unless these are all joints."""
+    """Return the columns of moving joints; if none moved, of all joints with varying effort."""
     moving = [c for c in compared.varying if compared.moves(c)]
     return moving or compared.varying
 
