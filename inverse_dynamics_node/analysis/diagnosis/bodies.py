@@ -1,10 +1,10 @@
 """
-Checks whether the inertial parameters of several links are wrong, and what is wrong beside them.
+Checks whether several links have wrong inertial parameters, and which other causes exist.
 
-All links are fitted near those of the model, together with friction, rotors and offsets. If links
-that were fitted to one half of the recording predict the other half far better than the
-explanation that has been found, no simpler cause is credible. A payload, a mounting and a delay of
-the efforts are credible beside wrong links if these would have to be far more wrong without them.
+The parameters of all links are fitted near the model, together with friction, rotors and offsets.
+The fit uses one half of the recording. If it predicts the other half far better than a simpler
+explanation, the simpler explanation is not credible. A payload, a mounting or a delay of the
+efforts is credible in addition, if the links would have to be far more wrong without it.
 """
 
 from __future__ import annotations
@@ -31,64 +31,64 @@ from .joint_samples import (
 from .loads import PARAMETERS
 from .regression_data import CandidateModel, LIKE_A_LOAD, RegressionData, RobotFit
 
-MOST_SAMPLES = 800  # of the recording that are used
-BLOCKS = 10  # contiguous parts; fitted to those with an even number, tested with the others
-SEGMENTS = 40  # contiguous parts; those that fit badly have less weight
-ROUNDS = 4  # of fitting links and weights in turn
+MOST_SAMPLES = 800  # samples of the recording that are used
+BLOCKS = 10  # contiguous; links are fitted to every second block and tested with the others
+SEGMENTS = 40  # contiguous; segments that fit badly have less weight
+ROUNDS = 4  # links and weights are fitted in turn
 SPREADS = (0.1, 0.2, 0.3, 0.5)
-"""Standard deviations of masses relative to those of the model, of which the best is chosen."""
-SIZE = 0.2  # [m], of centres of mass and radii of gyration
-LIGHTEST = 0.1  # [kg]; lighter bodies are not more accurate
+"""Relative standard deviations of the masses in the model; the best one is chosen."""
+SIZE = 0.2  # [m], standard deviation of centres of mass and radii of gyration
+LIGHTEST = 0.1  # [kg]; the parameters of lighter bodies are not more accurate
 FRICTION = 10.0  # standard deviation of friction, relative to the effort of the joint
 OFFSET = 0.3  # standard deviation of offsets, relative to the effort of the joint
-LOUD = 4.0  # times the median of the squares; a part with more has little weight
+LOUD = 4.0  # times the median of the squares; louder segments have little weight
 HEAVIEST = 10.0  # [kg], standard deviation of payloads
-STRENGTH = 0.02  # standard deviation of the strength of gravity, relative
-UNEXPLAINED = 0.01  # fraction of the squares; with less, the links are accurate enough
+STRENGTH = 0.02  # relative standard deviation of the magnitude of gravity
+UNEXPLAINED = 0.01  # fraction of the squares; links that leave less are accurate enough
 SMALL = 4e-4  # fraction of the squares, 2 % RMS; an explanation that leaves less needs no links
 BETTER = 0.35
 """
-If all causes that were found before are needed beside the links, these must leave less than this
-fraction of the unexplained squares.
+Largest fraction of the unexplained squares that fitted links may leave, if all causes that were
+found before are still needed.
 """
-CHANGING = 2.0  # times what a changing gravity leaves, which can explain almost anything
-NEEDED = 10.0  # least increase of the evidence by a cause beside wrong links
-CERTAIN = 5.0  # standard errors
+CHANGING = 2.0  # times the residual of a changing gravity, which can explain almost anything
+NEEDED = 10.0  # least increase of the evidence by a cause in addition to wrong links
+CERTAIN = 5.0  # standard errors of a certain value
 ROTOR = 0.05  # fraction of a joint's RMS effort; smaller rotors are not reported
 DELAY = 0.1  # [s], standard deviation of delays
 
 
 class Bodies(NamedTuple):
-    """Fitted links that explain more, and residuals in the half that they were not fitted to."""
+    """Fitted links, with residuals in the half of the recording that was not used for the fit."""
 
     robot_fit: RobotFit
-    """The explanation beside wrong links."""
+    """The explanation in addition to wrong links."""
     change: Floats
-    """Change of the inertial parameters of the links, shape (10 b,)."""
+    """Change of the inertial parameters of b links, shape (10 b,)."""
     before: Floats
-    """RMS of each joint without fitted links, shape (n,) [N m or N]."""
+    """RMS residual of each joint without fitted links, shape (n,) [N m or N]."""
     after: Floats
-    """RMS of each joint, shape (n,) [N m or N]."""
+    """RMS residual of each joint with fitted links, shape (n,) [N m or N]."""
     delay: float
-    """Delay of the measured efforts, to first order [s]."""
+    """Linear estimate of the delay of the measured efforts [s]."""
     delay_error: float
-    """Standard error [s]."""
+    """Standard error of the delay [s]."""
     unexplained: float
     """
-    Fraction of the squares that is left in the half that the links were not fitted to; parts of
-    the recording that fit badly have less weight.
+    Unexplained fraction of the squares in the half that was not used for the fit. Segments of the
+    recording that fit badly have less weight.
     """
     unexplained_anywhere: float
-    """The same with equal weights."""
+    """Unexplained fraction of the squares in the unused half, with equal weights."""
     are_wrong: bool
-    """Whether the model with friction leaves more than it would with accurate links."""
+    """Whether model and friction leave more unexplained than accurate links would."""
     has_own_gravity: bool
-    """Whether gravity in the efforts is that of the wrong links."""
+    """Whether the errors of the links also affect gravity in the measured efforts."""
 
     def explain_more(
         self, data: RegressionData, before: RobotFit, fault: FaultInterval | None
     ) -> bool:
-        """Return whether an explanation is not credible, because the links explain far more."""
+        """Return whether wrong links explain far more than an explanation without them."""
         if fault is None:
             left = data.unexplained(before)
         elif fault.kind is FaultKind.MOUNTING:
@@ -100,13 +100,13 @@ class Bodies(NamedTuple):
         return self.unexplained < (BETTER if self._confirms(before) else 1.0) * left
 
     def confirmed(self, fault: FaultInterval | None) -> FaultInterval | None:
-        """Return a cause in a part of the recording; None if the links explain a tilting base."""
+        """Return the cause in an interval; None for a tilting base that wrong links explain."""
         if fault is None or fault.kind is not FaultKind.MOUNTING:
             return fault
         return None if self.unexplained_anywhere < CHANGING * fault.left else fault
 
     def _confirms(self, before: RobotFit) -> bool:
-        """Return whether every cause in an explanation is needed beside the links."""
+        """Return whether every cause in an explanation is needed in addition to wrong links."""
         candidate = before.candidate
         if candidate.has_gravity and candidate.kind not in (None, self.robot_fit.candidate.kind):
             return False
@@ -127,33 +127,16 @@ def fit_bodies(
     rates: Floats,
 ) -> Bodies | None:
     """
-    Fit all links to the efforts.
+    Fit all links to the efforts of n joints; return None if the recording does not show the links.
 
-    Parameters
-    ----------
-    data, robot_fit
-        Samples of n joints, and their explanation.
-    dynamics : InverseDynamics
-        The model.
-    states : tuple of q, qd, qdd
-        Of the whole robot at the K times of the samples, each of shape (K, N).
-    rows : list of ndarray, each of shape (K,)
-        Times that the samples of each joint contain.
-    index : list of int
-        Index of each joint in the model.
-    rates : ndarray, shape (K, n)
-        Derivatives of the explained efforts with respect to time [N m/s or N/s].
-
-    Returns
-    -------
-    bodies : Bodies or None
-        None if the recording does not show the links.
-
+    `states` are q, qd and qdd of the whole robot at the K times, each of shape (K, N). For each
+    joint, `rows` selects the times in its samples, shape (K,), and `index` is its index in the
+    model. `rates` are the time derivatives of the explained efforts, shape (K, n) [N m/s or N/s].
     """
     moving = [j for j, samples in enumerate(data.joints) if samples.moves]
     if data.is_too_short or not moving:
         return None
-    # A driver compensates the gravity of the real links, or of those in the model.
+    # A driver compensates gravity with the real links, or with the links of the model.
     found = [
         _Problem(data, robot_fit, dynamics, states, rows, index, rates, moving, own).solve()
         for own in ((True,) if robot_fit.candidate.has_gravity else (False, True))
@@ -163,10 +146,10 @@ def fit_bodies(
 
 class _Problem:
     """
-    Weighted rows of a linear regression.
+    A linear regression with weighted rows.
 
-    Unknowns are the changes of all links; friction, rotor and offset of each joint; gravity;
-    payloads; and the delay of the efforts.
+    The unknowns are the changes of all links, friction, rotor and offset of each joint, gravity,
+    payloads, and the delay of the efforts.
     """
 
     def __init__(
@@ -231,10 +214,10 @@ class _Problem:
 
     def _products(self, position: int) -> tuple[Integers, Integers, Floats]:
         """
-        Return the first row of each segment of a joint, its nonzero columns, and their products.
+        Return the first row of each segment of a joint, the nonzero columns, and their products.
 
-        All weights are the same within a segment, so that the products of its columns, and of its
-        target, need to be computed only once.
+        The weights are constant within a segment. Therefore the products of its columns, and of
+        its target, are computed only once.
         """
         rows = np.flatnonzero(self.joint == position)
         first = np.unique(self.segment[rows], return_index=True)[1]
@@ -244,7 +227,7 @@ class _Problem:
         return rows[first], columns, np.array(products)
 
     def _prior(self, dynamics: InverseDynamics) -> Floats:
-        """Return the inverse covariance of all unknowns, before the recording is seen."""
+        """Return the inverse covariance of all unknowns that is assumed before the fit."""
         masses = np.maximum(dynamics.robot.mass[1:], LIGHTEST)
         size = np.array([1.0, *3 * [SIZE], *6 * [SIZE**2]])
         deviation = np.full(self.delay + 1, DELAY)
@@ -259,7 +242,7 @@ class _Problem:
         g_0 = max(float(np.linalg.norm(self.data.gravity)), 1e-12)
         deviation[self.gravity : self.gravity + 3] = g_0
         prior: Floats = np.diag(deviation**-2.0)
-        # The strength of gravity is known.
+        # The magnitude of gravity is known.
         known = slice(self.gravity, self.gravity + 3)
         prior[known, known] += np.outer(*2 * [self.data.gravity]) / (STRENGTH * g_0**2) ** 2
         return prior
@@ -270,7 +253,7 @@ class _Problem:
         return float(self.data.joints[j].squares[measured]) / self.robot_fit.factor(j) ** 2
 
     def solve(self) -> Bodies:
-        """Fit the links, and choose what is wrong beside them."""
+        """Fit the links, and choose the causes in addition to wrong links."""
         causes = []
         if self.has_gravity:
             loads = range(self.payloads, self.delay, 4)
@@ -303,7 +286,7 @@ class _Problem:
         return system[:-1, :-1], system[:-1, -1]
 
     def _best_fit(self, used: Booleans, system: tuple[Floats, Floats]) -> _Fit:
-        """Fit the used unknowns, with the most likely accuracy of the links."""
+        """Fit the used unknowns with the most likely accuracy of the links."""
         from scipy.linalg import lu_factor, lu_solve
 
         products, vector = system[0][np.ix_(used, used)], system[1][used]
@@ -328,7 +311,7 @@ class _Problem:
         return _Fit(used, solution, errors, most)
 
     def _weights(self, used: Booleans) -> Floats:
-        """Return inverse variances of the rows, from the residuals of a fit."""
+        """Return the inverse variances of the rows, estimated from the residuals of a fit."""
 
         def mean(of: Integers, squares: Floats, weights: Floats, count: int) -> Floats:
             sums = np.bincount(of, weights * squares, count)
@@ -345,7 +328,7 @@ class _Problem:
             residual = self.target - self.matrix @ fit.solution
             relative = residual**2 / variance[self.joint]
             sizes = mean(self.segment, relative, np.ones_like(relative), SEGMENTS)
-            # A push during a part of the recording says nothing about the links.
+            # A push during a few segments says nothing about the links.
             loudness = sizes / (LOUD * max(float(np.median(sizes)), 1e-12))
             trust = (1.0 / (1.0 + loudness**2))[self.segment]
             variance = mean(self.joint, residual**2, trust, len(moving)) + floor
@@ -355,7 +338,7 @@ class _Problem:
         return self.data.joints[j].floor(self.data.first_measured + self.robot_fit.source[j])
 
     def _candidate(self, fit: _Fit, cause: slice) -> CandidateModel | None:
-        """Return a candidate model of a fitted cause; None if it is not possible or certain."""
+        """Return a candidate model of a fitted cause; None if impossible or uncertain."""
         data, solution, errors = self.data, fit.solution[cause], fit.errors[cause]
         if cause.start == self.gravity:
             gravity = data.gravity + solution
@@ -369,7 +352,7 @@ class _Problem:
         return data.loaded(k, self.base, np.array([mass, *com]), errors)
 
     def _bodies(self, fit: _Fit, weights: Floats, candidate: CandidateModel) -> Bodies:
-        """Return the explanation beside the links, and test it with unseen samples."""
+        """Return the fitted links, tested with samples that were not used for the fit."""
         data, before = self.data, self.robot_fit
         after = np.array([each.rms for each in before.fits])
         residual = np.zeros_like(self.target)
@@ -418,13 +401,13 @@ class _Fit(NamedTuple):
     """Solution of the regression."""
 
     used: Booleans
-    """Which unknowns were fitted."""
+    """Mask of the unknowns that were fitted."""
     solution: Floats
-    """Zero where an unknown is not used."""
+    """Values of all unknowns; zero if an unknown was not fitted."""
     errors: Floats
-    """Standard errors."""
+    """Standard errors of all unknowns; zero if an unknown was not fitted."""
     evidence: float
-    """Logarithm of the likelihood of the efforts, except for a constant."""
+    """Logarithm of the likelihood of the efforts, up to a constant."""
 
 
 def _with(used: Booleans, *causes: slice) -> Booleans:
@@ -435,7 +418,7 @@ def _with(used: Booleans, *causes: slice) -> Booleans:
 
 
 def _without_doubtful_scale(fit: JointFit) -> JointFit:
-    """Return a fit without a scale that wrong links may cause."""
+    """Return a fit without its scale, if wrong links may cause such a scale."""
     if not LIKE_A_LOAD[0] < fit.scale < LIKE_A_LOAD[1]:
         return fit
     return fit._replace(sensor_fault=fit.sensor_fault._replace(is_scaled=False))

@@ -1,8 +1,8 @@
 """
-Fits damping, Coulomb friction and an offset to the efforts of one joint that the model leaves.
+Fits damping, Coulomb friction and an offset to the residual efforts of one joint.
 
-Near zero speed dry friction can have any value up to its maximum: such samples are not used. How
-wide the step of Coulomb friction is, and how it grows with the load, is accepted only if it
+Near zero speed, dry friction can have any value up to its maximum: such samples are not used. A
+wider step of Coulomb friction, or friction that grows with the load, is accepted only if it
 explains far more than a narrow step without load.
 """
 
@@ -22,49 +22,49 @@ SURELY_MOVING = 3.0  # widths; at this speed tanh has 99.5 % of its final value
 LEAST_MOVING = 1.0  # [s] in each direction, to distinguish Coulomb friction from an offset
 SPREAD = 1.5  # largest over smallest speed, to distinguish damping from Coulomb friction
 WIDTHS = (0.02, 0.03, 0.05, 0.08, 0.12)  # [rad/s or m/s]
-BETTER = 0.85  # fraction of the squares that a width or the load must leave at most
-MOST_LOAD = 0.5  # larger ratios of friction to load are another cause
-BLOCKS = 12  # parts of the recording whose differences give the standard errors
+BETTER = 0.85  # a width or load friction leaves at most this fraction of the squares
+MOST_LOAD = 0.5  # larger ratios of friction to load have another cause
+BLOCKS = 12  # standard errors follow from the differences between these blocks of the recording
 
 
 class FrictionFit(NamedTuple):
     """Friction of one joint: ``damping * qd + coulomb * tanh(qd / width)``, and an offset."""
 
     damping: float
-    """[N m s/rad or N s/m]; 0 if unknown."""
+    """Damping [N m s/rad or N s/m]; 0 if unknown."""
     coulomb: float
-    """[N m or N]; 0 if unknown."""
+    """Coulomb friction [N m or N]; 0 if unknown."""
     offset: float
-    """[N m or N]."""
+    """Constant offset of the effort [N m or N]."""
     damping_error: float
-    """Standard error of ``damping``, for dependent samples."""
+    """Standard error of ``damping``; dependent samples are taken into account."""
     coulomb_error: float
     offset_error: float
     unknown_because: str
     """Why the friction of this joint cannot be identified; empty if it was fitted."""
     width: float = math.nan
-    """Speed over which Coulomb friction is smoothed, if it was fitted [rad/s or m/s]."""
+    """Fitted speed over which Coulomb friction is smoothed [rad/s or m/s]; NaN if not fitted."""
     load_friction: float = 0.0
-    """Increase of Coulomb friction per magnitude of the effort that moves the links."""
+    """Increase of Coulomb friction, divided by the magnitude of the effort on the links."""
 
     @classmethod
     def unknown(cls, reason: str, offset: float = 0.0) -> FrictionFit:
-        """Return a fit without friction, and the reason."""
+        """Return a fit without friction, with the reason why friction is unknown."""
         return cls(0.0, 0.0, offset, math.nan, math.nan, math.nan, reason)
 
     def efforts(self, qd: Floats, direction: Floats) -> Floats:
-        """Return the efforts of friction and offset for velocities and smoothed directions."""
+        """Return the efforts of friction and offset, for velocities and smoothed directions."""
         efforts: Floats = self.damping * qd + self.coulomb * direction + self.offset
         return efforts
 
     @property
     def has_shape(self) -> bool:
-        """Whether width or load friction was fitted."""
+        """Whether a width or a load friction was fitted."""
         return math.isfinite(self.width)
 
 
 def is_moving(qd: Floats, width: float) -> Booleans:
-    """Return where a joint moves fast enough for dry friction to have its full value."""
+    """Return the samples at which a joint is fast enough for full dry friction."""
     return np.asarray(np.abs(qd) > SURELY_MOVING * width)
 
 
@@ -109,14 +109,13 @@ def fit_friction(
     """
     Fit friction and an offset to the efforts that the model does not explain.
 
-    The direction is ``tanh(qd / width)``, smoothed over the window [samples] as the measured
-    efforts were. Neither damping nor Coulomb friction is negative.
-
+    The direction is ``tanh(qd / width)``, smoothed over a window [samples] like the measured
+    efforts. Neither damping nor Coulomb friction is negative.
     """
     reason = obstacle(qd, period, width)
     if reason:
         middle = float(np.median(residual))
-        # Where friction acts in one direction most of the time, the median is part of it.
+        # If friction acts in one direction most of the time, the median contains friction.
         is_offset = np.var(residual) + (np.mean(residual) - middle) ** 2 < np.mean(residual**2)
         return FrictionFit.unknown(reason, middle if is_offset else 0.0)
     moving = is_moving(qd, width)
@@ -137,30 +136,13 @@ def fit_shape(
     window: int,
 ) -> FrictionFit:
     """
-    Fit the width of the step and the friction per load to all samples of a joint.
+    Fit the width of the step and the friction per load to all K samples of a joint.
 
-    Parameters
-    ----------
-    fit : FrictionFit
-        Friction with the common width.
-    qd : ndarray, shape (K,)
-        Velocities of the joint [rad/s or m/s].
-    residual : ndarray, shape (K,)
-        Measured minus modelled effort without friction [N m or N].
-    load : ndarray, shape (K,)
-        Magnitude of the modelled effort without friction and rotor [N m or N].
-    smooth : callable
-        Smooths columns of shape (K, c) in the same way as the measured efforts.
-    width : float
-        Common width [rad/s or m/s].
-    window : int
-        Number of samples of the smoothing window.
-
-    Returns
-    -------
-    fit : FrictionFit
-        The given one if another shape does not explain far more.
-
+    The given fit has the common `width` [rad/s or m/s]. This fit is returned unless another shape
+    explains far more. The residual, shape (K,), is the measured effort minus the modelled effort
+    without friction [N m or N]. The load, shape (K,), is the magnitude of the modelled effort
+    without friction and rotor [N m or N]. `smooth` is the smoothing of the measured efforts, for
+    columns of shape (K, c); its `window` is a number of samples.
     """
     if fit.unknown_because:
         return fit
@@ -184,14 +166,14 @@ def fit_shape(
 
 
 def _triangle(columns: Floats, residual: Floats) -> Floats:
-    """Return rows that lead to the same least-squares fits as all samples."""
+    """Return a few rows that lead to the same least-squares fits as all samples."""
     return np.asarray(np.linalg.qr(np.column_stack([columns, residual]), mode='r'))
 
 
 def _with_load(
     triangle: Floats, has_load: bool
 ) -> tuple[float, tuple[float, float, float, float]]:
-    """Return the remaining sum of squares, and damping, Coulomb, load friction and offset."""
+    """Return the sum of squared residuals, and damping, Coulomb and load friction, and offset."""
     columns = triangle[:, :-1] * [1.0, 1.0, has_load, 1.0]
     factors, left = fit_nonnegative(columns, triangle[:, -1], [3])
     damping, coulomb, per_load, offset = factors.tolist()
@@ -204,9 +186,8 @@ def standard_errors(
     """
     Estimate standard errors from the differences between blocks of the recording.
 
-    Smoothed samples are not independent, and neither are the errors of the model: the formula for
-    independent samples would give far too small errors.
-
+    Neither smoothed samples nor model errors are independent. The formula for independent samples
+    would give far too small standard errors.
     """
     blocks = int(min(BLOCKS, max(2, len(moving) // (2 * window))))
     block = (np.flatnonzero(moving) * blocks) // len(moving)
@@ -226,24 +207,11 @@ def friction_parameters(
     armature: Sequence[float] = (),
 ) -> str:
     """
-    Return friction as parameters of the node, in YAML.
+    Return friction as parameters of the node, in YAML for ``--ros-args --params-file``.
 
-    Parameters
-    ----------
-    joint_names : sequence of str
-        The joints, in the order of the lists.
-    fits : sequence of FrictionFit
-        One per joint; for an unknown friction, the node uses that of the URDF.
-    width : float
-        Speed over which Coulomb friction is smoothed [rad/s or m/s], unless it was fitted.
-    armature : sequence of float
-        Rotor inertia of each joint [kg m^2, kg]; empty if none was found.
-
-    Returns
-    -------
-    text : str
-        For ``--ros-args --params-file``.
-
+    Where the friction of a joint is unknown, the node uses the friction in the URDF. `width` is
+    the speed over which Coulomb friction is smoothed [rad/s or m/s], if no width was fitted.
+    `armature` contains the rotor inertia of each joint [kg m^2, kg]; empty if none was found.
     """
     values: dict[str, float | Sequence[float]] = {
         'damping': [-1.0 if fit.unknown_because else fit.damping for fit in fits],

@@ -1,10 +1,9 @@
 """
 Compares measured and modelled efforts of the last seconds, for `watch`.
 
-The search for faults is that of recordings, except for a delay and for several wrong links: a few
-seconds of filtered samples do not separate these from friction. The data differ: they are the last
-seconds, also of an arm at rest, and the efforts of the running node, whose payloads, friction and
-gravity are part of them.
+The search for faults is the same as for recordings, but omits delays and several wrong links: in a
+few seconds of filtered samples, these faults cannot be distinguished from friction. The arm may be
+at rest. The modelled efforts come from the running node, including payloads and friction.
 """
 
 from __future__ import annotations
@@ -37,29 +36,29 @@ from .regression_data import RegressionData, RobotFit
 DURATION = 10.0  # [s] of the window
 
 MIN_SAMPLES = 50  # one second at 50 Hz
-LEAST_MOVING = 0.1  # fraction of the samples in each direction: as of recordings, for 10 s
+LEAST_MOVING = 0.1  # fraction of the samples in each direction; for 10 s, as for recordings
 MOVING = 0.02  # [rad/s or m/s]; RMS speed above which a joint moves
-AGREEMENT = 0.3  # RMS residual as a fraction of the effort, up to which model and robot agree
-SUSPICIOUS = 0.15  # the same, from which grave faults are searched
+AGREEMENT = 0.3  # model and robot agree up to this RMS residual, as a fraction of the effort
+SUSPICIOUS = 0.15  # grave faults are searched for above this fraction
 FLOOR_OF_LIMIT, FLOOR_OF_LARGEST = 0.02, 0.05
 """
-Residuals below these fractions of the joint's limit and of the largest modelled effort are
-ignored; the smaller one applies, because limits of URDFs are often placeholders.
+Residuals are ignored below these fractions of the joint's limit and of the largest modelled
+effort. The smaller value applies, because effort limits in URDFs are often placeholders.
 """
-LEAST_FLOOR = 0.005  # fraction of the limit; sensors are not better
+LEAST_FLOOR = 0.005  # accuracy of effort sensors, as a fraction of the limit
 REST_FACTOR = 2.5  # a joint at rest may be held by dry friction of any size up to breakaway
-FRICTION_AT_REST = 0.1  # fraction of the limit that dry friction may be
+FRICTION_AT_REST = 0.1  # largest dry friction, as a fraction of the limit
 
 MOST_STATES = 60
 """
-States used by the search; states that are closer in time differ little. Kernels for 64 states or
-more may have to be compiled first, and the display would stop meanwhile.
+Largest number of states that the search uses; more states would be nearly the same. Kernels for 64
+or more states may have to be compiled first, and the display would stop during compilation.
 """
-INDEPENDENT = 0.2  # [s] between samples whose filtered noise is independent
+INDEPENDENT = 0.2  # [s] between samples with independent noise after filtering
 LEAST_DURATION = 1.0
 """
-[s] of samples, less than of a recording: an arm at rest shows no more later, and causes are only
-searched for if the residuals are far larger than a short motion can make them.
+Least duration of the samples [s]. The duration is shorter than for recordings, because an arm at
+rest reveals nothing more later, and because only large residuals start the search for causes.
 """
 
 GRAVE = (
@@ -75,8 +74,8 @@ GRAVE = (
     FaultKind.MOUNTING,
 )
 """
-Faults that are reported even if the residual is small, or the joint states are slow. Rotors and
-offsets below `AGREEMENT` do not matter, and other residuals may be due to the rate.
+Faults that are reported even if residuals are small or joint states arrive slowly. Other faults
+are harmless if residuals are below `AGREEMENT`, and slow joint states may cause similar residuals.
 """
 
 
@@ -84,7 +83,7 @@ offsets below `AGREEMENT` do not matter, and other residuals may be due to the r
 
 
 class Outcome(enum.Enum):
-    """Whether model and robot agree, and the arm can be held by the efforts."""
+    """Whether model and robot agree, and whether the efforts can hold the arm."""
 
     AGREE = 'agree'
     DIFFER = 'differ'
@@ -92,16 +91,16 @@ class Outcome(enum.Enum):
     SATURATED = 'saturated'
     """The efforts are cut to their limits, and no difference was found."""
     FEW_JOINTS = 'few_joints'
-    """They agree, but only few joints could be compared."""
+    """Model and robot agree, but only a few joints could be compared."""
 
 
 class Obstacle(enum.Enum):
-    """Reasons other than faults why agreement is unknown, or is not enough to go live."""
+    """A reason, other than a fault, why agreement is unknown or not sufficient to go live."""
 
     SLOW_STATES = 'slow_states'
     SATURATED = 'saturated'
     FEW_JOINTS = 'few_joints'
-    # It cannot be decided:
+    # The following obstacles leave the outcome undecided.
     NO_DIAGNOSTICS = 'no_diagnostics'
     NODE_STATE = 'node_state'
     NO_EFFORTS = 'no_efforts'
@@ -113,40 +112,40 @@ class Obstacle(enum.Enum):
 
 @dataclass(frozen=True)
 class Size:
-    """RMS efforts of all compared joints of one kind over the window [N m or N]."""
+    """RMS efforts over the window, for all compared joints of one kind [N m or N]."""
 
     residual: float
-    """Measured minus modelled."""
+    """RMS of measured minus modelled efforts."""
     measured: float
     is_prismatic: bool = False
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """Whether model and robot agree, and why not."""
+    """Whether model and robot agree, and the reasons if they do not."""
 
     outcome: Outcome
     obstacle: Obstacle | None = None
-    """Why that is not enough to go live, or cannot be decided."""
+    """Reason, other than a fault, why agreement is unknown or not sufficient to go live."""
     faults: tuple[Fault, ...] = ()
-    """Why they differ, most important first; at rest, the difference that may be friction."""
+    """Causes of differences, most important first; at rest, a difference that may be friction."""
     numbers: tuple[float, ...] = ()
     """
-    Measured and lowest sufficient rate [Hz] of `SLOW_STATES`; numbers of checked and of commanded
-    joints of `FEW_JOINTS`.
+    For `SLOW_STATES`, the measured rate and the lowest sufficient rate [Hz]. For `FEW_JOINTS`, the
+    numbers of checked joints and of commanded joints.
     """
     reason: str = ''
     """Message of the node, for `NODE_STATE`."""
     sizes: tuple[Size, ...] = ()
-    """Revolute joints first."""
+    """RMS efforts of revolute joints, then of prismatic joints."""
     checked: tuple[str, ...] = ()
-    """Joints whose efforts are large enough to see a wrong sign."""
+    """Joints with efforts that are large enough to detect a wrong sign."""
     unchecked: tuple[str, ...] = ()
-    """Joints whose efforts are too small for that."""
+    """Joints with efforts that are too small to detect a wrong sign."""
     unmeasured: tuple[str, ...] = ()
     """Commanded joints without measured efforts."""
     saturated: tuple[str, ...] = ()
-    """Commanded joints whose efforts are cut to their limits."""
+    """Commanded joints with efforts that are cut to the limits."""
     is_moving: bool = True
     """Whether a compared joint moved in the window."""
     has_gravity: bool = True
@@ -154,7 +153,7 @@ class Agreement:
 
     @property
     def cause(self) -> FaultKind | Obstacle | None:
-        """What decides the outcome; None if they agree."""
+        """Obstacle or fault that decides the outcome; None if model and robot agree."""
         return self.obstacle or (self.faults[0].kind if self.faults else None)
 
 
@@ -162,15 +161,15 @@ class Agreement:
 
 
 class LiveSamples(NamedTuple):
-    """Samples of m joints at k times; NaN where a value is unknown."""
+    """Low-pass filtered samples of m joints at k times; NaN where a value is unknown."""
 
     joint_names: tuple[str, ...]
     times: Floats
-    """Shape (k,) [s]."""
+    """Times of the samples, shape (k,) [s]."""
     q: Floats
-    """Shape (k, m) [rad or m], low-pass filtered like all signals below."""
+    """Positions, shape (k, m) [rad or m]."""
     qd: Floats
-    """Shape (k, m) [rad/s or m/s]."""
+    """Velocities, shape (k, m) [rad/s or m/s]."""
     measured: Floats
     """Measured efforts, shape (k, m) [N m or N]."""
     modelled: Floats
@@ -178,17 +177,7 @@ class LiveSamples(NamedTuple):
 
 
 class LiveWindow:
-    """
-    Keeps the samples of the last seconds.
-
-    Parameters
-    ----------
-    joint_names : sequence of str
-        The m joints.
-    duration : float
-        Length of the window [s].
-
-    """
+    """Keeps the samples of m joints that are not older than the duration of the window [s]."""
 
     def __init__(self, joint_names: Sequence[str], duration: float = DURATION) -> None:
         self.joint_names = tuple(joint_names)
@@ -198,7 +187,7 @@ class LiveWindow:
         self._measured: tuple[Any, ...] = ()
 
     def add(self, time: float, q: Floats, qd: Floats, measured: Floats, modelled: Floats) -> None:
-        """Add a sample, which is not older than the last one, and drop those before the window."""
+        """Add a sample, which must not be older than the last one, and drop outdated samples."""
         self._times.append(time)
         self._rows.append(np.array([q, qd, measured, modelled]))
         while self._times[0] < time - self.duration:
@@ -206,7 +195,7 @@ class LiveWindow:
             self._rows.popleft()
 
     def restart_after_change(self, *measured: Any) -> None:
-        """Drop all samples if the measured efforts now contain something else."""
+        """Drop all samples if the measured efforts have a different content than before."""
         if measured != self._measured:
             self._measured = measured
             self._times.clear()
@@ -230,12 +219,11 @@ def diagnose_samples(
     payloads: Sequence[tuple[str, float, Floats]] = (),
 ) -> Agreement:
     """
-    Compare measured and modelled efforts of all n joints of a robot, in its order.
+    Compare measured and modelled efforts of all joints of a robot, in the order of the robot.
 
-    Gravity is that in the frame of the root link, whether or not the modelled efforts contain it.
-    The limits are those of the robot by default. Payloads have link, mass [kg] and centre of mass
-    in its frame [m].
-
+    Gravity is given in the frame of the root link [m/s^2], even if the modelled efforts exclude
+    gravity. By default, the effort limits are those of the robot. A payload consists of a link, a
+    mass [kg], and the centre of mass in the frame of this link [m].
     """
     limits = robot.effort_limits if limits is None else limits
     is_known = np.isfinite(samples.measured) & np.isfinite(samples.modelled)
@@ -255,7 +243,7 @@ def diagnose_samples(
 
 
 class _Comparison:
-    """Complete samples of the c compared joints; columns are these joints."""
+    """Comparison of complete samples, with one column for each of the c compared joints."""
 
     def __init__(
         self,
@@ -277,7 +265,7 @@ class _Comparison:
         self.floor = self._floor()
         self.is_checked = _rms(self.modelled) > self.floor
         self.silent = not_measured(self.measured, self.modelled, self.floor) & self.is_checked
-        # An effort of zero where none is expected agrees, and has no squares to explain.
+        # A zero effort agrees if the model is zero too; such a joint needs no explanation.
         self.searched = np.flatnonzero(self.measured.any(axis=0) & ~self.silent)
 
     def agreement(self) -> Agreement:
@@ -311,7 +299,7 @@ class _Comparison:
         return common
 
     def _search(self) -> tuple[list[Fault], dict[int, float]]:
-        """Return the faults of a known kind, and the residuals that they leave."""
+        """Return the faults of a known kind, and the residuals of joints that remain."""
         constant = np.flatnonzero(self.silent).tolist()
         silent = diagnose_constant({self.names[c]: float(self.measured[0, c]) for c in constant})
         data = self._regression_data(np.ones(len(self.searched)))
@@ -330,10 +318,10 @@ class _Comparison:
         return silent + faults, self._exceeding(found, AGREEMENT) if faults else left
 
     def _floor(self) -> Floats:
-        """Return the residuals that are ignored, shape (c,)."""
+        """Return the residuals up to which differences are ignored, shape (c,) [N m or N]."""
         modelled, largest = _rms(self.modelled), np.zeros(len(self.names))
         if not self.convention.in_measured:
-            # The driver leaves gravity out as exactly as the model of it is.
+            # The driver removes gravity only as accurately as its own model of gravity.
             gravity = self.dynamics.gravity_efforts(np.nan_to_num(self.whole.q[self.some]))
             modelled = np.maximum(modelled, _rms(gravity[:, self.index]))
         for kind in (False, True):
@@ -346,7 +334,7 @@ class _Comparison:
         return np.asarray(np.where(self.moves, floor, REST_FACTOR * floor))
 
     def _regression_data(self, signs: Floats) -> RegressionData:
-        """Return the samples of the joints whose efforts are measured, given their directions."""
+        """Return the samples of joints with measured efforts, given the signs of their axes."""
         robot, times = self.dynamics.robot, self.whole.times
         q, qd = np.nan_to_num(self.whole.q), np.nan_to_num(self.whole.qd)
         qdd: Floats = np.gradient(qd, times, axis=0)
@@ -396,14 +384,14 @@ class _Comparison:
         )
 
     def _rigid(self, *states: Floats) -> Floats:
-        """Return the efforts of the bodies, with gravity if the measured ones contain it."""
+        """Return the efforts of the bodies; gravity is included as in the measured efforts."""
         efforts = self.dynamics.efforts(*states)
         if not self.convention.in_measured:
             efforts = efforts - self.dynamics.gravity_efforts(states[0])
         return efforts
 
     def _exceeding(self, robot_fit: RobotFit, fraction: float) -> dict[int, float]:
-        """Return the residuals above this fraction of the effort, worst first [N m or N]."""
+        """Return the residuals above a fraction of the effort, worst first [N m or N]."""
         found = {}
         for c, fit in zip(self.searched.tolist(), robot_fit.fits, strict=True):
             residual = float(np.sqrt(fit.remaining) * _rms(self.measured)[c])
@@ -456,12 +444,12 @@ def _rms(signals: Floats) -> Floats:
 
 DEFAULT_LEAST_RATE = 80.0  # [Hz]; the default of the controller manager of ros2_control is 100
 OF_GIVEN_RATE = 0.8  # fraction of the rate given by the user, below which states are slow
-OF_UPDATE_RATE = 0.5  # the same of update_rate: many drivers are slower than the loop
+OF_UPDATE_RATE = 0.5  # fraction of update_rate; many drivers are slower than the control loop
 
 LEAST_CHECKED = 0.25
 """
-Fraction of the commanded joints that an agreement must rest on. At rest in a random pose, gravity
-loads two of six joints of a UR arm; one joint says little about the others.
+Least fraction of the commanded joints that must be checked. In a random pose at rest, gravity
+loads two of the six joints of a UR arm. One checked joint says little about the others.
 """
 
 
@@ -469,17 +457,17 @@ class StateRate(NamedTuple):
     """Rates of joint states [Hz]."""
 
     measured: float | None
-    """None if unknown."""
+    """Measured rate [Hz]; None if unknown."""
     given: float | None = None
-    """Expected by the user."""
+    """Rate that the user expects [Hz]; None if not given."""
     update_rate: float | None = None
-    """Requested rate of the commands; None if there is one for each joint state."""
+    """Requested rate of the commands [Hz]; None if each joint state leads to one command."""
     is_simulated: bool = False
     """Whether the node uses simulated time, which may be slower than real time."""
 
     @property
     def least(self) -> float:
-        """Rate below which joint states are slow."""
+        """Rate below which joint states are slow [Hz]."""
         if self.given is not None:
             return OF_GIVEN_RATE * self.given
         if self.update_rate is not None:
@@ -488,7 +476,7 @@ class StateRate(NamedTuple):
 
     @property
     def is_slow(self) -> bool:
-        """Whether joint states arrive far too rarely."""
+        """Whether the rate of joint states is far too low."""
         return self.measured is not None and self.measured < self.least
 
 
@@ -505,29 +493,11 @@ def check_agreement(
     payloads: Sequence[tuple[str, float, Floats]] = (),
 ) -> Agreement:
     """
-    Check whether model and robot agree.
+    Check whether model and robot agreed in the last seconds.
 
-    Parameters
-    ----------
-    reason : str
-        Why the node does not compute efforts; empty if it does.
-    rate : StateRate
-        Rates of joint states.
-    samples : LiveSamples or None
-        The last seconds; None if the robot is unknown.
-    robot, gravity, limits
-        As for `diagnose_samples`.
-    commanded : sequence of str
-        The commanded joints.
-    saturated : sequence of str
-        Those whose efforts were cut to their limits in the last seconds.
-    convention, payloads
-        As for `diagnose_samples`.
-
-    Returns
-    -------
-    agreement : Agreement
-
+    `reason` says why the node does not compute efforts; empty if the node does. The samples are
+    None while the robot is unknown. `saturated` are the commanded joints with efforts that were
+    cut to the limits in the last seconds. The other arguments are those of `diagnose_samples`.
     """
     if reason:
         return Agreement(Outcome.UNDECIDED, Obstacle.NODE_STATE, reason=reason)
@@ -568,7 +538,7 @@ def _without_constant(samples: LiveSamples, commanded: Sequence[str]) -> LiveSam
 def _completed(
     agreement: Agreement, commanded: Sequence[str], saturated: Sequence[str]
 ) -> Agreement:
-    """Add what concerns the commanded joints; an agreement must rest on enough of them."""
+    """Add results for the commanded joints; an agreement requires enough checked joints."""
     compared = (*agreement.checked, *agreement.unchecked)
     agreement = replace(agreement, saturated=tuple(saturated))
     if not compared:

@@ -1,8 +1,8 @@
 """
-Efforts of an unknown payload, which are linear in its inertial parameters.
+Fits unknown payloads; the efforts of a payload are linear in its inertial parameters.
 
-A point mass m at c adds ``m Y_m + m c . Y_c + m (c c^T) : Y_cc`` to the efforts, where each Y is
-the effort of a load with one unit parameter and zeros otherwise.
+A point mass m at position c adds ``m Y_m + m c . Y_c + m (c c^T) : Y_cc`` to the efforts. Each Y
+contains the efforts of a load with one parameter equal to one and all other parameters zero.
 """
 
 from __future__ import annotations
@@ -11,16 +11,16 @@ import numpy as np
 
 from ...robot.model import Booleans, Floats, RobotModel
 
-PARAMETERS = 10  # m; m c, three; m c c^T, six
-MOST_LINKS = 6  # links to try if none is named
-MOVED = 0.02  # [rad or m]; a joint that moved less shows no load
-MAX_REACH = 0.5  # [m] from the link to the centre of mass; a payload is nearer
-USUAL_REACH = 0.2  # [m]; where a coordinate has hardly any effect, the load is near the link
+PARAMETERS = 10  # one of m, three of m c, six of m c c^T
+MOST_LINKS = 6  # links to try if no link is given
+MOVED = 0.02  # [rad or m]; a joint that moved less does not reveal a load
+MAX_REACH = 0.5  # [m], largest distance from the link to the centre of mass of a payload
+USUAL_REACH = 0.2  # [m], assumed distance of a payload if a coordinate has hardly any effect
 MAX_COM_ERROR = 0.05  # [m]; a coordinate with a larger standard error is reported as unknown
 
 
 def tip_links(robot: RobotModel) -> tuple[str, ...]:
-    """Return a link of every body that may carry a load: branching bodies first, then tips."""
+    """Return one link of each body that may carry a load: branching bodies first, then tips."""
     children = np.bincount(robot.parent[1:], minlength=len(robot.parent))
     # A load on the palm of a hand does not act on the joints of its fingers.
     bodies = [body for body in range(1, len(children)) if children[body] != 1]
@@ -37,10 +37,9 @@ def tip_links(robot: RobotModel) -> tuple[str, ...]:
 
 def loaded_links(robot: RobotModel, q: Floats, link: str | None = None) -> tuple[str, ...]:
     """
-    Return the links on which a load may be found: the given one, or the tips of the tree.
+    Return the links that may carry a load: the given link, or else the tips of the tree.
 
     Links that did not move are left out, unless the whole robot was at rest.
-
     """
     links = (link,) if link is not None else tip_links(robot)
     moved: Booleans = np.ptp(q, axis=0) > MOVED
@@ -48,7 +47,7 @@ def loaded_links(robot: RobotModel, q: Floats, link: str | None = None) -> tuple
 
 
 def moves_with(robot: RobotModel, link: str, moved: Booleans) -> bool:
-    """Return whether a link is moved by one of the joints that moved, given one flag per joint."""
+    """Return whether any moved joint moves a link; `moved` has one flag per joint."""
     body = int(robot.link_body[robot.link_index(link)])
     while body > 0:
         if moved[robot.joint_index[body]]:
@@ -74,11 +73,10 @@ def fit_payload(
     regressors: Floats, residual: Floats, sample_count: float
 ) -> tuple[Floats, Floats]:
     """
-    Fit a point mass to efforts, from rows with equal variances and ten columns.
+    Fit a point mass to efforts, with ten regressor columns and equal variances of all rows.
 
-    Returns mass [kg] and centre of mass [m], and their standard errors, each of shape (4,). The
-    number of independent samples may be smaller than that of the rows.
-
+    Return mass [kg] and centre of mass [m] in one array, and their standard errors, each of shape
+    (4,). There may be fewer independent samples than rows.
     """
     from scipy.optimize import least_squares
 
@@ -106,7 +104,7 @@ def fit_payload(
     found = least_squares(remaining, start, derivatives, x_scale=scale)
     variance = 2.0 * found.cost / max(sample_count - 4.0, 1.0)
     covariance = np.linalg.pinv(found.jac.T @ found.jac, rcond=1e-12) * variance
-    # The formula gives no error to a parameter without effect, although it is unknown.
+    # The formula gives zero error for a parameter without effect, although its value is unknown.
     effect = np.linalg.norm(found.jac, axis=0)
     errors = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
     errors[effect <= 1e-9 * np.max(effect)] = np.inf
