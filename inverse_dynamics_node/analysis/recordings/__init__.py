@@ -1,1 +1,1 @@
-"""Recordings: read from files, resampled at uniform times, smoothed and differentiated."""
+"""Reads recordings from files, resamples them at uniform times, smooths and differentiates."""

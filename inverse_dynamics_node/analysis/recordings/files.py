@@ -23,17 +23,7 @@ _PROGRESS_INTERVAL = 200  # messages
 
 
 class Bag:
-    """
-    An open rosbag2 recording.
-
-    Attributes
-    ----------
-    path : pathlib.Path
-        Folder or file.
-    types : dict of str to str
-        Message type of every topic.
-
-    """
+    """An open rosbag2 folder or file, with the message types of all topics."""
 
     def __init__(self, path: Path, reader: Any) -> None:
         self.path = path
@@ -41,7 +31,7 @@ class Bag:
         self._reader = reader
 
     def find_topic(self, name: str) -> str | None:
-        """Return the full name of a topic, which may be given without slashes at its ends."""
+        """Return the full name of a topic; slashes at the ends of the given name are optional."""
         matches = (topic for topic in self.types if topic.strip('/') == name.strip('/'))
         return next(matches, None)
 
@@ -53,27 +43,10 @@ class Bag:
         self, topic: str, progress: Callable[[float], None] = lambda fraction: None
     ) -> Iterator[tuple[int, Any]]:
         """
-        Yield the messages of a topic in the order in which they were recorded.
+        Yield the time of recording [ns] and the message, for each message of a topic in order.
 
-        Parameters
-        ----------
-        topic : str
-            Full name of the topic.
-        progress : callable
-            Called now and then with the fraction read so far, 0 to 1.
-
-        Yields
-        ------
-        received : int
-            Time at which the message was recorded [ns].
-        message : object
-            The message, with the fields of its ROS type.
-
-        Raises
-        ------
-        RecordingError
-            If the recording is damaged.
-
+        The topic has its full name. `progress` is called regularly with the fraction read so far,
+        0 to 1. Raise RecordingError if the recording is damaged.
         """
         count = max(1, self.message_count(topic))
         connections = self._connections(topic)
@@ -95,22 +68,9 @@ class Bag:
 @contextmanager
 def open_bag(path: Path) -> Iterator[Bag]:
     """
-    Open a rosbag2 recording; ROS need not be installed.
+    Open a rosbag2 folder with a metadata.yaml, or one .mcap or .db3 file, without ROS.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        A folder with a metadata.yaml, or one .mcap or .db3 file.
-
-    Yields
-    ------
-    bag : Bag
-
-    Raises
-    ------
-    RecordingError
-        If there is no such file, or it cannot be read.
-
+    Raise RecordingError if the file does not exist or cannot be read.
     """
     from rosbags.highlevel import AnyReader, AnyReaderError
     from rosbags.typesys import get_typestore, Stores
@@ -142,12 +102,12 @@ def _damaged(path: Path, error: Exception) -> RecordingError:
 
 
 class CsvRecording(NamedTuple):
-    """Joint data of k rows."""
+    """Joint data in the k rows of a CSV file."""
 
     times: Floats
     """Column `time`, shape (k,) [s]."""
     columns: dict[tuple[str, str], Floats]
-    """The columns of each joint and quantity, each of shape (k,)."""
+    """One column of shape (k,) for each joint and quantity."""
     others: tuple[str, ...]
     """Names of all other columns."""
 
@@ -158,30 +118,10 @@ def read_csv(
     """
     Read a CSV file with a column `time` and columns `<joint>.<quantity>`.
 
-    A column `<joint>` holds the first of the quantities.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The file.
-    joint_names : sequence of str
-        Joints of the robot; the file may also have columns of other joints.
-    quantities : sequence of str
-        Quantities to look for, such as 'position'.
-    allow_empty : bool
-        Whether cells may be empty; they are read as NaN.
-
-    Returns
-    -------
-    recording : CsvRecording
-
-    Raises
-    ------
-    RecordingError
-        If the file has no column `time`, or a cell is not a number.
-    OSError
-        If the file cannot be opened.
-
+    A column `<joint>` holds the first of the quantities, such as 'position'. The file may also
+    have columns of joints that the robot does not have. With `allow_empty`, empty cells are read
+    as NaN. Raise RecordingError if there is no column `time` or a cell is not a number, and
+    OSError if the file cannot be opened.
     """
     try:
         with path.open(newline='', encoding='utf-8-sig') as file:

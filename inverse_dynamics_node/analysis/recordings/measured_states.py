@@ -16,7 +16,7 @@ from .signals import Recording
 
 _QUANTITIES = ('position', 'velocity', 'effort')
 _FIRST_MESSAGES = 100
-"""Messages of a topic that are searched for efforts."""
+"""Number of messages of each topic that are searched for efforts."""
 
 
 def read_measured_states(
@@ -27,33 +27,15 @@ def read_measured_states(
     mimic_names: Sequence[str] = (),
 ) -> tuple[Recording, tuple[str, ...]]:
     """
-    Read the recorded joint states of a robot.
+    Read the joint states of a robot from a rosbag2 folder, or an .mcap, .db3 or .csv file.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        A rosbag2 folder, an .mcap or .db3 file, or a .csv file.
-    joint_names : sequence of str
-        The robot's joints; other joints are ignored.
-    topic : str, optional
-        A topic of type sensor_msgs/msg/JointState; default: the only one with efforts.
-    progress : callable
-        Called now and then with the fraction read so far, 0 to 1.
-    mimic_names : sequence of str
-        The robot's joints that mimic others; their positions follow from those of the others.
+    The topic has type sensor_msgs/msg/JointState; default: the only topic with efforts. `progress`
+    is called regularly with the fraction read so far, 0 to 1. `mimic_names` are joints of the
+    robot with positions that follow from other joints.
 
-    Returns
-    -------
-    recording : Recording
-        The joints that were recorded, in the order of ``joint_names``; times start at zero.
-    notes : tuple of str
-        Sentences about ignored and missing data.
-
-    Raises
-    ------
-    RecordingError
-        If the recording cannot be read, or has no efforts of any of these joints.
-
+    Return the recorded joints in the order of ``joint_names``, with times from zero, and sentences
+    about ignored and missing data. Joints that the robot does not have are ignored. Raise
+    RecordingError if the recording cannot be read, or has no effort of any joint of the robot.
     """
     if not path.exists():
         raise RecordingError(f'{path}: no such file or folder, expected a recording')
@@ -130,7 +112,7 @@ def _from_messages(
     joint_names: Sequence[str],
     mimic_names: Sequence[str],
 ) -> tuple[Recording, tuple[str, ...]]:
-    """Convert messages with any joints in any order to arrays."""
+    """Convert messages to a recording; each message may contain any joints in any order."""
     index = {name: j for j, name in enumerate(joint_names)}
     layouts: dict[tuple[str, ...], tuple[list[int], list[int]]] = {}
     stamps: list[tuple[int, int]] = []
@@ -184,7 +166,7 @@ def _recording(
     recorded: Iterable[str],
     mimic_names: Sequence[str],
 ) -> tuple[Recording, tuple[str, ...]]:
-    """Select the joints of the robot that were recorded; describe the others in notes."""
+    """Select the recorded joints of the robot; describe all other joints in notes."""
     recorded = list(recorded)
     known = [j for j, name in enumerate(joint_names) if name in recorded]
     if not known:

@@ -1,7 +1,7 @@
 """
-Smooths and thins out the signals of a motion.
+Smooths the signals of a motion and reduces their sampling rate.
 
-Columns that are fitted to smoothed efforts have to be smoothed in the same way, or the fit is
+Columns that are fitted to smoothed efforts must be smoothed in the same way; otherwise the fit is
 biased. The smoothing has no delay, and does not reach across gaps.
 """
 
@@ -17,32 +17,32 @@ from .signals import Motion
 DEGREE = 3
 """Degree of the smoothing polynomials."""
 ROWS_PER_WINDOW = 8
-"""Rows in each smoothing window; more would add nothing."""
+"""Rows in each smoothing window; more rows would add no information."""
 
 
 class Resampler(NamedTuple):
-    """Smooths one motion with K samples to R rows."""
+    """Smooths the K samples of one motion, and reduces them to R rows."""
 
     of_smooth: Any
-    """Sparse matrix for signals that have been smoothed with the motion, shape (R, K)."""
+    """Sparse matrix for signals that were already smoothed with the motion, shape (R, K)."""
     of_discontinuous: Any
-    """The same for signals that have not, such as directions of Coulomb friction."""
+    """Sparse matrix for unsmoothed signals, such as directions of Coulomb friction."""
     times: Floats
     """Times of the rows, shape (R,) [s]."""
     seconds: float
-    """Length of the window [s]."""
+    """Length of the smoothing window [s]."""
 
     def __call__(self, values: Floats) -> Floats:
         """Smooth signals of shape (K, ...) to rows of shape (R, ...)."""
         return _apply(self.of_smooth, values)
 
     def discontinuous(self, values: Floats) -> Floats:
-        """Smooth signals that have not been smoothed with the motion."""
+        """Smooth signals that were not yet smoothed with the motion."""
         return _apply(self.of_discontinuous, values)
 
 
 def resampler(motion: Motion, seconds: float) -> Resampler:
-    """Return the resampler of a motion; with a window of 0 s, signals are left as they are."""
+    """Return the resampler of a motion; a window of 0 s leaves signals unchanged."""
     from scipy.signal import savgol_coeffs
 
     half = max(round(0.5 * seconds / motion.period), 0)
@@ -81,7 +81,7 @@ def smooth_like_efforts(motion: Motion, values: Floats) -> Floats:
 
 
 def pieces(times: Floats) -> list[tuple[int, int]]:
-    """Return start and end of the parts without gaps."""
+    """Return the start and end indices of all pieces without gaps."""
     steps = np.diff(times)
     breaks = np.flatnonzero(steps > 1.5 * np.median(steps)) + 1
     return list(zip([0, *breaks], [*breaks, len(times)], strict=True))

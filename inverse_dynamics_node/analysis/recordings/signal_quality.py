@@ -16,7 +16,7 @@ MAX_LAG = 0.5  # [s]; larger lags are not searched for
 MIN_LAG = 0.01  # [s]; at 1 Hz, this lag is an error of 6 % of the accelerations
 LAG_EXPLAINS = 0.25  # fraction of the squared difference that the lag must leave at most
 FINEST = 0.005  # [s] between the lags that are compared; interpolated in between
-MAX_SHAPE = 0.2  # largest relative difference between a lagging and a derived velocity
+MAX_SHAPE = 0.2  # largest relative difference between a shifted velocity and the derived one
 
 CUTOFFS = (1.0, 8.0)  # [Hz]; filters with a higher cut-off hardly affect smoothed efforts
 STEEP = 35.0  # [dB] over two octaves; steeper than Coulomb friction (12) and noise (0)
@@ -27,22 +27,11 @@ OUTLIERS = 1.4826  # standard deviation of a normal distribution over its median
 
 def white_noise(values: Floats, smoothed: Floats, centre_weight: float) -> float:
     """
-    Estimate the noise that remains in smoothed values.
+    Estimate the standard deviation of white noise that remains after a filter fits polynomials.
 
-    Parameters
-    ----------
-    values, smoothed : ndarray, shape (K,)
-        A signal before and after a filter that fits polynomials.
-    centre_weight : float
-        Weight of the sample in the middle of the filter's window. It is also the sum of all
-        squared weights, because the filter is a projection.
-
-    Returns
-    -------
-    noise : float
-        Standard deviation in the unit of the signal, if the noise is white. The resolution of
-        the signal limits it from below.
-
+    `centre_weight` is the filter's weight of the middle sample. This weight is also the sum of all
+    squared weights, because the filter is a projection. The resolution of the signal is a lower
+    limit of the noise.
     """
     removed = values - smoothed
     deviation = OUTLIERS * float(np.median(np.abs(removed - np.median(removed))))
@@ -51,7 +40,7 @@ def white_noise(values: Floats, smoothed: Floats, centre_weight: float) -> float
 
 
 def resolution(values: Floats) -> float:
-    """Return the step between quantised values; 0 if nearly all values are different."""
+    """Return the step between quantised values; 0 if nearly all values differ."""
     levels = np.unique(values)
     # A quantised signal repeats its values, and each step is a multiple of the smallest one.
     if len(levels) < 3 or len(levels) > 0.2 * len(values):
@@ -65,22 +54,11 @@ def resolution(values: Floats) -> float:
 
 def lag(recorded: Floats, derived: Floats, period: float) -> float:
     """
-    Return how much later a recorded velocity is than the derivative of the position.
+    Return the lag of a smoothed recorded velocity behind the derivative of the position [s].
 
-    Parameters
-    ----------
-    recorded, derived : ndarray, shape (K,)
-        Smoothed velocities [rad/s or m/s].
-    period : float
-        Time between samples [s].
-
-    Returns
-    -------
-    lag : float
-        Zero if a lag does not explain the difference [s].
-
+    The lag is zero if no lag explains the difference. The period is the time between samples [s].
     """
-    # The signals are smooth: fewer samples show the same.
+    # The signals are smooth: fewer samples contain the same information.
     every = max(1, round(FINEST / period))
     recorded, derived, period = recorded[::every], derived[::every], every * period
     most = min(round(MAX_LAG / period), len(recorded) // 4)
@@ -104,23 +82,11 @@ def lag(recorded: Floats, derived: Floats, period: float) -> float:
 
 def cut_off(efforts: Floats, period: float) -> float:
     """
-    Return the frequency above which the spectrum of an effort is empty.
+    Return the frequency above which the spectrum of an unsmoothed effort is empty [Hz].
 
-    The noise of a sensor reaches up to half the sampling rate. Where the spectrum falls steeply at
-    a few hertz and continues to fall, the signal was filtered before it was recorded.
-
-    Parameters
-    ----------
-    efforts : ndarray, shape (K,)
-        Measured effort without smoothing [N m or N].
-    period : float
-        Time between samples [s].
-
-    Returns
-    -------
-    frequency : float
-        Infinite if the spectrum is not empty anywhere [Hz].
-
+    The noise of a sensor reaches up to half the sampling rate. If the spectrum falls steeply at a
+    few hertz and continues to fall, the signal was filtered before it was recorded. The period is
+    the time between samples [s]. The frequency is infinite if the spectrum is not empty anywhere.
     """
     count = len(efforts)
     line = np.linspace(efforts[0], efforts[-1], count)

@@ -1,9 +1,9 @@
 """
-A recording becomes a motion: uniform times, smoothed signals, and derived accelerations.
+Converts a recording to a motion with uniform times, smoothed signals and derived accelerations.
 
-A Savitzky-Golay filter fits a polynomial to a window of samples around each time; its value and
-its derivatives are the smoothed signal and its rates. It has no delay. Measured efforts are
-smoothed over the same window, so that they remain comparable with the modelled ones.
+A Savitzky-Golay filter fits a polynomial to a window of samples around each time. The value and
+the derivatives of the polynomial are the smoothed signal and its rates. The filter has no delay.
+Measured efforts are smoothed over the same window, to remain comparable with modelled efforts.
 """
 
 from __future__ import annotations
@@ -21,16 +21,15 @@ from .signal_quality import cut_off, lag, resolution, white_noise
 
 WINDOWS = {1: (0.10, 3), 2: (0.15, 5)}
 """
-Window [s] and degree of the polynomial, by the number of differentiations.
-
-At 3 Hz they attenuate accelerations by 0.2 and 0.5 %. With the second one, encoder noise of 1e-4
-rad at 500 Hz leads to noise of 0.05 rad/s^2.
+Window [s] and degree of the polynomial, for one and two differentiations. At 3 Hz, the filters
+attenuate accelerations by 0.2 % and 0.5 %. Two differentiations of encoder noise of 1e-4 rad at
+500 Hz lead to acceleration noise of 0.05 rad/s^2.
 """
 MIN_SLACK = 4  # samples of the window beyond the degree; with fewer, nothing is smoothed
 MIN_RATE = 20.0  # [Hz]; accelerations cannot be derived from slower recordings
 GAP = 5.0  # periods without a sample; signals are not interpolated across a gap
 DUPLICATE = 0.25  # periods; samples that are closer together are duplicates
-JUMP_BACK = 10.0  # periods; samples whose stamps go back by less are sorted
+JUMP_BACK = 10.0  # periods; samples are sorted if their stamps go back by less
 MAX_DIFFERENCE = 0.5  # fraction of the RMS by which velocities may differ from derived ones
 MIN_SPEED = 1e-3  # [rad/s or m/s]; the velocities of a slower joint are not checked
 
@@ -40,30 +39,30 @@ class Recording(NamedTuple):
 
     joint_names: tuple[str, ...]
     times: Floats
-    """Stamps, shape (k,) [s]; may have jitter, gaps and duplicates."""
+    """Time stamps, shape (k,) [s]; with possible jitter, gaps and duplicates."""
     positions: Floats
-    """Shape (k, m) [rad or m]; NaN if a message lacks the joint."""
+    """Positions, shape (k, m) [rad or m]; NaN if missing in a message."""
     velocities: Floats | None
-    """Shape (k, m) [rad/s or m/s]; NaN if a message lacks it; None if no velocity was recorded."""
+    """Velocities, shape (k, m) [rad/s or m/s]; NaN if missing; None if never recorded."""
     efforts: Floats
-    """Shape (k, m) [N m or N]; NaN if a message lacks it."""
+    """Efforts, shape (k, m) [N m or N]; NaN if missing in a message."""
 
 
 class Motion(NamedTuple):
     """Smoothed states of m joints at K times, which are uniform except at gaps."""
 
     times: Floats
-    """Shape (K,), since the first stamp [s]."""
+    """Times since the first stamp, shape (K,) [s]."""
     q: Floats
-    """Shape (K, m) [rad or m]."""
+    """Positions, shape (K, m) [rad or m]."""
     qd: Floats
-    """Shape (K, m) [rad/s or m/s]."""
+    """Velocities, shape (K, m) [rad/s or m/s]."""
     qdd: Floats
-    """Shape (K, m) [rad/s^2 or m/s^2]."""
+    """Accelerations, shape (K, m) [rad/s^2 or m/s^2]."""
     efforts: Floats
-    """Shape (K, m) [N m or N]; NaN for joints without measured effort, which may be left out."""
+    """Efforts, shape (K, m) [N m or N]; NaN for joints without measured effort."""
     window: int
-    """Samples of the smoothing window; samples within a window are dependent."""
+    """Number of samples in the smoothing window; samples within a window are dependent."""
     degree: int
     """Degree of the smoothing polynomials."""
     joint_names: tuple[str, ...] = ()
@@ -72,20 +71,19 @@ class Motion(NamedTuple):
     notes: tuple[str, ...] = ()
     """Descriptions of ignored or repaired data."""
     effort_noise: Floats = np.zeros(0)
-    """Noise that is left in the smoothed efforts, shape (m,) [N m or N]; NaN without efforts."""
+    """Noise that remains in the smoothed efforts, shape (m,) [N m or N]; NaN without efforts."""
     qdd_noise: Floats = np.zeros(0)
     """Noise of the accelerations, shape (m,) [rad/s^2 or m/s^2]."""
     lags: Mapping[str, float] = MappingProxyType({})
-    """Recorded velocities that are later than the positions, by joint [s]; they are not used."""
+    """Lags of recorded velocities behind positions, by joint [s]; such velocities are not used."""
     cut_off: float = math.inf
-    """Frequency above which the recorded efforts are empty, as after a low-pass filter [Hz]."""
+    """Frequency above which the spectrum of the efforts is empty, as after a filter [Hz]."""
     raw_efforts: Floats = np.zeros((0, 0))
-    """Efforts as they were recorded, shape (K, m) [N m or N]."""
+    """Efforts before smoothing, shape (K, m) [N m or N]."""
     qd_noise: Floats = np.zeros(0)
     """
-    Noise of the recorded velocities, shape (m,) [rad/s or m/s].
-
-    Their resolution is part of it. Without recorded velocities, that of the derived ones.
+    Noise of the recorded velocities, including their resolution, shape (m,) [rad/s or m/s]. For
+    joints without recorded velocities, noise of the derived velocities.
     """
 
     @property
@@ -95,7 +93,7 @@ class Motion(NamedTuple):
 
 
 def without_turns(robot: RobotModel, recording: Recording) -> Recording:
-    """Remove jumps by a whole turn from the positions of continuous joints."""
+    """Remove jumps by whole turns from the positions of continuous joints."""
     positions = recording.positions.copy()
     for j, name in enumerate(recording.joint_names):
         if robot.is_continuous[robot.joint_names.index(name)]:
@@ -106,25 +104,12 @@ def without_turns(robot: RobotModel, recording: Recording) -> Recording:
 
 def derive(recording: Recording, stretch: float = 1.0) -> Motion:
     """
-    Smooth all signals, and derive missing velocities and all accelerations.
+    Smooth all signals of a recording, and derive missing velocities and all accelerations.
 
-    Parameters
-    ----------
-    recording : Recording
-        Recording of m joints.
-    stretch : float
-        Factor of the length of the smoothing window, for noisy recordings of slow motions.
-
-    Returns
-    -------
-    motion : Motion
-        Motion without half a window at the start, at the end and around gaps.
-
-    Raises
-    ------
-    RecordingError
-        If shapes differ, a joint has no position, times go back, or the recording is too short.
-
+    `stretch` multiplies the length of the smoothing window, for noisy recordings of slow motions.
+    Half a window is removed from the motion at the start, at the end and around gaps. Raise
+    RecordingError if shapes differ, a joint has no position, time goes back, or the recording is
+    too short or too slow.
     """
     times = _checked(recording)
     columns = [RecordedColumn(recording, times, j) for j in range(len(recording.joint_names))]
@@ -209,11 +194,10 @@ def _orders(
     columns: list[RecordedColumn], period: float
 ) -> tuple[list[int], list[str], dict[str, float]]:
     """
-    Return how often to differentiate each column: once if its velocities are consistent.
+    Return how often to differentiate each column, and which velocities are unusable.
 
-    Also returns the names of the columns with inconsistent velocities, and the lags of those that
-    are late.
-
+    Consistent velocities are differentiated once; otherwise positions are differentiated twice.
+    Unusable are the columns with inconsistent velocities, and those with a lag [s].
     """
     from scipy.signal import savgol_filter
 
@@ -263,7 +247,7 @@ def _smooth(
     period: float,
     window: tuple[int, int],
 ) -> tuple[Floats, ...]:
-    """Smooth every column on a uniform grid, and remove half a window from both ends."""
+    """Smooth each column on a uniform grid, and remove half a window from both ends."""
     from scipy.signal import savgol_filter
 
     def smooth(values: Floats, order: int = 0) -> Floats:
@@ -394,14 +378,14 @@ class RecordedColumn:
         self.varies = self.has_effort and bool(np.ptp(self.tau) > 0.0)
 
     def spans(self) -> list[tuple[float, float]]:
-        """Return start and end of the intervals without gaps."""
+        """Return the start and end of each interval without gaps [s]."""
         breaks = np.flatnonzero(np.diff(self.t) > GAP * self.period)
         starts = [0, *(breaks + 1)]
         ends = [*breaks, len(self.t) - 1]
         return [(self.t[a], self.t[b]) for a, b in zip(starts, ends, strict=True)]
 
     def at(self, values: Floats, grid: Floats) -> Floats:
-        """Interpolate to uniform times between two gaps."""
+        """Interpolate values at uniform times that lie between two gaps."""
         from scipy.interpolate import CubicSpline  # the import takes 0.3 s
 
         a = max(int(np.searchsorted(self.t, grid[0] - 1e-9)) - 1, 0)
@@ -415,7 +399,7 @@ class RecordedColumn:
 
 
 def _merge(values: Floats, closest: float) -> tuple[Floats, int]:
-    """Average rows with nearly the same time, which is the first column."""
+    """Average rows with nearly equal times, which are in the first column."""
     is_new = np.append(True, np.diff(values[:, 0]) > closest)
     if is_new.all():
         return values, 0
