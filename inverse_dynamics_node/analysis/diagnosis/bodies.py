@@ -2,9 +2,9 @@
 Checks whether several links have wrong inertial parameters, and which other causes exist.
 
 The parameters of all links are fitted near the model, together with friction, rotors and offsets.
-The fit uses one half of the recording. If it predicts the other half far better than a simpler
-explanation, the simpler explanation is not credible. A payload, a mounting or a delay of the
-efforts is credible in addition, if the links would have to be far more wrong without it.
+The fit uses one half of the recording. If the fitted links predict the other half far better than
+a simpler explanation, the simpler explanation is not credible. A payload, a mounting or a delay of
+the efforts is added if, without this cause, the links would have to be far more wrong.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class Bodies(NamedTuple):
     """Fitted links, with residuals in the half of the recording that was not used for the fit."""
 
     robot_fit: RobotFit
-    """The explanation in addition to wrong links."""
+    """Explanation of the efforts that wrong links do not explain."""
     change: Floats
     """Change of the inertial parameters of b links, shape (10 b,)."""
     before: Floats
@@ -81,7 +81,7 @@ class Bodies(NamedTuple):
     unexplained_anywhere: float
     """Unexplained fraction of the squares in the unused half, with equal weights."""
     are_wrong: bool
-    """Whether model and friction leave more unexplained than accurate links would."""
+    """Whether the model with friction explains less than a model with accurate links would."""
     has_own_gravity: bool
     """Whether the errors of the links also affect gravity in the measured efforts."""
 
@@ -100,7 +100,7 @@ class Bodies(NamedTuple):
         return self.unexplained < (BETTER if self._confirms(before) else 1.0) * left
 
     def confirmed(self, fault: FaultInterval | None) -> FaultInterval | None:
-        """Return the cause in an interval; None for a tilting base that wrong links explain."""
+        """Return the cause in an interval; None if wrong links explain an apparent tilt."""
         if fault is None or fault.kind is not FaultKind.MOUNTING:
             return fault
         return None if self.unexplained_anywhere < CHANGING * fault.left else fault
@@ -127,7 +127,7 @@ def fit_bodies(
     rates: Floats,
 ) -> Bodies | None:
     """
-    Fit all links to the efforts of n joints; return None if the recording does not show the links.
+    Fit all links to the efforts of n joints; return None if the samples are not sufficient.
 
     `states` are q, qd and qdd of the whole robot at the K times, each of shape (K, N). For each
     joint, `rows` selects the times in its samples, shape (K,), and `index` is its index in the
@@ -253,7 +253,7 @@ class _Problem:
         return float(self.data.joints[j].squares[measured]) / self.robot_fit.factor(j) ** 2
 
     def solve(self) -> Bodies:
-        """Fit the links, and choose the causes in addition to wrong links."""
+        """Fit the links, and choose which other causes to add."""
         causes = []
         if self.has_gravity:
             loads = range(self.payloads, self.delay, 4)

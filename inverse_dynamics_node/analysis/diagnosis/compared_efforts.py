@@ -215,7 +215,7 @@ class ComparedEfforts:
 
 def not_measured(measured: Floats, modelled: Floats, least: Floats | float) -> Booleans:
     """
-    Return the joints with a measured effort that contradicts the model by being constant.
+    Return which joints have a constant measured effort, although the model contradicts it.
 
     Efforts have shape (K, c). A constant measured effort contradicts a modelled effort that varies
     by more than `least` [N m or N]. A measured effort of zero contradicts a modelled effort larger
@@ -229,7 +229,7 @@ def not_measured(measured: Floats, modelled: Floats, least: Floats | float) -> B
 
 
 def _later(motion: Motion, efforts: Floats, delay: float) -> Floats:
-    """Return the efforts that follow after a delay [s]."""
+    """Return the efforts at times that are later by a delay [s]."""
     if not delay:
         return efforts
     parts = []
@@ -338,7 +338,7 @@ def load_on_gears(compared: ComparedEfforts, robot_fit: RobotFit) -> Floats:
 def with_shapes(
     compared: ComparedEfforts, fits: list[FrictionFit], residual: Floats, load: Floats
 ) -> list[FrictionFit]:
-    """Fit the shape of each friction that is known; the load is that of `load_on_gears`."""
+    """Fit the shape of each known friction; the load is the result of `load_on_gears`."""
     return [
         fit_shape(
             fit,

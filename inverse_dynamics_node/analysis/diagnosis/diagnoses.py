@@ -126,7 +126,7 @@ def diagnose_bodies(bodies: Bodies, data: RegressionData, names: Sequence[str]) 
 
 
 def diagnose_axes(data: RegressionData, axes: Axes, names: Sequence[str]) -> list[Fault]:
-    """Return the fault that describes reversed axes; the samples are those before reversal."""
+    """Return the fault that describes reversed axes, given the samples as recorded."""
     joints = tuple(name for name, sign in zip(names, axes.signs, strict=True) if sign < 0.0)
     if not joints:
         return []
@@ -168,7 +168,7 @@ def diagnose_positions(robot: RobotModel, q: Floats, names: tuple[str, ...]) -> 
 
 
 def diagnose_constant(values: Mapping[str, float]) -> list[Fault]:
-    """Return a fault for joints with constant measured efforts, which are the given values."""
+    """Return a fault for joints with constant measured efforts; `values` are these efforts."""
     if not values:
         return []
     return [Fault(FaultKind.NOT_MEASURED, tuple(values), tuple(values.values()))]
@@ -187,7 +187,7 @@ class _Faults:
         ]
 
     def changes(self, without: RobotFit) -> tuple[Change, ...]:
-        """Return the joints that are explained worse in an explanation without one fault."""
+        """Return the joints whose residuals are larger in an explanation without one fault."""
         before, after = ([fit.rms for fit in fits] for fits in (without.fits, self.fits))
         return _changes(self.data, self.names, before, after, self.robot_fit.source)
 
@@ -297,7 +297,7 @@ class _Faults:
         ]
 
     def unexplained(self) -> list[Fault]:
-        """Return the fault of unexplained joints: moving joints, or else all if most remains."""
+        """Return the fault of unexplained joints; at rest, only if most effort is unexplained."""
         if self.data.is_too_short:
             return []
         left = [

@@ -74,7 +74,7 @@ class Fault(NamedTuple):
     """
     For joints: a factor, rotor inertia [kg m^2, kg] or effort [N m, N] of each joint. For a
     payload: mass [kg] and centre of mass [m], NaN where unknown. For a mounting: gravity in the
-    frame of the base link [m/s^2]. For a delay: its duration [s].
+    frame of the base link [m/s^2]. For a delay: the delay [s].
     """
     changes: tuple[Change, ...] = ()
     """Joints with smaller residuals after the correction, largest reduction first."""

@@ -69,7 +69,7 @@ def is_moving(qd: Floats, width: float) -> Booleans:
 
 
 def lacks_reversal(qd: Floats, period: float, width: float, least: float = LEAST_MOVING) -> str:
-    """Return why a joint did not move long enough in both directions; empty if it did."""
+    """Return why a joint did not move long enough in both directions; empty if it moved enough."""
     fast = SURELY_MOVING * width
     fastest = float(np.max(np.abs(qd)))
     if fastest <= fast:
@@ -84,7 +84,7 @@ def lacks_reversal(qd: Floats, period: float, width: float, least: float = LEAST
 
 
 def obstacle(qd: Floats, period: float, width: float) -> str:
-    """Return why friction cannot be identified from a motion; empty if it can."""
+    """Return why a motion does not identify friction; empty if friction can be identified."""
     reason = lacks_reversal(qd, period, width)
     if reason:
         return reason
@@ -173,7 +173,7 @@ def _triangle(columns: Floats, residual: Floats) -> Floats:
 def _with_load(
     triangle: Floats, has_load: bool
 ) -> tuple[float, tuple[float, float, float, float]]:
-    """Return the sum of squared residuals, and damping, Coulomb and load friction, and offset."""
+    """Return the squared residual; and damping, Coulomb friction, load friction and offset."""
     columns = triangle[:, :-1] * [1.0, 1.0, has_load, 1.0]
     factors, left = fit_nonnegative(columns, triangle[:, -1], [3])
     damping, coulomb, per_load, offset = factors.tolist()

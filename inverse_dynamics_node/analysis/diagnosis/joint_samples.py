@@ -119,14 +119,14 @@ class JointSamples:
         return self.moves or variance > MIN_VARIATION**2 * float(self.squares[MODEL])
 
     def floor(self, measured: int) -> float:
-        """Return the fraction of the squared effort that model errors and noise may leave."""
+        """Return the fraction of the squared effort that model errors and noise may explain."""
         return float(FLOOR**2 + (NOISE_FLOOR * self.noise) ** 2 / self.squares[measured])
 
     def fit(
         self, weights: Floats, measured: int, sensor_fault: SensorFault, unit: float = 1.0
     ) -> JointFit:
         """
-        Fit a sensor fault to the measured effort in a column, divided by its unit.
+        Fit a sensor fault to a column of measured efforts, divided by the given unit.
 
         The candidate model is the sum of the first columns, multiplied by the weights.
         """
@@ -191,7 +191,7 @@ class JointSamples:
     def _possible_faults(
         self, weights: Floats, measured: int, unit: float
     ) -> Iterator[tuple[SensorFault, float]]:
-        """Yield possible sensor faults, each with the least fraction that it may leave."""
+        """Yield possible sensor faults, each with a lower bound of its unexplained fraction."""
         has_scale = unit == 1.0 and self.shows_scale
         for is_swapped in (False, True):
             every = SensorFault(is_swapped, has_scale, self.moves, self.moves)

@@ -299,7 +299,7 @@ class _Comparison:
         return common
 
     def _search(self) -> tuple[list[Fault], dict[int, float]]:
-        """Return the faults of a known kind, and the residuals of joints that remain."""
+        """Return the faults of known kinds, and the remaining residuals by joint."""
         constant = np.flatnonzero(self.silent).tolist()
         silent = diagnose_constant({self.names[c]: float(self.measured[0, c]) for c in constant})
         data = self._regression_data(np.ones(len(self.searched)))
@@ -384,7 +384,7 @@ class _Comparison:
         )
 
     def _rigid(self, *states: Floats) -> Floats:
-        """Return the efforts of the bodies; gravity is included as in the measured efforts."""
+        """Return the modelled efforts; with or without gravity, like the measured efforts."""
         efforts = self.dynamics.efforts(*states)
         if not self.convention.in_measured:
             efforts = efforts - self.dynamics.gravity_efforts(states[0])

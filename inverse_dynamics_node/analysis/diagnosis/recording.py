@@ -104,7 +104,7 @@ class ComparisonResult:
     measured: Floats
     """Measured efforts, shape (K, c) [N m or N]."""
     modelled: Floats
-    """Modelled efforts, shape (K, c) [N m or N]; they contain friction if the dynamics do."""
+    """Modelled efforts, shape (K, c) [N m or N]; with friction if the dynamics have friction."""
     corrected: Floats
     """Modelled efforts with friction and faults, as recorded, shape (K, c) [N m or N]."""
     faults: tuple[Fault, ...]
@@ -302,7 +302,7 @@ def _of_motion(compared: ComparedEfforts, signs: Floats) -> Floats:
 
 
 def _beside_links(compared: ComparedEfforts, data: RegressionData, robot_fit: RobotFit) -> _Found:
-    """Explain efforts; where needed, by wrong links and by a cause limited to an interval."""
+    """Explain efforts, if needed by wrong links or by a cause that is limited to an interval."""
     names = [compared.names[c] for c in compared.varying]
     fault = find_fault_interval(data, robot_fit)
     bodies = _fitted_bodies(compared, data, robot_fit)

@@ -449,7 +449,7 @@ class RegressionData:
     def loaded(
         self, k: int, base: CandidateModel, solution: Floats, errors: Floats
     ) -> CandidateModel | None:
-        """Add a point mass on link k to a candidate model; return None if it is impossible."""
+        """Add a point mass on link k to a candidate model; None if mass or position is absurd."""
         # The missing mass of a body cannot exceed its mass.
         least = -self.link_masses[k] - 3.0 * errors[0]
         if not least < solution[0] < self.heaviest or np.linalg.norm(solution[1:]) > MAX_REACH:

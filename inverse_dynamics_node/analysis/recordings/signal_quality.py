@@ -27,7 +27,7 @@ OUTLIERS = 1.4826  # standard deviation of a normal distribution over its median
 
 def white_noise(values: Floats, smoothed: Floats, centre_weight: float) -> float:
     """
-    Estimate the standard deviation of white noise that remains after a filter fits polynomials.
+    Estimate the standard deviation of white noise that remains after smoothing with polynomials.
 
     `centre_weight` is the filter's weight of the middle sample. This weight is also the sum of all
     squared weights, because the filter is a projection. The resolution of the signal is a lower

@@ -194,10 +194,10 @@ def _orders(
     columns: list[RecordedColumn], period: float
 ) -> tuple[list[int], list[str], dict[str, float]]:
     """
-    Return how often to differentiate each column, and which velocities are unusable.
+    Return how often to differentiate each column.
 
     Consistent velocities are differentiated once; otherwise positions are differentiated twice.
-    Unusable are the columns with inconsistent velocities, and those with a lag [s].
+    Return also the names of columns with inconsistent velocities, and the lags of velocities [s].
     """
     from scipy.signal import savgol_filter
 
