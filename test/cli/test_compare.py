@@ -257,7 +257,7 @@ def test_finds_the_topic_that_has_efforts(short, here, capsys):
 def test_unstamped_messages_have_the_time_of_the_recorder(short, here):
     write_bag(here / 'run', short, is_stamped=False)
     found, notes = read_measured_states(here / 'run', JOINTS)
-    assert 'no stamp' in notes[0]
+    assert 'no time stamps' in notes[0]
     assert found.times == pytest.approx(short.times - short.times[0], abs=1e-3)
 
 
@@ -282,7 +282,7 @@ def test_unknown_and_missing_joints_are_reported(short, here, capsys):
     assert compare('run.csv', '--no-picture') == 0
     output = ' '.join(capsys.readouterr().out.split())
     assert 'Ignored joints that the robot does not have: finger' in output
-    assert 'Joints that were not recorded, assumed to rest at zero: joint_1' in output
+    assert 'Joints that were not recorded and are assumed to rest at zero: joint_1' in output
 
 
 def test_a_recorded_mimic_joint_is_not_unknown(here, capsys):
@@ -296,7 +296,8 @@ def test_a_recorded_mimic_joint_is_not_unknown(here, capsys):
     assert main(['compare', str(urdf), 'run.csv', '--no-picture']) == 0
     output = ' '.join(capsys.readouterr().out.split())
     assert 'Ignored joints that the robot does not have: stranger.' in output
-    assert f'Joints that mimic others, included in the efforts of those: {names[-2]}.' in output
+    note = 'Mimic joints, included in the efforts of the joints that they mimic'
+    assert f'{note}: {names[-2]}.' in output
 
 
 def broken(short, here, how):
@@ -358,7 +359,7 @@ def broken(short, here, how):
         ('no efforts', 'no message has an effort of any joint of this robot'),
         ('no positions', "joint 'joint_1' never has a position"),
         ('text', "line 3, column 'joint_1.effort': 'oops' is not a number"),
-        ('row', 'line 2 has 2 values, the header 3 columns'),
+        ('row', 'line 2 has 2 values, but the header has 3 columns'),
         ('bytes', 'run.csv: is not a CSV file'),
         (
             'no time',

@@ -321,7 +321,7 @@ def test_reads_columns_with_the_suffix_position(write):
         ),
         ('time,joint_1,joint_2.velocity\n0,1,2\n', "joint 'joint_2' has no column of positions"),
         ('time,joint_1,joint_1\n0,1,2\n', "two columns hold the position of joint 'joint_1'"),
-        ('time,joint_1\n0,1\n1\n', 'line 3 has 1 values, the header 2 columns'),
+        ('time,joint_1\n0,1\n1\n', 'line 3 has 1 values, but the header has 2 columns'),
         ('time,joint_1\n0,one\n', "line 2, column 'joint_1': 'one' is not a number"),
     ],
 )

@@ -130,7 +130,7 @@ def test_a_short_recording_is_one_line(seconds, rate, options, here, capsys):
     assert main(['identify', str(STANFORD), 'run.csv', '--no-picture', *options]) == 1
     error = capsys.readouterr().err
     assert error.count('\n') == 1
-    assert 'expected at least 3 s' in error or 'too little to differentiate' in error
+    assert 'expected at least 3 s' in error or 'too short to differentiate' in error
 
 
 def write_recording(path, seconds, rate):

@@ -288,7 +288,7 @@ def test_finds_a_driver_that_does_not_measure(value):
     result = diagnose_recording(dynamics, recording._replace(efforts=efforts))
     (diagnosis,) = result.faults
     assert (diagnosis.kind.value, diagnosis.joints) == ('not_measured', ('shoulder_lift',))
-    assert result.joints[1].friction.unknown_because == 'its effort was not measured'
+    assert result.joints[1].friction.unknown_because == 'the effort of this joint was not measured'
     all_zero = diagnose_recording(dynamics, recording._replace(efforts=np.zeros_like(efforts)))
     assert kinds(all_zero) == ['not_measured']
     assert math.isnan(all_zero.explained)
@@ -300,7 +300,7 @@ def test_reports_efforts_that_nothing_explains(rng):
     efforts[:, 3] = 0.1 * np.cumsum(rng.standard_normal(len(efforts)))
     result = diagnose_recording(dynamics, recording._replace(efforts=efforts))
     assert [(d.kind.value, d.joints) for d in result.faults] == [('unexplained', ('elbow',))]
-    assert result.joints[3].friction.unknown_because == 'its effort is not explained'
+    assert result.joints[3].friction.unknown_because == 'the effort of this joint is not explained'
 
 
 def test_finds_several_faults_at_once():
@@ -394,7 +394,7 @@ def test_friction_is_unknown_for_motion_at_one_speed():
     result = diagnose_recording(
         *swinging(0.3 * np.abs(t % 4.0 - 2.0), -0.3 * sign, np.zeros(5000))
     )
-    assert 'does not distinguish' in result.joints[0].friction.unknown_because
+    assert 'too small to distinguish' in result.joints[0].friction.unknown_because
 
 
 # ---- Imperfect recordings ------------------------------------------------------------------
@@ -419,7 +419,7 @@ def test_signals_are_not_interpolated_across_gaps():
     times = recording.times
     result = diagnose_recording(dynamics, only(recording, (times < 8.0) | (times > 9.0)))
     motion = result.motion
-    assert '1 gaps' in motion.notes[0]
+    assert 'differentiated in 2 pieces' in motion.notes[0]
     assert not ((motion.times > 7.95) & (motion.times < 9.05)).any()
     assert result.explained > 0.998
 
@@ -516,7 +516,7 @@ def test_invalid_recordings_are_explained(change, words):
 
 def test_short_recordings_are_rejected():
     dynamics, recording = run('branched')
-    with pytest.raises(RecordingError, match='too little to differentiate'):
+    with pytest.raises(RecordingError, match='too short to differentiate'):
         diagnose_recording(dynamics, only(recording, recording.times < 0.1))
 
 

@@ -320,13 +320,13 @@ def fit_joints(
 
 def obscured(compared: ComparedEfforts, robot_fit: RobotFit) -> dict[int, str]:
     """Return why the friction of some joints is unknown although they moved enough."""
-    reasons = dict.fromkeys(compared.constant, 'its effort was not measured')
+    reasons = dict.fromkeys(compared.constant, 'the effort of this joint was not measured')
     is_scaled = any(fit.sensor_fault.is_scaled for fit in robot_fit.fits)
     for c, fit in zip(compared.varying, robot_fit.fits, strict=True):
         if fit.moves and fit.remaining > CREDIBLE:
-            reasons[c] = 'its effort is not explained'
+            reasons[c] = 'the effort of this joint is not explained'
         elif is_scaled and fit.is_friction_only:
-            reasons[c] = 'the unit of its effort is unknown'
+            reasons[c] = 'the unit of the effort of this joint is unknown'
     return reasons
 
 

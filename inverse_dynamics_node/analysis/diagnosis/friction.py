@@ -73,12 +73,15 @@ def lacks_reversal(qd: Floats, period: float, width: float, least: float = LEAST
     fast = SURELY_MOVING * width
     fastest = float(np.max(np.abs(qd)))
     if fastest <= fast:
-        return f'it was never faster than {fastest:.2g}, expected more than {fast:g}'
+        return (
+            f'this joint was never faster than {fastest:.2g}, expected more than {fast:g} '
+            '(rad/s or m/s)'
+        )
     forth, back = period * (qd > fast).sum(), period * (qd < -fast).sum()
     if min(forth, back) < least:
         return (
-            f'it moved forward for {forth:.2g} s and back for {back:.2g} s, expected '
-            f'{least:g} s each'
+            f'this joint moved forward for {forth:.2g} s and back for {back:.2g} s, expected '
+            f'at least {least:g} s in each direction'
         )
     return ''
 
@@ -92,8 +95,8 @@ def obstacle(qd: Floats, period: float, width: float) -> str:
     slow, quick = np.quantile(speeds, [0.05, 0.95])
     if quick < SPREAD * slow:
         return (
-            f'its speed was always between {slow:.2g} and {quick:.2g}, which does not distinguish '
-            'damping from Coulomb friction'
+            f'the speed of this joint was nearly always between {slow:.2g} and {quick:.2g} '
+            '(rad/s or m/s); this range is too small to distinguish damping from Coulomb friction'
         )
     return ''
 

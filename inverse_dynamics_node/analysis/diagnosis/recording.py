@@ -171,10 +171,10 @@ def _indices(names: tuple[str, ...], robot: RobotModel) -> list[int]:
     if unknown:
         raise RecordingError(
             f"the recording has joint '{unknown[0]}', which robot '{robot.name}' does not have; "
-            f'it has {", ".join(robot.joint_names)}'
+            f'the robot has {", ".join(robot.joint_names)}'
         )
     if len(set(names)) != len(names):
-        raise RecordingError(f'a joint is recorded twice: {", ".join(names)}')
+        raise RecordingError(f'the recording lists a joint twice: {", ".join(names)}')
     return [robot.joint_names.index(name) for name in names]
 
 

@@ -85,7 +85,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
         reader = AnyReader([path], default_typestore=types)
         reader.open()
     except (AnyReaderError, OSError) as error:
-        raise RecordingError(f'{path}: cannot be read as rosbag2: {error}') from None
+        raise RecordingError(f'{path}: cannot be read as a rosbag2 recording: {error}') from None
     except Exception as error:  # the decoders raise many types for damaged data
         raise _damaged(path, error) from None
     try:
@@ -128,13 +128,13 @@ def read_csv(
             rows = csv.reader(file)
             header = [name.strip() for name in next(rows, [])]
             if not header:
-                raise RecordingError(f'{path}: no rows')
+                raise RecordingError(f'{path}: has no rows')
             if 'time' not in header:
                 problem = _missing_time(header, joint_names, quantities)
                 raise RecordingError(f'{path}: {problem}')
             if header.count('time') > 1:
                 raise RecordingError(
-                    f"{path}: {header.count('time')} columns 'time', expected one"
+                    f"{path}: has {header.count('time')} columns 'time', expected one"
                 )
             numbers = [
                 _numbers(f'{path}: line {rows.line_num}', row, header, allow_empty)
@@ -161,7 +161,9 @@ def read_csv(
 
 def _numbers(where: str, row: list[str], header: list[str], allow_empty: bool) -> list[float]:
     if len(row) != len(header):
-        raise RecordingError(f'{where} has {len(row)} values, the header {len(header)} columns')
+        raise RecordingError(
+            f'{where} has {len(row)} values, but the header has {len(header)} columns'
+        )
     try:
         return list(map(float, row))  # nearly always, and fast
     except ValueError:
@@ -178,7 +180,7 @@ def _missing_time(
     header: Sequence[str], joint_names: Sequence[str], quantities: Sequence[str]
 ) -> str:
     """Return which columns are expected, and which were found."""
-    problem, found = "no column 'time'", list(header)
+    problem, found = "has no column 'time'", list(header)
     separator = next((mark for mark in ';\t' if len(header) == 1 and mark in header[0]), None)
     if separator:
         name = 'tabs' if separator == '\t' else f"'{separator}'"

@@ -59,7 +59,7 @@ def _from_csv(
 ) -> tuple[Recording, tuple[str, ...]]:
     times, columns, _ = read_csv(path, joint_names, _QUANTITIES, allow_empty=True)
     if not len(times):
-        raise RecordingError(f'{path}: no rows below its header')
+        raise RecordingError(f'{path}: has no rows below the header')
     values = np.full((len(times), 3, len(joint_names)), np.nan)
     index = {name: j for j, name in enumerate(joint_names)}
     for (joint, quantity), column in columns.items():
@@ -75,7 +75,7 @@ def _choose_topic(bag: Bag, requested: str | None) -> str:
         topic = bag.find_topic(requested)
         if topic is None:
             raise RecordingError(
-                f'{bag.path}: has no topic {requested}; topics of type {JOINT_STATE}: '
+                f'{bag.path}: has no topic {requested}; its topics of type {JOINT_STATE} are '
                 f'{", ".join(topics) or "none"}'
             )
         if bag.types[topic] != JOINT_STATE:
@@ -101,7 +101,7 @@ def _only_topic_with_efforts(bag: Bag, topics: list[str]) -> str:
         return useful[0]
     found = f'{", ".join(useful)} have efforts' if useful else 'none of them has efforts'
     raise RecordingError(
-        f'{bag.path}: several topics of type {JOINT_STATE}, {", ".join(topics)}; {found}; '
+        f'{bag.path}: has several topics of type {JOINT_STATE}, {", ".join(topics)}; {found}; '
         'choose one with --topic'
     )
 
@@ -137,15 +137,15 @@ def _from_messages(
                 continue
             if len(values) != len(names):
                 raise RecordingError(
-                    f'{where}: message {k} has {len(values)} values of {quantity} for '
-                    f'{len(names)} names'
+                    f'{where}: message {k} has {len(names)} names, but {len(values)} values of '
+                    f'{quantity}'
                 )
             target[joints] = np.asarray(values, dtype=float)[columns]
         stamp = message.header.stamp  # 0 if the driver does not set it
         stamps.append((stamp.sec * 1_000_000_000 + stamp.nanosec, received))
         rows.append(row)
     if not rows:
-        raise RecordingError(f'{where}: no messages')
+        raise RecordingError(f'{where}: has no messages')
     recorded = dict.fromkeys(name for names in layouts for name in names)
     stamped_and_received = np.array(stamps)
     is_stamped = bool(stamped_and_received[:, 0].any())
@@ -154,7 +154,7 @@ def _from_messages(
     times = 1e-9 * (nanoseconds - nanoseconds[0])
     recording, notes = _recording(where, times, np.array(rows), joint_names, recorded, mimic_names)
     if not is_stamped:
-        notes += ('messages have no stamp: used the times at which they were recorded',)
+        notes += ('messages have no time stamps; the times of recording were used instead',)
     return recording, notes
 
 
@@ -177,13 +177,15 @@ def _recording(
     finite = np.isfinite(values)
     if not finite[:, 2, known].any():
         raise RecordingError(
-            f'{where}: no message has an effort of any joint of this robot (empty, or NaN); '
-            'expected measured efforts'
+            f'{where}: no message has an effort of any joint of this robot, because all efforts '
+            'are empty or NaN; expected measured efforts'
         )
     without_position = [j for j in known if not finite[:, 0, j].any()]
     if without_position:
         name = joint_names[without_position[0]]
-        raise RecordingError(f"{where}: joint '{name}' never has a position (empty, or NaN)")
+        raise RecordingError(
+            f"{where}: joint '{name}' never has a position: all positions are empty or NaN"
+        )
     velocities = values[:, 1, known] if finite[:, 1, known].any() else None
     recording = Recording(
         tuple(joint_names[j] for j in known),
@@ -196,13 +198,13 @@ def _recording(
         'ignored joints that the robot does not have': [
             name for name in recorded if name not in joint_names and name not in mimic_names
         ],
-        'joints that mimic others, included in the efforts of those': [
+        'mimic joints, included in the efforts of the joints that they mimic': [
             name for name in recorded if name in mimic_names
         ],
-        'joints that were not recorded, assumed to rest at zero': [
+        'joints that were not recorded and are assumed to rest at zero': [
             name for name in joint_names if name not in recorded
         ],
-        'joints without a measured effort, not compared': [
+        'joints that have no measured effort and are not compared': [
             joint_names[j] for j in known if not finite[:, 2, j].any()
         ],
     }

@@ -116,8 +116,8 @@ def derive(recording: Recording, stretch: float = 1.0) -> Motion:
     period = max(column.period for column in columns)
     if 1.0 / period < MIN_RATE:
         raise RecordingError(
-            f'the recording has {1.0 / period:.3g} samples/s, expected at least {MIN_RATE:g}: '
-            'accelerations cannot be derived'
+            f'the recording has {1.0 / period:.3g} samples/s, expected at least {MIN_RATE:g} to '
+            'derive accelerations'
         )
     orders, inconsistent, lags = _orders(columns, period)
     seconds, degree = WINDOWS[max(orders)]
@@ -134,8 +134,8 @@ def derive(recording: Recording, stretch: float = 1.0) -> Motion:
     if not pieces:
         duration = times[-1] - times[0]
         raise RecordingError(
-            f'the recording has no {4 * half * period:.2g} s without a gap (it lasts '
-            f'{duration:.3g} s): too little to differentiate'
+            'every interval of the recording without a gap is too short to differentiate, '
+            f'expected at least {4 * half * period:.2g} s; the recording lasts {duration:.3g} s'
         )
     instants, q, qd, qdd, efforts, raw = (
         np.concatenate(parts) for parts in zip(*pieces, strict=True)
@@ -174,7 +174,7 @@ def derive(recording: Recording, stretch: float = 1.0) -> Motion:
 def _checked(recording: Recording) -> Floats:
     names = recording.joint_names
     if not names:
-        raise RecordingError('no joint names')
+        raise RecordingError('the recording has no joint names')
     times = np.asarray(recording.times, dtype=float)
     shape = len(times), len(names)
     for what in ('positions', 'velocities', 'efforts'):
@@ -182,7 +182,7 @@ def _checked(recording: Recording) -> Floats:
         if values is not None and values.shape != shape:
             raise RecordingError(f'{what} have shape {values.shape}, expected {shape}')
     if len(times) < 2:
-        raise RecordingError(f'{len(times)} samples, expected at least 2')
+        raise RecordingError(f'the recording has {len(times)} samples, expected at least 2')
     if not np.isfinite(times).all():
         raise RecordingError(f'a time is {times[~np.isfinite(times)][0]}, expected finite times')
     if not np.isfinite(recording.efforts).any():
@@ -305,11 +305,11 @@ def _method(orders: list[int], period: float, window: int, degree: int) -> str:
     elif set(orders) == {2}:
         source = 'the recorded positions, differentiated twice'
     else:
-        source = 'the recorded velocities if they are consistent, else of positions'
+        source = 'recorded velocities where they agree with the positions, else from positions'
     return (
-        f'accelerations of {source}: Savitzky-Golay, polynomials of degree {degree} over '
-        f'{window} samples ({window * period * 1e3:.0f} ms at {1.0 / period:.4g} Hz); efforts '
-        'smoothed over the same window'
+        f'accelerations derived from {source}, with a Savitzky-Golay filter of degree {degree} '
+        f'over {window} samples ({window * period * 1e3:.0f} ms at {1.0 / period:.4g} Hz); '
+        'efforts smoothed over the same window'
     )
 
 
@@ -319,18 +319,18 @@ def _notes(
     notes = []
     if inconsistent:
         notes.append(
-            f'velocities of {", ".join(inconsistent)} contradict the positions; derived from '
-            'positions instead'
+            f'recorded velocities of {", ".join(inconsistent)} contradict the positions; '
+            'velocities were derived from the positions instead'
         )
     merged = max(column.merged for column in columns)
     if merged:
-        notes.append(f'averaged {merged} duplicate samples with the same stamp')
+        notes.append(f'averaged {merged} duplicate samples with the same time stamp')
     if pieces > 1:
-        notes.append(
-            f'{pieces - 1} gaps in the recording: each part was differentiated separately'
-        )
+        notes.append(f'because of gaps, the recording was differentiated in {pieces} pieces')
     if lost > 0.0:
-        notes.append(f'ignored {lost:.2g} s between gaps that are too short to differentiate')
+        notes.append(
+            f'ignored pieces between gaps that are too short to differentiate, {lost:.2g} s in all'
+        )
     return tuple(notes)
 
 
@@ -362,8 +362,8 @@ class RecordedColumn:
         if back < -JUMP_BACK * self.period:
             at = float(t[int(np.argmin(steps))] - times[0])
             raise RecordingError(
-                f'time goes back by {-back:.3g} s, {at:.3g} s after the start; if these are two '
-                'recordings in one file, select one of them by its start and end'
+                f'time goes back by {-back:.3g} s, {at:.3g} s after the start; if the file '
+                'contains two recordings, select one of them by its start and end'
             )
         order = np.argsort(t, kind='stable')
         signals = [q, tau]
