@@ -1,7 +1,8 @@
 """
-The position controller of a simulated robot, and the hand-over to the commands and back.
+The position controller of a simulated robot, and the hand-over between controller and commands.
 
-It holds the robot until commands arrive, when they stop, and when a joint becomes too fast.
+The controller holds the robot until commands arrive, when the commands stop, and when a joint
+becomes too fast.
 """
 
 from __future__ import annotations
@@ -15,34 +16,29 @@ from ..robot.model import Floats, RobotModel
 from .drivers import Actuation, Command
 from .mujoco.hardware import MujocoRobot
 
-BRAKING = 0.2  # [s] from any speed to rest
-_SWAY = (0.3, 0.1)  # [rad], [m]: largest sway of joints that turn and that slide
-_RANGE_FRACTION = 0.3  # of the range of a joint
-_SLOWEST, _STEP = 0.08, 0.013  # [Hz]: different for each joint, so that their motions differ
-GAP = 0.1  # [s]: a longer gap between commands restarts the time to the hand-over
+BRAKING = 0.2  # [s]: braking time from any speed to rest
+_SWAY = (0.3, 0.1)  # [rad], [m]: largest sway of revolute and of prismatic joints
+_RANGE_FRACTION = 0.3  # largest sway as a fraction of the joint's range
+_SLOWEST, _STEP = 0.08, 0.013  # [Hz]: sway frequency of the first joint; increase per joint
+GAP = 0.1  # [s]: a longer gap between commands restarts the wait for the hand-over
 SILENCE = 0.5  # [s]: after this long without commands, the position controller takes over
-STEADY = 0.5  # [s]: commands that change by less than 1 % in this time have risen
-LONGEST = 10.0  # [s] until commands that never become steady take over too
-SPEED_FACTOR = 2.0  # of the velocity limit; motions within the limits overshoot them by less
-NO_LIMIT = (4.0 * math.pi, 2.0)  # [rad/s], [m/s] if the URDF has no velocity limit
-# Outside this range, limits in URDFs are placeholders, or too low for a robot pushed by hand.
+STEADY = 0.5  # [s]: commands are steady if they change by less than 1 % in this time
+LONGEST = 10.0  # [s]: after this time, unsteady commands take over too
+SPEED_FACTOR = 2.0  # ratio of the bound to the velocity limit: leaves room for overshoot
+NO_LIMIT = (4.0 * math.pi, 2.0)  # [rad/s], [m/s]: bounds if the URDF has no velocity limit
+# Higher limits in URDFs are placeholders; lower limits stop a robot that is pushed by hand.
 LEAST, MOST = (1.0, 0.25), (40.0, 5.0)  # [rad/s], [m/s]
-BRAKING_MARGIN = 1.25  # of the bounds: a smooth stop does not slow the robot down at once
-LONGEST_STEP = 0.002  # [s] of the position controller: slower ones are unstable
-COMPLAINT_PERIOD = 5.0  # [s] between errors: causes may recur thousands of times per second
+BRAKING_MARGIN = 1.25  # factor on the bounds: a smooth stop needs time to slow the robot down
+LONGEST_STEP = 0.002  # [s]: with longer steps, the position controller is unstable
+COMPLAINT_PERIOD = 5.0  # [s] between logged errors, which may recur thousands of times a second
 
 
 class PositionDrive:
     """
-    Holds the joints like the controller of the manufacturer, or lets them sway slowly.
+    Holds the joints like the manufacturer's controller, or lets them sway slowly.
 
-    Parameters
-    ----------
-    robot : MujocoRobot
-        The robot, without brakes.
-    sways : bool
-        Whether every joint moves slowly back and forth, as if jogged by hand.
-
+    With ``sways``, every joint moves slowly back and forth, as if jogged by hand. The brakes of
+    the robot must be open.
     """
 
     def __init__(self, robot: MujocoRobot, sways: bool) -> None:
@@ -56,7 +52,7 @@ class PositionDrive:
         self.take_over(0.0)
 
     def take_over(self, now: float) -> None:
-        """Brake from the time ``now`` on [s], and hold the robot where it comes to rest."""
+        """Start to brake at the time ``now`` [s], and hold the robot where it comes to rest."""
         self.is_on = True
         self._start, self._began = self._robot.positions(), now
         self._speed = self._robot.velocities()
@@ -66,12 +62,12 @@ class PositionDrive:
         self._side = np.where(self._start > middle, -1.0, 1.0)
 
     def stand_still(self, now: float) -> None:
-        """Stop swaying at the time ``now`` [s]: the robot is at rest when it is released."""
+        """Stop swaying at the time ``now`` [s], so that the robot is released at rest."""
         self._amplitude = np.zeros_like(self._amplitude)
         self.take_over(now)
 
     def act(self, now: float) -> None:
-        """Apply the efforts for one time [s]."""
+        """Apply the efforts of the position controller at the time ``now`` [s]."""
         phase = self._frequency * (now - self._began)
         reach = 0.5 * self._side * self._amplitude
         position, velocity, acceleration = self._braking(now - self._began)
@@ -82,7 +78,7 @@ class PositionDrive:
         )
 
     def _braking(self, elapsed: float) -> tuple[Floats, Floats, Floats]:
-        """Return the smooth motion from the speed at the start to rest, within the limits."""
+        """Return position, velocity and acceleration ``elapsed`` seconds after braking began."""
         time, rate = min(elapsed, BRAKING), math.pi / BRAKING
         model = self._robot.robot
         free = self._start + 0.5 * self._speed * (time + math.sin(rate * time) / rate)
@@ -99,7 +95,7 @@ class Log(Protocol):
     """A logger of rclpy or of Python."""
 
     def info(self, message: str) -> object:
-        """Log an event."""
+        """Log an event of normal operation."""
 
     def error(self, message: str) -> object:
         """Log a fault."""
@@ -107,18 +103,10 @@ class Log(Protocol):
 
 def velocity_bounds(robot: RobotModel) -> Floats:
     """
-    Return the speeds at which the velocity supervision stops a robot.
+    Return the joint speeds at which the supervision stops a robot, shape (n,) [rad/s or m/s].
 
-    Parameters
-    ----------
-    robot : RobotModel
-        The robot; a velocity limit of inf is unknown.
-
-    Returns
-    -------
-    bounds : ndarray, shape (n,)
-        Twice the velocity limits, or a default, within a plausible range [rad/s or m/s].
-
+    The bounds are twice the velocity limits, clipped to a plausible range. Joints with an infinite
+    limit get a default bound.
     """
     slides = robot.is_prismatic_joint
     default, least, most = (
@@ -134,21 +122,10 @@ class HandOver:
     """
     Decides whether the position controller or the commands move a simulated robot.
 
-    The commands take over when they have arrived for a while and have stopped rising; earlier, the
-    robot would fall. The position controller takes over when the commands stop, on request, and
-    when a joint becomes too fast. In the last case, commands are ignored until they have paused.
-
-    Parameters
-    ----------
-    actuation : Actuation
-        The robot, without brakes, and its driver.
-    drive : PositionDrive
-        Its position controller.
-    release : float
-        Time for which commands must have arrived before they take over [s].
-    log : Log
-        Receives the changes and the faults.
-
+    The commands take over when they have arrived for ``release`` seconds and have stopped rising.
+    Earlier, the robot would fall. The position controller ``drive`` takes over when the commands
+    stop, on request, and when a joint becomes too fast. After such a fault, commands are ignored
+    until they have paused. The brakes of the robot must be open.
     """
 
     def __init__(
@@ -163,7 +140,7 @@ class HandOver:
         self._complaint_due = -math.inf
 
     def hold(self, wanted: bool, now: float) -> tuple[bool, str]:
-        """Let the position controller hold the robot, or not; return success and consequence."""
+        """Make the position controller hold or release the robot; return success and message."""
         self._is_requested = wanted
         self._flow_began = self._steady_since = now
         if wanted:
@@ -174,7 +151,7 @@ class HandOver:
         return True, 'the robot follows the commands as soon as they have stopped rising'
 
     def command(self, command: Command, now: float) -> None:
-        """Handle a complete and finite command that arrives at one time [s]."""
+        """Handle a complete and finite command that arrives at the time ``now`` [s]."""
         if now - self._last_command > GAP:
             self._flow_began = self._steady_since = now
             if self._drive.is_on:
@@ -189,7 +166,7 @@ class HandOver:
         self._actuation.command(command)
 
     def _compare(self, efforts: Floats, now: float) -> None:
-        """Note since when the efforts have been steady."""
+        """Restart the time of steady efforts if the efforts have changed."""
         size = np.abs(efforts)
         tolerance = 0.01 * size + 0.002 * size.max(initial=0.0)
         if (np.abs(efforts - self._steady_efforts) > tolerance).any():
@@ -201,7 +178,7 @@ class HandOver:
         return flow >= self._release and (steady or flow >= LONGEST)
 
     def advance(self, now: float, duration: float) -> None:
-        """Advance the robot from one time by a duration [s]."""
+        """Advance the robot from the time ``now`` by a duration [s]."""
         if now - self._last_command > SILENCE:
             self._handle_silence(now)
         steps = max(1, math.ceil(duration / LONGEST_STEP - 1e-6))
@@ -247,7 +224,7 @@ class HandOver:
             )
 
     def _excess(self, speeds: Floats) -> str:
-        """Return the joint that exceeds its bound the most, with the values."""
+        """Describe the joint that exceeds its speed bound the most."""
         robot = self._robot.robot
         i = int(np.argmax(speeds / self._bounds))
         unit = 'm/s' if robot.is_prismatic_joint[i] else 'rad/s'

@@ -1,4 +1,4 @@
-"""What drivers do with commands and measured efforts; doc/robots.md has the sources."""
+"""The conventions of robot drivers for commands and efforts; doc/robots.md has the sources."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 
 
 class Form(enum.Enum):
-    """The messages in which a driver takes commands."""
+    """The type of message in which a driver receives commands."""
 
     EFFORTS = 'efforts in the order of the joints'
-    """std_msgs/Float64MultiArray, of a controller of ros2_control."""
+    """std_msgs/Float64MultiArray, as received by effort controllers of ros2_control."""
     NAMED_EFFORTS = 'efforts by name'
     """sensor_msgs/JointState."""
     MOTION = 'positions, velocities and efforts by name'
-    """sensor_msgs/JointState, for drives with gains of their own."""
+    """sensor_msgs/JointState, for drives with their own gains."""
     NONE = 'no commands'
 
 
@@ -32,7 +32,7 @@ class Driver:
     """
     The conventions of a driver.
 
-    By default, efforts in N m are taken and measured, and nothing is added to them.
+    By default, commanded and measured efforts are in N m or N, and the robot adds no gravity.
     """
 
     form: Form = Form.EFFORTS
@@ -41,15 +41,15 @@ class Driver:
     measures_gravity: bool = True
     """Whether the measured efforts contain gravity."""
     command_unit: float = 1.0
-    """Commanded value of 1 N m or 1 N."""
+    """Commanded value that produces 1 N m or 1 N."""
     measured_unit: float = 1.0
-    """Measured value of 1 N m or 1 N."""
+    """Value that the driver reports for 1 N m or 1 N."""
     gains: tuple[float, float] = (0.0, 0.0)
     """
-    Gains of position and velocity in the drives, for an inertia of 1 kg m^2 or 1 kg.
+    Position and velocity gains of the drives, for an inertia of 1 kg m^2 or 1 kg.
 
-    Those of real drives suit one arm. A simulated arm has them in proportion to the inertia of
-    each joint at the start.
+    The gains of real drives suit one arm. In simulation, these gains are multiplied by the inertia
+    of each joint at the start.
     """
     commands: str = 'forward_effort_controller/commands'
     """Topic of the commands."""
@@ -58,14 +58,14 @@ class Driver:
     rate: float = 500.0
     """Rate of the joint states [Hz]."""
     has_clock: bool = False
-    """Whether it is a simulator, which publishes ``/clock``."""
+    """Whether the driver belongs to a simulator, which publishes ``/clock``."""
 
 
 TORQUES = Driver()
-"""A driver like an ideal robot."""
-_COMPLETE = 'inverse_dynamics/joint_commands'  # without a relay, as these drivers need it
-_AMPERE = 0.1  # [A/N m]; an example, because the one of UR is not published
-_MILLIAMPERE = 1000.0 / 1.793  # [mA/N m]; large motors of an Interbotix wx250s
+"""The driver of an ideal robot: all defaults of `Driver`."""
+_COMPLETE = 'inverse_dynamics/joint_commands'  # in the form of these drivers; no relay
+_AMPERE = 0.1  # [A/N m]; an example, because UR does not publish the value
+_MILLIAMPERE = 1000.0 / 1.793  # [mA/N m]; for the large motors of an Interbotix wx250s
 
 DRIVERS = {
     'franka_ros2': Driver(adds_gravity=True, joint_states='franka/joint_states', rate=1000.0),
@@ -86,44 +86,29 @@ DRIVERS = {
     'isaac_sim': Driver(Form.NAMED_EFFORTS, commands='joint_command', rate=100.0, has_clock=True),
 }
 """
-By the names of their parameter files in ``config/robots``.
+The simulated drivers, by the names of their parameter files in ``config/robots``.
 
-``ur_torques`` is a newer version of the driver with ``use_currents_as_efforts: false``.
+``ur_torques`` is a newer version of ``ur`` with ``use_currents_as_efforts: false``.
 """
 
 
 class Command(NamedTuple):
-    """A command to a driver, for the m commanded joints in their order."""
+    """A command to a driver; each array has one value per commanded joint, shape (m,)."""
 
     efforts: Floats
-    """[N m or N]."""
+    """Commanded efforts [N m or N]."""
     positions: Floats | None = None
-    """[rad or m]; with `Form.MOTION` only, like the velocities [rad/s or m/s]."""
+    """Commanded positions with `Form.MOTION`, otherwise None [rad or m]."""
     velocities: Floats | None = None
+    """Commanded velocities with `Form.MOTION`, otherwise None [rad/s or m/s]."""
 
 
 def read_command(driver: Driver, joints: Sequence[str], message: Any) -> Command:
     """
-    Read the message of a command.
+    Convert a ROS message to a command for the commanded joints.
 
-    Parameters
-    ----------
-    driver : Driver
-        Its form decides which message is expected.
-    joints : sequence of str
-        The commanded joints.
-    message : Float64MultiArray or JointState
-        From ROS.
-
-    Returns
-    -------
-    command : Command
-
-    Raises
-    ------
-    ValueError
-        If a value is missing or not finite.
-
+    The driver's form decides which type of message is expected. Raise a ValueError if a value is
+    missing or not finite.
     """
     if driver.form is Form.EFFORTS:
         if len(message.data) != len(joints):
@@ -156,17 +141,7 @@ def _finite(values: Any, what: str) -> Floats:
 
 
 class Actuation:
-    """
-    Turns the commands to a driver into efforts of the joints, and these into measured values.
-
-    Parameters
-    ----------
-    robot : MujocoRobot
-        The robot.
-    driver : Driver
-        The conventions.
-
-    """
+    """Converts commands to joint efforts, and joint efforts to values that a driver reports."""
 
     def __init__(self, robot: MujocoRobot, driver: Driver) -> None:
         self.robot, self.driver = robot, driver
@@ -178,15 +153,15 @@ class Actuation:
         self._command = Command(np.zeros(len(joints)))
 
     def command(self, command: Command) -> None:
-        """Apply a command until the next one."""
+        """Store a command, which `act` applies until the next one."""
         self._command = command
 
     def with_gravity(self, efforts: Floats) -> Floats:
-        """Return commanded efforts with what the robot adds to them, shape (m,)."""
+        """Return commanded efforts plus gravity if the robot adds it, shape (m,)."""
         return efforts + self._gravity() if self.driver.adds_gravity else efforts
 
     def act(self) -> None:
-        """Apply the efforts for the present state of the robot."""
+        """Apply the efforts of the stored command for the current state of the robot."""
         efforts = self.with_gravity(self._command.efforts)
         _, positions, velocities = self._command
         if positions is not None and velocities is not None:
@@ -195,7 +170,7 @@ class Actuation:
         self.robot.command(efforts)
 
     def measured(self, efforts: Floats) -> Floats:
-        """Return what the driver measures for efforts of the joints ``robot.state_names``."""
+        """Return the values that the driver reports for efforts of ``robot.state_names``."""
         measured = efforts * self.driver.measured_unit
         if not self.driver.measures_gravity:
             measured[self._state_index] -= self.driver.measured_unit * self._gravity()

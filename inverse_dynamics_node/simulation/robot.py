@@ -1,29 +1,31 @@
 """
 The simulated robot as a ROS process: publishes ``joint_states`` and applies ``commands``.
 
-It behaves like an arm behind joint_state_broadcaster and forward_command_controller: it publishes
-joint states at a fixed rate, sorted by name, and holds the last complete, finite command forever.
+The robot behaves like an arm with joint_state_broadcaster and forward_command_controller. It
+publishes joint states at a fixed rate, sorted by name. It applies the last complete, finite
+command until the next one.
 
-As on an arm that is switched on, brakes hold it until commands have arrived for a while. A
+Brakes hold the robot until commands have arrived for a while, as on a real arm after power-on. A
 controller may therefore start late and ramp up its efforts without dropping the arm. The topic
-``brakes`` reports whether they are on. Once open they stay open, even if the commands stop, unless
-the sensors are lost.
+``brakes`` reports whether the brakes are on. Open brakes stay open, even if the commands stop,
+unless the sensors are lost.
 
-With ``--drive``, a position controller holds the arm in place of the brakes, and its efforts are
-those that an arm reports while its own controller holds it. It hands over to commands that have
-arrived for a while and have stopped rising. It takes over again when the commands stop, when a
-joint becomes too fast, and on the service ``~/hold``. With ``--driver``, commands and measured
-efforts follow the conventions of a driver.
+With ``--drive``, a position controller replaces the brakes. The joint states then contain the
+efforts of this controller. The controller hands over to commands that have arrived for a while and
+have stopped rising. It takes over again when the commands stop, when a joint becomes too fast, and
+when the service ``~/hold`` asks for it. With ``--driver``, commands and measured efforts follow
+the conventions of a driver.
 
 Four topics disturb the robot:
 
-- ``~/payload`` attaches a load to a link, or removes it by a mass of 0;
-- ``~/push`` applies a wrench to a link, in the link's frame about its origin, until the next one;
-- ``~/tilt`` turns the base, within 3 s, to a rotation vector from level [rad];
-- ``~/sensors``: false stops the joint states and applies the brakes, as drives do that lose their
-  encoders; true resumes them.
+- ``~/payload`` attaches a load to a link; a mass of 0 removes the load.
+- ``~/push`` applies a wrench to a link until the next message; the wrench is given in the link's
+  frame about its origin.
+- ``~/tilt`` turns the base within 3 s; the new attitude is a rotation vector from level [rad].
+- ``~/sensors``: false stops the joint states and applies the brakes, like drives that lose their
+  encoders; true resumes the joint states.
 
-The topic ``imu`` reports the readings of a sensor on the base, one for every joint state.
+The topic ``imu`` reports the readings of an IMU on the base, one for every joint state.
 """
 
 from __future__ import annotations
@@ -66,28 +68,16 @@ from .mujoco.model import SimulationError
 from .mujoco.world import Tilt
 from .trajectory import start_pose
 
-MOST_LAG = 0.5  # [s]: simulated time lags behind the steady clock by this much at most
+MOST_LAG = 0.5  # [s]: largest lag of the simulated time behind the steady clock
 
 
 class RobotNode(Node):
     """
     Connects a simulated robot to its topics.
 
-    Parameters
-    ----------
-    robot : MujocoRobot
-        The hardware.
-    brake_release : float
-        Time for which commands must have arrived before the brakes open [s].
-    imu_orientation : array_like, shape (3,)
-        Roll, pitch and yaw of the IMU in the base frame [rad].
-    drive : PositionDrive, optional
-        Holds the robot in place of the brakes.
-    driver : Driver
-        Conventions of commands and measured efforts.
-    **options
-        Arguments of rclpy's ``Node``.
-
+    The brakes open after commands have arrived for ``brake_release`` seconds. A ``drive`` replaces
+    the brakes. ``imu_orientation`` is roll, pitch and yaw of the IMU in the base frame [rad].
+    ``options`` are arguments of rclpy's ``Node``.
     """
 
     def __init__(
@@ -135,7 +125,7 @@ class RobotNode(Node):
             (Bool, '~/sensors', self._on_sensors),
         ):
             self.create_subscription(message, topic, callback, 10)
-        # The first call of a logger takes tens of milliseconds, too long for the loop.
+        # The first call of a logger takes tens of milliseconds, which would delay the loop.
         held, topic = 'stands with its brakes on', self.resolve_topic_name('commands')
         if drive is not None:
             awaits = (
@@ -154,8 +144,8 @@ class RobotNode(Node):
         self._elapsed += duration
         if self._began is None:
             self._began = self.get_clock().now().nanoseconds
-        # Stamps are in simulated time: after a pause of the machine they are the times of the
-        # states, not the later times at which they are published.
+        # Stamps are in simulated time: after a pause of the machine, a stamp is the time of the
+        # state, not the later time of its publication.
         stamp = Time(nanoseconds=self._began + round(self._elapsed * 1e9)).to_msg()
         if self._clocks is not None:
             self._clocks.publish(Clock(clock=stamp))
@@ -176,7 +166,7 @@ class RobotNode(Node):
         gravity, angular_velocity, _ = self._tilt.motion(self._elapsed)
         self._imu.header.stamp = stamp
         _write(self._imu.angular_velocity, self._R_BS.T @ angular_velocity)
-        # The base turns about its origin, where the only acceleration is that of gravity.
+        # The base turns about its origin, where the IMU measures only gravity.
         _write(self._imu.linear_acceleration, -self._R_BS.T @ gravity)
         self._imus.publish(self._imu)
 
@@ -207,7 +197,7 @@ class RobotNode(Node):
         self._has_sensors = message.data
         if not message.data:
             self._set_brakes(True)
-        elif self._hand_over is not None:  # the position controller holds the robot again
+        elif self._hand_over is not None:  # the position controller replaces the brakes
             self._set_brakes(False)
 
     def _apply(self, change: Callable[[], None]) -> None:
@@ -272,11 +262,10 @@ def _write(vector: Any, values: Floats) -> None:
 
 def run(node: RobotNode, executor: Executor, rate: float, stop: Callable[[], bool]) -> None:
     """
-    Advance a simulated robot in step with the steady clock.
+    Advance a simulated robot in step with the steady clock until ``stop`` returns True.
 
-    After a pause of the machine, the robot catches up at twice its speed. No state is skipped, and
-    no burst of states overruns a subscriber that keeps only the latest.
-
+    After a pause of the machine, the simulation catches up at twice the normal speed. No state is
+    skipped. A subscriber that keeps only the latest state is not overrun by a burst.
     """
     period = 1.0 / rate
     due = time.monotonic()
@@ -327,7 +316,7 @@ def _serve(hardware: MujocoRobot, options: argparse.Namespace, stop: Callable[[]
         node = RobotNode(hardware, options.brake_release, options.imu_orientation, drive, driver)
     executor = EventsExecutor()
     executor.add_node(node)
-    # Collecting what the imports created takes 0.1 s, after which a node regards states as lost.
+    # Garbage collection of the imported objects would take 0.1 s: the node would time out.
     gc.collect()
     gc.freeze()
     try:

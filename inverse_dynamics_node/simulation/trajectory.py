@@ -1,8 +1,8 @@
 """
-A smooth reference motion for any robot that starts and ends at rest and stays within all limits.
+A smooth reference motion for any robot; it starts and ends at rest and stays within all limits.
 
-Each joint oscillates about its start by a sine of its own frequency. A quintic fades the sine in
-and out, so that position, velocity and acceleration are continuous at both ends.
+Each joint oscillates about its start position with its own frequency. A quintic polynomial fades
+the sine in and out, so that position, velocity and acceleration are continuous at both ends.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from ..dynamics.inverse_dynamics import InverseDynamics
 from ..robot.model import Floats, RobotModel
 from .mujoco.model import SimulationError
 
-LARGEST_SWING = (0.5, 0.1)  # [rad], [m]: large enough for all terms of the dynamics to matter
-FREQUENCIES = (0.20, 0.31, 0.24, 0.38, 0.28, 0.43, 0.34)  # [Hz]: neighbours differ
+LARGEST_SWING = (0.5, 0.1)  # [rad], [m]: large enough to excite inertia, Coriolis and gravity
+FREQUENCIES = (0.20, 0.31, 0.24, 0.38, 0.28, 0.43, 0.34)  # [Hz]: adjacent joints differ
 ROOM_USED = 0.8  # fraction of the distance to the nearest position limit
 SPEED_USED = 0.5  # fraction of the velocity limit
-EFFORT_USED = 0.9  # fraction of the effort limit; the rest is for feedback
+EFFORT_USED = 0.9  # fraction of the effort limit; the remainder is left for feedback
 STEEPEST_FADE = 1.875  # slope of the quintic at its middle
 
 
@@ -29,31 +29,21 @@ class Reference(Protocol):
     """A motion of n joints."""
 
     def sample(self, time: Any) -> tuple[Floats, Floats, Floats]:
-        """Return positions, velocities and accelerations at one time [s], each of shape (n,)."""
+        """Return positions, velocities and accelerations at a time [s], each of shape (n,)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Oscillation:
-    """
-    A motion of n joints that lasts ``moving`` seconds and ends in its start pose.
-
-    Attributes
-    ----------
-    start : ndarray, shape (n,)
-        Positions at rest [rad or m].
-    swing : ndarray, shape (n,)
-        Largest distance from ``start`` [rad or m].
-    frequency : ndarray, shape (n,)
-        Frequency of each joint's sine [Hz].
-    moving : float
-        Duration of the motion [s].
-
-    """
+    """A motion of n joints that starts and ends at rest in the same pose."""
 
     start: Floats
+    """Start positions of the joints, shape (n,) [rad or m]."""
     swing: Floats
+    """Largest distance of each joint from its start position, shape (n,) [rad or m]."""
     frequency: Floats
+    """Frequency of each joint's sine, shape (n,) [Hz]."""
     moving: float
+    """Duration of the motion [s]."""
 
     @property
     def fade(self) -> float:
@@ -62,18 +52,10 @@ class Oscillation:
 
     def sample(self, time: ArrayLike) -> tuple[Floats, Floats, Floats]:
         """
-        Return positions, velocities and accelerations.
+        Return positions, velocities and accelerations at times since the start [s].
 
-        Parameters
-        ----------
-        time : array_like, shape (...)
-            Times since the start of the motion [s]; before and after it the joints rest.
-
-        Returns
-        -------
-        q, qd, qdd : ndarray, shape (..., n)
-            In rad or m, per second, and per second squared.
-
+        The results have the shape of ``time`` with a last axis for the n joints. Before and after
+        the motion, the joints rest.
         """
         t = np.asarray(time, dtype=float)[..., np.newaxis]
         fade = self.fade
@@ -90,7 +72,7 @@ class Oscillation:
 
 
 def ease(x: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return a quintic from 0 at x = 0 to 1 at x = 1 and its first two derivatives."""
+    """Return a quintic that rises from 0 at x = 0 to 1 at x = 1, and its first two derivatives."""
     x = np.minimum(np.maximum(x, 0.0), 1.0)
     return (
         x**3 * (10.0 + x * (6.0 * x - 15.0)),
@@ -101,16 +83,12 @@ def ease(x: Floats) -> tuple[Floats, Floats, Floats]:
 
 def start_pose(robot: RobotModel, dynamics: InverseDynamics) -> Floats:
     """
-    Choose a pose within the limits that the drives can hold, with little coupling of the joints.
+    Choose a pose, shape (n,), that the drives can hold and in which the joints are little coupled.
 
-    If two joints move nearly the same mass in the same way, as in the wrist of a straight arm, a
-    motion in opposite directions has hardly any inertia, and every delay causes large errors.
-
-    Raises
-    ------
-    SimulationError
-        If no joint can move, or the drives are too weak for all sampled poses.
-
+    Two joints are strongly coupled if they move nearly the same mass in the same way, like two
+    wrist joints of a straight arm. Their motion in opposite directions then has hardly any
+    inertia, and every delay causes large errors. Raise a `SimulationError` if no joint can move or
+    the drives are too weak for all sampled poses.
     """
     if not robot.joint_names:
         raise SimulationError(f'robot {robot.name!r} has no joint that moves')
@@ -128,7 +106,7 @@ def start_pose(robot: RobotModel, dynamics: InverseDynamics) -> Floats:
 
 
 def independence(inertia: Floats) -> float:
-    """Return the least eigenvalue of the mass matrix with its diagonal scaled to 1: 0 to 1."""
+    """Return the smallest eigenvalue, from 0 to 1, of a mass matrix scaled to a unit diagonal."""
     scale = 1.0 / np.sqrt(np.maximum(inertia.diagonal(), 1e-12))
     return float(np.linalg.eigvalsh(inertia * np.outer(scale, scale))[0])
 
@@ -151,24 +129,9 @@ def plan(
     robot: RobotModel, dynamics: InverseDynamics, start: Floats, moving: float
 ) -> Oscillation:
     """
-    Plan a motion about a pose that stays within position, velocity and effort limits.
+    Plan a motion about ``start`` that stays within position, velocity and effort limits.
 
-    Parameters
-    ----------
-    robot : RobotModel
-        The robot, for its limits.
-    dynamics : InverseDynamics
-        Dynamics of the same robot, for the efforts of the motion.
-    start : ndarray, shape (n,)
-        Start pose [rad or m].
-    moving : float
-        Duration of the motion [s].
-
-    Raises
-    ------
-    SimulationError
-        If no joint can move at all.
-
+    The motion lasts ``moving`` seconds. Raise a `SimulationError` if no joint can move.
     """
     count = len(robot.joint_names)
     frequency = np.resize(FREQUENCIES, count)
@@ -195,7 +158,7 @@ def plan(
 
 
 def effort_used(robot: RobotModel, efforts: Floats) -> float:
-    """Return the largest ratio of efforts, shape (..., n), to their limits."""
+    """Return the largest ratio of an effort to its limit, for efforts of shape (..., n)."""
     negligible = 1e-6  # [N m or N], in place of a limit of 0
     ratios = abs(efforts) / np.maximum(robot.effort_limits, negligible)
     return float(np.max(ratios, initial=0.0))

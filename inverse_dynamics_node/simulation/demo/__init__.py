@@ -1,1 +1,1 @@
-"""The demo: the node and a simulated robot as processes, with scenarios and verdicts."""
+"""The demo: it runs the node with a simulated robot in several scenarios, and judges each run."""

@@ -1,9 +1,10 @@
 """
 The commander: sends a reference to the node for every joint state, and records the motion.
 
-It sends either accelerations or a full reference. With accelerations, it closes the loop here, by
-resolved acceleration: the node cancels the dynamics of the robot, so the error of every joint
-obeys ``e'' + kd e' + kp e = 0``. With a full reference, the node closes the loop.
+The commander sends either accelerations or a full reference. With accelerations, the commander
+closes the control loop by resolved acceleration: the node cancels the dynamics of the robot, and
+the error of every joint obeys ``e'' + kd e' + kp e = 0``. With a full reference, the node closes
+the loop.
 """
 
 from __future__ import annotations
@@ -27,11 +28,11 @@ from ...ros.qos import BEST_EFFORT, LATCHED
 from ..trajectory import Reference
 from .demo_setup import KD, KP
 
-SILENT = 0.05  # [s]: after this long without joint states, use the clock of the machine
+SILENT = 0.05  # [s]: after this time without joint states, time follows the machine's clock
 
 
 class Series:
-    """Rows of equal shape with ascending times [s]."""
+    """Rows of numbers of equal shape with ascending times [s]."""
 
     def __init__(self) -> None:
         self._times: list[float] = []
@@ -47,7 +48,7 @@ class Series:
 
     @property
     def times(self) -> Floats:
-        """Times of the rows, shape (k,) [s]."""
+        """Times of all rows, shape (k,) [s]."""
         return np.array(self._times)
 
     @property
@@ -62,46 +63,27 @@ class Series:
 
 
 class History:
-    """
-    The motion of n joints and the commands of the node; times start with the motion [s].
-
-    Attributes
-    ----------
-    states : Series
-        Positions [rad or m], desired positions and measured efforts [N m or N]; rows of shape
-        (3, n).
-    commands : Series
-        Commanded efforts [N m or N]; rows of shape (m,).
-    external : Series
-        Estimated external efforts [N m or N], NaN for joints without an estimate; rows of shape
-        (n,).
-    brakes : Series
-        1 where the brakes went on, 0 where they opened.
-    arrivals : list of float
-        Times at which the commands were received, on the steady clock [s].
-
-    """
+    """The motion of n joints and the commands of the node; times start with the motion [s]."""
 
     def __init__(self) -> None:
         self.states = Series()
+        """Positions, desired positions [rad or m], measured efforts [N m or N]; rows (3, n)."""
         self.commands = Series()
+        """Commanded efforts [N m or N]; one value per commanded joint in each row."""
         self.external = Series()
+        """Estimated external efforts [N m or N], NaN without an estimate; rows of shape (n,)."""
         self.brakes = Series()
+        """Changes of the brakes: 1 when they went on, 0 when they opened."""
         self.arrivals: list[float] = []
+        """Times on the steady clock at which commands were received [s]."""
 
     def command_rate(self, begin: float = -math.inf) -> float:
         """
-        Return the rate of the commands since a time on the steady clock [Hz].
+        Return the rate [Hz] of the commands since a time on the steady clock [s].
 
-        This is the slope of a line fitted to the arrivals. Commands that arrive in one burst after
-        a pause shift this line but hardly change its slope, whereas the number of commands divided
-        by the time would include those that were queued before ``begin``.
-
-        Parameters
-        ----------
-        begin : float
-            Time on the steady clock [s]; by default the start of the motion.
-
+        The rate is the slope of a line fitted to the arrivals. A burst of commands after a pause
+        hardly changes this slope. The number of commands divided by the time would include
+        commands that were queued before ``begin``.
         """
         times = np.array(self.arrivals[bisect_left(self.arrivals, begin) :])
         if len(times) < 2:
@@ -124,22 +106,10 @@ def resolved_acceleration(
     reference: tuple[Floats, Floats, Floats], q: Floats, qd: Floats, kp: float, kd: float
 ) -> Floats:
     """
-    Compute the accelerations that bring the joints back to their reference.
+    Compute the accelerations, shape (n,), that bring the joints back to their reference.
 
-    Parameters
-    ----------
-    reference : tuple of three ndarrays, shape (n,)
-        Positions [rad or m], velocities and accelerations.
-    q, qd : ndarray, shape (n,)
-        Measured positions [rad or m] and velocities [rad/s or m/s].
-    kp, kd : float
-        Gains [1/s^2] and [1/s].
-
-    Returns
-    -------
-    qdd : ndarray, shape (n,)
-        Accelerations to send to the node [rad/s^2 or m/s^2].
-
+    The reference consists of positions, velocities and accelerations. The gains ``kp`` and ``kd``
+    are in 1/s^2 and 1/s.
     """
     q_ref, qd_ref, qdd_ref = reference
     return qdd_ref + kd * (qd_ref - qd) + kp * (q_ref - q)
@@ -147,43 +117,28 @@ def resolved_acceleration(
 
 class Commander(Node):
     """
-    Records the robot's motion, and sends references once it has a trajectory.
+    Records the robot's motion, and sends references after it has received a trajectory.
 
-    Parameters
-    ----------
-    joint_names : tuple of str
-        The n joints to move, in the node's order.
-    sends : str
-        Message to send for every joint state: 'accelerations', 'reference', or '' for none.
-
-    Attributes
-    ----------
-    state : tuple of three ndarrays, shape (n,), or None
-        Latest positions [rad or m], velocities and efforts [N m or N]; None before the first.
-    time : float
-        Time from the start of the trajectory to the stamp of the latest joint state [s].
-    desired : ndarray, shape (n,)
-        Desired positions at that time [rad or m].
-    commands : int
-        Number of commands received from the node.
-    external_efforts : int
-        Number of messages with external efforts received from the node.
-    brakes_on : bool
-        Latest state of the brakes.
-    history : History
-        Everything recorded since the start of the trajectory.
-
+    The joints are in the node's order. For every joint state, the commander sends 'accelerations',
+    a 'reference', or no message if ``sends`` is empty.
     """
 
     def __init__(self, joint_names: tuple[str, ...], sends: str = 'accelerations') -> None:
         super().__init__('commander')
         self.state: tuple[Floats, Floats, Floats] | None = None
+        """Latest positions, velocities and efforts; None before the first joint state."""
         self.time = 0.0
+        """Time from the start of the trajectory to the stamp of the latest joint state [s]."""
         self.desired: Floats = np.zeros(len(joint_names))
+        """Desired positions at the stamp of the latest joint state, shape (n,) [rad or m]."""
         self.commands = 0
+        """Number of commands received from the node."""
         self.external_efforts = 0
+        """Number of messages with external efforts received from the node."""
         self.brakes_on = True
+        """Latest state of the brakes."""
         self.history = History()
+        """Everything recorded since the start of the trajectory."""
         self._joint_names = joint_names
         self._names: list[str] = []
         self._order: list[int] = []
@@ -196,26 +151,26 @@ class Commander(Node):
         self._send = self._make_sender(sends)
         self.create_subscription(JointState, 'joint_states', self._on_state, BEST_EFFORT)
         self.create_subscription(Bool, 'brakes', self._on_brakes, LATCHED)
-        # A deep, reliable queue, because the commands are counted.
+        # The queue is deep and reliable, because the commands are counted.
         self.create_subscription(
             Float64MultiArray, 'inverse_dynamics/commands', self._on_command, 1000
         )
 
     def record_external_efforts(self) -> None:
-        """Record the external efforts that the node estimates, too."""
+        """Start to record the external efforts that the node estimates."""
         self.create_subscription(
             JointState, 'inverse_dynamics/external_efforts', self._on_external, 100
         )
 
     def advertise(self, messages: Mapping[str, Any]) -> None:
-        """Create publishers for messages, by topic."""
+        """Create a publisher for each topic of the given messages."""
         for topic, message in messages.items():
             if topic not in self._event_publishers:
                 self._event_publishers[topic] = self.create_publisher(type(message), topic, 10)
 
     def topics_without_subscriber(self) -> list[str]:
         """Return the advertised topics that no other node has subscribed to yet."""
-        own = [subscription.topic_name for subscription in self.subscriptions]  # recorder's, too
+        own = [subscription.topic_name for subscription in self.subscriptions]  # and recorder's
         return [
             topic
             for topic, publisher in self._event_publishers.items()
@@ -223,13 +178,13 @@ class Commander(Node):
         ]
 
     def publish(self, topic: str, message: Any) -> None:
-        """Publish a message; a header gets the stamp of the latest joint state."""
+        """Publish a message; its header, if any, gets the stamp of the latest joint state."""
         if hasattr(message, 'header'):
             message.header.stamp = self._stamp
         self._event_publishers[topic].publish(message)
 
     def follow(self, trajectory: Reference, records: bool = True) -> None:
-        """Follow a trajectory, which starts at the next joint state; fill the history or not."""
+        """Follow a trajectory from the next joint state on; with ``records``, fill the history."""
         self._records = records
         self._began = None
         self._now = self.time = 0.0
@@ -242,7 +197,7 @@ class Commander(Node):
 
     @property
     def now(self) -> float:
-        """Time since the start of the trajectory [s]; advances without joint states too."""
+        """Time since the start of the trajectory [s]; it also advances without joint states."""
         waited = self.silence if self.silence > SILENT else 0.0
         self._now = max(self._now, self.time + waited)
         return self._now

@@ -1,8 +1,8 @@
 """
 The demo: runs the node on a simulated robot, and records the motion.
 
-Three processes communicate over ROS topics on this machine: the robot, the node, and this one,
-which sends references to the node and records the motion.
+Three processes on this machine communicate over ROS topics: the robot, the node, and this process.
+This process sends references to the node and records the motion.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ from .results import excuse, ScenarioResult
 from .scenarios import NODE, Scenario, SCENARIOS, Timeline
 from .view import Snapshot, View
 
-MOST_LISTED = 7  # joints
+MOST_LISTED = 7  # largest number of joints in a list
 START_TIMEOUT = 60.0  # [s]: the first run on a machine compiles the dynamics
-SILENCE_TIMEOUT = 5.0  # [s]
+SILENCE_TIMEOUT = 5.0  # [s]: longest time without joint states
 
 
 class DemoResult(NamedTuple):
-    """What a run of a scenario leaves: its verdict, and what a picture shows."""
+    """The results of a run: the verdict, and the data for a picture."""
 
     outcome: ScenarioResult
     title: str
@@ -62,7 +62,7 @@ def run_demo(options: argparse.Namespace, stopped: Callable[[], bool]) -> DemoRe
     robot = load_urdf(urdf)
     if options.link and options.link not in robot.link_names:
         raise SimulationError(unknown_name('link', options.link, robot.link_names))
-    # This also compiles the dynamics, which the node then loads from the cache.
+    # This also compiles the dynamics. The node then loads the compiled code from the cache.
     start = start_pose(robot, InverseDynamics(robot))
     setup = DemoSetup(
         urdf, robot, start, options.duration, options.link, options.friction, options.rate
@@ -103,7 +103,7 @@ def _environment_hint() -> str:
 
 
 def describe_rotors(setup: DemoSetup) -> str:
-    """Report the joints to which the demo adds rotor inertia, and why."""
+    """Report which joints get additional rotor inertia in the demo, and the reason."""
     robot = setup.robot
     rotors = [
         f'{name} {armature:.2g} {"kg" if slide else "kg m^2"}'
@@ -129,7 +129,7 @@ def commands_of(
     node: list[str],
     parameters: Mapping[str, str],
 ) -> dict[str, list[str]]:
-    """Return the arguments of ``python -m`` for robot and node, by the name of the process."""
+    """Return the arguments of ``python -m`` for robot and node, by name of the process."""
     package = 'inverse_dynamics_node'
     parameters = {'update_rate': '0.0', **parameters, **scenario.parameters}
     return {
@@ -154,23 +154,11 @@ def demo_run(
     records: bool,
 ) -> Iterator[DemoRun]:
     """
-    Start robot and node for one run; end them and leave ROS at the end of the context.
+    Start robot and node for one run; end both and shut down ROS at the end of the context.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        The scenario to perform.
-    timeline : Timeline
-        The same, prepared for the robot.
-    view : View
-        Shows the progress and, above a live table, the output of the processes.
-    commands : mapping of str to list of str
-        Arguments of the processes, see `commands_of`.
-    stopped : callable
-        Returns whether the user has asked to stop.
-    records : bool
-        Whether to record the topics of the run.
-
+    ``commands`` are the arguments of the processes, see `commands_of`. ``stopped`` returns whether
+    the user has asked to stop. With ``records``, the topics of the run are recorded. A live view
+    shows the output of the processes above its table.
     """
     with running(commands, view.log if view.is_live else None) as processes:
         start_ros([])
@@ -183,7 +171,7 @@ def demo_run(
 
 
 class DemoRun:
-    """One run, see `demo_run`: waits for robot and node, and follows the timeline."""
+    """One run of the demo, created by `demo_run`."""
 
     def __init__(
         self,
@@ -208,7 +196,7 @@ class DemoRun:
             self._recorder = Recorder(self.commander, topics, latched=('brakes',))
 
     def close(self) -> None:
-        """Leave ROS."""
+        """Destroy the ROS nodes of this process."""
         self._executor.remove_node(self.commander)
         self._executor.shutdown()
         self.commander.destroy_node()
@@ -220,25 +208,19 @@ class DemoRun:
 
     def perform(self, duration: float, standing: Reference | None = None) -> None:
         """
-        Wait for robot and node, and follow the timeline from start to end.
+        Wait for robot and node, and follow the timeline for a duration [s].
 
-        Parameters
-        ----------
-        duration : float
-            Duration of the run [s].
-        standing : Reference, optional
-            Reference for the node from the first joint state on. Without it, the node holds the
-            robot by its model alone.
-
+        The node receives the reference ``standing`` from the first joint state on. Without this
+        reference, the node holds the robot with its model alone until the timeline starts.
         """
-        # Exempt the objects of the libraries from garbage collection, which would take 0.1 s a
-        # time. Commands that queue up during this are received in the wait below, before the
-        # measurement.
+        # Exempt the objects of the libraries from garbage collection, which would take 0.1 s each
+        # time. Commands that arrive meanwhile are received during the wait below, before the
+        # measurement starts.
         gc.collect()
         gc.freeze()
         self._wait_until_ready(standing)
         if self._recorder is not None:
-            self._recorder.begin()  # until now the brakes held the arm: efforts had no effect
+            self._recorder.begin()  # until now the brakes held the arm, and efforts had no effect
         with self._view.open():
             self._wait_for_topics()
             self._follow(duration)
@@ -253,7 +235,7 @@ class DemoRun:
         self._wait(lambda: not commander.brakes_on, 'the brakes stay on: no commands arrive')
 
     def _wait_for_topics(self) -> None:
-        """Wait for subscribers to the events, and for the external efforts if there are any."""
+        """Wait for subscribers to event topics, and for external efforts if they are expected."""
         commander = self.commander
         for event in self._timeline.events:
             commander.advertise(event.messages)
@@ -311,7 +293,7 @@ class DemoRun:
             self._spin()
 
     def _spin(self) -> None:
-        """Handle pending events for a moment; raise if a process ended or the user stopped."""
+        """Handle ROS events for a moment; raise if a process ended or the user asked to stop."""
         if self._stopped():
             raise KeyboardInterrupt
         for name, process in self._processes.items():
@@ -321,7 +303,7 @@ class DemoRun:
 
 
 def topics_of(scenario: Scenario, timeline: Timeline) -> dict[str, Any]:
-    """Return the topics of a run that are worth recording, with their message classes."""
+    """Return the topics of a run to record, with their message classes."""
     topics: dict[str, Any] = {
         'joint_states': JointState,
         'brakes': Bool,

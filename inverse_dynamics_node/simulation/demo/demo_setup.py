@@ -1,8 +1,8 @@
 """
-The set-up of a scenario: a robot in its start pose, and the loads and pushes it can withstand.
+The set-up of a scenario: a robot in its start pose, with a suitable load and push.
 
-Loads and pushes are sized by the robot: large enough to deflect some joint visibly with the gains
-of the node, small enough to leave every drive a reserve.
+The sizes of load and push depend on the robot. They are large enough to deflect a joint visibly
+with the gains of the node, and small enough to leave every drive a reserve.
 """
 
 from __future__ import annotations
@@ -19,63 +19,49 @@ from ...robot.model import Floats, RobotModel
 from ..mujoco.hardware import require_inertia
 from ..trajectory import EFFORT_USED, effort_used
 
-# Gains [1/s^2], [1/s] of the loop, which the commander or the node closes. Critically damped at
-# 20 rad/s: stiff enough that two samples of latency cost less than a millirad, soft enough that
-# holding one command for 20 ms does no harm.
+# Gains [1/s^2], [1/s] of the control loop in the commander or the node, critically damped at
+# 20 rad/s. With these gains, two samples of latency cause an error of less than a millirad, and a
+# command that is held for 20 ms does no harm.
 KP, KD = 400.0, 40.0
-DEFLECTION = 0.2  # [rad or m]: largest deflection of a joint by a load or a push
-HEAVIEST = 5.0  # [kg]
-LEAST_LOAD = 0.01  # fraction of the robot's mass
-HARDEST, FIRM = 20.0, 5.0  # [N]
-LEAST_INERTIA = 0.1  # [kg m^2 per N m, kg per N] of dry friction, as of motors with gears
+DEFLECTION = 0.2  # [rad or m]: largest deflection of a joint under a load or a push
+HEAVIEST = 5.0  # [kg]: heaviest load
+LEAST_LOAD = 0.01  # smallest load as a fraction of the robot's mass
+HARDEST, FIRM = 20.0, 5.0  # [N]: largest push, and a push that is large enough
+LEAST_INERTIA = 0.1  # [kg m^2 per N m, kg per N] of dry friction, as in motors with gears
 LEAST_DECAY = 0.02  # [s]: viscous friction must not stop a joint faster than the loop reacts
-BOX = 0.1  # [m], side of a cubic load
-GRIP = (0.0, 0.0, 0.05)  # [m], centre of the load in the frame of the link
+BOX = 0.1  # [m]: side of a cubic load
+GRIP = (0.0, 0.0, 0.05)  # [m]: centre of the load in the frame of the link
 
 Put = Callable[[InverseDynamics, str, float], None]
-"""Puts a load or a push of some size on a link."""
+"""A function that applies a load [kg] or a push [N] to a link of a model."""
 
 
 @dataclass(frozen=True, eq=False)
 class DemoSetup:
-    """
-    A robot of n joints, at rest.
-
-    Attributes
-    ----------
-    urdf : str
-        Path of the robot description.
-    robot : RobotModel
-        The robot loaded from it.
-    start : ndarray, shape (n,)
-        Start pose [rad or m].
-    duration : float
-        Duration of the run [s].
-    link : str
-        Link to load and to push; empty to choose the hand, or a link near it.
-    friction : bool
-        Whether the joints have the friction of the URDF and the node compensates it.
-    rate : float
-        Rate of the joint states, and of the commands [Hz].
-
-    """
+    """A robot of n joints, at rest in its start pose."""
 
     urdf: str
+    """Path of the URDF."""
     robot: RobotModel
+    """The robot loaded from the URDF."""
     start: Floats
+    """Start pose, shape (n,) [rad or m]."""
     duration: float
+    """Duration of the run [s]."""
     link: str = ''
+    """Link to load and to push; if empty, the hand or a link near the hand is chosen."""
     friction: bool = False
+    """Whether the joints have the friction of the URDF, and the node compensates the friction."""
     rate: float = 500.0
+    """Rate of the joint states and of the commands [Hz]."""
 
     @cached_property
     def armature(self) -> Floats:
         """
-        Rotor inertia that the URDF leaves out, shape (n,) [kg m^2 or kg].
+        Rotor inertia that the demo adds to the URDF, shape (n,) [kg m^2 or kg].
 
-        Zero without friction. A joint with friction has a motor and gears. If it has hardly any
-        inertia, the smallest delay in compensating the friction would make it oscillate.
-
+        A joint with friction has a motor and gears. Without enough inertia, the joint would
+        oscillate with the smallest delay in the friction compensation. Zero without ``friction``.
         """
         robot = self.robot
         if not self.friction:
@@ -85,14 +71,14 @@ class DemoSetup:
 
     @cached_property
     def inertia(self) -> Floats:
-        """Inertia of each joint at the start while the others are free, shape (n,)."""
+        """Inertia of each joint in the start pose while the other joints are free, shape (n,)."""
         mass_matrix = self._mass_matrix(InverseDynamics(self.robot))
         effective: Floats = 1.0 / np.diagonal(np.linalg.inv(mass_matrix))
         return effective
 
     @cached_property
     def slack(self) -> Floats:
-        """Largest position error that dry friction can sustain, shape (n,) [rad or m]."""
+        """Largest position error that dry friction can maintain, shape (n,) [rad or m]."""
         if not self.friction:
             return np.zeros(len(self.start))
         compliance = np.abs(np.linalg.inv(self._mass_matrix(self.dynamics()))) / KP
@@ -100,7 +86,7 @@ class DemoSetup:
         return error
 
     def dynamics(self) -> InverseDynamics:
-        """Return a new model, equal to that of the node."""
+        """Return a new dynamics model with the same parameters as in the node."""
         dynamics = InverseDynamics(self.robot)
         if self.friction:
             dynamics.set_friction()
@@ -108,18 +94,17 @@ class DemoSetup:
         return dynamics
 
     def _mass_matrix(self, dynamics: InverseDynamics) -> Floats:
-        """Return the mass matrix at the start, which must be invertible, shape (n, n)."""
+        """Return the mass matrix in the start pose, shape (n, n); raise if it is singular."""
         mass_matrix = dynamics.mass_matrix(self.start)
         require_inertia(self.robot, mass_matrix)
         return mass_matrix
 
     def load(self) -> tuple[str, float, Floats]:
         """
-        Choose a load: its link, mass [kg], and inertia about its centre of mass, shape (3, 3).
+        Choose a load; return its link, mass [kg], and inertia about its centre of mass [kg m^2].
 
-        A last joint without rotor inertia deflects under a few grams. The load therefore hangs on
-        the link closest to the hand that withstands 1 % of the robot's mass.
-
+        A wrist joint without rotor inertia deflects under a few grams. The load is therefore
+        attached to the link closest to the hand that can carry 1 % of the robot's mass.
         """
         unit = np.eye(3) * BOX**2 / 6.0
 
@@ -131,7 +116,7 @@ class DemoSetup:
         return link, mass, mass * unit
 
     def capacity(self, link: str) -> float:
-        """Return the mass on a link that takes a drive to its limit in the start pose [kg]."""
+        """Return the mass [kg] on a link with which a drive reaches its limit at the start."""
         alone, change = self._effect(lambda dynamics: dynamics.set_payload(link, 1.0, GRIP))
         lifting = np.abs(change) > 1e-9
         spare = self.robot.effort_limits - alone * np.sign(change)
@@ -139,11 +124,10 @@ class DemoSetup:
 
     def push(self) -> tuple[str, Floats]:
         """
-        Choose a push: its link, and the force in the frame of the link [N], shape (3,).
+        Choose a push; return its link, and the force in the frame of the link [N], shape (3,).
 
         A wrist may deflect under hardly any force. The push therefore acts on the link closest to
-        the hand that withstands a firm one.
-
+        the hand that withstands 5 N.
         """
         direction = np.ones(3) / np.sqrt(3.0)
 
@@ -154,14 +138,19 @@ class DemoSetup:
         return link, force * direction
 
     def external_efforts(self, link: str, force: Floats, q: Floats) -> Floats:
-        """Compute the joint efforts that balance a push on a link: -J^T F."""
+        """Compute the joint efforts that balance a push, -J^T F, for the force F on a link."""
         pushed, alone = InverseDynamics(self.robot), InverseDynamics(self.robot)
         pushed.set_external_wrench(link, force)
         difference: Floats = pushed.gravity_efforts(q) - alone.gravity_efforts(q)
         return difference
 
     def _place(self, put: Put, limit: float, enough: float) -> tuple[str, float]:
-        """Return the link closest to the hand that withstands enough, else the most, and that."""
+        """
+        Return a link and the largest load or push that this link withstands.
+
+        The link is the closest one to the hand that withstands ``enough``. If there is no such
+        link, the link that withstands the most is returned.
+        """
         links = [self.link] if self.link else links_towards_base(self.robot)
         chosen, most = links[0], 0.0
         for link in links:
@@ -173,19 +162,19 @@ class DemoSetup:
         return chosen, most
 
     def _effect(self, put: Callable[[InverseDynamics], None]) -> tuple[Floats, Floats]:
-        """Return the efforts of gravity at the start, and how a load or a push changes them."""
+        """Return the gravity efforts at the start, and their change by a load or a push."""
         dynamics = InverseDynamics(self.robot)
         alone = dynamics.gravity_efforts(self.start)
         put(dynamics)
         return alone, dynamics.gravity_efforts(self.start) - alone
 
     def _most(self, put: Put, link: str, limit: float) -> float:
-        """Find the largest load or push, up to a limit, that joints and drives withstand."""
+        """Return the largest load or push, up to ``limit``, that joints and drives withstand."""
         robot = self.robot
         alone, change = self._effect(lambda dynamics: put(dynamics, link, 1.0))
         deflection = np.linalg.solve(self._mass_matrix(self.dynamics()), change) / KP
         most = min(limit, DEFLECTION / max(float(np.max(np.abs(deflection))), 1e-9))
-        alone = np.where(np.abs(change) > 1e-9, alone, 0.0)  # ignore joints without a change
+        alone = np.where(np.abs(change) > 1e-9, alone, 0.0)  # ignore unaffected joints
         spare = max(0.8 * EFFORT_USED, 0.5 * (EFFORT_USED + effort_used(robot, alone)))
         while effort_used(robot, alone + most * change) > spare and most > 1e-3:
             most *= 0.8
@@ -193,7 +182,7 @@ class DemoSetup:
 
 
 def links_towards_base(robot: RobotModel) -> list[str]:
-    """Return the links from the hand towards the base, one per joint on the way."""
+    """Return one link per joint, from the hand towards the base."""
     link = last_link(robot)
     body = int(robot.link_body[robot.link_index(link)])
     links = [link]

@@ -1,8 +1,8 @@
 """
 The scenario `calibrate`: the node follows a given motion on a robot that differs from its URDF.
 
-The robot has other masses, and friction and rotors that the URDF leaves out. Friction and rotors
-are sized by the inertia of the joints, so that every robot can move with them.
+The masses of the robot differ from the URDF, and the URDF leaves out friction and rotors. Friction
+and rotor inertia depend on the inertia of the joints, so that every robot can still move.
 """
 
 from __future__ import annotations
@@ -26,31 +26,31 @@ from .scenarios import COMPUTED_TORQUE, hold, PATIENT, Scenario, standing, Timel
 from .view import View
 
 SUMMARY = 'identify masses, friction and rotors from an excitation motion; follow it again'
-# `follow` makes the timeline itself, because its motion depends on an analysis of the robot.
+# `follow` creates the timeline, because the motion depends on an analysis of the robot.
 _SCENARIO = Scenario(SUMMARY, hold, parameters={**COMPUTED_TORQUE, **PATIENT})
 MASS = (0.75, 1.35)
-"""Smallest and largest ratio of the masses of links to those in the URDF."""
+"""Smallest and largest ratio of the true mass of a link to its mass in the URDF."""
 PLACE = (0.85, 1.15)
-"""The same for the coordinates of their centres of mass."""
+"""Smallest and largest ratio of the true centre of mass of a link to its value in the URDF."""
 ROTOR = 0.4
-"""Inertia of rotors relative to that of the joint."""
+"""Inertia of the rotor relative to the inertia of the joint."""
 COULOMB = 3.0
-"""Acceleration at which the inertia of a joint takes as much effort as its friction [rad/s^2]."""
+"""Acceleration at which a joint's inertia takes as much effort as its friction [rad/s^2]."""
 DAMPING_SPEED = 1.5
 """Speed at which viscous friction is as large as Coulomb friction [rad/s]."""
 LARGEST_FRICTION = 0.05
-"""Largest Coulomb friction, as a fraction of the effort limit."""
+"""Largest Coulomb friction as a fraction of the effort limit."""
 _SEED = 1979
 
 
 @dataclass(frozen=True, eq=False)
 class UnknownRobot:
-    """A robot as it is, which its URDF describes wrongly."""
+    """The true properties of a robot whose URDF is wrong."""
 
     urdf: bytes
-    """The URDF with the right inertials and friction."""
+    """The URDF with the true inertials and friction."""
     armature: Floats
-    """Inertia of rotors, shape (n,) [kg m^2 or kg]."""
+    """Inertia of the rotors, shape (n,) [kg m^2 or kg]."""
     damping: Floats
     """Viscous friction, shape (n,) [N m s/rad or N s/m]."""
     coulomb: Floats
@@ -58,15 +58,7 @@ class UnknownRobot:
 
 
 def unknown_robot(setup: DemoSetup) -> UnknownRobot:
-    """
-    Draw a robot that its URDF describes wrongly, always the same for the same URDF.
-
-    Parameters
-    ----------
-    setup : DemoSetup
-        The robot as in its URDF.
-
-    """
+    """Draw the true properties of a robot whose URDF is wrong; each URDF gives one result."""
     robot, rng = setup.robot, np.random.default_rng(_SEED)
     inertials = {}
     for k, name in enumerate(robot.link_names):
@@ -91,7 +83,7 @@ def unknown_robot(setup: DemoSetup) -> UnknownRobot:
 
 
 def _friction(robot: RobotModel, damping: Floats, coulomb: Floats) -> dict[str, Friction]:
-    """Return the friction of all joints; mimicking joints have none of their own."""
+    """Return the friction of all joints by name; mimicking joints have no friction."""
     friction = {name: Friction(0.0, 0.0) for name in robot.body_names[1:]}
     for name, viscous, dry in zip(robot.joint_names, damping, coulomb, strict=True):
         friction[name] = Friction(float(viscous), float(dry))
@@ -109,18 +101,18 @@ def follow(
     title: str,
 ) -> History:
     """
-    Let a new node follow a motion on a new simulated robot, and record it.
+    Start a node and a simulated robot, let the robot follow a motion, and return the history.
 
     Parameters
     ----------
     setup : DemoSetup
         The robot as in its URDF, and the start and the duration of the motion.
     motion : Reference
-        The motion; after its end the robot rests.
+        The motion; after the motion the robot rests.
     robot_arguments : list of str
         Path of the URDF and further arguments of the simulated robot.
     node_arguments : list of str
-        Arguments of the node that follow ``--ros-args``.
+        Arguments of the node after ``--ros-args``.
     record : pathlib.Path or None
         Folder to create for a recording.
     options : argparse.Namespace
@@ -133,10 +125,10 @@ def follow(
     """
     view = View(setup.robot, f'{setup.robot.name}: {title}')
     timeline = Timeline(motion, lambda history: ScenarioResult(title), begins=title)
-    start = ['--start', *(f'{x:.9f}' for x in setup.start)]  # argparse knows no -1e-5
+    start = ['--start', *(f'{x:.9f}' for x in setup.start)]  # argparse rejects -1e-5
     commands = commands_of(_SCENARIO, options.rate, [*robot_arguments, *start], node_arguments, {})
     with demo_run(_SCENARIO, timeline, view, commands, stopped, bool(record)) as run:
-        # The wrong model lets the robot sink as soon as the brakes open, unless it is held.
+        # The model is wrong: the robot would sink when the brakes open, unless the node holds it.
         run.perform(setup.duration, standing(setup))
         if record is not None:
             run.write(record, options.storage)
@@ -144,7 +136,7 @@ def follow(
 
 
 def rms_errors(history: History, duration: float) -> Floats:
-    """Return the root mean square of the position error of each joint, shape (n,)."""
+    """Return the RMS position error of each joint, shape (n,) [rad or m]."""
     rows = history.states.between(0.0, duration)
     errors: Floats = np.sqrt(np.mean((rows[:, 1] - rows[:, 0]) ** 2, axis=0))
     return errors
@@ -154,17 +146,9 @@ def check_identification(
     setup: DemoSetup, before: Floats, after: Floats, accepted: bool
 ) -> ScenarioResult:
     """
-    Compare the tracking errors with the URDF and with the calibrated one.
+    Compare the RMS tracking errors of the joints, shape (n,), before and after the calibration.
 
-    Parameters
-    ----------
-    setup : DemoSetup
-        The robot as in its URDF.
-    before, after : ndarray, shape (n,)
-        Root mean square errors of the joints [rad or m].
-    accepted : bool
-        Whether the identified model is better than the URDF on unseen data.
-
+    ``accepted`` states whether the identified model is better than the URDF on unseen data.
     """
     slides = setup.robot.is_prismatic_joint
     unit = 'mm' if slides.all() else 'mrad (mm)' if slides.any() else 'mrad'

@@ -15,9 +15,9 @@ import threading
 
 from ..mujoco.model import SimulationError
 
-LOCK_PORT = 32768  # plus a domain: the port that domain_coordinator binds to reserve it for a test
+LOCK_PORT = 32768  # domain_coordinator reserves a domain by binding to the port LOCK_PORT + domain
 STOP_TIMEOUT = 5.0  # [s]: a node ramps its efforts down before it ends
-PR_SET_PDEATHSIG = 1  # Linux's prctl(2): the signal to get when the parent dies
+PR_SET_PDEATHSIG = 1  # option of Linux's prctl(2): signal to receive when the parent dies
 
 Processes = dict[str, 'subprocess.Popen[bytes]']
 
@@ -27,26 +27,16 @@ def running(
     commands: Mapping[str, Sequence[str]], print_line: Callable[[str], None] | None = None
 ) -> Iterator[Processes]:
     """
-    Run child processes within a context; end them in reverse order at its end.
+    Run child processes within a context; end the processes in reverse order after the context.
 
-    Parameters
-    ----------
-    commands : mapping of str to sequence of str
-        Arguments of ``python -m``, by the name of the process.
-    print_line : callable, optional
-        Called with every line that a process prints, from one thread per process. By default the
-        processes inherit the standard output of this one.
-
-    Yields
-    ------
-    processes : dict of str to subprocess.Popen
-        The running processes, by the same names.
-
+    ``commands`` contains arguments of ``python -m``, by name of the process. ``print_line`` gets
+    every line that a process prints, from one thread per process. Without it, the child processes
+    inherit standard output.
     """
     processes: Processes = {}
     try:
         for name, command in commands.items():
-            # In its own session, so that Ctrl-C reaches only the parent, which ends the children.
+            # Each child has its own session: Ctrl-C reaches only the parent, which ends the child.
             processes[name] = subprocess.Popen(
                 [sys.executable, '-m', *command],
                 start_new_session=True,
@@ -69,7 +59,7 @@ def _forward(process: subprocess.Popen[bytes], print_line: Callable[[str], None]
 
 
 def _end_with_parent() -> None:
-    """Have the kernel end this process with its parent, even if the parent is killed."""
+    """Let the kernel end this process when its parent ends, even if the parent is killed."""
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
@@ -91,20 +81,10 @@ def stay_on_this_machine() -> None:
 @contextmanager
 def unused_domain() -> Iterator[int]:
     """
-    Reserve a ROS domain that no other process on this machine uses.
+    Reserve a ROS domain from 1 to 100 that no other process on this machine uses.
 
-    Other demos, and tests that use domain_coordinator, do not use it while the context lasts.
-
-    Yields
-    ------
-    domain : int
-        From 1 to 100.
-
-    Raises
-    ------
-    SimulationError
-        If all domains are in use.
-
+    During the context, other demos and tests with domain_coordinator avoid this domain. Raise a
+    `SimulationError` if all domains are in use.
     """
     for domain in random.sample(range(1, 101), 100):
         with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as reservation:
@@ -119,7 +99,7 @@ def unused_domain() -> Iterator[int]:
 
 
 def _is_unused(domain: int) -> bool:
-    first_participant = 7400 + 250 * domain + 10  # DDSI-RTPS 9.6.1: its port for unicast discovery
+    first_participant = 7400 + 250 * domain + 10  # unicast discovery port by DDSI-RTPS 9.6.1
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.bind(('127.0.0.1', first_participant))

@@ -1,5 +1,5 @@
 """
-Record topics, and write them as a bag that ROS 2 tools read.
+Record topics, and write the messages to a bag that ROS 2 tools can read.
 
 Messages are kept in memory and written at the end, so that the disk cannot delay the control loop.
 """
@@ -19,26 +19,17 @@ from rosbags.typesys import get_typestore, Stores
 from ...ros.qos import LATCHED
 
 STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
-VERSION: Literal[9] = 9  # of the metadata, that of ROS 2 Jazzy
-DEEP = 1000
+VERSION: Literal[9] = 9  # version of the bag metadata in ROS 2 Jazzy
+DEEP = 1000  # depth of the queues
 
 
 class Recorder:
     """
     Records topics through the subscriptions of one node.
 
-    A message with a header is recorded at the time of its stamp; any other message at the stamp of
-    the latest joint state, which it most likely responds to.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Node that subscribes.
-    topics : mapping of str to message class
-        Topics to record.
-    latched : collection of str
-        Those topics that are transient local: a late subscriber gets the latest message.
-
+    A message with a header is recorded with its own stamp. Any other message is recorded with the
+    stamp of the latest joint state, because the message most likely responds to that joint state.
+    ``topics`` maps topics to message classes. The topics in ``latched`` are transient local.
     """
 
     def __init__(
@@ -47,7 +38,7 @@ class Recorder:
         self._messages: dict[str, list[tuple[int, bytes]]] = {}
         self._types: dict[str, str] = {}
         self._latched = {node.resolve_topic_name(topic) for topic in latched}
-        self.latest = 0  # stamp of the newest joint state [ns]
+        self.latest = 0  # stamp of the latest joint state [ns]
         for topic, type_ in topics.items():
             name = node.resolve_topic_name(topic)
             self._messages[name] = []
@@ -72,31 +63,20 @@ class Recorder:
         return keep
 
     def begin(self) -> None:
-        """Drop the messages so far, except the latest one of each latched topic."""
+        """Drop all messages so far, except the latest message of each latched topic."""
         for name, messages in self._messages.items():
             del messages[: -1 if name in self._latched else None]
 
     @property
     def count(self) -> int:
-        """Number of messages so far."""
+        """Number of messages recorded so far."""
         return sum(map(len, self._messages.values()))
 
     def write(self, folder: str | Path, storage: str = 'mcap') -> int:
         """
-        Write all messages, sorted by time.
+        Write all messages, sorted by time, to a new folder; return the number of messages.
 
-        Parameters
-        ----------
-        folder : str or pathlib.Path
-            Folder to create; it must not exist yet.
-        storage : str
-            'mcap' or 'sqlite3'.
-
-        Returns
-        -------
-        count : int
-            Number of messages written.
-
+        The folder must not exist yet. The storage is 'mcap' or 'sqlite3'.
         """
         typestore = get_typestore(Stores.ROS2_JAZZY)
         with Writer(folder, version=VERSION, storage_plugin=STORAGES[storage]) as writer:
@@ -111,7 +91,7 @@ class Recorder:
 
 
 def stamp_of(data: bytes) -> int:
-    """Read the stamp [ns] of a serialized message that begins with a header."""
-    order = '<' if data[1] & 1 else '>'  # the encapsulation, before the message proper
+    """Return the stamp [ns] of a serialized message that starts with a header."""
+    order = '<' if data[1] & 1 else '>'  # data[:4] is the encapsulation header of CDR
     seconds, nanoseconds = struct.unpack_from(f'{order}iI', data, 4)
     return int(seconds) * 10**9 + int(nanoseconds)

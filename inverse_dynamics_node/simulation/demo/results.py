@@ -1,4 +1,4 @@
-"""The results of runs: measurements compared with limits."""
+"""The results of the demo: measurements are compared with limits."""
 
 from __future__ import annotations
 
@@ -15,22 +15,24 @@ from .view import name_width
 
 MOVING_LIMIT, REST_LIMIT = 0.010, 0.001  # [rad or m]
 HARMLESS = 0.05  # [s]: longest gap between commands that leaves the tracking errors within limits
-SETTLED = 1.5  # [s]: time after a change until the errors have settled
+SETTLED = 1.5  # [s]: settling time of the errors after a change
 STOPPED = 1.0  # [s]: twice the sum of the node's state timeout and stop ramp
-LEAST_FACTOR = 5.0  # least ratio of the errors without and with the node's knowledge of a load
-CONTACT_LIMIT = 0.05  # fraction of the largest joint effort of a push
-RATE_LIMIT = 0.02  # relative error of the command rate
-REST_FRACTION = 0.2  # of the duration of `track`; its second half is judged
+LEAST_FACTOR = 5.0  # smallest ratio of errors without and with a known load, IMU or calibration
+CONTACT_LIMIT = 0.05  # largest error of a push as a fraction of its largest joint effort
+RATE_LIMIT = 0.02  # largest relative error of the command rate
+REST_FRACTION = 0.2  # final fraction of `track` at rest; the second half of this time is judged
 
 
 @dataclass(frozen=True)
 class ScenarioResult:
-    """The outcome of a run: words if it passed, and its failures if it did not."""
+    """The outcome of a run."""
 
     words: str
+    """Sentence to print if the run passed."""
     failures: tuple[str, ...] = ()
+    """Reasons why the run failed; empty if the run passed."""
     excuse: str = ''
-    """Another possible cause of a failure; empty if there is none."""
+    """Possible cause of the failures outside the node; empty if none is known."""
 
     def __str__(self) -> str:
         if self.failures:
@@ -40,29 +42,29 @@ class ScenarioResult:
 
 
 class Distance(NamedTuple):
-    """The largest error of all joints."""
+    """The largest position error of all joints."""
 
     value: float
     """Error [rad or m]; NaN if nothing was measured."""
     words: str
-    """The same with its unit [mrad or mm]."""
+    """Error as text, in mrad or mm."""
 
 
 def worst(setup: DemoSetup, errors: Floats) -> Distance:
-    """Return the largest of the errors of n joints, shape (n,) [rad or m]."""
+    """Return the largest position error from the errors of all joints, shape (n,) [rad or m]."""
     i = int(np.argmax(errors))  # argmax prefers NaN
     unit = 'mm' if setup.robot.is_prismatic_joint[i] else 'mrad'
-    # Errors below a thousandth of a unit are printed as that.
+    # Errors below 0.001 mrad or mm are printed as 0.001.
     return Distance(float(errors[i]), f'{max(1000.0 * float(errors[i]), 0.001):.3g} {unit}')
 
 
 def result_of(words: str, *checks: tuple[bool, str]) -> ScenarioResult:
-    """Return a result that passes if all checks do; each has the text of its failure."""
+    """Return a result that passes if all checks pass; each check has the text of its failure."""
     return ScenarioResult(words, tuple(failure for passed, failure in checks if not passed))
 
 
 def excuse(history: History) -> str:
-    """Explain a failure by a gap between commands, if there was a long one."""
+    """Explain a failure with the longest gap between commands, if that gap was too long."""
     waited = float(np.max(np.diff(history.commands.times), initial=0.0))
     if waited <= HARMLESS:
         return ''
@@ -73,12 +75,12 @@ def excuse(history: History) -> str:
 
 
 def moving_limit(setup: DemoSetup) -> float:
-    """Return the largest permitted error in motion [rad or m]."""
+    """Return the largest permitted position error in motion [rad or m]."""
     return MOVING_LIMIT + float(np.max(setup.slack))
 
 
 def rest_limit(setup: DemoSetup) -> float:
-    """Return the largest permitted error at rest [rad or m]."""
+    """Return the largest permitted position error at rest [rad or m]."""
     return REST_LIMIT + float(np.max(setup.slack))
 
 
@@ -121,7 +123,7 @@ def check_payload(
 def check_push(
     setup: DemoSetup, history: History, link: str, force: Floats, began: float, ended: float
 ) -> ScenarioResult:
-    """Judge a push: the external efforts equal -J^T F while it lasts, and are zero before."""
+    """Judge a push: external efforts must be zero before the push, and -J^T F during the push."""
     window = began + SETTLED, ended
     rows, states = history.external.between(*window), history.states.between(*window)
     if not len(rows) or not len(states):
@@ -168,9 +170,9 @@ def check_tilt(
 def check_sensor_lost(
     setup: DemoSetup, history: History, lost: float, back: float
 ) -> ScenarioResult:
-    """Judge an interruption of the joint states: efforts are zero, and the arm stays in place."""
-    # End a little early: history times follow the stamps again as soon as states resume, and
-    # those may lag behind the clock of the machine.
+    """Judge lost joint states: efforts must become zero, and the arm must stay in place."""
+    # The window ends early: when joint states resume, history times follow the stamps again, and
+    # the stamps may lag behind the clock of the machine.
     commands = np.abs(history.commands.between(lost + STOPPED, back - 0.1))
     left = float(np.max(commands, initial=0.0))
     before = float(np.max(np.abs(history.commands.between(0.0, lost)), initial=0.0))
@@ -199,7 +201,7 @@ def check_tracking(setup: DemoSetup, history: History) -> ScenarioResult:
     rest = history.largest_error((1.0 - 0.5 * REST_FRACTION) * duration, math.inf)
     wide = name_width(robot)
     limits = tracking_limits(setup.slack)
-    # Without friction all joints have the same limits, which the verdict states.
+    # Without friction, all joints have the same limits: the verdict states them.
     head = ('moving', 'limit', 'at rest', 'limit') if setup.friction else ('moving', 'at rest')
     widths = (13, 14, 15, 15) if setup.friction else (13, 15)
     columns = ''.join(f'{word:>{width}}' for word, width in zip(head, widths, strict=True))
@@ -221,25 +223,16 @@ def check_tracking(setup: DemoSetup, history: History) -> ScenarioResult:
 
 def tracking_limits(slack: Floats) -> tuple[Floats, Floats]:
     """
-    Return the largest permitted errors in motion and at rest.
+    Return the largest permitted errors in motion and at rest, both of shape (n,) [rad or m].
 
-    Parameters
-    ----------
-    slack : ndarray, shape (n,)
-        Largest position error that dry friction can sustain [rad or m].
-
-    Returns
-    -------
-    moving, rest : ndarray, shape (n,)
-        Limits [rad or m].
-
+    ``slack``, shape (n,), is the largest position error that dry friction can maintain [rad or m].
     """
-    # A joint that breaks away from dry friction overshoots by as much as it was held back.
+    # When a joint breaks away from dry friction, it overshoots by as much as it lagged before.
     return MOVING_LIMIT + 2.0 * slack, REST_LIMIT + slack
 
 
 def tracking_words(slack: Floats) -> str:
-    """Describe the limits of tracking."""
+    """Describe the limits on tracking errors and on the command rate."""
     parts = []
     for limits, when in zip(tracking_limits(slack), ('mrad (mm) moving', 'at rest'), strict=True):
         least, most = (f'{1000.0 * limit:.3g}' for limit in (limits.min(), limits.max()))
@@ -258,7 +251,7 @@ def find_failures(
     expected_rate: float,
     slack: Floats | float = 0.0,
 ) -> list[str]:
-    """Describe every joint error beyond its limit, widened by slack, and a wrong command rate."""
+    """Describe joint errors beyond the limits of `tracking_limits`, and a wrong command rate."""
     failures = []
     moving_limits, rest_limits = tracking_limits(slack + np.zeros(len(joint_names)))
     for when, errors, limits in (
@@ -268,7 +261,7 @@ def find_failures(
         failures += [
             f'joint {name!r} was {1000 * error:.2f} mrad or mm off {when}, limit {1000 * most:.3g}'
             for name, error, most in zip(joint_names, errors, limits, strict=True)
-            if not error <= most  # NaN, without a measurement, is a failure
+            if not error <= most  # NaN means no measurement, a failure
         ]
     if not abs(rate / expected_rate - 1.0) <= RATE_LIMIT:
         cause = (

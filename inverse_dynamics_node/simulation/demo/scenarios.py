@@ -1,8 +1,8 @@
 """
 The scenarios of the demo, by name.
 
-A scenario defines the settings of the node and the kind of reference that it gets. A timeline,
-prepared for one robot, defines the trajectory, the events with their times, and the verdict.
+A scenario defines the settings of the node and the kind of reference that the node receives. A
+timeline is a scenario prepared for one robot: trajectory, events with their times, and verdict.
 """
 
 from __future__ import annotations
@@ -36,92 +36,69 @@ from .results import REST_FRACTION, ScenarioResult
 
 NODE, ROBOT = 'inverse_dynamics', 'simulated_robot'  # prefixes of topics
 TILT = math.radians(30.0) * np.array([1.0, 1.0, 0.0]) / math.sqrt(2.0)  # [rad]
-IMU_ORIENTATION = (0.2, -0.3, 1.1)  # [rad]: askew, as on a real robot
-LOST = 2.0  # [s] without joint states
-SIMULATED_PERIOD = 0.002  # [s] of the calculation without an IMU
+IMU_ORIENTATION = (0.2, -0.3, 1.1)  # [rad]: not aligned with the base, as on many real robots
+LOST = 2.0  # [s]: time without joint states
+SIMULATED_PERIOD = 0.002  # [s]: control period of the simulation without an IMU
 
 
 @dataclass(frozen=True)
 class Event:
-    """An event: its time [s], its description, and the messages that cause it, by topic."""
+    """An event of a run."""
 
     time: float
+    """Time since the start of the motion [s]."""
     words: str
+    """Description of the event."""
     messages: Mapping[str, Any]
+    """Messages that cause the event, by topic."""
 
 
 @dataclass(frozen=True, eq=False)
 class Timeline:
-    """
-    A scenario prepared for one robot.
-
-    Attributes
-    ----------
-    trajectory : Reference
-        Desired motion of the joints.
-    check : callable
-        Returns the `ScenarioResult` for a `History`.
-    events : tuple of Event
-        Events, sorted by time.
-    begins : str
-        Description of the time before the first event.
-    note : str
-        A line to print before the start.
-    expected : callable or None
-        Returns the external efforts that the node should find, for times of shape (k,) and
-        positions of shape (k, n).
-    without : tuple of two ndarrays, or None
-        Times [s], shape (k,), and simulated errors without the IMU, shape (k, n).
-
-    """
+    """A scenario prepared for one robot."""
 
     trajectory: Reference
+    """Desired motion of the joints."""
     check: Callable[[History], ScenarioResult]
+    """Judges the history of a run."""
     events: tuple[Event, ...] = ()
+    """Events, sorted by time."""
     begins: str = ''
+    """Description of the time before the first event."""
     note: str = ''
+    """Line to print before the start."""
     expected: Callable[[Floats, Floats], Floats] | None = None
+    """Returns the true external efforts for times, shape (k,), and positions, shape (k, n)."""
     without: tuple[Floats, Floats] | None = None
+    """Times [s], shape (k,), and simulated position errors without the IMU, shape (k, n)."""
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """
-    One kind of run.
-
-    Attributes
-    ----------
-    summary : str
-        Description for the help text.
-    prepare : callable
-        Returns the `Timeline` for a `DemoSetup`.
-    sends : str
-        Message that the commander sends: 'accelerations', 'reference', or '' for none.
-    parameters : mapping of str to str
-        Parameters of the node.
-    robot : tuple of str
-        Options of the simulated robot.
-    least_duration : float
-        Shortest duration that is long enough for all events [s].
-
-    """
+    """One kind of run."""
 
     summary: str
+    """Description for the help text."""
     prepare: Callable[[DemoSetup], Timeline]
+    """Prepares the scenario for one robot."""
     sends: str = 'reference'
+    """Message that the commander sends: 'accelerations', 'reference', or '' for no message."""
     parameters: Mapping[str, str] = field(default_factory=dict)
+    """Parameters of the node."""
     robot: tuple[str, ...] = ()
+    """Options of the simulated robot."""
     least_duration: float = 10.0
+    """Shortest duration that is long enough for all events [s]."""
 
 
 def standing(setup: DemoSetup) -> Oscillation:
-    """Return the motion of an arm that stands in its start pose."""
+    """Return the motion of an arm that stands still in its start pose."""
     zeros = np.zeros(len(setup.start))
     return Oscillation(setup.start, zeros, zeros + 1.0, setup.duration)
 
 
 def hold(setup: DemoSetup) -> Timeline:
-    """Hold the start pose without a reference."""
+    """Prepare a run in which gravity compensation holds the start pose without a reference."""
     return Timeline(
         standing(setup),
         lambda history: results.check_hold(setup, history),
@@ -130,7 +107,7 @@ def hold(setup: DemoSetup) -> Timeline:
 
 
 def track(setup: DemoSetup) -> Timeline:
-    """Move, then rest."""
+    """Prepare a run in which the arm first moves and then rests."""
     moving = (1.0 - REST_FRACTION) * setup.duration
     trajectory = plan(setup.robot, setup.dynamics(), setup.start, moving)
     return Timeline(
@@ -141,7 +118,7 @@ def track(setup: DemoSetup) -> Timeline:
 
 
 def payload(setup: DemoSetup) -> Timeline:
-    """Pick up a load during the motion, and send it to the node later."""
+    """Prepare a run in which the arm picks up a load, and the node receives the load later."""
     link, mass, inertia = setup.load()
     loaded = setup.dynamics()
     loaded.set_payload(link, mass, GRIP, inertia)
@@ -175,7 +152,7 @@ def payload(setup: DemoSetup) -> Timeline:
 
 
 def push(setup: DemoSetup) -> Timeline:
-    """Push a link for a while."""
+    """Prepare a run in which a force pushes a link for a while."""
     link, force = setup.push()
     began, ended = 0.3 * setup.duration, 0.6 * setup.duration
     x, y, z = force.tolist()
@@ -204,7 +181,7 @@ def push(setup: DemoSetup) -> Timeline:
 
 
 def tilted(setup: DemoSetup) -> Timeline:
-    """Tilt the base, and keep it tilted."""
+    """Prepare a run in which the base tilts and stays tilted."""
     began = 0.25 * setup.duration
     settled = began + TILT_DURATION + results.SETTLED
     without = held_without_imu(setup, TILT, began)
@@ -223,24 +200,10 @@ def tilted(setup: DemoSetup) -> Timeline:
 
 def held_without_imu(setup: DemoSetup, attitude: ArrayLike, began: float) -> tuple[Floats, Floats]:
     """
-    Hold an arm by computed torque on a tilting base without an IMU.
+    Simulate computed torque on a tilting base without an IMU; return times and position errors.
 
-    Parameters
-    ----------
-    setup : DemoSetup
-        The robot, its pose and the duration.
-    attitude : array_like, shape (3,)
-        Final rotation vector of the base from level [rad].
-    began : float
-        Time at which the base begins to tilt [s].
-
-    Returns
-    -------
-    times : ndarray, shape (k,)
-        Times [s].
-    errors : ndarray, shape (k, n)
-        Position errors of the joints [rad or m].
-
+    The base begins to tilt at the time ``began`` [s]. Its final attitude is a rotation vector from
+    level, shape (3,) [rad]. The times have shape (k,) [s], the errors shape (k, n) [rad or m].
     """
     simulated = MujocoRobot(setup.urdf, setup.robot, setup.start, friction=False)
     simulated.brakes_on = False
@@ -260,7 +223,7 @@ def held_without_imu(setup: DemoSetup, attitude: ArrayLike, began: float) -> tup
 
 
 def sensor_lost(setup: DemoSetup) -> Timeline:
-    """Stop the joint states, and resume them later."""
+    """Prepare a run in which the joint states stop and resume later."""
     lost = 0.3 * setup.duration
     back = lost + LOST
     sensors = f'{ROBOT}/sensors'
@@ -276,8 +239,8 @@ def sensor_lost(setup: DemoSetup) -> Timeline:
 
 
 COMPUTED_TORQUE = {'mode': 'computed_torque', 'kp': str(KP), 'kd': str(KD)}
-# The simulated hardware shares the machine with other processes and may pause for longer than real
-# hardware does.
+# The simulated hardware shares the machine with other processes, and may pause for longer than
+# real hardware.
 PATIENT = {'state_timeout': '0.5'}
 SCENARIOS = {
     'track': Scenario(

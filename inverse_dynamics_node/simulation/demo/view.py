@@ -1,4 +1,4 @@
-"""The progress of a run: a live table on a terminal, plain lines elsewhere."""
+"""The progress of a run: a live table on a terminal, otherwise plain lines."""
 
 from __future__ import annotations
 
@@ -17,54 +17,33 @@ from rich.text import Text
 
 from ...robot.model import Floats, RobotModel
 
-LIVE_PERIOD = 0.2  # [s]: drawing takes a few milliseconds, during which the loop waits
-FULL_ERROR = 0.1  # [rad or m] at the end of the bar; each tenth of the bar is a factor of 2.5
-WIDTH = 12  # of a bar
+LIVE_PERIOD = 0.2  # [s]: drawing delays the control loop by a few milliseconds
+FULL_ERROR = 0.1  # [rad or m]: error at full length of a bar; 10 % of the bar are a factor of 2.5
+WIDTH = 12  # characters in a bar
 
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """
-    The state of a run at one time.
-
-    Attributes
-    ----------
-    time : float
-        Time since the start of the motion [s].
-    rate : float
-        Rate of the commands [Hz].
-    words : str
-        Description of the current event.
-    q, desired, effort : ndarray, shape (n,)
-        Measured and desired positions [rad or m], measured efforts [N m or N].
-    brakes_on : bool
-        Whether the brakes are on.
-
-    """
+    """The state of a run at one time."""
 
     time: float
+    """Time since the start of the motion [s]."""
     rate: float
+    """Rate of the commands [Hz]."""
     words: str
+    """Description of the current event."""
     q: Floats
+    """Measured joint positions, shape (n,) [rad or m]."""
     desired: Floats
+    """Desired joint positions, shape (n,) [rad or m]."""
     effort: Floats
+    """Measured joint efforts, shape (n,) [N m or N]."""
     brakes_on: bool
+    """Whether the brakes are on."""
 
 
 class View:
-    """
-    Shows the progress of a run, as a live table or as lines.
-
-    Parameters
-    ----------
-    robot : RobotModel
-        Robot whose joints are shown.
-    title : str
-        Title of the run.
-    console : rich.console.Console, optional
-        Console to draw on, by default standard output.
-
-    """
+    """Shows the progress of a run, as a live table on a terminal or as plain lines."""
 
     def __init__(self, robot: RobotModel, title: str, console: Console | None = None) -> None:
         self.robot, self.title = robot, title
@@ -77,7 +56,7 @@ class View:
 
     @contextmanager
     def open(self) -> Iterator[None]:
-        """Draw on the terminal within this context; the last table remains."""
+        """Draw on the terminal during this context; the last table remains visible."""
         if not self.is_live:
             yield
             return
@@ -86,16 +65,16 @@ class View:
 
     @property
     def is_due(self) -> bool:
-        """Whether it is time to draw again; never true for lines."""
+        """Whether the live table is due to be drawn again; always False for plain lines."""
         return self.is_live and time.monotonic() >= self._due
 
     @property
     def is_live(self) -> bool:
-        """Whether the run is shown live on a terminal."""
+        """Whether the run is shown as a live table on a terminal."""
         return bool(self._console.is_terminal)
 
     def draw(self, snapshot: Snapshot) -> None:
-        """Draw a snapshot in place of the previous one."""
+        """Draw a snapshot in place of the previous snapshot."""
         assert self._live is not None
         self._due = time.monotonic() + LIVE_PERIOD
         self._live.update(self.render(snapshot), refresh=True)
@@ -108,7 +87,7 @@ class View:
             ('BRAKES ON', 'bold red') if snapshot.brakes_on else ('brakes open', 'green'),
         )
         table = Table(box=None, pad_edge=False)
-        # The cells are padded here: right alignment would strip the spaces behind units.
+        # Cells are padded here, because right alignment would strip the spaces after units.
         for name, width in (
             *(('joint', 0), ('position', 12), ('desired', 12), ('error', 13), ('', 0)),
             *(('effort', 14), ('of its limit', 0)),
@@ -130,7 +109,7 @@ class View:
         return Group(head, Text(snapshot.words, 'yellow'), table)
 
     def log(self, line: str) -> None:
-        """Print a log line above the table; may be called from any thread."""
+        """Print a log line above the table; any thread may call this method."""
         self._console.print(line, style='bright_black', highlight=False, markup=False)
 
     def announce(self, time_: float, words: str) -> None:
@@ -158,12 +137,12 @@ def name_width(robot: RobotModel) -> int:
 
 
 def error_fraction(error: float) -> float:
-    """Return the length of an error bar on a logarithmic scale: 0 at 0.01 mrad, 1 at 100 mrad."""
+    """Return the length of an error bar, from 0 at 0.01 mrad to 1 at 100 mrad, logarithmic."""
     return 1.0 + math.log10(max(abs(error), 1e-9) / FULL_ERROR) / 4.0
 
 
 def bar(fraction: float, warn: float, alarm: float) -> Text:
-    """Draw a bar, filled by a fraction from 0 to 1 and coloured by two thresholds."""
+    """Draw a bar for a fraction from 0 to 1; the bar changes colour at ``warn`` and ``alarm``."""
     filled = round(WIDTH * float(np.clip(fraction, 0.0, 1.0)))
     colour = 'red' if fraction >= alarm else 'yellow' if fraction >= warn else 'green'
     return Text.assemble(('█' * filled, colour), ('·' * (WIDTH - filled), 'bright_black'))

@@ -1,4 +1,4 @@
-"""MuJoCo as the hardware of a robot: efforts in, joint positions and velocities out."""
+"""MuJoCo as the robot hardware: it takes joint efforts and returns positions and velocities."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from ...robot.model import Booleans, Floats, RobotModel
 from .model import compile_model, LARGEST_STEP, SimulationError
 from .world import World
 
-LEAST_INERTIA = 1e-9  # [kg m^2 or kg]: a thousandth of that of the smallest finger joint
+LEAST_INERTIA = 1e-9  # [kg m^2 or kg]: 1/1000 of the inertia at the smallest finger joint
 LEAST_INDEPENDENCE = 1e-9  # eigenvalue; rounding leaves about 1e-16 if two joints move as one
 DRIVE_GAINS = 900.0, 60.0  # [1/s^2], [1/s] of the position controller: critically damped, 5 Hz
-HELD_STIFFNESS = (2.0 * math.pi * 10.0) ** 2  # [1/s^2] of held joints: 10 Hz
+HELD_STIFFNESS = (2.0 * math.pi * 10.0) ** 2  # [1/s^2]: held joints have springs of 10 Hz
 
 
 class MujocoRobot:
@@ -30,26 +30,15 @@ class MujocoRobot:
     urdf : str or pathlib.Path
         Path of a URDF, or its text.
     robot : RobotModel
-        The robot that `load_urdf` reads from it, for the joint order, effort limits and mimics.
+        The robot that `load_urdf` reads from the URDF.
     start : array_like, shape (n,)
         Start positions [rad or m], in the order of ``robot.joint_names``.
     friction : bool
-        Whether joints have the damping and Coulomb friction of the URDF, or none.
+        Whether joints have the damping and Coulomb friction of the URDF; otherwise they have none.
     held : collection of str
-        Joints without commands, which stiff springs hold in their start positions.
+        Joints that take no commands; stiff springs hold them in their start positions.
     armature : array_like, shape (n,) or ()
         Inertia of rotors and gears at the joints [kg m^2 or kg].
-
-    Attributes
-    ----------
-    world : World
-        Payloads, pushes and tilts of the base.
-    command_names : tuple of str
-        Commanded joints, in the order of the commands.
-    brakes_on : bool
-        Whether brakes hold every joint in place, regardless of the efforts.
-    state_names : tuple of str
-        All movable joints, mimicking ones too, sorted by name as by many drivers.
 
     Raises
     ------
@@ -69,15 +58,18 @@ class MujocoRobot:
     ) -> None:
         self.robot = robot
         self.brakes_on = True
+        """Whether brakes hold every joint in place, regardless of the efforts."""
         self._model = compile_model(urdf, friction)
         self._data = mujoco.MjData(self._model)
         self._at_rest = mujoco.MjData(self._model)
         self.world = World(self._model, self._data, robot.body_names[0])
+        """Payloads, pushes and tilts of the base."""
         address = {
             self._model.joint(i).name: int(self._model.jnt_dofadr[i])
             for i in range(self._model.njnt)
         }
         self.state_names = tuple(sorted(address))
+        """All movable joints, including mimicking joints, sorted by name as in many drivers."""
         self._state_order = [address[name] for name in self.state_names]
         self._order = [address[name] for name in robot.joint_names]
         self._model.dof_armature[self._order] = armature
@@ -86,6 +78,7 @@ class MujocoRobot:
             raise SimulationError(unknown_name('joint', unknown[0], robot.joint_names))
         free = [i for i, name in enumerate(robot.joint_names) if name not in held]
         self.command_names = tuple(robot.joint_names[i] for i in free)
+        """Commanded joints, in the order of the commands."""
         self._command_order = [self._order[i] for i in free]
         self._held_order = [address[name] for name in held]
         self._command_limits = robot.effort_limits[free]
@@ -121,7 +114,7 @@ class MujocoRobot:
         return velocities
 
     def hold(self, q: Floats, qd: Floats, qdd: Floats) -> None:
-        """Apply the efforts by which a position controller follows a motion, shapes (n,)."""
+        """Apply position control towards positions, velocities, accelerations of shape (n,)."""
         kp, kd = DRIVE_GAINS
         error, rate = q - self.positions(), qd - self._data.qvel[self._order]
         efforts = self.mass_matrix() @ (qdd + kp * error + kd * rate) + self.bias_efforts()
@@ -142,21 +135,11 @@ class MujocoRobot:
 
     def advance_within(self, duration: float, bounds: Floats) -> Floats | None:
         """
-        Advance the simulation, unless a joint would become too fast.
+        Advance the simulation by a few milliseconds, unless a joint would become too fast.
 
-        Parameters
-        ----------
-        duration : float
-            A few milliseconds [s].
-        bounds : ndarray, shape (n,)
-            Largest speeds of ``robot.joint_names`` [rad/s or m/s].
-
-        Returns
-        -------
-        speeds : ndarray, shape (n,), or None
-            None after an advance. If a joint would exceed its bound, the speeds that the joints
-            would have reached; the robot is as before.
-
+        Return None after an advance. If a joint would exceed its speed bound, restore the previous
+        state and return the speeds that the joints would have reached. Speeds and bounds have
+        shape (n,) [rad/s or m/s].
         """
         data = self._data
         before = data.qpos.copy(), data.qvel.copy(), data.qacc_warmstart.copy()
@@ -177,7 +160,7 @@ class MujocoRobot:
         mujoco.mj_forward(self._model, self._data)
 
     def accelerations(self) -> Floats:
-        """Return the accelerations of ``robot.joint_names`` without the effect of brakes."""
+        """Return the accelerations of ``robot.joint_names`` as if the brakes were open."""
         mujoco.mj_forward(self._model, self._data)
         self.world.act()
         mujoco.mj_forward(self._model, self._data)
@@ -185,7 +168,7 @@ class MujocoRobot:
         return accelerations
 
     def mass_matrix(self) -> Floats:
-        """Return the mass matrix at the current positions, shape (n, n), mimics folded in."""
+        """Return the mass matrix at the current positions, including mimics, shape (n, n)."""
         velocities = self._coupling.T.copy()
         momenta = np.zeros(velocities.shape)
         for row, velocity in zip(momenta, velocities, strict=True):
@@ -194,12 +177,12 @@ class MujocoRobot:
         return inertia
 
     def bias_efforts(self) -> Floats:
-        """Return the joint efforts of gravity and velocities, shape (n,), mimics folded in."""
+        """Return the joint efforts of gravity and velocities, including mimics, shape (n,)."""
         efforts: Floats = self._coupling.T @ self._data.qfrc_bias
         return efforts
 
     def gravity_efforts(self) -> Floats:
-        """Return the joint efforts of gravity alone, payloads included, shape (n,)."""
+        """Return the joint efforts of gravity alone, including payloads, shape (n,)."""
         self._at_rest.qpos[:] = self._data.qpos
         mujoco.mj_fwdPosition(self._model, self._at_rest)
         mujoco.mj_fwdVelocity(self._model, self._at_rest)
@@ -207,7 +190,7 @@ class MujocoRobot:
         return efforts
 
     def _hold(self, joints: Collection[str]) -> None:
-        """Give joints springs and dampers, critically damped for their own inertia."""
+        """Add springs and dampers to joints; each is critically damped for its own inertia."""
         inertia, load = self.mass_matrix().diagonal(), self.bias_efforts()
         for name in joints:
             i = self.robot.joint_names.index(name)
@@ -221,7 +204,7 @@ class MujocoRobot:
 
 
 def require_inertia(robot: RobotModel, mass_matrix: Floats) -> None:
-    """Reject joints without inertia, which any effort would accelerate without bound."""
+    """Raise a `SimulationError` if a joint has no inertia: efforts would have infinite effect."""
     idle = _without_inertia(mass_matrix)
     if idle.any():
         names = ', '.join(repr(robot.joint_names[i]) for i in np.flatnonzero(idle))
@@ -232,7 +215,7 @@ def require_inertia(robot: RobotModel, mass_matrix: Floats) -> None:
 
 
 def _without_inertia(inertia: Floats) -> Booleans:
-    """Return which joints move no mass, or no mass independently of other joints."""
+    """Return which joints move no mass, or cannot move mass independently of other joints."""
     diagonal = inertia.diagonal()
     idle: Booleans = np.asarray(diagonal < LEAST_INERTIA)
     if idle.any():

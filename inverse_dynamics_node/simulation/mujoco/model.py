@@ -2,10 +2,12 @@
 Compile a URDF to a MuJoCo model with exactly the same dynamics.
 
 MuJoCo parses the URDF itself, so that an error in our own loader appears as a tracking error. The
-file needs four changes: shapes are removed (they need mesh files, and MuJoCo would give them a
-mass); quaternions become roll, pitch and yaw (MuJoCo ignores ``quat_xyzw``); links on fixed joints
-remain separate bodies (fusing them drops inertia without mass); and masses and inertias that
-MuJoCo rejects are set after the model has been compiled with placeholders.
+URDF needs four changes:
+
+- Shapes are removed: they need mesh files, and MuJoCo would give them a mass.
+- Quaternions become roll, pitch and yaw: MuJoCo ignores ``quat_xyzw``.
+- Links on fixed joints remain separate bodies: merging would drop inertia without mass.
+- Placeholders replace masses and inertias that MuJoCo rejects until the model is compiled.
 """
 
 from __future__ import annotations
@@ -25,8 +27,8 @@ from ...robot.model import Floats
 from ...robot.urdf.xml import Element, parse, read_source, tag
 
 OLDEST_MUJOCO = (3, 17)  # 3.13 rotates inertias the wrong way, and older ones ignore <mimic>
-LARGEST_STEP = 0.00025  # [s]: its error is far below the effect of one sample of latency
-STIFFEST = 0.9999  # MuJoCo's upper bound for the stiffness of a constraint
+LARGEST_STEP = 0.00025  # [s]: integration errors are far below the effect of one late sample
+STIFFEST = 0.9999  # MuJoCo's upper bound on the stiffness of a constraint
 LEAST_PLAUSIBLE = 1e-12  # [kg or kg m^2]: MuJoCo rejects values below 1e-15
 
 logger = logging.getLogger(__name__)
@@ -38,30 +40,16 @@ class SimulationError(InverseDynamicsError):
 
 def compile_model(urdf: str | Path, friction: bool = True) -> Any:
     """
-    Compile a URDF for MuJoCo.
+    Compile a URDF, given as a path or as text, to a MuJoCo model.
 
-    Parameters
-    ----------
-    urdf : str or pathlib.Path
-        Path of a URDF that `load_urdf` accepts, or its text.
-    friction : bool
-        Whether joints have the damping and Coulomb friction of the URDF, or none.
-
-    Returns
-    -------
-    model : mujoco.MjModel
-        One body per link except the root, one degree of freedom per movable joint; equality
-        constraints couple mimicking joints.
-
-    Raises
-    ------
-    SimulationError
-        If MuJoCo is too old, or rejects the robot.
-
+    Without ``friction``, the joints have neither the damping nor the Coulomb friction of the URDF.
+    The model has one body per link except the root, and one degree of freedom per movable joint.
+    Equality constraints couple mimicking joints. Raise a `SimulationError` if MuJoCo is too old or
+    rejects the robot.
     """
     if tuple(map(int, mujoco.__version__.split('.')[:2])) < OLDEST_MUJOCO:
         raise SimulationError(f'MuJoCo is {mujoco.__version__}, expected 3.17 or newer')
-    # By default MuJoCo appends its warnings to a file in the working directory.
+    # By default, MuJoCo would append its warnings to a file in the working directory.
     mujoco.set_mju_user_warning(logger.info)
     root, _ = parse(read_source(urdf))
     _strip_shapes(root)
@@ -101,7 +89,7 @@ def _write_quaternions_as_rpy(root: Element) -> None:
 
 
 def _set_implausible_inertias_aside(root: Element) -> dict[str, tuple[float, Floats]]:
-    """Replace masses and inertias that MuJoCo rejects by placeholders; return the originals."""
+    """Replace masses and inertias that MuJoCo rejects with placeholders; return the originals."""
     set_aside = {}
     for link in root.iter('link'):
         mass, inertia = _mass_and_inertia(link)
@@ -124,7 +112,7 @@ def _mass_and_inertia(link: Element) -> tuple[float, Floats]:
 
 
 def _write_placeholder(link: Element) -> None:
-    """Write a mass and an inertia that MuJoCo accepts; the origin does not change."""
+    """Write a mass and an inertia that MuJoCo accepts; keep the origin."""
     inertial = link.find('inertial')
     if inertial is None:
         inertial = etree.SubElement(link, 'inertial')
@@ -132,7 +120,7 @@ def _write_placeholder(link: Element) -> None:
         for element in inertial.findall(name):
             inertial.remove(element)
     etree.SubElement(inertial, 'mass', value='1')
-    # Distinct and descending, as MuJoCo sorts them: body_iquat is then the rotation of the origin.
+    # Distinct moments in MuJoCo's descending order: body_iquat is then the rotation of the origin.
     moments = {'ixx': '1.3', 'iyy': '1.2', 'izz': '1.1', 'ixy': '0', 'ixz': '0', 'iyz': '0'}
     etree.SubElement(inertial, 'inertia', **moments)
 
@@ -151,9 +139,9 @@ def _restore_inertias(model: Any, set_aside: dict[str, tuple[float, Floats]]) ->
 
 
 def principal_axes(inertia: Floats) -> tuple[Floats, Floats]:
-    """Return the principal moments of an inertia, shape (3,), and their axes as a quaternion."""
+    """Return the principal moments of an inertia, shape (3,), and its axes as a quaternion."""
     moments, axes = np.linalg.eigh(inertia)
-    axes *= np.linalg.det(axes)  # a rotation, not a reflection
+    axes *= np.linalg.det(axes)  # turns a reflection into a rotation
     quaternion = np.zeros(4)
     mujoco.mju_mat2Quat(quaternion, axes.ravel())
     return moments, quaternion
@@ -162,12 +150,12 @@ def principal_axes(inertia: Floats) -> tuple[Floats, Floats]:
 def _set_options(model: Any) -> None:
     model.opt.gravity[:] = STANDARD_GRAVITY
     model.opt.timestep = LARGEST_STEP
-    # Damping may be large for the inertia of a small joint: integrate it implicitly.
+    # The damping of a small joint may be large relative to its inertia: integrate it implicitly.
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     # A diverging state must be an error, not a jump back to the start.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    # A mimicking joint stops with its master. Its own limits in the URDF often contradict that.
+    # A mimicking joint stops with its master. The limits of the mimicking joint often contradict.
     model.jnt_limited[model.eq_obj1id] = False
     model.eq_solimp[:, :2] = STIFFEST
-    model.eq_solref[:, 0] = 2.0 * LARGEST_STEP  # the fastest that MuJoCo considers stable
+    model.eq_solref[:, 0] = 2.0 * LARGEST_STEP  # the smallest value that MuJoCo considers stable
     model.dof_solimp[:, :2] = STIFFEST  # otherwise joints creep under Coulomb friction

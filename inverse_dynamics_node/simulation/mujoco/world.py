@@ -1,8 +1,8 @@
 """
 External influences on a simulated robot: payloads, pushes and a base that tilts.
 
-MuJoCo's world frame is the frame of the robot's base. A moving base is therefore simulated by
-rotating gravity and adding the inertial forces of the rotating frame.
+MuJoCo's world frame is the frame of the robot's base. To simulate a moving base, this module
+rotates gravity and adds the inertial forces of the rotating frame.
 """
 
 from __future__ import annotations
@@ -24,22 +24,16 @@ from ..trajectory import ease
 from .model import principal_axes, SimulationError
 
 POINT = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))  # inertia of a point mass
-TILT_DURATION = 3.0  # [s] of a change of attitude
+TILT_DURATION = 3.0  # [s]: duration of a change of attitude
 
 
 class World:
     """
     Everything that acts on a robot except its drives.
 
-    Parameters
-    ----------
-    model : mujoco.MjModel
-        Model with a body for every link except the root; its inertias and gravity are modified.
-    data : mujoco.MjData
-        Simulation data; ``xfrc_applied`` is overwritten.
-    root : str
-        Link that is fixed to the ground; loads and pushes on it have no effect.
-
+    The MuJoCo model has a body for every link except the root link ``root``, which is fixed to the
+    ground. Inertias and gravity of the model are modified, and ``xfrc_applied`` of the data is
+    overwritten. Loads and pushes on the root link have no effect.
     """
 
     def __init__(self, model: Any, data: Any, root: str) -> None:
@@ -61,26 +55,12 @@ class World:
         self, link: str, mass: float, com: ArrayLike = (0.0, 0.0, 0.0), inertia: ArrayLike = POINT
     ) -> None:
         """
-        Attach a rigid load to a link, replacing a previous one; a mass of 0 removes it.
+        Attach a rigid load to a link in place of the previous load; a mass of 0 removes the load.
 
-        Parameters
-        ----------
-        link : str
-            Any link of the robot.
-        mass : float
-            Mass of the load [kg].
-        com : array_like, shape (3,)
-            Centre of mass of the load in the link's frame [m].
-        inertia : array_like, shape (3, 3)
-            Inertia of the load about its centre of mass, along the link's axes [kg m^2].
-
-        Raises
-        ------
-        SimulationError
-            If the link does not exist.
-        ConfigurationError
-            If no rigid body has such a mass and inertia.
-
+        The mass is in kg. The centre of mass, shape (3,), is in the link's frame [m]. The inertia,
+        shape (3, 3), is about the centre of mass, along the link's axes [kg m^2]. Raise a
+        `SimulationError` if the link does not exist, and a `ConfigurationError` if no rigid body
+        has such a mass and inertia.
         """
         body = self._body(link)
         payload = RigidBody(*read_inertial(mass, com, inertia))
@@ -95,22 +75,11 @@ class World:
         self, link: str, force: ArrayLike = (0.0, 0.0, 0.0), moment: ArrayLike = (0.0, 0.0, 0.0)
     ) -> None:
         """
-        Apply a wrench to a link until the next call for this link.
+        Apply a force [N] and a moment [N m] to a link until the next call for this link.
 
-        Parameters
-        ----------
-        link : str
-            Any link of the robot.
-        force, moment : array_like, shape (3,)
-            Force and moment on the link, in the link's frame, about its origin [N], [N m].
-
-        Raises
-        ------
-        SimulationError
-            If the link does not exist.
-        ConfigurationError
-            If an argument is not three finite numbers.
-
+        Both vectors, shape (3,), are in the link's frame. The force acts at the frame's origin.
+        Raise a `SimulationError` if the link does not exist, and a `ConfigurationError` if a
+        vector does not consist of three finite numbers.
         """
         body = self._body(link)
         wrench = read_vector('force', force, 'N'), read_vector('moment', moment, 'N m')
@@ -126,13 +95,8 @@ class World:
         """
         Set gravity and the rotation of the base about its fixed origin.
 
-        Parameters
-        ----------
-        gravity : array_like, shape (3,)
-            Free-fall acceleration in the base frame [m/s^2].
-        angular_velocity, angular_acceleration : array_like, shape (3,)
-            Angular velocity and acceleration of the base, in the base frame [rad/s], [rad/s^2].
-
+        All vectors have shape (3,) and are in the base frame. ``gravity`` is the free-fall
+        acceleration [m/s^2]. Angular velocity and acceleration are in rad/s and rad/s^2.
         """
         self.gravity = np.array(gravity, float)
         self._model.opt.gravity[:] = self.gravity
@@ -146,13 +110,13 @@ class World:
         if self._angular_velocity.any() or self._angular_acceleration.any():
             data.xfrc_applied[:] = self._inertial_wrenches()
         for body, (force, moment) in self._wrenches.items():
-            R = data.xmat[body].reshape(3, 3)  # from the link's frame
-            arm = data.xpos[body] - data.xipos[body]  # MuJoCo's moments are about the com
+            R = data.xmat[body].reshape(3, 3)  # rotates from the link's frame to the world frame
+            arm = data.xpos[body] - data.xipos[body]  # MuJoCo's moments are about the mass centre
             data.xfrc_applied[body, :3] += R @ force
             data.xfrc_applied[body, 3:] += R @ moment + np.cross(arm, R @ force)
 
     def _inertial_wrenches(self) -> Floats:
-        """Return centrifugal, Coriolis and Euler forces and moments about the centres of mass."""
+        """Return the inertial force on each body, and its moment about the centre of mass."""
         model, data = self._model, self._data
         base, base_dot = self._angular_velocity, self._angular_acceleration
         r, omega = data.xipos, data.cvel[:, :3]
@@ -172,7 +136,7 @@ class World:
         return np.hstack([force, -moment])
 
     def _body(self, link: str) -> int:
-        """Return the body of a link; 0 for the root, which is fixed."""
+        """Return the index of the body of a link; the fixed root link has index 0."""
         if link == self._root:
             return 0
         body: int = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_BODY, link)
@@ -195,13 +159,13 @@ def _write_inertial(model: Any, body: int, mass: float, com: Floats, inertia: Fl
     model.body_mass[body] = mass
     model.body_ipos[body] = com
     model.body_inertia[body], model.body_iquat[body] = principal_axes(inertia)
-    # Clear the optimization flag that MuJoCo's compiler derived from the link without its load.
+    # Clear the optimization flag: MuJoCo's compiler derived it from the link without its load.
     model.body_sameframe[body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
     mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
 def rotation(vector: ArrayLike) -> Floats:
-    """Return the matrix of a rotation vector [rad], shape (3, 3)."""
+    """Return the rotation matrix, shape (3, 3), of a rotation vector [rad]."""
     vector = np.asarray(vector, float)
     angle = float(np.linalg.norm(vector))
     return rotation_about(vector / angle, angle) if angle else np.eye(3)
@@ -209,26 +173,17 @@ def rotation(vector: ArrayLike) -> Floats:
 
 @dataclass(eq=False)
 class Tilt:
-    """
-    The attitude of a base over time, initially level.
-
-    Attributes
-    ----------
-    began : float
-        Start time of the latest turn [s].
-    level : ndarray, shape (3, 3)
-        Rotation from the base frame at that time to the level frame.
-    turn : ndarray, shape (3,)
-        Rotation vector of the whole turn, in the base frame [rad].
-
-    """
+    """The attitude of a base over time; the base is level at first."""
 
     began: float = -np.inf
+    """Start time of the latest turn [s]."""
     level: Floats = field(default_factory=lambda: np.eye(3))
+    """Rotation matrix, shape (3, 3), from the base frame at ``began`` to the level frame."""
     turn: Floats = field(default_factory=lambda: np.zeros(3))
+    """Rotation vector of the complete latest turn, in the base frame, shape (3,) [rad]."""
 
     def turn_to(self, attitude: ArrayLike, time: float) -> None:
-        """Turn from the attitude at a time [s] to a rotation vector from level [rad]."""
+        """Start a turn at a time [s]; the final attitude is a rotation vector from level [rad]."""
         self.level = self.attitude(time)
         self.began = time
         quaternion, turn = np.zeros(4), np.zeros(3)
@@ -237,20 +192,16 @@ class Tilt:
         self.turn = turn
 
     def attitude(self, time: float) -> Floats:
-        """Return the rotation from the base frame at a time [s] to the level one, shape (3, 3)."""
+        """Return the rotation matrix from the base frame at a time [s] to the level frame."""
         progress = ease(np.array((time - self.began) / TILT_DURATION))[0]
         matrix: Floats = self.level @ rotation(progress * self.turn)
         return matrix
 
     def motion(self, time: float) -> tuple[Floats, Floats, Floats]:
         """
-        Return gravity and the motion of the base at a time [s].
+        Return gravity, angular velocity and angular acceleration of the base at a time [s].
 
-        Returns
-        -------
-        gravity, angular_velocity, angular_acceleration : ndarray, shape (3,)
-            In the base frame [m/s^2], [rad/s], [rad/s^2].
-
+        All vectors have shape (3,) and are in the base frame, in m/s^2, rad/s and rad/s^2.
         """
         gravity = self.attitude(time).T @ STANDARD_GRAVITY
         _, speed, acceleration = ease(np.array((time - self.began) / TILT_DURATION))
