@@ -3,9 +3,10 @@ Move a robot along a trajectory: publish a reference for every joint state.
 
 Usage: python examples/follow_trajectory.py my_arm.urdf trajectory.yaml [SPEED]
 
-The node must run in mode computed_torque. The robot first moves slowly from where it is to the
-first point. SPEED scales the trajectory: 0.2 is a slow rehearsal. The file has a format of
-`inverse_dynamics effort`; joints that it does not contain stay where they are.
+The node must run in mode computed_torque. The robot first moves slowly from its current position
+to the first point. SPEED scales the trajectory: 0.2 is a slow rehearsal. The trajectory file has
+one of the formats that `inverse_dynamics effort` reads. Joints that are not in the file stay where
+they are.
 
 """
 
@@ -24,9 +25,9 @@ from rclpy.parameter_client import AsyncParameterClient
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-APPROACH = 0.2  # [rad/s, m/s]; mean speed to the first point
-AT_REST = 1.0  # [s] at the last point
-LARGEST_ERROR = 0.5  # [rad, m]; a robot that is further away does not follow
+APPROACH = 0.2  # [rad/s, m/s]: mean speed to the first point
+AT_REST = 1.0  # [s]: time at the last point
+LARGEST_ERROR = 0.5  # [rad, m]: with a larger error, the robot does not follow
 
 if len(sys.argv) not in (3, 4):
     sys.exit(__doc__)
@@ -37,7 +38,7 @@ try:
 except InverseDynamicsError as error:
     sys.exit(f'error: {error}')
 
-start_ros()  # without shared memory, which could delay the driver
+start_ros()  # without shared memory, because it could delay the driver
 signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends the program while it waits
 node = rclpy.create_node('follow_trajectory')
 client = AsyncParameterClient(node, 'inverse_dynamics')
@@ -53,12 +54,12 @@ names, motion, began, errors, stopped = None, None, 0.0, [], []
 
 
 def with_approach(names, measured):
-    """Return the motion in steps of 2 ms: from the measured positions, along the trajectory."""
+    """Return the motion in steps of 2 ms: first to the trajectory, then along the trajectory."""
     points = len(planned.times)
     positions, velocities, accelerations = np.zeros((3, points + 1, len(names)))
     positions[:] = measured
     index = [names.index(name) for name in planned.joint_names]
-    # Continuous joints take the shorter way.
+    # Continuous joints turn in the shorter direction.
     is_continuous = [robot.is_continuous[robot.joint_names.index(x)] for x in planned.joint_names]
     turns = np.round((measured[index] - planned.positions[0]) / (2.0 * np.pi))
     positions[1:, index] = planned.positions + 2.0 * np.pi * turns * is_continuous
@@ -72,7 +73,7 @@ def with_approach(names, measured):
 
 
 def on_efforts(message):
-    """Learn which joints the node commands: a reference must have all of them."""
+    """Store the names of the joints that the node commands: a reference must contain all."""
     global names
     if names is None:
         names = list(message.name)
@@ -82,7 +83,7 @@ def on_efforts(message):
 
 
 def on_state(message):
-    """Publish the reference for this moment."""
+    """Publish the reference for the current time."""
     global motion, began
     positions = dict(zip(message.name, message.position, strict=True))
     is_ready = names and publisher.get_subscription_count()
@@ -109,7 +110,7 @@ def on_state(message):
 
 node.create_subscription(JointState, 'inverse_dynamics/joint_efforts', on_efforts, 1)
 node.create_subscription(JointState, 'joint_states', on_state, 1)
-# A KeyboardInterrupt could end rclpy in the middle of a message.
+# Without this handler, Ctrl-C could end rclpy in the middle of a message.
 signal.signal(signal.SIGINT, lambda number, _: stopped.append(number))
 while not stopped and (motion is None or time.monotonic() - began < motion.times[-1] + AT_REST):
     rclpy.spin_once(node, timeout_sec=0.1)

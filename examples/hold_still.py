@@ -3,8 +3,8 @@ Publish the joint states of a robot at rest, and print the efforts that hold it.
 
 Usage: python examples/hold_still.py my_arm.urdf
 
-It takes the place of the robot for a node that was started with the same URDF: all joints are at
-zero, or at the end of their range next to that.
+This program replaces the robot for a node that was started with the same URDF. All joints are at
+zero, or at the position limit closest to zero.
 
 """
 
@@ -33,14 +33,14 @@ node.create_subscription(
 
 
 def publish():
-    """Publish the state, with the time of now."""
+    """Publish the state with the current time."""
     state.header.stamp = node.get_clock().now().to_msg()
     publisher.publish(state)
 
 
 node.create_timer(0.01, publish)
-# The node lets the efforts rise from zero: wait until they stay the same for a second. They are
-# zero for less than that after a pause of this process.
+# The node ramps up the efforts from zero: wait until the efforts are constant for a second. After
+# a pause of this process, the efforts are zero for less than a second.
 while len(received) < 100 or received[0].effort != received[-1].effort:
     rclpy.spin_once(node)
 for name, effort in zip(received[-1].name, received[-1].effort, strict=True):

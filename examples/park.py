@@ -1,14 +1,14 @@
 """
-Move a robot slowly to a rest position, and stop the node: for an arm without brakes.
+Move an arm without brakes slowly to a rest position, and stop the node.
 
 Usage: python examples/park.py SPEED JOINT=POSITION...
 
     python examples/park.py 0.2 shoulder_lift=1.4 elbow=-2.6
 
-The node must run in mode computed_torque. No joint moves faster than SPEED [rad/s, m/s]; joints
-that are not named stay where they are. At the end, the node is stopped by ~/enable, and its
-efforts fall to zero: choose a position in which the arm rests on something or hangs. Ctrl-C leaves
-the node as it is, without a reference: the arm floats.
+The node must run in mode computed_torque. No joint moves faster than SPEED [rad/s, m/s]. Joints
+that are not named stay where they are. At the end, the program stops the node with the service
+~/enable, and the efforts fall to zero: choose a position in which the arm rests on something or
+hangs. After Ctrl-C, the node continues without a reference: the arm floats.
 
 """
 
@@ -27,14 +27,14 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-AT_REST = 1.0  # [s] in the rest position
-LONGEST_STEP = 0.1  # [s]; the reference does not go on while no joint states arrive
-LARGEST_ERROR = 0.2  # [rad, m]; a robot that is further away does not follow
+AT_REST = 1.0  # [s]: time in the rest position before the stop
+LONGEST_STEP = 0.1  # [s]: the reference waits while no joint states arrive
+LARGEST_ERROR = 0.2  # [rad, m]: with a larger error, the robot does not follow
 
 speed = float(sys.argv[1])
 wanted = {name: float(value) for name, value in (word.split('=') for word in sys.argv[2:])}
 
-start_ros()  # without shared memory, which could delay the driver
+start_ros()  # without shared memory, because it could delay the driver
 signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends the program while it waits
 node = rclpy.create_node('park')
 client = AsyncParameterClient(node, 'inverse_dynamics')
@@ -62,7 +62,7 @@ def on_description(message):
 
 
 def on_efforts(message):
-    """Learn which joints the node commands: a reference must have all of them."""
+    """Store the names of the joints that the node commands: a reference must contain all."""
     global names
     names = list(message.name)
     if not set(wanted) <= set(names):
@@ -70,19 +70,19 @@ def on_efforts(message):
 
 
 def plan(measured):
-    """Begin to move from the measured positions."""
+    """Plan the motion from the measured positions to the rest position."""
     global start, way, duration, last
     start, last = measured, time.monotonic()
     way = np.array([wanted.get(name, q) for name, q in zip(names, measured, strict=True)]) - start
     index = [robot.joint_names.index(name) for name in names]
-    # Continuous joints take the shorter way.
+    # Continuous joints turn in the shorter direction.
     way -= 2.0 * np.pi * np.round(way / (2.0 * np.pi)) * robot.is_continuous[index]
     duration = 1.875 * np.abs(way).max() / speed  # 1.875: the largest slope of the quintic below
     print(f'{duration:.1f} s to the rest position', flush=True)
 
 
 def on_state(message):
-    """Publish the reference for this moment: a quintic, which starts and ends at rest."""
+    """Publish the reference for the current time: a quintic that starts and ends at rest."""
     global last, elapsed
     positions = dict(zip(message.name, message.position, strict=True))
     is_ready = names and robot and publisher.get_subscription_count()
@@ -113,7 +113,7 @@ latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 node.create_subscription(String, 'inverse_dynamics/robot_description', on_description, latched)
 node.create_subscription(JointState, 'inverse_dynamics/joint_efforts', on_efforts, 1)
 node.create_subscription(JointState, 'joint_states', on_state, 1)
-# A KeyboardInterrupt could end rclpy in the middle of a message.
+# Without this handler, Ctrl-C could end rclpy in the middle of a message.
 signal.signal(signal.SIGINT, lambda number, _: stopped.append(number))
 while not stopped and (start is None or elapsed < duration + AT_REST):
     rclpy.spin_once(node, timeout_sec=0.1)
@@ -121,7 +121,7 @@ if not stopped:
     enable = node.create_client(SetBool, 'inverse_dynamics/enable')
     enable.wait_for_service(timeout_sec=10.0)
     answer = enable.call_async(SetBool.Request(data=False))
-    # The arm is held at its last reference until the node has stopped.
+    # The node holds the arm at the last reference until it has stopped.
     rclpy.spin_until_future_complete(node, answer, timeout_sec=10.0)
     is_well = answer.done() and answer.result().success
     print(f'parked: {answer.result().message}' if is_well else 'the node has not answered')

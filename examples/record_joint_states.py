@@ -3,7 +3,8 @@ Record joint states as a CSV file, for `inverse_dynamics compare` and `identify`
 
 Usage: python examples/record_joint_states.py recording.csv
 
-It records until Ctrl-C. `ros2 bag record /joint_states`, where it is installed, does the same.
+The program records until Ctrl-C. If rosbag2 is installed, `ros2 bag record /joint_states` is an
+alternative.
 
 """
 
@@ -23,7 +24,7 @@ if path.exists():
     sys.exit(f'{path}: exists; a recording is not replaced, choose another name')
 for number in (signal.SIGINT, signal.SIGTERM):
     signal.signal(number, lambda number, _: stopped.append(number))
-start_ros()  # without shared memory, which could delay the driver
+start_ros()  # without shared memory, because it could delay the driver
 node = rclpy.create_node('record_joint_states')
 names, columns, count = [], [], 0
 
@@ -31,7 +32,7 @@ with path.open('w', newline='') as file:
     rows = csv.writer(file)
 
     def on_state(message):
-        """Write the time of the stamp, or of the arrival, and the values."""
+        """Write one row: the stamp (or the arrival time if the stamp is zero) and the values."""
         global names, columns, count
         if not names:
             names = list(message.name)
