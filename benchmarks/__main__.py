@@ -1,4 +1,4 @@
-"""Run all benchmarks, print the page and write it: `make bench`."""
+"""Run all benchmarks, then print and write doc/evidence/benchmarks.md: `make bench`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from . import floor, growth, machine, plot, report, startup, tables
 from .robots import robots
 from .timing import one_core
 
-QUICK = 5  # rounds, for a check that the benchmarks run
+QUICK = 5  # rounds if only checking that the benchmarks run
 ROUNDS = 60
 QUANTITY_ROUNDS = 30
 BATCH_ROUNDS = 40
@@ -21,13 +21,13 @@ GROWTH_ROUNDS = 15
 
 
 def main() -> None:
-    """Measure, print and write."""
+    """Run all benchmarks, then print and write the page."""
     parser = argparse.ArgumentParser(prog='make bench', description=__doc__)
     parser.add_argument('--quick', action='store_true', help='few rounds; writes no page')
     folder = ROOT / 'doc' / 'evidence'
     parser.add_argument('--doc', type=Path, default=folder, help='folder of the page')
     arguments = parser.parse_args()
-    warnings.simplefilter('ignore')  # libraries warn of the robots
+    warnings.simplefilter('ignore')  # the libraries warn about some robots
     quick = arguments.quick
     start = perf_counter()
 

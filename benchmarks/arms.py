@@ -1,11 +1,11 @@
 """
-Runs several arms on one machine: a node for each, in a namespace of its own.
+Runs several arms on one machine; each arm has its own node in its own namespace.
 
-Two programs, which send the joint states of all arms and receive the commands, play the drivers.
-The program prints for each node its CPU and memory, the share of the joint states that were
-answered, and the gaps between commands, as a table for doc/evidence/reliability.md. It then
-raises the rate, until a node answers less than 99 % of the joint states. It fails if that is so
-at the first rate, or if a node does not end with code 0.
+Two processes simulate the drivers: they send the joint states of all arms and receive the
+commands. The program prints a table for doc/evidence/reliability.md: for each node its CPU load,
+its memory, the percentage of joint states that were answered, and the gaps between commands. It
+then raises the rate until a node answers less than 99 % of the joint states. It fails if a node
+answers less than 99 % at the first rate, or does not end with code 0.
 
 """
 
@@ -39,14 +39,14 @@ from . import machine, priorities, processes
 
 ROBOT = Path(__file__).parent.parent / 'test/robots/seven_dof.urdf'
 DRIVERS = 2
-PERIOD = 0.64  # [s]; of the motion of the arms
-AMPLITUDE = 0.05  # [rad]
-LAST = 0.03  # [s]; for the answers to the last joint states
-WARM_UP = 2.0  # [s]; for the efforts to rise, not measured
-PATIENCE = 120.0  # [s]; for all nodes to start
-LEAST = 0.99  # of the joint states that must be answered
-STEPS = 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0  # of the rate, while it is raised
-STEP = 10.0  # [s]; at each of these rates
+PERIOD = 0.64  # [s]; period of the motion of the arms
+AMPLITUDE = 0.05  # [rad]; amplitude of this motion
+LAST = 0.03  # [s]; time to wait for the answers to the last joint states
+WARM_UP = 2.0  # [s]; time in which the efforts rise, not measured
+PATIENCE = 120.0  # [s]; longest time until all nodes have started
+LEAST = 0.99  # smallest fraction of joint states that must be answered
+STEPS = 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0  # factors by which the rate is raised
+STEP = 10.0  # [s]; duration of the measurement at each of these rates
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 HEAD = """\
 | node | CPU [%] | memory [MB] | share of it [MB] | its own [MB] | joint states \
@@ -59,19 +59,19 @@ LIMIT_HEAD = """
 
 
 class ArmsError(Exception):
-    """A node that does not keep up, or that ends."""
+    """A node did not keep up, or ended too early."""
 
 
 class Arm(NamedTuple):
-    """What a driver has measured."""
+    """The measurements of a driver for one arm."""
 
     name: str
     sent: int
-    """Number of joint states."""
+    """Number of joint states that were sent."""
     answered: float
-    """Share of them from which a command was computed."""
+    """Fraction of the joint states to which the node sent a command."""
     median: float
-    """Of the times between commands, as the node sent them [s]."""
+    """Median of the times between commands when the node sent them [s]."""
     longest: float
     own: float
     """The longest time between two joint states [s]."""
@@ -81,11 +81,7 @@ class Driver:
     """
     Sends the joint states of some arms and receives their commands, without an executor.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Namespaces of the nodes.
-
+    ``names`` are the namespaces of the nodes.
     """
 
     def __init__(self, names: Sequence[str]) -> None:
@@ -103,13 +99,13 @@ class Driver:
         self._node = node
 
     def run(self, rate: float, seconds: float) -> list[Arm]:
-        """Send joint states at a rate [Hz], one arm after the other; measure after a while."""
+        """Send joint states of one arm after the other at a rate [Hz]; measure after warm-up."""
         self._prepare(round(PERIOD * rate))
         self._exchange(rate, WARM_UP)
         return self._exchange(rate, seconds)
 
     def wait(self, rate: float) -> None:
-        """Send joint states until all nodes command."""
+        """Send joint states until all nodes send commands."""
         self._prepare(round(PERIOD * rate))
         deadline = time.monotonic() + PATIENCE
         while late := [arm for arm in self._exchange(rate, 1.0) if not arm.answered]:
@@ -117,7 +113,7 @@ class Driver:
                 raise ArmsError(f'not all nodes command within {PATIENCE:g} s: {late}')
 
     def _prepare(self, count: int) -> None:
-        """Compute the states of one period of the motion, and recognize their commands."""
+        """Serialize the joint states of one period, and compute the expected commands."""
         angles = 2.0 * np.pi * np.arange(count)[:, np.newaxis] / count + np.arange(7.0)
         q = np.array([0.2, 0.6, 0.1, 0.9, 0.2, 0.5, 0.1]) + AMPLITUDE * np.sin(angles)
         qd = AMPLITUDE * 2.0 * np.pi / PERIOD * np.cos(angles)
@@ -144,7 +140,7 @@ class Driver:
             k = arms[i].next()
             self._states[i].publish(self._messages[k])
             turn += 1
-            due = max(due + step, time.monotonic() - step)  # states are left out, not sent late
+            due = max(due + step, time.monotonic() - step)  # late states are skipped
         time.sleep(LAST)
         for i, arm in enumerate(arms):
             self._take(i, arm)
@@ -169,16 +165,16 @@ class _Record:
         self._last = time.monotonic()
 
     def next(self) -> int:
-        """Return the number of the next state."""
+        """Return the number of the next joint state."""
         now = time.monotonic()
         self._own, self._last = max(self._own, now - self._last), now
         k = self._sent % self._count
         self._sent += 1
-        self._pending.add(k)  # without an answer since the last period, it is lost
+        self._pending.add(k)  # no answer since the last period: it is lost
         return k
 
     def note(self, number: int | None, stamp: int) -> None:
-        """Note a command, and the number of its state."""
+        """Record a command, and the number of the joint state that it answers."""
         self._stamps.append(stamp)
         if number in self._pending:
             self._pending.remove(number)
@@ -195,7 +191,7 @@ def _key(efforts: Sequence[float]) -> tuple[float, ...]:
 
 
 def drive(names: Sequence[str]) -> int:
-    """Play the driver of some arms: read rate and duration of each run, and write results."""
+    """Simulate the driver of some arms: read rate and duration of each run; write the results."""
     processes.heed_signals()
     priorities.raise_robot_side()
     start_ros([])
@@ -228,7 +224,7 @@ class Rig:
         self._names = [f'arm_{k}' for k in range(arms)]
 
     def start(self, rate: float) -> None:
-        """Start everything; return when all nodes command."""
+        """Start all processes; return when all nodes send commands."""
         for name in self._names:
             arguments = ['-r', f'__ns:=/{name}', '-p', f'robot_description_file:={ROBOT}']
             self.nodes[name] = processes.start(
@@ -249,14 +245,14 @@ class Rig:
         self.results()
 
     def begin(self, rate: float, seconds: float) -> None:
-        """Let all drivers send joint states, without waiting for the end."""
+        """Make all drivers send joint states; do not wait for the end."""
         for driver in self.drivers:
             assert driver.stdin
             driver.stdin.write(f'{rate} {seconds}\n')
             driver.stdin.flush()
 
     def results(self) -> list[Arm]:
-        """Wait for the drivers; return what they measured, in the order of the arms."""
+        """Wait for the drivers; return their measurements in the order of the arms."""
         found: list[Arm] = []
         for driver in self.drivers:
             assert driver.stdout
@@ -276,14 +272,14 @@ class Rig:
 
 
 class Use(NamedTuple):
-    """CPU time of the nodes per second [s], in their order, and that of all drivers."""
+    """CPU time per second [s] of each node, and of all drivers together."""
 
     nodes: list[float]
     drivers: float
 
 
 def measure(rig: Rig, rate: float, seconds: float) -> tuple[list[Arm], Use]:
-    """Let the arms move at a rate [Hz] for some time."""
+    """Move the arms with joint states at a rate [Hz] for some seconds; return measurements."""
     rig.begin(rate, seconds)
     time.sleep(WARM_UP)
     groups = [node.pid for node in rig.nodes.values()], [each.pid for each in rig.drivers]
@@ -317,7 +313,7 @@ def table(rig: Rig, arms: list[Arm], use: Use) -> str:
 
 
 def find_limit(rig: Rig, rate: float) -> str:
-    """Raise the rate until a node does not keep up; print a line for each, return the result."""
+    """Raise the rate until a node does not keep up; print a line per rate, return the result."""
     print(LIMIT_HEAD)
     last = rate
     for factor in STEPS:

@@ -1,4 +1,4 @@
-"""Many states in one call."""
+"""Benchmarks of calls that compute many states at once."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def whole(
 
 
 def ours(robot: Robot, states: Floats) -> Contender:
-    """Time this package on arrays of shape (count, n)."""
+    """Time this package on arrays with one row per state."""
     efforts = InverseDynamics(robot.model).efforts
     q, qd, qdd = states
     out = np.empty_like(q)
@@ -44,7 +44,7 @@ def ours(robot: Robot, states: Floats) -> Contender:
 
 
 def pinocchio(robot: Robot, states: Floats) -> Contender:
-    """Time Pinocchio's own loop; its arrays have one column per state, the same memory layout."""
+    """Time Pinocchio's own loop on arrays with one column per state and the same memory layout."""
     from pinocchio import ModelPool, rneaInParallel
 
     peer = Pinocchio(robot)
@@ -59,7 +59,7 @@ def pinocchio(robot: Robot, states: Floats) -> Contender:
 
 
 def pinocchio_loop(robot: Robot, states: Floats) -> Contender:
-    """Time a loop in Python over Pinocchio's single call."""
+    """Time a Python loop over Pinocchio's function for a single state."""
     from pinocchio import rnea
 
     peer = Pinocchio(robot)

@@ -1,8 +1,8 @@
 """
-Passes the commands of the node on, with the times at which they arrived on its machine.
+Prints the commands of the node, with the times at which the commands arrived on its machine.
 
-A record on standard output is a steady time [s] and the efforts [N m or N] of one command, as
-numbers of 8 bytes.
+A record on standard output is a steady time [s] and the efforts [N m or N] of one command. All
+numbers have 8 bytes.
 
 """
 
@@ -15,11 +15,11 @@ import time
 import rclpy
 from std_msgs.msg import Float64MultiArray
 
-PERIOD = 0.005  # [s]
+PERIOD = 0.005  # [s]; between two polls
 
 
 def main() -> None:
-    """Pass commands on until the end of the process."""
+    """Print commands until the process ends."""
     rclpy.init(args=[])
     node = rclpy.create_node('monitor')
     commands = node.create_subscription(

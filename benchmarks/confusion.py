@@ -1,8 +1,8 @@
 """
-What `compare` says about recordings with one known fault each, and how much of it is true.
+Tests the statements of `compare` about simulated recordings with one known fault each.
 
-It writes `doc/evidence/confusion.md`. The robots are simulated. Their bodies differ from those of
-the robot description by about 10 %, their joints have friction and rotors, and their signals have
+The program writes `doc/evidence/confusion.md`. Masses and inertias of the simulated robots differ
+from the robot description by about 10 %. The joints have friction and rotors, and the signals have
 noise.
 """
 
@@ -30,9 +30,9 @@ from robot_files import real_robots, ROOT, STANFORD
 
 from .robots import bare
 
-WRONG = 0.1  # standard deviation of the masses and inertias of the description, relative
+WRONG = 0.1  # relative standard deviation of the errors of masses and inertias
 DURATION, RATE = 30.0, 125.0  # [s], [Hz]
-EFFORT_NOISE = 0.02  # of the RMS effort of each joint
+EFFORT_NOISE = 0.02  # relative to the RMS effort of each joint
 POSITION_NOISE, VELOCITY_NOISE = 2e-5, 2e-3  # [rad or m], [rad/s or m/s]
 STANDARD = 9.80665
 
@@ -47,11 +47,11 @@ TIPS = {
     'z1': 'gripperStator', 'kinova': 'j2s6s200_end_effector',
 }  # fmt: skip
 ROBOTS = ('Stanford', 'seven_dof', 'panda', 'ur5_robot', 'ur10_robot', 'xarm7')
-"""The robots of the table; those with a folder of their own need example-robot-data."""
+"""The robots of the table; some of them need example-robot-data."""
 
 
 def robot(name: str) -> RobotModel:
-    """Read one of the robots."""
+    """Load one of the robots by name."""
     own = {'Stanford': STANFORD} | {path.stem: path for path in (ROOT / 'test/robots').glob('*')}
     paths = own | {path.stem: path for path in real_robots()}
     return load_urdf(bare(paths[name], locked=LOCKED.get(name, ())))
@@ -62,23 +62,23 @@ def robot(name: str) -> RobotModel:
 
 @dataclass
 class Case:
-    """A simulated robot that moves, its description, and the fault that is added."""
+    """A moving simulated robot, its robot description, and one fault."""
 
     name: str
     rng: np.random.Generator
     model: InverseDynamics = field(init=False)
-    """As described."""
+    """Dynamics of the robot description."""
     real: InverseDynamics = field(init=False)
-    """With other bodies, rotors and friction."""
+    """Dynamics of the simulated robot, with different bodies, rotors and friction."""
     armature: Floats = field(init=False)
     expected: Fault | None = None
-    """With tolerances of the values where they are known."""
+    """The fault that `compare` should name, with tolerances for known values."""
     change: Callable[[Recording], Recording] = lambda recording: recording
-    """How the driver distorts the recorded signals."""
+    """Distorts the recorded signals like a faulty driver."""
     delay: float = 0.0
-    """Of the efforts [s]."""
+    """Delay of the efforts [s]."""
     added: Callable[[Floats, Floats], Floats] | None = None
-    """Efforts of the world, as a function of times and positions."""
+    """Returns external efforts for times and positions."""
 
     def __post_init__(self) -> None:
         described, rng = robot(self.name), self.rng
@@ -98,11 +98,11 @@ class Case:
         return self.model.robot.joint_names
 
     def joint(self) -> int:
-        """Draw a joint that is neither the first nor the last one."""
+        """Draw the index of a joint that is neither the first nor the last."""
         return int(self.rng.integers(1, len(self.names) - 1))
 
     def recording(self) -> Recording:
-        """Simulate the recording."""
+        """Simulate the motion, and return the recording with the fault."""
         rng, (times, q, qd, qdd) = self.rng, self.motion
         efforts = self.real.efforts(q, qd, qdd)
         if self.added is not None:
@@ -115,13 +115,13 @@ class Case:
         return self.change(Recording(self.names, times, q, qd, efforts))
 
     def run(self) -> ComparisonResult:
-        """Compare the recording with the description."""
+        """Compare the recording with the robot description."""
         return diagnose_recording(self.model, self.recording())
 
-    # ---- What is true --------------------------------------------------------------------
+    # ---- Judging statements --------------------------------------------------------------
 
     def is_named(self, fault: Fault) -> bool:
-        """Return whether a statement is the expected one."""
+        """Return whether a statement names the expected fault."""
         expected = self.expected
         if expected is None or fault.kind is not expected.kind:
             return False
@@ -141,7 +141,7 @@ class Case:
         if self.is_named(fault):
             return True
         if self.expected is not None and self.expected.kind is FaultKind.POSITIONS:
-            return False  # all others are computed with wrong positions
+            return False  # all other statements are computed with wrong positions
         if fault.kind is FaultKind.ROTOR_INERTIA:
             real = np.array([self.armature[self.names.index(joint)] for joint in fault.joints])
             return bool((np.abs(np.log(np.array(fault.values) / real)) < math.log(2.0)).all())
@@ -152,7 +152,7 @@ class Case:
 
 
 def nothing(case: Case) -> None:
-    """Change nothing."""
+    """Add no fault."""
 
 
 def _efforts(case: Case, change: Callable[[Floats], Floats]) -> None:
@@ -177,13 +177,13 @@ def sign(case: Case) -> None:
 
 
 def unit(case: Case) -> None:
-    """Record millinewton metres."""
+    """Record efforts in mN m."""
     case.expected = Fault(FaultKind.UNIT, values=(1000.0,))
     _efforts(case, lambda efforts: 1000.0 * efforts)
 
 
 def currents(case: Case) -> None:
-    """Record the current of a motor."""
+    """Record the current of one motor in place of the effort."""
     j = case.joint()
     factor = np.where(np.arange(len(case.names)) == j, 0.1, 1.0)
     case.expected = Fault(FaultKind.SCALE, (case.names[j],), (0.1,))
@@ -209,7 +209,7 @@ def delay(case: Case) -> None:
 
 
 def payload(case: Case) -> None:
-    """Carry 2 kg."""
+    """Carry a payload of 2 kg that is not in the description."""
     case.real.set_payload(TIPS[case.name], 2.0, (0.02, 0.0, 0.06))
     case.expected = Fault(FaultKind.PAYLOAD, values=(2.0,))
 
@@ -237,7 +237,7 @@ def tilt(case: Case) -> None:
 
 
 def absent_payload(case: Case) -> None:
-    """Declare a payload of 2 kg that is not there."""
+    """Declare a payload of 2 kg that the robot does not carry."""
     case.model.set_payload(TIPS[case.name], 2.0, (0.0, 0.0, 0.05))
     case.expected = Fault(FaultKind.PAYLOAD, values=(-2.0,))
 
@@ -279,17 +279,17 @@ FAULTS: dict[str, Callable[[Case], None]] = {
 
 @dataclass(frozen=True)
 class Result:
-    """What was said about one recording."""
+    """The statements of `compare` about one recording."""
 
     fault: str
     robot: str
     is_named: bool
     statements: tuple[tuple[str, bool], ...]
-    """Each with whether it is true."""
+    """Statements, each with a flag: whether the statement is true."""
 
 
 def run(fault: str, name: str, seed: int) -> Result:
-    """Simulate a recording with a fault, and judge what is said about it."""
+    """Simulate a recording with a fault, and judge the statements of `compare` about it."""
     stream = [seed, list(FAULTS).index(fault), *name.encode()]
     case = Case(name, np.random.default_rng(stream))
     FAULTS[fault](case)
@@ -300,7 +300,7 @@ def run(fault: str, name: str, seed: int) -> Result:
 
 
 def summary(results: list[Result]) -> str:
-    """Write how many faults are named, and how many statements are false."""
+    """Summarize how many faults are named, and how many statements are false."""
     faulty = [each for each in results if each.fault != 'none']
     named = sum(each.is_named for each in faulty)
     said = [is_true for each in results for _, is_true in each.statements]
@@ -312,7 +312,7 @@ def summary(results: list[Result]) -> str:
 
 
 def page(results: list[Result]) -> str:
-    """Return the page of the table."""
+    """Return the Markdown page with the table."""
     robots = list(dict.fromkeys(each.robot for each in results))
     cells = {(each.fault, each.robot): each for each in results}
     lines = [
@@ -360,7 +360,7 @@ def _cell(result: Result) -> str:
 
 
 def main() -> None:
-    """Simulate, print and write."""
+    """Simulate all recordings, then print and write the page."""
     parser = argparse.ArgumentParser(prog='python -m benchmarks.confusion', description=__doc__)
     parser.add_argument('--faults', nargs='*', default=list(FAULTS), choices=list(FAULTS))
     parser.add_argument('--robots', nargs='*', default=list(ROBOTS), choices=sorted(TIPS))

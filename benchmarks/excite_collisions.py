@@ -1,16 +1,18 @@
 """
 Looks for collisions in the motions of `inverse_dynamics excite`, with Pinocchio and coal.
 
-Runs the command on ten arms of example-robot-data, and writes `doc/evidence/excite.md`. It checks
-the collision meshes themselves in the poses of the motion, and of the straight way to it from zero
-or the nearest limits: links that no joint connects must not touch, and must be above the floor.
-Pairs that touch in almost all random poses, or at zero and during all of the motion, are left out;
-on the way also those that touch at zero.
+The program runs the command on ten arms of example-robot-data, and writes
+`doc/evidence/excite.md`. It checks the collision meshes in the poses of the motion. It also checks
+the straight way from the zero pose, or the nearest limits, to the motion. Links that no joint
+connects must not touch, and must stay above the floor. The check ignores pairs of links that touch
+in almost all random poses, or in the zero pose and during the whole motion. On the way to the
+motion, it also ignores pairs that touch in the zero pose.
 
     PYTHONPATH=test python -m benchmarks.excite_collisions [NAME or URDF ...]
 
-The exit code is 1 if something collides, a search takes more than 30 s of processor time, or the
-expected errors are more than 20 % larger than without clearances, where that motion hits nothing.
+The exit code is 1 in three cases: links collide; a search takes more than 30 s of processor time;
+the expected errors are more than 20 % larger than without clearances, although the motion without
+clearances hits nothing.
 """
 
 from __future__ import annotations
@@ -60,10 +62,10 @@ ARMS = (
     'so101',
     'talos_left_arm',
 )
-LONGEST = 30.0  # processor time of a search [s]
-LARGEST = 1.2  # errors, relative to those of the motion without clearances
+LONGEST = 30.0  # longest processor time of a search [s]
+LARGEST = 1.2  # largest ratio of the expected errors to those of the motion without clearances
 RATE = 50.0  # checked poses per second [Hz]
-ALMOST_ALL = 0.95
+ALMOST_ALL = 0.95  # fraction of the random poses
 RANDOM_POSES = 200
 FLOOR = 'floor'
 
@@ -71,10 +73,10 @@ Pair = tuple[int, int]
 
 
 class CollisionModel:
-    """The collision shapes of a robot, and what of them no joint connects."""
+    """The collision shapes of a robot, and the pairs of shapes that no joint connects."""
 
     def __init__(self, path: Path) -> None:
-        # A mesh is given as package://PACKAGE/..., relative to a folder above the description.
+        # Paths of meshes are package://PACKAGE/..., relative to a folder above the description.
         packages = [str(folder) for folder in path.parents]
         self.model = pinocchio.buildModelFromUrdf(str(path))
         self.geometry = pinocchio.buildGeomFromUrdf(
@@ -94,7 +96,7 @@ class CollisionModel:
                     self.pairs.setdefault((low, high), []).append((i, j))
 
     def configuration(self, positions: dict[str, float]) -> Floats:
-        """Return Pinocchio's configuration for joint positions by name; 0 for others."""
+        """Return Pinocchio's configuration for positions by joint name; other joints are at 0."""
         q = pinocchio.neutral(self.model)
         for name, joint in zip(self.model.names[1:], self.model.joints[1:], strict=True):
             angle = positions.get(name, 0.0)
@@ -149,7 +151,7 @@ class CollisionModel:
 
 
 def random_configurations(model: Any) -> Iterator[Floats]:
-    """Draw configurations within the limits, and within one turn."""
+    """Draw configurations within the position limits, and within one turn."""
     rng = np.random.default_rng(0)
     for _ in range(RANDOM_POSES):
         q = pinocchio.neutral(model)
@@ -165,7 +167,7 @@ def random_configurations(model: Any) -> Iterator[Floats]:
 
 
 def zero_pose(model: Any) -> dict[str, float]:
-    """Return joint positions 0, or the nearest limits."""
+    """Return the joint positions closest to 0 within the limits, by joint name."""
     return {
         name: 0.0
         if joint.nq == 2
@@ -180,35 +182,35 @@ def zero_pose(model: Any) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Result:
-    """What was found about the motion of one robot."""
+    """The result of the check for the motion of one robot."""
 
     name: str
     options: str
-    """Those that the message of the default call proposes, if it found nothing."""
+    """Options proposed by the message of the default call if that call found no motion."""
     hits: dict[str, int]
-    """Poses in which pairs touch."""
+    """Number of poses in which a pair touches, by pair."""
     distance: float
-    """Smallest distance of links during the motion [m]."""
+    """Smallest distance between links during the motion [m]."""
     height: float
     """Smallest height of links above the floor [m]."""
     seconds: float
     errors: float
-    """Relative to those of the motion without clearances (geometric mean)."""
+    """Expected errors relative to the motion without clearances (geometric mean)."""
     hits_before: int
-    """Poses of the motion without clearances in which something touches."""
+    """Number of poses of the motion without clearances in which links touch."""
     left_out: list[str]
     message: str = ''
-    """Of the default call, if it found nothing."""
+    """Message of the default call if that call found no motion."""
 
     @property
     def is_good(self) -> bool:
-        """Return whether the motion is as promised."""
+        """Return whether the motion fulfils all conditions of this check."""
         as_exact = self.hits_before > 0 or self.errors < LARGEST
         return not self.hits and self.seconds < LONGEST and as_exact
 
 
 def excite(path: Path, folder: Path, *options: str) -> tuple[subprocess.CompletedProcess, float]:
-    """Run the command; return what it says, and its processor time [s]."""
+    """Run the command; return the completed process and its processor time [s]."""
     command = [sys.executable, '-m', 'inverse_dynamics_node.cli.main', 'excite', str(path)]
     files = ['--csv', 'motion.csv', '--trajectory-out', 'motion.yaml', '--no-picture']
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -250,7 +252,7 @@ def check(path: Path) -> Result:
     at_first = robot.touching(robot.configuration(rest))
     moving = configurations(motion.positions[::2])
     during = [robot.touching(q) for q in moving]
-    left_out |= at_first.intersection(*during)  # such as fingers that do not move
+    left_out |= at_first.intersection(*during)  # for example fingers that do not move
     zero = np.array([rest[joint] for joint in motion.joint_names])
     way = [zero + part * (motion.positions[0] - zero) for part in np.linspace(0.0, 1.0, 200)]
     on_way = [robot.touching(q) - at_first for q in configurations(np.array(way))]
@@ -291,7 +293,7 @@ def check(path: Path) -> Result:
 
 
 def page(results: list[Result]) -> str:
-    """Return the page of the table."""
+    """Return the Markdown page with the table."""
     lines = [
         '# What the motions of `excite` hit',
         '',
@@ -353,7 +355,7 @@ def _row(result: Result) -> str:
 
 
 def main() -> int:
-    """Check the robots of the command line."""
+    """Check the robots on the command line; return the exit code."""
     if coal is None:
         sys.exit('Pinocchio and coal are not installed')
     parser = argparse.ArgumentParser(prog='python -m benchmarks.excite_collisions')

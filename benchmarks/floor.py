@@ -1,4 +1,4 @@
-"""The time of a call relative to the time of its necessary arithmetic."""
+"""The time of a call relative to a lower bound: the time of its necessary arithmetic."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from .timing import difference, in_loop, race, Timing
 FLOOR = 'folded, straight-line code'
 LOOP = 'our passes, in a compiled loop'
 CALL = 'our call from Python, `out=`'
-TOLERANCE = 1e-8  # of the largest effort: folding rounds the pi of a URDF
+TOLERANCE = 1e-8  # relative to the largest effort: folding rounds multiples of pi in a URDF
 
 
 class Floor(NamedTuple):
-    """Numbers of operations and times for one robot."""
+    """Operation counts and times for one robot."""
 
     name: str
     written: Operations
@@ -33,7 +33,7 @@ class Floor(NamedTuple):
 
 
 def measure(robot: Robot, rounds: int) -> Floor:
-    """Count the operations for one robot, and time them alone, in the passes and in a call."""
+    """Count the operations, and time the operations alone, both passes, and a call."""
     states = random_states(robot.n)
     contenders = [
         in_loop(FLOOR, compiled_straight_line(robot.model), states),

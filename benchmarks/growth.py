@@ -17,9 +17,9 @@ from .robots import chain, random_states, Robot, stanford
 from .timing import compare, Contender, difference, in_loop, race, run, Timing
 
 SIZES = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 100, 200, 400)
-MOST_KEPT = 64  # joints; a call takes 50 ms from here on
-MOST_MULTIPLIED = 24
-TOLERANCE = 1e-10  # of the largest effort
+MOST_KEPT = 64  # joints; for longer chains, a call takes more than 50 ms
+MOST_MULTIPLIED = 24  # joints
+TOLERANCE = 1e-10  # relative to the largest effort
 NEWTON_EULER = 'Newton-Euler'
 KEPT = 'Lagrange, derivatives kept'
 MULTIPLIED = 'Lagrange, multiplied out'
@@ -27,7 +27,7 @@ FROM_PYTHON = 'ours, from Python'
 
 
 class Growth(NamedTuple):
-    """Seconds per call by number of joints, and their ratio to those of Newton-Euler."""
+    """Seconds per call by number of joints, and their ratio to the seconds of Newton-Euler."""
 
     sizes: Floats
     seconds: Floats
@@ -41,7 +41,7 @@ class Growth(NamedTuple):
 
 
 def contenders(robot: Robot) -> list[Contender]:
-    """Return the contenders that run in a compiled loop, checked against each other."""
+    """Return the contenders in compiled loops, after a comparison of their results."""
     states = random_states(robot.n)
     expected = InverseDynamics(robot.model).efforts(*states)
     rows = table_under_gravity(robot.model)
@@ -66,8 +66,7 @@ def with_joints(sizes: Sequence[int], rounds: int) -> dict[str, Growth]:
     """
     Time chains of increasing length, and single calls of this package and of Pinocchio.
 
-    Each round covers all sizes, so that a temporary load on the machine affects all of them.
-
+    Each round covers all sizes, so that a temporary load on the machine affects all sizes.
     """
     names: dict[int, list[str]] = {}
     entered: list[Contender] = []

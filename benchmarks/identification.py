@@ -1,11 +1,11 @@
 """
-Identify a robot, and check the printed residuals with Pinocchio on the written files.
+Identify a robot, and check the printed residuals with Pinocchio and the written files.
 
     python -m benchmarks.identification URDF TRAIN --validate VALID
     python -m benchmarks.identification URDF RUN --split 0.6
 
-Pinocchio reads the calibrated URDF and the parameters of the node as they were written. Its states
-are those of polynomials of degree 5 over 0.15 s.
+Pinocchio reads the calibrated URDF and the parameters of the node from the written files. Its
+input states come from polynomials of degree 5 fitted over 0.15 s.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ TOLERANCE = 0.03  # largest relative difference between the printed residual and
 
 
 class Written(NamedTuple):
-    """What the node would read."""
+    """The written files as the node would read them."""
 
     urdf: str
     parameters: dict[str, Any]
 
     def per_joint(self, name: str) -> Floats:
-        """Return a parameter of every joint."""
+        """Return the values of a parameter for all joints."""
         return np.array(self.parameters.get(name, np.zeros(len(self.parameters['joints']))))
 
 
 def main() -> int:
-    """Identify, evaluate and print; exit with 1 if the two figures differ."""
+    """Identify, evaluate and print; return 1 if the residuals of both programs differ."""
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
     parser.add_argument('urdf', type=Path)
     parser.add_argument('recording', type=Path)
@@ -83,7 +83,7 @@ def main() -> int:
 
 
 def split(recording: Recording, fraction: float) -> tuple[Recording, Recording]:
-    """Return the first part of a recording, and the rest."""
+    """Return the first fraction of a recording, and the remaining recording."""
     times = recording.times
     is_first = times <= times[0] + fraction * (times[-1] - times[0])
 
@@ -100,7 +100,7 @@ def split(recording: Recording, fraction: float) -> tuple[Recording, Recording]:
 
 
 def residuals(written: Written, recording: Recording) -> tuple[Floats, Floats]:
-    """Return the RMS of measured minus modelled efforts of each joint, smoothed and not."""
+    """Return the RMS of measured minus modelled efforts per joint, smoothed and unsmoothed."""
     from scipy.interpolate import CubicSpline
     from scipy.signal import savgol_filter
 
@@ -120,14 +120,14 @@ def residuals(written: Written, recording: Recording) -> tuple[Floats, Floats]:
         qd = CubicSpline(times, recording.velocities[index][:, names])(grid)
         states[1:] = smooth(qd), smooth(qd, 1)
     left = measured - modelled(written, *states)
-    # Without what the polynomials extrapolate at both ends.
+    # Leave out both ends, where the polynomials would extrapolate.
     parts = smooth(left)[half:-half], left[half:-half]
     smoothed, raw = (np.sqrt(np.mean(part**2, axis=0)) for part in parts)
     return smoothed, raw
 
 
 def modelled(written: Written, q: Floats, qd: Floats, qdd: Floats) -> Floats:
-    """Return the efforts of the written files, by Pinocchio, shape (K, m)."""
+    """Compute efforts with Pinocchio and the written files: one row per state."""
     import pinocchio
 
     model = pinocchio.buildModelFromXML(written.urdf)
@@ -145,7 +145,7 @@ def modelled(written: Written, q: Floats, qd: Floats, qdd: Floats) -> Floats:
                 state[0][at] = q[k, j]
         state[1][velocities], state[2][velocities] = qd[k], qdd[k]
         rigid[k] = pinocchio.rnea(model, data, *state)[velocities]
-    drives = np.eye(len(joints))  # turns of the drives per turn of the joints
+    drives = np.eye(len(joints))  # drive turns per joint turn
     for j, ratio in enumerate(written.per_joint('drive_coupling')):
         if ratio:
             parent = model.names[model.parents[model.getJointId(written.parameters['joints'][j])]]
@@ -166,7 +166,7 @@ def modelled(written: Written, q: Floats, qd: Floats, qdd: Floats) -> Floats:
 
 
 def least_density(urdf: str) -> float:
-    """Return the smallest eigenvalue of all pseudo-inertias, relative to the largest of each."""
+    """Return the smallest eigenvalue of all pseudo-inertias, each relative to its largest one."""
     least = np.inf
     for element in ElementTree.fromstring(urdf).iter('inertial'):
         mass = float(element.find('mass').attrib['value'])  # type: ignore[union-attr]

@@ -1,4 +1,4 @@
-"""Work that the node does beside its loop: robot descriptions, trajectories and parameters."""
+"""Work of the node outside its loop: robot descriptions, trajectories and parameters."""
 
 from __future__ import annotations
 
@@ -19,39 +19,24 @@ from .parameter_calls import PATIENCE
 from .priorities import BusyProcesses, normal
 from .wire import Contender
 
-RATE = 1000.0  # [Hz]; of the states
-LEAST = 1.0  # [s]; of one measurement
-POINTS = 5000
-CALLS = 1000
+RATE = 1000.0  # [Hz]; rate of the joint states
+LEAST = 1.0  # [s]; shortest duration of one measurement
+POINTS = 5000  # of a trajectory
+CALLS = 1000  # number of parameter calls
 
 
 def measure(
     contender: Contender, path: Path, rounds: int, is_busy: bool, busy: BusyProcesses
 ) -> dict[str, list[float]]:
     """
-    Measure the longest time without a command while the node has something else to do.
+    Measure the longest time without a command while the node does other work.
 
-    Parameters
-    ----------
-    contender : Contender
-        The node.
-    path : Path
-        Its robot description.
-    rounds : int
-        Number of repetitions.
-    is_busy : bool
-        Whether other processes keep the CPUs busy meanwhile.
-    busy : BusyProcesses
-        These processes.
-
-    Returns
-    -------
-    gaps : dict
-        Longest time between two commands in each repetition [s], by kind of work.
-
+    The contender is the node, ``path`` its robot description. With ``is_busy``, the processes
+    ``busy`` keep the CPUs busy. Return the longest time between two commands in each of the
+    ``rounds`` [s], by kind of work.
     """
     urdf = path.read_text()
-    # The same robot, but another text: a description that has not changed is ignored.
+    # The same robot with different texts, because the node ignores an unchanged description.
     texts = [re.sub('(<robot[^>]*>)', rf'\1<!-- {k} -->', urdf, count=1) for k in range(rounds)]
     trajectory = _trajectory(list(load_urdf(path).joint_names))
     calls = f'{CALLS} parameter calls'
@@ -81,7 +66,7 @@ def _trajectory(joints: list[str]) -> bytes:
 
 
 def _call(domain: int) -> Callable[[], bool]:
-    """Start a client that calls; return a function that returns whether it has ended."""
+    """Start a client that sets parameters; return a function that checks whether it has ended."""
     caller = subprocess.Popen(
         [sys.executable, '-m', 'benchmarks.parameter_calls', str(CALLS)],
         env={**os.environ, 'ROS_DOMAIN_ID': str(domain)},

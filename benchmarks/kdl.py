@@ -1,8 +1,8 @@
 """
 A worker (see `workers`) that runs KDL.
 
-It imports nothing but PyKDL: Debian has that for its own Python only, where nothing of ours is
-installed.
+The worker imports only PyKDL. Debian's PyKDL works only with Debian's Python, and this package is
+not installed there.
 """
 
 import json
@@ -38,7 +38,7 @@ def main():
 
 
 def segment(name, body):
-    """Make a segment whose tip frame is the URDF's frame of the joint."""
+    """Create a segment; its tip frame is the URDF's frame of the joint."""
     origin, axis = PyKDL.Vector(*body['position']), PyKDL.Vector(*body['axis'])
     kind = PyKDL.Joint.TransAxis if body['slides'] else PyKDL.Joint.RotAxis
     tip = PyKDL.Frame(PyKDL.Rotation(*body['rotation']), origin)
@@ -55,7 +55,7 @@ def segment(name, body):
 
 
 def vector(numbers):
-    """Make a KDL array."""
+    """Create a KDL joint array from numbers."""
     array = PyKDL.JntArray(len(numbers))
     for k, x in enumerate(numbers):
         array[k] = x

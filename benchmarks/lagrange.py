@@ -1,5 +1,5 @@
 r"""
-The Lagrangian form of Uicker and Kahn, equation (2) of the paper, which it compares itself with.
+The Lagrangian form of Uicker and Kahn: the paper compares its method with this equation (2).
 
 .. math::
     \tau_i = \sum_j D_{ij} \ddot q_j + \sum_j \sum_k D_{ijk} \dot q_j \dot q_k + D_i
@@ -8,15 +8,18 @@ The Lagrangian form of Uicker and Kahn, equation (2) of the paper, which it comp
     D_{ijk} = \sum_p tr(\partial_j \partial_k T_p J_p \partial_i T_p^T),\quad
     D_i = -\sum_p m_p g^T \partial_i T_p r_p
 
-with p from the outermost of the joints named to the tip. T_p is the 4x4 homogeneous transform from
-link p to the base, J_p the pseudo-inertia matrix of link p, r_p its centre of mass.
+The sums over p start at the outermost of the joints i, j and k, and end at the tip. T_p is the 4x4
+homogeneous transform from link p to the base, J_p the pseudo-inertia matrix of link p, m_p its
+mass, and r_p its centre of mass.
 
 The sums are implemented literally. The paper does not say how its program computed the derivatives
-in them, so there are two versions: the derivatives of all T_p computed once and kept, followed by
-n^4 traces; or each multiplied out from its factors wherever a sum uses it, with n^5 products.
+in the sums. Therefore there are two versions. The first version computes the derivatives of all
+T_p once and keeps them; n^4 traces follow. The second version multiplies each derivative out from
+its factors wherever a sum uses it, which takes n^5 products.
 
-dA_p/dq is A_p Q_p with a constant Q_p, so a derivative of T_p is the product A_1 ... A_p with Q_j
-put in after A_j. The links' frames are those of `robot_table`, every joint along its z.
+A_p is the transform from link p to its parent. dA_p/dq is A_p Q_p with a constant Q_p. A
+derivative of T_p is therefore the product A_1 ... A_p with Q_j inserted after A_j. The link frames
+are those of `robot_table`; every joint axis is the z axis of its frame.
 
 Arrays are always indexed by element, because 4x4 views would prevent vectorization and make the
 comparison unfair.
@@ -42,8 +45,7 @@ def compiled(function: Any) -> Any:
     """
     Compile a function with the settings of the package, but without a cache on disk.
 
-    numba would go on using kept code after a change in newton_euler.py.
-
+    With a cache, numba would use old code after a change in newton_euler.py.
     """
     return numba.njit(error_model='numpy')(function) if IS_COMPILED else function
 
@@ -52,21 +54,21 @@ class Chain(NamedTuple):
     """The parameters of a chain of n links, and arrays for intermediate results."""
 
     transforms: Floats
-    """A_p at position 0, from link p to its parent, shape (n, 4, 4)."""
+    """Transforms A_p from link p to its parent at position 0, shape (n, 4, 4)."""
     generators: Floats
-    """Q_p, shape (n, 4, 4)."""
+    """Constant matrices Q_p = A_p^-1 dA_p/dq, shape (n, 4, 4)."""
     slides: Floats
-    """1 for prismatic joints, shape (n,)."""
+    """1 for prismatic joints, otherwise 0, shape (n,)."""
     inertias: Floats
-    """J_p, shape (n, 4, 4); its last column is m_p r_p."""
+    """Pseudo-inertias J_p, shape (n, 4, 4); the last column of J_p is m_p r_p."""
     gravity: Floats
     """Free-fall acceleration in the base frame, shape (3,)."""
     A: Floats
-    """A_p at the current position, shape (n, 4, 4)."""
+    """Transforms A_p at the current position, shape (n, 4, 4)."""
     dT: Floats
-    """dT_p/dq_j, shape (n, n, 4, 4)."""
+    """First derivatives dT_p/dq_j, shape (n, n, 4, 4)."""
     ddT: Floats
-    """d2T_p/dq_j dq_k for j up to k, shape (n, n, n, 4, 4)."""
+    """Second derivatives d2T_p/dq_j dq_k for j up to k, shape (n, n, n, 4, 4)."""
     X: Floats
     Y: Floats
     Z: Floats
@@ -74,7 +76,7 @@ class Chain(NamedTuple):
 
 
 def chain_of(robot: RobotModel) -> Chain:
-    """Convert a chain to the arrays of the functions below."""
+    """Convert a robot that is a chain to the arrays of this module."""
     rows = robot_table.table_of(robot)
     n = len(rows) - 1
     if any(rows[1:, robot_table.PARENT] != np.arange(n)):
@@ -96,7 +98,7 @@ def chain_of(robot: RobotModel) -> Chain:
 
 
 def pseudo_inertia(row: Floats) -> Floats:
-    """Integrate r r^T over a link, r homogeneous: the second moments, the first, and the mass."""
+    """Return the 4x4 pseudo-inertia of a link: second moments, first moments, and mass."""
     mass, com = row[robot_table.MASS], np.array(robot_table.vector(row, robot_table.COM))
     xx, xy, xz, yy, yz, zz = robot_table.inertia(row)
     about_com = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
@@ -115,7 +117,7 @@ def newton_euler_sweep(q: Any, qd: Any, qdd: Any, tau: Any, robot: Any, times: i
 
 @compiled
 def kept_sweep(q: Any, qd: Any, qdd: Any, tau: Any, chain: Any, times: int) -> None:
-    """Run the Lagrangian form in the same way, with all derivatives kept."""
+    """Run the Lagrangian form with kept derivatives over all states several times."""
     transforms, generators, slides, inertias, gravity, A, dT, ddT, X, Y, _ = chain
     for _ in range(times):
         for k in range(len(q)):
@@ -126,7 +128,7 @@ def kept_sweep(q: Any, qd: Any, qdd: Any, tau: Any, chain: Any, times: int) -> N
 
 @compiled
 def multiplied_sweep(q: Any, qd: Any, qdd: Any, tau: Any, chain: Any, times: int) -> None:
-    """Run the Lagrangian form with derivatives multiplied out in the sums."""
+    """Run the Lagrangian form with multiplied-out derivatives over all states several times."""
     transforms, generators, slides, inertias, gravity, A, _, _, X, Y, Z = chain
     for _ in range(times):
         for k in range(len(q)):
@@ -194,7 +196,7 @@ def sum_multiplied(
 
 @compiled
 def place_links(q: Any, transforms: Any, slides: Any, A: Any) -> None:
-    """Compute A_p of every link at its joint position."""
+    """Compute the transform A_p from every link to its parent at the joint positions q."""
     for p in range(len(q)):
         c, s = cos(q[p]), sin(q[p])
         for row in range(4):
@@ -226,7 +228,7 @@ def keep_derivatives(A: Any, Q: Any, dT: Any, ddT: Any, T: Any, T_before: Any) -
 
 @simd_inline
 def multiply_out(p: int, j: int, k: int, A: Any, Q: Any, product: Any, room: Any) -> None:
-    """Multiply A_1 ... A_p, with Q after A_j and A_k."""
+    """Multiply A_1 ... A_p, with Q_j inserted after A_j and Q_k after A_k."""
     copy(A[0], product)
     for link in range(p + 1):
         if link > 0:
@@ -250,7 +252,7 @@ def copy(a: Any, b: Any) -> None:
 
 @simd_inline
 def multiply(a: Any, b: Any, product: Any) -> None:
-    """Multiply two 4x4 matrices into a third."""
+    """Write the product of two 4x4 matrices to a third matrix."""
     for row in range(4):
         for column in range(4):
             product[row, column] = (
@@ -263,7 +265,7 @@ def multiply(a: Any, b: Any, product: Any) -> None:
 
 @simd_inline
 def trace(a: Any, inertia: Any, b: Any) -> float:
-    """Compute tr(a J b^T)."""
+    """Compute tr(a J b^T) for a pseudo-inertia J."""
     total = 0.0
     for row in range(4):
         for column in range(4):
@@ -278,7 +280,7 @@ def trace(a: Any, inertia: Any, b: Any) -> float:
 
 @simd_inline
 def weight(gravity: Any, dT: Any, inertia: Any) -> float:
-    """Compute -m g^T dT r; the last column of J is m r."""
+    """Compute the gravity term -m g^T dT r; the last column of the pseudo-inertia is m r."""
     total = 0.0
     for row in range(3):
         for column in range(4):

@@ -1,8 +1,9 @@
 """
-The loop of the node, from joint state to command, and of relays that compute nothing.
+The loop from joint state to command, in the node and in relays that compute nothing.
 
-`make bench-loop` runs it and writes doc/evidence/loop.md. Contenders take turns, with and without
-real-time priority, on an idle machine and beside busy processes; the others are stopped meanwhile.
+`make bench-loop` runs this benchmark and writes doc/evidence/loop.md. Contenders take turns, with
+and without real-time priority, on an idle machine and beside busy processes. While one contender
+runs, the other contenders are stopped.
 """
 
 from __future__ import annotations
@@ -28,17 +29,17 @@ HERE = Path(__file__).resolve().parent
 ROBOT = ROOT / 'test' / 'robots' / 'seven_dof.urdf'
 SEED = 1979
 STATES = 128
-RATE = 1000.0  # [Hz]; of the states, and `update_rate` of the node
+RATE = 1000.0  # [Hz]; rate of the joint states, and `update_rate` of the node
 BUSY_PROCESSES = 4
-TURN = 1.0  # [s]
-LONG_TURN = 5.0  # [s]; with `update_rate`
+TURN = 1.0  # [s]; duration of a turn
+LONG_TURN = 5.0  # [s]; duration of a turn with `update_rate`
 
 NODE = 'inverse_dynamics_node.node.main'
 RELAYS = 'benchmarks.relays'
 
 
 def main() -> None:
-    """Measure, print and write."""
+    """Run all measurements, then print and write the page."""
     parser = argparse.ArgumentParser(prog='make bench-loop', description=__doc__)
     parser.add_argument('--rounds', type=int, default=10, help='number of turns of each contender')
     parser.add_argument(
@@ -82,7 +83,7 @@ def main() -> None:
 def at_once(
     rounds: int, is_permitted: bool, busy: priorities.BusyProcesses
 ) -> tuple[dict[Task, list[Answers]], dict[str, list[Trips]]]:
-    """Measure answers to every joint state in turns: at a fixed rate, and as fast as possible."""
+    """Measure, in turns, answers to joint states at a fixed rate and as fast as possible."""
     with contextlib.ExitStack() as stack:
         contenders = {}
         for has_priority in (False, True) if is_permitted else (False,):
@@ -111,7 +112,7 @@ def at_once(
 def at_a_rate(
     turns: int, seconds: float, is_permitted: bool, busy: priorities.BusyProcesses
 ) -> dict[Task, list[Ticks]]:
-    """Measure the ticks of the node and of the usual relay at a fixed rate, in turns."""
+    """Measure, in turns, the node and the usual relay with commands at a fixed rate."""
     with contextlib.ExitStack() as stack:
         contenders = {}
         for has_priority in (False, True) if is_permitted else (False,):
@@ -133,7 +134,7 @@ def at_a_rate(
 def interrupted(
     rounds: int, is_permitted: bool, busy: priorities.BusyProcesses
 ) -> dict[Task, dict[str, list[float]]]:
-    """Measure the longest time without a command while the node has something else to do."""
+    """Measure the longest time without a command while the node does other work."""
     found: dict[Task, dict[str, list[float]]] = {}
     for has_priority in (False, True) if is_permitted else (False,):
         with contextlib.ExitStack() as stack:
@@ -150,13 +151,13 @@ def node(stack: contextlib.ExitStack, has_priority: bool, **parameters: Any) -> 
     settings = {
         'start_ramp': 0.0,
         'reference_timeout': 0.0,
-        'state_timeout': 10.0,  # at normal priority, busy processes delay the states too
+        'state_timeout': 10.0,  # busy processes may delay the joint states, too
         **parameters,
     }
     ours = [argument for name, x in settings.items() for argument in ('-p', f'{name}:={x}')]
     q, qd, qdd = states()
     efforts = InverseDynamics(load_urdf(ROBOT)).efforts(q, qd, np.broadcast_to(qdd, q.shape))
-    # The node asks for its priority itself.
+    # The node raises its priority itself.
     prepare = priorities.normal if has_priority else priorities.forbidden
     arguments = ['--ros-args', '--log-level', 'fatal', *ours]
     return _started(stack, NODE, arguments, efforts, prepare)
@@ -177,7 +178,7 @@ def _started(
 ) -> Contender:
     domain = domain_id()
     contender = Contender(module, arguments, domain.__enter__(), prepare)
-    stack.callback(domain.__exit__, None, None, None)  # it would swallow an exception
+    stack.callback(domain.__exit__, None, None, None)  # it must not swallow exceptions
     stack.callback(contender.close)
     contender.publish_description(ROBOT.read_text())
     q, qd, qdd = states()
@@ -197,13 +198,12 @@ def states() -> tuple[Floats, Floats, Floats]:
     """
     Draw positions and velocities, shape (count, 7), and accelerations, shape (7,).
 
-    Neighbouring states differ by less than an arm moves between two messages: the node would take
-    larger steps for two publishers that contradict each other, and stop.
-
+    Successive states differ by less than an arm moves between two messages. The node would take
+    larger steps for contradictory publishers, and stop.
     """
     rng = np.random.default_rng(SEED)
     q, qd, qdd = rng.uniform(-0.5, 0.5, (3, 7))
-    # No two states are equal: the joints move along circles.
+    # All states differ, because the joints move along circles.
     phase = 2.0 * np.pi * np.arange(STATES)[:, np.newaxis] / STATES
     vibration = 1e-4 * np.sin(phase + 0.5 * np.pi * (np.arange(7) % 2))
     return q + vibration, qd + vibration, qdd

@@ -18,7 +18,7 @@ IDLE, BUSY = 'idle', 'busy'
 
 
 class Task(NamedTuple):
-    """A contender with or without real-time priority, and what else the machine does."""
+    """A contender, whether it has real-time priority, and the other load on the machine."""
 
     name: str
     has_priority: bool
@@ -29,12 +29,12 @@ class Task(NamedTuple):
 
 
 def priority_name(has_priority: bool) -> str:
-    """Name a priority."""
+    """Return the name of a priority for a table."""
     return f'SCHED_FIFO {PRIORITY}' if has_priority else 'normal'
 
 
 def permission(is_permitted: bool) -> str:
-    """Describe the priority of the robot's side."""
+    """Describe the priority of the process that simulates the robot."""
     if is_permitted:
         return "The robot's side has a higher real-time priority than all contenders."
     return (
@@ -44,7 +44,7 @@ def permission(is_permitted: bool) -> str:
 
 
 def answers_table(found: dict[Task, list[Answers]], load: str, period: float) -> str:
-    """Format the times from states to commands, of all turns together."""
+    """Format the times from joint states to commands in all turns."""
     rows = []
     for task, turns in found.items():
         if task.load != load:
@@ -65,7 +65,7 @@ def answers_table(found: dict[Task, list[Answers]], load: str, period: float) ->
 
 
 def ratios_table(found: dict[Task, list[Answers]]) -> str:
-    """Format medians over the rounds of ratios in the same round."""
+    """Format ratios of contenders: the ratio in each round, then the median over the rounds."""
     kinds = dict.fromkeys(task[1:] for task in found)
     rows = []
     for other in (USUAL, LEAN):
@@ -105,7 +105,7 @@ def _pooled_late(turns: list[Answers]) -> float:
 
 
 def trips_table(found: dict[str, list[Trips]]) -> str:
-    """Format medians over the rounds, and the ratios of the node to each relay."""
+    """Format medians over the rounds, and ratios of the node to each relay."""
     rows = []
     for k, quantity in enumerate(('round trip, median', 'round trip, 99 %', 'CPU per command')):
         of = {name: [_quantities(turn)[k] for turn in turns] for name, turns in found.items()}
@@ -119,13 +119,13 @@ def trips_table(found: dict[str, list[Trips]]) -> str:
 
 
 def _quantities(turn: Trips) -> tuple[float, float, float]:
-    """Return median, 99th percentile and CPU of a turn [s]."""
+    """Return median and 99th percentile of the times, and CPU time per command, in a turn [s]."""
     median, late = np.percentile(turn.times, (50, 99))
     return float(median), float(late), turn.cpu
 
 
 def ticks_table(found: dict[Task, list[Ticks]]) -> str:
-    """Format the fractions of late ticks, and the CPU load."""
+    """Format the fractions of late commands, and the CPU load."""
     rows = []
     for task, turns in found.items():
         periods = sum(turn.periods for turn in turns)

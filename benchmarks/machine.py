@@ -1,4 +1,4 @@
-"""Description of the machine on which the figures were measured."""
+"""Description of the machine on which the benchmarks ran."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ ROS_PACKAGES = (
     'ros-jazzy-rclpy',
     'ros-rmw-fastrtps-cpp',
 )
-"""For measurements of the node."""
+"""Libraries to list with measurements of the node."""
 
 
 def describe(packages: Sequence[str] = PACKAGES) -> str:
-    """Describe processor, load, Python and library versions, in lines for a Markdown page."""
+    """Describe processor, load, Python and library versions in lines for a Markdown page."""
     text = (
         f'{processor()}, {os.cpu_count()} cores, load {load()} before the start; '
         f'{platform.system()}, Python {platform.python_version()}; '
         f'{", ".join(versions(packages))}.'
     )
-    # Pages are 100 columns wide; that of the loop appends the load at the end.
+    # Pages are 100 columns wide; loop.md appends the load to the end of a line.
     return textwrap.fill(text, 80, break_on_hyphens=False)
 
 
@@ -45,7 +45,7 @@ def load() -> str:
 
 
 def processor() -> str:
-    """Name the processor."""
+    """Return the name of the processor."""
     try:
         lines = Path('/proc/cpuinfo').read_text().splitlines()
     except OSError:
@@ -57,7 +57,7 @@ def processor() -> str:
 
 
 def versions(packages: Sequence[str]) -> list[str]:
-    """List the libraries with their versions."""
+    """List the installed libraries with their versions."""
     found = []
     for name in packages:
         try:

@@ -1,11 +1,15 @@
 """
-Runs the node and its driver on two machines, with a network between them that has faults.
+Runs the node and its driver on two machines that are connected by a faulty network.
 
-The machines are network namespaces of this one. An arm swings while packets are lost, late,
+The machines are network namespaces of this machine. An arm swings while packets are lost, late,
 duplicated or reordered, and while the network is down. The program checks every command that the
-node sends: no step beyond the motion of the arm and the ramps, zeros in time, and efforts that
-return without a restart. It prints a table for doc/reliability.md, and fails if a promise is
-broken.
+node sends:
+
+- A step between two commands must be explained by the motion of the arm and by ramps.
+- The efforts must be zero in time after joint states are lost.
+- The efforts must return without a restart.
+
+The program prints a table for doc/evidence/reliability.md, and fails if a check fails.
 
 """
 
@@ -32,21 +36,21 @@ from sensor_msgs.msg import JointState
 from stalls import StallMeter, TOLERATED
 
 SETTINGS = {
-    # Nothing leaves this machine: the two namespaces are connected to each other only.
+    # The two namespaces are connected only to each other: no packet leaves this machine.
     'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET',
-    'FASTDDS_BUILTIN_TRANSPORTS': 'UDPv4',  # namespaces have the same shared memory
+    'FASTDDS_BUILTIN_TRANSPORTS': 'UDPv4',  # the namespaces share memory
     'ROS_DOMAIN_ID': '1',
 }
 ROBOT = Path(__file__).parent.parent / 'test/robots/seven_dof.urdf'
 MODEL = load_urdf(ROBOT)
 STATE_TIMEOUT, RAMP = 0.1, 0.5  # [s]; defaults of the node
-RETURN = 2.0 * STATE_TIMEOUT  # [s]; states without a gap, until the efforts rise again
-SLACK = 0.4  # [s]; for a busy machine, when the end of a ramp is timed
-LATENESS = 0.03  # [s]; of a joint state beside the faults: its period, and a busy machine
-NOMINAL = 2.0 / RATE  # [s]; by which a ramp advances with one command, with room for jitter
-DISCOVERY = 10.0  # [s]; until the middleware knows the other machine again
-SETTLED = 0.05  # of the effort limits, between command and model
-WATCHED = 2.5  # [s]; after an outage
+RETURN = 2.0 * STATE_TIMEOUT  # [s]; time of joint states without a gap until efforts rise again
+SLACK = 0.4  # [s]; tolerance for the end of a ramp on a busy machine
+LATENESS = 0.03  # [s]; delay of a joint state without faults: its period, and a busy machine
+NOMINAL = 2.0 / RATE  # [s]; largest time by which a ramp advances with one command
+DISCOVERY = 10.0  # [s]; time in which the middleware finds the other machine again
+SETTLED = 0.05  # largest difference of command and model, relative to the effort limits
+WATCHED = 2.5  # [s]; time of checks after an outage
 FAULTS = {
     'none': {},
     '1 % lost': {'loss': 0.01},
@@ -65,11 +69,11 @@ LONG_OUTAGE = 30.0  # [s]; the middleware forgets the other machine after 20 s
 
 
 class BrokenPromiseError(Exception):
-    """What a command must not do."""
+    """A command violates one of the checks."""
 
 
 class Swing:
-    """The motion of the arm: its second joint, which carries it, swings at up to 1 rad/s."""
+    """The motion of the arm: the second joint, which carries the arm, swings at up to 1 rad/s."""
 
     def __init__(self) -> None:
         self._dynamics = InverseDynamics(MODEL)
@@ -78,23 +82,23 @@ class Swing:
         times = self._began + np.linspace(0.0, math.pi, 500)  # one period
         efforts = np.array([self.efforts(at) for at in times])
         self.peak = np.abs(efforts).max(axis=0)
-        """Largest efforts, shape (7,) [N m]."""
+        """Largest efforts during the motion, shape (7,) [N m]."""
         self.rate = np.abs(np.diff(efforts, axis=0)).max(axis=0) / (times[1] - times[0])
-        """How fast the motion changes the efforts, shape (7,) [N m/s]."""
+        """Largest rate of change of the efforts, shape (7,) [N m/s]."""
 
     def state(self, at: float) -> tuple[Any, Any]:
-        """Return positions and velocities at a steady time."""
+        """Return positions and velocities at a time of the steady clock [s]."""
         q, qd = np.zeros((2, 7))
         q[1], qd[1] = 1.0 + 0.5 * math.sin(2.0 * (at - self._began)), 0.0
         qd[1], q[3] = math.cos(2.0 * (at - self._began)), 0.5
         return q, qd
 
     def efforts(self, at: float) -> Any:
-        """Return the efforts of this motion, without acceleration, shape (7,) [N m]."""
+        """Return the efforts of the motion without accelerations, shape (7,) [N m]."""
         return self._dynamics.efforts(*self.state(at), np.zeros(7))
 
     def next_message(self) -> JointState:
-        """Return the joint state of this moment."""
+        """Return the joint state for the current time."""
         q, qd = self.state(time.monotonic())
         self.message.position, self.message.velocity = q.tolist(), qd.tolist()
         return self.message
@@ -102,15 +106,9 @@ class Swing:
 
 class Monitor:
     """
-    Receives the commands on the machine of the node, where no fault concerns them.
+    Receives the commands in a process on the machine of the node, where the network has no faults.
 
-    Fast DDS looks for the interfaces of a process only once, so that this needs another process.
-
-    Parameters
-    ----------
-    network : Network
-        The machines.
-
+    A separate process is needed, because Fast DDS looks up network interfaces only once.
     """
 
     def __init__(self, network: Network) -> None:
@@ -124,11 +122,11 @@ class Monitor:
         os.set_blocking(self._records, False)
         self._rest = b''
         self.times: list[float] = []
-        """Steady times at which the commands arrived [s]."""
+        """Times of the steady clock at which the commands arrived [s]."""
         self.efforts: list[Any] = []
 
     def poll(self) -> None:
-        """Store what has arrived."""
+        """Store the commands that have arrived."""
         size = 8 * (1 + len(MODEL.joint_names))
         try:
             data = self._rest + os.read(self._records, 1 << 20)
@@ -141,13 +139,13 @@ class Monitor:
             self.efforts.append(record[1:])
 
     def close(self) -> None:
-        """End the process."""
+        """End the monitor process."""
         self._process.terminate()
         self._process.communicate()
 
 
 class Row(NamedTuple):
-    """What was measured with one fault."""
+    """The measurements with one fault."""
 
     fault: str
     rate: float
@@ -157,11 +155,11 @@ class Row(NamedTuple):
     step: float
     """Largest step between two commands [N m]."""
     beyond: float
-    """Part of a step that neither motion nor ramps explain [N m]."""
+    """Excess of a step over the sum of motion and ramps [N m]."""
     lowest: float
-    """Smallest command until the efforts were back, as a share of the efforts of the model."""
+    """Smallest command before the efforts had returned, as a fraction of the model's efforts."""
     back: float
-    """Time from the end of the fault until the efforts were back [s]."""
+    """Time from the end of the fault until the efforts had returned [s]."""
     step_at_driver: float
     """Largest step between two commands that arrived at the driver [N m]."""
 
@@ -188,21 +186,15 @@ ramps [N m] | lowest effort | back after [s] | largest step at the driver [N m] 
 
 class Rig:
     """
-    A driver whose arm swings, the node, and a monitor beside the node.
+    A driver with a swinging arm, the node, and a monitor on the machine of the node.
 
-    Parameters
-    ----------
-    network : Network
-        The two machines. This thread is on that of the driver.
-    node : NodeProcess
-        The node, on its machine.
-
+    The thread that creates the rig must be on the machine of the driver.
     """
 
     def __init__(self, network: Network, node: Any) -> None:
         self.network, self.node = network, node
         self.swing = Swing()
-        self._log = 0  # characters of the log before the fault
+        self._log = 0  # number of characters in the log before the fault
         self.monitor = Monitor(network)
         context = Context()
         context.init(args=[])
@@ -210,12 +202,12 @@ class Rig:
         self.robot._always.append((self.robot._states, self.swing.next_message))
 
     def close(self) -> None:
-        """Leave the network."""
+        """Close the driver's ROS interfaces, and end the monitor."""
         self.robot.close()
         self.monitor.close()
 
     def wait(self, is_true: Callable[[], bool], what: str) -> None:
-        """Run the driver until something is true."""
+        """Run the driver until a condition is true."""
 
         def check() -> bool:
             self.monitor.poll()
@@ -224,13 +216,13 @@ class Rig:
         self.robot.wait_until(check, what)
 
     def pause(self, duration: float) -> float:
-        """Run the driver for some time [s]; return the steady time at the end."""
+        """Run the driver for a duration [s]; return the time of the steady clock at the end."""
         end = time.monotonic() + duration
         self.wait(lambda: time.monotonic() >= end, f'{duration} s')
         return time.monotonic()
 
     def is_settled(self) -> bool:
-        """Return whether the latest command is what the motion takes, and the driver gets it."""
+        """Return whether the latest command matches the motion, and reaches the driver."""
         monitor, recent = self.monitor, time.monotonic() - STATE_TIMEOUT
         if any(
             not times or times[-1] < recent for times in (monitor.times, self.robot.command_times)
@@ -241,13 +233,9 @@ class Rig:
 
     def suffer(self, name: str, duration: float, faults: dict[str, Any]) -> Row:
         """
-        Let the network have faults for some time, and return what that did to the commands.
+        Disturb the network for a duration [s], and return the effect on the commands.
 
-        Raises
-        ------
-        BrokenPromiseError
-            If a command is a step, a fall is too slow, or the efforts do not come back in time.
-
+        Raise a BrokenPromiseError if a step is too large, or efforts fall or return too late.
         """
         self.wait(self.is_settled, 'efforts of the motion')
         self.pause(0.3)
@@ -286,7 +274,7 @@ class Rig:
         return row
 
     def _shares(self, times: Any, efforts: Any, late: float) -> Any:
-        """Return the commands as shares of the efforts of the model for a state that is late."""
+        """Return commands as fractions of the model's efforts for joint states that are late."""
         found = []
         for delay in np.linspace(0.0, late + STATE_TIMEOUT, 6):
             modelled = np.array([self.swing.efforts(at - delay) for at in times])
@@ -303,7 +291,7 @@ class Rig:
             raise BrokenPromiseError(f'{row.fault}: back after {row.back:.2f} s')
 
     def _check_fall(self, times: Any, efforts: Any, duration: float) -> None:
-        """Check the commands while joint states are lost, with times since the loss."""
+        """Check that efforts fall in time after the loss of joint states at the time 0."""
         fall = (times > STATE_TIMEOUT + LATENESS) & (times < duration)
         grown = np.diff(np.abs(efforts[fall]), axis=0)
         if (grown > 1e-9).any():
@@ -314,7 +302,7 @@ class Rig:
 
 
 def suffer_without_stalls(rig: Rig, *case: Any) -> Row:
-    """Repeat a measurement that failed while the machine stood still."""
+    """Measure; repeat the measurement if it failed because the machine stood still."""
     for attempts_left in (2, 1, 0):
         with StallMeter() as stalls:
             try:
@@ -326,7 +314,7 @@ def suffer_without_stalls(rig: Rig, *case: Any) -> Row:
 
 
 def measure(rig: Rig, seconds: float, repetitions: int, only: str) -> None:
-    """Measure with one fault after the other, and print the rows of the table."""
+    """Measure with each fault, and print the rows of the table."""
     cases = [(name, seconds, faults, 1) for name, faults in FAULTS.items()]
     cut = {'cut': MACHINES}
     cases += [(f'down for {each:g} s', each, cut, repetitions) for each in OUTAGES]
@@ -344,13 +332,13 @@ def measure(rig: Rig, seconds: float, repetitions: int, only: str) -> None:
 
 
 def main() -> int:
-    """Run all faults and print the table; return the exit code."""
+    """Start the program in a user namespace, and run all faults; return the exit code."""
     parser = argparse.ArgumentParser(prog='make network-faults', description=__doc__)
     parser.add_argument('--seconds', type=float, default=5.0, help='time with each fault')
     parser.add_argument('--repetitions', type=int, default=3, help='of each outage')
     parser.add_argument('--only', default='', help='only faults that begin with this')
     options = parser.parse_args()
-    if os.geteuid():  # in a user namespace, this process is root
+    if os.geteuid():  # start again as root of a user namespace
         arguments = [sys.executable, '-m', 'benchmarks.network_faults', *sys.argv[1:]]
         os.environ['PYTHONPATH'] = str(ROBOT.parents[1])
         os.execvp('unshare', ['unshare', '-rn', *arguments])

@@ -1,14 +1,15 @@
 """
 Operation counts of the passes of `newton_euler`, from numbers that record their operations.
 
-Each number stores the operation that produced it, so that the operations behind the efforts can be
-counted, or compiled as straight-line code. There are two numbers of operations:
+Each number stores the operation that produced it. The operations that lead to the efforts can
+therefore be counted, or compiled as straight-line code. There are two operation counts:
 
 - as written: every operation that the passes perform;
 - folded: the operations that remain for one robot if the constants of its table are inserted.
-  Operations on constants, additions of zero and multiplications by zero and one are removed, and
-  so are operations that no effort depends on. Because URDFs contain rounded multiples of pi,
-  numbers within 1e-9 of an integer are taken as that integer.
+
+Folding removes operations on constants, additions of zero, multiplications by zero and one, and
+operations without influence on the efforts. It replaces numbers within 1e-9 of an integer by that
+integer, because URDFs contain rounded multiples of pi.
 """
 
 from __future__ import annotations
@@ -34,11 +35,11 @@ def sweep(q, qd, qdd, tau, times):
         for k in range(len(q)):
             efforts(q[k], qd[k], qdd[k], tau[k])
 """
-_STRUCTURE = (robot_table.PARENT, robot_table.JOINT, robot_table.SLIDES)  # read, not computed with
+_STRUCTURE = (robot_table.PARENT, robot_table.JOINT, robot_table.SLIDES)  # indices and flags
 
 
 class Operations(NamedTuple):
-    """Multiplications, additions (and subtractions), and pairs of sine and cosine."""
+    """Numbers of multiplications, of additions and subtractions, and of sine-cosine pairs."""
 
     multiplications: int
     additions: int
@@ -46,7 +47,7 @@ class Operations(NamedTuple):
 
     @property
     def total(self) -> int:
-        """Multiplications and additions; sines are functions of a library."""
+        """Number of multiplications, additions and subtractions, without sines and cosines."""
         return self.multiplications + self.additions
 
 
@@ -78,7 +79,7 @@ class Number:
 
 
 class Record:
-    """All operations performed; with folding, in order."""
+    """A record of all operations performed; with folding, in order."""
 
     def __init__(self, folds: bool) -> None:
         self.folds = folds
@@ -86,7 +87,7 @@ class Record:
         self.performed: list[Number] = []
 
     def number(self, operation: str, *operands: Any) -> Number:
-        """Record a number and its origin."""
+        """Create a number, and record its origin."""
         self.kinds[operation] += 1
         if not self.folds:
             return Number(self, operation)
@@ -94,11 +95,11 @@ class Record:
         return self.performed[-1]
 
     def inputs(self, name: str, count: int) -> list[Any]:
-        """Make numbers that are known only at run time."""
+        """Create numbers whose values are known only at run time."""
         return [Number(self, 'input', name, k) for k in range(count)]
 
     def constant(self, value: float) -> Any:
-        """Make a constant."""
+        """Create a constant."""
         if not self.folds:
             return Number(self, 'constant', value)
         return round(value) if abs(value - round(value)) < NEARLY else value
@@ -125,14 +126,14 @@ class Record:
         return self.number(operation, a, b)
 
     def count(self, results: Sequence[Any]) -> Operations:
-        """Count operations; with folding, only those that the results depend on."""
+        """Count operations; with folding, count only operations that affect the results."""
         kinds = self.kinds
         if self.folds:
             kinds = Counter(x.operation for x in self.behind(results))
         return Operations(kinds['*'], kinds['+'] + kinds['-'], kinds['sin'])
 
     def behind(self, results: Sequence[Any]) -> list[Number]:
-        """List the operations that results depend on, in order."""
+        """List the operations that affect the results, in order."""
         needed: set[int] = set()
         waiting = list(results)
         while waiting:
@@ -164,7 +165,7 @@ def record_newton_euler(robot: RobotModel, folds: bool) -> tuple[Record, list[An
 
 
 def table_under_gravity(robot: RobotModel) -> Floats:
-    """Return the table of a robot on a base at rest: LWP (31)."""
+    """Return the robot table for a base at rest under gravity: LWP (31)."""
     rows = robot_table.table_of(robot)
     rows[0, robot_table.ACCEL : robot_table.ACCEL + 3] = -np.array(STANDARD_GRAVITY)
     return rows
@@ -178,7 +179,7 @@ def count_newton_euler(robot: RobotModel, folds: bool) -> Operations:
 
 @contextlib.contextmanager
 def uncompiled(record: Record, *modules: Any) -> Iterator[None]:
-    """Return the functions of some modules as plain Python that computes with recorded numbers."""
+    """Yield the functions of some modules as plain Python for computing with recorded numbers."""
     before = [dict(vars(module)) for module in modules]
     for module, names in zip(modules, before, strict=True):
         for name, function in names.items():
@@ -221,7 +222,7 @@ def compiled_straight_line(robot: RobotModel) -> Any:
 
 
 def straight_line(robot: RobotModel) -> str:
-    """Write the folded operations out as a function `efforts`, and a loop `sweep` over states."""
+    """Write folded operations as a function `efforts`, and a loop over states as `sweep`."""
     record, tau = record_newton_euler(robot, folds=True)
     names: dict[int, str] = {}
 

@@ -11,12 +11,12 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 
-AT_ONCE = 5  # requests that are not answered yet
-PATIENCE = 20  # [s]; for all calls, including the start of this process
+AT_ONCE = 5  # largest number of unanswered requests
+PATIENCE = 20  # [s]; time limit for all calls, including the start of this process
 
 
 def main() -> None:
-    """Call as often as the argument says."""
+    """Set the parameter as many times as the command line asks for."""
     signal.alarm(PATIENCE)
     rclpy.init(args=[])
     node = rclpy.create_node('caller')

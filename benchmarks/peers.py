@@ -1,9 +1,9 @@
 """
 Single calls from Python, with the same robots and states for every installed library.
 
-Each function makes a contender from one library, or raises an ImportError if it is not installed,
-or the library's own error if it does not support the robot. States are converted to the library's
-order and form beforehand, so that only the call itself is timed.
+Each function makes a contender from one library. If the library is not installed, the function
+raises an ImportError. If the library does not support the robot, the function raises the library's
+own error. States are converted to the library's order and form before the timing starts.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def rows(*arrays: Floats) -> list[tuple[Any, ...]]:
 
 
 def ours(robot: Robot, states: Floats, name: str = 'ours, out=') -> Contender:
-    """Time this package with an array for the result."""
+    """Time this package with an existing array for the results."""
     efforts = InverseDynamics(robot.model).efforts
     out = np.empty(robot.n)
 
@@ -53,7 +53,7 @@ def ours_new_array(robot: Robot, states: Floats) -> Contender:
 
 
 def ours_written_out(robot: Robot, states: Floats) -> Contender:
-    """Time the generated code with the caller's arrays."""
+    """Time this package's generated code with the caller's arrays."""
     efforts = GeneratedDynamics(InverseDynamics(robot.model)).efforts
     out = np.empty(robot.n)
 
@@ -66,7 +66,7 @@ def ours_written_out(robot: Robot, states: Floats) -> Contender:
 
 
 def ours_in_place(robot: Robot, states: Floats) -> Contender:
-    """Time the generated code with its own state arrays."""
+    """Time this package's generated code with its own state arrays."""
     loop = GeneratedDynamics(InverseDynamics(robot.model))
     update = loop.update
 
@@ -83,7 +83,7 @@ def ours_in_place(robot: Robot, states: Floats) -> Contender:
 
 
 class Pinocchio:
-    """A robot in Pinocchio, which orders joints by name and stores continuous ones as cos, sin."""
+    """A robot in Pinocchio: joints ordered by name, continuous joints stored as cos and sin."""
 
     def __init__(self, robot: Robot) -> None:
         import pinocchio
@@ -116,7 +116,7 @@ class Pinocchio:
 
 
 def pinocchio(robot: Robot, states: Floats) -> Contender:
-    """Time the reference."""
+    """Time Pinocchio, the reference."""
     from pinocchio import rnea
 
     peer = Pinocchio(robot)
@@ -171,7 +171,7 @@ def _in_mujoco(
 
 
 def mujoco_rne(robot: Robot, states: Floats) -> Contender:
-    """Time MuJoCo's recursion with the functions that must run before it."""
+    """Time MuJoCo's Newton-Euler recursion, including the functions that must run first."""
     from mujoco import mj_comPos, mj_comVel, mj_kinematics, mj_rne
 
     def calls(model: Any, data: Any, result: Any) -> None:
@@ -184,7 +184,7 @@ def mujoco_rne(robot: Robot, states: Floats) -> Contender:
 
 
 def mujoco_inverse(robot: Robot, states: Floats) -> Contender:
-    """Time MuJoCo's documented inverse dynamics without contacts and constraints."""
+    """Time MuJoCo's documented inverse dynamics, without contacts and constraints."""
     from mujoco import mj_inverse
 
     def calls(model: Any, data: Any, result: Any) -> None:
@@ -194,7 +194,7 @@ def mujoco_inverse(robot: Robot, states: Floats) -> Contender:
 
 
 def drake(robot: Robot, states: Floats) -> Contender:
-    """Time Drake's multibody plant with gravity from its force elements."""
+    """Time Drake's multibody plant, including its force elements for gravity."""
     from pydrake.multibody.parsing import Parser
     from pydrake.multibody.plant import MultibodyPlant
     from pydrake.multibody.tree import MultibodyForces
@@ -227,7 +227,7 @@ def drake(robot: Robot, states: Floats) -> Contender:
 
 
 def toolbox(robot: Robot, states: Floats) -> Contender:
-    """Time the robotics toolbox with the URDF; its faster C code supports only DH tables."""
+    """Time the Robotics Toolbox with a URDF; the toolbox's faster C code needs DH tables."""
     from roboticstoolbox import Robot as ToolboxRobot
 
     with tempfile.TemporaryDirectory() as folder:

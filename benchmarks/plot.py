@@ -1,4 +1,4 @@
-"""The plot of growth."""
+"""The plot of computing time over the number of joints."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from .growth import FROM_PYTHON, Growth, KEPT, MULTIPLIED, NEWTON_EULER
 from .peers import REFERENCE
 
-# Colours of the palette of Okabe and Ito, which colour-blind readers can distinguish, and labels.
+# Colours (of Okabe and Ito's palette, which colour-blind readers can distinguish) and labels.
 LINES = {
     MULTIPLIED: ('#CC79A7', 'Lagrange,\nmultiplied out'),
     KEPT: ('#D55E00', 'Lagrange,\nderivatives kept'),
@@ -15,11 +15,11 @@ LINES = {
     FROM_PYTHON: ('#56B4E9', 'ours, from Python'),
     NEWTON_EULER: ('#009E73', 'Newton-Euler (ours),\nno call'),
 }
-END = {REFERENCE: 10, FROM_PYTHON: 6, NEWTON_EULER: -16}  # points up, to keep labels apart
+END = {REFERENCE: 10, FROM_PYTHON: 6, NEWTON_EULER: -16}  # label offsets [points]
 
 
 def draw(growth: dict[str, Growth], path: Path) -> None:
-    """Draw time over number of joints, both on logarithmic axes."""
+    """Draw time over the number of joints on logarithmic axes."""
     import matplotlib
 
     matplotlib.use('Agg')

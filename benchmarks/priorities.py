@@ -12,7 +12,7 @@ import subprocess
 import sys
 
 PRIORITY = 50
-"""Of a contender with real-time priority; the node's default."""
+"""Real-time priority of contenders, equal to the node's default."""
 _ROBOT_PRIORITY = 60
 _BUSY = 'while True: pass'
 _PR_CAPBSET_DROP, _CAP_SYS_NICE = 24, 23
@@ -20,16 +20,11 @@ _PR_CAPBSET_DROP, _CAP_SYS_NICE = 24, 23
 
 def raise_robot_side() -> bool:
     """
-    Give this process, the robot's side, a higher priority than all contenders.
+    Give this process a higher priority than all contenders; return whether that is permitted.
 
-    Call it before any thread is started. Drivers of robots that send 1000 states a second have
-    real-time priority too, and the delays of this process are not those of the contenders.
-
-    Returns
-    -------
-    is_permitted : bool
-        Whether real-time priority is permitted.
-
+    This process simulates the driver of the robot. Drivers that send 1000 joint states per second
+    also have real-time priority, and delays of this process must not count as delays of the
+    contenders. Call this function before any thread is started.
     """
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_ROBOT_PRIORITY))
@@ -39,7 +34,7 @@ def raise_robot_side() -> bool:
 
 
 def normal() -> None:
-    """Let a process that is about to start keep its permissions, but begin at normal priority."""
+    """Start a process at normal priority, with permission to raise it."""
     if hasattr(os, 'sched_setscheduler'):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
@@ -50,14 +45,14 @@ def realtime() -> None:
 
 
 def forbidden() -> None:
-    """Start a process at normal priority, and without permission to raise it."""
+    """Start a process at normal priority, without permission to raise it."""
     normal()
     ctypes.CDLL(None).prctl(_PR_CAPBSET_DROP, _CAP_SYS_NICE, 0, 0, 0)
     resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
 
 
 class BusyProcesses:
-    """Processes at normal priority that never sleep, stopped until they are needed."""
+    """Processes at normal priority that keep the CPUs busy; they are stopped until needed."""
 
     def __init__(self, count: int) -> None:
         self._processes = [_start([sys.executable, '-c', _BUSY], normal) for _ in range(count)]
@@ -65,7 +60,7 @@ class BusyProcesses:
 
     @contextlib.contextmanager
     def running(self, is_wanted: bool = True) -> Iterator[None]:
-        """Let them run."""
+        """Let the busy processes run during the context."""
         if not is_wanted:
             yield
             return
@@ -76,7 +71,7 @@ class BusyProcesses:
             self._signal(signal.SIGSTOP)
 
     def close(self) -> None:
-        """End them."""
+        """End the busy processes."""
         for process in self._processes:
             process.kill()
             process.wait()

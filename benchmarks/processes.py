@@ -1,4 +1,4 @@
-"""Processes that a long measurement starts, and what is known of them from outside."""
+"""Processes of a long measurement: start, end, CPU time and memory."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from typing import Any, NamedTuple
 
 from . import priorities
 
-PATIENCE = 30.0  # [s]; for a process to end after SIGTERM
+PATIENCE = 30.0  # [s]; longest time from SIGTERM to the end of a process
 
 
 class Memory(NamedTuple):
     """Memory of a process and of its children [MB]."""
 
     resident: float
-    """Of the process alone, with what it shares."""
+    """Resident memory of the process without its children, including shared pages."""
     proportional: float
-    """With its part of the pages that it shares with others."""
+    """Memory with a proportional share of the pages that other processes share."""
     unique: float
-    """Pages that nobody else uses."""
+    """Memory in pages that no other process uses."""
 
 
 def heed_signals() -> None:
-    """Let SIGTERM and SIGHUP end this program as Ctrl-C does, with all its ``finally`` blocks."""
+    """Let SIGTERM and SIGHUP end this program like Ctrl-C, so that ``finally`` blocks run."""
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt
@@ -43,10 +43,9 @@ def start(
     module: Sequence[str], prepare: Callable[[], None] = priorities.normal, **options: Any
 ) -> subprocess.Popen[str]:
     """
-    Start a Python module, given with its arguments, at normal priority.
+    Start a Python module with its arguments, by default at normal priority.
 
-    Ctrl-C does not reach it: this program ends it.
-
+    Ctrl-C does not reach the new process. This program must end it.
     """
     return subprocess.Popen(
         [sys.executable, '-m', *module],
@@ -58,9 +57,9 @@ def start(
 
 
 def end(processes: Sequence[subprocess.Popen[Any]]) -> None:
-    """End processes; SIGTERM first, so that they remove their shared memory."""
+    """End processes, first with SIGTERM, so that the processes remove their shared memory."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)  # the next Ctrl-C would leave some of them behind
+        signal.signal(number, signal.SIG_IGN)  # a second Ctrl-C would leave processes behind
     for process in processes:
         process.terminate()
     for process in processes:
@@ -77,7 +76,7 @@ def cpu_time(pid: int) -> float:
 
 
 def waiting_times(pid: int) -> dict[str, float]:
-    """Return how long each thread of a process has waited for a CPU [s], by its number."""
+    """Return how long each thread of a process has waited for a CPU [s], by thread number."""
     found = {}
     for path in Path(f'/proc/{pid}/task').iterdir():
         with contextlib.suppress(OSError):  # the thread has ended
@@ -94,7 +93,7 @@ def memory(pid: int) -> Memory:
 
 
 def total(memories: Sequence[Memory]) -> Memory:
-    """Add memories."""
+    """Return the sum of the memory of several processes."""
     return Memory(*map(sum, zip(*memories, strict=True)))
 
 
@@ -108,7 +107,7 @@ def children(pid: int) -> list[int]:
 
 
 def resident(pid: int) -> float:
-    """Return the memory that a process occupies [MB]."""
+    """Return the resident memory of a process [MB]."""
     pages = int(Path(f'/proc/{pid}/statm').read_text().split()[1])
     return pages * os.sysconf('SC_PAGE_SIZE') / 2**20
 

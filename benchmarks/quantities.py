@@ -1,9 +1,9 @@
 """
-All quantities of this package, each relative to Pinocchio's function for the same numbers.
+All quantities of this package, each timed relative to Pinocchio's function for the same quantity.
 
-Where Pinocchio has no such function, its counterpart is a short sequence of calls. Both sides are
-timed for one call, with an array for our result, and for a batch, with a loop in Python on
-Pinocchio's side that stores its results in one array.
+If Pinocchio has no such function, the counterpart is a short sequence of calls. Both libraries are
+timed for one call and for a batch. For one call, this package writes to an existing array. For a
+batch, a Python loop calls Pinocchio and stores all results in one array.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ from .peers import Pinocchio, rows
 from .robots import random_states, Robot
 from .timing import Contender, contender, States
 
-MOST_STATES = 512  # in a batch
-MOST_NUMBERS = 1 << 20  # in the results of a batch: 8 MB
+MOST_STATES = 512  # largest number of states in a batch
+MOST_NUMBERS = 1 << 20  # largest number of values in the results of a batch: 8 MB
 
-MOST_GENERATED = 40  # joints, for which a mass matrix compiles for some seconds
+MOST_GENERATED = 40  # joints; with these, the generated mass matrix compiles for a few seconds
 OURS, THEIRS = 'ours', 'pin'
 
 Call = Callable[..., Any]
 
 
 class Counterpart(NamedTuple):
-    """Pinocchio's way to a quantity."""
+    """Calls of Pinocchio that compute a quantity."""
 
     call: Call
-    """Function of model, data and the arguments."""
+    """Function of Pinocchio's model, its data and the arguments."""
     read: Callable[[Any], Floats]
-    """Converts the result of a call to an array with the joints in the order of this package."""
+    """Converts the result of a call to an array with the joint order of this package."""
     store: Callable[[Floats, Any], None]
     """Stores the result of a call as one element of the results of a batch."""
 
@@ -47,18 +47,18 @@ class Quantity(NamedTuple):
     """A quantity of this package and its counterpart."""
 
     method: str
-    """Method of the dynamics."""
+    """Name of the method of this package's dynamics."""
     label: str
-    """Functions of the counterpart."""
+    """Names of Pinocchio's functions."""
     arity: int
-    """Number of arguments: q; q and qd; or q, qd and qdd."""
+    """Number of arguments: 1 for q; 2 for q and qd; 3 for q, qd and qdd."""
     counterpart: Callable[[Pinocchio], Counterpart]
     is_generated: bool = False
-    """Whether `GeneratedDynamics` has the method, too, and is timed."""
+    """Whether the same method of `GeneratedDynamics` is timed, too."""
 
     @property
     def name(self) -> str:
-        """Label of the row."""
+        """Label of the row in the table."""
         return f'`{self.method}`' + (', written out' if self.is_generated else '')
 
 
@@ -90,7 +90,7 @@ def one_call(quantity: Quantity, robot: Robot) -> list[Contender]:
 
 
 def batches(quantity: Quantity, robot: Robot) -> list[Contender]:
-    """Time a batch of this package, and a loop over Pinocchio's call."""
+    """Time a batch in this package, and a Python loop over Pinocchio's call."""
     method = getattr(InverseDynamics(robot.model), quantity.method)
     size = in_one_array(method(*np.zeros((quantity.arity, robot.n)))).size
     count = min(MOST_STATES, max(LANES, MOST_NUMBERS // size))
@@ -124,14 +124,14 @@ def batches(quantity: Quantity, robot: Robot) -> list[Contender]:
 
 
 def in_one_array(result: Any) -> Floats:
-    """Return a result in the form of its `out`."""
+    """Return a result in the form of the `out` array."""
     if isinstance(result, JointWrenches):
         return np.concatenate(result, axis=-1)
     return np.array(result)
 
 
 def common(result: Any) -> Floats:
-    """Return the part of a result that the counterpart has, too, with the states first."""
+    """Return the values of a result that Pinocchio also computes, with the states first."""
     found = in_one_array(result)
     if isinstance(result, EffortTerms):
         return np.moveaxis(found[:3], 0, -2)
@@ -200,7 +200,7 @@ def _mass_matrix(peer: Pinocchio) -> Counterpart:
     from pinocchio import crba
 
     def full(found: Floats) -> Floats:
-        upper = np.triu(found)  # the other half is not always set
+        upper = np.triu(found)  # Pinocchio does not always set the lower half
         return (upper + np.triu(upper, 1).T)[np.ix_(peer.inverse, peer.inverse)]
 
     return Counterpart(crba, full, _assign)
@@ -275,5 +275,5 @@ QUANTITIES = (
     Quantity('joint_wrenches', '`rnea`, `data.f` copied', 3, _wrenches_in_an_array),
     Quantity('regressor', '`computeJointTorqueRegressor`', 3, _regressor),
 )
-# Batches have no generated code, and store the wrenches in any case.
+# There is no generated code for batches, and batches always store the wrenches.
 BATCHED = tuple(x for x in QUANTITIES if not x.is_generated and x.label != '`rnea`')

@@ -1,8 +1,9 @@
 """
-The baseline of the node: processes that pass positions on and compute nothing.
+The baseline for the node: processes that forward positions as commands and compute nothing.
 
-`python -m benchmarks.relays usual [RATE] --ros-args ...` is a straightforward node, and `lean`
-is built like the node; without a rate there is a command for every joint state.
+`python -m benchmarks.relays usual [RATE] --ros-args ...` is a straightforward ROS node. `lean`
+instead of `usual` handles messages like the inverse dynamics node. Without RATE, the relay sends a
+command for every joint state.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from .wire import EVERY_ONE, NEWEST
 
 
 class UsualRelay:
-    """A relay with typed messages, each made when it is needed."""
+    """A relay with typed messages that creates a new message for each command."""
 
     def __init__(self, node: Any, rate: float) -> None:
         self._latest: JointState | None = None
@@ -49,7 +50,7 @@ class UsualRelay:
 
 
 class LeanRelay:
-    """A relay that reads and writes messages as the node does."""
+    """A relay that reads and writes messages like the inverse dynamics node."""
 
     def __init__(self, node: Any) -> None:
         self._reader = JointStateReader()
@@ -65,7 +66,7 @@ class LeanRelay:
 
 
 def main() -> None:
-    """Relay until a signal arrives."""
+    """Run the relay until a signal arrives."""
     stopped: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda number, _: stopped.append(number))

@@ -1,4 +1,4 @@
-"""The tables of the page; page.md contains its text."""
+"""The tables of doc/evidence/benchmarks.md; page.md contains the text."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def grid(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def ratios(table: Table, reference: str, calls: int) -> str:
-    """Format ratios to the reference, and the times of the reference."""
+    """Format the ratios of times to the reference, and the times of the reference."""
     robots = tables.names(table)
     rows = [[reference, *(_time(table[reference][robot], calls) for robot in robots)]]
     for name, entries in sorted(table.items(), key=_rank):
@@ -76,13 +76,13 @@ def ratios(table: Table, reference: str, calls: int) -> str:
 
 
 def _rank(row: tuple[str, dict[str, Entry]]) -> float:
-    """Order contenders by their ratio on the robot in the first column that has one."""
+    """Return a sort key: the ratio of a contender in the first column with a ratio."""
     timings = [entry.timing.ratio for entry in row[1].values() if entry.timing]
     return timings[0] if timings else float('inf')
 
 
 def agreement(table: Table) -> str:
-    """State how well the timed results agree."""
+    """Describe how well the timed results agree."""
     errors = [e.error for row in table.values() for e in row.values() if e.timing and e.error]
     return (
         f'All timed results agree with `{peers.REFERENCE}` to {max(errors):.0e} of the largest '
@@ -104,7 +104,7 @@ def wrong(table: Table) -> str:
 
 
 def pairs(found: Pairs) -> str:
-    """Format the ratios of this package to Pinocchio."""
+    """Format the ratios of this package's times to Pinocchio's."""
     rows = [
         [
             quantity.name,
@@ -121,7 +121,7 @@ def pair_times(found: Pairs) -> str:
     rows = {
         quantity.label: [_time(robot[quantities.THEIRS], 1) for robot in row.values()]
         for quantity, row in found.items()
-        if not quantity.is_generated  # its counterpart is that of another row
+        if not quantity.is_generated  # another row has the same counterpart
     }
     return grid(['', *next(iter(found.values()))], [[name, *row] for name, row in rows.items()])
 
@@ -196,7 +196,7 @@ def floors(found: list[Floor]) -> str:
 
 
 def starts(found: dict[str, dict[str, float]]) -> str:
-    """Format the steps of a start."""
+    """Format the times of the steps of a start."""
     kinds = list(found)
     steps = list(found[kinds[0]])
     rows = [[step, *(_milliseconds(found[kind][step]) for kind in kinds)] for step in steps]
@@ -213,7 +213,7 @@ def duration(seconds: float) -> str:
 
 
 def figures(timing: Timing) -> str:
-    """Format a ratio, with its quartiles in small print."""
+    """Format the ratio of a timing, with quartiles in small print."""
     if timing.low == timing.high:
         return _short(timing.ratio)
     spread = f'{_short(timing.low)}–{_short(timing.high)}'

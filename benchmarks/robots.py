@@ -1,4 +1,4 @@
-"""The robots and states of the benchmarks."""
+"""Robots and joint states for the benchmarks."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def stanford() -> Robot:
 
 
 def chain(count: int) -> Robot:
-    """Make a chain in general position with every third joint prismatic."""
+    """Create a chain in general position; every third joint is prismatic."""
     return Robot(f'chain {count}', urdf_of(random_chain(np.random.default_rng(count), count)))
 
 
@@ -59,8 +59,8 @@ def bare(path: Path, locked: tuple[str, ...] = ()) -> str:
     """
     Remove everything except kinematics and inertia from a URDF; lock joints by name prefix.
 
-    Without meshes every library can read it, and without damping all compute the same efforts.
-
+    Without meshes, every library can read the URDF. Without damping, all libraries compute the
+    same efforts.
     """
     root = etree.fromstring(path.read_bytes(), etree.XMLParser(remove_comments=True))
     for tag in _NOT_DYNAMICS:
@@ -69,7 +69,7 @@ def bare(path: Path, locked: tuple[str, ...] = ()) -> str:
     for joint in root.findall('joint'):
         if joint.get('name', '').startswith(locked):
             joint.set('type', 'fixed')
-        if joint.get('type') == 'fixed':  # where a mimic element says nothing, and not all take it
+        if joint.get('type') == 'fixed':  # here, not all libraries accept a mimic element
             for mimic in joint.findall('mimic'):
                 joint.remove(mimic)
     return str(etree.tostring(root, encoding='unicode'))

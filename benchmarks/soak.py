@@ -1,9 +1,9 @@
 """
-Lets the node run for a long time while everything that may change does.
+Runs the node for a long time while all its inputs change.
 
-Joint states arrive without pause; references, payloads, wrenches, gravity, robot descriptions,
-trajectories and parameters change. All outputs are read, most of them in turn. The program prints
-latencies, gaps, memory, threads and open files for each quarter of the time, as a table for
+Joint states arrive without pause. References, payloads, wrenches, gravity, robot descriptions,
+trajectories and parameters change. The program reads all outputs, most of them in turn. For each
+quarter of the time, it prints latencies, gaps, memory, threads and open files, as a table for
 doc/evidence/reliability.md. It fails if
 
 - a command is incomplete, not finite or beyond its limits;
@@ -58,7 +58,7 @@ OUTPUTS = {
     f'{NODE}/robot_description': String,
     '/diagnostics': DiagnosticArray,
 }
-"""The outputs that are read all the time."""
+"""The outputs that are always read."""
 IN_TURN = {
     f'{NODE}/joint_efforts': JointState,
     f'{NODE}/joint_commands': JointState,
@@ -69,14 +69,14 @@ IN_TURN = {
     f'{NODE}/terms/external': JointState,
     f'{NODE}/base_wrench': WrenchStamped,
 }
-"""Those that are read one after the other: all of them at once take more than a millisecond."""
-TURN = 2.0  # [s]
-MOST_GROWTH = 20.0  # [MB]; from the first quarter to the last
-GAP = 0.1  # [s]; a longer time between commands is counted
-LONGEST_GAP = 0.5  # [s]; between commands, beyond the longest gap of the joint states
-PATIENCE = 60.0  # [s]
-NUMBERS = 1000  # of joint states that are told apart
-STEP = 1000.0  # [N m]; between the measured efforts of two of them
+"""The outputs that are read in turn: reading all at once takes more than a millisecond."""
+TURN = 2.0  # [s]; time for which one of these outputs is read
+MOST_GROWTH = 20.0  # [MB]; largest growth of memory, to the last quarter
+GAP = 0.1  # [s]; longer times between commands are counted as gaps
+LONGEST_GAP = 0.5  # [s]; largest excess of a gap over the longest gap of the joint states
+PATIENCE = 60.0  # [s]; time limit for the start and the end of the node
+NUMBERS = 1000  # number of joint states that can be distinguished by their measured efforts
+STEP = 1000.0  # [N m]; between the measured efforts of successive joint states
 FAULTS = 'message dropped', 'Traceback', 'kept the old robot description'
 PARAMETERS = {
     'effort_scale': (1.0, 0.95),
@@ -95,30 +95,30 @@ HEAD = """\
 
 
 class SoakError(Exception):
-    """An invariant that did not hold."""
+    """A check of the soak test failed."""
 
 
 class Quarter(NamedTuple):
-    """What was measured in a quarter of the time."""
+    """The measurements in a quarter of the time."""
 
     states: int
     commands: int
     latency: float
-    """Median from a joint state to the command that was computed from it [ms]."""
+    """Median latency from a joint state to its command [ms]."""
     late: float
-    """99 % of them [ms]."""
+    """99th percentile of the latency from a joint state to its command [ms]."""
     gaps: int
-    """Times of more than `GAP` between commands."""
+    """Number of gaps between commands that are longer than `GAP`."""
     longest: float
-    """The longest time between two commands [ms]."""
+    """Longest time between two commands [ms]."""
     longest_own: float
-    """The longest time between two joint states that this program sent [ms]."""
+    """Longest time between two joint states that this program sent [ms]."""
     memory: float
     """Median of the resident memory of the node [MB]."""
     child_memory: float
-    """The same of the process that reads robot descriptions and trajectories [MB]."""
+    """Median memory of the process that reads robot descriptions and trajectories [MB]."""
     threads: int
-    """The median; some exist for a moment only."""
+    """Median number of threads of the node; some threads exist only briefly."""
     files: int
 
     def __str__(self) -> str:
@@ -163,7 +163,7 @@ class Robot:
         for name, kind in OUTPUTS.items():
             qos = LATCHED if kind is String else 10
             subscribe(kind, name, self._reader(name), qos, raw=True)
-        # Subscriptions come and go on a node that no executor knows: their events could crash it.
+        # This node has no executor: an executor could crash when subscriptions come and go.
         self.reader = rclpy.create_node('reader')
         self._subscription: Any = None
         self._topics = itertools.cycle(IN_TURN)
@@ -175,7 +175,7 @@ class Robot:
         self.sampling = self.node.create_timer(1.0, self._sample)
 
     def begin_quarter(self) -> None:
-        """Forget the latencies, gaps and samples."""
+        """Reset the latencies, gaps and samples for a new quarter."""
         self.latencies: list[float] = []
         self.states = self.commands = self.gaps = 0
         self.longest = self.longest_own = 0.0
@@ -212,7 +212,7 @@ class Robot:
     def _publish_state(self) -> None:
         q, qd = self._motion()
         self._state.position, self._state.velocity = q.tolist(), qd.tolist()
-        # The node repeats this number in the external efforts, from which the latency is known.
+        # The external efforts of the node reveal this number, and therefore the latency.
         self._number = (self._number + 1) % NUMBERS
         self._state.effort = [0.0] * 6 + [STEP * self._number]
         now = time.monotonic()
@@ -235,7 +235,7 @@ class Robot:
         self._wrenches.publish(wrench)
 
     def _change(self) -> None:
-        """Change one thing after the other."""
+        """Change one input of the node; each call changes another input."""
         self._turn += 1
         turn = self._turn % 4
         if turn == 0:
@@ -281,7 +281,7 @@ class Robot:
         self.changes['parameters'] += 1
 
     def set(self, name: str, value: Any) -> None:
-        """Set a parameter; check the answers to earlier requests."""
+        """Request a new value of a parameter; check the answers to earlier requests."""
         for answer in self._answers:
             if answer.done() and not answer.result().results[0].successful:
                 raise SoakError(f'a parameter is refused: {answer.result().results[0].reason}')
@@ -292,7 +292,7 @@ class Robot:
         self._answers.append(self._set.call_async(SetParameters.Request(parameters=[message])))
 
     def prepare(self) -> None:
-        """Wait for commands and services, and let the external efforts follow at once."""
+        """Wait for commands and services, and set a high cutoff for the external efforts."""
         self.spin(PATIENCE, lambda: any(self.last) and self._set.service_is_ready())
         if not any(self.last):
             raise SoakError(f'no command within {PATIENCE:g} s')
@@ -316,10 +316,10 @@ class Robot:
             raise SoakError(f'a command exceeds the limits: {self.last}')
 
     def _on_external_efforts(self, data: bytes) -> None:
-        """Note the latency of the command that the node sent just before these efforts."""
+        """Record the latency of the command that the node sent just before these efforts."""
         number = round(struct.unpack_from('<d', data, len(data) - 8)[0] / STEP) % NUMBERS
         latency = self._received - self._times[number]
-        if latency > 0.0:  # otherwise this command is lost
+        if latency > 0.0:  # otherwise this command was lost
             self.latencies.append(latency)
 
     def _sample(self) -> None:
@@ -334,13 +334,13 @@ class Robot:
         )
 
     def spin(self, duration: float, is_over: Any = lambda: False) -> None:
-        """Publish for some time [s], or until something is true."""
+        """Publish for a duration [s], or until ``is_over`` returns True."""
         end = time.monotonic() + duration
         while time.monotonic() < end and not is_over():
             self.executor.spin_once(timeout_sec=0.1)
 
     def measure(self) -> Quarter:
-        """Return what was measured since the begin of the quarter, and begin another."""
+        """Return the measurements of the current quarter, and begin the next quarter."""
         self._sample()
         latencies = 1000.0 * np.array(self.latencies or [math.nan])
         memory, child_memory, threads, files = np.median(self.samples, axis=0)
@@ -362,7 +362,7 @@ class Robot:
 
 
 def run(seconds: float, rate: float, log: Any) -> Robot:
-    """Run the node and print the measurements of each quarter; raise a SoakError if they fail."""
+    """Run the node and print the measurements of each quarter; raise a SoakError on failure."""
     node = processes.start(
         ['inverse_dynamics_node.node.main'], stdin=subprocess.DEVNULL, stdout=log, stderr=log
     )
@@ -370,7 +370,7 @@ def run(seconds: float, rate: float, log: Any) -> Robot:
     try:
         robot = Robot(rate, node.pid)
         robot.prepare()
-        begin = os.fstat(log.fileno()).st_size  # before, messages find no robot
+        begin = os.fstat(log.fileno()).st_size  # earlier messages lack a robot
         print(HEAD)
         quarters: list[Quarter] = []
         for number in range(1, 5):
@@ -379,7 +379,7 @@ def run(seconds: float, rate: float, log: Any) -> Robot:
                 raise SoakError(f'the node ended with code {node.returncode}')
             quarters.append(robot.measure())
             print(f'| {number} | {quarters[-1]}', flush=True)
-        robot.sampling.cancel()  # a process that has ended has no memory
+        robot.sampling.cancel()  # the memory of an ended process cannot be read
         node.send_signal(signal.SIGTERM)
         robot.spin(PATIENCE, lambda: node.poll() is not None)
         robot.spin(0.2)
@@ -395,14 +395,14 @@ def run(seconds: float, rate: float, log: Any) -> Robot:
 
 
 def check(robot: Robot, quarters: list[Quarter], code: int | None, lines: list[str]) -> None:
-    """Raise a SoakError unless the node has ended well, and nothing has accumulated."""
+    """Raise a SoakError if the node failed, or if memory, threads or files accumulated."""
     first, second, _, last = quarters
     problems = [f'no message on {name}' for name, count in robot.outputs.items() if not count]
     if code != 0 or any(robot.last):
         problems.append(f'it ended with code {code}, and the last command was {robot.last}')
     for what, growth in (
         ('the node', last.memory - first.memory),
-        # At first, it touches more and more of the pages that it shares with the node.
+        # The child's memory grows in the first quarter: it uses more pages shared with the node.
         ('its child', last.child_memory - second.child_memory),
     ):
         if growth > MOST_GROWTH:

@@ -13,7 +13,7 @@ from time import perf_counter
 import numpy as np
 from robot_files import STANFORD
 
-# A step includes the imports that no earlier step needed.
+# The time of a step includes the imports that no earlier step needed.
 STEPS = (
     ('import numpy', 'import numpy'),
     ('import numba', 'import numba'),
@@ -28,7 +28,7 @@ TOTAL = 'total'
 
 
 def run(cache: str, **environment: str) -> dict[str, float]:
-    """Run the steps once; return the seconds of each."""
+    """Run the steps once; return the time of each step [s]."""
     lines = ['import json', 'from time import perf_counter', 'times = [perf_counter()]']
     for _, code in STEPS:
         lines += [code, 'times.append(perf_counter())']
@@ -48,7 +48,7 @@ def run(cache: str, **environment: str) -> dict[str, float]:
 
 
 def best(warm: int, cold: int) -> dict[str, dict[str, float]]:
-    """Time starts with a warm cache, with a cold cache, and without compilation."""
+    """Time starts with a warm cache, with a cold cache, and without compilation; take the best."""
     with tempfile.TemporaryDirectory() as folder:
         caches = [str(Path(folder) / f'{k}') for k in range(cold)]
         kinds = {'first start ever': [run(cache) for cache in caches]}

@@ -1,10 +1,14 @@
 """
-Sends a million messages, most of them useless, to every subscription of the node.
+Sends a million messages, most of them useless, to the subscriptions of the node.
 
-Checks that commands stay complete, finite and within their limits, that the node continues and
-answers, that its memory grows by no more than the queue of its executor, that lost joint states
-and SIGTERM take effect in time, and that the last command is zero. It prints a table for
-doc/evidence/reliability.md.
+The program checks these conditions:
+
+- Commands are complete, finite and within their limits. The last command is zero.
+- The node continues to run, and answers a service.
+- The memory of the node grows by at most the size of its executor's queue.
+- Lost joint states and SIGTERM take effect in time.
+
+It prints a table for doc/evidence/reliability.md.
 """
 
 from __future__ import annotations
@@ -42,14 +46,14 @@ ROOT = Path(__file__).parent.parent
 ROBOT = ROOT / 'config/stanford.urdf'
 Q = (0.3, 0.8, 0.5, -0.4, 0.6, 0.2)
 STATE_TIMEOUT, STOP_RAMP = 0.1, 0.2  # [s]
-ALLOWANCE = 0.5  # [s]; for noticing that states are lost, beside time-out and ramp
-LONGEST_END = 1.5  # [s]; from SIGTERM to the end of the process
-EVENT, BEFORE = 200.0, 50.0  # [bytes] for a message in the queue, [MB] for everything else
-PATIENCE = 60.0  # [s]
+ALLOWANCE = 0.5  # [s]; for the detection of lost states, in addition to timeout and ramp
+LONGEST_END = 1.5  # [s]; longest time from SIGTERM to the end of the process
+EVENT, BEFORE = 200.0, 50.0  # [bytes] per message in the queue; [MB] for all other memory
+PATIENCE = 60.0  # [s]; time limit of each wait
 
 
 class StormError(Exception):
-    """An invariant that did not hold."""
+    """A check of the storm test failed."""
 
 
 class Robot:
@@ -95,7 +99,7 @@ class Robot:
             raise StormError(f'a command exceeds the limits {self.limits}: {self.last}')
 
     def wait(self, is_true: Any, what: str, patience: float = PATIENCE) -> float:
-        """Spin until something is true; return how long it took [s]."""
+        """Spin until a condition is true; return the waiting time [s]."""
         began = time.monotonic()
         while not is_true():
             if time.monotonic() > began + patience:
@@ -106,7 +110,7 @@ class Robot:
         return time.monotonic() - began
 
     def ask_for_state(self, patience: float) -> str:
-        """Call a service of the node."""
+        """Ask the node for its lifecycle state with a service; return the name of the state."""
         self.wait(self._state.service_is_ready, 'service get_state', patience)
         future = self._state.call_async(GetState.Request())
         self.wait(future.done, 'answer of get_state', patience)
@@ -118,26 +122,26 @@ class Robot:
 
 
 class Waiting:
-    """Measures how long the busiest thread of a process waits for a CPU, from its creation on."""
+    """Measures the longest time that a thread of a process waits for a CPU, from now on."""
 
     def __init__(self, pid: int) -> None:
         self._pid = pid
         self._before = self._last = processes.waiting_times(pid)
 
     def update(self) -> bool:
-        """Look once more, while the process exists; return False."""
+        """Read the waiting times again if the process still exists; return False."""
         with contextlib.suppress(OSError):
             self._last = {**self._last, **processes.waiting_times(self._pid)}
         return False
 
     @property
     def longest(self) -> float:
-        """Longest time of a thread [s]."""
+        """Longest waiting time of a thread [s]."""
         return max(last - self._before.get(thread, 0.0) for thread, last in self._last.items())
 
 
 def run(messages: int, seconds: float, log: Any) -> tuple[dict[str, str], list[str]]:
-    """Run the node through a storm; return the measurements, and what took too long."""
+    """Run the node through a storm; return the measurements and a list of problems."""
     settings = {
         'robot_description_file': ROBOT,
         'start_ramp': 0.0,
@@ -169,14 +173,14 @@ def run(messages: int, seconds: float, log: Any) -> tuple[dict[str, str], list[s
         growth = processes.resident(node.pid) - memory
         if node.poll() is not None:
             raise StormError(f'the node ended with code {node.returncode}')
-        # The queue is worked off first; that takes no longer than it took to fill it.
+        # The node first handles its queue. This takes at most as long as filling the queue took.
         began = time.monotonic()
         if robot.ask_for_state(PATIENCE + 2.0 * took) != 'active':
             raise StormError('the node is not active after the storm')
         answer = time.monotonic() - began
-        # Once more, to lose the joint states in the middle of a storm, and to end in it.
+        # In a second storm, joint states stop and the node receives SIGTERM.
         storms += [start_storm(messages, seconds, seed) for seed in (3, 4)]
-        # Each prints a line as soon as it has found all subscriptions.
+        # Each storm process prints a line when it has found all subscriptions.
         lines = [storm.stdout for storm in storms[2:]]
         robot.wait(lambda: len(select.select(lines, (), (), 0.0)[0]) == 2, 'the second storm')
         sent_before = robot.commands

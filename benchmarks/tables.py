@@ -1,4 +1,4 @@
-"""Comparisons of all contenders on all robots, and the reasons for gaps in the tables."""
+"""Comparisons of all contenders on all robots, and the reasons for empty table cells."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class Entry(NamedTuple):
     error: float | None
     """Largest difference from the reference, relative to the largest effort."""
     note: str = ''
-    """Reason why it was not timed."""
+    """Reason why the contender was not timed."""
 
 
 Table = dict[str, dict[str, Entry]]
-"""By contender, then by robot."""
+"""Results by contender, then by robot."""
 
 CALLS: dict[str, Maker] = {
     peers.REFERENCE: peers.pinocchio,
@@ -54,21 +54,21 @@ BATCHES: dict[str, Maker] = {
 
 
 def calls(robots: Sequence[Robot], rounds: int) -> Table:
-    """Time one call."""
+    """Time calls for one state."""
     return _table(CALLS, robots, 16, rounds)
 
 
 def batches(robots: Sequence[Robot], rounds: int) -> Table:
-    """Time many states in one call."""
+    """Time calls for many states."""
     return _table(BATCHES, robots, batch.COUNT, rounds)
 
 
 Pairs = dict[Quantity, dict[str, dict[str, Entry]]]
-"""By quantity, robot, and `quantities.OURS` or `quantities.THEIRS`."""
+"""Results by quantity, then by robot, then by `quantities.OURS` or `quantities.THEIRS`."""
 
 
 def quantities_of_one_call(robots: Sequence[Robot], rounds: int) -> Pairs:
-    """Time every quantity, relative to Pinocchio's function."""
+    """Time one call of every quantity, relative to Pinocchio's function."""
     return _pairs(quantities.QUANTITIES, quantities.one_call, robots, rounds)
 
 
@@ -122,7 +122,7 @@ def _make(maker: Maker, robot: Robot, states: Floats) -> Contender | str:
         return NOT_INSTALLED
     except workers.OtherRobotsError as error:
         return str(error)
-    except Exception as error:  # a library may raise anything for a robot that it does not support
+    except Exception as error:  # a library may raise any error for an unsupported robot
         print(f'{robot.name}: {error}')
         return 'not supported'
 
@@ -139,5 +139,5 @@ def _entries(ready: Sequence[Contender], reference: Contender, rounds: int) -> d
 
 
 def names(table: dict[str, Any]) -> list[str]:
-    """Return the robots of a table."""
+    """Return the names of the robots in a table."""
     return list(dict.fromkeys(robot for row in table.values() for robot in row))

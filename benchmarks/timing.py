@@ -1,9 +1,8 @@
 """
 Interleaved timing: every round times every contender once, and ratios are computed per round.
 
-The speed of a shared machine changes within seconds. Contenders timed one after the other would
-run under different conditions; those of the same round run under nearly the same. Times are CPU
-times of the thread, which exclude other processes.
+The speed of a shared machine changes within seconds. Within a round, all contenders run under
+nearly the same conditions. Times are CPU times of the thread, which exclude other processes.
 """
 
 from __future__ import annotations
@@ -19,24 +18,24 @@ from typing import Any, NamedTuple
 from inverse_dynamics_node.robot.model import Floats
 import numpy as np
 
-SLICE = 0.005  # [s] per contender and round: long for the clock, short for changes of the load
-SLOW = 0.05  # [s] per sweep, above which a contender skips most rounds
-FEW = 5  # rounds of a slow contender
+SLICE = 0.005  # [s] per contender and round: above the clock's resolution, below load changes
+SLOW = 0.05  # [s] per sweep: slower contenders skip most rounds
+FEW = 5  # number of rounds for a slow contender
 
 States = Sequence[tuple[Any, ...]]
 
 
 def nothing() -> None:
-    """Do nothing, for contenders with nothing to close."""
+    """Do nothing: the close function of contenders without resources."""
 
 
 @dataclass
 class Contender:
-    """An implementation that can be timed over a number of sweeps."""
+    """An implementation to be timed; a sweep is one pass over all states."""
 
     name: str
     results: Callable[[], Floats]
-    """Returns the results, one row per state, for a comparison before the timing."""
+    """Returns the results, one row per state, to be compared before the timing."""
     seconds: Callable[[int], float]
     """Runs a number of sweeps over all states; returns the seconds per call."""
     calls: int
@@ -48,9 +47,9 @@ class Timing(NamedTuple):
     """The timing of a contender over all rounds."""
 
     seconds: float
-    """Best of all rounds, close to the time on an idle machine."""
+    """Shortest time per call of all rounds, close to the time on an idle machine."""
     ratio: float
-    """Median of the ratios to the reference, followed by the quartiles."""
+    """Median of the ratios to the reference; the quartiles follow."""
     low: float
     high: float
 
@@ -59,10 +58,9 @@ def contender(
     name: str, states: States, sweep: Callable[[States], None], result: Callable[..., Floats]
 ) -> Contender:
     """
-    Make a contender from a loop over states, as a user would write it.
+    Make a contender from a Python loop over states, as a user would write it.
 
     Each contender has its own loop, which avoids a function call between loop and library.
-
     """
 
     def seconds(sweeps: int) -> float:
@@ -93,19 +91,19 @@ def in_loop(name: str, sweep: Callable[..., None], states: Floats, *arguments: A
 
 
 def difference(results: Floats, expected: Floats) -> float:
-    """Return the largest difference, relative to the largest value."""
+    """Return the largest difference relative to the largest expected value."""
     return float(np.abs(results - expected).max() / np.abs(expected).max())
 
 
 def race(contenders: Sequence[Contender], reference: str, rounds: int) -> dict[str, Timing]:
-    """Time contenders, relative to one of them."""
+    """Time contenders, and compute the ratios to the reference contender."""
     return compare(run(contenders, (reference,), rounds), reference)
 
 
 def run(
     contenders: Sequence[Contender], references: Sequence[str], rounds: int
 ) -> dict[str, list[float]]:
-    """Return the seconds of every contender; slow ones skip rounds, unless they are references."""
+    """Return the times of every contender [s]; slow contenders except references skip rounds."""
     sweeps = {c.name: _sweeps_in_a_slice(c) for c in contenders}
     taken: dict[str, list[float]] = {c.name: [] for c in contenders}
     with _without_garbage_collection():
@@ -123,8 +121,8 @@ def compare(taken: dict[str, list[float]], reference: str) -> dict[str, Timing]:
 
 def _sweeps_in_a_slice(c: Contender) -> int:
     """Return the number of sweeps per round; 0 for a slow contender, which skips most rounds."""
-    c.seconds(1)  # loads everything that is loaded lazily
-    for _ in range(3):  # one sweep may be slow because of a pause of the machine
+    c.seconds(1)  # finish lazy loading
+    for _ in range(3):  # one sweep may be slow because the machine paused
         sweep = c.seconds(1) * c.calls
         if sweep < SLICE:
             break
@@ -139,37 +137,27 @@ def _timing(times: list[float], reference: list[float]) -> Timing:
 
 def missed(times: Sequence[int], period: int) -> int:
     """
-    Count the periods without an event in their first half.
+    Count the periods from the first event to the last that have no event in their first half.
 
-    Parameters
-    ----------
-    times : sequence of int
-        Times of events that should occur once per period.
-    period : int
-        Period in the same unit. Its phase is estimated from the events.
-
-    Returns
-    -------
-    count : int
-        Number of such periods between the first event and the last.
-
+    The events should occur once per period. Times and period have the same unit. The phase of the
+    periods is estimated from the events.
     """
     since = (np.array(times) - times[0]) / period
     begin = np.angle(np.exp(2j * np.pi * since).mean()) / (2.0 * np.pi)
     k = np.round(since - begin)
-    # An event late by more than half a period must not be taken for that of the next period.
+    # An event that is late by more than half a period must not be assigned to the next period.
     is_in_time = since - begin - k > -0.25
     return int(k[-1] - k[0] + 1 - len(np.unique(k[is_in_time])))
 
 
 @contextlib.contextmanager
 def one_core() -> Iterator[None]:
-    """Keep this process and its new children on one core, if the system supports that."""
+    """Keep this process and its new children on one core if the system supports this."""
     if not hasattr(os, 'sched_getaffinity'):
         yield
         return
     before = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, {max(before)})  # whose caches stay warm
+    os.sched_setaffinity(0, {max(before)})  # its caches stay warm
     try:
         yield
     finally:

@@ -1,4 +1,4 @@
-"""A process that answers joint states with commands, and the robot's side of the measurement."""
+"""Measurement of a process that answers joint states with commands."""
 
 from __future__ import annotations
 
@@ -33,18 +33,18 @@ EVERY_ONE = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 """Quality of service of commands, equal to the node's."""
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
-PATIENCE = 60.0  # [s]; for a process to start, and to be found
+PATIENCE = 60.0  # [s]; time limit for a process to start, and to be discovered
 LOST = 0.1  # [s]; a state without an answer after this time is lost
-WARM_UP = 0.3  # [s]; at the start of a turn, not measured
-LONGEST = 60.0  # [s]; for an interruption to end
-RELOAD = 2.0  # [s]; for another robot description to be in use
+WARM_UP = 0.3  # [s]; time at the start of a turn that is not measured
+LONGEST = 60.0  # [s]; time limit for other work of the process
+RELOAD = 2.0  # [s]; time after which a new robot description is in use
 
 
 class Trips(NamedTuple):
-    """Round trips of one turn, in which each state waits for the previous command."""
+    """Round trips in one turn; each state is sent after the command for the previous state."""
 
     times: Floats
-    """Times from state to command, shape (commands,) [s]."""
+    """Time from state to command, one value per command [s]."""
     cpu: float
     """CPU time of the process per command [s]."""
     lost: int
@@ -52,21 +52,21 @@ class Trips(NamedTuple):
 
 
 class Answers(NamedTuple):
-    """Answers to the states of one turn, which are sent at a fixed rate."""
+    """Answers to the states of one turn; the states are sent at a fixed rate."""
 
     times: Floats
-    """Time from each state to a command from it, or from a later state, shape (states,) [s]."""
+    """Time from each state to the first command for this or a later state [s]."""
     cpu: float
     """CPU time of the process per second [s]."""
 
 
 class Ticks(NamedTuple):
-    """Commands of one turn at a fixed rate, with states at the same rate."""
+    """Commands in one turn at a fixed rate, with states at the same rate."""
 
     missed: int
     """Number of periods without a command in their first half."""
     slept: int
-    """The same for the states, whose loop does little except sleep."""
+    """Number of periods without a state in their first half; the sender mostly sleeps."""
     periods: int
     cpu: float
     """CPU time of the process per second [s]."""
@@ -74,19 +74,11 @@ class Ticks(NamedTuple):
 
 class Contender:
     """
-    A process on a domain of its own, stopped while it is not its turn.
+    A process on its own ROS domain, stopped while other contenders have their turn.
 
-    Parameters
-    ----------
-    module : str
-        What Python runs; its topics are ``joint_states`` and ``~/commands``.
-    arguments : sequence of str
-        For it, those for ROS last.
-    domain : int
-        A domain that no other process uses.
-    prepare : callable
-        Runs in the new process before Python starts; sets its priority.
-
+    The process runs a Python module with the topics ``joint_states`` and ``~/commands``. The
+    arguments for ROS come last. ``prepare`` runs in the new process before Python starts, and sets
+    the priority. No other process may use the domain.
     """
 
     def __init__(
@@ -129,22 +121,10 @@ class Contender:
         self, states: Sequence[JointState], accelerations: Sequence[float], expected: Floats
     ) -> None:
         """
-        Wait for the right command for every state, then let the process wait for its turn.
+        Wait for the expected command for every joint state, then stop the process until its turn.
 
-        Parameters
-        ----------
-        states : sequence of JointState
-            Published one after another.
-        accelerations : sequence of float
-            Asked for in all of them.
-        expected : array_like, shape (count, m)
-            The command for each.
-
-        Raises
-        ------
-        TimeoutError
-            If one of them does not come, or the process ends.
-
+        ``accelerations`` are requested for all states. ``expected`` contains one command per row.
+        Raise a TimeoutError if a command does not arrive, or the process ends.
         """
         deadline = time.monotonic() + PATIENCE
         for state, command in zip(states, expected, strict=True):
@@ -166,7 +146,7 @@ class Contender:
         self._process.send_signal(signal.SIGSTOP)
 
     def trips(self, seconds: float, period: float) -> Trips:
-        """Send states for a time [s], one a period [s], none before the last is answered."""
+        """Send at most one state per period [s] for a time [s]; wait for each answer."""
         self._create_executor()
         with self._turn():
             self._exchange(WARM_UP, period)
@@ -183,7 +163,7 @@ class Contender:
             self._executor.add_node(self._node)
 
     def answers(self, seconds: float, period: float) -> Answers:
-        """Send states for a time [s], one a period [s], whether or not they are answered."""
+        """Send one state per period [s] for a time [s], without waiting for answers."""
         self._create_executor()
         self._pending.clear()
         with self._turn():
@@ -215,7 +195,7 @@ class Contender:
             self._executor.spin_once(timeout_sec=left * 1e-9)
 
     def _note_answer(self, data: bytes, now: int) -> None:
-        """Note the time from every state that this command, or an earlier one, is based on."""
+        """Record the times from all pending states that this command answers or supersedes."""
         k = self._numbers.get(data[-self._size :])
         same = [i for i, (number, _) in enumerate(self._pending) if number == k]
         for _ in range(same[-1] + 1 if same else 0):
@@ -286,24 +266,11 @@ class Contender:
         is_slow: bool = False,
     ) -> float:
         """
-        Measure the longest time without a command while the process has something else to do.
+        Return the longest time between two commands [s] while the process does other work.
 
-        Parameters
-        ----------
-        rate : float
-            States per second [Hz].
-        least : float
-            Least time to send states [s].
-        interrupt : callable
-            Gives the process something to do; returns a function that returns whether it is done.
-        is_slow : bool
-            Whether `interrupt` stops this process for a while, and has an effect only later.
-
-        Returns
-        -------
-        gap : float
-            Longest time between two commands [s].
-
+        Send states at a rate [Hz] for at least ``least`` seconds. ``interrupt`` starts the work,
+        and returns a function that checks whether the work is done. ``is_slow`` states that
+        ``interrupt`` blocks this process for a while, and that the work starts later.
         """
         period = round(1e9 / rate)
         with self._turn():
@@ -319,24 +286,24 @@ class Contender:
         return float(np.diff(received).max()) * 1e-9
 
     def publish_description(self, text: str) -> None:
-        """Publish a robot description, also for a process that does not subscribe yet."""
+        """Publish a robot description, also for processes that subscribe later."""
         self._description.publish(String(data=text))
 
     def reload(self, text: str) -> Callable[[], bool]:
-        """Publish another description; return a function that returns whether it is in use."""
+        """Publish a new description; return a function that checks whether it is in use."""
         self.publish_description(text)
-        due = time.monotonic() + RELOAD  # its commands are the same
+        due = time.monotonic() + RELOAD  # the commands do not show it
         return lambda: time.monotonic() > due
 
     def fill(self, trajectory: bytes) -> Callable[[], bool]:
-        """Publish a trajectory; return a function that returns whether it has come back."""
+        """Publish a trajectory; return a function that checks whether the result has arrived."""
         while self._filled.handle.take_message(JointTrajectory, True) is not None:
             pass
         self._trajectories.publish(trajectory)
         return lambda: self._filled.handle.take_message(JointTrajectory, True) is not None
 
     def _take(self) -> bytes:
-        """Return the latest command; empty if there is no new one."""
+        """Return the latest serialized command, or empty bytes if there is no new command."""
         data = b''
         while (taken := self._commands.handle.take_message(Float64MultiArray, True)) is not None:
             data = taken[0]
@@ -356,7 +323,7 @@ class Contender:
             self._process.send_signal(signal.SIGSTOP)
 
     def _wait_for_answer(self) -> None:
-        """Wait until the process has been found again: it is lost if it is stopped for long."""
+        """Wait until the process answers: after a long stop, it must be discovered again."""
         deadline = time.monotonic() + PATIENCE
         while self._take()[-self._size :] not in self._numbers:
             if time.monotonic() > deadline:

@@ -1,8 +1,9 @@
 """
 Contenders in separate interpreters, timed in the same rounds as the others.
 
-A worker reads a task as one line of JSON and answers with its results. Then it answers every
-number of sweeps with the seconds of one call, and waits: it takes no time in between.
+A worker reads a task as one line of JSON, and answers with its results. Then it reads numbers of
+sweeps. For each number, it runs these sweeps and answers with the seconds per call. Between
+requests, a worker takes no CPU time.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ def without_numba(robot: Robot) -> Contender:
 
 
 def kdl(robot: Robot, states: Floats) -> Contender:
-    """Run KDL in the first interpreter that has PyKDL: that of Debian's package."""
+    """Run KDL in the first Python interpreter with PyKDL, usually Debian's Python."""
     model = robot.model
     if any(model.parent[1:] != np.arange(len(model.parent) - 1)):
         raise OtherRobotsError('chains only')
@@ -65,7 +66,7 @@ def kdl(robot: Robot, states: Floats) -> Contender:
 def start(
     name: str, command: list[str], task: dict[str, Any], calls: int, **environment: str
 ) -> Contender:
-    """Start a worker for a task with a number of calls per sweep."""
+    """Start a worker for a task; ``calls`` is the number of calls per sweep."""
     process = subprocess.Popen(
         command,
         stdin=subprocess.PIPE,
