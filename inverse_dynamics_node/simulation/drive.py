@@ -188,10 +188,10 @@ class HandOver:
     def _handle_silence(self, now: float) -> None:
         if self._has_fault:
             self._has_fault = False
-            self._log.info('the commands have paused; the robot will follow the next ones')
+            self._log.info('the commands have paused; the robot will follow the next commands')
         if not self._drive.is_on:
             self._drive.take_over(now)
-            self._log.info('no commands: the position controller of the robot holds it')
+            self._log.info('no commands arrive: the position controller holds the robot')
 
     def _step(self, now: float, duration: float) -> None:
         if not self._drive.is_on:
@@ -204,8 +204,8 @@ class HandOver:
             self._log.error(
                 f'{self._excess(speeds)}: the position controller brakes the robot and holds it. '
                 'Check signs, units and payloads with inverse_dynamics watch. Commands are '
-                f'ignored until they pause for {SILENCE} s: set dry_run of the node to true, and '
-                'to false when the cause is removed'
+                f'ignored until they pause for {SILENCE} s: set dry_run of the node to true, '
+                'remove the cause, and set dry_run to false'
             )
         self._drive.act(now)
         speeds = self._robot.advance_within(duration, BRAKING_MARGIN * self._bounds)
@@ -219,8 +219,8 @@ class HandOver:
         if now >= self._complaint_due:
             self._complaint_due = now + COMPLAINT_PERIOD
             self._log.error(
-                f'{excess}, although the position controller holds it: brakes stop the robot. '
-                'Is a payload or a push too large for the effort limits of the URDF?'
+                f'{excess}, although the position controller holds the robot: brakes stop it. '
+                'A payload or a push may be too large for the effort limits of the URDF'
             )
 
     def _excess(self, speeds: Floats) -> str:

@@ -113,8 +113,8 @@ def read_command(driver: Driver, joints: Sequence[str], message: Any) -> Command
     if driver.form is Form.EFFORTS:
         if len(message.data) != len(joints):
             raise ValueError(
-                f'it has {len(message.data)} efforts, expected {len(joints)}: '
-                '--held lists the joints that take none'
+                f'the message has {len(message.data)} efforts, expected {len(joints)}; '
+                '--held names joints without commands'
             )
         return Command(_finite(message.data, 'effort') / driver.command_unit)
     efforts = _by_name(message, 'effort', joints) / driver.command_unit
@@ -128,7 +128,7 @@ def _by_name(message: Any, field: str, joints: Sequence[str]) -> Floats:
     values = dict(zip(message.name, getattr(message, field), strict=False))
     missing = [joint for joint in joints if joint not in values]
     if missing:
-        raise ValueError(f'it has no {field} of {", ".join(missing)}')
+        raise ValueError(f'the message has no {field} of {", ".join(missing)}')
     return _finite([values[joint] for joint in joints], field)
 
 
@@ -136,7 +136,7 @@ def _finite(values: Any, what: str) -> Floats:
     array = np.array(values, float)
     if not np.isfinite(array).all():
         article = 'an' if what == 'effort' else 'a'
-        raise ValueError(f'{article} {what} in it is not finite')
+        raise ValueError(f'{article} {what} in the message is not finite')
     return array
 
 

@@ -131,7 +131,7 @@ class RobotNode(Node):
             awaits = (
                 'takes no commands' if driver.form is Form.NONE else f'awaits commands on {topic}'
             )
-            held = f'is held by its position controller; it {awaits}'
+            held = f'is held by its position controller, and {awaits}'
         self.get_logger().info(f'{robot.robot.name!r} {held}')
 
     def advance(self, duration: float) -> None:
@@ -337,7 +337,7 @@ def _parse(arguments: list[str]) -> argparse.Namespace:
         nargs='+',
         default=[],
         metavar='POSITION',
-        help='start pose [rad, m], in the order of the URDF (default: one that is easy to hold)',
+        help='start pose [rad, m] in the order of the URDF (default: a pose that is easy to hold)',
     )
     parser.add_argument(
         '--brake-release',
@@ -355,23 +355,23 @@ def _parse(arguments: list[str]) -> argparse.Namespace:
         nargs='+',
         default=[],
         metavar='JOINT',
-        help='joints that hold their position and accept no commands, such as those of a gripper',
+        help='joints that hold their position and accept no commands, such as gripper joints',
     )
     parser.add_argument(
-        '--drive', action='store_true', help='a position controller replaces the brakes'
+        '--drive', action='store_true', help='replace the brakes with a position controller'
     )
     parser.add_argument(
-        '--sway', action='store_true', help='the same, and it moves every joint back and forth'
+        '--sway', action='store_true', help='like --drive, and move every joint back and forth'
     )
     parser.add_argument(
-        '--driver', choices=DRIVERS, help='the same, with the conventions of a driver'
+        '--driver', choices=DRIVERS, help='like --drive, and use the conventions of a driver'
     )
     parser.add_argument(
         '--armature',
         type=float,
         nargs='+',
         default=[0.0],
-        help='inertia of rotors and gears at the joints [kg m^2, kg], one number or one per joint',
+        help='inertia of rotors and gears [kg m^2, kg]: one number, or one number per joint',
     )
     parser.add_argument(
         '--imu-orientation',

@@ -120,8 +120,8 @@ def _too_weak(robot: RobotModel, efforts: Floats) -> str:
         if abs(effort) > EFFORT_USED * limit
     ]
     return (
-        'the <limit effort> of the URDF is too small for the robot to hold its own weight and '
-        f'move; in the easiest of the sampled poses, {", ".join(weak)}'
+        'the effort limits of the URDF are too small for the robot to hold its own weight and '
+        f'move: in the best of the sampled poses, {", ".join(weak)}'
     )
 
 
@@ -147,7 +147,7 @@ def plan(
         axis=0,
     )
     if not swing.any():
-        raise SimulationError('no joint can move: each <limit> leaves no room or no velocity')
+        raise SimulationError('no joint can move: every <limit> allows no motion or no velocity')
     times = np.linspace(0.0, moving, 200)
     for _ in range(6):
         trajectory = Oscillation(start, swing, frequency, moving)

@@ -115,19 +115,23 @@ def test_commands_by_name_come_in_any_order():
         (
             'ur',
             SimpleNamespace(data=[1.0]),
-            'it has 1 efforts, expected 2: --held lists the joints that take none',
+            'the message has 1 efforts, expected 2; --held names joints without commands',
         ),
-        ('ur', SimpleNamespace(data=[1.0, np.nan]), 'an effort in it is not finite'),
-        ('isaac_sim', joint_state(name=['elbow'], effort=[1.0]), 'it has no effort of shoulder'),
+        ('ur', SimpleNamespace(data=[1.0, np.nan]), 'an effort in the message is not finite'),
+        (
+            'isaac_sim',
+            joint_state(name=['elbow'], effort=[1.0]),
+            'the message has no effort of shoulder',
+        ),
         (
             'openarm',
             joint_state(name=JOINTS, effort=[1.0, 2.0], position=[0.0, np.inf]),
-            'a position in it is not finite',
+            'a position in the message is not finite',
         ),
         (
             'openarm',
             joint_state(name=JOINTS, effort=[1.0, 2.0], position=[0.0, 0.0]),
-            'it has no velocity of shoulder, elbow',
+            'the message has no velocity of shoulder, elbow',
         ),
     ],
 )

@@ -207,7 +207,7 @@ def test_commands_are_ignored_after_a_fault_until_they_pause():
     bench.run(0.6)
     bench.run(1.0, bench.gravity)
     assert bench.log.infos[1:] == [
-        'the commands have paused; the robot will follow the next ones',
+        'the commands have paused; the robot will follow the next commands',
         'the robot follows the commands',
     ]
     assert bench.simulation.positions() == pytest.approx(positions[-1], abs=1e-3)

@@ -185,7 +185,7 @@ class TestResults:
     @pytest.mark.parametrize(
         ('moving', 'rest', 'rate', 'words'),
         [
-            (0.011, 0.0, 500.0, "joint 'a' was 11.00 mrad or mm off moving"),
+            (0.011, 0.0, 500.0, "joint 'a' was 11.00 mrad or mm off while moving"),
             (0.0, 0.0011, 500.0, "joint 'a' was 1.10 mrad or mm off at rest"),
             (0.0, math.nan, 500.0, 'off at rest'),
             (0.0, 0.0, 489.0, '489.0 commands/s received, expected 500.0 +- 2%: this machine is'),
@@ -242,7 +242,7 @@ class TestResults:
 
     @pytest.mark.parametrize(
         ('scale', 'words'),
-        [(1.0, ''), (1.04, ''), (1.1, 'found 10.0% off'), (-1.0, 'found 200.0% off'), (0, '100')],
+        [(1.0, ''), (1.04, ''), (1.1, 'is 10.0% off'), (-1.0, 'is 200.0% off'), (0, '100')],
     )
     def test_push(self, setup, scale, words):
         link, force = setup.push()
@@ -404,11 +404,11 @@ class TestFriction:
             np.array(numbers[1::2]) * (1.01 if beyond else 0.99), abs=2e-3
         )
         if beyond:
-            assert f'mrad or mm off moving, limit {moving[4]:.3g}' in outcome
+            assert f'mrad or mm off while moving, limit {moving[4]:.3g}' in outcome
             assert f'mrad or mm off at rest, limit {rest[4]:.3g}' in outcome
         else:
             assert outcome.startswith('PASSED')
-            assert f'{moving.min():.3g} to {moving.max():.3g} mrad (mm) moving' in outcome
+            assert f'{moving.min():.3g} to {moving.max():.3g} mrad (mm) while moving' in outcome
             assert f'{rest.min():.3g} to {rest.max():.3g} at rest' in outcome
 
     def test_slack_widens_the_limits_of_its_joint_alone(self):

@@ -99,7 +99,7 @@ def run_demo(options: argparse.Namespace, stopped: Callable[[], bool]) -> DemoRe
 def _environment_hint() -> str:
     names = 'ROS_DOMAIN_ID', 'ROS_AUTOMATIC_DISCOVERY_RANGE'
     settings = ' '.join(f'{name}={os.environ[name]}' for name in names)
-    return f'to see its topics, in another terminal: export {settings}'
+    return f'to see the topics of the demo, run in another terminal: export {settings}'
 
 
 def describe_rotors(setup: DemoSetup) -> str:
@@ -115,8 +115,8 @@ def describe_rotors(setup: DemoSetup) -> str:
     rest = f' and {len(rotors) - MOST_LISTED} more' if len(rotors) > MOST_LISTED else ''
     listed = ', '.join(rotors[:MOST_LISTED]) + rest
     text = (
-        'The URDF gives friction to joints that have hardly any inertia: it leaves out the rotors '
-        f'of their motors. The demo adds these to the robot and the node: {listed}. For your '
+        'The URDF gives friction to joints that have hardly any inertia: the rotors of the motors '
+        f'are missing. The demo adds rotor inertias to the robot and the node: {listed}. For your '
         "robot, determine the rotor inertias and set the parameter 'armature' of the node."
     )
     return fill(text, 100, break_on_hyphens=False)
@@ -241,7 +241,7 @@ class DemoRun:
             commander.advertise(event.messages)
         self._wait(
             lambda: not commander.topics_without_subscriber(),
-            lambda: f'no subscriber on {", ".join(commander.topics_without_subscriber())}',
+            lambda: f'no node subscribes to {", ".join(commander.topics_without_subscriber())}',
         )
         if self._timeline.expected is not None:
             commander.record_external_efforts()
@@ -259,7 +259,7 @@ class DemoRun:
         while commander.now < duration:
             self._spin()
             if commander.silence > SILENCE_TIMEOUT:
-                raise SimulationError('joint states stopped coming')
+                raise SimulationError('the robot has stopped sending joint states')
             while events and commander.now >= events[0].time:
                 event = events.pop(0)
                 self._words = event.words

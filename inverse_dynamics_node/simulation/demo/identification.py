@@ -25,7 +25,7 @@ from .results import LEAST_FACTOR, result_of, ScenarioResult
 from .scenarios import COMPUTED_TORQUE, hold, PATIENT, Scenario, standing, Timeline
 from .view import View
 
-SUMMARY = 'identify masses, friction and rotors from an excitation motion; follow it again'
+SUMMARY = 'identify masses, friction and rotors from a motion, then follow the motion again'
 # `follow` creates the timeline, because the motion depends on an analysis of the robot.
 _SCENARIO = Scenario(SUMMARY, hold, parameters={**COMPUTED_TORQUE, **PATIENT})
 MASS = (0.75, 1.35)

@@ -102,7 +102,7 @@ def check_payload(
     known = worst(setup, history.largest_error(sent + SETTLED, np.inf))
     factor = unknown.value / known.value
     return result_of(
-        f'the unknown load deflected a joint by {unknown.words}; once the node knew it, all '
+        f'the unknown load deflected a joint by {unknown.words}; once the node knew the load, all '
         f'joints stayed within {known.words}: {factor:.0f} times better',
         (
             before.value <= moving_limit(setup),
@@ -139,8 +139,8 @@ def check_push(
     return result_of(
         f'{np.linalg.norm(force):.3g} N at {link!r} moved a joint by {given.words}, and the node '
         f'found -J^T F (up to {size:.3g} N m or N) within {max(100.0 * off, 0.01):.2g} %',
-        (off <= CONTACT_LIMIT, f'the push was found {off:.1%} off, limit {CONTACT_LIMIT:.0%}'),
-        (noise <= CONTACT_LIMIT, f'{noise:.1%} of the push was found before it began'),
+        (off <= CONTACT_LIMIT, f'the estimated push is {off:.1%} off, limit {CONTACT_LIMIT:.0%}'),
+        (noise <= CONTACT_LIMIT, f'the node found {noise:.1%} of the push before the push began'),
         (after.value <= rest_limit(setup), f'a joint was {after.words} off after the push'),
     )
 
@@ -153,8 +153,8 @@ def check_tilt(
     rest = worst(setup, history.largest_error(settled, np.inf))
     lesser = worst(setup, np.max(np.abs(without[1]), axis=0))
     return result_of(
-        f'within {moved.words} while the base tilted, {rest.words} at rest; without the IMU it '
-        f'would have been {lesser.words}',
+        f'all joints stayed within {moved.words} while the base tilted, and within {rest.words} '
+        f'at rest; without the IMU, the error would have been {lesser.words}',
         (
             moved.value <= moving_limit(setup),
             f'a joint was {moved.words} off while the base tilted',
@@ -162,7 +162,7 @@ def check_tilt(
         (rest.value <= rest_limit(setup), f'a joint was {rest.words} off on the tilted base'),
         (
             lesser.value >= LEAST_FACTOR * moved.value,
-            f'without the IMU the error would have been only {lesser.words}',
+            f'without the IMU, the error would have been only {lesser.words}',
         ),
     )
 
@@ -184,11 +184,14 @@ def check_sensor_lost(
     end = worst(setup, history.largest_error(setup.duration - 1.0, np.inf))
     return result_of(
         f'efforts were zero {zero_after:.2f} s after the last joint state, and the brakes held; '
-        f'joints moved by {moved.words} at most and were {end.words} off at the end',
+        f'no joint moved by more than {moved.words} or was more than {end.words} off at the end',
         (before > 0.0, 'efforts were zero before the joint states stopped'),
         (len(commands) > 0, 'the node published nothing while joint states were missing'),
-        (left == 0.0, f'efforts of up to {left:.3g} N m or N {STOPPED:g} s after the last state'),
-        (brakes == [True, False], f'brakes must go on and then open, but went {brakes}'),
+        (
+            left == 0.0,
+            f'{STOPPED:g} s after the last joint state, efforts were up to {left:.3g} N m or N',
+        ),
+        (brakes == [True, False], f'the brakes must go on and then open; brakes on: {brakes}'),
         (moved.value <= moving_limit(setup), f'a joint was {moved.words} off during the run'),
         (end.value <= rest_limit(setup), f'a joint was {end.words} off at the end'),
     )
@@ -234,13 +237,14 @@ def tracking_limits(slack: Floats) -> tuple[Floats, Floats]:
 def tracking_words(slack: Floats) -> str:
     """Describe the limits on tracking errors and on the command rate."""
     parts = []
-    for limits, when in zip(tracking_limits(slack), ('mrad (mm) moving', 'at rest'), strict=True):
+    whens = 'mrad (mm) while moving', 'at rest'
+    for limits, when in zip(tracking_limits(slack), whens, strict=True):
         least, most = (f'{1000.0 * limit:.3g}' for limit in (limits.min(), limits.max()))
         parts.append(f'{least} {when}' if least == most else f'{least} to {most} {when}')
-    words = f'every joint within {" and ".join(parts)}'
+    words = f'every joint stayed within {" and ".join(parts)}'
     if np.any(slack):
-        words = f'{words} (its limit in the table, wider where dry friction holds it)'
-    return f'{words}, rate within {RATE_LIMIT:.0%}'
+        words = f'{words} (limits in the table; they are wider where dry friction holds a joint)'
+    return f'{words}, and the rate within {RATE_LIMIT:.0%}'
 
 
 def find_failures(
@@ -255,7 +259,7 @@ def find_failures(
     failures = []
     moving_limits, rest_limits = tracking_limits(slack + np.zeros(len(joint_names)))
     for when, errors, limits in (
-        ('moving', moving, moving_limits),
+        ('while moving', moving, moving_limits),
         ('at rest', rest, rest_limits),
     ):
         failures += [

@@ -231,7 +231,7 @@ def sensor_lost(setup: DemoSetup) -> Timeline:
         standing(setup),
         lambda history: results.check_sensor_lost(setup, history, lost, back),
         (
-            Event(lost, 'joint states stop, brakes go on', {sensors: Bool(data=False)}),
+            Event(lost, 'joint states stop, and the brakes go on', {sensors: Bool(data=False)}),
             Event(back, 'joint states resume', {sensors: Bool(data=True)}),
         ),
         'the arm stands still',
@@ -254,7 +254,7 @@ SCENARIOS = {
         least_duration=2.0,
     ),
     'payload': Scenario(
-        'pick up a load: the error vanishes when the node receives it on ~/payload',
+        'pick up a load: the error vanishes when the node receives the load on ~/payload',
         payload,
         parameters={**COMPUTED_TORQUE, **PATIENT},
     ),

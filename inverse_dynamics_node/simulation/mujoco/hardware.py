@@ -209,8 +209,8 @@ def require_inertia(robot: RobotModel, mass_matrix: Floats) -> None:
     if idle.any():
         names = ', '.join(repr(robot.joint_names[i]) for i in np.flatnonzero(idle))
         raise SimulationError(
-            f'no mass resists the motion of joint {names}: give the links it moves an '
-            '<inertial> with mass and inertia, or make the joint fixed'
+            f'no mass resists the motion of joint {names}: add an <inertial> with mass and '
+            'inertia to a link that the joint moves, or make the joint fixed'
         )
 
 
