@@ -1,4 +1,4 @@
-"""The exceptions of the package, and the parts that their messages have in common."""
+"""Exceptions of the package, and functions that format their messages."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class UrdfError(InverseDynamicsError):
     source : str
         Path of the file, or ``'URDF'`` if the description was passed as text.
     problems : tuple of str
-        Every problem found, in file order; never empty.
+        All problems in the order of the file; at least one.
 
     """
 
@@ -46,105 +46,61 @@ class JointStateError(InverseDynamicsError):
 
 
 class ConfigurationError(InverseDynamicsError):
-    """A setting is invalid, or does not fit the robot; one argument per problem."""
+    """A setting is invalid or does not fit the robot; each argument describes one problem."""
 
     def __str__(self) -> str:
         return '\n'.join(map(str, self.args))
 
 
 class TrajectoryError(InverseDynamicsError):
-    """A trajectory is invalid, or does not fit the robot."""
+    """A trajectory is invalid or does not fit the robot."""
 
 
 class RecordingError(InverseDynamicsError):
-    """A recording cannot be read, or does not fit the robot."""
+    """A recording cannot be read or does not fit the robot."""
 
 
 def did_you_mean(name: str, names: Iterable[str]) -> str:
-    """
-    Suggest the valid name that is closest to an invalid one.
-
-    Parameters
-    ----------
-    name : str
-        The invalid name.
-    names : iterable of str
-        The valid names.
-
-    Returns
-    -------
-    hint : str
-        Text to append to a message; empty if no name is close.
-
-    """
+    """Return a hint such as ``; did you mean 'link1'?``, or '' if no valid name is similar."""
     closest = difflib.get_close_matches(name, names, 1)
     return f"; did you mean '{closest[0]}'?" if closest else ''
 
 
 def unknown_name(kind: str, name: str, names: Collection[str]) -> str:
-    """
-    Report that a name does not exist, and list the names that do.
-
-    Parameters
-    ----------
-    kind : str
-        The kind of thing in the singular, such as ``'link'`` or ``'joint'``.
-    name : str
-        The name that does not exist.
-    names : collection of str
-        The valid names.
-
-    Returns
-    -------
-    text : str
-        Such as ``link 'x' does not exist; links are a, b``.
-
-    """
-    # A list that is cut short may lack the name that was meant.
+    """Return a message such as ``link 'x' does not exist; links are a, b``."""
+    # A shortened list may not contain the name that the user meant.
     hint = did_you_mean(name, names) if len(names) > _MOST_LISTED else ''
     return f"{kind} '{shortened(name)}' does not exist; {kind}s are {listed(names)}{hint}"
 
 
 def listed(names: Collection[str], most: int = _MOST_LISTED) -> str:
-    """Join names by commas; of more than ``most`` names, only the first ones and their number."""
+    """Join names with commas; of more than ``most`` names, show the first ones and the total."""
     shown = ', '.join(shortened(name) for name in islice(names, most))
     return f'{shown}, ... ({len(names)} in all)' if len(names) > most else shown
 
 
 def significant(value: float, digits: int = 3) -> str:
-    """Write a number with some significant digits, and all digits before the decimal point."""
+    """Format a number with ``digits`` significant digits; large numbers keep the integer part."""
     text = f'{value:.{digits}g}'
     return f'{value:.0f}' if 'e+' in text else text
 
 
 def plain(value: Any) -> Any:
-    """Return an array as a list, which is shown without its type; other values as they are."""
+    """
+    Convert an array to a list, which is shown without its type; return other values unchanged.
+
+    """
     return value.tolist() if hasattr(value, 'tolist') else value
 
 
 def shortened(text: str, most: int = 60) -> str:
-    """
-    Shorten text from a message or a file, and escape control characters in it.
-
-    Parameters
-    ----------
-    text : str
-        Text of any length, such as the name of a joint.
-    most : int
-        Number of characters to keep.
-
-    Returns
-    -------
-    shortened : str
-        Printable text, which ends with the original length if it was cut.
-
-    """
+    """Escape control characters; cut text after ``most`` characters, and append its length."""
     start = escaped(text[:most])
     return start if len(text) <= most else f'{start}... ({len(text)} characters)'
 
 
 def escaped(text: str) -> str:
-    r"""Replace characters that are not printable, also line ends, such as by ``\x1b``."""
+    r"""Replace characters that are not printable, including line ends, with escapes (``\x1b``)."""
     if text.isprintable():
         return text
     return ''.join(x if x.isprintable() else x.encode('unicode_escape').decode() for x in text)

@@ -1,10 +1,10 @@
 """
-Efforts and regressors of many states at once; the equations are in `equations`.
+Efforts and regressors of many states at once, with the equations of `equations`.
 
-A block of states is computed together, each state in a lane: component j of lane k is
-``rows[i, j * LANES + k]``, where i is a body or a joint. Every step is a loop over the lanes of a
-block, which the compiler turns into vector instructions. This requires that a step is a function
-of its own, and that rows of each kind are an array of their own.
+States are computed in blocks, with one state in each lane of a block. Component j of body or joint
+i in lane k is ``rows[i, j * LANES + k]``. Every step is a loop over the lanes, which the compiler
+turns into vector instructions. The compiler can do so only if each step is a separate function,
+and each kind of rows is a separate array.
 """
 
 from __future__ import annotations
@@ -49,33 +49,22 @@ from .robot_table import (
     vector,
 )
 
-LANES = 64  # states in a block, and states from which on blocks are faster than single states
-CACHE_LINE = 8  # numbers in a line of the processor's cache
-LARGEST_ANGLE = 1e5  # limit of `cosine_and_sine` [rad]
-ROUNDER = 1.5 * 2.0**52  # adding and subtracting it rounds to a whole number
+LANES = 64  # states in a block; fewer states are faster one by one
+CACHE_LINE = 8  # numbers in a cache line of the processor
+LARGEST_ANGLE = 1e5  # largest angle for `cosine_and_sine` [rad]
+ROUNDER = 1.5 * 2.0**52  # adding and then subtracting this number rounds to an integer
 
-_FRAME = 12  # numbers in a lane: axes x, y, z and origin
-_TURNED = 18  # axes x, y, z, and motion
+_FRAME = 12  # numbers per lane: axes x, y, z, and origin
+_TURNED = 18  # numbers per lane: axes x, y, z, and motion
 _SIGNATURE = f'({"f8[:,:], " * 4}f8[:,:,::1], f8[:,::1], f8[:,::1], UniTuple(f8[:,::1], 11))'
 
 
 def inverse_dynamics_many(states: Sequence[Floats], tau: Floats, robot: Floats) -> int:
     """
-    Compute the joint efforts of many states; see `newton_euler.inverse_dynamics`.
+    Compute the joint efforts of N states, at least `LANES`; return `OK` or `NOT_FINITE`.
 
-    Parameters
-    ----------
-    states : q, qd and qdd, each an ndarray of shape (N, n)
-        N is at least `LANES`.
-    tau : ndarray, shape (N, n)
-        Receives the joint efforts; does not share memory with the states.
-    robot : ndarray
-        Table from `robot_table`; read only.
-
-    Returns
-    -------
-    status : int
-        `OK` or `NOT_FINITE`.
+    The states q, qd and qdd and the result ``tau`` are arrays of shape (N, n), for n joints.
+    ``tau`` must not share memory with the states. The table ``robot`` is not modified.
 
     """
     no_matrices = np.empty((0, tau.shape[1], 0))
@@ -84,21 +73,11 @@ def inverse_dynamics_many(states: Sequence[Floats], tau: Floats, robot: Floats) 
 
 def regressor_many(states: Sequence[Floats], matrices: Floats, R_LZ: Floats, robot: Floats) -> int:
     """
-    Compute the regressors of many states; see `regressor.regressor`.
+    Compute the regressors of N states, at least `LANES`; return `OK` or `NOT_FINITE`.
 
-    Parameters
-    ----------
-    states, robot
-        As for `inverse_dynamics_many`.
-    matrices : ndarray, shape (N, n, 10 (b - 1))
-        Receives the regressors.
-    R_LZ : ndarray, shape (b, 9)
-        Rotations into the frames of the parameters, from the frames of the table.
-
-    Returns
-    -------
-    status : int
-        `OK` or `NOT_FINITE`.
+    ``matrices``, shape (N, n, 10 (b - 1)), receives the regressors for n joints and b bodies.
+    ``R_LZ``, shape (b, 9), contains the rotations from the frames of the table to the frames of
+    the parameters.
 
     """
     return _compute(states, np.empty((len(matrices), 0)), matrices, R_LZ, robot)
@@ -121,7 +100,7 @@ def _compute(
 
 
 def _count_pairs(robot: Floats) -> int:
-    """Count the pairs of a link and a joint that moves it."""
+    """Count all pairs of a link and a joint that moves this link."""
     depth = [0]
     for parent in robot[1:, PARENT].astype(int).tolist():
         depth.append(depth[parent] + 1)
@@ -139,13 +118,13 @@ def _blocks(
     robot: Any,
     rows: Any,
 ) -> int:
-    """Compute block after block; the states are columns here. Regressors if R_LZ has rows."""
+    """Compute the states, which are columns here, in blocks; regressors only if R_LZ has rows."""
     place, motion, q, qd, qdd, residue, wrench, tau, frames, turned, factors = rows
     last = all_q.shape[1] - LANES
     hold_base(robot, motion)
     residue[:] = 0.0
     for start in range(0, last + LANES, LANES):
-        # The last block overlaps the one before, so that every block is full.
+        # The last block overlaps the previous one, so that every block is full.
         first = min(start, last)
         states = slice(first, first + LANES)
         transpose(all_q[:, states], q)
@@ -167,7 +146,7 @@ def _blocks(
 
 @simd_step
 def transpose(source: Any, target: Any) -> None:
-    """Copy rows between arrays, of which one has the lanes and the other has the rows adjacent."""
+    """Copy an array to another memory order, one cache line at a time."""
     for first in range(0, LANES, CACHE_LINE):
         for row in range(len(source)):
             for k in range(first, first + CACHE_LINE):
@@ -190,8 +169,8 @@ def outward_pass(
     for i in range(1, len(robot)):
         parent, joint = int(robot[i, PARENT]), int(robot[i, JOINT])
         place_link(q, robot, i, joint, place)
-        # The motion is passed twice, so that the rows of link and parent look like two arrays to
-        # the compiler. It does not vectorise a loop that reads and writes the same array.
+        # The compiler does not vectorise a loop that reads and writes the same array. Passing the
+        # motion twice makes the rows of link and parent look like two arrays.
         outward_step(qd, qdd, robot, i, joint, place, motion, parent, motion)
         if len(wrench) > 0:
             own_wrenches(robot, i, motion, wrench)
@@ -212,7 +191,7 @@ def inward_pass(q: Any, tau: Any, robot: Any, place: Any, wrench: Any) -> None:
 
 @simd_step
 def place_link(q: Any, robot: Any, i: int, joint: int, place: Any) -> None:
-    """Compute how far a link has turned and slid: cosine, sine, length."""
+    """Compute the cosine and sine of the joint angle, and the length of the slide."""
     multiplier, offset = robot[i, MULTIPLIER], robot[i, POSITION_OFFSET]
     if robot[i, SLIDES] != 0.0:
         for k in range(LANES):
@@ -245,7 +224,7 @@ def outward_step(
     parent: int,
     motion: Any,
 ) -> None:
-    """Compute the motion of a link from its parent's."""
+    """Compute the motion of a link from the motion of its parent."""
     R, offset = rotation(robot[i]), vector(robot[i], OFFSET)
     slides = robot[i, SLIDES] * robot[i, MULTIPLIER]
     turns = robot[i, MULTIPLIER] - slides
@@ -268,7 +247,7 @@ def outward_step(
 
 @simd_step
 def own_wrenches(robot: Any, i: int, motion: Any, wrench: Any) -> None:
-    """Compute the force and moment that a link's own motion requires, less its external load."""
+    """Compute the force and moment that move a single link, minus its external load."""
     link = robot[i]
     for k in range(LANES):
         omega, omega_dot, accel = (
@@ -283,7 +262,7 @@ def own_wrenches(robot: Any, i: int, motion: Any, wrench: Any) -> None:
 
 @simd_step
 def inward_step(robot: Any, i: int, place: Any, wrench: Any, parent: int, parents: Any) -> None:
-    """Add the link's force and moment to its parent's, in the parent's frame."""
+    """Add a link's force and moment to those of its parent, in the parent's frame."""
     R, offset = rotation(robot[i]), vector(robot[i], OFFSET)
     for k in range(LANES):
         c, s, length = lane(place, i, 0, k)
@@ -305,7 +284,7 @@ def project(tau: Any, robot: Any, i: int, joint: int, wrench: Any) -> None:
 
 @simd_step
 def finish(qd: Any, qdd: Any, tau: Any, robot: Any, residue: Any) -> None:
-    """Add the terms of a single joint: rotor inertia and friction; check."""
+    """Add rotor inertia and friction to each joint's effort, and check that it is finite."""
     for joint in range(len(tau)):
         armature, numbers = robot[joint + 1, ARMATURE], friction_of(robot[joint + 1])
         if robot[joint + 1, COUPLING] != 0.0:
@@ -316,13 +295,13 @@ def finish(qd: Any, qdd: Any, tau: Any, robot: Any, residue: Any) -> None:
             friction = joint_friction(numbers, qd[joint, k], load)
             effort = load + armature * qdd[joint, k] + friction
             tau[joint, k] = effort
-            # The difference is 0 only for finite numbers, and a NaN stays a NaN.
+            # The difference is 0 for finite numbers only. NaN stays NaN.
             residue[0, k] = residue[0, k] + (effort - effort)
 
 
 @simd_step
 def share_drive(qd: Any, qdd: Any, tau: Any, robot: Any, joint: int, residue: Any) -> None:
-    """Add the terms of a drive that also turns with the joint before; see `drive_terms`."""
+    """Add the rotor inertia and friction of a drive that also turns with the previous joint."""
     armature, numbers = robot[joint + 1, ARMATURE], friction_of(robot[joint + 1])
     ratio, before = coupling_of(robot[joint + 1])
     for k in range(LANES):
@@ -347,7 +326,7 @@ def regressor_pass(
     factors: Any,
     residue: Any,
 ) -> None:
-    """Compute the blocks of the regressor for every link and all joints that move it."""
+    """Compute the regressor blocks of every link and every joint that moves the link."""
     hold_base_frame(frames)
     pair = 0
     for i in range(1, len(robot)):
@@ -382,7 +361,7 @@ def frame_step(robot: Any, i: int, place: Any, parents: Any, parent: int, frames
 
 @simd_step
 def turn(R_LZ: Any, i: int, motion: Any, frames: Any, turned: Any) -> None:
-    """Turn axes and motion of a link into the frame of its parameters."""
+    """Rotate the axes and the motion of a link into the frame of its parameters."""
     R = rotation(R_LZ[i])
     for k in range(LANES):
         own = lane(motion, i, 0, k), lane(motion, i, 3, k), lane(motion, i, 6, k)
@@ -404,7 +383,7 @@ def compute_block(
     pair: int,
     residue: Any,
 ) -> None:
-    """Compute the factors of the parameters of link i in the effort of the joint of a mover."""
+    """Compute the factors of link i's parameters in the effort of the joint of body ``mover``."""
     multiplier, slides = robot[mover, MULTIPLIER], robot[mover, SLIDES]
     for k in range(LANES):
         arm = subtract(lane_origin(frames, i, k), lane_origin(frames, mover, k))
@@ -417,14 +396,14 @@ def compute_block(
         store_lane(factors, pair, 7, k, (multiplier * f[7], multiplier * f[8], multiplier * f[9]))
     for parameter in range(PARAMETERS):
         for k in range(LANES):
-            # The difference is 0 only for finite numbers, and a NaN stays a NaN.
+            # The difference is 0 for finite numbers only. NaN stays NaN.
             factor = factors[pair, parameter * LANES + k]
             residue[0, k] = residue[0, k] + (factor - factor)
 
 
 @simd_step
 def store_blocks(robot: Any, factors: Any, matrices: Any) -> None:
-    """Write the regressors, a few states at a time, so that they stay in the processor's cache."""
+    """Write the regressors of a few states at a time, which fit into the processor's cache."""
     for first in range(0, LANES, CACHE_LINE):
         last = first + CACHE_LINE
         for k in range(first, last):
@@ -438,7 +417,7 @@ def store_blocks(robot: Any, factors: Any, matrices: Any) -> None:
                 row, start = int(robot[mover, JOINT]), PARAMETERS * (i - 1)
                 for k in range(first, last):
                     for j in range(PARAMETERS):
-                        # The row of a mimic joint adds to its master's.
+                        # A mimic joint adds to the row of its master.
                         entry = matrices[k, row, start + j] + factors[pair, j * LANES + k]
                         matrices[k, row, start + j] = entry
                 mover = int(robot[mover, PARENT])
@@ -447,13 +426,13 @@ def store_blocks(robot: Any, factors: Any, matrices: Any) -> None:
 
 @simd_inline
 def lane(rows: Any, i: int, j: int, k: int) -> Vector:
-    """Return the vector whose first component is component j of a row."""
+    """Read the vector that starts at component j of row i, in lane k."""
     return rows[i, j * LANES + k], rows[i, (j + 1) * LANES + k], rows[i, (j + 2) * LANES + k]
 
 
 @simd_inline
 def store_lane(rows: Any, i: int, j: int, k: int, v: Vector) -> None:
-    """Store a vector; see `lane`."""
+    """Write the vector that starts at component j of row i, in lane k."""
     rows[i, j * LANES + k] = v[0]
     rows[i, (j + 1) * LANES + k] = v[1]
     rows[i, (j + 2) * LANES + k] = v[2]
@@ -479,10 +458,10 @@ def store_axes(frames: Any, i: int, k: int, axes: Axes) -> None:
 @simd_inline
 def cosine_and_sine(x: Any) -> tuple[Any, Any]:
     """
-    Compute both to 2 units in the last place, without a branch, so that lanes vectorise.
+    Return cosine and sine to 2 units in the last place, without branches, so that lanes vectorise.
 
-    The angle minus a whole number of quarter turns is at most pi/4. In that range the polynomials,
-    minimax by Remez' algorithm, have an error of 4e-18 before rounding.
+    Quarter turns are subtracted until the angle is at most pi/4. In that range, the minimax
+    polynomials (Remez' algorithm) have an error of 4e-18 before rounding.
 
     """
     quarters = (x * 0.6366197723675814 + ROUNDER) - ROUNDER
@@ -501,7 +480,7 @@ def cosine_and_sine(x: Any) -> tuple[Any, Any]:
     c = 2.4801587289487012e-05 + z * (-2.7557314353789556e-07 + z * c)
     c = 0.0416666666666666 + z * (-0.0013888888888874131 + z * c)
     c = 1.0 - (0.5 * z - z * z * c)
-    # The quarter is -2 to 2, where -2 and 2 are the same.
+    # The quarter is between -2 and 2; both ends mean half a turn.
     quarter = quarters - 4.0 * ((quarters * 0.25 + ROUNDER) - ROUNDER)
     odd, opposite = abs(quarter) == 1.0, abs(quarter) == 2.0
     cosine, sine = (s, c) if odd else (c, s)

@@ -1,4 +1,4 @@
-"""The terms of the efforts, and the force and moment at every joint."""
+"""The joint efforts term by term, and the force and moment at every joint."""
 
 from __future__ import annotations
 
@@ -37,18 +37,18 @@ from .robot_table import (
 
 
 class EffortTerms(NamedTuple):
-    """Terms of the joint efforts, each of shape (..., n) [N m or N]; their sum is the effort."""
+    """Effort terms of n joints, each of shape (..., n) [N m or N]; their sum is the effort."""
 
     inertial: Floats
-    """M(q) qdd, including armature."""
+    """Efforts M(q) qdd due to the joint accelerations, including armature."""
     coriolis: Floats
-    """C(q, qd) qd: Coriolis and centrifugal efforts, including those of a rotating base."""
+    """Coriolis and centrifugal efforts C(q, qd) qd, including those of a rotating base."""
     gravity: Floats
-    """g(q), springs, and the efforts due to the acceleration and rotation of the base."""
+    """Efforts g(q) due to gravity, springs, and the acceleration and rotation of the base."""
     friction: Floats
-    """Friction, including the parts that grow with the load and the root of the speed."""
+    """Friction, including friction that depends on the load or on the root of the speed."""
     external: Floats
-    """Minus the efforts that the external wrenches exert."""
+    """Efforts that balance the external wrenches."""
 
 
 @compiled
@@ -65,23 +65,12 @@ def effort_terms(
     robot: Any,
 ) -> int:
     """
-    Compute the terms of the efforts.
+    Compute the five terms of the efforts of n joints, in the order of `EffortTerms`.
 
-    Parameters
-    ----------
-    q, qd, qdd, robot
-        As for `newton_euler.inverse_dynamics`.
-    state : 4 sequences of n floats
-        Scratch space; the last row is zero.
-    inertial, coriolis, gravity, external : tables
-        Tables with these terms only, from `term_tables`.
-    terms : 5 sequences of n floats
-        Receives the terms in the order of `EffortTerms`; may share memory with q, qd and qdd.
-
-    Returns
-    -------
-    status : int
-        As `inverse_dynamics`.
+    The arguments ``inertial`` to ``external`` are the tables of `term_tables`. ``state`` is
+    scratch space of 4 rows of n numbers; the last row is zero. ``terms`` receives 5 rows of n
+    numbers, and may share memory with q, qd and qdd. The other arguments and the status are those
+    of `newton_euler.inverse_dynamics`.
 
     """
     n = int(robot[0][JOINT_COUNT])
@@ -95,7 +84,7 @@ def effort_terms(
     status = inverse_dynamics(q, rest, qdd, terms[0], inertial)
     status = max(status, inverse_dynamics(q, qd, rest, terms[1], coriolis))
     if any_of(vector(gravity[0], OMEGA)) or any_of(vector(gravity[0], OMEGA_DOT)):
-        # Efforts due to the rotation of the base alone are part of the gravity term.
+        # The gravity term contains the efforts that are due to the rotation of the base alone.
         status = max(status, inverse_dynamics(q, rest, rest, terms[2], coriolis))
         for joint in range(n):
             terms[1][joint] -= terms[2][joint]
@@ -114,7 +103,7 @@ def effort_terms(
 
 @compiled
 def friction_batch(qd: Any, qdd: Any, terms: Any, robot: Any) -> int:
-    """Compute the terms of friction of many states from the other terms."""
+    """Compute the friction terms of many states from the other terms."""
     for k in range(len(qd)):
         friction_terms(
             qd[k], qdd[k], terms[0][k], terms[1][k], terms[2][k], terms[3][k], terms[4][k], robot
@@ -135,7 +124,7 @@ def friction_terms(
     external: Any,
     robot: Any,
 ) -> None:
-    """Compute the term of friction from the other terms."""
+    """Compute the friction term from the other terms."""
     for joint in range(len(friction)):
         row = robot[joint + 1]
         load = inertial[joint] + coriolis[joint] + gravity[joint] + external[joint]
@@ -145,7 +134,7 @@ def friction_terms(
             friction[joint] = load - rotor
             friction[before] -= ratio * rotor
         else:
-            friction[joint] = load - row[ARMATURE] * qdd[joint]  # on the motor's side of the gear
+            friction[joint] = load - row[ARMATURE] * qdd[joint]  # rotors do not load the gear
     for joint in range(len(friction)):
         row = robot[joint + 1]
         ratio, before = coupling_of(row)
@@ -159,7 +148,7 @@ def friction_terms(
 
 @simd_inline
 def any_of(v: Vector) -> bool:
-    """Return whether a vector is not zero."""
+    """Return whether a component of a vector is nonzero."""
     return bool(v[0] != 0.0 or v[1] != 0.0 or v[2] != 0.0)
 
 
@@ -182,11 +171,11 @@ _ABSENT: dict[str, tuple[int | slice, ...]] = {
     'gravity': (robot_table.EXTERNAL_COLUMNS, *_NO_DRIVE_TERMS),
     'external': (*_NO_BODIES, *_NO_DRIVE_TERMS, *_NO_SPRINGS),
 }
-"""Terms of the efforts, and the columns that are zero in the table that computes each of them."""
+"""For each term of the efforts, the columns that are zero in the table of this term."""
 
 
 class TermTables(NamedTuple):
-    """Robot tables that leave one term of the efforts, for `effort_terms`."""
+    """Four robot tables for `effort_terms`; each table yields only one term of the efforts."""
 
     inertial: Floats
     coriolis: Floats
@@ -195,7 +184,7 @@ class TermTables(NamedTuple):
 
 
 def term_tables(table: Floats) -> TermTables:
-    """Return the tables of the terms, from the table of the robot and its loads."""
+    """Make the tables of the terms from the table of the robot and its loads."""
     tables = TermTables(*(table.copy() for _ in _ABSENT))
     for term, columns in _ABSENT.items():
         for part in columns:
@@ -205,17 +194,17 @@ def term_tables(table: Floats) -> TermTables:
 
 class JointWrenches(NamedTuple):
     """
-    Force and moment at every joint, of shape (..., b, 3), in the order of ``robot.body_names``.
+    Force and moment at the joints of b bodies, shape (..., b, 3), as in ``robot.body_names``.
 
-    A row is the wrench that the parent of the body exerts on it, in the URDF frame of the joint
-    between them and about its origin. The first row is the wrench of the mount on the base.
+    Each row is the wrench that the parent exerts on a body. Its axes and its reference point are
+    those of the URDF frame of the joint. The first row is the wrench of the mount on the base.
 
     """
 
     force: Floats
-    """[N]."""
+    """Force on each body [N]."""
     moment: Floats
-    """[N m]."""
+    """Moment on each body about the joint's origin [N m]."""
 
 
 @compiled
@@ -229,21 +218,12 @@ def joint_wrenches(
     robot: Any,
 ) -> int:
     """
-    Compute the force and moment that the parent of every link exerts on it, LWP (45), (46).
+    Compute the force and moment that the parent of every body exerts on it, LWP (45), (46).
 
-    Parameters
-    ----------
-    q, qd, qdd, tau, robot
-        As for `newton_euler.inverse_dynamics`, but tau does not include the joint terms.
-    R_LZ : b sequences of 9 floats
-        Rotations into the frames of the wrenches, from the frames of the table.
-    wrenches : b sequences of 6 floats
-        Receives force and moment. The first row is for the base, whose parent is the mount.
-
-    Returns
-    -------
-    status : int
-        As `inverse_dynamics`.
+    ``wrenches`` receives b rows of 6 numbers, for b bodies. The first row is the wrench of the
+    mount on the base. ``R_LZ`` contains the rotations, 9 numbers for each body, from the frames of
+    the table to the frames of the wrenches. The other arguments and the status are those of
+    `newton_euler.inverse_dynamics`, but tau does not include armature, friction and springs.
 
     """
     n = int(robot[0][JOINT_COUNT])
@@ -267,7 +247,7 @@ def joint_wrenches(
 def joint_wrenches_batch(
     q: Any, qd: Any, qdd: Any, tau: Any, R_LZ: Any, wrenches: Any, robot: Any
 ) -> int:
-    """Call `joint_wrenches` for every row of the states; return the first failure."""
+    """Call `joint_wrenches` for every state; return the status of the first failure, or `OK`."""
     for k in range(len(q)):
         status = joint_wrenches(q[k], qd[k], qdd[k], tau, R_LZ, wrenches[k], robot)
         if status != OK:

@@ -1,4 +1,4 @@
-"""Compilation with numba if it is installed; a cache that fails is a warning, not an error."""
+"""Optional compilation with numba. A failing cache causes a warning instead of an error."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ import numpy as np
 
 IS_COMPILED: bool = numba is not None and not numba.config.DISABLE_JIT
 
-# Statuses that the functions of the passes return
+# Statuses that the compiled functions return
 OK = 0
 WRONG_SIZE = 1
 NOT_FINITE = 2
 
-# Allows a fused a * b + c and ignores the sign of zero. A NaN stays a NaN.
+# Permits a fused a * b + c, and ignores the sign of zero. NaN stays NaN.
 FAST_MATH = {'contract', 'nsz', 'arcp'}
 
 Function = TypeVar('Function', bound=Callable[..., Any])
@@ -35,29 +35,24 @@ _has_warned = False
 
 
 def compiled(function: Function) -> Function:
-    """
-    Mark a function for compilation by `compile_for`, with its machine code cached on disk.
-
-    Without numba, return the Python function itself.
-
-    """
+    """Let `compile_for` compile a function and cache it on disk; without numba, do nothing."""
     return _kept(function) if IS_COMPILED else function
 
 
 def simd_kernel(function: Function) -> Function:
-    """Mark a function of `batch` for compilation; it releases the interpreter lock."""
+    """Let `compile_for` compile a function of `batch`, which releases the interpreter lock."""
     return _kept(function, fastmath=FAST_MATH, nogil=True) if IS_COMPILED else function
 
 
 def simd_step(function: Function) -> Function:
-    """Mark a step of such a function, which contains the loops over lanes."""
+    """Mark a function that a `simd_kernel` calls, and that loops over lanes."""
     if not IS_COMPILED:
         return function
     return cast(Function, numba.njit(error_model='numpy', fastmath=FAST_MATH)(function))
 
 
 def simd_inline(function: Function) -> Function:
-    """Mark a function to be inlined; loops over lanes are not vectorised across calls."""
+    """Mark a function for inlining: a loop over lanes that calls functions is not vectorised."""
     if not IS_COMPILED:
         return function
     options = {'error_model': 'numpy', 'fastmath': FAST_MATH, 'forceinline': True}
@@ -65,12 +60,7 @@ def simd_inline(function: Function) -> Function:
 
 
 def compile_for(function: Any, *signatures: str) -> None:
-    """
-    Compile for some signatures now, and disable compilation, so that none happens in the loop.
-
-    A call with other types raises a TypeError afterwards.
-
-    """
+    """Compile a function now and never again: calls with other types raise a TypeError."""
     if not IS_COMPILED or function in _ready:
         return
     with _compiling:
@@ -80,9 +70,9 @@ def compile_for(function: Any, *signatures: str) -> None:
             try:
                 function.compile(signature)
             except Exception as error:
-                # A full disk, or files that a power failure has left incomplete.
+                # Possible causes: a full disk, or files that a power failure left incomplete.
                 _warn(error)
-                # numba has no public way to give up a cache, or to find another stamp below.
+                # numba has no public way to drop a cache, nor to replace the stamp in `_kept`.
                 for dispatcher in _cached:
                     dispatcher._cache = numba.core.caching.NullCache()
                 function.compile(signature)
@@ -92,20 +82,11 @@ def compile_for(function: Any, *signatures: str) -> None:
 
 def prepared(function: Callable[..., int], *dimensions: int) -> Callable[..., int]:
     """
-    Prepare a function of the passes for arrays: compile it, or run it on lists of floats.
+    Compile a function for contiguous float64 arrays; without numba, run it on lists of floats.
 
-    Parameters
-    ----------
-    function : callable
-        Takes arrays, of which the last but one receives the results and the last is a table of
-        `robot_table`; returns a status.
-    *dimensions : int
-        Numbers of dimensions of the arguments, which are contiguous arrays of float64.
-
-    Returns
-    -------
-    prepared : callable
-        Takes the same arguments; raises a TypeError for arguments of other types.
+    The function returns a status. Its last but one argument receives the results, and its last
+    argument is a table of `robot_table`. ``dimensions`` are the numbers of dimensions of its
+    arguments. Arguments of other types raise a TypeError.
 
     """
     if IS_COMPILED:
@@ -122,7 +103,7 @@ def prepared(function: Callable[..., int], *dimensions: int) -> Callable[..., in
         lists = [values.tolist() for values in arguments]
         try:
             status = function(*lists)
-        except ValueError:  # Python's sine of infinity
+        except ValueError:  # raised by math.sin(inf)
             return NOT_FINITE
         if arguments[-2].size:
             arguments[-2][...] = lists[-2]
@@ -135,13 +116,13 @@ def _kept(function: Function, **options: Any) -> Function:
     try:
         dispatcher = numba.njit(cache=True, error_model='numpy', **options)(function)
     except RuntimeError as error:
-        # numba refuses to decorate where no cache directory is writable: a package owned by root,
-        # run by a service without a home.
+        # No cache directory is writable, for example because root owns the package and a service
+        # without a home directory runs it.
         _warn(error)
         dispatcher = numba.njit(error_model='numpy', **options)(function)
     else:
-        # numba discards cached code when the function's own file has changed. The equations that
-        # are inlined into it stand in other files of its folder.
+        # numba discards cached code only if the function's own file has changed. The stamp of the
+        # folder also covers the files of the inlined equations.
         folder = Path(function.__code__.co_filename).parent
         dispatcher._cache._cache_file._source_stamp = _stamp(folder)
         _cached.append(dispatcher)
@@ -150,13 +131,13 @@ def _kept(function: Function, **options: Any) -> Function:
 
 @cache
 def _stamp(folder: Path) -> tuple[tuple[str, float, int], ...]:
-    """Return names, times of modification and sizes of the source files in a folder."""
+    """Return names, modification times and sizes of the source files in a folder."""
     files = sorted(folder.glob('*.py'))
     return tuple((file.name, file.stat().st_mtime, file.stat().st_size) for file in files)
 
 
 def _warn(error: Exception) -> None:
-    """Warn once; every function has the same problem."""
+    """Warn once, because every function has the same problem."""
     global _has_warned
     if not _has_warned:
         _has_warned = True

@@ -2,10 +2,11 @@
 The regressor of one state: efforts as a linear function of the inertial parameters.
 
 For a given motion, the net force and moment on a body are linear in its mass, its first moment
-(mass times centre of mass) and its inertia about the origin of its frame. By virtual work, a joint
-that moves the body contributes to its effort the power of this force and moment under a unit rate
-of the joint. So each block of the regressor, for a joint and a body, follows from the motion of
-the body, and from the velocity that the joint gives to it at a unit rate.
+(mass times centre of mass) and its inertia about the origin of its frame. By the principle of
+virtual work, the body contributes to the effort of each joint that moves it. The contribution is
+the power of the force and moment at a unit rate of the joint. The block of the regressor for this
+joint and body therefore depends only on the motion of the body at the given state, and on its
+velocity at a unit rate of the joint.
 
 References
 ----------
@@ -39,7 +40,7 @@ from .robot_table import (
 )
 
 PARAMETERS = 10
-"""Per body: m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz."""
+"""Number of parameters per body: m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz."""
 
 
 @compiled
@@ -52,21 +53,11 @@ def regressor(
     robot: Any,
 ) -> int:
     """
-    Compute the regressor of one state.
+    Compute the regressor of one state, for n joints and b bodies.
 
-    Parameters
-    ----------
-    q, qd, qdd, robot
-        As for `newton_euler.inverse_dynamics`.
-    R_LZ : b sequences of 9 floats
-        Rotations into the frames of the parameters, from the frames of the table.
-    matrix : n sequences of 10 (b - 1) floats
-        Receives the regressor.
-
-    Returns
-    -------
-    status : int
-        `OK`, `WRONG_SIZE` (then the matrix is untouched) or `NOT_FINITE`.
+    ``matrix`` receives n rows of 10 (b - 1) numbers. ``R_LZ`` contains the rotations, 9 numbers
+    for each body, from the frames of the table to the frames of the parameters. The other
+    arguments and the status are those of `newton_euler.inverse_dynamics`.
 
     """
     n, b = int(robot[0][JOINT_COUNT]), len(robot)
@@ -95,7 +86,7 @@ def regressor(
             arm = subtract(p, vector(mover, POSITION))
             twist = unit_twist(own_axes, vector(mover, Z_AXIS), arm, mover[SLIDES])
             row = matrix[int(mover[JOINT])]
-            # The row of a mimic joint adds to its master's.
+            # A mimic joint adds to the row of its master.
             residue += add_block(row, first, mover[MULTIPLIER], block(twist, motion))
             k = int(mover[PARENT])
     return OK if residue == 0.0 else NOT_FINITE
@@ -103,7 +94,7 @@ def regressor(
 
 @simd_inline
 def in_frame_of_parameters(R: Any, axes_Z: Axes, motion: Any) -> Any:
-    """Turn axes (in the base) and motion of a link from its frame in the table by R = R_LZ."""
+    """Rotate the axes and the motion of a link by R = R_LZ into the frame of its parameters."""
     x, y, z = (R[0], R[1], R[2]), (R[3], R[4], R[5]), (R[6], R[7], R[8])
     turned = in_base(axes_Z, x), in_base(axes_Z, y), in_base(axes_Z, z)
     omega, omega_dot, accel = motion
@@ -118,21 +109,11 @@ def in_frame_of_parameters(R: Any, axes_Z: Axes, motion: Any) -> Any:
 @simd_inline
 def unit_twist(axes_L: Axes, z: Vector, arm: Vector, slides: Any) -> tuple[Vector, Vector]:
     """
-    Return the angular velocity of a body, and the velocity of its origin, for a unit joint rate.
+    Return angular velocity and origin velocity of a body, in its frame, at a unit joint rate.
 
-    Parameters
-    ----------
-    axes_L : three vectors
-        Axes of the body's frame, in coordinates of the base.
-    z, arm : vector
-        Axis of the joint, and the body's origin from the joint's, in coordinates of the base.
-    slides : float
-        1.0 for a prismatic joint, 0.0 for a revolute one.
-
-    Returns
-    -------
-    omega, velocity : vector
-        In the body's frame.
+    ``axes_L`` are the axes of the body's frame, ``z`` is the axis of the joint, and ``arm`` points
+    from the joint's origin to the body's origin; all are in base coordinates. ``slides`` is 1.0
+    for a prismatic joint and 0.0 for a revolute joint.
 
     """
     axis, swept = in_frame(axes_L, z), in_frame(axes_L, cross(z, arm))
@@ -149,16 +130,16 @@ def unit_twist(axes_L: Axes, z: Vector, arm: Vector, slides: Any) -> tuple[Vecto
 @simd_inline
 def block(twist: tuple[Vector, Vector], motion: tuple[Vector, Vector, Vector]) -> Any:
     """
-    Return the factors of the ten parameters of a body in the effort of a joint that moves it.
+    Return the ten factors of a body's parameters in the effort of a joint that moves the body.
 
-    With h the first moment and I the inertia about the origin, the net force is m accel +
-    omega_dot x h + omega x (omega x h), and the net moment about the origin is I omega_dot +
-    omega x (I omega) + h x accel. The factors are those of m, h and I in w . moment + v . force,
-    with w and v the angular velocity and the velocity of the origin at a unit rate of the joint.
+    Let h be the first moment, and I the inertia about the origin. The net force is m accel +
+    omega_dot x h + omega x (omega x h). The net moment about the origin is I omega_dot + omega x
+    (I omega) + h x accel. At a unit rate of the joint, the body has the angular velocity w, and
+    its origin has the velocity v. The effort w . moment + v . force is linear in m, h and I.
 
     """
     (w, v), (omega, omega_dot, accel) = twist, motion
-    # The force on h is point_acceleration(h, ...); this is its transpose, applied to v.
+    # The force due to h is point_acceleration(h, ...); here its transpose is applied to v.
     backwards = 0.0 - omega_dot[0], 0.0 - omega_dot[1], 0.0 - omega_dot[2]
     h = point_acceleration(v, omega, backwards, cross(accel, w))
     # w . (omega x (I omega)) = u . (I omega)
@@ -179,7 +160,7 @@ def block(twist: tuple[Vector, Vector], motion: tuple[Vector, Vector, Vector]) -
 
 @simd_inline
 def add_block(row: Any, first: int, multiplier: float, factors: Any) -> float:
-    """Add a multiple of ten factors to a row; return NaN if one is not finite, otherwise 0."""
+    """Add ten scaled factors to a row; return 0 if the sums are finite, otherwise NaN."""
     residue = 0.0
     for k in range(PARAMETERS):
         entry = row[first + k] + multiplier * factors[k]
