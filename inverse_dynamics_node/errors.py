@@ -86,10 +86,7 @@ def significant(value: float, digits: int = 3) -> str:
 
 
 def plain(value: Any) -> Any:
-    """
-    Convert an array to a list, which is shown without its type; return other values unchanged.
-
-    """
+    """Convert an array to a list, which prints without its type; return other values unchanged."""
     return value.tolist() if hasattr(value, 'tolist') else value
 
 

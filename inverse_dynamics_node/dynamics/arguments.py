@@ -1,4 +1,4 @@
-"""Arguments of any shape as arrays, with errors that contain the argument's name and value."""
+"""Conversion of arguments to arrays; errors contain the name and the value of the argument."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .batch import LANES
 from .jit import IS_COMPILED, OK
 
 Computation = Callable[[Sequence[Floats], Floats], int]
-"""Takes arguments and an array for the results; returns a status."""
+"""A function of arguments and of an array for the results; it returns a status."""
 
 
 def over_states(
@@ -26,32 +26,13 @@ def over_states(
     **arguments: ArrayLike,
 ) -> Floats:
     """
-    Compute a quantity of anything that numpy can read as rows of n numbers.
+    Compute a quantity for one or more states; return it with the shape (..., *kind).
 
-    Parameters
-    ----------
-    robot : RobotModel
-        Robot of n joints.
-    kind : tuple of int
-        Shape of the result for one state.
-    few : callable
-        Computes the quantity for arguments of shape (N, n).
-    many : callable, optional
-        Computes it quickly for N of at least `batch.LANES`; numba may have to compile it first.
-    out : ndarray, optional
-        Receives the result.
-    **arguments : array_like
-        Joint positions and so on, by name.
-
-    Returns
-    -------
-    result : ndarray, shape (..., *kind)
-        ``out`` if it was given.
-
-    Raises
-    ------
-    JointStateError
-        If a shape does not fit the robot, or a value is not finite.
+    ``arguments`` are the joint positions and so on, by name, of any type that numpy can convert.
+    ``kind`` is the shape of the result for one state. ``few`` computes the quantity for arguments
+    of shape (N, n), for N states of n joints. ``many`` does so faster for N of at least
+    `batch.LANES`, but numba may have to compile it first. The result is written to ``out`` if
+    ``out`` is given. Wrong shapes, and values that are not finite, raise a JointStateError.
 
     """
     rows, shape = broadcast(len(robot.joint_names), **arguments)
@@ -71,7 +52,7 @@ def over_states(
 
 
 def one_by_one(one: Computation) -> Computation:
-    """Return the computation of several states by the computation of one."""
+    """Turn the computation of one state into a computation of several states."""
 
     def few(rows: Sequence[Floats], results: Floats) -> int:
         states = zip(zip(*rows, strict=True), results, strict=True)
@@ -81,14 +62,14 @@ def one_by_one(one: Computation) -> Computation:
 
 
 def read_vectors(name: str, values: ArrayLike, n: int) -> Floats:
-    """Convert an array whose last dimension has one number per joint."""
+    """Convert values to a float64 array whose last dimension has one number per joint."""
     try:
         found = np.asarray(values)
     except ValueError as error:
         raise JointStateError(f'{name} is not an array of numbers: {error}') from None
     if found.dtype.kind not in 'fiub':
         raise JointStateError(f'{name} is an array of {found.dtype}, expected real numbers')
-    # The compiled functions accept only contiguous, writable arrays: copy others.
+    # The compiled functions accept only contiguous, writable arrays; others are copied.
     is_accepted = found.dtype == np.float64 and found.flags.carray
     vectors = found if is_accepted else np.require(found, np.float64, ['C', 'W'])
     if vectors.shape[-1:] != (n,):
@@ -97,7 +78,7 @@ def read_vectors(name: str, values: ArrayLike, n: int) -> Floats:
 
 
 def broadcast(n: int, **arguments: ArrayLike) -> tuple[list[Floats], tuple[int, ...]]:
-    """Broadcast arguments to a common shape; return them with two dimensions, and this shape."""
+    """Broadcast arguments; return them as arrays of one row per state, and their common shape."""
     vectors = [read_vectors(name, values, n) for name, values in arguments.items()]
     try:
         shape = np.broadcast_shapes(*(vector.shape for vector in vectors))
@@ -117,7 +98,7 @@ def _rows(vectors: Floats, shape: tuple[int, ...]) -> Floats:
 
 
 def explain(joint_names: Sequence[str], **arguments: ArrayLike) -> JointStateError:
-    """Return the error of the first argument with a wrong shape or a value that is not finite."""
+    """Return an error about the first argument with a wrong shape or a non-finite value."""
     n = len(joint_names)
     for name, values in arguments.items():
         vectors = read_vectors(name, values, n)
@@ -133,7 +114,7 @@ def explain(joint_names: Sequence[str], **arguments: ArrayLike) -> JointStateErr
 
 
 def check_out(out: Floats, shape: tuple[int, ...]) -> None:
-    """Raise a JointStateError if an array cannot hold the result."""
+    """Raise a JointStateError if an array cannot hold a result of the given shape."""
     if not isinstance(out, np.ndarray) or out.dtype != np.float64 or not out.flags.writeable:
         kind = out.dtype if isinstance(out, np.ndarray) else type(out).__name__
         raise JointStateError(f'out is of {kind}, expected a writable array of float64')
@@ -142,12 +123,12 @@ def check_out(out: Floats, shape: tuple[int, ...]) -> None:
 
 
 def is_free(out: Floats, others: Sequence[Floats]) -> bool:
-    """Return whether `out` is contiguous and does not alias an input."""
+    """Return whether ``out`` is contiguous and shares no memory with an input."""
     return out.flags.c_contiguous and not any(np.may_share_memory(out, x) for x in others)
 
 
 def read_joints(name: str, values: ArrayLike, n: int, is_signed: bool = False) -> Floats:
-    """Convert one number per joint, or one for all joints; not negative, unless it is signed."""
+    """Convert one number, or one per joint, to shape (n,); refuse negative ones unless signed."""
     try:
         numbers = np.broadcast_to(np.asarray(values, dtype=np.float64), (n,))
     except (TypeError, ValueError):
@@ -161,7 +142,7 @@ def read_joints(name: str, values: ArrayLike, n: int, is_signed: bool = False) -
 
 
 def read_vector(name: str, values: ArrayLike, unit: str) -> Floats:
-    """Convert three finite numbers."""
+    """Convert a sequence of three finite numbers to an array."""
     try:
         vector = np.array(values, dtype=np.float64)
     except (TypeError, ValueError):

@@ -1,7 +1,7 @@
 r"""
 The equations of Luh, Walker and Paul, each link in its own frame, as functions of 3-vectors.
 
-Cited as LWP, with the equation numbers of the 1979 paper:
+The paper is cited as LWP, with its equation numbers:
 
     J. Y. S. Luh, M. W. Walker, R. P. C. Paul, "Newton-Euler formulation of manipulator dynamics
     for computer control", IFAC, 1979, 165-172.
@@ -21,27 +21,28 @@ moment         moment that the parent exerts on the link, about its own origin  
 
 Outward, from base to tips: (36), (37), (40), (44), (41), (42). Inward: (45), (46), (47).
 
-Three equations of the paper are not needed. (38) is the angular acceleration in base coordinates,
-of which (37) is the form in link coordinates. (39) is the linear velocity, on which no force
-depends. (43) is the effort in base coordinates, of which (47) is the form in link coordinates.
+Three equations of the paper are not needed. (38) is the angular acceleration in base coordinates;
+(37) gives it in link coordinates. (39) is the linear velocity, on which no force depends. (43) is
+the effort in base coordinates; (47) gives it in link coordinates.
 
-Gravity is not a separate term: the base accelerates with -g (31), and every link inherits it.
+Gravity is not a separate term. The base has the acceleration -g (31), which every link inherits.
 
 The frames of a URDF differ from those of the paper. In the paper's Denavit-Hartenberg frames the
 axis of joint i + 1 is z of frame i. Here joint i turns about, or slides along, z of link i's own
-frame. Therefore the offset p from the parent's origin is constant in the parent's frame (a sliding
-joint adds its position along the axis), moments are taken about the link's own origin, and terms
-with z apply after the parent's motion has been rotated into the link's frame.
+frame. The offset p from the parent's origin is therefore constant in the parent's frame, but a
+sliding joint adds its position along the axis. Moments are about the link's own origin. Terms with
+z are added after the parent's motion has been rotated into the link's frame.
 
-Every joint has two rates here, ``turn`` about z and ``slide`` along z, one of which is zero. So
-each equation of the paper with one case for rotational joints and one for translational joints is
-a single expression.
+Every joint has two rates here, ``turn`` about z and ``slide`` along z. One of them is zero. An
+equation of the paper with separate cases for rotational and translational joints is therefore a
+single expression.
 
-`recursion` at the end of the file runs these equations from link to link. It is the executable
-statement of the paper, to which tests hold the compiled passes of `newton_euler`.
+`recursion` at the end of the file evaluates these equations from link to link, as in the paper.
+Tests compare the compiled passes of `newton_euler` with `recursion`.
 
-Vectors are tuples, so that the functions work for numbers (compiled or not), for lanes of numbers
-that the compiler vectorises, for numpy arrays of many states, and for the symbols of `codegen`.
+Vectors are tuples. The functions therefore work for numbers (compiled or not), for lanes of
+numbers that the compiler vectorises, for numpy arrays of many states, and for the symbols of
+`codegen`.
 """
 
 from __future__ import annotations
@@ -59,13 +60,13 @@ Vector = tuple[Any, Any, Any]
 
 @simd_inline
 def angular_velocity(omega_P: Vector, turn: Any) -> Vector:
-    """(36): R_LP omega_P + z turn, where omega_P has been rotated into the link's frame."""
+    """(36): angular velocity R_LP omega_P + z turn, with omega_P already in the link's frame."""
     return omega_P[0], omega_P[1], omega_P[2] + turn
 
 
 @simd_inline
 def angular_acceleration(omega_P: Vector, omega_dot_P: Vector, turn: Any, turn_dot: Any) -> Vector:
-    """(37): R_LP omega_dot_P + z turn_dot + R_LP omega_P x z turn, rotated as for (36)."""
+    """(37): angular acceleration R_LP omega_dot_P + z turn_dot + R_LP omega_P x z turn."""
     x, y, z = omega_dot_P
     return x + omega_P[1] * turn, y - omega_P[0] * turn, z + turn_dot
 
@@ -73,10 +74,10 @@ def angular_acceleration(omega_P: Vector, omega_dot_P: Vector, turn: Any, turn_d
 @simd_inline
 def point_acceleration(p: Vector, omega: Vector, omega_dot: Vector, accel: Vector) -> Vector:
     """
-    Acceleration of the point p of a body whose origin has the acceleration accel.
+    (40), (44): acceleration accel + omega_dot x p + omega x (omega x p) of a point p of a body.
 
-    (40) without the joint's own rates: accel + omega_dot x p + omega x (omega x p), with p the
-    origin of the next link. (44) is the same with p the centre of mass.
+    The origin of the body has the acceleration accel. In (40), without the joint's own rates, p is
+    the origin of the next link. In (44), p is the centre of mass.
 
     """
     return add(accel, add(cross(omega_dot, p), cross(omega, cross(omega, p))))
@@ -91,34 +92,34 @@ def sliding_acceleration(accel: Vector, omega: Vector, slide: Any, slide_dot: An
 
 @simd_inline
 def net_force(mass: Any, accel_com: Vector) -> Vector:
-    """(41): m accel_com."""
+    """(41): resultant force m accel_com."""
     return mass * accel_com[0], mass * accel_com[1], mass * accel_com[2]
 
 
 @simd_inline
 def net_moment(J: Any, omega: Vector, omega_dot: Vector) -> Vector:
-    """(42): J omega_dot + omega x (J omega), J about the centre of mass."""
+    """(42): resultant moment J omega_dot + omega x (J omega), with J about the centre of mass."""
     return add(symmetric(J, omega_dot), cross(omega, symmetric(J, omega)))
 
 
-# Inward pass. In a tree, a link adds the parts of all its children to its own.
+# Inward pass. In a tree, the forces and moments of all children are added to those of the link.
 
 
 @simd_inline
 def child_force(R: Any, c: Any, s: Any, force: Vector) -> Vector:
-    """(45), a child's part in the parent's frame: R_PL force. The link's own part is (41)."""
+    """(45): force of a child, R_PL force, in the parent's frame. The link's own force is (41)."""
     return to_parent(R, c, s, force)
 
 
 @simd_inline
 def own_moment(com: Vector, force_net: Vector, moment_net: Vector) -> Vector:
-    """(46), the link's own part, about its origin: moment_net + com x force_net."""
+    """(46): moment of the link itself about its origin, moment_net + com x force_net."""
     return add(moment_net, cross(com, force_net))
 
 
 @simd_inline
 def child_moment(R: Any, c: Any, s: Any, p: Vector, force: Vector, moment: Vector) -> Vector:
-    """(46), a child's part in the parent's frame: R_PL moment + p x force, force from (45)."""
+    """(46): moment of a child, R_PL moment + p x force, in the parent's frame; force from (45)."""
     return add(to_parent(R, c, s, moment), cross(p, force))
 
 
@@ -127,7 +128,7 @@ def joint_effort(force: Vector, moment: Vector, slides: Any) -> Any:
     """
     (47): z . moment for a rotational joint, z . force for a translational one.
 
-    slides is 0 or 1. There is no branch, so that lanes vectorise.
+    ``slides`` is 0 or 1. There is no branch, so that loops over lanes vectorise.
 
     """
     return slides * force[2] + (1.0 - slides) * moment[2]
@@ -139,13 +140,13 @@ def joint_effort(force: Vector, moment: Vector, slides: Any) -> Any:
 
 @simd_inline
 def origin_in_parent(R: Any, p: Vector, length: Any) -> Vector:
-    """p_PL of a link that has slid by a length along its axis, the third column of R."""
+    """Return p_PL of a link that has slid by ``length`` along its axis, the third column of R."""
     return add(p, (R[2] * length, R[5] * length, R[8] * length))
 
 
 @simd_inline
 def to_link(R: Any, c: Any, s: Any, v: Vector) -> Vector:
-    """R_LP v."""
+    """Rotate a vector from the parent's frame to the link's frame: R_LP v."""
     x = R[0] * v[0] + R[3] * v[1] + R[6] * v[2]
     y = R[1] * v[0] + R[4] * v[1] + R[7] * v[2]
     z = R[2] * v[0] + R[5] * v[1] + R[8] * v[2]
@@ -154,7 +155,7 @@ def to_link(R: Any, c: Any, s: Any, v: Vector) -> Vector:
 
 @simd_inline
 def to_parent(R: Any, c: Any, s: Any, v: Vector) -> Vector:
-    """R_PL v."""
+    """Rotate a vector from the link's frame to the parent's frame: R_PL v."""
     x, y, z = c * v[0] - s * v[1], s * v[0] + c * v[1], v[2]
     return (
         R[0] * x + R[1] * y + R[2] * z,
@@ -188,7 +189,7 @@ def dot(a: Vector, b: Vector) -> Any:
 
 @simd_inline
 def symmetric(J: Any, v: Vector) -> Vector:
-    """J v, where J is a symmetric matrix: xx, xy, xz, yy, yz, zz."""
+    """Multiply the symmetric matrix J (xx, xy, xz, yy, yz, zz) by the vector v."""
     return (
         J[0] * v[0] + J[1] * v[1] + J[2] * v[2],
         J[1] * v[0] + J[3] * v[1] + J[4] * v[2],
@@ -196,11 +197,11 @@ def symmetric(J: Any, v: Vector) -> Vector:
     )
 
 
-# The recursion. Loads, friction and mimic joints are left to `newton_euler`.
+# The recursion. Loads, friction and mimic joints are in `newton_euler` only.
 
 
 class Link(NamedTuple):
-    """A link that joint i moves, in its own frame, whose z is the axis of the joint."""
+    """A link in its own frame, with z along the axis of the joint that moves it."""
 
     R: Any  # R_PL at joint position 0, row by row
     p: Vector  # p_PL at joint position 0 [m]
@@ -221,7 +222,7 @@ def recursion(
     """Return the joint efforts of a tree on a base at rest: LWP (36)-(47)."""
     at_rest = 0.0, 0.0, 0.0
     n = len(links)
-    # The last element is that of the base, whose index is -1.
+    # The last element belongs to the base, because its index is -1.
     omega, omega_dot = [at_rest] * (n + 1), [at_rest] * (n + 1)
     accel = [subtract(at_rest, gravity)] * (n + 1)  # (31)
     force, moment = [at_rest] * (n + 1), [at_rest] * (n + 1)

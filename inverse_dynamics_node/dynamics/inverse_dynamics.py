@@ -1,4 +1,4 @@
-"""Inverse dynamics of one robot, with everything that acts on it."""
+"""Inverse dynamics of one robot, including loads, friction and external wrenches."""
 
 from __future__ import annotations
 
@@ -36,24 +36,25 @@ from .effort_terms import EffortTerms, JointWrenches, TermTables
 from .jit import prepared
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
-"""Free-fall acceleration in a base frame whose z points up [m/s^2]; ISO 80000-3."""
+"""Free-fall acceleration in a base frame with z upwards [m/s^2]; ISO 80000-3."""
 
 FRICTION_WIDTH = 0.01
-"""Speed at which smoothed Coulomb friction has 76 % of its value [rad/s or m/s]."""
+"""Speed at which smoothed Coulomb friction has 76 % of its full value [rad/s or m/s]."""
 
 
 class InverseDynamics:
     r"""
-    Inverse dynamics of one robot: accelerations in, joint efforts out.
+    Inverse dynamics of one robot: joint accelerations in, joint efforts out.
 
-    Evaluates :math:`\tau = M(q)\,\ddot q + C(q, \dot q)\,\dot q + g(q)` in one pass out along the
-    tree and one pass back, without forming M, C or g. Armature, friction, payloads, external
-    wrenches and base motion are set once and apply to all later calls.
+    One pass from the base to the tips and one pass back evaluate
+    :math:`\tau = M(q)\,\ddot q + C(q, \dot q)\,\dot q + g(q)`, without computing M, C or g.
+    Armature, friction, payloads, external wrenches and base motion are set once, and apply to all
+    later calls.
 
     Parameters
     ----------
     robot : RobotModel
-        Tree of n joints and b bodies, from `load_urdf`.
+        Robot with n joints and b bodies, from `load_urdf`.
     gravity : array_like, shape (3,)
         Free-fall acceleration in the base frame [m/s^2].
 
@@ -67,12 +68,12 @@ class InverseDynamics:
     robot : RobotModel
         The robot without loads.
     revision : int
-        Changes with every change of the loads.
+        Number that increases with every change of the loads.
 
     Notes
     -----
-    The first object on a machine compiles for some seconds; the machine code is cached on disk. An
-    object contains scratch space: each thread needs its own.
+    The first object on a machine compiles for a few seconds; the machine code is cached on disk.
+    Each thread needs its own object, because an object contains scratch space.
 
     References
     ----------
@@ -105,7 +106,7 @@ class InverseDynamics:
         self._links: dict[str, Floats] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the robot and its loads; compiled functions would be most of the bytes."""
+        """Pickle only the robot and its loads: compiled functions would be most of the bytes."""
         loads = (self._table, self._base_motion, self._payloads, self._wrenches)
         return type(self), (self.robot, self._gravity), loads
 
@@ -122,7 +123,7 @@ class InverseDynamics:
 
     @property
     def table(self) -> Floats:
-        """The table of `robot_table` with the robot and its loads; not to be modified."""
+        """Table of numbers with the robot and its loads, for internal use; do not modify it."""
         return self._table
 
     @property
@@ -139,11 +140,11 @@ class InverseDynamics:
         Parameters
         ----------
         q, qd, qdd : array_like, shape (..., n)
-            Joint positions [rad or m], velocities [rad/s or m/s] and accelerations [rad/s^2 or
-            m/s^2], in the order of ``robot.joint_names``. Leading dimensions are a batch; they
-            broadcast against each other.
-        out : ndarray, optional
-            Receives the result: C-contiguous float64 of the shape of the result.
+            Positions [rad or m], velocities [rad/s or m/s] and accelerations [rad/s^2 or m/s^2]
+            of the n joints, in the order of ``robot.joint_names``. Leading dimensions are a batch,
+            and are broadcast against each other.
+        out : ndarray, shape (..., n), optional
+            Array for the result, C-contiguous float64.
 
         Returns
         -------
@@ -157,19 +158,19 @@ class InverseDynamics:
 
         Notes
         -----
-        Outward pass: LWP (36)-(44); inward pass: LWP (45)-(47). With arrays of float64 as
-        arguments and ``out``, nothing is allocated.
+        The outward pass is LWP (36)-(44), and the inward pass is LWP (45)-(47). No memory is
+        allocated if the arguments and ``out`` are float64 arrays.
 
-        Batches of 64 states and more are computed in blocks. The results differ from those of
-        single states by rounding, less than 1e-12 of the largest effort. The first such batch
-        compiles for seconds; the machine code is cached on disk.
+        Batches of at least 64 states are computed in blocks. Their results differ from those of
+        single states by rounding errors, which are less than 1e-12 of the largest effort. The
+        first such batch compiles for seconds; the machine code is cached on disk.
 
         """
         try:
-            # Checked first, because numba takes as long to reject a batch as for 100 states.
+            # Checked first: numba takes as long to reject a batch as to compute 100 states.
             if q.ndim == 1:  # type: ignore[union-attr]
                 tau = np.empty_like(self._zeros) if out is None else out
-                # After a failure, the slower way below finds its cause.
+                # After a failure, the slower code below finds the cause.
                 if not self._inverse_dynamics(q, qd, qdd, tau, self._table):
                     return tau
         except (AttributeError, TypeError, ValueError):  # lists, integers, views with strides
@@ -183,14 +184,14 @@ class InverseDynamics:
         Parameters
         ----------
         q : array_like, shape (..., n)
-            Joint positions [rad or m].
+            Positions of the n joints [rad or m].
         out : ndarray, optional
-            As for `efforts`.
+            Array for the result, as for `efforts`.
 
         Returns
         -------
         tau : ndarray, shape (..., n)
-            Joint efforts [N m or N]: `efforts` for velocities and accelerations of zero.
+            Joint efforts [N m or N], as `efforts` for zero velocities and accelerations.
 
         Raises
         ------
@@ -215,9 +216,9 @@ class InverseDynamics:
         Parameters
         ----------
         q, qd : array_like, shape (..., n)
-            Joint positions [rad or m] and velocities [rad/s or m/s].
+            Positions [rad or m] and velocities [rad/s or m/s] of the n joints.
         out : ndarray, optional
-            As for `efforts`.
+            Array for the result, as for `efforts`.
 
         Returns
         -------
@@ -246,15 +247,15 @@ class InverseDynamics:
         Parameters
         ----------
         q : array_like, shape (..., n)
-            Joint positions [rad or m].
+            Positions of the n joints [rad or m].
         out : ndarray, optional
-            Receives the result: C-contiguous float64 of the shape of the result.
+            Array for the result, C-contiguous float64, of the same shape.
 
         Returns
         -------
         mass_matrix : ndarray, shape (..., n, n)
-            Symmetric to the last bit [kg m^2, kg m or kg, depending on the kinds of joints].
-            Includes payloads and armature.
+            Mass matrix with payloads and armature, symmetric to the last bit [kg m^2, kg m or kg,
+            depending on the types of the joints].
 
         Raises
         ------
@@ -263,7 +264,7 @@ class InverseDynamics:
 
         Notes
         -----
-        The composite-rigid-body algorithm; see `mass_matrix` for its references.
+        The method is the composite-rigid-body algorithm of Walker and Orin (1982).
 
         """
         try:
@@ -289,14 +290,14 @@ class InverseDynamics:
         Parameters
         ----------
         q, qd, qdd : array_like, shape (..., n)
-            As for `efforts`.
+            Positions, velocities and accelerations of the n joints, as for `efforts`.
         out : ndarray, shape (5, ..., n), optional
-            Receives the terms.
+            Array for the five terms, float64.
 
         Returns
         -------
         terms : EffortTerms
-            Named tuple of arrays of shape (..., n) [N m or N]; their sum is `efforts`.
+            Named tuple of five arrays of shape (..., n) [N m or N]. Their sum equals `efforts`.
 
         Raises
         ------
@@ -327,14 +328,14 @@ class InverseDynamics:
         self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: Floats | None = None
     ) -> JointWrenches:
         """
-        Compute the force and moment at every joint, the reaction of the mount first.
+        Compute the force and moment at every joint, starting with the reaction of the mount.
 
         Parameters
         ----------
         q, qd, qdd : array_like, shape (..., n)
-            As for `efforts`.
+            Positions, velocities and accelerations of the n joints, as for `efforts`.
         out : ndarray, shape (..., b, 6), optional
-            Receives force and moment: C-contiguous float64.
+            Array for the forces and moments at b bodies, C-contiguous float64.
 
         Returns
         -------
@@ -348,9 +349,9 @@ class InverseDynamics:
 
         Notes
         -----
-        LWP (45) and (46). The moment about the axis of a revolute joint, or the force along the
-        axis of a prismatic one, is the joint's effort without armature, friction and springs,
-        which act inside the joint.
+        The equations are LWP (45) and (46). The moment about the axis of a revolute joint, or the
+        force along the axis of a prismatic joint, is the joint's effort without armature, friction
+        and springs, because these three act inside the joint.
 
         """
         shape = (len(self._R_LZ), 6)
@@ -380,18 +381,18 @@ class InverseDynamics:
         Parameters
         ----------
         q : array_like, shape (..., n)
-            Joint positions [rad or m].
+            Positions of the n joints [rad or m].
         link : str
             Any link of the robot description.
         out : ndarray, shape (..., 4, 4), optional
-            Receives the result: C-contiguous float64.
+            Array for the result, C-contiguous float64.
 
         Returns
         -------
         pose : ndarray, shape (..., 4, 4)
-            Homogeneous matrix from the link's frame to the base frame, which is that of the root
-            link: ``pose[..., :3, :3]`` is the rotation, ``pose[..., :3, 3]`` the position of the
-            link's origin [m].
+            Homogeneous matrix from the link's frame to the base frame, which is the frame of the
+            root link. ``pose[..., :3, :3]`` is the rotation, and ``pose[..., :3, 3]`` is the
+            position of the link's origin [m].
 
         Raises
         ------
@@ -410,20 +411,20 @@ class InverseDynamics:
         Parameters
         ----------
         q : array_like, shape (..., n)
-            Joint positions [rad or m].
+            Positions of the n joints [rad or m].
         link : str
             Any link of the robot description.
         out : ndarray, shape (..., 6, n), optional
-            Receives the result: C-contiguous float64.
+            Array for the result, C-contiguous float64.
 
         Returns
         -------
         jacobian : ndarray, shape (..., 6, n)
-            Rows 0 to 2 are linear: the velocity of the origin of the link's frame [m/s]. Rows 3 to
-            5 are angular: the angular velocity of the link [rad/s]. Both are relative to the base
-            and in coordinates of the base frame. Columns are per unit of joint velocity [rad/s or
-            m/s], in the order of ``robot.joint_names``; those of joints that do not move the link
-            are zero.
+            Rows 0 to 2 give the velocity of the link's origin [m/s], and rows 3 to 5 the angular
+            velocity of the link [rad/s], per unit of joint velocity [rad/s or m/s]. Both
+            velocities are relative to the base and in base coordinates. The columns are in the
+            order of ``robot.joint_names``. The column of a joint that does not move the link is
+            zero.
 
         Raises
         ------
@@ -434,15 +435,16 @@ class InverseDynamics:
 
         See Also
         --------
-        pose : ``R = pose(q, link)[:3, :3]`` rotates vectors from the link's frame to the base's.
+        pose : ``R = pose(q, link)[:3, :3]`` rotates vectors from the link's to the base frame.
 
         Notes
         -----
-        The transpose maps a force and a moment about the link's origin, in coordinates of the
-        base, to the joint efforts that do the same work. To exert them on the world, a robot
-        needs these efforts in addition; `set_external_wrench`, which is about what the world
-        exerts and in the link's frame, subtracts them. The motion of the base is not included.
-        A mimic joint adds to the column of the joint that it mimics.
+        The transpose of J maps a force, and a moment about the link's origin, to the joint efforts
+        that do the same work. Force and moment are in base coordinates. A robot that exerts this
+        force and moment on the world needs these efforts in addition. `set_external_wrench` has
+        the opposite sign: its wrench is exerted by the world, and is in the link's frame. J does
+        not include the motion of the base. A mimic joint adds to the column of the joint that it
+        mimics.
 
         """
         return self._of_link(self._jacobian, (6, len(self._zeros)), q, link, out)
@@ -456,17 +458,18 @@ class InverseDynamics:
         Parameters
         ----------
         q, qd, qdd : array_like, shape (..., n)
-            As for `efforts`.
+            Positions, velocities and accelerations of the n joints, as for `efforts`.
         out : ndarray, shape (..., n, 10 (b - 1)), optional
-            Receives the result: C-contiguous float64.
+            Array for the result, C-contiguous float64.
 
         Returns
         -------
         regressor : ndarray, shape (..., n, 10 (b - 1))
-            Ten columns for each moving body, in the order of ``robot.body_names[1:]``, which are
-            the names of the joints that move them: for mass [kg], mass times centre of mass (x,
-            y, z) [kg m], and inertia about the origin of the body's frame (xx, xy, yy, xz, yz,
-            zz) [kg m^2], as in Pinocchio. The frame is the URDF frame of the joint.
+            Ten columns for each of the b - 1 moving bodies, in the order of
+            ``robot.body_names[1:]``. The columns belong to the mass [kg], the mass times centre of
+            mass (x, y, z) [kg m], and the inertia about the origin of the body's frame (xx, xy,
+            yy, xz, yz, zz) [kg m^2], as in Pinocchio. The frame of a body is the URDF frame of the
+            joint that moves it.
 
         Raises
         ------
@@ -475,14 +478,14 @@ class InverseDynamics:
 
         See Also
         --------
-        inertial_parameters : pi of this robot.
+        inertial_parameters : The inertial parameters pi of this robot.
 
         Notes
         -----
-        Links that fixed joints hold together are one body. A body that a mimic joint moves has
-        columns of its own, and adds to the row of the joint that is mimicked. Gravity and the
-        motion of the base are included. Armature, friction, springs and wrenches are not: the
-        efforts due to them do not depend on pi. Payloads are part of pi and do not change Y.
+        Links that fixed joints connect are one body. A body that a mimic joint moves has its own
+        columns, and adds to the row of the joint that is mimicked. Y includes gravity and the
+        motion of the base. Y does not include armature, friction, springs and wrenches, because
+        their efforts do not depend on pi. Payloads change pi, but not Y.
 
         The first call on a machine compiles; the machine code is cached on disk.
 
@@ -510,8 +513,9 @@ class InverseDynamics:
         Returns
         -------
         parameters : ndarray, shape (10 (b - 1),)
-            In the order of the columns of `regressor`. ``regressor(q, qd, qdd) @ parameters`` are
-            the efforts of a robot without drive terms, springs and external wrenches.
+            Parameters in the order of the columns of `regressor`, for b - 1 moving bodies. The
+            product ``regressor(q, qd, qdd) @ parameters`` is the effort of a robot without
+            armature, friction, springs and external wrenches.
 
         """
         bodies = range(1, len(self.robot.parent))
@@ -520,7 +524,7 @@ class InverseDynamics:
 
     def set_gravity(self, gravity: ArrayLike) -> None:
         """
-        Set gravity.
+        Set the free-fall acceleration due to gravity.
 
         Parameters
         ----------
@@ -549,14 +553,14 @@ class InverseDynamics:
         Parameters
         ----------
         angular_velocity, angular_acceleration, linear_acceleration : array_like, shape (3,)
-            Motion of the base frame and its origin, in the base frame [rad/s], [rad/s^2],
-            [m/s^2]. The linear acceleration does not include gravity; an accelerometer on the
+            Motion of the base frame, in base coordinates [rad/s, rad/s^2, m/s^2]. The linear
+            acceleration is that of the frame's origin, without gravity. An accelerometer on the
             base measures the linear acceleration minus gravity.
 
         Raises
         ------
         ConfigurationError
-            If one is not three finite numbers.
+            If an argument is not three finite numbers.
 
         """
         motion = [
@@ -576,7 +580,7 @@ class InverseDynamics:
         inertia: ArrayLike = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
     ) -> None:
         """
-        Attach a rigid body to a link, replacing the payload that the link had.
+        Attach a rigid body to a link, replacing the previous payload of the link.
 
         Parameters
         ----------
@@ -592,7 +596,7 @@ class InverseDynamics:
         Raises
         ------
         ConfigurationError
-            If the link does not exist, or no rigid body has such a mass and inertia.
+            If the link does not exist, or mass and inertia are impossible for a rigid body.
 
         """
         k = self.robot.link_index(link)
@@ -617,7 +621,7 @@ class InverseDynamics:
         link : str
             Any link of the robot description.
         force, moment : array_like, shape (3,)
-            In the link's frame, about its origin [N], [N m].
+            Force [N], and moment about the link's origin [N m], both in the link's frame.
 
         Raises
         ------
@@ -642,20 +646,20 @@ class InverseDynamics:
         r"""
         Set friction: :math:`d\,v + (c + \eta\,|\tau_{load}| + s \sqrt{|v|}) \tanh(v / w)`.
 
-        The speed v is that of the joint, or of its drive if that is coupled to another joint.
+        Here v is the speed of the joint, or of its drive if the drive is coupled to another joint.
 
         Parameters
         ----------
         damping : array_like, shape (n,) or ()
-            Viscous friction d [N m s/rad or N s/m]; by default, that of the robot description.
+            Viscous friction d [N m s/rad or N s/m]; by default from the robot description.
         coulomb : array_like, shape (n,) or ()
-            Coulomb friction c [N m or N]; by default, that of the robot description.
+            Coulomb friction c [N m or N]; by default from the robot description.
         width : array_like, shape (n,) or ()
             Speed w over which Coulomb friction is smoothed [rad/s or m/s].
         load_friction : array_like, shape (n,) or ()
-            Increase eta of Coulomb friction per effort that loads the gear [-].
+            Coulomb friction eta per unit of effort that loads the gear [-].
         sqrt_damping : array_like, shape (n,) or ()
-            Friction s per square root of the speed, of gears with much grease at low speeds
+            Friction s per square root of the speed, for gears with much grease at low speeds
             [N m (s/rad)^0.5 or N (s/m)^0.5].
 
         Raises
@@ -665,10 +669,10 @@ class InverseDynamics:
 
         Notes
         -----
-        The effort that loads the gear is what moves and holds the links: inertia, Coriolis and
-        centrifugal efforts, and gravity, with payloads, springs, base motion and external
-        wrenches. It includes neither armature nor friction. Its product with eta is the usual
-        model of gears whose losses are proportional to the transmitted effort [1]_.
+        The effort that loads the gear moves and holds the links. It contains the inertial,
+        Coriolis, centrifugal and gravity efforts, and the efforts due to payloads, springs, base
+        motion and external wrenches. It does not contain armature and friction. Friction in
+        proportion to this effort is the usual model of losses in gears [1]_.
 
         References
         ----------
@@ -682,7 +686,7 @@ class InverseDynamics:
         damping = read_joints('damping', damping, n)
         coulomb = read_joints('coulomb', coulomb, n)
         speeds = read_joints('width', width, n)
-        if not (speeds >= np.finfo(float).tiny).all():  # the inverse of less may be infinite
+        if not (speeds >= np.finfo(float).tiny).all():  # smaller: the inverse may overflow
             raise ConfigurationError(f'width is {width!r}, expected speeds above 0')
         per_load = read_joints('load_friction', load_friction, n)
         per_root = read_joints('sqrt_damping', sqrt_damping, n)
@@ -697,7 +701,7 @@ class InverseDynamics:
         Parameters
         ----------
         armature : array_like, shape (n,) or ()
-            Rotor inertia times the square of the gear ratio [kg m^2 or kg].
+            Rotor inertia times the square of the gear ratio, for n joints [kg m^2 or kg].
 
         Raises
         ------
@@ -711,22 +715,22 @@ class InverseDynamics:
 
     def set_drive_coupling(self, coupling: ArrayLike) -> None:
         r"""
-        Couple drives to the joints before them, as in wrists whose gears run through a joint.
+        Couple drives to the previous joints, as in wrists with gears that run through a joint.
 
         The speed of the drive of joint k is :math:`v_k = \dot q_k + g_k\,\dot q_{k-1}`. The
-        effort of its friction and armature acts on joint k, and g times this effort on the joint
-        before.
+        effort due to friction and armature of this drive acts on joint k. The previous joint
+        receives :math:`g_k` times this effort.
 
         Parameters
         ----------
         coupling : array_like, shape (n,) or ()
-            Turns g of each drive per turn of the joint before [-]; 0 for a drive that turns with
-            its own joint only.
+            Turns g of each drive per turn of the previous joint [-]; 0 for a drive that turns
+            with its own joint only.
 
         Raises
         ------
         ConfigurationError
-            If a value is not finite, or not 0 for a joint on the base.
+            If a value is not finite, or a joint on the base has a coupling other than 0.
 
         """
         values = self.checked_coupling(coupling)
@@ -734,7 +738,10 @@ class InverseDynamics:
         self.revision += 1
 
     def checked_coupling(self, coupling: ArrayLike) -> Floats:
-        """Return one number per joint, shape (n,), or the error of `set_drive_coupling`."""
+        """
+        Check couplings like `set_drive_coupling`; return one per joint, shape (n,) for n joints.
+
+        """
         values = read_joints('coupling', coupling, len(self.robot.joint_names), is_signed=True)
         for k in np.flatnonzero(values):
             if self._table[k + 1, robot_table.JOINT_BEFORE] < 0.0:
@@ -748,13 +755,13 @@ class InverseDynamics:
         r"""
         Set springs or counterweights at joints, which add :math:`k\,(q - q_0)` to the efforts.
 
-        They belong to the efforts that hold the robot still: to `gravity_efforts` and to the term
-        ``gravity``. They relieve the gears, or load them.
+        The efforts of springs are part of `gravity_efforts`, and of the term ``gravity`` of
+        `effort_terms`. A spring relieves the gear of its joint, or loads it.
 
         Parameters
         ----------
         stiffness : array_like, shape (n,) or ()
-            Stiffness k [N m/rad or N/m]; negative for one that drives the joint away from rest.
+            Stiffness k [N m/rad or N/m]; negative for springs that push the joint away from q_0.
         rest : array_like, shape (n,) or ()
             Joint position q_0 at which the spring exerts no effort [rad or m].
 
@@ -779,7 +786,7 @@ class InverseDynamics:
         qdd: ArrayLike,
         out: Floats | None = None,
     ) -> Floats:
-        """Compute the efforts with a table, quickly if the arguments are the arrays of a state."""
+        """Compute the efforts with a given table; there is a fast path for arrays of one state."""
         try:
             if q.ndim == 1:  # type: ignore[union-attr]
                 tau = np.empty_like(self._zeros) if out is None else out
@@ -804,7 +811,7 @@ class InverseDynamics:
         link: str,
         out: Floats | None,
     ) -> Floats:
-        """Compute a matrix of a link with a function of `link_kinematics`."""
+        """Compute the matrix of a link with a function of `link_kinematics`."""
         if link not in self._links:
             self._links[link] = link_kinematics.row_of_link(self.robot, self._R_ZL, link)
         row = self._links[link]
@@ -819,7 +826,7 @@ class InverseDynamics:
         return over_states(self.robot, shape, few, None, out, q=q)
 
     def _terms_of_state(self, q: Any, qd: Any, qdd: Any, out: Floats) -> EffortTerms:
-        """Compute all terms in one compiled call."""
+        """Compute all terms of one state in one compiled call."""
         tables = self._term_tables()
         if self._effort_terms(q, qd, qdd, self._state, *tables, out, self._table):
             check_out(out, (5, len(self._zeros)))
@@ -827,7 +834,7 @@ class InverseDynamics:
         return EffortTerms(*out)
 
     def _terms_of_many(self, q: Floats, qd: Floats, qdd: Floats, out: Floats) -> None:
-        """Compute the terms of many states by one pass over all of them for each term."""
+        """Compute the terms of many states, one term after the other."""
         zeros, tables, terms = np.zeros(q.shape), self._term_tables(), EffortTerms(*out)
         self._efforts_in(tables.inertial, q, zeros, qdd, terms.inertial)
         self.coriolis_efforts(q, qd, terms.coriolis)
@@ -837,7 +844,7 @@ class InverseDynamics:
             raise explain(self.robot.joint_names, q=q, qd=qd, qdd=qdd)
 
     def _term_tables(self) -> TermTables:
-        """Return the tables of `effort_terms`, made again if the loads have changed."""
+        """Return the tables of `effort_terms`; make new ones if the loads have changed."""
         revision, tables = self._terms
         if revision != self.revision:
             tables = effort_terms.term_tables(self._table)
@@ -873,7 +880,7 @@ class InverseDynamics:
 
     @cached_property
     def _regressor(self) -> Callable[..., int]:
-        """Like the functions below, compiled at its first use: most programs never use it."""
+        """Like the functions below, compiled at first use, because most programs never use it."""
         return prepared(regressor.regressor, 1, 1, 1, 2, 2, 2)
 
     @cached_property

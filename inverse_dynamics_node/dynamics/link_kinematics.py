@@ -1,5 +1,5 @@
 """
-The links in coordinates of the base, for one state: axes, origins, pose and geometric Jacobian.
+Axes, origins, pose and geometric Jacobian of links in base coordinates, for one state.
 
 References
 ----------
@@ -40,14 +40,14 @@ from .robot_table import (
 Axes = tuple[Vector, Vector, Vector]
 """Axes x, y, z of a frame."""
 
-# A link, as one row: its body, and its place in the frame of the body in the robot table
+# Columns of the row of a link: its body, and its pose in the frame of the body
 BODY = 0
 ORIGIN = 1  # [m]
 AXES = 4  # nine columns: the axes x, y, z of the link, one after the other
 
 
 def row_of_link(robot: RobotModel, R_ZL: Floats, link: str) -> Floats:
-    """Return the row of a link; R_ZL as from `robot_table.rotations_to_z`."""
+    """Return the 13 numbers BODY, ORIGIN and AXES of a link; R_ZL is from `rotations_to_z`."""
     k = robot.link_index(link)
     body = robot.link_body[k]
     axes = R_ZL[body] @ robot.link_rotation[k]
@@ -57,28 +57,16 @@ def row_of_link(robot: RobotModel, R_ZL: Floats, link: str) -> Floats:
 @compiled
 def pose(q: Sequence[float], link: Any, matrix: Any, robot: Any) -> int:
     """
-    Compute the pose of a link.
+    Compute the homogeneous matrix from a link's frame to the base frame.
 
-    Parameters
-    ----------
-    q : sequence of n floats
-        Joint positions [rad or m].
-    link : sequence of 13 floats
-        The body of the link, and its place in it: `BODY`, `ORIGIN`, `AXES`.
-    matrix : 4 sequences of 4 floats
-        Receives the homogeneous matrix from the link's frame to the base frame.
-    robot : table from `robot_table`
-        The robot.
-
-    Returns
-    -------
-    status : int
-        `OK`, `WRONG_SIZE` (then the matrix is untouched) or `NOT_FINITE`.
+    ``q`` contains the positions of n joints [rad or m]. ``link`` is a row of `row_of_link`.
+    ``matrix`` receives 4 rows of 4 numbers. ``robot`` is a table of `robot_table`. The status is
+    `OK`, `NOT_FINITE` or `WRONG_SIZE`; after `WRONG_SIZE`, the matrix is unchanged.
 
     """
     if len(q) != int(robot[0][JOINT_COUNT]) or len(matrix) != 4 or len(matrix[0]) != 4:
         return WRONG_SIZE
-    if check(q) != OK:  # also of joints on which the result does not depend
+    if check(q) != OK:  # also for joints that do not affect the result
         return NOT_FINITE
     origin = place_bodies(q, link, robot)
     axes_of_body = axes(robot[int(link[BODY])])
@@ -95,15 +83,16 @@ def pose(q: Sequence[float], link: Any, matrix: Any, robot: Any) -> int:
 @compiled
 def jacobian(q: Sequence[float], link: Any, matrix: Any, robot: Any) -> int:
     """
-    Compute the geometric Jacobian of the origin of a link; arguments and status as for `pose`.
+    Compute the geometric Jacobian of the origin of a link.
 
-    The matrix, 6 sequences of n floats, receives three linear rows, then three angular ones.
+    ``matrix`` receives three linear and then three angular rows of n numbers, for n joints. The
+    other arguments and the status are those of `pose`.
 
     """
     n = int(robot[0][JOINT_COUNT])
     if len(q) != n or len(matrix) != 6 or len(matrix[0]) != n:
         return WRONG_SIZE
-    if check(q) != OK:  # also of joints on which the result does not depend
+    if check(q) != OK:  # also for joints that do not affect the result
         return NOT_FINITE
     origin = place_bodies(q, link, robot)
     for i in range(6):
@@ -124,10 +113,10 @@ def jacobian(q: Sequence[float], link: Any, matrix: Any, robot: Any) -> int:
 
 @simd_inline
 def place_bodies(q: Sequence[float], link: Any, robot: Any) -> Vector:
-    """Store the places of the bodies up to that of a link; return the link's origin."""
+    """Store the poses of the bodies up to the body of a link; return the link's origin."""
     body = int(link[BODY])
     hold_base_axes(robot[0])
-    for i in range(1, body + 1):  # parents have smaller numbers
+    for i in range(1, body + 1):  # parents have smaller indices
         place_link(robot[i], q[int(robot[i][JOINT])])
         place_in_base(robot[i], robot[int(robot[i][PARENT])])
     place = robot[body]
@@ -136,7 +125,7 @@ def place_bodies(q: Sequence[float], link: Any, robot: Any) -> Vector:
 
 @compiled
 def check_rows(matrix: Any) -> int:
-    """Return `NOT_FINITE` if an entry is."""
+    """Return `NOT_FINITE` if an entry of the matrix is not finite, otherwise `OK`."""
     for i in range(len(matrix)):
         if check(matrix[i]) != OK:
             return NOT_FINITE
@@ -154,7 +143,7 @@ def hold_base_axes(base: Any) -> None:
 
 @simd_inline
 def place_in_base(link: Any, parent: Any) -> None:
-    """Store the axes and the origin of a link, after `place_link`."""
+    """Store the axes and the origin of a link in base coordinates, after `place_link`."""
     R, axes_P = rotation(link), axes(parent)
     p = origin_in_parent(R, vector(link, OFFSET), link[LENGTH])
     x, y, z = axes_in_base(axes_P, R, link[COSINE], link[SINE])
@@ -172,7 +161,7 @@ def axes(row: Any) -> Axes:
 
 @simd_inline
 def axes_in_base(axes_P: Axes, R: Any, c: Any, s: Any) -> Axes:
-    """Return the axes of a link from those of its parent; R, c and s as in `equations`."""
+    """Return the axes of a link from those of its parent; R, c and s are as in `equations`."""
     x = c * R[0] + s * R[1], c * R[3] + s * R[4], c * R[6] + s * R[7]
     y = c * R[1] - s * R[0], c * R[4] - s * R[3], c * R[7] - s * R[6]
     z = R[2], R[5], R[8]
@@ -181,7 +170,7 @@ def axes_in_base(axes_P: Axes, R: Any, c: Any, s: Any) -> Axes:
 
 @simd_inline
 def in_base(axes: Axes, v: Vector) -> Vector:
-    """Return in coordinates of the base a vector that is given in the frame with these axes."""
+    """Convert a vector from the frame with these axes to base coordinates."""
     x, y, z = axes
     return (
         x[0] * v[0] + y[0] * v[1] + z[0] * v[2],
@@ -192,5 +181,5 @@ def in_base(axes: Axes, v: Vector) -> Vector:
 
 @simd_inline
 def in_frame(axes: Axes, v: Vector) -> Vector:
-    """Return in the frame with these axes a vector that is given in coordinates of the base."""
+    """Convert a vector from base coordinates to the frame with these axes."""
     return dot(axes[0], v), dot(axes[1], v), dot(axes[2], v)

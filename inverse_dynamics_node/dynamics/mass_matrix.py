@@ -1,12 +1,13 @@
 """
 The mass matrix of one state by the composite-rigid-body algorithm.
 
-From tips to base, each link and all that it carries are combined into one rigid body. The force
-and moment that accelerate this body by a unit acceleration of the link's joint, projected onto
-that joint and onto every joint between it and the base, are entries of the mass matrix.
+From tips to base, each link and all links that it carries are combined into one rigid body. A
+force and a moment give this body the acceleration that results from a unit acceleration of the
+link's joint. Their projections onto this joint, and onto every joint between it and the base, are
+entries of the mass matrix.
 
-All vectors are in coordinates of the base, but moments are about the origin of the link: bodies
-are combined and forces are projected without rotating them from link to link.
+All vectors are in base coordinates, and moments are about the origin of the link. Bodies are
+therefore combined, and forces projected, without rotations from link to link.
 
 References
 ----------
@@ -44,27 +45,17 @@ from .robot_table import (
 )
 
 Composite = tuple[Any, Vector, Any]
-"""Mass, first moment (mass times centre of mass), and inertia about the origin of the frame."""
+"""A composite body: mass, mass times centre of mass, and inertia about the frame's origin."""
 
 
 @compiled
 def mass_matrix(q: Sequence[float], matrix: Any, robot: Any) -> int:
     """
-    Compute the mass matrix of one state.
+    Compute the mass matrix of one state, symmetric to the last bit.
 
-    Parameters
-    ----------
-    q : sequence of n floats
-        Joint positions [rad or m].
-    matrix : n sequences of n floats
-        Receives the mass matrix, symmetric to the last bit.
-    robot : table from `robot_table`
-        The robot and its loads.
-
-    Returns
-    -------
-    status : int
-        `OK`, `WRONG_SIZE` (then the matrix is untouched) or `NOT_FINITE`.
+    ``q`` contains the positions of n joints [rad or m]. ``matrix`` receives n rows of n numbers.
+    ``robot`` is a table of `robot_table`. The status is `OK`, `NOT_FINITE` or `WRONG_SIZE`; after
+    `WRONG_SIZE`, the matrix is unchanged.
 
     """
     n = int(robot[0][JOINT_COUNT])
@@ -73,7 +64,7 @@ def mass_matrix(q: Sequence[float], matrix: Any, robot: Any) -> int:
     for i in range(n):
         for j in range(n):
             matrix[i][j] = 0.0
-        # A position that is not finite must not go unnoticed where no entry depends on it.
+        # A position that is not finite becomes NaN here, even if no entry depends on it.
         matrix[i][i] = robot[i + 1][ARMATURE] + (q[i] - q[i])
         ratio, before = coupling_of(robot[i + 1])
         if ratio != 0.0:
@@ -111,7 +102,7 @@ def mass_matrix(q: Sequence[float], matrix: Any, robot: Any) -> int:
 
 @compiled
 def mass_matrix_batch(q: Any, matrices: Any, robot: Any) -> int:
-    """Call `mass_matrix` for every row of q; return the first failure."""
+    """Call `mass_matrix` for every row of q; return the status of the first failure, or `OK`."""
     for k in range(len(q)):
         status = mass_matrix(q[k], matrices[k], robot)
         if status != OK:
@@ -122,10 +113,10 @@ def mass_matrix_batch(q: Any, matrices: Any, robot: Any) -> int:
 @compiled
 def check_diagonal(matrix: Any) -> int:
     """
-    Return `NOT_FINITE` if an entry is.
+    Return `NOT_FINITE` if an entry of the matrix is not finite, otherwise `OK`.
 
-    It is enough to look at the diagonal: no other entry of a positive definite matrix is larger
-    than the larger of the two entries on the diagonal in its row and column.
+    It is enough to check the diagonal: in a positive definite matrix, no entry is larger than the
+    larger of the two diagonal entries in its row and column.
 
     """
     for i in range(len(matrix)):
@@ -136,7 +127,7 @@ def check_diagonal(matrix: Any) -> int:
 
 @simd_inline
 def composite_of_link(link: Any) -> Composite:
-    """Return the link alone as a composite body."""
+    """Return a link, without the links that it carries, as a composite body."""
     mass, com = link[MASS], vector(link, COM)
     first = mass * com[0], mass * com[1], mass * com[2]
     return mass, first, about_origin(inertia(link), com, first)
@@ -144,7 +135,7 @@ def composite_of_link(link: Any) -> Composite:
 
 @simd_inline
 def about_origin(J: Any, com: Vector, first: Vector) -> Any:
-    """Return the inertia about the origin, from the inertia about the centre of mass."""
+    """Return the inertia about the frame's origin, from that about the centre of mass."""
     x, y, z = com[0] * first[0], com[1] * first[1], com[2] * first[2]
     return (
         J[0] + y + z,
@@ -158,7 +149,7 @@ def about_origin(J: Any, com: Vector, first: Vector) -> Any:
 
 @simd_inline
 def in_base_axes(axes: Axes, body: Composite) -> Composite:
-    """Return a composite body along the axes of the base, about the same origin."""
+    """Express a composite body along the axes of the base, about the same origin."""
     mass, first, J = body
     x, y, z = axes
     # The rows of the rotation, and the products of J with them
@@ -170,7 +161,7 @@ def in_base_axes(axes: Axes, body: Composite) -> Composite:
 
 @simd_inline
 def shifted(p: Vector, body: Composite) -> Composite:
-    """Return a composite body about another point, from which its origin is at p."""
+    """Express a composite body about another point; p is its old origin relative to the point."""
     mass, h, J = body
     # The parallel-axis theorem, with h the first moment about the old origin
     moved = h[0] + mass * p[0], h[1] + mass * p[1], h[2] + mass * p[2]
@@ -188,7 +179,7 @@ def shifted(p: Vector, body: Composite) -> Composite:
 
 @simd_inline
 def combined(a: Composite, b: Composite) -> Composite:
-    """Return two composite bodies in the same frame as one."""
+    """Combine two composite bodies, which are expressed in the same frame, into one."""
     J, K = a[2], b[2]
     inertia = J[0] + K[0], J[1] + K[1], J[2] + K[2], J[3] + K[3], J[4] + K[4], J[5] + K[5]
     return a[0] + b[0], add(a[1], b[1]), inertia
@@ -196,7 +187,7 @@ def combined(a: Composite, b: Composite) -> Composite:
 
 @simd_inline
 def unit_wrench(body: Composite, axis: Vector, slides: Any) -> tuple[Vector, Vector]:
-    """Return the force and moment for a unit acceleration of the joint, the body at rest."""
+    """Return the force and moment that give a body at rest a unit acceleration of the joint."""
     mass, h, J = body
     if slides != 0.0:
         force = mass * axis[0], mass * axis[1], mass * axis[2]
@@ -206,13 +197,13 @@ def unit_wrench(body: Composite, axis: Vector, slides: Any) -> tuple[Vector, Vec
 
 @simd_inline
 def along(axis: Vector, slides: Any, force: Vector, moment: Vector) -> Any:
-    """(47) for any axis: the effort of a joint for a force and moment about its origin."""
+    """(47) for any axis: the effort of a joint due to a force and moment about its origin."""
     return dot(axis, force) if slides != 0.0 else dot(axis, moment)
 
 
 @simd_inline
 def effort_at(arm: Vector, axis: Vector, slides: Any, force: Vector, moment: Vector) -> Any:
-    """Return the effort for a force and moment about a point that is at an arm from the joint."""
+    """Return the joint effort due to a force and moment about the point ``arm`` from the joint."""
     if slides != 0.0:
         return dot(axis, force)
     return dot(axis, add(moment, cross(arm, force)))
@@ -220,7 +211,7 @@ def effort_at(arm: Vector, axis: Vector, slides: Any, force: Vector, moment: Vec
 
 @simd_inline
 def composite(row: Any) -> Composite:
-    """Read a composite body."""
+    """Read the composite body in a row of the table."""
     k = COMPOSITE
     inertia = row[k + 4], row[k + 5], row[k + 6], row[k + 7], row[k + 8], row[k + 9]
     return row[k], vector(row, k + 1), inertia
@@ -228,7 +219,7 @@ def composite(row: Any) -> Composite:
 
 @simd_inline
 def store_composite(row: Any, body: Composite) -> None:
-    """Write a composite body."""
+    """Write a composite body into a row of the table."""
     k = COMPOSITE
     mass, first, J = body
     row[k] = mass

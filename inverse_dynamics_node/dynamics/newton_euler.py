@@ -1,9 +1,9 @@
 """
 The two passes of Luh, Walker and Paul for one state; the equations are in `equations`.
 
-The functions are compiled by numba where it is installed and run as Python where it is not. Both
-take a robot as one table, with a row for each body and the columns of `robot_table`: an array for
-numba, a list of lists for Python.
+The functions are compiled if numba is installed; otherwise they run as Python code. The robot is a
+table with a row for each body and the columns of `robot_table`. It is an array for numba, and a
+list of lists for Python.
 """
 
 from __future__ import annotations
@@ -80,19 +80,10 @@ def inverse_dynamics(
     """
     Compute the joint efforts that produce the joint accelerations, LWP (36)-(47).
 
-    Parameters
-    ----------
-    q, qd, qdd : sequence of n floats
-        Joint positions [rad or m], velocities [rad/s or m/s] and accelerations.
-    tau : sequence of n floats
-        Receives the joint efforts [N m or N].
-    robot : table from `robot_table`
-        Row 0 contains the motion of the base.
-
-    Returns
-    -------
-    status : int
-        `OK`, `WRONG_SIZE` (then tau is untouched) or `NOT_FINITE`.
+    ``q``, ``qd`` and ``qdd`` contain the positions [rad or m], velocities and accelerations of n
+    joints. ``tau`` receives the n efforts [N m or N]. ``robot`` is a table of `robot_table`; its
+    row 0 contains the motion of the base. The status is `OK`, `NOT_FINITE` or `WRONG_SIZE`; after
+    `WRONG_SIZE`, tau is unchanged.
 
     """
     n = int(robot[0][JOINT_COUNT])
@@ -101,7 +92,7 @@ def inverse_dynamics(
     outward_pass(q, qd, qdd, robot)
     has_drive_terms = robot[0][HAS_DRIVE_TERMS] != 0.0
     if has_drive_terms:
-        for joint in range(n):  # kept, because tau may be the array of qd or qdd
+        for joint in range(n):  # stored, because tau may be the array of qd or qdd
             robot[joint + 1][RATE], robot[joint + 1][RATE_DOT] = qd[joint], qdd[joint]
     if robot[0][HAS_SPRINGS] != 0.0:
         for joint in range(n):
@@ -116,7 +107,7 @@ def inverse_dynamics(
 
 @compiled
 def inverse_dynamics_batch(q: Any, qd: Any, qdd: Any, tau: Any, robot: Any) -> int:
-    """Call `inverse_dynamics` for every row of the arguments; return the first failure."""
+    """Call `inverse_dynamics` for every state; return the first failure, or `OK`."""
     for k in range(len(tau)):
         status = inverse_dynamics(q[k], qd[k], qdd[k], tau[k], robot)
         if status != OK:
@@ -126,7 +117,7 @@ def inverse_dynamics_batch(q: Any, qd: Any, qdd: Any, tau: Any, robot: Any) -> i
 
 @simd_inline
 def place_link(link: Any, q: float) -> Vector:
-    """Store how far a link has turned and slid: cosine, sine, length; and return them."""
+    """Store and return the cosine and sine of the joint angle, and the length of the slide."""
     position = link[MULTIPLIER] * q + link[POSITION_OFFSET]
     if link[SLIDES] != 0.0:
         c, s, length = 1.0, 0.0, position
@@ -139,10 +130,10 @@ def place_link(link: Any, q: float) -> Vector:
 @compiled
 def gravity_efforts(q: Sequence[float], tau: Any, robot: Any) -> int:
     """
-    Compute the joint efforts that hold the robot still.
+    Compute the joint efforts that hold the robot still on a base that does not rotate.
 
-    As `inverse_dynamics`, with its arguments and status, for velocities and accelerations of zero
-    on a base that does not rotate: every link has the acceleration of the base, in its own frame.
+    The efforts are those of `inverse_dynamics` without velocities and accelerations. Every link
+    then has the acceleration of the base. Arguments and status are those of `inverse_dynamics`.
 
     """
     n = int(robot[0][JOINT_COUNT])
@@ -161,7 +152,7 @@ def gravity_efforts(q: Sequence[float], tau: Any, robot: Any) -> int:
         store(link, FORCE, subtract(force_net, external_force))
         store(link, MOMENT, subtract(moment, external_moment))
     for joint in range(n):
-        # A spring's effort; without one 0, or NaN where no effort depends on the position
+        # The effort of a spring. Without a spring it is 0, or NaN if the position is not finite.
         tau[joint] = spring_effort(robot[joint + 1], q[joint])
     inward_pass(tau, robot)
     return check(tau)
@@ -175,7 +166,7 @@ def outward_pass(
     store_wrench(robot[0], (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     for i in range(1, len(robot)):
         link = robot[i]
-        # First: what is read before the calls of sine and cosine would have to be read again.
+        # First, because values that are read before sine and cosine would have to be read again.
         c, s, length = place_link(link, q[int(link[JOINT])])
         parent, joint, multiplier, slides = joint_of(link)
         R, p = frame_of(link)
@@ -202,7 +193,7 @@ def outward_pass(
 def own_wrench(
     link: Any, omega: Vector, omega_dot: Vector, accel: Vector
 ) -> tuple[Vector, Vector]:
-    """Compute the force and moment that a link's own motion requires, less its external load."""
+    """Compute the force and moment that move a single link, minus its external load."""
     mass, com, J = body_of(link)
     external_force, external_moment = load_of(link)
     accel_com = point_acceleration(com, omega, omega_dot, accel)  # (44)
@@ -228,24 +219,25 @@ def inward_pass(tau: Any, robot: Any) -> None:
         moment_P = child_moment(R, c, s, p, force_P, moment)
         store(carrier, FORCE, add(vector(carrier, FORCE), force_P))  # (45)
         store(carrier, MOMENT, add(vector(carrier, MOMENT), moment_P))  # (46)
-        # The effort of a mimic joint adds to its master's: equal power.
+        # By equal power, the effort of a mimic joint adds to the effort of its master.
         tau[joint] += multiplier * joint_effort(force, moment, slides)  # (47)
 
 
 @simd_inline
 def spring_effort(row: Any, position: Any) -> Any:
-    """Return the effort of the spring or counterweight at a joint, on the side of the links."""
+    """Return the effort of the spring or counterweight at a joint, which acts on the links."""
     return row[STIFFNESS] * position + row[PRELOAD]
 
 
 @compiled
 def drive_terms(tau: Any, robot: Any) -> None:
     """
-    Add the terms of a single drive to the efforts of the inward pass: rotor inertia and friction.
+    Add the rotor inertia and friction of each drive to the efforts of the inward pass.
 
-    Friction is an internal pair at one joint and does not propagate to the joints below. This is
-    the authors' form of 1980, tau = n . z + b qd; with LWP (22), (23) of 1979 it would propagate.
-    A drive that also turns with the joint before acts on both joints: equal power.
+    Friction is an internal pair of moments at one joint, and does not propagate to the joints
+    below. This is the authors' form of 1980, tau = n . z + b qd. With LWP (22), (23) of 1979,
+    friction would propagate. A drive that also turns with the previous joint acts on both joints,
+    with equal power.
 
     """
     for joint in range(len(tau)):
@@ -259,17 +251,17 @@ def drive_terms(tau: Any, robot: Any) -> None:
         effort = row[ARMATURE] * rate_dot + friction
         tau[joint] += effort
         if ratio != 0.0:
-            tau[before] += ratio * effort  # its friction has been computed: joints are in order
+            tau[before] += ratio * effort  # has its friction: joints are in order
 
 
 @simd_inline
 def joint_friction(numbers: Any, rate: Any, load: Any) -> Any:
     """
-    Return the friction of a drive with these numbers, from `friction_of`.
+    Return the friction effort of a drive; ``numbers`` are from `friction_of`.
 
-    Coulomb friction may grow with the load on the gear: the effort (47) that links, payloads and
-    external wrenches require, less that of a spring. Rotor inertia and friction act on the motor's
-    side of the gear.
+    Coulomb friction may grow with the load on the gear. The load is the effort (47) that links,
+    payloads, external wrenches and springs require. It does not contain rotor inertia and
+    friction, which act on the motor's side of the gear.
 
     """
     damping, coulomb, load_friction, sqrt_damping, inverse_width = numbers
@@ -290,7 +282,7 @@ def clear(tau: Any) -> None:
 
 @compiled
 def check(tau: Any) -> int:
-    """Return `NOT_FINITE` if any effort is; a NaN or infinity in any input reaches an effort."""
+    """Return `NOT_FINITE` if an effort is NaN or infinite; such inputs always reach an effort."""
     for joint in range(len(tau)):
         if tau[joint] - tau[joint] != 0.0:  # 0 for finite numbers only
             return NOT_FINITE

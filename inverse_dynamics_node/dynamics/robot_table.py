@@ -1,9 +1,9 @@
 """
-The robot table of the passes: a row for each body, the base first, and a name for each column.
+The robot as a table of numbers: one row for each body, the base first, and named columns.
 
-The frame of every body is turned so that its joint's axis is z. A row holds the properties of the
-body, the loads on it, and scratch space for the passes. A vector occupies three columns, of which
-the first has the name.
+The frame of every body is rotated so that z is the axis of its joint. A row contains the
+properties of the body, the loads on it, and scratch space for the outward and inward passes. A
+vector occupies three columns; the name is that of the first one.
 """
 
 from __future__ import annotations
@@ -21,49 +21,49 @@ ROTATION = 0  # nine columns: R_PL at joint position 0, row by row
 OFFSET = 9  # p_PL at joint position 0 [m]
 MASS = 12
 COM = 13
-INERTIA = 16  # six columns: about the centre of mass: xx, xy, xz, yy, yz, zz
+INERTIA = 16  # six columns, about the centre of mass: xx, xy, xz, yy, yz, zz
 PARENT = 22
 JOINT = 23
 MULTIPLIER = 24
 POSITION_OFFSET = 25
 SLIDES = 26  # 1.0 for a prismatic joint, 0.0 for a revolute one
 # External loads
-EXTERNAL_FORCE = 27  # that the world exerts on the body [N]
-EXTERNAL_MOMENT = 30  # about the body's origin [N m]
-# Joint k, in row k + 1 because there are more bodies than joints
-STIFFNESS = 33  # of the spring at the joint [N m/rad or N/m]
+EXTERNAL_FORCE = 27  # force that the world exerts on the body [N]
+EXTERNAL_MOMENT = 30  # moment that the world exerts, about the body's origin [N m]
+# Properties of joint k, in row k + 1, because row 0 belongs to the base
+STIFFNESS = 33  # stiffness of the spring at the joint [N m/rad or N/m]
 PRELOAD = 34  # effort of the spring at joint position 0 [N m or N]
-COUPLING = 35  # turn of the drive per turn of the joint before
+COUPLING = 35  # turns of the drive per turn of the previous joint
 ARMATURE = 36
 DAMPING = 37
 COULOMB = 38
-INVERSE_WIDTH = 39  # of the smoothed step of Coulomb friction [s/rad or s/m]
+INVERSE_WIDTH = 39  # 1 / speed over which Coulomb friction is smoothed [s/rad or s/m]
 LOAD_FRICTION = 40  # Coulomb friction per effort that the links require
 SQRT_DAMPING = 41  # friction per square root of the speed
-JOINT_BEFORE = 42  # joint that moves the body that carries this joint; -1 at the base
-# The robot, in the row of the base
+JOINT_BEFORE = 42  # index of the previous joint, which moves the parent body; -1 at the base
+# Properties of the whole robot, in the row of the base
 JOINT_COUNT = 43
 HAS_DRIVE_TERMS = 44
 HAS_SPRINGS = 45
 # Scratch space of the passes, except for the motion of the base, which is an input
-COSINE = 46  # of the angle by which the joint has turned
+COSINE = 46  # cosine of the angle by which the joint has turned
 SINE = 47
-LENGTH = 48  # by which the joint has slid [m]
+LENGTH = 48  # length by which the joint has slid [m]
 OMEGA = 49
 OMEGA_DOT = 52
 ACCEL = 55
 FORCE = 58
 MOMENT = 61
-RATE = 64  # of joint k
+RATE = 64  # speed of joint k
 RATE_DOT = 65
 COMPOSITE = 66  # ten columns, used by `mass_matrix` only
-POSITION = 76  # of the frame's origin in the base; the passes use neither this nor the axes
-X_AXIS = 79  # of the frame, in coordinates of the base
+POSITION = 76  # frame's origin in the base; the passes use neither the position nor the axes
+X_AXIS = 79  # axis of the frame, in base coordinates
 Y_AXIS = 82
 Z_AXIS = 85
 COLUMNS = 88
 
-# Ranges of columns, to set them together
+# Ranges of columns that are set together
 COM_COLUMNS = slice(COM, COM + 3)
 INERTIA_COLUMNS = slice(INERTIA, INERTIA + 6)
 EXTERNAL_COLUMNS = slice(EXTERNAL_FORCE, EXTERNAL_MOMENT + 3)
@@ -76,13 +76,13 @@ BASE_ACCELERATION_COLUMNS = slice(OMEGA_DOT, ACCEL + 3)
 
 @simd_inline
 def vector(row: Any, first: int) -> Any:
-    """Read three columns."""
+    """Read the vector in three columns."""
     return row[first], row[first + 1], row[first + 2]
 
 
 @simd_inline
 def store(row: Any, first: int, v: Any) -> None:
-    """Write three columns."""
+    """Write a vector into three columns."""
     row[first], row[first + 1], row[first + 2] = v
 
 
@@ -118,7 +118,7 @@ def frame_of(row: Any) -> Any:
 
 @simd_inline
 def body_of(row: Any) -> Any:
-    """Read the mass, the centre of mass, and the inertia about it."""
+    """Read the mass, the centre of mass, and the inertia about the centre of mass."""
     return row[MASS], vector(row, COM), inertia(row)
 
 
@@ -130,38 +130,38 @@ def load_of(row: Any) -> Any:
 
 @simd_inline
 def friction_of(row: Any) -> Any:
-    """Read damping, friction by Coulomb, load and root of speed, and inverse width of the step."""
+    """Read viscous, Coulomb, load and square-root friction, and the inverse smoothing speed."""
     per_load, per_root = row[LOAD_FRICTION], row[SQRT_DAMPING]
     return row[DAMPING], row[COULOMB], per_load, per_root, row[INVERSE_WIDTH]
 
 
 @simd_inline
 def coupling_of(row: Any) -> Any:
-    """Read how far the drive of a joint turns with the joint before, and the index of that."""
+    """Read the turns of a drive per turn of the previous joint, and the index of that joint."""
     return row[COUPLING], int(row[JOINT_BEFORE])
 
 
 @simd_inline
 def place_of(row: Any) -> Any:
-    """Read how far the link has turned and slid: cosine, sine, length."""
+    """Read the cosine and sine of the joint angle, and the length of the slide."""
     return row[COSINE], row[SINE], row[LENGTH]
 
 
 @simd_inline
 def motion_of(row: Any) -> Any:
-    """Read omega, omega_dot and accel."""
+    """Read omega, omega_dot and accel of a body."""
     return vector(row, OMEGA), vector(row, OMEGA_DOT), vector(row, ACCEL)
 
 
 @simd_inline
 def wrench_of(row: Any) -> Any:
-    """Read force and moment."""
+    """Read the force and moment that the parent exerts on a body."""
     return vector(row, FORCE), vector(row, MOMENT)
 
 
 @simd_inline
 def store_wrench(row: Any, force: Any, moment: Any) -> None:
-    """Write force and moment."""
+    """Write the force and moment that the parent exerts on a body."""
     store(row, FORCE, force)
     store(row, MOMENT, moment)
 
@@ -170,15 +170,7 @@ _UPPER = np.triu_indices(3)
 
 
 def table_of(robot: RobotModel) -> Floats:
-    """
-    Make the table of a robot at rest, without gravity and without loads.
-
-    Returns
-    -------
-    table : ndarray, shape (b, COLUMNS)
-        The argument ``robot`` of the functions in `newton_euler`, and their scratch space.
-
-    """
+    """Make the table of a robot with b bodies, at rest, without gravity or loads: (b, COLUMNS)."""
     table = np.zeros((len(robot.parent), COLUMNS))
     R_ZL = rotations_to_z(robot)
     R_ZL_of_parent = R_ZL[robot.parent]
@@ -199,14 +191,14 @@ def table_of(robot: RobotModel) -> Floats:
 
 
 def write_inertial(row: Floats, R_ZL: Floats, mass: float, com: Floats, inertia: Floats) -> None:
-    """Set a body's mass, centre of mass and inertia about it, given in the frame of the URDF."""
+    """Set mass, centre of mass and inertia of a body, which are given in its URDF frame."""
     row[MASS] = mass
     row[COM : COM + 3] = R_ZL @ com
     row[INERTIA : INERTIA + 6] = (R_ZL @ inertia @ R_ZL.T)[_UPPER]
 
 
 def write_joints(table: Floats, column: int, values: Floats) -> None:
-    """Set a column of all joints."""
+    """Set a column for all joints, and the flags that depend on this column."""
     rows = table[1 : 1 + len(values)]
     rows[:, column] = values
     acting = [ARMATURE, DAMPING, COULOMB, LOAD_FRICTION, SQRT_DAMPING]
@@ -222,10 +214,10 @@ def write_friction(
     load_friction: Floats,
     sqrt_damping: Floats,
 ) -> None:
-    """Set the friction of all joints, with the speeds over which its step is smoothed."""
+    """Set the friction of all joints; ``speeds`` are those that smooth Coulomb friction."""
     write_joints(table, DAMPING, damping)
     write_joints(table, COULOMB, coulomb)
-    # Zero where it has no effect, so that it does not look like a load to generated code.
+    # Zero where the width has no effect: generated code takes nonzero numbers for loads.
     steps = coulomb + load_friction + sqrt_damping
     write_joints(table, INVERSE_WIDTH, np.where(steps > 0.0, 1.0 / speeds, 0.0))
     write_joints(table, LOAD_FRICTION, load_friction)
@@ -239,20 +231,21 @@ def write_base(row: Floats, motion: Floats, gravity: Floats) -> None:
 
 
 def write_external(row: Floats, R_ZL: Floats, wrenches: Sequence[tuple[Floats, Floats]]) -> None:
-    """Set the sum of forces and moments on a body, given in the frame of the URDF."""
+    """Set the sum of the forces and moments on a body, which are given in its URDF frame."""
     store(row, EXTERNAL_FORCE, R_ZL @ sum((f for f, _ in wrenches), np.zeros(3)))
     store(row, EXTERNAL_MOMENT, R_ZL @ sum((n for _, n in wrenches), np.zeros(3)))
 
 
 def joints_before(robot: RobotModel) -> Integers:
     """
-    Return the joint that moves the body on which each joint sits, shape (n,).
+    Return the index of the joint that moves the parent body of each of n joints, shape (n,).
 
-    It is -1 on the base, and where that body mimics a joint which comes later.
+    The index is -1 if the parent body is the base, or if it mimics a joint with a larger index.
 
     """
     before = np.full(len(robot.joint_names), -1)
-    for body in range(len(robot.parent) - 1, 0, -1):  # the master last, if others mimic it
+    # The last value of a joint with mimic joints is that of the master.
+    for body in range(len(robot.parent) - 1, 0, -1):
         parent, joint = int(robot.parent[body]), int(robot.joint_index[body])
         carrier = int(robot.joint_index[parent]) if parent > 0 else -1
         before[joint] = carrier if carrier < joint else -1
@@ -260,12 +253,12 @@ def joints_before(robot: RobotModel) -> Integers:
 
 
 def rotations_to_z(robot: RobotModel) -> Floats:
-    """Return R_ZL of every body: from the URDF's frame (L) to the one with z on the axis (Z)."""
+    """Return R_ZL of every body: from its URDF frame L to the frame Z with z on the joint axis."""
     return np.array([_rotation_of_z_to(axis).T for axis in robot.axis])
 
 
 def _rotation_of_z_to(axis: Floats) -> Floats:
-    """Return a rotation of z onto a unit vector, exact if that is +-x, +-y or +-z."""
+    """Return a rotation of z onto a unit vector, which is exact for +-x, +-y and +-z."""
     if not axis.any():  # the base has no joint
         return np.eye(3)
     if axis[2] < 0.0:  # half a turn about x first keeps the formula below well conditioned

@@ -1,4 +1,4 @@
-"""Trajectories: missing velocities and accelerations from splines, and the efforts."""
+"""Trajectories: derive missing velocities and accelerations, insert points, compute efforts."""
 
 from __future__ import annotations
 
@@ -13,52 +13,34 @@ from .batch import LANES
 from .inverse_dynamics import InverseDynamics
 
 MOST_NUMBERS = 2e7
-"""Largest product of states and joints to insert; the results of more take gigabytes."""
+"""Largest number of states times joints; the results of more take gigabytes."""
 _FEWEST_TO_SMOOTH = 16
-"""Fewest points that are longer than the padding of the filter."""
+"""Smallest number of points to smooth, which is longer than the padding of the filter."""
 
 
 class Trajectory(NamedTuple):
-    """Desired positions of m joints at k times."""
+    """Desired positions of m joints at k times, and optionally velocities and accelerations."""
 
     joint_names: tuple[str, ...]
     times: Floats
-    """Shape (k,) [s], strictly ascending."""
+    """The k times, strictly ascending, shape (k,) [s]."""
     positions: Floats
-    """Shape (k, m) [rad or m]."""
+    """Positions of m joints at k times, shape (k, m) [rad or m]."""
     velocities: Floats | None = None
-    """Shape (k, m) [rad/s or m/s]; None to derive them from the positions."""
+    """Velocities of m joints at k times, shape (k, m) [rad/s or m/s]; None to derive them."""
     accelerations: Floats | None = None
-    """Shape (k, m) [rad/s^2 or m/s^2]; None to derive them."""
+    """Accelerations, shaped like the velocities [rad/s^2 or m/s^2]; None to derive them."""
 
 
 def complete(trajectory: Trajectory) -> tuple[Trajectory, tuple[str, ...]]:
     """
-    Derive missing velocities and accelerations.
+    Derive missing velocities and accelerations; return also a description of each of them.
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-        Trajectory with k points of m joints.
-
-    Returns
-    -------
-    whole : Trajectory
-        The trajectory with velocities and accelerations.
-    derived : tuple of str
-        A description of each derived quantity; empty if there is none.
-
-    Raises
-    ------
-    TrajectoryError
-        If there are no points, a shape is wrong, the times do not ascend, or a value is not
-        finite.
-
-    Notes
-    -----
-    Velocities are those of the cubic spline through the positions that begins and ends at rest.
-    Accelerations are those of the cubic spline through the velocities whose third derivative is
-    continuous at the first and last inner points. A single point is at rest.
+    Missing velocities are those of the cubic spline through the positions that starts and ends at
+    rest. Missing accelerations are those of the same spline. If velocities are given, the
+    accelerations are those of the cubic spline through the velocities; its third derivative is
+    continuous at the first and last inner points. A single point is at rest. An invalid trajectory
+    raises a TrajectoryError.
 
     """
     _check(trajectory)
@@ -81,32 +63,13 @@ def complete(trajectory: Trajectory) -> tuple[Trajectory, tuple[str, ...]]:
 
 def refine(whole: Trajectory, longest_step: float) -> tuple[Trajectory, Integers]:
     """
-    Insert states between points of a trajectory that are far apart.
+    Insert states between distant points of a trajectory; return also the indices of its points.
 
-    Parameters
-    ----------
-    whole : Trajectory
-        Trajectory with velocities and accelerations, from `complete`.
-    longest_step : float
-        Longest time between states of the result [s].
-
-    Returns
-    -------
-    fine : Trajectory
-        All points of the trajectory, and the states between them.
-    points : ndarray of int, shape (k,)
-        Indices of the original points in it.
-
-    Raises
-    ------
-    TrajectoryError
-        If velocities or accelerations are missing, or if the states would not fit into memory.
-
-    Notes
-    -----
-    Two points are connected by the quintic polynomial that matches position, velocity and
-    acceleration at both, as in ros2_control's joint trajectory controller. If `complete` has
-    derived both from the positions, this equals the cubic spline.
+    The longest time between two states of the result is ``longest_step`` [s]. Two points are
+    connected by the quintic polynomial that matches position, velocity and acceleration at each
+    point, as in ros2_control's joint trajectory controller. If `complete` has derived velocities
+    and accelerations from the positions, the polynomial equals the cubic spline. Missing
+    velocities or accelerations, or too many states for the memory, raise a TrajectoryError.
 
     """
     times, velocities, accelerations = whole.times, whole.velocities, whole.accelerations
@@ -141,30 +104,12 @@ def refine(whole: Trajectory, longest_step: float) -> tuple[Trajectory, Integers
 
 def smooth(trajectory: Trajectory, cutoff: float) -> Trajectory:
     """
-    Derive velocities and accelerations from noisy measured positions.
+    Derive velocities and accelerations from noisy measured positions, at evenly spaced times.
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-        Trajectory with k points of m joints; its velocities and accelerations are ignored.
-    cutoff : float
-        Cut-off frequency of the low-pass filter [Hz].
-
-    Returns
-    -------
-    smooth : Trajectory
-        Trajectory with velocities and accelerations, at k evenly spaced times.
-
-    Raises
-    ------
-    TrajectoryError
-        If the points are too few or too far apart for the cut-off frequency, or invalid as for
-        `complete`.
-
-    Notes
-    -----
-    A second-order Butterworth low-pass runs forwards and backwards, which causes no delay, before
-    central differences. It hardly changes gravity efforts, which depend on positions.
+    Given velocities and accelerations are ignored. A second-order Butterworth low-pass filter with
+    the cut-off frequency [Hz] runs forwards and backwards, which causes no delay. Central
+    differences follow. Gravity efforts hardly change, because they depend on the positions. Too
+    few points, too low a rate, or an invalid trajectory raise a TrajectoryError.
 
     """
     _check(trajectory)
@@ -180,7 +125,7 @@ def smooth(trajectory: Trajectory, cutoff: float) -> Trajectory:
     times = np.linspace(trajectory.times[0], trajectory.times[-1], k)
     even = [np.interp(times, trajectory.times, column) for column in trajectory.positions.T]
     low_pass = butter(2, cutoff, fs=rate, output='sos')
-    run_in = min(k - 1, int(3.0 * rate / cutoff))  # points; longer than the transient
+    run_in = min(k - 1, int(3.0 * rate / cutoff))  # number of points, longer than the transient
     positions = sosfiltfilt(low_pass, np.stack(even, axis=1), axis=0, padlen=run_in)
     velocities = np.gradient(positions, times, axis=0, edge_order=2)
     accelerations = np.gradient(velocities, times, axis=0, edge_order=2)
@@ -191,31 +136,17 @@ def trajectory_efforts(
     dynamics: InverseDynamics, trajectory: Trajectory, others: Floats | None = None
 ) -> Floats:
     """
-    Compute the efforts along a trajectory.
+    Compute the efforts at k points of a trajectory of m joints, shape (k, m) [N m or N].
 
-    Parameters
-    ----------
-    dynamics : InverseDynamics
-        Dynamics of a robot with n joints.
-    trajectory : Trajectory
-        Trajectory of m of these joints, in any order, with velocities and accelerations.
-    others : ndarray, shape (n,), optional
-        Positions at which the other joints rest [rad or m], by default zero.
-
-    Returns
-    -------
-    efforts : ndarray, shape (k, m)
-        Efforts in the order of the trajectory's joints [N m or N].
-
-    Raises
-    ------
-    TrajectoryError
-        If a joint does not exist, or is named twice.
+    The trajectory must have velocities and accelerations. Its joints may be in any order, which is
+    also the order of the efforts. The other joints of the robot rest at the positions ``others``,
+    shape (n,) for n joints [rad or m], by default zero. Unknown or repeated joint names raise a
+    TrajectoryError.
 
     """
     states, index = whole_states(dynamics, trajectory, others)
     tau = np.empty_like(states[0])
-    # In pieces, because the first large batch compiles for seconds, too long for a control loop.
+    # Small batches only: the first large batch compiles for seconds, too long for control loops.
     for start in range(0, len(tau), LANES - 1):
         q, qd, qdd = (values[start : start + LANES - 1] for values in states)
         tau[start : start + LANES - 1] = dynamics.efforts(q, qd, qdd)
@@ -227,24 +158,10 @@ def whole_states(
     dynamics: InverseDynamics, trajectory: Trajectory, others: Floats | None = None
 ) -> tuple[tuple[Floats, Floats, Floats], list[int]]:
     """
-    Extend a trajectory to all joints of a robot.
+    Return q, qd and qdd of all n joints of the robot at k points, each of shape (k, n).
 
-    Parameters
-    ----------
-    dynamics, trajectory, others
-        As for `trajectory_efforts`.
-
-    Returns
-    -------
-    states : tuple of q, qd, qdd
-        States of all joints of the robot at every point, each of shape (k, n).
-    index : list of int
-        Indices of the trajectory's joints among those of the robot.
-
-    Raises
-    ------
-    TrajectoryError
-        If a joint does not exist, or is named twice.
+    The arguments and errors are those of `trajectory_efforts`. The second result contains the
+    indices of the trajectory's joints among the joints of the robot.
 
     """
     names = dynamics.robot.joint_names
@@ -305,7 +222,7 @@ def _check(trajectory: Trajectory) -> None:
 
 
 def joint_index(names: Sequence[str], known: Sequence[str]) -> list[int]:
-    """Return the indices of joints among known ones; raise a TrajectoryError if one is invalid."""
+    """Return the index of each name in ``known``; a TrajectoryError reports invalid names."""
     if not names:
         raise TrajectoryError('no joint names')
     unknown = [name for name in names if name not in known]

@@ -1,1 +1,1 @@
-"""Code generated for one robot; optional: nothing else in the package imports it."""
+"""Code generated for one robot; no other module of the package imports it."""

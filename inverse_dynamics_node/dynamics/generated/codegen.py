@@ -1,14 +1,15 @@
 """
 Code generation for one robot.
 
-The equations are not repeated here. The functions of `newton_euler` and `mass_matrix` run once,
-on symbolic numbers: arithmetic on a `RunTimeNumber` emits an instruction instead of computing.
-Constants of the robot (parents, joint types, rotations, offsets) remain plain numbers, so loops
-and branches over them are resolved, and products with zero disappear. The result is straight-line
-code.
+The equations are not repeated here. The functions of `newton_euler` and `mass_matrix` run once, on
+symbolic numbers: arithmetic on a `RunTimeNumber` emits an instruction instead of computing.
+Constants of the robot (parents, joint types, rotations, offsets) remain plain numbers. Loops and
+branches over constants are therefore resolved, and products with zero disappear. The result is
+straight-line code.
 
-Numbers that may change at run time are read from the columns at each call. The code omits those
-that were zero when it was generated; `GeneratedDynamics` detects when one of them is set.
+Numbers that may change at run time are read from the robot table at each call. The code omits
+numbers that were zero when it was generated. `GeneratedDynamics` detects when such a number
+becomes nonzero.
 """
 
 from __future__ import annotations
@@ -30,14 +31,14 @@ if IS_COMPILED:
 
 
 class Code(NamedTuple):
-    """The functions compiled by `write_out`; they return a status as the general kernel does."""
+    """The functions that `write_out` compiles; they return a status like `inverse_dynamics`."""
 
     in_block: Callable[[], int]
     in_arrays: Callable[[Any, Any, Any, Any], int]
 
 
 def acting_numbers(table: Floats) -> Any:
-    """Return which numbers of a table may change between calls and are not zero now."""
+    """Return a mask of the numbers that may change between calls and are nonzero now."""
     mask = np.zeros(table.shape, dtype=bool)
     for part in (
         robot_table.MASS,
@@ -56,17 +57,9 @@ def write_out(table: Floats, block: Floats) -> Code:
     """
     Compile `newton_euler.inverse_dynamics` for one robot.
 
-    Parameters
-    ----------
-    table : ndarray, shape (b, COLUMNS)
-        From `robot_table`.
-    block : ndarray, shape (4, n)
-        Rows q, qd, qdd, tau, for `Code.in_block`.
-
-    Returns
-    -------
-    code : Code
-        Must not outlive the two arrays: their addresses are part of it.
+    ``table`` is from `robot_table`. ``block`` contains the rows q, qd, qdd and tau for
+    `Code.in_block`, one number per joint. The code contains the addresses of the two arrays, and
+    must not outlive them.
 
     """
     n = block.shape[1]
@@ -103,19 +96,10 @@ def write_out(table: Floats, block: Floats) -> Code:
 
 def write_out_mass_matrix(table: Floats, acting: Any) -> Callable[[Any, Any], int]:
     """
-    Compile `mass_matrix.mass_matrix` for one robot.
+    Compile `mass_matrix.mass_matrix` for one robot, as a function of q and the matrix.
 
-    Parameters
-    ----------
-    table : ndarray, shape (b, COLUMNS)
-        From `robot_table`; must exist as long as the code, which contains its address.
-    acting : ndarray of bool, shape (b, COLUMNS)
-        The numbers that are read at each call.
-
-    Returns
-    -------
-    code : callable
-        Function of q and the matrix that returns a status.
+    The code reads the numbers of the table in the mask ``acting`` at each call. The table must
+    exist as long as the code, which contains its address.
 
     """
     n = int(table[0, robot_table.JOINT_COUNT])
@@ -143,7 +127,7 @@ def write_out_mass_matrix(table: Floats, acting: Any) -> Callable[[Any, Any], in
 
 
 def _run_time_table(writer: Writer, table: Floats, acting: Any) -> list[list[Any]]:
-    """Return the rows of a table, with instructions to load the numbers that act."""
+    """Return the rows of a table, with instructions to load the numbers in a mask."""
     base = writer.integer(table.ctypes.data)
     robot: list[list[Any]] = table.tolist()
     for i, k in np.argwhere(acting):
@@ -158,8 +142,8 @@ def _compile(function: Callable[..., int], signature: str) -> Any:
 
 
 def _functions_that_write(writer: Writer, inputs: list[RunTimeNumber]) -> dict[str, Any]:
-    """Return the functions of the passes, which call the writer's functions."""
-    # Products with zero are left out and would not propagate NaN or inf: check the inputs, too.
+    """Return the functions of the passes, changed to call the writer's functions."""
+    # Omitted products with zero do not propagate NaN or inf; therefore check the inputs, too.
     zero_if_finite = sum(x - x for x in inputs)
 
     def check(tau: list[Any]) -> Any:
@@ -183,8 +167,9 @@ class RunTimeNumber:
     """
     A number that is known only at run time: arithmetic on it emits an instruction.
 
-    Sums with 0 and products with 0 or 1 emit none. It never equals a plain number, so that the
-    code takes the branch for nonzero numbers wherever `newton_euler` compares it with zero.
+    Sums with 0, and products with 0 or 1, emit no instruction. A `RunTimeNumber` never equals a
+    plain number. Where `newton_euler` compares it with zero, the code takes the branch for nonzero
+    numbers.
 
     """
 
@@ -222,14 +207,14 @@ class Writer:
         return RunTimeNumber(self, write(*map(self._value, numbers), flags=('contract',)))
 
     def load(self, address: Any, k: int) -> RunTimeNumber:
-        """Load number k of an array at an address."""
+        """Load number k of the array at an address."""
         return RunTimeNumber(self, self.builder.load(self._pointer(address, k)))
 
     def store(self, number: Any, address: Any, k: int) -> None:
         self.builder.store(self._value(number), self._pointer(address, k))
 
     def elementary(self, function: Callable[[float], float]) -> Callable[[Any], Any]:
-        """Return a function of `math` for plain and run-time numbers."""
+        """Convert a function of `math` to a function of plain and run-time numbers."""
         call = self.context.get_function(function, numba.float64(numba.float64))
 
         def write(number: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Inverse dynamics by code generated for one robot, with the general kernel as a fallback."""
+"""Inverse dynamics with code generated for one robot; `InverseDynamics` is the fallback."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ DOES_NOT_FIT = -1
 
 
 def no_code(*_: Any) -> int:
-    """Stand for code that does not apply to the present loads."""
+    """Replace generated code that does not fit the present loads."""
     return DOES_NOT_FIT
 
 
@@ -41,35 +41,37 @@ NO_CODE = Code(no_code, no_code)
 
 class GeneratedDynamics:
     """
-    Inverse dynamics by code generated for one robot, for use in a control loop.
+    Inverse dynamics with code generated for one robot, for use in a control loop.
 
-    Computes the same as the methods of `InverseDynamics` except for rounding: multiplications and
-    additions are fused if the processor can. Gravity, base motion, payloads, wrenches, friction
-    and armature that are set on the dynamics apply at once, without compiling again. If one of
-    them was zero when this object was made and is set later (a base that begins to rotate, for
-    example), the general kernel is used until it is zero again. Without numba, the general kernel
-    is always used.
+    The results equal those of `InverseDynamics` except for rounding, because multiplications and
+    additions are fused if the processor supports it. Changes of gravity, base motion, payloads,
+    wrenches, friction and armature in the dynamics apply at once, without another compilation.
+
+    The code omits loads that were zero when this object was made. If such a load becomes nonzero,
+    for example because the base starts to rotate, `InverseDynamics` computes the efforts until the
+    load is zero again. Without numba, `InverseDynamics` always computes the efforts.
 
     Parameters
     ----------
     dynamics : InverseDynamics
-        Dynamics with typical values of everything that will be set in the loop.
+        Dynamics with typical values of all loads that the loop will set.
 
     Attributes
     ----------
     state : State
-        Named tuple of arrays ``q, qd, qdd, tau`` for `update`.
+        Named tuple of the arrays ``q, qd, qdd, tau`` for `update`, of shape (n,) for n joints.
 
     Notes
     -----
-    Each object compiles for tenths of a second, because its code contains array addresses. The
-    first call of `mass_matrix` does so again, so make it before the loop.
+    The creation of an object takes a few tenths of a second. It always compiles, because the code
+    contains array addresses. The first call of `mass_matrix` compiles again; make this call before
+    the loop.
 
     """
 
     def __init__(self, dynamics: InverseDynamics) -> None:
         block = np.zeros((4, len(dynamics.robot.joint_names)))
-        # Views of one block: numpy cannot resize it while they exist, so its address is constant.
+        # While views of the block exist, numpy cannot resize it, and its address is constant.
         self.state = State(*block)
         self._tau = self.state.tau
         self._dynamics = dynamics
@@ -80,7 +82,7 @@ class GeneratedDynamics:
         if IS_COMPILED:
             try:
                 self._code = write_out(self._table, block)
-            except Exception as error:  # uses internals of numba, which vary between versions
+            except Exception as error:  # the internals of numba vary between versions
                 warnings.warn(f'using the general kernel: {error!r}', stacklevel=2)
         self._in_block, self._in_arrays = self._code
         self._compiled_mass_matrix: Callable[[Any, Any], int] | None = None
@@ -88,7 +90,7 @@ class GeneratedDynamics:
 
     def update(self) -> Floats:
         """
-        Compute the efforts of ``state.q, state.qd, state.qdd``, the fastest call from Python.
+        Compute the efforts of ``state.q, state.qd, state.qdd``: the fastest call from Python.
 
         Returns
         -------
@@ -104,7 +106,7 @@ class GeneratedDynamics:
         if self._revision != self._dynamics.revision:
             self._select_code()
         if self._in_block() != OK:
-            # The general kernel handles every case and raises errors for invalid states.
+            # `InverseDynamics` handles every case, and raises errors for invalid states.
             return self._dynamics.efforts(*self.state)
         return self._tau
 
@@ -112,7 +114,7 @@ class GeneratedDynamics:
         self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: Floats | None = None
     ) -> Floats:
         """
-        Compute the efforts of a state in other arrays.
+        Compute the joint efforts for arrays other than those of ``state``.
 
         Parameters, result and errors are those of `InverseDynamics.efforts`.
 
@@ -156,7 +158,7 @@ class GeneratedDynamics:
         return self._mass_matrix(q, matrix)
 
     def _select_code(self) -> None:
-        """Fall back to the general kernel while a term acts that the code left out."""
+        """Use `InverseDynamics` while a number that the generated code omits is nonzero."""
         self._revision = self._dynamics.revision
         is_new = (acting_numbers(self._table) & ~self._traced).any()
         self._in_block, self._in_arrays = NO_CODE if is_new else self._code
