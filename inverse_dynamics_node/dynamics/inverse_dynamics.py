@@ -738,10 +738,7 @@ class InverseDynamics:
         self.revision += 1
 
     def checked_coupling(self, coupling: ArrayLike) -> Floats:
-        """
-        Check couplings like `set_drive_coupling`; return one per joint, shape (n,) for n joints.
-
-        """
+        """Check the couplings of n joints as in `set_drive_coupling`; return them, shape (n,)."""
         values = read_joints('coupling', coupling, len(self.robot.joint_names), is_signed=True)
         for k in np.flatnonzero(values):
             if self._table[k + 1, robot_table.JOINT_BEFORE] < 0.0:

@@ -1,7 +1,8 @@
 """
 Capsules around the bodies of a robot, from its collision shapes.
 
-A capsule is the set of points within a radius of a segment. Its distances are quickly computed.
+A capsule is the set of points within a radius of a line segment. Distances between capsules are
+computed quickly.
 """
 
 from __future__ import annotations
@@ -20,22 +21,22 @@ from .urdf.shapes import Shape
 ASSUMED_RADIUS = 0.05
 """Radius of bodies without a shape, as a fraction of the length of the longest chain."""
 _SPACING = (0.008, 0.0125)
-"""Distance of surface points: at least this [m], and this fraction of the longest side."""
+"""Distance of surface points: the larger of a length [m] and a fraction of the longest side."""
 _CELLS = 120
-"""Cells along the longest side of a shape in which vertices are merged."""
+"""Number of cells along the longest side of a shape; vertices in one cell are merged."""
 _SMALLEST = 1e-6
-"""Length of shapes that are points [m]."""
+"""Smallest length of a shape [m], for shapes that are points."""
 _DEPTH = 3
-"""A shape is halved at most this often."""
+"""Largest number of times that a shape is halved."""
 _PRICE = 0.04
-"""A further capsule has to save this fraction of the size of a single one."""
+"""An additional capsule must save this fraction of the size of a single capsule."""
 _CUTS = (0.35, 0.65)
 _STEPS = 10
-"""Steps to the centre of points across an axis."""
+"""Number of steps in the search for the centre of points across an axis."""
 
 
 _Row = tuple[int, Floats, float, Floats]
-"""A body, the ends and the radius of a capsule, and points on the surface in it."""
+"""A body, the ends and the radius of a capsule, and the surface points in the capsule."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,15 +44,15 @@ class Capsules:
     """Capsules that contain the bodies of a robot, in the frames of the bodies."""
 
     body: Integers
-    """The body of each capsule, shape (c,)."""
+    """Indices of the bodies of the c capsules, shape (c,)."""
     ends: Floats
-    """The ends of the segments, shape (c, 2, 3) [m]."""
+    """Ends of the segments of the c capsules, shape (c, 2, 3) [m]."""
     radii: Floats
-    """Shape (c,) [m]."""
+    """Radii of the c capsules, shape (c,) [m]."""
     names: tuple[str, ...]
-    """A link of the body of each capsule."""
+    """Name of a link in the body of each capsule."""
     surfaces: tuple[Floats, ...]
-    """Points on the surface of the shape in it, shape (k, 3) [m]; none for assumed capsules."""
+    """The k surface points of the shape in each capsule, shape (k, 3) [m]; k is 0 if assumed."""
     notes: tuple[str, ...]
     """Sentences about bodies whose shape is unknown."""
 
@@ -66,7 +67,7 @@ class _Piece(NamedTuple):
 
     @property
     def size(self) -> float:
-        """Volume divided by pi; the round ends count half, as they overlap with neighbours."""
+        """Volume divided by pi, with only half of the round ends: they overlap with neighbours."""
         length = float(np.linalg.norm(self.ends[1] - self.ends[0]))
         return self.radius**2 * (length + 2.0 / 3.0 * self.radius)
 
@@ -75,16 +76,10 @@ def body_capsules(
     robot: RobotModel, shapes: Iterable[Shape], unreadable: Mapping[str, str]
 ) -> Capsules:
     """
-    Return capsules around all bodies of a robot.
+    Return capsules around all bodies of a robot; shapes and reasons are from `read_shapes`.
 
-    Parameters
-    ----------
-    robot : RobotModel
-        The robot.
-    shapes, unreadable
-        From `read_shapes`. A body with an unreadable shape, or with a mass and without a shape
-        around it, gets capsules from its joint to its other points, with a radius of
-        `ASSUMED_RADIUS`.
+    Some bodies have an unreadable shape, or a mass without a shape around it. Such a body gets
+    capsules from its joint to its other points, with a radius of `ASSUMED_RADIUS`.
 
     """
     rows: list[_Row] = []
@@ -121,7 +116,7 @@ def body_capsules(
 
 
 def _shapeless(robot: RobotModel, rows: Sequence[_Row], shaped: set[int]) -> dict[int, str]:
-    """Return bodies without a shape around their mass, with the reason; shaped are links."""
+    """Return bodies without a shape around their mass, with the reason; ``shaped`` are links."""
     reasons = {}
     for body in range(len(robot.parent)):
         points = [row[-1] for row in rows if row[0] == body]
@@ -130,7 +125,7 @@ def _shapeless(robot: RobotModel, rows: Sequence[_Row], shaped: set[int]) -> dic
         links = np.flatnonzero(robot.link_body == body)
         heaviest = int(links[robot.link_mass[links].argmax()])
         if points and robot.link_mass[heaviest] > 0.0 and heaviest not in shaped:
-            # A shape may be that of a link of its own, or only that of a camera beside the mass.
+            # The shape may belong to another link, or only to a camera beside the mass.
             beyond = np.concatenate(points) - robot.com[body]
             if (beyond.min(axis=0) > 0.0).any() or (beyond.max(axis=0) < 0.0).any():
                 reasons[body] = 'no shape around its centre of mass'
@@ -145,7 +140,7 @@ def _longest_chain(robot: RobotModel) -> float:
 
 
 def _bones(robot: RobotModel, body: int) -> list[Floats]:
-    """Return segments from the origin of a body to those of its children and links."""
+    """Return segments from a body's origin to its children, links and centre of mass."""
     tips = [robot.p_PL[child] for child in np.flatnonzero(robot.parent == body)]
     tips += [*robot.link_position[robot.link_body == body], robot.com[body]]
     return [np.array([np.zeros(3), tip]) for tip in np.unique(np.round(tips, 6), axis=0)]
@@ -166,7 +161,7 @@ def _surface(shape: Shape) -> Floats:
 
 
 def _distances(points: Floats, ends: Floats) -> Floats:
-    """Return the distances of points, shape (k, 3), to a segment."""
+    """Return the distances of k points, shape (k, 3), to a segment."""
     along = ends[1] - ends[0]
     places = np.clip((points - ends[0]) @ along / max(along @ along, 1e-12), 0.0, 1.0)
     distances: Floats = np.linalg.norm(points - ends[0] - np.outer(places, along), axis=1)
@@ -188,7 +183,7 @@ def _pieces(shape: Shape) -> list[_Piece]:
 
 
 def _best_cut(piece: _Piece, depth: int, price: float) -> tuple[float, list[_Piece]]:
-    """Return a piece as one or more pieces, and their cost: size and price of each."""
+    """Cut a piece if that costs less; return the cost (size and price of each) and the pieces."""
     one = piece.size + price, [piece]
     if depth == 0 or piece.size < 2.0 * price:
         return one
@@ -200,7 +195,7 @@ def _best_cut(piece: _Piece, depth: int, price: float) -> tuple[float, list[_Pie
 
 
 def _cuts(piece: _Piece) -> list[tuple[_Piece, _Piece]]:
-    """Cut a piece by planes."""
+    """Return pairs of halves, from cuts of a piece along planes."""
     import trimesh
 
     found = []
@@ -227,7 +222,7 @@ def _piece(vertices: Floats, faces: Integers) -> _Piece:
     used, index = np.unique(faces, return_inverse=True)
     vertices = vertices[used]
     points = vertices
-    with suppress(QhullError):  # for points in a plane
+    with suppress(QhullError):  # raised for points in a plane
         points = vertices[ConvexHull(vertices).vertices]
     principal = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
     tried = [
@@ -242,7 +237,7 @@ def _capsule_along(points: Floats, axis: Floats) -> tuple[Floats, float]:
     along = points @ axis
     across = points - along[:, np.newaxis] * axis
     centre = 0.5 * (across.max(axis=0) + across.min(axis=0))
-    for k in range(_STEPS):  # towards the farthest point, by less and less
+    for k in range(_STEPS):  # towards the farthest point, in ever smaller steps
         offsets = across - centre
         squares = np.einsum('ij,ij->i', offsets, offsets)
         centre = centre + offsets[squares.argmax()] / (k + 2.0)

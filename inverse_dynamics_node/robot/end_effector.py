@@ -11,15 +11,15 @@ from .model import RobotModel
 
 _FINGER = re.compile('finger|thumb|gripper|knuckle|jaw|claw', re.IGNORECASE)
 _FINGER_FRACTION = 0.3
-"""Branches at the end of an arm are fingers if they are shorter than this fraction of it."""
+"""A branch at the end of an arm is a finger if it is shorter than this fraction of the arm."""
 
 
 def last_link(robot: RobotModel) -> str:
     """
     Return the link that probably carries a payload: ``tool0``, or the end of the longest chain.
 
-    Fingers are not part of that chain: if it ends in a gripper or a hand, the link that carries
-    the fingers is returned.
+    Fingers are ignored. If the chain ends in a gripper or a hand, the result is the link that
+    carries the fingers.
 
     """
     if 'tool0' in robot.link_names:
@@ -36,12 +36,12 @@ def last_link(robot: RobotModel) -> str:
 
 
 def _without_fingers(robot: RobotModel, chain: Sequence[int]) -> int:
-    """Return the last body of a chain, listed from the base, that is not part of a finger."""
+    """Return the last body of a chain, listed from the base, that does not belong to a finger."""
     lengths = np.cumsum([float(np.linalg.norm(robot.p_PL[body])) for body in chain])
     end = len(chain) - 1
     for i in range(1, len(chain)):
         is_branch = np.count_nonzero(robot.parent == robot.parent[chain[i]]) > 1
-        # Two arms also branch from a torso, but each is most of its chain.
+        # Two arms also branch from a torso, but each arm is most of its chain.
         if is_branch and lengths[-1] - lengths[i - 1] < _FINGER_FRACTION * lengths[-1]:
             end = i - 1
             break

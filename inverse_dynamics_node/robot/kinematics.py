@@ -1,4 +1,4 @@
-"""Poses of the bodies of a robot, and rotation matrices. The dynamics do not use them."""
+"""Poses of the bodies of a robot, and rotation matrices. The dynamics do not use this module."""
 
 from __future__ import annotations
 
@@ -11,21 +11,10 @@ from .model import Floats, RobotModel
 
 def body_frames(robot: RobotModel, q: Floats) -> tuple[Floats, Floats]:
     """
-    Compute the poses of all bodies.
+    Return rotations and origins [m] of the frames of all b bodies, in the base frame.
 
-    Parameters
-    ----------
-    robot : RobotModel
-        With n joints and b bodies.
-    q : ndarray, shape (..., n)
-        Joint positions, of one or more states [rad or m].
-
-    Returns
-    -------
-    rotations : ndarray, shape (..., b, 3, 3)
-        Rotations from the body frames to the base frame.
-    positions : ndarray, shape (..., b, 3)
-        Origins of the body frames in the base frame [m].
+    For positions of n joints with the shape (..., n) [rad or m], the rotations have the shape
+    (..., b, 3, 3), and the origins have the shape (..., b, 3).
 
     """
     b, shape = len(robot.parent), q.shape[:-1]
@@ -45,7 +34,7 @@ def body_frames(robot: RobotModel, q: Floats) -> tuple[Floats, Floats]:
 
 
 def rotation_about(axis: Floats, angle: float | Floats) -> Floats:
-    """Return matrices of rotations about a unit vector, by Rodrigues' formula; angles in rad."""
+    """Return rotation matrices about a unit vector, with Rodrigues' formula; angles in rad."""
     x, y, z = axis
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     angle = np.asarray(angle)[..., np.newaxis, np.newaxis]
@@ -68,25 +57,17 @@ def rotation_of_rpy(roll: float, pitch: float, yaw: float) -> Floats:
 
 def rpy_of_quaternion(text: str) -> str:
     """
-    Convert the value of ``quat_xyzw`` to the value of ``rpy`` that means the same rotation.
+    Convert ``quat_xyzw`` to ``rpy``: roll, pitch and yaw about the fixed axes x, y, z [rad].
 
-    Parameters
-    ----------
-    text : str
-        Four numbers x, y, z, w; not all zero. They are normalised.
-
-    Returns
-    -------
-    rpy : str
-        Roll, pitch and yaw [rad] about the fixed axes x, y and z.
+    The text contains four numbers x, y, z, w, which are not all zero. They are normalised.
 
     """
     values = [float(word) for word in text.split()]
     norm = math.hypot(*values)
     x, y, z, w = (value / norm for value in values)
     # R = Rz(yaw) Ry(pitch) Rx(roll). Near a pitch of 90 degrees only the sum or the difference of
-    # roll and yaw is well defined. Any yaw is correct there, provided that the roll is computed
-    # from it: from the rotation that is left after turning back by yaw.
+    # roll and yaw is well defined. Any yaw is correct there, if the roll is computed from the
+    # rotation that remains after turning back by this yaw.
     r00, r10 = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)
     r01, r11 = 2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z)
     r02, r12, r20 = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 2.0 * (x * z - w * y)

@@ -1,4 +1,4 @@
-"""Limits that are missing or look like placeholders, and positions far outside the limits."""
+"""Checks for limits that are missing or look wrong, and for positions far outside the limits."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike
 from .model import Floats, ModelWarning, RobotModel
 
 _FAR_BEYOND = 50.0
-"""An effort limit of this many times the moment of the robot's weight is a placeholder."""
+"""A limit of this many times the moment of the robot's weight is a placeholder."""
 _FEWEST_EQUAL, _FRACTION_EQUAL = 3, 0.8
 _ROUND_LIMITS = (100.0, 1000.0, 10000.0, 100000.0)
-"""Effort limits [N m] that exporters write; equal for shoulder and wrist, they are not real."""
+"""Effort limits [N m] that exporters write for all joints; such equal limits are not real."""
 
 
 def limit_subject(joint: str, quantity: str) -> str:
@@ -25,7 +25,7 @@ def limit_subject(joint: str, quantity: str) -> str:
 
 
 def effort_limit_warnings(robot: RobotModel) -> tuple[ModelWarning, ...]:
-    """Return warnings about missing and unlikely effort limits, except those of the loader."""
+    """Return warnings about missing and unlikely effort limits, without those of the loader."""
     hint = 'write <limit effort="..."/>, or set the parameter effort_limits of the node'
     missing = (
         ModelWarning('missing', hint, limit_subject(name, 'effort'))
@@ -43,9 +43,10 @@ def _placeholders(robot: RobotModel) -> tuple[ModelWarning, ...]:
     """
     Return warnings about effort limits that look like placeholders.
 
-    They are compared with the moment of the weight of all moving parts at the farthest reach of
+    Limits are compared with the moment of the weight of all moving bodies at the longest reach of
     the robot. The wrist needs much less, but motors are not oversized by orders of magnitude.
-    Prismatic joints are not compared: a gripper presses with many times the weight of its fingers.
+    Prismatic joints are not compared, because a gripper presses with many times the weight of its
+    fingers.
 
     """
     hint = 'write the largest effort of the joint, from the data sheet of its drive'
@@ -84,22 +85,22 @@ def _moment_of_weight(robot: RobotModel) -> float:
 
 
 _MARGIN = 0.1
-"""Tolerated distance outside the limits, as a fraction of their range."""
+"""Tolerated distance outside the limits, as a fraction of the range between the limits."""
 _LEAST_MARGINS = (0.1, 0.01)
 """Smallest tolerated distance of revolute [rad] and of prismatic joints [m]."""
 _FULL_TURN = 2.0 * math.pi
 
 
 class ImplausiblePosition(NamedTuple):
-    """A joint that is further outside its position limits than makes sense."""
+    """A joint with a position that is implausibly far outside its limits."""
 
     joint: str
     position: float
-    """Position furthest outside the limits [rad or m]."""
+    """The position that is furthest outside the limits [rad or m]."""
     lower: float
-    """Lower position limit; -inf if there is none [rad or m]."""
+    """Lower position limit [rad or m]; -inf if there is none."""
     upper: float
-    """Upper position limit; inf if there is none [rad or m]."""
+    """Upper position limit [rad or m]; inf if there is none."""
     looks_like_degrees: bool
     """Whether the position would be plausible if it were in degrees."""
     is_prismatic: bool = False
@@ -119,26 +120,15 @@ def implausible_positions(
     robot: RobotModel, positions: ArrayLike, joint_names: Sequence[str] = ()
 ) -> list[ImplausiblePosition]:
     """
-    Find joints that are further outside their position limits than makes sense.
+    Find joints that are implausibly far outside their limits; report each joint once.
 
     A tenth of the range, but at least 0.1 rad or 0.01 m, is tolerated, because encoder offsets and
-    soft limits often put a joint slightly outside. Joints without limits are never reported, nor
-    are those whose limits are equal (usually placeholders).
+    soft limits often put a joint slightly outside. Joints without limits, or with equal limits
+    (usually placeholders), are not checked.
 
-    Parameters
-    ----------
-    robot : RobotModel
-        With n joints.
-    positions : array_like, shape (..., n)
-        One configuration or many [rad or m]; NaN and infinite values are ignored.
-    joint_names : sequence of str, optional
-        Names of the columns if they are not the robot's joints in its order; names that the robot
-        does not have are ignored.
-
-    Returns
-    -------
-    found : list of ImplausiblePosition
-        At most one for each joint, in the order of the columns.
+    ``positions`` are one or more configurations of n joints, shape (..., n) [rad or m]; NaN and
+    infinite values are ignored. ``joint_names`` are the names of the columns, by default the
+    joints of the robot; unknown names are ignored.
 
     """
     names = tuple(joint_names) or robot.joint_names
@@ -160,7 +150,7 @@ def implausible_positions(
             continue
         looks_like_degrees = (
             not is_prismatic
-            and abs(worst) > _FULL_TURN  # below, an offset is at least as likely
+            and abs(worst) > _FULL_TURN  # a smaller one may well be an offset
             and lower - margin <= math.radians(worst) <= upper + margin
         )
         found.append(
@@ -172,20 +162,7 @@ def implausible_positions(
 def position_warnings(
     robot: RobotModel, positions: ArrayLike, joint_names: Sequence[str] = ()
 ) -> tuple[ModelWarning, ...]:
-    """
-    Return warnings about positions that are further outside the limits than makes sense.
-
-    Parameters
-    ----------
-    robot, positions, joint_names
-        As for `implausible_positions`.
-
-    Returns
-    -------
-    warnings : tuple of ModelWarning
-        First those of positions that seem to be in degrees; empty if all are plausible.
-
-    """
+    """Return warnings about `implausible_positions`, first those that seem to be in degrees."""
     hints = {
         True: 'convert the positions to radians',
         False: 'check units (rad, m), zero positions and the order of the joints, and that the '
@@ -201,7 +178,7 @@ def position_warnings(
 
 
 def _worst(positions: Floats, lower: float, upper: float) -> float | None:
-    """Return the finite position furthest outside its limits, or the first if all are inside."""
+    """Return the finite position furthest outside the limits, or the first if all are inside."""
     finite = positions[np.isfinite(positions)]
     if not finite.size:
         return None

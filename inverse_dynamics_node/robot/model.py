@@ -1,10 +1,10 @@
 """
 A robot as flat, read-only arrays, parents before children.
 
-Links that fixed joints hold together are one *body*. Body 0 is the base. Each other body is moved
-by one joint and has the URDF frame of that joint, with its origin on the joint axis. Frames are
-written in monogram notation: ``R_PL`` transforms vectors from body L to its parent P, ``p_PL`` is
-the position of the origin of L in P.
+Links that fixed joints connect form one *body*. Body 0 is the base. One joint moves each other
+body; the URDF frame of this joint is the frame of the body, with its origin on the joint axis.
+Frames are written in monogram notation: ``R_PL`` rotates vectors from body L to its parent P, and
+``p_PL`` is the position of the origin of L in P.
 """
 
 from __future__ import annotations
@@ -26,18 +26,20 @@ Booleans = NDArray[np.bool_]
 @dataclass(frozen=True)
 class ModelWarning:
     """
-    Something that looks wrong although the robot can be used.
+    A problem in a robot description that does not prevent its use.
 
     ``str(warning)`` is one line with the line number, the subject and the text.
 
     """
 
     text: str
-    """The condition and the value that was found."""
+    """Description of the problem, with the value that was found."""
     hint: str
-    """How to correct it, or when it is harmless."""
+    """How to correct the problem, or when it is harmless."""
     subject: str = ''
-    """The part of the robot, such as ``link 'hand' inertial``; empty for the whole robot."""
+    """
+    The element with the problem, such as ``link 'hand' inertial``; empty for the whole robot.
+    """
     line: int | None = None
     """Line of the robot description; None if no single line is the cause."""
 
@@ -49,79 +51,89 @@ class ModelWarning:
 @dataclass(frozen=True, eq=False)
 class RobotModel:
     """
-    A tree of rigid bodies joined by revolute and prismatic joints.
+    A tree of rigid bodies that are connected by revolute and prismatic joints.
 
-    Arrays of ``n`` rows follow ``joint_names``; arrays of ``b`` rows follow the bodies, base
-    first. There are more moving bodies than joints where joints mimic others. All arrays are
-    read-only.
+    Arrays with ``n`` rows have one row per joint, in the order of ``joint_names``. Arrays with
+    ``b`` rows have one row per body, the base first. If joints mimic others, there are more moving
+    bodies than joints. All arrays are read-only.
 
     """
 
     name: str
     joint_names: tuple[str, ...]
-    """The n movable, non-mimic joints, depth first, in file order among siblings."""
+    """
+    Names of the n joints that move and do not mimic others, depth first, siblings in file order.
+    """
 
     lower: Floats
-    """Lower position limit, shape (n,) [rad or m]; -inf if there is none."""
+    """Lower position limits of the n joints, shape (n,) [rad or m]; -inf if there is none."""
     upper: Floats
-    """Upper position limit, shape (n,) [rad or m]; inf if there is none."""
+    """Upper position limits of the n joints, shape (n,) [rad or m]; inf if there is none."""
     velocity_limits: Floats
-    """Largest speed, shape (n,) [rad/s or m/s]; inf if there is none."""
+    """Largest speeds of the n joints, shape (n,) [rad/s or m/s]; inf if there is no limit."""
     effort_limits: Floats
-    """Largest effort, shape (n,) [N m or N]; inf if there is none."""
+    """Largest efforts of the n joints, shape (n,) [N m or N]; inf if there is no limit."""
     damping: Floats
-    """Viscous friction, shape (n,) [N m s/rad or N s/m]; including that of mimicking joints."""
+    """
+    Viscous friction of the n joints with their mimic joints, shape (n,) [N m s/rad or N s/m].
+    """
     friction: Floats
-    """Coulomb friction, shape (n,) [N m or N]; including that of mimicking joints."""
+    """Coulomb friction of the n joints with their mimic joints, shape (n,) [N m or N]."""
     is_continuous: Booleans
-    """Whether positions that differ by a whole turn are the same, shape (n,)."""
+    """Whether each of the n joints turns without limits: whole turns do not matter, shape (n,)."""
 
     body_names: tuple[str, ...]
-    """The base link's name, then the name of the joint that moves each body; length b."""
+    """Name of the base link, then the name of the joint that moves each body; length b."""
     parent: Integers
-    """Parent body, shape (b,); always smaller than the body's own index, -1 for the base."""
+    """
+    Indices of the parents of the b bodies, smaller than their own, shape (b,); -1 for the base.
+    """
     is_prismatic: Booleans
-    """Whether the body slides along its axis instead of turning about it, shape (b,)."""
+    """Whether each of the b bodies slides along its axis instead of turning, shape (b,)."""
     joint_index: Integers
-    """Index in ``joint_names`` of the joint that moves the body, shape (b,); -1 for the base."""
+    """Index in ``joint_names`` of the joint of each of b bodies, shape (b,); -1 for the base."""
     multiplier: Floats
-    """Body position is ``multiplier * q[joint_index] + offset``, shape (b,); 1 without mimic."""
+    """
+    Multipliers of the b bodies, shape (b,); 1 unless the joint of the body mimics another.
+
+    The position of a body is ``multiplier * q[joint_index] + offset``.
+    """
     offset: Floats
-    """See ``multiplier``, shape (b,) [rad or m]."""
+    """Position offsets of the b bodies, see ``multiplier``, shape (b,) [rad or m]."""
     R_PL: Floats
-    """Rotation from the body's frame to its parent's at position 0, shape (b, 3, 3)."""
+    """
+    Rotations from the frames of the b bodies to their parents' at position 0, shape (b, 3, 3).
+    """
     p_PL: Floats
-    """Origin of the body in its parent's frame at position 0, shape (b, 3) [m]."""
+    """Origins of the b bodies in their parents' frames at position 0, shape (b, 3) [m]."""
     axis: Floats
-    """Unit vector of the joint axis in the body's frame, shape (b, 3); zero for the base."""
+    """
+    Unit vectors of the joint axes in the frames of the b bodies, shape (b, 3); zero for the base.
+    """
     mass: Floats
-    """Mass of each body, shape (b,) [kg]."""
+    """Masses of the b bodies, shape (b,) [kg]."""
     com: Floats
-    """Centre of mass in the body's frame, shape (b, 3) [m]."""
+    """Centres of mass in the frames of the b bodies, shape (b, 3) [m]."""
     inertia: Floats
-    """About the centre of mass, along the body's axes, shape (b, 3, 3) [kg m^2]."""
+    """Inertias of the b bodies about centre of mass, in body axes, shape (b, 3, 3) [kg m^2]."""
 
     link_names: tuple[str, ...]
-    """All URDF links, including merged ones, in file order; length k."""
+    """Names of all k links of the URDF, including merged ones, in file order; length k."""
     link_body: Integers
-    """The body that a link is part of, shape (k,)."""
+    """Index of the body that contains each of the k links, shape (k,)."""
     link_rotation: Floats
-    """Rotation from the link's frame to its body's, shape (k, 3, 3)."""
+    """Rotations from the frames of the k links to those of their bodies, shape (k, 3, 3)."""
     link_position: Floats
-    """Origin of the link in its body's frame, shape (k, 3) [m]."""
+    """Origins of the k links in the frames of their bodies, shape (k, 3) [m]."""
     link_mass: Floats
-    """Mass of the link alone, shape (k,) [kg]; 0 if it has no inertial."""
+    """Masses of the k single links, shape (k,) [kg]; 0 for a link without ``<inertial>``."""
     link_com: Floats
-    """Centre of mass of the link alone in the link's frame, shape (k, 3) [m]."""
+    """Centres of mass of the k single links in the links' frames, shape (k, 3) [m]."""
     link_inertia: Floats
-    """
-    Inertia of the link alone about its centre of mass, shape (k, 3, 3) [kg m^2].
-
-    It is expressed along the axes of the link's frame.
-    """
+    """Inertias of the k links about the centre of mass, in link axes, shape (k, 3, 3) [kg m^2]."""
 
     warnings: tuple[ModelWarning, ...] = ()
-    """What looks wrong although it could be loaded, in file order."""
+    """Warnings about the robot description, in file order."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -131,8 +143,8 @@ class RobotModel:
 
     @cached_property
     def is_prismatic_joint(self) -> Booleans:
-        """Whether each joint is prismatic instead of revolute, shape (n,)."""
-        # Skip the first name: it is that of the base link, which may also be the name of a joint.
+        """Whether each of the n joints is prismatic instead of revolute, shape (n,)."""
+        # Skip the first name, because a joint may have the same name as the base link.
         bodies = [self.body_names.index(name, 1) for name in self.joint_names]
         found: Booleans = self.is_prismatic[bodies]
         found.setflags(write=False)
@@ -140,7 +152,7 @@ class RobotModel:
 
     @property
     def mimic_names(self) -> tuple[str, ...]:
-        """Names of the joints that mimic others, which are not in ``joint_names``."""
+        """Names of the joints that mimic others; ``joint_names`` does not contain them."""
         return tuple(name for name in self.body_names[1:] if name not in self.joint_names)
 
     def joint_indices(self, names: Iterable[str]) -> list[int]:
@@ -150,7 +162,7 @@ class RobotModel:
         Raises
         ------
         ConfigurationError
-            If the robot does not have one of the joints; the message lists those that it has.
+            If a joint does not exist; the message lists the names that exist.
 
         """
         return [_index('joint', name, self.joint_names) for name in names]
@@ -162,7 +174,7 @@ class RobotModel:
         Raises
         ------
         ConfigurationError
-            If the robot does not have the link; the message lists those that it has.
+            If the link does not exist; the message lists the names that exist.
 
         """
         return _index('link', name, self.link_names)

@@ -1,11 +1,12 @@
 """
 Rigid bodies by mass, centre of mass and inertia, and by their ten inertial parameters.
 
-The ten parameters of a body are, in the order of `InverseDynamics.regressor`, its mass m, its
-first moment h = m c, and its inertia I about the origin of its frame: m, hx, hy, hz, Ixx, Ixy,
-Iyy, Ixz, Iyz, Izz. Its pseudo-inertia is the second moment of its mass in homogeneous coordinates,
-[[S, h], [h^T, m]] with S = tr(I) / 2 E - I. There is a distribution of mass with these parameters
-if and only if the pseudo-inertia is positive semidefinite.
+The ten parameters of a body are m, hx, hy, hz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz, in the order of
+`InverseDynamics.regressor`. Here m is the mass, h = m c is the first moment for the centre of mass
+c, and I is the inertia about the origin of the frame. The pseudo-inertia is the second moment of
+the mass in homogeneous coordinates: [[S, h], [h^T, m]] with S = tr(I) / 2 E - I and the identity
+E. A distribution of mass with these parameters exists if and only if the pseudo-inertia is
+positive semidefinite.
 
 References
 ----------
@@ -29,14 +30,14 @@ _ROWS = np.array([0, 0, 1, 0, 1, 2])  # of the elements Ixx, Ixy, Iyy, Ixz, Iyz,
 _COLUMNS = np.array([0, 1, 1, 2, 2, 2])
 
 SMALLEST_RADIUS = 0.01
-"""Radius of gyration [m] up to which bodies on the edge of physics are extended."""
+"""Smallest radius of gyration [m] that `moved_inside` gives to (nearly) impossible bodies."""
 
 
 class RigidBody(NamedTuple):
-    """The inertial parameters of a rigid body, in some frame."""
+    """Mass, centre of mass and inertia of a rigid body, in some frame."""
 
     mass: float
-    """[kg]."""
+    """Mass [kg]."""
     com: Floats
     """Centre of mass, shape (3,) [m]."""
     inertia: Floats
@@ -44,38 +45,26 @@ class RigidBody(NamedTuple):
 
     def rotate(self, rotation: Floats) -> RigidBody:
         """
-        Express the body in a frame with the same origin and other axes.
-
-        Parameters
-        ----------
-        rotation : ndarray, shape (3, 3)
-            Rotation from the present frame to the new one.
+        Express the body in other axes about the same origin; ``rotation`` is from old to new.
 
         """
         return RigidBody(self.mass, rotation @ self.com, rotation @ self.inertia @ rotation.T)
 
     def shift(self, position: Floats) -> RigidBody:
-        """
-        Express the body in a frame with the same axes and another origin.
-
-        Parameters
-        ----------
-        position : ndarray, shape (3,)
-            Origin of the present frame in the new one [m].
-
-        """
+        """Express the body about a new origin; ``position`` [m] is the old origin seen from it."""
         return RigidBody(self.mass, position + self.com, self.inertia)
 
     def scale(self, factor: float) -> RigidBody:
-        """Return a body of the same shape with a multiple of the density."""
+        """Return a body of the same shape with a multiple of the mass."""
         return RigidBody(factor * self.mass, self.com, factor * self.inertia)
 
     def parameters(self) -> Floats:
         """
-        Return the ten inertial parameters, in which efforts are linear, shape (10,).
+        Return the ten inertial parameters, shape (10,); efforts are linear in them.
 
-        Mass [kg], mass times centre of mass (x, y, z) [kg m], and inertia about the origin of the
-        frame instead of the centre of mass (xx, xy, yy, xz, yz, zz) [kg m^2].
+        The parameters are the mass [kg], the mass times centre of mass (x, y, z) [kg m], and the
+        inertia (xx, xy, yy, xz, yz, zz) [kg m^2] about the origin of the frame, not about the
+        centre of mass.
 
         """
         com = self.com
@@ -119,16 +108,16 @@ def _basis() -> Floats:
 
 
 BASIS = _basis()
-"""Derivatives of the pseudo-inertia by the parameters, shape (10, 4, 4)."""
+"""Derivatives of the pseudo-inertia with respect to the ten parameters, shape (10, 4, 4)."""
 
 
 def pseudo_inertias(parameters: Floats) -> Floats:
-    """Return the pseudo-inertias of parameters of shape (..., 10), shape (..., 4, 4)."""
+    """Convert parameters, shape (..., 10), to pseudo-inertias, shape (..., 4, 4)."""
     return np.asarray(np.tensordot(parameters, BASIS, 1))
 
 
 def parameters_of_pseudo_inertias(matrices: Floats) -> Floats:
-    """Return the parameters of pseudo-inertias of shape (..., 4, 4), shape (..., 10)."""
+    """Convert pseudo-inertias, shape (..., 4, 4), to parameters, shape (..., 10)."""
     second = matrices[..., :3, :3]
     trace = np.trace(second, axis1=-2, axis2=-1)[..., None, None]
     inertia = trace * np.eye(3) - second
@@ -137,7 +126,7 @@ def parameters_of_pseudo_inertias(matrices: Floats) -> Floats:
 
 
 def rigid_body(parameters: Floats) -> RigidBody:
-    """Return the body that has ten parameters, with a mass above zero."""
+    """Convert ten parameters, with a mass above zero, to a rigid body."""
     mass = float(parameters[0])
     c = parameters[1:4] / mass
     inertia = np.zeros((3, 3))
@@ -147,19 +136,11 @@ def rigid_body(parameters: Floats) -> RigidBody:
 
 def moved_inside(parameters: Floats) -> Floats:
     """
-    Return the nearest parameters that a body with extent in all directions has.
+    Return the nearest parameters, shape (10,), of a body with extent in all directions.
 
-    Point masses, impossible inertias and negative ones are extended until the radius about the
-    centre of mass is `SMALLEST_RADIUS` in every direction; other bodies are not changed.
-
-    Parameters
-    ----------
-    parameters : ndarray, shape (10,)
-        With a mass above zero.
-
-    Returns
-    -------
-    parameters : ndarray, shape (10,)
+    Point masses, impossible inertias and negative inertias are extended: the radius about the
+    centre of mass becomes at least `SMALLEST_RADIUS` in every direction. Other bodies do not
+    change. The mass must be above zero.
 
     """
     matrix = pseudo_inertias(parameters)
@@ -178,13 +159,9 @@ def transport(before: Floats, after: Floats) -> Floats:
     """
     Return the matrix T nearest to the identity with ``T before T^T = after``.
 
-    Applied to the parts of a body, ``T part T^T``, it distributes a change of the whole: the parts
-    remain physical, and add up to the changed body.
-
-    Parameters
-    ----------
-    before, after : ndarray, shape (4, 4)
-        Positive definite pseudo-inertias.
+    The arguments are positive definite pseudo-inertias of a body, shape (4, 4). If every part of
+    the body is changed to ``T part T^T``, the parts remain physical, and their sum is the changed
+    body.
 
     """
     root = _power(before, 0.5)

@@ -1,7 +1,7 @@
 """
-Links and joints to bodies: links that fixed joints hold together form one body.
+From links and joints to bodies: links that fixed joints connect form one body.
 
-The values follow the conventions of URDF: the frame of a joint is the frame of its child link and
+The values follow the conventions of URDF. The frame of a joint is the frame of its child link, and
 is given in the frame of the parent link.
 """
 
@@ -51,7 +51,7 @@ class Joint(NamedTuple):
 
 
 class _Placement(NamedTuple):
-    """The body that a link is part of, and the pose of the link in the frame of that body."""
+    """The body that contains a link, and the pose of the link in the frame of that body."""
 
     body: int
     rotation: Floats
@@ -74,20 +74,10 @@ def build_model(
     warnings: Iterable[ModelWarning] = (),
 ) -> RobotModel:
     """
-    Merge links into bodies and resolve mimicking joints.
+    Merge links into bodies, and resolve mimic joints.
 
-    Parameters
-    ----------
-    name : str
-        Name of the robot.
-    links, joints : sequence of Link, sequence of Joint
-        One tree, in file order.
-    warnings : iterable of ModelWarning
-        Warnings so far; those about joints that move no mass are added.
-
-    Returns
-    -------
-    robot : RobotModel
+    ``links`` and ``joints`` are one tree, in file order. Warnings about joints that move no mass
+    are added to ``warnings``.
 
     """
     root, bodies, placements = _place(links, joints)
@@ -135,7 +125,7 @@ def build_model(
 def _place(
     links: Sequence[Link], joints: Sequence[Joint]
 ) -> tuple[str, list[_Body], dict[str, _Placement]]:
-    """Walk the tree depth first, children in file order, with a body for every movable joint."""
+    """Return the root, the bodies (depth first, siblings in file order), and the links in them."""
     children: dict[str, list[Joint]] = {link.name: [] for link in links}
     for joint in joints:
         children[joint.parent].append(joint)
@@ -177,7 +167,7 @@ def _merge(
 
 
 def resolve_mimics(joints: Iterable[Joint]) -> dict[str, Mimic]:
-    """Express the position of every joint by that of a joint that is not a mimic joint."""
+    """Express the position of every joint with that of a joint that mimics no other."""
     by_name = {joint.name: joint for joint in joints}
     resolved: dict[str, Mimic] = {}
     for start in by_name.values():
@@ -198,11 +188,11 @@ def _folded_friction(
     bodies: Sequence[_Body], drives: Mapping[str, Mimic], index: Mapping[str, int]
 ) -> tuple[list[float], list[float]]:
     """
-    Return damping and friction at the joints, with those of mimicking joints added.
+    Return damping and friction of the joints, including those of their mimic joints.
 
-    A joint that mimics with multiplier m moves m times as fast, and its effort acts on its master
-    m times. Viscous friction is therefore multiplied by m squared. Coulomb friction has the same
-    size at all speeds, and always opposes the motion: it is multiplied by |m|.
+    A mimic joint with multiplier m moves m times as fast as its master, and its effort acts on the
+    master m times. Viscous friction is therefore multiplied by m squared. Coulomb friction has the
+    same size at all speeds, and always opposes the motion. It is therefore multiplied by |m|.
 
     """
     damping, friction = [0.0] * len(index), [0.0] * len(index)
@@ -214,7 +204,7 @@ def _folded_friction(
 
 
 def _massless(bodies: Sequence[_Body], parents: Sequence[int], mass: Floats) -> list[ModelWarning]:
-    """Warn of joints that move no mass: their gravity effort is zero in every position."""
+    """Warn about joints that move no mass: their gravity effort is zero in every position."""
     if not bodies:
         text = 'no joint can move: there is no effort to compute'
         return [ModelWarning(text, 'check that this is the whole robot: every joint is fixed')]

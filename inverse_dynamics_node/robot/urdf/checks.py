@@ -1,7 +1,7 @@
 """
-Checks of a URDF before its numbers are used: of each element, and of the tree they form.
+Checks of a URDF before its numbers are used: of each element, and of the tree of links.
 
-All errors are collected, each with its line, its place, and the value found.
+All errors are collected. Each error contains its line, its element, and the value found.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def check(root: Element, needs_inertials: bool = False) -> Problems:
     """
     Check a <robot> element and everything in it that the dynamics need.
 
-    If inertials are needed, a link that has a shape but no inertial is an error.
+    If ``needs_inertials`` is true, a link with a shape but without an inertial is an error.
 
     """
     problems = Problems()
@@ -68,7 +68,7 @@ def _check_size(root: Element, problems: Problems) -> None:
 
 
 def _by_name(root: Element, kind: str) -> dict[str, Element]:
-    """Return the elements of a kind by name; the first of several with the same name."""
+    """Return the elements of a kind by name; if a name is repeated, return the first element."""
     found: dict[str, Element] = {}
     for element in root:
         if tag(element) == kind and element.get('name'):
@@ -79,7 +79,7 @@ def _by_name(root: Element, kind: str) -> dict[str, Element]:
 def _check_name(
     element: Element, problems: Problems, by_name: Mapping[str, Element] | None = None
 ) -> None:
-    """Check that the element has a name and that, with a table of names, it is unique."""
+    """Check that an element has a name, and that the name is unique if a table is given."""
     kind, name = tag(element), element.get('name')
     if not name:
         problems.error(element, f'<{kind}> without a name')
@@ -97,7 +97,7 @@ def _check_version(root: Element, problems: Problems) -> None:
 
 
 def check_tree(root: Element, links: Mapping[str, Element], problems: Problems) -> None:
-    """Check that the joints connect the links to one tree."""
+    """Check that the joints connect all links into one tree."""
     holders: dict[str, Element] = {}
     children: defaultdict[str, list[str]] = defaultdict(list)
     all_ends_known = True
@@ -127,7 +127,7 @@ def check_tree(root: Element, links: Mapping[str, Element], problems: Problems) 
 def _check_ends(
     joint: Element, links: Mapping[str, Element], problems: Problems
 ) -> tuple[str, str] | None:
-    """Return the names of parent and child link, if both exist."""
+    """Return the names of the parent and child links of a joint if both exist."""
     where, ends = label(joint), []
     for end in ('parent', 'child'):
         element = _only_child(joint, end)
@@ -171,7 +171,7 @@ def _check_roots(
 
 
 def check_mimic_loops(joints: Mapping[str, Element], problems: Problems) -> None:
-    """Check that every chain of mimicking joints ends."""
+    """Check that no chain of mimic joints forms a loop."""
     masters = {}
     for name, joint in joints.items():
         mimic = _only_child(joint, 'mimic') if joint.get('type') != 'fixed' else None
@@ -203,9 +203,9 @@ def check_missing_inertials(
     are_required: bool,
 ) -> None:
     """
-    Find links with a shape but without an inertial: an error if they are required.
+    Report links with a shape but without an inertial, as errors if inertials are required.
 
-    Links without a shape are frames. The root link is left out, because it may be the ground.
+    Links without a shape are frames. The root link is not checked, because it may be the ground.
 
     """
     children = {
@@ -224,13 +224,13 @@ def check_missing_inertials(
 
 
 _FEWEST_ALIKE = 3
-"""Number of links; two links may well be equal parts."""
+"""Smallest number of equal links that causes a warning; two links may be equal parts."""
 _FRACTION_ALIKE = 0.8
-"""Fraction of the links with mass that have the same values if nobody measured them."""
+"""If this fraction of the links with mass has equal values, the values are placeholders."""
 
 
 def warn_of_placeholders(links: Mapping[str, Element], problems: Problems) -> None:
-    """Warn of equal masses and inertias that an exporter or a person filled in."""
+    """Warn about equal masses and inertias that an exporter or a person filled in."""
     masses: dict[str, float] = {}
     tensors: dict[str, tuple[float, ...]] = {}
     for name, link in links.items():
@@ -245,7 +245,7 @@ def warn_of_placeholders(links: Mapping[str, Element], problems: Problems) -> No
     if count < _FEWEST_ALIKE:
         return
     alike = _with_most_common_value(tensors)
-    # Equal modules of a chain have equal masses too, and different principal moments.
+    # Equal modules of a chain also have equal masses, but different principal moments.
     ixx, ixy, ixz, iyy, iyz, izz = tensors[alike[0]]
     is_sphere = ixx == iyy == izz and not (ixy or ixz or iyz)
     are_different = len({masses[name] for name in alike}) > 1

@@ -1,5 +1,5 @@
 """
-URDF to `RobotModel`: read, parse, check, strip, evaluate, merge.
+From a URDF to a `RobotModel`: read, parse, check, strip, evaluate, merge.
 
 The file is checked before yourdfpy reads the values, because yourdfpy is tolerant: it repairs
 broken XML, fills in missing inertias, and checks neither types nor references.
@@ -31,37 +31,38 @@ def load_urdf(
     """
     Load a robot from a URDF file or from URDF text.
 
-    Only this file is opened: no meshes, no network. Links without ``<inertial>`` have no mass,
-    fixed joints merge their links, and mimicking joints follow their master.
+    Only this file is opened: no meshes, no network. Links without ``<inertial>`` have no mass.
+    Fixed joints merge their links. Mimic joints follow the joints that they mimic.
 
     Parameters
     ----------
     path_or_xml : str or path-like
-        A path, or XML text: a str that starts with ``<``, after white space and a byte order
-        mark if there are any.
+        A path, or XML text. A str that starts with ``<`` is XML text; white space and a byte order
+        mark may precede it.
     on_missing_inertial : {'warn', 'refuse'}
-        Whether a link other than the root that has a shape but no ``<inertial>`` is a warning or
-        an error.
+        Whether a link with a shape but without ``<inertial>`` causes a warning or an error. The
+        root link causes neither.
 
     Returns
     -------
     robot : RobotModel
-        ``robot.warnings`` lists what looks wrong although it could be loaded.
+        The robot; ``robot.warnings`` lists problems that do not prevent its use.
 
     Raises
     ------
     UrdfError
         If the file cannot be read, or does not describe one tree of revolute, continuous,
-        prismatic and fixed joints with complete inertias and limits. A single link without
-        joints is an error too. All problems are listed, with their lines.
+        prismatic and fixed joints with complete inertias and limits. A robot with a single link
+        and no joints is an error, too. All problems are listed, with their lines.
     ConfigurationError
-        If ``on_missing_inertial`` is neither of the two.
+        If ``on_missing_inertial`` is neither 'warn' nor 'refuse'.
 
     Notes
     -----
-    The conventions are those of urdfdom, the parser of ROS: lower and upper limits default to 0,
-    the axis to x. An effort or velocity limit of 0 is read as unknown, hence infinite. Versions
-    1.0 to 1.2 of the format are supported; ``quat_xyzw`` of an origin from 1.1 on.
+    The conventions are those of urdfdom, the parser of ROS. Lower and upper limits default to 0,
+    and the axis defaults to x. An effort or velocity limit of 0 means that the limit is unknown,
+    and becomes infinite. Versions 1.0 to 1.2 of the format are supported. The attribute
+    ``quat_xyzw`` of an origin needs version 1.1 or later.
 
     """
     if on_missing_inertial not in ('warn', 'refuse'):
@@ -105,7 +106,7 @@ def _stripped(root: Element) -> bytes:
 
 
 def _values(clean: bytes) -> tuple[list[Link], list[Joint]]:
-    import yourdfpy  # here, because it takes half a second, which a bad file need not wait for
+    import yourdfpy  # takes half a second, which an invalid file does not need
 
     robot = yourdfpy.URDF.load(
         io.BytesIO(clean),
@@ -129,7 +130,7 @@ def _link(link: Any) -> Link:
 
 def _joint(joint: Any) -> Joint:
     origin = np.eye(4) if joint.origin is None else joint.origin
-    axis = joint.axis / np.abs(joint.axis).max()  # first, or a large axis overflows
+    axis = joint.axis / np.abs(joint.axis).max()  # first: the norm of a large axis overflows
     limit, dynamics, mimic = joint.limit, joint.dynamics, joint.mimic
     is_bounded = joint.type in ('revolute', 'prismatic')
     return Joint(

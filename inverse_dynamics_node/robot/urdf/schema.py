@@ -1,8 +1,8 @@
 """
-What an element of a URDF may contain, as tables, and the checks of one link or joint.
+Tables of the permitted contents of URDF elements, and checks of single links and joints.
 
-The format is read as urdfdom reads it, but stricter: where urdfdom logs a line and continues with
-a zero, this is an error, because a lost mass means a wrong effort.
+The format is that of urdfdom, but it is read more strictly. Where urdfdom logs a line and
+continues with a zero, this module reports an error, because a lost mass causes wrong efforts.
 """
 
 from __future__ import annotations
@@ -24,15 +24,16 @@ SUPPORTED_TYPES = ('revolute', 'continuous', 'prismatic', 'fixed')
 
 VERSIONS = ('1.0', '1.1', '1.2')
 """
-Versions of the format that are read, as in urdfdom 6.
+Versions of the URDF format that are accepted, as in urdfdom 6.
 
-1.1 adds quaternions and capsules, 1.2 adds limits that inverse dynamics does not need.
+Version 1.1 added quaternions and capsules. Version 1.2 added limits that inverse dynamics does not
+need.
 """
 VERSIONS_WITH_QUATERNIONS = ('1.1', '1.2')
 
 
 def version_of(element: Element) -> str:
-    """Return the version of URDF that the document of an element declares."""
+    """Return the URDF version that the document of an element declares."""
     version: str = element.getroottree().getroot().get('version', '1.0')
     return version
 
@@ -52,22 +53,22 @@ CHILDREN = {
         'safety_controller',
     ),
 }
-"""The elements that the dynamics need; at most one of each, except links and joints."""
+"""Child elements that the dynamics need. Each may occur once; links and joints may repeat."""
 
 READ_ONCE = 'origin'
-"""The element of which the first one is used if there are several."""
+"""If there are several elements of this kind, the first one is used."""
 
 CHILDREN_OF_FIXED = ('parent', 'child', 'origin')
-"""Other elements have no meaning on a fixed joint and are not checked there."""
+"""Child elements of a fixed joint that are checked; others have no meaning there."""
 
 
 @dataclass(frozen=True)
 class Rule:
-    """The attributes of an element."""
+    """The rule for the attributes of an element."""
 
     names: tuple[str, ...] = ()
     numbers: Mapping[str, int] = field(default_factory=dict)
-    """Attributes with numbers, and how many numbers each of them holds."""
+    """Names of numeric attributes, and how many numbers each of them contains."""
     required: tuple[str, ...] = ()
     not_negative: tuple[str, ...] = ()
     is_open: bool = False
@@ -111,7 +112,7 @@ RULES = {
 # Errors and warnings
 
 _MAX_LINE = 65535
-"""libxml2 keeps line numbers in 16 bits: this one stands for all later lines."""
+"""Largest line number of libxml2, which has 16 bits; all later lines have this number."""
 
 
 class Problems:
@@ -130,17 +131,17 @@ class Problems:
         return [warning for _, warning in sorted(self._warnings, key=lambda entry: entry[0])]
 
     def error(self, element: Element, text: str) -> None:
-        """Add an error at an element."""
+        """Add an error with the line of an element."""
         line = _line_of(element)
         text = text if line is None else f'line {line}: {text}'
         self._errors.append((element.sourceline, text))
 
     def error_of_all(self, text: str) -> None:
-        """Add an error of the description as a whole; it follows all others."""
+        """Add an error about the whole description; it follows all other errors."""
         self._errors.append((math.inf, text))
 
     def warning(self, element: Element, subject: str, text: str, hint: str) -> None:
-        """Add a warning at an element."""
+        """Add a warning with the line of an element."""
         warning = ModelWarning(text, hint, subject, _line_of(element))
         self._warnings.append((element.sourceline, warning))
 
@@ -151,12 +152,12 @@ def _line_of(element: Element) -> int | None:
 
 
 def label(element: Element) -> str:
-    """Name a link or joint in a message."""
+    """Return the name of a link or joint for messages, such as ``link 'hand'``."""
     return f"{tag(element)} '{element.get('name', '')}'"
 
 
 def quoted(text: str) -> str:
-    """Quote a value as it was found, or the start of a long one."""
+    """Quote a value, or the start of a long value."""
     return f"'{shortened(text)}'"
 
 
@@ -171,9 +172,9 @@ def check_children(
     element: Element, where: str, kinds: tuple[str, ...], problems: Problems
 ) -> dict[str, Element]:
     """
-    Return the children of the given kinds; more than one of a kind is an error.
+    Return the children of the given kinds; several children of one kind are an error.
 
-    Several origins are a warning only: urdfdom, and with it every ROS tool, reads the first one.
+    Several origins cause only a warning, because urdfdom and all ROS tools use the first one.
 
     """
     found: defaultdict[str, list[Element]] = defaultdict(list)
@@ -199,7 +200,7 @@ def check_children(
 def warn_if_misspelt(
     element: Element, where: str, kinds: tuple[str, ...], problems: Problems
 ) -> None:
-    """Warn if only the case of an element's name is wrong."""
+    """Warn if the name of an element is wrong only in upper and lower case."""
     kind = tag(element)
     if kind not in kinds and kind.lower() in kinds:
         text = f'<{kind}> ignored; URDF spells it <{kind.lower()}>'
@@ -209,7 +210,7 @@ def warn_if_misspelt(
 def check_attributes(
     element: Element, where: str, problems: Problems
 ) -> dict[str, tuple[float, ...]]:
-    """Check an element by its rule; return the numbers of the valid attributes."""
+    """Check the attributes of an element; return the numbers of the valid ones."""
     kind = tag(element)
     rule = RULES[kind]
     values: dict[str, tuple[float, ...]] = {}
@@ -257,7 +258,7 @@ def _numbers(text: str, count: int) -> tuple[float, ...] | str:
         return f'expected {count} numbers, got {len(words)} in {quoted(text)}{hint}'
     wrong = [word for word in words if not is_finite_decimal(word)]
     if wrong or len(words) != count:
-        # Only the wrong word of several is quoted, which is found sooner.
+        # If there are several words, quote only the wrong one, which is easier to find.
         shown = wrong[0] if count > 1 else text
         return f'{quoted(shown)} is not a finite decimal number'
     return tuple(float(word) for word in words)
@@ -274,11 +275,11 @@ def written(element: Element, name: str) -> str:
 
 
 UNIT_TOLERANCE = 1e-3
-"""A vector rounded to four digits is still a unit vector."""
+"""Tolerated error of a norm: a vector rounded to four digits is still a unit vector."""
 _QUATERNION_TOLERANCE = 0.1
-"""Rounding to one digit changes the norm of a quaternion by less; a typing error by more."""
+"""Tolerated error of a quaternion's norm: above rounding to one digit, below a typing error."""
 _MAX_RPY = 7.0
-"""Slightly more than a turn [rad]: a larger angle is probably in degrees."""
+"""Slightly more than one turn [rad]; a larger angle is probably in degrees."""
 
 
 def check_rotation(
@@ -297,7 +298,7 @@ def _check_quaternion(
 ) -> None:
     version = version_of(origin)
     if version in VERSIONS and version not in VERSIONS_WITH_QUATERNIONS:
-        # urdfdom ignores the attribute in these files, and the rotation with it.
+        # In these files, urdfdom ignores the attribute, and therefore the rotation.
         text = f'quat_xyzw needs <robot version="1.1">, found version {version}; or write rpy'
         problems.error(origin, f'{where}: {text}')
     if 'rpy' in origin.attrib:
@@ -317,9 +318,9 @@ def _check_quaternion(
 # Links
 
 _MOMENT_TOLERANCE = 1e-3
-"""Rounded moments of a flat part miss the triangle inequality by this fraction of their sum."""
+"""Tolerated violation of the triangle inequality, as a fraction of the sum of the moments."""
 _MAX_GYRATION = 10.0
-"""Largest plausible radius of gyration [m]; above, the inertia is not in kg m^2."""
+"""Largest plausible radius of gyration [m]; above it, the inertia is not in kg m^2."""
 
 _TENSOR_HINT = (
     'take the inertia about the centre of mass from CAD, in kg m^2; it affects only the '
@@ -352,7 +353,7 @@ def check_link(link: Element, problems: Problems) -> None:
 def _warn_of_odd_inertia(
     inertial: Element, where: str, mass: float, moments: Sequence[float], problems: Problems
 ) -> None:
-    """Warn of an inertia that no rigid body of this mass can have."""
+    """Warn about an inertia that is impossible for a rigid body of this mass."""
     largest = max(abs(moment) for moment in moments)
     if largest == 0.0:
         if mass > 0.0:
@@ -392,7 +393,7 @@ _UNSUPPORTED_TYPES = {
 }
 
 MIN_AXIS_LENGTH = 1e-6
-"""A shorter axis does not have a reliable direction."""
+"""Smallest length of an axis that has a reliable direction."""
 _MAX_TURN = 50.0
 """Largest plausible position limit [rad]; larger limits are probably in degrees."""
 
@@ -403,7 +404,7 @@ _ZERO_LIMIT_HINTS = {
 
 
 def check_joint(joint: Element, joints: Mapping[str, Element], problems: Problems) -> None:
-    """Check a joint; of the other joints, only the names and types are used."""
+    """Check a joint; ``joints`` contains all joints by name."""
     where, kind = label(joint), joint.get('type')
     if kind in _UNSUPPORTED_TYPES:
         text = f"joint type '{kind}' is not supported; {_UNSUPPORTED_TYPES[kind]}"
@@ -495,7 +496,7 @@ def _check_range(
 def check_mimic(
     joint: Element, mimic: Element, joints: Mapping[str, Element], problems: Problems
 ) -> None:
-    """Check that the master exists and moves."""
+    """Check that the joint that is mimicked exists and can move."""
     where, master = label(joint), mimic.get('joint')
     if master is None or is_xacro(master):
         return

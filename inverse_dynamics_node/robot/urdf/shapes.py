@@ -18,26 +18,17 @@ class Shape(NamedTuple):
 
     link: str
     vertices: Floats
-    """Shape (v, 3) [m]."""
+    """Positions of the v vertices, shape (v, 3) [m]."""
     faces: Integers
-    """Three vertices of each triangle, shape (f, 3)."""
+    """Indices of the three vertices of each of the f triangles, shape (f, 3)."""
 
 
 def read_shapes(path_or_xml: str | os.PathLike[str]) -> tuple[list[Shape], dict[str, str]]:
     """
     Read the collision shapes of a robot, and the mesh files that they name.
 
-    Parameters
-    ----------
-    path_or_xml : str or path-like
-        As for `load_urdf`, which has accepted it.
-
-    Returns
-    -------
-    shapes : list of Shape
-        Those that can be read.
-    unreadable : dict
-        Why a shape of a link cannot be read, by the name of the link.
+    `load_urdf` has accepted the argument. The first result contains the shapes that can be read.
+    The second result contains, by the name of the link, the reason why a shape cannot be read.
 
     """
     source = read_source(path_or_xml)
@@ -49,7 +40,7 @@ def read_shapes(path_or_xml: str | os.PathLike[str]) -> tuple[list[Shape], dict[
         for collision in _children(link, 'collision'):
             try:
                 shapes.append(_shape(name, collision, folder))
-            except Exception as error:  # trimesh passes on those of many readers
+            except Exception as error:  # trimesh raises the errors of many file readers
                 reason = str(error).partition('\n')[0] or type(error).__name__
                 unreadable.setdefault(name, reason)
     return shapes, unreadable
@@ -72,7 +63,7 @@ def _shape(link: str, collision: Element, folder: Path | None) -> Shape:
 
 
 def _mesh(solid: Element, folder: Path | None) -> Any:
-    """Return the triangles of a solid; the vertices of round ones lie on its surface."""
+    """Return the triangles of a solid; the vertices of round solids lie on the surface."""
     import trimesh  # takes a third of a second
 
     kind = tag(solid)
@@ -93,7 +84,7 @@ def _mesh(solid: Element, folder: Path | None) -> Any:
 
 
 def _mesh_file(name: str, folder: Path | None) -> Path:
-    """Find a mesh file: a path, or a file in a ROS package that is installed or nearby."""
+    """Find a mesh file by its path, or in a ROS package that is installed or nearby."""
     scheme, _, rest = name.rpartition('://')
     if scheme not in ('package', 'model'):
         paths = [Path(rest) if folder is None else folder / rest]
@@ -106,7 +97,7 @@ def _mesh_file(name: str, folder: Path | None) -> Path:
         for parent in folder.parents if folder else ():
             paths += [parent / rest, *([parent / inside] if parent.name == package else [])]
         if folder:
-            # A checkout may have another name than the package.
+            # The folder of a checkout may have another name than the package.
             paths += [parent / inside for parent in (folder, *folder.parents)]
     for path in paths:
         if path.is_file():

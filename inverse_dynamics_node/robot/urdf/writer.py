@@ -1,8 +1,8 @@
 """
-Writes inertials and friction into the text of a URDF, and leaves everything else as it is.
+Writes inertials and friction into the text of a URDF, and changes nothing else.
 
 Only the numbers are replaced. Comments, formatting, unknown elements and the order of attributes
-stay, so that the difference to the original shows nothing but the new values.
+do not change. A diff with the original therefore shows only the new values.
 """
 
 from __future__ import annotations
@@ -27,29 +27,29 @@ _INDENT = b'  '
 
 
 class Friction(NamedTuple):
-    """Friction of a joint as in `<dynamics>`."""
+    """Friction of a joint, as in ``<dynamics>``."""
 
     damping: float
-    """[N m s/rad or N s/m]."""
+    """Viscous friction [N m s/rad or N s/m]."""
     friction: float
     """Coulomb friction [N m or N]."""
 
 
 @dataclass
 class _Node:
-    """An element and its place in the text, in bytes."""
+    """An element, with its positions in the text in bytes."""
 
     kind: str
     attributes: dict[str, str]
     start: int
     tag_end: int
-    """After the `>` of the start tag."""
+    """Position after the `>` of the start tag."""
     close: int = 0
-    """Start of the end tag."""
+    """Position of the end tag."""
     children: list[_Node] = field(default_factory=list)
 
     def first(self, kind: str) -> _Node | None:
-        """Return the first child of a kind, which is the one that is read."""
+        """Return the first child of a kind, which is the child that `load_urdf` reads."""
         return next((child for child in self.children if child.kind == kind), None)
 
 
@@ -59,21 +59,11 @@ def rewrite(
     friction: Mapping[str, Friction],
 ) -> bytes:
     """
-    Replace inertials and friction in a URDF that `load_urdf` has accepted.
+    Replace inertials and friction in a URDF that `load_urdf` has accepted; return the text.
 
-    Parameters
-    ----------
-    path_or_xml : str or path-like
-        As for `load_urdf`.
-    inertials : mapping of str to RigidBody
-        New inertials by link, in the frame of the link. An existing inertial frame keeps its axes.
-    friction : mapping of str to Friction
-        New friction by joint; a missing ``<dynamics>`` is added.
-
-    Returns
-    -------
-    text : bytes
-        In the encoding of the original, numbers with 17 digits.
+    ``inertials`` are the new bodies by link name, in the frames of the links. An existing inertial
+    frame keeps its axes. ``friction`` is the new friction by joint name; a missing ``<dynamics>``
+    is added. The result has the encoding of the original, and numbers with 17 digits.
 
     """
     source = read_source(path_or_xml)
@@ -92,7 +82,7 @@ def rewrite(
 
 
 def _parse(text: bytes) -> _Node:
-    """Return the root element."""
+    """Parse the text, and return its root element."""
     roots: list[_Node] = []
     opened: list[_Node] = []
     parser = expat.ParserCreate('utf-8')
@@ -113,7 +103,7 @@ def _parse(text: bytes) -> _Node:
 
 
 def _end_of_tag(text: bytes, start: int) -> int:
-    """Return the index after the `>` of a start tag; values may contain one."""
+    """Return the index after the `>` of a start tag; attribute values may contain `>`, too."""
     found = re.compile(rb'(?:[^>"\']|"[^"]*"|\'[^\']*\')*>').match(text, start)
     assert found is not None
     return found.end()
@@ -140,7 +130,7 @@ def _inertial_edits(text: bytes, link: _Node, body: RigidBody) -> Iterator[tuple
 
 
 def _rotation(origin: _Node | None) -> Floats:
-    """Return the rotation of an inertial frame."""
+    """Return the rotation of an inertial frame with this origin element."""
     if origin is None:
         return np.eye(3)
     rpy = origin.attributes.get('rpy', '0 0 0')
@@ -189,13 +179,13 @@ def _inserted(text: bytes, parent: _Node, lines: list[bytes]) -> tuple[int, int,
 
 
 def _indent(text: bytes, start: int) -> bytes:
-    """Return the line break and the spaces before an element; empty if it follows another."""
+    """Return the line break and the spaces before an element; empty if other text precedes it."""
     found = re.search(rb'\r?\n[ \t]*$', text[:start])
     return found[0] if found else b''
 
 
 def _attributes(text: bytes, node: _Node, values: Mapping[str, str]) -> tuple[int, int, bytes]:
-    """Replace the values of attributes, and add those that are missing."""
+    """Replace the values of attributes, and add missing attributes."""
     tag = text[node.start : node.tag_end]
     for name, value in values.items():
         pattern = rb'(\s' + name.encode() + rb'\s*=\s*)(?:"[^"]*"|\'[^\']*\')'

@@ -1,4 +1,4 @@
-"""URDF source to an XML tree, with a hardened parser: no DTD, network or repair."""
+"""Parsing of URDF sources with a hardened parser: without DTD, network access and repair."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from ...errors import UrdfError
 from ..model import ModelWarning
 
 Element = Any
-"""An lxml element; lxml comes without types."""
+"""An lxml element; lxml has no type annotations."""
 
 MAX_BYTES = 16 * 2**20
-"""Ten times the size of the largest real robot descriptions; parsed in seconds."""
+"""Largest size: ten times that of the largest real robot descriptions, parsed in seconds."""
 
 MAX_LINKS = 1000
-"""Several times the number of the largest real robots; checked before the slow steps."""
+"""Largest number of links, several times that of the largest real robots."""
 
 _FOREIGN_ROOTS = {'sdf': 'SDF', 'model': 'a part of SDF', 'mujoco': 'MJCF', 'html': 'HTML'}
 
@@ -37,11 +37,11 @@ class Source(NamedTuple):
     name: str
     data: bytes
     encoding: str | None
-    """None if a byte order mark or a declaration in the bytes defines it."""
+    """Encoding of the bytes; None if a byte order mark or a declaration in them defines it."""
 
 
 def read_source(path_or_xml: str | os.PathLike[str]) -> Source:
-    """Read a file; XML text is used as it is."""
+    """Read a file, or use XML text as it is."""
     if isinstance(path_or_xml, str) and path_or_xml.lstrip(f'{_BOM} \t\r\n').startswith('<'):
         # Text has been decoded: an encoding that it declares does not apply to these bytes.
         data = path_or_xml.lstrip(_BOM).encode('utf-8', 'surrogatepass')
@@ -61,7 +61,7 @@ def read_source(path_or_xml: str | os.PathLike[str]) -> Source:
 
 
 def _read_file(path: str | os.PathLike[str]) -> tuple[bytes, int]:
-    """Return at most one byte more than the limit, and the size of the file."""
+    """Read at most `MAX_BYTES` + 1 bytes of a file; return them, and the size of the file."""
     if not isinstance(os.fspath(path), str):
         raise TypeError(f'expected a path or XML text as str, got {type(path).__name__}')
     name = shortened(os.fspath(path), 250)
@@ -83,7 +83,7 @@ def _read_file(path: str | os.PathLike[str]) -> tuple[bytes, int]:
 
 
 def shortened(text: str, length: int = 80) -> str:
-    """Return a text, or the start of a long one."""
+    """Return a text, or the start of a long text."""
     return text if len(text) <= length else f'{text[:length]}...'
 
 
@@ -100,7 +100,7 @@ def parse(source: Source) -> tuple[Element, list[ModelWarning]]:
         prefixes = _undeclared_prefixes(parser.error_log)
         if not prefixes:
             raise UrdfError(_syntax_problems(source, error), source.name) from error
-        # All URDF tools of ROS read these files, so the prefixed parts cannot be essential.
+        # All URDF tools of ROS read these files: elements with a prefix cannot be essential.
         root = etree.fromstring(source.data, _hardened_parser(source.encoding, recover=True))
         warnings += prefixes
 
@@ -114,7 +114,7 @@ def parse(source: Source) -> tuple[Element, list[ModelWarning]]:
 
 
 def tag(element: Element) -> str:
-    """Return an element's name as it is written, with its prefix."""
+    """Return the name of an element as in the file, with its prefix."""
     # All URDF tools ignore a default namespace (<robot xmlns="...">).
     local_name = element.tag.rpartition('}')[2]
     return f'{element.prefix}:{local_name}' if element.prefix else local_name
@@ -141,7 +141,7 @@ def _hardened_parser(encoding: str | None, recover: bool = False) -> Any:
 
 
 def declared_encoding(data: bytes) -> str:
-    """Return the encoding of a document: its byte order mark, its declaration, or UTF-8."""
+    """Return the encoding of a document from its byte order mark or declaration, or UTF-8."""
     for mark, name in ((b'\xff\xfe', 'utf-16'), (b'\xfe\xff', 'utf-16')):
         if data.startswith(mark):
             return name
@@ -151,7 +151,7 @@ def declared_encoding(data: bytes) -> str:
 
 
 def blank_declaration(data: bytes) -> bytes:
-    """Replace an XML declaration by as many spaces."""
+    """Replace an XML declaration with spaces of the same length."""
     found = _DECLARATION.match(data)
     if not found:
         return data
@@ -159,7 +159,7 @@ def blank_declaration(data: bytes) -> bytes:
 
 
 def _without_odd_declaration(source: Source) -> tuple[Source, list[ModelWarning]]:
-    """Blank out an XML declaration that only libxml2 rejects, keeping lines and columns."""
+    """Replace an XML declaration that only libxml2 rejects with spaces; return also a warning."""
     found = _DECLARATION.match(source.data)
     if not found or _SOUND_DECLARATION.match(source.data):
         return source, []
