@@ -117,7 +117,7 @@ def check_out(out: Floats, shape: tuple[int, ...]) -> None:
     """Raise a JointStateError if an array cannot hold a result of the given shape."""
     if not isinstance(out, np.ndarray) or out.dtype != np.float64 or not out.flags.writeable:
         kind = out.dtype if isinstance(out, np.ndarray) else type(out).__name__
-        raise JointStateError(f'out is of {kind}, expected a writable array of float64')
+        raise JointStateError(f'out has type {kind}, expected a writable array of float64')
     if out.shape != shape:
         raise JointStateError(f'out has shape {out.shape}, the result has {shape}')
 

@@ -143,6 +143,6 @@ def _warn(error: Exception) -> None:
         _has_warned = True
         warnings.warn(
             f'compiled code is not kept between runs ({type(error).__name__}: {error}); '
-            'NUMBA_CACHE_DIR can name a directory for it',
+            'set NUMBA_CACHE_DIR to a writable directory',
             stacklevel=3,
         )

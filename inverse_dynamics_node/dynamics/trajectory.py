@@ -86,7 +86,7 @@ def refine(whole: Trajectory, longest_step: float) -> tuple[Trajectory, Integers
     counts = wanted.astype(np.int64)
     points: Integers = np.concatenate([[0], np.cumsum(counts)])
     if velocities is None or accelerations is None:
-        raise TrajectoryError('no velocities or no accelerations, expected a complete trajectory')
+        raise TrajectoryError('velocities or accelerations are missing in the trajectory')
     if len(times) == 1 or np.all(counts == 1):
         return whole, points
     from scipy.interpolate import BPoly
@@ -118,7 +118,7 @@ def smooth(trajectory: Trajectory, cutoff: float) -> Trajectory:
     if k < _FEWEST_TO_SMOOTH or not 0.0 < cutoff < 0.5 * rate:
         raise TrajectoryError(
             f'{k} points at {rate:.3g} Hz cannot be smoothed at {cutoff:g} Hz, expected '
-            f'{_FEWEST_TO_SMOOTH} or more, at more than {2.0 * cutoff:g} Hz'
+            f'at least {_FEWEST_TO_SMOOTH} points at more than {2.0 * cutoff:g} Hz'
         )
     from scipy.signal import butter, sosfiltfilt
 
@@ -197,7 +197,7 @@ def _derivative(times: Floats, values: Floats, ends: str, order: int) -> Floats:
 def _check(trajectory: Trajectory) -> None:
     names, times = trajectory.joint_names, trajectory.times
     if not len(times):
-        raise TrajectoryError('no points, expected at least one')
+        raise TrajectoryError('the trajectory has no points, expected at least one')
     shape = len(times), len(names)
     for quantity, values in zip(trajectory._fields[2:], trajectory[2:], strict=True):
         if values is None:
@@ -207,8 +207,8 @@ def _check(trajectory: Trajectory) -> None:
         if not np.isfinite(values).all():
             point, joint = np.argwhere(~np.isfinite(values))[0]
             raise TrajectoryError(
-                f"{quantity} of joint '{shortened(names[joint])}' at point {point}: "
-                f'{values[point, joint]}, expected a finite number'
+                f"{quantity} of joint '{shortened(names[joint])}' are {values[point, joint]} at "
+                f'point {point}, expected finite numbers'
             )
     if not np.isfinite(times).all():
         raise TrajectoryError(f'a time is {times[~np.isfinite(times)][0]}, expected finite times')
@@ -216,7 +216,7 @@ def _check(trajectory: Trajectory) -> None:
     if len(late):
         point = int(late[0]) + 1
         raise TrajectoryError(
-            f'point {point} is at {times[point]:g} s, expected later than point {point - 1} '
+            f'point {point} is at {times[point]:g} s, expected a time after point {point - 1} '
             f'at {times[point - 1]:g} s'
         )
 
@@ -224,7 +224,7 @@ def _check(trajectory: Trajectory) -> None:
 def joint_index(names: Sequence[str], known: Sequence[str]) -> list[int]:
     """Return the index of each name in ``known``; a TrajectoryError reports invalid names."""
     if not names:
-        raise TrajectoryError('no joint names')
+        raise TrajectoryError('the trajectory has no joint names')
     unknown = [name for name in names if name not in known]
     if unknown:
         raise TrajectoryError(unknown_name('joint', unknown[0], known))

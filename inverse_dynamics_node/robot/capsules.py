@@ -128,7 +128,7 @@ def _shapeless(robot: RobotModel, rows: Sequence[_Row], shaped: set[int]) -> dic
             # The shape may belong to another link, or only to a camera beside the mass.
             beyond = np.concatenate(points) - robot.com[body]
             if (beyond.min(axis=0) > 0.0).any() or (beyond.max(axis=0) < 0.0).any():
-                reasons[body] = 'no shape around its centre of mass'
+                reasons[body] = 'it has no shape around its centre of mass'
     return reasons
 
 

@@ -107,13 +107,13 @@ class ImplausiblePosition(NamedTuple):
     """Whether the unit is m instead of rad."""
 
     def __str__(self) -> str:
-        """Return a sentence such as 'joint2 at 57.3 rad, limits -2.97 to 2.97: degrees?'."""
+        """Return a sentence with the name of the joint, its position, and its limits."""
         unit = 'm' if self.is_prismatic else 'rad'
         sentence = (
-            f'{self.joint} at {self.position:.4g} {unit}, '
-            f'limits {self.lower:.4g} to {self.upper:.4g}'
+            f'{self.joint} is at {self.position:.4g} {unit}, '
+            f'outside its limits {self.lower:.4g} to {self.upper:.4g}'
         )
-        return f'{sentence}: degrees?' if self.looks_like_degrees else sentence
+        return f'{sentence} (in degrees?)' if self.looks_like_degrees else sentence
 
 
 def implausible_positions(

@@ -44,10 +44,7 @@ class RigidBody(NamedTuple):
     """Inertia about the centre of mass, along the axes of the frame, shape (3, 3) [kg m^2]."""
 
     def rotate(self, rotation: Floats) -> RigidBody:
-        """
-        Express the body in other axes about the same origin; ``rotation`` is from old to new.
-
-        """
+        """Express the body in new axes about the same origin; ``rotation`` is from old to new."""
         return RigidBody(self.mass, rotation @ self.com, rotation @ self.inertia @ rotation.T)
 
     def shift(self, position: Floats) -> RigidBody:

@@ -212,7 +212,7 @@ def test_warns_about_positions_in_degrees(short, here, capsys):
     write_csv(here / 'run.csv', short._replace(positions=positions))
     assert compare('run.csv', '--no-picture', '--strict') == 3
     output = capsys.readouterr().out
-    assert re.search(r'joint_2 at [-\d.]+ rad, limits -1.745 to 1.745: degrees\?', output)
+    assert re.search(r'joint_2 is at [-\d.]+ rad, .* \(in degrees\?\)', ' '.join(output.split()))
     assert '-> convert the positions to radians' in output
 
 

@@ -165,7 +165,7 @@ def test_misnamed_joints_and_degrees_are_reported(run_node, robot, wait_for_stat
     wait_for_status('joint states', ERROR, similar)
     robot.wait_for_text(node, similar)
     robot.publish_state(NAMES, [Q[0], 57.3, *Q[2:]], np.zeros(6))
-    text = f'{NAMES[1]} at 57.3 rad, limits -1.745 to 1.745: degrees?'
+    text = f'{NAMES[1]} is at 57.3 rad, outside its limits -1.745 to 1.745 (in degrees?)'
     wait_for_status('joint states', WARN, text)
     robot.wait_for_text(node, text)
     robot.publish_state(NAMES, Q, np.zeros(6))

@@ -240,7 +240,7 @@ def test_a_small_part_does_not_stand_for_the_link_that_carries_it():
         '</robot>',
     )
     capsules = capsules_of(urdf, load_urdf(urdf))
-    assert 'is assumed for fore (no shape around its centre of mass)' in capsules.notes[0]
+    assert 'is assumed for fore (it has no shape around its centre of mass)' in capsules.notes[0]
     is_assumed = np.isclose(capsules.radii, 0.05 * (0.4 + 0.3))
     assert is_assumed.any()
     assert (capsules.body[is_assumed] == 2).all()

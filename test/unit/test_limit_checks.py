@@ -43,7 +43,7 @@ def sentences(robot, positions, names=()):
 def test_degrees_are_recognised(robot):
     (finding,) = implausible_positions(robot, [0.0, 57.3, 0.0, 0.0])
     assert finding[:5] == ('joint2', 57.3, -2.97, 2.97, True)
-    text = 'joint2 at 57.3 rad, limits -2.97 to 2.97: degrees?'
+    text = 'joint2 is at 57.3 rad, outside its limits -2.97 to 2.97 (in degrees?)'
     assert str(finding) == text
 
 
@@ -54,10 +54,12 @@ def test_positions_close_to_the_limits_are_tolerated(robot, q2):
 
 def test_other_positions_outside_the_limits_are_reported_without_a_hint(robot):
     assert sentences(robot, [0.0, 4.0, -0.5, 0.0]) == [
-        'joint2 at 4 rad, limits -2.97 to 2.97',
-        'slide at -0.5 m, limits 0 to 0.04',
+        'joint2 is at 4 rad, outside its limits -2.97 to 2.97',
+        'slide is at -0.5 m, outside its limits 0 to 0.04',
     ]
-    assert sentences(robot, [0.0, 300.0, 0.0, 0.0]) == ['joint2 at 300 rad, limits -2.97 to 2.97']
+    assert sentences(robot, [0.0, 300.0, 0.0, 0.0]) == [
+        'joint2 is at 300 rad, outside its limits -2.97 to 2.97'
+    ]
 
 
 def test_the_worst_of_many_positions_is_reported(robot):
@@ -71,8 +73,8 @@ def test_the_worst_of_many_positions_is_reported(robot):
 def test_names_of_the_columns_may_be_given(robot):
     table = [[57.3, 0.02, 57.3], [0.0, 2.0, 57.3]]
     assert sentences(robot, table, ['joint2', 'slide', 'wheel']) == [
-        'joint2 at 57.3 rad, limits -2.97 to 2.97: degrees?',
-        'slide at 2 m, limits 0 to 0.04',
+        'joint2 is at 57.3 rad, outside its limits -2.97 to 2.97 (in degrees?)',
+        'slide is at 2 m, outside its limits 0 to 0.04',
     ]
     with pytest.raises(ValueError, match=r'shape \(2, 3\), expected \(\.\.\., 4\)'):
         implausible_positions(robot, table)
@@ -99,14 +101,16 @@ def test_joints_after_one_without_limits_are_checked(robot):
 
 def test_a_base_link_with_the_name_of_a_joint_does_not_matter():
     robot = load_urdf(URDF.replace('"base"', '"slide"'))
-    assert sentences(robot, [0.0, 0.0, 0.5, 0.0]) == ['slide at 0.5 m, limits 0 to 0.04']
+    assert sentences(robot, [0.0, 0.0, 0.5, 0.0]) == [
+        'slide is at 0.5 m, outside its limits 0 to 0.04'
+    ]
 
 
 def test_warnings_about_degrees_come_first_with_their_own_hint(robot):
     degrees, other = position_warnings(robot, [2.0, 57.3], ['slide', 'joint2'])
-    assert str(degrees) == 'joint2 at 57.3 rad, limits -2.97 to 2.97: degrees?'
+    assert str(degrees) == 'joint2 is at 57.3 rad, outside its limits -2.97 to 2.97 (in degrees?)'
     assert degrees.hint == 'convert the positions to radians'
-    assert str(other) == 'slide at 2 m, limits 0 to 0.04'
+    assert str(other) == 'slide is at 2 m, outside its limits 0 to 0.04'
     assert other.hint.startswith(
         'check units (rad, m), zero positions and the order of the joints'
     )

@@ -412,8 +412,8 @@ def test_warns_of_joints_far_outside_their_limits():
     status = part(Monitor().report(0.0, loop, FINE), 'joint states')
     assert status.level is Level.WARN
     assert status.message == (
-        'joint_2 at 57.3 rad, limits -1.745 to 1.745: degrees?; '
-        'joint_5 at 4 rad, limits -1.92 to 1.92'
+        'joint_2 is at 57.3 rad, outside its limits -1.745 to 1.745 (in degrees?); '
+        'joint_5 is at 4 rad, outside its limits -1.92 to 1.92'
     )
 
 

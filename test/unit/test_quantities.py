@@ -93,7 +93,7 @@ def test_out_of_another_shape_or_type_is_an_error(name, shape, rng):
         call(np.empty((*right, 2)))
     with pytest.raises(JointStateError, match='out has shape'):
         call(np.empty((*right[:-1], right[-1] + 1)))
-    with pytest.raises(JointStateError, match='out is of float32'):
+    with pytest.raises(JointStateError, match='out has type float32'):
         call(np.empty(right, np.float32))
 
 

@@ -37,6 +37,7 @@ def no_code(*_: Any) -> int:
 
 
 NO_CODE = Code(no_code, no_code)
+NO_CODE_WARNING = 'no code could be generated, InverseDynamics is used instead: {!r}'
 
 
 class GeneratedDynamics:
@@ -83,7 +84,7 @@ class GeneratedDynamics:
             try:
                 self._code = write_out(self._table, block)
             except Exception as error:  # the internals of numba vary between versions
-                warnings.warn(f'using the general kernel: {error!r}', stacklevel=2)
+                warnings.warn(NO_CODE_WARNING.format(error), stacklevel=2)
         self._in_block, self._in_arrays = self._code
         self._compiled_mass_matrix: Callable[[Any, Any], int] | None = None
         self._mass_matrix: Callable[[Any, Any], int] = self._first_mass_matrix
@@ -153,7 +154,7 @@ class GeneratedDynamics:
             try:
                 self._compiled_mass_matrix = write_out_mass_matrix(self._table, self._traced)
             except Exception as error:
-                warnings.warn(f'using the general kernel: {error!r}', stacklevel=3)
+                warnings.warn(NO_CODE_WARNING.format(error), stacklevel=3)
         self._select_code()
         return self._mass_matrix(q, matrix)
 

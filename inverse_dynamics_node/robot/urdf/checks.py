@@ -82,7 +82,7 @@ def _check_name(
     """Check that an element has a name, and that the name is unique if a table is given."""
     kind, name = tag(element), element.get('name')
     if not name:
-        problems.error(element, f'<{kind}> without a name')
+        problems.error(element, f'<{kind}> has no name')
     elif is_xacro(name):
         problems.error(element, f'{kind} name {quoted(name)} looks like unprocessed xacro')
     elif by_name is not None and by_name[name] is not element:
@@ -212,7 +212,7 @@ def check_missing_inertials(
         child.get('link') for joint in joints.values() for child in joint if tag(child) == 'child'
     }
     text = 'has a shape but no <inertial>; it is treated as massless'
-    hint = 'write <inertial>, from CAD; without it the weight of this link is not compensated'
+    hint = 'write <inertial> from CAD; without it, the weight of this link is not compensated'
     for name, link in links.items():
         parts = {tag(part) for part in link}
         if name not in children or 'inertial' in parts or not parts & {'visual', 'collision'}:

@@ -190,10 +190,10 @@ def check_children(
             continue
         count = f'{len(found[kind])} <{kind}> elements'
         if kind == READ_ONCE:
-            hint = 'remove the others; this is the one that ROS tools use'
+            hint = 'remove the others; ROS tools use the first one, too'
             problems.warning(found[kind][1], where, f'{count}; only the first one is used', hint)
         else:
-            problems.error(found[kind][1], f'{where}: {count}, at most one allowed')
+            problems.error(found[kind][1], f'{where}: {count}, at most one is allowed')
     return {kind: found[kind][0] for kind in kinds if found[kind]}
 
 
@@ -203,7 +203,7 @@ def warn_if_misspelt(
     """Warn if the name of an element is wrong only in upper and lower case."""
     kind = tag(element)
     if kind not in kinds and kind.lower() in kinds:
-        text = f'<{kind}> ignored; URDF spells it <{kind.lower()}>'
+        text = f'<{kind}> is ignored; URDF spells it <{kind.lower()}>'
         problems.warning(element, where, text, _SPELLING)
 
 
@@ -233,7 +233,7 @@ def check_attributes(
                 problems.error(element, f'{where} {what}: {numbers}')
             elif name in rule.not_negative and numbers[0] < 0.0:
                 negative = f'{shortened(text.strip())} is negative'
-                hint = '; for no limit write a large number' if kind == 'limit' else ''
+                hint = '; without a limit, write a large number' if kind == 'limit' else ''
                 problems.error(element, f'{where}: {what} {negative}{hint}')
             else:
                 values[name] = numbers
@@ -299,7 +299,7 @@ def _check_quaternion(
     version = version_of(origin)
     if version in VERSIONS and version not in VERSIONS_WITH_QUATERNIONS:
         # In these files, urdfdom ignores the attribute, and therefore the rotation.
-        text = f'quat_xyzw needs <robot version="1.1">, found version {version}; or write rpy'
+        text = f'quat_xyzw needs <robot version="1.1"> instead of {version}; otherwise write rpy'
         problems.error(origin, f'{where}: {text}')
     if 'rpy' in origin.attrib:
         problems.error(origin, f'{where} has both rpy and quat_xyzw, expected one of them')
@@ -312,7 +312,7 @@ def _check_quaternion(
         problems.error(origin, f'{subject}: {text}, expected 1')
     elif abs(norm - 1.0) > UNIT_TOLERANCE:
         hint = 'harmless; write a quaternion of norm 1'
-        problems.warning(origin, subject, f'{text}; normalised', hint)
+        problems.warning(origin, subject, f'{text}; it is normalised', hint)
 
 
 # Links
@@ -357,11 +357,11 @@ def _warn_of_odd_inertia(
     largest = max(abs(moment) for moment in moments)
     if largest == 0.0:
         if mass > 0.0:
-            text = f'mass {mass:g} kg with zero inertia'
+            text = f'the mass is {mass:g} kg, but the inertia is zero'
             problems.warning(inertial, where, text, _TENSOR_HINT)
         return
     if mass == 0.0:
-        text = 'zero mass with inertia; the inertia is kept'
+        text = 'the mass is zero, but the inertia is not; the inertia is kept'
         hint = 'correct for the rotor of a motor; otherwise write the mass'
         problems.warning(inertial, where, text, hint)
     ixx, ixy, ixz, iyy, iyz, izz = (moment / largest for moment in moments)
@@ -374,13 +374,13 @@ def _warn_of_odd_inertia(
         problems.warning(inertial, where, text, _TENSOR_HINT)
     elif small + middle < large - slack:
         text = (
-            f'impossible inertia: of its principal moments {values} kg m^2 one exceeds the sum '
+            f'impossible inertia: one of its principal moments ({values} kg m^2) exceeds the sum '
             'of the others'
         )
         problems.warning(inertial, where, text, _TENSOR_HINT)
     if mass > 0.0 and large * largest > _MAX_GYRATION**2 * mass:
         text = f'radius of gyration is more than {_MAX_GYRATION:g} m; inertias are in kg m^2'
-        hint = 'convert the inertia to kg m^2; CAD often exports g mm^2, 1e9 times that'
+        hint = 'convert the inertia to kg m^2: numbers in g mm^2, from CAD, are 1e9 times larger'
         problems.warning(inertial, where, text, hint)
 
 
@@ -389,7 +389,7 @@ def _warn_of_odd_inertia(
 _LIMITED_TYPES = ('revolute', 'prismatic')
 _UNSUPPORTED_TYPES = {
     'planar': 'use two prismatic joints and a continuous one, with massless links between them',
-    'floating': 'remove it: the base may move, its motion is an input',
+    'floating': 'remove it: the motion of the base is an input',
 }
 
 MIN_AXIS_LENGTH = 1e-6
@@ -438,15 +438,15 @@ def _check_axis(
     where = label(joint)
     if axis is None:
         hint = 'write <axis xyz="..."/>, in the frame of the joint'
-        problems.warning(joint, where, 'no <axis>; 1 0 0 is used', hint)
+        problems.warning(joint, where, '<axis> is missing; 1 0 0 is used', hint)
     if 'xyz' not in values:
         return
     length = math.hypot(*values['xyz'])
     if length < MIN_AXIS_LENGTH:
-        text = f"axis has (near) zero length: '{written(axis, 'xyz')}'"
+        text = f"the length of axis '{written(axis, 'xyz')}' is almost zero"
         problems.error(axis, f'{where}: {text}')
     elif abs(length - 1.0) > UNIT_TOLERANCE:
-        text = f"axis '{written(axis, 'xyz')}' has length {length:g}; normalised"
+        text = f"axis '{written(axis, 'xyz')}' has length {length:g}; it is normalised"
         problems.warning(axis, where, text, 'harmless; write an axis of length 1')
 
 
@@ -484,9 +484,9 @@ def _check_range(
         problems.error(limit, f'{where}: limit lower {lower:g} > upper {upper:g}{hint}')
     elif missing:
         text = f'<limit> has no {" and no ".join(missing)}; 0 is used'
-        problems.warning(limit, where, text, 'write both ends, in rad or m')
+        problems.warning(limit, where, text, 'write both limits, in rad or m')
     elif lower == upper:
-        text = f'limit lower = upper = {lower:g}: it cannot move'
+        text = f'the lower and upper limits are both {lower:g}: the joint cannot move'
         problems.warning(limit, where, text, 'write a range, or make the joint fixed')
     if kind == 'revolute' and max(abs(lower), abs(upper)) > _MAX_TURN:
         text = f'limits {lower:g} to {upper:g} are many turns; angles are in radians'
@@ -505,4 +505,4 @@ def check_mimic(
     elif master == joint.get('name'):
         problems.error(mimic, f'{where} mimics itself')
     elif joints[master].get('type') == 'fixed':
-        problems.error(mimic, f"{where} mimics '{master}' of type fixed")
+        problems.error(mimic, f"{where} mimics '{master}', which is fixed")

@@ -58,7 +58,7 @@ def _shape(link: str, collision: Element, folder: Path | None) -> Shape:
     mesh = _mesh(solid, folder)
     vertices = np.asarray(mesh.vertices, float) @ rotation.T + position
     if not len(mesh.faces) or not np.isfinite(vertices).all():
-        raise ValueError(f'<{tag(solid)}> has no triangles, or numbers that are not finite')
+        raise ValueError(f'<{tag(solid)}> has no triangles, or its coordinates are not finite')
     return Shape(link, vertices, np.asarray(mesh.faces))
 
 

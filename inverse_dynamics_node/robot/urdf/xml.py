@@ -75,7 +75,7 @@ def _read_file(path: str | os.PathLike[str]) -> tuple[bytes, int]:
         with open(path, 'rb') as file:
             data = file.read(MAX_BYTES + 1)
     except OSError as error:
-        hint = "; XML text would start with '<'" if isinstance(path, str) else ''
+        hint = "; XML text starts with '<'" if isinstance(path, str) else ''
         raise UrdfError([f'cannot be read: {error.strerror}{hint}'], name) from error
     except ValueError as error:  # a NUL or a lone surrogate in the path
         raise UrdfError([f'cannot be read: {error}'], name) from error
@@ -165,7 +165,7 @@ def _without_odd_declaration(source: Source) -> tuple[Source, list[ModelWarning]
         return source, []
     written = found[0].removeprefix(b'\xef\xbb\xbf').strip().decode('ascii', 'replace')
     data, encoding = blank_declaration(source.data), declared_encoding(source.data)
-    text = f'invalid XML declaration {shortened(written)} ignored'
+    text = f'invalid XML declaration {shortened(written)} is ignored'
     warning = ModelWarning(text, "harmless; write <?xml version='1.0'?>", line=1)
     return source._replace(data=data, encoding=source.encoding or encoding), [warning]
 
@@ -180,7 +180,7 @@ def _undeclared_prefixes(log: Any) -> list[ModelWarning]:
         first_lines.setdefault(entry.message, entry.line)
     hint = 'harmless; declare the namespace, or remove the element or attribute'
     return [
-        ModelWarning(f'{message}; ignored', hint, line=line)
+        ModelWarning(f'{message}; it is ignored', hint, line=line)
         for message, line in first_lines.items()
     ]
 
