@@ -128,7 +128,7 @@ def is_free(out: Floats, others: Sequence[Floats]) -> bool:
 
 
 def read_joints(name: str, values: ArrayLike, n: int, is_signed: bool = False) -> Floats:
-    """Convert one number, or one per joint, to shape (n,); refuse negative ones unless signed."""
+    """Convert one number, or one per joint, to n numbers; negative only if ``is_signed``."""
     try:
         numbers = np.broadcast_to(np.asarray(values, dtype=np.float64), (n,))
     except (TypeError, ValueError):

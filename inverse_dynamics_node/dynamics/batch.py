@@ -118,7 +118,7 @@ def _blocks(
     robot: Any,
     rows: Any,
 ) -> int:
-    """Compute the states, which are columns here, in blocks; regressors only if R_LZ has rows."""
+    """Compute efforts, or regressors if R_LZ has rows, in blocks; the states are columns here."""
     place, motion, q, qd, qdd, residue, wrench, tau, frames, turned, factors = rows
     last = all_q.shape[1] - LANES
     hold_base(robot, motion)

@@ -196,7 +196,7 @@ class JointWrenches(NamedTuple):
     """
     Force and moment at the joints of b bodies, shape (..., b, 3), as in ``robot.body_names``.
 
-    Each row is the wrench that the parent exerts on a body. Its axes and its reference point are
+    Each row is the wrench that the parent exerts on a body. The axes and the reference point are
     those of the URDF frame of the joint. The first row is the wrench of the mount on the base.
 
     """

@@ -877,7 +877,7 @@ class InverseDynamics:
 
     @cached_property
     def _regressor(self) -> Callable[..., int]:
-        """Like the functions below, compiled at first use, because most programs never use it."""
+        """The regressor function, compiled at first use, because most programs never use it."""
         return prepared(regressor.regressor, 1, 1, 1, 2, 2, 2)
 
     @cached_property

@@ -133,7 +133,8 @@ def gravity_efforts(q: Sequence[float], tau: Any, robot: Any) -> int:
     Compute the joint efforts that hold the robot still on a base that does not rotate.
 
     The efforts are those of `inverse_dynamics` without velocities and accelerations. Every link
-    then has the acceleration of the base. Arguments and status are those of `inverse_dynamics`.
+    then has the acceleration of the base, in its own frame. Arguments and status are those of
+    `inverse_dynamics`.
 
     """
     n = int(robot[0][JOINT_COUNT])

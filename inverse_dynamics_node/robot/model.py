@@ -101,9 +101,7 @@ class RobotModel:
     offset: Floats
     """Position offsets of the b bodies, see ``multiplier``, shape (b,) [rad or m]."""
     R_PL: Floats
-    """
-    Rotations from the frames of the b bodies to their parents' at position 0, shape (b, 3, 3).
-    """
+    """Rotations from the frames of b bodies to their parents at position 0, shape (b, 3, 3)."""
     p_PL: Floats
     """Origins of the b bodies in their parents' frames at position 0, shape (b, 3) [m]."""
     axis: Floats
@@ -115,7 +113,7 @@ class RobotModel:
     com: Floats
     """Centres of mass in the frames of the b bodies, shape (b, 3) [m]."""
     inertia: Floats
-    """Inertias of the b bodies about centre of mass, in body axes, shape (b, 3, 3) [kg m^2]."""
+    """Inertias of b bodies about the centre of mass, in body axes, shape (b, 3, 3) [kg m^2]."""
 
     link_names: tuple[str, ...]
     """Names of all k links of the URDF, including merged ones, in file order; length k."""
