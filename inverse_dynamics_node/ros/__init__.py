@@ -1,1 +1,1 @@
-"""Plumbing between ROS and the core, without policy."""
+"""Connects ROS to the other parts of the package."""

@@ -1,9 +1,10 @@
 """
 Reads serialized joint states and writes serialized commands.
 
-Deserializing a message takes longer than the dynamics. A publisher, however, always sends the same
-joint names. Only its first message is deserialized; later ones have the same layout, and their
-numbers are read in place. What the receiver makes of the names is kept with the layout.
+Deserializing a message takes longer than the dynamics. However, a publisher always sends the same
+joint names. Therefore only its first message is deserialized. Later messages have the same layout,
+and their numbers are read in place. The layout also keeps the object that the receiver has made
+from the names.
 """
 
 from __future__ import annotations
@@ -23,14 +24,14 @@ _CDR_LITTLE_ENDIAN = b'\x00\x01\x00\x00'
 _HEADER = len(_CDR_LITTLE_ENDIAN)  # alignment is relative to the end of the header
 _STAMP = 8  # [bytes]
 _NUMBER = np.dtype('<f8')
-_MAX_LAYOUTS = 16  # more than this many layouts mean that names change with every message
+_MAX_LAYOUTS = 16  # with more layouts, the names seem to change with every message
 
 
 class JointStateArrays(NamedTuple):
     """Contents of a joint state; lengths and values are not checked."""
 
     joints: Any
-    """The names, or what was prepared for them."""
+    """Joint names, or the object that was prepared from them."""
     positions: Floats
     velocities: Floats
     efforts: Floats
@@ -40,12 +41,8 @@ class JointStateReader:
     """
     Reads serialized joint states, fast if the layout of the message is known.
 
-    Parameters
-    ----------
-    prepare : callable
-        Makes `JointStateArrays.joints` from the names; called once for the messages of a publisher
-        in most cases.
-
+    `prepare` makes `JointStateArrays.joints` from the names. In most cases it is called once for
+    each publisher.
     """
 
     def __init__(self, prepare: Callable[[tuple[str, ...]], Any] = tuple) -> None:
@@ -54,23 +51,9 @@ class JointStateReader:
 
     def read(self, data: bytes) -> JointStateArrays:
         """
-        Read one message.
+        Read one message from a raw subscription; the arrays are read-only views in most cases.
 
-        Parameters
-        ----------
-        data : bytes
-            The message as received by a raw subscription.
-
-        Returns
-        -------
-        arrays : JointStateArrays
-            Read-only: usually these are views of `data`.
-
-        Raises
-        ------
-        JointStateError
-            If `data` is not a JointState, or from `prepare`.
-
+        Raise a JointStateError if `data` is not a JointState. `prepare` may raise one too.
         """
         for layout in self._layouts:
             if layout.fits(data):
@@ -80,7 +63,7 @@ class JointStateReader:
     def _deserialize(self, data: bytes) -> JointStateArrays:
         try:
             message = deserialize_message(data, JointState)
-        except Exception:  # the type depends on the middleware
+        except Exception:  # the type of the error depends on the middleware
             raise JointStateError(f'{len(data)} bytes are not a JointState') from None
         numbers = [np.asarray(x) for x in (message.position, message.velocity, message.effort)]
         arrays = JointStateArrays(self._prepare(tuple(message.name)), *numbers)
@@ -102,35 +85,22 @@ class JointStateReader:
 
 
 def serialize_numbers(numbers: Floats) -> bytes:
-    """
-    Serialize a Float64MultiArray without dimensions.
-
-    Parameters
-    ----------
-    numbers : ndarray, shape (m,)
-        The `data` of the message.
-
-    Returns
-    -------
-    data : bytes
-        Serialized message, for a publisher of this type.
-
-    """
-    # No dimensions, data_offset 0, number of values, padding.
+    """Serialize numbers, shape (m,), as a Float64MultiArray without dimensions."""
+    # The header: no dimensions, data_offset 0, the number of values, and padding.
     head = struct.pack('<4s3I4x', _CDR_LITTLE_ENDIAN, 0, 0, len(numbers))
     return head + numbers.astype(_NUMBER, copy=False).tobytes()
 
 
 class _Layout(NamedTuple):
-    """Places of the arrays in a message, and everything that identifies messages like it."""
+    """Places of the arrays in a message, and the data that identify similar messages."""
 
     pattern: struct.Struct
-    """Unpacks texts and counts; skips the stamp, padding and numbers."""
+    """Unpacks texts and array lengths; skips the stamp, padding and numbers."""
     fixed: tuple[Any, ...]
-    """Texts and counts."""
+    """Texts and array lengths that all messages with this layout contain."""
     joints: Any
     places: tuple[tuple[int, int], ...]
-    """Count and offset of positions, velocities and efforts."""
+    """Length and byte offset of positions, velocities and efforts."""
 
     def fits(self, data: bytes) -> bool:
         return len(data) == self.pattern.size and self.pattern.unpack(data) == self.fixed
@@ -146,7 +116,7 @@ class _Layout(NamedTuple):
 
 
 def _find_layout(data: bytes, joints: Any) -> _Layout:
-    """Walk through a message that could be deserialized, and note where everything is."""
+    """Return the layout of a message that has been deserialized successfully."""
     pattern, at = [f'<{_HEADER}s{_STAMP}x'], _HEADER + _STAMP
     places = []
 

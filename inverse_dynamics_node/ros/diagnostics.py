@@ -1,8 +1,8 @@
 """
 Writes `NodeStatus` to ``/diagnostics`` in the format of REP-107, and reads it back.
 
-The keys and formats are declared with the values. Both directions use the same kind of text for a
-value, so a value that was read back has the precision of that text.
+Each field of the status declares its key and format. Writing and reading use the same text, so a
+value that was read has only the precision of that text.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _NONE = 'none'
 
 
 class _Kind(NamedTuple):
-    """How values of one type are written, and read; reading another text is a ValueError."""
+    """Functions that write and read values of one type; an unreadable text is a ValueError."""
 
     write: Callable[[Any], str]
     read: Callable[[str], Any]
@@ -65,7 +65,7 @@ def _list_of(item: _Kind) -> _Kind:
 
 @dataclass(frozen=True)
 class _Key:
-    """The key of a value, or those of several."""
+    """The key of a value; a ``*`` in the key stands for the name or number of each item."""
 
     value: str
     name: str
@@ -74,7 +74,7 @@ class _Key:
     is_counted: bool
 
     def write(self, value: Any) -> dict[str, str]:
-        """Return keys and texts."""
+        """Return the text of the value for each key."""
         if value is None:
             return {self.name: self.absent} if self.absent else {}
         if '*' not in self.name:
@@ -83,7 +83,7 @@ class _Key:
         return {self.name.replace('*', str(name)): str(each) for name, each in pairs}
 
     def read(self, values: Mapping[str, str]) -> Any:
-        """Return the value, or None if it is not among these keys and texts."""
+        """Read the value from texts by key; return None if the value is missing."""
         if '*' not in self.name:
             text = values.get(self.name, self.absent)
             return None if text == self.absent else self.kind.read(text)
@@ -121,7 +121,7 @@ _KEYS: dict[type[Part], list[_Key]] = {part: _keys(part) for part in _PARTS.valu
 
 
 def write_values(part: Part) -> dict[str, str]:
-    """Return the keys and values of a part."""
+    """Return the text of each value of a part by key."""
     values: dict[str, str] = {}
     for key in _KEYS[type(part)]:
         values |= key.write(getattr(part, key.value))
@@ -130,22 +130,10 @@ def write_values(part: Part) -> dict[str, str]:
 
 def write_status(stamp: Any, node: str, status: NodeStatus) -> DiagnosticArray:
     """
-    Make the message for ``/diagnostics``.
+    Return the message for ``/diagnostics``, with long texts shortened.
 
-    Parameters
-    ----------
-    stamp : builtin_interfaces.msg.Time
-        Time stamp of the header.
-    node : str
-        Fully qualified name of the node; the names of the parts begin with it.
-    status : NodeStatus
-        The status.
-
-    Returns
-    -------
-    message : DiagnosticArray
-        The message, with long texts shortened.
-
+    The header gets the time `stamp`. The name of each part begins with the fully qualified name
+    `node`.
     """
     message = DiagnosticArray()
     message.header.stamp = stamp
@@ -167,20 +155,10 @@ def write_status(stamp: Any, node: str, status: NodeStatus) -> DiagnosticArray:
 
 def read_status(message: Any, node: str) -> NodeStatus | None:
     """
-    Read the status of a node.
+    Read the status of the node with the fully qualified name `node`.
 
-    Parameters
-    ----------
-    message : diagnostic_msgs.msg.DiagnosticArray
-        A message of any node, also of another version of this package.
-    node : str
-        Fully qualified name of the node.
-
-    Returns
-    -------
-    status : NodeStatus or None
-        Without the values that cannot be read. None if the message is from another node.
-
+    The message may come from any node, also from another version of this package. The status lacks
+    the values that cannot be read. Return None if the message is from another node.
     """
     prefix = f'{node.strip("/")}: '
     parts = {

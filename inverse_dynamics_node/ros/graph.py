@@ -1,4 +1,4 @@
-"""Other nodes in the ROS graph."""
+"""Finds other nodes in the ROS graph."""
 
 from __future__ import annotations
 
@@ -11,25 +11,18 @@ from rclpy.lifecycle import LifecycleNode
 from ..control.status import Others, SimulatedTime
 from ..control.status_text import join_names
 
-_DISCOVERY = 1.0  # [s]; until then, publishers may not have been discovered yet
-_MAX_CHECKS = 10  # checks to wait for the name of a node whose subscription is known already
+_DISCOVERY = 1.0  # [s]; time allowed for the discovery of publishers
+_MAX_CHECKS = 10  # number of checks that wait for the node name of a known subscription
 _UNKNOWN = 'a node of unknown name'
 
 
 class Graph:
     """
-    Queries the ROS graph.
+    Queries the ROS graph for a node.
 
-    A query takes 1 to 50 us in a small graph and more in a large one: use slow timers only.
-
-    Parameters
-    ----------
-    node : LifecycleNode
-        This node.
-    *forms : publisher
-        The publishers of its commands, in each of their forms. Reported is the first one that has
-        subscribers.
-
+    A query takes 1 to 50 us in a small graph and longer in a large one: use slow timers only.
+    `forms` are the publishers that may carry the commands. Reports are about the first of these
+    publishers that has subscribers.
     """
 
     def __init__(self, node: LifecycleNode, *forms: Any) -> None:
@@ -44,12 +37,12 @@ class Graph:
         self.expect_discovery()
 
     def expect_discovery(self) -> None:
-        """Suppress reports of missing inputs for a second."""
+        """Suppress reports of missing inputs for one second."""
         self._discovered_at = time.monotonic() + _DISCOVERY
 
     @property
     def is_discovered(self) -> bool:
-        """Whether publishers of inputs have had a second to be discovered."""
+        """Whether publishers have had one second to be discovered."""
         return time.monotonic() >= self._discovered_at
 
     @property
@@ -78,13 +71,10 @@ class Graph:
 
     def subscriber_change(self) -> str:
         """
-        Report the first subscriber of the commands, or that the last one is gone.
+        Report the first subscriber to the commands, or the end of the last subscription.
 
-        Returns
-        -------
-        change : str
-            Empty if nothing has changed since the last call of this or of `with_subscribers`.
-
+        The text is empty if nothing has changed since the last call of this method or
+        `with_subscribers`.
         """
         commands = self._commands
         has_subscribers = bool(commands.get_subscription_count())
@@ -103,12 +93,10 @@ class Graph:
 
     def others(self) -> Others:
         """
-        Find nodes that interfere with this one.
+        Find nodes that interfere with this node and also existed at the previous call.
 
-        Only nodes that also existed at the previous call are returned: endpoints are discovered
-        before the names of their nodes, and a node that is shutting down disappears within a
-        second.
-
+        Publishers are discovered before the names of their nodes, and a node that shuts down
+        disappears within a second.
         """
         rivals: set[str] = set()
         commands = self._commands
@@ -145,7 +133,7 @@ class Graph:
         )
 
     def _rivals(self, commands: Any) -> set[str]:
-        """Return the other nodes that publish the same topic with the same type."""
+        """Return the other nodes that publish on the same topic with the same type."""
         kind = type_name(commands.msg_type)
         publishers = Counter(
             _name_of(info)
@@ -170,6 +158,6 @@ def _name_of(info: Any) -> str:
 
 
 def _joined(namespace: str, name: str) -> str:
-    if name == '_NODE_NAME_UNKNOWN_':  # used by the middleware
+    if name == '_NODE_NAME_UNKNOWN_':  # a placeholder of the middleware
         return _UNKNOWN
     return f'{namespace.rstrip("/")}/{name}'

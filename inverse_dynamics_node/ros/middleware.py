@@ -16,7 +16,7 @@ from ..errors import ConfigurationError
 LOCAL_PROFILE = str(Path(__file__).with_name('local_udp.xml'))
 
 _TRANSPORTS = 'FASTDDS_BUILTIN_TRANSPORTS'
-# Names in Fast DDS 2 and 3: a profile that is ignored would open the node to the network.
+# Names for Fast DDS 2 and 3. If a profile were ignored, the node would be open to the network.
 _PROFILES = 'FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE'
 _DEFAULT_PROFILES = 'DEFAULT_FASTRTPS_PROFILES.xml'  # read from the current folder if it exists
 _RANGE, _OLD_RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_LOCALHOST_ONLY'
@@ -30,22 +30,14 @@ def start_ros(arguments: Sequence[str] | None = None) -> None:
     """
     Initialize rclpy, without its signal handlers and without shared memory.
 
-    The first message to a new subscriber makes Fast DDS 2.14 open a port in shared memory, within
-    the call of the publisher. A race between the two processes can block this call for 0.33 s,
-    and a control loop with it (issue 6535 of Fast DDS). Messages take UDP instead, also within a
-    machine. The environment variables for this are set in this process, and its children inherit
-    them.
+    Before the first message to a new subscriber, Fast DDS 2.14 opens a port in shared memory,
+    within the call of the publisher. A race between the two processes can block this call, and
+    thus a control loop, for 0.33 s (issue 6535 of Fast DDS). Therefore messages use UDP, also
+    within a machine. The environment variables for UDP are set in this process, and its children
+    inherit them.
 
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        Arguments of ROS; by default those of the process.
-
-    Raises
-    ------
-    ConfigurationError
-        If ROS would start without the security that the environment asks for.
-
+    `arguments` are ROS arguments, by default those of the process. Raise a ConfigurationError if
+    ROS would start without the security that the environment requests.
     """
     rmw = get_rmw_implementation_identifier()
     check_security(rmw, os.environ)
@@ -57,23 +49,11 @@ def start_ros(arguments: Sequence[str] | None = None) -> None:
 
 def check_security(rmw: str, environment: Mapping[str, str]) -> None:
     """
-    Refuse settings with which ROS would start without security, in silence.
+    Raise a ConfigurationError if ROS would silently start without the requested security.
 
-    ROS compares texts: with ``True`` or ``1`` security is off, with ``enforce`` not enforced. Only
-    implementations on DDS read the enclave; rmw_zenoh ignores it.
-
-    Parameters
-    ----------
-    rmw : str
-        Identifier of the RMW implementation.
-    environment : mapping
-        The current environment variables.
-
-    Raises
-    ------
-    ConfigurationError
-        Naming the setting and the values that are possible.
-
+    ROS compares texts: ``True`` or ``1`` switches security off, and ``enforce`` does not enforce
+    it. Only implementations based on DDS read the enclave; rmw_zenoh ignores it. The error names
+    the setting and its possible values.
     """
     enabled, strategy = environment.get(_SECURITY, ''), environment.get(_STRATEGY, '')
     problems = []
@@ -96,7 +76,7 @@ def check_security(rmw: str, environment: Mapping[str, str]) -> None:
 
 
 def security_hints(error: Exception) -> list[str]:
-    """Say what to look at after an error of ROS with security; empty otherwise."""
+    """Return advice for an error of ROS if security is on; otherwise an empty list."""
     if os.environ.get(_SECURITY) != 'true' or not isinstance(error, RuntimeError):
         return []
     return [
@@ -108,7 +88,7 @@ def security_hints(error: Exception) -> list[str]:
 
 @contextmanager
 def explained_start() -> Iterator[None]:
-    """Raise the errors of starting ROS and creating a node as a ConfigurationError of one line."""
+    """Turn errors of starting ROS or creating a node into a ConfigurationError of one line."""
     try:
         yield
     except RuntimeError as error:  # the base of rclpy's errors, which have no public names
@@ -121,21 +101,10 @@ def udp_settings(rmw: str, environment: Mapping[str, str]) -> dict[str, str]:
     """
     Return the environment variables that keep Fast DDS from using shared memory.
 
-    Parameters
-    ----------
-    rmw : str
-        Identifier of the RMW implementation.
-    environment : mapping
-        The current environment variables.
-
-    Returns
-    -------
-    settings : dict
-        Empty for another middleware, and if the user has chosen other transports. With the
-        discovery range LOCALHOST, rmw_fastrtps asks for shared memory whatever the user has
-        chosen. A profile replaces the range then, except for static peers, which the profile
-        would have to list.
-
+    The result is empty for other middleware, and if the user has chosen other transports. With the
+    discovery range LOCALHOST, rmw_fastrtps requests shared memory whatever the user has chosen. A
+    profile then replaces the range, except with static peers, which the profile would have to
+    list.
     """
     profiles = {environment.get(name) or LOCAL_PROFILE for name in _PROFILES}
     has_other_transports = environment.get(_TRANSPORTS) not in (None, '', 'UDPv4')
@@ -145,7 +114,7 @@ def udp_settings(rmw: str, environment: Mapping[str, str]) -> dict[str, str]:
     is_old_local = environment.get(_OLD_RANGE) == '1'
     if environment.get(_RANGE, '') in _WIDE_RANGES and not is_old_local:
         return {_TRANSPORTS: 'UDPv4'}
-    has_peers = environment.get(_PEERS) and not is_old_local  # which ignores them
+    has_peers = environment.get(_PEERS) and not is_old_local  # the old variable ignores peers
     if has_peers or not os.access(LOCAL_PROFILE, os.R_OK):
         return {}
     return dict.fromkeys(_PROFILES, LOCAL_PROFILE)
@@ -153,7 +122,7 @@ def udp_settings(rmw: str, environment: Mapping[str, str]) -> dict[str, str]:
 
 @contextmanager
 def _hidden_range() -> Iterator[None]:
-    """Hide the discovery range from rcl, because the profile contains it."""
+    """Hide the discovery range from rcl, because the profile already contains it."""
     before = {name: os.environ.pop(name) for name in (_RANGE, _OLD_RANGE) if name in os.environ}
     os.environ[_RANGE] = 'SYSTEM_DEFAULT'
     try:

@@ -1,4 +1,4 @@
-"""Reads the topics of a running node, which may be on another machine; only subscribes."""
+"""Observes a running node, also on another machine, by subscribing to its topics."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ from .diagnostics import read_status
 from .middleware import explained_start, start_ros
 
 _MOST_WARNINGS = 50
-_RATES = 3  # reports, one per second
-_STALE = 0.5  # [s]; older efforts are unknown
-_LONGEST_GAP = 0.5  # [s]; the filters restart after it, as in the node
+_RATES = 3  # latest reports of the rate, one per second
+_STALE = 0.5  # [s]; older efforts are treated as unknown
+_LONGEST_GAP = 0.5  # [s]; the filters restart after a longer gap, as in the node
 _SETTLING = 0.3  # [s]; until the filters of this process and of the node agree
 _QUEUE = QoSProfile(depth=500, reliability=ReliabilityPolicy.BEST_EFFORT)
 _LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -44,7 +44,7 @@ class LogLine(NamedTuple):
     """A warning or an error in the log of the node."""
 
     time: float
-    """Stamp, seconds since 1970."""
+    """Time stamp, in seconds since 1970."""
     level: str
     """``WARN``, ``ERROR`` or ``FATAL``."""
     text: str
@@ -56,17 +56,17 @@ class Sample(NamedTuple):
     time: float
     """Steady time [s]."""
     positions: Floats
-    """As received, shape (n,) [rad or m]."""
+    """Positions as received, shape (n,) [rad or m]."""
     q: Floats
-    """The same, low-pass filtered like the signals below."""
+    """Positions after the low-pass filter, shape (n,) [rad or m]."""
     qd: Floats
-    """Velocities, shape (n,) [rad/s or m/s]."""
+    """Velocities after the low-pass filter, shape (n,) [rad/s or m/s]."""
     measured: Floats
-    """With `measured_effort_scale` of the node, shape (n,) [N m or N]."""
+    """Filtered efforts times the `measured_effort_scale` of the node, shape (n,) [N m or N]."""
     modelled: Floats
     """Efforts of the model for the measured motion, shape (n,) [N m or N]."""
     commands: Floats
-    """Not filtered, shape (n,) [N m or N]."""
+    """Commanded efforts without a filter, shape (n,) [N m or N]."""
 
 
 @contextmanager
@@ -74,13 +74,8 @@ def observing_node(arguments: Sequence[str] = ()) -> Iterator[Node]:
     """
     Yield a hidden node of this process, for `find_nodes` and `Observer`.
 
-    It has no services and no log topic. Signals are left to the caller.
-
-    Parameters
-    ----------
-    arguments : sequence of str
-        Arguments of ROS.
-
+    The node has no services and no log topic. The caller handles signals. `arguments` are ROS
+    arguments.
     """
     try:
         with explained_start():
@@ -110,33 +105,25 @@ def find_nodes(node: Node) -> list[str]:
 
 class Observer:
     """
-    Collects the messages of one node.
+    Collects the messages of the node with the fully qualified name `name`.
 
-    Messages are taken from the middleware when `poll` is called: an executor would call Python for
-    each of a thousand messages per second.
-
-    Parameters
-    ----------
-    node : Node
-        The node of this process.
-    name : str
-        Fully qualified name of the observed node.
-
+    `poll` takes the messages from the middleware. An executor would call Python code for each of a
+    thousand messages per second.
     """
 
     def __init__(self, node: Node, name: str) -> None:
         self._node, self.name = node, name
         self.status: NodeStatus | None = None
-        """The latest diagnostics; None before the first."""
+        """The latest diagnostics; None before the first message."""
         self.status_time = -np.inf
-        """Steady time at which they arrived [s]."""
+        """Steady time at which the latest diagnostics arrived [s]."""
         self._state_rates: deque[float] = deque(maxlen=_RATES)
         self.robot: RobotModel | None = None
         """The robot of the node; None if it is not known yet."""
         self.robot_problem = ''
-        """Why the robot description cannot be used."""
+        """Reason why the robot description cannot be used; empty if it can be used."""
         self.log: deque[LogLine] = deque(maxlen=_MOST_WARNINGS)
-        """Warnings and errors, the latest last."""
+        """The latest warnings and errors, in the order of their arrival."""
         self._diagnostics = self._subscribe(DiagnosticArray, self._diagnostics_topic(), qos.QUEUED)
         self._logs = self._subscribe(Log, '/rosout', _LOG)
         self._descriptions = self._subscribe(String, f'{name}/robot_description', qos.LATCHED)
@@ -146,7 +133,7 @@ class Observer:
         self._clear()
 
     def _clear(self) -> None:
-        """Forget all values of joints."""
+        """Forget the values of all joints."""
         count = len(self.robot.joint_names) if self.robot else 0
         self._index = {
             name: i for i, name in enumerate(self.robot.joint_names if self.robot else ())
@@ -159,15 +146,7 @@ class Observer:
         self._last_q: tuple[float, Floats] | None = None
 
     def poll(self) -> bool:
-        """
-        Handle the messages that have arrived.
-
-        Returns
-        -------
-        has_changed : bool
-            Whether the robot has changed, so that earlier samples must not be used.
-
-        """
+        """Handle new messages; return whether the robot has changed, which invalidates samples."""
         for message, _ in self._take(self._diagnostics, DiagnosticArray):
             status = read_status(message, self.name)
             if status is not None:
@@ -189,16 +168,15 @@ class Observer:
     @property
     def state_rate(self) -> float | None:
         """
-        Rate of joint states [Hz]: the highest of the last reports.
+        Highest rate of joint states in the last reports [Hz]; None before the second report.
 
         A single report may include a time in which the robot was not connected yet, or this
-        machine was suspended. None before the second report.
-
+        machine was suspended.
         """
         return max(self._state_rates) if len(self._state_rates) > 1 else None
 
     def sample(self) -> Sample:
-        """Return the latest values."""
+        """Return the latest values of all joints."""
         now = time.monotonic()
         q, qd, measured = self._filtered.copy()
         for joint, factor in (self.status.measured_scale() if self.status else {}).items():
@@ -237,7 +215,7 @@ class Observer:
         namespace, _, name = self.name.rpartition('/')
         try:
             published = self._node.get_publisher_names_and_types_by_node(name, namespace or '/')
-        except Exception:  # the node is not known yet; the type depends on the version
+        except Exception:  # the node is unknown; the type depends on the version
             published = []
         for topic, types in published:
             if 'diagnostic_msgs/msg/DiagnosticArray' in types:

@@ -15,31 +15,17 @@ from . import qos
 from .observer import Observer
 
 _PATIENCE = 10.0  # [s]; diagnostics come once a second
-_REPETITION = 3.0  # [s]; a message that is sent as topics are connected may be lost
-_PRECISION = 1e-3  # of the numbers in the diagnostics, relative
+_REPETITION = 3.0  # [s]; a message is lost if the subscriber is not ready yet
+_PRECISION = 1e-3  # relative precision of the numbers in the diagnostics
 _POLL = 0.02  # [s]
 
 
 def apply_payload(node: Node, observer: Observer, link: str, payload: RigidBody) -> None:
     """
-    Publish a payload, and wait until the node has it.
+    Publish a payload in the frame of its link, and wait until the node uses it.
 
-    Parameters
-    ----------
-    node : Node
-        The node of this process.
-    observer : Observer
-        The node to publish to.
-    link : str
-        Link that carries the payload.
-    payload : RigidBody
-        In the frame of the link.
-
-    Raises
-    ------
-    ConfigurationError
-        If the node does not take it, with the last line of its log.
-
+    If the node does not use it, raise a ConfigurationError with the last line of the log of the
+    node.
     """
     mass, com, inertia = payload
     message = InertiaStamped(

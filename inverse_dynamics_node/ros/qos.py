@@ -16,5 +16,5 @@ LATCHED = QoSProfile(
 
 
 def overridable() -> dict[str, QoSOverridingOptions]:
-    """Return the options of a topic whose quality of service can be set by parameters."""
+    """Return the options that let parameters set the quality of service of a topic."""
     return {'qos_overriding_options': QoSOverridingOptions.with_default_policies()}
