@@ -1,4 +1,4 @@
-"""Makes the control loop from the parameters, and applies changes while it runs."""
+"""Makes the control loop from the parameters, and applies changes while the loop runs."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _LOADS = ('include_gravity', *(each.name for each in fields(LoadSettings)))
 
 
 def make_loop(configuration: Configuration, robot: RobotModel, text: str) -> ControlLoop:
-    """Make the control loop as `build_loop` does; compile it, and make the slow first calls."""
+    """Build and compile the control loop, and make those calls that are slow the first time."""
     loop = build_loop(configuration, robot, text)
     loop.dynamics.gravity_efforts(np.zeros(len(loop.robot.joint_names)))
     complete(Trajectory(('x',), np.arange(2.0), np.zeros((2, 1))))  # imports the splines
@@ -39,27 +39,10 @@ def make_loop(configuration: Configuration, robot: RobotModel, text: str) -> Con
 
 def build_loop(configuration: Configuration, robot: RobotModel, text: str) -> ControlLoop:
     """
-    Make the control loop of a robot; takes less than a millisecond once `make_loop` has compiled.
+    Build the control loop of a robot with the URDF `text`.
 
-    Parameters
-    ----------
-    configuration : Configuration
-        The parameters.
-    robot : RobotModel
-        The robot.
-    text : str
-        Its URDF.
-
-    Returns
-    -------
-    loop : ControlLoop
-        The loop.
-
-    Raises
-    ------
-    InverseDynamicsError
-        If the parameters do not fit the robot.
-
+    This takes less than a millisecond once `make_loop` has compiled the code. Raise an
+    InverseDynamicsError if the parameters do not fit the robot.
     """
     loop = ControlLoop(
         robot,
@@ -87,7 +70,7 @@ def check_configuration(loop: ControlLoop, configuration: Configuration) -> None
 
 
 def _check_springs(loop: ControlLoop, of_joint: dict[str, Floats]) -> None:
-    """Refuse springs at continuous joints: a full turn in a reported position would be a jump."""
+    """Refuse springs at continuous joints: a full turn in a position would change the effort."""
     is_turning = loop.robot.is_continuous[loop.index]
     for k in np.flatnonzero(is_turning & (of_joint['spring_stiffness'] != 0.0)):
         raise ConfigurationError(
@@ -103,21 +86,9 @@ def apply_configuration(
     """
     Apply the parameters that may change while the loop runs.
 
-    Parameters
-    ----------
-    loop : ControlLoop
-        The loop for the same robot description and joints.
-    configuration : Configuration
-        The new values.
-    before : Configuration, optional
-        The previous values; only what differs from them is applied. A change of another parameter
-        does not undo a message on ~/gravity.
-
-    Raises
-    ------
-    ConfigurationError
-        If a list does not have one number for each commanded joint. Nothing has been changed.
-
+    Only values that differ from `before` are applied: a change of another parameter does not undo
+    a message on ~/gravity. Raise a ConfigurationError, and change nothing, if a list does not have
+    one number for each commanded joint.
     """
     changed = {
         name
@@ -141,7 +112,7 @@ def apply_configuration(
 def _apply_drives(
     loop: ControlLoop, configuration: Configuration, of_joint: dict[str, Floats]
 ) -> None:
-    """Set the drives and springs of the commanded joints; others have the friction of the URDF."""
+    """Set drives and springs of the commanded joints; others keep the friction of the URDF."""
     _check_springs(loop, of_joint)
     robot, zeros = loop.robot, np.zeros(len(loop.robot.joint_names))
 

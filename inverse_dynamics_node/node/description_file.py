@@ -1,4 +1,4 @@
-"""Finds the robot description: from the topic, a parameter or a file; runs xacro if needed."""
+"""Loads the robot description from the topic, a parameter or a file, with xacro if needed."""
 
 from __future__ import annotations
 
@@ -24,27 +24,10 @@ _XACRO = re.compile(r'(?P<file>.+\.xacro)(?P<arguments>(?:\s+\w+:=\S*)*)\s*', re
 
 def load_robot(configuration: Configuration, description: str) -> tuple[RobotModel, str]:
     """
-    Load the robot description.
+    Return the robot and the text of its URDF.
 
-    Parameters
-    ----------
-    configuration : Configuration
-        The parameters.
-    description : str
-        The URDF from the topic, used if no parameter gives one.
-
-    Returns
-    -------
-    robot : RobotModel
-        The robot.
-    text : str
-        Its URDF.
-
-    Raises
-    ------
-    InverseDynamicsError
-        If there is no description, or it cannot be used.
-
+    `description` is the URDF from the topic. It is used only if no parameter gives one. Raise an
+    InverseDynamicsError if there is no description, or the description cannot be used.
     """
     missing = configuration.on_missing_inertial.value
     if configuration.robot_description_file:
@@ -67,31 +50,13 @@ def load_robot(configuration: Configuration, description: str) -> tuple[RobotMod
 
 def load_file(given: str, on_missing_inertial: str) -> tuple[RobotModel, str]:
     """
-    Load the robot description from the parameter robot_description_file.
+    Return the robot and its URDF from the file in parameter robot_description_file.
 
-    Parameters
-    ----------
-    given : str
-        An absolute path, a path relative to the working directory or to a home directory (``~``),
-        ``file:///path`` or ``package://package/path``. If it ends in ``.xacro``, the file is
-        processed by xacro first; arguments ``name:=value`` may follow.
-    on_missing_inertial : str
-        See `load_urdf`.
-
-    Returns
-    -------
-    robot : RobotModel
-        The robot model.
-    description : str
-        The URDF as XML text.
-
-    Raises
-    ------
-    ConfigurationError
-        If the file or the package does not exist, or xacro cannot process the file.
-    UrdfError
-        If the file cannot be used.
-
+    `given` is an absolute path, a path relative to the working directory or to a home directory
+    (``~``), ``file:///path`` or ``package://package/path``. A file whose name ends in ``.xacro``
+    is processed with xacro first; arguments ``name:=value`` may follow the name. Raise a
+    ConfigurationError if the file or the package does not exist, or xacro fails. Raise a UrdfError
+    if the file cannot be used.
     """
     file, arguments = _split(given)
     try:
@@ -114,7 +79,7 @@ def load_file(given: str, on_missing_inertial: str) -> tuple[RobotModel, str]:
 
 
 def _split(given: str) -> tuple[str, dict[str, str] | None]:
-    """Return the file, and the arguments for xacro; None if the file is a URDF."""
+    """Return the file name, and the arguments for xacro; they are None if the file is a URDF."""
     match = _XACRO.fullmatch(given)
     if match is None:
         return given, None
@@ -133,24 +98,24 @@ def _load_xacro(
         ) from None
     try:
         text = xacro.process_file(str(path), mappings=arguments).toprettyxml(indent='  ')
-    except Exception as error:  # any: xacro evaluates Python expressions
+    except Exception as error:  # of any type: xacro evaluates Python expressions
         raise ConfigurationError(f'xacro: {error or repr(error)}') from None
     try:
         return load_urdf(text, on_missing_inertial), text
     except UrdfError as error:
-        # The problems have the line numbers of the output of xacro.
+        # The line numbers in the problems are those of the output of xacro.
         raise UrdfError(error.problems, f'output of xacro {path}') from None
 
 
 def _text_of(path: Path) -> str:
-    """Return a file that has been loaded, decoded, without comments."""
+    """Return the text of a URDF file, decoded and without comments."""
     root, _ = parse(read_source(path))
     etree.strip_tags(root, etree.Comment)
     return str(etree.tostring(root, encoding='unicode'))
 
 
 def _resolve(given: str) -> Path:
-    """Return the absolute path."""
+    """Return the absolute path of a file name or URI."""
     if given.startswith('package://'):
         package, _, rest = given.removeprefix('package://').partition('/')
         if not package or not rest:
@@ -177,7 +142,7 @@ def _share_directory(package: str) -> Path:
 
         return Path(get_package_share_directory(package, print_warning=False))
     except (LookupError, ValueError, OSError):
-        # Not found, not the name of a package, or no AMENT_PREFIX_PATH.
+        # The package is unknown, its name is invalid, or AMENT_PREFIX_PATH is not set.
         raise ConfigurationError(
             f"package '{package}' not found; AMENT_PREFIX_PATH is "
             + (prefixes or 'empty: source the setup.bash of the workspace')
@@ -188,15 +153,10 @@ def _share_directory(package: str) -> Path:
 
 class DescriptionLoader:
     """
-    Makes the control loop for a new robot description, which another process reads.
+    Makes the control loop for a new robot description while the old loop runs.
 
-    Reading takes tenths of a second, in which the robot must not be left without commands.
-
-    Parameters
-    ----------
-    worker : Worker
-        Reads the descriptions.
-
+    Reading takes tenths of a second, and the robot must get commands during this time. Therefore
+    `worker` reads the descriptions in another process.
     """
 
     def __init__(self, worker: Worker) -> None:
@@ -206,11 +166,11 @@ class DescriptionLoader:
 
     @property
     def is_loading(self) -> bool:
-        """Whether a description is being loaded, or its loop has not been taken yet."""
+        """Whether a description is being read, or its loop has not been taken yet."""
         return self._loading is not None
 
     def poll(self) -> bool:
-        """Start to read the description that waits; return whether a loop can be taken."""
+        """Start to read a waiting description if possible; return whether a loop can be taken."""
         is_ready = self._loading is not None and self._loading.done()
         if self._next is not None and (is_ready or self._loading is None):
             self._loading = self._worker.submit(load_robot, *self._next)
@@ -219,52 +179,23 @@ class DescriptionLoader:
         return is_ready
 
     def load(self, configuration: Configuration, description: str) -> None:
-        """
-        Load a description as soon as the one that is being read is done; it replaces both others.
-
-        Parameters
-        ----------
-        configuration : Configuration
-            The parameters.
-        description : str
-            The URDF as XML text.
-
-        """
+        """Read a description next. It replaces the one being read and the one that waits."""
         self._next = configuration, description
         self.poll()
 
     def drop(self) -> None:
-        """Ignore the description that is being read, and the one that waits."""
+        """Ignore the description that is being read, and the description that waits."""
         self._loading = self._next = None
 
     def take_loop(
         self, old: ControlLoop, configuration: Configuration, is_active: bool
     ) -> tuple[ControlLoop, list[str]]:
         """
-        Return the new loop, with the state of the old one.
+        Return the loop for the new description, and the removed links that had a payload.
 
-        Parameters
-        ----------
-        old : ControlLoop
-            The loop in use.
-        configuration : Configuration
-            The parameters, which may have changed since `load`.
-        is_active : bool
-            Whether the old loop commands the robot: the new one then continues from its last
-            command, otherwise only inputs such as payloads are copied.
-
-        Returns
-        -------
-        loop : ControlLoop
-            The loop for the new description.
-        dropped : list of str
-            Links with a payload that no longer exist.
-
-        Raises
-        ------
-        InverseDynamicsError
-            If the description cannot be used, or not instead of the old one.
-
+        If `is_active`, the new loop continues from the last command of the old loop. Otherwise it
+        copies only inputs such as payloads. The parameters may have changed since `load`. Raise an
+        InverseDynamicsError if the description cannot be used, or cannot replace the old one.
         """
         assert self._loading is not None
         loading, self._loading = self._loading, None

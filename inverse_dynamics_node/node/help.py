@@ -1,10 +1,9 @@
 """
-The texts that are generated from the declaration of parameters and topics, without ROS.
+Generates texts from the declarations of parameters and topics, without ROS.
 
-These are ``--help``, ``--policy``, config/inverse_dynamics.yaml, config/sros2/policy.xml and the
-parameter table of doc/interface.md. Run ``make parameters`` after a change of the declaration. It
-writes the three files, in a source tree only.
-
+The texts are ``--help``, ``--policy``, config/inverse_dynamics.yaml, config/sros2/policy.xml and
+the parameter table of doc/interface.md. Run ``make parameters`` after a change of a declaration,
+to write the three files of the source tree.
 """
 
 from __future__ import annotations
@@ -139,7 +138,7 @@ GROUPS = {
         'allow_unknown_parameters',
     ),
 }
-"""The parameters in the order of ``--help``, by the titles of their groups."""
+"""The parameters in the order of ``--help``, by the title of their group."""
 
 SUBSCRIBED = {
     'joint_states': ('sensor_msgs/JointState', 'measured state'),
@@ -177,7 +176,7 @@ SERVICES = {
 
 
 _WORDS = {"''": 'empty', "['']": 'all', 'None': 'none'}
-"""Names of defaults that are hard to read."""
+"""Words that replace defaults that are hard to read."""
 
 
 def help_text() -> str:
@@ -225,30 +224,17 @@ def _describe(name: str, parameter: Parameter) -> str:
 
 
 def enclaves_for(arguments: Sequence[str]) -> tuple[Enclave, ...]:
-    """List what a node with these arguments needs under SROS 2, and what is connected to it."""
+    """List the SROS 2 enclaves of a node with these arguments and of the programs around it."""
     return enclaves(arguments, SUBSCRIBED, PUBLISHED, SERVICES)
 
 
 def policy_for(arguments: Sequence[str]) -> str:
-    """Return the policy of SROS 2 for a node with these arguments."""
+    """Return the SROS 2 policy for a node with these arguments."""
     return policy(enclaves_for(arguments))
 
 
 def parameter_files(root: Path = _ROOT) -> dict[Path, str]:
-    """
-    Generate the files.
-
-    Parameters
-    ----------
-    root : Path
-        The source tree, with the hand-written part of doc/interface.md.
-
-    Returns
-    -------
-    files : dict
-        Complete text by path relative to `root`.
-
-    """
+    """Return the text of each generated file by its path relative to `root`, the source tree."""
     page = (root / _INTERFACE).read_text()
     generated = re.compile(f'{re.escape(_BEGIN)}.*{re.escape(_END)}', re.DOTALL)
     section = f'{_BEGIN}\n\n{parameter_table()}\n{_END}'
@@ -279,7 +265,7 @@ def parameter_file() -> str:
 
 
 def parameter_table() -> str:
-    """Return the table of all parameters in Markdown, and the details as a list below it."""
+    """Return a Markdown table of all parameters, and a list of their details below it."""
     parameters = {**PARAMETERS, _LOCKED_JOINT: LOCKED_POSITION}
     rows = [_row(name, parameter) for name, parameter in parameters.items()]
     details = [
@@ -313,7 +299,7 @@ def _comment(text: str) -> str:
 
 
 def main() -> int:
-    """Write the files, or without ``--write`` print the paths of those that would change."""
+    """Print the path of each file that is out of date; with ``--write``, write it, too."""
     for path, text in parameter_files().items():
         if (_ROOT / path).read_text() != text:
             print(path)

@@ -28,36 +28,24 @@ from .parameters import BaseMotion, Configuration
 from .runner import LoopRunner
 from .trajectory_filler import deserialize_trajectory, TrajectoryFiller
 
-_SMALL_CHANGE = 0.05  # of gravity, which is not logged
-_MAX_REFERENCE = 1 << 16  # [bytes]; reading it takes 2 ms, in which no command is sent
+_SMALL_CHANGE = 0.05  # relative change of gravity that is not logged
+_MAX_REFERENCE = 1 << 16  # [bytes]; reading takes 2 ms, during which no command is sent
 
 
 class Inputs:
-    """
-    Stores received messages in the control loop, and steps it for joint states.
-
-    Parameters
-    ----------
-    node : LifecycleNode
-        The node that subscribes.
-    runner : LoopRunner
-        Runs the loop that the messages are for.
-    filler : TrajectoryFiller
-        Handles trajectories.
-
-    """
+    """Stores received messages in the control loop, and steps the loop for each joint state."""
 
     def __init__(self, node: LifecycleNode, runner: LoopRunner, filler: TrajectoryFiller) -> None:
         self._runner, self._filler, self._log = runner, filler, runner.log
-        self._configuration: Configuration | None = None  # that the latest message was read with
+        self._configuration: Configuration | None = None  # used for the latest message
         self._reported_gravity: tuple[ControlLoop, Floats] | None = None
         self._checked_imu: tuple[ControlLoop, str] | None = None
-        self._collector: JointStateCollector | None = None  # that the reader prepares for
+        self._collector: JointStateCollector | None = None  # that the reader was made for
         self.last_joint_state = time.monotonic()
-        """Steady time of the last message on joint_states [s]; at first, of the start."""
+        """Steady time of the last message on joint_states, or of the start before it [s]."""
         self._R_BS: Floats = np.eye(3)
         self.state_count = 0
-        """Updates of all commanded joints since the start, by one message or several."""
+        """Number of times that all commanded joints have been updated since the start."""
         self._last_state = -math.inf
 
         def subscribe(
@@ -78,14 +66,14 @@ class Inputs:
         self._states = subscribe(
             JointState, 'joint_states', self._on_joint_state, qos.BEST_EFFORT, raw=True
         )
-        # Raw, because reading a long one takes seconds.
+        # Raw, because deserializing a long trajectory takes seconds.
         subscribe(JointTrajectory, '~/reference', self._on_reference, qos.RELIABLE, raw=True)
         subscribe(
             JointTrajectory, '~/joint_trajectory_in', self._on_trajectory, qos.RELIABLE, raw=True
         )
 
     def _use_parameters(self, loop: ControlLoop) -> Configuration:
-        """Return the parameters; after a change of any, report the next messages again."""
+        """Return the parameters; if any has changed, report the next messages again."""
         configuration = self._runner.configuration
         if configuration is not self._configuration:
             self._configuration = configuration
@@ -126,7 +114,7 @@ class Inputs:
             self._runner.step(now)
 
     def _measured_efforts(self, count: int, measured: Floats) -> Floats | tuple[()]:
-        """Return measured efforts if they are used, and NaN for missing ones."""
+        """Return the measured efforts, with NaN if missing; empty if no topic uses them."""
         if not self._runner.outputs.uses_measured_efforts:
             return ()
         if len(measured) == count:
@@ -190,7 +178,7 @@ class Inputs:
         self._handle('~/gravity', store)
 
     def _report_gravity(self, loop: ControlLoop, gravity: Floats) -> None:
-        """Report gravity that differs from the last report, and gravity that points up."""
+        """Report gravity if it differs from the last report; warn if it points up."""
         configuration = self._use_parameters(loop)
         if self._reported_gravity is not None and self._reported_gravity[0] is loop:
             change = np.linalg.norm(gravity - self._reported_gravity[1])
@@ -259,7 +247,7 @@ def _read_accelerations(
 
 
 def _read_reference(data: bytes, joints: Sequence[str], now: float) -> Reference:
-    """Read the first point by joint name; missing accelerations and efforts are zero."""
+    """Read the first point by joint name; missing accelerations and efforts become zero."""
     if len(data) > _MAX_REFERENCE:
         raise JointStateError(
             f'{len(data)} bytes, expected at most {_MAX_REFERENCE}: only the first point is used; '
@@ -296,7 +284,7 @@ def _read_reference(data: bytes, joints: Sequence[str], now: float) -> Reference
 
 
 def _read_payload(message: InertiaStamped) -> tuple[str, float, Floats, Floats]:
-    """Read a link, and the mass, the centre of mass and the inertia about it of a load on it."""
+    """Read the link, mass and centre of mass of a payload, and its inertia about that centre."""
     body = message.inertia
     inertia = [
         [body.ixx, body.ixy, body.ixz],
@@ -307,12 +295,12 @@ def _read_payload(message: InertiaStamped) -> tuple[str, float, Floats, Floats]:
 
 
 def _read_wrench(message: WrenchStamped) -> tuple[str, Floats, Floats]:
-    """Read a link, and the force and moment on it."""
+    """Read the link, force and moment of a wrench."""
     return _frame(message), _read_vector(message.wrench.force), _read_vector(message.wrench.torque)
 
 
 def _read_imu(message: Imu, R_BS: Floats) -> tuple[Floats, Floats]:
-    """Read a specific force and an angular velocity, and turn them into the frame of the base."""
+    """Read specific force and angular velocity, and rotate them into the frame of the base."""
     for what, covariance in (
         ('linear acceleration', message.linear_acceleration_covariance),
         ('angular velocity', message.angular_velocity_covariance),

@@ -1,4 +1,4 @@
-"""The log of the node: changes once, and lasting problems from time to time."""
+"""Log of the node: reports each change once, and repeats lasting problems."""
 
 from __future__ import annotations
 
@@ -25,23 +25,15 @@ from ..control.supervision import COMPUTING_PHASES, Phase, TOO_FAR_PHASES
 from ..errors import shortened_lines
 
 _PERIOD = 2.0  # [s]; between repetitions of a lasting problem
-_LONG_PERIOD = 10.0  # [s]; the same for problems that only a user can solve
+_LONG_PERIOD = 10.0  # [s]; between repetitions of a problem that only a user can solve
 _ALARMS = (Phase.STATE_LOST, Phase.NO_SOLUTION)
-_MOST_CHANGES = 6  # of activity, logged within _PERIOD
-_MOST_MESSAGES = 3  # of one topic, logged within _PERIOD
-_MAX_KEYS = 1000  # bounds the memory; beyond it, a message may be repeated early
+_MOST_CHANGES = 6  # changes of activity that are logged within _PERIOD
+_MOST_MESSAGES = 3  # reports on one topic that are logged within _PERIOD
+_MAX_KEYS = 1000  # limits the memory; with more keys, a message may be repeated early
 
 
 class BoundedLogger:
-    """
-    A logger that shortens lines: names from messages or files can make them very long.
-
-    Parameters
-    ----------
-    logger : rclpy.impl.rcutils_logger.RcutilsLogger
-        The logger that writes them.
-
-    """
+    """A logger that shortens long lines: names from messages or files can be very long."""
 
     def __init__(self, logger: Any) -> None:
         self._logger = logger
@@ -50,7 +42,7 @@ class BoundedLogger:
         return getattr(self._logger, name)
 
     def info(self, text: str, **options: Any) -> bool:
-        """Log a message as rclpy's logger does; the same for the methods below."""
+        """Log a message; the options are those of the logger of rclpy."""
         return bool(self._logger.info(shortened_lines(text), **options))
 
     def warning(self, text: str, **options: Any) -> bool:
@@ -70,23 +62,18 @@ class NodeLog:
     """
     Logs a problem once, and repeats it every few seconds while it lasts.
 
-    The throttle of rclpy's logger takes 0.2 ms even for a message that it suppresses.
-
-    Parameters
-    ----------
-    logger : rclpy.impl.rcutils_logger.RcutilsLogger
-        The logger of the node.
-
+    The logger of rclpy could limit repetitions, but would need 0.2 ms even for a message that it
+    drops.
     """
 
     def __init__(self, logger: Any) -> None:
         self._logger = logger
-        self._times: dict[Hashable, float] = {}  # of the last message, by its key
+        self._times: dict[Hashable, float] = {}  # time of the last message by key
         self._last_activity: tuple[Phase, bool] | None = None
-        self._changes: deque[float] = deque(maxlen=_MOST_CHANGES)  # times of the latest ones
+        self._changes: deque[float] = deque(maxlen=_MOST_CHANGES)  # times of the latest
         self._has_reported_imu = False
         self._last_parts: dict[str, tuple[Level, str]] = {}
-        self._message_times: dict[str, deque[float]] = {}  # of the latest reports, by topic
+        self._message_times: dict[str, deque[float]] = {}  # times of reports by topic
 
     def begin(self) -> None:
         """Report the next activity even if it is the same as before the last stop."""
@@ -94,25 +81,16 @@ class NodeLog:
         self._changes.clear()
 
     def warn(self, key: Hashable, text: str | Callable[[], str]) -> None:
-        """Warn, unless `key` was logged recently; a function creates the text only if needed."""
+        """Log a warning, unless one with this key was logged a moment ago."""
         if self._is_due(key):
             self._logger.warning(text if isinstance(text, str) else text())
 
     def report_message(self, topic: str, text: str, *, is_problem: bool = True) -> None:
         """
-        Report what became of a message.
+        Report the consequence of a message, as a warning if `is_problem`.
 
-        Every text is logged, unless it is the same as a moment ago, or there are too many.
-
-        Parameters
-        ----------
-        topic : str
-            The topic of the message.
-        text : str
-            The consequence of the message.
-        is_problem : bool
-            Whether the text is a warning.
-
+        Every text is logged, unless the same text was logged a moment ago or the topic has too
+        many texts.
         """
         times = self._message_times.setdefault(topic, deque(maxlen=_MOST_MESSAGES))
         now = time.monotonic()
@@ -126,18 +104,18 @@ class NodeLog:
             self._logger.info(f'{topic}: {text}')
 
     def report_conflicts(self, loop: ControlLoop, publishers: Sequence[str]) -> None:
-        """Report joints with contradicting positions, and the nodes that publish them."""
+        """Report joints with contradictory positions, and the nodes that publish joint states."""
         for joint, text in describe_alternating(loop, publishers).items():
             if self._is_due(('conflict', joint)):
                 self._logger.error(text)
 
     def report_silence(self, text: str) -> None:
-        """Report that no message arrives from connected publishers of joint states."""
+        """Report that publishers of joint states are connected, but no message arrives."""
         if text and self._is_due('silence'):
             self._logger.error(text)
 
     def report_robot(self, loop: ControlLoop) -> None:
-        """Report the robot that has been loaded, and the warnings about it."""
+        """Report the robot that has been loaded, and the warnings about its description."""
         robot, joints = loop.robot, loop.controller.joints
         for warning in robot.warnings:
             self._logger.warning(str(warning))
@@ -148,11 +126,11 @@ class NodeLog:
         )
 
     def report_waiting(self, missing: Callable[[], list[str]]) -> None:
-        """Name the inputs that are missing for the first command."""
+        """Report the inputs that are missing for the first command."""
         self.warn('waiting', lambda: f'no command yet: waiting for {" and ".join(missing())}')
 
     def report_part(self, name: str, part: Part | None) -> None:
-        """Report a part that is not OK, from time to time while it lasts, and its end."""
+        """Report repeatedly that a part of the status is not OK, and once that it is OK again."""
         if part is None:
             return
         last = self._last_parts.get(name, (Level.OK, ''))
@@ -174,7 +152,7 @@ class NodeLog:
         """Report a change of activity, and repeat the reason while efforts are held at zero."""
         controller = loop.controller
         phase = controller.phase
-        # The end of a ramp down is a change within a phase; that of a ramp up is not reported.
+        # The end of a ramp down is a change within a phase. The end of a ramp up is not reported.
         key = (phase, phase in COMPUTING_PHASES or controller.has_effort)
         if key != self._last_activity or phase in _ALARMS:
             self._report_activity(now, loop, key, is_dry_run)
@@ -188,7 +166,7 @@ class NodeLog:
             self.warn(('saturated', joints), lambda: _describe_saturated(loop, command))
 
     def report_lost_velocities(self, joints: Sequence[str], publishers: Sequence[str]) -> None:
-        """Warn of joints that are no longer reported with velocities, and name the cause."""
+        """Warn about joints that have lost their velocities, and name the publishers."""
         if self._is_due('velocities'):
             self._logger.warning(
                 f'joint_states: velocities of {", ".join(joints)} are taken as zero: earlier '
@@ -197,13 +175,13 @@ class NodeLog:
             )
 
     def report_implausible(self, loop: ControlLoop) -> None:
-        """Warn of joints far outside their position limits, from time to time."""
+        """Warn about joints that are far outside their position limits."""
         for joint, text in describe_implausible(loop).items():
             if self._is_due(('implausible', joint), _LONG_PERIOD):
                 self._logger.warning(text)
 
     def _report_imu(self, now: float, loop: ControlLoop) -> None:
-        """Report that the motion of the base is lost, from time to time, and its return."""
+        """Report repeatedly that the motion of the base is lost, and once that it is back."""
         text = describe_lost_imu(now, loop)
         if text and self._is_due('imu'):
             self._has_reported_imu = True
@@ -226,7 +204,7 @@ class NodeLog:
         if key == self._last_activity:
             is_due = steady - self._changes[-1] >= _PERIOD
         else:
-            # Several changes may follow each other at once, as when the clock jumps.
+            # Several changes may follow in quick succession, for example after a clock jump.
             is_due = len(self._changes) < _MOST_CHANGES or steady - self._changes[0] >= _PERIOD
         if not is_due:
             return  # the next step tries again, so that the latest activity is never missed

@@ -1,4 +1,4 @@
-"""The process: starts the node, spins it, and ramps the efforts down at the end."""
+"""Process of the node: starts and spins the node, and ramps the efforts down at the end."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from types import FrameType
 from typing import Any
 import warnings
 
-# rclpy and numpy are imported below, after the signal handlers have been installed: the import
-# takes most of a second, and a signal in this time should end the process cleanly too.
+# Functions below import rclpy and numpy after the signal handlers have been installed. The import
+# takes almost a second, and a signal during this time must end the process cleanly, too.
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _ADDRESS_SPACE = 1500 << 20  # [bytes]; rclpy, numpy and numba on two cores need 1.2 GB
@@ -24,15 +24,14 @@ _ADDRESS_SPACE = 1500 << 20  # [bytes]; rclpy, numpy and numba on two cores need
 
 class _Stop:
     """
-    Counts SIGINT, SIGTERM and SIGHUP.
+    Counts the signals SIGINT, SIGTERM and SIGHUP.
 
-    rclpy's own handler shuts communication down before a last command could be sent.
-
+    The handler of rclpy would end the communication before the node could send its last command.
     """
 
     def __init__(self) -> None:
         self.count = 0
-        # nohup ignores SIGHUP, and expects its child to do so.
+        # nohup ignores SIGHUP, and expects its child process to ignore it, too.
         self._numbers = [
             number
             for number in _SIGNALS
@@ -41,12 +40,12 @@ class _Stop:
         self.catch()
 
     def catch(self) -> None:
-        """Count the signals from now on."""
+        """Install the handlers that count the signals."""
         for number in self._numbers:
             signal.signal(number, self._handle)
 
     def release(self) -> None:
-        """Let the next signal end the process at once, even within a call that never returns."""
+        """Let the next signal end the process at once, even in a call that never returns."""
         for number in self._numbers:
             signal.signal(number, signal.SIG_DFL)
 
@@ -68,7 +67,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def run() -> None:
-    """Run `main` as a process, and end it at once: Python would clean up for a second."""
+    """Run `main`, then end the process at once: the cleanup of Python would take a second."""
     code = main()
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
@@ -91,7 +90,7 @@ def _main(args: list[str], stop: _Stop) -> int:
         return _print_policy(args)
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     if limit != resource.RLIM_INFINITY and limit < _ADDRESS_SPACE:
-        stop.release()  # until the node exists: libraries may wait forever for memory
+        stop.release()  # a library may wait forever for memory while the node is created
         _report(
             f'warning: the address space is limited to {limit >> 20} MB (ulimit -v), expected at '
             f'least {_ADDRESS_SPACE >> 20} MB; the process may fail to start, or hang'
@@ -131,7 +130,7 @@ def _start(args: list[str], stop: _Stop) -> int:
     except UnicodeEncodeError as error:
         return _fail(f'argument {error.object!r} is not UTF-8')
     except Exception as error:
-        if type(error).__name__ == 'UnknownROSArgsError':  # can be imported from nowhere public
+        if type(error).__name__ == 'UnknownROSArgsError':  # no public module exports it
             return _fail_with_usage(f'unrecognized ROS arguments: {str(error).strip("[]")}')
         return _fail('\n'.join([str(error), *expanded_tildes(args), *security_hints(error)]))
     try:
@@ -233,17 +232,16 @@ def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
 
 def _unblock_output() -> None:
     """
-    Make standard output and standard error safe to write to from the control loop.
+    Prevent writes to standard output and standard error from blocking the control loop.
 
-    Without a reader, text is dropped and the writer continues. rclpy's logger writes while it
-    holds Python's global lock, so that a write that blocks would stop all threads, and no thread
-    could take over the writing.
-
+    If nobody reads the output, text is dropped and the writer continues. The logger of rclpy
+    writes while it holds the global lock of Python. A blocked write would therefore stop all
+    threads, and no other thread could do the writing.
     """
     for number, name in ((1, 'stdout'), (2, 'stderr')):
         try:
             _unblock(number)
-        except OSError:  # closed: otherwise the next socket gets this number, and the log with it
+        except OSError:  # The output is closed. A new socket would get this number, and the log.
             _open_as(os.devnull, number, os.O_WRONLY)
         output: Any = _LossyOutput(number, 'w', closefd=False)
         setattr(sys, name, io.TextIOWrapper(output, errors='backslashreplace', write_through=True))
@@ -255,13 +253,13 @@ def _report(message: str) -> None:
 
 
 def _unblock(number: int) -> None:
-    """Open the same pipe or terminal again, non-blocking: other processes may use the first."""
+    """Open the same pipe or terminal again, non-blocking: other processes may use the old one."""
     mode = os.fstat(number).st_mode
     if stat.S_ISSOCK(mode):  # cannot be opened again
         os.set_blocking(number, False)
     elif stat.S_ISFIFO(mode) or stat.S_ISCHR(mode):
         flags = os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY
-        with contextlib.suppress(OSError):  # a terminal of another user, a pipe without a reader
+        with contextlib.suppress(OSError):  # terminal of another user, or pipe without a reader
             _open_as(f'/proc/self/fd/{number}', number, flags)
 
 
@@ -273,7 +271,7 @@ def _open_as(path: str, number: int, flags: int) -> None:
 
 
 class _LossyOutput(io.FileIO):
-    """A file that drops the text that cannot be written at once."""
+    """A file that drops any text that cannot be written at once."""
 
     def write(self, data: Any) -> int:
         with contextlib.suppress(OSError):

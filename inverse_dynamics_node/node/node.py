@@ -50,19 +50,11 @@ class InverseDynamicsNode(LifecycleNode):
     Publishes the joint efforts that produce the requested joint accelerations.
 
     Publishers, subscriptions and services exist as long as the node. The control loop and its
-    timers are created when the node is configured, and removed when it is cleaned up.
+    timers exist only while the node is configured.
 
-    Parameters
-    ----------
-    skip_ramp : callable, optional
-        Returns whether to cut the stop ramp short.
-    scheduling : Scheduling, optional
-        Sets the priority of the threads; created before the node.
-    worker : Worker, optional
-        Does long work while the loop runs; by default in a thread.
-    **kwargs
-        Passed to `LifecycleNode`.
-
+    `skip_ramp` returns whether to cut the stop ramp short. Create `scheduling` before the node.
+    `worker` does long work while the loop runs, by default in a thread. Other arguments are passed
+    to `LifecycleNode`.
     """
 
     def __init__(
@@ -93,7 +85,7 @@ class InverseDynamicsNode(LifecycleNode):
 
     def _create_parts(self, configuration: Configuration, skip_ramp: Callable[[], bool]) -> None:
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        now = time.monotonic  # the steady clock, read twenty times faster
+        now = time.monotonic  # reads the steady clock twenty times faster
         if self._uses_sim_time:
             now = lambda: self.get_clock().now().nanoseconds * 1e-9  # noqa: E731
         clock = self.get_clock() if self._uses_sim_time else steady
@@ -139,16 +131,11 @@ class InverseDynamicsNode(LifecycleNode):
 
     def autostart(self) -> bool:
         """
-        Configure and activate if the parameter autostart is set and a robot description is known.
+        Configure and activate if the parameter autostart is set and a robot is described.
 
-        Runs at most once: a node that was deactivated by hand stays down until it is activated by
-        hand.
-
-        Returns
-        -------
-        is_well : bool
-            False if the robot description or the parameters cannot be used.
-
+        After the first activation, this method does nothing: a node that was deactivated by hand
+        stays inactive until it is activated by hand. Return False if the robot description or the
+        parameters cannot be used.
         """
         if not self._may_autostart:
             return True
@@ -177,7 +164,7 @@ class InverseDynamicsNode(LifecycleNode):
         self._diagnostics.publish_if_late()
 
     def _keep_up(self) -> None:
-        """Answer the latest joint state before the executor handles further requests."""
+        """Handle the latest joint state before the executor handles further requests."""
         if self._runner.is_active:
             self._inputs.read_latest_joint_state()
             self._runner.step_if_late()
@@ -198,7 +185,7 @@ class InverseDynamicsNode(LifecycleNode):
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Start to command, from zero."""
+        """Start to send commands, which rise from zero."""
         assert self._runner.loop is not None
         result = super().on_activate(state)
         if result == _SUCCESS:
@@ -267,7 +254,7 @@ class InverseDynamicsNode(LifecycleNode):
     # Parameters
 
     def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Accept new values only if all of them together can be used."""
+        """Accept new values only if all of them can be used together."""
         try:
             self._check_change(parameters)
         except InverseDynamicsError as error:
@@ -275,7 +262,7 @@ class InverseDynamicsNode(LifecycleNode):
         return SetParametersResult(successful=True)
 
     def _check_change(self, parameters: list[Parameter]) -> None:
-        """Keep the new configuration for `_apply_parameters`, which rclpy calls next."""
+        """Check new values, and store them for `_apply_parameters`, which rclpy calls next."""
         before, changed = self.configuration, {}
         self._next_configuration = before
         for parameter in parameters:
@@ -305,7 +292,7 @@ class InverseDynamicsNode(LifecycleNode):
         self._next_configuration = after
 
     def _check_file_change(self, configuration: Configuration) -> None:
-        """Refuse a file that is chosen while the process runs, unless that is allowed."""
+        """Refuse another description file while the process runs, unless it is allowed."""
         allowed = configuration.allow_description_file_changes
         if allowed is FileChanges.NEVER:
             reason = 'is read when the process starts'

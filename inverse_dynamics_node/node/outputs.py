@@ -1,4 +1,4 @@
-"""The publishers of the control loop; optional topics are sent only if they have subscribers."""
+"""Publishers of the control loop; messages on optional topics go only to subscribers."""
 
 from __future__ import annotations
 
@@ -19,21 +19,11 @@ from ..ros import qos
 from ..ros.cdr import serialize_numbers
 
 TERM_TOPICS = ('inertial', 'velocity', 'gravity', 'friction', 'external')
-"""Last parts of the topics of the `EffortTerms` of the dynamics, in their order."""
+"""Names of the topics below ``~/terms``, in the order of the fields of `EffortTerms`."""
 
 
 class Outputs:
-    """
-    Publishes the commands, and on request how they were computed.
-
-    Messages are created once and reused.
-
-    Parameters
-    ----------
-    node : LifecycleNode
-        The node that publishes.
-
-    """
+    """Publishes commands and, for subscribers, how they were computed; reuses the messages."""
 
     def __init__(self, node: LifecycleNode) -> None:
         def publisher(kind: Any, topic: str) -> Any:
@@ -45,10 +35,10 @@ class Outputs:
         self._joint_commands = publisher(JointState, '~/joint_commands')
         own_name = f'{node.get_fully_qualified_name()}/joint_efforts'
         self.may_command_by_name: bool = self._joint_efforts.topic_name != own_name
-        """Whether ~/joint_efforts is remapped, as for a robot that takes commands by name."""
+        """Whether ~/joint_efforts is remapped, for a robot that takes commands by joint name."""
         by_name = [self._joint_efforts] * self.may_command_by_name
         self.forms: list[Any] = [self.commands, self._joint_commands, *by_name]
-        """The publishers of the commands, in each of their forms."""
+        """The publishers that may carry the commands."""
         self._terms = [publisher(JointState, f'~/terms/{term}') for term in TERM_TOPICS]
         self._external_efforts = publisher(JointState, '~/external_efforts')
         self._description = node.create_publisher(String, '~/robot_description', qos.LATCHED)
@@ -58,7 +48,7 @@ class Outputs:
         self._subscribed: set[Any] = set()
 
     def find_subscribers(self) -> None:
-        """Note which topics have subscribers; a check before every message would be too slow."""
+        """Store which topics have subscribers: a check before every message would be too slow."""
         self._subscribed = {
             publisher
             for publisher in (
@@ -73,44 +63,37 @@ class Outputs:
 
     @property
     def receivers(self) -> int:
-        """Number of subscribers of the commands, in each of their forms."""
+        """Number of subscribers to the commands, on all topics that may carry them."""
         return sum(form.get_subscription_count() for form in self.forms)
 
     @property
     def uses_measured_efforts(self) -> bool:
-        """Whether a topic that is computed from measured efforts has a subscriber."""
+        """Whether ``~/external_efforts``, which needs measured efforts, has a subscriber."""
         return self._external_efforts in self._subscribed
 
     def publish_description(self, loop: ControlLoop) -> None:
-        """Publish the URDF that the loop was made from, also to later subscribers."""
+        """Publish the URDF of the loop, also to nodes that subscribe later."""
         self._description.publish(String(data=loop.description))
 
     def publish_command(self, loop: ControlLoop, efforts: Floats, sent: Floats | None) -> None:
         """
-        Publish efforts of the commanded joints.
+        Publish efforts of the m commanded joints, shape (m,) [N m or N].
 
-        Parameters
-        ----------
-        loop : ControlLoop
-            The loop whose joints they are for.
-        efforts : ndarray, shape (m,)
-            Computed efforts [N m or N].
-        sent : ndarray, shape (m,), or None
-            Efforts for the robot [N m or N]; None in a dry run.
-
+        `efforts` are the computed efforts. `sent` are the efforts for the robot; None in a dry
+        run.
         """
         if sent is not None:
             self.commands.publish(serialize_numbers(sent))
             if self._joint_commands in self._subscribed:
                 self._publish_joint_commands(loop, sent)
             else:
-                loop.drive.weight = 0.0  # a driver that appears is led to the reference
+                loop.drive.weight = 0.0  # a driver that appears later is led to the reference
         by_name = sent if self.may_command_by_name else efforts
         if by_name is not None and self._joint_efforts in self._subscribed:
             self._publish_efforts(self._joint_efforts, loop.controller.joints, by_name)
 
     def describe_dry_run(self, to: str) -> str:
-        """Describe where efforts are published in a dry run; `to` names the topic without them."""
+        """Describe where a dry run publishes efforts; `to` names the topic that gets none."""
         if self.may_command_by_name:
             by_name = self._joint_efforts.topic_name
             return f'are computed: dry run, nothing is sent {to}, nor to {by_name}'

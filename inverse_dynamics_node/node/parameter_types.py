@@ -1,8 +1,7 @@
 """
-One parameter of the node: its type, default, unit and range, and the check of a value.
+Declares one parameter of the node: its type, default, unit and range; checks its values.
 
-Nothing here needs ROS, so that ``--help`` works without it.
-
+This module does not import ROS, so that ``--help`` works without ROS.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from ..control.settings import PerJoint
 from ..errors import ConfigurationError, plain
 
 UNBOUNDED = 1e9
-"""Largest magnitude of a number without a range of its own."""
+"""Largest magnitude of a number if its parameter declares no smaller limit."""
 
 
 @dataclass(frozen=True)
@@ -25,9 +24,9 @@ class Kind:
     """A type of parameter."""
 
     expected: str
-    """Describes the accepted values in messages."""
+    """Description of the accepted values, for error messages."""
     convert: Callable[[Any], Any]
-    """Converts a value for the `Configuration`; raises TypeError or ValueError."""
+    """Converts a value for the `Configuration`, or raises TypeError or ValueError."""
     choices: tuple[str, ...] = ()
     is_numeric: bool = False
 
@@ -45,7 +44,7 @@ def _flag(value: Any) -> bool:
 
 
 def _number(value: Any) -> float:
-    """Accept integers too: on a command line, users type 500 instead of 500.0."""
+    """Return a finite float. Integers are accepted, because users type 500 instead of 500.0."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise TypeError
     return float(value)
@@ -80,7 +79,7 @@ def _numbers(value: Any) -> PerJoint:
 
 
 def _names(value: Any) -> tuple[str, ...]:
-    """Accept None, which is how rclpy reports an empty list, and drop empty names."""
+    """Return the names that are not empty. None means no names: rclpy turns [] into None."""
     if isinstance(value, str):
         raise TypeError
     return tuple(_text(name) for name in value or () if name)
@@ -115,30 +114,30 @@ def kind_of(annotation: Any) -> Kind:
 
 @dataclass(frozen=True)
 class Parameter:
-    """Declaration of one parameter."""
+    """Declaration of one parameter of the node."""
 
     kind: Kind
     default: Any
-    """The value as in a parameter file."""
+    """Default value in the form of a parameter file."""
     summary: str
-    """One or two short sentences in Markdown without the last full stop, for tables."""
+    """One or two short Markdown sentences for tables, without the last full stop."""
     details: str = ''
-    """More sentences, also without the last full stop."""
+    """Further Markdown sentences, without the last full stop."""
     unit: str = ''
     minimum: float = -UNBOUNDED
     maximum: float = UNBOUNDED
     is_live: bool = True
-    """Whether a change applies at once; otherwise when the node is configured again."""
+    """Whether a change applies at once. If not, it applies when the node is configured again."""
     is_read_only: bool = False
-    """Whether the value is read only when the process starts."""
+    """Whether the value is read when the process starts, and cannot change later."""
     is_unlimited_at_zero: bool = False
-    """Whether 0 stands for an infinite limit."""
+    """Whether the value 0 means that there is no limit."""
     default_note: str = ''
-    """Describes a default that depends on the machine, or on how the node is started."""
+    """Description of a default that depends on the machine or on how the node is started."""
 
     @property
     def description(self) -> str:
-        """Summary with the unit after its first sentence, then the details, as plain text."""
+        """The summary with the unit after its first sentence, then the details, as plain text."""
         first, stop, rest = self.summary.partition('. ')
         unit = f' [{self.unit}]' if self.unit else ''
         text = f'{first}{unit}{stop}{rest}' + (f'. {self.details}' if self.details else '')
@@ -146,13 +145,13 @@ class Parameter:
 
     @property
     def range(self) -> tuple[float, float] | None:
-        """Smallest and largest number; None if there is no range."""
+        """Smallest and largest permitted number; None if there is no range."""
         has_range = self.kind.is_numeric and math.isfinite(self.minimum)
         return (self.minimum, self.maximum) if has_range else None
 
     @property
     def range_text(self) -> str:
-        """The range or the choices as text; empty if there are none."""
+        """Text of the range or the choices; empty if the parameter has neither."""
         if not self.range:
             return ', '.join(self.kind.choices)
         if self.maximum < UNBOUNDED:
@@ -161,7 +160,7 @@ class Parameter:
 
     @property
     def default_text(self) -> str:
-        """The default as in a parameter file, or the note on it."""
+        """Text of the default in a parameter file, or `default_note` if there is one."""
         if self.default_note:
             return self.default_note
         if isinstance(self.default, bool):
@@ -175,13 +174,13 @@ class Parameter:
 
     @property
     def applies(self) -> str:
-        """When a new value is used."""
+        """Text that says when a new value is used."""
         if self.is_read_only:
             return 'read when the process starts'
         return 'applies at once' if self.is_live else 'read when the node is configured'
 
     def check(self, value: Any) -> Any:
-        """Return the value for the `Configuration`, or raise a ConfigurationError."""
+        """Convert a value for the `Configuration`, or raise a ConfigurationError."""
         try:
             converted = self.kind.convert(value)
         except (TypeError, ValueError):
@@ -209,7 +208,7 @@ def _unlimited_where_zero(numbers: PerJoint) -> PerJoint:
 
 
 def _hint(value: Any) -> str:
-    """Explain a text that looks like a number."""
+    """Return an explanation if the value is text that looks like a number; otherwise nothing."""
     try:
         number = float(value) if isinstance(value, str) else math.nan
     except ValueError:
@@ -218,18 +217,6 @@ def _hint(value: Any) -> str:
 
 
 def parameter(default: Any, summary: str, details: str = '', **properties: Any) -> Any:
-    """
-    Declare a parameter as a field of a dataclass.
-
-    Parameters
-    ----------
-    default : object
-        The value as in a parameter file.
-    summary, details : str
-        See `Parameter`.
-    **properties
-        Further fields of `Parameter`.
-
-    """
+    """Declare a parameter as a field of a dataclass; the arguments are those of `Parameter`."""
     declaration = {'default': default, 'summary': summary, 'details': details, **properties}
     return field(metadata=declaration)

@@ -1,11 +1,10 @@
 """
 The parameters of the node, each declared once.
 
-The fields of `Configuration` are the declaration, with those of `Settings` and `LoadSettings` in
-control/settings.py, from which it inherits. The ROS parameters, the text of ``--help``,
-config/inverse_dynamics.yaml and the table in doc/interface.md are generated from them;
-`make parameters` writes the two files.
-
+A parameter is a field of `Configuration`, or of `Settings` or `LoadSettings` in
+control/settings.py, from which `Configuration` inherits. The ROS parameters, the text of
+``--help``, config/inverse_dynamics.yaml and the parameter table of doc/interface.md are generated
+from these fields. `make parameters` writes the two files.
 """
 
 # ruff: noqa: RUF009 -- parameter() returns a dataclasses.field
@@ -29,7 +28,7 @@ from .parameter_types import kind_of, NUMBER, Parameter, parameter
 from .scheduling import has_realtime_kernel
 
 VALUE_OF_URDF = -1.0
-"""Of `damping` and `coulomb`: use the value in the robot description."""
+"""Value of `damping` and `coulomb` that stands for the value in the robot description."""
 
 
 class BaseMotion(Enum):
@@ -37,7 +36,7 @@ class BaseMotion(Enum):
 
     FIXED = 'fixed'
     IMU = 'imu'
-    """As measured by an inertial measurement unit on the base."""
+    """The base moves as an inertial measurement unit on the base measures."""
 
 
 class MissingInertial(Enum):
@@ -48,7 +47,7 @@ class MissingInertial(Enum):
 
 
 class FileChanges(Enum):
-    """When another node may choose the file of the robot description."""
+    """When another node may choose the file with the robot description."""
 
     NEVER = 'never'
     BEFORE_ACTIVATION = 'before_activation'
@@ -64,7 +63,7 @@ class Executor(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Configuration(Settings, LoadSettings):
-    """The checked values of all parameters: the settings of the core, and those of the node."""
+    """The checked values of all parameters, for the control loop and for the node."""
 
     robot_description: str = parameter(
         '',
@@ -272,11 +271,11 @@ class Configuration(Settings, LoadSettings):
         is_read_only=True,
     )
     locked_positions: dict[str, float] = field(default_factory=dict)
-    """Positions of joints that are not commanded, until they are reported, by name [rad or m]."""
+    """Positions of uncommanded joints by name, used until they are reported [rad or m]."""
 
     @property
     def period(self) -> float:
-        """Time between commands [s]; 0: one command for every joint state."""
+        """Time between commands [s]; 0 means one command for every joint state."""
         return 1.0 / self.update_rate if self.update_rate else 0.0
 
 
@@ -296,7 +295,7 @@ _HINTS = get_type_hints(Configuration)
 _OF_CORE = {each.name for settings in (Settings, LoadSettings) for each in fields(settings)}
 PARAMETERS = {
     each.name: Parameter(kind_of(_HINTS[each.name]), **each.metadata)
-    # The robot first, then the settings of the core, then what concerns the process.
+    # Robot parameters come first, then settings of the control loop, then process parameters.
     for each in sorted(
         fields(Configuration),
         key=lambda each: (each.metadata.get('is_read_only', False), each.name in _OF_CORE),

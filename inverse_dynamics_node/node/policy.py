@@ -1,4 +1,4 @@
-"""The policy of SROS 2 for the node, and for what it is connected to; needs no ROS."""
+"""Writes the SROS 2 policy of the node and of the programs around it; needs no ROS."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _SERVICES_OF_ROS = (
     '~/set_parameters_atomically',
     _TYPE_DESCRIPTION,
 )
-_ROBOT = 'joint_states', 'robot_description', 'imu'  # what the robot publishes, not the user
+_ROBOT = 'joint_states', 'robot_description', 'imu'  # published by the robot, not by the user
 _COMMANDS = '~/commands', '~/joint_commands', '~/joint_efforts'
 _WATCHED = (
     '/diagnostics',
@@ -34,23 +34,23 @@ _WATCHED = (
     '~/joint_efforts',
     '~/external_efforts',
 )
-_EVENTS = '/parameter_events'  # every node of rclpy publishes them
-_COMMAND_LINE = '/_ros2cli_*/get_type_description'  # of the nodes of `ros2 ...`
+_EVENTS = '/parameter_events'  # every node of rclpy publishes on it
+_COMMAND_LINE = '/_ros2cli_*/get_type_description'  # offered by the nodes of `ros2 ...`
 
 
 class Enclave(NamedTuple):
-    """What the processes with one certificate may do; all names are absolute."""
+    """Permissions of the processes with one certificate; all names are absolute."""
 
     path: str
     namespace: str
     node: str
-    """Name of the node; without effect, because no name is relative to it."""
+    """Name of the node. It has no effect, because no other name is relative to it."""
     subscribe: tuple[str, ...]
     publish: tuple[str, ...]
     reply: tuple[str, ...] = ()
-    """Services that are offered."""
+    """Services that the processes offer."""
     request: tuple[str, ...] = ()
-    """Services that are called."""
+    """Services that the processes call."""
 
 
 def enclaves(
@@ -60,20 +60,10 @@ def enclaves(
     services: Iterable[str],
 ) -> tuple[Enclave, ...]:
     """
-    List what the node, its driver, `inverse_dynamics watch` and the command line `ros2` need.
+    Return the enclaves of the node, its driver, `inverse_dynamics watch` and an operator.
 
-    Parameters
-    ----------
-    arguments : sequence of str
-        The command line of the node, with its remap rules and parameters.
-    subscribed, published, services : iterable of str
-        Topics and services that the node declares, before remapping.
-
-    Returns
-    -------
-    enclaves : tuple of Enclave
-        In this order.
-
+    `arguments` is the command line of the node, with its remap rules and parameters. Topics and
+    services are those that the node declares, before remapping.
     """
     names = NodeNames(arguments)
     subscribed, published, services = tuple(subscribed), tuple(published), tuple(services)
@@ -120,7 +110,7 @@ def enclaves(
 
 
 def policy(found: Iterable[Enclave]) -> str:
-    """Write enclaves as a policy file of sros2."""
+    """Return enclaves as the text of an SROS 2 policy file."""
     lines = ['<policy version="0.2.0">', '  <enclaves>']
     for enclave in found:
         lines += [

@@ -1,8 +1,7 @@
 """
-The ROS arguments of the node: the names that they lead to, and mistakes in them.
+Resolves names with the ROS arguments of the node, and finds mistakes in the arguments.
 
-Mistakes are remap rules and parameter files without effect, and files that do not exist.
-
+Mistakes are remap rules and parameter files without effect, and parameter files that do not exist.
 """
 
 from __future__ import annotations
@@ -24,22 +23,14 @@ LIFECYCLE_SERVICES = (
     '~/get_available_transitions',
     '~/get_transition_graph',
 )
-# Names that rcl creates; it lists them after remapping or not at all.
+# Names that rcl creates; rcl lists them after remapping or not at all.
 _RCL_NAMES = '/clock', *PUBLISHED_BY_ROS, *LIFECYCLE_SERVICES
 _PREFIX = re.compile(r'(rostopic|rosservice)://')
 _HOME = re.compile(r'/root/|/home/[^/]+/')
 
 
 class NodeNames:
-    """
-    The names of the node and its topics on a command line, resolved as rcl does.
-
-    Parameters
-    ----------
-    arguments : sequence of str
-        The command line.
-
-    """
+    """Names of the node and its topics on a command line, resolved as rcl does."""
 
     def __init__(self, arguments: Sequence[str]) -> None:
         self._rules = [rule.partition(':=')[::2] for rule in _remaps(arguments)]
@@ -58,11 +49,11 @@ class NodeNames:
         return full_name
 
     def _remapped(self, *names: str) -> str:
-        """Return the first new value of a name that is not one of a topic; empty if none."""
+        """Return the first new node name or namespace of the rules; empty if there is none."""
         return next((target for given, target in self._rules if self._own(given) in names), '')
 
     def _own(self, given: str) -> str:
-        """Return the name in a rule, without the name of this node as a prefix."""
+        """Return the name in a rule, without the prefix that names this node."""
         return given.removeprefix(f'{self.node}:')
 
     def _expanded(self, name: str) -> str:
@@ -96,15 +87,8 @@ def ineffective_remaps(
     """
     Describe the remap rules on a command line that match no name of a node.
 
-    Parameters
-    ----------
-    arguments : sequence of str
-        The command line.
-    names : sequence of str
-        Topics and services of the node, before remapping.
-    node, namespace : str
-        Name and namespace of the node, after remapping.
-
+    `names` are the topics and services of the node, before remapping. `node` and `namespace` are
+    its names after remapping.
     """
     own = {_expanded(name, node, namespace) for name in names}
     problems = []
@@ -121,22 +105,17 @@ def ineffective_remaps(
 
 
 def expanded_tildes(arguments: Sequence[str]) -> list[str]:
-    """Explain the remap rules in which the shell replaced a tilde by the home directory."""
+    """Explain the remap rules in which the shell has replaced ~ with the home directory."""
     hints = {rule: _explain_tilde(rule) for rule in _remaps(arguments)}
     return [f'-r {rule}{hint}' for rule, hint in hints.items() if hint]
 
 
 def with_parameter_files(arguments: Sequence[str]) -> list[str]:
     """
-    Return a command line with the home directory in place of ``~`` in names of parameter files.
+    Return the command line with the home directory for ``~`` in names of parameter files.
 
-    The shell does not expand ``~`` after ``:=``.
-
-    Raises
-    ------
-    ConfigurationError
-        Naming every parameter file that does not exist.
-
+    The shell does not expand ``~`` after ``:=``. Raise a ConfigurationError that names every
+    parameter file that does not exist.
     """
     found, problems = list(arguments), []
     for k, given in _operands(arguments, '--params-file'):
@@ -151,15 +130,9 @@ def with_parameter_files(arguments: Sequence[str]) -> list[str]:
 
 def ineffective_files(arguments: Sequence[str], name: str) -> list[str]:
     """
-    Describe the parameter files that are for other nodes: their limits would not apply.
+    Describe the parameter files that are only for other nodes, so that their limits do not apply.
 
-    Parameters
-    ----------
-    arguments : sequence of str
-        The command line, accepted by rcl.
-    name : str
-        Fully qualified name of the node.
-
+    `name` is the fully qualified name of the node. rcl must have accepted the command line.
     """
     problems = []
     for _, file in _operands(arguments, '--params-file'):
@@ -173,7 +146,7 @@ def ineffective_files(arguments: Sequence[str], name: str) -> list[str]:
 
 
 def _content(file: str) -> Any:
-    """Read a parameter file that rcl accepts; None if PyYAML, which is stricter, does not."""
+    """Read a parameter file that rcl accepts; return None if PyYAML, which is stricter, fails."""
     import yaml  # which rclpy needs too
 
     if not os.path.isfile(file):  # a pipe has been read already
@@ -186,7 +159,7 @@ def _content(file: str) -> Any:
 
 
 def _sections(content: Any, path: str = '') -> dict[str, Any]:
-    """Return the parameters in a file by the names of nodes, with their wildcards."""
+    """Return the parameters in a file by node name; a node name may contain wildcards."""
     if not isinstance(content, dict):
         return {}
     found = {path: content['ros__parameters']} if 'ros__parameters' in content else {}
@@ -201,12 +174,12 @@ def _pattern(section: str) -> str:
 
 
 def _remaps(arguments: Sequence[str]) -> Iterator[str]:
-    """Find the rules among the ROS arguments."""
+    """Find the remap rules among the ROS arguments."""
     return (rule for _, rule in _operands(arguments, '-r', '--remap'))
 
 
 def _operands(arguments: Sequence[str], *options: str) -> Iterator[tuple[int, str]]:
-    """Find the arguments that follow these ROS options, each with its index."""
+    """Find the arguments that follow the given ROS options, each with its index."""
     is_ros = is_operand = False
     for k, argument in enumerate(arguments):
         if is_operand:

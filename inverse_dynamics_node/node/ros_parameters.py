@@ -30,21 +30,8 @@ def declare_parameters(node: Node) -> Configuration:
     """
     Declare every parameter, with the values from the command line and parameter files.
 
-    Parameters
-    ----------
-    node : Node
-        The node that gets the parameters.
-
-    Returns
-    -------
-    configuration : Configuration
-        The checked values.
-
-    Raises
-    ------
-    ConfigurationError
-        Naming every parameter that is unknown or has an invalid value.
-
+    Return the checked values. Raise a ConfigurationError that names every parameter that is
+    unknown or has an invalid value.
     """
     given = {name: parameter.value for name, parameter in _overrides(node).items()}
     locked = [name for name in given if name.startswith(f'{LOCKED}.')]
@@ -61,7 +48,7 @@ def declare_parameters(node: Node) -> Configuration:
                 'set allow_unknown_parameters to true'
             )
     if problems:
-        # Checked before anything is declared: rclpy would stop at the first value out of range.
+        # All values are checked first: rclpy would stop at the first value out of range.
         raise ConfigurationError(*problems)
     for name, parameter in PARAMETERS.items():
         try:
@@ -75,31 +62,15 @@ def declare_parameters(node: Node) -> Configuration:
 
 
 def is_own_parameter(name: str) -> bool:
-    """Return whether a parameter is not one of rclpy."""
+    """Return whether a parameter belongs to this node rather than to rclpy."""
     return name in PARAMETERS or name.startswith(f'{LOCKED}.')
 
 
 def changed_configuration(before: Configuration, values: dict[str, Any]) -> Configuration:
     """
-    Check new values of some parameters, together with the other ones.
+    Return all parameters after a change of some, checked together.
 
-    Parameters
-    ----------
-    before : Configuration
-        The values of all parameters.
-    values : dict
-        The new values, by name.
-
-    Returns
-    -------
-    configuration : Configuration
-        The checked values of all parameters.
-
-    Raises
-    ------
-    ConfigurationError
-        Naming every parameter with an invalid value.
-
+    Raise a ConfigurationError that names every parameter with an invalid value.
     """
     checked, problems = _checked(values)
     locked = {**before.locked_positions, **checked.pop('locked_positions')}
@@ -111,7 +82,7 @@ def changed_configuration(before: Configuration, values: dict[str, Any]) -> Conf
 
 
 def unknown_parameters(node: Node, names: Iterable[str]) -> list[str]:
-    """Describe each name that is not a parameter of a node, with the closest one."""
+    """Describe each name that is not a parameter of the node, and suggest the closest one."""
     others = [name for name in names if name not in PARAMETERS]
     if not others:
         return []
@@ -143,7 +114,7 @@ def _describe_unknown(name: str, known: Iterable[str]) -> str:
 
 
 def unused_qos_overrides(node: Node) -> list[str]:
-    """Describe each QoS override that no publisher or subscription of the node has declared."""
+    """Describe each QoS override that matches no publisher or subscription of the node."""
     declared = [name for name in _declared(node) if name.startswith(f'{_QOS}.')]
     return [
         f"parameter '{name}' matches no publisher or subscription of this node"
@@ -154,21 +125,21 @@ def unused_qos_overrides(node: Node) -> list[str]:
 
 
 def _overrides(node: Node) -> dict[str, Any]:
-    """Return the parameters of the command line and of files by name, declared or not."""
-    # The public way declares them all: a mistyped name would then be a parameter.
+    """Return the parameters from the command line and files by name, declared or not."""
+    # The public method declares all of them: a mistyped name would become a parameter.
     overrides: dict[str, Any] = node._parameter_overrides
     return overrides
 
 
 def _declared(node: Node) -> list[str]:
-    """List the parameters that a node has."""
+    """List the names of all declared parameters of a node."""
     names: list[str] = node.list_parameters([], ListParameters.Request.DEPTH_RECURSIVE).names
     return names
 
 
 def _descriptor(parameter: Parameter) -> ParameterDescriptor:
-    # Dynamic typing, because rclpy would reject 500 for 500.0. Parameter.check() checks the type
-    # instead, and the range of integers and lists, which rclpy checks for single doubles only.
+    # Without dynamic typing, rclpy would reject 500 for 500.0. Parameter.check() checks the type
+    # instead. It also checks the range, because rclpy checks only the range of single doubles.
     descriptor = ParameterDescriptor(
         description=parameter.description,
         additional_constraints=f'expected {parameter.kind.expected}; {parameter.applies}',
@@ -189,7 +160,7 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
 
 
 def _checked(values: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """Return the fields of a `Configuration` with valid values, and describe invalid values."""
+    """Return the valid values as fields of a `Configuration`, and describe the invalid ones."""
     locked: dict[str, float] = {}
     checked: dict[str, Any] = {'locked_positions': locked}
     problems = []
@@ -205,7 +176,7 @@ def _checked(values: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
 
 
 def _contradictions(checked: dict[str, Any]) -> list[str]:
-    """Describe valid values that cannot be used together, or on this machine."""
+    """Describe valid values that cannot be used together, or not on this machine."""
     problems = []
     if checked.get('robot_description') and checked.get('robot_description_file'):
         problems.append('parameters robot_description and robot_description_file are both set')
@@ -220,7 +191,7 @@ def _contradictions(checked: dict[str, Any]) -> list[str]:
             f"parameter 'cpu_affinity' contains {unknown[0]}, expected CPUs of this process: "
             f'{expected}'
         )
-    # The range includes -1 for the value in the URDF; other negative numbers are invalid.
+    # The value -1 stands for the value in the URDF. Other negative numbers are invalid.
     for name in ('damping', 'coulomb'):
         numbers = np.atleast_1d(checked.get(name, 0.0))
         if ((numbers < 0.0) & (numbers != VALUE_OF_URDF)).any():

@@ -1,4 +1,4 @@
-"""Runs the control loop: on joint states, on timers, down the stop ramp, and in a storm."""
+"""Runs the control loop: on joint states, on timers, while stopping, and in a message flood."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from .parameters import Configuration
 from .worker import Worker
 
 _WATCH_PERIOD = 0.01  # [s]; between steps or checks while no joint states arrive
-_MAX_WATCH_PERIOD = 0.1  # [s]; between checks while they do
-_POLL_PERIOD = 0.0005  # [s]; between looks for a joint state during a stop that damps the motion
+_MAX_WATCH_PERIOD = 0.1  # [s]; between checks while joint states arrive
+_POLL_PERIOD = 0.0005  # [s]; between checks for a joint state while a stop damps the motion
 _TIMEOUT = 0.1  # [s]; time-out of a spin that is not interrupted
-_PATIENCE = 0.03  # [s]; a spin that returns later than this is interrupted
-_CHECK_PERIOD = 0.05  # [s]
-_SHORT_TIMEOUT = 0.01  # [s]; the same three while there are too many messages
+_PATIENCE = 0.03  # [s]; a spin that is late by this time is interrupted
+_CHECK_PERIOD = 0.05  # [s]; between checks whether a spin is late
+_SHORT_TIMEOUT = 0.01  # [s]; these three times apply while there are too many messages
 _SHORT_PATIENCE = 0.005
 _SHORT_CHECK_PERIOD = 0.01
 
@@ -40,27 +40,8 @@ class LoopRunner:
     """
     Steps the control loop and publishes its commands.
 
-    Parameters
-    ----------
-    node : LifecycleNode
-        The node that owns the timers.
-    outputs : Outputs
-        Publishers of the commands.
-    graph : Graph
-        For the log: publishers of missing inputs.
-    log : NodeLog
-        For changes of activity and lasting problems.
-    clock : Clock
-        The clock of the timers.
-    now : callable
-        Returns the time of that clock [s].
-    skip_ramp : callable
-        Returns whether to cut the stop ramp short.
-    worker : Worker
-        Reads robot descriptions.
-    configuration : Configuration
-        The parameters.
-
+    `now` returns the time of `clock`, which the timers use [s]. `skip_ramp` returns whether to cut
+    the stop ramp short. `worker` reads robot descriptions.
     """
 
     def __init__(
@@ -89,11 +70,11 @@ class LoopRunner:
         self._timers: list[Timer] = []
 
     def configure(self, loop: ControlLoop) -> None:
-        """Use a compiled loop for a robot, inactive at first."""
+        """Use a compiled control loop, which stays inactive until `start`."""
         self.forget_robot()
         self.loop, configuration = loop, self.configuration
         self.monitor = Monitor(configuration.period)
-        # This timer notices lost states, whatever the update rate.
+        # This timer detects lost joint states at any update rate.
         self._watch_period = min(_WATCH_PERIOD, 0.5 * configuration.state_timeout)
         self._watch = self._create_timer(self._watch_period, self._on_watch)
         if configuration.period:
@@ -106,7 +87,7 @@ class LoopRunner:
         return self._timers[-1]
 
     def apply(self, configuration: Configuration) -> None:
-        """Use changed parameters; the current wait of the watch timer may not suit them."""
+        """Use changed parameters, and reset the wait of the watch timer, which may not suit them."""
         before, self.configuration = self.configuration, configuration
         if self.loop is not None:
             apply_configuration(self.loop, configuration, before)
@@ -122,12 +103,12 @@ class LoopRunner:
         self._timers = []
 
     def load_description(self, description: str) -> None:
-        """Load another robot description, and switch to it when it is ready."""
+        """Load another robot description, and switch to its loop when the loop is ready."""
         self.loader.load(self.configuration, description)
         self._watch_after(self._watch_period)
 
     def start(self) -> None:
-        """Start to command, from zero."""
+        """Start to send commands, which rise from zero."""
         assert self.loop is not None
         self.loop.start(is_dry_run=self.configuration.dry_run)
         self.monitor.pause()
@@ -141,7 +122,7 @@ class LoopRunner:
         self.log.report_message(topic, f'message dropped: {reason}')
 
     def enable(self, *, is_enabled: bool) -> None:
-        """Let the efforts rise, or fall to zero; a reference is dropped then."""
+        """Let the efforts rise; or let them fall to zero, and drop the reference."""
         assert self.loop is not None
         if is_enabled:
             self.loop.controller.resume()
@@ -151,15 +132,7 @@ class LoopRunner:
             self._watch_after(self._watch_period)
 
     def step(self, now: float) -> None:
-        """
-        Compute and publish one command.
-
-        Parameters
-        ----------
-        now : float
-            The time of the step [s].
-
-        """
+        """Compute and publish one command for the time `now` [s]."""
         assert self.loop is not None
         began = time.perf_counter()
         if self.loop.dry_run.is_active is not self.configuration.dry_run:
@@ -187,7 +160,7 @@ class LoopRunner:
         self.outputs.publish_command(self.loop, command.efforts, command.sent)
 
     def _switch_dry_run(self, loop: ControlLoop) -> None:
-        """Begin a dry run, or end it as soon as the commands are zero."""
+        """Start a dry run, or end it as soon as the commands are zero."""
         is_wanted, has_sent = self.configuration.dry_run, loop.dry_run.has_sent
         time_to_fall = loop.controller.time_to_fall
         if not loop.switch_dry_run(is_wanted=is_wanted):
@@ -232,8 +205,8 @@ class LoopRunner:
             self.step(self.now())
 
     def _on_watch(self) -> None:
-        """Step if joint states are missing or lost, or if efforts fall and nothing else steps."""
-        if self.loop is None:  # an event of a timer that has been destroyed was still queued
+        """Step if joint states are missing or lost, or if no joint state steps a ramp down."""
+        if self.loop is None:  # the event was queued before its timer was destroyed
             return
         self._switch_loop()
         wait = self._watch_period
@@ -245,11 +218,11 @@ class LoopRunner:
             if state is None or not 0.0 <= now - state.time <= timeout:
                 self.step(now)
             elif self._must_fall:
-                # The states may end at the same moment, as at an emergency stop.
+                # The joint states may end at this moment, too, for example at an emergency stop.
                 if not 0.0 <= now - self._last_step < self._watch_period:
                     self.step(now)
             elif not self.loader.is_loading:
-                # No state can be lost before; a check costs as much as some of the steps.
+                # No state can be lost earlier, and a check takes as long as a short step.
                 wait = max(wait, min(state.time + timeout - now, _MAX_WATCH_PERIOD))
         self._watch_after(wait)
 
@@ -264,20 +237,20 @@ class LoopRunner:
         return not is_computing and controller.has_effort
 
     def _watch_after(self, wait: float) -> None:
-        """Set the period of the watch timer [s], and start it anew."""
+        """Set the period of the watch timer [s]; restart the timer if the period has changed."""
         period = round(wait * 1e9)
         if period != self._watch.timer_period_ns:
             self._watch.timer_period_ns = period
             self._watch.reset()
 
     def _switch_loop(self) -> None:
-        """Switch to the robot description that has been loaded, unless it cannot be used."""
+        """Switch to a robot description that has been read, if it can be used."""
         assert self.loop is not None
         if not self.loader.poll():
             return
         try:
             loop, dropped = self.loader.take_loop(self.loop, self.configuration, self.is_active)
-        except Exception as error:  # any error of the process that read it
+        except Exception as error:  # any error in the process that has read it
             self._node.get_logger().error(
                 f'kept the old robot description; the new one cannot be used: {error}'
             )
@@ -293,13 +266,8 @@ class LoopRunner:
         """
         Publish falling efforts, then zeros, within one callback: nothing else runs meanwhile.
 
-        Parameters
-        ----------
-        reason : str
-            For the log.
-        read_joint_state : callable
-            Handles the latest joint state, if one has arrived.
-
+        `reason` is for the log. `read_joint_state` handles the latest joint state, if one has
+        arrived.
         """
         assert self.loop is not None
         self.is_active = False
@@ -342,11 +310,11 @@ class LoopRunner:
     ) -> None:
         try:
             read_joint_state()
-        except Exception as error:  # perhaps the one that is the reason for the stop
+        except Exception as error:  # perhaps the error that caused the stop
             damping.end(f'an error in the program: {error!r}')
 
     def _report_damping(self, loop: ControlLoop) -> None:
-        """Report why the damping of a stop has ended."""
+        """Report why the stop damping has ended."""
         report = loop.controller.stop_damping.report
         if not report:
             return
@@ -360,13 +328,12 @@ class LoopRunner:
 
 class Watchdog:
     """
-    Spins an executor so that it returns in time, even from a queue that never becomes empty.
+    Spins an executor so that it returns in time, even if its queue never becomes empty.
 
-    rclpy's EventsExecutor queues one event for each message that arrives, and timers queue behind
-    them. Its time-out applies only once the queue is empty. A thread therefore ends the spin
-    between two events, and the caller does everything that is overdue. The events stay in the
-    queue. A new executor would drop them, but in rclpy 7.1 services no longer answer after that.
-
+    The EventsExecutor of rclpy queues one event for each message that arrives, and timers queue
+    behind these events. Its time-out applies only once the queue is empty. Therefore a thread ends
+    the spin between two events, and the caller does all overdue work. The events stay in the
+    queue. A new executor would drop them, but with rclpy 7.1 services would then no longer answer.
     """
 
     def __init__(self) -> None:
@@ -393,12 +360,12 @@ class Watchdog:
 
     @property
     def native_id(self) -> int:
-        """Id of the thread in the kernel."""
+        """Id of the watchdog thread in the kernel."""
         assert self._thread.native_id is not None
         return self._thread.native_id
 
     def close(self) -> None:
-        """End the thread."""
+        """End the watchdog thread."""
         self._is_closed.set()
         self._thread.join()
 

@@ -1,4 +1,4 @@
-"""Real-time priority of the control loop and the threads that it waits for; locked memory."""
+"""Sets real-time priority for the control loop and related threads, and locks memory."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ import time
 
 from ..control.status import Level, SchedulingStatus
 
-_MAX_CPU = 0.9  # above this fraction of one CPU within a window, the threads get normal priority,
-_CALM_CPU = 0.5  # until they need less than this
-_WINDOW, _CALM_WINDOW = 2.0, 10.0  # [s]
+_MAX_CPU = 0.9  # above this fraction of one CPU, the threads get normal priority
+_CALM_CPU = 0.5  # below this fraction of one CPU, the threads get real-time priority again
+_WINDOW, _CALM_WINDOW = 2.0, 10.0  # [s]; times over which the two fractions are measured
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4  # mlockall(2), <asm-generic/mman.h>
 
 _HINT = (
@@ -44,11 +44,10 @@ class Scheduling:
     """
     Lets the control loop and the middleware run before other programs.
 
-    Must be created by the thread of the control loop, before the worker and the node: the threads
-    that exist by then, those of numerical libraries and of the log, keep normal priority. All
-    threads of the middleware get the priority, because each may hold a lock that the loop waits
-    for. They pass it on to the threads that they start.
-
+    Create this object in the thread of the control loop, before the worker and the node. Threads
+    that exist then keep normal priority, for example those of numerical libraries and of the log.
+    All threads of the middleware get real-time priority, because each may hold a lock that the
+    loop waits for. A new thread inherits the priority of the thread that starts it.
     """
 
     def __init__(self) -> None:
@@ -67,25 +66,10 @@ class Scheduling:
         """
         Set the priority and the CPUs of the threads, and lock the memory.
 
-        Parameters
-        ----------
-        priority : int
-            Priority of SCHED_FIFO, from 1 to 99.
-        cpus : sequence of int
-            The CPUs to run on; empty for all.
-        should_lock_memory : bool
-            Whether to lock the memory.
-        watchdog : int
-            Native id of a thread that gets a higher priority than the loop, so that it runs while
-            the loop does not sleep.
-
-        Returns
-        -------
-        is_well : bool
-            Whether all of it was permitted.
-        text : str
-            One line for the log.
-
+        `priority` is that of SCHED_FIFO, from 1 to 99. Empty `cpus` stand for all CPUs. `watchdog`
+        is the native id of a thread that gets a higher priority than the loop, so that it runs
+        while the loop does not sleep. Return whether everything was permitted, and one line for
+        the log.
         """
         problems, done = [], []
         self._priority, self._watchdog, self._problem = priority, watchdog, ''
@@ -115,20 +99,20 @@ class Scheduling:
         return not problems, '; '.join([*done, *problems, *([_HINT] if problems else [])])
 
     def _threads(self) -> list[int]:
-        """Return the loop, the watchdog, and the threads of the middleware and of rclpy."""
+        """Return the ids of the threads of loop, watchdog, middleware and rclpy."""
         return [tid for tid in _thread_ids() if tid not in self._others]
 
     def _set_priority(self, priority: int) -> None:
-        """Set the priority of SCHED_FIFO; 0 for normal priority."""
+        """Set the priority in SCHED_FIFO; 0 stands for normal priority."""
         for tid in self._threads():
-            with contextlib.suppress(ProcessLookupError):  # it has just ended
+            with contextlib.suppress(ProcessLookupError):  # the thread has just ended
                 is_watchdog = priority and tid == self._watchdog
                 _schedule(tid, min(priority + 1, 99) if is_watchdog else priority)
         self._is_realtime = priority > 0
 
     @contextlib.contextmanager
     def normal_priority(self) -> Iterator[None]:
-        """Run work of the loop's thread that takes long, such as compiling, at normal priority."""
+        """Run long work of the thread of the loop, such as compilation, at normal priority."""
         before = set(_thread_ids())
         if self._is_realtime:
             _schedule(self._loop, 0)
@@ -144,15 +128,9 @@ class Scheduling:
         """
         Give the threads normal priority while the process needs almost all of a CPU.
 
-        Call this again and again. If a real-time loop never sleeps, the kernel leaves only 5 % of
-        its CPU to other programs. That is enough to stop the loop from a terminal, but not for
-        other work.
-
-        Returns
-        -------
-        report : str
-            What has changed, for the log; empty if nothing has.
-
+        Call this method regularly. It returns a report for the log after a change, otherwise an
+        empty text. If a real-time loop never sleeps, the kernel leaves only 5 % of its CPU to
+        other programs. That is enough to stop the loop from a terminal, but not for other work.
         """
         duration = time.monotonic() - self._began
         if duration < (_WINDOW if self._is_realtime else _CALM_WINDOW):
@@ -177,7 +155,7 @@ class Scheduling:
         self._began, self._cpu_time = time.monotonic(), time.process_time()
 
     def status(self) -> SchedulingStatus:
-        """Return policy and priority of the loop as the kernel reports them."""
+        """Return the policy and the priority of the loop as the kernel reports them."""
         return SchedulingStatus(
             level=Level.WARN if self._problem else Level.OK,
             message=self._problem or 'real-time priority',
@@ -190,19 +168,11 @@ class Scheduling:
 
 
 def lock_memory() -> str:
-    """
-    Lock each page of this process when it is first used; return a description for the log.
-
-    Raises
-    ------
-    OSError
-        If the memory cannot be locked.
-
-    """
+    """Lock each page of this process at its first use; return a log text or raise an OSError."""
     libc = ctypes.CDLL(None, use_errno=True)
     _, limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     resource.setrlimit(resource.RLIMIT_MEMLOCK, (limit, limit))
-    # Beyond a limit, a later allocation would fail, and end the process.
+    # With a limit, a later allocation could fail and end the process.
     is_limited = limit != resource.RLIM_INFINITY
     if libc.mlockall(_MCL_CURRENT | _MCL_ONFAULT | (0 if is_limited else _MCL_FUTURE)):
         number = ctypes.get_errno()

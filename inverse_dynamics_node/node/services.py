@@ -1,4 +1,4 @@
-"""The services of the node, and a guard for those that rclpy creates."""
+"""Services of the node, and the handling of errors in services that rclpy creates."""
 
 from __future__ import annotations
 
@@ -23,17 +23,7 @@ _TYPES = {kind.value for kind in Parameter.Type}
 
 
 class Services:
-    """
-    Answers ``~/enable`` and ``~/check_model``.
-
-    Parameters
-    ----------
-    node : LifecycleNode
-        The node that offers the services.
-    runner : LoopRunner
-        Runs the loop that they are about.
-
-    """
+    """Offers the services ``~/enable`` and ``~/check_model``."""
 
     def __init__(self, node: LifecycleNode, runner: LoopRunner) -> None:
         self._runner = runner
@@ -63,7 +53,7 @@ class Services:
 
 
 def describe_robot(loop: ControlLoop) -> str:
-    """Describe the robot, and the efforts that hold it in its present pose if it is known."""
+    """Describe the robot and, if its pose is known, the efforts that hold the robot there."""
     missing = loop.missing()
     if missing:
         return f'{_report(loop, None)}\n\nNot known yet: {", ".join(missing)}.'
@@ -81,18 +71,13 @@ def contain_errors(node: LifecycleNode, keep_up: Callable[[], None]) -> None:
     """
     Catch the errors of the services and subscriptions that rclpy has created.
 
-    rclpy 7.1 raises out of the executor on a parameter whose type does not exist, a clock before
-    zero, or a lifecycle transition that is not possible now. The executor would survive that, but
-    a client would wait for its answer forever.
+    The executor of rclpy 7.1 raises an error for a parameter of an unknown type, a clock before
+    zero, or a lifecycle transition that is not possible now. The executor would survive the error,
+    but a client would wait for its answer forever.
 
-    Parameters
-    ----------
-    node : LifecycleNode
-        A node without entities of its own yet: their errors must not be hidden.
-    keep_up : callable
-        Called after every request. Requests may fill the queue of the executor, and each takes as
-        long as several commands.
-
+    Call this function before the node creates entities of its own, because their errors must not
+    be hidden. `keep_up` is called after every request. Requests may fill the queue of the
+    executor, and each request takes as long as several commands.
     """
     for service in node.services:
         callback = service.callback
@@ -136,7 +121,7 @@ def _set_all(node: LifecycleNode, request: Any, response: Any) -> Any:
 
 
 def _set(node: LifecycleNode, parameters: Sequence[Any]) -> SetParametersResult:
-    """Set parameters together as rclpy does, or name the one that cannot be set."""
+    """Set parameters together as rclpy does, or name the parameter that cannot be set."""
     reason = _problem(node, parameters)
     if reason:
         return SetParametersResult(reason=reason)
@@ -144,7 +129,7 @@ def _set(node: LifecycleNode, parameters: Sequence[Any]) -> SetParametersResult:
 
 
 def _problem(node: LifecycleNode, parameters: Sequence[Any]) -> str:
-    """Return why parameters cannot be set; rclpy 7.1 does not name those that are unknown."""
+    """Return why parameters cannot be set; rclpy 7.1 does not name an unknown parameter."""
     for parameter in parameters:
         if parameter.value.type not in _TYPES:
             return (

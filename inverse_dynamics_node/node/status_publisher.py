@@ -23,21 +23,7 @@ _PERIOD = 1.0  # [s]; recommended by REP-107
 
 
 class StatusPublisher:
-    """
-    Publishes the state of the node once a second, in every lifecycle state.
-
-    Parameters
-    ----------
-    node : LifecycleNode
-        The node that publishes.
-    runner, inputs
-        The parts of the node that are reported on.
-    clock : Clock
-        The steady clock.
-    scheduling : Scheduling
-        Reports the priority of the loop.
-
-    """
+    """Publishes the state of the node once a second, in every lifecycle state."""
 
     def __init__(
         self,
@@ -104,7 +90,7 @@ class StatusPublisher:
             publishers=publisher_count,
             is_active=self._runner.is_active,
             is_dry_run=loop is not None and loop.dry_run.is_active,
-            # The only public way to it is a service.
+            # Publicly, only a service reports the state.
             state=str(node._state_machine.current_state[1]),
             others=self._graph.others(),
             state_publishers=tuple(publishers),

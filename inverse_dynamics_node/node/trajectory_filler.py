@@ -1,4 +1,4 @@
-"""Fills trajectories with efforts."""
+"""Adds the required efforts to trajectories."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from ..ros import qos
 from .log import NodeLog
 from .worker import Worker
 
-_MAX_SIZE = 1_000_000  # [bytes]; takes some milliseconds to receive and to send, without commands
+_MAX_SIZE = 1_000_000  # [bytes]; receiving and sending it delays commands by milliseconds
 _MAX_WAITING = 10
-_PERIOD = 0.005  # [s]; between looks for results
+_PERIOD = 0.005  # [s]; between checks for results
 _FIELDS = ('positions', 'velocities', 'accelerations', 'effort')
 
 
@@ -34,27 +34,17 @@ class Filled(NamedTuple):
     data: bytes
     """The serialized message."""
     notes: tuple[str, ...]
-    """Descriptions of derived quantities."""
+    """Descriptions of the quantities that had to be derived."""
     beyond: list[str]
     """Joints whose efforts exceed their limits."""
 
 
 def fill(loop: ControlLoop, data: bytes) -> Filled:
     """
-    Compute the efforts of a trajectory.
+    Compute the efforts of a serialized trajectory of any joints of the robot.
 
-    Parameters
-    ----------
-    loop : ControlLoop
-        The loop whose dynamics and joint positions to use.
-    data : bytes
-        The serialized trajectory, of any of the joints.
-
-    Raises
-    ------
-    TrajectoryError
-        If the trajectory cannot be used.
-
+    Dynamics and positions of other joints are taken from the loop. Raise a TrajectoryError if the
+    trajectory cannot be used.
     """
     message = deserialize_trajectory(data)
     trajectory, notes = complete(_read_trajectory(message))
@@ -66,19 +56,7 @@ def fill(loop: ControlLoop, data: bytes) -> Filled:
 
 
 class TrajectoryFiller:
-    """
-    Publishes trajectories with the efforts that they require, on ``~/joint_trajectory_out``.
-
-    Parameters
-    ----------
-    node : LifecycleNode
-        The node that publishes.
-    log : NodeLog
-        For warnings.
-    worker : Worker
-        Computes the efforts.
-
-    """
+    """Publishes trajectories with the efforts that they require, which a worker computes."""
 
     def __init__(self, node: LifecycleNode, log: NodeLog, worker: Worker) -> None:
         self._log, self._worker = log, worker
@@ -98,24 +76,12 @@ class TrajectoryFiller:
         reject: Callable[[Exception], None],
     ) -> None:
         """
-        Publish a trajectory with its efforts as soon as they have been computed.
+        Publish a serialized trajectory with its efforts as soon as they have been computed.
 
-        Parameters
-        ----------
-        loop : ControlLoop
-            The loop whose dynamics and joint positions to use, as they are now.
-        data : bytes
-            The serialized trajectory, of any of the joints.
-        is_active : bool
-            Whether the node is active, and must not go without commands for long.
-        reject : callable
-            Called later if the trajectory cannot be used.
-
-        Raises
-        ------
-        TrajectoryError
-            If the trajectory is too long, there are too many, or there is no subscriber.
-
+        The dynamics and joint positions are taken from the loop now. `reject` is called later if
+        the trajectory cannot be used. If `is_active`, the node must not go without commands for
+        long. Raise a TrajectoryError if the trajectory is too long, too many trajectories wait, or
+        there is no subscriber.
         """
         if not self._publisher.get_subscription_count():
             raise TrajectoryError('~/joint_trajectory_out has no subscriber')
@@ -140,7 +106,7 @@ class TrajectoryFiller:
     def _finish(self, future: Future[Filled], reject: Callable[[Exception], None]) -> None:
         try:
             filled = future.result()
-        except Exception as error:  # any error of the other process, or its end
+        except Exception as error:  # any error in the other process, or its end
             reject(error)
             return
         for note in filled.notes:
@@ -152,7 +118,7 @@ class TrajectoryFiller:
 
 
 def deserialize_trajectory(data: bytes) -> JointTrajectory:
-    """Read a trajectory from a raw subscription, or raise a TrajectoryError."""
+    """Deserialize a trajectory, or raise a TrajectoryError."""
     try:
         return deserialize_message(data, JointTrajectory)
     except Exception as error:  # RMWError, which is not public
@@ -160,7 +126,7 @@ def deserialize_trajectory(data: bytes) -> JointTrajectory:
 
 
 def _read_trajectory(message: JointTrajectory) -> Trajectory:
-    """Read a whole trajectory."""
+    """Convert a whole message to a `Trajectory`."""
     names, points = tuple(message.joint_names), message.points
 
     def read(what: str) -> Floats | None:
@@ -186,7 +152,7 @@ def _read_trajectory(message: JointTrajectory) -> Trajectory:
 def _write_trajectory(
     message: JointTrajectory, trajectory: Trajectory, efforts: Floats
 ) -> JointTrajectory:
-    """Make the message of a trajectory with efforts; header and times are those of `message`."""
+    """Return a message with the efforts, and with header and times of the old message."""
     result = JointTrajectory(header=message.header, joint_names=message.joint_names)
     rows = (trajectory.positions, trajectory.velocities, trajectory.accelerations, efforts)
     result.points = [

@@ -28,23 +28,20 @@ class Worker:
     """
     Calls functions in a child process, one after the other.
 
-    A thread would keep the lock of the interpreter for milliseconds, while it reads a message or
-    an XML file. Beside busy processes that takes even longer, because the scheduler interrupts a
-    thread of normal priority while it keeps the lock, and the control loop waits.
+    A thread would hold the lock of the Python interpreter for milliseconds while it reads a
+    message or an XML file. On a busy machine this takes even longer, because the scheduler may
+    interrupt a thread of normal priority that holds the lock. The control loop would have to wait.
 
-    Parameters
-    ----------
-    has_process : bool
-        Whether to create the child, as a copy of this process. Create it before the node, so that
-        the copy has no entities of ROS, and after the imports, so that both share the memory of
-        the libraries. Without it, and after its end, a thread does the work. Create `Scheduling`
-        before: the threads of the executor hold the lock of the interpreter, too.
-
+    The child process is a copy of this process. Create the worker before the node, so that the
+    copy contains no ROS entities. Create the worker after the imports, so that both processes
+    share the memory of the libraries. Create `Scheduling` before the worker, because the threads
+    of the executor also hold the lock. Without `has_process`, or after the end of the child
+    process, a thread does the work.
     """
 
     def __init__(self, has_process: bool = False) -> None:
         self.problem = ''
-        """Why there is no process although one was requested; empty if there is one."""
+        """Reason why the requested child process does not exist; empty if there is no problem."""
         self._executor: Executor = ThreadPoolExecutor(1, 'worker')
         if has_process:
             try:
@@ -52,35 +49,35 @@ class Worker:
                 pool = ProcessPoolExecutor(1, fork, _prepare, (os.getpid(),))
                 pool.submit(int)  # creates the process
                 self._executor = pool
-            except OSError as error:  # the limit of processes, or of memory
+            except OSError as error:  # a limit of processes or of memory
                 self.problem = f'no process for long work ({error}): a thread delays the commands'
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         """
         Call a function of a module later, with arguments that are pickled now.
 
-        The future is completed by another thread: ask it regularly whether it is done.
-
+        Another thread completes the future. The caller must check regularly whether the future is
+        done.
         """
         request = pickle.dumps((function, arguments))
         try:
             return self._executor.submit(_call, request)
-        except BrokenExecutor:  # the process has ended, from a lack of memory for example
+        except BrokenExecutor:  # the process has ended, for example from a lack of memory
             self._executor = ThreadPoolExecutor(1, 'worker')
             return self._executor.submit(_call, request)
 
 
 def prepare_to_load() -> None:
-    """Import the modules that the first robot description needs; the child shares them."""
+    """Import modules that loading a robot needs, so that the child process shares them."""
     with contextlib.suppress(ImportError):  # reported when a description is loaded
         import scipy.interpolate  # noqa: F401
         import yourdfpy  # noqa: F401
 
 
 def _prepare(parent: int) -> None:
-    """Let a new process end with its parent only, and run at normal priority."""
+    """Make a child process end only with its parent, and run at normal priority."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)  # of the terminal or of a service manager
+        signal.signal(number, signal.SIG_IGN)  # sent by a terminal or a service manager
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:
         os._exit(1)
@@ -93,5 +90,5 @@ def _call(request: bytes) -> Any:
         return function(*arguments)
     except InverseDynamicsError:
         raise
-    except Exception:  # those of libraries may not survive the way to another process
+    except Exception:  # an error of a library may not survive pickling
         raise InverseDynamicsError(traceback.format_exc()) from None
