@@ -23,7 +23,7 @@ _NONE = 'none'
 
 
 class _Kind(NamedTuple):
-    """Functions that write and read values of one type; an unreadable text is a ValueError."""
+    """Functions that write and read values of one type; `read` may raise a ValueError."""
 
     write: Callable[[Any], str]
     read: Callable[[str], Any]
@@ -121,7 +121,7 @@ _KEYS: dict[type[Part], list[_Key]] = {part: _keys(part) for part in _PARTS.valu
 
 
 def write_values(part: Part) -> dict[str, str]:
-    """Return the text of each value of a part by key."""
+    """Return the texts of the values of a part, by key."""
     values: dict[str, str] = {}
     for key in _KEYS[type(part)]:
         values |= key.write(getattr(part, key.value))

@@ -21,8 +21,8 @@ class Graph:
     Queries the ROS graph for a node.
 
     A query takes 1 to 50 us in a small graph and longer in a large one: use slow timers only.
-    `forms` are the publishers that may carry the commands. Reports are about the first of these
-    publishers that has subscribers.
+    `forms` are the publishers of the topics that may carry the commands. Reports name the first of
+    these topics that has subscribers.
     """
 
     def __init__(self, node: LifecycleNode, *forms: Any) -> None:

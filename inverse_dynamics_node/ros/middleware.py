@@ -102,9 +102,9 @@ def udp_settings(rmw: str, environment: Mapping[str, str]) -> dict[str, str]:
     Return the environment variables that keep Fast DDS from using shared memory.
 
     The result is empty for other middleware, and if the user has chosen other transports. With the
-    discovery range LOCALHOST, rmw_fastrtps requests shared memory whatever the user has chosen. A
-    profile then replaces the range, except with static peers, which the profile would have to
-    list.
+    discovery range LOCALHOST, rmw_fastrtps requests shared memory whatever the user has chosen. In
+    this case, a profile replaces the range. With static peers no profile is used, because the
+    profile would have to list the peers.
     """
     profiles = {environment.get(name) or LOCAL_PROFILE for name in _PROFILES}
     has_other_transports = environment.get(_TRANSPORTS) not in (None, '', 'UDPv4')
