@@ -70,7 +70,7 @@ def check_configuration(loop: ControlLoop, configuration: Configuration) -> None
 
 
 def _check_springs(loop: ControlLoop, of_joint: dict[str, Floats]) -> None:
-    """Refuse springs at continuous joints: a full turn in a position would change the effort."""
+    """Refuse springs at continuous joints, because their positions may omit full turns."""
     is_turning = loop.robot.is_continuous[loop.index]
     for k in np.flatnonzero(is_turning & (of_joint['spring_stiffness'] != 0.0)):
         raise ConfigurationError(
@@ -112,7 +112,7 @@ def apply_configuration(
 def _apply_drives(
     loop: ControlLoop, configuration: Configuration, of_joint: dict[str, Floats]
 ) -> None:
-    """Set drives and springs of the commanded joints; others keep the friction of the URDF."""
+    """Set drives and springs of the commanded joints; other joints keep the URDF friction."""
     _check_springs(loop, of_joint)
     robot, zeros = loop.robot, np.zeros(len(loop.robot.joint_names))
 

@@ -79,7 +79,7 @@ def load_file(given: str, on_missing_inertial: str) -> tuple[RobotModel, str]:
 
 
 def _split(given: str) -> tuple[str, dict[str, str] | None]:
-    """Return the file name, and the arguments for xacro; they are None if the file is a URDF."""
+    """Return the file name, and the arguments for xacro, or None if the file is a URDF."""
     match = _XACRO.fullmatch(given)
     if match is None:
         return given, None
@@ -179,7 +179,7 @@ class DescriptionLoader:
         return is_ready
 
     def load(self, configuration: Configuration, description: str) -> None:
-        """Read a description next. It replaces the one being read and the one that waits."""
+        """Read this description next. It replaces any description that is being read or waits."""
         self._next = configuration, description
         self.poll()
 

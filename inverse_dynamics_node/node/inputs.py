@@ -42,7 +42,7 @@ class Inputs:
         self._checked_imu: tuple[ControlLoop, str] | None = None
         self._collector: JointStateCollector | None = None  # that the reader was made for
         self.last_joint_state = time.monotonic()
-        """Steady time of the last message on joint_states, or of the start before it [s]."""
+        """Steady time [s] of the last message on joint_states, initially that of the start."""
         self._R_BS: Floats = np.eye(3)
         self.state_count = 0
         """Number of times that all commanded joints have been updated since the start."""

@@ -87,10 +87,10 @@ class NodeLog:
 
     def report_message(self, topic: str, text: str, *, is_problem: bool = True) -> None:
         """
-        Report the consequence of a message, as a warning if `is_problem`.
+        Report the consequence of a received message, as a warning if `is_problem`.
 
-        Every text is logged, unless the same text was logged a moment ago or the topic has too
-        many texts.
+        A text is dropped if the same text was logged a moment ago, or if too many texts were
+        logged for this topic.
         """
         times = self._message_times.setdefault(topic, deque(maxlen=_MOST_MESSAGES))
         now = time.monotonic()

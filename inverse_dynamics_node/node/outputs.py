@@ -38,7 +38,7 @@ class Outputs:
         """Whether ~/joint_efforts is remapped, for a robot that takes commands by joint name."""
         by_name = [self._joint_efforts] * self.may_command_by_name
         self.forms: list[Any] = [self.commands, self._joint_commands, *by_name]
-        """The publishers that may carry the commands."""
+        """Publishers of the topics that may carry the commands."""
         self._terms = [publisher(JointState, f'~/terms/{term}') for term in TERM_TOPICS]
         self._external_efforts = publisher(JointState, '~/external_efforts')
         self._description = node.create_publisher(String, '~/robot_description', qos.LATCHED)
@@ -79,8 +79,8 @@ class Outputs:
         """
         Publish efforts of the m commanded joints, shape (m,) [N m or N].
 
-        `efforts` are the computed efforts. `sent` are the efforts for the robot; None in a dry
-        run.
+        `efforts` contains the computed efforts. `sent` contains the efforts for the robot, or is
+        None in a dry run.
         """
         if sent is not None:
             self.commands.publish(serialize_numbers(sent))

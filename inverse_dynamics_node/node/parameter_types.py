@@ -1,5 +1,5 @@
 """
-Declares one parameter of the node: its type, default, unit and range; checks its values.
+Declares a parameter of the node by type, default, unit and range, and checks its values.
 
 This module does not import ROS, so that ``--help`` works without ROS.
 """

@@ -49,7 +49,7 @@ class NodeNames:
         return full_name
 
     def _remapped(self, *names: str) -> str:
-        """Return the first new node name or namespace of the rules; empty if there is none."""
+        """Return the first replacement of a name in the remap rules; empty if there is none."""
         return next((target for given, target in self._rules if self._own(given) in names), '')
 
     def _own(self, given: str) -> str:
@@ -112,7 +112,7 @@ def expanded_tildes(arguments: Sequence[str]) -> list[str]:
 
 def with_parameter_files(arguments: Sequence[str]) -> list[str]:
     """
-    Return the command line with the home directory for ``~`` in names of parameter files.
+    Replace ``~`` with the home directory in the names of parameter files on a command line.
 
     The shell does not expand ``~`` after ``:=``. Raise a ConfigurationError that names every
     parameter file that does not exist.

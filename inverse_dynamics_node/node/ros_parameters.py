@@ -68,7 +68,7 @@ def is_own_parameter(name: str) -> bool:
 
 def changed_configuration(before: Configuration, values: dict[str, Any]) -> Configuration:
     """
-    Return all parameters after a change of some, checked together.
+    Return all parameters with the new values, after a check of all of them together.
 
     Raise a ConfigurationError that names every parameter with an invalid value.
     """

@@ -87,7 +87,7 @@ class LoopRunner:
         return self._timers[-1]
 
     def apply(self, configuration: Configuration) -> None:
-        """Use changed parameters, and reset the wait of the watch timer, which may not suit them."""
+        """Use changed parameters, and reset the wait of the watch timer, which may be too long."""
         before, self.configuration = self.configuration, configuration
         if self.loop is not None:
             apply_configuration(self.loop, configuration, before)
@@ -205,7 +205,7 @@ class LoopRunner:
             self.step(self.now())
 
     def _on_watch(self) -> None:
-        """Step if joint states are missing or lost, or if no joint state steps a ramp down."""
+        """Step if joint states are missing or lost, or if a ramp down needs further steps."""
         if self.loop is None:  # the event was queued before its timer was destroyed
             return
         self._switch_loop()

@@ -126,7 +126,7 @@ def deserialize_trajectory(data: bytes) -> JointTrajectory:
 
 
 def _read_trajectory(message: JointTrajectory) -> Trajectory:
-    """Convert a whole message to a `Trajectory`."""
+    """Convert a message to a `Trajectory`."""
     names, points = tuple(message.joint_names), message.points
 
     def read(what: str) -> Floats | None:
