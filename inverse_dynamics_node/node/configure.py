@@ -76,7 +76,7 @@ def _check_springs(loop: ControlLoop, of_joint: dict[str, Floats]) -> None:
         raise ConfigurationError(
             f"spring_stiffness of joint '{loop.controller.joints[k]}' is "
             f'{of_joint["spring_stiffness"][k]:g}, expected 0: the joint is continuous, and its '
-            'position may be reported with full turns left out'
+            'reported position may omit full turns'
         )
 
 

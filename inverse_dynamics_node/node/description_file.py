@@ -35,7 +35,7 @@ def load_robot(configuration: Configuration, description: str) -> tuple[RobotMod
     text = configuration.robot_description or description
     if not text:
         raise ConfigurationError(
-            'no robot description: none on the topic, and neither robot_description nor '
+            'there is no robot description: the topic has none, and neither robot_description nor '
             'robot_description_file is set'
         )
     if not text.lstrip('\ufeff \t\r\n').startswith('<'):  # load_urdf would open it as a file
@@ -74,7 +74,7 @@ def load_file(given: str, on_missing_inertial: str) -> tuple[RobotModel, str]:
             is_relative = path == Path.cwd() / file
             where = f" ('{file}'{f', working directory {Path.cwd()}' if is_relative else ''})"
         if '.xacro ' in file:
-            where += '; arguments of xacro are NAME:=VALUE'
+            where += '; arguments for xacro have the form NAME:=VALUE'
         raise ConfigurationError(f'robot_description_file: no such file: {path}{where}') from None
 
 

@@ -48,15 +48,15 @@ usage: inverse_dynamics_node [-h] [--version]
                                                    [-r NAME:=NAME]..."""
 
 _INTRODUCTION = """\
-Publishes the joint efforts that produce the requested joint accelerations of a robot given by its
-URDF. A managed node: with autostart it configures and activates itself."""
+Publishes the joint efforts that produce the requested joint accelerations of a robot with a URDF.
+The node is a managed node. With autostart, it configures and activates itself."""
 
 _OPTIONS = """\
 options:
   -h, --help  show this text
   --version   show the version
-  --policy    show a policy of SROS 2 for a node with these arguments
-  --ros-args  what follows is for ROS: -p, --params-file set parameters; -r remaps topics"""
+  --policy    show an SROS 2 policy for a node with these arguments
+  --ros-args  arguments for ROS follow: -p, --params-file set parameters; -r remaps topics"""
 
 _EXAMPLES = """\
 examples:
@@ -145,7 +145,7 @@ SUBSCRIBED = {
     'robot_description': ('std_msgs/String', 'URDF, if no parameter gives it'),
     '~/desired_accelerations': ('std_msgs/Float64MultiArray', 'in the order of joints'),
     '~/reference': ('trajectory_msgs/JointTrajectory', 'reference by joint name'),
-    '~/joint_trajectory_in': ('trajectory_msgs/JointTrajectory', 'to be filled with efforts'),
+    '~/joint_trajectory_in': ('trajectory_msgs/JointTrajectory', 'trajectory that needs efforts'),
     '~/payload': ('geometry_msgs/InertiaStamped', 'rigid load on a link'),
     '~/external_wrench': ('geometry_msgs/WrenchStamped', 'wrench exerted on the robot'),
     '~/gravity': ('geometry_msgs/Vector3Stamped', 'free-fall acceleration'),
@@ -153,19 +153,19 @@ SUBSCRIBED = {
 }
 PUBLISHED = {
     '~/commands': ('std_msgs/Float64MultiArray', 'efforts in the order of joints'),
-    '~/joint_efforts': ('sensor_msgs/JointState', 'the same with names'),
+    '~/joint_efforts': ('sensor_msgs/JointState', 'efforts by joint name'),
     '~/joint_commands': (
         'sensor_msgs/JointState',
-        'the same with the reference motion',
+        'efforts and reference motion',
     ),
-    '~/terms/inertial': ('sensor_msgs/JointState', 'the parts of the efforts'),
+    '~/terms/inertial': ('sensor_msgs/JointState', 'terms that add up to efforts'),
     '~/terms/velocity': ('sensor_msgs/JointState', ''),
     '~/terms/gravity': ('sensor_msgs/JointState', ''),
     '~/terms/friction': ('sensor_msgs/JointState', ''),
     '~/terms/external': ('sensor_msgs/JointState', ''),
     '~/external_efforts': ('sensor_msgs/JointState', 'measured minus modelled effort'),
-    '~/base_wrench': ('geometry_msgs/WrenchStamped', 'exerted by the mount on the base'),
-    '~/joint_trajectory_out': ('trajectory_msgs/JointTrajectory', 'filled with efforts'),
+    '~/base_wrench': ('geometry_msgs/WrenchStamped', 'wrench of the mount on the base'),
+    '~/joint_trajectory_out': ('trajectory_msgs/JointTrajectory', 'trajectory with efforts'),
     '~/robot_description': ('std_msgs/String', 'the robot description in use'),
     '/diagnostics': ('diagnostic_msgs/DiagnosticArray', 'state of the node, every second'),
 }

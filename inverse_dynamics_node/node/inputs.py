@@ -154,9 +154,9 @@ class Inputs:
             link, force, moment = _read_wrench(message)
             if loop.set_external_wrench(now, link, force, moment):
                 text = (
-                    f'force {_listed(force)} N and moment {_listed(moment)} N m on link '
-                    f"'{link}', until it is not renewed for "
-                    f'{self._runner.configuration.wrench_timeout:g} s'
+                    f'force {_listed(force)} N and moment {_listed(moment)} N m act on link '
+                    f"'{link}', until {self._runner.configuration.wrench_timeout:g} s after the "
+                    'last message'
                 )
                 self._log.report_message('~/external_wrench', text, is_problem=False)
 
@@ -190,7 +190,7 @@ class Inputs:
         is_problem = bool(gravity @ expected < 0.0)
         if is_problem:
             text += (
-                f', opposite to the parameter gravity, {_listed(expected)}: expected the '
+                f' is opposite to the parameter gravity, {_listed(expected)}: expected the '
                 'free-fall acceleration, which points to the ground; an IMU at rest measures '
                 'the opposite'
             )
@@ -250,12 +250,12 @@ def _read_reference(data: bytes, joints: Sequence[str], now: float) -> Reference
     """Read the first point by joint name; missing accelerations and efforts become zero."""
     if len(data) > _MAX_REFERENCE:
         raise JointStateError(
-            f'{len(data)} bytes, expected at most {_MAX_REFERENCE}: only the first point is used; '
-            'send one point at a time'
+            f'the message has {len(data)} bytes, expected at most {_MAX_REFERENCE}: only the '
+            'first point is used, so send one point at a time'
         )
     message = deserialize_trajectory(data)
     if not message.points:
-        raise JointStateError('no points, expected one')
+        raise JointStateError('there are no points, expected one')
     names = list(message.joint_names)
     if sorted(names) != sorted(joints):
         raise JointStateError(

@@ -121,8 +121,9 @@ class NodeLog:
             self._logger.warning(str(warning))
         others = [name for name in robot.joint_names if name not in joints]
         self._logger.info(
-            f"robot '{robot.name}', {np.sum(robot.mass):.3g} kg; commands {', '.join(joints)}"
-            + (f'; takes into account {", ".join(others)}' if others else '')
+            f"robot '{robot.name}', {np.sum(robot.mass):.3g} kg; "
+            f'the node commands {", ".join(joints)}'
+            + (f', and also models {", ".join(others)}' if others else '')
         )
 
     def report_waiting(self, missing: Callable[[], list[str]]) -> None:
@@ -169,7 +170,7 @@ class NodeLog:
         """Warn about joints that have lost their velocities, and name the publishers."""
         if self._is_due('velocities'):
             self._logger.warning(
-                f'joint_states: velocities of {", ".join(joints)} are taken as zero: earlier '
+                f'joint_states: the velocities of {", ".join(joints)} are taken as zero: earlier '
                 f'messages had velocities, later ones have none '
                 f'(published by {join_names(publishers)})'
             )
@@ -195,9 +196,9 @@ class NodeLog:
     ) -> None:
         if self._last_activity is None:
             for name in loop.collector.without_velocity():
-                self._logger.warning(f"joint_states: no velocity of '{name}', taken as zero")
+                self._logger.warning(f"joint_states: '{name}' has no velocity; zero is used")
             for name in loop.collector.unseen():
-                self._logger.warning(f"joint_states: '{name}' not seen, taken as locked")
+                self._logger.warning(f"joint_states: '{name}' is missing, and is taken as locked")
             self.report_implausible(loop)
             self._last_activity = Phase.WAITING, False
         steady = time.monotonic()

@@ -192,9 +192,10 @@ class InverseDynamicsNode(LifecycleNode):
             self._runner.start()
         joints = ', '.join(self._runner.loop.controller.joints)
         to = f'to {self._graph.with_subscribers()}'
+        where = f'are sent {to}'
         if self.configuration.dry_run:
-            to = self._outputs.describe_dry_run(to)
-        self.get_logger().info(f'efforts for {joints} {to}')
+            where = self._outputs.describe_dry_run(to)
+        self.get_logger().info(f'efforts for {joints} {where}')
         self._may_autostart = False
         self._was_active = True
         return result
@@ -286,7 +287,7 @@ class InverseDynamicsNode(LifecycleNode):
                 if not is_live and getattr(before, field) != getattr(after, field):
                     raise ConfigurationError(
                         f"parameter '{name}' is read when the node is configured; deactivate and "
-                        'clean up first'
+                        'clean up the node first'
                     )
             check_configuration(self._runner.loop, after)
         self._next_configuration = after

@@ -97,7 +97,7 @@ class Outputs:
         if self.may_command_by_name:
             by_name = self._joint_efforts.topic_name
             return f'are computed: dry run, nothing is sent {to}, nor to {by_name}'
-        return f'on ~/joint_efforts only: dry run, nothing is sent {to}'
+        return f'are on ~/joint_efforts only: dry run, nothing is sent {to}'
 
     def publish_zeros(self, loop: ControlLoop) -> None:
         """Publish zeros, and wait until they have been delivered."""

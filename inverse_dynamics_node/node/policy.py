@@ -10,8 +10,8 @@ from .remaps import LIFECYCLE_SERVICES, NodeNames, PUBLISHED_BY_ROS
 
 _HEADER = """\
 <?xml version="1.0" encoding="UTF-8"?>
-<!-- Who may publish, subscribe to and call what. doc/security.md describes how to use this file,
-     and how to make one for other names. A node that may not use a topic does not start. -->
+<!-- Permissions for topics and services. doc/security.md describes how to use this file, and
+     how to make one for other names. A node that lacks permission for a topic does not start. -->
 """
 _TYPE_DESCRIPTION = '~/get_type_description'
 _SERVICES_OF_ROS = (

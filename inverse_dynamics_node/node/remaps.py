@@ -139,8 +139,8 @@ def ineffective_files(arguments: Sequence[str], name: str) -> list[str]:
         sections = _sections(_content(file))
         if sections and not any(re.fullmatch(_pattern(section), name) for section in sections):
             problems.append(
-                f'--params-file {file} has no effect: it is for {", ".join(sections)}, this node '
-                f'is {name}'
+                f'--params-file {file} has no effect: it is for {", ".join(sections)}, but this '
+                f'node is {name}'
             )
     return problems
 
@@ -200,7 +200,7 @@ def _explain_tilde(rule: str) -> str:
             return ''
         home = match[0]
     original = f'~/{name[len(home) :]}:={target}'
-    return f"; if the shell replaced ~ by the home directory, quote the rule: -r '{original}'"
+    return f"; if the shell replaced ~ with the home directory, quote the rule: -r '{original}'"
 
 
 def _expanded(name: str, node: str, namespace: str) -> str:

@@ -109,7 +109,7 @@ def _describe_unknown(name: str, known: Iterable[str]) -> str:
     if LOCKED in hint:
         hint = f"; did you mean '{LOCKED}.{tail or '<joint>'}'?"
     if head in (LOCKED, _QOS):
-        hint = ': it is set when the process starts'
+        hint = ': it can only be set when the process starts'
     return f"unknown parameter '{shortened(name)}'{hint}"
 
 
@@ -188,8 +188,8 @@ def _contradictions(checked: dict[str, Any]) -> list[str]:
     if unknown:
         expected = ', '.join(map(str, sorted(available_cpus())))
         problems.append(
-            f"parameter 'cpu_affinity' contains {unknown[0]}, expected CPUs of this process: "
-            f'{expected}'
+            f"parameter 'cpu_affinity' contains {unknown[0]}, expected CPUs that this process may "
+            f'use: {expected}'
         )
     # The value -1 stands for the value in the URDF. Other negative numbers are invalid.
     for name in ('damping', 'coulomb'):
@@ -197,5 +197,5 @@ def _contradictions(checked: dict[str, Any]) -> list[str]:
         if ((numbers < 0.0) & (numbers != VALUE_OF_URDF)).any():
             value = checked[name]
             given = plain(list(value) if isinstance(value, tuple) else value)
-            problems.append(f"parameter '{name}' is {given}, expected -1 or numbers from 0")
+            problems.append(f"parameter '{name}' is {given}, expected -1 or at least 0")
     return problems

@@ -166,11 +166,11 @@ class LoopRunner:
         if not loop.switch_dry_run(is_wanted=is_wanted):
             return
         if is_wanted:
-            after = f', after the stop ramp ({time_to_fall:.3g} s)' * has_sent
-            text = f'dry run: no more commands{after}'
+            after = f' after the stop ramp ({time_to_fall:.3g} s)' * has_sent
+            text = f'dry run: the commands end{after}'
         else:
             to = self.graph.with_subscribers()
-            text = f'end of the dry run: efforts rise from zero, to {to}'
+            text = f'end of the dry run: efforts rise from zero and are sent to {to}'
         self._node.get_logger().info(text)
         self.log.begin()
 
@@ -252,12 +252,12 @@ class LoopRunner:
             loop, dropped = self.loader.take_loop(self.loop, self.configuration, self.is_active)
         except Exception as error:  # any error in the process that has read it
             self._node.get_logger().error(
-                f'kept the old robot description; the new one cannot be used: {error}'
+                f'kept the old robot description, because the new one cannot be used: {error}'
             )
             self.monitor.reject('robot_description', str(error).partition('\n')[0])
             return
         for link in dropped:
-            self._node.get_logger().warning(f"link '{link}' no longer exists; dropped its payload")
+            self._node.get_logger().warning(f"link '{link}' and its payload no longer exist")
         self.loop = loop
         self.log.report_robot(loop)
         self.outputs.publish_description(loop)

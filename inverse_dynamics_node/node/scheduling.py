@@ -21,9 +21,10 @@ _WINDOW, _CALM_WINDOW = 2.0, 10.0  # [s]; times over which the two fractions are
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4  # mlockall(2), <asm-generic/mman.h>
 
 _HINT = (
-    'to permit it, add "@realtime - rtprio 99" and "@realtime - memlock unlimited" to '
-    '/etc/security/limits.conf, join the group realtime and log in again, or start the container '
-    'with --cap-add=SYS_NICE --ulimit rtprio=99 --ulimit memlock=-1; see doc/realtime.md'
+    'to permit real-time priority and locked memory, add "@realtime - rtprio 99" and "@realtime - '
+    'memlock unlimited" to /etc/security/limits.conf, join the group realtime and log in again, '
+    'or start the container with --cap-add=SYS_NICE --ulimit rtprio=99 --ulimit memlock=-1; see '
+    'doc/realtime.md'
 )
 
 
@@ -83,7 +84,7 @@ class Scheduling:
                 self._problem = f'normal priority: SCHED_FIFO {priority} is {reason}'
                 problems.append(self._problem)
             else:  # started by chrt
-                done.append('real-time priority of the program that started this process')
+                done.append('real-time priority set by the program that started this process')
         if cpus:
             for tid in self._threads():
                 os.sched_setaffinity(tid, cpus)
@@ -178,7 +179,7 @@ def lock_memory() -> str:
         number = ctypes.get_errno()
         bound = f' (memlock limit {limit >> 10} kB)' if is_limited else ''
         raise OSError(number, f'memory cannot be locked: {os.strerror(number)}{bound}')
-    return 'memory in use at the start locked' if is_limited else 'memory locked'
+    return 'memory in use at the start is locked' if is_limited else 'memory is locked'
 
 
 def _thread_ids() -> list[int]:

@@ -87,12 +87,12 @@ class TrajectoryFiller:
             raise TrajectoryError('~/joint_trajectory_out has no subscriber')
         if is_active and len(data) > _MAX_SIZE:
             raise TrajectoryError(
-                f'{len(data)} bytes, expected at most {_MAX_SIZE} while the node is active, '
-                'because no commands are sent while it is received and sent: deactivate the node '
-                'first, or split the trajectory'
+                f'the trajectory has {len(data)} bytes, expected at most {_MAX_SIZE} while the '
+                'node is active: no commands are sent while the node receives or publishes a '
+                'trajectory. Deactivate the node first, or split the trajectory'
             )
         if len(self._waiting) >= _MAX_WAITING:
-            raise TrajectoryError(f'{_MAX_WAITING} earlier trajectories are not filled yet')
+            raise TrajectoryError(f'{_MAX_WAITING} earlier trajectories still lack their efforts')
         self._waiting.append((self._worker.submit(fill, loop, data), reject))
         self._timer.reset()
 
@@ -112,7 +112,7 @@ class TrajectoryFiller:
         for note in filled.notes:
             self._log.warn(('trajectory note', note), f'~/joint_trajectory_in: {note}')
         for name in filled.beyond:
-            warning = f"~/joint_trajectory_in: efforts of '{name}' exceed its limit"
+            warning = f"~/joint_trajectory_in: the efforts of '{name}' exceed their limit"
             self._log.warn(('trajectory beyond', name), warning)
         self._publisher.publish(filled.data)
 
@@ -122,7 +122,7 @@ def deserialize_trajectory(data: bytes) -> JointTrajectory:
     try:
         return deserialize_message(data, JointTrajectory)
     except Exception as error:  # RMWError, which is not public
-        raise TrajectoryError(f'{len(data)} bytes that are not a trajectory: {error}') from error
+        raise TrajectoryError(f'{len(data)} bytes are not a trajectory: {error}') from error
 
 
 def _read_trajectory(message: JointTrajectory) -> Trajectory:
@@ -137,13 +137,13 @@ def _read_trajectory(message: JointTrajectory) -> Trajectory:
         if lengths != {len(names)}:
             raise TrajectoryError(
                 f'points have {", ".join(map(str, sorted(lengths)))} {what}, expected '
-                f'{len(names)} each, or none'
+                f'{len(names)} at each point, or none'
             )
         return np.array(rows, dtype=np.float64)
 
     positions = read('positions')
     if positions is None:
-        raise TrajectoryError('no positions, expected one for every joint at every point')
+        raise TrajectoryError('there are no positions, expected one per joint at every point')
     times = [p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in points]
     velocities, accelerations = read('velocities'), read('accelerations')
     return Trajectory(names, np.array(times), positions, velocities, accelerations)

@@ -50,7 +50,10 @@ class Worker:
                 pool.submit(int)  # creates the process
                 self._executor = pool
             except OSError as error:  # a limit of processes or of memory
-                self.problem = f'no process for long work ({error}): a thread delays the commands'
+                self.problem = (
+                    f'there is no process for long work ({error}): a thread does this work, and '
+                    'delays the commands'
+                )
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         """

@@ -13,7 +13,7 @@ from ..control.status_text import join_names
 
 _DISCOVERY = 1.0  # [s]; time allowed for the discovery of publishers
 _MAX_CHECKS = 10  # number of checks that wait for the node name of a known subscription
-_UNKNOWN = 'a node of unknown name'
+_UNKNOWN = 'a node with an unknown name'
 
 
 class Graph:

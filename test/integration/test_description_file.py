@@ -119,7 +119,7 @@ def test_problems_of_xacro_files_name_the_file(workspace):
         load_file('arm.xacro mass:=-1', 'warn')
     with pytest.raises(ConfigurationError, match=f'no such file: {workspace}/your.xacro'):
         load_file('your.xacro mass:=1', 'warn')
-    with pytest.raises(ConfigurationError, match='arguments of xacro are NAME:=VALUE'):
+    with pytest.raises(ConfigurationError, match='arguments for xacro have the form NAME:=VALUE'):
         load_file('arm.xacro mass=1', 'warn')
 
 

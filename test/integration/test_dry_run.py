@@ -92,7 +92,7 @@ def test_a_dry_run_sends_no_command_and_can_be_switched_off_and_on(run_node, rob
     fractions = np.array(robot.commands) @ HOLD / (HOLD @ HOLD)
     ramp = (np.array(robot.command_times) - since) / RAMPED['start_ramp']
     assert (fractions < ramp + 0.2).all()
-    robot.wait_for_text(node, 'end of the dry run: efforts rise from zero, to /inverse_dynamics')
+    robot.wait_for_text(node, 'dry run: efforts rise from zero and are sent to /inverse_dynamics')
 
     count, since = len(robot.commands), time.monotonic()
     assert robot.set_parameter('dry_run', True).successful

@@ -81,19 +81,20 @@ def test_a_node_with_the_same_name_is_reported(run_node, robot):
 def test_joints_topic_and_subscribers_are_reported_on_activation(run_node, robot):
     joints = f'{NAMES[2]}, {NAMES[0]}'
     node = run_node('-r', '~/commands:=/left/efforts', **PATIENT, joints=f'[{joints}]')
-    robot.wait_for_text(node, f'efforts for {joints} to /left/efforts (no subscriber yet)')
+    to = 'are sent to /left/efforts'
+    robot.wait_for_text(node, f'efforts for {joints} {to} (no subscriber yet)')
     subscription = robot.node.create_subscription(
         Float64MultiArray, '/left/efforts', lambda message: None, 10
     )
     robot.wait_for_text(node, 'first subscriber of /left/efforts: ')
     # The name of a node may arrive seconds after its subscription.
     (line,) = lines(node, 'first subscriber')
-    assert line.endswith((': /robot', ': a node of unknown name'))
+    assert line.endswith((': /robot', ': a node with an unknown name'))
 
     def is_named():
         assert robot.change_state('deactivate')
         assert robot.change_state('activate')
-        return f'efforts for {joints} to /left/efforts (/robot)' in node.output
+        return f'efforts for {joints} {to} (/robot)' in node.output
 
     robot.wait_until(is_named, 'name of the subscriber')
     robot.node.destroy_subscription(subscription)

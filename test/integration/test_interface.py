@@ -130,8 +130,8 @@ def test_an_external_wrench_is_compensated_while_it_is_renewed(run_node, robot, 
     robot.cease(pushing)
     robot.wait_for_command(before)
     text = (
-        f"~/external_wrench: force 3, -2, -10 N and moment 0.1, 0.2, -0.3 N m on link '{TIP}', "
-        'until it is not renewed for 1 s'
+        '~/external_wrench: force 3, -2, -10 N and moment 0.1, 0.2, -0.3 N m act on link '
+        f"'{TIP}', until 1 s after the last message"
     )
     robot.wait_for_text(node, text)
     assert node.output.count(text) == 1
@@ -155,7 +155,7 @@ def test_gravity_follows_the_topic(run_node, robot, dynamics):
     dynamics.set_gravity((1.0, 2.0, 9.0))
     robot.wait_for_command(dynamics.efforts(Q, QD, ZERO))
     words = (
-        "~/gravity: 1, 2, 9 m/s^2 in the frame of 'base_link', opposite to the parameter "
+        "~/gravity: 1, 2, 9 m/s^2 in the frame of 'base_link' is opposite to the parameter "
         'gravity, 0, 0, -9.81: expected the free-fall acceleration'
     )
     robot.wait_for_text(node, words)
@@ -436,7 +436,7 @@ def test_a_joint_that_is_never_reported_uses_its_locked_position(run_node, robot
     robot.publish_state(joints, Q[[0, 1, 3, 4]], QD[[0, 1, 3, 4]])
     still = QD * [1, 1, 0, 1, 1, 0]
     robot.wait_for_command(dynamics.efforts(Q, still, ZERO)[[0, 1, 3, 4]])
-    robot.wait_for_text(node, f"'{NAMES[2]}' not seen, taken as locked")
+    robot.wait_for_text(node, f"'{NAMES[2]}' is missing, and is taken as locked")
     seen = [0, 1, 3, 4, 2]
     elsewhere = Q.copy()
     elsewhere[2] = 0.6

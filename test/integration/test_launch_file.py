@@ -117,7 +117,7 @@ def test_arguments_that_are_not_given_do_not_change_the_file(run_node, robot, tm
     other.write_text('/inverse_dynamics_node:\n  ros__parameters:\n    effort_limits: 1.0\n')
     arguments = ros_arguments(tmp_path, params_file=str(path), dry_rum='true')
     node = run_node(*arguments, '--params-file', str(other))
-    robot.wait_for_text(node, 'efforts for joint_3 to /inverse_dynamics/commands')
+    robot.wait_for_text(node, 'efforts for joint_3 are sent to /inverse_dynamics/commands')
     assert robot.get_parameter('dry_run') is False
     (warning,) = (line for line in node.output.splitlines() if ' has no effect' in line)
     assert f'--params-file {other} has no effect: it is for /inverse_dynamics_node, ' in warning

@@ -349,7 +349,7 @@ def test_invalid_changes_of_parameters_are_rejected_with_a_reason(run_node, robo
     publish_shuffled_state(robot)
     robot.wait_for_command(HOLD)
     for name, value, words in (
-        ('update_rate', 100.0, 'deactivate and clean up first'),
+        ('update_rate', 100.0, 'deactivate and clean up the node first'),
         ('joints', None, "'joints' cannot be unset"),
         ('kp', [1.0, 2.0], 'kp has 2 numbers, expected one, or one for each of 6 joints'),
         ('mode', 'fast', "'fast', expected one of inverse_dynamics, computed_torque, gravity"),

@@ -35,8 +35,8 @@ def test_a_stop_without_joint_states_begins_at_once_and_does_not_catch_up(run_no
         assert robot.set_parameter('dry_run', True).successful
     robot.wait_for_command(ZERO, tolerance=0.0)
     if stop == 'enable, dry_run':  # the fall continues
-        robot.wait_for_text(node, 'dry run: no more commands')
-        (left,) = re.findall(r'no more commands, after the stop ramp \((.*) s\)', node.output)
+        robot.wait_for_text(node, 'dry run: the commands end')
+        (left,) = re.findall(r'the commands end after the stop ramp \((.*) s\)', node.output)
         assert float(left) < 0.5
     assert time.monotonic() < robot.last_state + 5.0  # before the states are lost
     commands = np.array(robot.commands[count - 1 :])

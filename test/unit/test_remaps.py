@@ -130,7 +130,7 @@ def test_a_parameter_file_for_other_nodes_is_reported(sections, has_effect, tmp_
     assert bool(found) != has_effect
     if found:
         assert found[0].startswith(f'--params-file {path} has no effect: it is for /')
-        assert found[0].endswith(', this node is /left/arm')
+        assert found[0].endswith(', but this node is /left/arm')
 
 
 @pytest.mark.parametrize('text', ['', '# nothing', '- a list', 'a: [', '/**:\n'])
