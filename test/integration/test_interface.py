@@ -232,7 +232,7 @@ def test_invalid_messages_are_dropped_with_a_reason(run_node, robot, dynamics):
         ('payload', payload('nope', 1.0), "link 'nope' does not exist; links are base_link"),
         ('external_wrench', infinite, 'force is'),
         ('gravity', Vector3Stamped(vector=Vector3(z=-1e4)), 'gravity is'),
-        ('joint_trajectory_in', without_positions, 'no positions'),
+        ('joint_trajectory_in', without_positions, 'there are no positions'),
         ('payload', payload(TIP, -1.0), 'mass is -1.0'),
         ('joint_trajectory_in', WILD, 'the spline overflows: positions are too far apart'),
         ('payload', payload(TIP, math.nan), 'mass is nan'),

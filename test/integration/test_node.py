@@ -358,7 +358,7 @@ def test_invalid_changes_of_parameters_are_rejected_with_a_reason(run_node, robo
         ('kp', [2e9] * 6, 'expected at most 1e+09'),
         ('kp', '1e3', 'commanded joint; YAML reads 1e3 as text, write 1000.0'),
         ('effort_limit', 5.0, "unknown parameter 'effort_limit'; did you mean 'effort_limits'?"),
-        ('locked_positions.hand', 0.0, "'locked_positions.hand': it is set when the process sta"),
+        ('locked_positions.hand', 0.0, "hand': it can only be set when the process starts"),
         ('', 5.0, 'a parameter without a name'),
         ('autostart', False, 'read-only'),
     ):
