@@ -76,7 +76,7 @@ class NodeLog:
         self._message_times: dict[str, deque[float]] = {}  # times of reports by topic
 
     def begin(self) -> None:
-        """Report the next activity even if it is the same as before the last stop."""
+        """Report the next activity even if it equals the last activity before the stop."""
         self._last_activity = None
         self._changes.clear()
 

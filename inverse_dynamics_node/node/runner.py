@@ -195,7 +195,7 @@ class LoopRunner:
         self._on_watch()
 
     def step_if_late(self) -> None:
-        """Step if the timer is late by more than half a period."""
+        """Step the loop if the timer is late by more than half a period."""
         now, period = self.now(), self.configuration.period
         if self.is_active and period and now > self._last_step + 1.5 * period:
             self.step(now)

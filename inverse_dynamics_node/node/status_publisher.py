@@ -46,7 +46,7 @@ class StatusPublisher:
         node.create_timer(_PERIOD, self._on_timer, clock=clock)
 
     def publish_if_late(self) -> None:
-        """Publish if the timer is late."""
+        """Publish the status if the timer is late."""
         if time.monotonic() > self._last_time + 1.5 * _PERIOD:
             self._on_timer()
 

@@ -32,7 +32,7 @@ class Filled(NamedTuple):
     """A trajectory with its efforts."""
 
     data: bytes
-    """The serialized message."""
+    """The serialized message with the efforts."""
     notes: tuple[str, ...]
     """Descriptions of the quantities that had to be derived."""
     beyond: list[str]

@@ -46,7 +46,7 @@ class LogLine(NamedTuple):
     time: float
     """Time stamp, in seconds since 1970."""
     level: str
-    """``WARN``, ``ERROR`` or ``FATAL``."""
+    """Severity: ``WARN``, ``ERROR`` or ``FATAL``."""
     text: str
 
 
@@ -54,7 +54,7 @@ class Sample(NamedTuple):
     """The latest values of all n joints of the robot; NaN if unknown."""
 
     time: float
-    """Steady time [s]."""
+    """Steady time of the sample [s]."""
     positions: Floats
     """Positions as received, shape (n,) [rad or m]."""
     q: Floats
@@ -146,7 +146,7 @@ class Observer:
         self._last_q: tuple[float, Floats] | None = None
 
     def poll(self) -> bool:
-        """Handle new messages; return whether the robot has changed, which invalidates samples."""
+        """Handle new messages; return whether the robot has changed, so that samples expire."""
         for message, _ in self._take(self._diagnostics, DiagnosticArray):
             status = read_status(message, self.name)
             if status is not None:
