@@ -231,7 +231,7 @@ def sensor_lost(setup: DemoSetup) -> Timeline:
         standing(setup),
         lambda history: results.check_sensor_lost(setup, history, lost, back),
         (
-            Event(lost, 'joint states stop, and the brakes go on', {sensors: Bool(data=False)}),
+            Event(lost, 'joint states stop, and the brakes engage', {sensors: Bool(data=False)}),
             Event(back, 'joint states resume', {sensors: Bool(data=True)}),
         ),
         'the arm stands still',
