@@ -1,10 +1,11 @@
 """
-Columns of regressions, efforts of one unit of an unknown, and least squares with them.
+Columns of regressions, and least squares with them.
 
-Efforts are linear in gravity, in the inertial parameters of bodies and payloads, and in friction.
-They depend on combinations of the inertial parameters, the base parameters. A QR decomposition
-with pivoting of the regressor at random states selects as many of its columns as are independent
-[1]_; the other columns are combinations of these.
+A column contains the efforts that one unit of an unknown causes. Efforts are linear in gravity, in
+the inertial parameters of bodies and payloads, and in friction. Efforts depend only on certain
+combinations of the inertial parameters, the base parameters. A QR decomposition with pivoting of a
+regressor at random states selects the independent columns [1]_. Every other column is a
+combination of the selected columns.
 
 References
 ----------
@@ -25,14 +26,14 @@ from ..robot.model import Booleans, Floats, Integers, RobotModel
 from ..robot.rigid_body import PARAMETERS, parameters_of_pseudo_inertias
 
 NAMES = ('m', 'mx', 'my', 'mz', 'Ixx', 'Ixy', 'Iyy', 'Ixz', 'Iyz', 'Izz')
-"""Parameters of a body: mass, first moments and inertia about the origin of its frame."""
+"""Parameters of a body: mass, first moments and inertia about the origin of the body frame."""
 INDEPENDENT = 1e-8
-"""Smallest independent part of a column, relative to the largest one."""
-STATES_AT_ONCE = 2000  # to limit the memory
+"""A column is independent if its pivot exceeds this fraction of the largest pivot."""
+STATES_AT_ONCE = 2000  # limits the memory for regressors
 
 
 def direction_of(qd: Floats, width: Floats | float) -> Floats:
-    """Return the directions of Coulomb friction, smoothed over a speed [rad/s or m/s]."""
+    """Return the direction of Coulomb friction, smoothed over the speed `width` [rad/s or m/s]."""
     return np.asarray(np.tanh(qd / width))
 
 
@@ -40,22 +41,11 @@ def friction_columns(
     qd: Floats, width: float, load: Floats, smooth: Callable[[Floats], Floats]
 ) -> Floats:
     """
-    Compute the efforts of damping, Coulomb friction, friction per load, and an offset.
+    Return columns of damping, Coulomb friction, load friction and offset, shape (samples, 4).
 
-    Parameters
-    ----------
-    qd : ndarray, shape (K,)
-        Velocities of a joint [rad/s or m/s].
-    width : float
-        Speed over which Coulomb friction is smoothed [rad/s or m/s].
-    load : ndarray, shape (K,)
-        Magnitude of the effort that moves the links [N m or N].
-    smooth : callable
-        Smooths columns of shape (K, c) in the same way as the measured efforts.
-
-    Returns
-    -------
-    columns : ndarray, shape (K, 4)
+    `qd` are the velocities of one joint, and `width` is the speed over which Coulomb friction is
+    smoothed [rad/s or m/s]. `load` is the magnitude of the effort that moves the links [N m or N].
+    `smooth` smooths columns in the same way as the measured efforts.
 
     """
     direction = direction_of(qd, width)
@@ -65,19 +55,9 @@ def friction_columns(
 
 def gravity_columns(robot: RobotModel, q: Floats) -> Floats:
     """
-    Compute the efforts of 1 m/s^2 of gravity along each axis of the base link.
+    Return the efforts per 1 m/s^2 of gravity along each axis of the base link.
 
-    Parameters
-    ----------
-    robot : RobotModel
-        Robot with n joints.
-    q : ndarray, shape (K, n)
-        Joint positions [rad or m].
-
-    Returns
-    -------
-    columns : ndarray, shape (K, n, 3)
-        For gravity along x, y and z.
+    The result has the shape (samples, joints, 3), for gravity along x, y and z.
 
     """
     return np.stack([InverseDynamics(robot, axis).gravity_efforts(q) for axis in np.eye(3)], -1)
@@ -87,21 +67,11 @@ def body_columns(
     dynamics: InverseDynamics, states: tuple[Floats, Floats, Floats], bodies: Sequence[int]
 ) -> Floats:
     """
-    Compute the columns of the regressor that belong to some bodies.
+    Return the columns of the regressor that belong to some bodies.
 
-    Parameters
-    ----------
-    dynamics : InverseDynamics
-        Robot with n joints.
-    states : tuple of q, qd, qdd
-        Each of shape (K, n).
-    bodies : sequence of int
-        Indices of b bodies in the robot, without the base.
-
-    Returns
-    -------
-    columns : ndarray, shape (K, n, 10 b)
-        In the order of `InverseDynamics.regressor`.
+    The states are positions, velocities and accelerations, each of shape (samples, joints).
+    `bodies` are indices in the robot; the base is not one of them. The result has the shape
+    (samples, joints, 10 per body), and its columns have the order of `InverseDynamics.regressor`.
 
     """
     first: Integers = PARAMETERS * (np.array(bodies) - 1)
@@ -117,27 +87,15 @@ def payload_columns(
     robot: RobotModel, gravity: Floats, link: str, states: tuple[Floats, Floats, Floats]
 ) -> Floats:
     """
-    Compute the efforts of a load, separately for each of its parameters.
+    Return the efforts of a load on a link, separately for each parameter of the load.
 
-    A load is a second moment of mass in the homogeneous coordinates of its link. The parameters of
-    its body are linear in this moment, and efforts are linear in the parameters of the body.
+    A load is a second moment of mass in the homogeneous coordinates of the link. The parameters of
+    the body are linear in this moment, and efforts are linear in the parameters of the body.
+    `gravity` is the free-fall acceleration in the frame of the base link [m/s^2].
 
-    Parameters
-    ----------
-    robot : RobotModel
-        Robot with n joints.
-    gravity : ndarray, shape (3,)
-        Free-fall acceleration in the frame of the base link [m/s^2].
-    link : str
-        Link that carries the load.
-    states : tuple of q, qd, qdd
-        Each of shape (K, n).
-
-    Returns
-    -------
-    columns : ndarray, shape (K, n, 10)
-        Efforts for m = 1 kg; m c_x, m c_y, m c_z = 1 kg m; and m c c^T = 1 kg m^2, its xx, yy,
-        zz, xy, xz, yz.
+    The result has the shape (samples, joints, 10). Its columns are efforts for a mass of 1 kg, for
+    first moments of 1 kg m along x, y and z, and for second moments xx, yy, zz, xy, xz and yz of 1
+    kg m^2.
 
     """
     k = robot.link_index(link)
@@ -155,21 +113,21 @@ def payload_columns(
 
 
 SECOND_MOMENTS = (0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)
-"""Axes of the last six parameters of a load."""
+"""Axes of the six second moments among the parameters of a load: xx, yy, zz, xy, xz and yz."""
 _MOMENTS = (3, 3), (0, 3), (1, 3), (2, 3), *SECOND_MOMENTS
-"""Element of the second moment of mass that belongs to each parameter of a load."""
+"""Row and column of each parameter of a load in the 4 x 4 matrix of its moments."""
 
 
 # ---- Base parameters -----------------------------------------------------------------------
 
 
 class BaseParameters(NamedTuple):
-    """Combinations of p parameters that determine the efforts."""
+    """Combinations of inertial parameters that determine the efforts."""
 
     combinations: Floats
-    """Shape (r, p); each contains one parameter with factor 1 that no other contains."""
+    """Factors of the parameters in each combination, shape (combinations, parameters)."""
     leading: Integers
-    """Index of that parameter for each combination."""
+    """Index of the leading parameter of each combination: factor 1 there, and 0 in all others."""
 
     def names(self, links: tuple[str, ...]) -> list[str]:
         """Return the names of the leading parameters, such as ``mx of forearm``."""
@@ -180,13 +138,10 @@ class BaseParameters(NamedTuple):
 
 def base_parameters(matrix: Floats) -> BaseParameters:
     """
-    Find the combinations of columns that are independent.
+    Find the independent combinations of the columns of a matrix, shape (rows, parameters).
 
-    Parameters
-    ----------
-    matrix : ndarray, shape (k, p)
-        Rows of a regressor at random states. Of columns that depend on each other, the larger ones
-        are selected.
+    The rows are those of a regressor at random states. If columns depend on each other, the larger
+    columns are selected.
 
     """
     from scipy.linalg import qr, solve_triangular
@@ -209,22 +164,10 @@ def fit_nonnegative(
     features: Floats, target: Floats, signed: Sequence[int] | Booleans = ()
 ) -> tuple[Floats, float]:
     """
-    Fit factors of columns that are not negative, such as those of friction.
+    Fit a target, shape (rows,), with nonnegative factors of columns, such as those of friction.
 
-    Parameters
-    ----------
-    features : ndarray, shape (K, p)
-        Columns.
-    target : ndarray, shape (K,)
-        What their sum explains.
-    signed : sequence of int, or ndarray of bool
-        The columns whose factors may be negative, such as that of an offset.
-
-    Returns
-    -------
-    factors : ndarray, shape (p,)
-    left : float
-        Sum of squares that is not explained.
+    `features` contains the columns, shape (rows, columns). Columns in `signed`, such as an offset,
+    may have negative factors. Returns the factors, and the sum of squares of the residual.
 
     """
     from scipy.optimize import nnls

@@ -1,4 +1,4 @@
-"""Identified values, written as parameters of the node in YAML."""
+"""Writes identified values as parameters of the node in YAML."""
 
 from __future__ import annotations
 
@@ -12,18 +12,11 @@ def node_parameters(
     values: Mapping[str, float | Sequence[float]],
 ) -> str:
     """
-    Write a file for ``--ros-args --params-file``.
+    Return the text of a file for ``--ros-args --params-file``.
 
-    Parameters
-    ----------
-    title : sequence of str
-        Lines of the comment at the top.
-    joint_names : sequence of str
-        The joints, in the order of the lists.
-    unknown : mapping of str to str
-        Joints whose friction is that of the URDF, with the reason.
-    values : mapping of str to float or sequence of float
-        The parameters by name.
+    The title is a comment at the top. For each joint in `unknown`, a comment gives the reason why
+    its friction is that of the URDF. A value is a number, or a list with the order of
+    `joint_names`.
 
     """
     names = ', '.join("'" + name.replace("'", "''") + "'" for name in joint_names)
@@ -47,7 +40,7 @@ def node_parameters(
 
 
 def _decimal(value: float) -> str:
-    """Write a number with a decimal point, so that ROS reads a list of numbers as decimals."""
+    """Return a number with a decimal point, because ROS would read `1` as an integer."""
     text = f'{value:.10g}'
     if 'e' in text:
         mantissa, exponent = text.split('e')

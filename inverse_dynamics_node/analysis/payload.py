@@ -1,10 +1,12 @@
 """
-The payload that a robot carries, from recordings with and without it.
+Measures the payload of a robot from recordings with and without the payload.
 
-The efforts of two runs of one motion differ by those of the payload, which are linear in its ten
-inertial parameters. Wrong links, friction and offsets are in both runs, and cancel. Without an
-empty run, the links are unknowns as well, with the usual errors of robot descriptions. What these
-errors could add to the payload is then part of the standard error.
+A robot repeats one motion with and without a payload. The efforts of the two runs differ by those
+of the payload, which are linear in its ten inertial parameters. Wrong link masses, friction and
+offsets are in both runs, and cancel.
+
+Without an empty run, the links are unknowns as well, with the usual errors of robot descriptions.
+The standard error of the payload then contains the possible effect of these errors.
 """
 
 from __future__ import annotations
@@ -32,95 +34,97 @@ from .identification.preparation import measured_joints, prepare_all
 from .recordings.resampling import pieces, Resampler, resampler
 from .recordings.signals import Motion, Recording
 
-STILL = 0.01  # [rad/s or m/s]; below this speed of all joints the arm rests
-LEAST_REST = 0.5  # [s] in a pose
-SETTLING = 0.2  # [s] at both ends of a rest that are left out
-NEAR = 0.1  # [rad, m, rad/s or m/s]; largest difference between states of both runs
-LEAST_MATCHED = 0.5  # fraction of the loaded run that has to be in the empty run too
-WINDOW = 0.15  # [s] of smoothing
-BLOCKS = 10  # contiguous parts whose spread is part of the standard errors
-WIDTH = 0.05  # [rad/s or m/s] over which Coulomb friction is smoothed
+STILL = 0.01  # [rad/s or m/s]; the arm rests while all joints are slower
+LEAST_REST = 0.5  # [s]; shortest rest in a pose
+SETTLING = 0.2  # [s]; time that is left out at both ends of a rest
+NEAR = 0.1  # [rad, m, rad/s or m/s]; largest difference between matching states of both runs
+LEAST_MATCHED = 0.5  # fraction of the loaded run that must match states of the empty run
+WINDOW = 0.15  # [s]; smoothing window
+BLOCKS = 10  # contiguous blocks of a motion; the standard errors include their spread
+WIDTH = 0.05  # [rad/s or m/s]; speed over which Coulomb friction is smoothed
 GAIN = 0.01  # relative error of the gain of each measured effort
-GAIN_ALONE = 0.05  # the same without an empty run, where it acts on the weight of the arm
-LINK_ERROR = 0.15  # relative error of the masses of links, and of their distribution
-APPARENT = 0.25  # [kg] that empty arms seem to carry; 0.02 to 1.5 on real ones
-REACH_OF_LINKS = 0.1  # [m] from the link to where this seems to be
-RADIUS = 0.05  # [m]; radius of gyration of a payload, where the recording does not show it
-REACH = 0.5  # [m] within which the centre of mass of a payload is
-MOST_COM_ERROR = 0.05  # [m]; coordinates with a larger standard error are unknown
-CERTAIN = 3.0  # standard errors that a mass has to be above zero
-LIGHTEST = 0.1  # [kg]; the extent of lighter payloads does not matter
-LEAST_NOISE = 0.05  # of the typical squares that are left, relative to the effort of the joint
+GAIN_ALONE = 0.05  # the same without an empty run: the gain then also acts on the arm's weight
+LINK_ERROR = 0.15  # relative error of link masses and of their distribution
+APPARENT = 0.25  # [kg]; payload that empty arms seem to carry; 0.02 to 1.5 on real arms
+REACH_OF_LINKS = 0.1  # [m]; distance of this apparent payload from the link
+RADIUS = 0.05  # [m]; assumed radius of gyration of a payload
+REACH = 0.5  # [m]; expected distance of the centre of mass from the origin of the link
+MOST_COM_ERROR = 0.05  # [m]; a coordinate with a larger standard error is unknown
+CERTAIN = 3.0  # a payload is certain if its mass exceeds this many standard errors
+LIGHTEST = 0.1  # [kg]; the extent of a lighter payload does not matter
+LEAST_NOISE = 0.05  # least squared residual, as a fraction of what is typical for the effort
 _SMALLEST = 1e-6  # [kg]
 _ROUNDS, _STEPS = 6, 2
 
 
 @dataclass(frozen=True, eq=False)
 class PayloadEstimate:
-    """A measured payload, and its standard errors."""
+    """A measured payload with its standard errors."""
 
     link: str
-    """Link that carries it."""
+    """Link that carries the payload."""
     body: RigidBody
-    """In the frame of the link, always physical; see `unknown`."""
+    """The payload in the frame of the link, always physical; `unknown` lists uncertain axes."""
     mass_error: float
-    """[kg]."""
+    """Standard error of the mass [kg]."""
     com_error: Floats
-    """Shape (3,) [m]."""
+    """Standard error of each coordinate of the centre of mass, shape (3,) [m]."""
     shows_inertia: bool
-    """Whether the inertia was measured; otherwise that of a ball is assumed."""
+    """Whether the inertia was measured; otherwise, the inertia of a ball is assumed."""
     joint_names: tuple[str, ...]
-    """The m joints with measured efforts."""
+    """The joints with measured efforts."""
     times: Floats
-    """Shape (R,) [s]."""
+    """Times of the samples, shape (samples,) [s]."""
     measured: Floats
-    """Efforts that are neither those of the empty arm nor of friction, shape (R, m) [N m or N]."""
+    """Measured efforts minus empty arm and friction, shape (samples, joints) [N m or N]."""
     fitted: Floats
-    """Efforts of the payload, shape (R, m) [N m or N]."""
+    """Efforts of the fitted payload, shape (samples, joints) [N m or N]."""
     duration: float
     """Duration of the part of the loaded run that was used [s]."""
     poses: int
     """Number of poses in which the arm rested; 0 for a motion."""
     matched: float
-    """Fraction of the loaded run that is in the empty run too; NaN without an empty run."""
+    """Fraction of the loaded run that matches the empty run; NaN without an empty run."""
 
     @property
     def residuals(self) -> Floats:
-        """Efforts that are not explained, shape (R, m) [N m or N]."""
+        """Efforts that the fit does not explain, shape (samples, joints) [N m or N]."""
         return self.measured - self.fitted
 
     @property
     def unknown(self) -> tuple[str, ...]:
-        """Coordinates of the centre of mass that the recordings do not show."""
+        """Axes (x, y, z) along which the recordings do not determine the centre of mass."""
         large = self.com_error > MOST_COM_ERROR
         return tuple(axis for axis, is_large in zip('xyz', large, strict=True) if is_large)
 
     @property
     def is_certain(self) -> bool:
-        """Whether there is a payload."""
+        """Whether the mass is clearly above zero."""
         return bool(self.body.mass > CERTAIN * self.mass_error)
 
 
 class _Rows(NamedTuple):
-    """Rows of the regression of m joints."""
+    """Rows of the payload regression."""
 
     times: Floats
-    """(R,) [s]."""
+    """Times of the rows, shape (rows,) [s]."""
     payload: Floats
-    """Columns of the payload, (R, m, 10)."""
+    """Columns of the payload, shape (rows, joints, 10)."""
     links: Floats
-    """Columns of the links, (R, m, 10 b); b is 0 if there is an empty run."""
+    """Columns of the links, shape (rows, joints, 10 per link); none if there is an empty run."""
     terms: Floats
-    """Columns of each joint alone, (R, m, t): offset, drift, friction."""
+    """
+    Columns that act on a single joint, such as offset and friction, shape (rows, joints, terms).
+    """
     arm: Floats
-    """Modelled efforts that a wrong gain multiplies besides those of the payload, (R, m)."""
+    """Modelled efforts of the arm that a wrong gain multiplies too, shape (rows, joints)."""
     target: Floats
-    """Efforts to explain, (R, m)."""
+    """Efforts to explain, shape (rows, joints)."""
     block: Integers
-    """Contiguous part that a row belongs to, (R,)."""
+    """Number of the contiguous block of each row, shape (rows,)."""
 
     def where(self, chosen: Booleans) -> _Rows:
-        """Return some of the rows."""
+        """Return the chosen rows."""
         return self._replace(**{name: values[chosen] for name, values in self._asdict().items()})
 
 
@@ -132,24 +136,12 @@ def measure_payload(
     gravity: Floats | Sequence[float],
 ) -> PayloadEstimate:
     """
-    Measure the payload on a link.
+    Measure the payload on a link from recordings with and without the payload.
 
-    Parameters
-    ----------
-    robot : RobotModel
-        The robot without the payload.
-    loaded, empty : Recording
-        The same motion, or the same poses, with and without the payload; without an empty
-        recording, the robot description has to be right.
-    link : str
-        Link that carries the payload.
-    gravity : array_like, shape (3,)
-        Free-fall acceleration in the frame of the base link [m/s^2].
-
-    Raises
-    ------
-    RecordingError
-        If a recording is too short, or the runs have too few states in common.
+    Both recordings contain the same motion, or the same poses. Without an empty recording, the
+    robot description has to be right. The robot model does not contain the payload. `gravity` is
+    the free-fall acceleration in the frame of the base link [m/s^2]. Raises RecordingError if a
+    recording is too short, or if the runs have too few states in common.
 
     """
     runs = [loaded] if empty is None else [loaded, empty]
@@ -199,7 +191,7 @@ def measure_payload(
 
 
 def _rests(motion: Motion) -> list[slice]:
-    """Return the parts in which the arm rests in a pose."""
+    """Return the intervals in which the arm rests in a pose."""
     is_still: Booleans = np.asarray((np.abs(motion.qd) < STILL).all(axis=1))
     found = []
     for begin, end in pieces(motion.times):
@@ -220,7 +212,7 @@ def _is_still(motion: Motion, rests: Sequence[slice]) -> bool:
 
 
 def _poses(motion: Motion, rests: Sequence[slice]) -> Motion:
-    """Return the mean of each rest; joints do not move in it."""
+    """Return the mean of each rest as a state without motion."""
     times, q, efforts = (
         np.array([np.mean(signal[each], axis=0) for each in rests])
         for signal in (motion.times, motion.q, motion.efforts)
@@ -230,7 +222,7 @@ def _poses(motion: Motion, rests: Sequence[slice]) -> Motion:
 
 
 def _partner(robot: RobotModel, loaded: Motion, empty: Motion) -> tuple[Motion, Booleans]:
-    """Return the nearest empty state of each loaded one, and whether it is near."""
+    """Return the nearest empty state of each loaded state, and whether the two states are near."""
     from scipy.spatial import cKDTree
 
     q = empty.q.copy()
@@ -260,7 +252,7 @@ def _rows(
     empty: Motion | None,
     smooth: Resampler | None,
 ) -> _Rows:
-    """Return the rows of the regression; states in poses are not smoothed."""
+    """Return the rows of the regression; rests in poses are not smoothed."""
     robot, states = dynamics.robot, (loaded.q, loaded.qd, loaded.qdd)
     payload = payload_columns(robot, dynamics.gravity, link, states)[:, joints]
     modelled, load = dynamics.efforts(*states)[:, joints], np.abs(loaded.efforts)
@@ -273,7 +265,7 @@ def _rows(
         target, arm = target - (empty.efforts - of_empty), np.zeros_like(target)
         load = load - np.abs(empty.efforts)
     ones = np.ones_like(target)
-    if smooth is None:  # friction is a part of the offset
+    if smooth is None:  # at rest, the offset contains the friction
         block = np.arange(len(target))
         return _Rows(loaded.times, payload, links, ones[..., None], arm, target, block)
     place = (loaded.times - loaded.times[0]) / float(np.ptp(loaded.times))  # 0 to 1
@@ -302,7 +294,7 @@ def _with_mass(robot: RobotModel) -> list[int]:
 
 
 def _prior_of_links(robot: RobotModel) -> Floats:
-    """Return the inverse covariance of the changes of links with mass, shape (10 b, 10 b)."""
+    """Return the inverse covariance of the parameters of links with mass, ten rows per link."""
     links = [
         moved_inside(RigidBody(robot.mass[k], robot.com[k], robot.inertia[k]).parameters())
         for k in _with_mass(robot)
@@ -318,10 +310,11 @@ def _prior_of_links(robot: RobotModel) -> Floats:
 
 class _Fit:
     """
-    Least squares for payload, links and joints, with what is known of them beforehand.
+    Least squares for payload, links and joints, with prior knowledge about all of them.
 
-    The unknowns of the payload are its mass m, its first moment h and its second moment S about
-    the centre of mass; the efforts are linear in m, h and S + h h^T / m.
+    The unknowns of the payload are its mass m, its first moment h, and its second moment S about
+    the centre of mass. The efforts are linear in m, h and S + h h^T / m.
+
     """
 
     def __init__(self, rows: _Rows, prior_of_links: Floats, gain_error: float) -> None:
@@ -344,15 +337,15 @@ class _Fit:
             self.x = self._solution()
             residual = self.residual()
         self.weights = self._weights(residual)
-        # The spread between blocks contains what varies slowly, which residuals hide. Fits without
-        # a block estimate the gains again, and so does the variance that it is compared with. The
-        # variance with known gains is a quarter of it or less, and would enlarge the errors.
+        # The spread between blocks shows slow changes, which residuals hide. Fits without a block
+        # estimate the gains again, so the spread is compared with a variance for unknown gains.
+        # A variance for known gains is at most a quarter of that, and would enlarge the errors.
         ratio = self._between() / _variance(self.covariances()[1], self.x)
         self.weights = self.weights / max(1.0, float(np.mean(ratio)))
         self.x = self._solution()
 
     def _assemble(self) -> None:
-        """Multiply the columns of each block and joint; a wrong gain is linearised."""
+        """Multiply the columns of each block and joint with each other, for a linearised gain."""
         rows = self.rows
         gain = rows.arm + rows.payload @ _parameters(self.x)
         self.table[:, self.joint, self.gains] = gain
@@ -360,29 +353,29 @@ class _Fit:
         self.products = np.array([part.swapaxes(1, 2) @ part for part in parts])
 
     def _weights(self, residual: Floats) -> Floats:
-        """Return inverse variances of the joints."""
+        """Return the inverse variance of each joint."""
         if len(self.products) < len(self.rows.times):
             return weights_of(residual)
-        # With few poses, a joint may fit by chance. The floor is relative to the effort of each
-        # joint: one for all joints was above the noise of the wrist.
+        # With few poses, a joint may fit by chance, so that its variance needs a lower bound. The
+        # bound is relative to the effort: a common bound was above the noise of the wrist.
         squares = np.sum(residual**2, axis=0) / max(len(residual) - 2.0, 1.0)
         size = np.mean(self.rows.target**2, axis=0) + 1e-12
         least = LEAST_NOISE * np.median(squares / size) * size
         return np.asarray(1.0 / (squares + least + 1e-12))
 
     def residual(self) -> Floats:
-        """Return the efforts that are not explained, shape (R, m)."""
+        """Return the efforts that the fit does not explain, shape (rows, joints)."""
         factors = np.r_[-_parameters(self.x), -self.x[PARAMETERS:], 1.0]
         return np.asarray(self.table @ factors)
 
     def _normal(self, without: int | None = None) -> tuple[Floats, Floats]:
-        """Return matrix and vector of the normal equations, without one of the blocks."""
+        """Return matrix and vector of the normal equations; one block may be left out."""
         chosen = np.arange(len(self.products)) != without
         sums = np.tensordot(self.weights, np.sum(self.products[chosen], axis=0), 1)
         return sums[:-1, :-1], sums[:-1, -1]
 
     def _near(self, x: Floats, matrix: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return the slope of the parameters near x, and precision and mean of the prior."""
+        """Return the derivatives of the parameters at x, and precision and mean of the prior."""
         slope = np.eye(self.size)
         slope[:PARAMETERS, :PARAMETERS] = _slope(x)
         mass = max(x[0], LIGHTEST)
@@ -400,7 +393,7 @@ class _Fit:
         return slope, known, mean
 
     def _solution(self, without: int | None = None) -> Floats:
-        """Solve the normal equations, which are linearised near the last solution."""
+        """Solve the linearised normal equations; one block may be left out."""
         (matrix, vector), x = self._normal(without), self.x
         for _ in range(_STEPS):
             slope, known, mean = self._near(x, matrix)
@@ -411,7 +404,7 @@ class _Fit:
         return np.asarray(x)
 
     def covariances(self) -> tuple[Floats, Floats]:
-        """Return the covariance of the unknowns, and the part of it that is due to noise."""
+        """Return the covariance of the unknowns, and the share of it that is due to noise."""
         matrix, _ = self._normal()
         slope, known, _ = self._near(self.x, matrix)
         data = slope.T @ matrix @ slope
@@ -419,7 +412,7 @@ class _Fit:
         return whole, whole @ data @ whole
 
     def _between(self) -> Floats:
-        """Return the variances from the spread of fits without one block each, shape (4,)."""
+        """Return variances of mass and centre of mass from fits without one block, shape (4,)."""
         count = len(self.products)
         if count < 2:
             return np.zeros(4)
@@ -428,13 +421,13 @@ class _Fit:
 
 
 def _parameters(x: Floats) -> Floats:
-    """Return the factors of `payload_columns`, shape (10,)."""
+    """Return the factors of `payload_columns` for the unknowns x, shape (10,)."""
     outer = np.outer(x[1:4], x[1:4]) / max(x[0], LIGHTEST)
     return np.asarray(np.r_[x[:4], x[4:10] + [outer[i, j] for i, j in SECOND_MOMENTS]])
 
 
 def _slope(x: Floats) -> Floats:
-    """Return the derivatives of `_parameters`, shape (10, 10)."""
+    """Return the derivatives of `_parameters` with respect to the unknowns, shape (10, 10)."""
     slope = np.eye(PARAMETERS)
     m, h = max(x[0], LIGHTEST), x[1:4]
     for row, (i, j) in enumerate(SECOND_MOMENTS, start=4):
@@ -450,7 +443,7 @@ def _mass_and_com(x: Floats) -> Floats:
 
 
 def _divisor(x: Floats) -> float:
-    """Return the mass, or a small one in place of none."""
+    """Return the mass as a divisor; a mass near zero is replaced with a small positive one."""
     return float(x[0]) if abs(x[0]) > _SMALLEST else _SMALLEST
 
 
@@ -464,7 +457,7 @@ def _variance(covariance: Floats, x: Floats) -> Floats:
 
 
 def _shows_inertia(covariance: Floats, x: Floats) -> bool:
-    """Return whether the second moments are better known than before the measurement."""
+    """Return whether the measurement clearly improves the knowledge of the second moments."""
     moment = max(x[0], LIGHTEST) * RADIUS**2
     return bool(np.sqrt(np.trace(covariance[4:7, 4:7])) < 0.5 * moment)
 

@@ -1,5 +1,5 @@
 """
-What motors and gears have to hold: the requirements of a trajectory, and of the whole workspace.
+Computes the efforts that motors and gears must provide for a trajectory, or in any pose.
 
 Gravity efforts over the workspace show which payload the effort limits allow. Poses are samples of
 a low-discrepancy sequence over the joint ranges. A local search, joint by joint, starts from the
@@ -24,41 +24,43 @@ from ..robot.model import Booleans, Floats, Integers, RobotModel
 
 SAMPLES = 4096
 _CANDIDATES = 33
-"""Positions of one joint that the search tries: 11 degrees apart for a full turn."""
+"""Number of positions of a joint that the search tries: 11 degrees apart for a full turn."""
 _WINDOWS = (1.0, 1.0, 0.1, 0.01)
-"""Fractions of the range of a joint that the passes of the search cover."""
+"""Fraction of the joint range that each pass of the search covers."""
 _STARTS = 3
 """Number of the worst samples from which the search for a worst pose starts."""
 _MOST_BODIES = 2e8
-"""Bodies whose gravity the search computes at most, which takes about ten seconds."""
+"""Most gravity efforts of bodies that the search computes, which takes about ten seconds."""
 _TIE = 1e-9
-"""Efforts whose relative difference is smaller are regarded as equal."""
+"""Efforts with a smaller relative difference are regarded as equal."""
 _ROUNDING = 1e-6
-"""Excess over a limit that is ignored, because files may have only six digits."""
+"""A smaller excess over a limit is ignored, because files may have only six digits."""
 
 
 @dataclass(frozen=True, eq=False)
 class Workspace:
-    """Efforts that hold a robot with n joints in s poses."""
+    """Gravity efforts of a robot in many poses."""
 
     robot: RobotModel
     poses: Floats
-    """Joint positions, shape (s, n) [rad or m]: the worst pose of each joint, then samples."""
+    """
+    Joint positions, shape (poses, joints) [rad or m]: the worst pose of each joint, then samples.
+    """
     efforts: Floats
-    """Gravity efforts in those poses, shape (s, n) [N m or N]."""
+    """Gravity efforts in these poses, shape (poses, joints) [N m or N]."""
     limits: Floats
-    """Effort limits, shape (n,) [N m or N]; inf if there is none."""
+    """Effort limits, shape (joints,) [N m or N]; inf for a joint without a limit."""
     is_search_shortened: bool = False
-    """Whether there were too many joints to search for the worst poses thoroughly."""
+    """Whether too many joints made a thorough search for the worst poses impossible."""
 
     @property
     def sampled(self) -> slice:
-        """Slice of the poses that are samples."""
+        """Slice that selects the sampled poses."""
         return slice(len(self.limits), None)
 
     @property
     def worst(self) -> Integers:
-        """Index of the pose with the largest gravity effort of each joint, shape (n,)."""
+        """Index of the pose with the largest gravity effort of each joint, shape (joints,)."""
         # If several poses are equally bad, the first one is the result of the search.
         sizes = np.abs(self.efforts)
         highest = np.max(sizes, axis=0) * (1.0 - _TIE) - _TIE * np.max(sizes)
@@ -67,13 +69,13 @@ class Workspace:
 
     @property
     def peaks(self) -> Floats:
-        """Largest absolute gravity effort of each joint, shape (n,) [N m or N]."""
+        """Largest absolute gravity effort of each joint, shape (joints,) [N m or N]."""
         peaks: Floats = np.max(np.abs(self.efforts), axis=0)
         return peaks
 
     @property
     def hardest(self) -> int:
-        """The joint closest to its limit; without limits, the one with the largest effort."""
+        """Index of the joint closest to its limit; without limits, of the largest effort."""
         ratios = self.peaks / self.limits
         return int(np.argmax(ratios if np.any(ratios > 0.0) else self.peaks))
 
@@ -83,18 +85,20 @@ class PayloadCapacity(NamedTuple):
 
     link: str
     mass: float
-    """[kg]; inf if no effort limit restricts it, 0 if gravity alone exceeds a limit."""
+    """
+    Largest mass [kg]; inf if no effort limit restricts it, 0 if gravity alone exceeds a limit.
+    """
     joint: str | None
     """The joint that reaches its limit first; None if no joint does."""
     pose: Floats
-    """The pose in which it does, shape (n,) [rad or m]."""
+    """Pose in which this joint reaches its limit, shape (joints,) [rad or m]."""
 
 
 def joint_ranges(robot: RobotModel) -> tuple[Floats, Floats]:
-    """Return the ends of the joint ranges, of at most one turn, each of shape (n,) [rad or m]."""
+    """Return lower and upper ends of the joint ranges [rad or m]; a range is at most one turn."""
     lower, upper = robot.lower.copy(), robot.upper.copy()
     is_wide = ~robot.is_prismatic_joint & ~(upper - lower <= 2.0 * math.pi)
-    # The turn around zero, if it is within the limits.
+    # Use the turn around zero if it is within the limits.
     start = np.clip(-math.pi, lower[is_wide], upper[is_wide] - 2.0 * math.pi)
     lower[is_wide], upper[is_wide] = start, start + 2.0 * math.pi
     return lower, upper
@@ -109,26 +113,10 @@ def explore(
     """
     Compute the gravity efforts over the whole workspace.
 
-    Parameters
-    ----------
-    dynamics : InverseDynamics
-        The robot with n joints, and the loads on it.
-    samples : int
-        Number of poses from a Sobol sequence; rounded up to a power of two.
-    effort_limits : array_like, shape (n,), optional
-        Effort limits [N m or N]; default: those of the robot description.
-    progress : callable
-        Called now and then with the fraction done, 0 to 1.
-
-    Returns
-    -------
-    workspace : Workspace
-        Always the same for the same arguments.
-
-    Raises
-    ------
-    ConfigurationError
-        If there are no joints, or fewer than two samples.
+    The poses are a Sobol sequence; their number is rounded up to a power of two. The result is
+    always the same for the same arguments. Effort limits [N m or N] replace those of the robot
+    description. `progress` is called now and then with the fraction done, 0 to 1. Raises
+    ConfigurationError if there are no joints, or fewer than two samples.
 
     """
     from scipy.stats import qmc  # the import takes a second
@@ -151,14 +139,14 @@ def explore(
     for joint in range(n):
         related = related_joints[joint]
         moved = np.flatnonzero(related)
-        # The nearest joints matter most, if there are too many to move them all.
+        # If there are too many joints to move, the nearest joints matter most.
         nearest = np.sort(moved[np.argsort(np.abs(moved - joint), kind='stable')[:most_joints]])
 
         def size(poses: Floats, joint: int = joint) -> Floats:
             return np.asarray(np.abs(dynamics.gravity_efforts(poses)[:, joint]))
 
         tops = [
-            # Joints without influence on this one are set to zero, which is easier to picture.
+            # Joints that do not affect this one are set to zero: the pose is easier to imagine.
             _climb(
                 size,
                 np.where(related, poses[k], np.clip(0.0, lower, upper)),
@@ -170,7 +158,7 @@ def explore(
             )
             for k in np.argsort(-np.abs(efforts[:, joint]))[:starts]
         ]
-        # The first one, except if another one is higher by more than rounding errors.
+        # Choose the first pose unless another one is higher by more than rounding errors.
         heights = size(np.array(tops))
         found.append(tops[int(np.argmax(heights >= np.max(heights) * (1.0 - _TIE) - noise))])
         progress((joint + 1) / n)
@@ -185,7 +173,7 @@ def explore(
 
 
 def _extent_of_search(joints: int) -> tuple[int, tuple[float, ...], int]:
-    """Return how many starts, which windows and how many joints to search in bounded time."""
+    """Return the numbers of starts, windows and joints that can be searched in bounded time."""
     for starts, windows in ((_STARTS, _WINDOWS), (1, _WINDOWS), (1, _WINDOWS[:1])):
         bodies = joints**2 * (_CANDIDATES + 2) * starts * len(windows)
         most_joints = max(1, int(_MOST_BODIES / bodies))
@@ -200,28 +188,12 @@ def payload_capacity(
     """
     Compute the largest payload that the robot can hold at rest within its effort limits.
 
-    Parameters
-    ----------
-    dynamics : InverseDynamics
-        The robot for which the workspace was explored, with its present payload if it has one.
-    workspace : Workspace
-        Result of `explore`.
-    link : str
-        Any link of the robot description; the point mass is at its origin.
+    The payload is a point mass at the origin of a link. It is added to the present payload of the
+    robot, for which `explore` computed the workspace. The capacity is valid for all poses of the
+    workspace, and for the worst pose that a search finds. Raises ConfigurationError if the link
+    does not exist.
 
-    Returns
-    -------
-    capacity : PayloadCapacity
-        Valid for all poses of the workspace, and for the worst one that a search finds.
-
-    Raises
-    ------
-    ConfigurationError
-        If the link does not exist.
-
-    Notes
-    -----
-    Gravity efforts are linear in the mass, so that two of them per pose determine it.
+    Gravity efforts are linear in the mass, so that two of them per pose determine the mass.
 
     """
     robot, limits = workspace.robot, workspace.limits
@@ -281,10 +253,11 @@ def _climb(
     windows: tuple[float, ...] = _WINDOWS,
 ) -> Floats:
     """
-    Maximize a function of the pose, one joint at a time, in smaller and smaller windows.
+    Maximise a function of the pose, one joint at a time, in smaller and smaller windows.
 
-    Gravity efforts are sinusoids of revolute and linear functions of prismatic joint positions, so
-    that there are few local maxima. Of equally high poses, the one nearest to zero is chosen.
+    Gravity efforts are sinusoids of revolute joint positions and linear in prismatic joint
+    positions. Therefore, there are few local maxima. Among equally high poses, the pose nearest to
+    zero is chosen.
 
     """
     pose: Floats = start.copy()
@@ -305,12 +278,7 @@ def _climb(
 
 
 def _related_joints(robot: RobotModel) -> Booleans:
-    """
-    Return which joints are on a path with each joint, shape (n, n).
-
-    Others have no influence on its effort.
-
-    """
+    """Return which joints affect the gravity effort of each joint, shape (joints, joints)."""
     related = np.zeros((len(robot.joint_names), len(robot.joint_names)), dtype=bool)
     for body in range(1, len(robot.parent)):
         path = _path(robot, body)
@@ -331,36 +299,36 @@ def _path(robot: RobotModel, body: int) -> list[int]:
 
 
 class EffortRequirements(NamedTuple):
-    """Requirements of a trajectory with k times and m joints."""
+    """Efforts, speeds and powers that a trajectory requires."""
 
     efforts: Floats
-    """Joint efforts, shape (k, m) [N m or N]."""
+    """Joint efforts, shape (times, joints) [N m or N]."""
     terms: EffortTerms
-    """Terms of the efforts, each of shape (k, m) [N m or N]."""
+    """Terms of the efforts, such as gravity, each of shape (times, joints) [N m or N]."""
     peak: Floats
-    """Effort with the largest absolute value, with its sign, shape (m,) [N m or N]."""
+    """Effort with the largest absolute value, with its sign, shape (joints,) [N m or N]."""
     peak_time: Floats
-    """Time of the peak, shape (m,) [s]."""
+    """Time of the peak effort, shape (joints,) [s]."""
     rms: Floats
-    """Root mean square of the effort over time, shape (m,) [N m or N]."""
+    """Root mean square of the effort over time, shape (joints,) [N m or N]."""
     rms_terms: Floats
-    """Root mean square of each term over time, shape (5, m) [N m or N]."""
+    """Root mean square of each term over time, shape (5, joints) [N m or N]."""
     speed: Floats
-    """Largest speed, shape (m,) [rad/s or m/s]."""
+    """Largest speed, shape (joints,) [rad/s or m/s]."""
     power: Floats
-    """Largest product of effort and velocity, shape (m,) [W]; 0 if the joint only brakes."""
+    """Largest product of effort and velocity, shape (joints,) [W]; 0 if the joint only brakes."""
     braking: Floats
-    """Largest power that the joint absorbs, shape (m,) [W]; 0 if it never brakes."""
+    """Largest power that the joint absorbs, shape (joints,) [W]; 0 if it never brakes."""
     effort_limits: Floats
-    """Shape (m,) [N m or N]; inf if there is none."""
+    """Effort limits, shape (joints,) [N m or N]; inf for a joint without a limit."""
     velocity_limits: Floats
-    """Shape (m,) [rad/s or m/s]; inf if there is none."""
+    """Velocity limits, shape (joints,) [rad/s or m/s]; inf for a joint without a limit."""
     is_too_strong: Booleans
-    """Whether the peak effort exceeds its limit, shape (m,)."""
+    """Whether the peak effort exceeds the effort limit, shape (joints,)."""
     is_too_fast: Booleans
-    """Whether the largest speed exceeds its limit, shape (m,)."""
+    """Whether the largest speed exceeds the velocity limit, shape (joints,)."""
     is_too_far: Booleans
-    """Whether a position is outside its limits, shape (m,)."""
+    """Whether a position is outside the position limits, shape (joints,)."""
 
 
 def effort_requirements(
@@ -369,26 +337,11 @@ def effort_requirements(
     """
     Compute the requirements of a trajectory for the joints that it moves.
 
-    Parameters
-    ----------
-    dynamics : InverseDynamics
-        The robot with n joints, and the loads on it.
-    trajectory : Trajectory
-        Trajectory of any m of them, in any order, with velocities and accelerations.
-    others : ndarray, shape (n,), optional
-        Positions of the other joints [rad or m]; default: zero.
-
-    Returns
-    -------
-    requirements : EffortRequirements
-        Requirements of the joints in the order of the trajectory.
-
-    Raises
-    ------
-    TrajectoryError
-        If the robot does not have one of the joints, or a joint is named twice.
-    JointStateError
-        If a value is not finite.
+    The trajectory contains velocities and accelerations of any joints of the robot, in any order.
+    The result has the same order. `others` contains a position for every joint of the robot [rad
+    or m], by default zero; it applies to joints that the trajectory does not move. Raises
+    TrajectoryError if a joint is unknown or named twice, and JointStateError if a value is not
+    finite.
 
     """
     robot = dynamics.robot
@@ -423,7 +376,7 @@ def effort_requirements(
 
 
 def _rms(times: Floats, values: Floats) -> Floats:
-    """Return the root mean square over time by the trapezoidal rule; steps may differ."""
+    """Return the root mean square over time with the trapezoidal rule; time steps may differ."""
     if len(times) == 1:
         return np.asarray(np.abs(values[0]))
     steps = np.diff(times)[:, np.newaxis]

@@ -31,17 +31,17 @@ trajectory files:
               topic. --topic chooses another one"""
 
 LATEST_START = 1e5
-"""Time of the first point above which times are those of a clock [s]; a day has 86 400 s."""
+"""If the first point is later, the times are those of a clock [s]; a day has 86 400 s."""
 _FIELDS = ('positions', 'velocities', 'accelerations')
 _QUANTITIES = ('position', 'velocity', 'acceleration')
 _DIGITS = 9
 """Significant digits of written numbers."""
 _DEFAULT_TOPIC = '/joint_states'
-"""The topic to read if several have joint states."""
+"""The topic to read if several topics have joint states."""
 _ENCLOSING = ('trajectory', 'joint_trajectory', 'goal')
-"""Fields of other messages that hold a trajectory."""
+"""Fields of other messages that contain a trajectory."""
 _DEEPEST = 20
-"""Levels of lists and mappings; a trajectory inside an action goal has six."""
+"""Deepest nesting of lists and mappings; a trajectory in an action goal has six levels."""
 _WHOLE_OUTPUT = 'print all of it: ros2 topic echo --full-length'
 
 
@@ -50,7 +50,7 @@ class LoadedTrajectory(NamedTuple):
 
     trajectory: Trajectory
     notes: tuple[str, ...] = ()
-    """Sentences about its source and about ignored data."""
+    """Sentences about the source of the trajectory and about ignored data."""
 
 
 def read_trajectory(
@@ -62,27 +62,10 @@ def read_trajectory(
     """
     Read a trajectory in any of the `FORMATS`.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        A file, or the folder of a recording.
-    joint_names : sequence of str
-        The robot's joints; other joints in a CSV file or in joint states are ignored.
-    topic : str, optional
-        The topic of a recording.
-    progress : callable
-        Called now and then with the fraction read so far, 0 to 1.
-
-    Returns
-    -------
-    loaded : LoadedTrajectory
-
-    Raises
-    ------
-    TrajectoryError
-        If the file contains no trajectory, or an incomplete one.
-    OSError
-        If the file cannot be opened.
+    The path is a file, or the folder of a recording, and `topic` is a topic of the recording.
+    Joints in a CSV file or in joint states that are not in `joint_names` are ignored. `progress`
+    is called now and then with the fraction read so far, 0 to 1. Raises TrajectoryError if the
+    file contains no complete trajectory, and OSError if the file cannot be opened.
 
     """
     try:
@@ -96,13 +79,13 @@ def read_trajectory(
     except UnicodeDecodeError:
         kinds = '.yaml, .json, .csv, .mcap or .db3'
         raise TrajectoryError(f'{path}: is not a text file, expected {kinds}') from None
-    except RecordingError as error:  # names the path
+    except RecordingError as error:  # the message contains the path
         raise TrajectoryError(str(error)) from None
     except TrajectoryError as error:
         raise TrajectoryError(f'{path}: {error}') from None
     times = trajectory.times
     if len(times) and LATEST_START < times[0] < np.inf:
-        # Tables have too few digits for the times of a clock.
+        # Tables have too few digits for clock times.
         notes += (f'times count from the first point, at {times[0]:.3f} s',)
         trajectory = trajectory._replace(times=times - times[0])
     return LoadedTrajectory(trajectory, notes)
@@ -110,16 +93,10 @@ def read_trajectory(
 
 def write_table(path: Path, trajectory: Trajectory, efforts: Floats) -> None:
     """
-    Write a CSV file that `read_trajectory` can read, with additional columns `<joint>.effort`.
+    Write a CSV file for `read_trajectory`, with additional columns `<joint>.effort`.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        The file.
-    trajectory : Trajectory
-        With velocities and accelerations, at k times of m joints.
-    efforts : ndarray, shape (k, m)
-        [N m or N].
+    The trajectory has velocities and accelerations. Efforts have the shape (times, joints) [N m or
+    N].
 
     """
     table = np.column_stack([trajectory.times, *_arrays(trajectory), efforts])
@@ -127,21 +104,15 @@ def write_table(path: Path, trajectory: Trajectory, efforts: Floats) -> None:
     header = [name + ending for ending in endings for name in trajectory.joint_names]
     with path.open('w', newline='', encoding='utf-8') as file:
         csv.writer(file).writerow(['time', *header])
-        np.savetxt(file, table, f'%.{_DIGITS}g', ',', '\r\n')  # as the csv module ends rows
+        np.savetxt(file, table, f'%.{_DIGITS}g', ',', '\r\n')  # row ends as in the csv module
 
 
 def write_trajectory(path: Path, trajectory: Trajectory, efforts: Floats | None = None) -> None:
     """
     Write a trajectory_msgs/JointTrajectory as YAML that `ros2 topic pub` accepts.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        The file.
-    trajectory : Trajectory
-        With velocities and accelerations, at k times of m joints.
-    efforts : ndarray, shape (k, m), optional
-        [N m or N]; without them, a controller that does not use efforts accepts the trajectory.
+    The trajectory has velocities and accelerations. Efforts have the shape (times, joints) [N m or
+    N]; without efforts, a controller that does not use them accepts the trajectory.
 
     """
     import yaml
@@ -153,7 +124,7 @@ def write_trajectory(path: Path, trajectory: Trajectory, efforts: Floats | None 
     names = {'joint_names': list(trajectory.joint_names)}
     with path.open('w', encoding='utf-8') as file:
         yaml.safe_dump(names, file, default_flow_style=None, width=10**6)
-        file.write('points:\n')  # written without PyYAML, which is a hundred times as slow
+        file.write('points:\n')  # PyYAML would be a hundred times as slow
         for time, *rows in zip(trajectory.times, *arrays, strict=True):
             sec, nanosec = divmod(round(1e9 * float(time)), 10**9)
             lines = [f'{field}: {_plain(row)}' for field, row in zip(fields, rows, strict=True)]
@@ -197,10 +168,10 @@ def _from_yaml(text: str) -> LoadedTrajectory:
 
 def _documents(text: str) -> Iterator[Any]:
     """
-    Yield the documents as lists, mappings and text; numbers are text, too.
+    Yield the documents of a YAML text as lists, mappings and text; numbers remain text.
 
-    Unlike the loaders of PyYAML, this neither recurses nor converts: no file can use up the stack,
-    contain itself, or create other objects. It is also several times as fast.
+    Unlike the loaders of PyYAML, this parser neither recurses nor converts. No file can use up the
+    stack, contain itself, or create other objects. The parser is also several times as fast.
 
     """
     import yaml
@@ -226,7 +197,7 @@ def _documents(text: str) -> Iterator[Any]:
                 names = (name if isinstance(name, str) else '' for name in value[::2])
                 value = dict(zip(names, value[1::2], strict=True))
         elif isinstance(event, yaml.AliasEvent):
-            if event.anchor not in anchors:  # also if the alias is inside of what it refers to
+            if event.anchor not in anchors:  # also if a list contains itself
                 line = event.start_mark.line + 1
                 raise TrajectoryError(
                     f'line {line}: alias *{event.anchor} is used before it is defined'
@@ -244,7 +215,7 @@ def _documents(text: str) -> Iterator[Any]:
 
 
 def _unwrapped(document: Any) -> dict[str, Any] | None:
-    """Return the trajectory inside an action goal or the answer of a planner."""
+    """Return the trajectory inside an action goal or the answer of a planner, or None."""
     while isinstance(document, dict) and 'joint_names' not in document:
         document = next((document[name] for name in _ENCLOSING if name in document), None)
     is_complete = isinstance(document, dict) and ('points' in document or 'positions' in document)
@@ -262,7 +233,7 @@ def _points(points: Any) -> tuple[list[float], dict[str, list[Any]]]:
 
 
 def _lists(document: dict[str, Any]) -> tuple[Floats, dict[str, list[Any]]]:
-    """Return times and rows of plain lists."""
+    """Return times and rows of a document with plain lists."""
     if not isinstance(document.get('times'), list):
         raise TrajectoryError('no list of times [s]')
     times = _numbers(document['times'], len(document['times']), 'times')
@@ -366,14 +337,14 @@ def _from_csv(path: Path, joint_names: Sequence[str]) -> LoadedTrajectory:
 
 
 class _Longest(NamedTuple):
-    """The first of the trajectories of a topic with the most points."""
+    """The trajectory with the most points on a topic; of several, the first one."""
 
     topic: str
     message: Any
     number: int
-    """Its number among the trajectories of the topic that are not empty, from 1."""
+    """Number of the trajectory among those of the topic that are not empty, from 1."""
     total: int
-    """How many trajectories of the topic are not empty."""
+    """Number of trajectories on the topic that are not empty."""
 
 
 def _from_bag(
@@ -406,7 +377,7 @@ def _from_bag(
 
 
 def _topics_with_data(bag: Bag, requested: str | None) -> list[str]:
-    """List the topics that have trajectories or joint states; only one if it was requested."""
+    """List the topics with trajectories or joint states, or only the requested topic."""
     topics = [
         name
         for name, kind in bag.types.items()
@@ -428,7 +399,7 @@ def _topics_with_data(bag: Bag, requested: str | None) -> list[str]:
 def _longest_trajectories(
     bag: Bag, topics: Sequence[str], progress: Callable[[float], None]
 ) -> list[_Longest]:
-    """Find the longest trajectory of each topic; sort by length, longest first."""
+    """Find the longest trajectory of each topic, and sort them by length, longest first."""
     found: list[_Longest] = []
     for topic in topics:
         longest, number, total = None, 0, 0
@@ -442,7 +413,7 @@ def _longest_trajectories(
 
 
 def _from_trajectories(found: Sequence[_Longest]) -> LoadedTrajectory:
-    """Convert the first trajectory; mention the others in notes."""
+    """Convert the first trajectory; notes mention the other trajectories."""
     first = found[0]
     points = first.message.points
     durations = [point.time_from_start for point in points]
@@ -466,7 +437,7 @@ def _from_trajectories(found: Sequence[_Longest]) -> LoadedTrajectory:
 def _from_states(
     messages: Iterable[tuple[int, Any]], joint_names: Sequence[str]
 ) -> LoadedTrajectory:
-    """Convert the joint states of one publisher: those with the most frequent list of names."""
+    """Convert the joint states of one publisher: the one with the most frequent list of names."""
     by_names: dict[tuple[str, ...], list[tuple[float, Any]]] = {}
     for received, message in messages:
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec

@@ -1,10 +1,10 @@
 """
-Distances of a robot to itself, to the floor and to boxes, and their slopes.
+Computes distances of a robot to itself, to the floor and to boxes, and their gradients.
 
-Which parts may come near is decided as planning tools do, from sampled poses: neighbours are left
-out, and parts that touch in almost all poses. Capsules are larger than the parts; where they say
-that parts are often near each other, points on the surfaces of the parts show how near the
-capsules may come.
+Sampled poses decide which links may come near each other, as in planning tools. Neighbours and
+links that touch in almost all poses are left out. Capsules around the links are larger than the
+links. If two capsules are often near each other, points on the surfaces of the links show how near
+the capsules may come.
 """
 
 from __future__ import annotations
@@ -22,82 +22,81 @@ from ...robot.kinematics import body_frames
 from ...robot.model import Floats, Integers, RobotModel
 
 CLEARANCE = 0.02
-"""Least distance of the parts of a robot to each other, to the floor and to boxes [m]."""
+"""Least distance of links to each other, to the floor and to boxes [m]."""
 TOUCH = 0.005
-"""Surfaces are regarded as touching when their points are nearer than this [m]."""
+"""Surfaces are regarded as touching if their points are nearer than this [m]."""
 _ALWAYS = 0.01
-"""Parts that are nearer in almost all poses are left out [m]."""
+"""Links that are nearer than this in almost all poses are not checked [m]."""
 _MANY, _ALL = 0.3, 0.95
-"""Fractions of the sampled poses."""
+"""Fractions of the sampled poses that are regarded as many poses, and as almost all poses."""
 _OFTEN = 0.02
-"""Surfaces are looked at if parts are near in more than this fraction of the sampled poses."""
+"""Surfaces are compared if links are near in more than this fraction of the sampled poses."""
 _MOST_LOOKS = 40
-"""Poses in which they are looked at."""
+"""Largest number of poses in which surfaces are compared."""
 _UNSEEN = 0.005
-"""Capsules may come nearer by this than in poses in which the surfaces are far apart [m]."""
+"""If surfaces were far apart in all poses, capsules may come nearer by this distance [m]."""
 _ON_THE_WAY = 0.005
-"""Parts that are too near in the first pose of a way may at first come nearer by this [m]."""
+"""Links that are too near in the first pose of a way may at first come nearer by this [m]."""
 _FAR = 0.3
-"""Larger distances are of no interest [m]."""
+"""Larger distances are ignored [m]."""
 _SCALE = 0.05
-"""A distance that is this much too short is as bad as twice the limit of a speed [m]."""
+"""A distance that is too short by this value is as bad as twice the limit of a speed [m]."""
 _PLACES = np.linspace(0.0, 1.0, 33)[:, np.newaxis]
-"""Places on a segment, among which the one that is nearest to a box is found."""
+"""Places on a segment, 0 to 1; the place nearest to a box is chosen."""
 _CHUNK = 200
-"""Poses for which distances are computed together."""
+"""Number of poses for which distances are computed together."""
 
 
 class Extent(NamedTuple):
-    """A box in the frame of the base, each end of shape (3,) [m]."""
+    """A box in the frame of the base; each corner has the shape (3,) [m]."""
 
     lowest: Floats
     highest: Floats
 
 
 class Contacts(NamedTuple):
-    """The c places where something is near something else in some poses."""
+    """Pairs that are near each other in some poses: two capsules, or a capsule and an obstacle."""
 
     pose: Integers
     row: Integers
     distance: Floats
-    """Shape (c,) [m]; negative where they overlap."""
+    """Distances, shape (contacts,) [m]; negative if the pair overlaps."""
     points: Floats
-    """The nearest points of both, on the axes of capsules, shape (c, 2, 3) [m]."""
+    """Nearest points of each pair, on the axes of the capsules, shape (contacts, 2, 3) [m]."""
     normal: Floats
-    """Unit vectors from the second to the first, shape (c, 3)."""
+    """Unit vectors from the second point to the first point, shape (contacts, 3)."""
 
 
 class Nearest(NamedTuple):
-    """Where two things are nearest to each other in some poses."""
+    """The smallest distance between two links, or a link and an obstacle, in several poses."""
 
     names: tuple[str, str]
     """A link, and another link, 'floor' or 'box'."""
     distance: float
-    """For links, between points on their surfaces if their shapes are known [m]."""
+    """Distance [m]; between points on the surfaces if the shapes of both links are known."""
     pose: int
 
 
 @dataclass(frozen=True, eq=False)
 class Clearance:
-    """What a robot must keep clear of: rows of two capsules, then of a capsule and an obstacle."""
+    """Distances that a robot must keep; each row is two capsules, or a capsule and an obstacle."""
 
     robot: RobotModel
     capsules: Capsules
     pairs: Integers
-    """Two capsules each, shape (p, 2)."""
+    """Indices of two capsules each, shape (pairs, 2)."""
     floor: float
-    """Height [m]; -inf without a floor."""
+    """Height of the floor [m]; -inf without a floor."""
     boxes: Floats
-    """Lowest and highest corners, shape (o, 2, 3) [m]."""
+    """Lowest and highest corner of each box, shape (boxes, 2, 3) [m]."""
     needed: Floats
-    """Least distance: of the pairs, of both ends of each capsule to the floor, then of each
-    capsule to each box [m]."""
+    """Least distance of each row: pairs, capsule ends to the floor, capsules to each box [m]."""
     unchecked: tuple[str, ...] = ()
-    """What is near in many poses and is not checked at all, such as 'wrist and floor'."""
+    """Names of pairs that are near in many poses and not checked, such as 'wrist and floor'."""
 
     @property
     def bodies(self) -> Integers:
-        """Return both bodies of each row, shape (rows, 2); the base for floor and boxes."""
+        """Both bodies of each row, shape (rows, 2); the base stands for the floor and boxes."""
         body = self.capsules.body
         single = np.tile(body, 2 + len(self.boxes))
         outside = np.stack([single, np.zeros_like(single)], axis=1)
@@ -105,17 +104,7 @@ class Clearance:
         return both
 
     def contacts(self, q: Floats, margin: float = 0.0) -> Contacts:
-        """
-        Return what is nearer than needed plus a margin.
-
-        Parameters
-        ----------
-        q : ndarray, shape (k, n)
-            Joint positions [rad or m].
-        margin : float
-            [m].
-
-        """
+        """Return the pairs that are nearer than their least distance plus a margin [m]."""
         parts = []
         for first in range(0, max(len(q), 1), _CHUNK):
             found = self._contacts(q[first : first + _CHUNK], margin)
@@ -152,10 +141,10 @@ class Clearance:
     def _between_capsules(
         self, a: Floats, b: Floats, middle: Floats, reach: Floats, limit: Floats
     ) -> Contacts:
-        """Return contacts of pairs whose surrounding spheres are near each other."""
+        """Return contacts of pairs of capsules whose surrounding spheres are near each other."""
         i, j = self.pairs.T
         near = np.maximum(reach[i] + reach[j] + limit[: len(i)], 0.0) ** 2
-        x, y, z = np.ascontiguousarray(middle.transpose(2, 1, 0))  # ten times as fast
+        x, y, z = np.ascontiguousarray(middle.transpose(2, 1, 0))  # contiguous: ten times as fast
         apart = (x[i] - x[j]) ** 2 + (y[i] - y[j]) ** 2 + (z[i] - z[j]) ** 2
         row, pose = np.nonzero(apart < near[:, np.newaxis])
         i, j = self.pairs[row].T
@@ -167,7 +156,7 @@ class Clearance:
         return Contacts(pose, row, distance, np.stack([first, second], axis=1), normal)
 
     def _ends(self, q: Floats) -> tuple[Floats, Floats]:
-        """Return both ends of the capsules in the frame of the base, each of shape (k, c, 3)."""
+        """Return both ends of the capsules in the frame of the base, each (poses, capsules, 3)."""
         rotations, positions = body_frames(self.robot, q)
         body, ends = self.capsules.body, self.capsules.ends
         R, p = rotations[:, body], positions[:, body]
@@ -178,7 +167,7 @@ class Clearance:
         return first, second
 
     def _missing(self, q: Floats, margin: float, is_way: bool) -> tuple[Contacts, Floats]:
-        """Return contacts, and how much of the needed distance they lack, shape (c,) [m]."""
+        """Return contacts, and the distance that each contact lacks, shape (contacts,) [m]."""
         found = self.contacts(q, margin)
         missing = self.needed[found.row] + margin - found.distance
         if is_way:
@@ -191,24 +180,12 @@ class Clearance:
         self, q: Floats, aim: float = 1.0, is_way: bool = False
     ) -> tuple[Floats, Floats]:
         """
-        Return by how much poses are too near something, and the slopes of that.
+        Return how much clearance each pose lacks, and the gradient by joint positions.
 
-        Parameters
-        ----------
-        q : ndarray, shape (k, n)
-            Joint positions [rad or m].
-        aim : float
-            Fraction of the limits that is regarded as the limit.
-        is_way : bool
-            Whether the poses are a way. Parts that are too near in the first of them
-            must then gradually move apart.
-
-        Returns
-        -------
-        violation : ndarray, shape (k,)
-            Sum of the squares of what is missing, relative to `_SCALE`.
-        slopes : ndarray, shape (k, n)
-            Its derivatives by the joint positions.
+        The violation of a pose is the sum of squares of the missing distances, relative to
+        `_SCALE`. The gradient has the shape (poses, joints). `aim` is the fraction of the limits
+        that a search aims at. If the poses are a way, links that are too near in the first pose
+        must gradually move apart.
 
         """
         margin = (1.0 - aim) * _SCALE
@@ -221,7 +198,7 @@ class Clearance:
         return violation, self._slopes(q, found, -2.0 * missing / _SCALE)
 
     def _slopes(self, q: Floats, contacts: Contacts, weights: Floats) -> Floats:
-        """Return weighted sums of the slopes of distances, as the work of forces along normals."""
+        """Return gradients of weighted sums of distances, as the work of forces on the links."""
         robot, slopes = self.robot, np.zeros(q.shape)
         rotations, positions = body_frames(robot, q)
         wrenches = np.zeros((*positions.shape[:2], 6))
@@ -241,24 +218,11 @@ class Clearance:
         return slopes
 
     def is_kept(self, q: Floats, is_way: bool = False) -> bool:
-        """Return whether all poses are as clear as needed; a few of them are checked first."""
+        """Return whether all poses are as clear as needed; a few poses are checked first."""
         return not any(self._missing(part, 0.0, is_way)[1].any() for part in (q[::16], q))
 
     def nearest(self, q: Floats) -> list[Nearest]:
-        """
-        Return the smallest distances in poses, of each two bodies that are not far apart.
-
-        Parameters
-        ----------
-        q : ndarray, shape (k, n)
-            Joint positions [rad or m].
-
-        Returns
-        -------
-        nearest : list of Nearest
-            The smallest first.
-
-        """
+        """Return the smallest distance of each two bodies that are not far apart, sorted."""
         found = self.contacts(q, _FAR)
         rotations, positions = body_frames(self.robot, q)
         nearest: dict[tuple[str, str], Nearest] = {}
@@ -266,7 +230,7 @@ class Clearance:
             pose, row, distance = int(found.pose[k]), int(found.row[k]), float(found.distance[k])
             names = self.names(row)
             best = nearest[names].distance if names in nearest else math.inf
-            # Surfaces are within capsules: where these are farther, they need no look.
+            # Surfaces are inside the capsules, so they cannot be nearer than the capsules.
             if distance >= best:
                 continue
             if row < len(self.pairs):
@@ -278,7 +242,7 @@ class Clearance:
 
     @cached_property
     def _trees(self) -> list[Any]:
-        """Trees of the surface points in each capsule."""
+        """Search trees of the surface points in each capsule."""
         from scipy.spatial import cKDTree
 
         return [cKDTree(points) for points in self.capsules.surfaces]
@@ -286,7 +250,13 @@ class Clearance:
     def between_surfaces(
         self, row: int, R: Floats, p: Floats, otherwise: float, below: float = math.inf
     ) -> float:
-        """Return the distance of both surfaces, or `otherwise`; inf if it is not below a value."""
+        """
+        Return the distance of both surfaces of a pair for the frames R, p of all bodies [m].
+
+        The distance is `otherwise` if a surface is unknown, and inf if it is not less than
+        `below`.
+
+        """
         capsules = self.capsules
         if not self.has_surfaces(row):
             return otherwise
@@ -297,11 +267,11 @@ class Clearance:
         return float(self._trees[many].query(points, distance_upper_bound=below)[0].min())
 
     def has_surfaces(self, row: int) -> bool:
-        """Return whether the shapes in both capsules of a pair are known."""
+        """Return whether the surfaces in both capsules of a pair are known."""
         return all(len(self.capsules.surfaces[k]) for k in self.pairs[row])
 
     def names(self, row: int) -> tuple[str, str]:
-        """Return what a row is about: a link, and another link, 'floor' or 'box'."""
+        """Return the names of a row: a link, and another link, 'floor' or 'box'."""
         p, c, names = len(self.pairs), len(self.capsules.body), self.capsules.names
         if row < p:
             first, second = self.pairs[row]
@@ -309,7 +279,7 @@ class Clearance:
         return names[(row - p) % c], 'floor' if row < p + 2 * c else 'box'
 
     def extent(self, q: Floats) -> Extent:
-        """Return the box that contains the parts that move, in all poses, shape (k, n)."""
+        """Return the box that contains all moving links in all poses."""
         moves = self.capsules.body > 0
         radii = self.capsules.radii[moves, np.newaxis]
         first, second = (ends[:, moves] for ends in self._ends(q))
@@ -317,7 +287,7 @@ class Clearance:
         return Extent(lowest, (np.maximum(first, second) + radii).max(axis=(0, 1)))
 
 
-# Which parts may come near
+# Which links may come near each other
 
 
 def find_clearance(
@@ -328,20 +298,10 @@ def find_clearance(
     boxes: Sequence[Floats] = (),
 ) -> Clearance:
     """
-    Find out which parts of a robot may come near each other, the floor and boxes.
+    Find out which links of a robot may come near each other, the floor and boxes.
 
-    Parameters
-    ----------
-    robot : RobotModel
-        With n joints.
-    capsules : Capsules
-        Those of the robot.
-    poses : ndarray, shape (k, n)
-        Random poses within the limits [rad or m].
-    floor : float
-        Height of the floor in the frame of the base [m].
-    boxes : sequence of ndarray, shape (2, 3)
-        Lowest and highest corner of boxes in the frame of the base [m].
+    `poses` are random poses within the limits, shape (poses, joints) [rad or m]. The height of the
+    floor and the boxes, each a lowest and a highest corner, are in the frame of the base [m].
 
     """
     body, c = capsules.body, len(capsules.body)
@@ -354,7 +314,7 @@ def find_clearance(
     needed = np.concatenate([np.full(len(pairs), CLEARANCE), *[outside] * (2 + len(obstacles))])
     clearance = Clearance(robot, capsules, pairs, floor, obstacles, needed)
     found, p = clearance.contacts(poses), len(pairs)
-    # No motion lifts what is always near the floor at one height: it is on the axis of a joint.
+    # A capsule that is always near the floor at one height is on a joint axis: nothing lifts it.
     for end in range(p, p + 2 * c):
         heights = found.distance[found.row == end]
         if len(heights) > _ALL * len(poses) and np.ptp(heights) < _ALWAYS:
@@ -382,21 +342,10 @@ def _needed(
     clearance: Clearance, poses: Floats, pose: Integers, row: Integers, distance: Floats
 ) -> dict[int, float]:
     """
-    Return how near the capsules of two bodies may come, if they are often near.
+    Return the least distance for each row of two bodies that are often near each other [m].
 
-    Parameters
-    ----------
-    clearance : Clearance
-        Its surfaces are looked at.
-    poses : ndarray, shape (k, n)
-        All poses [rad or m].
-    pose, row, distance : ndarray, shape (c,)
-        Poses and rows of contacts of the two bodies, and the distances of the capsules [m].
-
-    Returns
-    -------
-    needed : dict of int to float
-        The least distances of rows [m]; -inf if it does not matter.
+    `pose`, `row` and `distance` describe the contacts of the two bodies. The least distance is
+    -inf if a row need not be checked.
 
     """
     near_poses = np.unique(pose)
@@ -416,7 +365,7 @@ def _needed(
         )
     of_poses = np.array([surfaces[pose == k].min() for k in near_poses[:_MOST_LOOKS]])
     least = CLEARANCE
-    if share > _MANY:  # near each other by design: half as near may be too near
+    if share > _MANY:  # near each other by design: half the usual distance may be too near
         least = float(np.clip(0.5 * np.median(of_poses), TOUCH, CLEARANCE))
     if share * np.mean(of_poses < max(least, _ALWAYS)) > _ALL:
         return dict.fromkeys(row.tolist(), -math.inf)
@@ -435,12 +384,12 @@ def _needed(
 
 
 def _nearest(a: Floats, b: Floats, c: Floats, d: Floats) -> tuple[Floats, Floats]:
-    """Return the nearest points of segments from a to b and from c to d, each of shape (k, 3)."""
+    """Return the nearest points of segments from a to b and from c to d, each (segments, 3)."""
     u, v, r = b - a, d - c, a - c
     uu, uv, vv, ur, vr = (
         np.einsum('ij,ij->i', x, y) for x, y in ((u, u), (u, v), (v, v), (u, r), (v, r))
     )
-    uu, vv = np.maximum(uu, 1e-12), np.maximum(vv, 1e-12)  # points are segments too
+    uu, vv = np.maximum(uu, 1e-12), np.maximum(vv, 1e-12)  # a point is a segment without length
     s = np.clip((uv * vr - vv * ur) / np.maximum(uu * vv - uv**2, 1e-9 * uu * vv), 0.0, 1.0)
     t = np.clip((uv * s + vr) / vv, 0.0, 1.0)
     s = np.clip((uv * t - ur) / uu, 0.0, 1.0)
@@ -448,7 +397,7 @@ def _nearest(a: Floats, b: Floats, c: Floats, d: Floats) -> tuple[Floats, Floats
 
 
 def _nearest_to_box(start: Floats, end: Floats, low: Floats, high: Floats) -> Floats:
-    """Return the points of segments that are nearest to a box."""
+    """Return the point of each segment that is nearest to a box."""
     points: Floats = start[:, np.newaxis] + _PLACES * (end - start)[:, np.newaxis]
     distances, _ = _of_box(points.reshape(-1, 3), low, high)
     best = distances.reshape(points.shape[:2]).argmin(axis=1)
@@ -457,7 +406,7 @@ def _nearest_to_box(start: Floats, end: Floats, low: Floats, high: Floats) -> Fl
 
 
 def _of_box(points: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
-    """Return distances of points to a box, negative in it, and the directions away from it."""
+    """Return distances of points to a box, negative inside, and directions away from the box."""
     beyond = np.concatenate([low - points, points - high], axis=1)
     deepest = beyond.argmax(axis=1)
     inside = np.concatenate([-np.eye(3), np.eye(3)])[deepest]
@@ -470,7 +419,7 @@ def _of_box(points: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
 
 
 def _twice(points: Floats) -> Floats:
-    """Return points of capsules twice: the second ones, of what does not move, have no effect."""
+    """Return points twice; the second ones belong to obstacles, which do not move."""
     return np.stack([points, points], axis=1)
 
 

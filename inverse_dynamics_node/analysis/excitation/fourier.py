@@ -1,4 +1,4 @@
-"""Motions as Fourier series that start and end at rest in the same pose."""
+"""Describes motions as Fourier series that start and end at rest in the same pose."""
 
 from __future__ import annotations
 
@@ -15,25 +15,19 @@ from ...robot.model import Floats
 @dataclass(frozen=True, eq=False)
 class FourierSeries:
     """
-    A motion of m joints with h harmonics.
+    A motion of several joints as a Fourier series.
 
-    Velocity and acceleration are zero at both ends, so that the motion can follow a pose at rest,
-    and can be repeated.
-
-    Attributes
-    ----------
-    joint_names : tuple of str
-        The m joints.
-    duration : float
-        Duration of the motion, the period of the first harmonic [s].
-    coefficients : ndarray, shape (m, 2 h - 1)
-        Factors of the `basis` [rad or m].
+    Velocity and acceleration are zero at both ends. Therefore, the motion can follow a pose at
+    rest, and it can be repeated.
 
     """
 
     joint_names: tuple[str, ...]
+    """The joints that move."""
     duration: float
+    """Duration of the motion, which is the period of the first harmonic [s]."""
     coefficients: Floats
+    """Factors of the `basis`, shape (joints, 2 * harmonics - 1) [rad or m]."""
 
     @property
     def harmonics(self) -> int:
@@ -41,15 +35,7 @@ class FourierSeries:
         return (int(self.coefficients.shape[1]) + 1) // 2
 
     def sample(self, times: Floats) -> tuple[Floats, Floats, Floats]:
-        """
-        Return positions, velocities and accelerations, each of shape (k, m).
-
-        Parameters
-        ----------
-        times : ndarray, shape (k,)
-            Times from 0 to the duration [s].
-
-        """
+        """Return positions, velocities and accelerations at times [s], each (times, joints)."""
         q, qd, qdd = (
             part @ self.coefficients.T for part in basis(times, self.duration, self.harmonics)
         )
@@ -57,14 +43,9 @@ class FourierSeries:
 
     def trajectory(self, rate: float, speed: float = 1.0) -> Trajectory:
         """
-        Return the motion as points, the first and last of which are exactly at rest.
+        Return the motion as points at a rate [Hz]; the first and last points are exactly at rest.
 
-        Parameters
-        ----------
-        rate : float
-            Points per second [Hz].
-        speed : float
-            Factor of the speed: 0.2 takes five times as long on the same path.
+        `speed` is a factor of the speed: with 0.2, the same path takes five times as long.
 
         """
         count = max(2, math.ceil(self.duration / speed * rate - 1e-9) + 1)
@@ -77,22 +58,11 @@ class FourierSeries:
 
 def basis(times: Floats, duration: float, harmonics: int) -> tuple[Floats, Floats, Floats]:
     """
-    Evaluate the functions of which a motion is a sum, and their first two derivatives.
+    Evaluate the functions whose sum is a motion, and their first and second derivatives.
 
-    Parameters
-    ----------
-    times : ndarray, shape (k,)
-        Times [s].
-    duration : float
-        Period of the first harmonic [s].
-    harmonics : int
-        Number of harmonics, h.
-
-    Returns
-    -------
-    values, first, second : ndarray, shape (k, 2 h - 1)
-        A constant, h - 1 combinations of the sines, and h - 1 of the cosines; their velocity and
-        acceleration are zero at both ends.
+    With h harmonics, the functions are a constant, h - 1 combinations of sines, and h - 1 of
+    cosines. Their velocity and acceleration are zero at both ends. `duration` is the period of the
+    first harmonic [s]. Returns three arrays of shape (times, 2 h - 1).
 
     """
     orders = np.arange(1.0, harmonics + 1.0)
@@ -110,7 +80,7 @@ def basis(times: Floats, duration: float, harmonics: int) -> tuple[Floats, Float
 
 @cache
 def _combinations(harmonics: int) -> tuple[Floats, Floats]:
-    """Return the combinations of sines and cosines that are at rest at time 0, (h, h - 1) each."""
+    """Return combinations of sines, and of cosines, that are at rest at time 0, as columns."""
     orders = np.arange(1.0, harmonics + 1.0)
     # Amplitudes that fall with the order give all combinations similar speeds.
     of_sines = _null_space(np.ones(harmonics)) / orders[:, np.newaxis]
@@ -119,7 +89,7 @@ def _combinations(harmonics: int) -> tuple[Floats, Floats]:
 
 
 def _null_space(row: Floats) -> Floats:
-    """Return an orthonormal basis of the vectors that are orthogonal to one, in columns."""
+    """Return an orthonormal basis of the vectors that are orthogonal to `row`, as columns."""
     _, _, directions = np.linalg.svd(row[np.newaxis])
     null_space: Floats = directions[1:].T
     return null_space

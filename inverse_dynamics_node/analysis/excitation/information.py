@@ -1,10 +1,13 @@
 """
-The information that the efforts of a motion contain about masses and friction.
+Computes the information about masses and friction that the efforts of a motion contain.
 
 Efforts are linear in the unknowns: tau = Y(q, qd, qdd) pi + a qdd + d qd + c tanh(qd / w) + o.
-Only some combinations of the parameters pi of the bodies have an effect, the base parameters: as
-many columns of Y are used. With the weighted columns W of a motion, the information is W^T W, and
-its inverse is the covariance of the unknowns.
+Here, pi are the inertial parameters of the bodies, a is the armature, d the damping, c the Coulomb
+friction with the width w, and o an offset. Efforts depend only on certain combinations of the
+parameters pi, the base parameters. For each base parameter, one column of Y is used.
+
+W contains these columns for a motion, divided by the noise of the efforts. The information is W^T
+W, and its inverse is the covariance of the unknowns.
 """
 
 from __future__ import annotations
@@ -23,33 +26,21 @@ OF_JOINT = ('armature', 'damping', 'Coulomb', 'offset')
 WIDTH = 0.02
 """Width of smoothed Coulomb friction, as a fraction of the largest speed."""
 _SAMPLES = 400
-"""Random states from which the columns are selected."""
+"""Number of random states from which the columns are selected."""
 _STATES = 500
-"""Random states within the limits for the error of predicted efforts."""
+"""Number of random states within the limits for the error of predicted efforts."""
 _GROUPS = (slice(0, 1), slice(1, 4), slice(4, 10))
-"""Mass, first moments and moments of inertia among the parameters of a body."""
+"""Indices of mass, first moments and moments of inertia among the parameters of a body."""
 
 
 class Unknowns:
     """
     The unknowns that the efforts of the moving joints can determine.
 
-    Parameters
-    ----------
-    dynamics : InverseDynamics
-        The robot of n joints and b bodies.
-    limits : MotionLimits
-        The m joints that move, and their limits.
-    noise : ndarray, shape (m,)
-        Standard deviation of the measured efforts [N m or N].
-
-    Attributes
-    ----------
-    columns : ndarray, shape (u,)
-        Indices of the selected columns: ten for each body except the base, then m for each of
-        `OF_JOINT`.
-    scale : ndarray, shape (u,)
-        Typical size of the weighted column of each unknown, by which it is divided.
+    `noise` is the standard deviation of the measured effort of each moving joint [N m or N].
+    `columns` contains the indices of the selected columns: ten for each body except the base, then
+    one per moving joint for each kind in `OF_JOINT`. `scale` is the typical size of the weighted
+    column of each unknown. The columns are divided by this size.
 
     """
 
@@ -68,11 +59,11 @@ class Unknowns:
         self.scale = sizes[self.columns]
 
     def weighted(self, states: States) -> Floats:
-        """Return the scaled columns of the unknowns over the noise, shape (k, m, u)."""
+        """Return scaled columns divided by the noise, shape (states, moving joints, unknowns)."""
         return self.of_efforts(states) / (self.noise[:, np.newaxis] * self.scale)
 
     def of_efforts(self, states: States) -> Floats:
-        """Return the derivatives of the efforts by the unknowns, shape (k, m, u)."""
+        """Return the effort per unit of each unknown, shape (states, moving joints, unknowns)."""
         Y = self.dynamics.regressor(*whole_states(self.limits, states))
         drive_terms = self._drive_terms(states)
         rigid, own, kind, joint = self._split()
@@ -83,19 +74,11 @@ class Unknowns:
 
     def weighted_sum(self, weights: Floats) -> Callable[[States], Floats]:
         """
-        Return a function that sums the entries of `weighted`, each times a weight.
+        Return a function that sums the entries of `weighted`, each multiplied by a weight.
 
-        It does so without selecting columns, which takes longer than the sum.
-
-        Parameters
-        ----------
-        weights : ndarray, shape (k, m, u)
-            A weight for each entry at k samples.
-
-        Returns
-        -------
-        total : callable
-            Takes states at the k samples, r times, of shape (r k, m); returns sums, shape (r k,).
+        Weights have the shape (samples, moving joints, unknowns). The function accepts the states
+        of all samples, repeated r times, of shape (r * samples, moving joints). It returns r *
+        samples sums. The function does not select columns, because that takes longer than the sum.
 
         """
         k, m, _ = weights.shape
@@ -120,13 +103,13 @@ class Unknowns:
         return total
 
     def _split(self) -> tuple[Integers, Integers, Integers, Integers]:
-        """Return indices of the unknowns of bodies and of joints; kind and joint of the latter."""
+        """Return indices of body and joint unknowns, then kind and joint of joint unknowns."""
         is_rigid = self.columns < self.rigid_count
         kind, joint = np.divmod(self.columns[~is_rigid] - self.rigid_count, len(self.noise))
         return np.flatnonzero(is_rigid), np.flatnonzero(~is_rigid), kind, joint
 
     def _drive_terms(self, states: States) -> Floats:
-        """Return the factors of the kinds in `OF_JOINT`, shape (4, k, m)."""
+        """Return the efforts per unit of `OF_JOINT`, shape (4, states, moving joints)."""
         step = np.tanh(states.qd / self.width)
         return np.stack([states.qdd, states.qd, step, np.ones_like(step)])
 
@@ -134,31 +117,31 @@ class Unknowns:
 @dataclass(frozen=True, eq=False)
 class ExpectedErrors:
     """
-    Standard errors due to the assumed noise; NaN where the efforts determine no such unknown.
+    Standard errors due to the assumed noise; NaN for unknowns that the efforts do not determine.
 
-    The unknowns of bodies are base parameters: where only a combination of parameters has an
-    effect, the error is that of the combination, listed under one of its members.
+    The unknowns of bodies are base parameters. If only a combination of parameters affects the
+    efforts, the error of the combination is listed under one of its parameters.
 
     """
 
     joint_names: tuple[str, ...]
-    """The m joints that move."""
+    """The joints that move."""
     noise: Floats
-    """Assumed standard deviation of measured efforts, shape (m,) [N m or N]."""
+    """Assumed standard deviation of measured efforts, shape (moving joints,) [N m or N]."""
     of_joints: Floats
-    """Errors of the kinds in `OF_JOINT`, shape (m, 4)."""
+    """Errors of the kinds in `OF_JOINT`, shape (moving joints, 4)."""
     efforts: Floats
-    """RMS errors of the efforts in random states within the limits, shape (m,) [N m or N]."""
+    """RMS errors of efforts in random states, shape (moving joints,) [N m or N]."""
     body_names: tuple[str, ...]
     """The bodies without the base."""
     of_bodies: Floats
-    """Largest errors of mass [kg], first moments [kg m], inertia [kg m^2], shape (b - 1, 3)."""
+    """Largest errors of mass [kg], first moments [kg m], inertia [kg m^2], shape (bodies, 3)."""
     count: int
     """Number of unknowns."""
 
 
 def expected_errors(unknowns: Unknowns, information: Floats) -> ExpectedErrors:
-    """Compute the standard errors that follow from the information of a motion, shape (u, u)."""
+    """Compute standard errors from the information of a motion, shape (unknowns, unknowns)."""
     limits, covariance = unknowns.limits, np.linalg.inv(information)
     errors = np.sqrt(np.diagonal(covariance)) / unknowns.scale
     m, robot = len(limits.joint_names), unknowns.dynamics.robot

@@ -1,8 +1,8 @@
 """
-The limits of a motion, and states of the joints that move within them.
+Describes the limits of a motion, and states of the joints within these limits.
 
-Limits are those of positions, speeds and efforts; assumptions where a URDF has none. What the
-robot must keep clear of is in `clearance`.
+A motion has limits of positions, speeds and efforts. If a URDF has no limit, a value is assumed.
+The module `clearance` describes the distances that the robot must keep.
 """
 
 from __future__ import annotations
@@ -22,55 +22,55 @@ from ..sizing import joint_ranges
 from .clearance import Clearance, find_clearance
 
 FRACTION = 0.8
-"""Fraction of the limits that a motion uses; the rest is for control and for unknown masses."""
+"""Fraction of the limits that a motion uses; control and unknown masses need the rest."""
 ASSUMED_SPEED = (1.0, 0.25)
-"""Speed limits of joints without one [rad/s], [m/s]."""
+"""Assumed speed limit of joints without a limit: revolute [rad/s], prismatic [m/s]."""
 ASSUMED_SLIDE = 1.0
-"""Range of a prismatic joint without position limits [m]."""
+"""Assumed range of a prismatic joint without position limits [m]."""
 _LEAST_RANGE = 1e-3
-"""Smallest range that is worth moving in [rad or m]."""
+"""A joint with a smaller range is not moved [rad or m]."""
 _POSES = 400
 """Number of random poses that show which parts of the robot may come near each other."""
 _LIGHT = (0.05, 0.05)
-"""A joint that carries less than this mass [kg] and this fraction of the robot is light."""
+"""A joint is light if it carries less than this mass [kg] and this fraction of the robot."""
 
 
 @dataclass(frozen=True, eq=False)
 class MotionLimits:
-    """Limits of the m joints of a robot that move; the others rest."""
+    """Limits of the joints that move; all other joints of the robot rest."""
 
     joint_names: tuple[str, ...]
-    """The m joints that move."""
+    """The joints that move."""
     index: list[int]
-    """Their indices among the n joints of the robot."""
+    """Indices of the moving joints among the joints of the robot."""
     rest: Floats
     """
-    Positions of all joints of the robot where they do not move, shape (n,) [rad or m].
+    Positions of all joints of the robot before a motion, shape (joints,) [rad or m].
 
-    The way to the start of a motion begins there.
+    The way to the start of a motion begins there. Joints that do not move stay there.
     """
     lower: Floats
-    """Shape (m,) [rad or m]."""
+    """Lower ends of the position ranges, shape (moving joints,) [rad or m]."""
     upper: Floats
-    """Shape (m,) [rad or m]."""
+    """Upper ends of the position ranges, shape (moving joints,) [rad or m]."""
     speeds: Floats
-    """Shape (m,) [rad/s or m/s]."""
+    """Largest speeds, shape (moving joints,) [rad/s or m/s]."""
     efforts: Floats
-    """Of all joints of the robot, shape (n,) [N m or N]; inf if there is none."""
+    """Largest efforts of all joints, shape (joints,) [N m or N]; inf without a limit."""
     clearance: Clearance | None = None
-    """What the robot must keep clear of; None for nothing."""
+    """Distances that the robot must keep; None if distances are not checked."""
     notes: tuple[str, ...] = ()
     """Sentences about assumptions."""
 
     @property
     def middle(self) -> Floats:
-        """Middle of the ranges, shape (m,) [rad or m]."""
+        """Middle of the position ranges, shape (moving joints,) [rad or m]."""
         middle: Floats = 0.5 * (self.lower + self.upper)
         return middle
 
     @property
     def half(self) -> Floats:
-        """Half of the ranges, shape (m,) [rad or m]."""
+        """Half of the width of the position ranges, shape (moving joints,) [rad or m]."""
         half: Floats = 0.5 * (self.upper - self.lower)
         return half
 
@@ -85,25 +85,12 @@ def motion_limits(
     """
     Collect the limits of a motion.
 
-    Parameters
-    ----------
-    robot : RobotModel
-        The robot, with its limits.
-    joints : sequence of str
-        The joints to move; empty for all that can move and carry more than a few grams.
-    fraction : float
-        Fraction of ranges, speeds and efforts to use.
-    ranges : mapping of str to (float, float), optional
-        Position ranges by joint, to be used in full, in place of those of the robot description
-        [rad or m].
-    rest : mapping of str to float, optional
-        Positions of joints that do not move, and positions before the motion of those that do
-        [rad or m]; by default 0 or the nearest limit.
-
-    Raises
-    ------
-    ConfigurationError
-        If a joint does not exist or cannot move, or a value is invalid.
+    `joints` are the joints to move; by default, all joints that can move and carry more than a few
+    grams. The motion uses a `fraction` of ranges, speeds and efforts. `ranges` replaces position
+    ranges of the robot description, and these ranges are used in full [rad or m]. `rest` sets the
+    positions before the motion [rad or m], also for joints that do not move; the default is 0 or
+    the nearest limit. Raises ConfigurationError if a joint does not exist or cannot move, or if a
+    value is invalid.
 
     """
     if not 0.0 < fraction <= 1.0:
@@ -133,7 +120,7 @@ def motion_limits(
 
 
 def _ranges(robot: RobotModel, fraction: float, notes: list[str]) -> tuple[Floats, Floats, Floats]:
-    """Return the parts of ranges and speeds to use; add the assumptions to the notes."""
+    """Return the ranges and speeds to use; add the assumptions to the notes."""
     slides = robot.is_prismatic_joint
     lower, upper = joint_ranges(robot)
     unbounded = slides & ~(np.isfinite(lower) & np.isfinite(upper))
@@ -186,7 +173,7 @@ def _that_cannot_move(robot: RobotModel, lower: Floats, upper: Floats) -> dict[s
 
 
 def _light(robot: RobotModel) -> dict[str, str]:
-    """Return the joints that carry next to nothing, such as those of fingers, with the mass."""
+    """Return the joints that carry almost no mass, such as those of fingers, with the mass."""
     carried = robot.mass.copy()
     for body in range(len(carried) - 1, 0, -1):
         carried[robot.parent[body]] += carried[body] if robot.parent[body] > 0 else 0.0
@@ -229,18 +216,18 @@ def _chosen(
 
 
 class States(NamedTuple):
-    """States of the m joints that move, each of shape (k, m)."""
+    """States of the joints that move, each of shape (states, moving joints)."""
 
     q: Floats
-    """[rad or m]."""
+    """Positions [rad or m]."""
     qd: Floats
-    """[rad/s or m/s]."""
+    """Velocities [rad/s or m/s]."""
     qdd: Floats
-    """[rad/s^2 or m/s^2]."""
+    """Accelerations [rad/s^2 or m/s^2]."""
 
 
 def whole_states(limits: MotionLimits, states: States) -> States:
-    """Return the states of all joints of the robot, each of shape (k, n)."""
+    """Return the states of all joints of the robot, each of shape (states, joints)."""
     q = whole_positions(limits, states.q)
     whole = States(q, np.zeros_like(q), np.zeros_like(q))
     for part, values in zip(whole[1:], states[1:], strict=True):
@@ -249,14 +236,14 @@ def whole_states(limits: MotionLimits, states: States) -> States:
 
 
 def whole_positions(limits: MotionLimits, q: Floats) -> Floats:
-    """Return the positions of all joints, shape (k, n), for those of the m that move."""
+    """Return the positions of all joints for those of the moving joints, shape (poses, joints)."""
     whole: Floats = np.tile(limits.rest, (len(q), 1))
     whole[:, limits.index] = q
     return whole
 
 
 def random_states(limits: MotionLimits, count: int, rng: np.random.Generator) -> States:
-    """Draw states within the limits; accelerations are such as to reach the speed in 0.5 s."""
+    """Draw states within the limits; the largest acceleration reaches full speed in 0.5 s."""
     m = len(limits.speeds)
     q = rng.uniform(limits.lower, limits.upper, (count, m))
     qd = rng.uniform(-limits.speeds, limits.speeds, (count, m))
@@ -272,18 +259,9 @@ def keep_clear(
     boxes: Sequence[Floats] = (),
 ) -> MotionLimits:
     """
-    Return limits of motions that hit nothing.
+    Return limits for motions during which the robot hits neither itself nor an obstacle.
 
-    Parameters
-    ----------
-    robot : RobotModel
-        The robot of n joints.
-    limits : MotionLimits
-        Other limits of its motion.
-    capsules : Capsules
-        Around its bodies.
-    floor, boxes
-        As for `find_clearance`.
+    `capsules` surround the bodies of the robot. `floor` and `boxes` are those of `find_clearance`.
 
     """
     poses = random_states(limits, _POSES, np.random.default_rng(3)).q
@@ -296,23 +274,10 @@ def excess(
     dynamics: InverseDynamics, limits: MotionLimits, states: States, aim: float = 1.0
 ) -> Floats:
     """
-    Return by how much states exceed each limit, relative to the limit.
+    Return how far states exceed each limit, relative to the limit.
 
-    Parameters
-    ----------
-    dynamics : InverseDynamics
-        The robot, with its loads.
-    limits : MotionLimits
-        The limits of its m joints that move.
-    states : States
-        States of these joints, each of shape (k, m).
-    aim : float
-        Fraction of the limits that is regarded as the limit.
-
-    Returns
-    -------
-    excess : ndarray, shape (k, c)
-        One column for each limit of position, speed and effort; 0 within it.
+    `aim` is the fraction of a limit from which the excess starts. The result has one row per
+    state, and one column for each limit of position, speed and effort. It is 0 within the limit.
 
     """
     parts = [

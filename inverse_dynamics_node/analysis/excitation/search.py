@@ -1,8 +1,9 @@
 """
-Searches for the motion within the limits whose efforts contain most information.
+Searches for the motion within the limits whose efforts contain the most information.
 
-Maximises the logarithm of the determinant of the information (D-optimal) over the coefficients of
-a Fourier series [1]_. Limits are penalties during the search, and hold exactly afterwards.
+The search maximises the logarithm of the determinant of the information (D-optimal design) over
+the coefficients of a Fourier series [1]_. During the search, violated limits cause penalties. The
+result is within all limits.
 
 References
 ----------
@@ -32,39 +33,39 @@ HARMONICS = 5
 NOISE = 0.01
 """Assumed standard deviation of measured efforts, as a fraction of the effort limit."""
 SAMPLES_PER_SECOND = 10.0
-"""Rate of independent samples: smoothing removes the rest of the noise [Hz]."""
+"""Number of independent samples per second; smoothing removes faster noise [Hz]."""
 _STEP = 1e-6
-"""Step of difference quotients: of a position [rad or m], or relative to the largest speed."""
+"""Step of finite differences: of a position [rad or m], or relative to the largest speed."""
 _PER_HARMONIC = 16
-"""Samples of the search for each harmonic."""
+"""Number of samples for each harmonic during the search."""
 _FINE = 8
-"""Samples of the final check for each sample of the search, also on the way to the start."""
+"""Number of samples of the final check for each sample of the search, also on the way."""
 _DENSER = 4
-"""Poses to check for each sample of the search: links may hit each other between samples."""
+"""Number of poses to check for each sample of the search: links may collide between samples."""
 _COARSE, _SHRINKING = 8, 0.95
-"""Random motions are checked at every 8th state, then at all, and reduced by this factor."""
+"""A random motion is checked at every 8th state, then at all states and shrunk by this factor."""
 _WAY = 60
-"""Poses of the search on the way to the start."""
+"""Number of poses that the search checks on the way to the start of a motion."""
 CANDIDATES = 30
-"""Random motions, the best of which starts the search."""
+"""Number of random motions; the search starts from the best of them."""
 _POSES = 300
-"""Number of random poses in the search for those in which the drives hold the robot."""
+"""Number of random poses among which the drives must be able to hold at least one."""
 _NEARLY_ALL = 0.9
-"""Fraction of these poses that are below a floor that is probably at a wrong height."""
+"""If more than this fraction of the poses is below the floor, its height is probably wrong."""
 _ROUNDS = ((1e1, 60), (1e2, 60), (1e3, 60), (1e4, 60))
-"""Weights of violated limits, relative to one unknown, and iterations."""
+"""Weight of violated limits, relative to one unknown, and number of iterations of each round."""
 _LARGEST_WORK = 1.5e9
 """Most entries of regressors to compute; robots with many joints get fewer iterations."""
 _FEWEST_ITERATIONS = 5
 _AIM = 0.99
-"""Fraction of the limits that the search aims at, as penalties permit small violations."""
+"""Fraction of the limits that the search aims at, because penalties allow small violations."""
 _REPAIRS = (0.98, 0.96, 0.92)
-"""Smaller fractions, to aim at if a limit is violated in spite of that."""
+"""Smaller fractions of the limits to aim at, as long as the motion violates a limit."""
 _OF_REPAIR = (1e5, 30)
 _LEAST_NOISE = 1e-6
 """Smallest assumed noise [N m or N]."""
 _TINY = 1e-9
-"""Added to the scaled information, so that motions without information are comparable."""
+"""Added to the diagonal of the scaled information, so that its determinant is not zero."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,13 +76,13 @@ class Excitation:
     limits: MotionLimits
     unknowns: Unknowns
     information: Floats
-    """Information of the scaled unknowns, shape (u, u)."""
+    """Information about the scaled unknowns, shape (unknowns, unknowns)."""
     log_det: float
-    """Logarithm of its determinant."""
+    """Logarithm of the determinant of the mean information per sample."""
     random_log_det: float
-    """The largest of `CANDIDATES` random motions within the same limits."""
+    """Largest `log_det` of `CANDIDATES` random motions within the same limits."""
     nearest: tuple[Nearest, ...] = ()
-    """Smallest distances during the motion, and on the way to it; the smallest first."""
+    """Smallest distances during the motion and on the way to its start; the smallest first."""
 
 
 def find_excitation(
@@ -93,33 +94,15 @@ def find_excitation(
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Excitation:
     """
-    Find an excitation motion.
+    Find an excitation motion; the result is always the same for the same arguments.
 
-    Parameters
-    ----------
-    dynamics : InverseDynamics
-        The robot of n joints, with its loads.
-    limits : MotionLimits
-        The m joints to move, and their limits.
-    duration : float
-        Duration of the motion [s].
-    harmonics : int
-        Number of harmonics of the Fourier series.
-    noise : ndarray, shape (m,) or (), optional
-        Standard deviation of measured efforts [N m or N]; by default `NOISE` of the effort limit,
-        or of the largest effort of random motions for a joint without a limit.
-    progress : callable
-        Called now and then with the fraction done, 0 to 1.
+    `duration` is the duration of the motion [s], and `harmonics` the number of harmonics of the
+    Fourier series. `noise` is the standard deviation of measured efforts [N m or N], one value or
+    one per moving joint. By default, it is `NOISE` times the effort limit. Without an effort
+    limit, it is `NOISE` times the largest effort of random motions. `progress` is called now and
+    then with the fraction done, 0 to 1.
 
-    Returns
-    -------
-    excitation : Excitation
-        Always the same for the same arguments.
-
-    Raises
-    ------
-    ConfigurationError
-        If an argument is invalid, or no pose is within the limits.
+    Raises ConfigurationError if an argument is invalid, or no pose is within the limits.
 
     """
     if not 0.0 < duration < math.inf:
@@ -157,12 +140,9 @@ def find_excitation(
 
 class MotionSpace:
     """
-    Motions as arrays x of shape (m, 2 h - 1), relative to the middle and half of the ranges.
+    Motions as arrays x of coefficients, relative to the middle and half of the position ranges.
 
-    Parameters
-    ----------
-    dynamics, limits, duration, harmonics
-        As for `find_excitation`.
+    For m moving joints and h harmonics, an array x has the shape (m, 2 h - 1).
 
     """
 
@@ -172,30 +152,30 @@ class MotionSpace:
         self.dynamics, self.limits = dynamics, limits
         self.shape = len(limits.index), 2 * harmonics - 1
         count = _PER_HARMONIC * harmonics
-        # Without the end, which equals the start
+        # The end is left out, because it equals the start.
         self.basis = basis(_even_times(count, duration), duration, harmonics)
         self._fine_basis = basis(_even_times(_FINE * count, duration), duration, harmonics)
         self._pose_basis = basis(_even_times(_DENSER * count, duration), duration, harmonics)[0]
 
     def coefficients(self, x: Floats) -> Floats:
-        """Return the coefficients of a `FourierSeries`."""
+        """Return the coefficients of the `FourierSeries` of a motion."""
         coefficients: Floats = x * self.limits.half[:, np.newaxis]
         coefficients[:, 0] += self.limits.middle
         return coefficients
 
     def states(self, x: Floats) -> States:
-        """Return the states of the search."""
+        """Return the states of a motion at the samples of the search."""
         return States(*(part @ self.coefficients(x).T for part in self.basis))
 
     def is_within_limits(self, x: Floats, every: int = 1) -> bool:
-        """Return whether a motion is within the limits, at states of the final check."""
+        """Return whether a motion is within the limits at the states of the final check."""
         states = States(*(part[::every] @ self.coefficients(x).T for part in self._fine_basis))
         if excess(self.dynamics, self.limits, states).any():
             return False
         return self._is_clear(states.q, every)
 
     def _is_clear(self, q: Floats, every: int = 1) -> bool:
-        """Return whether positions, shape (k, m), and the way to the first of them are clear."""
+        """Return whether positions of moving joints, and the way to the first, are clear."""
         clearance = self.limits.clearance
         if clearance is None:
             return True
@@ -203,7 +183,7 @@ class MotionSpace:
         return clearance.is_kept(whole_positions(self.limits, q)) and clearance.is_kept(way, True)
 
     def nearest(self, x: Floats) -> tuple[Nearest, ...]:
-        """Return the smallest distances during a motion, and on the way to it."""
+        """Return the smallest distances during a motion and on the way to its start."""
         clearance, q = self.limits.clearance, self._fine_basis[0] @ self.coefficients(x).T
         if clearance is None:
             return ()
@@ -216,21 +196,11 @@ class MotionSpace:
 
     def missing_clearance(self, x: Floats, aim: float) -> tuple[float, Floats]:
         """
-        Return by how much a motion and the way to it are too near something, and the slopes.
+        Return how much clearance a motion and the way to its start lack, and the gradient.
 
-        Parameters
-        ----------
-        x : ndarray, shape (m, 2 h - 1)
-            The motion.
-        aim : float
-            Fraction of the limits that is regarded as the limit.
-
-        Returns
-        -------
-        missing : float
-            Mean of `Clearance.violation` over the motion, and that over the way.
-        slopes : ndarray, shape (m, 2 h - 1)
-            Its derivatives by the coefficients.
+        The first value is the mean of `Clearance.violation` over the motion plus the mean over the
+        way. The gradient is with respect to the coefficients, shape (moving joints, 2 * harmonics
+        - 1). `aim` is the fraction of the limits that the search aims at.
 
         """
         clearance, index = self.limits.clearance, self.limits.index
@@ -245,13 +215,13 @@ class MotionSpace:
         return float(missing.mean() + on_way.mean()), of_coefficients
 
     def way_to(self, start: Floats, count: int) -> Floats:
-        """Return poses of the straight way from rest to a start, shape (m,) -> (count, n)."""
+        """Return poses, shape (count, joints), of the straight way from rest to a start."""
         rest, (end,) = self.limits.rest, whole_positions(self.limits, start[np.newaxis])
         way: Floats = rest + _even_times(count, 1.0)[:, np.newaxis] * (end - rest)
         return way
 
     def random(self, count: int, rng: np.random.Generator) -> list[Floats]:
-        """Draw motions about poses that the drives can hold, as large as the limits permit."""
+        """Draw motions about poses that the drives can hold, as large as the limits allow."""
         centres = self._poses(rng)
         found = []
         for k in range(count):
@@ -259,12 +229,12 @@ class MotionSpace:
             still[:, 0] = centres[k % len(centres)]
             swing = rng.normal(size=self.shape)
             swing[:, 0] = 0.0
-            # Each joint alone may use its range and speed; the efforts are those of all.
+            # Each joint alone may use its full range and speed; efforts depend on all joints.
             found.append(self._largest(still, swing / self._size(still, swing)))
         return found
 
     def within_limits(self, x: Floats, safe: Floats) -> Floats:
-        """Return a motion that is reduced, or mixed with a safe one, until it is within limits."""
+        """Return a motion within the limits: reduced, or mixed with a motion that is safe."""
         still = np.zeros(self.shape)
         still[:, 0] = x[:, 0]
         for end, smallest in ((still, 0.5), (safe, 0.0)):
@@ -275,7 +245,7 @@ class MotionSpace:
         return safe
 
     def _largest(self, still: Floats, swing: Floats) -> Floats:
-        """Return the largest motion about a pose, of at most a given swing."""
+        """Return the largest motion about a pose within the limits, up to a given swing."""
         low, high = 0.0, 1.0
         for _ in range(12):
             middle = 0.5 * (low + high)
@@ -288,7 +258,7 @@ class MotionSpace:
         return still + low * swing
 
     def _size(self, still: Floats, swing: Floats) -> Floats:
-        """Return the swing of each joint relative to its range and speed, shape (m, 1)."""
+        """Return the swing of each joint relative to its free range and its speed, as a column."""
         states = States(*(part @ (swing * self.limits.half[:, None]).T for part in self.basis))
         room = self.limits.half * (1.0 - np.abs(still[:, 0]))
         ratios = np.maximum(np.abs(states.q) / room, np.abs(states.qd) / self.limits.speeds)
@@ -296,7 +266,7 @@ class MotionSpace:
         return size
 
     def _poses(self, rng: np.random.Generator) -> Floats:
-        """Return poses within the limits, relative to middle and half of the ranges."""
+        """Return poses within the limits, relative to middle and half of the position ranges."""
         poses = rng.uniform(-0.5, 0.5, (_POSES, self.shape[0]))
         poses[0] = 0.0
         zeros = np.zeros_like(poses)
@@ -314,7 +284,7 @@ class MotionSpace:
         return np.array(found)
 
     def _why(self, states: States, held: Integers) -> str:
-        """Explain why no pose is within the limits; `held` are those within the effort limits."""
+        """Explain why no pose is within the limits; `held` poses are within the effort limits."""
         limits = self.limits
         if len(held):
             return self._why_not_clear(whole_positions(limits, states.q[held]))
@@ -329,7 +299,7 @@ class MotionSpace:
         return f'no sampled pose is within the limits of efforts: {reason}'
 
     def _why_not_clear(self, poses: Floats) -> str:
-        """Explain why none of some poses, shape (k, n), is clear."""
+        """Explain why none of the given poses is clear."""
         said, clearance = f'none of {len(poses)} sampled poses is clear', self.limits.clearance
         assert clearance
         found = clearance.contacts(poses)
@@ -349,14 +319,14 @@ class MotionSpace:
 
 
 class _Objective:
-    """The negative logarithm of the determinant of the information, and penalties for limits."""
+    """The negative logarithm of the determinant of the information, plus penalties for limits."""
 
     def __init__(self, motions: MotionSpace, unknowns: Unknowns) -> None:
         self.motions, self.unknowns = motions, unknowns
         self.aim = _AIM
 
     def information(self, x: Floats) -> Floats:
-        """Return the mean information of a sample, shape (u, u)."""
+        """Return the mean information per sample, shape (unknowns, unknowns)."""
         return _information(self.unknowns.weighted(self.motions.states(x)))
 
     def log_det(self, x: Floats) -> float:
@@ -398,7 +368,7 @@ def _gradient(function: Callable[[States], Floats], states: States, speeds: Floa
     """
     Differentiate a function of the state at every sample.
 
-    The function returns one number for each of k states, which depends on that state only.
+    The function returns one number for each state. This number depends on that state only.
 
     """
     here = function(states)
@@ -421,15 +391,15 @@ def _even_times(count: int, duration: float) -> Floats:
 
 
 def _information(columns: Floats) -> Floats:
-    # Sample by sample: these products are too small for BLAS to start threads, which would take
-    # much longer than the products on a machine with other work to do.
+    # The product of one sample is too small for BLAS to start threads. On a busy machine, threads
+    # would take much longer than the products.
     products = columns.transpose(0, 2, 1) @ columns
     information: Floats = np.mean(products, axis=0) + _TINY * np.eye(columns.shape[2])
     return information
 
 
 def _improved(objective: _Objective, x: Floats, progress: Callable[[float], None]) -> Floats:
-    """Return the motion to which the search leads."""
+    """Return the motion that the search finds when it starts from x."""
     from scipy.optimize import minimize
 
     most = _most_iterations(objective)
@@ -466,10 +436,10 @@ def _improved(objective: _Objective, x: Floats, progress: Callable[[float], None
 
 
 def _most_iterations(objective: _Objective) -> int:
-    """Return the largest number of iterations of a round, fewer for robots with many joints."""
+    """Return the largest number of iterations of a round; it is smaller for many joints."""
     m, n = objective.motions.shape[0], len(objective.motions.limits.rest)
-    entries = n * objective.unknowns.rigid_count  # of one regressor
-    states = 3 * m * len(objective.motions.basis[0])  # of one gradient
+    entries = n * objective.unknowns.rigid_count  # per regressor
+    states = 3 * m * len(objective.motions.basis[0])  # per gradient
     most = _LARGEST_WORK / (len(_ROUNDS) * states * entries)
     return max(_FEWEST_ITERATIONS, int(most))
 
