@@ -1,8 +1,8 @@
 """
 Identifies inertial parameters, friction and armature of a robot from recordings.
 
-`identify_parameters` fits bodies that remain physical and close to the robot description, and
-evaluates them on data that the fit has not seen.
+`identify_parameters` fits bodies that remain physical and close to the robot description. It
+evaluates the fit on data that were not used for the fit.
 """
 
 from .identify import identify_parameters

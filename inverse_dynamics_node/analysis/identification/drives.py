@@ -1,12 +1,11 @@
 """
-The part of drives in the efforts: friction and armature, gains of currents, a delay.
+Fits the effects of drives on efforts: friction and armature, gains of currents, a delay.
 
-A term of a joint is used if it improves the prediction of blocks of the recording that it was not
-fitted to.
+A term of a joint is used if it improves the prediction of blocks that were left out of the fit.
 
-A current is the effort divided by a gain. Gains and masses are only known together: if all of them
-were multiplied by the same factor, the currents would be the same. A known payload determines this
-factor, or else the masses of the robot description.
+A current is the effort divided by a gain. If all gains and masses were multiplied by the same
+factor, the currents would be the same. A known payload determines this factor; without one, the
+masses of the robot description determine it.
 """
 
 from __future__ import annotations
@@ -40,59 +39,59 @@ from .regression import (
 
 FRICTION: tuple[int, ...] = (DAMPING, COULOMB, OFFSET)
 LEAST_IMPROVEMENT = {ARMATURE: 0.01, LOAD: 0.02, SQRT: 0.1}
-"""Fraction of the squares by which each candidate must improve the prediction."""
+"""Fraction by which each candidate must reduce the squared residuals of the prediction."""
 LEAST_ERRORS = {ARMATURE: 1.0, LOAD: 1.0, SQRT: 2.0}
-"""The same in standard errors of the differences between blocks."""
+"""Least improvement by each candidate, in standard errors of the differences between blocks."""
 LARGEST_LOAD = 0.1
-"""Load friction of a poor gear [-]: the standard deviation that is expected beforehand."""
+"""Load friction of a poor gear, used as the expected standard deviation [-]."""
 WIDTHS = 10
-"""Widths to try."""
+"""Number of friction widths to try."""
 SIGNIFICANT = 5.0
-"""Standard errors by which a current has to depend on the modelled effort."""
+"""A gain is known if its inverse exceeds this many standard errors."""
 LEAST_CHANGE = 0.15
-"""Least change of all efforts by a common factor."""
+"""Smallest relative change of all efforts that is regarded as a common factor."""
 MOST_DISAGREEMENT = 0.5
-"""Largest RMS deviation of single joints from this change, as a fraction of it."""
+"""Largest RMS deviation of single joints from the common change, as a fraction of the change."""
 EXPLAINS = 0.6
-"""Least fraction of the improvement by the bodies that a common factor must explain."""
+"""Fraction of the improvement by the bodies that a common factor must explain."""
 MOST_DELAY = 0.1
 """Longest delay in either direction [s]."""
 
 
 class JointFit(NamedTuple):
-    """Terms of the joints, fitted to what given bodies leave."""
+    """Terms of the joints, fitted to the efforts that given bodies do not explain."""
 
     model: Model
-    """With the chosen terms; others are zero."""
+    """Model with the chosen terms; all other terms are zero."""
     used: Booleans
-    """Which terms were chosen, shape (m, 10)."""
+    """Whether each term of each joint was chosen, shape (joints, 10)."""
 
 
 class Delay(NamedTuple):
-    """How late measured efforts are."""
+    """Time by which measured efforts are late."""
 
     seconds: float
     error: float
-    """Its standard error [s]."""
+    """Standard error of the delay [s]."""
 
 
 class EffortCorrection(NamedTuple):
-    """What turns recorded efforts of m joints into those of the model."""
+    """Delay and gains that turn recorded efforts into those of the model."""
 
     delay: float
     """Time by which recorded efforts are late [s]."""
     gains: Floats
-    """Effort per recorded value, shape (m,)."""
+    """Effort per recorded value of each joint, shape (joints,)."""
     is_gain_known: Booleans
-    """Shape (m,)."""
+    """Whether the gain of each joint is known, shape (joints,)."""
 
     def apply(self, motions: Sequence[Motion]) -> list[Floats]:
-        """Return the efforts of motions without delay, in N m or N, each of shape (K, m)."""
+        """Return efforts of motions without delay [N m or N], each of shape (samples, joints)."""
         return [_shifted(motion, self.delay) * self.gains for motion in motions]
 
 
 def widths_to_try(speeds: Floats, slowest: float = 0.002) -> Floats:
-    """Return widths for joints with fast speeds of shape (m,), shape (WIDTHS, m)."""
+    """Return friction widths for the fast speeds of joints, shape (WIDTHS, joints)."""
     fast = np.maximum(speeds, 10.0 * slowest)
     return np.geomspace(np.maximum(0.004 * fast, slowest), 0.4 * fast, WIDTHS)
 
@@ -104,9 +103,9 @@ def choose_terms(
     grid: Floats,
     optional: bool = True,
 ) -> JointFit:
-    """Fit the terms of all joints to what the bodies leave; friction only where joints move."""
+    """Fit the terms of joints to efforts that bodies do not explain; friction if joints move."""
     found = JointFit(start.model, start.used)
-    # Again with couplings: what coupled drives exert on the joints before them is known then.
+    # With couplings, the second pass knows the efforts of the drives on the joints before them.
     for _ in range(2 if start.model.couplings.any() else 1):
         found = _choose_terms(regression, found, moving, grid, optional)
     return found
@@ -133,7 +132,7 @@ def _choose_terms(
 
 
 def fit_terms(regression: Regression, friction: JointFit, rows: Booleans) -> Model:
-    """Fit chosen terms to some rows of what the bodies leave; no drive is coupled."""
+    """Fit chosen terms to efforts in some rows that bodies do not explain, without couplings."""
     model = friction.model
     target = regression.efforts - regression.rigid(model.bodies)
     terms = regression.terms(model)
@@ -148,7 +147,7 @@ def fit_terms(regression: Regression, friction: JointFit, rows: Booleans) -> Mod
 def _block_grams(
     regression: Regression, model: Model, grid: Floats, target: Floats
 ) -> list[Floats]:
-    """Return products of columns for each joint, shape (w, blocks, 11, 11)."""
+    """Return products of columns for each joint, shape (widths, blocks, 11, 11)."""
     blocks = [regression.block == k for k in range(regression.block.max() + 1)]
     found = np.zeros((target.shape[1], len(grid), len(blocks), TERMS + 1, TERMS + 1))
     for w, widths in enumerate(grid):
@@ -161,7 +160,7 @@ def _block_grams(
 
 
 def _best(grams: Floats, chosen: tuple[int, ...], optional: bool) -> tuple[tuple[int, ...], int]:
-    """Return the given and further terms, and the index of the width, that predict best."""
+    """Return the terms, and the index of the width, that predict best; given terms are kept."""
     candidates = list(LEAST_IMPROVEMENT) if optional else []
     while candidates:
         trials = [(_improvement(grams, chosen, candidate), candidate) for candidate in candidates]
@@ -174,8 +173,8 @@ def _best(grams: Floats, chosen: tuple[int, ...], optional: bool) -> tuple[tuple
 
 
 def _improvement(grams: Floats, chosen: tuple[int, ...], candidate: int) -> float:
-    """Return the improvement by a further term, divided by the improvement that is required."""
-    if candidate == SQRT:  # is not to make up for the distance between two widths
+    """Return the improvement by a further term, divided by the required improvement."""
+    if candidate == SQRT:  # must not replace a width between those tried
         chosen = (*chosen, WIDTH)
     losses, new = _losses(grams, chosen)[0], _losses(grams, (*chosen, candidate))[0]
     gains = losses - new
@@ -196,7 +195,7 @@ def _losses(grams: Floats, chosen: Sequence[int]) -> tuple[Floats, int]:
 
 
 def _fits(grams: Floats, chosen: Sequence[int]) -> Floats:
-    """Solve many least-squares problems at once; terms without a sign do not become negative."""
+    """Solve many least-squares problems at once; only `SIGNED` terms may become negative."""
     index: Integers = np.array(chosen)
     matrices = grams[..., index[:, None], index].copy()
     _expect_little_load(matrices, grams, index)
@@ -217,7 +216,7 @@ def _fit(gram: Floats, chosen: Sequence[int]) -> Floats:
 
 
 def _expect_little_load(matrices: Floats, grams: Floats, index: Integers) -> None:
-    """Expect a small load friction: a load that hardly changes looks like Coulomb friction."""
+    """Expect a small load friction, because a constant load looks like Coulomb friction."""
     squares = 0.1 * grams[..., -1, -1] / np.maximum(grams[..., OFFSET, OFFSET], 1.0)
     for k in np.flatnonzero(index == LOAD):
         matrices[..., k, k] += squares / LARGEST_LOAD**2
@@ -238,10 +237,10 @@ def first_gains(
     regression: Regression, bodies: Floats, widths: Floats, moving: Booleans
 ) -> tuple[Floats, Booleans]:
     """
-    Estimate the gains from currents to efforts, given the bodies of the description, (b, 10).
+    Estimate the gains from currents to efforts, with the bodies of the robot description.
 
-    Returns the gains, shape (m,), and whether each is determined. A gain is negative for a current
-    with the opposite sign; if it cannot be determined, it is the median of the others.
+    Returns the gain of each joint, and whether it is determined. A current with the opposite sign
+    has a negative gain. A gain that cannot be determined is the median size of the other gains.
 
     """
     rigid = regression.rigid(bodies)
@@ -270,13 +269,14 @@ def common_factor(regression: Regression, fit: RobotFit, friction: JointFit) -> 
     """
     Return a common factor of all link efforts that explains most of the gain by the bodies.
 
-    None if the joints disagree on a factor, or if the bodies explain far more than it does.
+    Returns None if the joints disagree on a factor, or if the bodies explain far more than a
+    factor.
 
     """
     left, rigid = regression.residual(friction.model), regression.rigid(friction.model.bodies)
     weights, terms = weights_of(left), regression.terms(friction.model)
     drives = friction.used | (np.arange(TERMS) == ARMATURE)
-    for j, used in enumerate(drives):  # without what drives explain as well
+    for j, used in enumerate(drives):  # remove what drives could explain too
         columns = np.linalg.qr(terms[:, j][:, used])[0]
         for values in (left, rigid):
             values[:, j] -= columns @ (columns.T @ values[:, j])
@@ -298,9 +298,10 @@ def common_factor(regression: Regression, fit: RobotFit, friction: JointFit) -> 
 
 def estimate_delay(regression: Regression, fit: RobotFit) -> Delay:
     """
-    Estimate how late the measured efforts are, together with all other unknowns, to first order.
+    Estimate the delay of the measured efforts together with all other unknowns.
 
-    The delay is that of the efforts as they are corrected now.
+    The estimate is of first order. The delay is that of the efforts after their present
+    correction.
 
     """
     model, weights = fit.model, fit.weights
@@ -325,7 +326,7 @@ def estimate_delay(regression: Regression, fit: RobotFit) -> Delay:
 
 
 def _shifted(motion: Motion, delay: float) -> Floats:
-    """Return the efforts of a motion without a delay, shape (K, m)."""
+    """Return the efforts of a motion after a delay was removed, shape (samples, joints)."""
     from scipy.interpolate import CubicSpline
 
     efforts = motion.efforts.copy()

@@ -41,20 +41,20 @@ _NAMES = {
 }
 _NOT_MOVED = 'it did not move far enough in both directions'
 LEAST_GAIN = 0.01
-"""Fraction by which the identified model has to be better than friction alone."""
+"""Fraction by which the identified model has to predict better than fitted friction alone."""
 LEAST_EXPLAINED = 0.1
 """Fraction of the variation of the efforts that the identified model has to explain."""
 
 SHORT = 20.0
-"""Duration below which a longer recording is worth most [s]."""
+"""Recordings that are shorter should above all be longer [s]."""
 SLOW = 0.2
-"""Fraction of the speed limit below which a joint is slow."""
+"""A joint is slow if it stays below this fraction of its speed limit."""
 FAST_ENOUGH = 0.5
-"""Speed [rad/s, m/s] above which a joint need not be faster."""
+"""A joint that exceeds this speed need not be faster [rad/s or m/s]."""
 LITTLE = 0.5
-"""Fraction of the information about a mass below which more should be recorded."""
+"""A mass needs more recordings if they give less than this fraction of its information."""
 MOST_ADVICE = 4
-"""Number of suggestions."""
+"""Largest number of suggestions."""
 
 
 def evaluate(
@@ -68,7 +68,8 @@ def evaluate(
     """
     Return the result of an identification, evaluated on validation recordings.
 
-    Without any, blocks of the recordings that were fitted are predicted from the others.
+    Without validation recordings, each block of the fitted recordings is predicted from the
+    others.
 
     """
     problem, identified = data.problem, data.problem.identified
@@ -120,7 +121,7 @@ def evaluate(
 
 
 class Fold(NamedTuple):
-    """Models that were fitted without one of the blocks."""
+    """Two models that were fitted without one of the blocks."""
 
     friction: Model
     identified: Model
@@ -160,7 +161,7 @@ def _efforts(
     folds: Sequence[Fold],
     description: str,
 ) -> Unseen:
-    """Return measured and predicted efforts; blocks are predicted by the fits without them."""
+    """Return measured and predicted efforts; each block is predicted by the fits without it."""
     motions = [run.motion for run in runs]
     raw = [motion._replace(efforts=motion.raw_efforts, window=1) for motion in motions]
     regression, (urdf, friction, identified) = _predicted(data, motions, models, folds)
@@ -183,9 +184,9 @@ def _predicted(
     models: Sequence[Model],
     folds: Sequence[Sequence[Model]],
 ) -> tuple[Regression, list[Floats]]:
-    """Predict all rows; in each block, the models of its fold take the place of the last ones."""
+    """Predict all rows; in each block, the models of its fold replace the last models."""
     regression = Regression(data.problem, motions, 0.0, max(1, len(folds)))
-    # Efforts are as late as they were recorded: models do not contain a delay.
+    # The efforts keep their recorded delay, because the models do not contain a delay.
     gains = data.correction.gains
     regression = regression.with_efforts([motion.efforts * gains for motion in motions])
     efforts = [regression.predict(model) for model in models]
@@ -197,7 +198,7 @@ def _predicted(
 
 
 def _times(regression: Regression) -> Floats:
-    """Let recordings follow each other, with a second between them."""
+    """Return the times of all recordings, one after the other with a second between them."""
     parts, start = [], 0.0
     for smooth in regression.resamplers:
         times = smooth.times - smooth.times[0] + start
@@ -207,18 +208,18 @@ def _times(regression: Regression) -> Floats:
 
 
 def _explains(unseen: Unseen) -> bool:
-    """Return whether the efforts depend on the motion as those of any such robot would."""
+    """Return whether the identified model explains enough of the variation of the efforts."""
     left = np.linalg.norm(rms(unseen.measured - unseen.identified))
     return bool(left < (1.0 - LEAST_EXPLAINED) * _variation(unseen))
 
 
 def _variation(unseen: Unseen) -> float:
-    """Return the standard deviation of the efforts: root of the sum of squares over joints."""
+    """Return the standard deviation of the efforts, as the root sum of squares over joints."""
     return float(np.linalg.norm(np.std(unseen.measured, axis=0)))
 
 
 def _is_better(unseen: Unseen) -> bool:
-    """Compare the residuals over all joints, in N m and relative to each joint."""
+    """Return whether the identified model beats friction alone, in total and per joint."""
     friction = rms(unseen.measured - unseen.friction)
     identified = rms(unseen.measured - unseen.identified)
     total = float(np.linalg.norm(identified) / max(float(np.linalg.norm(friction)), 1e-12))
@@ -278,7 +279,7 @@ def _joint(
 
     values = {name: float(model.joints[j, k]) for name, k in _NAMES.items()}
     rest = 0.0
-    if values['stiffness'] != 0.0:  # the offset is part of the spring then
+    if values['stiffness'] != 0.0:  # the spring contains the offset
         rest, values['offset'] = -values['offset'] / values['stiffness'], 0.0
         errors = {name: error for name, error in errors.items() if name != 'offset'}
     return JointResult(
@@ -303,7 +304,7 @@ def _joint(
 
 
 def _coupled_with(problem: IdentificationProblem, model: Model, j: int) -> tuple[str, ...]:
-    """Return the joints with which a joint shares a drive, nearest to the base first."""
+    """Return the joints that share a drive with a joint, the nearest to the base first."""
     names, before = problem.identified.robot.joint_names, problem.before
     others = [int(before[j])] if model.couplings[j] else []
     others += [k for k in np.flatnonzero(model.couplings).tolist() if before[k] == j]
@@ -312,9 +313,9 @@ def _coupled_with(problem: IdentificationProblem, model: Model, j: int) -> tuple
 
 def _spread(joints: Sequence[Floats]) -> Floats:
     """
-    Return standard errors of terms by the jackknife: from fits without each of the blocks.
+    Return standard errors of the terms with the jackknife: from fits without each block.
 
-    They include changes of the friction between the blocks. With one block, they are zero.
+    The errors include changes of the friction between the blocks. With one block, they are zero.
 
     """
     values = np.array(joints)
@@ -336,7 +337,7 @@ def _standard_errors(fit: RobotFit) -> list[dict[str, float]]:
 
 
 def _friction_errors(data: TrainingData, friction: JointFit) -> list[dict[str, float]]:
-    """Return standard errors of friction that was fitted alone."""
+    """Return standard errors of friction that was fitted without the bodies."""
     regression, model = data.regression, friction.model
     weights = weights_of(regression.residual(model))
     terms = regression.terms(model)
@@ -456,14 +457,14 @@ def _warnings(
 
 
 def _moved_together(data: TrainingData) -> list[str]:
-    """Return the names of joints that moved in a fixed ratio, group by group."""
+    """Return a text for each group of joints that moved in a fixed ratio."""
     names = data.problem.identified.robot.joint_names
     groups = [[names[data.problem.joints[j]] for j in group] for group in data.regression.together]
     return [f'{", ".join(group[:-1])} and {group[-1]}' for group in groups]
 
 
 def _unexplained(joints: Sequence[JointResult], accepted: bool) -> list[tuple[str, str]]:
-    """Name the joints for which the result is worse than no model at all."""
+    """Warn about joints for which the result is worse than no model at all."""
     warnings = []
     for joint in joints:
         left = joint.unseen.identified if accepted else joint.unseen.friction
@@ -482,7 +483,7 @@ def _unexplained(joints: Sequence[JointResult], accepted: bool) -> list[tuple[st
 
 
 def _common_factor(data: TrainingData, fit: RobotFit, friction: JointFit) -> list[tuple[str, str]]:
-    """Name a common factor of all efforts, which looks like other masses."""
+    """Warn about a common factor of all efforts, which looks like a change of masses."""
     factor = common_factor(data.regression, fit, friction)
     if data.problem.currents or factor is None:
         return []
@@ -500,7 +501,7 @@ def _common_factor(data: TrainingData, fit: RobotFit, friction: JointFit) -> lis
 
 
 def what_to_record(data: TrainingData, bodies: Sequence[BodyResult]) -> tuple[str, ...]:
-    """Return suggestions for the next recording, most useful first."""
+    """Return suggestions for the next recording, the most useful first."""
     problem = data.problem
     robot = problem.identified.robot
     advice = [
@@ -539,6 +540,6 @@ def what_to_record(data: TrainingData, bodies: Sequence[BodyResult]) -> tuple[st
 
 
 def _is_first(robot: RobotModel, body: BodyResult) -> bool:
-    """Return whether a joint of the base moves a body, so that its mass may have no effect."""
+    """Return whether a body is the first after the base, so that its mass may have no effect."""
     number = int(robot.link_body[robot.link_index(body.link)])
     return int(robot.parent[number]) == 0

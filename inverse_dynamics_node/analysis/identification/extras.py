@@ -1,8 +1,8 @@
 """
-Terms that few robots need, and that other unknowns may look like: springs and coupled drives.
+Adds terms that few robots need: springs and coupled drives.
 
-Each is added if the whole model, fitted with it, gives clearly better predictions of blocks of the
-recording that it was not fitted to.
+Other unknowns may look like these terms. Therefore, a term is added only if it improves the whole
+model: predictions of blocks that were left out of the fit must be clearly better.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ from .fit import Equations, RobotFit, solve
 from .regression import ARMATURE, Model, moved_by, RATIO, Regression, SPRING, WIDTH
 
 LEAST_GAIN = 0.1
-"""Fraction by which a spring must reduce the squared residuals of its joint in the prediction."""
+"""Fraction by which a spring must reduce the squared residuals of its joint in predictions."""
 LEAST_GAIN_OF_COUPLING = 0.3
-"""The same for a coupling, as the mean of both joints."""
+"""Fraction by which a coupling must reduce the squared residuals, as the mean of both joints."""
 ERRORS = 3.0
-"""Least mean gain of the blocks, in standard errors of this mean."""
+"""Least mean improvement of the blocks, in standard errors of this mean."""
 LEAST_RELATION = 0.1
-"""Fraction of the residual of a joint that the motion of the other one has to explain."""
+"""Fraction of the residual of a joint that the motion of the other joint has to explain."""
 RATIOS = (-3.0, -1.0, -0.3, -0.1, 0.1, 0.3, 1.0, 3.0)
-"""Couplings to begin with."""
+"""Couplings from which a fit starts."""
 RATIO_ROUNDS = 3
 WRIST = 3
 """Number of joints at the end of a chain that may be a wrist."""
 INTERSECTION = 2e-3
-"""Largest distance between axes that intersect, as those of coupled drives [m]."""
+"""Axes intersect if their distance is smaller, as those of coupled drives do [m]."""
 
 
 def with_extra(regression: Regression, moving: Booleans, fit: RobotFit) -> RobotFit | None:
-    """Return the fit with the most useful extra, or None if the prediction gains from none."""
+    """Return the fit with the most useful extra, or None if no extra improves the prediction."""
     used = fit.used.copy()
     used[:, WIDTH] = moving
     equations = Equations(regression, fit.model)
@@ -76,7 +76,7 @@ def _candidates(
 
 
 def without_useless_extras(regression: Regression, fit: RobotFit) -> RobotFit:
-    """Return the fit itself, or without the extras that the prediction does not gain from."""
+    """Return the fit itself, or without the extras that do not improve the prediction."""
     used, couplings = fit.used.copy(), fit.model.couplings.copy()
     for j in range(len(used)):
         if fit.used[j, SPRING]:
@@ -96,15 +96,16 @@ def without_useless_extras(regression: Regression, fit: RobotFit) -> RobotFit:
 
 def is_needed(base: RobotFit, fit: RobotFit, joints: Sequence[int], least: float) -> bool:
     """
-    Return whether a larger model predicts blocks clearly better, without being fitted to them.
+    Return whether a larger model predicts left-out blocks clearly better than its base.
 
-    It has to reduce the squared residuals of some joints by a fraction, and to gain in most of
-    the blocks: a single block, such as the fastest motion, may have most of the squares.
+    The larger model must reduce the squared residuals of some joints by a fraction, and improve
+    most of the blocks. A single block, such as the fastest motion, may contain most of the
+    squares.
 
     """
     try:
         losses, new = _unseen_losses(base), _unseen_losses(fit)
-    except np.linalg.LinAlgError:  # some blocks do not determine it
+    except np.linalg.LinAlgError:  # without a block, the fit has no solution
         return False
     scale = np.maximum(losses.sum(axis=0), 1e-300)
     if ((losses - new) / scale).sum() < least * len(joints):
@@ -118,9 +119,9 @@ def may_be_coupled(regression: Regression, moving: Booleans, j: int) -> bool:
     """
     Return whether the drive of a joint could also turn with the joint before.
 
-    This is so in wrists, where gears run through a joint because their drives sit further back.
-    A wrist is at the end of a chain, and both joints turn about axes that intersect. Nothing can
-    be said of joints that moved in a fixed ratio, because their columns are collinear.
+    This happens in wrists: the drives sit further back, and gears run through the joint before. A
+    wrist is at the end of a chain, and the axes of both revolute joints intersect. Joints that
+    moved in a fixed ratio are excluded, because their columns are collinear.
 
     """
     problem = regression.problem
@@ -138,7 +139,7 @@ def may_be_coupled(regression: Regression, moving: Booleans, j: int) -> bool:
 
 
 def _relation(regression: Regression, model: Model, first: int, second: int) -> float:
-    """Return how much of the residual of each of two joints the motion of the other explains."""
+    """Return how much the motion of one joint explains of the other's residual, at most 1."""
     residual = regression.residual(model)
     direction = regression.direction(model.widths)
     signals = np.stack([regression.qdd, regression.qd, direction, np.ones_like(direction)], -1)
@@ -155,7 +156,7 @@ def _relation(regression: Regression, model: Model, first: int, second: int) -> 
 
 
 def _axes_intersect(robot: RobotModel, before: int, joint: int) -> bool:
-    """Return whether the axes of two successive joints intersect, and are not parallel."""
+    """Return whether the axes of two successive joints intersect and are not parallel."""
     bodies = robot.joint_index.tolist()
     first, second = (bodies.index(k, 1) for k in (before, joint))
     axis = robot.R_PL[second] @ robot.axis[second]
@@ -169,7 +170,7 @@ def _solved(fit: RobotFit, equations: Equations, used: Booleans, start: Model) -
 
 
 def _coupled(regression: Regression, fit: RobotFit, used: Booleans, j: int) -> RobotFit:
-    """Fit the coupling of a drive, from the best of several ratios."""
+    """Fit the coupling of a drive, starting from the best of several ratios."""
 
     def fitted(model: Model) -> RobotFit:
         return _solved(fit, Equations(regression, model), used, model)
@@ -197,7 +198,7 @@ def _uncoupled(regression: Regression, fit: RobotFit, j: int) -> RobotFit:
 
 
 def _fitted_losses(fit: RobotFit) -> Floats:
-    """Return the weighted squared residuals of the joints in the fitted data, shape (m,)."""
+    """Return the weighted squared residuals of each joint in the fitted data."""
     equations = fit.equations
     squares = [equations.squares(fit.model, k) for k in range(equations.block_count)]
     return np.asarray(fit.weights * np.sum(squares, axis=0))
@@ -208,12 +209,12 @@ def _fitted_loss(fit: RobotFit) -> float:
 
 
 def _fitted_gain(base: RobotFit, fit: RobotFit, joints: Sequence[int]) -> float:
-    """Return the gain by a larger model, as a fraction of the squared residuals of some joints."""
+    """Return the improvement by a larger model, relative to the squared residuals of `joints`."""
     losses = _fitted_losses(base)
     return (float(losses.sum()) - _fitted_loss(fit)) / max(float(losses[joints].sum()), 1e-300)
 
 
 def _unseen_losses(fit: RobotFit) -> Floats:
-    """Return the squared residuals of the joints in blocks left out of the fit, (blocks, m)."""
+    """Return squared residuals of joints in blocks left out of the fit, shape (blocks, joints)."""
     blocks = range(fit.equations.block_count)
     return np.array([fit.equations.squares(fit.without(k), k) for k in blocks])

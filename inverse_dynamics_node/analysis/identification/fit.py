@@ -1,11 +1,12 @@
 """
-Fits bodies and joints together: least squares over bodies that remain physical.
+Fits bodies and joints together with least squares, so that bodies remain physical.
 
-The sum of squares has the entropic divergence of every body P from that of the robot description,
-P0, added: ``tr(P0^-1 P) - log det P`` [1]_. It is convex, finite only inside physics, and does not
-depend on units or frames. Friction and armature are kept positive by the same divergence of single
-numbers. The whole is self-concordant, so that Newton's method converges from anywhere inside.
-Blocked cross-validation chooses how closely the bodies follow the robot description.
+The objective is the sum of squares plus a divergence for each body. If P is the pseudo-inertia of
+a body and P0 that of the robot description, their entropic divergence is ``tr(P0^-1 P) - log det
+P`` [1]_. It is convex, finite only for physical bodies, and independent of units and frames. The
+same divergence of single numbers keeps friction and armature positive. The objective is
+self-concordant, so Newton's method converges from any physical start. Blocked cross-validation
+chooses how closely the bodies follow the robot description.
 
 References
 ----------
@@ -30,43 +31,44 @@ URDF_WEIGHTS = tuple(10.0 ** np.arange(4.0, -2.1, -0.5))
 """
 Weights of the robot description, strongest first.
 
-With a weight of 1, the standard error of a mass that the recordings do not determine is the mass.
+With a weight of 1, a mass that the recordings do not determine has a standard error of 100 %.
 """
 EXPECTED_ERROR = 0.3
-"""Expected relative error of the masses of a robot description, as a standard deviation."""
+"""Expected standard deviation of the relative errors of masses in a robot description."""
 ENOUGH = 0.9
-"""A mass may be more than twice that of the description if the recording determines it so well."""
+"""A mass may grow a lot if more than this fraction of its information comes from recordings."""
 MOST_GROWTH = 2.0
+"""Largest ratio of an identified mass to that of the description, unless recordings show it."""
 _MOST_STEPS = 200
 _DECREMENT = 1e-8
-"""Predicted decrease of the objective below which the minimum has been found."""
+"""The minimum is found if the predicted decrease of the objective is smaller."""
 _TO_EDGE = 0.95
-"""Largest fraction of the way to the edge of physics in one step."""
+"""Largest step, as a fraction of the distance to where a body would not be physical."""
 
 
 class RobotFit(NamedTuple):
-    """Bodies and joints that minimise the regularised least squares."""
+    """Bodies and joints that solve a regularised least-squares problem."""
 
     equations: Equations
     weights: Floats
-    """Weights of the joints, shape (m,)."""
+    """Weights of the joints, shape (joints,)."""
     used: Booleans
-    """Which terms of the joints were fitted, shape (m, 10)."""
+    """Whether each term of each joint was fitted, shape (joints, 10)."""
     model: Model
     unknowns: Integers
-    """Indices of the unknowns: ten for each body, then ten for each joint."""
+    """Indices of the fitted unknowns, counted with ten for each body, then ten for each joint."""
     hessian: Floats
     """Inverse of the covariance of the unknowns."""
     prior: Prior
 
     def without(self, block: int) -> Model:
-        """Return the model fitted in the same way without one of the blocks."""
+        """Return the model of the same fit without one of the blocks."""
         prior = self.prior.weights
         return solve(self.equations, self.weights, prior, self.used, self.model, block).model
 
 
 def correlation(residual: Floats) -> float:
-    """Return how many successive rows carry as much information as an independent one."""
+    """Return how many successive rows contain as much information as one independent row."""
     values = residual - residual.mean()
     count = len(values)
     spectrum = np.fft.rfft(values, 2 * count)
@@ -80,14 +82,14 @@ def correlation(residual: Floats) -> float:
 
 
 def weights_of(residual: Floats) -> Floats:
-    """Return the weights of the joints: inverse variances, for dependent samples."""
+    """Return the weight of each joint: the inverse variance, corrected for dependent samples."""
     squares = np.mean(residual**2, axis=0)
     dependent = np.array([correlation(column) for column in residual.T])
     return np.asarray(1.0 / (np.maximum(squares, 1e-6 * squares.max() + 1e-12) * dependent))
 
 
 class Equations:
-    """Normal equations of every joint and block, for given widths and loads."""
+    """Normal equations of every joint and block, for the friction widths and loads of a model."""
 
     def __init__(self, regression: Regression, model: Model) -> None:
         self.regression = regression
@@ -116,7 +118,7 @@ class Equations:
             self.blocks.append([part.T @ part for part in parts])
 
     def normal(self, weights: Floats, without: int | None = None) -> tuple[Floats, Floats]:
-        """Return matrix and vector of the normal equations, without one of the blocks."""
+        """Return matrix and vector of the normal equations; one block may be left out."""
         matrix, vector = np.zeros((self.size, self.size)), np.zeros(self.size)
         for j, index in enumerate(self.index):
             gram = self.all[j]
@@ -129,7 +131,7 @@ class Equations:
         return matrix, vector
 
     def squares(self, model: Model, block: int) -> Floats:
-        """Return the remaining squares of every joint in a block, shape (m,)."""
+        """Return the sum of squared residuals of every joint in a block, shape (joints,)."""
         x = np.concatenate([model.bodies.ravel(), model.joints.ravel()])
         remaining = []
         for j, index in enumerate(self.index):
@@ -149,10 +151,9 @@ def solve(
     """
     Minimise the weighted squares plus the divergence from the robot description.
 
-    Weights are inverse variances of the joints, shape (m,), for dependent samples; the weights of
-    the divergence belong to the bodies, shape (b,). Terms that are not used, shape (m, 10), are
-    zero. The terms of the first guess set the scales of those that are positive. One block may be
-    left out.
+    `weights` are the inverse variances of the joints, for dependent samples. `urdf_weight`
+    contains the weight of the divergence of each body. Terms that are not `used` are zero. The
+    terms in `start` set the scales of positive terms. The block `without` is left out.
 
     """
     identified = equations.regression.problem.identified
@@ -179,11 +180,11 @@ def solve(
 
 
 class Trial(NamedTuple):
-    """One weight of the robot description."""
+    """A weight of the robot description that was tried."""
 
     urdf_weight: float
     losses: Floats
-    """Weighted squared residuals of blocks that the fit has not seen, shape (blocks,)."""
+    """Weighted squared residuals of blocks that were left out of the fit, shape (blocks,)."""
 
 
 class UrdfWeight(NamedTuple):
@@ -198,8 +199,8 @@ def choose_urdf_weight(fit: RobotFit) -> UrdfWeight:
     """
     Return the strongest weight whose prediction is not clearly worse than the best one.
 
-    Blocks of the recording are predicted by fits to the other blocks. Clearly is one standard
-    error of the differences between the blocks.
+    Each block of the recordings is predicted by a fit to the other blocks. A prediction is clearly
+    worse if the difference exceeds one standard error of the differences between the blocks.
 
     """
     equations, weights, used = fit.equations, fit.weights, fit.used
@@ -225,7 +226,7 @@ def choose_urdf_weight(fit: RobotFit) -> UrdfWeight:
 def solve_within_reason(
     equations: Equations, weights: Floats, urdf_weight: float, used: Booleans, start: Model
 ) -> RobotFit:
-    """Solve, and hold masses that grow although the recording does not determine them."""
+    """Solve, and hold masses that grow although the recordings do not determine them."""
     before = equations.regression.problem.identified.before[:, 0]
     urdf_weights = np.full(len(before), urdf_weight)
     for _ in range(40):
@@ -241,17 +242,17 @@ def solve_within_reason(
 
 def mass_information(fit: RobotFit) -> Floats:
     """
-    Return the fraction of information about each mass that comes from the recordings, shape (b,).
+    Return the fraction of information about each mass that comes from the recordings.
 
-    The rest comes from the robot description and its expected error. So the fraction does not
-    depend on the weight of the description in the fit. Efforts of joints that moved in a fixed
-    ratio are ignored, because it is not known which of the joints they belong to.
+    The rest comes from the robot description and its expected error. Therefore, the fraction does
+    not depend on the weight of the description in the fit. Efforts of joints that moved in a fixed
+    ratio are ignored, because they cannot be assigned to one of these joints.
 
     """
     count = len(fit.model.bodies)
     hessian = _without_dependent_joints(fit)
     variances = np.diagonal(np.linalg.inv(hessian))[: 10 * count : 10]
-    # The divergence alone determines a mass with the relative standard error 1 / sqrt(gamma).
+    # The divergence alone determines a mass with the relative standard error 1 / sqrt(weight).
     total = 1.0 / np.maximum(variances, 1e-300)
     own = fit.prior.weights / fit.model.bodies[:, 0] ** 2
     measured = np.maximum(total - own, 0.0)
@@ -268,7 +269,7 @@ def _without_dependent_joints(fit: RobotFit) -> Floats:
     weights[dependent] = fit.weights[dependent]
     matrix, _ = fit.equations.normal(weights)
     hessian = fit.hessian - matrix[np.ix_(fit.unknowns, fit.unknowns)]
-    # Their own terms, on which nothing else depends, keep a curvature.
+    # The terms of these joints affect nothing else, and keep a small curvature.
     diagonal = np.arange(fit.model.bodies.size, len(hessian))
     hessian[diagonal, diagonal] += 1e-6 * np.diagonal(fit.hessian)[diagonal]
     return np.asarray(hessian)
@@ -279,21 +280,21 @@ def _without_dependent_joints(fit: RobotFit) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """References of the unknowns; bodies come first, ten unknowns each."""
+    """Reference values of the unknowns: ten for each body, followed by those of joints."""
 
     bodies: Floats
-    """Reference parameters of the bodies, shape (b, 10)."""
+    """Reference parameters of the bodies, shape (bodies, 10)."""
     weights: Floats
-    """Weight of the divergence of each body, shape (b,)."""
+    """Weight of the divergence of each body, shape (bodies,)."""
     positive: Integers
-    """Indices of the unknowns that are positive numbers, shape (s,)."""
+    """Indices of the unknowns that must be positive."""
     scales: Floats
-    """References of these, shape (s,)."""
+    """Reference values of the unknowns that must be positive."""
     positive_weights: Floats
-    """Weight of the divergence of each of these, shape (s,)."""
+    """Weights of the divergence of the unknowns that must be positive."""
 
     def value(self, x: Floats) -> float:
-        """Return the divergence, infinite outside physics."""
+        """Return the divergence; it is infinite if a body is not physical."""
         matrices = pseudo_inertias(self._bodies(x))
         numbers = x[self.positive]
         if not (numbers > 0.0).all():
@@ -308,7 +309,7 @@ class Prior:
         return float(self.weights @ (linear - log_det) + self.positive_weights @ scalars)
 
     def derivatives(self, x: Floats) -> tuple[Floats, Floats]:
-        """Return gradient and Hessian of the divergence, shapes (p,) and (p, p)."""
+        """Return the gradient and the Hessian of the divergence."""
         gradient, hessian = np.zeros(len(x)), np.zeros((len(x), len(x)))
         count = len(self.bodies)
         inverses = np.linalg.inv(pseudo_inertias(self._bodies(x)))
@@ -325,7 +326,7 @@ class Prior:
         return gradient, hessian
 
     def longest_step(self, x: Floats, step: Floats) -> float:
-        """Return the multiple of a step that reaches the edge of physics; at most 1."""
+        """Return the multiple of a step, at most 1, after which all bodies are still physical."""
         longest = 1.0
         numbers, change = x[self.positive], step[self.positive]
         if (change < 0.0).any():
@@ -345,21 +346,17 @@ class Prior:
 
     @cached_property
     def _pull(self) -> Floats:
-        """Return the derivatives of ``tr(P0^-1 P)``, shape (b, 10)."""
+        """Return the derivatives of ``tr(P0^-1 P)`` by the body parameters, shape (bodies, 10)."""
         inverses = np.linalg.inv(pseudo_inertias(self.bodies))
         return np.asarray(np.einsum('bij,kji->bk', inverses, BASIS))
 
 
 def minimise(matrix: Floats, vector: Floats, prior: Prior, start: Floats) -> tuple[Floats, Floats]:
     """
-    Minimise ``x^T A x / 2 - b^T x`` plus the divergence, from a start inside physics.
+    Minimise ``x^T A x / 2 - b^T x`` plus the divergence, from a physical start.
 
-    Returns x, and the second derivatives there, which are the inverse of the covariance.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If the data determine too little.
+    Returns x, and the Hessian at x, which is the inverse of the covariance. Raises
+    numpy.linalg.LinAlgError if the data determine too little.
 
     """
     from scipy.linalg import cho_factor, cho_solve

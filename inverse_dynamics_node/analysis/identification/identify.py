@@ -1,8 +1,8 @@
 """
 Identifies a robot from recordings.
 
-`identify_parameters` lists the steps of the method; those that fit follow it. Every step returns a
-record of its own, which later steps read.
+`identify_parameters` calls the steps of the method in their order. Every step returns its own
+record, which later steps read.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ WIDTH_ROUNDS = 4
 DELAY_ROUNDS = 3
 GAIN_ROUNDS = 5
 LEAST_DELAY = 2e-4
-"""Delay that is not worth removing [s]."""
+"""A smaller delay is not removed [s]."""
 FIRST_URDF_WEIGHT = 1.0
 
 
@@ -51,36 +51,16 @@ def identify_parameters(
     """
     Identify inertial parameters, friction and armature of a robot.
 
-    Parameters
-    ----------
-    robot : RobotModel
-        The robot description, which the result stays close to where the recordings say little.
-    recordings : sequence of Recording
-        Recordings to fit.
-    validation : sequence of Recording
-        Recordings to evaluate the result with; by default, blocks of the others that were left
-        out of the fit in turn.
-    gravity : array_like, shape (3,)
-        Free-fall acceleration in the base frame [m/s^2].
-    payload : tuple of link, mass and centre of mass, optional
-        Known payload in all recordings.
-    fixed : collection of str
-        Links that do not change.
-    currents : bool
-        Whether efforts were recorded as motor currents: one gain per joint is estimated.
-    progress : callable
-        Called now and then with the fraction that is done, 0 to 1.
+    If the recordings contain little information, the result stays close to the robot description.
+    `validation` recordings evaluate the result; without them, blocks of the other recordings are
+    left out of the fit in turn. `gravity` is the free-fall acceleration in the base frame [m/s^2].
+    `payload` is the link, mass [kg] and centre of mass [m] of a known payload in all recordings.
+    The links in `fixed` do not change. With `currents`, efforts were recorded as motor currents,
+    and one gain per joint is estimated. `progress` is called now and then with the fraction that
+    is done, 0 to 1.
 
-    Returns
-    -------
-    result : IdentificationResult
-
-    Raises
-    ------
-    RecordingError
-        If a recording is not usable, or the recordings are too short or too uniform.
-    ConfigurationError
-        If a link does not exist, or nothing is left to identify.
+    Raises RecordingError if a recording is not usable, or if the recordings are too short or too
+    uniform. Raises ConfigurationError if a link does not exist, or if nothing is left to identify.
 
     """
     joints = measured_joints(robot, recordings)
@@ -118,21 +98,21 @@ def identify_parameters(
 
 
 def with_first_gains(data: TrainingData) -> TrainingData:
-    """Scale currents by gains that agree with the masses of the robot description."""
+    """Scale currents with gains that agree with the masses of the robot description."""
     before = data.problem.identified.before
     gains, known = first_gains(data.regression, before, data.widths[3], data.moving)
     return data.corrected(data.correction._replace(gains=gains, is_gain_known=known))
 
 
 def without_terms(data: TrainingData, bodies: Floats) -> JointFit:
-    """Return a model of the bodies without terms of the joints, to begin with."""
+    """Return a model of the bodies in which all terms of the joints are still zero."""
     m = len(data.problem.joints)
     model = Model(bodies, np.zeros((m, TERMS)), np.ones(m), np.zeros(m))
     return JointFit(model, np.zeros((m, TERMS), dtype=bool))
 
 
 def fit_friction(data: TrainingData) -> JointFit:
-    """Fit friction alone to what the robot description leaves."""
+    """Fit friction alone to the efforts that the robot description does not explain."""
     start = without_terms(data, data.problem.identified.before)
     return choose_terms(data.regression, start, data.moving, data.widths, optional=False)
 
@@ -140,7 +120,7 @@ def fit_friction(data: TrainingData) -> JointFit:
 def fit_in_turn(
     data: TrainingData, fit: JointFit | RobotFit, urdf_weights: Floats, rounds: int = ROUNDS
 ) -> RobotFit:
-    """Choose terms, and fit them together with the bodies, with weights from the residuals."""
+    """Choose terms, and fit them together with the bodies; weights follow from the residuals."""
     for _ in range(rounds):
         start, used = choose_terms(data.regression, fit, data.moving, data.widths)
         weights = weights_of(data.regression.residual(start))
@@ -150,14 +130,14 @@ def fit_in_turn(
 
 
 def fit_with_extras(data: TrainingData, fit: RobotFit) -> RobotFit:
-    """Fit with all springs, roots of speeds and couplings that improve the prediction."""
+    """Add springs and couplings to the fit as long as they improve the prediction."""
     while (better := with_extra(data.regression, data.moving, fit)) is not None:
         fit = fit_in_turn(data, better, fit.prior.weights, 2)
     return fit
 
 
 def remove_delay(data: TrainingData, fit: RobotFit) -> tuple[TrainingData, RobotFit, Delay]:
-    """Shift the efforts by their delay, if that improves the fit."""
+    """Shift the efforts by their delay if that improves the fit."""
     delay = Delay(0.0, 0.0)
     for _ in range(DELAY_ROUNDS):
         removed = data.correction.delay
@@ -184,7 +164,7 @@ def _loss(data: TrainingData, fit: RobotFit, weights: Floats) -> float:
 
 
 def fit_gains(data: TrainingData, fit: RobotFit) -> tuple[TrainingData, RobotFit]:
-    """Fit gains with everything else, to first order."""
+    """Fit gains together with all other unknowns, to first order."""
     known, used = data.correction.is_gain_known, fit.used
     with_gains = used.copy()
     with_gains[:, GAIN] = known
@@ -200,7 +180,7 @@ def fit_gains(data: TrainingData, fit: RobotFit) -> tuple[TrainingData, RobotFit
 
 
 def _common_factor(data: TrainingData, change: Floats) -> float:
-    """Return the factor that keeps the mean of the gains, unless a mass is known."""
+    """Return the factor that keeps the mean of the gains; it is 1 if a mass is known."""
     problem, known = data.problem, data.correction.is_gain_known
     fixed = problem.identified.fixed_robot()
     if problem.payload is not None or fixed.mass[1:].any() or not known.any():
@@ -211,7 +191,7 @@ def _common_factor(data: TrainingData, change: Floats) -> float:
 def fit_with_widths(data: TrainingData, fit: RobotFit, urdf_weight: float) -> RobotFit:
     """Fit with the chosen weight of the robot description, and fit the widths of friction."""
     fit = fit_in_turn(data, fit, np.full(len(fit.model.bodies), urdf_weight), 2)
-    # The widths of friction and the couplings are fitted with everything else, to first order.
+    # Friction widths and couplings are fitted with all other unknowns, to first order.
     used = fit.used.copy()
     used[:, WIDTH] = data.moving
     used[:, RATIO] = fit.model.couplings != 0.0

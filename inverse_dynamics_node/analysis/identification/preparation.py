@@ -1,4 +1,4 @@
-"""Recordings as uniform motions of the whole robot, and as rows of a regression."""
+"""Prepares recordings as uniform motions of the whole robot, and as rows of a regression."""
 
 from __future__ import annotations
 
@@ -16,16 +16,17 @@ from .drives import EffortCorrection, widths_to_try
 from .regression import IdentificationProblem, Regression
 
 HIGHEST_RATE = 250.0
-"""Samples per second that are kept; the smoothed motions contain nothing faster."""
+"""Samples per second that are kept; smoothed motions contain no faster changes [Hz]."""
 STRETCHES = (1.0, 1.5, 2.0)
 """
 Factors of the smoothing window to try.
 
-Twice the shortest one is 0.3 s, or 0.2 s with velocities. With encoder noise of 5e-4 rad at 125
-Hz, it reduces the error of the model by a sixth; twice as much gains less than a hundredth.
+Twice the shortest window is 0.3 s, or 0.2 s with velocities. With encoder noise of 5e-4 rad at 125
+Hz, this window reduces the error of the model by a sixth. A window twice as long reduces the error
+by less than a further hundredth.
 """
 CLEAN = 0.05
-"""Noise of an acceleration that is acceptable, as a fraction of its RMS."""
+"""Acceptable noise of an acceleration, as a fraction of its RMS."""
 LEAST_RANGE = 0.02
 """A joint with a smaller range of positions does not affect the smoothing [rad or m]."""
 SMOOTHING_RANGE = (0.1, 0.4)
@@ -33,19 +34,20 @@ SMOOTHING_RANGE = (0.1, 0.4)
 Shortest and longest smoothing window of the fit [s].
 
 With windows of 0.1 to 0.4 s, the errors on unseen data of an industrial arm were the same within
-one percent; with 0.6 s, they were 3 % larger, and with 0.8 s, 8 %.
+one percent. With 0.6 s, the errors were 3 % larger, and with 0.8 s, 8 % larger.
 """
 NOISES_IN_WIDTH = 3.0
 """
 Least width of Coulomb friction for the node, in standard deviations of the measured velocity.
 
-The commanded friction of a joint at rest then varies by a third of the Coulomb friction.
+With this width, the commanded friction of a joint at rest varies by a third of the Coulomb
+friction.
 """
 BLOCKS = 8
 LEAST_DURATION = 3.0
-"""Duration of the smoothed recordings below which nothing is identified [s]."""
+"""Least duration of the smoothed recordings for an identification [s]."""
 LEAST_TRAVEL = {False: 0.02, True: 0.002}
-"""Travel of a joint below which its friction is unknown [rad], prismatic [m]."""
+"""Least travel of a joint that shows its friction: revolute [rad], prismatic [m]."""
 LEAST_RETURN = 0.1
 """Least travel in each of the two directions, as a fraction of the whole travel."""
 GOOD_RECORDINGS = (
@@ -58,25 +60,17 @@ class PreparedRecording(NamedTuple):
     """One recording, prepared for the regression."""
 
     motion: Motion
-    """Of the whole robot, with the efforts of m joints."""
+    """Motion of the whole robot, with the efforts of the joints that have measured efforts."""
     noise: Floats
-    """Noise that is left in the smoothed efforts, shape (m,) [N m or N]."""
+    """Noise that remains in the smoothed efforts, shape (joints,) [N m or N]."""
     qd_noise: Floats
-    """Noise of the recorded velocities, shape (m,) [rad/s or m/s]."""
+    """Noise of the recorded velocities, shape (joints,) [rad/s or m/s]."""
     derived: Motion
-    """The motion of the recorded joints, with what was noticed about the signals."""
+    """Motion of the recorded joints, with observations about their signals."""
 
 
 def measured_joints(robot: RobotModel, recordings: Sequence[Recording]) -> list[int]:
-    """
-    Return the joints whose efforts were measured in every recording.
-
-    Raises
-    ------
-    RecordingError
-        If there is none.
-
-    """
+    """Return the joints with varying efforts in all recordings, or raise RecordingError."""
     common = set(range(len(robot.joint_names)))
     for recording in recordings:
         found = set()
@@ -98,29 +92,12 @@ def prepare_all(
     stretch: float | None = None,
 ) -> tuple[list[PreparedRecording], float]:
     """
-    Smooth recordings in the same way, as long as their noise requires.
+    Smooth all recordings with the same window, which is as long as their noise requires.
 
-    Parameters
-    ----------
-    robot : RobotModel
-        Robot with n joints; those that were not recorded are assumed to rest at zero.
-    recordings : sequence of Recording
-        The recordings.
-    joints : sequence of int
-        Joints whose efforts are used, m of them.
-    stretch : float, optional
-        Factor of the shortest smoothing window, if it was chosen from other recordings.
-
-    Returns
-    -------
-    prepared : list of PreparedRecording
-    stretch : float
-        The factor.
-
-    Raises
-    ------
-    RecordingError
-        If a recording is too short, or one of these joints has no measured effort.
+    Efforts of `joints` are used. Joints that were not recorded are assumed to rest at zero.
+    `stretch` is the factor of the shortest smoothing window, if it was chosen from other
+    recordings. Returns the recordings and the factor. Raises RecordingError if a recording is too
+    short, or if one of the joints has no measured effort.
 
     """
     turned = [without_turns(robot, each) for each in recordings]
@@ -131,7 +108,7 @@ def prepare_all(
 
 
 def without_noisy_velocities(recording: Recording) -> Recording:
-    """Remove velocities of joints whose positions lead to less noise in the accelerations."""
+    """Remove the velocities of joints if their positions give less noisy accelerations."""
     if recording.velocities is None:
         return recording
     measured = derive(recording)
@@ -144,7 +121,7 @@ def without_noisy_velocities(recording: Recording) -> Recording:
 
 
 def _stretch(recording: Recording) -> float:
-    """Return how much longer the smoothing window has to be for quiet accelerations."""
+    """Return the factor of the smoothing window that is needed for quiet accelerations."""
     chosen = STRETCHES[0]
     for stretch in STRETCHES:
         try:
@@ -167,12 +144,12 @@ def _stretch(recording: Recording) -> float:
 
 
 def _relative_noise(motion: Motion) -> Floats:
-    """Return the noise of the accelerations relative to their RMS, shape (m,)."""
+    """Return the noise of the accelerations relative to their RMS, shape (joints,)."""
     return np.asarray(motion.qdd_noise / np.maximum(rms(motion.qdd), 1e-9))
 
 
 def rms(values: Floats) -> Floats:
-    """Return the root mean square of columns."""
+    """Return the root mean square of each column."""
     return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
 
 
@@ -207,7 +184,7 @@ def _prepare(
 
 
 def _columns(derived: Motion, names: Sequence[str]) -> list[int]:
-    """Return the columns of joints, which must have efforts."""
+    """Return the columns of joints; raise RecordingError if a joint has no efforts."""
     is_measured = np.isfinite(derived.efforts).any(axis=0)
     measured = [derived.joint_names[j] for j in np.flatnonzero(is_measured)]
     if missing := [name for name in names if name not in measured]:
@@ -223,21 +200,21 @@ def _columns(derived: Motion, names: Sequence[str]) -> list[int]:
 
 @dataclass(frozen=True, eq=False)
 class TrainingData:
-    """The recordings to fit."""
+    """The recordings to fit, and their regression."""
 
     problem: IdentificationProblem
     runs: Sequence[PreparedRecording]
     duration: float
-    """Of all recordings [s]."""
+    """Duration of all recordings [s]."""
     moving: Booleans
-    """Which of the m joints moved so that their friction can be identified."""
+    """Whether each joint moved enough to identify its friction, shape (joints,)."""
     widths: Floats
-    """Widths of Coulomb friction to try, shape (w, m) [rad/s or m/s]."""
+    """Widths of Coulomb friction to try, shape (widths, joints) [rad/s or m/s]."""
     least_widths: Floats
-    """Least widths for the node, whose velocities are noisy, shape (m,) [rad/s or m/s]."""
+    """Least widths for the noisy velocities of the node, shape (joints,) [rad/s or m/s]."""
     correction: EffortCorrection
     regression: Regression
-    """The smoothed rows, with corrected efforts."""
+    """The smoothed rows with corrected efforts."""
 
     @property
     def motions(self) -> list[Motion]:
@@ -280,7 +257,7 @@ def training_data(
 def _smoothing_window(
     problem: IdentificationProblem, motions: Sequence[Motion], moving: Booleans, duration: float
 ) -> float:
-    """Choose a window that leaves the motion as it is: fast robots need a short one."""
+    """Choose a window that does not change the motion; fast motions need a short window."""
     ratios = []
     for motion in motions:
         for joint, moves in zip(problem.joints, moving, strict=True):
@@ -292,7 +269,7 @@ def _smoothing_window(
 
 
 def _moving_joints(problem: IdentificationProblem, motions: Sequence[Motion]) -> Booleans:
-    """Return which joints moved so that their friction can be identified."""
+    """Return whether each joint moved enough to identify its friction."""
     forth = np.zeros(len(problem.joints))
     back = np.zeros(len(problem.joints))
     for motion in motions:

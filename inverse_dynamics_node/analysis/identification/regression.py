@@ -1,4 +1,4 @@
-"""What is identified: bodies and joints of a robot, and the columns of their regression."""
+"""Defines the bodies and joints to identify, and the columns of their regression."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ from ..recordings.signals import Motion
 RANDOM_STATES = 60
 ARMATURE, DAMPING, COULOMB, LOAD, SQRT, SPRING, OFFSET = range(7)
 EXPORTED = 7
-"""Number of terms of a joint that the node knows."""
+"""Number of terms of a joint that the node can apply."""
 WIDTH = 7
-"""Effect of a small change of the width of Coulomb friction."""
+"""Index of the effect of a small change of the width of Coulomb friction."""
 RATIO = 8
-"""Effect of a small change of the coupling of the drive."""
+"""Index of the effect of a small change of the coupling of the drive."""
 GAIN = 9
-"""Effect of a small change of the gain of currents."""
+"""Index of the effect of a small change of the gain of currents."""
 TERMS = 10
-"""Columns of each joint besides those of the bodies."""
+"""Number of columns of each joint, besides the columns of the bodies."""
 OF_DRIVE = [ARMATURE, DAMPING, COULOMB, LOAD, SQRT, WIDTH, RATIO]
-"""Those that follow the drive, which may also turn with the joint before."""
+"""Terms that depend on the motion of the drive, which may also turn with the joint before."""
 SIGNED = ~np.isin(np.arange(TERMS), [ARMATURE, DAMPING, COULOMB, LOAD, SQRT])
-"""Which of them may have negative factors."""
+"""Whether each term may have a negative factor."""
 FIXED_RATIO = 0.995
 """Two joints moved in a fixed ratio if their velocities have at least this correlation."""
 
@@ -50,29 +50,29 @@ class IdentifiedBodies:
     """
     The bodies to identify: moving bodies with mass, without fixed links.
 
-    Links that fixed joints hold together are one body. Its links that are not fixed are identified
-    as one, because they cannot be distinguished.
+    Links that fixed joints hold together are one body. The links of a body cannot be
+    distinguished, so those that may change are identified together.
 
     """
 
     robot: RobotModel
     bodies: tuple[int, ...]
-    """Indices of the identified bodies in the robot, b of them."""
+    """Indices of the identified bodies in the robot."""
     links: tuple[tuple[int, ...], ...]
-    """Links with mass of each identified body that may change."""
+    """Links of each identified body that have mass and may change."""
     names: tuple[str, ...]
-    """Name of the first of these links: the one nearest to the joint."""
+    """Name of each body: that of the link nearest to the joint."""
     before: Floats
-    """Parameters of the robot description about the frames of the bodies, shape (b, 10)."""
+    """Parameters of the robot description about the frames of the bodies, shape (bodies, 10)."""
     reference: Floats
-    """The same, but inside physics: every body has an extent in all directions."""
+    """Parameters of the description, adapted so that each body has an extent in all directions."""
 
     def fixed_robot(self) -> RobotModel:
-        """Return the robot with the fixed bodies only; the others are massless."""
+        """Return the robot with the fixed bodies only; all other bodies are massless."""
         return self.robot_with(np.zeros_like(self.before))
 
     def robot_with(self, parameters: Floats) -> RobotModel:
-        """Return the robot with other parameters of the identified bodies, shape (b, 10)."""
+        """Return the robot with other parameters of the identified bodies, shape (bodies, 10)."""
         robot = self.robot
         mass, com, inertia = robot.mass.copy(), robot.com.copy(), robot.inertia.copy()
         for k, b in enumerate(self.bodies):
@@ -86,10 +86,10 @@ class IdentifiedBodies:
 
     def link_inertials(self, parameters: Floats) -> dict[str, RigidBody]:
         """
-        Distribute physical parameters of the identified bodies, shape (b, 10), to their links.
+        Distribute physical parameters of bodies, shape (bodies, 10), to the links of the bodies.
 
-        Returns the inertial of each link in its own frame. All links of a body change by the same
-        linear map of space and density, so that each of them remains physical.
+        Returns the inertial of each link in its own frame. All links of a body change with the
+        same linear map of space and density, so each link remains physical.
 
         """
         inertials = {}
@@ -99,7 +99,7 @@ class IdentifiedBodies:
             if len(parts) == 1:
                 changed = [after]
             else:
-                # What moved the body inside physics is added to its first link.
+                # The change that made the body physical is added to its first link.
                 parts[0] = parts[0] + pseudo_inertias(self.reference[k] - self.before[k])
                 change = transport(pseudo_inertias(self.reference[k]), after)
                 changed = [change @ part @ change.T for part in parts]
@@ -113,12 +113,9 @@ class IdentifiedBodies:
 
 def identified_bodies(robot: RobotModel, fixed: Collection[str] = ()) -> IdentifiedBodies:
     """
-    Select the bodies to identify; those of fixed links do not change.
+    Select the bodies to identify; bodies of fixed links do not change.
 
-    Raises
-    ------
-    ConfigurationError
-        If a link does not exist, or nothing is left to identify.
+    Raises ConfigurationError if a link does not exist, or if nothing is left to identify.
 
     """
     unchanged = {robot.link_index(name) for name in fixed}
@@ -154,20 +151,11 @@ def _link_parameters(robot: RobotModel, link: int) -> Floats:
 
 class IdentificationProblem:
     """
-    A robot in its surroundings, and the choice of what is identified.
+    A robot with gravity and payload, and the bodies and joints to identify.
 
-    Parameters
-    ----------
-    identified : IdentifiedBodies
-        Bodies to identify.
-    joints : sequence of int
-        Joints with measured efforts, m of them.
-    gravity : ndarray, shape (3,)
-        Free-fall acceleration in the base frame [m/s^2].
-    payload : tuple of link, mass and centre of mass, optional
-        Known payload.
-    currents : bool
-        Whether efforts were recorded as currents.
+    `joints` are the joints with measured efforts. `gravity` is the free-fall acceleration in the
+    base frame [m/s^2]. `payload` is the link, mass and centre of mass of a known payload. With
+    `currents`, efforts were recorded as motor currents.
 
     """
 
@@ -184,7 +172,7 @@ class IdentificationProblem:
         self.before = _joints_before(identified.robot, self.joints)
 
     def dynamics(self, robot: RobotModel) -> InverseDynamics:
-        """Return the dynamics of a robot with the payload, without friction."""
+        """Return the dynamics of a robot with the payload and without friction."""
         dynamics = InverseDynamics(robot, self.gravity)
         if self.payload is not None:
             dynamics.set_payload(*self.payload)
@@ -192,18 +180,18 @@ class IdentificationProblem:
         return dynamics
 
     def efforts(self, robot: RobotModel, motion: Motion) -> Floats:
-        """Return efforts without friction and armature, shape (K, m)."""
+        """Return efforts without friction and armature, shape (samples, joints)."""
         efforts = self.dynamics(robot).efforts(motion.q, motion.qd, motion.qdd)
         return efforts[:, self.joints]
 
     def columns(self, motion: Motion) -> Floats:
-        """Return the columns of the identified bodies, shape (K, m, 10 b)."""
+        """Return columns of the identified bodies, shape (samples, joints, 10 per body)."""
         states = motion.q, motion.qd, motion.qdd
         dynamics = self.dynamics(self.identified.robot)
         return body_columns(dynamics, states, self.identified.bodies)[:, self.joints]
 
     def at_random_states(self) -> Floats:
-        """Return the columns of the identified bodies at random states, shape (K m, 10 b)."""
+        """Return columns of the identified bodies at random states, ten columns per body."""
         robot = self.identified.robot
         rng, n = np.random.default_rng(0), len(robot.joint_names)
         states = rng.uniform(-1.0, 1.0, (3, RANDOM_STATES, n))
@@ -216,13 +204,13 @@ class IdentificationProblem:
 
 
 def _joints_before(robot: RobotModel, joints: Sequence[int]) -> Integers:
-    """Return the position in the list of the joint before each of m joints; -1 for none."""
+    """Return the list position of the joint before each listed joint; -1 if it is not listed."""
     before = joints_before(robot)[list(joints)]
     return np.array([list(joints).index(k) if k in joints else -1 for k in before.tolist()])
 
 
 def moved_by(robot: RobotModel, joint: int, bodies: Sequence[int]) -> list[int]:
-    """Return which of the bodies a joint moves."""
+    """Return which bodies a joint moves, as positions in the list of bodies."""
     moved = np.zeros(len(robot.parent), dtype=bool)
     for body in range(1, len(moved)):
         moved[body] = moved[robot.parent[body]] or robot.joint_index[body] == joint
@@ -234,19 +222,19 @@ def moved_by(robot: RobotModel, joint: int, bodies: Sequence[int]) -> list[int]:
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """Identified parameters of a robot with b identified bodies and m joints with efforts."""
+    """Identified parameters of bodies and joints."""
 
     bodies: Floats
-    """Shape (b, 10)."""
+    """Inertial parameters of the identified bodies, shape (bodies, 10)."""
     joints: Floats
-    """Shape (m, 10): the columns of `Regression.terms`, from armature to gain."""
+    """Factors of the columns of `Regression.terms`, shape (joints, 10), from armature to gain."""
     widths: Floats
-    """Speeds over which Coulomb friction is smoothed, shape (m,) [rad/s or m/s]."""
+    """Speeds over which Coulomb friction is smoothed, shape (joints,) [rad/s or m/s]."""
     couplings: Floats
-    """Turn of each drive per turn of the joint before, shape (m,)."""
+    """Turn of each drive per turn of the joint before it, shape (joints,)."""
 
     def with_fitted_shapes(self) -> Model:
-        """Return the model with the changes of widths and couplings applied, within reason."""
+        """Return the model after bounded steps of the widths and couplings towards the fit."""
         joints = self.joints.copy()
         change = np.clip(joints[:, WIDTH], -0.3 * self.widths, 0.4 * self.widths)
         most = 0.5 * np.abs(self.couplings)
@@ -255,20 +243,20 @@ class Model:
         return Model(self.bodies, joints, self.widths + change, couplings)
 
     def scaled(self, factor: float) -> Model:
-        """Return the model with all efforts multiplied by a factor, and gains that fit."""
+        """Return the model with all efforts multiplied by a factor, and without gain changes."""
         joints = factor * self.joints
         joints[:, LOAD] /= factor
         joints[:, GAIN] = 0.0
         return replace(self, bodies=factor * self.bodies, joints=joints)
 
     def exported(self, least_widths: Floats) -> Model:
-        """Return the model as the node applies it: what it cannot express is missing."""
+        """Return the model as the node applies it, without terms that the node does not know."""
         joints = self.joints.copy()
         joints[:, EXPORTED:] = 0.0
         return replace(self, joints=joints, widths=np.maximum(self.widths, least_widths))
 
     def springs(self, q: Floats) -> Floats:
-        """Return the efforts of the springs at positions of shape (K, m), with their offsets."""
+        """Return efforts of springs with their offsets at positions of shape (samples, joints)."""
         stiffness, offset = self.joints[:, SPRING], self.joints[:, OFFSET]
         return np.asarray(stiffness * q + np.where(stiffness != 0.0, offset, 0.0))
 
@@ -277,25 +265,10 @@ class Regression:
     """
     Smoothed rows of several motions.
 
-    Parameters
-    ----------
-    problem : IdentificationProblem
-        The robot, with m joints that have efforts.
-    motions : sequence of Motion
-        The recordings.
-    seconds : float
-        Length of the smoothing window [s].
-    block_count : int
-        Approximate number of contiguous blocks.
-
-    Attributes
-    ----------
-    efforts : ndarray, shape (R, m)
-        Measured efforts.
-    qdd, qd, q : ndarray, shape (R, m)
-        Columns of armature, damping and springs.
-    block : ndarray, shape (R,)
-        Number of the contiguous block that a row belongs to; -1 for rows at their borders.
+    `seconds` is the length of the smoothing window, and `block_count` the approximate number of
+    contiguous blocks. `efforts` are the measured efforts; `qdd`, `qd` and `q` are the columns of
+    armature, damping and springs. All of them have the shape (rows, joints). `block` is the number
+    of the block that contains each row, or -1 for rows at the borders of blocks.
 
     """
 
@@ -316,31 +289,31 @@ class Regression:
         self.block = self._blocks(block_count)
 
     def with_efforts(self, efforts: Sequence[Floats]) -> Regression:
-        """Return the regression with other measured efforts of every motion, (K, m) each."""
+        """Return the regression with other measured efforts of every motion."""
         other = copy(self)
         other.efforts = self._smooth(efforts)
         return other
 
     @cached_property
     def bodies(self) -> Floats:
-        """Columns of the identified bodies, shape (R, m, 10 b)."""
+        """Columns of the identified bodies, shape (rows, joints, 10 per body)."""
         return self._smooth([self.problem.columns(motion) for motion in self.motions])
 
     @cached_property
     def known(self) -> Floats:
-        """Efforts of what is not identified, shape (R, m)."""
+        """Efforts of bodies that are not identified, shape (rows, joints)."""
         fixed = self.problem.identified.fixed_robot()
         return self._smooth([self.problem.efforts(fixed, motion) for motion in self.motions])
 
     def rigid(self, bodies: Floats) -> Floats:
-        """Return the efforts of a robot with these bodies, shape (R, m)."""
+        """Return the efforts of a robot with these bodies, shape (rows, joints)."""
         if 'bodies' in self.__dict__:
             return np.asarray(self.known + self.bodies @ bodies.ravel())
         robot = self.problem.identified.robot_with(bodies)
         return self._smooth([self.problem.efforts(robot, motion) for motion in self.motions])
 
     def direction(self, widths: Floats) -> Floats:
-        """Return the directions of Coulomb friction, shape (R, m)."""
+        """Return the directions of Coulomb friction, shape (rows, joints)."""
         joints = self.problem.joints
         return self._smooth_discontinuous(
             [direction_of(m.qd[:, joints], widths) for m in self.motions]
@@ -348,10 +321,10 @@ class Regression:
 
     def terms(self, model: Model) -> Floats:
         """
-        Return the columns of the joints themselves, shape (R, m, 10).
+        Return the columns of the terms of joints, shape (rows, joints, 10).
 
-        They depend on the model by the widths of Coulomb friction and the couplings of the drives,
-        by the efforts that load the gears, and by the friction that changes with the width.
+        The columns depend on the widths of Coulomb friction, on the couplings of the drives, on
+        the efforts that load the gears, and on the friction that changes with the width.
 
         """
         robot, joints = self.problem.identified.robot_with(model.bodies), self.problem.joints
@@ -388,9 +361,10 @@ class Regression:
 
     def actions(self, model: Model) -> list[tuple[int, int, Floats]]:
         """
-        Return on which joint the terms of which joint act, and their columns, shape (R, 10).
+        Return tuples of a joint, the joint whose terms act on it, and the columns, (rows, 10).
 
-        The terms of a joint act on itself. Those of a coupled drive act on the joint before, too.
+        The terms of a joint act on the joint itself. Those of a coupled drive also act on the
+        joint before.
 
         """
         terms = self.terms(model)
@@ -403,7 +377,7 @@ class Regression:
         return found
 
     def shared(self, model: Model) -> Floats:
-        """Return the efforts of coupled drives on the joints before them, shape (R, m)."""
+        """Return the efforts of coupled drives on the joints before them, shape (rows, joints)."""
         efforts = np.zeros_like(self.qd)
         for joint, owner, columns in self.actions(model):
             if joint != owner:
@@ -412,7 +386,7 @@ class Regression:
 
     @cached_property
     def together(self) -> tuple[tuple[int, ...], ...]:
-        """Groups of joints that always moved in a fixed ratio, by their positions in the list."""
+        """Groups of joints that always moved in a fixed ratio, as positions in the joint list."""
         spread = self.qd.std(axis=0)
         moved = np.flatnonzero(spread > 1e-6 * spread.max())
         if len(moved) < 2:
@@ -422,14 +396,14 @@ class Regression:
         return tuple(sorted(groups))
 
     def predict(self, model: Model) -> Floats:
-        """Return modelled efforts, shape (R, m)."""
+        """Return modelled efforts, shape (rows, joints)."""
         efforts = self.rigid(model.bodies)
         for joint, owner, columns in self.actions(model):
             efforts[:, joint] += columns @ model.joints[owner]
         return efforts
 
     def residual(self, model: Model) -> Floats:
-        """Return measured minus modelled efforts, shape (R, m)."""
+        """Return measured minus modelled efforts, shape (rows, joints)."""
         return self.efforts - self.predict(model)
 
     def _smooth(self, signals: Sequence[Floats]) -> Floats:

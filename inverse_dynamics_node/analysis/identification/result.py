@@ -1,4 +1,4 @@
-"""The result of an identification, also as URDF and as parameters of the node."""
+"""The result of an identification, also as a URDF and as parameters of the node."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ class Residuals:
     """RMS of measured minus modelled efforts [N m or N]."""
 
     urdf: float
-    """The robot description as it is, without friction."""
+    """Residual of the robot description as it is, without friction."""
     friction: float
-    """With fitted friction and offset."""
+    """Residual of the robot description with fitted friction and offset."""
     identified: float
-    """With identified bodies and joints."""
+    """Residual of the model with identified bodies and joints."""
 
 
 @dataclass(frozen=True)
 class DriveTerms:
-    """Identified terms of one joint, with their standard errors; NaN if not identified."""
+    """Identified terms of one joint, and their standard errors."""
 
     damping: float = 0.0
-    """[N m s/rad or N s/m]."""
+    """Damping [N m s/rad or N s/m]."""
     coulomb: float = 0.0
-    """[N m or N]."""
+    """Coulomb friction [N m or N]."""
     width: float = 0.0
     """Speed over which Coulomb friction is smoothed [rad/s or m/s]."""
     load_friction: float = 0.0
@@ -39,22 +39,22 @@ class DriveTerms:
     sqrt_damping: float = 0.0
     """Friction per square root of the speed [N m (s/rad)^0.5 or N (s/m)^0.5]."""
     armature: float = 0.0
-    """[kg m^2 or kg]."""
+    """Armature [kg m^2 or kg]."""
     coupling: float = 0.0
     """Turn of the drive per turn of the preceding joint [-]."""
     stiffness: float = 0.0
     """Stiffness of a spring or counterweight [N m/rad or N/m]."""
     rest: float = 0.0
-    """Position at which it exerts no effort [rad or m]."""
+    """Position at which the spring exerts no effort [rad or m]."""
     offset: float = 0.0
-    """[N m or N]; 0 with a spring, which contains it."""
+    """Offset of the effort [N m or N]; 0 with a spring, which contains the offset."""
     errors: dict[str, float] = field(default_factory=dict)
-    """Standard errors by the names above."""
+    """Standard errors by name of the term."""
 
 
 @dataclass(frozen=True)
 class JointResult:
-    """One joint with measured efforts."""
+    """Identification result of one joint with measured efforts."""
 
     name: str
     is_prismatic: bool
@@ -67,34 +67,34 @@ class JointResult:
     unsmoothed: float
     """RMS residual of the identified model on unseen data, without smoothing [N m or N]."""
     terms: DriveTerms
-    """Terms of the result: the identified model, or friction alone if it was not accepted."""
+    """Terms of the identified model, or of friction alone if the model was not accepted."""
     unknown_because: str
-    """Why its friction could not be identified; empty if it could."""
+    """Why the friction of the joint could not be identified; empty if it could."""
     coupled_with: tuple[str, ...]
-    """Joints with which it shares a drive."""
+    """Joints that share a drive with this joint."""
     gain: float | None = None
     """Effort per recorded current; None if efforts were recorded."""
 
     @property
     def unit(self) -> str:
-        """Unit of its effort."""
+        """Unit of the effort."""
         return 'N' if self.is_prismatic else 'N m'
 
 
 @dataclass(frozen=True, eq=False)
 class BodyResult:
-    """One body: a link, or several that fixed joints hold together."""
+    """Identification result of one body: a link, or several that fixed joints hold together."""
 
     link: str
-    """First of its links that have mass."""
+    """First link of the body that has mass."""
     links: tuple[str, ...]
-    """All of its links that have mass and are identified."""
+    """All links of the body that have mass and are identified."""
     mass_before: float
-    """[kg]."""
+    """Mass in the robot description [kg]."""
     mass: float
     mass_error: float
     com_before: Floats
-    """Centre of mass in the frame of the joint, shape (3,) [m]."""
+    """Centre of mass in the robot description, in the frame of the joint, shape (3,) [m]."""
     com: Floats
     com_error: Floats
     data_fraction: float
@@ -103,10 +103,10 @@ class BodyResult:
 
 @dataclass(frozen=True, eq=False)
 class Unseen:
-    """Efforts on data that the models were not fitted to, K samples of m joints."""
+    """Measured and predicted efforts on data that the models were not fitted to."""
 
     times: Floats
-    """Shape (K,) [s]; recordings follow each other."""
+    """Times of the samples, shape (samples,) [s]; recordings follow each other."""
     measured: Floats
     urdf: Floats
     friction: Floats
@@ -115,70 +115,60 @@ class Unseen:
     smoothing: float
     """Window over which the efforts were smoothed [s]."""
     unsmoothed: Floats
-    """RMS that the identified model leaves of the efforts as recorded, shape (m,) [N m or N]."""
+    """RMS residual of the identified model without smoothing, shape (joints,) [N m or N]."""
 
 
 @dataclass(frozen=True, eq=False)
 class IdentificationResult:
-    """An identified robot, and how well it predicts."""
+    """An identified robot, and the quality of its predictions."""
 
     robot: RobotModel
     """The robot description."""
     calibrated: RobotModel
-    """The robot with the result: identified bodies, or those of the description."""
+    """Robot with the identified bodies if accepted, otherwise with those of the description."""
     accepted: bool
     """Whether the identified model predicts unseen data better than friction alone."""
     verdict: str
     joints: tuple[JointResult, ...]
     bodies: tuple[BodyResult, ...]
     fixed: tuple[str, ...]
-    """Links with mass that were not identified, with the reason."""
+    """Moving links with mass that were not identified."""
     inertials: dict[str, RigidBody]
     """New inertial of each changed link, in its own frame; empty if not accepted."""
     unseen: Unseen
     urdf_weight: float
-    """Weight of the robot description."""
+    """Weight of the robot description in the fit."""
     trials: tuple[tuple[float, float], ...]
-    """Weights that were tried, and the loss of each on unseen blocks."""
+    """Weights of the robot description that were tried, and the loss of each on unseen blocks."""
     delay: float
-    """Time by which measured efforts are late [s]; they were shifted by `delay_removed`."""
+    """Time by which measured efforts are late [s]; the fit shifted them by `delay_removed`."""
     delay_error: float
     delay_removed: float
     smoothing: float
-    """Length of the window over which efforts and columns were smoothed for the fit [s]."""
+    """Window over which efforts and columns were smoothed for the fit [s]."""
     sample_count: int
     duration: float
-    """[s]."""
+    """Duration of the recordings [s]."""
     signals: tuple[Motion, ...]
-    """The smoothed recordings, with what was noticed about their signals."""
+    """The smoothed recordings, with observations about their signals."""
     base_parameters: tuple[tuple[str, float, float], ...]
     """
-    Combinations of inertial parameters that efforts depend on, about the frames of the joints.
+    Name, value and standard error of each combination of parameters that efforts depend on.
 
-    Each is named after one of the parameters in it, with value and standard error.
+    A combination is named after one of its inertial parameters, about the frame of the joint.
     """
     warnings: tuple[tuple[str, str], ...]
-    """Texts and hints."""
+    """Pairs of a warning and a hint."""
     advice: tuple[str, ...]
-    """What to record next."""
+    """Suggestions for the next recording."""
 
 
 def calibrated_urdf(result: IdentificationResult, path_or_xml: str | os.PathLike[str]) -> bytes:
     """
     Return the robot description with identified inertials and friction.
 
-    Parameters
-    ----------
-    result : IdentificationResult
-        The result.
-    path_or_xml : str or path-like
-        The robot description that was calibrated.
-
-    Returns
-    -------
-    text : bytes
-        Only the numbers of changed inertials and of friction differ. Without an accepted model,
-        only friction is written.
+    `path_or_xml` is the robot description that was calibrated. Only the numbers of changed
+    inertials and of friction differ. If no model was accepted, only friction is written.
 
     """
     robot = result.robot
@@ -187,7 +177,7 @@ def calibrated_urdf(result: IdentificationResult, path_or_xml: str | os.PathLike
         for joint in result.joints
         if not joint.unknown_because
     }
-    # The fitted friction includes that of mimicking joints.
+    # The fitted friction includes the friction of joints that mimic.
     for body in range(1, len(robot.parent)):
         name = robot.body_names[body]
         master = robot.joint_names[int(robot.joint_index[body])]
@@ -207,7 +197,7 @@ _EXTRAS = {
     'spring_stiffness': 'stiffness',
     'spring_rest': 'rest',
 }
-"""Parameters of the node that are only written if a joint needs them."""
+"""Parameters of the node that are written only if a joint needs them."""
 
 
 def identified_parameters(result: IdentificationResult) -> str:
