@@ -70,7 +70,7 @@ def body_columns(
     Return the columns of the regressor that belong to some bodies.
 
     The states are positions, velocities and accelerations, each of shape (samples, joints).
-    `bodies` are indices in the robot; the base is not one of them. The result has the shape
+    `bodies` are indices of bodies of the robot, without the base. The result has the shape
     (samples, joints, 10 per body), and its columns have the order of `InverseDynamics.regressor`.
 
     """
@@ -89,9 +89,9 @@ def payload_columns(
     """
     Return the efforts of a load on a link, separately for each parameter of the load.
 
-    A load is a second moment of mass in the homogeneous coordinates of the link. The parameters of
-    the body are linear in this moment, and efforts are linear in the parameters of the body.
-    `gravity` is the free-fall acceleration in the frame of the base link [m/s^2].
+    A load is described by its second moment of mass in homogeneous coordinates of the link. The
+    parameters of the body are linear in this moment, and efforts are linear in the parameters of
+    the body. `gravity` is the free-fall acceleration in the frame of the base link [m/s^2].
 
     The result has the shape (samples, joints, 10). Its columns are efforts for a mass of 1 kg, for
     first moments of 1 kg m along x, y and z, and for second moments xx, yy, zz, xy, xz and yz of 1
@@ -127,7 +127,9 @@ class BaseParameters(NamedTuple):
     combinations: Floats
     """Factors of the parameters in each combination, shape (combinations, parameters)."""
     leading: Integers
-    """Index of the leading parameter of each combination: factor 1 there, and 0 in all others."""
+    """
+    Index of the leading parameter of each combination; its factor is 1 there and 0 elsewhere.
+    """
 
     def names(self, links: tuple[str, ...]) -> list[str]:
         """Return the names of the leading parameters, such as ``mx of forearm``."""

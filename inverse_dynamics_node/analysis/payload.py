@@ -1,9 +1,9 @@
 """
 Measures the payload of a robot from recordings with and without the payload.
 
-A robot repeats one motion with and without a payload. The efforts of the two runs differ by those
-of the payload, which are linear in its ten inertial parameters. Wrong link masses, friction and
-offsets are in both runs, and cancel.
+A robot repeats one motion with and without a payload. The efforts of the two runs differ by the
+efforts of the payload, which are linear in its ten inertial parameters. Wrong link masses,
+friction and offsets are in both runs, and cancel.
 
 Without an empty run, the links are unknowns as well, with the usual errors of robot descriptions.
 The standard error of the payload then contains the possible effect of these errors.
@@ -76,7 +76,7 @@ class PayloadEstimate:
     times: Floats
     """Times of the samples, shape (samples,) [s]."""
     measured: Floats
-    """Measured efforts minus empty arm and friction, shape (samples, joints) [N m or N]."""
+    """Measured efforts minus those of arm and friction, shape (samples, joints) [N m or N]."""
     fitted: Floats
     """Efforts of the fitted payload, shape (samples, joints) [N m or N]."""
     duration: float
@@ -345,7 +345,7 @@ class _Fit:
         self.x = self._solution()
 
     def _assemble(self) -> None:
-        """Multiply the columns of each block and joint with each other, for a linearised gain."""
+        """Compute the products of columns for each block and joint; the gain is linearised."""
         rows = self.rows
         gain = rows.arm + rows.payload @ _parameters(self.x)
         self.table[:, self.joint, self.gains] = gain

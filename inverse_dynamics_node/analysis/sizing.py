@@ -30,7 +30,7 @@ _WINDOWS = (1.0, 1.0, 0.1, 0.01)
 _STARTS = 3
 """Number of the worst samples from which the search for a worst pose starts."""
 _MOST_BODIES = 2e8
-"""Most gravity efforts of bodies that the search computes, which takes about ten seconds."""
+"""Largest work of the search, in evaluations of one body; they take about ten seconds."""
 _TIE = 1e-9
 """Efforts with a smaller relative difference are regarded as equal."""
 _ROUNDING = 1e-6
@@ -51,7 +51,7 @@ class Workspace:
     limits: Floats
     """Effort limits, shape (joints,) [N m or N]; inf for a joint without a limit."""
     is_search_shortened: bool = False
-    """Whether too many joints made a thorough search for the worst poses impossible."""
+    """Whether the search for the worst poses was shortened because of many joints."""
 
     @property
     def sampled(self) -> slice:
@@ -205,7 +205,7 @@ def payload_capacity(
     laden.set_payload(link, 1.0)
 
     def masses(poses: Floats) -> Floats:
-        """Return the mass that each joint can hold in each pose, shape (s, n) [kg]."""
+        """Return the mass that each joint can hold in each pose, shape (poses, joints) [kg]."""
         per_kilogram = laden.gravity_efforts(poses) - bare.gravity_efforts(poses)
         efforts = dynamics.gravity_efforts(poses)
         return _largest_masses(efforts, per_kilogram, limits)

@@ -31,7 +31,7 @@ trajectory files:
               topic. --topic chooses another one"""
 
 LATEST_START = 1e5
-"""If the first point is later, the times are those of a clock [s]; a day has 86 400 s."""
+"""If the first time is larger than this, the times are clock times [s]; a day has 86 400 s."""
 _FIELDS = ('positions', 'velocities', 'accelerations')
 _QUANTITIES = ('position', 'velocity', 'acceleration')
 _DIGITS = 9
@@ -139,7 +139,7 @@ def _arrays(trajectory: Trajectory) -> list[Floats]:
 
 
 def _plain(row: Floats) -> str:
-    """Return a list as YAML 1.1, in which a number with an exponent needs a point."""
+    """Return a list as YAML 1.1; there, a number with an exponent needs a decimal point."""
     numbers = (repr(float(f'{x:.{_DIGITS}g}') + 0.0) for x in row)
     points = (x if '.' in x else x.replace('e', '.0e') for x in numbers)
     return f'[{", ".join(points)}]'
@@ -437,7 +437,7 @@ def _from_trajectories(found: Sequence[_Longest]) -> LoadedTrajectory:
 def _from_states(
     messages: Iterable[tuple[int, Any]], joint_names: Sequence[str]
 ) -> LoadedTrajectory:
-    """Convert the joint states of one publisher: the one with the most frequent list of names."""
+    """Convert the joint states that have the most frequent list of names."""
     by_names: dict[tuple[str, ...], list[tuple[float, Any]]] = {}
     for received, message in messages:
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec

@@ -40,7 +40,7 @@ _ON_THE_WAY = 0.005
 _FAR = 0.3
 """Larger distances are ignored [m]."""
 _SCALE = 0.05
-"""A distance that is too short by this value is as bad as twice the limit of a speed [m]."""
+"""A distance that is too short by this value is penalised like twice a speed limit [m]."""
 _PLACES = np.linspace(0.0, 1.0, 33)[:, np.newaxis]
 """Places on a segment, 0 to 1; the place nearest to a box is chosen."""
 _CHUNK = 200
@@ -90,7 +90,7 @@ class Clearance:
     boxes: Floats
     """Lowest and highest corner of each box, shape (boxes, 2, 3) [m]."""
     needed: Floats
-    """Least distance of each row: pairs, capsule ends to the floor, capsules to each box [m]."""
+    """Least distances [m]: of the pairs, of capsule ends to the floor, of capsules to each box."""
     unchecked: tuple[str, ...] = ()
     """Names of pairs that are near in many poses and not checked, such as 'wrist and floor'."""
 
@@ -141,7 +141,7 @@ class Clearance:
     def _between_capsules(
         self, a: Floats, b: Floats, middle: Floats, reach: Floats, limit: Floats
     ) -> Contacts:
-        """Return contacts of pairs of capsules whose surrounding spheres are near each other."""
+        """Return contacts of two capsules if the spheres around them are near each other."""
         i, j = self.pairs.T
         near = np.maximum(reach[i] + reach[j] + limit[: len(i)], 0.0) ** 2
         x, y, z = np.ascontiguousarray(middle.transpose(2, 1, 0))  # contiguous: ten times as fast
@@ -156,7 +156,7 @@ class Clearance:
         return Contacts(pose, row, distance, np.stack([first, second], axis=1), normal)
 
     def _ends(self, q: Floats) -> tuple[Floats, Floats]:
-        """Return both ends of the capsules in the frame of the base, each (poses, capsules, 3)."""
+        """Return both ends of all capsules in the base frame, shape (poses, capsules, 3) each."""
         rotations, positions = body_frames(self.robot, q)
         body, ends = self.capsules.body, self.capsules.ends
         R, p = rotations[:, body], positions[:, body]
@@ -167,7 +167,7 @@ class Clearance:
         return first, second
 
     def _missing(self, q: Floats, margin: float, is_way: bool) -> tuple[Contacts, Floats]:
-        """Return contacts, and the distance that each contact lacks, shape (contacts,) [m]."""
+        """Return contacts, and the distance that is missing in each contact [m]."""
         found = self.contacts(q, margin)
         missing = self.needed[found.row] + margin - found.distance
         if is_way:
@@ -180,7 +180,7 @@ class Clearance:
         self, q: Floats, aim: float = 1.0, is_way: bool = False
     ) -> tuple[Floats, Floats]:
         """
-        Return how much clearance each pose lacks, and the gradient by joint positions.
+        Return the violation of each pose, and its gradient with respect to joint positions.
 
         The violation of a pose is the sum of squares of the missing distances, relative to
         `_SCALE`. The gradient has the shape (poses, joints). `aim` is the fraction of the limits
@@ -222,7 +222,7 @@ class Clearance:
         return not any(self._missing(part, 0.0, is_way)[1].any() for part in (q[::16], q))
 
     def nearest(self, q: Floats) -> list[Nearest]:
-        """Return the smallest distance of each two bodies that are not far apart, sorted."""
+        """Return the smallest distance of each pair of nearby bodies, sorted by distance."""
         found = self.contacts(q, _FAR)
         rotations, positions = body_frames(self.robot, q)
         nearest: dict[tuple[str, str], Nearest] = {}
@@ -251,7 +251,7 @@ class Clearance:
         self, row: int, R: Floats, p: Floats, otherwise: float, below: float = math.inf
     ) -> float:
         """
-        Return the distance of both surfaces of a pair for the frames R, p of all bodies [m].
+        Return the distance of both surfaces of a row [m] in a pose with body frames R and p.
 
         The distance is `otherwise` if a surface is unknown, and inf if it is not less than
         `below`.
@@ -384,7 +384,7 @@ def _needed(
 
 
 def _nearest(a: Floats, b: Floats, c: Floats, d: Floats) -> tuple[Floats, Floats]:
-    """Return the nearest points of segments from a to b and from c to d, each (segments, 3)."""
+    """Return the nearest points of segments a to b and c to d, each of shape (segments, 3)."""
     u, v, r = b - a, d - c, a - c
     uu, uv, vv, ur, vr = (
         np.einsum('ij,ij->i', x, y) for x, y in ((u, u), (u, v), (v, v), (u, r), (v, r))

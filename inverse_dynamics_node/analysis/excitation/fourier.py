@@ -35,7 +35,7 @@ class FourierSeries:
         return (int(self.coefficients.shape[1]) + 1) // 2
 
     def sample(self, times: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return positions, velocities and accelerations at times [s], each (times, joints)."""
+        """Return positions, velocities, accelerations at times [s], shape (times, joints) each."""
         q, qd, qdd = (
             part @ self.coefficients.T for part in basis(times, self.duration, self.harmonics)
         )
@@ -58,7 +58,7 @@ class FourierSeries:
 
 def basis(times: Floats, duration: float, harmonics: int) -> tuple[Floats, Floats, Floats]:
     """
-    Evaluate the functions whose sum is a motion, and their first and second derivatives.
+    Evaluate the basis functions of a motion, and their first and second derivatives.
 
     With h harmonics, the functions are a constant, h - 1 combinations of sines, and h - 1 of
     cosines. Their velocity and acceleration are zero at both ends. `duration` is the period of the

@@ -109,7 +109,7 @@ class Unknowns:
         return np.flatnonzero(is_rigid), np.flatnonzero(~is_rigid), kind, joint
 
     def _drive_terms(self, states: States) -> Floats:
-        """Return the efforts per unit of `OF_JOINT`, shape (4, states, moving joints)."""
+        """Return efforts per unit of each drive term, shape (4, states, moving joints)."""
         step = np.tanh(states.qd / self.width)
         return np.stack([states.qdd, states.qd, step, np.ones_like(step)])
 

@@ -22,7 +22,7 @@ from ..sizing import joint_ranges
 from .clearance import Clearance, find_clearance
 
 FRACTION = 0.8
-"""Fraction of the limits that a motion uses; control and unknown masses need the rest."""
+"""Fraction of the limits that a motion uses; the rest is for control and unknown masses."""
 ASSUMED_SPEED = (1.0, 0.25)
 """Assumed speed limit of joints without a limit: revolute [rad/s], prismatic [m/s]."""
 ASSUMED_SLIDE = 1.0
@@ -30,7 +30,7 @@ ASSUMED_SLIDE = 1.0
 _LEAST_RANGE = 1e-3
 """A joint with a smaller range is not moved [rad or m]."""
 _POSES = 400
-"""Number of random poses that show which parts of the robot may come near each other."""
+"""Number of random poses that show which links of the robot may come near each other."""
 _LIGHT = (0.05, 0.05)
 """A joint is light if it carries less than this mass [kg] and this fraction of the robot."""
 
@@ -60,7 +60,7 @@ class MotionLimits:
     clearance: Clearance | None = None
     """Distances that the robot must keep; None if distances are not checked."""
     notes: tuple[str, ...] = ()
-    """Sentences about assumptions."""
+    """Sentences for the user about assumptions."""
 
     @property
     def middle(self) -> Floats:

@@ -39,7 +39,7 @@ _STEP = 1e-6
 _PER_HARMONIC = 16
 """Number of samples for each harmonic during the search."""
 _FINE = 8
-"""Number of samples of the final check for each sample of the search, also on the way."""
+"""Samples of motion and way in the final check, for each sample of the search."""
 _DENSER = 4
 """Number of poses to check for each sample of the search: links may collide between samples."""
 _COARSE, _SHRINKING = 8, 0.95
@@ -55,7 +55,7 @@ _NEARLY_ALL = 0.9
 _ROUNDS = ((1e1, 60), (1e2, 60), (1e3, 60), (1e4, 60))
 """Weight of violated limits, relative to one unknown, and number of iterations of each round."""
 _LARGEST_WORK = 1.5e9
-"""Most entries of regressors to compute; robots with many joints get fewer iterations."""
+"""Largest number of regressor entries to compute; more joints lead to fewer iterations."""
 _FEWEST_ITERATIONS = 5
 _AIM = 0.99
 """Fraction of the limits that the search aims at, because penalties allow small violations."""

@@ -91,7 +91,7 @@ class EffortCorrection(NamedTuple):
 
 
 def widths_to_try(speeds: Floats, slowest: float = 0.002) -> Floats:
-    """Return friction widths for the fast speeds of joints, shape (WIDTHS, joints)."""
+    """Return friction widths to try for given speeds of joints, shape (WIDTHS, joints)."""
     fast = np.maximum(speeds, 10.0 * slowest)
     return np.geomspace(np.maximum(0.004 * fast, slowest), 0.4 * fast, WIDTHS)
 
@@ -103,7 +103,7 @@ def choose_terms(
     grid: Floats,
     optional: bool = True,
 ) -> JointFit:
-    """Fit the terms of joints to efforts that bodies do not explain; friction if joints move."""
+    """Fit joint terms to efforts that bodies do not explain; friction only if a joint moves."""
     found = JointFit(start.model, start.used)
     # With couplings, the second pass knows the efforts of the drives on the joints before them.
     for _ in range(2 if start.model.couplings.any() else 1):
@@ -132,7 +132,7 @@ def _choose_terms(
 
 
 def fit_terms(regression: Regression, friction: JointFit, rows: Booleans) -> Model:
-    """Fit chosen terms to efforts in some rows that bodies do not explain, without couplings."""
+    """Fit chosen terms to the unexplained efforts in some rows, without couplings."""
     model = friction.model
     target = regression.efforts - regression.rigid(model.bodies)
     terms = regression.terms(model)
@@ -174,7 +174,7 @@ def _best(grams: Floats, chosen: tuple[int, ...], optional: bool) -> tuple[tuple
 
 def _improvement(grams: Floats, chosen: tuple[int, ...], candidate: int) -> float:
     """Return the improvement by a further term, divided by the required improvement."""
-    if candidate == SQRT:  # must not replace a width between those tried
+    if candidate == SQRT:  # must not compensate for the step between two widths
         chosen = (*chosen, WIDTH)
     losses, new = _losses(grams, chosen)[0], _losses(grams, (*chosen, candidate))[0]
     gains = losses - new
@@ -240,7 +240,8 @@ def first_gains(
     Estimate the gains from currents to efforts, with the bodies of the robot description.
 
     Returns the gain of each joint, and whether it is determined. A current with the opposite sign
-    has a negative gain. A gain that cannot be determined is the median size of the other gains.
+    has a negative gain. A gain that cannot be determined is the median magnitude of the other
+    gains.
 
     """
     rigid = regression.rigid(bodies)
@@ -267,7 +268,7 @@ def first_gains(
 
 def common_factor(regression: Regression, fit: RobotFit, friction: JointFit) -> float | None:
     """
-    Return a common factor of all link efforts that explains most of the gain by the bodies.
+    Return a common factor of link efforts that explains most of the improvement by the bodies.
 
     Returns None if the joints disagree on a factor, or if the bodies explain far more than a
     factor.

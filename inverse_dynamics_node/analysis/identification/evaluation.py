@@ -46,13 +46,13 @@ LEAST_EXPLAINED = 0.1
 """Fraction of the variation of the efforts that the identified model has to explain."""
 
 SHORT = 20.0
-"""Recordings that are shorter should above all be longer [s]."""
+"""If recordings are shorter, the advice is to record for longer [s]."""
 SLOW = 0.2
 """A joint is slow if it stays below this fraction of its speed limit."""
 FAST_ENOUGH = 0.5
 """A joint that exceeds this speed need not be faster [rad/s or m/s]."""
 LITTLE = 0.5
-"""A mass needs more recordings if they give less than this fraction of its information."""
+"""A mass needs more data if recordings give less than this fraction of its information."""
 MOST_ADVICE = 4
 """Largest number of suggestions."""
 
@@ -219,7 +219,7 @@ def _variation(unseen: Unseen) -> float:
 
 
 def _is_better(unseen: Unseen) -> bool:
-    """Return whether the identified model beats friction alone, in total and per joint."""
+    """Return whether the identified model is better than friction, in total and per joint."""
     friction = rms(unseen.measured - unseen.friction)
     identified = rms(unseen.measured - unseen.identified)
     total = float(np.linalg.norm(identified) / max(float(np.linalg.norm(friction)), 1e-12))

@@ -24,14 +24,14 @@ LEAST_GAIN_OF_COUPLING = 0.3
 ERRORS = 3.0
 """Least mean improvement of the blocks, in standard errors of this mean."""
 LEAST_RELATION = 0.1
-"""Fraction of the residual of a joint that the motion of the other joint has to explain."""
+"""Fraction of the residual of a joint that the motion of a coupled joint has to explain."""
 RATIOS = (-3.0, -1.0, -0.3, -0.1, 0.1, 0.3, 1.0, 3.0)
 """Couplings from which a fit starts."""
 RATIO_ROUNDS = 3
 WRIST = 3
 """Number of joints at the end of a chain that may be a wrist."""
 INTERSECTION = 2e-3
-"""Axes intersect if their distance is smaller, as those of coupled drives do [m]."""
+"""Axes of joints are regarded as intersecting if their distance is smaller [m]."""
 
 
 def with_extra(regression: Regression, moving: Booleans, fit: RobotFit) -> RobotFit | None:
@@ -76,7 +76,7 @@ def _candidates(
 
 
 def without_useless_extras(regression: Regression, fit: RobotFit) -> RobotFit:
-    """Return the fit itself, or without the extras that do not improve the prediction."""
+    """Return the fit without extras that do not improve the prediction, or else the fit itself."""
     used, couplings = fit.used.copy(), fit.model.couplings.copy()
     for j in range(len(used)):
         if fit.used[j, SPRING]:
@@ -139,7 +139,7 @@ def may_be_coupled(regression: Regression, moving: Booleans, j: int) -> bool:
 
 
 def _relation(regression: Regression, model: Model, first: int, second: int) -> float:
-    """Return how much the motion of one joint explains of the other's residual, at most 1."""
+    """Return the largest fraction of a residual that the motion of the other joint explains."""
     residual = regression.residual(model)
     direction = regression.direction(model.widths)
     signals = np.stack([regression.qdd, regression.qd, direction, np.ones_like(direction)], -1)

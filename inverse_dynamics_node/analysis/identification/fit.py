@@ -36,7 +36,7 @@ With a weight of 1, a mass that the recordings do not determine has a standard e
 EXPECTED_ERROR = 0.3
 """Expected standard deviation of the relative errors of masses in a robot description."""
 ENOUGH = 0.9
-"""A mass may grow a lot if more than this fraction of its information comes from recordings."""
+"""A mass may more than double if this fraction of its information comes from recordings."""
 MOST_GROWTH = 2.0
 """Largest ratio of an identified mass to that of the description, unless recordings show it."""
 _MOST_STEPS = 200
@@ -56,7 +56,7 @@ class RobotFit(NamedTuple):
     """Whether each term of each joint was fitted, shape (joints, 10)."""
     model: Model
     unknowns: Integers
-    """Indices of the fitted unknowns, counted with ten for each body, then ten for each joint."""
+    """Indices of the fitted unknowns in the order: ten for each body, then ten for each joint."""
     hessian: Floats
     """Inverse of the covariance of the unknowns."""
     prior: Prior

@@ -1,8 +1,8 @@
 """
 Identifies a robot from recordings.
 
-`identify_parameters` calls the steps of the method in their order. Every step returns its own
-record, which later steps read.
+`identify_parameters` calls the steps of the method in order. Every step returns its own record,
+which later steps read.
 """
 
 from __future__ import annotations

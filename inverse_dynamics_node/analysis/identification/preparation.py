@@ -47,7 +47,7 @@ BLOCKS = 8
 LEAST_DURATION = 3.0
 """Least duration of the smoothed recordings for an identification [s]."""
 LEAST_TRAVEL = {False: 0.02, True: 0.002}
-"""Least travel of a joint that shows its friction: revolute [rad], prismatic [m]."""
+"""Least travel of a joint for a fit of its friction: revolute [rad], prismatic [m]."""
 LEAST_RETURN = 0.1
 """Least travel in each of the two directions, as a fraction of the whole travel."""
 GOOD_RECORDINGS = (

@@ -234,7 +234,7 @@ class Model:
     """Turn of each drive per turn of the joint before it, shape (joints,)."""
 
     def with_fitted_shapes(self) -> Model:
-        """Return the model after bounded steps of the widths and couplings towards the fit."""
+        """Return the model with fitted changes of widths and couplings applied, within bounds."""
         joints = self.joints.copy()
         change = np.clip(joints[:, WIDTH], -0.3 * self.widths, 0.4 * self.widths)
         most = 0.5 * np.abs(self.couplings)
@@ -256,7 +256,7 @@ class Model:
         return replace(self, joints=joints, widths=np.maximum(self.widths, least_widths))
 
     def springs(self, q: Floats) -> Floats:
-        """Return efforts of springs with their offsets at positions of shape (samples, joints)."""
+        """Return efforts of springs and their offsets at positions of shape (samples, joints)."""
         stiffness, offset = self.joints[:, SPRING], self.joints[:, OFFSET]
         return np.asarray(stiffness * q + np.where(stiffness != 0.0, offset, 0.0))
 
@@ -361,7 +361,7 @@ class Regression:
 
     def actions(self, model: Model) -> list[tuple[int, int, Floats]]:
         """
-        Return tuples of a joint, the joint whose terms act on it, and the columns, (rows, 10).
+        Return tuples of a joint, the joint that owns the terms, and columns of shape (rows, 10).
 
         The terms of a joint act on the joint itself. Those of a coupled drive also act on the
         joint before.

@@ -49,7 +49,7 @@ class DriveTerms:
     offset: float = 0.0
     """Offset of the effort [N m or N]; 0 with a spring, which contains the offset."""
     errors: dict[str, float] = field(default_factory=dict)
-    """Standard errors by name of the term."""
+    """Standard errors by name of the term; a term without one was not identified."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ class IdentificationResult:
     robot: RobotModel
     """The robot description."""
     calibrated: RobotModel
-    """Robot with the identified bodies if accepted, otherwise with those of the description."""
+    """Robot with the identified bodies, or with those of the description if not accepted."""
     accepted: bool
     """Whether the identified model predicts unseen data better than friction alone."""
     verdict: str
@@ -141,7 +141,7 @@ class IdentificationResult:
     trials: tuple[tuple[float, float], ...]
     """Weights of the robot description that were tried, and the loss of each on unseen blocks."""
     delay: float
-    """Time by which measured efforts are late [s]; the fit shifted them by `delay_removed`."""
+    """Time by which measured efforts are late [s]; `delay_removed` was removed for the fit."""
     delay_error: float
     delay_removed: float
     smoothing: float
