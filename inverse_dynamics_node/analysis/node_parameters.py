@@ -22,7 +22,7 @@ def node_parameters(
     lines = [
         *(f'# {line}' for line in title),
         *(
-            f'# {name}: unknown, {reason}; -1.0 selects the friction of the URDF.'
+            f'# {name}: friction unknown, {reason}; -1.0 selects the friction of the URDF.'
             for name, reason in unknown.items()
         ),
         '/**:',

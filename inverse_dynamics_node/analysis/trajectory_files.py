@@ -26,9 +26,9 @@ trajectory files:
   .csv        a row of names, then a row of numbers for each time. The column `time` [s]; a column
               `<joint>` or `<joint>.position` for each joint [rad, m]; optional `<joint>.velocity`
               and `<joint>.acceleration`; other columns are ignored
-  a rosbag2   .mcap, .db3 or the folder: the JointTrajectory with the most points; if all have
-              one point or there is none, all JointStates of /joint_states, or of the only such
-              topic. --topic chooses another one"""
+  a rosbag2   .mcap, .db3 or the folder: the JointTrajectory with the most points. If no trajectory
+              has more than one point, the JointStates of /joint_states, or of the only topic with
+              joint states. --topic chooses another topic"""
 
 LATEST_START = 1e5
 """If the first time is larger than this, the times are clock times [s]; a day has 86 400 s."""
@@ -42,7 +42,7 @@ _ENCLOSING = ('trajectory', 'joint_trajectory', 'goal')
 """Fields of other messages that contain a trajectory."""
 _DEEPEST = 20
 """Deepest nesting of lists and mappings; a trajectory in an action goal has six levels."""
-_WHOLE_OUTPUT = 'print all of it: ros2 topic echo --full-length'
+_WHOLE_OUTPUT = 'print the whole message with `ros2 topic echo --full-length`'
 
 
 class LoadedTrajectory(NamedTuple):
@@ -86,7 +86,7 @@ def read_trajectory(
     times = trajectory.times
     if len(times) and LATEST_START < times[0] < np.inf:
         # Tables have too few digits for clock times.
-        notes += (f'times count from the first point, at {times[0]:.3f} s',)
+        notes += (f'times start at the first point, which was at {times[0]:.3f} s',)
         trajectory = trajectory._replace(times=times - times[0])
     return LoadedTrajectory(trajectory, notes)
 
@@ -162,7 +162,7 @@ def _from_yaml(text: str) -> LoadedTrajectory:
     times, rows = _points(found[0]['points']) if 'points' in found[0] else _lists(found[0])
     trajectory, notes = _trajectory(found[0]['joint_names'], times, rows)
     if len(found) > 1:
-        notes = (f'the first of {len(found)} trajectories', *notes)
+        notes = (f'only the first of {len(found)} trajectories is used', *notes)
     return LoadedTrajectory(trajectory, notes)
 
 
@@ -263,7 +263,9 @@ def _trajectory(names: Any, times: Any, rows: dict[str, list[Any]]) -> LoadedTra
         if field == 'positions' and not is_complete:
             raise TrajectoryError(f'{len(times) - len(given)} points have no positions')
         if given and not is_complete:
-            notes.append(f'only {len(given)} of {len(times)} points have {field}: not used')
+            notes.append(
+                f'{field} are not used: only {len(given)} of {len(times)} points have them'
+            )
         arrays.append(np.array(given).reshape(-1, len(names)) if is_complete else None)
     trajectory = Trajectory(tuple(names), np.array(times, float), *arrays)
     return LoadedTrajectory(trajectory, tuple(notes))
@@ -364,15 +366,17 @@ def _from_bag(
             )
         trajectory, notes = _from_states(bag.messages(chosen, progress), joint_names)
         skipped = ', '.join(each.topic for each in found)
-        notes += (f'not used, single points only: {skipped}',) if found else ()
+        notes += (f'topics with single points are not used: {skipped}',) if found else ()
         return LoadedTrajectory(trajectory, (f'topic {chosen}', *notes))
     if not found:
-        raise TrajectoryError('every trajectory in it is empty')
+        raise TrajectoryError('all trajectories in the recording are empty')
     trajectory, notes = _from_trajectories(found)
     others = {name for name, kind in bag.types.items() if kind in (JOINT_TRAJECTORY, JOINT_STATE)}
     others -= {each.topic for each in found}
     if is_single and others:
-        notes += (f'a single point; --topic may be one of {", ".join(sorted(others))}',)
+        notes += (
+            f'the trajectory has a single point; --topic can also be {", ".join(sorted(others))}',
+        )
     return LoadedTrajectory(trajectory, notes)
 
 
@@ -388,11 +392,13 @@ def _topics_with_data(bag: Bag, requested: str | None) -> list[str]:
         topic = bag.find_topic(requested)
         if topic not in topics:
             raise TrajectoryError(
-                f"no trajectory or joint state on topic '{requested}'; topics are {listed}"
+                f"no trajectory or joint state on topic '{requested}'; the topics are {listed}"
             )
         return [topic]
     if not topics:
-        raise TrajectoryError(f'no JointTrajectory or JointState messages; topics are {listed}')
+        raise TrajectoryError(
+            f'no JointTrajectory or JointState messages; the topics are {listed}'
+        )
     return topics
 
 
@@ -430,7 +436,7 @@ def _from_trajectories(found: Sequence[_Longest]) -> LoadedTrajectory:
     if len(found) > 1:
         counts = [(each.topic, len(each.message.points)) for each in found[1:]]
         others = (f'{topic} ({count} point{"s" if count > 1 else ""})' for topic, count in counts)
-        notes.append(f'other topics: {", ".join(others)}; choose with --topic')
+        notes.append(f'other topics: {", ".join(others)}; choose one with --topic')
     return LoadedTrajectory(trajectory, (*notes, *more))
 
 
@@ -448,7 +454,7 @@ def _from_states(
     if not known:
         found_names = ', '.join(sorted({name for names in by_names for name in names}))
         raise TrajectoryError(
-            f'its joint states have no joint of this robot, only {found_names or "none"}'
+            f'the joint states contain no joint of this robot, only {found_names or "none"}'
         )
     names, found = max(known.items(), key=lambda item: len(item[1]))
     rising = [found[0]]
@@ -461,7 +467,7 @@ def _from_states(
         notes.append(f'ignored {dropped} joint states that are not later than the previous one')
     unknown = [name for name in names if name not in joint_names]
     if unknown:
-        notes.append(f'not joints of the robot: {", ".join(unknown)}')
+        notes.append(f'ignored joints that the robot does not have: {", ".join(unknown)}')
     if len(known) > 1:
         others = {name for other in known if other != names for name in other}
         notes.append(f'ignored joint states of other publishers: {", ".join(sorted(others))}')

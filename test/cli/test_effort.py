@@ -251,13 +251,13 @@ def test_reads_goals_and_answers_that_hold_a_trajectory(write):
 
 
 def test_reads_the_first_of_several_trajectories(write):
-    assert read(write(ECHO + ECHO)).notes == ('the first of 2 trajectories',)
+    assert read(write(ECHO + ECHO)).notes == ('only the first of 2 trajectories is used',)
 
 
 def test_derivatives_of_some_points_only_are_not_used(write):
     trajectory, notes = read(write(ECHO.replace('  - 0.0\n  - 0.0\n', '    []\n', 1)))
     assert trajectory.velocities is None
-    assert notes == ('only 1 of 2 points have velocities: not used',)
+    assert notes == ('velocities are not used: only 1 of 2 points have them',)
 
 
 @pytest.mark.parametrize(
@@ -435,7 +435,7 @@ def test_reads_recorded_joint_states(record):
         'topic /joint_states',
         '50 joint states',
         'ignored 1 joint states that are not later than the previous one',
-        'not joints of the robot: wheel',
+        'ignored joints that the robot does not have: wheel',
         'ignored joint states of other publishers: joint_6',
     )
 
@@ -465,7 +465,7 @@ def test_several_topics_without_the_default_one_are_an_error(record):
     with pytest.raises(TrajectoryError, match='choose one with --topic'):
         read(bag)
     assert len(read(bag, '/left/joint_states').trajectory.times) == 1
-    with pytest.raises(TrajectoryError, match=r"on topic '/up'; topics are /left/joint_states"):
+    with pytest.raises(TrajectoryError, match=r"'/up'; the topics are /left/joint_states"):
         read(bag, '/up')
 
 
@@ -491,13 +491,13 @@ def test_joint_states_are_preferred_to_single_points(record, capsys):
     trajectory, notes = read(bag)
     assert len(trajectory.times) == 5
     assert notes[0] == 'topic /joint_states'
-    assert notes[-1] == 'not used, single points only: /node/reference'
+    assert notes[-1] == 'topics with single points are not used: /node/reference'
     command = ['effort', str(STANFORD), str(bag), '--no-picture', '--topic', '/node/reference']
     assert main(command) == 0
     output = capsys.readouterr().out
     assert '  1 point in 0 s, 2 joints\n' in output
     assert 'topic /node/reference: trajectory 1 of 5' in output
-    assert 'a single point; --topic may be one of /joint_states' in output
+    assert 'the trajectory has a single point; --topic can also be /joint_states' in output
 
 
 def test_reads_the_longest_trajectory_and_lists_the_others(record):
@@ -512,7 +512,7 @@ def test_reads_the_longest_trajectory_and_lists_the_others(record):
     assert len(trajectory.times) == 4
     assert notes == (
         'topic /controller/joint_trajectory: trajectory 2 of 3',
-        'other topics: /node/reference (1 point); choose with --topic',
+        'other topics: /node/reference (1 point); choose one with --topic',
     )
 
 
@@ -520,7 +520,7 @@ def test_recordings_without_a_trajectory_are_rejected(record):
     def messages(recording):
         recording.write('/joint_states', recording.state(1.0, {'wheel': 0.0}), 1.0)
 
-    with pytest.raises(TrajectoryError, match='have no joint of this robot, only wheel'):
+    with pytest.raises(TrajectoryError, match='contain no joint of this robot, only wheel'):
         read(record(messages))
 
 

@@ -104,7 +104,7 @@ def test_boxes_that_leave_no_room_end_with_a_reason(here, capsys):
         (['--range', 'joint_1=3'], 2, "'joint_1=3' is not JOINT=LOW:HIGH"),
         (['--at', 'joint_1'], 2, "'joint_1' is not JOINT=POSITION"),
         (['--joints', 'hook'], 1, "joint 'hook' does not exist; joints are"),
-        (['--fraction', '0'], 1, 'fraction is 0.0, expected more than 0, up to 1'),
+        (['--fraction', '0'], 1, 'fraction is 0.0, expected a value above 0 and at most 1'),
         (['--harmonics', '1'], 1, 'harmonics is 1, expected at least 2'),
         (['--floor', '5'], 1, 'or switch it off (--floor none)'),
         (['--floor', 'deep'], 2, "'deep' is not a height, or none"),

@@ -97,7 +97,7 @@ def test_times_of_a_clock_count_from_the_first_point(name, here, capsys):
         )
         assert main(['effort', str(STANFORD), name, '--no-picture']) == 0
         reports.append(capsys.readouterr().out)
-    assert 'times count from the first point, at 1700000000.250 s' in reports[1]
+    assert 'times start at the first point, which was at 1700000000.250 s' in reports[1]
     assert 'in 0.25 s' in reports[0]
     assert 'in 0.25 s' in reports[1]
     written = np.genfromtxt(here / 'move_efforts.csv', delimiter=',', names=True)
@@ -148,7 +148,7 @@ def test_a_fit_without_a_solution_is_one_line(here, capsys, monkeypatch):
     monkeypatch.setattr(name, lambda *_: (_ for _ in ()).throw(singular))
     assert main(['identify', str(STANFORD), 'run.csv', '--no-picture']) == 1
     error = capsys.readouterr().err
-    assert 'the recordings determine too little: the fit has no solution (Singular' in error
+    assert 'contain too little information: the fit has no solution (Singular' in error
     assert error.count('\n') == 1
 
 

@@ -132,8 +132,8 @@ def test_missing_limits_are_assumed_and_reported():
     assert limits.speeds == 1.0
     assert np.isinf(limits.efforts).all()
     notes = ' '.join(limits.notes)
-    assert 'range of more than a turn: moves within one turn: hinge' in notes
-    assert 'no speed limit: 1 rad/s (sliding: 0.25 m/s) assumed: hinge' in notes
+    assert 'joints with a range of more than one turn move within one turn: hinge' in notes
+    assert 'speed limit of 1 rad/s (prismatic joints: 0.25 m/s), because' in notes
     slide = load_urdf(ROBOTS / 'cartesian.urdf')
     assert slide.is_prismatic_joint.any()
     object.__setattr__(slide, 'lower', np.full_like(slide.lower, -np.inf))
@@ -148,8 +148,8 @@ def test_a_range_replaces_the_limits_and_must_be_within_them():
     limits = motion_limits(arm(), fraction=0.5, ranges={'hinge': (-0.2, 0.9)})
     assert (limits.lower, limits.upper, limits.speeds) == (-0.2, 0.9, 1.0)
     for ranges, words in (
-        ({'hinge': (-2.0, 0.5)}, "'hinge' is -2 to 0.5 rad, expected at most the limits -1 to 1"),
-        ({'hinge': (0.5, -0.5)}, 'expected a lower and an upper end'),
+        ({'hinge': (-2.0, 0.5)}, 'is -2 to 0.5 rad, expected a range within the limits -1 to 1'),
+        ({'hinge': (0.5, -0.5)}, 'expected an upper end above the lower end'),
         ({'hook': (0.0, 1.0)}, "joint 'hook' does not exist; joints are hinge"),
     ):
         with pytest.raises(ConfigurationError, match=words):
@@ -171,7 +171,7 @@ def test_only_chosen_joints_move_and_the_others_stay(brief):
 def test_a_joint_that_carries_a_few_grams_moves_only_if_it_is_named():
     light = load_urdf(PLANAR.read_text().replace('<mass value="2.0"/>', '<mass value="0.01"/>'))
     assert motion_limits(light).joint_names == light.joint_names[:1]
-    assert 'it carries 0.01 kg; --joints moves it' in motion_limits(light).notes[-1]
+    assert 'it carries 0.01 kg; name it with --joints to move it' in motion_limits(light).notes[-1]
     assert motion_limits(light, light.joint_names).joint_names == light.joint_names
     heavy = load_urdf(PLANAR)
     assert motion_limits(heavy).joint_names == heavy.joint_names
@@ -186,7 +186,7 @@ def test_a_joint_that_cannot_move_is_named():
 
 def test_drives_that_are_too_weak_are_named():
     robot = arm('lower="-1" upper="1" velocity="2" effort="1"')
-    with pytest.raises(ConfigurationError, match=r"joint 'hinge' needs .* of 0.8 N m or N"):
+    with pytest.raises(ConfigurationError, match=r"joint 'hinge' needs .* but may use only 0.8"):
         find_excitation(InverseDynamics(robot), motion_limits(robot))
 
 

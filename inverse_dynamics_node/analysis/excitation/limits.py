@@ -94,7 +94,9 @@ def motion_limits(
 
     """
     if not 0.0 < fraction <= 1.0:
-        raise ConfigurationError(f'fraction is {fraction!r}, expected more than 0, up to 1')
+        raise ConfigurationError(
+            f'fraction is {fraction!r}, expected a value above 0 and at most 1'
+        )
     notes: list[str] = []
     lower, upper, speeds = _ranges(robot, fraction, notes)
     for name, (low, high) in (ranges or {}).items():
@@ -135,12 +137,12 @@ def _ranges(robot: RobotModel, fraction: float, notes: list[str]) -> tuple[Float
     speeds = np.where(np.isfinite(robot.velocity_limits), robot.velocity_limits, assumed)
     endless = ~slides & ~(robot.upper - robot.lower <= 2.0 * math.pi)
     for condition, words in (
-        (endless, 'range of more than a turn: moves within one turn'),
-        (unbounded, f'no position limits: moves within {ASSUMED_SLIDE:g} m'),
+        (endless, 'joints with a range of more than one turn move within one turn'),
+        (unbounded, f'joints without position limits move within {ASSUMED_SLIDE:g} m'),
         (
             ~np.isfinite(robot.velocity_limits),
-            f'no speed limit: {ASSUMED_SPEED[0]:g} rad/s (sliding: {ASSUMED_SPEED[1]:g} m/s) '
-            'assumed',
+            f'assumed speed limit of {ASSUMED_SPEED[0]:g} rad/s (prismatic joints: '
+            f'{ASSUMED_SPEED[1]:g} m/s), because the robot description has none',
         ),
     ):
         found = [robot.joint_names[i] for i in np.flatnonzero(condition)]
@@ -153,13 +155,13 @@ def _check_range(robot: RobotModel, i: int, low: float, high: float) -> None:
     name, unit = robot.joint_names[i], 'm' if robot.is_prismatic_joint[i] else 'rad'
     if not (math.isfinite(low) and math.isfinite(high) and high - low >= _LEAST_RANGE):
         raise ConfigurationError(
-            f"range of joint '{name}' is {low:g} to {high:g} {unit}, expected a lower and an "
-            'upper end'
+            f"range of joint '{name}' is {low:g} to {high:g} {unit}, expected an upper "
+            'end above the lower end'
         )
     if low < robot.lower[i] or high > robot.upper[i]:
         raise ConfigurationError(
-            f"range of joint '{name}' is {low:g} to {high:g} {unit}, expected at most the limits "
-            f'{robot.lower[i]:g} to {robot.upper[i]:g} {unit}'
+            f"range of joint '{name}' is {low:g} to {high:g} {unit}, expected a range within the "
+            f'limits {robot.lower[i]:g} to {robot.upper[i]:g} {unit}'
         )
 
 
@@ -180,7 +182,7 @@ def _light(robot: RobotModel) -> dict[str, str]:
     of_joints = np.bincount(robot.joint_index[1:], carried[1:], len(robot.joint_names))
     least = min(_LIGHT[0], _LIGHT[1] * float(robot.mass[1:].sum()))
     return {
-        robot.joint_names[i]: f'it carries {of_joints[i]:.2g} kg; --joints moves it'
+        robot.joint_names[i]: f'it carries {of_joints[i]:.2g} kg; name it with --joints to move it'
         for i in np.flatnonzero(of_joints < least)
     }
 
@@ -208,7 +210,7 @@ def _chosen(
         )
     left_out = [f'{name} ({still[name]})' for name in robot.joint_names if name in still]
     if left_out and not joints:
-        notes.append(f'not moved: {listed(left_out)}')
+        notes.append(f'joints that do not move: {listed(left_out)}')
     return names
 
 

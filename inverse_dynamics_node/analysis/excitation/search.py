@@ -133,8 +133,8 @@ def find_excitation(
                 nearest,
             )
     raise ConfigurationError(
-        'every motion that was tried, or the way to it, hits something: restrict it with --range, '
-        'or set the pose before it with --at'
+        'every motion that was tried collides, or the way to its start does: restrict the motion '
+        'with --range, or set the pose before the motion with --at'
     )
 
 
@@ -292,11 +292,12 @@ class MotionSpace:
         least = np.min(efforts, axis=0)
         names = self.dynamics.robot.joint_names
         weak = [
-            f"joint '{names[i]}' needs {least[i]:.3g} of {limits.efforts[i]:.3g} N m or N"
+            f"joint '{names[i]}' needs at least {least[i]:.3g} N m or N, but may use only "
+            f'{limits.efforts[i]:.3g}'
             for i in np.flatnonzero(least > limits.efforts)
         ]
         reason = listed(weak, 4) if weak else 'widen the ranges'
-        return f'no sampled pose is within the limits of efforts: {reason}'
+        return f'no sampled pose is within the effort limits: {reason}'
 
     def _why_not_clear(self, poses: Floats) -> str:
         """Explain why none of the given poses is clear."""
@@ -307,13 +308,13 @@ class MotionSpace:
         below = len(np.unique(found.pose[is_floor]))
         if below < _NEARLY_ALL * len(poses):
             return (
-                f'{said}, with a clear way from the pose before the motion: widen the ranges, '
+                f'{said} and has a clear way from the pose before the motion: widen the ranges, '
                 'lower the floor (--floor), or set the pose (--at)'
             )
         lowest = float(clearance.extent(poses).lowest[2])
         height = math.floor(10.0 * (lowest - CLEARANCE)) / 10.0
         return (
-            f'{said}: {below} reach below the floor at {clearance.floor:g} m, down to '
+            f'{said}: {below} of them reach below the floor at {clearance.floor:g} m, down to '
             f'{lowest:.2f} m; lower the floor (--floor {height:g}) or switch it off (--floor none)'
         )
 

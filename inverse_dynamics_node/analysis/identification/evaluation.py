@@ -247,13 +247,14 @@ def _verdict(accepted: bool, unseen: Unseen) -> str:
         return (
             f'The efforts are hardly related to the motion: they vary by '
             f'{significant(_variation(unseen))} N m, and the identified model leaves {identified} '
-            'N m on unseen data. Check that the recording has the efforts of these joints, at the '
-            'times of the positions. Masses are kept'
+            'N m on unseen data. Check that the recording contains the efforts of these joints, '
+            'and that efforts and positions have the same times. The masses of the '
+            'robot description are kept'
         )
     return (
         f'The identified model does not predict unseen data better ({identified} N m) than the '
-        f'robot description with fitted friction ({friction} N m): masses are kept, and only '
-        'friction is written'
+        f'robot description with fitted friction ({friction} N m). The masses of the robot '
+        'description are kept, and only friction is written'
     )
 
 
@@ -427,18 +428,19 @@ def _warnings(
             (
                 f'the gain of {names[joint]} cannot be determined: its current hardly depends on '
                 'the modelled effort',
-                'move it where gravity acts on it, or with high accelerations; the median of the '
-                'other gains was used, so that its friction and armature are in unknown units',
+                'move this joint where gravity acts on it, or with high accelerations. Its gain '
+                'is now the median of the other gains, so that the units of its friction and '
+                'armature are unknown',
             )
             for joint, known in zip(problem.joints, data.correction.is_gain_known, strict=True)
             if not known
         ]
     warnings += [
         (
-            f'the drive of {joint.name} also turns with {joint.coupled_with[0]}, by '
-            f'{joint.terms.coupling:.3g} of its motion',
-            'as in many wrists. A URDF cannot express that: it is the parameter drive_coupling of '
-            'the node',
+            f'the drive of {joint.name} also turns with {joint.coupled_with[0]}: by '
+            f'{joint.terms.coupling:.3g} rad per rad',
+            'many wrists have such a coupling. A URDF cannot express the coupling, but the node '
+            'has the parameter drive_coupling',
         )
         for joint in joints
         if joint.terms.coupling != 0.0
@@ -446,8 +448,8 @@ def _warnings(
     warnings += [
         (
             f'{group} moved in a fixed ratio',
-            'record a motion in which they move independently; a coupling of their drives cannot '
-            'be distinguished from their inertia and friction',
+            'record a motion in which these joints move independently. Otherwise, a coupling of '
+            'their drives cannot be distinguished from their inertia and friction',
         )
         for group in _moved_together(data)
     ]
@@ -471,12 +473,12 @@ def _unexplained(joints: Sequence[JointResult], accepted: bool) -> list[tuple[st
         if left > joint.measured:
             warnings.append(
                 (
-                    f'the result leaves {significant(left)} {joint.unit} of the effort of '
-                    f'{joint.name} on unseen data, more than was measured '
+                    f'on unseen data, the result leaves {significant(left)} {joint.unit} of the '
+                    f'effort of {joint.name} unexplained: more than was measured '
                     f'({significant(joint.measured)} {joint.unit})',
-                    'do not use the result for this joint: check the sign and the unit of its '
-                    'effort, and that it moved in a similar way in the recordings that were '
-                    'fitted and in the others',
+                    'do not use the result for this joint. Check the sign and the unit of its '
+                    'effort. The joint must also move in a similar way in the recordings that '
+                    'were fitted and in the other recordings',
                 )
             )
     return warnings
@@ -490,9 +492,9 @@ def _common_factor(data: TrainingData, fit: RobotFit, friction: JointFit) -> lis
     return [
         (
             f'all efforts of the links are {factor:.2f} times those of the robot description',
-            'this factor explains most of what the identified bodies improve. The efforts '
-            'probably have another unit or gain, and the masses of the robot description are '
-            'right: weigh a link, or record a known payload',
+            'this factor explains most of the improvement by the identified bodies. Probably, the '
+            'efforts have another unit or gain, and the masses of the robot description are '
+            'right. To find out, weigh a link or record a known payload',
         )
     ]
 
@@ -515,14 +517,14 @@ def what_to_record(data: TrainingData, bodies: Sequence[BodyResult]) -> tuple[st
         limit = float(robot.velocity_limits[joint])
         if not data.moving[j]:
             advice.append(
-                f'move {name} back and forth for 30 s: its friction is unknown, and that of the '
-                'robot description is kept'
+                f'move {name} back and forth for 30 s: its friction is unknown, so the friction '
+                'of the robot description is kept'
             )
         elif speeds[joint] < min(SLOW * limit, FAST_ENOUGH):
             goal = min(FAST_ENOUGH, 0.5 * limit)
             advice.append(
-                f'record 30 s more of {name} at up to {goal:.2g} {unit}: it was faster than '
-                f'{speeds[joint]:.2g} {unit} for only a twentieth of the time'
+                f'record {name} for 30 s more at up to {goal:.2g} {unit}: it was faster than '
+                f'{speeds[joint]:.2g} {unit} for only 5 % of the time'
             )
     if data.duration < SHORT:
         advice.append(f'record at least 30 s: these recordings last {data.duration:.3g} s')

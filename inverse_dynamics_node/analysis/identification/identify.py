@@ -92,7 +92,7 @@ def identify_parameters(
         return evaluate(data, fit, friction, delay, urdf_weight, unseen)
     except np.linalg.LinAlgError as error:
         raise RecordingError(
-            f'the recordings determine too little: the fit has no solution ({error}); '
+            f'the recordings contain too little information: the fit has no solution ({error}); '
             f'{GOOD_RECORDINGS}'
         ) from None
 

@@ -51,7 +51,7 @@ LEAST_TRAVEL = {False: 0.02, True: 0.002}
 LEAST_RETURN = 0.1
 """Least travel in each of the two directions, as a fraction of the whole travel."""
 GOOD_RECORDINGS = (
-    'record all joints moving at the same time, slowly and fast, for 30 s or more; '
+    'record slow and fast motion of all joints at the same time for 30 s or more; '
     '`inverse_dynamics excite` plans such a motion'
 )
 
@@ -189,8 +189,8 @@ def _columns(derived: Motion, names: Sequence[str]) -> list[int]:
     measured = [derived.joint_names[j] for j in np.flatnonzero(is_measured)]
     if missing := [name for name in names if name not in measured]:
         raise RecordingError(
-            f'a recording for the evaluation has no efforts of {", ".join(missing)}, unlike the '
-            f'recordings to fit; it has efforts of {", ".join(measured)}'
+            f'a recording for the evaluation has no efforts of {", ".join(missing)}, only of '
+            f'{", ".join(measured)}; the recordings to fit have efforts of all these joints'
         )
     return [derived.joint_names.index(name) for name in names]
 
@@ -239,7 +239,7 @@ def training_data(
     if duration < LEAST_DURATION or not len(regression.efforts):
         raise RecordingError(
             f'after smoothing, the recordings last {duration:.2g} s, expected at least '
-            f'{LEAST_DURATION:g} s in a row; {GOOD_RECORDINGS}'
+            f'{LEAST_DURATION:g} s without gaps; {GOOD_RECORDINGS}'
         )
     m = len(problem.joints)
     return TrainingData(
