@@ -171,7 +171,7 @@ def test_only_chosen_joints_move_and_the_others_stay(brief):
 def test_a_joint_that_carries_a_few_grams_moves_only_if_it_is_named():
     light = load_urdf(PLANAR.read_text().replace('<mass value="2.0"/>', '<mass value="0.01"/>'))
     assert motion_limits(light).joint_names == light.joint_names[:1]
-    assert 'it carries 0.01 kg; name it with --joints to move it' in motion_limits(light).notes[-1]
+    assert 'it carries 0.01 kg; use --joints to move it' in motion_limits(light).notes[-1]
     assert motion_limits(light, light.joint_names).joint_names == light.joint_names
     heavy = load_urdf(PLANAR)
     assert motion_limits(heavy).joint_names == heavy.joint_names
@@ -186,7 +186,7 @@ def test_a_joint_that_cannot_move_is_named():
 
 def test_drives_that_are_too_weak_are_named():
     robot = arm('lower="-1" upper="1" velocity="2" effort="1"')
-    with pytest.raises(ConfigurationError, match=r"joint 'hinge' needs .* but may use only 0.8"):
+    with pytest.raises(ConfigurationError, match="'hinge' needs .* N m or N, but may use 0.8"):
         find_excitation(InverseDynamics(robot), motion_limits(robot))
 
 
@@ -202,7 +202,7 @@ def test_invalid_options_are_rejected(options, words):
     dynamics = dynamics_of(PLANAR)
     with pytest.raises(ConfigurationError, match=words):
         find_excitation(dynamics, motion_limits(dynamics.robot), **options)
-    with pytest.raises(ConfigurationError, match=r'fraction is 1\.5, expected more than 0'):
+    with pytest.raises(ConfigurationError, match=r'fraction is 1\.5, expected a value above 0'):
         motion_limits(dynamics.robot, fraction=1.5)
 
 

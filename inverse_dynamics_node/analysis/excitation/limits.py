@@ -182,7 +182,7 @@ def _light(robot: RobotModel) -> dict[str, str]:
     of_joints = np.bincount(robot.joint_index[1:], carried[1:], len(robot.joint_names))
     least = min(_LIGHT[0], _LIGHT[1] * float(robot.mass[1:].sum()))
     return {
-        robot.joint_names[i]: f'it carries {of_joints[i]:.2g} kg; name it with --joints to move it'
+        robot.joint_names[i]: f'it carries {of_joints[i]:.2g} kg; use --joints to move it'
         for i in np.flatnonzero(of_joints < least)
     }
 

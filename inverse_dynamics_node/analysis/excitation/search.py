@@ -292,8 +292,7 @@ class MotionSpace:
         least = np.min(efforts, axis=0)
         names = self.dynamics.robot.joint_names
         weak = [
-            f"joint '{names[i]}' needs at least {least[i]:.3g} N m or N, but may use only "
-            f'{limits.efforts[i]:.3g}'
+            f"'{names[i]}' needs {least[i]:.3g} N m or N, but may use {limits.efforts[i]:.3g}"
             for i in np.flatnonzero(least > limits.efforts)
         ]
         reason = listed(weak, 4) if weak else 'widen the ranges'
