@@ -186,7 +186,7 @@ def test_a_joint_that_cannot_move_is_named():
 
 def test_drives_that_are_too_weak_are_named():
     robot = arm('lower="-1" upper="1" velocity="2" effort="1"')
-    with pytest.raises(ConfigurationError, match="'hinge' needs .* N m or N, but may use 0.8"):
+    with pytest.raises(ConfigurationError, match=r"'hinge' needs .* N m or N, but may use 0.8"):
         find_excitation(InverseDynamics(robot), motion_limits(robot))
 
 
