@@ -1,1 +1,1 @@
-"""The command `inverse_dynamics`; only its demo needs ROS."""
+"""The command `inverse_dynamics`; most of its subcommands do not need ROS."""

@@ -1,4 +1,4 @@
-"""The parser of a command, the arguments that several commands share, and the robots they name."""
+"""The parser of a command, the arguments that several commands share, and loading of robots."""
 
 from __future__ import annotations
 
@@ -20,27 +20,16 @@ from .console import waiting
 from .output_files import picture_path
 
 ROBOT, RESULT = 'robot and load', 'result'
-"""Titles of groups of options that most commands have."""
+"""Titles of the groups of options that most commands have."""
 
 
 class CommandParser(argparse.ArgumentParser):
     """
     The parser of one command.
 
-    Its help is wrapped to the terminal, and lists the options in groups: robot and load, those of
-    the command itself, and the result. A mistyped option leads to a suggestion.
-
-    Parameters
-    ----------
-    command : str
-        Name of the command.
-    description : str
-        One paragraph.
-    epilog : str
-        Paragraphs of text, which are wrapped, and paragraphs with indented lines, which are not.
-    own : str
-        Title of the group for options that are added without one.
-
+    The help is wrapped to the width of the terminal, except for paragraphs of the epilog with
+    indented lines. The help lists the options in groups: robot and load, options of the command
+    with the title `own`, and the result. A mistyped option leads to a suggestion.
     """
 
     def __init__(self, command: str, description: str, epilog: str, own: str = 'input') -> None:
@@ -71,7 +60,7 @@ class CommandParser(argparse.ArgumentParser):
             name = argument.partition('=')[0]
             if name == '--':
                 break
-            # Found here, an option is not confused with a missing argument.
+            # Checked before argparse, which would report a missing argument first.
             if name.startswith('--') and not any(x.startswith(name) for x in self._names):
                 hint = did_you_mean(name, self._names)
                 self.error(f"there is no option '{shortened(name)}'{hint}")
@@ -111,7 +100,7 @@ def add_gravity(parser: CommandParser) -> None:
 
 
 def add_link(parser: CommandParser, role: str = '') -> None:
-    """Add the option --link; a second role of the link is text for the help."""
+    """Add the option --link; `role` describes a second role of the link in the help."""
     text = 'link that carries the payload (default: tool0, else the end of the longest chain)'
     parser.add_argument('--link', group=ROBOT, help=text + role)
 
@@ -149,8 +138,8 @@ def add_picture(parser: CommandParser, default: str = '') -> None:
     """
     Add the option --picture.
 
-    With a default, which is text for the help, a picture is written without it too, and the option
-    --no-picture prevents that.
+    With `default`, which describes the default file in the help, the command always writes a
+    picture, unless the option --no-picture is given.
     """
     text = f' (default: {default})' if default else ' (default: no picture)'
     parser.add_argument(
@@ -167,7 +156,7 @@ def add_picture(parser: CommandParser, default: str = '') -> None:
 
 
 def picture_or(options: argparse.Namespace, default: str) -> Path | None:
-    """Return the file for the picture; None for no picture."""
+    """Return the file for the picture, or None with --no-picture."""
     return None if options.no_picture else options.picture or Path(default)
 
 
@@ -183,14 +172,14 @@ def add_force(parser: CommandParser) -> None:
 
 
 def add_strict(parser: CommandParser, condition: str) -> None:
-    """Add the option --strict; the condition is text for the help."""
+    """Add the option --strict; the help quotes the condition."""
     parser.add_argument(
         '--strict', group=RESULT, action='store_true', help=f'exit with 3 if {condition}'
     )
 
 
 def add_at(parser: CommandParser, which: str) -> None:
-    """Add the option --at; which joints it is for is text for the help."""
+    """Add the option --at; `which` describes its joints in the help."""
     parser.add_argument(
         '--at',
         group=ROBOT,
@@ -204,7 +193,7 @@ def add_at(parser: CommandParser, which: str) -> None:
 
 
 def number(expected: str, is_valid: Callable[[float], bool]) -> Callable[[str], float]:
-    """Return the type of an option for numbers; its errors quote `expected`."""
+    """Return a function that parses the number of an option; its errors quote `expected`."""
 
     def parse(text: str) -> float:
         try:
@@ -238,11 +227,11 @@ def _payload(text: str) -> list[float]:
 
 
 def read_source_text(path: Path | str) -> Path | str:
-    """Return the text of standard input for ``-``, and anything else as it is."""
+    """Return the text of standard input for ``-``, and any other argument unchanged."""
     if str(path) != '-':
         return path
     text = sys.stdin.read()
-    if not text.lstrip('\ufeff \t\r\n').startswith('<'):  # otherwise it would be a path
+    if not text.lstrip('\ufeff \t\r\n').startswith('<'):  # other text would be taken for a path
         raise UrdfError(['is not XML'], 'standard input')
     return text
 
@@ -251,20 +240,9 @@ def load_dynamics(path: Path | str, gravity: Floats | tuple[float, ...]) -> Inve
     """
     Load a robot description, and compile the functions that compute its efforts.
 
-    Parameters
-    ----------
-    path : pathlib.Path or str
-        A file; ``-`` is standard input; or XML text.
-    gravity : array_like, shape (3,)
-        Free-fall acceleration in the frame of the base link [m/s^2].
-
-    Raises
-    ------
-    UrdfError
-        If the file does not exist, or is not a usable robot description.
-    ConfigurationError
-        If gravity is not three finite numbers.
-
+    The path is a file, ``-`` for standard input, or XML text. Gravity is the free-fall
+    acceleration in the frame of the base link [m/s^2]. Raise UrdfError if the description cannot
+    be used, and ConfigurationError if gravity is not three finite numbers.
     """
     source = read_source_text(path)
     with waiting('loading (the first time, compiling takes up to a minute)'):
@@ -272,12 +250,12 @@ def load_dynamics(path: Path | str, gravity: Floats | tuple[float, ...]) -> Inve
 
 
 def stem_of(path: Path) -> str:
-    """Return the start of the names of files about a robot."""
+    """Return the text with which the names of output files about a robot begin."""
     return 'robot' if str(path) == '-' else path.stem
 
 
 def attach_payload(dynamics: InverseDynamics, options: argparse.Namespace) -> str:
-    """Attach the payload of the command line; return text for titles, empty without one."""
+    """Attach the payload of the command line, if any; return its description for titles."""
     if options.payload is None:
         return ''
     link = options.link or last_link(dynamics.robot)

@@ -126,11 +126,11 @@ def _usable(warnings: Sequence[ModelWarning]) -> str:
 
 
 def verdict(workspace: Workspace, payload: PayloadCapacity) -> str:
-    """Say how hard gravity loads the joints, and what they can still carry."""
+    """Say how close gravity brings the joints to their limits, and how much they can carry."""
     ratios = workspace.peaks / workspace.limits  # 0 without a limit
     if not np.isfinite(workspace.limits).any():
         return 'No joint has an effort limit.'
-    # All joints for which the rounded percentage is true
+    # all joints with the same rounded percentage
     names = workspace.robot.joint_names
     top = [name for name, x in zip(names, ratios, strict=True) if x > ratios.max() - 0.005]
     text = f'Gravity takes at most {ratios.max():.0%} of an effort limit ({listed(top)}).'
@@ -193,7 +193,7 @@ def workspace_table(workspace: Workspace, payload: PayloadCapacity) -> Table:
 
 
 def payload_in_words(robot: RobotModel, payload: PayloadCapacity) -> str:
-    """Describe how much the robot can hold, and which joint limits it."""
+    """Describe the largest payload that the robot can hold, and the joint that limits it."""
     where = f"at the origin of link '{payload.link}'"
     if payload.joint is None:
         return f'Payload left {where}: unlimited, as it loads no joint with an effort limit.'
@@ -204,7 +204,7 @@ def payload_in_words(robot: RobotModel, payload: PayloadCapacity) -> str:
 
 
 def pose_in_words(robot: RobotModel, pose: Floats, most: int = 8) -> str:
-    """List the joints that are not at zero; if there are many, those farthest from zero."""
+    """List the joints that are not at zero; if there are many, only those farthest from zero."""
     units = ['m' if slide else 'rad' for slide in robot.is_prismatic_joint]
     away = [i for i in np.argsort(-np.abs(pose)) if abs(pose[i]) >= 5e-4]
     shown = [f'{robot.joint_names[i]} {pose[i]:.3f} {units[i]}' for i in sorted(away[:most])]

@@ -149,7 +149,7 @@ def _friction_width(options: argparse.Namespace) -> float | None:
 
 
 def _between(recording: Recording, start: float | None, end: float | None) -> Recording:
-    """Select a part of a recording, in seconds since its first sample."""
+    """Select the samples between two times, in seconds since the first sample."""
     times = recording.times - recording.times[0]
     chosen = np.ones(len(times), dtype=bool)
     if start is not None:
@@ -171,7 +171,7 @@ def _between(recording: Recording, start: float | None, end: float | None) -> Re
 
 
 def write_parameters(result: ComparisonResult, joint_names: tuple[str, ...], path: Path) -> None:
-    """Write friction as parameters of the node, with the joints in the order of the robot."""
+    """Write friction as parameters of the node; the joints are in the order of the robot."""
     joints: list[JointResidual] = sorted(
         result.joints, key=lambda joint: joint_names.index(joint.name)
     )

@@ -1,9 +1,9 @@
 """
-Prints results: in colours on a terminal, as plain text anywhere else.
+Prints results in colours on a terminal, and as plain text elsewhere.
 
-Names in files and messages cannot control the terminal. Everything that a command prints passes
-here, in colours or not. Characters that are not printable, such as those that begin an escape
-sequence or change the direction of the text, are escaped.
+Everything that a command prints is escaped here: characters that are not printable could begin an
+escape sequence, or change the direction of the text. Names in files and messages therefore cannot
+control the terminal.
 """
 
 from __future__ import annotations
@@ -94,15 +94,7 @@ def progress(label: str) -> Iterator[Callable[[float], None]]:
 
 
 class EscapedOutput:
-    """
-    A stream that escapes all characters that are not printable, except for line ends.
-
-    Parameters
-    ----------
-    stream : text stream
-        Standard output or standard error.
-
-    """
+    """A text stream that escapes all characters that are not printable, except for line ends."""
 
     def __init__(self, stream: Any) -> None:
         self.stream = stream
@@ -113,7 +105,7 @@ class EscapedOutput:
         return len(text)
 
     def writelines(self, lines: Any) -> None:
-        """Write lines, which have line ends."""
+        """Write lines that contain their line ends."""
         for line in lines:
             self.write(line)
 
@@ -122,7 +114,7 @@ class EscapedOutput:
 
 
 def escaped_lines(text: str) -> str:
-    """Escape text of several lines."""
+    """Escape characters that are not printable in text of several lines."""
     return '\n'.join(map(escaped, text.split('\n')))
 
 
@@ -138,7 +130,7 @@ def escaped_output() -> Iterator[None]:
 
 
 def colour_console(stderr: bool = False, environment: Mapping[str, str] = os.environ) -> Any:
-    """Return a rich console that writes its own escape sequences, but none of the text."""
+    """Return a rich console that writes colours, but escapes the text that it prints."""
     from rich.console import Console
     from rich.segment import Segment
 

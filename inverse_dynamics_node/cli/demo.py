@@ -1,7 +1,7 @@
 """
-The command `demo`: the node on a simulated robot.
+The command `demo`: runs the node on a simulated robot.
 
-Only `main` of this package imports this module, and only to run it, because it needs ROS.
+This module needs ROS: only `main` of this package imports it, when the command runs.
 """
 
 from __future__ import annotations
@@ -59,9 +59,9 @@ exit code: 0 passed; 1 failed, or cannot be run; 2 invalid arguments."""
 
 
 CALIBRATE = 'calibrate'
-"""The scenario that needs more than one run, and the analysis of a recording."""
+"""The scenario that runs the robot twice, and identifies its parameters between the runs."""
 _FRACTION = 0.6
-"""Fraction of the limits that its motion uses; the errors with the wrong URDF need the rest."""
+"""Fraction of the limits for the motion; tracking errors with the wrong URDF need the rest."""
 
 Draw = Callable[[Path], None]
 
@@ -100,7 +100,7 @@ def _new_folder(text: str) -> Path:
 
 
 class _Parser(CommandParser):
-    """Checks the options of the demo too."""
+    """A parser that also checks the options of the demo."""
 
     def parse(self, arguments: Sequence[str]) -> argparse.Namespace:
         """Parse the arguments; print an error and exit with 2 if one is wrong."""
@@ -197,7 +197,7 @@ def _add_files(parser: CommandParser) -> None:
 def _run_scenario(
     options: argparse.Namespace, stopped: Callable[[], bool]
 ) -> tuple[ScenarioResult, Draw]:
-    """Run a scenario of the simulation; return verdict and picture."""
+    """Run a scenario of the simulation; return its verdict, and a function that draws it."""
     result = run_demo(options, stopped)
 
     def draw(path: Path) -> None:
@@ -210,18 +210,18 @@ def _run_scenario(
 
 
 class _Result(NamedTuple):
-    """Both runs, and the identification between them."""
+    """The results of both runs, and of the identification between them."""
 
     histories: tuple[History, History]
     errors: tuple[Floats, Floats]
-    """Root mean squares of the tracking errors, each of shape (n,) [rad or m]."""
+    """RMS tracking error of each joint in both runs [rad or m]."""
     identified: IdentificationResult
 
 
 def _run_identification(
     options: argparse.Namespace, stopped: Callable[[], bool]
 ) -> tuple[ScenarioResult, Draw]:
-    """Excite, record, identify, and follow the motion again; return verdict and picture."""
+    """Record a motion, identify the robot, and repeat the motion; return as `_run_scenario`."""
     urdf = str(options.urdf.resolve())
     robot = load_urdf(urdf)
     dynamics = InverseDynamics(robot)
@@ -252,13 +252,13 @@ def _run_identification(
 
 
 class _ExcitationMotion:
-    """A motion of all joints for the commander; after its end the robot rests."""
+    """The motion of all joints that the commander requests; at its end the robot rests."""
 
     def __init__(self, excitation: Excitation) -> None:
         self._series, self._limits = excitation.series, excitation.limits
 
     def sample(self, time: float) -> tuple[Floats, Floats, Floats]:
-        """Return positions, velocities and accelerations at one time, each of shape (n,)."""
+        """Return positions, velocities and accelerations of all joints at one time."""
         times = np.array([min(max(time, 0.0), self._series.duration)])
         q, qd, qdd = whole_states(self._limits, States(*self._series.sample(times)))
         return q[0], qd[0], qdd[0]
@@ -271,7 +271,7 @@ def _runs(
     options: argparse.Namespace,
     stopped: Callable[[], bool],
 ) -> _Result:
-    """Follow the motion with the URDF, identify the arm, and follow the motion again."""
+    """Follow the motion with the URDF, identify the robot, and follow the motion again."""
     with TemporaryDirectory() as name:
         folder = Path(name)
         actual, recorded = folder / 'actual.urdf', folder / 'recorded'

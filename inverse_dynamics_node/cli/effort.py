@@ -50,7 +50,7 @@ or position is exceeded, and --strict was given."""
 
 _EXCEEDED = 3
 _FAR_BEYOND = 10.0
-"""Ratio to the limit above which the unit of an effort or a speed is probably wrong."""
+"""If an effort or a speed exceeds its limit by this factor, its unit is probably wrong."""
 _TERMS = ('inertia', 'velocity', 'gravity', 'friction')
 _rate = arguments.number('a rate from 0 to 100000 Hz', lambda rate: 0.0 <= rate <= 1e5)
 
@@ -224,7 +224,7 @@ def _summary(
 
 
 def _peak_warnings(fine: Trajectory, requirements: EffortRequirements) -> tuple[ModelWarning, ...]:
-    """Return warnings about efforts and speeds so large that a unit must be wrong."""
+    """Return warnings about efforts and speeds that are so large that a unit must be wrong."""
     found = []
     hint = (
         'check the units: positions in rad (degrees are 57 times as large) or m, times in s; for '

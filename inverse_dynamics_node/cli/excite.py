@@ -1,4 +1,4 @@
-"""The command `excite`: a motion to record before masses and friction are identified."""
+"""The command `excite`: plans the motion from which masses and friction are identified."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ exit code: 0 done; 1 no safe motion was found, or a file cannot be read or writt
 arguments."""
 
 _YAML_RATE = 20.0
-"""Points per second of the JointTrajectory; controllers interpolate with 5th degree [Hz]."""
+"""Points per second of the JointTrajectory; controllers interpolate between them [Hz]."""
 _SLOW = 0.2
 """Fraction of the speed limits at which the arm moves to the start pose."""
 _positive = arguments.number('a number above 0', lambda value: 0.0 < value <= 1e6)
@@ -242,7 +242,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _limits(robot: RobotModel, source: Path | str, options: argparse.Namespace) -> MotionLimits:
-    """Return the limits of the command line, and what the robot must keep clear of."""
+    """Return the limits of the command line, and the obstacles that the robot must avoid."""
     limits = motion_limits(
         robot, options.joints, options.fraction, dict(options.range), dict(options.at)
     )
@@ -260,14 +260,14 @@ def _limits(robot: RobotModel, source: Path | str, options: argparse.Namespace) 
 
 
 def _seconds_to_start(excitation: Excitation) -> float:
-    """Return the time in which every joint crosses its range slowly [s]."""
+    """Return a time that is sufficient for every joint to cross its range slowly [s]."""
     limits = excitation.limits
     longest = float(np.max(2.0 * limits.half / (_SLOW * limits.speeds)))
     return float(max(5.0, math.ceil(longest)))
 
 
 def _to_start(excitation: Excitation) -> Trajectory:
-    """Return a trajectory of a single point, the start pose at rest."""
+    """Return a trajectory with a single point: the start pose, at rest."""
     q, _, _ = excitation.series.sample(np.zeros(1))
     times = np.array([_seconds_to_start(excitation)])
     return Trajectory(excitation.series.joint_names, times, q, 0.0 * q, 0.0 * q)

@@ -1,4 +1,4 @@
-"""The command `identify`: from recordings to a calibrated robot description."""
+"""The command `identify`: calibrates a robot description with recordings."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ def run(options: argparse.Namespace) -> int:
         result = identify_parameters(
             robot, runs, unseen, options.gravity, payload, options.fixed, options.currents, report
         )
-    # Written first: the report may end early in a pipe, such as `| head`.
+    # The files come first, because the report may end early in a pipe such as `| head`.
     files = _write(result, source, options)
     _show(result, tuple(dict.fromkeys([*notes, *more_notes])), [*runs, *unseen])
     print('\n'.join(files), end='\n' if files else '')
@@ -201,7 +201,7 @@ def _show(
 def _write(
     result: IdentificationResult, source: Path | str, options: argparse.Namespace
 ) -> list[str]:
-    """Write the files; return a line about each."""
+    """Write the files; return a line of text about each file."""
     lines = []
     if options.output:
         with new_file(options.output) as path:

@@ -1,4 +1,4 @@
-"""Shows the state of a node: as a screen, as a line, and as JSON."""
+"""Shows the state of a node as a screen, as a line of text, or as JSON."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from .console import colour_console
 if TYPE_CHECKING:
     from ..ros.observer import Observer, Sample
 
-BAR = 12  # characters, if the terminal has room for them
-WIDTH_WITHOUT_BAR = 76  # of a table of joints whose names have 20 characters
+BAR = 12  # length of a bar [characters], if the terminal is wide enough
+WIDTH_WITHOUT_BAR = 76  # of the table of joints, for names of 20 characters
 NEAR_LIMIT, AT_LIMIT = 0.7, 0.95
 MOST_WARNINGS = 4
 RECENT = 60.0  # [s]; older warnings are not shown
@@ -37,14 +37,13 @@ class LiveView:
         self._console = console or colour_console(environment=environment)
         self._live = Live(console=self._console, screen=True, auto_refresh=False)
         self.last_words = ''
-        """Printed below the prompt at the end."""
+        """Text to print when the screen has been closed."""
 
     def __enter__(self) -> LiveView:
         self._live.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-
         self._live.stop()
         if self.last_words:
             self._console.print(_text(self.last_words), soft_wrap=True)
@@ -56,7 +55,7 @@ class LiveView:
 
 
 def screen(observer: Observer, sample: Sample | None, agreement: Agreement, width: int) -> Any:
-    """Return what there is to show as a renderable of rich, the most important first."""
+    """Return the content of the screen for rich, with the most important lines first."""
     from rich.console import Group
 
     status = None if agreement.obstacle is Obstacle.NO_DIAGNOSTICS else observer.status
@@ -76,7 +75,7 @@ def screen(observer: Observer, sample: Sample | None, agreement: Agreement, widt
 
 
 def _cropped(content: Any, console: Any) -> Any:
-    """Replace what is below the edge of the terminal by the number of lines."""
+    """Replace the lines that do not fit on the terminal with a hint about their number."""
     from rich.console import Group
     from rich.segment import Segment, Segments
 
@@ -142,7 +141,7 @@ def _joint_table(observer: Observer, sample: Sample, agreement: Agreement, width
 
 
 def joint_rows(observer: Observer, sample: Sample) -> list[dict[str, Any]]:
-    """Return the values of each joint; None if unknown."""
+    """Return the values of each joint; unknown values are None."""
     robot, status = observer.robot, observer.status
     if robot is None:
         return []
@@ -181,7 +180,7 @@ def _node_table(status: NodeStatus) -> Any:
 
 
 def node_lines(status: NodeStatus) -> list[tuple[str, str]]:
-    """Return labels and texts about the node."""
+    """Return lines about the node, each as a label and a text."""
     loop, others = status.loop, status.other_nodes or OtherNodesStatus()
     states = status.joint_states or JointStatesStatus()
     reference = status.reference or ReferenceStatus()
@@ -212,7 +211,7 @@ def node_lines(status: NodeStatus) -> list[tuple[str, str]]:
 
 
 def _payload(status: NodeStatus) -> str:
-    """List the payloads; empty before the node has a robot."""
+    """List the payloads; the text is empty before the node has a robot."""
     return ', '.join(map(str, status.model.payloads)) or 'none' if status.model else ''
 
 
@@ -230,7 +229,7 @@ def _log(observer: Observer) -> list[Any]:
     lines = []
     oldest = time.time() - RECENT
     recent = [line for line in observer.log if line.time > oldest]
-    last = {line.text: line for line in recent}  # a lasting problem is logged again and again
+    last = {line.text: line for line in recent}  # a lasting problem is logged repeatedly
     for line in sorted(last.values(), key=lambda line: line.time)[-MOST_WARNINGS:]:
         clock = time.strftime('%H:%M:%S', time.localtime(line.time))
         count = sum(other.text == line.text for other in recent)
@@ -240,7 +239,7 @@ def _log(observer: Observer) -> list[Any]:
 
 
 def as_line(observer: Observer, agreement: Agreement) -> str:
-    """Return one line for a pipe."""
+    """Return the state as one line of text, for a pipe."""
     status = None if agreement.obstacle is Obstacle.NO_DIAGNOSTICS else observer.status
     words = [time.strftime('%H:%M:%S'), observer.name]
     if status is not None:

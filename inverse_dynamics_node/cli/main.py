@@ -37,7 +37,7 @@ _COMMANDS = {
     },
 }
 COMMANDS = tuple(name for group in _COMMANDS.values() for name in group)
-"""Modules of this package with make_parser(), and run(options), which returns the exit code."""
+"""Names of modules with make_parser() and run(options), which returns the exit code."""
 
 _USAGE = """\
 usage: inverse_dynamics COMMAND [ARGUMENT]...
@@ -88,13 +88,13 @@ _ADVICE = {
     'ros': f"source an installed ROS 2, or {_PIP}[ros,demo]'",
 }
 _INVALID_ARGUMENTS = 2
-_INTERRUPTED, _BROKEN_PIPE = 130, 141  # as a shell reports SIGINT and SIGPIPE
+_INTERRUPTED, _BROKEN_PIPE = 130, 141  # exit codes of a shell for SIGINT and SIGPIPE
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; return the exit code."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
-    # The demo updates its table in place, with names of the local URDF only.
+    # The demo updates its table in place, and its only names are those of the local URDF.
     with nullcontext() if arguments[:1] in (['demo'], ['simulate']) else escaped_output():
         return _code_of(arguments)
 
@@ -103,7 +103,7 @@ def _code_of(arguments: list[str]) -> int:
     """Run one command; print an error in one line."""
     try:
         code = _run(arguments)
-        sys.stdout.flush()  # here, where a broken pipe can be caught
+        sys.stdout.flush()  # flushed here, where a broken pipe can be caught
         return code
     except KeyboardInterrupt:
         return _INTERRUPTED
@@ -150,9 +150,9 @@ def _run(arguments: list[str]) -> int:
         hint = did_you_mean(command, names) or f'; there are {", ".join(names)}'
         return _fail(f"there is no {kind} '{shortened(command)}'{hint}", _INVALID_ARGUMENTS)
     if command in ('identify', 'payload'):
-        # Its matrices are small: threads would take longer to start than to compute.
+        # The matrices are small: threads would take longer to start than to compute.
         os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
-    # Imported here: this takes most of a second, and an interrupt must end it cleanly.
+    # Imported here, because the import takes most of a second, and Ctrl-C must end it cleanly.
     module = import_module(f'.{command}', __package__)
     others, ros_arguments = _split(others)
     options = module.make_parser().parse(others)
@@ -162,7 +162,7 @@ def _run(arguments: list[str]) -> int:
 
 
 def _split(arguments: list[str]) -> tuple[list[str], list[str]]:
-    """Separate the arguments from those of ROS, which begin with --ros-args and end with --."""
+    """Separate the arguments of ROS, which begin with --ros-args and end with --."""
     if '--ros-args' not in arguments:
         return arguments, []
     begin = arguments.index('--ros-args')

@@ -1,4 +1,4 @@
-"""Running nodes that commands look for by name."""
+"""Finds running nodes by their names."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from typing import Any
 
 from ..errors import ConfigurationError
 
-_DISCOVERY = 1.5  # [s]; discovery takes up to this long, and longer on a busy machine
-_PATIENCE = 5.0  # [s]; until the wait for a node is reported
-MOST_DISCOVERY = 10.0  # [s]; until --for reports that there is no node
+_DISCOVERY = 1.5  # [s]; usual time of discovery, which is longer on a busy machine
+_PATIENCE = 5.0  # [s]; after this time, a message says that no node is found yet
+MOST_DISCOVERY = 10.0  # [s]; after this time, --for reports that there is no node
 
 
 def node_name(text: str) -> str:
@@ -27,22 +27,10 @@ def node_name(text: str) -> str:
 
 def choose_node(node: Any, wanted: str | None, is_patient: bool) -> str:
     """
-    Find the name of the node that is meant.
+    Return the full name of the inverse dynamics node with the wanted name, or of the only node.
 
-    Parameters
-    ----------
-    node : Node
-        The node of this process.
-    wanted : str or None
-        Its name, or the end of it; None if it is the only one.
-    is_patient : bool
-        Whether to wait until there is one.
-
-    Raises
-    ------
-    ConfigurationError
-        If there are several, or none after a while.
-
+    The wanted name may be only the end of the full name. Raise ConfigurationError if there are
+    several nodes, or if there is none after a while. A patient caller waits without a limit.
     """
     from ..ros.observer import find_nodes
 
@@ -66,7 +54,7 @@ def choose_node(node: Any, wanted: str | None, is_patient: bool) -> str:
 
 
 def only_one(names: list[str]) -> str:
-    """Return the only name, empty if there is none; several are an error."""
+    """Return the only name, or an empty text without names; several names are an error."""
     if len(names) > 1:
         raise ConfigurationError(
             f'{len(names)} nodes: {", ".join(names)}; choose one by its name, such as {names[0]}'

@@ -1,9 +1,9 @@
 """
-Writes the files of a command, without losing others.
+Writes the files of a command without destroying other files.
 
-An input is never replaced. Another file that exists is replaced only with --force, or if it is an
-output of an earlier call that nobody has changed since: a mark on the file, an extended attribute,
-holds the hash of its content. Without marks, as on some file systems, --force is always necessary.
+An input is never replaced. Another file is replaced only with --force, or if it is an unchanged
+output of an earlier call. Outputs are recognized by a mark, an extended attribute with the hash of
+the content. On file systems without extended attributes, --force is always necessary.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _STREAMS = ('/dev/std', '/dev/fd/', '/proc/')
 
 
 class OutputError(InverseDynamicsError):
-    """An output would replace a file that must stay."""
+    """An output would replace a file that must be kept."""
 
 
 def output_path(text: str) -> Path:
@@ -59,23 +59,11 @@ def check_outputs(
     inputs: Iterable[Path], outputs: Mapping[str, Path | None], force: bool = False
 ) -> None:
     """
-    Check that the outputs of a command replace nothing that must stay.
+    Check that the outputs of a command, by option, do not replace a file that must be kept.
 
-    Parameters
-    ----------
-    inputs : iterable of pathlib.Path
-        Files and recordings that the command reads; ``-`` is standard input.
-    outputs : mapping of str to pathlib.Path or None
-        Files that it writes, by the options that name them; None is left out.
-    force : bool
-        Whether other files that exist may be replaced.
-
-    Raises
-    ------
-    OutputError
-        If an output is an input, also through a link; if two outputs are the same file; or if a
-        file exists that is not the unchanged output of an earlier call.
-
+    Among the inputs, ``-`` is standard input. Raise OutputError if an output is an input (or a
+    link to one), or if two outputs are the same file. Without `force`, also raise it if a file
+    exists that is not an unchanged output of an earlier call.
     """
     sources = {_identity(file): file for source in inputs for file in _files_of(source)}
     written: dict[object, str] = {}
@@ -101,20 +89,10 @@ def check_outputs(
 @contextmanager
 def new_file(path: Path) -> Iterator[Path]:
     """
-    Yield the path of a temporary file, which becomes the output when the body ends.
+    Yield the path of a temporary file, which replaces the output when the body succeeds.
 
-    Until then, and if the body fails, an older output stays as it is.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The output. A symbolic link stays, and the file to which it points is replaced.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written, with its name.
-
+    If the body fails, an older output stays as it is. A symbolic link stays, and the file to which
+    the link points is replaced. Raise OSError with the path if the output cannot be written.
     """
     if _is_stream(path):
         yield path
@@ -129,7 +107,7 @@ def new_file(path: Path) -> Iterator[Path]:
         yield temporary
         _complete(temporary)
         temporary.replace(target)
-    except OSError as error:  # names the temporary file, or no file if the disk is full
+    except OSError as error:  # it names the temporary file, or none if the disk is full
         raise OSError(error.errno, error.strerror or str(error), str(path)) from error
     finally:
         temporary.unlink(missing_ok=True)
@@ -155,16 +133,16 @@ def _digest(path: Path) -> bytes:
 
 
 def _identity(path: Path) -> object:
-    """Return device and number of a file, which links share; the path if there is no file."""
+    """Return device and inode of a file, which links share, or the path if no file exists."""
     try:
         status = os.fstat(sys.stdin.fileno()) if str(path) == '-' else path.stat()
-    except (OSError, ValueError):  # also a standard input that is closed, or no file
+    except (OSError, ValueError):  # no such file, or a closed standard input
         return os.path.realpath(path)
     return status.st_dev, status.st_ino
 
 
 def _files_of(source: Path) -> list[Path]:
-    """List the files of an input; of a folder, the files of the recording in it."""
+    """List the files of an input; a folder contains the files of a recording."""
     if not source.is_dir():
         return [source]
     return [
@@ -175,5 +153,5 @@ def _files_of(source: Path) -> list[Path]:
 
 
 def _is_stream(path: Path) -> bool:
-    """Return whether a path is written to as it is, such as a pipe or /dev/null."""
+    """Return whether a path is a stream, such as a pipe or /dev/null, and not a file."""
     return str(path).startswith(_STREAMS) or (path.exists() and not path.is_file())

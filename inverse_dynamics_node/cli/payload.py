@@ -1,4 +1,4 @@
-"""The command `payload`: mass and centre of mass of what the robot carries, from recordings."""
+"""The command `payload`: measures mass and centre of mass of a payload from recordings."""
 
 from __future__ import annotations
 

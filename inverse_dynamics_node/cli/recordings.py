@@ -1,4 +1,4 @@
-"""Recordings that commands read, and what the efforts in them contain."""
+"""Reads recordings, and parameters that say what their efforts contain."""
 
 from __future__ import annotations
 
@@ -20,27 +20,7 @@ from .console import progress
 def read_recording(
     path: Path, robot: RobotModel, topic: str | None, scale: Mapping[str, float]
 ) -> tuple[Recording, tuple[str, ...]]:
-    """
-    Read a recording, and show the progress.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The recording.
-    robot : RobotModel
-        The robot.
-    topic : str or None
-        Topic of the joint states, if there are several.
-    scale : mapping of str to float
-        Factors of the efforts of joints, by name.
-
-    Returns
-    -------
-    recording : Recording
-    notes : tuple of str
-        What was noticed.
-
-    """
+    """Read a recording, scale the efforts of the joints, and return it with notes on the data."""
     with progress(f'reading {path.name}') as report:
         recording, notes = read_measured_states(
             path, robot.joint_names, topic, report, robot.mimic_names
@@ -52,7 +32,7 @@ def read_recording(
 def measured_efforts(
     path: Path | None, joint_names: tuple[str, ...]
 ) -> tuple[GravityConvention, dict[str, float]]:
-    """Read whether efforts contain gravity, and factors of joints, from a file of the node."""
+    """Read from node parameters whether efforts contain gravity, and the factors of joints."""
     given = {} if path is None else _node_parameters(path)
     try:
         in_commands = given.get('include_gravity', True)
@@ -77,7 +57,7 @@ def measured_efforts(
 
 
 def _node_parameters(path: Path) -> dict[str, Any]:
-    """Return the parameters in a file, under any name of the node."""
+    """Return the parameters in a file, whatever the names of the nodes are."""
     import yaml
 
     try:

@@ -1,4 +1,4 @@
-"""The command `simulate`: a simulated robot alone, to try the node and other commands on."""
+"""The command `simulate`: runs a simulated robot, to try the node and other commands."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def make_parser() -> CommandParser:
 
 def run(options: argparse.Namespace) -> int:
     """Run the robot until SIGINT or SIGTERM; return the exit code."""
-    # Imported here, because no other command needs ROS.
+    # Imported here, because only few commands need ROS.
     from ..simulation.demo.processes import stay_on_this_machine
     from ..simulation.robot import main
 

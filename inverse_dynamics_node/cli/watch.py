@@ -60,10 +60,10 @@ CODES = {
     Outcome.SATURATED: 5,
     Outcome.FEW_JOINTS: 6,
 }
-_POLL = 0.02  # [s]
-_LINE = 1.0  # [s]; between lines and checks
-_FRAME = 0.25  # [s]
-_LOST = 3.5  # [s]; diagnostics are published once a second
+_POLL = 0.02  # [s]; between requests for news of the node
+_LINE = 1.0  # [s]; between lines of text, and between checks
+_FRAME = 0.25  # [s]; between updates of the screen
+_LOST = 3.5  # [s]; longest silence; diagnostics are published once a second
 _positive = arguments.number('a positive number', lambda value: 0.0 < value < math.inf)
 
 
@@ -121,7 +121,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 class _Watch:
-    """Follows one node, and shows its state."""
+    """Observes one node, and shows its state."""
 
     def __init__(
         self, observer: Observer, find: Callable[[], list[str]], options: argparse.Namespace
@@ -132,7 +132,7 @@ class _Watch:
         self.agreement = Agreement(Outcome.UNDECIDED, Obstacle.TOO_FEW_SAMPLES)
         self._began = time.monotonic()
         self._known_since = math.inf
-        self._cut: dict[str, float] = {}  # when the effort of a joint was last cut to its limit
+        self._cut: dict[str, float] = {}  # last time at which each effort was cut to its limit
 
     def run(self) -> int:
         """Show the node until the end; return the exit code."""
@@ -149,7 +149,7 @@ class _Watch:
         return CODES[self.agreement.outcome]
 
     def _loop(self, show: Any, period: float) -> None:
-        """Poll, judge once a second and show, until the time is over."""
+        """Poll the node, check it once a second, and show the result, until the time is over."""
         next_check = next_show = time.monotonic() + period
         is_over, is_new = False, True
         while not is_over:
@@ -169,12 +169,12 @@ class _Watch:
                 time.sleep(_POLL)
 
     def _check_choice(self, now: float) -> None:
-        """Stop if another node is discovered late, and no name was given."""
+        """Raise an error if no name was given, and another node is discovered late."""
         if self.options.node is None and now < self._began + MOST_DISCOVERY:
             only_one(self.find())
 
     def _end(self, now: float) -> float:
-        """Return the time at which to end: a while after the state of the node is known."""
+        """Return the end of the duration, which begins when the state of the node is known."""
         if not self.options.duration:
             return math.inf
         status, robot = self.observer.status, self.observer.robot
@@ -227,7 +227,7 @@ class _Watch:
         )
 
     def _reason(self) -> str:
-        """Return why the node does not compute efforts, empty if it does."""
+        """Return why no efforts can be compared, or an empty text."""
         observer, status = self.observer, self.observer.status
         assert status is not None
         if status.is_computing:
@@ -273,14 +273,14 @@ class _Watch:
 
 
 def _convention(status: NodeStatus) -> GravityConvention:
-    """Return which efforts contain gravity, as the node says."""
+    """Return which efforts contain gravity, according to the node."""
     model, efforts = status.model or ModelStatus(), status.efforts or EffortsStatus()
     in_commands, in_measured = model.gravity is not None, efforts.measures_gravity
     return GravityConvention(in_commands, in_commands if in_measured is None else in_measured)
 
 
 def next_time(due: float, period: float, now: float) -> float:
-    """Return when to act again; after a delay, missed times are not made up for."""
+    """Return the next time to act; times that were missed during a delay are skipped."""
     return due + period if due + period > now else now + period
 
 

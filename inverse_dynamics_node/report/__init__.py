@@ -1,1 +1,1 @@
-"""Results as text: tables, numbers, hints."""
+"""Writes results as text: tables, numbers and hints."""

@@ -1,4 +1,4 @@
-"""The result of a live comparison in one sentence."""
+"""Writes the result of a live comparison of model and robot as one sentence."""
 
 from __future__ import annotations
 
@@ -13,27 +13,14 @@ _MOST_NAMES = 4
 
 
 def sentence(agreement: Agreement) -> str:
-    """
-    Say in one sentence whether model and robot agree, and why not.
-
-    Parameters
-    ----------
-    agreement : Agreement
-        The result of the comparison.
-
-    Returns
-    -------
-    text : str
-        Without a full stop.
-
-    """
+    """Say whether model and robot agree, and why not; the text has no full stop at its end."""
     if agreement.obstacle is not None:
         return _OBSTACLES[agreement.obstacle](agreement)
     return _differ(agreement) if agreement.faults else _agree(agreement)
 
 
 def _differ(agreement: Agreement) -> str:
-    """Say what `compare` says of the same faults, and what to do about the first."""
+    """Describe the faults in the words of `compare`, and say what to do about the first one."""
     parts = [*map(_headline, agreement.faults), _sizes(agreement)]
     if any(fault.kind is FaultKind.SIGN for fault in agreement.faults):
         parts.append('do not go live')
@@ -43,7 +30,7 @@ def _differ(agreement: Agreement) -> str:
 
 
 def _headline(fault: Fault) -> str:
-    """Return the headline; that of a payload with its centre of mass, as far as it is known."""
+    """Return the headline of a fault; for a payload, add its centre of mass if it is known."""
     text = headline(fault)
     if fault.kind is not FaultKind.PAYLOAD or all(map(math.isnan, fault.values[1:])):
         return text
@@ -123,7 +110,7 @@ def _size(size: Size) -> str:
 
 
 def _two_digits(value: float) -> str:
-    """Write a number with two significant digits, and all digits before the decimal point."""
+    """Write two significant digits, or all before the decimal point; at most three decimals."""
     if not math.isfinite(value) or value == 0.0:
         return '0' if value == 0.0 else '-'
     digits = max(0, 1 - math.floor(math.log10(abs(value))))

@@ -1,4 +1,4 @@
-"""The report of `compare`: verdict, tables of efforts and friction."""
+"""The report of `compare`: a verdict, a table of efforts and a table of friction."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from .diagnosis_text import amount, sentence
 from .quantities import motion_notes, with_error
 from .tables import Table
 
-AT_NOISE = 1.5  # times the noise; a smaller residual cannot be distinguished from it
+AT_NOISE = 1.5  # a residual below this multiple of the noise may be nothing but noise
 
 
 def verdict(result: ComparisonResult) -> str:
@@ -43,7 +43,7 @@ def verdict(result: ComparisonResult) -> str:
 
 
 def _total(result: ComparisonResult, name: str) -> str:
-    """Write the RMS over joints, separately for revolute and prismatic joints."""
+    """Write the RMS over the moving joints; revolute and prismatic joints are separate."""
     texts = []
     for is_prismatic in (False, True):
         values = [
@@ -99,7 +99,7 @@ def _quality(motion: Motion) -> str:
 
 
 def friction_table(result: ComparisonResult) -> Table:
-    """Return the fitted friction with standard errors."""
+    """Return the fitted friction and its standard errors, one row per joint."""
     has_shape = any(joint.friction.has_shape for joint in result.joints)
     rows = []
     for joint in result.joints:
@@ -138,10 +138,10 @@ def friction_table(result: ComparisonResult) -> Table:
 
 
 def percent(fraction: float) -> str:
-    """Write a fraction in per cent, with a dash for NaN."""
+    """Write a fraction as a percentage; NaN becomes a dash."""
     if math.isnan(fraction):
         return '-'
-    # More digits near 100 %, and none for a model that is completely wrong.
+    # Values near 100 % get more digits; those of a completely wrong model get none.
     if fraction < -9.99:
         return '<-999%'
     if fraction > 0.9999:

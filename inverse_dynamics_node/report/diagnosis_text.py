@@ -1,4 +1,4 @@
-"""Diagnoses of a recording in words: a headline, the evidence, and advice."""
+"""Describes the faults found in a recording: a headline, the evidence, and advice."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from types import MappingProxyType
 from ..analysis.diagnosis import Fault, FaultKind
 from ..robot.model import ModelWarning
 
-MOST_CHANGES = 3  # joints whose residuals are listed as evidence
+MOST_CHANGES = 3  # largest number of joints whose residuals are listed
 
 
 def headline(fault: Fault) -> str:
-    """Summarize a fault in one clause, starting with a small letter or a joint's name."""
+    """Summarize a fault in one clause that starts with a small letter or the name of a joint."""
     text = _HEADLINES[fault.kind](fault)
     if fault.interval is None:
         return text
@@ -22,16 +22,15 @@ def headline(fault: Fault) -> str:
 
 
 def sentence(fault: Fault) -> str:
-    """Return the headline as the start of a sentence."""
+    """Return the headline with a capital letter, unless it starts with the name of a joint."""
     text = headline(fault)
-    # Names of joints keep their first letter.
     return text if fault.kind in _STARTS_WITH_JOINT and fault.interval is None and not (
         fault.kind is FaultKind.SIGN and fault.is_every_joint
     ) else text[0].upper() + text[1:]  # fmt: skip
 
 
 def diagnosis_warning(fault: Fault) -> ModelWarning:
-    """Return a fault as a warning, with a suggestion for the next run."""
+    """Describe a fault as a warning; its hint suggests options for the next run."""
     again = _options(fault)
     hint = advice(fault)
     if again:
@@ -41,12 +40,12 @@ def diagnosis_warning(fault: Fault) -> ModelWarning:
 
 
 def advice(fault: Fault) -> str:
-    """Say what to do about a fault, in sentences."""
+    """Return sentences that say what to do about a fault."""
     return _ADVICE[fault.kind](fault)
 
 
 def _options(fault: Fault) -> str:
-    """Return the options of `compare` that include a fault in the model."""
+    """Return options for the next run of `compare` that take the fault into account, if any."""
     if fault.interval is not None:
         return f'--from {fault.interval[0]:.1f} --to {fault.interval[1]:.1f}'
     numbers = [0.0 if abs(value) < 5e-4 or math.isnan(value) else value for value in fault.values]
@@ -170,7 +169,7 @@ _STARTS_WITH_JOINT = (FaultKind.SIGN, FaultKind.REVERSED_AXIS, FaultKind.ROTOR_I
 
 
 def _changes(fault: Fault) -> str:
-    """Write the residuals that a fault reduces, beside those with friction only."""
+    """Write the residuals with fitted friction, before and after the fault is modelled too."""
     changes = fault.changes[:MOST_CHANGES]
     if not changes:
         return ''
@@ -398,5 +397,5 @@ def amount(effort: float, is_prismatic: bool) -> str:
 
 
 def listed(names: Sequence[str]) -> str:
-    """Join names by commas, and the last one by 'and'."""
+    """Join names with commas, and the last one with 'and'."""
     return names[0] if len(names) == 1 else f'{", ".join(names[:-1])} and {names[-1]}'

@@ -1,4 +1,4 @@
-"""Tables that describe an excitation motion, and what its recording will determine."""
+"""Tables of an excitation motion, and of the standard errors to expect from its recording."""
 
 from __future__ import annotations
 
@@ -30,21 +30,10 @@ def excitation_tables(
     box: Extent,
 ) -> list[Table]:
     """
-    Describe an excitation motion.
+    Describe an excitation motion, and the standard errors to expect from its recording.
 
-    Parameters
-    ----------
-    robot : RobotModel
-        The robot.
-    excitation : Excitation
-        The result of the search.
-    trajectory : Trajectory
-        The motion at the speed at which it was written, k points of m joints.
-    efforts : ndarray, shape (k, m)
-        Modelled efforts [N m or N].
-    box : Extent
-        Space that the robot sweeps.
-
+    The trajectory has the speed at which it was written. The efforts are modelled: one row per
+    point of the trajectory, one column per joint [N m or N]. The robot sweeps the box.
     """
     errors = expected_errors(excitation.unknowns, excitation.information)
     return [
@@ -97,7 +86,7 @@ def _motion(
 
 
 def _distances(excitation: Excitation) -> list[str]:
-    """Say how near the links come to each other, to the floor and to boxes."""
+    """Say how close the links come to each other, to the floor and to the boxes."""
     kinds: dict[str, list[Nearest]] = {'floor': [], 'box': [], 'links': []}
     for each in excitation.nearest:
         kinds[each.names[1] if each.names[1] in kinds else 'links'].append(each)

@@ -14,13 +14,13 @@ from .quantities import motion_notes, with_error
 from .tables import Table
 
 DETERMINED = 0.5
-"""Fraction of the information that the recordings must give to determine a mass."""
+"""A mass is determined if the recordings give at least this fraction of the information."""
 NOTED_CHANGE = 0.1
 """A mass that is not determined gets a note if it changes by more than this fraction."""
 
 
 def residual_table(result: IdentificationResult) -> Table:
-    """Return what each model leaves of the measured efforts, one row per joint."""
+    """Return the residuals of three models, one row per joint."""
     rows = [
         (
             joint.name,
@@ -49,7 +49,7 @@ def residual_table(result: IdentificationResult) -> Table:
 
 
 def friction_table(result: IdentificationResult) -> Table:
-    """Return friction, armature and offset of every joint with standard errors."""
+    """Return friction, armature and offset of every joint, with their standard errors."""
     rows = [_friction_row(joint) for joint in result.joints]
     columns = ('joint', 'damping', 'Coulomb', 'width', 'per load', 'armature', 'offset')
     notes = (
@@ -70,7 +70,7 @@ def friction_table(result: IdentificationResult) -> Table:
 
 
 def _extra_notes(result: IdentificationResult) -> list[str]:
-    """Return sentences about the terms that few joints have."""
+    """Return sentences about springs, square-root friction and coupled joints, which are rare."""
     notes = []
     for joint in result.joints:
         terms, unit = joint.terms, ('m' if joint.is_prismatic else 'rad')
@@ -125,7 +125,7 @@ def _friction_row(joint: JointResult) -> tuple[str, ...]:
 
 
 def body_table(result: IdentificationResult) -> Table:
-    """Return masses and centres of mass before and after."""
+    """Return masses and centres of mass before and after the identification."""
     rows = []
     for body in result.bodies:
         mark = ' *' if _follows_others(body) else ''
@@ -289,7 +289,7 @@ def _residuals(residuals: Residuals) -> dict[str, float]:
 
 
 def _plain(value: Any) -> Any:
-    """Convert to types that JSON has; numbers that are not finite become null."""
+    """Convert values to the types of JSON; numbers that are not finite become null."""
     if isinstance(value, Mapping):
         return {key: _plain(each) for key, each in value.items()}
     if isinstance(value, list | tuple | np.ndarray):

@@ -42,7 +42,7 @@ def verdict(result: PayloadEstimate) -> str:
 def payload_table(
     result: PayloadEstimate, robot: RobotModel, apparent: PayloadEstimate | None
 ) -> Table:
-    """Return the efforts of the payload beside what they leave; notes say what was compared."""
+    """Return the efforts of the payload and the residuals; the notes describe the recordings."""
     rows = []
     for name, measured, left in zip(
         result.joint_names, _rms(result.fitted), _rms(result.residuals), strict=True
@@ -67,7 +67,7 @@ def payload_table(
 
 
 def inertia_table(result: PayloadEstimate) -> Table:
-    """Return mass and centre of mass with their standard errors."""
+    """Return the mass and the centre of mass, with their standard errors."""
     rows = [('mass [kg]', with_error(result.body.mass, result.mass_error))]
     rows += [
         (f'{axis} [mm]', 'unknown' if axis in result.unknown else with_error(1e3 * x, 1e3 * error))

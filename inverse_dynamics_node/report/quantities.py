@@ -1,4 +1,4 @@
-"""Numbers, units, kinds of joints, and notes about recorded data as text."""
+"""Writes numbers, units, kinds of joints, and notes about recorded data as text."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ def effort_unit(robot: RobotModel, joint: int) -> str:
 
 
 def number(value: float) -> str:
-    """Write a limit; a dash if it is not finite."""
+    """Write a limit; an infinite limit becomes a dash."""
     if not math.isfinite(value):
         return '-'
     return f'{value:.0f}' if 1e4 <= abs(value) < 1e7 else f'{value:.4g}'
 
 
 def fraction(effort: float, limit: float) -> str:
-    """Write the ratio of an effort to its limit in percent; a dash if there is no limit."""
+    """Write the ratio of an effort to its limit as a percentage; a dash without a limit."""
     return f'{abs(effort) / limit:.0%}' if math.isfinite(limit) else '-'
 
 
 def decimals(values: Floats, digits: int = 4) -> int:
-    """Return the number of decimals, 1 to 6, that gives the largest value so many digits."""
+    """Return how many decimals, from 1 to 6, give the largest value this number of digits."""
     largest = float(np.max(np.abs(values), initial=0.0))
     if not 0.0 < largest < math.inf:
         return 1

@@ -22,30 +22,13 @@ def model_tables(
     effort_limits: ArrayLike | None = None,
 ) -> list[Table]:
     """
-    Describe the robot.
+    Describe the robot and the loads on it.
 
-    Parameters
-    ----------
-    dynamics : InverseDynamics
-        The robot, with n joints, and the loads on it.
-    joints : sequence of str
-        The m joints to command, in the order of the commands; empty for all, in the robot's order.
-    q : array_like, shape (n,), optional
-        Joint positions [rad or m]; adds a table of the gravity efforts there.
-    effort_limits : array_like, shape (m,), optional
-        Largest efforts of the commanded joints [N m or N]; default: those of the URDF.
-
-    Returns
-    -------
-    tables : list of Table
-
-    Raises
-    ------
-    ConfigurationError
-        If a joint does not exist, or the limits do not have shape (m,).
-    JointStateError
-        If q does not have shape (n,), or is not finite.
-
+    The joints are those to command, in the order of the commands; without joints, all are listed
+    in the order of the robot. With positions q of all joints [rad or m], a table of the gravity
+    efforts in this pose is added. The effort limits of the commanded joints [N m or N] are by
+    default those of the URDF. Raise ConfigurationError if a joint does not exist or the number of
+    limits is wrong, and JointStateError if q has a wrong shape or is not finite.
     """
     robot = dynamics.robot
     commanded = tuple(joints) or robot.joint_names
@@ -64,20 +47,7 @@ def model_report(
     q: ArrayLike | None = None,
     effort_limits: ArrayLike | None = None,
 ) -> str:
-    """
-    Describe the robot in plain text, at most 100 columns wide.
-
-    Parameters
-    ----------
-    dynamics, joints, q, effort_limits
-        As for `model_tables`.
-
-    Raises
-    ------
-    ConfigurationError, JointStateError
-        As for `model_tables`.
-
-    """
+    """Return the tables of `model_tables` and the warnings, at most 100 columns wide."""
     tables = model_tables(dynamics, joints, q, effort_limits)
     warnings = warnings_about(dynamics.robot)
     return '\n\n'.join([*map(as_text, tables), warnings_as_text(warnings)])
@@ -197,7 +167,7 @@ def _at_rest(dynamics: InverseDynamics, q: Floats, limits: Floats) -> Table:
 def _limits(
     robot: RobotModel, commanded: Sequence[str], effort_limits: ArrayLike | None
 ) -> Floats:
-    """Return the limits of all joints, with the given ones for the commanded joints."""
+    """Return the limits of all joints; given limits replace those of the commanded joints."""
     indices = robot.joint_indices(commanded)
     limits: Floats = robot.effort_limits.copy()
     if effort_limits is not None:
@@ -219,12 +189,12 @@ def _axis(axis: Floats) -> str:
 
 
 def _branches(parent: Integers) -> list[str]:
-    """Return the prefixes that draw the tree; only branches are indented, so chains stay flat."""
+    """Return the prefixes that draw the tree; only branches are indented, chains are not."""
     children: list[list[int]] = [[] for _ in parent]
     for body in range(1, len(parent)):
         children[int(parent[body])].append(body)
-    first = [''] * len(parent)  # before the name of the body
-    below = [''] * len(parent)  # before the names of its descendants
+    first = [''] * len(parent)  # tree lines in front of the name of each body
+    below = [''] * len(parent)  # tree lines in front of the names of its descendants
     for body, group in enumerate(children):
         for child in group:
             is_last = child == group[-1]

@@ -1,8 +1,8 @@
 """
-Tables and warnings as lines of text.
+Formats tables and warnings as lines of text.
 
-A table contains strings only, so that every reader gets the same numbers: logs and services plain
-text, a terminal the same lines in colours.
+A table contains strings only. Logs and services show it as plain text, and a terminal shows the
+same lines in colours.
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ from ..robot.model import ModelWarning, RobotModel
 WIDTH = 100
 """Largest width of a report, in characters."""
 SHORTEST_NAME = 12
-"""Names are not shortened to fewer characters than this."""
+"""A shortened name has at least this number of characters."""
 _GAP = '  '
 
 
 class Table(NamedTuple):
-    """Rows below a title, followed by notes; a table without rows consists of its notes."""
+    """A title, rows and notes; a table without rows consists of its title and its notes."""
 
     title: str
     columns: tuple[str, ...] = ()
-    """The first column contains names, which may be shortened."""
+    """Titles of the columns; the first column contains names, which may be shortened."""
     rows: tuple[tuple[str, ...], ...] = ()
     notes: tuple[str, ...] = ()
     words: frozenset[int] = frozenset()
-    """Columns other than the first that contain words and are aligned to the left."""
+    """Indices of further columns that contain words and are aligned to the left."""
     marked: frozenset[int] = frozenset()
-    """Rows that need attention, such as a joint beyond a limit."""
+    """Indices of the rows that need attention, such as a joint beyond a limit."""
 
 
 class Style(Enum):
-    """The role of a line, from which a terminal chooses its colour."""
+    """The role of a line, which determines its colour on a terminal."""
 
     TITLE = auto()
     COLUMNS = auto()
@@ -60,27 +60,15 @@ class Line(NamedTuple):
 
 
 def as_text(table: Table, width: int = WIDTH, whole_names: bool = False) -> str:
-    """Format a table as plain text, without a line end after the last; see `table_lines`."""
+    """Format a table as plain text without a final line end; see `table_lines`."""
     return '\n'.join(line.text for line in table_lines(table, width, whole_names))
 
 
 def table_lines(table: Table, width: int = WIDTH, whole_names: bool = False) -> list[Line]:
     """
-    Format a table.
+    Format a table in lines of at most `width` characters.
 
-    Parameters
-    ----------
-    table : Table
-        The table to format.
-    width : int
-        Length of the longest line, in characters.
-    whole_names : bool
-        Let rows be longer instead of shortening names, for programs that read them.
-
-    Returns
-    -------
-    lines : list of Line
-
+    With `whole_names`, names are not shortened for programs that read them; lines may be longer.
     """
     lines = [Line(escaped(table.title), Style.TITLE)]
     if table.rows:
@@ -129,17 +117,17 @@ def _aligned(table: Table, width: float) -> list[str]:
 
 
 def warnings_about(robot: RobotModel) -> tuple[ModelWarning, ...]:
-    """Return all warnings about a robot description: of the loader, and about effort limits."""
+    """Return the warnings of the loader of a robot, and those about its effort limits."""
     return (*robot.warnings, *effort_limit_warnings(robot))
 
 
 def warnings_as_text(warnings: Sequence[ModelWarning], width: int = WIDTH) -> str:
-    """Format warnings as plain text, those with the same hint together."""
+    """Format warnings as plain text, grouped by their hints."""
     return '\n'.join(line.text for line in warning_lines(warnings, width))
 
 
 def warning_lines(warnings: Sequence[ModelWarning], width: int = WIDTH) -> list[Line]:
-    """Format warnings, those with the same hint together."""
+    """Format warnings as lines, grouped by their hints."""
     if not warnings:
         return [Line('No warnings.', Style.NO_WARNINGS)]
     plural = 's' if len(warnings) > 1 else ''
@@ -174,7 +162,7 @@ def all_shortened(names: Sequence[str], size: int) -> list[str]:
     for first in (size // 3, size // 4, 2 * size // 3, 1):
         if len(set(short)) == len(set(names)):
             break
-        # Names of several branches differ at both ends: keep more of one of them.
+        # Names of several branches differ at both ends: keep more of one end.
         rest = size - 1 - first
         short = [n if len(n) <= size else f'{n[:first]}…{n[len(n) - rest :]}' for n in names]
     return short

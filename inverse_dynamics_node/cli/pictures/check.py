@@ -18,17 +18,17 @@ from . import style
 
 _BINS = 80
 _HALF = 0.42
-"""Half of the largest height of a distribution, in rows."""
+"""Half of the largest height of a distribution, as a multiple of the row height."""
 _REACH = 1.12
-"""Ends of a row, as a multiple of the worst effort."""
+"""Both ends of the axis of efforts, as a multiple of the worst effort."""
 _MAX_RATIO = 1.2
-"""End of the bars, as a multiple of the limit; longer bars are cut."""
+"""Bars that are longer than this multiple of the limit are cut."""
 _NEGLIGIBLE = 1e-6
 """Efforts smaller than this fraction of the largest one are rounding errors."""
 _MOST_BESIDE_ONE_VIEW = 14
-"""Number of joints; with more, there is room for a second view of the robot."""
+"""With more joints than this, there is room for a second view of the robot."""
 _MOST_NUMBERS = 12
-"""Number of joints; if there are more, only the highlighted joint is numbered."""
+"""With more joints than this, only the highlighted joint has a number."""
 _AROUND = ((0, 16), (0, -16), (24, 0), (-24, 0), (20, 14), (-20, 14), (0, 30), (0, -30))
 """Offsets of the label of a joint [points]; the first free place is used."""
 _LARGEST_MASS = 260.0
@@ -42,7 +42,7 @@ def draw(
     source: str,
     path: Path,
 ) -> None:
-    """Draw efforts and robot side by side and write them as a PNG; source names the URDF."""
+    """Draw efforts and robot side by side, and write the picture; `source` names the URDF."""
     count = len(workspace.robot.joint_names)
     height = min(40.0, max(4.6, 1.9 + 0.27 * count))
     with style.styled_pyplot() as pyplot:
@@ -97,14 +97,14 @@ def _draw_row(axes: Any, row: int, values: Floats, colour: str) -> None:
     counts, edges = np.histogram(values, _BINS, (-_REACH, _REACH))
     half = _HALF * np.sqrt(
         counts / max(1, int(np.max(counts)))
-    )  # the root keeps the tails visible
+    )  # the square root keeps the tails visible
     ends, outline = np.repeat(edges, 2)[1:-1], np.repeat(half, 2)
-    # One shape: a bar for each bin of hundreds of joints takes a minute to draw.
+    # One shape is fast: separate bars for hundreds of joints take a minute.
     axes.fill_between(ends, row - outline, row + outline, color=colour, alpha=0.45, linewidth=0)
 
 
 def _draw_ratios(axes: Any, workspace: Workspace) -> None:
-    """Draw the ratio of the worst effort of each joint to its limit, with both as text."""
+    """Draw a bar for the ratio of worst effort to limit of each joint, with both numbers."""
     count = len(workspace.limits)
     for i, (peak, limit) in enumerate(zip(workspace.peaks, workspace.limits, strict=True)):
         is_beyond = bool(peak > limit)
@@ -148,9 +148,8 @@ def draw_arm(
     """
     Draw the robot from the side, with gravity pointing down.
 
-    One joint is highlighted, and the link that carries a payload marked. View 0 is the side that
-    shows most of the robot, view 1 is at right angles to it.
-
+    One joint is highlighted, and the link that carries the payload is marked. View 0 is the side
+    on which the robot is widest; view 1 is turned by 90 degrees.
     """
     robot = dynamics.robot
     rotations, positions = body_frames(robot, q)
@@ -195,7 +194,7 @@ def _side_view(gravity: Floats, points: Floats, view: int) -> Floats:
     across = directions[0]
     if view == 1 and sizes[0] >= 1e-9:
         across = np.cross(up, across)
-    elif sizes[0] < 1e-9:  # all on a vertical line: any horizontal direction
+    elif sizes[0] < 1e-9:  # all points are on a vertical line
         across = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
         across /= np.linalg.norm(across)
     if np.sum(level @ across) < 0.0:
@@ -211,7 +210,7 @@ def _draw_structure(
         ends = flat[[robot.parent[body], body]]
         axes.plot(*ends.T, color=style.GREY, linewidth=3.5, solid_capstyle='round', zorder=2)
     for body in set(range(1, len(robot.parent))) - set(robot.parent.tolist()):
-        if robot.mass[body] > 0.0:  # its end is unknown; draw it to the centre of mass
+        if robot.mass[body] > 0.0:  # the end of the link is unknown: draw to its centre of mass
             axes.plot(
                 *np.array([flat[body], centres[body]]).T, color=style.GREY, linewidth=1.5, zorder=1
             )
@@ -239,7 +238,7 @@ def _draw_masses(axes: Any, robot: RobotModel, centres: Floats) -> None:
 def _draw_joints(
     axes: Any, robot: RobotModel, flat: Floats, joint: int
 ) -> list[tuple[Floats, list[int]]]:
-    """Draw the joints; return the places of labels, each with the numbers of its joints from 1."""
+    """Draw the joints; return the places of labels and the numbers of their joints, from 1."""
     many = len(robot.joint_names) > _MOST_NUMBERS
     apart = 0.07 * (float(np.max(np.ptp(flat, axis=0))) or 1.0)
     places: list[tuple[Floats, list[int]]] = []
@@ -265,7 +264,6 @@ def _number(axes: Any, places: Sequence[tuple[Floats, list[int]]]) -> None:
     Write the numbers of the joints without overlaps.
 
     A label without a free place is left out; the rows beside the picture show all numbers.
-
     """
     figure = axes.figure
     figure.canvas.draw()  # the layout determines the free places

@@ -11,7 +11,7 @@ from ...report.diagnosis_text import amount
 from . import style
 
 _MOST_ROWS = 10
-"""Number of joints with a row each; with more, every joint has a small picture."""
+"""With more joints than this, every joint has a small picture instead of a row."""
 _ACROSS = 3
 _POINTS = 1500
 _NAME_LETTERS = 18
@@ -19,7 +19,7 @@ _NAME_LETTERS = 18
 
 
 def draw(result: ComparisonResult, source: str, title: str, path: Path) -> None:
-    """Draw all joints and write them as a PNG."""
+    """Draw all joints, and write the picture."""
     count = len(result.joints)
     with style.styled_pyplot() as pyplot:
         if count <= _MOST_ROWS:
@@ -98,7 +98,7 @@ def _small(pyplot: Any, result: ComparisonResult) -> tuple[Any, list[Any]]:
 
 
 def _draw_efforts(ax: Any, result: ComparisonResult, c: int) -> list[Any]:
-    """Draw measured and modelled efforts; the measured one is wide, so that all are visible."""
+    """Draw measured and modelled efforts; a wide line below keeps the measured one visible."""
     times = result.motion.times
     signals = (
         (result.measured, {'color': style.GREY, 'linewidth': 3.2, 'alpha': 0.55}),

@@ -19,12 +19,12 @@ from . import style
 MOST_POINTS = 1500
 LEAST_ERROR = 0.01  # [mrad, mm]: smallest range of the error axis
 ACROSS = 115  # letters that fit on a line above the axes
-LEGEND, KEY = 120, 8  # letters that fit on a line of the legend, and that a line sample takes
+LEGEND, KEY = 120, 8  # letters: on a line of the legend, and for a sample of a line
 JOINT_COLOURS = (*style.COLOURS, style.DARK)
 DASHES = ('-', (0, (5, 1.5)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)), (0, (8, 1.5, 1, 1.5, 1, 1.5)))
 """Line styles; with the colours they distinguish 35 joints."""
 MOST_IN_ONE = 10
-"""Most joints whose efforts share one frame; more joints get one row each."""
+"""With more joints than this, the efforts of each joint have their own row."""
 LEAST_FRACTION = 1e-3
 """Efforts below this fraction of the limit, or of the largest effort, are drawn as almost zero."""
 MOST_LINES, LINE = 6, 0.19  # lines of the title, and the height of a line [inch]
@@ -34,7 +34,7 @@ SHADES = ('#ffffff', '#fff1d6', '#e3f2e1', '#e8ecf7')
 def draw(
     path: str | Path, robot: RobotModel, title: str, timeline: Timeline, history: History
 ) -> None:
-    """Draw a run with its events, and save it in the format of the suffix of the path."""
+    """Draw a run with its events, and write the picture."""
     panels = [_errors, _efforts] + ([_contact] if timeline.expected else [])
     lines = [part for line in title.splitlines() for part in _wrapped(line)]
     if len(lines) > MOST_LINES:
@@ -123,11 +123,10 @@ def _errors(axes: Any, robot: RobotModel, timeline: Timeline, history: History) 
 
 def _efforts(axes: Any, robot: RobotModel, timeline: Timeline, history: History) -> None:
     """
-    Draw the commands, those without joint states too, each joint to its own scale.
+    Draw all commands, even while joint states are missing; each joint has its own scale.
 
-    This keeps joints legible that use a small part of their limit, or have none. The legend, or
-    the label of the row, states the largest effort and the limit.
-
+    A joint that uses a small fraction of its limit, or has no limit, stays legible. The legend or
+    the label of the row states the largest effort and the limit.
     """
     times, rows = _thin(history.commands.times, history.commands.rows)
     largest = _largest(history)
@@ -202,7 +201,7 @@ def draw_identification(
     title: str,
     path: Path,
 ) -> None:
-    """Draw the errors of all joints over time at one scale, and their root mean squares."""
+    """Draw the errors of all joints over time with the same scale, and their RMS values."""
     with style.styled_pyplot() as pyplot:
         figure = pyplot.figure(figsize=(style.WIDTH, max(5.2, 2.6 + 0.3 * len(names))))
         halves = figure.add_gridspec(1, 2, width_ratios=(1.7, 1.0))

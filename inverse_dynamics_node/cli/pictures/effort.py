@@ -32,7 +32,7 @@ _MOST_DRAWN = 1500
 def draw(
     robot: RobotModel, fine: Trajectory, requirements: EffortRequirements, title: str, path: Path
 ) -> None:
-    """Draw a panel for each joint and write them as a PNG."""
+    """Draw a panel for each joint, and write the picture."""
     m = len(fine.joint_names)
     columns = 1 if m == 1 else 2 if m <= 12 else 3
     rows = math.ceil(m / columns)

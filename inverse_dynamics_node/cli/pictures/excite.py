@@ -29,7 +29,7 @@ def draw(
     source: str,
     path: Path,
 ) -> None:
-    """Draw two views of the path, and the motion of all joints; source names the URDF."""
+    """Draw two views of the path, and the motion of all joints; `source` names the URDF."""
     robot, limits = dynamics.robot, excitation.limits
     nearest = excitation.nearest[0] if excitation.nearest else None
     shown = np.linspace(0, len(trajectory.times) - 1, _MOST_POINTS).round().astype(int)
@@ -111,7 +111,7 @@ def _draw_view(
 
 
 def _draw_surroundings(axes: Any, clearance: Clearance, across: int, up: int) -> None:
-    """Draw the floor, if height is shown, and boxes."""
+    """Draw the boxes, and the floor if the view shows the height."""
     if up == 2 and np.isfinite(clearance.floor):
         axes.axhline(clearance.floor, color=style.DARK, linewidth=1.2, zorder=0)
     for lowest, highest in clearance.boxes[:, :, [across, up]]:
@@ -120,7 +120,7 @@ def _draw_surroundings(axes: Any, clearance: Clearance, across: int, up: int) ->
 
 
 def _efforts_panel(efforts: Floats, limits: Floats) -> tuple[str, Floats]:
-    """Return efforts relative to the limits used; to their peak for joints without a limit."""
+    """Return a label, and efforts relative to the limits used (to their peaks without limits)."""
     peak = np.maximum(np.max(np.abs(efforts), axis=0), 1e-9)
     has_limit = np.isfinite(limits)
     of = 'of limit used' if has_limit.all() else 'of limit used, or of peak'

@@ -11,7 +11,7 @@ from ...analysis.identification import IdentificationResult
 from . import style
 
 _MOST_ROWS = 8
-"""Number of joints whose efforts are drawn; of more, those with the largest residuals."""
+"""With more joints than this, only those with the largest residuals are drawn."""
 _POINTS = 1200
 _LOOKS: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ('measured', 'measured', {'color': style.GREY, 'linewidth': 3.2, 'alpha': 0.55}),
@@ -47,7 +47,7 @@ def draw(result: IdentificationResult, source: str, path: Path) -> None:
 
 
 def _shown(result: IdentificationResult) -> list[int]:
-    """Return the joints to draw, in their order."""
+    """Return the indices of the joints to draw, in ascending order."""
     worst = sorted(range(len(result.joints)), key=lambda j: -result.joints[j].unseen.urdf)
     return sorted(worst[:_MOST_ROWS])
 
@@ -68,7 +68,7 @@ def _draw_efforts(ax: Any, result: IdentificationResult, joint: int) -> list[Any
 
 
 def _draw_residuals(ax: Any, result: IdentificationResult) -> None:
-    """Draw what each model leaves, relative to the measured effort."""
+    """Draw the residual of each model, relative to the measured effort."""
     joints = result.joints
     places = np.arange(len(joints))
     measured = np.array([max(joint.measured, 1e-9) for joint in joints])

@@ -1,4 +1,4 @@
-"""The picture of `payload`: the measured efforts of the payload, and those of the result."""
+"""The picture of `payload`: the measured efforts of the payload, and the fitted ones."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _POINTS = 1500
 
 
 def draw(result: PayloadEstimate, source: str, title: str, path: Path) -> None:
-    """Draw all joints, over time or over the poses, and write them to a file."""
+    """Draw the efforts of all joints over time, and write the picture."""
     count = len(result.joint_names)
     names = style.fitting(list(result.joint_names), 40)
     marks = {'marker': 'o', 'linestyle': ''} if result.poses else {}

@@ -1,4 +1,4 @@
-"""The style of the pictures of the commands: legible in a README and for the colour-blind."""
+"""The style of the pictures, which are legible in a README and for colour-blind readers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ BLUE, ORANGE, GREEN, PINK, SKY, RED, YELLOW = (
     '#D55E00',
     '#F0E442',
 )
-"""The palette of Okabe and Ito, which is also suitable for the colour-blind."""
+"""The palette of Okabe and Ito, which is suitable for colour-blind readers."""
 COLOURS = (BLUE, ORANGE, GREEN, PINK, SKY, RED)
 _DASHES = ('-', '--', ':', '-.')
 GREY, PALE, DARK = '#8a8a8a', '#dddddd', '#333333'
@@ -42,7 +42,7 @@ _STYLE = {
     'axes.edgecolor': GREY,
     'axes.grid': True,
     'axes.labelcolor': DARK,
-    'axes.prop_cycle': COLOURS,  # converted to a cycler below, as matplotlib is imported late
+    'axes.prop_cycle': COLOURS,  # converted below, because matplotlib is imported late
     'axes.spines.right': False,
     'axes.spines.top': False,
     'axes.titlelocation': 'left',
@@ -78,12 +78,7 @@ def styled_pyplot() -> Iterator[Any]:
 
 
 def set_title(figure: Any, *paragraphs: str, most_lines: int = 5) -> None:
-    """
-    Write the title of a figure, each paragraph on its own lines.
-
-    Lines are broken between words only, so that numbers and names are not split.
-
-    """
+    """Write the title of a figure; paragraphs begin new lines, and words are not split."""
     lines = [line for text in paragraphs for line in wrapped(text, _TITLE_LETTERS)]
     if len(lines) > most_lines:
         lines = [*lines[:most_lines], '...']
@@ -107,11 +102,10 @@ def try_to_draw(
     draw: Callable[[Path], None], options: argparse.Namespace, default: str
 ) -> Path | None:
     """
-    Draw a picture, if one is wanted; where matplotlib is missing, print how to install it instead.
+    Draw a picture unless --no-picture is given; return its path, or None without a picture.
 
-    Returns the path of the picture; None if there is none. If the option --picture requested it, a
-    missing matplotlib is an error.
-
+    Without matplotlib, print how to install it. If the option --picture requested the picture,
+    raise ModuleNotFoundError instead.
     """
     if options.no_picture:
         return None
@@ -127,18 +121,18 @@ def try_to_draw(
 
 
 def write_picture(draw: Callable[[Path], None], path: Path) -> None:
-    """Draw a picture that was requested; without matplotlib, raise ModuleNotFoundError."""
+    """Draw a picture and write it; without matplotlib, raise ModuleNotFoundError."""
     try:
         with new_file(path) as temporary:
             draw(temporary)
-    except ImportError as error:  # also raised by a build for another version of numpy
+    except ImportError as error:  # matplotlib may be built for another version of numpy
         raise ModuleNotFoundError(str(error), name='matplotlib') from error
 
 
 def draw_lines(
     axes: Any, times: Floats, values: Floats, names: Sequence[str], linewidth: float
 ) -> None:
-    """Draw one line over time for each column of values, shape (k, n), with labels."""
+    """Draw one line over time for each column of `values`, labelled with a name."""
     for k, name in enumerate(fitting(names, 22)):
         axes.plot(
             times,
@@ -152,7 +146,7 @@ def draw_lines(
 
 
 def thinned(times: Floats, values: Floats, most: int) -> tuple[Floats, Floats]:
-    """Reduce the number of points to the visible ones, with a break at every gap."""
+    """Reduce the number of points to about `most`, with a break at every gap in time."""
     step = max(1, len(times) // most)
     t, y = times[::step], values[::step].copy()
     y[np.flatnonzero(np.diff(t) > 1.5 * step * np.median(np.diff(times)))] = np.nan
@@ -160,7 +154,7 @@ def thinned(times: Floats, values: Floats, most: int) -> tuple[Floats, Floats]:
 
 
 def fewer_ticks(*axes: Any) -> None:
-    """Use small labels, few ticks along y, and little room at the ends of x."""
+    """Use small labels, few ticks on the y axis, and little room at the ends of the x axis."""
     for ax in axes:
         ax.tick_params(labelsize=8.5)
         ax.locator_params(axis='y', nbins=4)
@@ -170,19 +164,14 @@ def fewer_ticks(*axes: Any) -> None:
 def legend_below(
     figure: Any, handles: Sequence[Any], labels: Sequence[str], **options: Any
 ) -> None:
-    """
-    Place a legend below all axes.
-
-    Its ``loc`` is not 'outside lower center', because matplotlib 3.6 does not have that.
-
-    """
+    """Place a legend below all axes; matplotlib 3.6 lacks the location for it."""
     legend = figure.legend(handles, labels, **{'loc': 'lower center', **options})
     height = legend.get_window_extent().height / figure.bbox.height
     figure.get_layout_engine().set(rect=(0.0, height, 1.0, 1.0 - height))
 
 
 def save(figure: Any, path: str | Path) -> None:
-    """Write a figure in the format of the suffix of the path."""
+    """Write a figure in the format that the suffix of the path selects."""
     figure.savefig(path, dpi=DPI)
 
 
