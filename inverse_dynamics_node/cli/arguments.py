@@ -179,7 +179,7 @@ def add_strict(parser: CommandParser, condition: str) -> None:
 
 
 def add_at(parser: CommandParser, which: str) -> None:
-    """Add the option --at; `which` describes its joints in the help."""
+    """Add the option --at; `which` says in the help which joints it sets."""
     parser.add_argument(
         '--at',
         group=ROBOT,

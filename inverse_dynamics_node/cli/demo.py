@@ -221,7 +221,7 @@ class _Result(NamedTuple):
 def _run_identification(
     options: argparse.Namespace, stopped: Callable[[], bool]
 ) -> tuple[ScenarioResult, Draw]:
-    """Record a motion, identify the robot, and repeat the motion; return as `_run_scenario`."""
+    """Record a motion, identify the robot, and repeat the motion; see `_run_scenario`."""
     urdf = str(options.urdf.resolve())
     robot = load_urdf(urdf)
     dynamics = InverseDynamics(robot)

@@ -54,7 +54,7 @@ def choose_node(node: Any, wanted: str | None, is_patient: bool) -> str:
 
 
 def only_one(names: list[str]) -> str:
-    """Return the only name, or an empty text without names; several names are an error."""
+    """Return the only name, or an empty text if there is none; several names are an error."""
     if len(names) > 1:
         raise ConfigurationError(
             f'{len(names)} nodes: {", ".join(names)}; choose one by its name, such as {names[0]}'

@@ -110,7 +110,7 @@ def _size(size: Size) -> str:
 
 
 def _two_digits(value: float) -> str:
-    """Write two significant digits, or all before the decimal point; at most three decimals."""
+    """Write a number with two significant digits; keep all digits before the decimal point."""
     if not math.isfinite(value) or value == 0.0:
         return '0' if value == 0.0 else '-'
     digits = max(0, 1 - math.floor(math.log10(abs(value))))

@@ -164,7 +164,7 @@ def fewer_ticks(*axes: Any) -> None:
 def legend_below(
     figure: Any, handles: Sequence[Any], labels: Sequence[str], **options: Any
 ) -> None:
-    """Place a legend below all axes; matplotlib 3.6 lacks the location for it."""
+    """Place a legend below all axes; matplotlib 3.6 has no location for this."""
     legend = figure.legend(handles, labels, **{'loc': 'lower center', **options})
     height = legend.get_window_extent().height / figure.bbox.height
     figure.get_layout_engine().set(rect=(0.0, height, 1.0, 1.0 - height))
