@@ -31,9 +31,9 @@ examples:
   inverse_dynamics check wall_mounted.urdf --gravity 9.81 0 0
   xacro my_arm.urdf.xacro | inverse_dynamics check - --strict > report.txt
 
-Samples poses over the ranges of all joints (one turn for a joint without limits), and searches for
-worse poses near the worst samples. The payload is a point mass at the origin of the link, held at
-rest; moving it takes more effort, see `inverse_dynamics effort`.
+The command samples poses over the ranges of all joints (one turn for a joint without limits), and
+searches for worse poses near the worst samples. The payload is a point mass at the origin of the
+link, held at rest. Moving the payload takes more effort, see `inverse_dynamics effort`.
 
 exit code: 0 the description can be used; 1 it cannot be used; 2 invalid arguments; 3 there are
 warnings, and --strict was given."""
@@ -196,10 +196,10 @@ def payload_in_words(robot: RobotModel, payload: PayloadCapacity) -> str:
     """Describe the largest payload that the robot can hold, and the joint that limits it."""
     where = f"at the origin of link '{payload.link}'"
     if payload.joint is None:
-        return f'Payload left {where}: unlimited, as it loads no joint with an effort limit.'
+        return f'Payload left {where}: unlimited, because it loads no joint with an effort limit.'
     at = f'{payload.joint} reaches its limit first, at {pose_in_words(robot, payload.pose)}'
     if payload.mass == 0.0:
-        return f'Payload left {where}: none, gravity alone exceeds a limit; {at}.'
+        return f'Payload left {where}: none, because gravity alone exceeds a limit; {at}.'
     return f'Payload left {where}, at rest in every pose: {payload.mass:.3g} kg; {at}.'
 
 
@@ -217,8 +217,8 @@ def pose_in_words(robot: RobotModel, pose: Floats, most: int = 8) -> str:
 def beyond_limits(workspace: Workspace) -> tuple[ModelWarning, ...]:
     """Return warnings about joints that cannot hold the robot in every pose."""
     hint = (
-        'check masses and limit; if both are right, the arm falls in such poses unless springs '
-        'help, which a URDF does not describe'
+        'check the masses and the limit; if they are right, the arm falls in such poses unless it '
+        'has springs, which a URDF does not describe'
     )
     return tuple(
         ModelWarning(

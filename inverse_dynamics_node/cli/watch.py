@@ -45,11 +45,11 @@ examples:
 
 exit code of --for:
     0  model and robot agree
-    3  they differ, or joint states are slow
-    4  it cannot be decided
-    5  efforts are cut to their limits: the arm cannot hold itself, or follow
+    3  model and robot differ, or joint states are slow
+    4  model and robot cannot be compared
+    5  efforts are cut to their limits: the arm cannot hold itself or follow a motion
     6  model and robot agree, but fewer than a quarter of the commanded joints could be checked
-    1  there is no such node
+    1  the node was not found, or there are several nodes
     2  invalid arguments
   130  ended by Ctrl-C"""
 
@@ -72,8 +72,8 @@ def make_parser() -> CommandParser:
     parser = CommandParser(
         'watch',
         'Show the joints and the state of a running node, and whether its model '
-        'agrees with the efforts that the robot measures. Only subscribes. On a terminal the view '
-        'is updated in place; in a pipe there is one line per second.',
+        'agrees with the efforts that the robot measures. The command only subscribes. On a '
+        'terminal, the view is updated in place; in a pipe, one line per second is printed.',
         EPILOG,
     )
     parser.add_argument(
@@ -101,8 +101,8 @@ def make_parser() -> CommandParser:
         '--rate',
         type=_positive,
         metavar='HZ',
-        help='rate at which the robot publishes joint states; less than 80 %% of it is a problem '
-        '(default: half of update_rate is sufficient, or 80 Hz without update_rate)',
+        help='rate at which the robot publishes joint states; below 80 %% of it they are slow '
+        '(by default, below half of update_rate, or below 80 Hz without update_rate)',
     )
     return parser
 
@@ -205,8 +205,8 @@ class _Watch:
         if status is None or silence > _LOST:
             state = 'is starting' if status is None else 'has ended'
             reason = (
-                f'no diagnostics from {observer.name} for {silence:.0f} s: it {state}, or cannot '
-                'be reached'
+                f'no diagnostics from {observer.name} for {silence:.0f} s: the node {state}, or '
+                'cannot be reached'
             )
             cause = Obstacle.NO_DIAGNOSTICS if silence > _LOST else Obstacle.TOO_FEW_SAMPLES
             return Agreement(Outcome.UNDECIDED, cause, reason=reason)

@@ -25,7 +25,7 @@ def _differ(agreement: Agreement) -> str:
     if any(fault.kind is FaultKind.SIGN for fault in agreement.faults):
         parts.append('do not go live')
     if agreement.saturated:
-        parts.append(f'effort cut to its limit: {_listed(agreement.saturated)}')
+        parts.append(f'the effort is cut to its limit: {_listed(agreement.saturated)}')
     return f'{"; ".join(parts)}. {advice(agreement.faults[0]).removesuffix(".")}'
 
 
@@ -52,7 +52,7 @@ def _few_joints(agreement: Agreement) -> str:
 def _saturated(agreement: Agreement) -> str:
     return (
         f'{listed(agreement.saturated)}: the effort is cut to its limit, so the arm cannot hold '
-        'itself or follow; raise effort_limits, or move to another pose; do not go live'
+        'itself or follow a motion; raise effort_limits, or move to another pose; do not go live'
     )
 
 
@@ -77,20 +77,20 @@ def _slow_states(agreement: Agreement) -> str:
 
 def _at_rest(agreement: Agreement) -> str:
     return (
-        f'{listed(agreement.faults[0].joints)}: measured and modelled effort differ at rest, '
-        f'{_sizes(agreement)}: dry friction, or a wrong model; move the arm to decide'
+        f'{listed(agreement.faults[0].joints)}: measured and modelled effort differ at rest '
+        f'({_sizes(agreement)}); the cause is dry friction or a wrong model; move the arm to find '
+        'out which'
     )
 
 
 def _small_efforts(agreement: Agreement) -> str:
     if agreement.has_gravity:
         return (
-            'not compared: the modelled efforts are too small in this position; move the arm to '
-            'another one'
+            'not compared: the modelled efforts are too small in this pose; move the arm to '
+            'another pose'
         )
     return (
-        'not compared: without gravity, the modelled efforts are too small, and so are the '
-        'measured ones; move the arm'
+        'not compared: without gravity, modelled and measured efforts are too small; move the arm'
     )
 
 
@@ -100,13 +100,13 @@ def _listed(names: tuple[str, ...]) -> str:
 
 
 def _sizes(agreement: Agreement) -> str:
-    return ', '.join(_size(size) for size in agreement.sizes)
+    return f'RMS residual {" and ".join(map(_size, agreement.sizes))}'
 
 
 def _size(size: Size) -> str:
     unit = 'N' if size.is_prismatic else 'N m'
     residual, measured = _two_digits(size.residual), _two_digits(size.measured)
-    return f'{residual} {unit} RMS residual of {measured} {unit}'
+    return f'{residual} of {measured} {unit}'
 
 
 def _two_digits(value: float) -> str:
@@ -128,8 +128,9 @@ _OBSTACLES: dict[Obstacle, Callable[[Agreement], str]] = {
         'not compared: joint_states has no efforts; enable them in the driver'
     ),
     Obstacle.ZERO_EFFORTS: lambda agreement: (
-        'not compared: all measured efforts are 0; brakes hold the arm, or the driver does not '
-        'report efforts, or reports them without gravity (then set measured_gravity: excluded)'
+        'not compared: all measured efforts are 0; either brakes hold the arm, or the driver does '
+        'not report efforts, or the driver reports efforts without gravity (then set '
+        'measured_gravity: excluded)'
     ),
     Obstacle.TOO_FEW_SAMPLES: lambda agreement: (
         f'not compared yet: collecting samples, up to {DURATION:g} s'

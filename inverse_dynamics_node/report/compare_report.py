@@ -16,25 +16,28 @@ def verdict(result: ComparisonResult) -> str:
     """Summarize the comparison in one or two sentences."""
     if math.isnan(result.explained):
         opening = '. '.join(sentence(each) for each in result.faults)
-        reason = 'The efforts hardly vary, so that they cannot be compared.'
+        reason = 'The efforts cannot be compared, because they hardly vary.'
         return f'{opening}. {reason}' if opening else reason
     modelled = (
-        f'the model explains {percent(result.explained)} of the measured effort and leaves '
-        f'{_total(result, "rms_residual")} RMS of {_total(result, "rms_measured")}'
+        f'the model explains {percent(result.explained)} of the measured effort (RMS residual '
+        f'{_total(result, "rms_residual")} of {_total(result, "rms_measured")}).'
     )
-    explained, left = percent(result.explained_corrected), _total(result, 'rms_corrected')
+    corrected = (
+        f'the model explains {percent(result.explained_corrected)} (RMS residual '
+        f'{_total(result, "rms_corrected")}).'
+    )
     if result.faults:
         opening = '; '.join(
             sentence(each) if k == 0 else sentence(each)[0].lower() + sentence(each)[1:]
             for k, each in enumerate(result.faults)
         )
         return (
-            f'{opening}. As it is, {modelled}; corrected for this, and with fitted friction, it '
-            f'explains {explained} and leaves {left}.'
+            f'{opening}. Without corrections, {modelled} With corrections and fitted friction, '
+            f'{corrected}'
         )
-    text = f'{modelled[0].upper()}{modelled[1:]}; with fitted friction, {explained} and {left}.'
+    text = f'{modelled[0].upper()}{modelled[1:]} With fitted friction, {corrected}'
     if all(joint.friction.unknown_because for joint in result.joints):
-        text = f'{modelled[0].upper()}{modelled[1:]}; friction cannot be fitted.'
+        text = f'{modelled[0].upper()}{modelled[1:]} Friction cannot be fitted.'
     if result.is_too_short:
         motion = result.motion
         seconds = motion.times[-1] - motion.times[0]
@@ -62,14 +65,15 @@ def comparison_table(result: ComparisonResult, notes: tuple[str, ...]) -> Table:
     rows = [_row(joint) for joint in result.joints]
     columns = ('joint', '', 'measured', 'modelled', 'residual', 'friction', 'corrected', 'noise',
                'explained', 'scale')  # fmt: skip
-    findings_too = ', with the findings above' if result.faults else ''
+    findings_too = ', and with the findings above' if result.faults else ''
     remarks = (
-        'RMS of measured and modelled efforts; residual: measured minus modelled; friction: the '
-        f'same with fitted friction; corrected: with friction and offset{findings_too}; noise: '
-        'what smoothing leaves of the noise, so a residual below it needs no explanation. '
-        'explained: 1 - (corrected / measured)^2. scale: measured is about scale * modelled + an '
-        'offset. Only samples at which the joint moves are used, unless its friction is unknown: '
-        'at rest, dry friction can have any value up to its maximum.',
+        'All efforts are RMS values. Residual: measured minus modelled effort. Friction: residual '
+        'with fitted friction. Corrected: residual with fitted friction and offset'
+        f'{findings_too}. Noise: noise that remains after smoothing; a smaller residual needs no '
+        'explanation. Explained: 1 - (corrected / measured)^2. Scale: the measured effort is '
+        'about scale * modelled effort + offset. Unless the friction of a joint is unknown, '
+        'samples at rest are not used, because dry friction at rest can have any value up to its '
+        'maximum.',
         _quality(result.motion),
         *(f'{note[0].upper()}{note[1:]}.' for note in (*motion_notes(result.motion), *notes)),
     )
@@ -120,17 +124,17 @@ def friction_table(result: ComparisonResult) -> Table:
     if has_shape:
         coulomb, width = '(Coulomb + per load * |modelled effort|)', 'width'
     notes = (
-        f'damping * velocity + {coulomb} * tanh(velocity / {width}) + offset, in N m s/rad and '
-        'N m (prismatic joints: N s/m and N).',
+        f'Friction effort: damping * velocity + {coulomb} * tanh(velocity / {width}) + offset, in '
+        'N m s/rad and N m (prismatic joints: N s/m and N).',
         *(
-            f'{joint.name}: unknown, {joint.friction.unknown_because}.'
+            f'{joint.name}: friction unknown, because {joint.friction.unknown_because}.'
             for joint in result.joints
             if joint.friction.unknown_because
         ),
     )
     columns = ('joint', 'damping', 'Coulomb', 'offset', *(('width', 'per load') * has_shape))
     return Table(
-        'Friction, fitted to the residual (± standard errors, of random errors only)',
+        'Friction, fitted to the residual (± standard errors, which cover random errors only)',
         columns,
         tuple(rows),
         notes,

@@ -70,8 +70,8 @@ def _positions(fault: Fault) -> str:
 
 def _reversed_axis(fault: Fault) -> str:
     is_one = len(fault.joints) == 1
-    axes = 'has its axis' if is_one else 'have their axes'
-    return f'{listed(fault.joints)} {axes} reversed: position, velocity and effort'
+    axes = 'has a reversed axis: its' if is_one else 'have reversed axes: their'
+    return f'{listed(fault.joints)} {axes} position, velocity and effort have the wrong sign'
 
 
 def _delay(fault: Fault) -> str:
@@ -111,7 +111,7 @@ def _gravity_measured(fault: Fault) -> str:
     text = 'the measured efforts contain gravity'
     if fault.is_commanded:
         return f'{text}, although measured_gravity is excluded'
-    return f'{text}, commands do not include it'
+    return f'{text}, but the commands do not'
 
 
 def _mounting(fault: Fault) -> str:
@@ -128,7 +128,9 @@ def _payload(fault: Fault) -> str:
 
 def _rotor(fault: Fault) -> str:
     move = 'moves' if len(fault.joints) == 1 else 'move'
-    return f'{listed(fault.joints)} {move} more inertia than the model has: rotors and gears'
+    return (
+        f'{listed(fault.joints)} {move} more inertia than the model has, probably rotors and gears'
+    )
 
 
 def _joints(text: str) -> Callable[[Fault], str]:
@@ -179,13 +181,13 @@ def _changes(fault: Fault) -> str:
             f'{amount(each.measured, each.is_prismatic)}'
             for each in changes
         )
-        return f'the residual is {left} RMS'
+        return f'the RMS residual is {left}'
     left = ', '.join(
         f'at {each.joint} from {amount(each.before, each.is_prismatic)} to '
         f'{amount(each.after, each.is_prismatic)}'
         for each in changes
     )
-    cause = 'fitting all links' if fault.kind is FaultKind.BODIES else 'this alone'
+    cause = 'fitting all links' if fault.kind is FaultKind.BODIES else 'this cause alone'
     how = 'friction fitted in both cases'
     if fault.kind is FaultKind.BODIES:
         how += ', links fitted to the other half of the recording'
@@ -203,7 +205,7 @@ def _values(fault: Fault, unit: str = '', unit_prismatic: str = '') -> str:
 
 
 def _scale_evidence(fault: Fault) -> str:
-    text = f'the measured effort is the modelled one times {_values(fault)}'
+    text = f'the measured effort is a multiple of the modelled effort: {_values(fault)}'
     if fault.unknown:
         unknown = listed(fault.unknown)
         text += f'; the unit of {unknown} is unknown, because friction dominates'
@@ -212,8 +214,8 @@ def _scale_evidence(fault: Fault) -> str:
 
 def _payload_evidence(fault: Fault) -> str:
     return (
-        f'{fault.values[0]:.3f} kg (standard error of random errors {fault.error:.2g}) at '
-        f'{centre_of_mass(fault)} m in its frame, as a point mass'
+        f'a point mass of {fault.values[0]:.3f} kg (standard error {fault.error:.2g}, which '
+        f'covers random errors only) at {centre_of_mass(fault)} m in its frame'
     )
 
 
@@ -225,7 +227,7 @@ def centre_of_mass(fault: Fault) -> str:
 
 def _order_evidence(fault: Fault) -> str:
     pairs = zip(fault.joints, fault.sources, strict=True)
-    return ', '.join(f'{source} has the effort of {joint}' for joint, source in pairs)
+    return ', '.join(f'{source} reports the effort of {joint}' for joint, source in pairs)
 
 
 def _gravity(fault: Fault) -> str:
@@ -241,11 +243,11 @@ _EVIDENCE: Mapping[FaultKind, Callable[[Fault], str]] = MappingProxyType(
         FaultKind.SCALE: _scale_evidence,
         FaultKind.PAYLOAD: _payload_evidence,
         FaultKind.ROTOR_INERTIA: lambda each: (
-            f'an effort is proportional to the acceleration, {_values(each, "kg m^2", "kg")}'
+            f'an effort is proportional to the acceleration: {_values(each, "kg m^2", "kg")}'
         ),
         FaultKind.OFFSET: lambda each: _values(each, 'N m', 'N'),
         FaultKind.NOT_MEASURED: lambda each: (
-            f'it is always the same value ({_values(each)}), unlike the modelled effort'
+            f'the measured effort is constant ({_values(each)}), but the modelled effort is not'
         ),
     }
 )
@@ -257,36 +259,38 @@ _EVIDENCE: Mapping[FaultKind, Callable[[Fault], str]] = MappingProxyType(
 def _sign_advice(fault: Fault) -> str:
     if fault.is_every_joint:
         return (
-            'The driver reports the reaction of the joint on the drive: change the sign of all '
-            'efforts.'
+            'The driver reports the effort of the joint on the drive, not of the drive on the '
+            'joint: change the sign of all efforts.'
         )
     return (
         'Change the sign in the driver, or of the <axis> in the URDF if positions have the wrong '
-        'sign too. Do not send efforts of the node to this joint before that: they would drive it '
+        'sign too. Until then, do not send efforts of the node to this joint: they would drive it '
         'in the wrong direction.'
     )
 
 
 def _scale_advice(fault: Fault) -> str:
     if not fault.is_every_joint:
-        return 'Compare torque constant, gear ratio and unit with those of the other joints.'
+        return 'Compare the torque constant, gear ratio and unit with those of the other joints.'
     if fault.is_same_factor:
-        return 'The same factor for all joints is a different unit (1000: N mm): convert it.'
+        return _UNIT_ADVICE
     return (
-        'They may be motor currents, or torques before the gears: divide by these factors (each '
-        'is 1 / (torque constant * gear ratio)).'
+        'The values may be motor currents, or torques before the gears. Divide them by these '
+        'factors; each factor is 1 / (torque constant * gear ratio).'
     )
 
 
 def _payload_advice(fault: Fault) -> str:
     if fault.interval is not None:
         return (
-            'If the robot picked up a load, publish it on ~/payload of the node while it is held.'
+            'If the robot picked up a load, publish the load on ~/payload of the node while the '
+            'robot holds it.'
         )
     if fault.values[0] > 0.0:
         return (
-            'Add it to the URDF, or publish it on ~/payload of the node. If nothing is attached '
-            'there, the masses or centres of mass of the last links are wrong by about as much.'
+            'Add this payload to the URDF, or publish it on ~/payload of the node. If nothing is '
+            'attached to the link, masses or centres of mass of the last links are wrong by about '
+            'this mass.'
         )
     return (
         'Remove from the URDF, or from ~/payload of the node, all parts that the robot does not '
@@ -303,14 +307,14 @@ def _mounting_advice(fault: Fault) -> str:
 def _gravity_compensated_advice(fault: Fault) -> str:
     if not fault.is_commanded:
         return (
-            'Unless brakes hold the arm, the driver measures without gravity: set '
+            'Unless brakes hold the arm, the driver reports efforts without gravity: set '
             'measured_gravity: excluded in the node.'
         )
     return (
         'Unless brakes hold the arm, the driver compensates gravity already: set '
         'include_gravity: false in the node. If gravity were compensated twice, the arm would '
-        'move upwards. If the driver leaves gravity out of its measurements only, set '
-        'measured_gravity: excluded.'
+        'move upwards. If the driver only reports efforts without gravity, set '
+        'measured_gravity: excluded instead.'
     )
 
 
@@ -337,30 +341,32 @@ def _offset_advice(fault: Fault) -> str:
     return f'Zero the torque sensors in a pose in which the modelled effort is zero. {cause}'
 
 
+_UNIT_ADVICE = (
+    'The same factor for all joints means a different unit, such as N mm for a factor of 1000. '
+    'Convert the efforts to N m (prismatic joints: N).'
+)
 _ADVICE: Mapping[FaultKind, Callable[[Fault], str]] = MappingProxyType(
     {
         FaultKind.POSITIONS: _fixed(
-            'Convert the positions to rad; check the zero positions, and that the limits belong '
-            'to this robot.'
+            'Convert the positions to rad. Check the zero positions, and whether the limits '
+            'belong to this robot.'
         ),
         FaultKind.REVERSED_AXIS: _fixed(
             'Change the sign of the <axis> in the URDF, or of positions, velocities and efforts '
-            'in the driver. Do not send efforts of the node to this joint before that.'
+            'in the driver. Until then, do not send efforts of the node to this joint.'
         ),
         FaultKind.DELAY: _fixed(
             'The driver may filter the efforts, or publish them later than the positions. '
             'inverse_dynamics identify takes the delay into account.'
         ),
         FaultKind.ORDER: _fixed(
-            'Compare the order of names and efforts in the driver, and the lists of joints in all '
-            'of its files.'
+            'Compare the order of names and efforts in the driver. Compare the lists of joints in '
+            'all files of the driver.'
         ),
         FaultKind.GRAVITY_COMPENSATED: _gravity_compensated_advice,
         FaultKind.GRAVITY_MEASURED: _gravity_measured_advice,
         FaultKind.MOUNTING: _mounting_advice,
-        FaultKind.UNIT: _fixed(
-            'The same factor for all joints is a different unit (1000: N mm): convert it.'
-        ),
+        FaultKind.UNIT: _fixed(_UNIT_ADVICE),
         FaultKind.SIGN: _sign_advice,
         FaultKind.SCALE: _scale_advice,
         FaultKind.PAYLOAD: _payload_advice,
@@ -370,19 +376,20 @@ _ADVICE: Mapping[FaultKind, Callable[[Fault], str]] = MappingProxyType(
         ),
         FaultKind.EXTERNAL_FORCE: _fixed(
             'Somebody or something may have pushed the robot, or it touched its surroundings. '
-            'Leave this time out with --from and --to before you use the friction.'
+            'Leave this time out with --from and --to before you use the fitted friction.'
         ),
         FaultKind.ROTOR_INERTIA: _fixed(
             "Set these values as the parameter 'armature' of the node."
         ),
         FaultKind.OFFSET: _offset_advice,
         FaultKind.NOT_MEASURED: _fixed(
-            'The driver does not measure or does not report it: look for a setting that enables '
-            'it, or leave these joints out of the comparison.'
+            'The driver does not measure or does not report this effort. Look for a setting that '
+            'enables the measurement, or leave these joints out of the comparison.'
         ),
         FaultKind.UNEXPLAINED: _fixed(
-            'The picture of inverse_dynamics compare shows when. Possible causes are contact, a '
-            'wrong link inertia, a drive at its limit, and an effort that is filtered or delayed.'
+            'The picture of inverse_dynamics compare shows when the efforts differ. Possible '
+            'causes are contact, a wrong link inertia, a drive at its limit, and an effort that '
+            'is filtered or delayed.'
         ),
     }
 )

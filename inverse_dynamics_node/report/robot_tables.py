@@ -60,7 +60,7 @@ def _summary(dynamics: InverseDynamics) -> Table:
     listed = ', '.join(f'{number} {kind}' for kind, number in kinds.items())
     mimics = len(robot.parent) - 1 - count
     follow = 'mimics' if mimics == 1 else 'mimic'
-    followers = f', {mimics} of them {follow} another' if mimics else ''
+    followers = f', {mimics} of them {follow} another joint' if mimics else ''
     has_friction = int(np.count_nonzero(robot.damping + robot.friction))
     massless = [
         name
@@ -70,14 +70,16 @@ def _summary(dynamics: InverseDynamics) -> Table:
         if mass == 0.0 and body > 0
     ]
     notes = [
-        f'{np.sum(robot.mass):.4g} kg, of which {moving:.4g} kg move; {len(robot.link_names)} '
-        f'links in {len(robot.parent)} rigid bodies; joints: {listed or "none"}{followers}',
+        f'total mass {np.sum(robot.mass):.4g} kg, moving mass {moving:.4g} kg; '
+        f'{len(robot.link_names)} links in {len(robot.parent)} rigid bodies; joints: '
+        f'{listed or "none"}{followers}',
         f'gravity: {" ".join(f"{g:g}" for g in dynamics.gravity)} m/s^2 in the frame of '
         f"'{robot.body_names[0]}'; the URDF has friction for {has_friction} of {count} joints",
     ]
     if massless:
         notes.append(
-            f'moving links without mass, correct if they are only frames: {", ".join(massless)}'
+            'moving links without mass (correct for links that are only frames): '
+            + ', '.join(massless)
         )
     return Table(f"robot '{robot.name}'", notes=tuple(notes))
 
@@ -90,8 +92,8 @@ def _tree(robot: RobotModel, limits: Floats) -> Table:
     ]
     followers: dict[str, list[str]] = {}
     notes = [
-        'axis: in the frame of the joint. From, to [rad, m], speed [rad/s, m/s] and effort '
-        '[N m, N]: limits, - if there is none. Mass: links between this joint and the next.'
+        'Axis: in the frame of the joint. From, to [rad, m], speed [rad/s, m/s] and effort '
+        '[N m, N]: limits; "-" means no limit. Mass: all links between this joint and the next.'
     ]
     for body in range(1, len(robot.parent)):
         name, joint = robot.body_names[body], int(robot.joint_index[body])
@@ -106,7 +108,7 @@ def _tree(robot: RobotModel, limits: Floats) -> Table:
         kind, axis = kind_of(robot, body), _axis(robot.axis[body])
         rows.append((prefixes[body] + name, kind, axis, *of_joint, f'{robot.mass[body]:.4g}'))
     notes += [
-        f'These mimic the position q of {master}, and their efforts are added to its effort: '
+        f'Joints that mimic the position q of {master}, and add their efforts to its effort: '
         + ', '.join(rules)
         for master, rules in followers.items()
     ]

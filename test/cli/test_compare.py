@@ -53,7 +53,9 @@ def test_finds_the_friction_of_the_simulated_robot(recorded, storage, here, caps
     assert compare('run', '--parameters', 'friction.yaml', '--strict') == 0
     output = capsys.readouterr().out
     assert output.startswith('The model explains ')
-    corrected = re.search(r'with fitted friction, >?([\d.]+)% and', ' '.join(output.split()))
+    corrected = re.search(
+        r'With fitted friction, the model explains >?([\d.]+)%', ' '.join(output.split())
+    )
     assert float(corrected[1]) > 99.0
     parameters = yaml.safe_load((here / 'friction.yaml').read_text())['/**']['ros__parameters']
     assert parameters['joints'] == list(JOINTS)

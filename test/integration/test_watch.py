@@ -149,7 +149,7 @@ def test_gravity_that_a_driver_measures_but_adds_to_commands_is_named(run_node, 
     last = last_object(output)
     assert (code, last['cause']) == (3, 'gravity_measured')
     assert last['sentence'].startswith(
-        'the measured efforts contain gravity, commands do not include it; '
+        'the measured efforts contain gravity, but the commands do not; '
     )
     assert last['sentence'].endswith(
         'Is this intended? If the driver adds gravity to the commands, set measured_gravity: '

@@ -169,7 +169,7 @@ def test_advice_for_an_offset_depends_on_the_kind_of_measurement(friction, is_mo
 
 def test_standard_errors_are_limited_to_random_errors_in_the_headline():
     result = diagnose_recording(*run('branched', rate=100.0, friction=(0.5, 0.5)))
-    assert 'standard errors, of random errors only' in friction_table(result).title
+    assert 'standard errors, which cover random errors only' in friction_table(result).title
 
 
 @EVERY_ROBOT
@@ -237,7 +237,7 @@ def test_efforts_that_were_filtered_before_are_reported(name, rate):
     filtered = sosfiltfilt(sos, recording.efforts, axis=0)
     result = diagnose_recording(dynamics, recording._replace(efforts=filtered))
     assert 1.0 < result.motion.cut_off < 5.0
-    assert any('low-pass filtered' in note for note in motion_notes(result.motion))
+    assert any('a low-pass filter' in note for note in motion_notes(result.motion))
     assert all(math.isnan(joint.noise) for joint in result.joints)
     for quantum in (1e-9, 0.05):
         raw = quantum * np.round(recording.efforts / quantum)

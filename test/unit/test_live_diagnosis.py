@@ -58,7 +58,7 @@ def test_sentence_of_an_agreement_has_residual_and_effort():
     robot, samples = samples_of()
     text = sentence(diagnose_samples(samples, robot, GRAVITY))
     assert text == (
-        'model and robot agree: 0.13 N m RMS residual of 4.8 N m, 0.75 N RMS residual of 57 N; '
+        'model and robot agree: RMS residual 0.13 of 4.8 N m and 0.75 of 57 N; '
         'not checked, because the efforts are small: joint_6'
     )
 
@@ -73,8 +73,8 @@ def test_swapped_sign_of_one_joint_is_named(joint, moves):
     assert sentence(agreement).startswith(f'{joint} has its sign swapped; ')
     assert sentence(agreement).endswith(
         ' N; do not go live. Change the sign in the driver, or of the <axis> in the URDF if '
-        'positions have the wrong sign too. Do not send efforts of the node to this joint before '
-        'that: they would drive it in the wrong direction'
+        'positions have the wrong sign too. Until then, do not send efforts of the node to this '
+        'joint: they would drive it in the wrong direction'
     )
 
 
@@ -199,7 +199,7 @@ def test_gravity_that_contradicts_the_convention_is_named(name, convention, move
     kind = FaultKind.GRAVITY_MEASURED if has_gravity else FaultKind.GRAVITY_COMPENSATED
     assert [fault.kind for fault in agreement.faults] == [kind]
     headline, advice = {
-        (False, False): ('contain gravity, commands do not include it', 'measured_gravity: incl'),
+        (False, False): ('contain gravity, but the commands do not', 'measured_gravity: incl'),
         (False, True): ('lack gravity, although measured_', 'measured_gravity: excluded'),
         (True, False): ('contain gravity, although measured_', 'measured_gravity: as_commanded'),
         (True, True): ('lack gravity', 'include_gravity: false'),
@@ -254,7 +254,7 @@ def test_small_difference_at_rest_may_be_friction():
     measured[:, 4] += 0.8
     agreement = diagnose_samples(samples._replace(measured=measured), robot, GRAVITY)
     assert (agreement.outcome, agreement.cause) == (Outcome.UNDECIDED, Obstacle.AT_REST)
-    assert 'move the arm to decide' in sentence(agreement)
+    assert 'move the arm to find out' in sentence(agreement)
 
 
 def test_efforts_that_are_not_measured_cannot_be_compared():
@@ -360,7 +360,7 @@ class TestSaturation:
         robot, samples = samples_of()
         agreement = judged(flipped(samples, 'joint_3'), robot, saturated=['joint_2'])
         assert agreement.cause is FaultKind.SIGN
-        assert '; effort cut to its limit: joint_2. ' in sentence(agreement)
+        assert '; the effort is cut to its limit: joint_2. ' in sentence(agreement)
 
 
 class TestFewJoints:
