@@ -101,7 +101,7 @@ def add_gravity(parser: CommandParser) -> None:
 
 def add_link(parser: CommandParser, role: str = '') -> None:
     """Add the option --link; `role` describes a second role of the link in the help."""
-    text = 'link that carries the payload (default: tool0, else the end of the longest chain)'
+    text = 'link that carries the payload (default: tool0, or the end of the longest chain)'
     parser.add_argument('--link', group=ROBOT, help=text + role)
 
 
@@ -122,7 +122,7 @@ def add_node_parameters(parser: CommandParser) -> None:
         '--node-parameters',
         type=Path,
         metavar='FILE',
-        help='parameter file of the node, whose include_gravity, measured_gravity and '
+        help='parameter file of the node; its parameters include_gravity, measured_gravity and '
         'measured_effort_scale say what the recorded efforts contain',
     )
 
@@ -166,8 +166,8 @@ def add_force(parser: CommandParser) -> None:
         '--force',
         group=RESULT,
         action='store_true',
-        help='replace files that exist; unchanged outputs of earlier calls are replaced anyway, '
-        'inputs never',
+        help='replace existing files, except for inputs; unchanged outputs of earlier calls are '
+        'replaced even without this option',
     )
 
 

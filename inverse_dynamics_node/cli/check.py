@@ -45,9 +45,9 @@ def make_parser() -> CommandParser:
     """Return the parser of the command."""
     parser = CommandParser(
         'check',
-        'Report on a robot description. A verdict comes first; then tree, masses and limits, '
-        'gravity efforts over the workspace compared with the effort limits, the payload that the '
-        'limits allow, and warnings with hints.',
+        'Report on a robot description. A verdict comes first. Then the command prints the tree, '
+        'masses and limits, the gravity efforts over the workspace with the effort limits, the '
+        'payload that these limits allow, and warnings with hints.',
         EPILOG,
         own='search',
     )

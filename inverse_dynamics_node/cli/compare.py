@@ -38,16 +38,17 @@ examples:
   inverse_dynamics compare my_arm.urdf run.mcap --node-parameters driver.yaml
   inverse_dynamics compare my_arm.urdf run.csv --link tool0 --payload 1.5,0,0,0.05
 
-The recording is a rosbag2 folder, or one .mcap or .db3 file, with sensor_msgs/msg/JointState that
-has efforts; or a .csv file with a header of `time` [s] and, for each joint, `<joint>.position` (or
-just `<joint>`), `<joint>.velocity` (optional) and `<joint>.effort`. Twenty seconds in which every
-joint moves in both directions, at different speeds, are enough.
+The recording is a rosbag2 folder, a .mcap file or a .db3 file with sensor_msgs/msg/JointState that
+has efforts. It can also be a .csv file with these columns: `time` [s] and, for each joint,
+`<joint>.position` (or just `<joint>`), `<joint>.velocity` (optional) and `<joint>.effort`. Twenty
+seconds are enough if every joint moves in both directions, at different speeds.
 
-Differences that it can diagnose: a swapped sign; a reversed axis; positions in degrees; efforts
-that are currents, in another unit, or late; gravity compensated by the driver; a different
+The command can diagnose these differences: a swapped sign; a reversed axis; positions in degrees;
+efforts that are currents, in another unit, or late; gravity compensated by the driver; a different
 mounting of the base; a payload; joints in another order; inertia of rotors; an offset; a driver
-that does not measure; several wrong links. Loads, pushes and a base that tilts may last for a part
-of the recording. Friction is fitted separately, and --parameters writes it for the node.
+that does not measure; several wrong links. A load, a push or a tilt of the base may last for only
+a part of the recording. Friction is fitted separately; --parameters writes the friction for the
+node.
 
 exit code: 0 compared; 1 the recording cannot be compared; 2 invalid arguments; 3 there are
 warnings, and --strict was given."""
@@ -60,7 +61,7 @@ def make_parser() -> CommandParser:
     parser = CommandParser(
         'compare',
         'Compare the measured efforts of a recording with the modelled ones, fit '
-        'friction, and diagnose the differences. Also writes a picture.',
+        'friction, and diagnose the differences. The command also writes a picture.',
         EPILOG,
     )
     arguments.add_urdf(parser)
@@ -74,7 +75,7 @@ def make_parser() -> CommandParser:
     parser.add_argument(
         '--to', dest='end', type=float, metavar='S', help='ignore later samples [s]'
     )
-    role = '; the only link searched for an unknown payload (default: all tips)'
+    role = '; only this link is searched for an unknown payload (default: all tips)'
     arguments.add_link(parser, role)
     arguments.add_payload(parser)
     arguments.add_gravity(parser)

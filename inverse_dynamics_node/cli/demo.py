@@ -233,8 +233,8 @@ def _run_identification(
     setup = DemoSetup(urdf, robot, motion.sample(0.0)[0], options.duration, options.link)
     truth = unknown_robot(setup)
     say(
-        'The simulated robot has other masses and centres of mass than the URDF, and friction '
-        'and rotors that the URDF leaves out.'
+        'The masses and centres of mass of the simulated robot differ from the URDF. The robot '
+        'also has friction and rotors, which the URDF does not contain.'
     )
     result = _runs(setup, motion, truth, options, stopped)
     outcome = check_identification(setup, *result.errors, result.identified.accepted)

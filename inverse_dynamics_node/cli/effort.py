@@ -78,16 +78,16 @@ def make_parser() -> CommandParser:
         '--smooth',
         type=_rate,
         metavar='HZ',
-        help='for measured states: remove faster changes from the positions as noise, and derive '
-        'velocities and accelerations from them',
+        help='for measured states: remove changes above this frequency from the positions, and '
+        'derive velocities and accelerations from the result',
     )
     parser.add_argument(
         '--rate',
         type=_rate,
         default=200.0,
         metavar='HZ',
-        help='least number of evaluated states per second; 0: only the points of the trajectory '
-        '(default: %(default)g)',
+        help='smallest number of states per second to evaluate; 0: only the points of the '
+        'trajectory (default: %(default)g)',
     )
     arguments.add_gravity(parser)
     parser.add_argument(
@@ -135,8 +135,8 @@ def run(options: argparse.Namespace) -> int:
     if options.smooth:
         whole = smooth(source.trajectory, options.smooth)
         derived: tuple[str, ...] = (
-            f'resampled evenly and smoothed at {options.smooth:g} Hz; velocities and '
-            'accelerations derived from the result',
+            f'positions resampled evenly and smoothed at {options.smooth:g} Hz; velocities and '
+            'accelerations derived from these positions',
         )
     else:
         whole, derived = complete(source.trajectory)

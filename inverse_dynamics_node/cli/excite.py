@@ -46,9 +46,9 @@ examples:
 The links stay 2 cm apart from each other, from the floor and from each --box, according to the
 collision shapes of the URDF. A payload has no shape: enclose it in a collision shape of the URDF.
 The straight way from the pose of --at to the start is checked too. Rehearse the motion with
---speed 0.2: the same path, five times slower. The motion is a JointTrajectory without efforts, as
-a joint_trajectory_controller expects it. A second file moves the arm slowly to the start pose.
-Send it first. Record /joint_states during the motion.
+--speed 0.2: the path is the same, five times slower. The motion is a JointTrajectory without
+efforts, as a joint_trajectory_controller expects it. A second file moves the arm slowly to the
+start pose. Send this second file first. Record /joint_states during the motion.
 
 exit code: 0 done; 1 no safe motion was found, or a file cannot be read or written; 2 invalid
 arguments."""
@@ -65,8 +65,8 @@ def make_parser() -> CommandParser:
     parser = CommandParser(
         'excite',
         'Find the motion within the limits from which masses and friction can be '
-        'identified best. Writes it as CSV and as JointTrajectory, with a picture, and reports '
-        'the space that it takes and the standard errors to expect.',
+        'identified best. The command writes the motion as CSV and as JointTrajectory, draws a '
+        'picture, and reports the space of the motion and the standard errors to expect.',
         EPILOG,
         own='motion',
     )
@@ -95,7 +95,7 @@ def _add_limits(parser: CommandParser) -> None:
         default=[],
         type=_range,
         metavar='JOINT=LOW:HIGH',
-        help='range of a joint, to be used in full [rad, m]; may be repeated',
+        help='range that the motion of a joint may use in full [rad, m]; may be repeated',
     )
     arguments.add_at(parser, 'does not move, or of any joint before the motion')
     parser.add_argument(
@@ -145,7 +145,7 @@ def _add_motion(parser: CommandParser) -> None:
         type=_speed,
         default=1.0,
         metavar='FACTOR',
-        help='speed at which to write the motion, up to 1; 0.2 to rehearse it (default: 1)',
+        help='factor of the speed of the motion, up to 1; 0.2 for a rehearsal (default: 1)',
     )
     parser.add_argument(
         '--noise',
@@ -232,7 +232,7 @@ def run(options: argparse.Namespace) -> int:
     written = [
         f'{csv}: the motion, with modelled efforts',
         f'{yaml}: the motion as JointTrajectory',
-        f'{start}: to its start pose within {_seconds_to_start(excitation):g} s, from anywhere',
+        f'{start}: the way from any pose to the start, in {_seconds_to_start(excitation):g} s',
     ]
     drawing = partial(draw, dynamics, excitation, trajectory, efforts, box, options.urdf.name)
     if path := try_to_draw(drawing, options, f'{stem}.png'):
@@ -290,12 +290,12 @@ def _floor(text: str) -> float:
     except ValueError:
         height = math.nan
     if not math.isfinite(height):
-        raise argparse.ArgumentTypeError(f"'{text}' is not a height, or none")
+        raise argparse.ArgumentTypeError(f"'{text}' is neither a height nor 'none'")
     return height
 
 
 def _speed(text: str) -> float:
     speed = _positive(text)
     if speed > 1.0:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a factor above 0, up to 1")
+        raise argparse.ArgumentTypeError(f"'{text}' is not a factor above 0 and up to 1")
     return speed

@@ -37,12 +37,13 @@ examples:
   inverse_dynamics identify my_arm.urdf run.mcap --fixed base_link gripper_base
 
 Recordings are those of `inverse_dynamics compare`: rosbag2 folders, .mcap, .db3 or .csv files with
-measured efforts. Good ones move all joints at the same time, in varied poses, slowly and fast, in
-both directions, for 30 s or more; `inverse_dynamics excite` plans such a motion. Without
---validate, the result is evaluated on blocks of the recordings that were left out in turn.
+measured efforts. Record motions of all joints at the same time, in varied poses, slowly and fast,
+in both directions, for 30 s or more; `inverse_dynamics excite` plans such a motion. Without
+--validate, blocks of the recordings are left out in turn, and the result is evaluated on them.
 
-The result stays close to the URDF where the recordings say little, and is always physical. If it
-does not predict unseen data better than the URDF with fitted friction, only friction is written.
+Where the recordings give little information, the result stays close to the URDF. The result is
+always physical. If the identified model does not predict unseen data better than the URDF with
+fitted friction, only the friction is written.
 
 exit code: 0 identified; 1 a recording cannot be used; 2 invalid arguments; 3 the identified model
 was not accepted, and --strict was given."""
@@ -55,7 +56,7 @@ def make_parser() -> CommandParser:
     parser = CommandParser(
         'identify',
         'Identify masses, centres of mass, inertias, friction and armature from '
-        'recordings, and write a calibrated URDF. Also writes a picture.',
+        'recordings, and write a calibrated URDF and a picture.',
         EPILOG,
     )
     arguments.add_urdf(parser)
@@ -72,7 +73,7 @@ def make_parser() -> CommandParser:
         action='append',
         default=[],
         metavar='RUN',
-        help='recording to evaluate the result with, not used for the fit; may be repeated',
+        help='recording that is used to evaluate the result, not to fit it; may be repeated',
     )
     parser.add_argument(
         '--output',

@@ -94,7 +94,7 @@ def _headline(observer: Observer, agreement: Agreement) -> Any:
         text.append(f"  robot '{observer.robot.name}'", 'not bold')
     status = observer.status
     if status is None:
-        text.append('  waiting for its diagnostics', 'not bold yellow')
+        text.append('  waiting for diagnostics', 'not bold yellow')
         return text
     if agreement.obstacle is Obstacle.NO_DIAGNOSTICS:
         text.append('  NO DIAGNOSTICS', 'bold red')
@@ -136,7 +136,7 @@ def _joint_table(observer: Observer, sample: Sample, agreement: Agreement, width
             style='bold red' if marked else '',
         )
     if not table.rows:
-        table.add_row(_text('no joint yet'))
+        table.add_row(_text('no joints yet'))
     return table
 
 

@@ -20,7 +20,7 @@ def node_name(text: str) -> str:
     """Check the name of a node on the command line."""
     if not re.fullmatch(r'/?(\w+/)*[A-Za-z_]\w*', text, re.ASCII):
         raise argparse.ArgumentTypeError(
-            f"'{text}' cannot be the name of a node: letters, digits and _, with / between them"
+            f"'{text}' cannot be the name of a node: use letters, digits and _, separated by /"
         )
     return text
 
@@ -57,7 +57,8 @@ def only_one(names: list[str]) -> str:
     """Return the only name, or an empty text if there is none; several names are an error."""
     if len(names) > 1:
         raise ConfigurationError(
-            f'{len(names)} nodes: {", ".join(names)}; choose one by its name, such as {names[0]}'
+            f'there are {len(names)} nodes: {", ".join(names)}; choose one by its name, such as '
+            f'{names[0]}'
         )
     return names[0] if names else ''
 

@@ -34,7 +34,7 @@ examples:
 
 Record the same motion twice, without and with the payload: 20 s or more in which all joints move
 slowly, up and down, in both directions. Or let the arm rest in 6 to 8 poses for 2 s each, and
-approach each from the same side. The recordings are those of `inverse_dynamics compare`.
+approach each pose from the same side. The recordings are those of `inverse_dynamics compare`.
 
 exit code: 0 measured; 1 a recording cannot be used, or the node did not take the payload;
 2 invalid arguments; 3 the recordings do not show the mass, or not all of the centre of mass."""
@@ -48,7 +48,8 @@ def make_parser() -> CommandParser:
     parser = CommandParser(
         'payload',
         'Measure mass and centre of mass of a payload from two recordings of the same motion, '
-        'with and without it. Prints the message for the node, and an <inertial>.',
+        'with and without the payload. The command prints the payload as a message for the node '
+        'and as an <inertial> element.',
         EPILOG,
     )
     arguments.add_urdf(parser)
@@ -75,8 +76,8 @@ def make_parser() -> CommandParser:
         const=True,
         type=node_name,
         metavar='NODE',
-        help='publish the payload to a running node, and wait until the node has it (needs ROS 2; '
-        'default: the only node there is)',
+        help='publish the payload to a running node, and wait until the node has the payload '
+        '(needs ROS 2; default: the only node)',
     )
     arguments.add_picture(parser)
     arguments.add_force(parser)
@@ -93,8 +94,8 @@ def run(options: argparse.Namespace) -> int:
     convention, scale = measured_efforts(options.node_parameters, robot.joint_names)
     if options.empty is None and not convention.in_measured:
         raise ConfigurationError(
-            f'{options.node_parameters}: the recorded efforts do not contain gravity; expected a '
-            'recording without the payload, --empty'
+            f'{options.node_parameters}: the recorded efforts do not contain gravity, so a '
+            'recording without the payload is needed: use --empty'
         )
     loaded, _ = read_recording(options.loaded, robot, options.topic, scale)
     empty = None

@@ -9,22 +9,23 @@ from ..simulation.drivers import DRIVERS, TORQUES
 from .arguments import CommandParser
 
 EPILOG = """\
-The robot publishes joint_states with efforts, and is held by a position controller. Once commands
-have arrived for 1.5 s and have stopped rising, it follows them, as behind a
-forward_command_controller; when they stop, the position controller takes over after 0.5 s.
+The robot publishes joint_states with efforts. At first, a position controller holds the robot.
+When commands have arrived for 1.5 s and have stopped rising, the robot follows the commands, as
+behind a forward_command_controller. When the commands stop, the position controller takes over
+after 0.5 s.
 
-Its velocities are supervised: if a joint exceeds twice its velocity limit (12.6 rad/s or 2 m/s if
+The velocities are supervised: if a joint exceeds twice its velocity limit (12.6 rad/s or 2 m/s if
 the URDF has none), the position controller brakes the robot and holds it. Commands are then
 ignored until they have paused for 0.5 s: set the parameter dry_run of the node to true and back.
 
-Topics of its own change the robot without the node being informed: ~/payload
-(geometry_msgs/InertiaStamped) attaches a load to a link, ~/push (geometry_msgs/WrenchStamped)
-pushes it. The service ~/hold (std_srvs/SetBool) lets the position controller hold the robot, to
-change its load, or releases it; ~ is /simulated_robot.
+Two topics change the robot without informing the node: ~/payload (geometry_msgs/InertiaStamped)
+attaches a load to a link, and ~/push (geometry_msgs/WrenchStamped) pushes the robot. The service
+~/hold (std_srvs/SetBool) lets the position controller hold the robot while its load is changed, or
+releases the robot. The prefix ~ stands for /simulated_robot.
 
-With --driver, the robot takes commands and reports efforts by the conventions of a driver, on its
-topics; the commands of a driver that needs a relay are taken from the node itself. doc/robots.md
-describes the drivers, and config/robots has a parameter file for each.
+With --driver, the robot follows the conventions of a driver for commands, efforts and topics. If
+the driver needs a relay, the robot takes the commands from the node itself. doc/robots.md
+describes the drivers, and config/robots has a parameter file for each driver.
 {drivers}
 
 examples:
@@ -50,19 +51,19 @@ def make_parser() -> CommandParser:
     )
     parser.add_argument('urdf', type=Path, help='the robot description')
     parser.add_argument(
-        '--driver', metavar='NAME', choices=DRIVERS, help='play a driver; its name is in the list'
+        '--driver', metavar='NAME', choices=DRIVERS, help='driver to imitate, from the list below'
     )
     parser.add_argument(
         '--commands',
         metavar='TOPIC',
         help='topic of the commands, in the order of the joints in the URDF '
-        f'(default: {TORQUES.commands}, or that of the driver)',
+        f'(default: {TORQUES.commands}, or the topic of the driver)',
     )
     parser.add_argument('--namespace', default='', help='namespace of the topics (default: none)')
     parser.add_argument(
         '--sway',
         action='store_true',
-        help='until commands arrive, the position controller moves every joint back and forth',
+        help='let the position controller move all joints back and forth until commands arrive',
     )
     parser.add_argument(
         '--friction', action='store_true', help='give the joints the friction of the URDF'
@@ -78,7 +79,7 @@ def make_parser() -> CommandParser:
         '--rate',
         type=float,
         metavar='HZ',
-        help=f'rate of joint states (default: {TORQUES.rate:g}, or a usual one of the driver)',
+        help=f'rate of joint states (default: {TORQUES.rate:g}, or the usual rate of the driver)',
     )
     return parser
 

@@ -74,8 +74,8 @@ def _motion(
         f'{axis} {low:.2f} to {high:.2f}' for axis, low, high in zip('xyz', *box, strict=True)
     )
     notes = [
-        f'{excitation.series.harmonics} harmonics of {1.0 / trajectory.times[-1]:.3g} Hz; at rest '
-        'at both ends, in the pose of the column "start"',
+        f'{excitation.series.harmonics} harmonics of {1.0 / trajectory.times[-1]:.3g} Hz; the '
+        'motion starts and ends at rest, in the pose of the column "start"',
         f'space of the links: {sides} m in the frame of the base; a payload is not included',
         *_distances(excitation),
         *excitation.limits.notes,
@@ -99,12 +99,12 @@ def _distances(excitation: Excitation) -> list[str]:
     if clearance is None:
         return ['collisions are not checked']
     notes = [
-        'smallest distances, on the way to the start too: '
+        'smallest distances, including the way to the start: '
         + (', '.join(said) or 'more than 0.3 m')
     ]
     if clearance.unchecked:
         pairs = listed(clearance.unchecked)
-        notes.append(f'not checked, as they are near each other in many poses: {pairs}')
+        notes.append(f'not checked, because they are close to each other in many poses: {pairs}')
     return notes
 
 
@@ -133,10 +133,10 @@ def _joints(robot: RobotModel, excitation: Excitation, errors: ExpectedErrors) -
         tuple(rows),
         (
             f'assumed: measured efforts with the noise in the first column, {count:g} independent '
-            f'samples in {duration:g} s, and no other errors; more runs reduce all errors, four '
-            'runs by half',
-            'efforts: those that the identified model predicts in random states within the limits',
-            f'{errors.count} unknowns, log det of their information '
+            f'samples in {duration:g} s, and no other errors; four runs halve all errors',
+            'efforts: errors of the efforts that the identified model predicts in random states '
+            'within the limits',
+            f'{errors.count} unknowns; log det of their information matrix: '
             f'{excitation.log_det + errors.count * math.log(count):.4g}; the errors are '
             f'{gain:.2f} times smaller (geometric mean) than those of the best of {CANDIDATES} '
             'random motions within the same limits',
@@ -155,8 +155,8 @@ def _bodies(errors: ExpectedErrors) -> Table:
         ('joint', 'mass [kg]', 'mass x distance [kg m]', 'inertia [kg m^2]'),
         tuple(rows),
         (
-            'the largest of each kind; combinations of parameters that only act together are '
-            'listed under one of them, and "-" means that none is left',
+            'each number is the largest error of its kind; a combination of parameters that only '
+            'act together is listed at one joint; "-" means that no combination is listed there',
         ),
     )
 

@@ -39,11 +39,11 @@ def residual_table(result: IdentificationResult) -> Table:
     columns = ('joint', 'measured', 'URDF', '+ friction', 'identified', 'noise', 'raw', '',
                'fitted: + friction', 'identified')  # fmt: skip
     notes = (
-        f'RMS of the measured effort and of its difference to three models, smoothed over '
-        f'{1e3 * result.unseen.smoothing:.0f} ms. Left: unseen data, {result.unseen.description}. '
-        'Right: the data that were fitted. Noise: the part of the residual that no model can '
-        'explain, estimated from the high frequencies of the efforts. Raw: what the identified '
-        'model leaves of the efforts as they were recorded.',
+        'RMS of the measured effort, and of its residuals with three models, smoothed over '
+        f'{1e3 * result.unseen.smoothing:.0f} ms. Left columns: unseen data, '
+        f'{result.unseen.description}. Right columns: the data that were fitted. Noise: residual '
+        'that no model can explain, estimated from the high frequencies of the efforts. Raw: '
+        'residual of the identified model without smoothing.',
     )
     return Table('Measured minus modelled efforts', columns, tuple(rows), notes, frozenset({7}))
 
@@ -53,15 +53,15 @@ def friction_table(result: IdentificationResult) -> Table:
     rows = [_friction_row(joint) for joint in result.joints]
     columns = ('joint', 'damping', 'Coulomb', 'width', 'per load', 'armature', 'offset')
     notes = (
-        'damping * velocity + (Coulomb + per load * |effort of the links|) * tanh(velocity / '
-        'width) + armature * acceleration + offset, in N m, rad and s (prismatic joints: N, m, '
-        's). Standard errors contain random errors and the spread between blocks of the '
-        'recordings. An armature or a load friction that does not improve the prediction is left '
-        'out.',
+        'Effort of the joint: damping * velocity + (Coulomb + per load * |effort of the links|) * '
+        'tanh(velocity / width) + armature * acceleration + offset, in N m, rad and s (prismatic '
+        'joints: N, m, s). Standard errors contain random errors and the spread between blocks of '
+        'the recordings. An armature or a load friction that does not improve the prediction is '
+        'left out.',
         *_extra_notes(result),
         *_gain_notes(result),
         *(
-            f'{joint.name}: friction unknown, {joint.unknown_because}.'
+            f'{joint.name}: friction unknown, because {joint.unknown_because}.'
             for joint in result.joints
             if joint.unknown_because
         ),
@@ -78,8 +78,8 @@ def _extra_notes(result: IdentificationResult) -> list[str]:
         if terms.stiffness:
             value = with_error(terms.stiffness, terms.errors['stiffness'])
             notes.append(
-                f'{joint.name}: {value} {force}/{unit} * (position - {terms.rest:.3g} {unit}) of '
-                'a spring or counterweight.'
+                f'{joint.name}: a spring or counterweight has the effort {value} {force}/{unit} * '
+                f'(position - {terms.rest:.3g} {unit}).'
             )
         if terms.sqrt_damping:
             value = with_error(terms.sqrt_damping, terms.errors['sqrt_damping'])
@@ -89,8 +89,8 @@ def _extra_notes(result: IdentificationResult) -> list[str]:
             )
         if terms.coupling:
             notes.append(
-                f'{joint.name}: the drive has the velocity of the joint + {terms.coupling:.3g} * '
-                f'that of {joint.coupled_with[0]}, and acts on both.'
+                f'{joint.name}: the drive has the velocity of this joint + {terms.coupling:.3g} * '
+                f'the velocity of {joint.coupled_with[0]}, and acts on both joints.'
             )
     return notes
 
@@ -101,7 +101,7 @@ def _gain_notes(result: IdentificationResult) -> list[str]:
         for joint in result.joints
         if joint.gain is not None
     ]
-    return [f'Efforts are currents times gains: {", ".join(gains)}.'] if gains else []
+    return [f'The efforts are currents times these gains: {", ".join(gains)}.'] if gains else []
 
 
 def _friction_row(joint: JointResult) -> tuple[str, ...]:
@@ -144,15 +144,14 @@ def body_table(result: IdentificationResult) -> Table:
                'on its own')  # fmt: skip
     merged = [body for body in result.bodies if len(body.links) > 1]
     notes = [
-        'On its own: how far the recordings determine this mass alone, whatever the other masses '
-        'are; the rest of what is known comes from the robot description. Masses that no effort '
-        'depends on keep their value. Centres of mass are in the frame of the joint that moves '
-        'the link.',
+        'On its own: how far the recordings determine this mass, whatever the other masses are; '
+        'the other information comes from the robot description. A mass that influences no effort '
+        'keeps its value. Centres of mass are in the frame of the joint that moves the link.',
         *(
             [
-                '*: the recordings hardly determine this mass on its own. It changed together '
-                'with other parameters of the bodies, because the efforts depend only on '
-                'combinations of them: the efforts are right, but the mass may be wrong.'
+                '*: the recordings hardly determine this mass on its own. The mass changed '
+                'together with other parameters, because the efforts depend only on combinations '
+                'of parameters. The efforts are right, but the mass may be wrong.'
             ]
             if any(map(_follows_others, result.bodies))
             else []
@@ -163,7 +162,7 @@ def body_table(result: IdentificationResult) -> Table:
         ),
     ]
     if result.fixed:
-        notes.append(f'Kept as they are: {", ".join(result.fixed)}.')
+        notes.append(f'Links that keep their values: {", ".join(result.fixed)}.')
     if not result.accepted:
         notes.append('These values were not accepted and are not written.')
     return Table('Bodies', columns, tuple(rows), tuple(notes))
@@ -181,14 +180,14 @@ def summary_lines(result: IdentificationResult) -> tuple[str, ...]:
     if math.isfinite(result.delay_error):
         late = 'late' if result.delay >= 0.0 else 'early'
         delay = (
-            f'; efforts are {abs(result.delay) * 1e3:.1f} ± '
+            f'; the efforts are {abs(result.delay) * 1e3:.1f} ± '
             f'{result.delay_error * 1e3:.1f} ms {late}'
         )
-        delay += ', which the fit removed' if result.delay_removed else ''
+        delay += '; the fit removed this delay' if result.delay_removed else ''
     return (
         f'{result.sample_count} samples over {significant(result.duration)} s; efforts and all '
-        f'columns of the fit smoothed over {result.smoothing * 1e3:.0f} ms; weight of the '
-        f'robot description {result.urdf_weight:.3g}, by cross-validation{delay}.',
+        f'columns of the fit are smoothed over {result.smoothing * 1e3:.0f} ms; the weight of the '
+        f'robot description is {result.urdf_weight:.3g}, from cross-validation{delay}.',
         *(f'{note}.' for note in notes_of(result)),
     )
 

@@ -14,9 +14,9 @@ from .quantities import with_error
 from .tables import Table
 
 _WITHOUT_EMPTY = (
-    'Without an empty run, errors in the links look like a payload, of 0.02 to 1.5 kg on real '
-    'robots. The standard error includes only a guess of these errors: record the same motion '
-    'without the payload, and pass it as --empty.'
+    'Without an empty run, errors in the modelled links look like a payload. On real robots, this '
+    'apparent payload was 0.02 to 1.5 kg. The standard error includes only a guess of these '
+    'errors: record the same motion without the payload, and use this recording with --empty.'
 )
 
 
@@ -25,8 +25,8 @@ def verdict(result: PayloadEstimate) -> str:
     mass = f'{with_error(result.body.mass, result.mass_error)} kg'
     if not result.is_certain:
         return (
-            f"No payload can be seen on link '{result.link}': {mass}, expected a mass above three "
-            'standard errors.'
+            f"No payload can be seen on link '{result.link}': the measured mass is {mass}, "
+            'expected more than three standard errors.'
         )
     text = f"Link '{result.link}' carries {mass}"
     if not result.unknown:
@@ -50,20 +50,20 @@ def payload_table(
         slides = bool(robot.is_prismatic_joint[robot.joint_names.index(name)])
         rows.append((name, amount(measured, slides), amount(left, slides)))
     compared = f'{result.poses} poses' if result.poses else f'{result.duration:.1f} s of motion'
+    what = 'these poses' if result.poses else 'this motion'
     if math.isnan(result.matched):
-        notes = [f'From {compared}. {_WITHOUT_EMPTY}']
+        notes = [f'Measured from {compared}. {_WITHOUT_EMPTY}']
     else:
-        notes = [f'From {compared}; the empty run covers {result.matched:.0%} of this.']
+        notes = [f'Measured from {compared}; the empty run covers {result.matched:.0%} of {what}.']
     if apparent is not None:
         mass = with_error(apparent.body.mass, apparent.mass_error)
         notes.append(
-            f'Alone, the empty run looks like a payload of {mass} kg, which --empty removes.'
+            f'The empty run alone looks like a payload of {mass} kg; --empty removes this error.'
         )
     if not result.shows_inertia:
         notes.append('The inertia is assumed: the recordings do not show it.')
-    columns = ('joint', 'payload', 'left')
-    return Table('RMS efforts of the payload, and what they leave', columns, tuple(rows),
-                 tuple(notes))  # fmt: skip
+    columns = ('joint', 'payload', 'residual')
+    return Table('RMS efforts of the payload, and residuals', columns, tuple(rows), tuple(notes))
 
 
 def inertia_table(result: PayloadEstimate) -> Table:

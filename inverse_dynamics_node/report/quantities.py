@@ -60,14 +60,14 @@ def motion_notes(motion: Motion) -> list[str]:
     if motion.lags:
         late = ', '.join(f'{name} {1e3 * value:.0f} ms' for name, value in motion.lags.items())
         notes.append(
-            f'recorded velocities lag the positions ({late}); velocities were derived from the '
-            'positions instead'
+            f'recorded velocities lag behind the positions ({late}); velocities were derived from '
+            'the positions instead'
         )
     if math.isfinite(motion.cut_off):
         notes.append(
-            f'the efforts contain nothing above about {motion.cut_off:.0f} Hz, not even noise: '
-            'they were low-pass filtered before they were recorded (or computed without noise). '
-            'Friction at reversals is distorted by that; record what the driver publishes, '
-            'without a filter'
+            f'the efforts contain no signal and no noise above about {motion.cut_off:.0f} Hz: '
+            'they passed a low-pass filter before they were recorded (or were computed without '
+            'noise). This filter distorts the friction at reversals; record the efforts of the '
+            'driver without a filter'
         )
     return notes

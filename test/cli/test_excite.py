@@ -46,7 +46,7 @@ def test_both_files_contain_the_motion_and_a_third_one_leads_to_its_start(here, 
         'Expected standard errors of one run',
         'space of the links',
         'noise',
-        'smallest distances, on the way to the start too: ',
+        'smallest distances, including the way to the start: ',
         'a radius of 0.',
         'random motions within the same limits',
     ):
@@ -100,14 +100,14 @@ def test_boxes_that_leave_no_room_end_with_a_reason(here, capsys):
 @pytest.mark.parametrize(
     ('arguments', 'code', 'words'),
     [
-        (['--speed', '2'], 2, "'2' is not a factor above 0, up to 1"),
+        (['--speed', '2'], 2, "'2' is not a factor above 0 and up to 1"),
         (['--range', 'joint_1=3'], 2, "'joint_1=3' is not JOINT=LOW:HIGH"),
         (['--at', 'joint_1'], 2, "'joint_1' is not JOINT=POSITION"),
         (['--joints', 'hook'], 1, "joint 'hook' does not exist; joints are"),
         (['--fraction', '0'], 1, 'fraction is 0.0, expected a value above 0 and at most 1'),
         (['--harmonics', '1'], 1, 'harmonics is 1, expected at least 2'),
         (['--floor', '5'], 1, 'or switch it off (--floor none)'),
-        (['--floor', 'deep'], 2, "'deep' is not a height, or none"),
+        (['--floor', 'deep'], 2, "'deep' is neither a height nor 'none'"),
         (['--box', '0', '0', '0', '1', '1', '0'], 1, 'three lengths above 0'),
     ],
 )

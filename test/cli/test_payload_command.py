@@ -32,7 +32,7 @@ def test_prints_a_message_and_an_element_of_the_payload(here, capsys, size_of):
     assert main(['payload', *RUNS, '--picture', 'payload.png']) == 0
     text = capsys.readouterr().out
     assert text.startswith("Link 'tool0' carries ")
-    assert 'Alone, the empty run looks like a payload of' in text
+    assert 'The empty run alone looks like a payload of' in text
     (command,) = (line for line in text.splitlines() if line.startswith('ros2 topic pub'))
     *start, topic, kind, message = shlex.split(command)
     assert start == ['ros2', 'topic', 'pub', '--once']
@@ -87,4 +87,4 @@ def test_efforts_without_gravity_need_an_empty_run(here, capsys):
     run = ['payload', str(URDF), 'loaded.csv', '--node-parameters', 'node.yaml']
     (here / 'loaded.csv').write_text('')
     assert main(run) == 1
-    assert 'do not contain gravity; expected a recording without' in capsys.readouterr().err
+    assert 'do not contain gravity, so a recording without' in capsys.readouterr().err

@@ -225,7 +225,7 @@ def test_velocities_that_lag_the_positions_are_not_used(name, lag):
         [lag] * len(recording.joint_names), abs=3e-3
     )
     assert result.explained_corrected > 0.995
-    assert any('lag the positions' in note for note in motion_notes(result.motion))
+    assert any('lag behind the positions' in note for note in motion_notes(result.motion))
     assert diagnose_recording(dynamics, recording).motion.lags == {}
 
 

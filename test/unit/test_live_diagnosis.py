@@ -186,7 +186,7 @@ def test_gravity_that_is_measured_as_described_is_no_fault(name, convention, mov
         assert agreement.outcome is Outcome.AGREE
     else:
         assert agreement.cause is Obstacle.SMALL_EFFORTS
-        assert 'without gravity, the modelled efforts are too small' in sentence(agreement)
+        assert 'without gravity, modelled and measured efforts are too' in sentence(agreement)
 
 
 @BOTH

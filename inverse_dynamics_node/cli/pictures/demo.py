@@ -145,7 +145,7 @@ def _efforts(axes: Any, robot: RobotModel, timeline: Timeline, history: History)
         return
     for i, label in enumerate(labels):
         axes.plot(times, 100.0 * rows[:, i] / scale[i], lw=1.2, label=label, **_look(i))
-    axes.set_ylabel('commanded effort\n[% of its largest, below]')
+    axes.set_ylabel('commanded effort\n[% of largest, see below]')
 
 
 def _contact(axes: Any, robot: RobotModel, timeline: Timeline, history: History) -> None:

@@ -71,7 +71,7 @@ def draw(
             f'Smallest distance {nearest.distance:.3f} m: {nearest.names[0]} and '
             f'{nearest.names[1]}.'
             if nearest
-            else 'Nothing comes near anything.',
+            else 'All distances are above 0.3 m.',
         )
         style.legend_below(figure, [*handles, *lines], [*labels, *names], ncols=5)
         style.save(figure, path)

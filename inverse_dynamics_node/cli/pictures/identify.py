@@ -60,7 +60,9 @@ def _draw_efforts(ax: Any, result: IdentificationResult, joint: int) -> list[Any
     ]
     ax.set_title(style.fitting([found.name], 40)[0], fontsize=9.5, pad=3)
     residuals = found.unseen
-    text = f'RMS left: {residuals.urdf:.2g}, {residuals.friction:.2g}, {residuals.identified:.2g}'
+    text = (
+        f'RMS residual: {residuals.urdf:.2g}, {residuals.friction:.2g}, {residuals.identified:.2g}'
+    )
     ax.set_title(text, loc='right', fontsize=8.5, pad=3, color=style.GREY)
     ax.set_ylabel('[N]' if found.is_prismatic else '[N m]', fontsize=9)
     style.fewer_ticks(ax)
@@ -83,7 +85,7 @@ def _draw_residuals(ax: Any, result: IdentificationResult) -> None:
     ax.set_yticks(places, style.fitting([joint.name for joint in joints], 16), fontsize=8.5)
     ax.invert_yaxis()
     ax.grid(axis='y', visible=False)
-    ax.set_title('RMS left / measured (black: noise)', fontsize=9.5, pad=3)
+    ax.set_title('RMS residual / measured (black: noise)', fontsize=9.5, pad=3)
     ax.tick_params(labelsize=8.5)
 
 

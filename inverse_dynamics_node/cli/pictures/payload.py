@@ -31,6 +31,6 @@ def draw(result: PayloadEstimate, source: str, title: str, path: Path) -> None:
             ax.set_ylabel('[N m, N]', fontsize=9)
         axes[-1, 0].set_xlabel('time [s]')
         style.set_title(figure, source, title)
-        labels = ['measured, without the empty arm', 'payload that was found']
+        labels = ['measured minus empty arm', 'fitted payload']
         style.legend_below(figure, lines, labels, ncols=2)
         style.save(figure, path)
