@@ -572,4 +572,4 @@ def test_parameters_are_decimals_in_yaml():
         'coulomb_width': 0.01,
     }
     assert all(isinstance(x, float) for x in parameters['damping'] + parameters['coulomb'])
-    assert 'it"s: unknown, it rested' in text
+    assert 'it"s: friction unknown, it rested' in text
