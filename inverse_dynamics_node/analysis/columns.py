@@ -166,7 +166,7 @@ def fit_nonnegative(
     features: Floats, target: Floats, signed: Sequence[int] | Booleans = ()
 ) -> tuple[Floats, float]:
     """
-    Fit a target, shape (rows,), with nonnegative factors of columns, such as those of friction.
+    Fit a target, shape (rows,), by a sum of columns with nonnegative factors, e.g. of friction.
 
     `features` contains the columns, shape (rows, columns). Columns in `signed`, such as an offset,
     may have negative factors. Returns the factors, and the sum of squares of the residual.

@@ -87,7 +87,7 @@ def _reason_to_stop(now: float, loop: ControlLoop) -> str:
 
 
 def describe_lost_imu(now: float, loop: ControlLoop) -> str:
-    """Describe the loss of a measured motion of the base; empty if it is not lost."""
+    """Describe the loss of a measured motion of the base; an empty text if it is not lost."""
     loads = loop.loads
     if not loop.has_imu or loop.lacks_imu or loads.is_base_known(now):
         return ''

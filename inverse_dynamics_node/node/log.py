@@ -182,7 +182,7 @@ class NodeLog:
                 self._logger.warning(text)
 
     def _report_imu(self, now: float, loop: ControlLoop) -> None:
-        """Report repeatedly that the motion of the base is lost, and once that it is back."""
+        """Report a lost motion of the base repeatedly, and its return once."""
         text = describe_lost_imu(now, loop)
         if text and self._is_due('imu'):
             self._has_reported_imu = True

@@ -143,10 +143,10 @@ class Configuration(Settings, LoadSettings):
     measured_gravity: MeasuredGravity = parameter(
         MeasuredGravity.AS_COMMANDED.value,
         'Whether the measured efforts contain gravity',
-        '`as_commanded`: they do if `include_gravity` is true. Franka and KUKA FRI measure with '
-        'gravity, but add it to commands: `included`, and `include_gravity` false. Used by '
-        '`~/external_efforts`, `inverse_dynamics watch` and `compare`; commands do not depend on '
-        'it',
+        '`as_commanded`: they do if `include_gravity` is true. Franka and KUKA FRI add gravity to '
+        'the commands, and their measured efforts contain it: set `included` here, and '
+        '`include_gravity` to false. Used by `~/external_efforts`, `inverse_dynamics watch` and '
+        '`compare`; commands do not depend on it',
     )
     measured_effort_scale: PerJoint = parameter(
         1.0,

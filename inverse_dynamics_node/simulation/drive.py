@@ -123,9 +123,9 @@ class HandOver:
     Decides whether the position controller or the commands move a simulated robot.
 
     The commands take over when they have arrived for ``release`` seconds and have stopped rising.
-    Earlier, the robot would fall. The position controller ``drive`` takes over when the commands
-    stop, on request, and when a joint becomes too fast. After such a fault, commands are ignored
-    until they have paused. The brakes of the robot must be open.
+    If they took over any earlier, the robot would fall. The position controller ``drive`` takes
+    over when the commands stop, on request, and when a joint becomes too fast. After such a fault,
+    commands are ignored until they have paused. The brakes of the robot must be open.
     """
 
     def __init__(

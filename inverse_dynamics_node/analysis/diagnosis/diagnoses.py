@@ -85,7 +85,7 @@ def _is_open(axes: Axes) -> bool:
 
 
 def diagnose(data: RegressionData, robot_fit: RobotFit, names: Sequence[str]) -> list[Fault]:
-    """Return the faults in an explanation, most important first; empty for the nominal model."""
+    """Return the faults in an explanation, most important first; the nominal model has none."""
     found = _Faults(data, robot_fit, names)
     return [
         *found.order(),

@@ -295,7 +295,7 @@ def _delay(undistorted: Callable[[float], ComparedEfforts], axes: Axes) -> float
 
 
 def _of_motion(compared: ComparedEfforts, signs: Floats) -> Floats:
-    """Extend the signs of joints with varying efforts to all joints of the motion."""
+    """Return a sign for each joint of the motion: 1 if its effort does not vary."""
     every = np.ones(len(compared.motion.joint_names))
     every[[compared.compared[c] for c in compared.varying]] = signs
     return every

@@ -34,7 +34,7 @@ _OFTEN = 0.02
 _MOST_LOOKS = 40
 """Largest number of poses in which surfaces are compared."""
 _UNSEEN = 0.005
-"""If surfaces were far apart in all poses, capsules may come nearer by this distance [m]."""
+"""Where surfaces are far apart in all poses, capsules may be closer than there by this [m]."""
 _ON_THE_WAY = 0.005
 """Links that are too near in the first pose of a way may at first come nearer by this [m]."""
 _FAR = 0.3

@@ -116,7 +116,7 @@ class DemoSetup:
         return link, mass, mass * unit
 
     def capacity(self, link: str) -> float:
-        """Return the mass [kg] on a link with which a drive reaches its limit at the start."""
+        """Return the load [kg] of a link that takes a drive to its limit in the start pose."""
         alone, change = self._effect(lambda dynamics: dynamics.set_payload(link, 1.0, GRIP))
         lifting = np.abs(change) > 1e-9
         spare = self.robot.effort_limits - alone * np.sign(change)
