@@ -23,7 +23,7 @@ def test_no_effort_jumps_after_a_suspension_while_the_arm_moves(run_node, robot,
 
 @pytest.mark.parametrize('stop', ['enable', 'dry_run', 'enable, dry_run'])
 def test_a_stop_without_joint_states_begins_at_once_and_does_not_catch_up(run_node, robot, stop):
-    node = run_node(robot_description_file=FILE, state_timeout=5.0, start_ramp=0.0, stop_ramp=0.5)
+    node = run_node(robot_description_file=FILE, state_timeout=60.0, start_ramp=0.0, stop_ramp=0.5)
     robot.publish_state(NAMES, Q, ZERO)
     robot.wait_until(lambda: robot.commands and np.any(robot.commands[-1]), 'commands')
     top, count = np.array(robot.commands[-1]), len(robot.commands)
@@ -38,7 +38,7 @@ def test_a_stop_without_joint_states_begins_at_once_and_does_not_catch_up(run_no
         robot.wait_for_text(node, 'dry run: the commands end')
         (left,) = re.findall(r'the commands end after the stop ramp \((.*) s\)', node.output)
         assert float(left) < 0.5
-    assert time.monotonic() < robot.last_state + 5.0  # before the states are lost
+    assert time.monotonic() < robot.last_state + 60.0  # before the states are lost
     commands = np.array(robot.commands[count - 1 :])
     steps = np.abs(np.diff(commands, axis=0))
     # A ramp advances by 2 % at a time; not every command arrives.
