@@ -133,9 +133,9 @@ mutation: $(VENV)/mutation.done
 parameters: $(VENV)/test.done
 	@$(CLEAN) $(BIN)/python -m inverse_dynamics_node.node.help --write
 
-# Draws the robot of the README.
+# Draws the pictures in doc/images, and prints the reports that belong to them.
 pictures: $(VENV)/test.done
-	@$(CLEAN) $(BIN)/python doc/pictures.py
+	@$(CLEAN) PYTHONPATH=test $(BIN)/python doc/pictures.py
 
 # Builds the site, as rosdoc2 does: build/doc/index.html. A warning is an error.
 doc: $(VENV)/doc.done

@@ -1,10 +1,11 @@
 """
-Draw the pictures of the README and of doc/watch.md in doc/images: `make pictures`.
+Draw the pictures of the README and of the pages in doc/images: `make pictures`.
 
 payload.png shows the Stanford arm, held by springs, which picks up a load, before and after the
 node knows of it. MuJoCo simulates and renders the arm; the efforts are those of the library.
 
-watch_*.svg are screens of `inverse_dynamics watch` beside a node and a simulated robot.
+watch_*.svg are screens of `inverse_dynamics watch` beside a node and a simulated robot. The other
+pictures are those of the commands; their reports, which the pages show too, are printed.
 """
 
 import argparse
@@ -13,15 +14,20 @@ import io
 import os
 from pathlib import Path
 import re
+import shlex
+import shutil
 import signal
 import subprocess
 import sys
+from tempfile import TemporaryDirectory
 import time
 
 os.environ.setdefault('MUJOCO_GL', 'egl')  # renders without a screen
 
+from identification_runs import exciting_motion, real_robot, record
 from inverse_dynamics_node import InverseDynamics, load_urdf
 from inverse_dynamics_node.cli.live_view import screen
+from inverse_dynamics_node.cli.main import main as main_of_commands
 from inverse_dynamics_node.cli.pictures import style
 from inverse_dynamics_node.cli.watch import _Watch
 from inverse_dynamics_node.ros.observer import find_nodes, Observer, observing_node
@@ -30,6 +36,7 @@ import mujoco
 import numpy as np
 from rich._export_format import CONSOLE_SVG_FORMAT
 from rich.console import Console
+from simulated_runs import simulate_with_a_gripper, write_bag, write_csv
 
 ROOT = Path(__file__).resolve().parent.parent
 URDF, IMAGES = ROOT / 'config' / 'stanford.urdf', ROOT / 'doc' / 'images'
@@ -46,6 +53,20 @@ SCENES = (
     ('2 kg that the node does not know', LOAD, 0.0),
     ('the load is published on ~/payload', LOAD, LOAD),
 )
+GRIPPER_ARM = 'test/robots/gripper_arm.urdf'
+PICTURES = {
+    'check': 'check config/stanford.urdf --picture check.png',
+    'effort': 'effort config/stanford.urdf doc/stanford_pick.yaml --payload 2 --link tool0',
+    'compare': 'compare config/stanford.urdf run',
+    'excite': 'excite my_arm.urdf',
+    'identify': 'identify my_arm.urdf run_1.csv --validate run_2.csv --output calibrated.urdf'
+    ' --parameters node.yaml --json report.json',
+    'closed_loop_payload': f'demo {GRIPPER_ARM} --scenario payload --picture payload.png',
+    'closed_loop_push': 'demo config/stanford.urdf --scenario push --picture push.png',
+    'closed_loop_tilt': f'demo {GRIPPER_ARM} --scenario tilt --picture tilt.png',
+    'closed_loop_sensor_lost': f'demo {GRIPPER_ARM} --scenario sensor-lost --picture lost.png',
+    'closed_loop_calibrate': f'demo {GRIPPER_ARM} --scenario calibrate --picture calibrate.png',
+}
 
 
 def world(load):
@@ -178,9 +199,32 @@ def publish_load(ros, mass):
     publisher.wait_for_all_acked()
 
 
+def draw_commands():
+    """Draw the pictures of the commands, in a folder with the files of doc/command_line.md."""
+    with TemporaryDirectory() as folder:
+        os.chdir(folder)
+        for name in ('config', 'doc', 'test/robots'):
+            shutil.copytree(ROOT / name, name)
+        shutil.copy(URDF, 'my_arm.urdf')
+        write_bag(Path('run'), simulate_with_a_gripper())
+        robot, rng = load_urdf(URDF), np.random.default_rng(0)
+        real = real_robot(robot, rng, load_friction=0.04)
+        for name in ('run_1.csv', 'run_2.csv'):
+            write_csv(Path(name), record(real, exciting_motion(robot, rng, 40.0, 100.0), rng))
+        for name, command in PICTURES.items():
+            print(f'$ inverse_dynamics {command}', flush=True)
+            before = {*Path().glob('*.png')}
+            if main_of_commands(shlex.split(command)):
+                sys.exit(f'{name} was not drawn')
+            (drawn,) = {*Path().glob('*.png')} - before
+            shutil.copy(drawn, IMAGES / f'{name}.png')
+        os.chdir(ROOT)
+
+
 def main():
     """Draw all pictures."""
     draw_arm()
+    draw_commands()
     draw_watch('watch_agree', '1.0', 0.0)
     draw_watch('watch_sign', '[1.0, -1.0, 1.0, 1.0, 1.0, 1.0]', 0.0)
     draw_watch('watch_payload', '1.0', 2.0)
