@@ -16,13 +16,13 @@ import numpy as np
 from ..dynamics.jit import compile_for, compiled
 from ..robot.model import Booleans, Floats
 
-_BRIEF = 0.03  # [s]; efforts that pause for no longer than this continue without a blend
+_BRIEF = 0.03  # [s]; after a pause up to this, efforts continue without a blend
 LARGEST = 1e300
 """Largest effort that is accepted [N m or N]; the sum of two such efforts is finite."""
 # Rows of `CommandShaper._rows`, one column per commanded joint.
 _INDEX, _ADDED, _SCALE, _OFFSET, _LIMIT, _RATE, _WANTED, _JUMP, _EXCESS, _COMMAND = range(10)
 NOMINAL_STEP = 0.01
-"""Longest time by which ramps advance per command [s], unless commands are usually rarer."""
+"""Longest time by which ramps advance per command [s], unless the usual interval is longer."""
 _LONGEST_STEP = 0.5  # [s]; limit of the usual interval, unless the period is longer
 _MEMORY = 8.0  # usual intervals; time constant of the mean, which grows by at most 1/4 at once
 _LEAST_PAUSE = 0.1  # [s]; a shorter interval is not an interruption
@@ -42,11 +42,10 @@ class RampClock:
     """
     Measures the time by which ramps, blends and fades advance with each command.
 
-    This time is the interval since the last command, but at most 10 ms or the period of the loop,
-    whichever is longer. If commands are usually rarer, the limit is their usual interval. The
-    usual interval is a mean that is weighted with the lengths of the intervals, so that a burst of
-    messages does not hide the pause before it. A single pause lengthens the usual interval by at
-    most 25 %.
+    This time is the interval since the last command. It is at most 10 ms, the period of the loop
+    or the usual interval, whichever is longest. The usual interval is a mean that is weighted with
+    the lengths of the intervals, so that a burst of messages does not hide the pause before it. A
+    single pause lengthens the usual interval by at most 25 %.
 
     A pause may end with old messages, a late timer or a jump of the clock. The robot has moved
     during the pause, but the commands have not changed. Ramps therefore do not catch up.
@@ -133,9 +132,9 @@ class CommandShaper:
     """
     Turns computed efforts into commands that continue from each other without jumps.
 
-    A command differs from the last command only as far as new joint states and references explain.
-    Every other change is a ramp or a blend, which advances by `clock.step`. To produce a command,
-    advance `clock`, then call `follow`, `hold` or `fall`.
+    Only new joint states and references change the commands at once. Every other change is a ramp
+    or a blend, which advances by `clock.step`. To produce a command, advance `clock`, then call
+    `follow`, `hold` or `fall`.
 
     - The start ramp multiplies the computed efforts by `gain`.
     - A blend fades out the difference between the last command and the computed efforts.
@@ -143,10 +142,10 @@ class CommandShaper:
 
     Each ramp and each blend starts from the last command sent.
 
-    A change during a blend starts a new blend that contains the rest of the old blend. If two
-    successive commands start a blend, the blend advances nevertheless. However often something
-    changes, the difference then fades like that of a first-order low-pass with the start ramp as
-    its time constant.
+    A change during a blend starts a new blend, which takes over the difference that has not faded
+    yet. The blend advances even if two successive commands start a blend. However often something
+    changes, the difference therefore fades as in a first-order low-pass. Its time constant is the
+    start ramp.
 
     A brief pause, for example a joint state that arrives slightly late, does not start a blend.
     Otherwise, intermittent states would restart the blend again and again. A blend that restarts
@@ -213,8 +212,8 @@ class CommandShaper:
         """
         Start a blend from the last command to the computed efforts over the start ramp.
 
-        A blend in progress does not end sooner. During a stop ramp, the blend waits for the next
-        computed efforts.
+        The new blend does not end before a blend in progress would have ended. During a stop ramp,
+        the blend waits for the next computed efforts.
 
         After a change of settings, ``tau`` contains the efforts that result from the inputs of the
         last command, shape (n,) [N m or N]. ``added`` is added to them, shape (m,). Only the
@@ -352,7 +351,7 @@ class CommandShaper:
 
 
 def add_within(command: Floats, damping: Floats, limit: Floats) -> Floats:
-    """Add the largest share of the damping that keeps commands within limits, shape (m,)."""
+    """Add the largest share of the damping, shape (m,), that keeps commands within limits."""
     bound = np.maximum(limit, np.abs(command))  # a limit may have been tightened
     room = bound - np.sign(damping) * command
     with np.errstate(all='ignore'):
@@ -378,10 +377,10 @@ def blend_efforts(
     ``tau`` contains the computed efforts of all joints, shape (n,) [N m or N]. ``rows`` has one
     column per commanded joint, shape (10, m). The input rows are the index of the joint among the
     n joints, the effort to add, the scale, the offset, the limit and the rate limit. The output
-    rows are the computed effort, the difference and the excess over the limit at the start of a
-    blend, and the command. On entry, the row of the command contains the last command. The first
-    row of ``flags`` receives whether each effort was cut to its limit, and the second row whether
-    a rate limit slowed it.
+    rows are the computed effort, the difference at the start of a blend, the excess over the limit
+    at that time, and the command. On entry, the row of the command contains the last command. The
+    first row of ``flags`` receives whether each effort was cut to its limit, and the second row
+    whether a rate limit slowed it.
 
     ``gain`` is the factor for the computed efforts. ``left`` is the fraction of the difference
     that has not faded yet. If ``is_new``, a blend begins with the difference to the last command.

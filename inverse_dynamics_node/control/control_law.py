@@ -256,7 +256,7 @@ class DriveReference:
     def __init__(self, law: ControlLaw) -> None:
         self._law = law
         self.weight = 0.0
-        """Weight of the reference against the measured motion, 0 to 1."""
+        """Weight of the reference, 0 to 1; the measured motion has the remaining weight."""
 
     def motion(
         self, q: Floats, qd: Floats, elapsed: float, start_ramp: float, farthest: float
@@ -326,7 +326,7 @@ def _describe_overflow(
     joint_names: Sequence[str], inputs: Mapping[str, Floats], efforts: Floats
 ) -> str:
     """
-    Name the joint and the value that cause efforts that are not finite.
+    Explain efforts that are not finite: name a joint and a value.
 
     ``inputs`` contains the inputs of the computation by name. If all inputs are plausible, a
     computed effort is named. All arrays have shape (n,).
@@ -341,7 +341,7 @@ def _describe_overflow(
 
 
 def _largest(arrays: Mapping[str, Floats]) -> tuple[str, int]:
-    """Return name and index of the value with the largest magnitude; NaN is the largest."""
+    """Return name and index of the value with the largest magnitude; NaN counts as infinite."""
     sizes = np.nan_to_num(np.abs(list(arrays.values())), nan=math.inf, posinf=math.inf)
     row, joint = np.unravel_index(np.argmax(sizes), sizes.shape)
     return list(arrays)[int(row)], int(joint)

@@ -55,7 +55,7 @@ class _Wrench(NamedTuple):
     duration: float
     """Duration of the fade [s]; fixed when the fade starts."""
     fraction: float
-    """Fraction of the wrench that is applied; less than 1 once the wrench fades."""
+    """Fraction of the wrench that is applied; falls below 1 when the wrench fades."""
 
 
 class ExternalLoads:
@@ -123,9 +123,9 @@ class ExternalLoads:
         """
         Apply a wrench of the environment to a link; the wrench fades out unless it is renewed.
 
-        The arguments are those of `InverseDynamics.set_external_wrench`, and the time [s]. The
-        result says whether efforts may jump, because the last wrench on this link was not renewed
-        in time. A ConfigurationError is raised if the link does not exist, or if a vector is not
+        The arguments are the time [s] and the arguments of `InverseDynamics.set_external_wrench`.
+        The result is true if efforts may jump: the call did not renew a wrench of this link in
+        time. A ConfigurationError is raised if the link does not exist, or if a vector is not
         three finite numbers up to 1e9.
 
         """
@@ -157,7 +157,7 @@ class ExternalLoads:
 
         ``specific_force`` is v_dot_0 - g, the acceleration of the base minus gravity [m/s^2].
         ``angular_velocity`` is omega_0 [rad/s]. Both vectors are in the base frame. The result
-        says whether efforts may jump, because the motion was unknown until now. A
+        is true if efforts may jump: the motion was unknown until now, or is a new signal. A
         ConfigurationError is raised if a vector is not three finite numbers up to 500.
 
         """
@@ -185,10 +185,10 @@ class ExternalLoads:
 
     def update(self, now: float, elapsed: float) -> bool:
         """
-        Advance the ramps, fade out stale wrenches, and drop the motion of a lost IMU.
+        Advance the ramps, fade out stale wrenches, and drop the motion of the base if it is lost.
 
-        Ramps advance by ``elapsed`` [s], see `RampClock`. The result says whether efforts may
-        jump, because the motion of the base was lost just now.
+        Ramps advance by ``elapsed`` [s], see `RampClock`. The result is true if efforts may
+        jump: the motion of the base was lost just now.
 
         """
         for link in list(self._ramps):
@@ -235,8 +235,8 @@ class ExternalLoads:
         """
         Apply the loads of another robot description at once, without ramps.
 
-        The result lists the links with payloads that this robot does not have. ``other`` must not
-        be used afterwards.
+        The result lists the loaded links that this robot does not have. ``other`` must not be used
+        afterwards.
 
         """
         dropped = []
@@ -264,7 +264,7 @@ class ExternalLoads:
 
     @property
     def gravity_at_root(self) -> Floats:
-        """Current free-fall acceleration in the root frame [m/s^2], even if not included."""
+        """Current free-fall acceleration in the root frame [m/s^2], even if excluded."""
         at_root: Floats = self._R_0B @ self._gravity
         return at_root
 
@@ -378,5 +378,5 @@ def _is_same(one: RigidBody, other: RigidBody) -> bool:
 
 
 def _blend_payloads(old: RigidBody, new: RigidBody, fraction: float) -> RigidBody:
-    """Return a body made of a fraction of the new payload and the rest of the old payload."""
+    """Blend two payloads: ``fraction`` of the new one, and the remaining fraction of the old."""
     return combine([old.scale(1.0 - fraction), new.scale(fraction)])

@@ -37,7 +37,7 @@ def find_oldest(times: Any, is_commanded: Any) -> tuple[float, float]:
     Return the oldest arrival among the commanded joints, and among the other joints [s].
 
     ``times`` contains the arrival time of each joint's state, shape (n,). Locked joints that were
-    never reported are ignored. The result is inf where there are no joints.
+    never reported are ignored. An arrival is inf if there are no such joints.
 
     """
     commanded = others = math.inf

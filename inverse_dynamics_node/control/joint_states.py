@@ -60,7 +60,7 @@ class Layout:
     has_joints: bool
     """Whether the message names any joint of this robot."""
     losses: int = -1
-    """Number of velocity losses when every joint of the layout had a velocity; -1 before."""
+    """Count of velocity losses when every joint had a velocity; -1 if one has none."""
 
 
 class JointStateCollector:
@@ -71,11 +71,11 @@ class JointStateCollector:
     therefore has its own time of arrival.
 
     ``joint_names`` are the n joints of the robot. Other joints are ignored. ``locked`` contains
-    positions of joints that may never be reported [rad or m]. Such a position applies until the
-    joint is first reported. Locked joints are never missing and never stale. ``commanded`` are the
-    joints that need a fresh state; by default, all joints that are not locked. ``robot`` provides
-    the speed limits that distinguish motion from alternating positions. A ConfigurationError is
-    raised if a locked joint is unknown, or if its position is not finite.
+    positions of joints that are possibly not reported [rad or m]. Such a position applies until
+    the joint is first reported. Locked joints are never missing and never stale. ``commanded`` are
+    the joints that need a fresh state; by default, all joints that are not locked. ``robot``
+    provides the speed limits that distinguish motion from alternating positions. A
+    ConfigurationError is raised if a locked joint is unknown, or if its position is not finite.
 
     """
 
@@ -104,11 +104,11 @@ class JointStateCollector:
         self.has_leapt = False
         """Set when a commanded joint has moved further than it can; cleared by the reader."""
         self.velocity_timeout = _VELOCITY_TIMEOUT
-        """After a velocity, messages without velocities are rejected for this time [s]."""
+        """After a velocity has arrived, messages without velocities are rejected this long [s]."""
         self.lost_velocities: list[str] = []
         """Joints whose velocities are no longer reported; cleared by the reader."""
         self.late_count = 0
-        """Number of late joints in the last `rest_late`, except commanded and locked joints."""
+        """Number of joints that the last `rest_late` found late, except commanded and locked."""
         self._has_velocity = np.zeros(n, dtype=bool)
         self._index = {name: i for i, name in enumerate(self.joint_names)}
         self._foreign_names: list[str] = []
@@ -161,9 +161,9 @@ class JointStateCollector:
         Store one joint state completely, or reject it completely.
 
         ``now`` is the time of arrival [s]. `layout` returns the layout for the names in the
-        message. There is one position for each name. There is also one velocity and one measured
-        effort for each name, or none. Velocities that are absent or NaN are zero, except shortly
-        after a velocity was reported, see `velocity_timeout`.
+        message. There is one position for each name. Velocities and measured efforts have one
+        value for each name, or are empty. Velocities that are absent or NaN are set to zero,
+        except shortly after a velocity was reported, see `velocity_timeout`.
 
         The result says whether the message names any of these joints. If the lengths differ or a
         necessary value is not finite, a JointStateError is raised and nothing changes.

@@ -88,7 +88,7 @@ class Controller:
         """
         Change the settings from the next step on, which continues from the last command.
 
-        Call this after other changes of the same kind, such as friction. The difference that all
+        Make other changes, for example of friction, before this call. The difference that all
         these changes make to the last efforts fades within the start ramp. If a setting per joint
         has neither one value nor one value for each commanded joint, a ConfigurationError is
         raised and nothing changes.
@@ -118,7 +118,7 @@ class Controller:
 
     def blend(self) -> None:
         """
-        Continue from the last command, and fade out the difference within the start ramp.
+        Fade from the last command to the computed efforts within the start ramp.
 
         Call this when the computed efforts change without motion, for example after a change of
         the robot description or gravity.
@@ -196,9 +196,9 @@ class Controller:
 
     def continue_from(self, other: Controller) -> None:
         """
-        Continue from the last command of the controller of another robot description.
+        Continue from the last command of a controller for another robot description.
 
-        The other controller must not be used afterwards. If it commands other joints, a
+        The other controller must not be used afterwards. If it commands different joints, a
         ConfigurationError is raised.
 
         """
@@ -224,7 +224,7 @@ class Controller:
         return self.command(state, reference)
 
     def pass_time(self, now: float) -> float:
-        """Advance to the next command [s]; return the time by which ramps advance [s]."""
+        """Advance to the time of a command [s]; return the time by which ramps advance [s]."""
         self._time = now
         clock = self._shaper.clock
         if clock.advance(now):
@@ -266,7 +266,7 @@ class Controller:
 
     @property
     def recovery_time(self) -> float:
-        """How long joint states must arrive without a gap after a loss to be used again [s]."""
+        """Time for which joint states must arrive without a gap to end a loss [s]."""
         return recovery_time(self.settings.state_timeout)
 
 
@@ -274,9 +274,9 @@ class ControlLoop:
     """
     Connects joint states, external loads, dynamics and controller of one robot.
 
-    ``joints`` are the m joints to command, in the order of the commands; empty for all.
-    ``settings`` are the settings of the controller, and ``load_settings`` those of the external
-    loads. ``period`` is the time between steps [s]; 0 if there is a step for each joint state.
+    ``joints`` are the m joints to command, in the order of the commands; if empty, all
+    joints. ``settings`` apply to the controller, and ``load_settings`` to the external loads.
+    ``period`` is the time between steps [s]; 0 if there is a step for each joint state.
     ``gravity`` is the free-fall acceleration in the frame of the base link [m/s^2], see
     `ExternalLoads`. ``locked`` contains the positions of locked joints, which cannot be commanded,
     see `JointStateCollector`. With ``has_imu``, there is no command before the first measured
@@ -315,7 +315,7 @@ class ControlLoop:
         self.drive = DriveReference(self.controller.law)
 
     def start(self, *, is_dry_run: bool = False) -> None:
-        """Start with zero efforts, and drop an earlier reference."""
+        """Start with zero efforts, and drop any reference that has arrived."""
         self.reference = None
         self.drive.weight = 0.0
         self.controller.start()
@@ -333,7 +333,7 @@ class ControlLoop:
         return self.dry_run.has_effort or is_damped
 
     def switch_dry_run(self, *, is_wanted: bool) -> bool:
-        """Start a dry run, or end it if the commands are zero; return whether it changed."""
+        """Start a dry run, or end one if the commands are zero; return whether this happened."""
         dry_run, controller = self.dry_run, self.controller
         if is_wanted is dry_run.is_active or not (is_wanted or dry_run.may_end):
             return False
@@ -426,8 +426,8 @@ class ControlLoop:
         Continue from the last command and the inputs of another control loop.
 
         The result lists the links that no longer exist, so that their payloads were dropped. The
-        other loop must not be used afterwards. If it commands other joints, a ConfigurationError
-        is raised and nothing changes.
+        other loop must not be used afterwards. If it commands different joints, a
+        ConfigurationError is raised and nothing changes.
 
         """
         self.controller.continue_from(other.controller)
@@ -470,7 +470,7 @@ class ControlLoop:
         return terms._replace(friction=law.added) if is_guided else terms
 
     def base_wrench(self) -> tuple[Floats, Floats]:
-        """Compute force and moment of the mount on the base link, in the frame of this link."""
+        """Compute force and moment that the mount exerts on the base link, in its frame."""
         q = self.collector.q
         wrenches: JointWrenches = self.dynamics.joint_wrenches(q, *self.controller.motion)
         return self.loads.at_base_link(wrenches.force[0], wrenches.moment[0])
@@ -487,7 +487,7 @@ class ControlLoop:
         )
 
     def external_efforts(self) -> Floats:
-        """Estimate external efforts from the last state, shape (n,); NaN if not measured."""
+        """Estimate external efforts from the last state, shape (n,); NaN if unmeasured."""
         collector = self.collector
         with self.loads.gravity_included(self.measures_gravity):
             return self.external_effort_estimator.update(
@@ -501,5 +501,5 @@ class ControlLoop:
 
     @property
     def lacks_imu(self) -> bool:
-        """Whether the motion of the base is measured, but no measurement has arrived yet."""
+        """Whether the base has an IMU, but no measurement of its motion has arrived yet."""
         return self.has_imu and self.loads.imu_time == -math.inf

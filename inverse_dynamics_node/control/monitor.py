@@ -52,11 +52,11 @@ class Monitor:
         self.rejected: Counter[str] = Counter()
         """Number of rejected messages since the start, by topic and reason."""
         self.clamped: Counter[str] = Counter()
-        """Number of commands since the start in which an effort was cut to its limit, by joint."""
+        """Number of commands in which an effort was cut to its limit since the start, by joint."""
         self.slowed: Counter[str] = Counter()
-        """Number of commands since the start in which a rate limit slowed an effort, by joint."""
+        """Number of commands in which a rate limit slowed an effort since the start, by joint."""
         self.overruns = 0
-        """Number of commands since the start that were more than half a period late."""
+        """Number of commands that came more than half a period late since the start."""
         self.period = period
         self._last = math.nan
         # Since the last report:

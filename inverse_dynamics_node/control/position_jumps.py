@@ -48,7 +48,7 @@ def has_jumped(tracks: Any, i: int, position: float, elapsed: float) -> bool:
         tracks[ROOM_ABOVE, i] = tracks[ROOM_BELOW, i] = most
         return False
     step = min(max(position - tracks[LAST, i], -LARGEST), LARGEST)
-    # A full turn of any other joint would change the feedback of computed torque.
+    # A full turn of a joint that is not continuous would change the computed-torque feedback.
     if abs(step) < LARGEST and tracks[IS_CONTINUOUS, i] != 0.0:
         step -= 2.0 * math.pi * np.rint(step / (2.0 * math.pi))
     if not 0.0 <= elapsed <= _LONGEST_STEP:

@@ -1,7 +1,7 @@
 """
 Detects positions that alternate faster than a joint can move: two publishers report one joint.
 
-Only steps *back* are added up, minus the distance that the joint could have covered since. A
+Only steps *back* are added up, minus the distance that the joint could cover meanwhile. A
 single jump, such as homing or an encoder reset, therefore adds nothing. A fast motion with several
 samples between its turning points also adds nothing. All times are times of arrival. Messages may
 arrive late, and several at once. A motion within the speed limit stays below the threshold as long
@@ -28,7 +28,7 @@ from ..dynamics.jit import compiled
 from ..robot.model import Floats, RobotModel
 
 LATENESS = 1.0
-"""Largest delay of messages that is not mistaken for alternating positions [s]."""
+"""Messages may be this late without causing an alarm [s]."""
 FACTOR = 2.0  # factor by which a joint may exceed its speed limit
 _LEAST_COUNT = 4  # number of reversals before an alarm: A, B, A, B, A, B
 # Smallest plausible, default and largest plausible speed limit of revolute joints [rad/s], and of
@@ -104,7 +104,7 @@ def track(tracks: Any, i: int, position: float, elapsed: float) -> bool:
     It is negative if there was no report.
 
     The alternation ends when the positions have been consistent for long enough. This takes as
-    long as the joint needs for the distance at twice its speed limit, but at most 1 s.
+    long as the joint needs for the added steps at twice its speed limit, but at most 1 s.
 
     """
     raw = min(max(position - tracks[LAST, i], -LARGEST), LARGEST)
@@ -122,7 +122,7 @@ def track(tracks: Any, i: int, position: float, elapsed: float) -> bool:
     if excess <= 0.0:
         excess = tracks[_COUNT, i] = tracks[_FLAG, i] = 0.0
     if abs(step) > ignored:
-        # A wheel that makes half a turn between two reports only appears to turn back.
+        # A wheel that makes half a turn between two reports merely appears to turn back.
         if step * tracks[_STEP, i] < 0.0 and raw * tracks[_RAW_STEP, i] < 0.0:
             excess += min(abs(step), abs(tracks[_STEP, i]))
             tracks[_COUNT, i] += 1.0
@@ -137,7 +137,7 @@ def track(tracks: Any, i: int, position: float, elapsed: float) -> bool:
 
 @compiled
 def ignored_step(tracks: Any, i: int, step: float) -> float:
-    """Return the largest step of a joint that noise or its encoder explains [rad or m]."""
+    """Return the largest step that noise or the encoder of a joint explains [rad or m]."""
     # Add two steps, too: if two publishers take turns, every second position has one source.
     for change in (step, step + tracks[_ANY_STEP, i]):
         if abs(change) > _LEAST_STEP:

@@ -41,7 +41,7 @@ class MeasuredGravity(enum.Enum):
     EXCLUDED = 'excluded'
 
     def is_included(self, in_commands: bool) -> bool:
-        """Return whether measured efforts contain gravity, given whether commands do."""
+        """Return whether measured efforts contain gravity, given whether commands contain it."""
         if self is MeasuredGravity.AS_COMMANDED:
             return in_commands
         return self is MeasuredGravity.INCLUDED
@@ -53,7 +53,7 @@ class StalePolicy(enum.Enum):
     ZERO = 'zero'
     """Ramp the efforts down to zero."""
     HOLD = 'hold'
-    """Keep the last efforts, for an arm that would fall, if its sensors can be trusted."""
+    """Keep the last efforts: for an arm that would fall and whose sensors can be trusted."""
 
 
 PerJoint = float | tuple[float, ...]

@@ -94,9 +94,9 @@ class LoopStatus(Part):
     compute_time_p99: float | None = key('compute time p99 [ms]', '.3f', 'none')
     """99th percentile of the computation times [s]."""
     overruns: int | None = key('overruns')
-    """Number of commands since the start that were more than half a period late."""
+    """Number of commands that came more than half a period late since the start."""
     mode: Mode | None = key('mode')
-    """Mode of the controller; like the following values, None unless the node is active."""
+    """Mode of the controller; this and the values below are None unless the node is active."""
     phase: Phase | None = key('phase')
     is_dry_run: bool | None = key('dry run')
     gain: float | None = key('gain', '.3f')
@@ -173,9 +173,9 @@ class EffortsStatus(Part):
     """Limits in the order of the commanded joints [N m or N]; inf if there is none."""
     cut: tuple[str, ...] = key('cut to limit since the last report', default=())
     cut_counts: Mapping[str, int] | None = key('* cut to limit')
-    """Number of commands since the start that were cut to the limit, by joint."""
+    """Number of commands that were cut to the limit since the start, by joint."""
     slowed_counts: Mapping[str, int] | None = key('* slowed')
-    """Number of commands since the start that a rate limit slowed, by joint."""
+    """Number of commands that a rate limit slowed since the start, by joint."""
 
 
 @dataclass(frozen=True)
@@ -325,7 +325,7 @@ class GraphInfo(NamedTuple):
     """Lifecycle state."""
     others: Others = Others()
     state_publishers: tuple[str, ...] = ()
-    """Nodes that publish joint states; empty unless their positions contradict each other."""
+    """Nodes that publish joint states; empty unless the positions contradict each other."""
     simulated: SimulatedTime | None = None
     """None unless the node uses simulated time."""
     is_dry_run: bool = False

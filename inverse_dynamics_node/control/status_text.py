@@ -36,7 +36,7 @@ def activity(now: float, loop: ControlLoop, *, is_dry_run: bool = False) -> str:
 
 
 def _computing(loop: ControlLoop) -> str:
-    """Describe how efforts are computed; empty in phases without computed efforts."""
+    """Describe how efforts are computed; say nothing in phases without computed efforts."""
     phase, settings = loop.controller.phase, loop.controller.settings
     doing = str(phase.value).partition(':')[0]
     if phase in (Phase.FLOATING, Phase.HOLDING):
@@ -87,7 +87,7 @@ def _reason_to_stop(now: float, loop: ControlLoop) -> str:
 
 
 def describe_lost_imu(now: float, loop: ControlLoop) -> str:
-    """Describe the loss of a measured motion of the base; an empty text if it is not lost."""
+    """Describe the loss of the measured motion of the base; return no text without a loss."""
     loads = loop.loads
     if not loop.has_imu or loop.lacks_imu or loads.is_base_known(now):
         return ''
@@ -125,7 +125,7 @@ def describe_alternating(loop: ControlLoop, publishers: Sequence[str] = ()) -> d
 
 
 def describe_silence(around: GraphInfo) -> str:
-    """Describe publishers that are connected but send nothing; empty if there are none."""
+    """Describe publishers that are connected but send nothing, if there are any."""
     if not around.publishers or around.silence < _LONG_SILENCE:
         return ''
     publishers = 'publisher is' if around.publishers == 1 else 'publishers are'
@@ -138,7 +138,7 @@ def describe_silence(around: GraphInfo) -> str:
 
 def describe_imu_frame(loop: ControlLoop, frame: str, R_BS: Floats) -> str:
     """
-    Describe an IMU frame that contradicts the robot description; empty if it does not.
+    Describe how the IMU frame contradicts the robot description; no text if it agrees.
 
     ``frame`` is the frame of the messages, which need not be a link. ``R_BS`` is the configured
     rotation from this frame to the frame of the base link, shape (3, 3).
@@ -173,7 +173,7 @@ def describe_late(loop: ControlLoop, now: float) -> list[str]:
 
 
 def describe_light_joints(loop: ControlLoop) -> str:
-    """Describe joints that are too light for their impedance gains; empty if none are."""
+    """Describe joints that are too light for their impedance gains, if there are any."""
     settings = loop.controller.settings
     if settings.mode is not Mode.JOINT_IMPEDANCE:
         return ''

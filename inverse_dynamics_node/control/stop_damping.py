@@ -27,7 +27,7 @@ _REST_WAY, _REST_TIME = 2e-3, 0.5  # [rad or m], [s]
 # for example when late messages arrive together. Changes older than about a second are forgotten,
 # so that noise does not add up. In simulation (UR10, Panda, an arm with a gripper; 200 and 1000
 # Hz; delay 5 ms; noise 0.01 rad/s), the constant must be at least 0.003 after a stop at rest, and
-# 0.015 if each joint moves at up to 2 rad/s before. A wrong sign is found within 0.02 s at 2
+# 0.015 if each joint moved at up to 2 rad/s before it. A wrong sign is found within 0.02 s at 2
 # rad/s. After a stop at rest it is found within 0.12 s, when the tip moves at 0.18 m/s instead of
 # 0.15 m/s.
 _LEAST_ERROR, _RELATIVE_ERROR, _MEMORY = 0.02, 0.5, 1.0  # [rad or m], none, [s]
@@ -86,7 +86,7 @@ class StopDamping:
         self.is_active, self.report = False, report or self.report
 
     def continue_from(self, other: StopDamping) -> None:
-        """Continue a stop that began with another URDF of the same commanded joints."""
+        """Continue a stop that began with another URDF; the commanded joints are the same."""
         dynamics, index, is_continuous = self._dynamics, self._index, self._is_continuous
         self.__dict__.update(other.__dict__)
         self._dynamics, self._index, self._is_continuous = dynamics, index, is_continuous
@@ -153,9 +153,9 @@ class StopDamping:
         """
         Return the rate of decay [1/s], given the age of the state and the command interval [s].
 
-        A command acts until the next command, with a velocity that was measured earlier. The rate
-        falls with the square of the age, so that all commands for one state together remove less
-        than the measured velocity. Commands may arrive in bursts, for example with messages of two
+        A command acts until the next command, but is based on an older velocity. The rate falls
+        with the square of the age, so that all commands for one state together remove less than
+        the measured velocity. Commands may arrive in bursts, for example with messages of two
         drivers. The longest of the recent intervals therefore determines the rate.
 
         """

@@ -71,12 +71,12 @@ class DryRun:
 
     @property
     def has_effort(self) -> bool:
-        """Whether the last command sent has a nonzero effort."""
+        """Whether the efforts that were sent last are not all zero."""
         return self._last is not None and bool(self._last.any())
 
     @property
     def has_sent(self) -> bool:
-        """Whether the robot may depend on this node; false once nothing is sent."""
+        """Whether the robot may depend on this node; false when nothing is sent any more."""
         return self._last is not None
 
     def end(self) -> None:
@@ -183,5 +183,5 @@ class StateSupervisor:
 
 
 def recovery_time(timeout: float) -> float:
-    """Return how long states must arrive without a gap after a loss to be used again [s]."""
+    """Return for how long joint states must arrive without a gap to end a loss [s]."""
     return max(2.0 * timeout, _LEAST_RECOVERY)
