@@ -63,7 +63,7 @@ class Driver:
 
 TORQUES = Driver()
 """The driver of an ideal robot: all defaults of `Driver`."""
-_COMPLETE = 'inverse_dynamics/joint_commands'  # in the form of these drivers; no relay
+_COMPLETE = 'inverse_dynamics/joint_commands'  # the node sends the form of these drivers
 _AMPERE = 0.1  # [A/N m]; an example, because UR does not publish the value
 _MILLIAMPERE = 1000.0 / 1.793  # [mA/N m]; for the large motors of an Interbotix wx250s
 
@@ -107,7 +107,7 @@ def read_command(driver: Driver, joints: Sequence[str], message: Any) -> Command
     """
     Convert a ROS message to a command for the commanded joints.
 
-    The driver's form decides which type of message is expected. Raise a ValueError if a value is
+    `Driver.form` decides which type of message is expected. Raise a ValueError if a value is
     missing or not finite.
     """
     if driver.form is Form.EFFORTS:
@@ -157,7 +157,7 @@ class Actuation:
         self._command = command
 
     def with_gravity(self, efforts: Floats) -> Floats:
-        """Return commanded efforts plus gravity if the robot adds it, shape (m,)."""
+        """Return the commanded efforts, shape (m,), with gravity if the robot adds gravity."""
         return efforts + self._gravity() if self.driver.adds_gravity else efforts
 
     def act(self) -> None:

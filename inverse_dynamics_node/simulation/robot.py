@@ -265,7 +265,7 @@ def run(node: RobotNode, executor: Executor, rate: float, stop: Callable[[], boo
     Advance a simulated robot in step with the steady clock until ``stop`` returns True.
 
     After a pause of the machine, the simulation catches up at twice the normal speed. No state is
-    skipped. A subscriber that keeps only the latest state is not overrun by a burst.
+    skipped. A burst would overrun a subscriber that keeps only the latest state.
     """
     period = 1.0 / rate
     due = time.monotonic()

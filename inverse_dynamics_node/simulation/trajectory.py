@@ -54,7 +54,7 @@ class Oscillation:
         """
         Return positions, velocities and accelerations at times since the start [s].
 
-        The results have the shape of ``time`` with a last axis for the n joints. Before and after
+        The results have the shape of ``time`` plus a last axis for the n joints. Before and after
         the motion, the joints rest.
         """
         t = np.asarray(time, dtype=float)[..., np.newaxis]

@@ -32,7 +32,7 @@ SILENT = 0.05  # [s]: after this time without joint states, time follows the mac
 
 
 class Series:
-    """Rows of numbers of equal shape with ascending times [s]."""
+    """Rows of equal shape, sorted by their times [s]."""
 
     def __init__(self) -> None:
         self._times: list[float] = []

@@ -210,8 +210,8 @@ class DemoRun:
         """
         Wait for robot and node, and follow the timeline for a duration [s].
 
-        The node receives the reference ``standing`` from the first joint state on. Without this
-        reference, the node holds the robot with its model alone until the timeline starts.
+        The node receives the reference ``standing`` from the first joint state on. If this is
+        None, the node holds the robot without a reference until the timeline starts.
         """
         # Exempt the objects of the libraries from garbage collection, which would take 0.1 s each
         # time. Commands that arrive meanwhile are received during the wait below, before the

@@ -103,8 +103,8 @@ class DemoSetup:
         """
         Choose a load; return its link, mass [kg], and inertia about its centre of mass [kg m^2].
 
-        A wrist joint without rotor inertia deflects under a few grams. The load is therefore
-        attached to the link closest to the hand that can carry 1 % of the robot's mass.
+        A wrist joint without rotor inertia deflects under a few grams. Among the links that can
+        carry 1 % of the robot's mass, the one closest to the hand therefore gets the load.
         """
         unit = np.eye(3) * BOX**2 / 6.0
 
@@ -116,7 +116,7 @@ class DemoSetup:
         return link, mass, mass * unit
 
     def capacity(self, link: str) -> float:
-        """Return the load [kg] of a link that takes a drive to its limit in the start pose."""
+        """Return the load [kg] that a link can carry in the start pose within all drive limits."""
         alone, change = self._effect(lambda dynamics: dynamics.set_payload(link, 1.0, GRIP))
         lifting = np.abs(change) > 1e-9
         spare = self.robot.effort_limits - alone * np.sign(change)
@@ -126,8 +126,8 @@ class DemoSetup:
         """
         Choose a push; return its link, and the force in the frame of the link [N], shape (3,).
 
-        A wrist may deflect under hardly any force. The push therefore acts on the link closest to
-        the hand that withstands 5 N.
+        A wrist may deflect under hardly any force. Among the links that withstand 5 N, the push
+        therefore acts on the one closest to the hand.
         """
         direction = np.ones(3) / np.sqrt(3.0)
 
@@ -148,8 +148,8 @@ class DemoSetup:
         """
         Return a link and the largest load or push that this link withstands.
 
-        The link is the closest one to the hand that withstands ``enough``. If there is no such
-        link, the link that withstands the most is returned.
+        Among the links that withstand ``enough``, the one closest to the hand is returned. If
+        there are none, the link that withstands the most is returned.
         """
         links = [self.link] if self.link else links_towards_base(self.robot)
         chosen, most = links[0], 0.0
@@ -162,7 +162,7 @@ class DemoSetup:
         return chosen, most
 
     def _effect(self, put: Callable[[InverseDynamics], None]) -> tuple[Floats, Floats]:
-        """Return the gravity efforts at the start, and their change by a load or a push."""
+        """Return the gravity efforts at the start, and how a load or a push changes them."""
         dynamics = InverseDynamics(self.robot)
         alone = dynamics.gravity_efforts(self.start)
         put(dynamics)

@@ -1,5 +1,5 @@
 """
-The scenario `calibrate`: the node follows a given motion on a robot that differs from its URDF.
+The scenario `calibrate`: a robot that differs from its URDF follows a given motion.
 
 The masses of the robot differ from the URDF, and the URDF leaves out friction and rotors. Friction
 and rotor inertia depend on the inertia of the joints, so that every robot can still move.
@@ -58,7 +58,7 @@ class UnknownRobot:
 
 
 def unknown_robot(setup: DemoSetup) -> UnknownRobot:
-    """Draw the true properties of a robot whose URDF is wrong; each URDF gives one result."""
+    """Draw the true properties of a robot whose URDF is wrong, always the same for one URDF."""
     robot, rng = setup.robot, np.random.default_rng(_SEED)
     inertials = {}
     for k, name in enumerate(robot.link_names):

@@ -32,7 +32,7 @@ class ScenarioResult:
     failures: tuple[str, ...] = ()
     """Reasons why the run failed; empty if the run passed."""
     excuse: str = ''
-    """Possible cause of the failures outside the node; empty if none is known."""
+    """What outside the node may have caused the failures; empty if nothing is known."""
 
     def __str__(self) -> str:
         if self.failures:

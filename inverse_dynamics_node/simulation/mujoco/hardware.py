@@ -137,9 +137,9 @@ class MujocoRobot:
         """
         Advance the simulation by a few milliseconds, unless a joint would become too fast.
 
-        Return None after an advance. If a joint would exceed its speed bound, restore the previous
-        state and return the speeds that the joints would have reached. Speeds and bounds have
-        shape (n,) [rad/s or m/s].
+        Return None if the simulation has advanced. If a joint would exceed its speed bound,
+        restore the previous state and return the speeds that the joints would have reached. Speeds
+        and bounds have shape (n,) [rad/s or m/s].
         """
         data = self._data
         before = data.qpos.copy(), data.qvel.copy(), data.qacc_warmstart.copy()
@@ -177,12 +177,12 @@ class MujocoRobot:
         return inertia
 
     def bias_efforts(self) -> Floats:
-        """Return the joint efforts of gravity and velocities, including mimics, shape (n,)."""
+        """Return the joint efforts due to gravity and velocities, with mimics, shape (n,)."""
         efforts: Floats = self._coupling.T @ self._data.qfrc_bias
         return efforts
 
     def gravity_efforts(self) -> Floats:
-        """Return the joint efforts of gravity alone, including payloads, shape (n,)."""
+        """Return the joint efforts due to gravity only, with payloads, shape (n,)."""
         self._at_rest.qpos[:] = self._data.qpos
         mujoco.mj_fwdPosition(self._model, self._at_rest)
         mujoco.mj_fwdVelocity(self._model, self._at_rest)

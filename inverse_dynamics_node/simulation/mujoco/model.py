@@ -7,7 +7,7 @@ URDF needs four changes:
 - Shapes are removed: they need mesh files, and MuJoCo would give them a mass.
 - Quaternions become roll, pitch and yaw: MuJoCo ignores ``quat_xyzw``.
 - Links on fixed joints remain separate bodies: merging would drop inertia without mass.
-- Placeholders replace masses and inertias that MuJoCo rejects until the model is compiled.
+- During compilation, placeholders replace masses and inertias that MuJoCo rejects.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def _write_quaternions_as_rpy(root: Element) -> None:
 
 
 def _set_implausible_inertias_aside(root: Element) -> dict[str, tuple[float, Floats]]:
-    """Replace masses and inertias that MuJoCo rejects with placeholders; return the originals."""
+    """Put placeholders for masses and inertias that MuJoCo rejects; return the originals."""
     set_aside = {}
     for link in root.iter('link'):
         mass, inertia = _mass_and_inertia(link)
@@ -154,7 +154,7 @@ def _set_options(model: Any) -> None:
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     # A diverging state must be an error, not a jump back to the start.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    # A mimicking joint stops with its master. The limits of the mimicking joint often contradict.
+    # A mimicking joint stops with its master. Its own limits often contradict that.
     model.jnt_limited[model.eq_obj1id] = False
     model.eq_solimp[:, :2] = STIFFEST
     model.eq_solref[:, 0] = 2.0 * LARGEST_STEP  # the smallest value that MuJoCo considers stable
