@@ -242,7 +242,7 @@ def judge_joint_states(now: float, loop: ControlLoop, around: GraphInfo) -> Judg
         return Level.WARN, '; '.join(warnings)
     if collector.unseen():
         joints = ', '.join(collector.unseen())
-        return Level.WARN, f'the locked positions of {joints} are used: they were never reported'
+        return Level.WARN, f'never reported: {joints}; their locked positions are used'
     is_closed = settings.mode in (Mode.COMPUTED_TORQUE, Mode.JOINT_IMPEDANCE)
     if is_closed and collector.without_velocity():
         return Level.WARN, f'no velocities are reported: {settings.mode.value} has no damping'

@@ -114,7 +114,7 @@ def read_command(driver: Driver, joints: Sequence[str], message: Any) -> Command
         if len(message.data) != len(joints):
             raise ValueError(
                 f'the message has {len(message.data)} efforts, expected {len(joints)}; '
-                '--held names joints without commands'
+                'use --held for joints without commands'
             )
         return Command(_finite(message.data, 'effort') / driver.command_unit)
     efforts = _by_name(message, 'effort', joints) / driver.command_unit

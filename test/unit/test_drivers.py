@@ -115,7 +115,7 @@ def test_commands_by_name_come_in_any_order():
         (
             'ur',
             SimpleNamespace(data=[1.0]),
-            'the message has 1 efforts, expected 2; --held names joints without commands',
+            'the message has 1 efforts, expected 2; use --held for joints without commands',
         ),
         ('ur', SimpleNamespace(data=[1.0, np.nan]), 'an effort in the message is not finite'),
         (
