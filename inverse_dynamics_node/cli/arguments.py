@@ -1,4 +1,4 @@
-"""The parser of a command, the arguments that several commands share, and loading of robots."""
+"""Parses the arguments of commands, defines those that several commands share, loads robots."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ class CommandParser(argparse.ArgumentParser):
     """
     The parser of one command.
 
-    The help is wrapped to the width of the terminal, except for paragraphs of the epilog with
-    indented lines. The help lists the options in groups: robot and load, options of the command
-    with the title `own`, and the result. A mistyped option leads to a suggestion.
+    The help is wrapped to the width of the terminal; paragraphs with indented lines stay as they
+    are. The help lists the options in groups: `ROBOT`, the options of this command (the title of
+    this group is `own`), and `RESULT`. The error for a mistyped option suggests another option.
     """
 
     def __init__(self, command: str, description: str, epilog: str, own: str = 'input') -> None:
@@ -100,7 +100,7 @@ def add_gravity(parser: CommandParser) -> None:
 
 
 def add_link(parser: CommandParser, role: str = '') -> None:
-    """Add the option --link; `role` describes a second role of the link in the help."""
+    """Add the option --link; `role` is text for its help that describes a second role."""
     text = 'link that carries the payload (default: tool0, or the end of the longest chain)'
     parser.add_argument('--link', group=ROBOT, help=text + role)
 
@@ -138,8 +138,8 @@ def add_picture(parser: CommandParser, default: str = '') -> None:
     """
     Add the option --picture.
 
-    With `default`, which describes the default file in the help, the command always writes a
-    picture, unless the option --no-picture is given.
+    If `default` is given, the command writes a picture unless --no-picture is given. The help
+    shows `default` as the name of the file.
     """
     text = f' (default: {default})' if default else ' (default: no picture)'
     parser.add_argument(
@@ -179,7 +179,7 @@ def add_strict(parser: CommandParser, condition: str) -> None:
 
 
 def add_at(parser: CommandParser, which: str) -> None:
-    """Add the option --at; `which` says in the help which joints it sets."""
+    """Add the option --at; the help describes the joints as "a joint that `which`"."""
     parser.add_argument(
         '--at',
         group=ROBOT,
@@ -193,7 +193,7 @@ def add_at(parser: CommandParser, which: str) -> None:
 
 
 def number(expected: str, is_valid: Callable[[float], bool]) -> Callable[[str], float]:
-    """Return a function that parses the number of an option; its errors quote `expected`."""
+    """Return a function that parses a number; its error messages quote `expected`."""
 
     def parse(text: str) -> float:
         try:
@@ -227,7 +227,7 @@ def _payload(text: str) -> list[float]:
 
 
 def read_source_text(path: Path | str) -> Path | str:
-    """Return the text of standard input for ``-``, and any other argument unchanged."""
+    """Return the text of standard input if the path is ``-``; return another path unchanged."""
     if str(path) != '-':
         return path
     text = sys.stdin.read()
@@ -250,7 +250,7 @@ def load_dynamics(path: Path | str, gravity: Floats | tuple[float, ...]) -> Inve
 
 
 def stem_of(path: Path) -> str:
-    """Return the text with which the names of output files about a robot begin."""
+    """Return the stem of a path, or 'robot' for ``-``; names of output files begin with it."""
     return 'robot' if str(path) == '-' else path.stem
 
 

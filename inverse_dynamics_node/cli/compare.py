@@ -1,4 +1,4 @@
-"""The command `compare`: measured efforts of a recording compared with the model."""
+"""The command `compare`: compares the measured efforts of a recording with the model."""
 
 from __future__ import annotations
 

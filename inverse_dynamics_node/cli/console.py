@@ -46,7 +46,7 @@ def show(*tables: Table) -> None:
         if terminal is None:
             print(as_text(table, whole_names=not sys.stdout.isatty()), end='\n\n')
         else:
-            # Lines longer than the width of the terminal wrap.
+            # The terminal wraps lines that are too long.
             _print_in_colour(terminal, table_lines(table, terminal.width), soft_wrap=True)
             terminal.print()
 
@@ -80,7 +80,7 @@ def waiting(label: str) -> Iterator[None]:
 
 @contextmanager
 def progress(label: str) -> Iterator[Callable[[float], None]]:
-    """Show a progress bar on a terminal; yield a function that sets the fraction done."""
+    """Show a progress bar on a terminal; yield a function that sets its fraction, from 0 to 1."""
     terminal = _terminal(stderr=True)
     if terminal is None:
         yield lambda fraction: None
@@ -94,7 +94,7 @@ def progress(label: str) -> Iterator[Callable[[float], None]]:
 
 
 class EscapedOutput:
-    """A text stream that escapes all characters that are not printable, except for line ends."""
+    """A text stream that escapes all unprintable characters except line ends."""
 
     def __init__(self, stream: Any) -> None:
         self.stream = stream
@@ -105,7 +105,7 @@ class EscapedOutput:
         return len(text)
 
     def writelines(self, lines: Any) -> None:
-        """Write lines that contain their line ends."""
+        """Write lines; each one contains its line end."""
         for line in lines:
             self.write(line)
 
@@ -114,7 +114,7 @@ class EscapedOutput:
 
 
 def escaped_lines(text: str) -> str:
-    """Escape characters that are not printable in text of several lines."""
+    """Escape the unprintable characters of a text, except its line ends."""
     return '\n'.join(map(escaped, text.split('\n')))
 
 
@@ -130,7 +130,7 @@ def escaped_output() -> Iterator[None]:
 
 
 def colour_console(stderr: bool = False, environment: Mapping[str, str] = os.environ) -> Any:
-    """Return a rich console that writes colours, but escapes the text that it prints."""
+    """Return a `rich.console.Console` that writes colours, and escapes the text that it prints."""
     from rich.console import Console
     from rich.segment import Segment
 
@@ -149,7 +149,7 @@ def colour_console(stderr: bool = False, environment: Mapping[str, str] = os.env
 
 
 def _terminal(stderr: bool = False) -> Any:
-    """Return a rich console; None for a pipe or a file, or if rich is not installed."""
+    """Return a colour console, or None if there is no terminal or rich is not installed."""
     if not (sys.stderr if stderr else sys.stdout).isatty():
         return None
     try:

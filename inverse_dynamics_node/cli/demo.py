@@ -1,7 +1,7 @@
 """
 The command `demo`: runs the node on a simulated robot.
 
-This module needs ROS: only `main` of this package imports it, when the command runs.
+This module needs ROS; `main` imports it only when the command runs.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ exit code: 0 passed; 1 failed, or cannot be run; 2 invalid arguments."""
 CALIBRATE = 'calibrate'
 """The scenario that runs the robot twice, and identifies its parameters between the runs."""
 _FRACTION = 0.6
-"""Fraction of the limits for the motion; tracking errors with the wrong URDF need the rest."""
+"""Fraction of the limits that the motion uses; tracking errors of the first run need a reserve."""
 
 Draw = Callable[[Path], None]
 
@@ -197,7 +197,7 @@ def _add_files(parser: CommandParser) -> None:
 def _run_scenario(
     options: argparse.Namespace, stopped: Callable[[], bool]
 ) -> tuple[ScenarioResult, Draw]:
-    """Run a scenario of the simulation; return its verdict, and a function that draws it."""
+    """Run a scenario of the simulation; return the verdict, and a function that draws the run."""
     result = run_demo(options, stopped)
 
     def draw(path: Path) -> None:
@@ -252,7 +252,7 @@ def _run_identification(
 
 
 class _ExcitationMotion:
-    """The motion of all joints that the commander requests; at its end the robot rests."""
+    """The motion that the commander requests for all joints; after the motion, the joints rest."""
 
     def __init__(self, excitation: Excitation) -> None:
         self._series, self._limits = excitation.series, excitation.limits

@@ -249,7 +249,7 @@ def _count(number: int, noun: str) -> str:
 def requirement_tables(
     robot: RobotModel, fine: Trajectory, requirements: EffortRequirements
 ) -> list[Table]:
-    """Return the peaks and means compared with the limits, and the terms of the efforts."""
+    """Return two tables: peaks and means with their limits, and the terms of the efforts."""
     index = robot.joint_indices(fine.joint_names)
     places = decimals(requirements.peak)
     rows, parts = [], []

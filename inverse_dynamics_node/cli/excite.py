@@ -54,7 +54,7 @@ exit code: 0 done; 1 no safe motion was found, or a file cannot be read or writt
 arguments."""
 
 _YAML_RATE = 20.0
-"""Points per second of the JointTrajectory; controllers interpolate between them [Hz]."""
+"""Points per second of the JointTrajectory [Hz]; controllers interpolate between the points."""
 _SLOW = 0.2
 """Fraction of the speed limits at which the arm moves to the start pose."""
 _positive = arguments.number('a number above 0', lambda value: 0.0 < value <= 1e6)
@@ -242,7 +242,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _limits(robot: RobotModel, source: Path | str, options: argparse.Namespace) -> MotionLimits:
-    """Return the limits of the command line, and the obstacles that the robot must avoid."""
+    """Return the limits of the motion and the obstacles, as given on the command line."""
     limits = motion_limits(
         robot, options.joints, options.fraction, dict(options.range), dict(options.at)
     )
@@ -260,7 +260,7 @@ def _limits(robot: RobotModel, source: Path | str, options: argparse.Namespace) 
 
 
 def _seconds_to_start(excitation: Excitation) -> float:
-    """Return a time that is sufficient for every joint to cross its range slowly [s]."""
+    """Return a time [s] in which every joint can cross its range slowly."""
     limits = excitation.limits
     longest = float(np.max(2.0 * limits.half / (_SLOW * limits.speeds)))
     return float(max(5.0, math.ceil(longest)))

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from ..ros.observer import Observer, Sample
 
 BAR = 12  # length of a bar [characters], if the terminal is wide enough
-WIDTH_WITHOUT_BAR = 76  # of the table of joints, for names of 20 characters
+WIDTH_WITHOUT_BAR = 76  # of the table of joints, if names have 20 characters
 NEAR_LIMIT, AT_LIMIT = 0.7, 0.95
 MOST_WARNINGS = 4
 RECENT = 60.0  # [s]; older warnings are not shown
@@ -55,7 +55,7 @@ class LiveView:
 
 
 def screen(observer: Observer, sample: Sample | None, agreement: Agreement, width: int) -> Any:
-    """Return the content of the screen for rich, with the most important lines first."""
+    """Return the content of the screen as an object of rich; important lines come first."""
     from rich.console import Group
 
     status = None if agreement.obstacle is Obstacle.NO_DIAGNOSTICS else observer.status
@@ -75,7 +75,7 @@ def screen(observer: Observer, sample: Sample | None, agreement: Agreement, widt
 
 
 def _cropped(content: Any, console: Any) -> Any:
-    """Replace the lines that do not fit on the terminal with a hint about their number."""
+    """Cut the lines that do not fit on the terminal; the last line says how many were cut."""
     from rich.console import Group
     from rich.segment import Segment, Segments
 
@@ -300,7 +300,7 @@ def _status_json(status: NodeStatus) -> dict[str, Any]:
 
 
 def _text(*arguments: Any, **options: Any) -> Any:
-    """Return a text of rich, which is imported late: lines in a pipe do not need it."""
+    """Return a text of rich; rich is imported late, because lines in a pipe do not need it."""
     from rich.text import Text
 
     return Text(*arguments, **options)

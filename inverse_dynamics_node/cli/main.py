@@ -37,7 +37,7 @@ _COMMANDS = {
     },
 }
 COMMANDS = tuple(name for group in _COMMANDS.values() for name in group)
-"""Names of modules with make_parser() and run(options), which returns the exit code."""
+"""Each is a module with make_parser() and run(options); run returns the exit code."""
 
 _USAGE = """\
 usage: inverse_dynamics COMMAND [ARGUMENT]...
@@ -94,7 +94,7 @@ _INTERRUPTED, _BROKEN_PIPE = 130, 141  # exit codes of a shell for SIGINT and SI
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; return the exit code."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
-    # The demo updates its table in place, and its only names are those of the local URDF.
+    # The demo updates its table in place. It prints no names except those in the local URDF.
     with nullcontext() if arguments[:1] in (['demo'], ['simulate']) else escaped_output():
         return _code_of(arguments)
 

@@ -27,7 +27,7 @@ def node_name(text: str) -> str:
 
 def choose_node(node: Any, wanted: str | None, is_patient: bool) -> str:
     """
-    Return the full name of the inverse dynamics node with the wanted name, or of the only node.
+    Return the full name of the wanted inverse dynamics node, or of the only one.
 
     The wanted name may be only the end of the full name. Raise ConfigurationError if there are
     several nodes, or if there is none after a while. A patient caller waits without a limit.

@@ -46,7 +46,7 @@ def output_path(text: str) -> Path:
 
 
 def picture_path(text: str) -> Path:
-    """Parse the path of a picture to write, whose suffix is one of `PICTURE_SUFFIXES`."""
+    """Parse the path of a picture to write; its suffix must be one of `PICTURE_SUFFIXES`."""
     path = output_path(text)
     if path.suffix.lower() not in PICTURE_SUFFIXES:
         raise argparse.ArgumentTypeError(
@@ -59,11 +59,11 @@ def check_outputs(
     inputs: Iterable[Path], outputs: Mapping[str, Path | None], force: bool = False
 ) -> None:
     """
-    Check that the outputs of a command, by option, do not replace a file that must be kept.
+    Check that the outputs of a command do not replace a file that must be kept.
 
-    Among the inputs, ``-`` is standard input. Raise OutputError if an output is an input (or a
-    link to one), or if two outputs are the same file. Without `force`, also raise it if a file
-    exists that is not an unchanged output of an earlier call.
+    The keys of `outputs` are options. Among the inputs, ``-`` is standard input. Raise OutputError
+    if an output is an input (or a link to one), or if two outputs are the same file. Without
+    `force`, also raise it if an existing file is not an unchanged output of an earlier call.
     """
     sources = {_identity(file): file for source in inputs for file in _files_of(source)}
     written: dict[object, str] = {}
@@ -91,8 +91,8 @@ def new_file(path: Path) -> Iterator[Path]:
     """
     Yield the path of a temporary file, which replaces the output when the body succeeds.
 
-    If the body fails, an older output stays as it is. A symbolic link stays, and the file to which
-    the link points is replaced. Raise OSError with the path if the output cannot be written.
+    If the body fails, an existing output is not changed. A symbolic link is kept: the file to
+    which it points is replaced. Raise OSError with the path if the output cannot be written.
     """
     if _is_stream(path):
         yield path
@@ -107,7 +107,7 @@ def new_file(path: Path) -> Iterator[Path]:
         yield temporary
         _complete(temporary)
         temporary.replace(target)
-    except OSError as error:  # it names the temporary file, or none if the disk is full
+    except OSError as error:  # names the temporary file, or no file
         raise OSError(error.errno, error.strerror or str(error), str(path)) from error
     finally:
         temporary.unlink(missing_ok=True)
@@ -133,7 +133,7 @@ def _digest(path: Path) -> bytes:
 
 
 def _identity(path: Path) -> object:
-    """Return device and inode of a file, which links share, or the path if no file exists."""
+    """Return device and inode of a file, the same for links to it; without a file, its path."""
     try:
         status = os.fstat(sys.stdin.fileno()) if str(path) == '-' else path.stat()
     except (OSError, ValueError):  # no such file, or a closed standard input

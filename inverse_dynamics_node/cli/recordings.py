@@ -32,7 +32,7 @@ def read_recording(
 def measured_efforts(
     path: Path | None, joint_names: tuple[str, ...]
 ) -> tuple[GravityConvention, dict[str, float]]:
-    """Read from node parameters whether efforts contain gravity, and the factors of joints."""
+    """Read from node parameters whether efforts contain gravity, and a factor for each joint."""
     given = {} if path is None else _node_parameters(path)
     try:
         in_commands = given.get('include_gravity', True)
@@ -57,7 +57,7 @@ def measured_efforts(
 
 
 def _node_parameters(path: Path) -> dict[str, Any]:
-    """Return the parameters in a file, whatever the names of the nodes are."""
+    """Return the parameters in a file; the names of the nodes are ignored."""
     import yaml
 
     try:

@@ -1,4 +1,4 @@
-"""The command `watch`: a live view of a running node, and whether model and robot agree."""
+"""The command `watch`: shows a running node, and checks whether model and robot agree."""
 
 from __future__ import annotations
 
@@ -60,10 +60,10 @@ CODES = {
     Outcome.SATURATED: 5,
     Outcome.FEW_JOINTS: 6,
 }
-_POLL = 0.02  # [s]; between requests for news of the node
-_LINE = 1.0  # [s]; between lines of text, and between checks
-_FRAME = 0.25  # [s]; between updates of the screen
-_LOST = 3.5  # [s]; longest silence; diagnostics are published once a second
+_POLL = 0.02  # [s]; time between two polls of the node
+_LINE = 1.0  # [s]; time between two lines of text, or two checks
+_FRAME = 0.25  # [s]; time between two updates of the screen
+_LOST = 3.5  # [s]; a node is lost after this time without diagnostics; they are sent once a second
 _positive = arguments.number('a positive number', lambda value: 0.0 < value < math.inf)
 
 
@@ -169,7 +169,7 @@ class _Watch:
                 time.sleep(_POLL)
 
     def _check_choice(self, now: float) -> None:
-        """Raise an error if no name was given, and another node is discovered late."""
+        """Raise an error if no name was given and a second node is discovered."""
         if self.options.node is None and now < self._began + MOST_DISCOVERY:
             only_one(self.find())
 

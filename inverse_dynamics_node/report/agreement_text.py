@@ -13,7 +13,7 @@ _MOST_NAMES = 4
 
 
 def sentence(agreement: Agreement) -> str:
-    """Say whether model and robot agree, and why not; the text has no full stop at its end."""
+    """Say whether model and robot agree, and if not, why; the text has no full stop at its end."""
     if agreement.obstacle is not None:
         return _OBSTACLES[agreement.obstacle](agreement)
     return _differ(agreement) if agreement.faults else _agree(agreement)

@@ -9,7 +9,7 @@ from .diagnosis_text import amount, sentence
 from .quantities import motion_notes, with_error
 from .tables import Table
 
-AT_NOISE = 1.5  # a residual below this multiple of the noise may be nothing but noise
+AT_NOISE = 1.5  # a residual below this multiple of the noise may consist of noise only
 
 
 def verdict(result: ComparisonResult) -> str:
@@ -46,7 +46,7 @@ def verdict(result: ComparisonResult) -> str:
 
 
 def _total(result: ComparisonResult, name: str) -> str:
-    """Write the RMS over the moving joints; revolute and prismatic joints are separate."""
+    """Write the RMS of the values of the moving joints, separately for revolute and prismatic."""
     texts = []
     for is_prismatic in (False, True):
         values = [
@@ -145,7 +145,7 @@ def percent(fraction: float) -> str:
     """Write a fraction as a percentage; NaN becomes a dash."""
     if math.isnan(fraction):
         return '-'
-    # Values near 100 % get more digits; those of a completely wrong model get none.
+    # Values near 100 % get more digits; strongly negative values are not written out.
     if fraction < -9.99:
         return '<-999%'
     if fraction > 0.9999:

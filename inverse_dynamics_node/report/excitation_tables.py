@@ -32,8 +32,8 @@ def excitation_tables(
     """
     Describe an excitation motion, and the standard errors to expect from its recording.
 
-    The trajectory has the speed at which it was written. The efforts are modelled: one row per
-    point of the trajectory, one column per joint [N m or N]. The robot sweeps the box.
+    The trajectory is the written one, which may be slower than planned. The efforts are modelled,
+    shape (points, joints) [N m or N]. The box contains the moving links in all poses.
     """
     errors = expected_errors(excitation.unknowns, excitation.information)
     return [

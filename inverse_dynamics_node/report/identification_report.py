@@ -16,7 +16,7 @@ from .tables import Table
 DETERMINED = 0.5
 """A mass is determined if the recordings give at least this fraction of the information."""
 NOTED_CHANGE = 0.1
-"""A mass that is not determined gets a note if it changes by more than this fraction."""
+"""An undetermined mass gets a note if it changes by more than this fraction."""
 
 
 def residual_table(result: IdentificationResult) -> Table:
@@ -193,7 +193,7 @@ def summary_lines(result: IdentificationResult) -> tuple[str, ...]:
 
 
 def notes_of(result: IdentificationResult) -> tuple[str, ...]:
-    """Return sentences about ignored, repaired and doubtful data, without a full stop."""
+    """Return sentences, without full stops, about ignored, repaired and doubtful data."""
     notes = [note for motion in result.signals for note in motion_notes(motion)]
     return tuple(dict.fromkeys(notes))
 

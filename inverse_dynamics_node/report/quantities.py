@@ -34,12 +34,12 @@ def number(value: float) -> str:
 
 
 def fraction(effort: float, limit: float) -> str:
-    """Write the ratio of an effort to its limit as a percentage; a dash without a limit."""
+    """Write the ratio of an effort to its limit as a percentage, or a dash if it has no limit."""
     return f'{abs(effort) / limit:.0%}' if math.isfinite(limit) else '-'
 
 
 def decimals(values: Floats, digits: int = 4) -> int:
-    """Return how many decimals, from 1 to 6, give the largest value this number of digits."""
+    """Return the number of decimals (1 to 6) with which the largest value has `digits` digits."""
     largest = float(np.max(np.abs(values), initial=0.0))
     if not 0.0 < largest < math.inf:
         return 1
@@ -55,7 +55,7 @@ def with_error(value: float, error: float) -> str:
 
 
 def motion_notes(motion: Motion) -> list[str]:
-    """Return sentences about ignored, repaired and doubtful data, without a full stop."""
+    """Return sentences, without full stops, about ignored, repaired and doubtful data."""
     notes = list(motion.notes)
     if motion.lags:
         late = ', '.join(f'{name} {1e3 * value:.0f} ms' for name, value in motion.lags.items())

@@ -24,10 +24,10 @@ def model_tables(
     """
     Describe the robot and the loads on it.
 
-    The joints are those to command, in the order of the commands; without joints, all are listed
-    in the order of the robot. With positions q of all joints [rad or m], a table of the gravity
-    efforts in this pose is added. The effort limits of the commanded joints [N m or N] are by
-    default those of the URDF. Raise ConfigurationError if a joint does not exist or the number of
+    `joints` are the commanded joints, in the order of the commands (default: all joints, in the
+    order of the robot). If positions q of all joints [rad or m] are given, a table shows the
+    gravity efforts in this pose. By default, the effort limits of the commanded joints [N m or N]
+    are those of the URDF. Raise ConfigurationError if a joint does not exist or the number of
     limits is wrong, and JointStateError if q has a wrong shape or is not finite.
     """
     robot = dynamics.robot
@@ -169,7 +169,7 @@ def _at_rest(dynamics: InverseDynamics, q: Floats, limits: Floats) -> Table:
 def _limits(
     robot: RobotModel, commanded: Sequence[str], effort_limits: ArrayLike | None
 ) -> Floats:
-    """Return the limits of all joints; given limits replace those of the commanded joints."""
+    """Return the limits of all joints; for commanded joints, `effort_limits` replaces them."""
     indices = robot.joint_indices(commanded)
     limits: Floats = robot.effort_limits.copy()
     if effort_limits is not None:

@@ -33,7 +33,7 @@ class Table(NamedTuple):
     rows: tuple[tuple[str, ...], ...] = ()
     notes: tuple[str, ...] = ()
     words: frozenset[int] = frozenset()
-    """Indices of further columns that contain words and are aligned to the left."""
+    """Indices of columns (besides the first) that contain words and are aligned to the left."""
     marked: frozenset[int] = frozenset()
     """Indices of the rows that need attention, such as a joint beyond a limit."""
 
@@ -68,7 +68,7 @@ def table_lines(table: Table, width: int = WIDTH, whole_names: bool = False) -> 
     """
     Format a table in lines of at most `width` characters.
 
-    With `whole_names`, names are not shortened for programs that read them; lines may be longer.
+    With `whole_names`, for programs, no name is shortened; lines can then be longer than `width`.
     """
     lines = [Line(escaped(table.title), Style.TITLE)]
     if table.rows:
@@ -117,7 +117,7 @@ def _aligned(table: Table, width: float) -> list[str]:
 
 
 def warnings_about(robot: RobotModel) -> tuple[ModelWarning, ...]:
-    """Return the warnings of the loader of a robot, and those about its effort limits."""
+    """Return the warnings from loading a robot, and warnings about its effort limits."""
     return (*robot.warnings, *effort_limit_warnings(robot))
 
 

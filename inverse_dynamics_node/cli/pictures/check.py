@@ -20,7 +20,7 @@ _BINS = 80
 _HALF = 0.42
 """Half of the largest height of a distribution, as a multiple of the row height."""
 _REACH = 1.12
-"""Both ends of the axis of efforts, as a multiple of the worst effort."""
+"""The axis of efforts ends at this multiple of the worst effort, on both sides."""
 _MAX_RATIO = 1.2
 """Bars that are longer than this multiple of the limit are cut."""
 _NEGLIGIBLE = 1e-6
@@ -69,7 +69,7 @@ def _title(workspace: Workspace, payload: PayloadCapacity, source: str) -> list[
 
 
 def _draw_efforts(axes: Any, workspace: Workspace) -> None:
-    """Draw the distribution of the efforts of each joint in a row with its own scale."""
+    """Draw one row per joint: the distribution of its efforts, with its own scale."""
     names = workspace.robot.joint_names
     peaks = workspace.peaks
     is_zero = peaks <= _NEGLIGIBLE * np.max(peaks)
@@ -104,7 +104,7 @@ def _draw_row(axes: Any, row: int, values: Floats, colour: str) -> None:
 
 
 def _draw_ratios(axes: Any, workspace: Workspace) -> None:
-    """Draw a bar for the ratio of worst effort to limit of each joint, with both numbers."""
+    """Draw one bar per joint: the ratio of worst effort to limit, with both numbers as text."""
     count = len(workspace.limits)
     for i, (peak, limit) in enumerate(zip(workspace.peaks, workspace.limits, strict=True)):
         is_beyond = bool(peak > limit)
@@ -185,7 +185,7 @@ def _frame(axes: Any, points: Floats) -> None:
 
 
 def _side_view(gravity: Floats, points: Floats, view: int) -> Floats:
-    """Return the projection to (across, up), shape (3, 2), that spreads the points most widely."""
+    """Return the projection to (across, up) that spreads the points most widely, shape (3, 2)."""
     size = float(np.linalg.norm(gravity))
     up = -gravity / size if size > 0.0 else np.array([0.0, 0.0, 1.0])
     spread = points - points[0]
@@ -238,7 +238,7 @@ def _draw_masses(axes: Any, robot: RobotModel, centres: Floats) -> None:
 def _draw_joints(
     axes: Any, robot: RobotModel, flat: Floats, joint: int
 ) -> list[tuple[Floats, list[int]]]:
-    """Draw the joints; return the places of labels and the numbers of their joints, from 1."""
+    """Draw the joints; return the place of each label, and its joint numbers (from 1)."""
     many = len(robot.joint_names) > _MOST_NUMBERS
     apart = 0.07 * (float(np.max(np.ptp(flat, axis=0))) or 1.0)
     places: list[tuple[Floats, list[int]]] = []
@@ -263,7 +263,7 @@ def _number(axes: Any, places: Sequence[tuple[Floats, list[int]]]) -> None:
     """
     Write the numbers of the joints without overlaps.
 
-    A label without a free place is left out; the rows beside the picture show all numbers.
+    A label without a free place is omitted; the rows beside the picture show all numbers.
     """
     figure = axes.figure
     figure.canvas.draw()  # the layout determines the free places

@@ -98,7 +98,7 @@ def _small(pyplot: Any, result: ComparisonResult) -> tuple[Any, list[Any]]:
 
 
 def _draw_efforts(ax: Any, result: ComparisonResult, c: int) -> list[Any]:
-    """Draw measured and modelled efforts; a wide line below keeps the measured one visible."""
+    """Draw the modelled efforts over a wide line, which shows the measured effort."""
     times = result.motion.times
     signals = (
         (result.measured, {'color': style.GREY, 'linewidth': 3.2, 'alpha': 0.55}),

@@ -19,7 +19,7 @@ from . import style
 MOST_POINTS = 1500
 LEAST_ERROR = 0.01  # [mrad, mm]: smallest range of the error axis
 ACROSS = 115  # letters that fit on a line above the axes
-LEGEND, KEY = 120, 8  # letters: on a line of the legend, and for a sample of a line
+LEGEND, KEY = 120, 8  # width of the legend, and of a line sample in it [letters]
 JOINT_COLOURS = (*style.COLOURS, style.DARK)
 DASHES = ('-', (0, (5, 1.5)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)), (0, (8, 1.5, 1, 1.5, 1, 1.5)))
 """Line styles; with the colours they distinguish 35 joints."""
@@ -125,8 +125,8 @@ def _efforts(axes: Any, robot: RobotModel, timeline: Timeline, history: History)
     """
     Draw all commands, even while joint states are missing; each joint has its own scale.
 
-    A joint that uses a small fraction of its limit, or has no limit, stays legible. The legend or
-    the label of the row states the largest effort and the limit.
+    Efforts far below their limit are therefore legible, and efforts without a limit too. The
+    legend or the label of the row states the largest effort and the limit.
     """
     times, rows = _thin(history.commands.times, history.commands.rows)
     largest = _largest(history)
@@ -178,7 +178,7 @@ def _shade(axes: Any, timeline: Timeline, history: History) -> None:
 
 
 def _explain(axes: Any, timeline: Timeline) -> None:
-    """Write the descriptions of the events above the first panel, where they begin."""
+    """Write each event above the first panel, at the time at which the event begins."""
     words = [timeline.begins, *(event.words for event in timeline.events)]
     end = axes.get_xlim()[1]
     for i, (time, text) in enumerate(zip(_edges(timeline), words, strict=True)):
@@ -201,7 +201,7 @@ def draw_identification(
     title: str,
     path: Path,
 ) -> None:
-    """Draw the errors of all joints over time with the same scale, and their RMS values."""
+    """Draw the errors in both runs over time, with the same scale, and their RMS values."""
     with style.styled_pyplot() as pyplot:
         figure = pyplot.figure(figsize=(style.WIDTH, max(5.2, 2.6 + 0.3 * len(names))))
         halves = figure.add_gridspec(1, 2, width_ratios=(1.7, 1.0))

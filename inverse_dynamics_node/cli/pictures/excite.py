@@ -120,7 +120,7 @@ def _draw_surroundings(axes: Any, clearance: Clearance, across: int, up: int) ->
 
 
 def _efforts_panel(efforts: Floats, limits: Floats) -> tuple[str, Floats]:
-    """Return a label, and efforts relative to the limits used (to their peaks without limits)."""
+    """Return a label, and efforts in percent of the limit, or of the peak if there is no limit."""
     peak = np.maximum(np.max(np.abs(efforts), axis=0), 1e-9)
     has_limit = np.isfinite(limits)
     of = 'of limit used' if has_limit.all() else 'of limit used, or of peak'

@@ -1,4 +1,4 @@
-"""The picture of `identify`: efforts of unseen data with three models, residuals and masses."""
+"""The picture of `identify`: residuals, masses, and the efforts of three models in unseen data."""
 
 from __future__ import annotations
 

@@ -78,7 +78,7 @@ def styled_pyplot() -> Iterator[Any]:
 
 
 def set_title(figure: Any, *paragraphs: str, most_lines: int = 5) -> None:
-    """Write the title of a figure; paragraphs begin new lines, and words are not split."""
+    """Write the title of a figure; each paragraph begins a new line, and words are not split."""
     lines = [line for text in paragraphs for line in wrapped(text, _TITLE_LETTERS)]
     if len(lines) > most_lines:
         lines = [*lines[:most_lines], '...']
