@@ -46,8 +46,8 @@ def make_parser() -> CommandParser:
     parser = CommandParser(
         'check',
         'Report on a robot description. A verdict comes first. Then the command prints the tree, '
-        'masses and limits, the gravity efforts over the workspace with the effort limits, the '
-        'payload that these limits allow, and warnings with hints.',
+        'masses and limits, the gravity efforts over the workspace, the payload that the effort '
+        'limits allow, and warnings with hints.',
         EPILOG,
         own='search',
     )
@@ -170,7 +170,7 @@ def workspace_table(workspace: Workspace, payload: PayloadCapacity) -> Table:
     hardest = workspace.hardest
     worst_pose = workspace.poses[workspace.worst[hardest]]
     notes: tuple[str, ...] = (
-        f'Hardest for {robot.joint_names[hardest]}: at {pose_in_words(robot, worst_pose)}.',
+        f'Worst pose of {robot.joint_names[hardest]}: {pose_in_words(robot, worst_pose)}.',
         payload_in_words(robot, payload),
     )
     if workspace.is_search_shortened:

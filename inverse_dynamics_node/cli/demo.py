@@ -164,7 +164,7 @@ def _add_run(parser: CommandParser, scenarios: Iterable[str]) -> None:
         'ROS_DOMAIN_ID is ignored)',
     )
     parser.add_argument(
-        '--link', default='', help='link that is loaded or pushed (default: one that is suitable)'
+        '--link', default='', help='link that is loaded or pushed (default: a suitable link)'
     )
     parser.add_argument(
         '--friction',

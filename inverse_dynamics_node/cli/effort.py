@@ -60,7 +60,7 @@ def make_parser() -> CommandParser:
     parser = CommandParser(
         'effort',
         'Compute the joint efforts along a trajectory: peaks and means compared with '
-        'the limits, their terms, a table over time, and a picture.',
+        'the limits, terms of the efforts, a table over time, and a picture.',
         EPILOG,
     )
     arguments.add_urdf(parser)

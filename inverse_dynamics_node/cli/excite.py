@@ -64,8 +64,8 @@ def make_parser() -> CommandParser:
     """Return the parser of the command."""
     parser = CommandParser(
         'excite',
-        'Find the motion within the limits from which masses and friction can be '
-        'identified best. The command writes the motion as CSV and as JointTrajectory, draws a '
+        'Find the motion that, within the limits, identifies masses and friction '
+        'best. The command writes the motion as CSV and as JointTrajectory, draws a '
         'picture, and reports the space of the motion and the standard errors to expect.',
         EPILOG,
         own='motion',

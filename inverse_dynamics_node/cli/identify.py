@@ -36,10 +36,11 @@ examples:
   inverse_dynamics identify my_arm.urdf run.csv --payload 1.5,0,0,0.05 --link tool0
   inverse_dynamics identify my_arm.urdf run.mcap --fixed base_link gripper_base
 
-Recordings are those of `inverse_dynamics compare`: rosbag2 folders, .mcap, .db3 or .csv files with
-measured efforts. Record motions of all joints at the same time, in varied poses, slowly and fast,
-in both directions, for 30 s or more; `inverse_dynamics excite` plans such a motion. Without
---validate, blocks of the recordings are left out in turn, and the result is evaluated on them.
+A recording is a rosbag2 folder, .mcap, .db3 or .csv file with measured efforts; the help of
+`inverse_dynamics compare` describes it. Record motions of all joints at the same time, in varied
+poses, slowly and fast, in both directions, for 30 s or more; `inverse_dynamics excite` plans such
+a motion. Without --validate, blocks of the recordings are left out in turn, and the result is
+evaluated on them.
 
 Where the recordings give little information, the result stays close to the URDF. The result is
 always physical. If the identified model does not predict unseen data better than the URDF with

@@ -23,7 +23,7 @@ _COMMANDS = {
     'without a robot': {
         'check': 'report on a URDF: masses, limits, warnings, gravity efforts, payload capacity',
         'effort': 'efforts, speeds and powers along a trajectory, compared with the limits',
-        'excite': 'a motion to record for the identification of masses and friction',
+        'excite': 'plan a motion to record, from which `identify` can find masses and friction',
     },
     'with recordings of a robot': {
         'compare': 'compare a recording with the model, fit friction, diagnose differences',
@@ -32,7 +32,7 @@ _COMMANDS = {
     },
     'with ROS 2': {
         'watch': 'watch a running node: do model and robot agree?',
-        'simulate': 'simulate a robot to try the node on (needs MuJoCo)',
+        'simulate': 'simulate a robot, to try the node without hardware (needs MuJoCo)',
         'demo': 'run the node on a simulated robot, with a verdict (needs MuJoCo)',
     },
 }

@@ -34,7 +34,8 @@ examples:
 
 Record the same motion twice, without and with the payload: 20 s or more in which all joints move
 slowly, up and down, in both directions. Or let the arm rest in 6 to 8 poses for 2 s each, and
-approach each pose from the same side. The recordings are those of `inverse_dynamics compare`.
+approach each pose from the same side. The help of `inverse_dynamics compare` lists
+the formats of recordings.
 
 exit code: 0 measured; 1 a recording cannot be used, or the node did not take the payload;
 2 invalid arguments; 3 the recordings do not show the mass, or not all of the centre of mass."""

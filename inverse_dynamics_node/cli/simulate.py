@@ -23,9 +23,9 @@ attaches a load to a link, and ~/push (geometry_msgs/WrenchStamped) pushes the r
 ~/hold (std_srvs/SetBool) lets the position controller hold the robot while its load is changed, or
 releases the robot. The prefix ~ stands for /simulated_robot.
 
-With --driver, the robot follows the conventions of a driver for commands, efforts and topics. If
-the driver needs a relay, the robot takes the commands from the node itself. doc/robots.md
-describes the drivers, and config/robots has a parameter file for each driver.
+With --driver, commands, efforts and topics follow the conventions of this driver. If the driver
+needs a relay, the robot takes the commands from the node itself. doc/robots.md describes the
+drivers, and config/robots has a parameter file for each driver.
 {drivers}
 
 examples:
@@ -73,7 +73,7 @@ def make_parser() -> CommandParser:
         nargs='+',
         default=[],
         metavar='JOINT',
-        help='joints that hold their position and accept no commands, such as those of a gripper',
+        help='joints that hold their position and accept no commands, for example in a gripper',
     )
     parser.add_argument(
         '--rate',

@@ -81,7 +81,7 @@ def make_parser() -> CommandParser:
         nargs='?',
         type=node_name,
         metavar='NODE',
-        help='name of the node, as in ros2 node list (default: the only one there is)',
+        help='name of the node, as in ros2 node list (default: the only inverse dynamics node)',
     )
     parser.add_argument(
         '--for',
@@ -101,8 +101,8 @@ def make_parser() -> CommandParser:
         '--rate',
         type=_positive,
         metavar='HZ',
-        help='rate at which the robot publishes joint states; below 80 %% of it they are slow '
-        '(by default, below half of update_rate, or below 80 Hz without update_rate)',
+        help='rate at which the robot publishes joint states, which are slow below 80 %% of this '
+        'rate (by default, below half of update_rate, or below 80 Hz without update_rate)',
     )
     return parser
 

@@ -65,15 +65,15 @@ def comparison_table(result: ComparisonResult, notes: tuple[str, ...]) -> Table:
     rows = [_row(joint) for joint in result.joints]
     columns = ('joint', '', 'measured', 'modelled', 'residual', 'friction', 'corrected', 'noise',
                'explained', 'scale')  # fmt: skip
-    findings_too = ', and with the findings above' if result.faults else ''
+    corrections = ', offset and the findings above' if result.faults else ' and offset'
     remarks = (
         'All efforts are RMS values. Residual: measured minus modelled effort. Friction: residual '
-        'with fitted friction. Corrected: residual with fitted friction and offset'
-        f'{findings_too}. Noise: noise that remains after smoothing; a smaller residual needs no '
-        'explanation. Explained: 1 - (corrected / measured)^2. Scale: the measured effort is '
-        'about scale * modelled effort + offset. Unless the friction of a joint is unknown, '
-        'samples at rest are not used, because dry friction at rest can have any value up to its '
-        'maximum.',
+        'of the model with fitted friction. Corrected: residual of the model with fitted friction'
+        f'{corrections}. Noise: noise that remains after smoothing; a residual below the noise '
+        'needs no explanation. Explained: 1 - (corrected / measured)^2. Scale: the measured '
+        'effort is about scale * modelled effort + offset. Unless the friction of a joint is '
+        'unknown, samples at rest are not used, because dry friction at rest can have any value '
+        'up to its maximum.',
         _quality(result.motion),
         *(f'{note[0].upper()}{note[1:]}.' for note in (*motion_notes(result.motion), *notes)),
     )

@@ -313,8 +313,8 @@ def _gravity_compensated_advice(fault: Fault) -> str:
     return (
         'Unless brakes hold the arm, the driver compensates gravity already: set '
         'include_gravity: false in the node. If gravity were compensated twice, the arm would '
-        'move upwards. If the driver only reports efforts without gravity, set '
-        'measured_gravity: excluded instead.'
+        'move upwards. If only the measured efforts lack gravity, set measured_gravity: excluded '
+        'instead.'
     )
 
 

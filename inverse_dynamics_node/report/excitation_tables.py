@@ -137,9 +137,9 @@ def _joints(robot: RobotModel, excitation: Excitation, errors: ExpectedErrors) -
             'efforts: errors of the efforts that the identified model predicts in random states '
             'within the limits',
             f'{errors.count} unknowns; log det of their information matrix: '
-            f'{excitation.log_det + errors.count * math.log(count):.4g}; the errors are '
-            f'{gain:.2f} times smaller (geometric mean) than those of the best of {CANDIDATES} '
-            'random motions within the same limits',
+            f'{excitation.log_det + errors.count * math.log(count):.4g}',
+            f'the best of {CANDIDATES} random motions within the same limits has {gain:.2f} times '
+            'larger errors (geometric mean)',
         ),
     )
 
@@ -155,8 +155,8 @@ def _bodies(errors: ExpectedErrors) -> Table:
         ('joint', 'mass [kg]', 'mass x distance [kg m]', 'inertia [kg m^2]'),
         tuple(rows),
         (
-            'each number is the largest error of its kind; a combination of parameters that only '
-            'act together is listed at one joint; "-" means that no combination is listed there',
+            'each number is the largest error of its kind; parameters that act only in '
+            'combination are listed at one joint; "-" means that nothing is listed at this joint',
         ),
     )
 

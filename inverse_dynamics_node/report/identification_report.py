@@ -39,7 +39,7 @@ def residual_table(result: IdentificationResult) -> Table:
     columns = ('joint', 'measured', 'URDF', '+ friction', 'identified', 'noise', 'raw', '',
                'fitted: + friction', 'identified')  # fmt: skip
     notes = (
-        'RMS of the measured effort, and of its residuals with three models, smoothed over '
+        'RMS of the measured effort and of the residuals of three models, smoothed over '
         f'{1e3 * result.unseen.smoothing:.0f} ms. Left columns: unseen data, '
         f'{result.unseen.description}. Right columns: the data that were fitted. Noise: residual '
         'that no model can explain, estimated from the high frequencies of the efforts. Raw: '

@@ -87,7 +87,7 @@ def test_long_names_are_not_shortened_in_a_pipe(tmp_path, capsys):
     assert main(['check', 'long.urdf', '--samples', '64']) == 0
     output = capsys.readouterr().out
     assert '…' not in output
-    rows = output.split('Efforts that hold the robot')[1].split('Hardest')[0]
+    rows = output.split('Efforts that hold the robot')[1].split('Worst pose')[0]
     assert all(name in rows for name in names.values())
     assert '--poses FILE writes them as CSV' in ' '.join(output.split())
     assert main(['check', str(STANFORD), '--samples', '64']) == 0
