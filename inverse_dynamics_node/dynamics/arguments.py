@@ -14,7 +14,7 @@ from .batch import LANES
 from .jit import IS_COMPILED, OK
 
 Computation = Callable[[Sequence[Floats], Floats], int]
-"""A function of arguments and of an array for the results; it returns a status."""
+"""Function that takes arguments and an array for the results, and returns a status."""
 
 
 def over_states(
@@ -30,7 +30,7 @@ def over_states(
 
     ``arguments`` are the joint positions and so on, by name, of any type that numpy can convert.
     ``kind`` is the shape of the result for one state. ``few`` computes the quantity for arguments
-    of shape (N, n), for N states of n joints. ``many`` does so faster for N of at least
+    of shape (N, n), for N states of n joints. ``many`` is faster if N is at least
     `batch.LANES`, but numba may have to compile it first. The result is written to ``out`` if
     ``out`` is given. Wrong shapes, and values that are not finite, raise a JointStateError.
 
@@ -128,7 +128,7 @@ def is_free(out: Floats, others: Sequence[Floats]) -> bool:
 
 
 def read_joints(name: str, values: ArrayLike, n: int, is_signed: bool = False) -> Floats:
-    """Convert one number, or one per joint, to n numbers; negative only if ``is_signed``."""
+    """Convert one number, or one per joint, to n numbers; below 0 only if ``is_signed``."""
     try:
         numbers = np.broadcast_to(np.asarray(values, dtype=np.float64), (n,))
     except (TypeError, ValueError):

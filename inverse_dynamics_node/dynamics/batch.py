@@ -118,7 +118,7 @@ def _blocks(
     robot: Any,
     rows: Any,
 ) -> int:
-    """Compute efforts, or regressors if R_LZ has rows, in blocks; the states are columns here."""
+    """Compute efforts, or regressors if R_LZ has rows, in blocks; the columns of q are states."""
     place, motion, q, qd, qdd, residue, wrench, tau, frames, turned, factors = rows
     last = all_q.shape[1] - LANES
     hold_base(robot, motion)
@@ -262,7 +262,7 @@ def own_wrenches(robot: Any, i: int, motion: Any, wrench: Any) -> None:
 
 @simd_step
 def inward_step(robot: Any, i: int, place: Any, wrench: Any, parent: int, parents: Any) -> None:
-    """Add a link's force and moment to those of its parent, in the parent's frame."""
+    """Convert a link's force and moment to its parent's frame, and add them to the parent."""
     R, offset = rotation(robot[i]), vector(robot[i], OFFSET)
     for k in range(LANES):
         c, s, length = lane(place, i, 0, k)
@@ -301,7 +301,7 @@ def finish(qd: Any, qdd: Any, tau: Any, robot: Any, residue: Any) -> None:
 
 @simd_step
 def share_drive(qd: Any, qdd: Any, tau: Any, robot: Any, joint: int, residue: Any) -> None:
-    """Add the rotor inertia and friction of a drive that also turns with the previous joint."""
+    """Add rotor inertia and friction to the efforts of the two joints that turn one drive."""
     armature, numbers = robot[joint + 1, ARMATURE], friction_of(robot[joint + 1])
     ratio, before = coupling_of(robot[joint + 1])
     for k in range(LANES):
@@ -326,7 +326,7 @@ def regressor_pass(
     factors: Any,
     residue: Any,
 ) -> None:
-    """Compute the regressor blocks of every link and every joint that moves the link."""
+    """Compute a regressor block for every pair of a link and a joint that moves it."""
     hold_base_frame(frames)
     pair = 0
     for i in range(1, len(robot)):
@@ -458,10 +458,11 @@ def store_axes(frames: Any, i: int, k: int, axes: Axes) -> None:
 @simd_inline
 def cosine_and_sine(x: Any) -> tuple[Any, Any]:
     """
-    Return cosine and sine to 2 units in the last place, without branches, so that lanes vectorise.
+    Return cosine and sine; the error is at most 2 units in the last place.
 
-    Quarter turns are subtracted until the angle is at most pi/4. In that range, the minimax
-    polynomials (Remez' algorithm) have an error of 4e-18 before rounding.
+    There are no branches, so that lanes vectorise. Quarter turns are subtracted until the angle is
+    at most pi/4. In that range, the minimax polynomials (Remez' algorithm) have an error of 4e-18
+    before rounding.
 
     """
     quarters = (x * 0.6366197723675814 + ROUNDER) - ROUNDER

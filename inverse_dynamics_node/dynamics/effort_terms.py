@@ -46,7 +46,7 @@ class EffortTerms(NamedTuple):
     gravity: Floats
     """Efforts g(q) due to gravity, springs, and the acceleration and rotation of the base."""
     friction: Floats
-    """Friction, including friction that depends on the load or on the root of the speed."""
+    """Friction, including friction that depends on the load or on the square root of the speed."""
     external: Floats
     """Efforts that balance the external wrenches."""
 
@@ -69,8 +69,8 @@ def effort_terms(
 
     The arguments ``inertial`` to ``external`` are the tables of `term_tables`. ``state`` is
     scratch space of 4 rows of n numbers; the last row is zero. ``terms`` receives 5 rows of n
-    numbers, and may share memory with q, qd and qdd. The other arguments and the status are those
-    of `newton_euler.inverse_dynamics`.
+    numbers, and may share memory with q, qd and qdd. The other arguments and the status are as
+    in `newton_euler.inverse_dynamics`.
 
     """
     n = int(robot[0][JOINT_COUNT])
@@ -184,7 +184,7 @@ class TermTables(NamedTuple):
 
 
 def term_tables(table: Floats) -> TermTables:
-    """Make the tables of the terms from the table of the robot and its loads."""
+    """Make one table per term from the table of the robot and its loads."""
     tables = TermTables(*(table.copy() for _ in _ABSENT))
     for term, columns in _ABSENT.items():
         for part in columns:
@@ -194,10 +194,10 @@ def term_tables(table: Floats) -> TermTables:
 
 class JointWrenches(NamedTuple):
     """
-    Force and moment at the joints of b bodies, shape (..., b, 3), as in ``robot.body_names``.
+    Force and moment at the joints of b bodies, in the order of ``robot.body_names``: (..., b, 3).
 
-    Each row is the wrench that the parent exerts on a body. The axes and the reference point are
-    those of the URDF frame of the joint. The first row is the wrench of the mount on the base.
+    Each row is the wrench that the parent exerts on a body. The URDF frame of the joint
+    defines the axes and the reference point. The first row is the wrench of the mount on the base.
 
     """
 
@@ -218,11 +218,11 @@ def joint_wrenches(
     robot: Any,
 ) -> int:
     """
-    Compute the force and moment that the parent of every body exerts on it, LWP (45), (46).
+    Compute the force and moment that every body receives from its parent, LWP (45), (46).
 
     ``wrenches`` receives b rows of 6 numbers, for b bodies. The first row is the wrench of the
     mount on the base. ``R_LZ`` contains the rotations, 9 numbers for each body, from the frames of
-    the table to the frames of the wrenches. The other arguments and the status are those of
+    the table to the frames of the wrenches. The other arguments and the status are as in
     `newton_euler.inverse_dynamics`, but tau does not include armature, friction and springs.
 
     """

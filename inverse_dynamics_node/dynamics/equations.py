@@ -27,7 +27,7 @@ the effort in base coordinates; (47) gives it in link coordinates.
 
 Gravity is not a separate term. The base has the acceleration -g (31), which every link inherits.
 
-The frames of a URDF differ from those of the paper. In the paper's Denavit-Hartenberg frames the
+A URDF and the paper have different frames. In the paper's Denavit-Hartenberg frames the
 axis of joint i + 1 is z of frame i. Here joint i turns about, or slides along, z of link i's own
 frame. The offset p from the parent's origin is therefore constant in the parent's frame, but a
 sliding joint adds its position along the axis. Moments are about the link's own origin. Terms with
@@ -98,7 +98,7 @@ def net_force(mass: Any, accel_com: Vector) -> Vector:
 
 @simd_inline
 def net_moment(J: Any, omega: Vector, omega_dot: Vector) -> Vector:
-    """(42): resultant moment J omega_dot + omega x (J omega), with J about the centre of mass."""
+    """(42): resultant moment J omega_dot + omega x (J omega); J is about the centre of mass."""
     return add(symmetric(J, omega_dot), cross(omega, symmetric(J, omega)))
 
 
@@ -119,7 +119,7 @@ def own_moment(com: Vector, force_net: Vector, moment_net: Vector) -> Vector:
 
 @simd_inline
 def child_moment(R: Any, c: Any, s: Any, p: Vector, force: Vector, moment: Vector) -> Vector:
-    """(46): moment of a child, R_PL moment + p x force, in the parent's frame; force from (45)."""
+    """(46): moment of a child in the parent's frame, R_PL moment + p x force; (45) gives force."""
     return add(to_parent(R, c, s, moment), cross(p, force))
 
 
@@ -140,7 +140,7 @@ def joint_effort(force: Vector, moment: Vector, slides: Any) -> Any:
 
 @simd_inline
 def origin_in_parent(R: Any, p: Vector, length: Any) -> Vector:
-    """Return p_PL of a link that has slid by ``length`` along its axis, the third column of R."""
+    """Return p_PL of a link that has slid by ``length``; its axis is the third column of R."""
     return add(p, (R[2] * length, R[5] * length, R[8] * length))
 
 

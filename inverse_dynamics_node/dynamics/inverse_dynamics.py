@@ -72,7 +72,7 @@ class InverseDynamics:
 
     Notes
     -----
-    The first object on a machine compiles for a few seconds; the machine code is cached on disk.
+    For the first object on a machine, code is compiled in a few seconds and cached on disk.
     Each thread needs its own object, because an object contains scratch space.
 
     References
@@ -162,8 +162,8 @@ class InverseDynamics:
         allocated if the arguments and ``out`` are float64 arrays.
 
         Batches of at least 64 states are computed in blocks. Their results differ from those of
-        single states by rounding errors, which are less than 1e-12 of the largest effort. The
-        first such batch compiles for seconds; the machine code is cached on disk.
+        single states by rounding errors, which are less than 1e-12 of the largest effort. For
+        the first such batch on a machine, code is compiled in seconds and cached on disk.
 
         """
         try:
@@ -191,7 +191,7 @@ class InverseDynamics:
         Returns
         -------
         tau : ndarray, shape (..., n)
-            Joint efforts [N m or N], as `efforts` for zero velocities and accelerations.
+            Joint efforts [N m or N]. They equal `efforts` at zero velocities and accelerations.
 
         Raises
         ------
@@ -248,14 +248,14 @@ class InverseDynamics:
         ----------
         q : array_like, shape (..., n)
             Positions of the n joints [rad or m].
-        out : ndarray, optional
-            Array for the result, C-contiguous float64, of the same shape.
+        out : ndarray, shape (..., n, n), optional
+            Array for the result, C-contiguous float64.
 
         Returns
         -------
         mass_matrix : ndarray, shape (..., n, n)
-            Mass matrix with payloads and armature, symmetric to the last bit [kg m^2, kg m or kg,
-            depending on the types of the joints].
+            Mass matrix, including payloads and armature; symmetric to the last bit [kg m^2, kg m
+            or kg, depending on the types of the joints].
 
         Raises
         ------
@@ -487,7 +487,7 @@ class InverseDynamics:
         motion of the base. Y does not include armature, friction, springs and wrenches, because
         their efforts do not depend on pi. Payloads change pi, but not Y.
 
-        The first call on a machine compiles; the machine code is cached on disk.
+        At the first call on a machine, code is compiled and cached on disk.
 
         """
         shape = self._regressor_shape
@@ -554,8 +554,8 @@ class InverseDynamics:
         ----------
         angular_velocity, angular_acceleration, linear_acceleration : array_like, shape (3,)
             Motion of the base frame, in base coordinates [rad/s, rad/s^2, m/s^2]. The linear
-            acceleration is that of the frame's origin, without gravity. An accelerometer on the
-            base measures the linear acceleration minus gravity.
+            acceleration refers to the frame's origin and excludes gravity. An accelerometer on
+            the base measures the linear acceleration minus gravity.
 
         Raises
         ------
@@ -657,10 +657,10 @@ class InverseDynamics:
         width : array_like, shape (n,) or ()
             Speed w over which Coulomb friction is smoothed [rad/s or m/s].
         load_friction : array_like, shape (n,) or ()
-            Coulomb friction eta per unit of effort that loads the gear [-].
+            Coulomb friction eta per unit of the effort that loads the gear [-].
         sqrt_damping : array_like, shape (n,) or ()
-            Friction s per square root of the speed, for gears with much grease at low speeds
-            [N m (s/rad)^0.5 or N (s/m)^0.5].
+            Friction s per square root of the speed [N m (s/rad)^0.5 or N (s/m)^0.5]. At low
+            speeds, it describes gears with much grease.
 
         Raises
         ------
@@ -671,8 +671,8 @@ class InverseDynamics:
         -----
         The effort that loads the gear moves and holds the links. It contains the inertial,
         Coriolis, centrifugal and gravity efforts, and the efforts due to payloads, springs, base
-        motion and external wrenches. It does not contain armature and friction. Friction in
-        proportion to this effort is the usual model of losses in gears [1]_.
+        motion and external wrenches. It does not contain armature and friction. Friction
+        proportional to this effort is the usual model of losses in gears [1]_.
 
         References
         ----------
@@ -725,7 +725,7 @@ class InverseDynamics:
         ----------
         coupling : array_like, shape (n,) or ()
             Turns g of each drive per turn of the previous joint [-]; 0 for a drive that turns
-            with its own joint only.
+            only with its own joint.
 
         Raises
         ------
@@ -808,7 +808,7 @@ class InverseDynamics:
         link: str,
         out: Floats | None,
     ) -> Floats:
-        """Compute the matrix of a link with a function of `link_kinematics`."""
+        """Compute the pose or Jacobian of a link; ``compute`` is from `link_kinematics`."""
         if link not in self._links:
             self._links[link] = link_kinematics.row_of_link(self.robot, self._R_ZL, link)
         row = self._links[link]

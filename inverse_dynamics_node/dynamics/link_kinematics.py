@@ -86,7 +86,7 @@ def jacobian(q: Sequence[float], link: Any, matrix: Any, robot: Any) -> int:
     Compute the geometric Jacobian of the origin of a link.
 
     ``matrix`` receives three linear and then three angular rows of n numbers, for n joints. The
-    other arguments and the status are those of `pose`.
+    other arguments and the status are as in `pose`.
 
     """
     n = int(robot[0][JOINT_COUNT])
@@ -161,7 +161,7 @@ def axes(row: Any) -> Axes:
 
 @simd_inline
 def axes_in_base(axes_P: Axes, R: Any, c: Any, s: Any) -> Axes:
-    """Return the axes of a link from those of its parent; R, c and s are as in `equations`."""
+    """Return the axes of a link from the axes of its parent; R, c and s are as in `equations`."""
     x = c * R[0] + s * R[1], c * R[3] + s * R[4], c * R[6] + s * R[7]
     y = c * R[1] - s * R[0], c * R[4] - s * R[3], c * R[7] - s * R[6]
     z = R[2], R[5], R[8]

@@ -3,8 +3,8 @@ The mass matrix of one state by the composite-rigid-body algorithm.
 
 From tips to base, each link and all links that it carries are combined into one rigid body. A
 force and a moment give this body the acceleration that results from a unit acceleration of the
-link's joint. Their projections onto this joint, and onto every joint between it and the base, are
-entries of the mass matrix.
+link's joint. The entries of the mass matrix are the projections of this force and moment onto this
+joint, and onto every joint between it and the base.
 
 All vectors are in base coordinates, and moments are about the origin of the link. Bodies are
 therefore combined, and forces projected, without rotations from link to link.
@@ -135,7 +135,7 @@ def composite_of_link(link: Any) -> Composite:
 
 @simd_inline
 def about_origin(J: Any, com: Vector, first: Vector) -> Any:
-    """Return the inertia about the frame's origin, from that about the centre of mass."""
+    """Convert an inertia about the centre of mass to an inertia about the frame's origin."""
     x, y, z = com[0] * first[0], com[1] * first[1], com[2] * first[2]
     return (
         J[0] + y + z,
@@ -161,7 +161,7 @@ def in_base_axes(axes: Axes, body: Composite) -> Composite:
 
 @simd_inline
 def shifted(p: Vector, body: Composite) -> Composite:
-    """Express a composite body about another point; p is its old origin relative to the point."""
+    """Express a composite body about another point; p points from there to the old origin."""
     mass, h, J = body
     # The parallel-axis theorem, with h the first moment about the old origin
     moved = h[0] + mass * p[0], h[1] + mass * p[1], h[2] + mass * p[2]
@@ -203,7 +203,7 @@ def along(axis: Vector, slides: Any, force: Vector, moment: Vector) -> Any:
 
 @simd_inline
 def effort_at(arm: Vector, axis: Vector, slides: Any, force: Vector, moment: Vector) -> Any:
-    """Return the joint effort due to a force and moment about the point ``arm`` from the joint."""
+    """Return the joint effort due to a force and moment about a point; ``arm`` points there."""
     if slides != 0.0:
         return dot(axis, force)
     return dot(axis, add(moment, cross(arm, force)))

@@ -132,8 +132,8 @@ def gravity_efforts(q: Sequence[float], tau: Any, robot: Any) -> int:
     """
     Compute the joint efforts that hold the robot still on a base that does not rotate.
 
-    The efforts are those of `inverse_dynamics` without velocities and accelerations. Every link
-    then has the acceleration of the base, in its own frame. Arguments and status are those of
+    The efforts equal `inverse_dynamics` at zero velocities and accelerations. Every link
+    then has the acceleration of the base, in its own frame. Arguments and status are as in
     `inverse_dynamics`.
 
     """
@@ -283,7 +283,7 @@ def clear(tau: Any) -> None:
 
 @compiled
 def check(tau: Any) -> int:
-    """Return `NOT_FINITE` if an effort is NaN or infinite; such inputs always reach an effort."""
+    """Return `NOT_FINITE` if an effort is NaN or infinite, which happens if any input is."""
     for joint in range(len(tau)):
         if tau[joint] - tau[joint] != 0.0:  # 0 for finite numbers only
             return NOT_FINITE

@@ -57,7 +57,7 @@ def regressor(
 
     ``matrix`` receives n rows of 10 (b - 1) numbers. ``R_LZ`` contains the rotations, 9 numbers
     for each body, from the frames of the table to the frames of the parameters. The other
-    arguments and the status are those of `newton_euler.inverse_dynamics`.
+    arguments and the status are as in `newton_euler.inverse_dynamics`.
 
     """
     n, b = int(robot[0][JOINT_COUNT]), len(robot)

@@ -1,9 +1,9 @@
 """
-The robot as a table of numbers: one row for each body, the base first, and named columns.
+The robot as a table of numbers with named columns; each row is a body, the base is first.
 
 The frame of every body is rotated so that z is the axis of its joint. A row contains the
 properties of the body, the loads on it, and scratch space for the outward and inward passes. A
-vector occupies three columns; the name is that of the first one.
+vector occupies three columns; its name belongs to the first one.
 """
 
 from __future__ import annotations
@@ -214,7 +214,7 @@ def write_friction(
     load_friction: Floats,
     sqrt_damping: Floats,
 ) -> None:
-    """Set the friction of all joints; ``speeds`` are those that smooth Coulomb friction."""
+    """Set the friction of all joints; Coulomb friction is smoothed over ``speeds``."""
     write_joints(table, DAMPING, damping)
     write_joints(table, COULOMB, coulomb)
     # Zero where the width has no effect: generated code takes nonzero numbers for loads.
@@ -238,7 +238,7 @@ def write_external(row: Floats, R_ZL: Floats, wrenches: Sequence[tuple[Floats, F
 
 def joints_before(robot: RobotModel) -> Integers:
     """
-    Return the index of the joint that moves the parent body of each of n joints, shape (n,).
+    Return, for each of n joints, the index of the joint that moves its parent body, shape (n,).
 
     The index is -1 if the parent body is the base, or if it mimics a joint with a larger index.
 

@@ -13,9 +13,9 @@ from .batch import LANES
 from .inverse_dynamics import InverseDynamics
 
 MOST_NUMBERS = 2e7
-"""Largest number of states times joints; the results of more take gigabytes."""
+"""Largest number of states times joints; larger results take gigabytes."""
 _FEWEST_TO_SMOOTH = 16
-"""Smallest number of points to smooth, which is longer than the padding of the filter."""
+"""Smallest number of points that `smooth` accepts; the padding of the filter is shorter."""
 
 
 class Trajectory(NamedTuple):
@@ -36,8 +36,8 @@ def complete(trajectory: Trajectory) -> tuple[Trajectory, tuple[str, ...]]:
     """
     Derive missing velocities and accelerations; return also a description of each of them.
 
-    Missing velocities are those of the cubic spline through the positions that starts and ends at
-    rest. Missing accelerations are those of the same spline. If velocities are given, the
+    Missing velocities are derived from a cubic spline through the positions, at rest at both ends.
+    Missing accelerations are derived from the same spline. If velocities are given, the
     accelerations are those of the cubic spline through the velocities; its third derivative is
     continuous at the first and last inner points. A single point is at rest. An invalid trajectory
     raises a TrajectoryError.
@@ -108,7 +108,7 @@ def smooth(trajectory: Trajectory, cutoff: float) -> Trajectory:
 
     Given velocities and accelerations are ignored. A second-order Butterworth low-pass filter with
     the cut-off frequency [Hz] runs forwards and backwards, which causes no delay. Central
-    differences follow. Gravity efforts hardly change, because they depend on the positions. Too
+    differences follow. Gravity efforts hardly change, because they depend only on positions. Too
     few points, too low a rate, or an invalid trajectory raise a TrajectoryError.
 
     """

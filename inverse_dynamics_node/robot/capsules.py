@@ -21,7 +21,7 @@ from .urdf.shapes import Shape
 ASSUMED_RADIUS = 0.05
 """Radius of bodies without a shape, as a fraction of the length of the longest chain."""
 _SPACING = (0.008, 0.0125)
-"""Distance of surface points: the larger of a length [m] and a fraction of the longest side."""
+"""Spacing of surface points: the larger of a length [m] and a fraction of the longest side."""
 _CELLS = 120
 """Number of cells along the longest side of a shape; vertices in one cell are merged."""
 _SMALLEST = 1e-6
@@ -52,7 +52,7 @@ class Capsules:
     names: tuple[str, ...]
     """Name of a link in the body of each capsule."""
     surfaces: tuple[Floats, ...]
-    """The k surface points of the shape in each capsule, shape (k, 3) [m]; k is 0 if assumed."""
+    """Surface points in each capsule, shape (k, 3) [m]; k is 0 for an assumed capsule."""
     notes: tuple[str, ...]
     """Sentences about bodies whose shape is unknown."""
 
@@ -67,7 +67,7 @@ class _Piece(NamedTuple):
 
     @property
     def size(self) -> float:
-        """Volume divided by pi, with only half of the round ends: they overlap with neighbours."""
+        """Volume divided by pi, with half of each round end, because it overlaps a neighbour."""
         length = float(np.linalg.norm(self.ends[1] - self.ends[0]))
         return self.radius**2 * (length + 2.0 / 3.0 * self.radius)
 
@@ -116,7 +116,7 @@ def body_capsules(
 
 
 def _shapeless(robot: RobotModel, rows: Sequence[_Row], shaped: set[int]) -> dict[int, str]:
-    """Return bodies without a shape around their mass, with the reason; ``shaped`` are links."""
+    """Return bodies that have no shape around their mass, and why; ``shaped`` are links."""
     reasons = {}
     for body in range(len(robot.parent)):
         points = [row[-1] for row in rows if row[0] == body]
@@ -183,7 +183,7 @@ def _pieces(shape: Shape) -> list[_Piece]:
 
 
 def _best_cut(piece: _Piece, depth: int, price: float) -> tuple[float, list[_Piece]]:
-    """Cut a piece if that costs less; return the cost (size and price of each) and the pieces."""
+    """Cut a piece if that reduces the sum of sizes and prices; return the sum and the pieces."""
     one = piece.size + price, [piece]
     if depth == 0 or piece.size < 2.0 * price:
         return one
@@ -195,7 +195,7 @@ def _best_cut(piece: _Piece, depth: int, price: float) -> tuple[float, list[_Pie
 
 
 def _cuts(piece: _Piece) -> list[tuple[_Piece, _Piece]]:
-    """Return pairs of halves, from cuts of a piece along planes."""
+    """Cut a piece along various planes; return the two halves of each cut."""
     import trimesh
 
     found = []

@@ -13,7 +13,7 @@ def body_frames(robot: RobotModel, q: Floats) -> tuple[Floats, Floats]:
     """
     Return rotations and origins [m] of the frames of all b bodies, in the base frame.
 
-    For positions of n joints with the shape (..., n) [rad or m], the rotations have the shape
+    If the positions of n joints have the shape (..., n) [rad or m], the rotations have the shape
     (..., b, 3, 3), and the origins have the shape (..., b, 3).
 
     """

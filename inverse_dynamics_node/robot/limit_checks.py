@@ -25,7 +25,7 @@ def limit_subject(joint: str, quantity: str) -> str:
 
 
 def effort_limit_warnings(robot: RobotModel) -> tuple[ModelWarning, ...]:
-    """Return warnings about missing and unlikely effort limits, without those of the loader."""
+    """Return warnings about missing and unlikely effort limits that the loader has not given."""
     hint = 'write <limit effort="..."/>, or set the parameter effort_limits of the node'
     missing = (
         ModelWarning('missing', hint, limit_subject(name, 'effort'))
@@ -87,7 +87,7 @@ def _moment_of_weight(robot: RobotModel) -> float:
 _MARGIN = 0.1
 """Tolerated distance outside the limits, as a fraction of the range between the limits."""
 _LEAST_MARGINS = (0.1, 0.01)
-"""Smallest tolerated distance of revolute [rad] and of prismatic joints [m]."""
+"""Smallest tolerated distance outside the limits: revolute joints [rad], prismatic joints [m]."""
 _FULL_TURN = 2.0 * math.pi
 
 
@@ -162,7 +162,7 @@ def implausible_positions(
 def position_warnings(
     robot: RobotModel, positions: ArrayLike, joint_names: Sequence[str] = ()
 ) -> tuple[ModelWarning, ...]:
-    """Return warnings about `implausible_positions`, first those that seem to be in degrees."""
+    """Return warnings about `implausible_positions`; those that look like degrees come first."""
     hints = {
         True: 'convert the positions to radians',
         False: 'check units (rad, m), zero positions and the order of the joints, and that the '

@@ -1,10 +1,10 @@
 """
 A robot as flat, read-only arrays, parents before children.
 
-Links that fixed joints connect form one *body*. Body 0 is the base. One joint moves each other
-body; the URDF frame of this joint is the frame of the body, with its origin on the joint axis.
-Frames are written in monogram notation: ``R_PL`` rotates vectors from body L to its parent P, and
-``p_PL`` is the position of the origin of L in P.
+Links that fixed joints connect form one *body*. Body 0 is the base. Every other body has one joint
+that moves it. The URDF frame of this joint is the frame of the body, and its origin is on the
+axis. Frames are written in monogram notation: ``R_PL`` rotates vectors from body L to its parent
+P, and ``p_PL`` is the position of the origin of L in P.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class ModelWarning:
     """How to correct the problem, or when it is harmless."""
     subject: str = ''
     """
-    The element with the problem, such as ``link 'hand' inertial``; empty for the whole robot.
+    The element with the problem, such as ``link 'hand' inertial``; empty if it is the whole robot.
     """
     line: int | None = None
     """Line of the robot description; None if no single line is the cause."""
@@ -75,10 +75,10 @@ class RobotModel:
     """Largest efforts of the n joints, shape (n,) [N m or N]; inf if there is no limit."""
     damping: Floats
     """
-    Viscous friction of the n joints with their mimic joints, shape (n,) [N m s/rad or N s/m].
+    Viscous friction of the n joints and their mimic joints, shape (n,) [N m s/rad or N s/m].
     """
     friction: Floats
-    """Coulomb friction of the n joints with their mimic joints, shape (n,) [N m or N]."""
+    """Coulomb friction of the n joints and their mimic joints, shape (n,) [N m or N]."""
     is_continuous: Booleans
     """Whether each of the n joints turns without limits: whole turns do not matter, shape (n,)."""
 
@@ -120,7 +120,7 @@ class RobotModel:
     link_body: Integers
     """Index of the body that contains each of the k links, shape (k,)."""
     link_rotation: Floats
-    """Rotations from the frames of the k links to those of their bodies, shape (k, 3, 3)."""
+    """Rotations from the frames of the k links to the body frames, shape (k, 3, 3)."""
     link_position: Floats
     """Origins of the k links in the frames of their bodies, shape (k, 3) [m]."""
     link_mass: Floats

@@ -1,11 +1,11 @@
 """
-Rigid bodies by mass, centre of mass and inertia, and by their ten inertial parameters.
+Rigid bodies, given by mass, centre of mass and inertia, or by ten inertial parameters.
 
 The ten parameters of a body are m, hx, hy, hz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz, in the order of
 `InverseDynamics.regressor`. Here m is the mass, h = m c is the first moment for the centre of mass
 c, and I is the inertia about the origin of the frame. The pseudo-inertia is the second moment of
-the mass in homogeneous coordinates: [[S, h], [h^T, m]] with S = tr(I) / 2 E - I and the identity
-E. A distribution of mass with these parameters exists if and only if the pseudo-inertia is
+the mass in homogeneous coordinates: [[S, h], [h^T, m]]. Here S = tr(I) / 2 E - I, and E is the
+identity. A distribution of mass with these parameters exists if and only if the pseudo-inertia is
 positive semidefinite.
 
 References
@@ -48,11 +48,11 @@ class RigidBody(NamedTuple):
         return RigidBody(self.mass, rotation @ self.com, rotation @ self.inertia @ rotation.T)
 
     def shift(self, position: Floats) -> RigidBody:
-        """Express the body about a new origin; ``position`` [m] is the old origin seen from it."""
+        """Express the body about a new origin; ``position`` [m] points to the old origin."""
         return RigidBody(self.mass, position + self.com, self.inertia)
 
     def scale(self, factor: float) -> RigidBody:
-        """Return a body of the same shape with a multiple of the mass."""
+        """Return the body with its mass and inertia multiplied by a factor."""
         return RigidBody(factor * self.mass, self.com, factor * self.inertia)
 
     def parameters(self) -> Floats:
@@ -123,7 +123,7 @@ def parameters_of_pseudo_inertias(matrices: Floats) -> Floats:
 
 
 def rigid_body(parameters: Floats) -> RigidBody:
-    """Convert ten parameters, with a mass above zero, to a rigid body."""
+    """Convert ten parameters to a rigid body; the mass must be above zero."""
     mass = float(parameters[0])
     c = parameters[1:4] / mass
     inertia = np.zeros((3, 3))

@@ -167,7 +167,7 @@ def _merge(
 
 
 def resolve_mimics(joints: Iterable[Joint]) -> dict[str, Mimic]:
-    """Express the position of every joint with that of a joint that mimics no other."""
+    """Make every joint depend directly on a joint that mimics no other."""
     by_name = {joint.name: joint for joint in joints}
     resolved: dict[str, Mimic] = {}
     for start in by_name.values():

@@ -203,7 +203,7 @@ def check_missing_inertials(
     are_required: bool,
 ) -> None:
     """
-    Report links with a shape but without an inertial, as errors if inertials are required.
+    Report links with a shape but no inertial; this is an error if inertials are required.
 
     Links without a shape are frames. The root link is not checked, because it may be the ground.
 

@@ -179,7 +179,7 @@ def _inserted(text: bytes, parent: _Node, lines: list[bytes]) -> tuple[int, int,
 
 
 def _indent(text: bytes, start: int) -> bytes:
-    """Return the line break and the spaces before an element; empty if other text precedes it."""
+    """Return the line break and the spaces before an element, or '' if other text precedes it."""
     found = re.search(rb'\r?\n[ \t]*$', text[:start])
     return found[0] if found else b''
 

@@ -17,10 +17,10 @@ Element = Any
 """An lxml element; lxml has no type annotations."""
 
 MAX_BYTES = 16 * 2**20
-"""Largest size: ten times that of the largest real robot descriptions, parsed in seconds."""
+"""Largest size: ten times the largest real robot descriptions; parsing takes seconds."""
 
 MAX_LINKS = 1000
-"""Largest number of links, several times that of the largest real robots."""
+"""Largest number of links; the largest real robots have several times fewer."""
 
 _FOREIGN_ROOTS = {'sdf': 'SDF', 'model': 'a part of SDF', 'mujoco': 'MJCF', 'html': 'HTML'}
 
@@ -159,7 +159,7 @@ def blank_declaration(data: bytes) -> bytes:
 
 
 def _without_odd_declaration(source: Source) -> tuple[Source, list[ModelWarning]]:
-    """Replace an XML declaration that only libxml2 rejects with spaces; return also a warning."""
+    """Blank out an XML declaration that only libxml2 rejects; return also a warning."""
     found = _DECLARATION.match(source.data)
     if not found or _SOUND_DECLARATION.match(source.data):
         return source, []
