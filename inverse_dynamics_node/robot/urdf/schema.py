@@ -362,7 +362,7 @@ def _warn_of_odd_inertia(
         return
     if mass == 0.0:
         text = 'the mass is zero, but the inertia is not; the inertia is kept'
-        hint = 'correct for the rotor of a motor; otherwise write the mass'
+        hint = 'harmless for the rotor of a motor; otherwise write the mass'
         problems.warning(inertial, where, text, hint)
     ixx, ixy, ixz, iyy, iyz, izz = (moment / largest for moment in moments)
     principal = np.linalg.eigvalsh([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
