@@ -98,7 +98,7 @@ def write_out_mass_matrix(table: Floats, acting: Any) -> Callable[[Any, Any], in
     """
     Compile `mass_matrix.mass_matrix` for one robot, as a function of q and the matrix.
 
-    The code reads the numbers of the table in the mask ``acting`` at each call. The table must
+    At each call, the code reads the numbers of the table that ``acting`` marks. The table must
     exist as long as the code, which contains its address.
 
     """
@@ -127,7 +127,7 @@ def write_out_mass_matrix(table: Floats, acting: Any) -> Callable[[Any, Any], in
 
 
 def _run_time_table(writer: Writer, table: Floats, acting: Any) -> list[list[Any]]:
-    """Return the rows of a table, with instructions to load the numbers in a mask."""
+    """Return the rows of a table; an instruction loads each number that the mask marks."""
     base = writer.integer(table.ctypes.data)
     robot: list[list[Any]] = table.tolist()
     for i, k in np.argwhere(acting):

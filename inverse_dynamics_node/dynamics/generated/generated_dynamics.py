@@ -115,7 +115,7 @@ class GeneratedDynamics:
         self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: Floats | None = None
     ) -> Floats:
         """
-        Compute the joint efforts for arrays other than those of ``state``.
+        Compute the joint efforts for arrays that are not in ``state``.
 
         Parameters, result and errors are those of `InverseDynamics.efforts`.
 
