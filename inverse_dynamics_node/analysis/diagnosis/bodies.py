@@ -1,10 +1,10 @@
 """
 Checks whether several links have wrong inertial parameters, and which other causes exist.
 
-The parameters of all links are fitted near the model, together with friction, rotors and offsets.
-The fit uses one half of the recording. If the fitted links predict the other half far better than
-a simpler explanation, the simpler explanation is not credible. A payload, a mounting or a delay of
-the efforts is added if, without this cause, the links would have to be far more wrong.
+The parameters of all links are fitted near their values in the model, together with friction,
+rotors and offsets. The fit uses one half of the recording. If the fitted links predict the other
+half far better than a simpler explanation, the simpler explanation is not credible. A payload, a
+mounting or a delay is added if, without this cause, the links would have to be far more wrong.
 """
 
 from __future__ import annotations
@@ -48,11 +48,11 @@ UNEXPLAINED = 0.01  # fraction of the squares; links that leave less are accurat
 SMALL = 4e-4  # fraction of the squares, 2 % RMS; an explanation that leaves less needs no links
 BETTER = 0.35
 """
-Largest fraction of the unexplained squares that fitted links may leave, if all causes that were
-found before are still needed.
+Largest fraction of the unexplained squares that fitted links may leave, if fitted links replace
+none of the causes that were found before.
 """
 CHANGING = 2.0  # times the residual of a changing gravity, which can explain almost anything
-NEEDED = 10.0  # least increase of the evidence by a cause in addition to wrong links
+NEEDED = 10.0  # least increase of the evidence if a cause is added to wrong links
 CERTAIN = 5.0  # standard errors of a certain value
 ROTOR = 0.05  # fraction of a joint's RMS effort; smaller rotors are not reported
 DELAY = 0.1  # [s], standard deviation of delays
@@ -130,7 +130,7 @@ def fit_bodies(
     Fit all links to the efforts of n joints; return None if the samples are not sufficient.
 
     `states` are q, qd and qdd of the whole robot at the K times, each of shape (K, N). For each
-    joint, `rows` selects the times in its samples, shape (K,), and `index` is its index in the
+    joint, `rows` selects the times of its samples, shape (K,), and `index` is its index in the
     model. `rates` are the time derivatives of the explained efforts, shape (K, n) [N m/s or N/s].
     """
     moving = [j for j, samples in enumerate(data.joints) if samples.moves]
@@ -148,8 +148,8 @@ class _Problem:
     """
     A linear regression with weighted rows.
 
-    The unknowns are the changes of all links, friction, rotor and offset of each joint, gravity,
-    payloads, and the delay of the efforts.
+    The unknowns are the changes of all links; friction, rotor and offset of each joint; gravity;
+    payloads; and the delay of the efforts.
     """
 
     def __init__(
@@ -227,7 +227,7 @@ class _Problem:
         return rows[first], columns, np.array(products)
 
     def _prior(self, dynamics: InverseDynamics) -> Floats:
-        """Return the inverse covariance of all unknowns that is assumed before the fit."""
+        """Return the inverse of the covariance that is assumed for all unknowns before the fit."""
         masses = np.maximum(dynamics.robot.mass[1:], LIGHTEST)
         size = np.array([1.0, *3 * [SIZE], *6 * [SIZE**2]])
         deviation = np.full(self.delay + 1, DELAY)
@@ -286,7 +286,7 @@ class _Problem:
         return system[:-1, :-1], system[:-1, -1]
 
     def _best_fit(self, used: Booleans, system: tuple[Floats, Floats]) -> _Fit:
-        """Fit the used unknowns with the most likely accuracy of the links."""
+        """Fit the used unknowns, and choose the most likely accuracy of the links."""
         from scipy.linalg import lu_factor, lu_solve
 
         products, vector = system[0][np.ix_(used, used)], system[1][used]

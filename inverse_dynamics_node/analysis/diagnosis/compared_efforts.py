@@ -114,7 +114,7 @@ class ComparedEfforts:
 
     def with_bodies(self, change: Floats, has_own_gravity: bool) -> ComparedEfforts:
         """
-        Return the comparison with changed inertial parameters of b links, shape (10 b,).
+        Return the comparison after a change of the inertial parameters of b links, shape (10 b,).
 
         `has_own_gravity` says whether the change also affects gravity in the measured efforts.
         """
@@ -132,7 +132,7 @@ class ComparedEfforts:
         return other
 
     def rates(self, robot_fit: RobotFit) -> Floats:
-        """Return the time derivatives of explained, varying efforts [N m/s or N/s]."""
+        """Return the time derivatives of all explained efforts that vary [N m/s or N/s]."""
         efforts = corrected_efforts(self, robot_fit)[1][:, self.varying]
         columns = self.qd[:, self.varying], self.direction[:, self.varying]
         for j, fit in enumerate(robot_fit.fits):
@@ -207,7 +207,7 @@ class ComparedEfforts:
 
     def _varying(self) -> list[int]:
         """Return the columns in which the measured effort varies by more than rounding errors."""
-        # Compare with all joints: without load, the effort of a joint is only rounding errors.
+        # Compare with all joints: the effort of a joint without load is only rounding errors.
         largest = max(float(np.max(np.abs(self.measured))), float(np.max(np.abs(self.rigid))))
         variation = np.ptp(self.measured, axis=0)
         return [c for c in range(len(self.names)) if variation[c] > CONSTANT * largest]
@@ -364,7 +364,7 @@ def friction_efforts(compared: ComparedEfforts, c: int, fit: FrictionFit, load: 
 
 
 def with_friction_only(compared: ComparedEfforts) -> Floats:
-    """Return the modelled efforts plus friction, which is fitted without any faults."""
+    """Return the modelled efforts plus friction that is fitted as if there were no faults."""
     efforts: Floats = compared.rigid.copy()
     for c, fit in enumerate(fit_joints(compared, compared.measured - compared.rigid, {})):
         efforts[:, c] += fit.damping * compared.qd[:, c]

@@ -1,9 +1,9 @@
 """
 Divides an explanation of measured efforts into separate faults with their contributions.
 
-A reversed axis negates position, velocity and effort of a joint, which looks right by itself. But
-the efforts of the joints before and after the joint in the tree are wrong. Therefore the search
-for an explanation is repeated with reversed axes.
+A reversed axis negates position, velocity and effort of a joint. The effort of this joint looks
+right, but the efforts of the joints before and after it in the tree are wrong. Therefore the
+search for an explanation is repeated with reversed axes.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from .regression_data import RegressionData, RobotFit
 CHANGED = 0.9  # a fault affects a joint if the RMS residual falls below this fraction
 MOST_UNEXPLAINED = 0.5  # fraction of the squares; if more remains, the model explains nothing
 FAR = 2.0 * np.pi  # [rad] outside the limits; more than one additional turn of a joint
-NOT_EXPLAINED = 9.0  # times the floor; if all joints have less, no axis is reversed
+NOT_EXPLAINED = 9.0  # times the floor; if less remains at each joint, no axis is reversed
 LARGE = 0.05  # a larger fraction of the squares is not explained, whatever the floor
 AXIS_PARAMETERS = 2  # a reversed axis has the weight of two parameters, because it is rare
 
@@ -48,7 +48,7 @@ def search_axes(
     data: RegressionData, with_signs: Callable[[Floats], RegressionData | None]
 ) -> Axes:
     """
-    Explain efforts, with reversed axes if they explain more.
+    Explain efforts; assume reversed axes if the explanation is then better.
 
     `with_signs` returns the samples for given signs of the n axes, or None to reject these signs.
     """
@@ -85,7 +85,7 @@ def _is_open(axes: Axes) -> bool:
 
 
 def diagnose(data: RegressionData, robot_fit: RobotFit, names: Sequence[str]) -> list[Fault]:
-    """Return the faults in an explanation, most important first; the nominal model has none."""
+    """Return the faults in an explanation, most important first."""
     found = _Faults(data, robot_fit, names)
     return [
         *found.order(),
@@ -126,7 +126,7 @@ def diagnose_bodies(bodies: Bodies, data: RegressionData, names: Sequence[str]) 
 
 
 def diagnose_axes(data: RegressionData, axes: Axes, names: Sequence[str]) -> list[Fault]:
-    """Return the fault that describes reversed axes, given the samples as recorded."""
+    """Return the fault that describes reversed axes; `data` contains the samples as recorded."""
     joints = tuple(name for name, sign in zip(names, axes.signs, strict=True) if sign < 0.0)
     if not joints:
         return []
@@ -143,7 +143,7 @@ def _changes(
     after: Sequence[float],
     source: Sequence[int] | None = None,
 ) -> tuple[Change, ...]:
-    """Return the joints whose RMS residual falls, the largest reduction first."""
+    """Return the joints whose RMS residual decreases, largest reduction first."""
     found = []
     for j, samples in enumerate(data.joints):
         if after[j] < CHANGED * before[j]:
@@ -276,7 +276,7 @@ class _Faults:
         ]
 
     def sensor_fault(self, kind: FaultKind, flag: str) -> list[Fault]:
-        """Return the fault of all joints with one kind of sensor fault."""
+        """Return one fault for all joints that have one kind of sensor fault."""
         found = [j for j, fit in enumerate(self.fits) if getattr(fit.sensor_fault, flag)]
         if not found:
             return []
@@ -297,7 +297,7 @@ class _Faults:
         ]
 
     def unexplained(self) -> list[Fault]:
-        """Return the fault of unexplained joints; at rest, only if most effort is unexplained."""
+        """Return a fault for unexplained efforts; at rest, only if most effort is unexplained."""
         if self.data.is_too_short:
             return []
         left = [

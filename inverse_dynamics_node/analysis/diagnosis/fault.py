@@ -21,7 +21,7 @@ class FaultKind(enum.Enum):
     DELAY = 'delay'
     """The efforts are delayed relative to the positions."""
     UNIT = 'unit'
-    """The efforts of all joints are in the same other unit."""
+    """The efforts of all joints are in the same wrong unit."""
     ORDER = 'order'
     """The efforts of some joints are recorded under the names of other joints."""
     NOT_MEASURED = 'not_measured'
@@ -52,7 +52,7 @@ WITH_GRAVITY = GravityConvention()
 
 
 class Change(NamedTuple):
-    """RMS residual of one joint before and after correction of a fault, with fitted friction."""
+    """RMS residual of one joint, with fitted friction, before and after correction of a fault."""
 
     joint: str
     is_prismatic: bool
@@ -72,9 +72,9 @@ class Fault(NamedTuple):
     """Joints with the fault; empty if the fault concerns the whole robot."""
     values: tuple[float, ...] = ()
     """
-    For joints: a factor, rotor inertia [kg m^2, kg] or effort [N m, N] of each joint. For a
-    payload: mass [kg] and centre of mass [m], NaN where unknown. For a mounting: gravity in the
-    frame of the base link [m/s^2]. For a delay: the delay [s].
+    A fault of joints has a factor, rotor inertia [kg m^2, kg] or effort [N m, N] of each joint. A
+    payload has a mass [kg] and a centre of mass [m]; unknown coordinates are NaN. A mounting has
+    gravity in the frame of the base link [m/s^2]. A delay has one time [s].
     """
     changes: tuple[Change, ...] = ()
     """Joints with smaller residuals after the correction, largest reduction first."""
@@ -85,7 +85,7 @@ class Fault(NamedTuple):
     link: str = ''
     """Link that carries the payload."""
     sources: tuple[str, ...] = ()
-    """For a wrong order: names under which the efforts of ``joints`` were recorded."""
+    """If the order is wrong, names under which the efforts of ``joints`` were recorded."""
     unknown: tuple[str, ...] = ()
     """Joints whose unit is unknown because friction dominates."""
     is_every_joint: bool = False
@@ -99,5 +99,5 @@ class Fault(NamedTuple):
 
     @property
     def is_same_factor(self) -> bool:
-        """Whether the factors of all joints are nearly equal, as for a common unit."""
+        """Whether the factors of all joints are nearly equal, as if all had the same unit."""
         return max(self.values) < SAME_FACTOR * min(self.values)

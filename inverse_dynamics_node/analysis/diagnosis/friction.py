@@ -3,7 +3,7 @@ Fits damping, Coulomb friction and an offset to the residual efforts of one join
 
 Near zero speed, dry friction can have any value up to its maximum: such samples are not used. A
 wider step of Coulomb friction, or friction that grows with the load, is accepted only if it
-explains far more than a narrow step without load.
+explains far more than a narrow step that does not depend on the load.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ SURELY_MOVING = 3.0  # widths; at this speed tanh has 99.5 % of its final value
 LEAST_MOVING = 1.0  # [s] in each direction, to distinguish Coulomb friction from an offset
 SPREAD = 1.5  # largest over smallest speed, to distinguish damping from Coulomb friction
 WIDTHS = (0.02, 0.03, 0.05, 0.08, 0.12)  # [rad/s or m/s]
-BETTER = 0.85  # a width or load friction leaves at most this fraction of the squares
+BETTER = 0.85  # another width, or load friction, leaves at most this fraction of the squares
 MOST_LOAD = 0.5  # larger ratios of friction to load have another cause
 BLOCKS = 12  # standard errors follow from the differences between these blocks of the recording
 
@@ -49,11 +49,11 @@ class FrictionFit(NamedTuple):
 
     @classmethod
     def unknown(cls, reason: str, offset: float = 0.0) -> FrictionFit:
-        """Return a fit without friction, with the reason why friction is unknown."""
+        """Return a fit without friction; `reason` says why friction is unknown."""
         return cls(0.0, 0.0, offset, math.nan, math.nan, math.nan, reason)
 
     def efforts(self, qd: Floats, direction: Floats) -> Floats:
-        """Return the efforts of friction and offset, for velocities and smoothed directions."""
+        """Return efforts of friction and offset at given velocities and smoothed directions."""
         efforts: Floats = self.damping * qd + self.coulomb * direction + self.offset
         return efforts
 
@@ -144,8 +144,8 @@ def fit_shape(
     The given fit has the common `width` [rad/s or m/s]. This fit is returned unless another shape
     explains far more. The residual, shape (K,), is the measured effort minus the modelled effort
     without friction [N m or N]. The load, shape (K,), is the magnitude of the modelled effort
-    without friction and rotor [N m or N]. `smooth` is the smoothing of the measured efforts, for
-    columns of shape (K, c); its `window` is a number of samples.
+    without friction and rotor [N m or N]. `smooth` smooths columns of shape (K, c) like the
+    measured efforts, over a `window` [samples].
     """
     if fit.unknown_because:
         return fit

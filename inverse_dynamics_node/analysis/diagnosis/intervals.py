@@ -2,8 +2,8 @@
 Finds causes that act only during an interval of a recording: a load, a push, a tilting base.
 
 Outside the interval the model is right, and friction, rotor inertias and offsets are fitted there.
-Inside the interval, a payload explains the residual, or else an external force. A tilting base is
-found as a direction of gravity that changes over time.
+Inside the interval, the residual is explained by a payload, or else by an external force. A
+tilting base is found as a direction of gravity that changes over time.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from .joint_samples import (
 from .regression_data import MIN_TILT, RegressionData, RobotFit
 
 SEGMENTS = 40  # of equal length; an interval starts and ends at the edges of segments
-LONGEST = 0.9  # fraction of the recording; friction is identified from the rest
+LONGEST = 0.9  # fraction of the recording; friction is identified outside
 EXPLAINED_OUTSIDE = 0.1  # largest unexplained fraction of the squares outside the interval
 REFINEMENTS = 3  # of the start and end of a load
 LONGEST_FORCE = 0.5  # fraction of the recording
@@ -132,7 +132,7 @@ def _interval(data: RegressionData, robot_fit: RobotFit) -> FaultInterval | None
     if not total or not possible.any():
         return None
     loudest_part = np.flatnonzero(possible)[np.argmin(cost[possible])]
-    # If a cause acts most of the time, its interval is not louder, but the rest is explained.
+    # If a cause acts most of the time, its interval is not louder, but all else is explained.
     explained = left < 2.0 * float(left.min()) + AS_GOOD * total
     shortest = np.flatnonzero(explained)[np.argmin((last - first)[explained])]
     intervals = [(float(edges[first[k]]), float(edges[last[k]])) for k in (loudest_part, shortest)]
@@ -161,7 +161,7 @@ def _features(data: RegressionData, j: int) -> Floats:
 def _mean_squares(
     data: RegressionData, j: int, edges: Floats, first: Integers, last: Integers
 ) -> tuple[Floats, Floats, Floats]:
-    """Return mean squares inside and outside all intervals, and numbers of samples inside."""
+    """Return mean squares inside and outside each interval, and numbers of samples inside."""
     features = _features(data, j)
     scale = np.maximum(np.linalg.norm(features, axis=0), 1e-300)
     features = features / scale
@@ -207,7 +207,7 @@ def _load(
 
 
 def _refined(data: RegressionData, fault: FaultInterval) -> tuple[float, float]:
-    """Return the interval in which a load explains more than no load."""
+    """Return the interval in which efforts are explained better with the load than without it."""
     times = np.unique(np.concatenate([samples.times for samples in data.joints]))
     gain = np.zeros(len(times))
     weights = fault.outside.candidate.weights
@@ -298,7 +298,7 @@ def best_interval(times: Floats, gain: Floats, start: tuple[float, float]) -> tu
 
 
 def find_tilt(data: RegressionData, most_left: float) -> FaultInterval | None:
-    """Fit gravity at several times, with constant friction; return None without a clear tilt."""
+    """Fit gravity at several times, with constant friction; return None if no tilt is clear."""
     strength = float(np.linalg.norm(data.gravity))
     moving = [j for j, samples in enumerate(data.joints) if samples.moves]
     if strength == 0.0 or not (data.has_gravity and moving):

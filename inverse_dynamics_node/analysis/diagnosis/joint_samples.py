@@ -28,12 +28,12 @@ CREDIBLE = 0.3  # an explanation leaves at most this fraction of the squared eff
 FRICTION_ONLY = 0.01  # tolerance for a fit of friction alone, as a fraction of the squared effort
 MIN_OFFSET = 0.05  # least offset, as a fraction of a joint's RMS effort
 FRICTION = 0.03  # considerable Coulomb friction, as a fraction of a joint's RMS effort
-MIN_VARIATION = 0.1  # least variation of a modelled effort, relative to its RMS, to fit a factor
+MIN_VARIATION = 0.1  # a factor is fitted if a modelled effort varies by more, relative to its RMS
 MODEL, GRAVITY, WEIGHT, ACCELERATION, SPEED, DIRECTION, ONE, LOADS = 0, 1, 2, 5, 6, 7, 8, 9
 """
-Columns of joint samples: modelled effort, gravity effort, and efforts of 1 m/s^2 of gravity along
-x, y and z. Acceleration, velocity and direction of the joint, and ones follow. The next columns
-are efforts of loads and the measured efforts of all joints.
+Columns of joint samples. The first five are the modelled effort, the effort of gravity, and the
+efforts of a gravity of 1 m/s^2 along x, y and z. The next four are acceleration, velocity and
+direction of the joint, and ones. Efforts of loads and measured efforts of all joints follow.
 """
 
 
@@ -126,9 +126,9 @@ class JointSamples:
         self, weights: Floats, measured: int, sensor_fault: SensorFault, unit: float = 1.0
     ) -> JointFit:
         """
-        Fit a sensor fault to a column of measured efforts, divided by the given unit.
+        Fit a sensor fault to the column `measured`, after division by the given unit.
 
-        The candidate model is the sum of the first columns, multiplied by the weights.
+        The candidate model is the weighted sum of the first columns.
         """
         R = self.triangle
         model = R[:, : len(weights)] @ weights
@@ -195,7 +195,7 @@ class JointSamples:
         has_scale = unit == 1.0 and self.shows_scale
         for is_swapped in (False, True):
             every = SensorFault(is_swapped, has_scale, self.moves, self.moves)
-            # Most of the time is spent in fits. A fit of fewer parameters leaves no less.
+            # Fits take most of the time. A fit with fewer parameters cannot leave less.
             least = self.fit(weights, measured, every, unit).remaining
             if least < CREDIBLE:
                 for sensor_fault in SENSOR_FAULTS[1:]:
@@ -246,7 +246,7 @@ class JointSignals(NamedTuple):
     direction: Floats
     """Smoothed directions of motion, shape (K, c); see `direction_of`."""
     used: Sequence[Booleans]
-    """Masks of the samples that are compared, of shape (K,) for each joint."""
+    """For each joint, a mask of the samples that are compared, shape (K,)."""
     moves: Sequence[bool]
     """Whether the friction of each joint can be identified."""
     noise: Floats

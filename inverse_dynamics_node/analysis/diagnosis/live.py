@@ -36,7 +36,7 @@ from .regression_data import RegressionData, RobotFit
 DURATION = 10.0  # [s] of the window
 
 MIN_SAMPLES = 50  # one second at 50 Hz
-LEAST_MOVING = 0.1  # fraction of the samples in each direction; for 10 s, as for recordings
+LEAST_MOVING = 0.1  # fraction of the samples in each direction; 1 s of 10 s, as in recordings
 MOVING = 0.02  # [rad/s or m/s]; RMS speed above which a joint moves
 AGREEMENT = 0.3  # model and robot agree up to this RMS residual, as a fraction of the effort
 SUSPICIOUS = 0.15  # grave faults are searched for above this fraction
@@ -51,10 +51,10 @@ FRICTION_AT_REST = 0.1  # largest dry friction, as a fraction of the limit
 
 MOST_STATES = 60
 """
-Largest number of states that the search uses; more states would be nearly the same. Kernels for 64
-or more states may have to be compiled first, and the display would stop during compilation.
+Largest number of states that the search uses; more states would add little. Kernels for 64 or
+more states may have to be compiled first, and the display would stop during compilation.
 """
-INDEPENDENT = 0.2  # [s] between samples with independent noise after filtering
+INDEPENDENT = 0.2  # [s]; filtered samples at this distance have independent noise
 LEAST_DURATION = 1.0
 """
 Least duration of the samples [s]. The duration is shorter than for recordings, because an arm at
@@ -177,7 +177,7 @@ class LiveSamples(NamedTuple):
 
 
 class LiveWindow:
-    """Keeps the samples of m joints that are not older than the duration of the window [s]."""
+    """Keeps samples of m joints for the duration of the window [s]."""
 
     def __init__(self, joint_names: Sequence[str], duration: float = DURATION) -> None:
         self.joint_names = tuple(joint_names)
@@ -195,7 +195,7 @@ class LiveWindow:
             self._rows.popleft()
 
     def restart_after_change(self, *measured: Any) -> None:
-        """Drop all samples if the measured efforts have a different content than before."""
+        """Drop all samples if `measured`, the content of the measured efforts, has changed."""
         if measured != self._measured:
             self._measured = measured
             self._times.clear()
@@ -219,11 +219,11 @@ def diagnose_samples(
     payloads: Sequence[tuple[str, float, Floats]] = (),
 ) -> Agreement:
     """
-    Compare measured and modelled efforts of all joints of a robot, in the order of the robot.
+    Compare measured and modelled efforts; samples contain all joints in the order of the robot.
 
     Gravity is given in the frame of the root link [m/s^2], even if the modelled efforts exclude
-    gravity. By default, the effort limits are those of the robot. A payload consists of a link, a
-    mass [kg], and the centre of mass in the frame of this link [m].
+    gravity. By default, `limits` are the effort limits of the robot. A payload consists of a link,
+    a mass [kg], and the centre of mass in the frame of this link [m].
     """
     limits = robot.effort_limits if limits is None else limits
     is_known = np.isfinite(samples.measured) & np.isfinite(samples.modelled)
@@ -443,7 +443,7 @@ def _rms(signals: Floats) -> Floats:
 
 
 DEFAULT_LEAST_RATE = 80.0  # [Hz]; the default of the controller manager of ros2_control is 100
-OF_GIVEN_RATE = 0.8  # fraction of the rate given by the user, below which states are slow
+OF_GIVEN_RATE = 0.8  # states below this fraction of the rate that the user gave are slow
 OF_UPDATE_RATE = 0.5  # fraction of update_rate; many drivers are slower than the control loop
 
 LEAST_CHECKED = 0.25
@@ -495,9 +495,9 @@ def check_agreement(
     """
     Check whether model and robot agreed in the last seconds.
 
-    `reason` says why the node does not compute efforts; empty if the node does. The samples are
-    None while the robot is unknown. `saturated` are the commanded joints with efforts that were
-    cut to the limits in the last seconds. The other arguments are those of `diagnose_samples`.
+    `reason` says why the node does not compute efforts; empty if the node computes them. The
+    samples are None if the robot is unknown. `saturated` are the commanded joints with efforts
+    that were cut to the limits in the last seconds. For other arguments see `diagnose_samples`.
     """
     if reason:
         return Agreement(Outcome.UNDECIDED, Obstacle.NODE_STATE, reason=reason)

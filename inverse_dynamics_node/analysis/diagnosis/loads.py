@@ -2,7 +2,7 @@
 Fits unknown payloads; the efforts of a payload are linear in its inertial parameters.
 
 A point mass m at position c adds ``m Y_m + m c . Y_c + m (c c^T) : Y_cc`` to the efforts. Each Y
-contains the efforts of a load with one parameter equal to one and all other parameters zero.
+contains the efforts if one of these parameters is one and all others are zero.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ PARAMETERS = 10  # one of m, three of m c, six of m c c^T
 MOST_LINKS = 6  # links to try if no link is given
 MOVED = 0.02  # [rad or m]; a joint that moved less does not reveal a load
 MAX_REACH = 0.5  # [m], largest distance from the link to the centre of mass of a payload
-USUAL_REACH = 0.2  # [m], assumed distance of a payload if a coordinate has hardly any effect
+USUAL_REACH = 0.2  # [m], typical coordinate; matters if the coordinate has hardly any effect
 MAX_COM_ERROR = 0.05  # [m]; a coordinate with a larger standard error is reported as unknown
 
 
@@ -47,7 +47,7 @@ def loaded_links(robot: RobotModel, q: Floats, link: str | None = None) -> tuple
 
 
 def moves_with(robot: RobotModel, link: str, moved: Booleans) -> bool:
-    """Return whether any moved joint moves a link; `moved` has one flag per joint."""
+    """Return whether a link moves with any moved joint; `moved` has one flag per joint."""
     body = int(robot.link_body[robot.link_index(link)])
     while body > 0:
         if moved[robot.joint_index[body]]:
@@ -73,10 +73,10 @@ def fit_payload(
     regressors: Floats, residual: Floats, sample_count: float
 ) -> tuple[Floats, Floats]:
     """
-    Fit a point mass to efforts, with ten regressor columns and equal variances of all rows.
+    Fit a point mass to efforts of equal variance, given ten regressor columns.
 
-    Return mass [kg] and centre of mass [m] in one array, and their standard errors, each of shape
-    (4,). There may be fewer independent samples than rows.
+    Return an array of mass [kg] and centre of mass [m], shape (4,), and an array of their standard
+    errors. The number of independent samples may be smaller than the number of rows.
     """
     from scipy.optimize import least_squares
 

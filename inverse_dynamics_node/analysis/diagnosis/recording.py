@@ -45,9 +45,9 @@ from .friction import FrictionFit
 from .intervals import best_interval, FaultInterval, find_fault_interval, MUCH_LOUDER
 from .regression_data import RegressionData, RobotFit
 
-REVERSED = 0.7  # reversed axes leave at most this fraction of the squares, with fitted links
+REVERSED = 0.7  # with fitted links, reversed axes leave at most this fraction of the squares
 MIN_DELAY, MAX_DELAY = 0.01, 0.3  # [s]; delays between these limits are reported
-SMALL_STEP = 0.001  # [s]; a smaller change of a delay ends its search
+SMALL_STEP = 0.001  # [s]; the search for a delay ends at a smaller change
 DELAY_ROUNDS = 5  # linear estimates of a delay
 
 
@@ -62,13 +62,13 @@ class JointResidual:
     rms_residual: float
     """RMS of measured minus modelled effort."""
     rms_friction: float
-    """RMS residual with fitted friction, but without faults and offset."""
+    """RMS residual with fitted friction, but without an offset or corrections of faults."""
     rms_corrected: float
-    """RMS residual with fitted friction, offset and faults."""
+    """RMS residual with fitted friction, a fitted offset and corrections of faults."""
     noise: float
     """
-    Standard deviation of the noise after smoothing; NaN if the recording was filtered before.
-    The model explains a residual that is smaller than the noise.
+    Standard deviation of the noise after smoothing; NaN if the efforts were filtered before they
+    were recorded. A residual that is smaller than the noise needs no further explanation.
     """
     scale: float
     """Least-squares fit: the measured effort is about ``scale * modelled + offset``."""
@@ -106,7 +106,7 @@ class ComparisonResult:
     modelled: Floats
     """Modelled efforts, shape (K, c) [N m or N]; with friction if the dynamics have friction."""
     corrected: Floats
-    """Modelled efforts with friction and faults, as recorded, shape (K, c) [N m or N]."""
+    """Modelled efforts with friction, as faults would change them, shape (K, c) [N m or N]."""
     faults: tuple[Fault, ...]
     """Explanations of the difference, most important first; empty if none is needed."""
     width: float
@@ -114,7 +114,7 @@ class ComparisonResult:
     is_too_short: bool
     """Whether there are too few samples to diagnose a difference."""
     moving: tuple[int, ...]
-    """Indices of moving joints in ``joints``; if none moved, of joints with varying effort."""
+    """Indices of moving joints in ``joints``. If none moved, all joints with varying effort."""
 
     @property
     def explained(self) -> float:
@@ -145,13 +145,13 @@ def diagnose_recording(
     convention: GravityConvention = WITH_GRAVITY,
 ) -> ComparisonResult:
     """
-    Compare a recording of any joints, in any order, with the model of a robot with n joints.
+    Compare a recording of any joints, in any order, with the model of their robot.
 
     The dynamics include all known loads; an unknown load may be on `link`, by default on the tips
-    of the tree. Joints that were not recorded have the positions `others`, shape (n,) [rad or m];
-    default: zero. `width` is the speed over which Coulomb friction is smoothed [rad/s or m/s]. By
-    default, the width is fitted for each joint, if the recording shows it. The `convention` says
-    whether the driver should measure efforts with gravity.
+    of the tree. Joints that were not recorded have the positions `others` [rad or m], shape
+    (n,) for the n joints of the robot; default: zero. `width` is the speed over which Coulomb
+    friction is smoothed [rad/s or m/s]. By default, the width of each joint is fitted if the
+    recording reveals it. The `convention` says whether measured efforts should contain gravity.
 
     Raise RecordingError if the robot lacks a recorded joint or the recording is not usable, and
     ConfigurationError if the link does not exist.

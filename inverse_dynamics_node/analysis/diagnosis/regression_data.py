@@ -1,5 +1,5 @@
 """
-Searches for the explanation of measured efforts with small residuals and few parameters.
+Searches for an explanation of measured efforts that has small residuals and few parameters.
 
 A *candidate model* changes the efforts of the whole robot, as a payload does. In addition, the
 effort sensor of each joint may have a fault.
@@ -70,7 +70,7 @@ class CandidateModel(NamedTuple):
 
 
 class RobotFit(NamedTuple):
-    """A candidate model, with the fit of each joint."""
+    """A candidate model, and the fit of each joint."""
 
     candidate: CandidateModel
     fits: tuple[JointFit, ...]
@@ -105,11 +105,11 @@ class RegressionData:
     The samples of n joints, and the search for their explanation.
 
     Each of the `links` may carry a load of up to `heaviest` [kg]; the mapping contains the mass of
-    its body [kg]. Columns of the samples, from ``LOADS`` on, are the efforts of these loads.
-    Gravity is that of the model in the frame of the base link [m/s^2]. The samples represent
-    `duration` [s], and `sample_count` samples of each joint are independent. For less than
-    `least_duration` [s], no explanation is searched for. The `convention` says whether the
-    modelled efforts contain gravity, as the measured efforts should.
+    the body of each link [kg]. From ``LOADS`` on, columns of the samples are efforts of the loads.
+    `gravity` is the gravity of the model, in the frame of the base link [m/s^2]. The samples
+    represent `duration` [s], and `sample_count` samples of each joint are independent. Below a
+    duration of `least_duration` [s], nothing is explained. The `convention` says whether measured
+    efforts should contain gravity; the modelled efforts follow the convention.
     """
 
     def __init__(
@@ -205,7 +205,7 @@ class RegressionData:
         )
         if nominal.cost - lowest_cost < PARAMETER_COST:
             return nominal  # no further parameter can be worth its cost
-        # Missing gravity is preferred to an offset of a joint that explains as much.
+        # If both explain as much, missing gravity is preferred to an offset of a joint.
         found = sorted(
             self._candidates(nominal),
             key=lambda each: each.cost - COST_TOLERANCE * self.contradicts(each.candidate),
@@ -289,7 +289,7 @@ class RegressionData:
         return is_shown and abs(numerator) < NO_GRAVITY * denominator
 
     def _target(self, j: int, robot_fit: RobotFit) -> Floats:
-        """Return the reduced efforts of a joint that an explanation leaves to friction."""
+        """Return the part of a joint's reduced efforts that an explanation leaves to friction."""
         R, fit = self.joints[j].triangle, robot_fit.fits[j]
         measured = R[:, self.first_measured + robot_fit.source[j]]
         target: Floats = fit.sensor_fault.sign / robot_fit.factor(j) * measured
@@ -346,7 +346,7 @@ class RegressionData:
         return weights
 
     def other_gravity(self) -> CandidateModel:
-        """Return the model with gravity if the convention excludes it, otherwise without."""
+        """Return the model without gravity, or with gravity if the convention excludes it."""
         kind = GRAVITY_KINDS[not self.has_gravity]
         weights = self._weights({MODEL: 1.0, GRAVITY: -1.0 if self.has_gravity else 1.0})
         return CandidateModel(kind, weights, 1, has_gravity=not self.has_gravity)
@@ -407,7 +407,7 @@ class RegressionData:
         return (np.vstack(stacked), np.concatenate(targets)) if stacked else None
 
     def _mounting(self, fits: list[JointFit]) -> CandidateModel | None:
-        """Fit gravity; return None unless only its direction differs from the model."""
+        """Fit gravity; return None unless it differs from the model only in direction."""
         if not self.has_gravity:
             return None
         fixed = self._weights({MODEL: 1.0, GRAVITY: -1.0})
@@ -468,7 +468,7 @@ class RegressionData:
         )
 
     def _reordered(self) -> list[RobotFit]:
-        """Return a fit with exchanged efforts of unexplained joints, if this explains them."""
+        """Exchange efforts between unexplained joints; return a fit if this explains them."""
         from scipy.optimize import linear_sum_assignment
 
         n, weights = len(self.joints), self.nominal.weights

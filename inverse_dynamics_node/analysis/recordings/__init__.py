@@ -1,1 +1,1 @@
-"""Reads recordings from files, resamples them at uniform times, smooths and differentiates."""
+"""Reads recordings from files, and resamples, smooths and differentiates them."""

@@ -45,7 +45,7 @@ class Bag:
         """
         Yield the time of recording [ns] and the message, for each message of a topic in order.
 
-        The topic has its full name. `progress` is called regularly with the fraction read so far,
+        `topic` is the full name. `progress` is called regularly with the fraction read so far,
         0 to 1. Raise RecordingError if the recording is damaged.
         """
         count = max(1, self.message_count(topic))

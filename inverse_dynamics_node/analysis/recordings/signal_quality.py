@@ -1,5 +1,5 @@
 """
-Measures the quality of recorded signals: noise, lag of velocities, and earlier filtering.
+Measures the quality of recorded signals: noise, lag of velocities, and filters before recording.
 
 All signals are sampled at uniform times.
 """
@@ -14,8 +14,8 @@ from ...robot.model import Floats
 
 MAX_LAG = 0.5  # [s]; larger lags are not searched for
 MIN_LAG = 0.01  # [s]; at 1 Hz, this lag is an error of 6 % of the accelerations
-LAG_EXPLAINS = 0.25  # fraction of the squared difference that the lag must leave at most
-FINEST = 0.005  # [s] between the lags that are compared; interpolated in between
+LAG_EXPLAINS = 0.25  # a lag leaves at most this fraction of the squared difference
+FINEST = 0.005  # [s] between compared lags; the best lag is interpolated
 MAX_SHAPE = 0.2  # largest relative difference between a shifted velocity and the derived one
 
 CUTOFFS = (1.0, 8.0)  # [Hz]; filters with a higher cut-off hardly affect smoothed efforts
