@@ -116,8 +116,8 @@ def derive(recording: Recording, stretch: float = 1.0) -> Motion:
     period = max(column.period for column in columns)
     if 1.0 / period < MIN_RATE:
         raise RecordingError(
-            f'the recording has {1.0 / period:.3g} samples/s, expected at least {MIN_RATE:g} to '
-            'derive accelerations'
+            f'the recording has {1.0 / period:.3g} samples/s, expected at least {MIN_RATE:g}; '
+            'accelerations cannot be derived from fewer samples'
         )
     orders, inconsistent, lags = _orders(columns, period)
     seconds, degree = WINDOWS[max(orders)]
@@ -134,7 +134,7 @@ def derive(recording: Recording, stretch: float = 1.0) -> Motion:
     if not pieces:
         duration = times[-1] - times[0]
         raise RecordingError(
-            'every interval of the recording without a gap is too short to differentiate, '
+            'every gap-free interval of the recording is too short to differentiate, '
             f'expected at least {4 * half * period:.2g} s; the recording lasts {duration:.3g} s'
         )
     instants, q, qd, qdd, efforts, raw = (
@@ -329,7 +329,7 @@ def _notes(
         notes.append(f'because of gaps, the recording was differentiated in {pieces} pieces')
     if lost > 0.0:
         notes.append(
-            f'ignored pieces between gaps that are too short to differentiate, {lost:.2g} s in all'
+            f'ignored {lost:.2g} s between gaps, in pieces that are too short to differentiate'
         )
     return tuple(notes)
 
