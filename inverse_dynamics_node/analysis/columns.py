@@ -128,7 +128,7 @@ class BaseParameters(NamedTuple):
     """Factors of the parameters in each combination, shape (combinations, parameters)."""
     leading: Integers
     """
-    Index of the leading parameter of each combination; its factor is 1 there and 0 elsewhere.
+    Index of each combination's leading parameter; its factor is 1 here, and 0 in the others.
     """
 
     def names(self, links: tuple[str, ...]) -> list[str]:
@@ -166,7 +166,7 @@ def fit_nonnegative(
     features: Floats, target: Floats, signed: Sequence[int] | Booleans = ()
 ) -> tuple[Floats, float]:
     """
-    Fit a target, shape (rows,), by a sum of columns with nonnegative factors, e.g. of friction.
+    Fit a target, shape (rows,), by a sum of columns with nonnegative factors.
 
     `features` contains the columns, shape (rows, columns). Columns in `signed`, such as an offset,
     may have negative factors. Returns the factors, and the sum of squares of the residual.

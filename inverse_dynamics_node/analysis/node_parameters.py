@@ -15,7 +15,7 @@ def node_parameters(
     Return the text of a file for ``--ros-args --params-file``.
 
     The title is a comment at the top. For each joint in `unknown`, a comment gives the reason why
-    its friction is that of the URDF. A value is a number, or a list in the order of `joint_names`.
+    the friction of the URDF is used. A value is a number, or a list in the order of `joint_names`.
 
     """
     names = ', '.join("'" + name.replace("'", "''") + "'" for name in joint_names)

@@ -2,11 +2,11 @@
 Measures the payload of a robot from recordings with and without the payload.
 
 A robot repeats one motion with and without a payload. The efforts of the two runs differ by the
-efforts of the payload, which are linear in its ten inertial parameters. Wrong link masses,
-friction and offsets are in both runs, and cancel.
+efforts of the payload, which are linear in its ten inertial parameters. Friction, offsets and
+errors of link masses affect both runs equally, and cancel.
 
-Without an empty run, the links are unknowns as well, with the usual errors of robot descriptions.
-The standard error of the payload then contains the possible effect of these errors.
+Without an empty run, the links are unknowns as well. They are assumed to have the usual errors of
+robot descriptions. The standard error of the payload contains the effect of these errors.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ WINDOW = 0.15  # [s]; smoothing window
 BLOCKS = 10  # contiguous blocks of a motion; the standard errors include their spread
 WIDTH = 0.05  # [rad/s or m/s]; speed over which Coulomb friction is smoothed
 GAIN = 0.01  # relative error of the gain of each measured effort
-GAIN_ALONE = 0.05  # the same without an empty run: the gain then also acts on the arm's weight
+GAIN_ALONE = 0.05  # the same without an empty run: the gain then multiplies the arm's weight too
 LINK_ERROR = 0.15  # relative error of link masses and of their distribution
 APPARENT = 0.25  # [kg]; payload that empty arms seem to carry; 0.02 to 1.5 on real arms
 REACH_OF_LINKS = 0.1  # [m]; distance of this apparent payload from the link
@@ -76,7 +76,7 @@ class PayloadEstimate:
     times: Floats
     """Times of the samples, shape (samples,) [s]."""
     measured: Floats
-    """Measured efforts minus those of arm and friction, shape (samples, joints) [N m or N]."""
+    """Measured efforts minus efforts of arm and friction, shape (samples, joints) [N m or N]."""
     fitted: Floats
     """Efforts of the fitted payload, shape (samples, joints) [N m or N]."""
     duration: float
@@ -117,7 +117,7 @@ class _Rows(NamedTuple):
     Columns that act on a single joint, such as offset and friction, shape (rows, joints, terms).
     """
     arm: Floats
-    """Modelled efforts of the arm that a wrong gain multiplies too, shape (rows, joints)."""
+    """Modelled efforts of the arm, which a wrong gain also multiplies, shape (rows, joints)."""
     target: Floats
     """Efforts to explain, shape (rows, joints)."""
     block: Integers
@@ -339,7 +339,7 @@ class _Fit:
         self.weights = self._weights(residual)
         # The spread between blocks shows slow changes, which residuals hide. Fits without a block
         # estimate the gains again, so the spread is compared with a variance for unknown gains.
-        # A variance for known gains is at most a quarter of that, and would enlarge the errors.
+        # A variance for known gains is at most a quarter of this, and would enlarge the errors.
         ratio = self._between() / _variance(self.covariances()[1], self.x)
         self.weights = self.weights / max(1.0, float(np.mean(ratio)))
         self.x = self._solution()
@@ -412,7 +412,7 @@ class _Fit:
         return whole, whole @ data @ whole
 
     def _between(self) -> Floats:
-        """Return variances of mass and centre of mass from fits without one block, shape (4,)."""
+        """Return variances of mass and centre of mass over fits that omit a block, shape (4,)."""
         count = len(self.products)
         if count < 2:
             return np.zeros(4)

@@ -75,13 +75,13 @@ class Workspace:
 
     @property
     def hardest(self) -> int:
-        """Index of the joint closest to its limit; without limits, of the largest effort."""
+        """Index of the joint nearest its limit; without limits, the one of largest effort."""
         ratios = self.peaks / self.limits
         return int(np.argmax(ratios if np.any(ratios > 0.0) else self.peaks))
 
 
 class PayloadCapacity(NamedTuple):
-    """The largest point mass at the origin of a link that every joint can hold in every pose."""
+    """The largest point mass that all joints can hold at the origin of a link in every pose."""
 
     link: str
     mass: float
@@ -193,7 +193,7 @@ def payload_capacity(
     workspace, and for the worst pose that a search finds. Raises ConfigurationError if the link
     does not exist.
 
-    Gravity efforts are linear in the mass, so that two of them per pose determine the mass.
+    Gravity efforts are linear in the mass, so two efforts per pose determine the mass.
 
     """
     robot, limits = workspace.robot, workspace.limits

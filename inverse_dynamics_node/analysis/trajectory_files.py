@@ -39,7 +39,7 @@ _DIGITS = 9
 _DEFAULT_TOPIC = '/joint_states'
 """The topic to read if several topics have joint states."""
 _ENCLOSING = ('trajectory', 'joint_trajectory', 'goal')
-"""Fields of other messages that contain a trajectory."""
+"""Fields in which other messages contain a trajectory."""
 _DEEPEST = 20
 """Deepest nesting of lists and mappings; a trajectory in an action goal has six levels."""
 _WHOLE_OUTPUT = 'print the whole message with `ros2 topic echo --full-length`'
@@ -62,10 +62,10 @@ def read_trajectory(
     """
     Read a trajectory in any of the `FORMATS`.
 
-    The path is a file, or the folder of a recording, and `topic` is a topic of the recording.
-    Joints in a CSV file or in joint states that are not in `joint_names` are ignored. `progress`
-    is called now and then with the fraction read so far, 0 to 1. Raises TrajectoryError if the
-    file contains no complete trajectory, and OSError if the file cannot be opened.
+    The path is a file, or the folder of a recording, and `topic` is a topic of the recording. In
+    CSV files and joint states, joints that are not in `joint_names` are ignored. `progress` is
+    called now and then with the fraction read so far, 0 to 1. Raises TrajectoryError if the file
+    contains no complete trajectory, and OSError if the file cannot be opened.
 
     """
     try:
@@ -139,7 +139,7 @@ def _arrays(trajectory: Trajectory) -> list[Floats]:
 
 
 def _plain(row: Floats) -> str:
-    """Return a list as YAML 1.1; there, a number with an exponent needs a decimal point."""
+    """Return a list as YAML 1.1, in which a number with an exponent needs a decimal point."""
     numbers = (repr(float(f'{x:.{_DIGITS}g}') + 0.0) for x in row)
     points = (x if '.' in x else x.replace('e', '.0e') for x in numbers)
     return f'[{", ".join(points)}]'
@@ -171,7 +171,7 @@ def _documents(text: str) -> Iterator[Any]:
     Yield the documents of a YAML text as lists, mappings and text; numbers remain text.
 
     Unlike the loaders of PyYAML, this parser neither recurses nor converts. No file can use up the
-    stack, contain itself, or create other objects. The parser is also several times as fast.
+    stack, contain itself, or create other objects. It is also several times faster than they are.
 
     """
     import yaml
@@ -339,14 +339,14 @@ def _from_csv(path: Path, joint_names: Sequence[str]) -> LoadedTrajectory:
 
 
 class _Longest(NamedTuple):
-    """The trajectory with the most points on a topic; of several, the first one."""
+    """The longest trajectory of a topic; if several are equally long, the first of them."""
 
     topic: str
     message: Any
     number: int
-    """Number of the trajectory among those of the topic that are not empty, from 1."""
+    """Position of the trajectory among the non-empty trajectories of the topic, from 1."""
     total: int
-    """Number of trajectories on the topic that are not empty."""
+    """Number of non-empty trajectories on the topic."""
 
 
 def _from_bag(

@@ -34,13 +34,13 @@ _OFTEN = 0.02
 _MOST_LOOKS = 40
 """Largest number of poses in which surfaces are compared."""
 _UNSEEN = 0.005
-"""Where surfaces are far apart in all poses, capsules may be closer than there by this [m]."""
+"""If surfaces are never near, capsules may be closer than in any sampled pose by this [m]."""
 _ON_THE_WAY = 0.005
-"""Links that are too near in the first pose of a way may at first come nearer by this [m]."""
+"""Links that are too near at the start of a way may first come closer by this distance [m]."""
 _FAR = 0.3
 """Larger distances are ignored [m]."""
 _SCALE = 0.05
-"""A distance that is too short by this value is penalised like twice a speed limit [m]."""
+"""A distance too short by this value has the same penalty as twice the permitted speed [m]."""
 _PLACES = np.linspace(0.0, 1.0, 33)[:, np.newaxis]
 """Places on a segment, 0 to 1; the place nearest to a box is chosen."""
 _CHUNK = 200
@@ -92,7 +92,7 @@ class Clearance:
     needed: Floats
     """Least distances [m]: of the pairs, of capsule ends to the floor, of capsules to each box."""
     unchecked: tuple[str, ...] = ()
-    """Names of pairs that are near in many poses and not checked, such as 'wrist and floor'."""
+    """Names of pairs that are too often near to be checked, such as 'wrist and floor'."""
 
     @property
     def bodies(self) -> Integers:
@@ -251,7 +251,7 @@ class Clearance:
         self, row: int, R: Floats, p: Floats, otherwise: float, below: float = math.inf
     ) -> float:
         """
-        Return the distance of both surfaces of a row [m] in a pose with body frames R and p.
+        Return the distance between the two surfaces of a row [m]; R and p are the body frames.
 
         The distance is `otherwise` if a surface is unknown, and inf if it is not less than
         `below`.
@@ -365,7 +365,7 @@ def _needed(
         )
     of_poses = np.array([surfaces[pose == k].min() for k in near_poses[:_MOST_LOOKS]])
     least = CLEARANCE
-    if share > _MANY:  # near each other by design: half the usual distance may be too near
+    if share > _MANY:  # near each other by design: less than half the usual is too near
         least = float(np.clip(0.5 * np.median(of_poses), TOUCH, CLEARANCE))
     if share * np.mean(of_poses < max(least, _ALWAYS)) > _ALL:
         return dict.fromkeys(row.tolist(), -math.inf)

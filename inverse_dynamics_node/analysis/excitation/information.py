@@ -38,9 +38,9 @@ class Unknowns:
     The unknowns that the efforts of the moving joints can determine.
 
     `noise` is the standard deviation of the measured effort of each moving joint [N m or N].
-    `columns` contains the indices of the selected columns: ten for each body except the base, then
-    one per moving joint for each kind in `OF_JOINT`. `scale` is the typical size of the weighted
-    column of each unknown. The columns are divided by this size.
+    `columns` contains the indices of the selected columns. There are ten columns for each body
+    except the base, then one per moving joint for each kind in `OF_JOINT`. `scale` is the typical
+    size of the weighted column of each unknown. The columns are divided by this size.
 
     """
 
@@ -103,7 +103,7 @@ class Unknowns:
         return total
 
     def _split(self) -> tuple[Integers, Integers, Integers, Integers]:
-        """Return indices of body and joint unknowns, then kind and joint of joint unknowns."""
+        """Return indices of body and joint unknowns, and kind and joint of each joint unknown."""
         is_rigid = self.columns < self.rigid_count
         kind, joint = np.divmod(self.columns[~is_rigid] - self.rigid_count, len(self.noise))
         return np.flatnonzero(is_rigid), np.flatnonzero(~is_rigid), kind, joint

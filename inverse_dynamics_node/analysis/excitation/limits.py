@@ -22,7 +22,7 @@ from ..sizing import joint_ranges
 from .clearance import Clearance, find_clearance
 
 FRACTION = 0.8
-"""Fraction of the limits that a motion uses; the rest is for control and unknown masses."""
+"""Fraction of the limits that a motion uses; the reserve is for control and unknown masses."""
 ASSUMED_SPEED = (1.0, 0.25)
 """Assumed speed limit of joints without a limit: revolute [rad/s], prismatic [m/s]."""
 ASSUMED_SLIDE = 1.0
@@ -32,7 +32,7 @@ _LEAST_RANGE = 1e-3
 _POSES = 400
 """Number of random poses that show which links of the robot may come near each other."""
 _LIGHT = (0.05, 0.05)
-"""A joint is light if it carries less than this mass [kg] and this fraction of the robot."""
+"""A joint is light if it carries less than this mass [kg] and this fraction of the robot mass."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +175,7 @@ def _that_cannot_move(robot: RobotModel, lower: Floats, upper: Floats) -> dict[s
 
 
 def _light(robot: RobotModel) -> dict[str, str]:
-    """Return the joints that carry almost no mass, such as those of fingers, with the mass."""
+    """Return joints that carry almost no mass, such as finger joints, with a text on the mass."""
     carried = robot.mass.copy()
     for body in range(len(carried) - 1, 0, -1):
         carried[robot.parent[body]] += carried[body] if robot.parent[body] > 0 else 0.0
@@ -238,7 +238,7 @@ def whole_states(limits: MotionLimits, states: States) -> States:
 
 
 def whole_positions(limits: MotionLimits, q: Floats) -> Floats:
-    """Return the positions of all joints for those of the moving joints, shape (poses, joints)."""
+    """Return positions of all joints from those of the moving joints, shape (poses, joints)."""
     whole: Floats = np.tile(limits.rest, (len(q), 1))
     whole[:, limits.index] = q
     return whole
@@ -263,7 +263,7 @@ def keep_clear(
     """
     Return limits for motions during which the robot hits neither itself nor an obstacle.
 
-    `capsules` surround the bodies of the robot. `floor` and `boxes` are those of `find_clearance`.
+    `capsules` surround the bodies of the robot. `find_clearance` describes `floor` and `boxes`.
 
     """
     poses = random_states(limits, _POSES, np.random.default_rng(3)).q

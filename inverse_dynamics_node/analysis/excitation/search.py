@@ -43,15 +43,15 @@ _FINE = 8
 _DENSER = 4
 """Number of poses to check for each sample of the search: links may collide between samples."""
 _COARSE, _SHRINKING = 8, 0.95
-"""A random motion is checked at every 8th state, then at all states and shrunk by this factor."""
+"""Coarse checks use every 8th state; a motion shrinks by this factor if a full check fails."""
 _WAY = 60
 """Number of poses that the search checks on the way to the start of a motion."""
 CANDIDATES = 30
 """Number of random motions; the search starts from the best of them."""
 _POSES = 300
-"""Number of random poses among which the drives must be able to hold at least one."""
+"""Number of random poses; the drives must be able to hold at least one of them."""
 _NEARLY_ALL = 0.9
-"""If more than this fraction of the poses is below the floor, its height is probably wrong."""
+"""If more than this fraction of poses is below the floor, the floor height is probably wrong."""
 _ROUNDS = ((1e1, 60), (1e2, 60), (1e3, 60), (1e4, 60))
 """Weight of violated limits, relative to one unknown, and number of iterations of each round."""
 _LARGEST_WORK = 1.5e9
@@ -140,7 +140,7 @@ def find_excitation(
 
 class MotionSpace:
     """
-    Motions as arrays x of coefficients, relative to the middle and half of the position ranges.
+    Motions as arrays x of coefficients, relative to middle and half width of the position ranges.
 
     For m moving joints and h harmonics, an array x has the shape (m, 2 h - 1).
 
@@ -221,7 +221,7 @@ class MotionSpace:
         return way
 
     def random(self, count: int, rng: np.random.Generator) -> list[Floats]:
-        """Draw motions about poses that the drives can hold, as large as the limits allow."""
+        """Draw the largest motions within the limits about poses that the drives can hold."""
         centres = self._poses(rng)
         found = []
         for k in range(count):
@@ -234,7 +234,7 @@ class MotionSpace:
         return found
 
     def within_limits(self, x: Floats, safe: Floats) -> Floats:
-        """Return a motion within the limits: reduced, or mixed with a motion that is safe."""
+        """Reduce a motion, or mix it with a safe motion, until it is within the limits."""
         still = np.zeros(self.shape)
         still[:, 0] = x[:, 0]
         for end, smallest in ((still, 0.5), (safe, 0.0)):
@@ -245,7 +245,7 @@ class MotionSpace:
         return safe
 
     def _largest(self, still: Floats, swing: Floats) -> Floats:
-        """Return the largest motion about a pose within the limits, up to a given swing."""
+        """Return the largest motion within the limits about a pose; `swing` is the upper bound."""
         low, high = 0.0, 1.0
         for _ in range(12):
             middle = 0.5 * (low + high)
@@ -258,7 +258,7 @@ class MotionSpace:
         return still + low * swing
 
     def _size(self, still: Floats, swing: Floats) -> Floats:
-        """Return the swing of each joint relative to its free range and its speed, as a column."""
+        """Return each joint's swing relative to its free range and speed limit, as a column."""
         states = States(*(part @ (swing * self.limits.half[:, None]).T for part in self.basis))
         room = self.limits.half * (1.0 - np.abs(still[:, 0]))
         ratios = np.maximum(np.abs(states.q) / room, np.abs(states.qd) / self.limits.speeds)
@@ -266,7 +266,7 @@ class MotionSpace:
         return size
 
     def _poses(self, rng: np.random.Generator) -> Floats:
-        """Return poses within the limits, relative to middle and half of the position ranges."""
+        """Return poses within the limits, relative to middle and half width of the ranges."""
         poses = rng.uniform(-0.5, 0.5, (_POSES, self.shape[0]))
         poses[0] = 0.0
         zeros = np.zeros_like(poses)

@@ -1,5 +1,5 @@
 """
-Fits the effects of drives on efforts: friction and armature, gains of currents, a delay.
+Fits the effects of drives on efforts: friction, armature, gains of currents, and a delay.
 
 A term of a joint is used if it improves the prediction of blocks that were left out of the fit.
 
@@ -41,19 +41,19 @@ FRICTION: tuple[int, ...] = (DAMPING, COULOMB, OFFSET)
 LEAST_IMPROVEMENT = {ARMATURE: 0.01, LOAD: 0.02, SQRT: 0.1}
 """Fraction by which each candidate must reduce the squared residuals of the prediction."""
 LEAST_ERRORS = {ARMATURE: 1.0, LOAD: 1.0, SQRT: 2.0}
-"""Least improvement by each candidate, in standard errors of the differences between blocks."""
+"""Least improvement by each candidate, as a multiple of the standard error of the improvement."""
 LARGEST_LOAD = 0.1
-"""Load friction of a poor gear, used as the expected standard deviation [-]."""
+"""Expected standard deviation of load friction; the value is that of a poor gear [-]."""
 WIDTHS = 10
 """Number of friction widths to try."""
 SIGNIFICANT = 5.0
 """A gain is known if its inverse exceeds this many standard errors."""
 LEAST_CHANGE = 0.15
-"""Smallest relative change of all efforts that is regarded as a common factor."""
+"""A smaller relative change of all efforts is not regarded as a common factor."""
 MOST_DISAGREEMENT = 0.5
 """Largest RMS deviation of single joints from the common change, as a fraction of the change."""
 EXPLAINS = 0.6
-"""Fraction of the improvement by the bodies that a common factor must explain."""
+"""A common factor must explain this fraction of the improvement by the bodies."""
 MOST_DELAY = 0.1
 """Longest delay in either direction [s]."""
 
@@ -76,7 +76,7 @@ class Delay(NamedTuple):
 
 
 class EffortCorrection(NamedTuple):
-    """Delay and gains that turn recorded efforts into those of the model."""
+    """Delay and gains that convert recorded efforts to efforts of the model."""
 
     delay: float
     """Time by which recorded efforts are late [s]."""
@@ -86,7 +86,7 @@ class EffortCorrection(NamedTuple):
     """Whether the gain of each joint is known, shape (joints,)."""
 
     def apply(self, motions: Sequence[Motion]) -> list[Floats]:
-        """Return efforts of motions without delay [N m or N], each of shape (samples, joints)."""
+        """Return the corrected efforts of motions [N m or N], each of shape (samples, joints)."""
         return [_shifted(motion, self.delay) * self.gains for motion in motions]
 
 
@@ -103,7 +103,7 @@ def choose_terms(
     grid: Floats,
     optional: bool = True,
 ) -> JointFit:
-    """Fit joint terms to efforts that bodies do not explain; friction only if a joint moves."""
+    """Fit joint terms to efforts that bodies do not explain; fit only an offset without motion."""
     found = JointFit(start.model, start.used)
     # With couplings, the second pass knows the efforts of the drives on the joints before them.
     for _ in range(2 if start.model.couplings.any() else 1):
@@ -132,7 +132,7 @@ def _choose_terms(
 
 
 def fit_terms(regression: Regression, friction: JointFit, rows: Booleans) -> Model:
-    """Fit chosen terms to the unexplained efforts in some rows, without couplings."""
+    """Fit the chosen terms to the unexplained efforts in some rows; couplings are ignored."""
     model = friction.model
     target = regression.efforts - regression.rigid(model.bodies)
     terms = regression.terms(model)
@@ -160,7 +160,7 @@ def _block_grams(
 
 
 def _best(grams: Floats, chosen: tuple[int, ...], optional: bool) -> tuple[tuple[int, ...], int]:
-    """Return the terms, and the index of the width, that predict best; given terms are kept."""
+    """Return the terms and the width index that predict best; given terms are always chosen."""
     candidates = list(LEAST_IMPROVEMENT) if optional else []
     while candidates:
         trials = [(_improvement(grams, chosen, candidate), candidate) for candidate in candidates]
@@ -184,7 +184,7 @@ def _improvement(grams: Floats, chosen: tuple[int, ...], candidate: int) -> floa
 
 
 def _losses(grams: Floats, chosen: Sequence[int]) -> tuple[Floats, int]:
-    """Return the squared residuals of each block after a fit to the others, and the best width."""
+    """Return the squared residuals of each block after a fit to all others, and the best width."""
     others = grams.sum(axis=1, keepdims=True) - grams if grams.shape[1] > 1 else grams
     factors = np.zeros((*grams.shape[:2], TERMS + 1))
     factors[..., -1] = 1.0
@@ -237,11 +237,11 @@ def first_gains(
     regression: Regression, bodies: Floats, widths: Floats, moving: Booleans
 ) -> tuple[Floats, Booleans]:
     """
-    Estimate the gains from currents to efforts, with the bodies of the robot description.
+    Estimate the effort per current of each joint, based on the bodies of the robot description.
 
     Returns the gain of each joint, and whether it is determined. A current with the opposite sign
-    has a negative gain. A gain that cannot be determined is the median magnitude of the other
-    gains.
+    has a negative gain. A gain that cannot be determined is set to the median magnitude of the
+    other gains.
 
     """
     rigid = regression.rigid(bodies)
@@ -268,7 +268,7 @@ def first_gains(
 
 def common_factor(regression: Regression, fit: RobotFit, friction: JointFit) -> float | None:
     """
-    Return a common factor of link efforts that explains most of the improvement by the bodies.
+    Return the common factor of link efforts if it explains most of the improvement by the bodies.
 
     Returns None if the joints disagree on a factor, or if the bodies explain far more than a
     factor.
@@ -301,8 +301,8 @@ def estimate_delay(regression: Regression, fit: RobotFit) -> Delay:
     """
     Estimate the delay of the measured efforts together with all other unknowns.
 
-    The estimate is of first order. The delay is that of the efforts after their present
-    correction.
+    The estimate is of first order. The result is the delay that remains after the present
+    correction of the efforts.
 
     """
     model, weights = fit.model, fit.weights
@@ -327,7 +327,7 @@ def estimate_delay(regression: Regression, fit: RobotFit) -> Delay:
 
 
 def _shifted(motion: Motion, delay: float) -> Floats:
-    """Return the efforts of a motion after a delay was removed, shape (samples, joints)."""
+    """Return the efforts of a motion with a delay removed, shape (samples, joints)."""
     from scipy.interpolate import CubicSpline
 
     efforts = motion.efforts.copy()

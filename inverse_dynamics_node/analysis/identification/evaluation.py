@@ -46,7 +46,7 @@ LEAST_EXPLAINED = 0.1
 """Fraction of the variation of the efforts that the identified model has to explain."""
 
 SHORT = 20.0
-"""If recordings are shorter, the advice is to record for longer [s]."""
+"""The advice for shorter recordings is to record for longer [s]."""
 SLOW = 0.2
 """A joint is slow if it stays below this fraction of its speed limit."""
 FAST_ENOUGH = 0.5
@@ -161,7 +161,7 @@ def _efforts(
     folds: Sequence[Fold],
     description: str,
 ) -> Unseen:
-    """Return measured and predicted efforts; each block is predicted by the fits without it."""
+    """Return measured and predicted efforts; each block is predicted by fits to all others."""
     motions = [run.motion for run in runs]
     raw = [motion._replace(efforts=motion.raw_efforts, window=1) for motion in motions]
     regression, (urdf, friction, identified) = _predicted(data, motions, models, folds)
@@ -184,7 +184,7 @@ def _predicted(
     models: Sequence[Model],
     folds: Sequence[Sequence[Model]],
 ) -> tuple[Regression, list[Floats]]:
-    """Predict all rows; in each block, the models of its fold replace the last models."""
+    """Predict all rows; in each block, its fold replaces the models at the end of `models`."""
     regression = Regression(data.problem, motions, 0.0, max(1, len(folds)))
     # The efforts keep their recorded delay, because the models do not contain a delay.
     gains = data.correction.gains
@@ -214,7 +214,7 @@ def _explains(unseen: Unseen) -> bool:
 
 
 def _variation(unseen: Unseen) -> float:
-    """Return the standard deviation of the efforts, as the root sum of squares over joints."""
+    """Return the root sum of squares of the standard deviations of the joint efforts."""
     return float(np.linalg.norm(np.std(unseen.measured, axis=0)))
 
 
@@ -314,7 +314,7 @@ def _coupled_with(problem: IdentificationProblem, model: Model, j: int) -> tuple
 
 def _spread(joints: Sequence[Floats]) -> Floats:
     """
-    Return standard errors of the terms with the jackknife: from fits without each block.
+    Return jackknife standard errors of the terms, from fits that leave out one block each.
 
     The errors include changes of the friction between the blocks. With one block, they are zero.
 

@@ -18,20 +18,20 @@ from .fit import Equations, RobotFit, solve
 from .regression import ARMATURE, Model, moved_by, RATIO, Regression, SPRING, WIDTH
 
 LEAST_GAIN = 0.1
-"""Fraction by which a spring must reduce the squared residuals of its joint in predictions."""
+"""A spring must reduce the squared residuals of predictions for its joint by this fraction."""
 LEAST_GAIN_OF_COUPLING = 0.3
 """Fraction by which a coupling must reduce the squared residuals, as the mean of both joints."""
 ERRORS = 3.0
 """Least mean improvement of the blocks, in standard errors of this mean."""
 LEAST_RELATION = 0.1
-"""Fraction of the residual of a joint that the motion of a coupled joint has to explain."""
+"""The motion of a coupled joint must explain this fraction of the residual of a joint."""
 RATIOS = (-3.0, -1.0, -0.3, -0.1, 0.1, 0.3, 1.0, 3.0)
 """Couplings from which a fit starts."""
 RATIO_ROUNDS = 3
 WRIST = 3
 """Number of joints at the end of a chain that may be a wrist."""
 INTERSECTION = 2e-3
-"""Axes of joints are regarded as intersecting if their distance is smaller [m]."""
+"""Axes of joints with a smaller distance are regarded as intersecting [m]."""
 
 
 def with_extra(regression: Regression, moving: Booleans, fit: RobotFit) -> RobotFit | None:
@@ -44,7 +44,7 @@ def with_extra(regression: Regression, moving: Booleans, fit: RobotFit) -> Robot
     for joints, least, make in _candidates(regression, moving, fit, equations, used):
         try:
             trial = make()
-        except np.linalg.LinAlgError:  # the recordings do not determine it
+        except np.linalg.LinAlgError:  # the recordings do not determine the extra
             continue
         trials.append((_fitted_gain(base, trial, joints) / least, joints, least, trial))
     for gain, joints, least, trial in sorted(trials, key=lambda each: -each[0]):
@@ -76,7 +76,7 @@ def _candidates(
 
 
 def without_useless_extras(regression: Regression, fit: RobotFit) -> RobotFit:
-    """Return the fit without extras that do not improve the prediction, or else the fit itself."""
+    """Return the fit without useless extras; if all extras are useful, return the fit itself."""
     used, couplings = fit.used.copy(), fit.model.couplings.copy()
     for j in range(len(used)):
         if fit.used[j, SPRING]:
@@ -98,8 +98,8 @@ def is_needed(base: RobotFit, fit: RobotFit, joints: Sequence[int], least: float
     """
     Return whether a larger model predicts left-out blocks clearly better than its base.
 
-    The larger model must reduce the squared residuals of some joints by a fraction, and improve
-    most of the blocks. A single block, such as the fastest motion, may contain most of the
+    The larger model must reduce the squared residuals of `joints` by the fraction `least`, and
+    improve most of the blocks. A single block, such as the fastest motion, may contain most of the
     squares.
 
     """
@@ -119,9 +119,9 @@ def may_be_coupled(regression: Regression, moving: Booleans, j: int) -> bool:
     """
     Return whether the drive of a joint could also turn with the joint before.
 
-    This happens in wrists: the drives sit further back, and gears run through the joint before. A
-    wrist is at the end of a chain, and the axes of both revolute joints intersect. Joints that
-    moved in a fixed ratio are excluded, because their columns are collinear.
+    This happens in wrists: the drive sits before both joints, and its gears run through the first
+    joint. A wrist is at the end of a chain, and the axes of both revolute joints intersect. Joints
+    that moved in a fixed ratio are excluded, because their columns are collinear.
 
     """
     problem = regression.problem

@@ -2,9 +2,9 @@
 Fits bodies and joints together with least squares, so that bodies remain physical.
 
 The objective is the sum of squares plus a divergence for each body. If P is the pseudo-inertia of
-a body and P0 that of the robot description, their entropic divergence is ``tr(P0^-1 P) - log det
-P`` [1]_. It is convex, finite only for physical bodies, and independent of units and frames. The
-same divergence of single numbers keeps friction and armature positive. The objective is
+a body and P0 its value in the robot description, their entropic divergence is ``tr(P0^-1 P) - log
+det P`` [1]_. It is convex, finite only for physical bodies, and independent of units and frames.
+The same divergence of single numbers keeps friction and armature positive. The objective is
 self-concordant, so Newton's method converges from any physical start. Blocked cross-validation
 chooses how closely the bodies follow the robot description.
 
@@ -38,12 +38,12 @@ EXPECTED_ERROR = 0.3
 ENOUGH = 0.9
 """A mass may more than double if this fraction of its information comes from recordings."""
 MOST_GROWTH = 2.0
-"""Largest ratio of an identified mass to that of the description, unless recordings show it."""
+"""Largest ratio of identified to described mass, unless recordings determine the mass."""
 _MOST_STEPS = 200
 _DECREMENT = 1e-8
-"""The minimum is found if the predicted decrease of the objective is smaller."""
+"""The minimum is found if the predicted decrease of the objective is smaller than this."""
 _TO_EDGE = 0.95
-"""Largest step, as a fraction of the distance to where a body would not be physical."""
+"""Largest step, as a fraction of the step after which a body is no longer physical."""
 
 
 class RobotFit(NamedTuple):
@@ -56,13 +56,13 @@ class RobotFit(NamedTuple):
     """Whether each term of each joint was fitted, shape (joints, 10)."""
     model: Model
     unknowns: Integers
-    """Indices of the fitted unknowns in the order: ten for each body, then ten for each joint."""
+    """Indices of the fitted unknowns; there are ten unknowns per body, then ten per joint."""
     hessian: Floats
     """Inverse of the covariance of the unknowns."""
     prior: Prior
 
     def without(self, block: int) -> Model:
-        """Return the model of the same fit without one of the blocks."""
+        """Repeat the fit without one of the blocks, and return the model."""
         prior = self.prior.weights
         return solve(self.equations, self.weights, prior, self.used, self.model, block).model
 
@@ -151,9 +151,9 @@ def solve(
     """
     Minimise the weighted squares plus the divergence from the robot description.
 
-    `weights` are the inverse variances of the joints, for dependent samples. `urdf_weight`
-    contains the weight of the divergence of each body. Terms that are not `used` are zero. The
-    terms in `start` set the scales of positive terms. The block `without` is left out.
+    `weights` are the inverse variances of the joints, corrected for dependent samples.
+    `urdf_weight` contains the weight of the divergence of each body. Terms that are not `used` are
+    zero. The terms in `start` set the scales of positive terms. The block `without` is left out.
 
     """
     identified = equations.regression.problem.identified
@@ -200,7 +200,7 @@ def choose_urdf_weight(fit: RobotFit) -> UrdfWeight:
     Return the strongest weight whose prediction is not clearly worse than the best one.
 
     Each block of the recordings is predicted by a fit to the other blocks. A prediction is clearly
-    worse if the difference exceeds one standard error of the differences between the blocks.
+    worse if its loss exceeds the smallest loss by more than the standard error of this difference.
 
     """
     equations, weights, used = fit.equations, fit.weights, fit.used
@@ -280,7 +280,7 @@ def _without_dependent_joints(fit: RobotFit) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """Reference values of the unknowns: ten for each body, followed by those of joints."""
+    """Reference values of the unknowns: ten per body, then the unknowns of the joints."""
 
     bodies: Floats
     """Reference parameters of the bodies, shape (bodies, 10)."""
@@ -326,7 +326,7 @@ class Prior:
         return gradient, hessian
 
     def longest_step(self, x: Floats, step: Floats) -> float:
-        """Return the multiple of a step, at most 1, after which all bodies are still physical."""
+        """Return a factor of a step, at most 1, that keeps all bodies physical."""
         longest = 1.0
         numbers, change = x[self.positive], step[self.positive]
         if (change < 0.0).any():

@@ -105,7 +105,7 @@ def with_first_gains(data: TrainingData) -> TrainingData:
 
 
 def without_terms(data: TrainingData, bodies: Floats) -> JointFit:
-    """Return a model of the bodies in which all terms of the joints are still zero."""
+    """Return a model with given bodies, in which all terms of the joints are zero."""
     m = len(data.problem.joints)
     model = Model(bodies, np.zeros((m, TERMS)), np.ones(m), np.zeros(m))
     return JointFit(model, np.zeros((m, TERMS), dtype=bool))
@@ -180,7 +180,7 @@ def fit_gains(data: TrainingData, fit: RobotFit) -> tuple[TrainingData, RobotFit
 
 
 def _common_factor(data: TrainingData, change: Floats) -> float:
-    """Return the factor that keeps the mean of the gains; it is 1 if a mass is known."""
+    """Return the factor that leaves the mean gain unchanged; it is 1 if a mass is known."""
     problem, known = data.problem, data.correction.is_gain_known
     fixed = problem.identified.fixed_robot()
     if problem.payload is not None or fixed.mass[1:].any() or not known.any():

@@ -60,7 +60,7 @@ class PreparedRecording(NamedTuple):
     """One recording, prepared for the regression."""
 
     motion: Motion
-    """Motion of the whole robot, with the efforts of the joints that have measured efforts."""
+    """Motion of the whole robot; it contains the efforts of the measured joints only."""
     noise: Floats
     """Noise that remains in the smoothed efforts, shape (joints,) [N m or N]."""
     qd_noise: Floats
@@ -70,7 +70,7 @@ class PreparedRecording(NamedTuple):
 
 
 def measured_joints(robot: RobotModel, recordings: Sequence[Recording]) -> list[int]:
-    """Return the joints with varying efforts in all recordings, or raise RecordingError."""
+    """Return the joints whose efforts vary in all recordings; raise RecordingError without any."""
     common = set(range(len(robot.joint_names)))
     for recording in recordings:
         found = set()
@@ -121,7 +121,7 @@ def without_noisy_velocities(recording: Recording) -> Recording:
 
 
 def _stretch(recording: Recording) -> float:
-    """Return the factor of the smoothing window that is needed for quiet accelerations."""
+    """Return the factor of the smoothing window that keeps the noise of accelerations low."""
     chosen = STRETCHES[0]
     for stretch in STRETCHES:
         try:
@@ -211,7 +211,7 @@ class TrainingData:
     widths: Floats
     """Widths of Coulomb friction to try, shape (widths, joints) [rad/s or m/s]."""
     least_widths: Floats
-    """Least widths for the noisy velocities of the node, shape (joints,) [rad/s or m/s]."""
+    """Least widths that the node needs for noisy velocities, shape (joints,) [rad/s or m/s]."""
     correction: EffortCorrection
     regression: Regression
     """The smoothed rows with corrected efforts."""

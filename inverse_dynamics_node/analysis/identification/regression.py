@@ -48,10 +48,10 @@ FIXED_RATIO = 0.995
 @dataclass(frozen=True, eq=False)
 class IdentifiedBodies:
     """
-    The bodies to identify: moving bodies with mass, without fixed links.
+    The bodies to identify: moving bodies with mass, except links that must not change.
 
     Links that fixed joints hold together are one body. The links of a body cannot be
-    distinguished, so those that may change are identified together.
+    distinguished, so the links that may change are identified together.
 
     """
 
@@ -61,7 +61,7 @@ class IdentifiedBodies:
     links: tuple[tuple[int, ...], ...]
     """Links of each identified body that have mass and may change."""
     names: tuple[str, ...]
-    """Name of each body: that of the link nearest to the joint."""
+    """Name of each body: its link nearest to the joint."""
     before: Floats
     """Parameters of the robot description about the frames of the bodies, shape (bodies, 10)."""
     reference: Floats
@@ -113,7 +113,7 @@ class IdentifiedBodies:
 
 def identified_bodies(robot: RobotModel, fixed: Collection[str] = ()) -> IdentifiedBodies:
     """
-    Select the bodies to identify; bodies of fixed links do not change.
+    Select the bodies to identify; the links in `fixed` do not change.
 
     Raises ConfigurationError if a link does not exist, or if nothing is left to identify.
 
@@ -234,7 +234,7 @@ class Model:
     """Turn of each drive per turn of the joint before it, shape (joints,)."""
 
     def with_fitted_shapes(self) -> Model:
-        """Return the model with fitted changes of widths and couplings applied, within bounds."""
+        """Apply the fitted changes of widths and couplings within bounds, and return the model."""
         joints = self.joints.copy()
         change = np.clip(joints[:, WIDTH], -0.3 * self.widths, 0.4 * self.widths)
         most = 0.5 * np.abs(self.couplings)
@@ -256,7 +256,7 @@ class Model:
         return replace(self, joints=joints, widths=np.maximum(self.widths, least_widths))
 
     def springs(self, q: Floats) -> Floats:
-        """Return efforts of springs and their offsets at positions of shape (samples, joints)."""
+        """Return the efforts of springs, which include their offsets, shape (samples, joints)."""
         stiffness, offset = self.joints[:, SPRING], self.joints[:, OFFSET]
         return np.asarray(stiffness * q + np.where(stiffness != 0.0, offset, 0.0))
 
@@ -363,7 +363,7 @@ class Regression:
         """
         Return tuples of a joint, the joint that owns the terms, and columns of shape (rows, 10).
 
-        The terms of a joint act on the joint itself. Those of a coupled drive also act on the
+        The terms of a joint act on the joint itself. The terms of a coupled drive also act on the
         joint before.
 
         """

@@ -49,7 +49,7 @@ class DriveTerms:
     offset: float = 0.0
     """Offset of the effort [N m or N]; 0 with a spring, which contains the offset."""
     errors: dict[str, float] = field(default_factory=dict)
-    """Standard errors by name of the term; a term without one was not identified."""
+    """Standard errors by name of the term; terms that were not identified have none."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class JointResult:
     terms: DriveTerms
     """Terms of the identified model, or of friction alone if the model was not accepted."""
     unknown_because: str
-    """Why the friction of the joint could not be identified; empty if it could."""
+    """Why the friction of the joint could not be identified; empty if it was identified."""
     coupled_with: tuple[str, ...]
     """Joints that share a drive with this joint."""
     gain: float | None = None
@@ -83,7 +83,7 @@ class JointResult:
 
 @dataclass(frozen=True, eq=False)
 class BodyResult:
-    """Identification result of one body: a link, or several that fixed joints hold together."""
+    """Identification result of one body: a link, or several links joined by fixed joints."""
 
     link: str
     """First link of the body that has mass."""
@@ -125,7 +125,7 @@ class IdentificationResult:
     robot: RobotModel
     """The robot description."""
     calibrated: RobotModel
-    """Robot with the identified bodies, or with those of the description if not accepted."""
+    """Robot with the identified bodies; if they were not accepted, with the described bodies."""
     accepted: bool
     """Whether the identified model predicts unseen data better than friction alone."""
     verdict: str
@@ -134,14 +134,14 @@ class IdentificationResult:
     fixed: tuple[str, ...]
     """Moving links with mass that were not identified."""
     inertials: dict[str, RigidBody]
-    """New inertial of each changed link, in its own frame; empty if not accepted."""
+    """New inertial of each changed link, in the link frame; none if the model was not accepted."""
     unseen: Unseen
     urdf_weight: float
     """Weight of the robot description in the fit."""
     trials: tuple[tuple[float, float], ...]
-    """Weights of the robot description that were tried, and the loss of each on unseen blocks."""
+    """Pairs of a tried weight of the robot description, and its loss on unseen blocks."""
     delay: float
-    """Time by which measured efforts are late [s]; `delay_removed` was removed for the fit."""
+    """Time by which measured efforts are late [s]; the fit removed the part `delay_removed`."""
     delay_error: float
     delay_removed: float
     smoothing: float
@@ -153,9 +153,9 @@ class IdentificationResult:
     """The smoothed recordings, with observations about their signals."""
     base_parameters: tuple[tuple[str, float, float], ...]
     """
-    Name, value and standard error of each combination of parameters that efforts depend on.
+    Name, value and standard error of each base parameter.
 
-    A combination is named after one of its inertial parameters, about the frame of the joint.
+    Each combines inertial parameters about the frame of the joint, and is named after one of them.
     """
     warnings: tuple[tuple[str, str], ...]
     """Pairs of a warning and a hint."""
