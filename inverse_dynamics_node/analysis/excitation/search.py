@@ -133,8 +133,8 @@ def find_excitation(
                 nearest,
             )
     raise ConfigurationError(
-        'every motion that was tried collides, or the way to its start does: restrict the motion '
-        'with --range, or set the pose before the motion with --at'
+        'every motion that was tried collides, or the way to its start collides: restrict the '
+        'motion with --range, or set the pose before the motion with --at'
     )
 
 

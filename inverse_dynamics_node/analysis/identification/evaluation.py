@@ -477,8 +477,8 @@ def _unexplained(joints: Sequence[JointResult], accepted: bool) -> list[tuple[st
                     f'effort of {joint.name} unexplained: more than was measured '
                     f'({significant(joint.measured)} {joint.unit})',
                     'do not use the result for this joint. Check the sign and the unit of its '
-                    'effort. The joint must also move in a similar way in the recordings that '
-                    'were fitted and in the other recordings',
+                    'effort. The recordings for the fit and for the evaluation must contain '
+                    'similar motions of the joint',
                 )
             )
     return warnings
