@@ -41,7 +41,7 @@ def build_loop(configuration: Configuration, robot: RobotModel, text: str) -> Co
     """
     Build the control loop of a robot with the URDF `text`.
 
-    This takes less than a millisecond once `make_loop` has compiled the code. Raise an
+    After `make_loop` has compiled the code, this takes less than a millisecond. Raise an
     InverseDynamicsError if the parameters do not fit the robot.
     """
     loop = ControlLoop(
@@ -61,7 +61,7 @@ def build_loop(configuration: Configuration, robot: RobotModel, text: str) -> Co
 
 
 def check_configuration(loop: ControlLoop, configuration: Configuration) -> None:
-    """Raise a ConfigurationError if the values for joints do not fit the robot of a loop."""
+    """Raise a ConfigurationError if the values per joint do not fit the robot."""
     of_joint = configuration.expanded(len(loop.controller.joints))
     _check_springs(loop, of_joint)
     coupling = np.zeros(len(loop.robot.joint_names))
@@ -70,7 +70,7 @@ def check_configuration(loop: ControlLoop, configuration: Configuration) -> None
 
 
 def _check_springs(loop: ControlLoop, of_joint: dict[str, Floats]) -> None:
-    """Refuse springs at continuous joints, because their positions may omit full turns."""
+    """Refuse springs at continuous joints: the position of such a joint may omit full turns."""
     is_turning = loop.robot.is_continuous[loop.index]
     for k in np.flatnonzero(is_turning & (of_joint['spring_stiffness'] != 0.0)):
         raise ConfigurationError(
@@ -86,9 +86,9 @@ def apply_configuration(
     """
     Apply the parameters that may change while the loop runs.
 
-    Only values that differ from `before` are applied: a change of another parameter does not undo
-    a message on ~/gravity. Raise a ConfigurationError, and change nothing, if a list does not have
-    one number for each commanded joint.
+    Only values that differ from `before` are applied. Otherwise a change of any parameter would
+    undo a message on ~/gravity. Raise a ConfigurationError, and change nothing, if a list does not
+    have one number for each commanded joint.
     """
     changed = {
         name

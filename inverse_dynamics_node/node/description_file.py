@@ -50,7 +50,7 @@ def load_robot(configuration: Configuration, description: str) -> tuple[RobotMod
 
 def load_file(given: str, on_missing_inertial: str) -> tuple[RobotModel, str]:
     """
-    Return the robot and its URDF from the file in parameter robot_description_file.
+    Load the file that robot_description_file names; return the robot and the URDF text.
 
     `given` is an absolute path, a path relative to the working directory or to a home directory
     (``~``), ``file:///path`` or ``package://package/path``. A file whose name ends in ``.xacro``
@@ -79,7 +79,7 @@ def load_file(given: str, on_missing_inertial: str) -> tuple[RobotModel, str]:
 
 
 def _split(given: str) -> tuple[str, dict[str, str] | None]:
-    """Return the file name, and the arguments for xacro, or None if the file is a URDF."""
+    """Return the file name and the arguments for xacro; for a URDF, the arguments are None."""
     match = _XACRO.fullmatch(given)
     if match is None:
         return given, None

@@ -2,8 +2,8 @@
 Generates texts from the declarations of parameters and topics, without ROS.
 
 The texts are ``--help``, ``--policy``, config/inverse_dynamics.yaml, config/sros2/policy.xml and
-the parameter table of doc/interface.md. Run ``make parameters`` after a change of a declaration,
-to write the three files of the source tree.
+the parameter table of doc/interface.md. After a change of a declaration, ``make parameters``
+writes the three files of the source tree.
 """
 
 from __future__ import annotations
@@ -176,7 +176,7 @@ SERVICES = {
 
 
 _WORDS = {"''": 'empty', "['']": 'all', 'None': 'none'}
-"""Words that replace defaults that are hard to read."""
+"""Words for defaults that are hard to read."""
 
 
 def help_text() -> str:
@@ -224,7 +224,7 @@ def _describe(name: str, parameter: Parameter) -> str:
 
 
 def enclaves_for(arguments: Sequence[str]) -> tuple[Enclave, ...]:
-    """List the SROS 2 enclaves of a node with these arguments and of the programs around it."""
+    """List the SROS 2 enclaves of a node with these arguments and of its surrounding programs."""
     return enclaves(arguments, SUBSCRIBED, PUBLISHED, SERVICES)
 
 
@@ -234,7 +234,7 @@ def policy_for(arguments: Sequence[str]) -> str:
 
 
 def parameter_files(root: Path = _ROOT) -> dict[Path, str]:
-    """Return the text of each generated file by its path relative to `root`, the source tree."""
+    """Return the generated texts by file path; paths are relative to the source tree `root`."""
     page = (root / _INTERFACE).read_text()
     generated = re.compile(f'{re.escape(_BEGIN)}.*{re.escape(_END)}', re.DOTALL)
     section = f'{_BEGIN}\n\n{parameter_table()}\n{_END}'
@@ -299,7 +299,7 @@ def _comment(text: str) -> str:
 
 
 def main() -> int:
-    """Print the path of each file that is out of date; with ``--write``, write it, too."""
+    """Print the path of each outdated file; with ``--write``, also update the file."""
     for path, text in parameter_files().items():
         if (_ROOT / path).read_text() != text:
             print(path)

@@ -42,10 +42,10 @@ class Inputs:
         self._checked_imu: tuple[ControlLoop, str] | None = None
         self._collector: JointStateCollector | None = None  # that the reader was made for
         self.last_joint_state = time.monotonic()
-        """Steady time [s] of the last message on joint_states, initially that of the start."""
+        """Steady time of the last joint state, or of the start before any joint state [s]."""
         self._R_BS: Floats = np.eye(3)
         self.state_count = 0
-        """Number of times that all commanded joints have been updated since the start."""
+        """Number of complete updates of the commanded joints since the start."""
         self._last_state = -math.inf
 
         def subscribe(
@@ -114,7 +114,7 @@ class Inputs:
             self._runner.step(now)
 
     def _measured_efforts(self, count: int, measured: Floats) -> Floats | tuple[()]:
-        """Return the measured efforts, with NaN if missing; empty if no topic uses them."""
+        """Return the measured efforts, NaN if missing; return () if no topic uses efforts."""
         if not self._runner.outputs.uses_measured_efforts:
             return ()
         if len(measured) == count:

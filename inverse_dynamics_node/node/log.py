@@ -42,7 +42,7 @@ class BoundedLogger:
         return getattr(self._logger, name)
 
     def info(self, text: str, **options: Any) -> bool:
-        """Log a message; the options are those of the logger of rclpy."""
+        """Log a message; the logger of rclpy gets the options."""
         return bool(self._logger.info(shortened_lines(text), **options))
 
     def warning(self, text: str, **options: Any) -> bool:
@@ -60,7 +60,7 @@ class BoundedLogger:
 
 class NodeLog:
     """
-    Logs a problem once, and repeats it every few seconds while it lasts.
+    Logs a problem when it begins, and again every few seconds while it lasts.
 
     The logger of rclpy could limit repetitions, but would need 0.2 ms even for a message that it
     drops.
@@ -131,7 +131,7 @@ class NodeLog:
         self.warn('waiting', lambda: f'no command yet: waiting for {" and ".join(missing())}')
 
     def report_part(self, name: str, part: Part | None) -> None:
-        """Report repeatedly that a part of the status is not OK, and once that it is OK again."""
+        """Report a problem in a part of the status repeatedly, and its end a single time."""
         if part is None:
             return
         last = self._last_parts.get(name, (Level.OK, ''))
@@ -182,7 +182,7 @@ class NodeLog:
                 self._logger.warning(text)
 
     def _report_imu(self, now: float, loop: ControlLoop) -> None:
-        """Report a lost motion of the base repeatedly, and its return once."""
+        """Report lost IMU messages repeatedly, and their return a single time."""
         text = describe_lost_imu(now, loop)
         if text and self._is_due('imu'):
             self._has_reported_imu = True

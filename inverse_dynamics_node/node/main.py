@@ -253,7 +253,7 @@ def _report(message: str) -> None:
 
 
 def _unblock(number: int) -> None:
-    """Open the pipe or terminal again as non-blocking; other processes may need the old mode."""
+    """Reopen a pipe or terminal as non-blocking, so that other processes keep the old mode."""
     mode = os.fstat(number).st_mode
     if stat.S_ISSOCK(mode):  # cannot be opened again
         os.set_blocking(number, False)

@@ -53,8 +53,8 @@ class InverseDynamicsNode(LifecycleNode):
     timers exist only while the node is configured.
 
     `skip_ramp` returns whether to cut the stop ramp short. Create `scheduling` before the node.
-    `worker` does long work while the loop runs, by default in a thread. Other arguments are passed
-    to `LifecycleNode`.
+    `worker` does long work; the default worker is a thread. Other arguments are passed to
+    `LifecycleNode`.
     """
 
     def __init__(
@@ -131,7 +131,7 @@ class InverseDynamicsNode(LifecycleNode):
 
     def autostart(self) -> bool:
         """
-        Configure and activate if the parameter autostart is set and a robot is described.
+        Configure and activate if autostart is true and there is a robot description.
 
         After the first activation, this method does nothing: a node that was deactivated by hand
         stays inactive until it is activated by hand. Return False if the robot description or the
@@ -293,7 +293,7 @@ class InverseDynamicsNode(LifecycleNode):
         self._next_configuration = after
 
     def _check_file_change(self, configuration: Configuration) -> None:
-        """Refuse another description file while the process runs, unless it is allowed."""
+        """Refuse a change of robot_description_file, unless the change is allowed now."""
         allowed = configuration.allow_description_file_changes
         if allowed is FileChanges.NEVER:
             reason = 'is read when the process starts'

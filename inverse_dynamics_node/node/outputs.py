@@ -1,4 +1,4 @@
-"""Publishers of the control loop; messages on optional topics go only to subscribers."""
+"""Publishers of the control loop; optional topics get messages only if they have subscribers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ TERM_TOPICS = ('inertial', 'velocity', 'gravity', 'friction', 'external')
 
 
 class Outputs:
-    """Publishes commands and, for subscribers, how they were computed; reuses the messages."""
+    """Publishes the commands, and explains them to subscribers; message objects are reused."""
 
     def __init__(self, node: LifecycleNode) -> None:
         def publisher(kind: Any, topic: str) -> Any:
@@ -35,7 +35,7 @@ class Outputs:
         self._joint_commands = publisher(JointState, '~/joint_commands')
         own_name = f'{node.get_fully_qualified_name()}/joint_efforts'
         self.may_command_by_name: bool = self._joint_efforts.topic_name != own_name
-        """Whether ~/joint_efforts is remapped, for a robot that takes commands by joint name."""
+        """Whether ~/joint_efforts is remapped: it may then command a robot by joint name."""
         by_name = [self._joint_efforts] * self.may_command_by_name
         self.forms: list[Any] = [self.commands, self._joint_commands, *by_name]
         """Publishers of the topics that may carry the commands."""

@@ -217,6 +217,6 @@ def _hint(value: Any) -> str:
 
 
 def parameter(default: Any, summary: str, details: str = '', **properties: Any) -> Any:
-    """Declare a parameter as a field of a dataclass; the arguments are those of `Parameter`."""
+    """Declare a parameter as a field of a dataclass; the arguments are fields of `Parameter`."""
     declaration = {'default': default, 'summary': summary, 'details': details, **properties}
     return field(metadata=declaration)

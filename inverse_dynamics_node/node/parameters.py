@@ -1,10 +1,10 @@
 """
 The parameters of the node, each declared once.
 
-A parameter is a field of `Configuration`, or of `Settings` or `LoadSettings` in
-control/settings.py, from which `Configuration` inherits. The ROS parameters, the text of
-``--help``, config/inverse_dynamics.yaml and the parameter table of doc/interface.md are generated
-from these fields. `make parameters` writes the two files.
+A parameter is a field of `Configuration`, which inherits the fields of `Settings` and
+`LoadSettings` in control/settings.py. The ROS parameters, the text of ``--help``,
+config/inverse_dynamics.yaml and the parameter table of doc/interface.md are generated from these
+fields. `make parameters` writes the two files.
 """
 
 # ruff: noqa: RUF009 -- parameter() returns a dataclasses.field
@@ -36,7 +36,7 @@ class BaseMotion(Enum):
 
     FIXED = 'fixed'
     IMU = 'imu'
-    """The base moves as an inertial measurement unit on the base measures."""
+    """An inertial measurement unit on the base measures its motion."""
 
 
 class MissingInertial(Enum):

@@ -39,7 +39,7 @@ _COMMAND_LINE = '/_ros2cli_*/get_type_description'  # offered by the nodes of `r
 
 
 class Enclave(NamedTuple):
-    """Permissions of the processes with one certificate; all names are absolute."""
+    """Permissions of the processes that share a certificate; all names are absolute."""
 
     path: str
     namespace: str
@@ -62,8 +62,8 @@ def enclaves(
     """
     Return the enclaves of the node, its driver, `inverse_dynamics watch` and an operator.
 
-    `arguments` is the command line of the node, with its remap rules and parameters. Topics and
-    services are those that the node declares, before remapping.
+    `arguments` is the command line of the node, with its remap rules and parameters. The other
+    arguments are the topics and services that the node declares, before remapping.
     """
     names = NodeNames(arguments)
     subscribed, published, services = tuple(subscribed), tuple(published), tuple(services)

@@ -30,7 +30,7 @@ _HOME = re.compile(r'/root/|/home/[^/]+/')
 
 
 class NodeNames:
-    """Names of the node and its topics on a command line, resolved as rcl does."""
+    """Resolves the names of a node and its topics from the command line, as rcl does."""
 
     def __init__(self, arguments: Sequence[str]) -> None:
         self._rules = [rule.partition(':=')[::2] for rule in _remaps(arguments)]
@@ -85,10 +85,10 @@ def ineffective_remaps(
     arguments: Sequence[str], names: Sequence[str], node: str, namespace: str
 ) -> list[str]:
     """
-    Describe the remap rules on a command line that match no name of a node.
+    Describe the remap rules in `arguments` that match no name of a node.
 
     `names` are the topics and services of the node, before remapping. `node` and `namespace` are
-    its names after remapping.
+    its name and namespace after remapping.
     """
     own = {_expanded(name, node, namespace) for name in names}
     problems = []
@@ -112,7 +112,7 @@ def expanded_tildes(arguments: Sequence[str]) -> list[str]:
 
 def with_parameter_files(arguments: Sequence[str]) -> list[str]:
     """
-    Replace ``~`` with the home directory in the names of parameter files on a command line.
+    Return a command line with ``~`` expanded in the names of parameter files.
 
     The shell does not expand ``~`` after ``:=``. Raise a ConfigurationError that names every
     parameter file that does not exist.
@@ -130,7 +130,7 @@ def with_parameter_files(arguments: Sequence[str]) -> list[str]:
 
 def ineffective_files(arguments: Sequence[str], name: str) -> list[str]:
     """
-    Describe the parameter files that are only for other nodes, so that their limits do not apply.
+    Describe the parameter files that are only for other nodes: this node ignores their limits.
 
     `name` is the fully qualified name of the node. rcl must have accepted the command line.
     """

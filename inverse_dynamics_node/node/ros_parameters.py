@@ -30,8 +30,8 @@ def declare_parameters(node: Node) -> Configuration:
     """
     Declare every parameter, with the values from the command line and parameter files.
 
-    Return the checked values. Raise a ConfigurationError that names every parameter that is
-    unknown or has an invalid value.
+    Return the checked values. Raise a ConfigurationError that names every unknown parameter and
+    every invalid value.
     """
     given = {name: parameter.value for name, parameter in _overrides(node).items()}
     locked = [name for name in given if name.startswith(f'{LOCKED}.')]
@@ -68,7 +68,7 @@ def is_own_parameter(name: str) -> bool:
 
 def changed_configuration(before: Configuration, values: dict[str, Any]) -> Configuration:
     """
-    Return all parameters with the new values, after a check of all of them together.
+    Return all parameters with the new values, checked together.
 
     Raise a ConfigurationError that names every parameter with an invalid value.
     """
@@ -91,7 +91,7 @@ def unknown_parameters(node: Node, names: Iterable[str]) -> list[str]:
 
 
 def unknown_overrides(node: Node) -> list[str]:
-    """Describe each name given at the start that is not a parameter of the node."""
+    """Describe each parameter given at the start that the node does not have."""
     later = f'{LOCKED}.', f'{_QOS}.'  # may be declared later
     return unknown_parameters(
         node, (name for name in _overrides(node) if not name.startswith(later))
@@ -125,7 +125,7 @@ def unused_qos_overrides(node: Node) -> list[str]:
 
 
 def _overrides(node: Node) -> dict[str, Any]:
-    """Return the parameters from the command line and files by name, declared or not."""
+    """Map names to parameters from the command line and files, declared or not."""
     # The public method declares all of them: a mistyped name would become a parameter.
     overrides: dict[str, Any] = node._parameter_overrides
     return overrides
@@ -176,7 +176,7 @@ def _checked(values: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
 
 
 def _contradictions(checked: dict[str, Any]) -> list[str]:
-    """Describe valid values that cannot be used together, or not on this machine."""
+    """Describe valid values that cannot be combined, or cannot be used on this machine."""
     problems = []
     if checked.get('robot_description') and checked.get('robot_description_file'):
         problems.append('parameters robot_description and robot_description_file are both set')

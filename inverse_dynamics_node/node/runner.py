@@ -1,4 +1,4 @@
-"""Runs the control loop: on joint states, on timers, while stopping, and in a message flood."""
+"""Runs the control loop on joint states and timers, during a stop, and in a flood of messages."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ class LoopRunner:
     """
     Steps the control loop and publishes its commands.
 
-    `now` returns the time of `clock`, which the timers use [s]. `skip_ramp` returns whether to cut
-    the stop ramp short. `worker` reads robot descriptions.
+    The timers use `clock`, and `now` returns its time [s]. `skip_ramp` returns whether to cut the
+    stop ramp short. `worker` reads robot descriptions.
     """
 
     def __init__(
@@ -87,7 +87,7 @@ class LoopRunner:
         return self._timers[-1]
 
     def apply(self, configuration: Configuration) -> None:
-        """Use changed parameters, and reset the wait of the watch timer, which may be too long."""
+        """Use changed parameters, and return the watch timer to its shortest period."""
         before, self.configuration = self.configuration, configuration
         if self.loop is not None:
             apply_configuration(self.loop, configuration, before)
@@ -228,7 +228,7 @@ class LoopRunner:
 
     @property
     def _must_fall(self) -> bool:
-        """Whether commands must fall to zero although joint states may arrive."""
+        """Whether the commands must fall to zero, with or without further joint states."""
         assert self.loop is not None
         if self.loop.dry_run.is_active or self.configuration.dry_run:
             return self.loop.dry_run.has_sent
@@ -331,7 +331,7 @@ class Watchdog:
     Spins an executor so that it returns in time, even if its queue never becomes empty.
 
     The EventsExecutor of rclpy queues one event for each message that arrives, and timers queue
-    behind these events. Its time-out applies only once the queue is empty. Therefore a thread ends
+    behind these events. Its time-out applies only if the queue is empty. Therefore a thread ends
     the spin between two events, and the caller does all overdue work. The events stay in the
     queue. A new executor would drop them, but with rclpy 7.1 services would then no longer answer.
     """

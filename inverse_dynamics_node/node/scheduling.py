@@ -46,9 +46,9 @@ class Scheduling:
     Lets the control loop and the middleware run before other programs.
 
     Create this object in the thread of the control loop, before the worker and the node. Threads
-    that exist then keep normal priority, for example those of numerical libraries and of the log.
-    All threads of the middleware get real-time priority, because each may hold a lock that the
-    loop waits for. A new thread inherits the priority of the thread that starts it.
+    that already exist keep normal priority, for example threads of numerical libraries and the
+    log. All threads of the middleware get real-time priority, because each may hold a lock that
+    the loop waits for. A new thread inherits the priority of the thread that starts it.
     """
 
     def __init__(self) -> None:
@@ -67,10 +67,10 @@ class Scheduling:
         """
         Set the priority and the CPUs of the threads, and lock the memory.
 
-        `priority` is that of SCHED_FIFO, from 1 to 99. Empty `cpus` stand for all CPUs. `watchdog`
-        is the native id of a thread that gets a higher priority than the loop, so that it runs
-        while the loop does not sleep. Return whether everything was permitted, and one line for
-        the log.
+        `priority` is the priority in SCHED_FIFO, from 1 to 99. Empty `cpus` stand for all CPUs.
+        `watchdog` is the native id of the watchdog thread. This thread gets a higher priority than
+        the loop, so that it runs even if the loop never sleeps. Return whether everything was
+        permitted, and one line for the log.
         """
         problems, done = [], []
         self._priority, self._watchdog, self._problem = priority, watchdog, ''
@@ -113,7 +113,7 @@ class Scheduling:
 
     @contextlib.contextmanager
     def normal_priority(self) -> Iterator[None]:
-        """Run long work of the thread of the loop, such as compilation, at normal priority."""
+        """Run long work in the thread of the loop, such as compilation, at normal priority."""
         before = set(_thread_ids())
         if self._is_realtime:
             _schedule(self._loop, 0)

@@ -53,7 +53,7 @@ class Services:
 
 
 def describe_robot(loop: ControlLoop) -> str:
-    """Describe the robot and, if its pose is known, the efforts that hold the robot there."""
+    """Describe the robot and, if its pose is known, the efforts that hold this pose."""
     missing = loop.missing()
     if missing:
         return f'{_report(loop, None)}\n\nNot known yet: {", ".join(missing)}.'

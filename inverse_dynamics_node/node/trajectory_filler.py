@@ -41,10 +41,10 @@ class Filled(NamedTuple):
 
 def fill(loop: ControlLoop, data: bytes) -> Filled:
     """
-    Compute the efforts of a serialized trajectory of any joints of the robot.
+    Compute the efforts for a serialized trajectory, which may contain any joints of the robot.
 
-    Dynamics and positions of other joints are taken from the loop. Raise a TrajectoryError if the
-    trajectory cannot be used.
+    The loop provides the dynamics, and the positions of the joints that the trajectory lacks.
+    Raise a TrajectoryError if the trajectory cannot be used.
     """
     message = deserialize_trajectory(data)
     trajectory, notes = complete(_read_trajectory(message))
@@ -56,7 +56,7 @@ def fill(loop: ControlLoop, data: bytes) -> Filled:
 
 
 class TrajectoryFiller:
-    """Publishes trajectories with the efforts that they require, which a worker computes."""
+    """Lets a worker compute the efforts for trajectories, and publishes the results."""
 
     def __init__(self, node: LifecycleNode, log: NodeLog, worker: Worker) -> None:
         self._log, self._worker = log, worker
@@ -79,9 +79,9 @@ class TrajectoryFiller:
         Publish a serialized trajectory with its efforts as soon as they have been computed.
 
         The dynamics and joint positions are taken from the loop now. `reject` is called later if
-        the trajectory cannot be used. If `is_active`, the node must not go without commands for
-        long. Raise a TrajectoryError if the trajectory is too long, too many trajectories wait, or
-        there is no subscriber.
+        the trajectory cannot be used. If `is_active`, a long trajectory is refused, because it
+        would delay commands. Raise a TrajectoryError if the trajectory is too long, too many
+        trajectories wait, or there is no subscriber.
         """
         if not self._publisher.get_subscription_count():
             raise TrajectoryError('~/joint_trajectory_out has no subscriber')

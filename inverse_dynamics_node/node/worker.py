@@ -35,8 +35,8 @@ class Worker:
     The child process is a copy of this process. Create the worker before the node, so that the
     copy contains no ROS entities. Create the worker after the imports, so that both processes
     share the memory of the libraries. Create `Scheduling` before the worker, because the threads
-    of the executor also hold the lock. Without `has_process`, or after the end of the child
-    process, a thread does the work.
+    of the worker also hold the lock. Without `has_process`, or after the end of the child process,
+    a thread does the work.
     """
 
     def __init__(self, has_process: bool = False) -> None:
@@ -57,7 +57,7 @@ class Worker:
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         """
-        Call a function of a module later, with arguments that are pickled now.
+        Call a module-level function later; its arguments are pickled now.
 
         Another thread completes the future. The caller must check regularly whether the future is
         done.
@@ -71,7 +71,7 @@ class Worker:
 
 
 def prepare_to_load() -> None:
-    """Import modules that loading a robot needs, so that the child process shares them."""
+    """Import the modules for loading a robot, so that the child process shares them."""
     with contextlib.suppress(ImportError):  # reported when a description is loaded
         import scipy.interpolate  # noqa: F401
         import yourdfpy  # noqa: F401

@@ -53,7 +53,7 @@ class JointStateReader:
         """
         Read one message from a raw subscription; the arrays are read-only views in most cases.
 
-        Raise a JointStateError if `data` is not a JointState. `prepare` may raise one too.
+        Raise a JointStateError if `data` is not a JointState. `prepare` may raise this error, too.
         """
         for layout in self._layouts:
             if layout.fits(data):
@@ -92,7 +92,7 @@ def serialize_numbers(numbers: Floats) -> bytes:
 
 
 class _Layout(NamedTuple):
-    """Places of the arrays in a message, and the data that identify similar messages."""
+    """Places of the arrays in a message, and the data that identify messages with this layout."""
 
     pattern: struct.Struct
     """Unpacks texts and array lengths; skips the stamp, padding and numbers."""

@@ -1,8 +1,8 @@
 """
 Writes `NodeStatus` to ``/diagnostics`` in the format of REP-107, and reads it back.
 
-Each field of the status declares its key and format. Writing and reading use the same text, so a
-value that was read has only the precision of that text.
+Each field of the status declares its key and format. A value that is read has only the precision
+of its text.
 """
 
 from __future__ import annotations

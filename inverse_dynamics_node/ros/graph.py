@@ -21,8 +21,8 @@ class Graph:
     Queries the ROS graph for a node.
 
     A query takes 1 to 50 us in a small graph and longer in a large one: use slow timers only.
-    `forms` are the publishers of the topics that may carry the commands. Reports name the first of
-    these topics that has subscribers.
+    `forms` are the publishers of the topics that may carry the commands. Reports mention the first
+    of these topics that has subscribers.
     """
 
     def __init__(self, node: LifecycleNode, *forms: Any) -> None:
@@ -121,7 +121,7 @@ class Graph:
         return seen
 
     def simulated_time(self) -> SimulatedTime:
-        """Return the simulated time, and the time since it last changed."""
+        """Return the simulated time, and for how long it has not changed."""
         now = self._node.get_clock().now().nanoseconds
         steady = time.monotonic()
         if now != self._last_time:

@@ -31,8 +31,8 @@ def start_ros(arguments: Sequence[str] | None = None) -> None:
     Initialize rclpy, without its signal handlers and without shared memory.
 
     Before the first message to a new subscriber, Fast DDS 2.14 opens a port in shared memory,
-    within the call of the publisher. A race between the two processes can block this call, and
-    thus a control loop, for 0.33 s (issue 6535 of Fast DDS). Therefore messages use UDP, also
+    within the call of the publisher. A race between publisher and subscriber can block this call,
+    and thus a control loop, for 0.33 s (issue 6535 of Fast DDS). Therefore messages use UDP, also
     within a machine. The environment variables for UDP are set in this process, and its children
     inherit them.
 
@@ -88,7 +88,7 @@ def security_hints(error: Exception) -> list[str]:
 
 @contextmanager
 def explained_start() -> Iterator[None]:
-    """Turn errors of starting ROS or creating a node into a ConfigurationError of one line."""
+    """Raise a ConfigurationError of one line if ROS cannot start or a node cannot be created."""
     try:
         yield
     except RuntimeError as error:  # the base of rclpy's errors, which have no public names

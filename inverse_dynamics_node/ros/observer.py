@@ -146,7 +146,7 @@ class Observer:
         self._last_q: tuple[float, Floats] | None = None
 
     def poll(self) -> bool:
-        """Handle new messages; return whether the robot has changed, so that samples expire."""
+        """Handle new messages; return True if the robot changed, which invalidates old samples."""
         for message, _ in self._take(self._diagnostics, DiagnosticArray):
             status = read_status(message, self.name)
             if status is not None:
@@ -242,7 +242,7 @@ class Observer:
         self._clear()
 
     def _follow_topics(self, status: NodeStatus) -> None:
-        """Subscribe to the topics of the joints, whose names may be remapped."""
+        """Subscribe to the topics of the joints under their remapped names."""
         states, efforts = status.joint_states, status.efforts
         for name, topic, profile in (
             ('joint_states', states.topic if states else '', _QUEUE),

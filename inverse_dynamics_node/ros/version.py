@@ -1,4 +1,4 @@
-"""The version of the installed package, or that of the source tree."""
+"""The version of the installed package, or of the source tree."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _PACKAGE = 'inverse_dynamics_node'
 
 
 def version() -> str:
-    """Return the version of the installed package, or that of the source tree."""
+    """Return the version of the installed package, or of the source tree."""
     try:
         return metadata.version(_PACKAGE)
     except metadata.PackageNotFoundError:
