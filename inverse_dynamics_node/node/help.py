@@ -63,7 +63,7 @@ examples:
   A dry run computes, checks and publishes everything, but sends no ~/commands:
     inverse_dynamics_node --ros-args -p robot_description_file:=my_arm.urdf -p dry_run:=true \\
         -r '~/commands:=/forward_effort_controller/commands'
-  Go live if model and robot agree, without a new start:
+  If model and robot agree, go live without a restart:
     inverse_dynamics watch --for 10 && ros2 param set /inverse_dynamics dry_run false"""
 
 _EXIT_CODES = """\

@@ -170,9 +170,8 @@ class NodeLog:
         """Warn about joints that have lost their velocities, and name the publishers."""
         if self._is_due('velocities'):
             self._logger.warning(
-                f'joint_states: the velocities of {", ".join(joints)} are taken as zero: earlier '
-                f'messages had velocities, later ones have none '
-                f'(published by {join_names(publishers)})'
+                f'joint_states: the velocities of {", ".join(joints)} are taken as zero: '
+                f'new messages lack them (published by {join_names(publishers)})'
             )
 
     def report_implausible(self, loop: ControlLoop) -> None:

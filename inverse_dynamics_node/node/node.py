@@ -242,7 +242,7 @@ class InverseDynamicsNode(LifecycleNode):
         if longest >= _LAUNCH_SIGTERM_TIMEOUT:
             self.get_logger().warning(
                 f'{names} is {longest:g} s, but ros2 launch sends SIGTERM '
-                f'{_LAUNCH_SIGTERM_TIMEOUT:g} s after SIGINT, which ends the ramp: increase '
+                f'{_LAUNCH_SIGTERM_TIMEOUT:g} s after SIGINT, and SIGTERM ends the ramp: increase '
                 'sigterm_timeout of the launch action'
             )
 

@@ -88,7 +88,7 @@ def _names(value: Any) -> tuple[str, ...]:
 NUMBER = Kind('a finite number', _number, is_numeric=True)
 INTEGER = Kind('an integer', _integer, is_numeric=True)
 _NUMBERS = Kind(
-    'a finite number, or a list of one for each commanded joint', _numbers, is_numeric=True
+    'a finite number, or a list with one for each commanded joint', _numbers, is_numeric=True
 )
 _KINDS = {
     str: Kind('a text', _text),

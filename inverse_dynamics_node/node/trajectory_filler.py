@@ -92,7 +92,7 @@ class TrajectoryFiller:
                 'trajectory. Deactivate the node first, or split the trajectory'
             )
         if len(self._waiting) >= _MAX_WAITING:
-            raise TrajectoryError(f'{_MAX_WAITING} earlier trajectories still lack their efforts')
+            raise TrajectoryError(f'{_MAX_WAITING} trajectories already wait for their efforts')
         self._waiting.append((self._worker.submit(fill, loop, data), reject))
         self._timer.reset()
 

@@ -254,7 +254,7 @@ def test_every_bad_parameter_has_a_line_of_its_own(run_node):
     lines = [line.split('[inverse_dynamics]: ')[1] for line in output]
     assert lines == [
         "parameter 'update_rate' is -1.0, expected 0 to 10000",
-        "parameter 'kp' is 'x', expected a finite number, or a list of one for each commanded "
+        "parameter 'kp' is 'x', expected a finite number, or a list with one for each commanded "
         'joint',
         "parameter 'stop_ramp' is 1000.0, expected 0 to 60",
         "unknown parameter 'effort_limit'; did you mean 'effort_limits'?",

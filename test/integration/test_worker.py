@@ -65,7 +65,7 @@ def test_commands_continue_during_long_work(run_node, robot):
 
     os.kill(worker, signal.SIGSTOP)  # any work takes forever now
     sent = robot.keep_publishing('inverse_dynamics/joint_trajectory_in', trajectory(2))
-    robot.wait_for_text(node, '10 earlier trajectories still lack their efforts')
+    robot.wait_for_text(node, '10 trajectories already wait for their efforts')
     robot.publish_again(STANFORD.read_text() + '<!-- new -->')
     robot.wait_for_text(node, 'received a new robot description')
     count = len(robot.commands)
