@@ -160,10 +160,10 @@ class JointStateCollector:
         """
         Store one joint state completely, or reject it completely.
 
-        ``now`` is the time of arrival [s]. `layout` returns the layout for the names in the
-        message. There is one position for each name. Velocities and measured efforts have one
-        value for each name, or are empty. Velocities that are absent or NaN are set to zero,
-        except shortly after a velocity was reported, see `velocity_timeout`.
+        ``now`` is the time of arrival [s]. ``layout`` is the result of the method `layout` for the
+        names in the message. There is one position for each name. Velocities and measured efforts
+        have one value for each name, or are empty. Velocities that are absent or NaN are set to
+        zero, except shortly after a velocity was reported, see `velocity_timeout`.
 
         The result says whether the message names any of these joints. If the lengths differ or a
         necessary value is not finite, a JointStateError is raised and nothing changes.

@@ -104,7 +104,7 @@ class Settings:
     )
     guiding_damping: PerJoint = setting(
         0.0,
-        'Viscous damping of `gravity_compensation`, against motion',
+        'Viscous damping in mode `gravity_compensation`; it opposes motion',
         unit='N m s/rad, N s/m',
         minimum=0.0,
     )

@@ -87,7 +87,7 @@ class LoopRunner:
         return self._timers[-1]
 
     def apply(self, configuration: Configuration) -> None:
-        """Use changed parameters, and return the watch timer to its shortest period."""
+        """Use changed parameters, and reset the watch timer to its shortest period."""
         before, self.configuration = self.configuration, configuration
         if self.loop is not None:
             apply_configuration(self.loop, configuration, before)

@@ -166,7 +166,7 @@ class HandOver:
         self._actuation.command(command)
 
     def _compare(self, efforts: Floats, now: float) -> None:
-        """Restart the time of steady efforts if the efforts have changed."""
+        """If the efforts have changed, measure from now on how long they stay steady."""
         size = np.abs(efforts)
         tolerance = 0.01 * size + 0.002 * size.max(initial=0.0)
         if (np.abs(efforts - self._steady_efforts) > tolerance).any():

@@ -98,7 +98,7 @@ class ComparedEfforts:
 
     def undistorted(self, signs: Floats, delay: float) -> ComparedEfforts:
         """
-        Return the comparison without reversed axes, and without a delay of the efforts [s].
+        Return the comparison corrected for reversed axes and for a delay [s] of the efforts.
 
         The signs, shape (m,), are -1 for joints with a reversed axis, and otherwise 1.
         """

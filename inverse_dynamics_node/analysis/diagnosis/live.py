@@ -75,7 +75,7 @@ GRAVE = (
 )
 """
 Faults that are reported even if residuals are small or joint states arrive slowly. Other faults
-are harmless if residuals are below `AGREEMENT`, and slow joint states may cause similar residuals.
+are harmless if residuals are below `AGREEMENT`, and slow joint states may look like them.
 """
 
 

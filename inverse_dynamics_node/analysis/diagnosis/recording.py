@@ -217,7 +217,7 @@ class _Found(NamedTuple):
     """The explanation of a recording."""
 
     compared: ComparedEfforts
-    """Efforts without reversed axes and without a delay."""
+    """Efforts, corrected for reversed axes and for the delay."""
     data: RegressionData
     robot_fit: RobotFit
     faults: tuple[Fault, ...]

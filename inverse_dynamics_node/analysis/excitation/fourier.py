@@ -80,7 +80,7 @@ def basis(times: Floats, duration: float, harmonics: int) -> tuple[Floats, Float
 
 @cache
 def _combinations(harmonics: int) -> tuple[Floats, Floats]:
-    """Return combinations of sines, and of cosines, that are at rest at time 0, as columns."""
+    """Return combinations of sines and of cosines, one per column; all start at rest."""
     orders = np.arange(1.0, harmonics + 1.0)
     # Amplitudes that fall with the order give all combinations similar speeds.
     of_sines = _null_space(np.ones(harmonics)) / orders[:, np.newaxis]

@@ -141,7 +141,7 @@ def _efforts(axes: Any, robot: RobotModel, timeline: Timeline, history: History)
             axes.plot(times, i - 0.45 * rows[:, i] / scale[i], lw=1.2, **_look(i))
         axes.set_yticks(range(count), labels, fontsize=8)
         axes.set_ylim(count - 0.4, -0.6)
-        axes.set_title('commanded efforts, with the largest', fontsize=9, loc='left')
+        axes.set_title('commanded efforts; labels give the largest', fontsize=9, loc='left')
         return
     for i, label in enumerate(labels):
         axes.plot(times, 100.0 * rows[:, i] / scale[i], lw=1.2, label=label, **_look(i))
