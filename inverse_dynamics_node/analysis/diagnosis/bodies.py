@@ -4,7 +4,7 @@ Checks whether several links have wrong inertial parameters, and which other cau
 The parameters of all links are fitted near their values in the model, together with friction,
 rotors and offsets. The fit uses one half of the recording. If the fitted links predict the other
 half far better than a simpler explanation, the simpler explanation is not credible. A payload, a
-mounting or a delay is added if, without this cause, the links would have to be far more wrong.
+mounting or a delay is added if the links would need far larger errors without this cause.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ BLOCKS = 10  # contiguous; links are fitted to every second block and tested wit
 SEGMENTS = 40  # contiguous; segments that fit badly have less weight
 ROUNDS = 4  # links and weights are fitted in turn
 SPREADS = (0.1, 0.2, 0.3, 0.5)
-"""Relative standard deviations of the masses in the model; the best one is chosen."""
+"""Assumed relative standard deviations of the masses; the most likely one is chosen."""
 SIZE = 0.2  # [m], standard deviation of centres of mass and radii of gyration
 LIGHTEST = 0.1  # [kg]; the parameters of lighter bodies are not more accurate
 FRICTION = 10.0  # standard deviation of friction, relative to the effort of the joint
@@ -48,8 +48,8 @@ UNEXPLAINED = 0.01  # fraction of the squares; links that leave less are accurat
 SMALL = 4e-4  # fraction of the squares, 2 % RMS; an explanation that leaves less needs no links
 BETTER = 0.35
 """
-Largest fraction of the unexplained squares that fitted links may leave, if fitted links replace
-none of the causes that were found before.
+Largest ratio of the unexplained squares with fitted links to those without fitted links. This
+limit applies if the fitted links make none of the causes that were found before unnecessary.
 """
 CHANGING = 2.0  # times the residual of a changing gravity, which can explain almost anything
 NEEDED = 10.0  # least increase of the evidence if a cause is added to wrong links
@@ -79,16 +79,16 @@ class Bodies(NamedTuple):
     recording that fit badly have less weight.
     """
     unexplained_anywhere: float
-    """Unexplained fraction of the squares in the unused half, with equal weights."""
+    """Like ``unexplained``, but all samples have the same weight."""
     are_wrong: bool
-    """Whether the model with friction explains less than a model with accurate links would."""
+    """Whether the model with friction leaves more unexplained than accurate links would."""
     has_own_gravity: bool
     """Whether the errors of the links also affect gravity in the measured efforts."""
 
     def explain_more(
         self, data: RegressionData, before: RobotFit, fault: FaultInterval | None
     ) -> bool:
-        """Return whether wrong links explain far more than an explanation without them."""
+        """Return whether wrong links explain far more than the explanation found before."""
         if fault is None:
             left = data.unexplained(before)
         elif fault.kind is FaultKind.MOUNTING:
@@ -100,13 +100,13 @@ class Bodies(NamedTuple):
         return self.unexplained < (BETTER if self._confirms(before) else 1.0) * left
 
     def confirmed(self, fault: FaultInterval | None) -> FaultInterval | None:
-        """Return the cause in an interval; None if wrong links explain an apparent tilt."""
+        """Return `fault`, or None if `fault` is an apparent tilt that wrong links explain."""
         if fault is None or fault.kind is not FaultKind.MOUNTING:
             return fault
         return None if self.unexplained_anywhere < CHANGING * fault.left else fault
 
     def _confirms(self, before: RobotFit) -> bool:
-        """Return whether every cause in an explanation is needed in addition to wrong links."""
+        """Return whether every cause in `before` is still needed when the links are fitted."""
         candidate = before.candidate
         if candidate.has_gravity and candidate.kind not in (None, self.robot_fit.candidate.kind):
             return False
@@ -216,8 +216,8 @@ class _Problem:
         """
         Return the first row of each segment of a joint, the nonzero columns, and their products.
 
-        The weights are constant within a segment. Therefore the products of its columns, and of
-        its target, are computed only once.
+        The last column is the target. The products of the columns in each segment are computed
+        only once, because all samples of a segment have the same weight.
         """
         rows = np.flatnonzero(self.joint == position)
         first = np.unique(self.segment[rows], return_index=True)[1]
@@ -278,7 +278,7 @@ class _Problem:
         return self._bodies(fit, weights, candidate)
 
     def _system(self, weights: Floats) -> tuple[Floats, Floats]:
-        """Return the products of weighted columns with all columns, and with the target."""
+        """Return the matrix and the right-hand side of the weighted normal equations."""
         size = self.delay + 2
         system = np.zeros((size, size))
         for rows, columns, products in self.products:
@@ -286,7 +286,7 @@ class _Problem:
         return system[:-1, :-1], system[:-1, -1]
 
     def _best_fit(self, used: Booleans, system: tuple[Floats, Floats]) -> _Fit:
-        """Fit the used unknowns, and choose the most likely accuracy of the links."""
+        """Fit the unknowns in the mask `used`; choose the most likely accuracy of the links."""
         from scipy.linalg import lu_factor, lu_solve
 
         products, vector = system[0][np.ix_(used, used)], system[1][used]
@@ -338,7 +338,7 @@ class _Problem:
         return self.data.joints[j].floor(self.data.first_measured + self.robot_fit.source[j])
 
     def _candidate(self, fit: _Fit, cause: slice) -> CandidateModel | None:
-        """Return a candidate model of a fitted cause; None if impossible or uncertain."""
+        """Return a model with a fitted cause; None if the cause is impossible or uncertain."""
         data, solution, errors = self.data, fit.solution[cause], fit.errors[cause]
         if cause.start == self.gravity:
             gravity = data.gravity + solution
@@ -418,7 +418,7 @@ def _with(used: Booleans, *causes: slice) -> Booleans:
 
 
 def _without_doubtful_scale(fit: JointFit) -> JointFit:
-    """Return a fit without its scale, if wrong links may cause such a scale."""
+    """Remove the scale from a fit if wrong links may be the cause of this scale."""
     if not LIKE_A_LOAD[0] < fit.scale < LIKE_A_LOAD[1]:
         return fit
     return fit._replace(sensor_fault=fit.sensor_fault._replace(is_scaled=False))

@@ -98,7 +98,7 @@ class ComparedEfforts:
 
     def undistorted(self, signs: Floats, delay: float) -> ComparedEfforts:
         """
-        Return the comparison corrected for reversed axes and for a delay [s] of the efforts.
+        Return a comparison in which reversed axes and a delay [s] of the efforts are corrected.
 
         The signs, shape (m,), are -1 for joints with a reversed axis, and otherwise 1.
         """
@@ -162,7 +162,7 @@ class ComparedEfforts:
         return bool(self.robot.is_prismatic_joint[self.index[c]])
 
     def regression_data(self) -> RegressionData:
-        """Return the samples of the varying efforts, with columns for their explanations."""
+        """Return samples of joints with varying efforts, and columns for explanations."""
         some, varying = self.fit_samples, self.varying
         signals = JointSignals(
             [self.index[c] for c in varying],
@@ -215,7 +215,7 @@ class ComparedEfforts:
 
 def not_measured(measured: Floats, modelled: Floats, least: Floats | float) -> Booleans:
     """
-    Return which joints have a constant measured effort, although the model contradicts it.
+    Return which joints have a constant measured effort that contradicts the model.
 
     Efforts have shape (K, c). A constant measured effort contradicts a modelled effort that varies
     by more than `least` [N m or N]. A measured effort of zero contradicts a modelled effort larger
@@ -301,7 +301,7 @@ def fit_joints(
     obscured: dict[int, str],
     used: Booleans | slice = ALL,
 ) -> list[FrictionFit]:
-    """Fit the friction of each joint to a residual, which has rows for the used samples only."""
+    """Fit the friction of each joint; the residual contains rows of the used samples only."""
     fits = []
     for c in range(len(compared.names)):
         fit = fit_friction(
@@ -338,7 +338,7 @@ def load_on_gears(compared: ComparedEfforts, robot_fit: RobotFit) -> Floats:
 def with_shapes(
     compared: ComparedEfforts, fits: list[FrictionFit], residual: Floats, load: Floats
 ) -> list[FrictionFit]:
-    """Fit the shape of each known friction; the load is the result of `load_on_gears`."""
+    """Fit a shape to each known friction; `load_on_gears` returns the `load`."""
     return [
         fit_shape(
             fit,

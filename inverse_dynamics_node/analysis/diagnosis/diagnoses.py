@@ -1,5 +1,5 @@
 """
-Divides an explanation of measured efforts into separate faults with their contributions.
+Splits an explanation of measured efforts into faults, and finds the effect of each fault.
 
 A reversed axis negates position, velocity and effort of a joint. The effort of this joint looks
 right, but the efforts of the joints before and after it in the tree are wrong. Therefore the
@@ -48,7 +48,7 @@ def search_axes(
     data: RegressionData, with_signs: Callable[[Floats], RegressionData | None]
 ) -> Axes:
     """
-    Explain efforts; assume reversed axes if the explanation is then better.
+    Explain efforts; reverse axes if this improves the explanation.
 
     `with_signs` returns the samples for given signs of the n axes, or None to reject these signs.
     """
@@ -187,7 +187,7 @@ class _Faults:
         ]
 
     def changes(self, without: RobotFit) -> tuple[Change, ...]:
-        """Return the joints whose residuals are larger in an explanation without one fault."""
+        """Return the joints whose residuals grow if one fault is left out of the explanation."""
         before, after = ([fit.rms for fit in fits] for fits in (without.fits, self.fits))
         return _changes(self.data, self.names, before, after, self.robot_fit.source)
 
@@ -276,7 +276,7 @@ class _Faults:
         ]
 
     def sensor_fault(self, kind: FaultKind, flag: str) -> list[Fault]:
-        """Return one fault for all joints that have one kind of sensor fault."""
+        """Return one fault that lists all joints with this kind of sensor fault."""
         found = [j for j, fit in enumerate(self.fits) if getattr(fit.sensor_fault, flag)]
         if not found:
             return []

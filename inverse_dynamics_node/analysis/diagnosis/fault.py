@@ -72,9 +72,9 @@ class Fault(NamedTuple):
     """Joints with the fault; empty if the fault concerns the whole robot."""
     values: tuple[float, ...] = ()
     """
-    A fault of joints has a factor, rotor inertia [kg m^2, kg] or effort [N m, N] of each joint. A
-    payload has a mass [kg] and a centre of mass [m]; unknown coordinates are NaN. A mounting has
-    gravity in the frame of the base link [m/s^2]. A delay has one time [s].
+    For a fault of joints: a factor, rotor inertia [kg m^2, kg] or effort [N m, N] of each joint.
+    For a payload: mass [kg] and centre of mass [m]; unknown coordinates are NaN. For a mounting:
+    gravity in the frame of the base link [m/s^2]. For a delay: one time [s].
     """
     changes: tuple[Change, ...] = ()
     """Joints with smaller residuals after the correction, largest reduction first."""
@@ -99,5 +99,5 @@ class Fault(NamedTuple):
 
     @property
     def is_same_factor(self) -> bool:
-        """Whether the factors of all joints are nearly equal, as if all had the same unit."""
+        """Whether the factors are nearly equal, as if all efforts had the same unit."""
         return max(self.values) < SAME_FACTOR * min(self.values)

@@ -45,7 +45,7 @@ class FrictionFit(NamedTuple):
     width: float = math.nan
     """Fitted speed over which Coulomb friction is smoothed [rad/s or m/s]; NaN if not fitted."""
     load_friction: float = 0.0
-    """Increase of Coulomb friction, divided by the magnitude of the effort on the links."""
+    """Additional Coulomb friction, as a fraction of the magnitude of the effort on the links."""
 
     @classmethod
     def unknown(cls, reason: str, offset: float = 0.0) -> FrictionFit:
@@ -64,7 +64,7 @@ class FrictionFit(NamedTuple):
 
 
 def is_moving(qd: Floats, width: float) -> Booleans:
-    """Return the samples at which a joint is fast enough for full dry friction."""
+    """Return the samples in which a joint moves fast enough for full dry friction."""
     return np.asarray(np.abs(qd) > SURELY_MOVING * width)
 
 
@@ -176,7 +176,7 @@ def _triangle(columns: Floats, residual: Floats) -> Floats:
 def _with_load(
     triangle: Floats, has_load: bool
 ) -> tuple[float, tuple[float, float, float, float]]:
-    """Return the squared residual; and damping, Coulomb friction, load friction and offset."""
+    """Return the squared residual, and a fit: damping, Coulomb and load friction, offset."""
     columns = triangle[:, :-1] * [1.0, 1.0, has_load, 1.0]
     factors, left = fit_nonnegative(columns, triangle[:, -1], [3])
     damping, coulomb, per_load, offset = factors.tolist()

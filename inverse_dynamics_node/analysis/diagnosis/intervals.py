@@ -1,9 +1,9 @@
 """
 Finds causes that act only during an interval of a recording: a load, a push, a tilting base.
 
-Outside the interval the model is right, and friction, rotor inertias and offsets are fitted there.
-Inside the interval, the residual is explained by a payload, or else by an external force. A
-tilting base is found as a direction of gravity that changes over time.
+Outside the interval, the model is right: friction, rotor inertias and offsets are fitted to the
+samples outside. Inside the interval, a payload explains the residual, or else an external force.
+A tilting base is found with a fit of gravity at several times.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class FaultInterval(NamedTuple):
     gravity: Floats | None = None
     """Gravity in the base frame at the k knots, shape (k, 3) [m/s^2]."""
     left: float = math.nan
-    """Unexplained fraction of the squares with the fitted gravity."""
+    """Fraction of the squared efforts that the fitted gravity leaves unexplained."""
 
 
 def span(data: RegressionData) -> tuple[float, float]:
@@ -81,9 +81,9 @@ def span(data: RegressionData) -> tuple[float, float]:
 
 def find_fault_interval(data: RegressionData, robot_fit: RobotFit) -> FaultInterval | None:
     """
-    Return the interval of a recording to which a cause is limited.
+    Find a cause that acts only during an interval of the recording.
 
-    Return None unless such a cause explains far more than the best explanation of all samples.
+    Return None unless this cause explains far more than the best explanation of all samples.
     """
     if data.duration < MIN_DURATION or not _is_open(data, robot_fit):
         return None
@@ -266,7 +266,7 @@ def with_loads_inside(data: RegressionData, interval: tuple[float, float]) -> Re
 
 
 def without_friction(data: RegressionData, robot_fit: RobotFit) -> RegressionData:
-    """Return samples without the friction, rotors and offsets of an explanation."""
+    """Subtract the fitted friction, rotors and offsets from the measured efforts."""
     joints = []
     for j, (samples, fit) in enumerate(zip(data.joints, robot_fit.fits, strict=True)):
         columns = samples.columns.copy()
@@ -283,7 +283,7 @@ def best_interval(times: Floats, gain: Floats, start: tuple[float, float]) -> tu
     """
     Return the interval with the largest sum of gains, or `start` if no sample has a gain.
 
-    The gain of a sample is the improvement of its explanation if the interval contains the sample.
+    The gain of a sample says how much better the sample is explained inside the interval.
     """
     sums = np.concatenate([[0.0], np.cumsum(gain)])
     lowest = np.minimum.accumulate(sums[:-1])

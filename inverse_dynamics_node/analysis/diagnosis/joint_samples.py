@@ -31,9 +31,9 @@ FRICTION = 0.03  # considerable Coulomb friction, as a fraction of a joint's RMS
 MIN_VARIATION = 0.1  # a factor is fitted if a modelled effort varies by more, relative to its RMS
 MODEL, GRAVITY, WEIGHT, ACCELERATION, SPEED, DIRECTION, ONE, LOADS = 0, 1, 2, 5, 6, 7, 8, 9
 """
-Columns of joint samples. The first five are the modelled effort, the effort of gravity, and the
-efforts of a gravity of 1 m/s^2 along x, y and z. The next four are acceleration, velocity and
-direction of the joint, and ones. Efforts of loads and measured efforts of all joints follow.
+Columns of joint samples. The first nine are: modelled effort; effort of gravity; efforts of a
+gravity of 1 m/s^2 along x, along y and along z; acceleration; velocity; direction of motion; ones.
+The next columns are efforts of loads. The last columns are the measured efforts of all joints.
 """
 
 
@@ -48,7 +48,7 @@ class SensorFault(NamedTuple):
 
     @property
     def parameters(self) -> int:
-        """Number of parameters; a wrong scale has the weight of two, because it is rare."""
+        """Number of parameters; a wrong scale is rare and has the weight of two parameters."""
         return sum(self) + self.is_scaled
 
     @property
@@ -72,7 +72,7 @@ class JointFit(NamedTuple):
     moves: bool = True
     """Whether the joint moved enough to identify its friction."""
     is_friction_only: bool = False
-    """Whether friction alone explains the effort equally well. Sign and unit are then unknown."""
+    """Whether friction explains the effort without the model; sign and unit are then unknown."""
     rms: float = 0.0
     """RMS of the residual, in the unit of the recorded effort."""
     damping: float = 0.0
@@ -126,7 +126,7 @@ class JointSamples:
         self, weights: Floats, measured: int, sensor_fault: SensorFault, unit: float = 1.0
     ) -> JointFit:
         """
-        Fit a sensor fault to the column `measured`, after division by the given unit.
+        Divide the column `measured` by the unit, and fit a sensor fault to the result.
 
         The candidate model is the weighted sum of the first columns.
         """
@@ -191,7 +191,7 @@ class JointSamples:
     def _possible_faults(
         self, weights: Floats, measured: int, unit: float
     ) -> Iterator[tuple[SensorFault, float]]:
-        """Yield possible sensor faults, each with a lower bound of its unexplained fraction."""
+        """Yield possible sensor faults, each with the least fraction it can leave unexplained."""
         has_scale = unit == 1.0 and self.shows_scale
         for is_swapped in (False, True):
             every = SensorFault(is_swapped, has_scale, self.moves, self.moves)
@@ -209,7 +209,7 @@ class JointSamples:
         )
 
     def _is_arbitrary(self, measured: int, fit: JointFit) -> bool:
-        """Return whether sign and scale are arbitrary, because friction alone explains as much."""
+        """Return whether friction alone explains as much as a fit with this sign and scale."""
         sensor_fault = fit.sensor_fault
         # Friction that accelerates the joint shows a swapped sign, even without the model.
         if sensor_fault.is_swapped and self._needs_no_model(
@@ -227,7 +227,7 @@ class JointSamples:
         remaining: float,
         tolerance: float = FLOOR**2,
     ) -> bool:
-        """Return whether a fit without the model explains the effort almost as well."""
+        """Return whether a fit without the model leaves not much more than `remaining`."""
         without = self.fit(np.zeros(1), measured, sensor_fault).remaining
         return without <= 2.0 * remaining + tolerance
 

@@ -57,8 +57,8 @@ more states may have to be compiled first, and the display would stop during com
 INDEPENDENT = 0.2  # [s]; filtered samples at this distance have independent noise
 LEAST_DURATION = 1.0
 """
-Least duration of the samples [s]. The duration is shorter than for recordings, because an arm at
-rest reveals nothing more later, and because only large residuals start the search for causes.
+Least duration of the samples [s]. Recordings must be longer. Here a short duration is enough: more
+time reveals no more about an arm at rest, and only large residuals start the search for causes.
 """
 
 GRAVE = (
@@ -75,7 +75,8 @@ GRAVE = (
 )
 """
 Faults that are reported even if residuals are small or joint states arrive slowly. Other faults
-are harmless if residuals are below `AGREEMENT`, and slow joint states may look like them.
+are harmless if residuals are below `AGREEMENT`. Slow joint states may look like a fault that is
+not in this list.
 """
 
 
@@ -128,7 +129,7 @@ class Agreement:
     obstacle: Obstacle | None = None
     """Reason, other than a fault, why agreement is unknown or not sufficient to go live."""
     faults: tuple[Fault, ...] = ()
-    """Causes of differences, most important first; at rest, a difference that may be friction."""
+    """Causes of differences, most important first; for `AT_REST`, the cause may be friction."""
     numbers: tuple[float, ...] = ()
     """
     For `SLOW_STATES`, the measured rate and the lowest sufficient rate [Hz]. For `FEW_JOINTS`, the
@@ -384,7 +385,7 @@ class _Comparison:
         )
 
     def _rigid(self, *states: Floats) -> Floats:
-        """Return the modelled efforts; with or without gravity, like the measured efforts."""
+        """Return the modelled efforts, with gravity if the measured efforts contain gravity."""
         efforts = self.dynamics.efforts(*states)
         if not self.convention.in_measured:
             efforts = efforts - self.dynamics.gravity_efforts(states[0])
@@ -448,8 +449,8 @@ OF_UPDATE_RATE = 0.5  # fraction of update_rate; many drivers are slower than th
 
 LEAST_CHECKED = 0.25
 """
-Least fraction of the commanded joints that must be checked. In a random pose at rest, gravity
-loads two of the six joints of a UR arm. One checked joint says little about the others.
+Least fraction of the commanded joints that must be checked. In a random pose at rest, gravity acts
+mainly on two of the six joints of a UR arm. One checked joint says little about the other joints.
 """
 
 
@@ -538,7 +539,7 @@ def _without_constant(samples: LiveSamples, commanded: Sequence[str]) -> LiveSam
 def _completed(
     agreement: Agreement, commanded: Sequence[str], saturated: Sequence[str]
 ) -> Agreement:
-    """Add results for the commanded joints; an agreement requires enough checked joints."""
+    """Add unmeasured and saturated joints; if too few were checked, change the outcome."""
     compared = (*agreement.checked, *agreement.unchecked)
     agreement = replace(agreement, saturated=tuple(saturated))
     if not compared:

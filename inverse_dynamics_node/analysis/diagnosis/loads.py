@@ -1,8 +1,8 @@
 """
 Fits unknown payloads; the efforts of a payload are linear in its inertial parameters.
 
-A point mass m at position c adds ``m Y_m + m c . Y_c + m (c c^T) : Y_cc`` to the efforts. Each Y
-contains the efforts if one of these parameters is one and all others are zero.
+A point mass m at position c adds ``m Y_m + m c . Y_c + m (c c^T) : Y_cc`` to the efforts. ``Y_m``,
+``Y_c`` and ``Y_cc`` are the efforts per unit of ``m``, ``m c`` and ``m c c^T``.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def _depth(robot: RobotModel, body: int) -> int:
 
 
 def point_mass_parameters(mass: float, com: Floats) -> Floats:
-    """Return the factors of `payload_columns` for a point mass, shape (10,)."""
+    """Return the parameters of a point mass in the order of `payload_columns`, shape (10,)."""
     x, y, z = com
     return mass * np.array([1.0, x, y, z, x * x, y * y, z * z, x * y, x * z, y * z])
 

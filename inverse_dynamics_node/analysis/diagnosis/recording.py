@@ -106,7 +106,7 @@ class ComparisonResult:
     modelled: Floats
     """Modelled efforts, shape (K, c) [N m or N]; with friction if the dynamics have friction."""
     corrected: Floats
-    """Modelled efforts with friction, as faults would change them, shape (K, c) [N m or N]."""
+    """Modelled efforts with friction and the effects of all faults, shape (K, c) [N m or N]."""
     faults: tuple[Fault, ...]
     """Explanations of the difference, most important first; empty if none is needed."""
     width: float
@@ -118,7 +118,7 @@ class ComparisonResult:
 
     @property
     def explained(self) -> float:
-        """Explained fraction of the squared efforts: mean of revolute and prismatic joints."""
+        """Explained fraction of the squared efforts, averaged over both joint types."""
         return self._mean([joint.rms_residual for joint in self.joints])
 
     @property
@@ -267,7 +267,7 @@ def _search(recorded: ComparedEfforts) -> _Found:
 def _confirmed(
     undistorted: Callable[[Floats], ComparedEfforts], reversed_: Axes, recorded: Axes
 ) -> Axes:
-    """Return the reversed axes, or the recorded axes if wrong links explain as much."""
+    """Return the reversed axes if they explain more than wrong links, else the recorded axes."""
     left = []
     for each in (reversed_, recorded):
         bodies = _fitted_bodies(undistorted(each.signs), each.data, each.robot_fit)
@@ -302,7 +302,7 @@ def _of_motion(compared: ComparedEfforts, signs: Floats) -> Floats:
 
 
 def _beside_links(compared: ComparedEfforts, data: RegressionData, robot_fit: RobotFit) -> _Found:
-    """Explain efforts, if needed by wrong links or by a cause that is limited to an interval."""
+    """Explain efforts; if needed, assume wrong links or a cause that acts in an interval."""
     names = [compared.names[c] for c in compared.varying]
     fault = find_fault_interval(data, robot_fit)
     bodies = _fitted_bodies(compared, data, robot_fit)
@@ -374,7 +374,7 @@ def _fitted_bodies(
 
 
 def _moving(compared: ComparedEfforts) -> list[int]:
-    """Return the columns of moving joints; if none moved, of all joints with varying effort."""
+    """Return the columns of moving joints; all columns with varying effort if no joint moved."""
     moving = [c for c in compared.varying if compared.moves(c)]
     return moving or compared.varying
 

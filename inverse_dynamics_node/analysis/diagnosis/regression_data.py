@@ -92,7 +92,7 @@ class RobotFit(NamedTuple):
 
     @property
     def is_scaled(self) -> bool:
-        """Whether the effort of any joint has another unit."""
+        """Whether the effort of any joint is in another unit than the modelled effort."""
         return self.unit != 1.0 or any(fit.sensor_fault.is_scaled for fit in self.fits)
 
     def factor(self, joint: int) -> float:
@@ -104,12 +104,13 @@ class RegressionData:
     """
     The samples of n joints, and the search for their explanation.
 
-    Each of the `links` may carry a load of up to `heaviest` [kg]; the mapping contains the mass of
-    the body of each link [kg]. From ``LOADS`` on, columns of the samples are efforts of the loads.
+    Each link in `links` may carry a load of up to `heaviest` [kg]. `links` maps the name of a link
+    to the mass of its body [kg]. In the samples, the efforts of loads start at column ``LOADS``.
     `gravity` is the gravity of the model, in the frame of the base link [m/s^2]. The samples
-    represent `duration` [s], and `sample_count` samples of each joint are independent. Below a
-    duration of `least_duration` [s], nothing is explained. The `convention` says whether measured
-    efforts should contain gravity; the modelled efforts follow the convention.
+    represent `duration` [s], and `sample_count` samples of each joint are independent. No
+    explanation is searched for if the duration is shorter than `least_duration` [s]. The
+    `convention` says whether measured efforts should contain gravity; the modelled efforts follow
+    the convention.
     """
 
     def __init__(
@@ -135,7 +136,7 @@ class RegressionData:
         self.nominal = CandidateModel(None, weights, 0, has_gravity=self.has_gravity)
 
     def with_joints(self, joints: Sequence[JointSamples], duration: float) -> RegressionData:
-        """Return the same data with other samples, which represent this duration [s]."""
+        """Return the same data with the given samples, which represent `duration` [s]."""
         links = dict(zip(self.links, self.link_masses, strict=True))
         sample_count = self.sample_count * duration / self.duration
         return RegressionData(
@@ -248,7 +249,7 @@ class RegressionData:
         return not self.contradicts(candidate) or self._explains_gravity(robot_fit)
 
     def unexplained(self, robot_fit: RobotFit) -> float:
-        """Return the unexplained fraction of squares: mean of revolute and prismatic joints."""
+        """Return the unexplained fraction of squared efforts, averaged over both joint types."""
         remaining = {False: 0.0, True: 0.0}
         squares = {False: 0.0, True: 0.0}
         for j, (samples, fit) in enumerate(zip(self.joints, robot_fit.fits, strict=True)):
@@ -264,7 +265,7 @@ class RegressionData:
         )
 
     def _explains_gravity(self, robot_fit: RobotFit) -> bool:
-        """Return whether joints with much gravity are explained, and little gravity remains."""
+        """Return whether joints with much gravity are explained with little gravity left."""
         numerator = denominator = 0.0
         is_shown = False
         for j, (samples, fit) in enumerate(zip(self.joints, robot_fit.fits, strict=True)):
@@ -289,7 +290,7 @@ class RegressionData:
         return is_shown and abs(numerator) < NO_GRAVITY * denominator
 
     def _target(self, j: int, robot_fit: RobotFit) -> Floats:
-        """Return the part of a joint's reduced efforts that an explanation leaves to friction."""
+        """Subtract all explained efforts except friction from the reduced efforts of a joint."""
         R, fit = self.joints[j].triangle, robot_fit.fits[j]
         measured = R[:, self.first_measured + robot_fit.source[j]]
         target: Floats = fit.sensor_fault.sign / robot_fit.factor(j) * measured
@@ -326,7 +327,7 @@ class RegressionData:
         return [min(found, key=lambda each: each.cost)]
 
     def _factors_at_rest(self, nominal: RobotFit) -> list[float]:
-        """Return the factors of joints that identify a unit only together with other joints."""
+        """Return the factors of joints that cannot identify a unit without other joints."""
         factors = []
         for j, (samples, fit) in enumerate(zip(self.joints, nominal.fits, strict=True)):
             measured = self.first_measured + j
@@ -346,7 +347,7 @@ class RegressionData:
         return weights
 
     def other_gravity(self) -> CandidateModel:
-        """Return the model without gravity, or with gravity if the convention excludes it."""
+        """Return the model with gravity if the convention excludes gravity, else without."""
         kind = GRAVITY_KINDS[not self.has_gravity]
         weights = self._weights({MODEL: 1.0, GRAVITY: -1.0 if self.has_gravity else 1.0})
         return CandidateModel(kind, weights, 1, has_gravity=not self.has_gravity)
@@ -383,7 +384,7 @@ class RegressionData:
         """
         Return weighted columns and targets of all joints, without friction and sensor faults.
 
-        The targets are the efforts that the `fixed` weights of the columns do not explain. Return
+        The targets are the efforts minus the columns multiplied by the `fixed` weights. Return
         None if the units of all efforts are unknown.
         """
         stacked, targets = [], []
@@ -468,7 +469,7 @@ class RegressionData:
         )
 
     def _reordered(self) -> list[RobotFit]:
-        """Exchange efforts between unexplained joints; return a fit if this explains them."""
+        """Exchange efforts of unexplained joints; return a fit if the exchange explains them."""
         from scipy.optimize import linear_sum_assignment
 
         n, weights = len(self.joints), self.nominal.weights

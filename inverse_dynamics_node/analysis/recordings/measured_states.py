@@ -33,9 +33,9 @@ def read_measured_states(
     is called regularly with the fraction read so far, 0 to 1. `mimic_names` are joints of the
     robot with positions that follow from other joints.
 
-    Return the recording and sentences about ignored and missing data. Its joints are in the order
-    of ``joint_names``, and its times start at zero. Joints that the robot does not have are
-    ignored. Raise RecordingError if the recording is unreadable or has no effort of these joints.
+    Return the recording, and sentences about ignored and missing data. The recorded joints are in
+    the order of ``joint_names``, and the times start at zero. Joints that the robot does not have
+    are ignored. Raise RecordingError if the recording is unreadable or has no effort of the robot.
     """
     if not path.exists():
         raise RecordingError(f'{path}: no such file or folder, expected a recording')

@@ -37,7 +37,7 @@ class Resampler(NamedTuple):
         return _apply(self.of_smooth, values)
 
     def discontinuous(self, values: Floats) -> Floats:
-        """Smooth signals that were not yet smoothed with the motion."""
+        """Smooth signals to which the smoothing of the motion was not yet applied."""
         return _apply(self.of_discontinuous, values)
 
 

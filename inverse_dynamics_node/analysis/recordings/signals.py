@@ -399,7 +399,7 @@ class RecordedColumn:
 
 
 def _merge(values: Floats, closest: float) -> tuple[Floats, int]:
-    """Average rows with nearly equal times, which are in the first column."""
+    """Average rows with nearly equal times; the first column contains the times."""
     is_new = np.append(True, np.diff(values[:, 0]) > closest)
     if is_new.all():
         return values, 0
