@@ -377,7 +377,7 @@ def broken(short, here, how):
         ('two topics', 'several topics of type sensor_msgs/msg/JointState, /a, /b; none of them'),
         ('no topic', 'has no topic of type sensor_msgs/msg/JointState; it has /joint_states'),
         ('half a file', 'half.mcap: '),
-        ('no metadata', 'has no metadata.yaml, expected a rosbag2 folder; or pass one of its'),
+        ('no metadata', 'has no metadata.yaml, expected a rosbag2 folder, or one of these files'),
         ('kind', "is a '.bagpipe' file, expected a rosbag2 folder, .mcap, .db3 or .csv"),
         ('nothing', 'no such file or folder'),
     ],

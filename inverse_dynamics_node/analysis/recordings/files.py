@@ -77,7 +77,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
 
     if path.is_dir() and not (path / 'metadata.yaml').exists():
         files = sorted(file.name for file in path.iterdir() if file.suffix in BAG_SUFFIXES)
-        hint = f'; or pass one of its files: {", ".join(files)}' if files else ''
+        hint = f', or one of these files: {", ".join(files)}' if files else ''
         raise RecordingError(f'{path}: has no metadata.yaml, expected a rosbag2 folder{hint}')
     try:
         # Bags recorded before ROS 2 Iron contain no message definitions.

@@ -329,7 +329,7 @@ def _notes(
         notes.append(f'because of gaps, the recording was differentiated in {pieces} pieces')
     if lost > 0.0:
         notes.append(
-            f'ignored {lost:.2g} s between gaps, in pieces that are too short to differentiate'
+            f'ignored {lost:.2g} s, because pieces between gaps are too short to differentiate'
         )
     return tuple(notes)
 
