@@ -4,8 +4,8 @@ Columns of regressions, and least squares with them.
 A column contains the efforts that one unit of an unknown causes. Efforts are linear in gravity, in
 the inertial parameters of bodies and payloads, and in friction. Efforts depend only on certain
 combinations of the inertial parameters, the base parameters. A QR decomposition with pivoting of a
-regressor at random states selects the independent columns [1]_. Every other column is a
-combination of the selected columns.
+regressor at random states selects the independent columns [1]_. All remaining columns are
+combinations of the selected columns.
 
 References
 ----------
@@ -89,9 +89,9 @@ def payload_columns(
     """
     Return the efforts of a load on a link, separately for each parameter of the load.
 
-    A load is described by its second moment of mass in homogeneous coordinates of the link. The
-    parameters of the body are linear in this moment, and efforts are linear in the parameters of
-    the body. `gravity` is the free-fall acceleration in the frame of the base link [m/s^2].
+    The second moment of mass, in homogeneous coordinates of the link, describes a load. The
+    inertial parameters of the load are linear in this moment, and the efforts are linear in the
+    parameters. `gravity` is the free-fall acceleration in the frame of the base link [m/s^2].
 
     The result has the shape (samples, joints, 10). Its columns are efforts for a mass of 1 kg, for
     first moments of 1 kg m along x, y and z, and for second moments xx, yy, zz, xy, xz and yz of 1
@@ -128,7 +128,7 @@ class BaseParameters(NamedTuple):
     """Factors of the parameters in each combination, shape (combinations, parameters)."""
     leading: Integers
     """
-    Index of each combination's leading parameter; its factor is 1 here, and 0 in the others.
+    Index of the leading parameter, which has the factor 1 in its combination and 0 in the others.
     """
 
     def names(self, links: tuple[str, ...]) -> list[str]:

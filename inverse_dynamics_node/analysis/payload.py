@@ -64,7 +64,7 @@ class PayloadEstimate:
     link: str
     """Link that carries the payload."""
     body: RigidBody
-    """The payload in the frame of the link, always physical; `unknown` lists uncertain axes."""
+    """The payload in the frame of the link; the estimate is always physical."""
     mass_error: float
     """Standard error of the mass [kg]."""
     com_error: Floats
@@ -117,7 +117,7 @@ class _Rows(NamedTuple):
     Columns that act on a single joint, such as offset and friction, shape (rows, joints, terms).
     """
     arm: Floats
-    """Modelled efforts of the arm, which a wrong gain also multiplies, shape (rows, joints)."""
+    """Modelled efforts of the arm, shape (rows, joints); a wrong gain scales these efforts too."""
     target: Floats
     """Efforts to explain, shape (rows, joints)."""
     block: Integers
@@ -212,7 +212,7 @@ def _is_still(motion: Motion, rests: Sequence[slice]) -> bool:
 
 
 def _poses(motion: Motion, rests: Sequence[slice]) -> Motion:
-    """Return the mean of each rest as a state without motion."""
+    """Return one state for each rest, with the mean positions and efforts and no motion."""
     times, q, efforts = (
         np.array([np.mean(signal[each], axis=0) for each in rests])
         for signal in (motion.times, motion.q, motion.efforts)
@@ -252,7 +252,7 @@ def _rows(
     empty: Motion | None,
     smooth: Resampler | None,
 ) -> _Rows:
-    """Return the rows of the regression; rests in poses are not smoothed."""
+    """Return the rows of the regression; states at rest are not smoothed."""
     robot, states = dynamics.robot, (loaded.q, loaded.qd, loaded.qdd)
     payload = payload_columns(robot, dynamics.gravity, link, states)[:, joints]
     modelled, load = dynamics.efforts(*states)[:, joints], np.abs(loaded.efforts)
@@ -375,7 +375,7 @@ class _Fit:
         return sums[:-1, :-1], sums[:-1, -1]
 
     def _near(self, x: Floats, matrix: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return the derivatives of the parameters at x, and precision and mean of the prior."""
+        """Return the derivatives of the parameters, and the prior's precision and mean, at x."""
         slope = np.eye(self.size)
         slope[:PARAMETERS, :PARAMETERS] = _slope(x)
         mass = max(x[0], LIGHTEST)

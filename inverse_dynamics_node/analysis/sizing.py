@@ -30,7 +30,7 @@ _WINDOWS = (1.0, 1.0, 0.1, 0.01)
 _STARTS = 3
 """Number of the worst samples from which the search for a worst pose starts."""
 _MOST_BODIES = 2e8
-"""Largest work of the search, in evaluations of one body; they take about ten seconds."""
+"""Largest number of evaluations of one body in the search; these take about ten seconds."""
 _TIE = 1e-9
 """Efforts with a smaller relative difference are regarded as equal."""
 _ROUNDING = 1e-6
@@ -47,7 +47,7 @@ class Workspace:
     Joint positions, shape (poses, joints) [rad or m]: the worst pose of each joint, then samples.
     """
     efforts: Floats
-    """Gravity efforts in these poses, shape (poses, joints) [N m or N]."""
+    """Gravity efforts in the `poses`, shape (poses, joints) [N m or N]."""
     limits: Floats
     """Effort limits, shape (joints,) [N m or N]; inf for a joint without a limit."""
     is_search_shortened: bool = False
@@ -75,7 +75,7 @@ class Workspace:
 
     @property
     def hardest(self) -> int:
-        """Index of the joint nearest its limit; without limits, the one of largest effort."""
+        """Index of the joint nearest its limit; without limits, the joint with most effort."""
         ratios = self.peaks / self.limits
         return int(np.argmax(ratios if np.any(ratios > 0.0) else self.peaks))
 
@@ -173,7 +173,7 @@ def explore(
 
 
 def _extent_of_search(joints: int) -> tuple[int, tuple[float, ...], int]:
-    """Return the numbers of starts, windows and joints that can be searched in bounded time."""
+    """Return the number of starts, the windows, and the number of joints for a bounded search."""
     for starts, windows in ((_STARTS, _WINDOWS), (1, _WINDOWS), (1, _WINDOWS[:1])):
         bodies = joints**2 * (_CANDIDATES + 2) * starts * len(windows)
         most_joints = max(1, int(_MOST_BODIES / bodies))
@@ -188,12 +188,12 @@ def payload_capacity(
     """
     Compute the largest payload that the robot can hold at rest within its effort limits.
 
-    The payload is a point mass at the origin of a link. It is added to the present payload of the
-    robot, for which `explore` computed the workspace. The capacity is valid for all poses of the
+    The payload is a point mass at the origin of a link. It is added to the payload that the robot
+    already carries, and that `workspace` contains too. The capacity is valid for all poses of the
     workspace, and for the worst pose that a search finds. Raises ConfigurationError if the link
     does not exist.
 
-    Gravity efforts are linear in the mass, so two efforts per pose determine the mass.
+    Gravity efforts are linear in the mass, so two efforts per pose determine the largest mass.
 
     """
     robot, limits = workspace.robot, workspace.limits
@@ -256,8 +256,8 @@ def _climb(
     Maximise a function of the pose, one joint at a time, in smaller and smaller windows.
 
     Gravity efforts are sinusoids of revolute joint positions and linear in prismatic joint
-    positions. Therefore, there are few local maxima. Among equally high poses, the pose nearest to
-    zero is chosen.
+    positions. Therefore, there are few local maxima. If several poses have the same value, the
+    pose nearest to zero is chosen.
 
     """
     pose: Floats = start.copy()
@@ -338,10 +338,10 @@ def effort_requirements(
     Compute the requirements of a trajectory for the joints that it moves.
 
     The trajectory contains velocities and accelerations of any joints of the robot, in any order.
-    The result has the same order. `others` contains a position for every joint of the robot [rad
-    or m], by default zero; it applies to joints that the trajectory does not move. Raises
-    TrajectoryError if a joint is unknown or named twice, and JointStateError if a value is not
-    finite.
+    The joints of the result have the same order. For joints that the trajectory does not move,
+    `others` gives the positions [rad or m]: one for every joint of the robot, by default zero.
+    Raises TrajectoryError if a joint is unknown or named twice, and JointStateError if a value is
+    not finite.
 
     """
     robot = dynamics.robot

@@ -112,7 +112,7 @@ def write_trajectory(path: Path, trajectory: Trajectory, efforts: Floats | None 
     Write a trajectory_msgs/JointTrajectory as YAML that `ros2 topic pub` accepts.
 
     The trajectory has velocities and accelerations. Efforts have the shape (times, joints) [N m or
-    N]; without efforts, a controller that does not use them accepts the trajectory.
+    N]. A controller without an effort interface rejects a trajectory with efforts.
 
     """
     import yaml
@@ -171,7 +171,8 @@ def _documents(text: str) -> Iterator[Any]:
     Yield the documents of a YAML text as lists, mappings and text; numbers remain text.
 
     Unlike the loaders of PyYAML, this parser neither recurses nor converts. No file can use up the
-    stack, contain itself, or create other objects. It is also several times faster than they are.
+    stack, contain itself, or create other objects. The parser is also several times faster than
+    the loaders.
 
     """
     import yaml
@@ -344,7 +345,7 @@ class _Longest(NamedTuple):
     topic: str
     message: Any
     number: int
-    """Position of the trajectory among the non-empty trajectories of the topic, from 1."""
+    """Position among the non-empty trajectories of the topic, counted from 1."""
     total: int
     """Number of non-empty trajectories on the topic."""
 
@@ -419,7 +420,7 @@ def _longest_trajectories(
 
 
 def _from_trajectories(found: Sequence[_Longest]) -> LoadedTrajectory:
-    """Convert the first trajectory; notes mention the other trajectories."""
+    """Convert the first trajectory, and mention the other trajectories in the notes."""
     first = found[0]
     points = first.message.points
     durations = [point.time_from_start for point in points]

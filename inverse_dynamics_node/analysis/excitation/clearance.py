@@ -1,10 +1,10 @@
 """
 Computes distances of a robot to itself, to the floor and to boxes, and their gradients.
 
-Sampled poses decide which links may come near each other, as in planning tools. Neighbours and
-links that touch in almost all poses are left out. Capsules around the links are larger than the
-links. If two capsules are often near each other, points on the surfaces of the links show how near
-the capsules may come.
+Sampled poses decide which links may come near each other, as in planning tools. Links that are
+neighbours, or that touch in almost all poses, are left out. Capsules around the links are larger
+than the links. If two capsules are often near each other, points on the surfaces of the links show
+how near the capsules may come.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ _ALWAYS = 0.01
 _MANY, _ALL = 0.3, 0.95
 """Fractions of the sampled poses that are regarded as many poses, and as almost all poses."""
 _OFTEN = 0.02
-"""Surfaces are compared if links are near in more than this fraction of the sampled poses."""
+"""Surfaces are compared if the links are near each other in more than this fraction of poses."""
 _MOST_LOOKS = 40
 """Largest number of poses in which surfaces are compared."""
 _UNSEEN = 0.005
-"""If surfaces are never near, capsules may be closer than in any sampled pose by this [m]."""
+"""Capsules whose surfaces are never near may come this much closer than in sampled poses [m]."""
 _ON_THE_WAY = 0.005
-"""Links that are too near at the start of a way may first come closer by this distance [m]."""
+"""If links are too near at the start of a way, they may come this much closer at first [m]."""
 _FAR = 0.3
 """Larger distances are ignored [m]."""
 _SCALE = 0.05
-"""A distance too short by this value has the same penalty as twice the permitted speed [m]."""
+"""A distance that is too short by this much costs as much as twice the permitted speed [m]."""
 _PLACES = np.linspace(0.0, 1.0, 33)[:, np.newaxis]
 """Places on a segment, 0 to 1; the place nearest to a box is chosen."""
 _CHUNK = 200
@@ -73,7 +73,7 @@ class Nearest(NamedTuple):
     names: tuple[str, str]
     """A link, and another link, 'floor' or 'box'."""
     distance: float
-    """Distance [m]; between points on the surfaces if the shapes of both links are known."""
+    """Distance [m]; it is measured between surfaces if the shapes of both links are known."""
     pose: int
 
 
@@ -92,7 +92,7 @@ class Clearance:
     needed: Floats
     """Least distances [m]: of the pairs, of capsule ends to the floor, of capsules to each box."""
     unchecked: tuple[str, ...] = ()
-    """Names of pairs that are too often near to be checked, such as 'wrist and floor'."""
+    """Names of pairs that are near too often to be checked, such as 'wrist and floor'."""
 
     @property
     def bodies(self) -> Integers:
@@ -198,7 +198,7 @@ class Clearance:
         return violation, self._slopes(q, found, -2.0 * missing / _SCALE)
 
     def _slopes(self, q: Floats, contacts: Contacts, weights: Floats) -> Floats:
-        """Return gradients of weighted sums of distances, as the work of forces on the links."""
+        """Return gradients of weighted sums of distances, from the work of forces on links."""
         robot, slopes = self.robot, np.zeros(q.shape)
         rotations, positions = body_frames(robot, q)
         wrenches = np.zeros((*positions.shape[:2], 6))
@@ -298,10 +298,11 @@ def find_clearance(
     boxes: Sequence[Floats] = (),
 ) -> Clearance:
     """
-    Find out which links of a robot may come near each other, the floor and boxes.
+    Find out which links of a robot may come near each other, near the floor, or near a box.
 
-    `poses` are random poses within the limits, shape (poses, joints) [rad or m]. The height of the
-    floor and the boxes, each a lowest and a highest corner, are in the frame of the base [m].
+    `poses` are random poses within the limits, shape (poses, joints) [rad or m]. `floor` is the
+    height of the floor in the frame of the base [m]. Each of the `boxes` has a lowest and a
+    highest corner in this frame [m].
 
     """
     body, c = capsules.body, len(capsules.body)
@@ -419,7 +420,7 @@ def _of_box(points: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
 
 
 def _twice(points: Floats) -> Floats:
-    """Return points twice; the second ones belong to obstacles, which do not move."""
+    """Return each point as a pair of equal points; the second one belongs to the obstacle."""
     return np.stack([points, points], axis=1)
 
 

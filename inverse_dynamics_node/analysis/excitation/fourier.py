@@ -17,8 +17,8 @@ class FourierSeries:
     """
     A motion of several joints as a Fourier series.
 
-    Velocity and acceleration are zero at both ends. Therefore, the motion can follow a pose at
-    rest, and it can be repeated.
+    Velocity and acceleration are zero at both ends. Therefore, the motion can start from rest, and
+    it can be repeated.
 
     """
 

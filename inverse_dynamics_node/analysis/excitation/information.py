@@ -78,7 +78,7 @@ class Unknowns:
 
         Weights have the shape (samples, moving joints, unknowns). The function accepts the states
         of all samples, repeated r times, of shape (r * samples, moving joints). It returns r *
-        samples sums. The function does not select columns, because that takes longer than the sum.
+        samples sums. The function uses all columns, because a selection takes longer than the sum.
 
         """
         k, m, _ = weights.shape
@@ -103,7 +103,7 @@ class Unknowns:
         return total
 
     def _split(self) -> tuple[Integers, Integers, Integers, Integers]:
-        """Return indices of body and joint unknowns, and kind and joint of each joint unknown."""
+        """Return indices of body and joint unknowns, and each joint unknown's kind and joint."""
         is_rigid = self.columns < self.rigid_count
         kind, joint = np.divmod(self.columns[~is_rigid] - self.rigid_count, len(self.noise))
         return np.flatnonzero(is_rigid), np.flatnonzero(~is_rigid), kind, joint

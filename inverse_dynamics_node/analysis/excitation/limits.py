@@ -278,8 +278,8 @@ def excess(
     """
     Return how far states exceed each limit, relative to the limit.
 
-    `aim` is the fraction of a limit from which the excess starts. The result has one row per
-    state, and one column for each limit of position, speed and effort. It is 0 within the limit.
+    `aim` is the fraction of a limit from which the excess starts; below, the excess is 0. The
+    result has one row per state, and one column for each limit of position, speed and effort.
 
     """
     parts = [

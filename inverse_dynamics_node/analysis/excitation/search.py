@@ -35,11 +35,11 @@ NOISE = 0.01
 SAMPLES_PER_SECOND = 10.0
 """Number of independent samples per second; smoothing removes faster noise [Hz]."""
 _STEP = 1e-6
-"""Step of finite differences: of a position [rad or m], or relative to the largest speed."""
+"""Step of finite differences of positions [rad or m]; other steps are relative to full speed."""
 _PER_HARMONIC = 16
 """Number of samples for each harmonic during the search."""
 _FINE = 8
-"""Samples of motion and way in the final check, for each sample of the search."""
+"""The final check has this many samples for each sample of the search."""
 _DENSER = 4
 """Number of poses to check for each sample of the search: links may collide between samples."""
 _COARSE, _SHRINKING = 8, 0.95
@@ -53,14 +53,14 @@ _POSES = 300
 _NEARLY_ALL = 0.9
 """If more than this fraction of poses is below the floor, the floor height is probably wrong."""
 _ROUNDS = ((1e1, 60), (1e2, 60), (1e3, 60), (1e4, 60))
-"""Weight of violated limits, relative to one unknown, and number of iterations of each round."""
+"""For each round: the weight of violated limits relative to one unknown, and the iterations."""
 _LARGEST_WORK = 1.5e9
 """Largest number of regressor entries to compute; more joints lead to fewer iterations."""
 _FEWEST_ITERATIONS = 5
 _AIM = 0.99
 """Fraction of the limits that the search aims at, because penalties allow small violations."""
 _REPAIRS = (0.98, 0.96, 0.92)
-"""Smaller fractions of the limits to aim at, as long as the motion violates a limit."""
+"""If the motion violates a limit, the search aims at these fractions of the limits in turn."""
 _OF_REPAIR = (1e5, 30)
 _LEAST_NOISE = 1e-6
 """Smallest assumed noise [N m or N]."""
@@ -140,9 +140,10 @@ def find_excitation(
 
 class MotionSpace:
     """
-    Motions as arrays x of coefficients, relative to middle and half width of the position ranges.
+    Motions as arrays x of coefficients, for m moving joints and h harmonics.
 
-    For m moving joints and h harmonics, an array x has the shape (m, 2 h - 1).
+    The coefficients are relative to the middle and the half width of the position ranges. An array
+    x has the shape (m, 2 h - 1).
 
     """
 
@@ -175,7 +176,7 @@ class MotionSpace:
         return self._is_clear(states.q, every)
 
     def _is_clear(self, q: Floats, every: int = 1) -> bool:
-        """Return whether positions of moving joints, and the way to the first, are clear."""
+        """Return whether poses of the moving joints, and the way to the first pose, are clear."""
         clearance = self.limits.clearance
         if clearance is None:
             return True
@@ -196,7 +197,7 @@ class MotionSpace:
 
     def missing_clearance(self, x: Floats, aim: float) -> tuple[float, Floats]:
         """
-        Return how much clearance a motion and the way to its start lack, and the gradient.
+        Return how far a motion and the way to its start violate the clearance, and the gradient.
 
         The first value is the mean of `Clearance.violation` over the motion plus the mean over the
         way. The gradient is with respect to the coefficients, shape (moving joints, 2 * harmonics
@@ -215,13 +216,13 @@ class MotionSpace:
         return float(missing.mean() + on_way.mean()), of_coefficients
 
     def way_to(self, start: Floats, count: int) -> Floats:
-        """Return poses, shape (count, joints), of the straight way from rest to a start."""
+        """Return poses on the straight way from rest to a start, shape (count, joints)."""
         rest, (end,) = self.limits.rest, whole_positions(self.limits, start[np.newaxis])
         way: Floats = rest + _even_times(count, 1.0)[:, np.newaxis] * (end - rest)
         return way
 
     def random(self, count: int, rng: np.random.Generator) -> list[Floats]:
-        """Draw the largest motions within the limits about poses that the drives can hold."""
+        """Draw motions about poses that the drives can hold; each is as large as possible."""
         centres = self._poses(rng)
         found = []
         for k in range(count):
@@ -245,7 +246,7 @@ class MotionSpace:
         return safe
 
     def _largest(self, still: Floats, swing: Floats) -> Floats:
-        """Return the largest motion within the limits about a pose; `swing` is the upper bound."""
+        """Return the pose plus the largest fraction of the swing that stays within the limits."""
         low, high = 0.0, 1.0
         for _ in range(12):
             middle = 0.5 * (low + high)
@@ -258,7 +259,7 @@ class MotionSpace:
         return still + low * swing
 
     def _size(self, still: Floats, swing: Floats) -> Floats:
-        """Return each joint's swing relative to its free range and speed limit, as a column."""
+        """Return the swing of each joint as a fraction of its limits, shape (joints, 1)."""
         states = States(*(part @ (swing * self.limits.half[:, None]).T for part in self.basis))
         room = self.limits.half * (1.0 - np.abs(still[:, 0]))
         ratios = np.maximum(np.abs(states.q) / room, np.abs(states.qd) / self.limits.speeds)
@@ -284,7 +285,7 @@ class MotionSpace:
         return np.array(found)
 
     def _why(self, states: States, held: Integers) -> str:
-        """Explain why no pose is within the limits; `held` poses are within the effort limits."""
+        """Explain why no pose is within the limits; the drives can hold the poses in `held`."""
         limits = self.limits
         if len(held):
             return self._why_not_clear(whole_positions(limits, states.q[held]))

@@ -4,7 +4,7 @@ Fits the effects of drives on efforts: friction, armature, gains of currents, an
 A term of a joint is used if it improves the prediction of blocks that were left out of the fit.
 
 A current is the effort divided by a gain. If all gains and masses were multiplied by the same
-factor, the currents would be the same. A known payload determines this factor; without one, the
+factor, the currents would not change. A known payload determines this factor; without one, the
 masses of the robot description determine it.
 """
 
@@ -39,11 +39,11 @@ from .regression import (
 
 FRICTION: tuple[int, ...] = (DAMPING, COULOMB, OFFSET)
 LEAST_IMPROVEMENT = {ARMATURE: 0.01, LOAD: 0.02, SQRT: 0.1}
-"""Fraction by which each candidate must reduce the squared residuals of the prediction."""
+"""An optional term must reduce the squared residuals of the prediction by this fraction."""
 LEAST_ERRORS = {ARMATURE: 1.0, LOAD: 1.0, SQRT: 2.0}
-"""Least improvement by each candidate, as a multiple of the standard error of the improvement."""
+"""An optional term must improve the prediction by this many standard errors of the improvement."""
 LARGEST_LOAD = 0.1
-"""Expected standard deviation of load friction; the value is that of a poor gear [-]."""
+"""Expected standard deviation of load friction [-]; poor gears have this much."""
 WIDTHS = 10
 """Number of friction widths to try."""
 SIGNIFICANT = 5.0
@@ -51,9 +51,9 @@ SIGNIFICANT = 5.0
 LEAST_CHANGE = 0.15
 """A smaller relative change of all efforts is not regarded as a common factor."""
 MOST_DISAGREEMENT = 0.5
-"""Largest RMS deviation of single joints from the common change, as a fraction of the change."""
+"""A change is common if the RMS deviation of the joints is below this fraction of the change."""
 EXPLAINS = 0.6
-"""A common factor must explain this fraction of the improvement by the bodies."""
+"""A common factor must explain this fraction of the improvement due to the identified bodies."""
 MOST_DELAY = 0.1
 """Longest delay in either direction [s]."""
 
@@ -103,7 +103,7 @@ def choose_terms(
     grid: Floats,
     optional: bool = True,
 ) -> JointFit:
-    """Fit joint terms to efforts that bodies do not explain; fit only an offset without motion."""
+    """Fit joint terms to efforts that bodies do not explain; joints at rest only have offsets."""
     found = JointFit(start.model, start.used)
     # With couplings, the second pass knows the efforts of the drives on the joints before them.
     for _ in range(2 if start.model.couplings.any() else 1):
@@ -160,7 +160,7 @@ def _block_grams(
 
 
 def _best(grams: Floats, chosen: tuple[int, ...], optional: bool) -> tuple[tuple[int, ...], int]:
-    """Return the terms and the width index that predict best; given terms are always chosen."""
+    """Add useful terms to `chosen`; return the terms and the width index that predict best."""
     candidates = list(LEAST_IMPROVEMENT) if optional else []
     while candidates:
         trials = [(_improvement(grams, chosen, candidate), candidate) for candidate in candidates]
@@ -184,7 +184,7 @@ def _improvement(grams: Floats, chosen: tuple[int, ...], candidate: int) -> floa
 
 
 def _losses(grams: Floats, chosen: Sequence[int]) -> tuple[Floats, int]:
-    """Return the squared residuals of each block after a fit to all others, and the best width."""
+    """Return squared residuals of each block for a fit to the other blocks, and the best width."""
     others = grams.sum(axis=1, keepdims=True) - grams if grams.shape[1] > 1 else grams
     factors = np.zeros((*grams.shape[:2], TERMS + 1))
     factors[..., -1] = 1.0
@@ -268,10 +268,10 @@ def first_gains(
 
 def common_factor(regression: Regression, fit: RobotFit, friction: JointFit) -> float | None:
     """
-    Return the common factor of link efforts if it explains most of the improvement by the bodies.
+    Return the factor by which all link efforts differ from the robot description, or None.
 
-    Returns None if the joints disagree on a factor, or if the bodies explain far more than a
-    factor.
+    The result is None if the factor is near one, if the joints disagree on it, or if it explains
+    too little of the improvement due to the identified bodies.
 
     """
     left, rigid = regression.residual(friction.model), regression.rigid(friction.model.bodies)
@@ -301,8 +301,8 @@ def estimate_delay(regression: Regression, fit: RobotFit) -> Delay:
     """
     Estimate the delay of the measured efforts together with all other unknowns.
 
-    The estimate is of first order. The result is the delay that remains after the present
-    correction of the efforts.
+    The estimate is of first order. The result is the delay that remains in the corrected efforts
+    of the regression.
 
     """
     model, weights = fit.model, fit.weights

@@ -46,7 +46,7 @@ LEAST_EXPLAINED = 0.1
 """Fraction of the variation of the efforts that the identified model has to explain."""
 
 SHORT = 20.0
-"""The advice for shorter recordings is to record for longer [s]."""
+"""If the recordings are shorter than this, the advice is to record for longer [s]."""
 SLOW = 0.2
 """A joint is slow if it stays below this fraction of its speed limit."""
 FAST_ENOUGH = 0.5
@@ -161,7 +161,7 @@ def _efforts(
     folds: Sequence[Fold],
     description: str,
 ) -> Unseen:
-    """Return measured and predicted efforts; each block is predicted by fits to all others."""
+    """Return measured and predicted efforts; fits to the other blocks predict each block."""
     motions = [run.motion for run in runs]
     raw = [motion._replace(efforts=motion.raw_efforts, window=1) for motion in motions]
     regression, (urdf, friction, identified) = _predicted(data, motions, models, folds)
@@ -184,7 +184,7 @@ def _predicted(
     models: Sequence[Model],
     folds: Sequence[Sequence[Model]],
 ) -> tuple[Regression, list[Floats]]:
-    """Predict all rows; in each block, its fold replaces the models at the end of `models`."""
+    """Predict all rows; in each block, the models of its fold replace the last `models`."""
     regression = Regression(data.problem, motions, 0.0, max(1, len(folds)))
     # The efforts keep their recorded delay, because the models do not contain a delay.
     gains = data.correction.gains
@@ -485,7 +485,7 @@ def _unexplained(joints: Sequence[JointResult], accepted: bool) -> list[tuple[st
 
 
 def _common_factor(data: TrainingData, fit: RobotFit, friction: JointFit) -> list[tuple[str, str]]:
-    """Warn about a common factor of all efforts, which looks like a change of masses."""
+    """Warn if a common factor of all efforts looks like a change of masses."""
     factor = common_factor(data.regression, fit, friction)
     if data.problem.currents or factor is None:
         return []

@@ -20,16 +20,16 @@ from .regression import ARMATURE, Model, moved_by, RATIO, Regression, SPRING, WI
 LEAST_GAIN = 0.1
 """A spring must reduce the squared residuals of predictions for its joint by this fraction."""
 LEAST_GAIN_OF_COUPLING = 0.3
-"""Fraction by which a coupling must reduce the squared residuals, as the mean of both joints."""
+"""A coupling must reduce the squared residuals by this fraction, averaged over both joints."""
 ERRORS = 3.0
 """Least mean improvement of the blocks, in standard errors of this mean."""
 LEAST_RELATION = 0.1
-"""The motion of a coupled joint must explain this fraction of the residual of a joint."""
+"""The motion of one coupled joint must explain this fraction of the residual of the other."""
 RATIOS = (-3.0, -1.0, -0.3, -0.1, 0.1, 0.3, 1.0, 3.0)
 """Couplings from which a fit starts."""
 RATIO_ROUNDS = 3
 WRIST = 3
-"""Number of joints at the end of a chain that may be a wrist."""
+"""A wrist consists of the last joints of a chain, at most this many."""
 INTERSECTION = 2e-3
 """Axes of joints with a smaller distance are regarded as intersecting [m]."""
 
@@ -56,7 +56,7 @@ def with_extra(regression: Regression, moving: Booleans, fit: RobotFit) -> Robot
 def _candidates(
     regression: Regression, moving: Booleans, fit: RobotFit, equations: Equations, used: Booleans
 ) -> Iterator[tuple[list[int], float, Callable[[], RobotFit]]]:
-    """Yield for each extra the joints that it acts on, the least gain, and a fitting function."""
+    """Yield for each extra the joints on which it acts, its least gain, and a fitting function."""
     is_continuous = regression.problem.identified.robot.is_continuous[regression.problem.joints]
     for j in np.flatnonzero(moving).tolist():
         if not used[j, SPRING] and not is_continuous[j]:
@@ -117,11 +117,11 @@ def is_needed(base: RobotFit, fit: RobotFit, joints: Sequence[int], least: float
 
 def may_be_coupled(regression: Regression, moving: Booleans, j: int) -> bool:
     """
-    Return whether the drive of a joint could also turn with the joint before.
+    Return whether the drive of a joint could also turn with the preceding joint.
 
-    This happens in wrists: the drive sits before both joints, and its gears run through the first
-    joint. A wrist is at the end of a chain, and the axes of both revolute joints intersect. Joints
-    that moved in a fixed ratio are excluded, because their columns are collinear.
+    This happens in wrists: the drive is mounted before both joints, and its gears run through the
+    first joint. A wrist is at the end of a chain. Both joints are revolute, and their axes
+    intersect. Joints that moved in a fixed ratio are excluded: their columns are collinear.
 
     """
     problem = regression.problem
@@ -139,7 +139,12 @@ def may_be_coupled(regression: Regression, moving: Booleans, j: int) -> bool:
 
 
 def _relation(regression: Regression, model: Model, first: int, second: int) -> float:
-    """Return the largest fraction of a residual that the motion of the other joint explains."""
+    """
+    Return the fraction of the residual of one joint that the motion of the other explains.
+
+    The fraction is computed for both joints, and the larger one is returned.
+
+    """
     residual = regression.residual(model)
     direction = regression.direction(model.widths)
     signals = np.stack([regression.qdd, regression.qd, direction, np.ones_like(direction)], -1)
@@ -209,7 +214,7 @@ def _fitted_loss(fit: RobotFit) -> float:
 
 
 def _fitted_gain(base: RobotFit, fit: RobotFit, joints: Sequence[int]) -> float:
-    """Return the improvement by a larger model, relative to the squared residuals of `joints`."""
+    """Return how much a larger model reduces squared residuals, relative to those of `joints`."""
     losses = _fitted_losses(base)
     return (float(losses.sum()) - _fitted_loss(fit)) / max(float(losses[joints].sum()), 1e-300)
 

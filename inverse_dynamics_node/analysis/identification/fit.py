@@ -38,7 +38,7 @@ EXPECTED_ERROR = 0.3
 ENOUGH = 0.9
 """A mass may more than double if this fraction of its information comes from recordings."""
 MOST_GROWTH = 2.0
-"""Largest ratio of identified to described mass, unless recordings determine the mass."""
+"""Largest factor by which a mass may grow, unless the recordings determine the mass."""
 _MOST_STEPS = 200
 _DECREMENT = 1e-8
 """The minimum is found if the predicted decrease of the objective is smaller than this."""
@@ -47,7 +47,7 @@ _TO_EDGE = 0.95
 
 
 class RobotFit(NamedTuple):
-    """Bodies and joints that solve a regularised least-squares problem."""
+    """The solution of a regularised least-squares problem: fitted bodies and joints."""
 
     equations: Equations
     weights: Floats
@@ -226,7 +226,7 @@ def choose_urdf_weight(fit: RobotFit) -> UrdfWeight:
 def solve_within_reason(
     equations: Equations, weights: Floats, urdf_weight: float, used: Booleans, start: Model
 ) -> RobotFit:
-    """Solve, and hold masses that grow although the recordings do not determine them."""
+    """Solve, and stop masses from growing much if the recordings do not determine them."""
     before = equations.regression.problem.identified.before[:, 0]
     urdf_weights = np.full(len(before), urdf_weight)
     for _ in range(40):
@@ -346,7 +346,7 @@ class Prior:
 
     @cached_property
     def _pull(self) -> Floats:
-        """Return the derivatives of ``tr(P0^-1 P)`` by the body parameters, shape (bodies, 10)."""
+        """Return the gradient of ``tr(P0^-1 P)`` with respect to each body, shape (bodies, 10)."""
         inverses = np.linalg.inv(pseudo_inertias(self.bodies))
         return np.asarray(np.einsum('bij,kji->bk', inverses, BASIS))
 

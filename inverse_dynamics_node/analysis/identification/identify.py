@@ -55,9 +55,9 @@ def identify_parameters(
     `validation` recordings evaluate the result; without them, blocks of the other recordings are
     left out of the fit in turn. `gravity` is the free-fall acceleration in the base frame [m/s^2].
     `payload` is the link, mass [kg] and centre of mass [m] of a known payload in all recordings.
-    The links in `fixed` do not change. With `currents`, efforts were recorded as motor currents,
-    and one gain per joint is estimated. `progress` is called now and then with the fraction that
-    is done, 0 to 1.
+    The links in `fixed` do not change. `currents` is true if motor currents were recorded in place
+    of efforts; then one gain per joint is estimated. `progress` is called now and then with the
+    fraction that is done, 0 to 1.
 
     Raises RecordingError if a recording is not usable, or if the recordings are too short or too
     uniform. Raises ConfigurationError if a link does not exist, or if nothing is left to identify.
@@ -98,14 +98,14 @@ def identify_parameters(
 
 
 def with_first_gains(data: TrainingData) -> TrainingData:
-    """Scale currents with gains that agree with the masses of the robot description."""
+    """Multiply currents by gains that agree with the masses of the robot description."""
     before = data.problem.identified.before
     gains, known = first_gains(data.regression, before, data.widths[3], data.moving)
     return data.corrected(data.correction._replace(gains=gains, is_gain_known=known))
 
 
 def without_terms(data: TrainingData, bodies: Floats) -> JointFit:
-    """Return a model with given bodies, in which all terms of the joints are zero."""
+    """Return a model with these bodies; all terms of its joints are zero."""
     m = len(data.problem.joints)
     model = Model(bodies, np.zeros((m, TERMS)), np.ones(m), np.zeros(m))
     return JointFit(model, np.zeros((m, TERMS), dtype=bool))
@@ -180,7 +180,7 @@ def fit_gains(data: TrainingData, fit: RobotFit) -> tuple[TrainingData, RobotFit
 
 
 def _common_factor(data: TrainingData, change: Floats) -> float:
-    """Return the factor that leaves the mean gain unchanged; it is 1 if a mass is known."""
+    """Return a factor for all gains that restores their mean; 1 if a mass is known."""
     problem, known = data.problem, data.correction.is_gain_known
     fixed = problem.identified.fixed_robot()
     if problem.payload is not None or fixed.mass[1:].any() or not known.any():

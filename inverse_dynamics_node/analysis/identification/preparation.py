@@ -22,8 +22,8 @@ STRETCHES = (1.0, 1.5, 2.0)
 Factors of the smoothing window to try.
 
 Twice the shortest window is 0.3 s, or 0.2 s with velocities. With encoder noise of 5e-4 rad at 125
-Hz, this window reduces the error of the model by a sixth. A window twice as long reduces the error
-by less than a further hundredth.
+Hz, this window reduces the error of the model by a sixth. If the window is twice as long, the
+error decreases by less than another hundredth.
 """
 CLEAN = 0.05
 """Acceptable noise of an acceleration, as a fraction of its RMS."""
@@ -38,7 +38,7 @@ one percent. With 0.6 s, the errors were 3 % larger, and with 0.8 s, 8 % larger.
 """
 NOISES_IN_WIDTH = 3.0
 """
-Least width of Coulomb friction for the node, in standard deviations of the measured velocity.
+Least width of Coulomb friction in the node, in standard deviations of the velocity noise.
 
 With this width, the commanded friction of a joint at rest varies by a third of the Coulomb
 friction.
@@ -95,9 +95,9 @@ def prepare_all(
     Smooth all recordings with the same window, which is as long as their noise requires.
 
     Efforts of `joints` are used. Joints that were not recorded are assumed to rest at zero.
-    `stretch` is the factor of the shortest smoothing window, if it was chosen from other
-    recordings. Returns the recordings and the factor. Raises RecordingError if a recording is too
-    short, or if one of the joints has no measured effort.
+    `stretch` multiplies the shortest smoothing window; without a value, the noise of these
+    recordings determines it. Returns the recordings and `stretch`. Raises RecordingError if a
+    recording is too short, or if one of the joints has no measured effort.
 
     """
     turned = [without_turns(robot, each) for each in recordings]
@@ -184,7 +184,7 @@ def _prepare(
 
 
 def _columns(derived: Motion, names: Sequence[str]) -> list[int]:
-    """Return the columns of joints; raise RecordingError if a joint has no efforts."""
+    """Return the column of each joint; raise RecordingError if a joint has no efforts."""
     is_measured = np.isfinite(derived.efforts).any(axis=0)
     measured = [derived.joint_names[j] for j in np.flatnonzero(is_measured)]
     if missing := [name for name in names if name not in measured]:

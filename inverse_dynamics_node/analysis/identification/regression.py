@@ -30,15 +30,15 @@ ARMATURE, DAMPING, COULOMB, LOAD, SQRT, SPRING, OFFSET = range(7)
 EXPORTED = 7
 """Number of terms of a joint that the node can apply."""
 WIDTH = 7
-"""Index of the effect of a small change of the width of Coulomb friction."""
+"""Index of the column for a small change of the width of Coulomb friction."""
 RATIO = 8
-"""Index of the effect of a small change of the coupling of the drive."""
+"""Index of the column for a small change of the drive coupling."""
 GAIN = 9
-"""Index of the effect of a small change of the gain of currents."""
+"""Index of the column for a small change of the current gain."""
 TERMS = 10
 """Number of columns of each joint, besides the columns of the bodies."""
 OF_DRIVE = [ARMATURE, DAMPING, COULOMB, LOAD, SQRT, WIDTH, RATIO]
-"""Terms that depend on the motion of the drive, which may also turn with the joint before."""
+"""Terms that depend on the motion of the drive, which may also turn with the preceding joint."""
 SIGNED = ~np.isin(np.arange(TERMS), [ARMATURE, DAMPING, COULOMB, LOAD, SQRT])
 """Whether each term may have a negative factor."""
 FIXED_RATIO = 0.995
@@ -61,7 +61,7 @@ class IdentifiedBodies:
     links: tuple[tuple[int, ...], ...]
     """Links of each identified body that have mass and may change."""
     names: tuple[str, ...]
-    """Name of each body: its link nearest to the joint."""
+    """Name of each body, taken from its link nearest to the joint."""
     before: Floats
     """Parameters of the robot description about the frames of the bodies, shape (bodies, 10)."""
     reference: Floats
@@ -72,7 +72,7 @@ class IdentifiedBodies:
         return self.robot_with(np.zeros_like(self.before))
 
     def robot_with(self, parameters: Floats) -> RobotModel:
-        """Return the robot with other parameters of the identified bodies, shape (bodies, 10)."""
+        """Return the robot with these parameters for the identified bodies, shape (bodies, 10)."""
         robot = self.robot
         mass, com, inertia = robot.mass.copy(), robot.com.copy(), robot.inertia.copy()
         for k, b in enumerate(self.bodies):
@@ -88,8 +88,8 @@ class IdentifiedBodies:
         """
         Distribute physical parameters of bodies, shape (bodies, 10), to the links of the bodies.
 
-        Returns the inertial of each link in its own frame. All links of a body change with the
-        same linear map of space and density, so each link remains physical.
+        Returns the inertial of each link in its own frame. One linear map of space and density
+        changes all links of a body, so each link remains physical.
 
         """
         inertials = {}
@@ -154,8 +154,8 @@ class IdentificationProblem:
     A robot with gravity and payload, and the bodies and joints to identify.
 
     `joints` are the joints with measured efforts. `gravity` is the free-fall acceleration in the
-    base frame [m/s^2]. `payload` is the link, mass and centre of mass of a known payload. With
-    `currents`, efforts were recorded as motor currents.
+    base frame [m/s^2]. `payload` is the link, mass and centre of mass of a known payload.
+    `currents` is true if motor currents were recorded in place of efforts.
 
     """
 
@@ -243,14 +243,14 @@ class Model:
         return Model(self.bodies, joints, self.widths + change, couplings)
 
     def scaled(self, factor: float) -> Model:
-        """Return the model with all efforts multiplied by a factor, and without gain changes."""
+        """Return the model with all efforts multiplied by a factor; its gain changes are zero."""
         joints = factor * self.joints
         joints[:, LOAD] /= factor
         joints[:, GAIN] = 0.0
         return replace(self, bodies=factor * self.bodies, joints=joints)
 
     def exported(self, least_widths: Floats) -> Model:
-        """Return the model as the node applies it, without terms that the node does not know."""
+        """Return the model that the node applies; terms that the node does not know are zero."""
         joints = self.joints.copy()
         joints[:, EXPORTED:] = 0.0
         return replace(self, joints=joints, widths=np.maximum(self.widths, least_widths))
@@ -321,10 +321,10 @@ class Regression:
 
     def terms(self, model: Model) -> Floats:
         """
-        Return the columns of the terms of joints, shape (rows, joints, 10).
+        Return the columns of the joint terms, shape (rows, joints, 10).
 
-        The columns depend on the widths of Coulomb friction, on the couplings of the drives, on
-        the efforts that load the gears, and on the friction that changes with the width.
+        The columns depend on the widths and couplings of the model, and on the efforts that load
+        the gears. The columns for changes of width and coupling also depend on the present terms.
 
         """
         robot, joints = self.problem.identified.robot_with(model.bodies), self.problem.joints
@@ -361,10 +361,11 @@ class Regression:
 
     def actions(self, model: Model) -> list[tuple[int, int, Floats]]:
         """
-        Return tuples of a joint, the joint that owns the terms, and columns of shape (rows, 10).
+        Return the columns of terms, with the joint on which the terms act.
 
         The terms of a joint act on the joint itself. The terms of a coupled drive also act on the
-        joint before.
+        preceding joint. Each tuple contains the joint on which the terms act, the joint that owns
+        the terms, and the columns, shape (rows, 10).
 
         """
         terms = self.terms(model)

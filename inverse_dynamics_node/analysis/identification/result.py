@@ -47,7 +47,7 @@ class DriveTerms:
     rest: float = 0.0
     """Position at which the spring exerts no effort [rad or m]."""
     offset: float = 0.0
-    """Offset of the effort [N m or N]; 0 with a spring, which contains the offset."""
+    """Offset of the effort [N m or N]; 0 if there is a spring, because it contains the offset."""
     errors: dict[str, float] = field(default_factory=dict)
     """Standard errors by name of the term; terms that were not identified have none."""
 
@@ -125,7 +125,7 @@ class IdentificationResult:
     robot: RobotModel
     """The robot description."""
     calibrated: RobotModel
-    """Robot with the identified bodies; if they were not accepted, with the described bodies."""
+    """Robot with the identified bodies, or the robot description if the model was not accepted."""
     accepted: bool
     """Whether the identified model predicts unseen data better than friction alone."""
     verdict: str
@@ -141,7 +141,7 @@ class IdentificationResult:
     trials: tuple[tuple[float, float], ...]
     """Pairs of a tried weight of the robot description, and its loss on unseen blocks."""
     delay: float
-    """Time by which measured efforts are late [s]; the fit removed the part `delay_removed`."""
+    """Time by which measured efforts are late [s]; the fit removed `delay_removed` of it."""
     delay_error: float
     delay_removed: float
     smoothing: float
@@ -155,7 +155,8 @@ class IdentificationResult:
     """
     Name, value and standard error of each base parameter.
 
-    Each combines inertial parameters about the frame of the joint, and is named after one of them.
+    A base parameter combines several inertial parameters, and is named after one of these. All
+    inertial parameters are about the frame of the joint.
     """
     warnings: tuple[tuple[str, str], ...]
     """Pairs of a warning and a hint."""
@@ -167,8 +168,8 @@ def calibrated_urdf(result: IdentificationResult, path_or_xml: str | os.PathLike
     """
     Return the robot description with identified inertials and friction.
 
-    `path_or_xml` is the robot description that was calibrated. Only the numbers of changed
-    inertials and of friction differ. If no model was accepted, only friction is written.
+    `path_or_xml` is the robot description that was calibrated. The result differs only in the
+    numbers of changed inertials and of friction. If no model was accepted, only friction differs.
 
     """
     robot = result.robot
