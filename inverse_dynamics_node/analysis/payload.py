@@ -233,9 +233,9 @@ def _partner(robot: RobotModel, loaded: Motion, empty: Motion) -> tuple[Motion, 
     is_near: Booleans = np.asarray((np.abs(points - others[index]) < NEAR).all(axis=1))
     if np.mean(is_near) < LEAST_MATCHED:
         raise RecordingError(
-            f'the empty run is another motion: {np.mean(is_near):.0%} of the loaded run is within '
-            f'{NEAR:g} rad (m) and {NEAR:g} rad/s (m/s) of the empty run, expected at least '
-            f'{LEAST_MATCHED:.0%}; record the same motion, or the same poses, twice'
+            f'the two runs are different motions: {np.mean(is_near):.0%} of the loaded run is '
+            f'within {NEAR:g} rad (m) and {NEAR:g} rad/s (m/s) of the empty run, expected at '
+            f'least {LEAST_MATCHED:.0%}; record the same motion or poses with and without payload'
         )
     q, qd, qdd, efforts = (x[index] for x in (empty.q, empty.qd, empty.qdd, empty.efforts))
     return empty._replace(times=loaded.times, q=q, qd=qd, qdd=qdd, efforts=efforts), is_near

@@ -376,7 +376,8 @@ def _from_bag(
     others -= {each.topic for each in found}
     if is_single and others:
         notes += (
-            f'the trajectory has a single point; --topic can also be {", ".join(sorted(others))}',
+            'the trajectory has a single point; other values for --topic: '
+            f'{", ".join(sorted(others))}',
         )
     return LoadedTrajectory(trajectory, notes)
 

@@ -106,7 +106,7 @@ def test_another_motion_is_refused():
     rng = np.random.default_rng(4)
     arm = Arm(SEVEN_DOF, rng)
     empty, loaded = (arm.record(short_motion(SEVEN_DOF, rng)) for _ in range(2))
-    with pytest.raises(RecordingError, match='the empty run is another motion'):
+    with pytest.raises(RecordingError, match='the two runs are different motions'):
         measure_payload(SEVEN_DOF, loaded, empty, 'tool0', STANDARD_GRAVITY)
 
 

@@ -308,8 +308,8 @@ class MotionSpace:
         below = len(np.unique(found.pose[is_floor]))
         if below < _NEARLY_ALL * len(poses):
             return (
-                f'{said} and has a clear way from the pose before the motion: widen the ranges, '
-                'lower the floor (--floor), or set the pose (--at)'
+                f'{said} and can be reached on a clear way from the pose before the motion: widen '
+                'the ranges, lower the floor (--floor), or set the pose (--at)'
             )
         lowest = float(clearance.extent(poses).lowest[2])
         height = math.floor(10.0 * (lowest - CLEARANCE)) / 10.0

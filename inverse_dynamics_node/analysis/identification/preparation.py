@@ -189,8 +189,8 @@ def _columns(derived: Motion, names: Sequence[str]) -> list[int]:
     measured = [derived.joint_names[j] for j in np.flatnonzero(is_measured)]
     if missing := [name for name in names if name not in measured]:
         raise RecordingError(
-            f'a recording for the evaluation has no efforts of {", ".join(missing)}, only of '
-            f'{", ".join(measured)}; the recordings to fit have efforts of all these joints'
+            f'a recording for the evaluation only has efforts of {", ".join(measured)}; unlike '
+            f'the recordings to fit, it has no efforts of {", ".join(missing)}'
         )
     return [derived.joint_names.index(name) for name in names]
 
