@@ -1,1 +1,1 @@
-"""From joint states and references to commands. No ROS, no clock."""
+"""Computes commands from joint states and references, without ROS and without a clock."""

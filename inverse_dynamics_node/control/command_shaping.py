@@ -42,10 +42,10 @@ class RampClock:
     """
     Measures the time by which ramps, blends and fades advance with each command.
 
-    This time is the interval since the last command. It is at most 10 ms, the period of the loop
-    or the usual interval, whichever is longest. The usual interval is a mean that is weighted with
-    the lengths of the intervals, so that a burst of messages does not hide the pause before it. A
-    single pause lengthens the usual interval by at most 25 %.
+    This time is the interval since the last command, up to an upper bound. The bound is the
+    longest of three times: 10 ms, the period of the loop, and the usual interval. The usual
+    interval is a mean in which long intervals have more weight, so that a burst of messages does
+    not hide a pause. A single pause lengthens the usual interval by at most 25 %.
 
     A pause may end with old messages, a late timer or a jump of the clock. The robot has moved
     during the pause, but the commands have not changed. Ramps therefore do not catch up.
@@ -94,7 +94,7 @@ class RampClock:
 
 
 def ramp_fraction(elapsed: float, ramp: float) -> float:
-    """Return the fraction of a ramp that has elapsed, 0 to 1; both times are in [s]."""
+    """Return the fraction of a ramp that has elapsed, 0 to 1; both arguments are in [s]."""
     return min(1.0, elapsed / ramp) if ramp > 0.0 else 1.0
 
 
@@ -143,9 +143,9 @@ class CommandShaper:
     Each ramp and each blend starts from the last command sent.
 
     A change during a blend starts a new blend, which takes over the difference that has not faded
-    yet. The blend advances even if two successive commands start a blend. However often something
-    changes, the difference therefore fades as in a first-order low-pass. Its time constant is the
-    start ramp.
+    yet. The first command of a blend does not advance it, unless the command before also started a
+    blend. However often something changes, the difference therefore fades as in a first-order
+    low-pass, whose time constant is the length of the start ramp.
 
     A brief pause, for example a joint state that arrives slightly late, does not start a blend.
     Otherwise, intermittent states would restart the blend again and again. A blend that restarts

@@ -33,7 +33,7 @@ class ExternalEffortEstimator:
         self.scale = np.ones(n)
         """Factors that convert measured values into efforts [N m or N], shape (n,)."""
         self.filter = LowPass(np.zeros((2, n)), cutoff)
-        """Filters velocities, and measured minus modelled efforts at zero acceleration."""
+        """Row 0: velocities. Row 1: measured minus modelled efforts at zero acceleration."""
         self._rest = self._accelerations = np.zeros(n)
         self._time = math.inf
 
@@ -46,10 +46,10 @@ class ExternalEffortEstimator:
         """
         Update the estimate with one joint state; return measured minus modelled efforts.
 
-        External forces appear in the result with the opposite sign [N m or N]. Errors of the model
-        appear in it, too. The measured efforts are in the unit of the driver. Efforts that are not
-        measured are NaN, in ``measured`` and in the result. All arrays have shape (n,). A position
-        or velocity that is not finite raises a JointStateError.
+        External forces appear in the result with the opposite sign [N m or N]. The result includes
+        the errors of the model. The measured efforts are in the unit of the driver. Efforts that
+        are not measured are NaN, in ``measured`` and in the result. All arrays have shape (n,). A
+        position or velocity that is not finite raises a JointStateError.
 
         """
         elapsed = time - self._time

@@ -246,10 +246,10 @@ class DriveReference:
     """
     Computes positions and velocities to send with the efforts.
 
-    A drive that uses them adds ``kp (q_command - q) + kd (qd_command - qd)`` to the effort. While
-    ``law`` follows a reference, the drive receives this reference. Otherwise the drive receives
-    the measured motion, so that its gains add nothing. A ramp leads from one to the other, because
-    the gains of the drive are unknown here.
+    A drive with its own gains adds ``kp (q_command - q) + kd (qd_command - qd)`` to the effort.
+    While ``law`` follows a reference, the drive receives this reference. Otherwise the drive
+    receives the measured motion, so that its gains add nothing. The reference replaces the
+    measured motion over a ramp, because the gains of the drive are unknown here.
 
     """
 

@@ -2,9 +2,10 @@
 Applies external loads over time: payloads, wrenches, gravity and the motion of the base.
 
 Payloads and gravity change over a ramp, so that the efforts do not jump. Wrenches and the motion
-of the base apply at once. If their messages stop, wrenches fade out, and the last direction of
-gravity is kept. A ramp keeps its initial duration. Neither changed settings nor jumps of the clock
-turn a ramp back. This module uses neither ROS nor a clock. The time is an argument.
+of the base apply at once. A wrench fades out when its messages stop. Gravity keeps its direction
+when the messages about the base stop. A ramp keeps its initial duration. Neither changed settings
+nor jumps of the clock turn a ramp back. This module uses neither ROS nor a clock. The time is an
+argument.
 """
 
 from __future__ import annotations
@@ -126,7 +127,7 @@ class ExternalLoads:
         The arguments are the time [s] and the arguments of `InverseDynamics.set_external_wrench`.
         The result is true if efforts may jump: the call did not renew a wrench of this link in
         time. A ConfigurationError is raised if the link does not exist, or if a vector is not
-        three finite numbers up to 1e9.
+        three finite numbers from -1e9 to 1e9.
 
         """
         self.dynamics.robot.link_index(link)
@@ -143,7 +144,7 @@ class ExternalLoads:
         """
         Ramp to a free-fall acceleration in the base frame, shape (3,) [m/s^2].
 
-        A ConfigurationError is raised if gravity is not three finite numbers up to 100.
+        A ConfigurationError is raised unless gravity is three finite numbers from -100 to 100.
 
         """
         self._target = _read_bounded('gravity', gravity, 'm/s^2', LARGEST_GRAVITY)
@@ -157,8 +158,8 @@ class ExternalLoads:
 
         ``specific_force`` is v_dot_0 - g, the acceleration of the base minus gravity [m/s^2].
         ``angular_velocity`` is omega_0 [rad/s]. Both vectors are in the base frame. The result
-        is true if efforts may jump: the motion was unknown until now, or is a new signal. A
-        ConfigurationError is raised if a vector is not three finite numbers up to 500.
+        is true if efforts may jump: the motion was unknown until now, or a new signal began.
+        A ConfigurationError is raised if a vector is not three finite numbers from -500 to 500.
 
         """
         force = _read_bounded('specific force', specific_force, 'm/s^2')
@@ -216,7 +217,7 @@ class ExternalLoads:
 
     @contextmanager
     def gravity_included(self, is_included: bool) -> Iterator[None]:
-        """Include or exclude gravity and the acceleration of the base in this context."""
+        """Within this context, include or exclude gravity and the acceleration of the base."""
         if is_included is self.include_gravity:
             yield
             return
@@ -227,7 +228,7 @@ class ExternalLoads:
             self._write_gravity(self.include_gravity)
 
     def at_base_link(self, force: Floats, moment: Floats) -> tuple[Floats, Floats]:
-        """Convert a wrench in the root frame, about its origin, to the frame of the base link."""
+        """Convert a wrench from root to base frame; each moment is about the frame's origin."""
         R_B0 = self._R_0B.T
         return R_B0 @ force, R_B0 @ (moment - np.cross(self._p_0B, force))
 

@@ -10,7 +10,7 @@ from .position_jumps import has_jumped
 from .publisher_conflicts import ignored_step, track, way
 
 LONG_AGO = -1e300
-"""Time of a locked joint that was never reported [s]; finite, so that no difference is NaN."""
+"""Time stored for a locked joint until its first report [s]; finite, so that its age is finite."""
 # Rows of the known state, one column per joint of the robot.
 POSITION, VELOCITY, TIME, EFFORT = range(4)
 # Rows of a message, one column per joint in the message.
@@ -37,7 +37,7 @@ def find_oldest(times: Any, is_commanded: Any) -> tuple[float, float]:
     Return the oldest arrival among the commanded joints, and among the other joints [s].
 
     ``times`` contains the arrival time of each joint's state, shape (n,). Locked joints that were
-    never reported are ignored. An arrival is inf if there are no such joints.
+    never reported are ignored. The result for a group without joints is inf.
 
     """
     commanded = others = math.inf

@@ -60,7 +60,7 @@ class Layout:
     has_joints: bool
     """Whether the message names any joint of this robot."""
     losses: int = -1
-    """Count of velocity losses when every joint had a velocity; -1 if one has none."""
+    """`JointStateCollector._losses` at the last check; -1 if a joint had no velocity then."""
 
 
 class JointStateCollector:
@@ -71,7 +71,7 @@ class JointStateCollector:
     therefore has its own time of arrival.
 
     ``joint_names`` are the n joints of the robot. Other joints are ignored. ``locked`` contains
-    positions of joints that are possibly not reported [rad or m]. Such a position applies until
+    positions [rad or m] of joints that may never be reported. Such a position applies until
     the joint is first reported. Locked joints are never missing and never stale. ``commanded`` are
     the joints that need a fresh state; by default, all joints that are not locked. ``robot``
     provides the speed limits that distinguish motion from alternating positions. A
@@ -94,21 +94,21 @@ class JointStateCollector:
         self.times[:], self.efforts[:] = -math.inf, math.nan
         self.has_jumped = False
         """
-        Set when the state may have jumped, and cleared by the reader. There are three causes:
+        Set when the state may have jumped, and cleared by the reader. There are four causes:
 
         - A joint has moved further than it can.
-        - A joint that is not commanded was locked or late until now, became late, or was reported
-          by several publishers.
+        - A joint that is not commanded was locked or late until now, or has become late.
+        - Several publishers reported a joint that is not commanded.
         - The velocity of a joint was reported for the first time, or is no longer reported.
         """
         self.has_leapt = False
         """Set when a commanded joint has moved further than it can; cleared by the reader."""
         self.velocity_timeout = _VELOCITY_TIMEOUT
-        """After a velocity has arrived, messages without velocities are rejected this long [s]."""
+        """Messages without velocities are rejected for this long after a velocity arrived [s]."""
         self.lost_velocities: list[str] = []
         """Joints whose velocities are no longer reported; cleared by the reader."""
         self.late_count = 0
-        """Number of joints that the last `rest_late` found late, except commanded and locked."""
+        """Number of late joints that are neither commanded nor locked, at the last `rest_late`."""
         self._has_velocity = np.zeros(n, dtype=bool)
         self._index = {name: i for i, name in enumerate(self.joint_names)}
         self._foreign_names: list[str] = []
@@ -163,10 +163,11 @@ class JointStateCollector:
         ``now`` is the time of arrival [s]. ``layout`` is the result of the method `layout` for the
         names in the message. There is one position for each name. Velocities and measured efforts
         have one value for each name, or are empty. Velocities that are absent or NaN are set to
-        zero, except shortly after a velocity was reported, see `velocity_timeout`.
+        zero. Shortly after a velocity was reported, its absence is an error, see
+        `velocity_timeout`.
 
-        The result says whether the message names any of these joints. If the lengths differ or a
-        necessary value is not finite, a JointStateError is raised and nothing changes.
+        The result says whether the message names any joint of the robot. If the lengths differ or
+        a necessary value is not finite, a JointStateError is raised and nothing changes.
 
         """
         names = layout.names
@@ -256,7 +257,7 @@ class JointStateCollector:
         return list(dict.fromkeys(closest))
 
     def stale(self, now: float, timeout: float) -> list[str]:
-        """Return commanded joints not reported within the timeout [s] or since a clock reset."""
+        """Return the commanded joints without a report within the timeout [s] before ``now``."""
         return self._named(self._is_commanded & self._is_old(now, timeout))
 
     def late(self, now: float, timeout: float) -> dict[str, float]:
@@ -336,7 +337,7 @@ class JointStateCollector:
             self.times[self._index[name]] = LONG_AGO
 
     def _complete(self, layout: Layout, now: float) -> None:
-        """Set velocities that are not measured to zero, or raise a JointStateError."""
+        """Replace unmeasured velocities with zeros, or raise a JointStateError."""
         in_robot, in_message = layout.places
         q, qd = layout.received[:2, in_message]
         is_finite = np.isfinite(qd)

@@ -86,12 +86,12 @@ class Controller:
 
     def apply(self, settings: Settings) -> None:
         """
-        Change the settings from the next step on, which continues from the last command.
+        Change the settings. The next step uses them, and continues from the last command.
 
-        Make other changes, for example of friction, before this call. The difference that all
-        these changes make to the last efforts fades within the start ramp. If a setting per joint
-        has neither one value nor one value for each commanded joint, a ConfigurationError is
-        raised and nothing changes.
+        Make other changes, for example of friction, before this call. The efforts do not jump:
+        the difference that all these changes make fades within the start ramp. If a setting per
+        joint has neither one value nor one value for each commanded joint, a ConfigurationError
+        is raised and nothing changes.
 
         """
         arrays = settings.expanded(len(self.joints))
@@ -182,7 +182,7 @@ class Controller:
         self.supervisor.is_stopping = True
 
     def resume(self) -> None:
-        """End a stop, however short, so that the efforts rise again from the last command."""
+        """End a stop, even a brief one; the efforts continue from the last command."""
         if self.is_stopping:
             self.blend()  # even after a brief stop, because the reference may have been dropped
         self.supervisor.is_stopping = False
@@ -232,7 +232,7 @@ class Controller:
         return clock.step
 
     def command(self, state: State | None, reference: Reference | None) -> Command | None:
-        """Compute the command for the time of `pass_time`; see `step` for the arguments."""
+        """Compute the command for the time passed to `pass_time`; see `step` for the arguments."""
         now, settings = self._time, self.settings
         supervisor, law, shaper = self.supervisor, self.law, self._shaper
         damping = self.stop_damping
@@ -333,7 +333,7 @@ class ControlLoop:
         return self.dry_run.has_effort or is_damped
 
     def switch_dry_run(self, *, is_wanted: bool) -> bool:
-        """Start a dry run, or end one if the commands are zero; return whether this happened."""
+        """Start a dry run, or end one if the commands are zero; return False without a change."""
         dry_run, controller = self.dry_run, self.controller
         if is_wanted is dry_run.is_active or not (is_wanted or dry_run.may_end):
             return False
@@ -397,8 +397,8 @@ class ControlLoop:
         """
         Describe the necessary inputs that have not arrived yet.
 
-        ``states`` and ``imu`` are the names of the topics in the text. If the time ``now`` is
-        given [s], positions that are too old or contradict each other are described, too.
+        ``states`` and ``imu`` are the names of the topics in the text. If the time ``now`` [s] is
+        given, the text also names joints whose positions are too old or contradict each other.
 
         """
         joints = self.collector.missing()
@@ -425,8 +425,8 @@ class ControlLoop:
         """
         Continue from the last command and the inputs of another control loop.
 
-        The result lists the links that no longer exist, so that their payloads were dropped. The
-        other loop must not be used afterwards. If it commands different joints, a
+        Payloads on links that no longer exist are dropped. The result lists these links. The
+        other loop must not be used afterwards. If the other loop commands different joints, a
         ConfigurationError is raised and nothing changes.
 
         """
@@ -470,7 +470,7 @@ class ControlLoop:
         return terms._replace(friction=law.added) if is_guided else terms
 
     def base_wrench(self) -> tuple[Floats, Floats]:
-        """Compute force and moment that the mount exerts on the base link, in its frame."""
+        """Compute force and moment of the mount on the base link, in the frame of this link."""
         q = self.collector.q
         wrenches: JointWrenches = self.dynamics.joint_wrenches(q, *self.controller.motion)
         return self.loads.at_base_link(wrenches.force[0], wrenches.moment[0])

@@ -52,11 +52,11 @@ class Monitor:
         self.rejected: Counter[str] = Counter()
         """Number of rejected messages since the start, by topic and reason."""
         self.clamped: Counter[str] = Counter()
-        """Number of commands in which an effort was cut to its limit since the start, by joint."""
+        """Number of commands since the start whose effort was cut to its limit, by joint."""
         self.slowed: Counter[str] = Counter()
-        """Number of commands in which a rate limit slowed an effort since the start, by joint."""
+        """Number of commands since the start whose effort a rate limit slowed, by joint."""
         self.overruns = 0
-        """Number of commands that came more than half a period late since the start."""
+        """Number of commands since the start that came more than half a period late."""
         self.period = period
         self._last = math.nan
         # Since the last report:
@@ -69,8 +69,8 @@ class Monitor:
         """
         Record one command.
 
-        ``now`` is the time at which its computation began [s]. ``duration`` is the time to compute
-        and send it [s].
+        The node began to compute the command at the time ``now`` [s]. ``duration`` is the time to
+        compute and send the command [s].
 
         """
         elapsed = now - self._last
@@ -87,7 +87,7 @@ class Monitor:
             self.slowed.update(_selected(joints, command.is_slowed))
 
     def pause(self) -> None:
-        """Exclude the time until the next command from the statistics."""
+        """Keep the time until the next command out of the statistics."""
         self._last = math.nan
 
     def reject(self, topic: str, reason: str) -> None:

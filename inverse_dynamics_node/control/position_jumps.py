@@ -1,13 +1,14 @@
 """
 Detects positions that change faster than a joint can move, whatever the cause.
 
-When a suspended process resumes, messages of the whole pause may arrive within milliseconds. Two
-nodes may report one joint, or an encoder may be reset. All times are times of arrival. Messages
-may be late, so that a joint may move slightly further than its speed and the elapsed time permit.
+Examples of causes: two nodes report one joint, an encoder is reset, or a suspended process resumes
+and receives the messages of the whole pause within milliseconds.
 
-Each joint has room for motion in either direction. The room grows with time at twice the speed
-limit, and shrinks as the joint moves into it. The largest delay of messages limits the room. After
-a pause the room is zero, because messages of the pause may follow.
+All times are times of arrival. Messages may be late. A joint may therefore seem to move slightly
+faster than it can. To allow for this, each joint has room for motion in either direction. The room
+grows with time at twice the speed limit, and shrinks as the joint moves into it. The room never
+exceeds the distance that a joint covers at twice the speed limit during the largest delay of a
+message. After a pause the room is zero, because messages of the pause may follow.
 """
 
 from __future__ import annotations

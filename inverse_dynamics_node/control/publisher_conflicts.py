@@ -1,11 +1,11 @@
 """
 Detects positions that alternate faster than a joint can move: two publishers report one joint.
 
-Only steps *back* are added up, minus the distance that the joint could cover meanwhile. A
-single jump, such as homing or an encoder reset, therefore adds nothing. A fast motion with several
-samples between its turning points also adds nothing. All times are times of arrival. Messages may
-arrive late, and several at once. A motion within the speed limit stays below the threshold as long
-as no message is later than `LATENESS`.
+The detector adds up the steps *back*, and subtracts the distance that the joint could cover
+meanwhile. A single jump, such as homing or an encoder reset, therefore adds nothing. A fast motion
+with several samples between its turning points also adds nothing. All times are times of arrival.
+Messages may arrive late, and several at once. A motion within the speed limit stays below the
+threshold as long as no message is later than `LATENESS`.
 
 Three kinds of small steps back are ignored, because they are not contradictions:
 
@@ -13,8 +13,9 @@ Three kinds of small steps back are ignored, because they are not contradictions
 - full turns of rotary joints
 - steps due to a second publisher that relays the positions slightly late
 
-A relay steps back by a fraction of the distance that the joint has just covered. If two publishers
-contradict each other, every step covers the whole distance between their positions.
+Late positions from a relay lie behind by a fraction of the distance that the joint has just
+covered. If two publishers contradict each other, every step covers the whole distance between
+their positions.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ _ROWS = 21
 
 def make_tracks(n: int, robot: RobotModel | None = None) -> Floats:
     """
-    Make the array of constants and memory of `track` for n joints, shape (21, n).
+    Make the array in which `track` keeps constants and memory of n joints, shape (21, n).
 
     The speed limits are those of ``robot``. Without a robot, all joints are assumed to be
     revolute.
@@ -103,8 +104,8 @@ def track(tracks: Any, i: int, position: float, elapsed: float) -> bool:
     reported position [rad or m]. ``elapsed`` is the time since the last report of this joint [s].
     It is negative if there was no report.
 
-    The alternation ends when the positions have been consistent for long enough. This takes as
-    long as the joint needs for the added steps at twice its speed limit, but at most 1 s.
+    The sum of the steps back falls at twice the speed limit. The alternation ends when this sum
+    is zero, at most 1 s after the last step back.
 
     """
     raw = min(max(position - tracks[LAST, i], -LARGEST), LARGEST)

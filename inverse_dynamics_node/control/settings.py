@@ -27,9 +27,9 @@ class Mode(enum.Enum):
     COMPUTED_TORQUE = 'computed_torque'
     """Use the accelerations of the reference, with feedback of its positions and velocities."""
     GRAVITY_COMPENSATION = 'gravity_compensation'
-    """Use zero accelerations and velocities, for hand guiding; ignore the reference."""
+    """For hand guiding: ignore the reference, and use zero accelerations and velocities."""
     JOINT_IMPEDANCE = 'joint_impedance'
-    """Use the accelerations of the reference; a spring and damper connect each joint to it."""
+    """Use the accelerations of the reference, plus a spring and damper towards the reference."""
 
 
 class MeasuredGravity(enum.Enum):
@@ -41,7 +41,7 @@ class MeasuredGravity(enum.Enum):
     EXCLUDED = 'excluded'
 
     def is_included(self, in_commands: bool) -> bool:
-        """Return whether measured efforts contain gravity, given whether commands contain it."""
+        """Return whether measured efforts contain gravity; ``in_commands`` says if commands do."""
         if self is MeasuredGravity.AS_COMMANDED:
             return in_commands
         return self is MeasuredGravity.INCLUDED
@@ -64,8 +64,8 @@ def setting(default: Any, summary: str, details: str = '', **properties: Any) ->
     """
     Declare a setting that is also a parameter of the node.
 
-    If ``default`` is an infinite limit, it is 0 in a parameter file. The other arguments are those
-    of `Parameter` in node/parameter_types.py; times are in [s].
+    In a parameter file, 0 stands for an infinite ``default``. The other arguments are those of
+    `Parameter` in node/parameter_types.py; times are in [s].
 
     """
     given = default.value if isinstance(default, enum.Enum) else default
@@ -205,7 +205,7 @@ class Settings:
 
     def expanded(self, m: int) -> dict[str, Floats]:
         """
-        Return the settings per joint by name, each of shape (m,).
+        Return an array of shape (m,) for each setting per joint, by name of the setting.
 
         If a setting has neither one value nor m values, a ConfigurationError is raised.
 

@@ -61,9 +61,9 @@ def key(name: str, form: str = '', absent: str = '', default: Any = None) -> Any
     """
     Declare a value with its key in ``/diagnostics``.
 
-    In ``name``, ``*`` stands for a name or number, with one key for each. ``form`` is the format
-    of numbers. ``absent`` is the text for None; without a text, the key is omitted. ``default`` is
-    the value if the key is not reported.
+    If ``name`` contains ``*``, there are several keys, each with a name or number in place of
+    ``*``. ``form`` is the format of numbers. ``absent`` is the text for None; without a text, the
+    key is omitted. ``default`` is the value if the key is not reported.
 
     """
     return field(default=default, metadata={'key': name, 'form': form, 'absent': absent})
@@ -94,7 +94,7 @@ class LoopStatus(Part):
     compute_time_p99: float | None = key('compute time p99 [ms]', '.3f', 'none')
     """99th percentile of the computation times [s]."""
     overruns: int | None = key('overruns')
-    """Number of commands that came more than half a period late since the start."""
+    """Number of commands since the start that came more than half a period late."""
     mode: Mode | None = key('mode')
     """Mode of the controller; this and the values below are None unless the node is active."""
     phase: Phase | None = key('phase')
@@ -173,9 +173,9 @@ class EffortsStatus(Part):
     """Limits in the order of the commanded joints [N m or N]; inf if there is none."""
     cut: tuple[str, ...] = key('cut to limit since the last report', default=())
     cut_counts: Mapping[str, int] | None = key('* cut to limit')
-    """Number of commands that were cut to the limit since the start, by joint."""
+    """Number of commands since the start that were cut to the limit, by joint."""
     slowed_counts: Mapping[str, int] | None = key('* slowed')
-    """Number of commands that a rate limit slowed since the start, by joint."""
+    """Number of commands since the start that a rate limit slowed, by joint."""
 
 
 @dataclass(frozen=True)

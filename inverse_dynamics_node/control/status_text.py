@@ -87,7 +87,7 @@ def _reason_to_stop(now: float, loop: ControlLoop) -> str:
 
 
 def describe_lost_imu(now: float, loop: ControlLoop) -> str:
-    """Describe the loss of the measured motion of the base; return no text without a loss."""
+    """Describe the loss of the measured motion of the base; return '' if there is no loss."""
     loads = loop.loads
     if not loop.has_imu or loop.lacks_imu or loads.is_base_known(now):
         return ''

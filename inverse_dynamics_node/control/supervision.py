@@ -87,8 +87,8 @@ class DryRun:
         """
         Start a dry run: the commands fall to zero, then nothing is sent.
 
-        ``time_to_fall`` is the duration of this fall. If the commands already fall, it is the
-        remaining time [s].
+        ``time_to_fall`` is the time until the commands are zero [s], even if they are falling
+        already.
 
         """
         if self._last is None:
@@ -147,7 +147,7 @@ class StateSupervisor:
         Return the phase that prevents the computation of efforts; None if they may be computed.
 
         A state is too old when its age exceeds ``timeout`` [s]. ``gain`` is the factor for the
-        computed efforts, from 0 to 1, which falls while the states are lost.
+        computed efforts, from 0 to 1. While states are lost, this factor falls.
 
         """
         if self.phase is Phase.WAITING and self._is_lost(now, state, timeout, gain):
@@ -157,7 +157,7 @@ class StateSupervisor:
         return Phase.STATE_LOST if self._is_lost(now, state, timeout, gain) else None
 
     def _is_lost(self, now: float, state: State | None, timeout: float, gain: float) -> bool:
-        """Return whether states are lost; a negative age, after a clock reset, is also a loss."""
+        """Return whether states are lost, or newer than ``now`` because the clock was set back."""
         was_lost = self.phase is Phase.STATE_LOST
         if state is None:
             # A joint of a new robot description was never reported. Its first state ends the loss.

@@ -1,8 +1,8 @@
 """
 The position controller of a simulated robot, and the hand-over between controller and commands.
 
-The controller holds the robot until commands arrive, when the commands stop, and when a joint
-becomes too fast.
+The controller holds the robot before commands arrive, after the commands stop, and after a joint
+has become too fast.
 """
 
 from __future__ import annotations
@@ -124,8 +124,8 @@ class HandOver:
 
     The commands take over when they have arrived for ``release`` seconds and have stopped rising.
     If they took over any earlier, the robot would fall. The position controller ``drive`` takes
-    over when the commands stop, on request, and when a joint becomes too fast. After such a fault,
-    commands are ignored until they have paused. The brakes of the robot must be open.
+    over when the commands stop, when `hold` requests it, or when a joint becomes too fast. After a
+    joint was too fast, commands are ignored until they pause. The brakes must be open.
     """
 
     def __init__(

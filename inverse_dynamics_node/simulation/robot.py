@@ -264,8 +264,9 @@ def run(node: RobotNode, executor: Executor, rate: float, stop: Callable[[], boo
     """
     Advance a simulated robot in step with the steady clock until ``stop`` returns True.
 
-    After a pause of the machine, the simulation catches up at twice the normal speed. No state is
-    skipped. A burst would overrun a subscriber that keeps only the latest state.
+    After a pause of the machine, the simulation catches up at twice the normal speed and publishes
+    every state. If it published them in a burst, a subscriber that keeps only the latest state
+    would miss the others.
     """
     period = 1.0 / rate
     due = time.monotonic()

@@ -83,12 +83,12 @@ def ease(x: Floats) -> tuple[Floats, Floats, Floats]:
 
 def start_pose(robot: RobotModel, dynamics: InverseDynamics) -> Floats:
     """
-    Choose a pose, shape (n,), that the drives can hold and in which the joints are little coupled.
+    Choose a pose, shape (n,), that the drives can hold and in which the joints are weakly coupled.
 
     Two joints are strongly coupled if they move nearly the same mass in the same way, like two
-    wrist joints of a straight arm. Their motion in opposite directions then has hardly any
-    inertia, and every delay causes large errors. Raise a `SimulationError` if no joint can move or
-    the drives are too weak for all sampled poses.
+    wrist joints of a straight arm. When such joints turn in opposite directions, they move hardly
+    any mass, and every delay causes large errors. Raise a `SimulationError` if no joint can move
+    or the drives are too weak for all sampled poses.
     """
     if not robot.joint_names:
         raise SimulationError(f'robot {robot.name!r} has no joint that moves')
@@ -106,7 +106,7 @@ def start_pose(robot: RobotModel, dynamics: InverseDynamics) -> Floats:
 
 
 def independence(inertia: Floats) -> float:
-    """Return the smallest eigenvalue, from 0 to 1, of a mass matrix scaled to a unit diagonal."""
+    """Return the smallest eigenvalue of a mass matrix scaled to a unit diagonal, from 0 to 1."""
     scale = 1.0 / np.sqrt(np.maximum(inertia.diagonal(), 1e-12))
     return float(np.linalg.eigvalsh(inertia * np.outer(scale, scale))[0])
 

@@ -79,7 +79,7 @@ class History:
 
     def command_rate(self, begin: float = -math.inf) -> float:
         """
-        Return the rate [Hz] of the commands since a time on the steady clock [s].
+        Return the rate [Hz] of the commands since ``begin``, a time on the steady clock [s].
 
         The rate is the slope of a line fitted to the arrivals. A burst of commands after a pause
         hardly changes this slope. The number of commands divided by the time would include

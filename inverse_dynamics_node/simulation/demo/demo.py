@@ -210,8 +210,8 @@ class DemoRun:
         """
         Wait for robot and node, and follow the timeline for a duration [s].
 
-        The node receives the reference ``standing`` from the first joint state on. If this is
-        None, the node holds the robot without a reference until the timeline starts.
+        The node receives the reference ``standing`` from the first joint state on. If ``standing``
+        is None, the node holds the robot without a reference until the timeline starts.
         """
         # Exempt the objects of the libraries from garbage collection, which would take 0.1 s each
         # time. Commands that arrive meanwhile are received during the wait below, before the
@@ -303,7 +303,7 @@ class DemoRun:
 
 
 def topics_of(scenario: Scenario, timeline: Timeline) -> dict[str, Any]:
-    """Return the topics of a run to record, with their message classes."""
+    """Return the topics to record during a run, with their message classes."""
     topics: dict[str, Any] = {
         'joint_states': JointState,
         'brakes': Bool,

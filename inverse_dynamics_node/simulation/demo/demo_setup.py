@@ -60,8 +60,9 @@ class DemoSetup:
         """
         Rotor inertia that the demo adds to the URDF, shape (n,) [kg m^2 or kg].
 
-        A joint with friction has a motor and gears. Without enough inertia, the joint would
-        oscillate with the smallest delay in the friction compensation. Zero without ``friction``.
+        A joint with friction has a motor and gears. Without enough inertia, even the smallest
+        delay in the friction compensation would make the joint oscillate. If ``friction`` is
+        False, no inertia is added.
         """
         robot = self.robot
         if not self.friction:
@@ -148,8 +149,8 @@ class DemoSetup:
         """
         Return a link and the largest load or push that this link withstands.
 
-        Among the links that withstand ``enough``, the one closest to the hand is returned. If
-        there are none, the link that withstands the most is returned.
+        Among the links that withstand ``enough``, the one closest to the hand is returned. If no
+        link withstands ``enough``, the link that withstands the most is returned.
         """
         links = [self.link] if self.link else links_towards_base(self.robot)
         chosen, most = links[0], 0.0
@@ -169,7 +170,7 @@ class DemoSetup:
         return alone, dynamics.gravity_efforts(self.start) - alone
 
     def _most(self, put: Put, link: str, limit: float) -> float:
-        """Return the largest load or push, up to ``limit``, that joints and drives withstand."""
+        """Return the largest load or push that joints and drives withstand, at most ``limit``."""
         robot = self.robot
         alone, change = self._effect(lambda dynamics: put(dynamics, link, 1.0))
         deflection = np.linalg.solve(self._mass_matrix(self.dynamics()), change) / KP

@@ -58,7 +58,7 @@ class UnknownRobot:
 
 
 def unknown_robot(setup: DemoSetup) -> UnknownRobot:
-    """Draw the true properties of a robot whose URDF is wrong, always the same for one URDF."""
+    """Draw the true properties of a robot whose URDF is wrong; every run draws the same."""
     robot, rng = setup.robot, np.random.default_rng(_SEED)
     inertials = {}
     for k, name in enumerate(robot.link_names):

@@ -29,9 +29,9 @@ def running(
     """
     Run child processes within a context; end the processes in reverse order after the context.
 
-    ``commands`` contains arguments of ``python -m``, by name of the process. ``print_line`` gets
-    every line that a process prints, from one thread per process. Without it, the child processes
-    inherit standard output.
+    ``commands`` contains arguments of ``python -m``, by name of the process. ``print_line`` is
+    called with every line that a process prints. One thread per process makes these calls. Without
+    ``print_line``, the child processes inherit standard output.
     """
     processes: Processes = {}
     try:
@@ -83,8 +83,8 @@ def unused_domain() -> Iterator[int]:
     """
     Reserve a ROS domain from 1 to 100 that no other process on this machine uses.
 
-    During the context, other demos and tests with domain_coordinator avoid this domain. Raise a
-    `SimulationError` if all domains are in use.
+    Within the context, other demos and tests that use domain_coordinator avoid this domain. Raise
+    a `SimulationError` if all domains are in use.
     """
     for domain in random.sample(range(1, 101), 100):
         with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as reservation:

@@ -59,7 +59,7 @@ def worst(setup: DemoSetup, errors: Floats) -> Distance:
 
 
 def result_of(words: str, *checks: tuple[bool, str]) -> ScenarioResult:
-    """Return a result that passes if all checks pass; each check has the text of its failure."""
+    """Return a result that passes if all checks pass; each has a text for its failure."""
     return ScenarioResult(words, tuple(failure for passed, failure in checks if not passed))
 
 
@@ -96,7 +96,7 @@ def check_hold(setup: DemoSetup, history: History) -> ScenarioResult:
 def check_payload(
     setup: DemoSetup, history: History, picked_up: float, sent: float
 ) -> ScenarioResult:
-    """Judge whether a load causes an error only until the node receives its mass."""
+    """Judge a load: the error that it causes must vanish when the node receives its mass."""
     before = worst(setup, history.largest_error(0.0, picked_up))
     unknown = worst(setup, history.largest_error(picked_up, sent))
     known = worst(setup, history.largest_error(sent + SETTLED, np.inf))

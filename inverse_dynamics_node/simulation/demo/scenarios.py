@@ -202,8 +202,8 @@ def held_without_imu(setup: DemoSetup, attitude: ArrayLike, began: float) -> tup
     """
     Simulate computed torque on a tilting base without an IMU; return times and position errors.
 
-    The base begins to tilt at the time ``began`` [s]. Its final attitude is a rotation vector from
-    level, shape (3,) [rad]. The times have shape (k,) [s], the errors shape (k, n) [rad or m].
+    The base begins to tilt at the time ``began`` [s]. Its final ``attitude`` is a rotation vector
+    from level, shape (3,) [rad]. The times have shape (k,) [s], the errors (k, n) [rad or m].
     """
     simulated = MujocoRobot(setup.urdf, setup.robot, setup.start, friction=False)
     simulated.brakes_on = False

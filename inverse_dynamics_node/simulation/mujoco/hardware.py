@@ -114,7 +114,7 @@ class MujocoRobot:
         return velocities
 
     def hold(self, q: Floats, qd: Floats, qdd: Floats) -> None:
-        """Apply position control towards positions, velocities, accelerations of shape (n,)."""
+        """Make the joints follow positions, velocities and accelerations, each of shape (n,)."""
         kp, kd = DRIVE_GAINS
         error, rate = q - self.positions(), qd - self._data.qvel[self._order]
         efforts = self.mass_matrix() @ (qdd + kp * error + kd * rate) + self.bias_efforts()

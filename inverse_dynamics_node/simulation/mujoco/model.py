@@ -89,7 +89,7 @@ def _write_quaternions_as_rpy(root: Element) -> None:
 
 
 def _set_implausible_inertias_aside(root: Element) -> dict[str, tuple[float, Floats]]:
-    """Put placeholders for masses and inertias that MuJoCo rejects; return the originals."""
+    """Write placeholders where MuJoCo rejects a mass or an inertia; return the originals."""
     set_aside = {}
     for link in root.iter('link'):
         mass, inertia = _mass_and_inertia(link)
