@@ -352,7 +352,7 @@ def _read_payload(mass: float, com: ArrayLike, inertia: ArrayLike) -> RigidBody:
     )
     if largest > _LARGEST_PAYLOAD:
         raise ConfigurationError(
-            f'payload has {largest:g} as its mass, centre of mass or inertia, expected at most '
+            f'payload has {largest:g} in its mass, centre of mass or inertia, expected at most '
             f'{_LARGEST_PAYLOAD:g} kg, m or kg m^2'
         )
     if not payload.mass:

@@ -43,8 +43,8 @@ def _computing(loop: ControlLoop) -> str:
         return f'{doing}: {_reason_for_no_reference(loop)}'
     if phase in TOO_FAR_PHASES:
         return (
-            f'{doing}: the reference starts or jumps more than max_position_jump '
-            f'({settings.max_position_jump:g} rad or m) away'
+            f'{doing}: the reference starts too far away or jumps too far '
+            f'(max_position_jump: {settings.max_position_jump:g} rad or m)'
         )
     return str(phase.value) if phase in COMPUTING_PHASES or phase is Phase.WAITING else ''
 

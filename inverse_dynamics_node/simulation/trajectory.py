@@ -113,7 +113,7 @@ def independence(inertia: Floats) -> float:
 
 def _too_weak(robot: RobotModel, efforts: Floats) -> str:
     weak = [
-        f'joint {name!r} needs {abs(effort):.3g} of {limit:g} N m or N'
+        f'joint {name!r} needs {abs(effort):.3g} N m or N against gravity (limit {limit:g})'
         for name, effort, limit in zip(
             robot.joint_names, efforts, robot.effort_limits, strict=True
         )

@@ -423,7 +423,7 @@ def test_computed_torque_does_not_start_with_a_jump(run_node, robot):
     node = run_node(**PATIENT, mode='computed_torque', max_position_jump=0.1)
     publish_shuffled_state(robot)
     robot.publish_reference(NAMES, QDD, positions=Q + 0.2, velocities=QD)
-    robot.wait_for_text(node, 'jumps more than max_position_jump (0.1 rad or m) away')
+    robot.wait_for_text(node, 'jumps too far (max_position_jump: 0.1 rad or m)')
     robot.wait_for_command(HOLD)
 
 

@@ -251,8 +251,8 @@ def test_activity_names_the_reason_to_float(loop):
     loop.controller.apply(Settings(mode=Mode.COMPUTED_TORQUE, max_position_jump=0.2))
     loop.reference = Reference(rest, rest, 1.0, positions=rest + 1.0)
     loop.step(1.0)
-    distance = 'the reference starts or jumps more than max_position_jump (0.2 rad or m) away'
-    assert activity(1.0, loop) == f'floating: {distance}'
+    distance = 'starts too far away or jumps too far (max_position_jump: 0.2 rad or m)'
+    assert activity(1.0, loop) == f'floating: the reference {distance}'
 
 
 def test_activity_distinguishes_an_arm_that_is_held(loop):
@@ -261,8 +261,8 @@ def test_activity_distinguishes_an_arm_that_is_held(loop):
     assert activity(0.0, loop) == 'holding position: no reference'
     loop.reference = Reference(np.zeros(2), np.zeros(2), 0.05, positions=np.ones(2))
     loop.step(0.05)
-    distance = 'the reference starts or jumps more than max_position_jump (0.2 rad or m) away'
-    assert activity(0.05, loop) == f'holding position: {distance}'
+    distance = 'starts too far away or jumps too far (max_position_jump: 0.2 rad or m)'
+    assert activity(0.05, loop) == f'holding position: the reference {distance}'
     status = part(Monitor().report(0.05, loop, FINE), 'reference')
     assert status.level is Level.WARN
     assert status.message == 'holding position: the reference is too far away'

@@ -443,7 +443,7 @@ class TestTrajectory:
 
     def test_weak_drives_are_named(self):
         robot = load_urdf(arm(BODY, limit='lower="-0.2" upper="0.2" effort="0.1" velocity="3"'))
-        with pytest.raises(SimulationError, match=r"too small .* joint 'j1' needs .* of 0\.1"):
+        with pytest.raises(SimulationError, match=r"too small .* 'j1' needs .* \(limit 0\.1\)"):
             start_pose(robot, InverseDynamics(robot))
 
     def test_robot_without_room_is_rejected(self):

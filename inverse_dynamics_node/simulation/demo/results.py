@@ -114,7 +114,7 @@ def check_payload(
         ),
         (
             factor >= LEAST_FACTOR,
-            f'knowing the load reduced the error from {unknown.words} to {known.words}: '
+            f'the error fell from {unknown.words} to {known.words} once the node knew the load: '
             f'{factor:.1f} times better, expected {LEAST_FACTOR:g}',
         ),
     )
@@ -140,7 +140,7 @@ def check_push(
         f'{np.linalg.norm(force):.3g} N at {link!r} moved a joint by {given.words}, and the node '
         f'found -J^T F (up to {size:.3g} N m or N) within {max(100.0 * off, 0.01):.2g} %',
         (off <= CONTACT_LIMIT, f'the estimated push is {off:.1%} off, limit {CONTACT_LIMIT:.0%}'),
-        (noise <= CONTACT_LIMIT, f'the node found {noise:.1%} of the push before the push began'),
+        (noise <= CONTACT_LIMIT, f'before the push, the node already estimated {noise:.1%} of it'),
         (after.value <= rest_limit(setup), f'a joint was {after.words} off after the push'),
     )
 
