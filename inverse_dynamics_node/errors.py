@@ -46,7 +46,7 @@ class JointStateError(InverseDynamicsError):
 
 
 class ConfigurationError(InverseDynamicsError):
-    """A setting is invalid or does not fit the robot; each argument describes one problem."""
+    """A setting is invalid or does not fit the robot; ``args`` has one text per problem."""
 
     def __str__(self) -> str:
         return '\n'.join(map(str, self.args))
@@ -74,7 +74,7 @@ def unknown_name(kind: str, name: str, names: Collection[str]) -> str:
 
 
 def listed(names: Collection[str], most: int = _MOST_LISTED) -> str:
-    """Join names with commas; of more than ``most`` names, show the first ones and the total."""
+    """Join names with commas; if there are over ``most``, show the first ones and the total."""
     shown = ', '.join(shortened(name) for name in islice(names, most))
     return f'{shown}, ... ({len(names)} in all)' if len(names) > most else shown
 

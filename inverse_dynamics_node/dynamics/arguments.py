@@ -28,11 +28,11 @@ def over_states(
     """
     Compute a quantity for one or more states; return it with the shape (..., *kind).
 
-    ``arguments`` are the joint positions and so on, by name, of any type that numpy can convert.
-    ``kind`` is the shape of the result for one state. ``few`` computes the quantity for arguments
-    of shape (N, n), for N states of n joints. ``many`` is faster if N is at least
-    `batch.LANES`, but numba may have to compile it first. The result is written to ``out`` if
-    ``out`` is given. Wrong shapes, and values that are not finite, raise a JointStateError.
+    ``arguments``, such as ``q``, are of any type that numpy can convert. ``kind`` is the shape of
+    the result for one state. ``few`` computes the quantity for arguments of shape (N, n), for N
+    states of n joints. ``many`` is faster if N is at least `batch.LANES`, but numba may have to
+    compile it first. The result is written to ``out`` if ``out`` is given. Wrong shapes, and
+    values that are not finite, raise a JointStateError.
 
     """
     rows, shape = broadcast(len(robot.joint_names), **arguments)
@@ -78,7 +78,7 @@ def read_vectors(name: str, values: ArrayLike, n: int) -> Floats:
 
 
 def broadcast(n: int, **arguments: ArrayLike) -> tuple[list[Floats], tuple[int, ...]]:
-    """Broadcast arguments; return them as arrays of one row per state, and their common shape."""
+    """Broadcast arguments; return arrays with one row per state, and the common shape."""
     vectors = [read_vectors(name, values, n) for name, values in arguments.items()]
     try:
         shape = np.broadcast_shapes(*(vector.shape for vector in vectors))
@@ -128,7 +128,7 @@ def is_free(out: Floats, others: Sequence[Floats]) -> bool:
 
 
 def read_joints(name: str, values: ArrayLike, n: int, is_signed: bool = False) -> Floats:
-    """Convert one number, or one per joint, to n numbers; below 0 only if ``is_signed``."""
+    """Convert one number or n numbers to an array; refuse negative ones unless ``is_signed``."""
     try:
         numbers = np.broadcast_to(np.asarray(values, dtype=np.float64), (n,))
     except (TypeError, ValueError):

@@ -61,10 +61,10 @@ _SIGNATURE = f'({"f8[:,:], " * 4}f8[:,:,::1], f8[:,::1], f8[:,::1], UniTuple(f8[
 
 def inverse_dynamics_many(states: Sequence[Floats], tau: Floats, robot: Floats) -> int:
     """
-    Compute the joint efforts of N states, at least `LANES`; return `OK` or `NOT_FINITE`.
+    Compute the joint efforts of N >= `LANES` states; return `OK` or `NOT_FINITE`.
 
-    The states q, qd and qdd and the result ``tau`` are arrays of shape (N, n), for n joints.
-    ``tau`` must not share memory with the states. The table ``robot`` is not modified.
+    The states q, qd and qdd have the shape (N, n), for n joints. The efforts ``tau`` have this
+    shape, too, and must not share memory with the states. The table ``robot`` is not modified.
 
     """
     no_matrices = np.empty((0, tau.shape[1], 0))
@@ -73,7 +73,7 @@ def inverse_dynamics_many(states: Sequence[Floats], tau: Floats, robot: Floats) 
 
 def regressor_many(states: Sequence[Floats], matrices: Floats, R_LZ: Floats, robot: Floats) -> int:
     """
-    Compute the regressors of N states, at least `LANES`; return `OK` or `NOT_FINITE`.
+    Compute the regressors of N >= `LANES` states; return `OK` or `NOT_FINITE`.
 
     ``matrices``, shape (N, n, 10 (b - 1)), receives the regressors for n joints and b bodies.
     ``R_LZ``, shape (b, 9), contains the rotations from the frames of the table to the frames of
@@ -118,7 +118,7 @@ def _blocks(
     robot: Any,
     rows: Any,
 ) -> int:
-    """Compute efforts, or regressors if R_LZ has rows, in blocks; the columns of q are states."""
+    """Compute efforts in blocks of states (columns of q), or regressors if R_LZ has rows."""
     place, motion, q, qd, qdd, residue, wrench, tau, frames, turned, factors = rows
     last = all_q.shape[1] - LANES
     hold_base(robot, motion)
@@ -383,7 +383,7 @@ def compute_block(
     pair: int,
     residue: Any,
 ) -> None:
-    """Compute the factors of link i's parameters in the effort of the joint of body ``mover``."""
+    """Compute the effort of the joint of body ``mover`` per unit of each parameter of link i."""
     multiplier, slides = robot[mover, MULTIPLIER], robot[mover, SLIDES]
     for k in range(LANES):
         arm = subtract(lane_origin(frames, i, k), lane_origin(frames, mover, k))
@@ -403,7 +403,7 @@ def compute_block(
 
 @simd_step
 def store_blocks(robot: Any, factors: Any, matrices: Any) -> None:
-    """Write the regressors of a few states at a time, which fit into the processor's cache."""
+    """Write the regressors of so few states at a time that they fit into the processor's cache."""
     for first in range(0, LANES, CACHE_LINE):
         last = first + CACHE_LINE
         for k in range(first, last):
@@ -460,9 +460,9 @@ def cosine_and_sine(x: Any) -> tuple[Any, Any]:
     """
     Return cosine and sine; the error is at most 2 units in the last place.
 
-    There are no branches, so that lanes vectorise. Quarter turns are subtracted until the angle is
-    at most pi/4. In that range, the minimax polynomials (Remez' algorithm) have an error of 4e-18
-    before rounding.
+    There are no branches, so that the compiler can vectorise. Quarter turns are subtracted until
+    the angle is at most pi/4. In that range, the minimax polynomials (Remez' algorithm) have an
+    error of 4e-18 before rounding.
 
     """
     quarters = (x * 0.6366197723675814 + ROUNDER) - ROUNDER

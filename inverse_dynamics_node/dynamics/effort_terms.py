@@ -103,7 +103,7 @@ def effort_terms(
 
 @compiled
 def friction_batch(qd: Any, qdd: Any, terms: Any, robot: Any) -> int:
-    """Compute the friction terms of many states from the other terms."""
+    """Compute the friction terms of many states from the other four terms."""
     for k in range(len(qd)):
         friction_terms(
             qd[k], qdd[k], terms[0][k], terms[1][k], terms[2][k], terms[3][k], terms[4][k], robot
@@ -124,7 +124,7 @@ def friction_terms(
     external: Any,
     robot: Any,
 ) -> None:
-    """Compute the friction term from the other terms."""
+    """Compute the friction term from the other four terms."""
     for joint in range(len(friction)):
         row = robot[joint + 1]
         load = inertial[joint] + coriolis[joint] + gravity[joint] + external[joint]
@@ -184,7 +184,7 @@ class TermTables(NamedTuple):
 
 
 def term_tables(table: Floats) -> TermTables:
-    """Make one table per term from the table of the robot and its loads."""
+    """Make one table per term from ``table``, which contains the robot and its loads."""
     tables = TermTables(*(table.copy() for _ in _ABSENT))
     for term, columns in _ABSENT.items():
         for part in columns:
@@ -194,10 +194,11 @@ def term_tables(table: Floats) -> TermTables:
 
 class JointWrenches(NamedTuple):
     """
-    Force and moment at the joints of b bodies, in the order of ``robot.body_names``: (..., b, 3).
+    Force and moment at the joints of b bodies, each of shape (..., b, 3).
 
-    Each row is the wrench that the parent exerts on a body. The URDF frame of the joint
-    defines the axes and the reference point. The first row is the wrench of the mount on the base.
+    Each row is the wrench that the parent exerts on a body, in the order of ``robot.body_names``.
+    The URDF frame of the joint defines the axes and the reference point. The first row is the
+    wrench of the mount on the base.
 
     """
 
@@ -221,8 +222,8 @@ def joint_wrenches(
     Compute the force and moment that every body receives from its parent, LWP (45), (46).
 
     ``wrenches`` receives b rows of 6 numbers, for b bodies. The first row is the wrench of the
-    mount on the base. ``R_LZ`` contains the rotations, 9 numbers for each body, from the frames of
-    the table to the frames of the wrenches. The other arguments and the status are as in
+    mount on the base. ``R_LZ`` contains 9 numbers for each body: the rotation from its frame in
+    the table to the frame of its wrench. The other arguments and the status are as in
     `newton_euler.inverse_dynamics`, but tau does not include armature, friction and springs.
 
     """

@@ -72,7 +72,7 @@ class InverseDynamics:
 
     Notes
     -----
-    For the first object on a machine, code is compiled in a few seconds and cached on disk.
+    The first object on a machine takes a few seconds: code is compiled, and cached on disk.
     Each thread needs its own object, because an object contains scratch space.
 
     References
@@ -106,7 +106,7 @@ class InverseDynamics:
         self._links: dict[str, Floats] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle only the robot and its loads: compiled functions would be most of the bytes."""
+        """Pickle only the robot and its loads; compiled functions would be much larger."""
         loads = (self._table, self._base_motion, self._payloads, self._wrenches)
         return type(self), (self.robot, self._gravity), loads
 
@@ -162,8 +162,8 @@ class InverseDynamics:
         allocated if the arguments and ``out`` are float64 arrays.
 
         Batches of at least 64 states are computed in blocks. Their results differ from those of
-        single states by rounding errors, which are less than 1e-12 of the largest effort. For
-        the first such batch on a machine, code is compiled in seconds and cached on disk.
+        single states by rounding errors, which are less than 1e-12 of the largest effort. The
+        first such batch on a machine takes seconds: code is compiled, and cached on disk.
 
         """
         try:
@@ -328,7 +328,7 @@ class InverseDynamics:
         self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: Floats | None = None
     ) -> JointWrenches:
         """
-        Compute the force and moment at every joint, starting with the reaction of the mount.
+        Compute the force and moment at the mount of the base and at every joint.
 
         Parameters
         ----------
@@ -753,7 +753,7 @@ class InverseDynamics:
         Set springs or counterweights at joints, which add :math:`k\,(q - q_0)` to the efforts.
 
         The efforts of springs are part of `gravity_efforts`, and of the term ``gravity`` of
-        `effort_terms`. A spring relieves the gear of its joint, or loads it.
+        `effort_terms`. A spring increases or reduces the load on the gear.
 
         Parameters
         ----------
@@ -808,7 +808,7 @@ class InverseDynamics:
         link: str,
         out: Floats | None,
     ) -> Floats:
-        """Compute the pose or Jacobian of a link; ``compute`` is from `link_kinematics`."""
+        """Compute the pose or Jacobian of a link with a function of `link_kinematics`."""
         if link not in self._links:
             self._links[link] = link_kinematics.row_of_link(self.robot, self._R_ZL, link)
         row = self._links[link]

@@ -40,7 +40,7 @@ def compiled(function: Function) -> Function:
 
 
 def simd_kernel(function: Function) -> Function:
-    """Let `compile_for` compile a function of `batch`, which releases the interpreter lock."""
+    """Let `compile_for` compile a function of `batch` that runs without the interpreter lock."""
     return _kept(function, fastmath=FAST_MATH, nogil=True) if IS_COMPILED else function
 
 
@@ -60,7 +60,7 @@ def simd_inline(function: Function) -> Function:
 
 
 def compile_for(function: Any, *signatures: str) -> None:
-    """Compile a function now and never again: calls with other types raise a TypeError."""
+    """Compile a function now, for fixed types; calls with other types raise a TypeError."""
     if not IS_COMPILED or function in _ready:
         return
     with _compiling:
@@ -85,8 +85,8 @@ def prepared(function: Callable[..., int], *dimensions: int) -> Callable[..., in
     Compile a function for contiguous float64 arrays; without numba, run it on lists of floats.
 
     The function returns a status. Its last but one argument receives the results, and its last
-    argument is a table of `robot_table`. ``dimensions`` are the numbers of dimensions of its
-    arguments. Arguments of other types raise a TypeError.
+    argument is a table of `robot_table`. ``dimensions`` contains the number of dimensions of each
+    argument. Arguments of other types raise a TypeError.
 
     """
     if IS_COMPILED:
@@ -137,7 +137,7 @@ def _stamp(folder: Path) -> tuple[tuple[str, float, int], ...]:
 
 
 def _warn(error: Exception) -> None:
-    """Warn once, because every function has the same problem."""
+    """Warn once that compiled code is not kept; the cause is the same for every function."""
     global _has_warned
     if not _has_warned:
         _has_warned = True

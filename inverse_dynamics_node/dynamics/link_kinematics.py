@@ -47,7 +47,7 @@ AXES = 4  # nine columns: the axes x, y, z of the link, one after the other
 
 
 def row_of_link(robot: RobotModel, R_ZL: Floats, link: str) -> Floats:
-    """Return the 13 numbers BODY, ORIGIN and AXES of a link; R_ZL is from `rotations_to_z`."""
+    """Return 13 numbers for a link: BODY, ORIGIN and AXES; R_ZL is from `rotations_to_z`."""
     k = robot.link_index(link)
     body = robot.link_body[k]
     axes = R_ZL[body] @ robot.link_rotation[k]
@@ -113,7 +113,7 @@ def jacobian(q: Sequence[float], link: Any, matrix: Any, robot: Any) -> int:
 
 @simd_inline
 def place_bodies(q: Sequence[float], link: Any, robot: Any) -> Vector:
-    """Store the poses of the bodies up to the body of a link; return the link's origin."""
+    """Store the poses of all bodies up to the body of a link; return the origin of the link."""
     body = int(link[BODY])
     hold_base_axes(robot[0])
     for i in range(1, body + 1):  # parents have smaller indices

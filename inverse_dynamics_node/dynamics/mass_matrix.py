@@ -115,8 +115,8 @@ def check_diagonal(matrix: Any) -> int:
     """
     Return `NOT_FINITE` if an entry of the matrix is not finite, otherwise `OK`.
 
-    It is enough to check the diagonal: in a positive definite matrix, no entry is larger than the
-    larger of the two diagonal entries in its row and column.
+    It is enough to check the diagonal: no entry of a positive definite matrix is larger than the
+    largest entry of the diagonal.
 
     """
     for i in range(len(matrix)):

@@ -132,9 +132,9 @@ def gravity_efforts(q: Sequence[float], tau: Any, robot: Any) -> int:
     """
     Compute the joint efforts that hold the robot still on a base that does not rotate.
 
-    The efforts equal `inverse_dynamics` at zero velocities and accelerations. Every link
-    then has the acceleration of the base, in its own frame. Arguments and status are as in
-    `inverse_dynamics`.
+    The efforts equal `inverse_dynamics` at zero velocities and accelerations. Every link then has
+    the acceleration of the base, expressed in the frame of the link. Arguments and status are as
+    in `inverse_dynamics`.
 
     """
     n = int(robot[0][JOINT_COUNT])
@@ -226,7 +226,7 @@ def inward_pass(tau: Any, robot: Any) -> None:
 
 @simd_inline
 def spring_effort(row: Any, position: Any) -> Any:
-    """Return the effort of the spring or counterweight at a joint, which acts on the links."""
+    """Return the effort with which the spring or counterweight at a joint acts on the links."""
     return row[STIFFNESS] * position + row[PRELOAD]
 
 
@@ -236,9 +236,9 @@ def drive_terms(tau: Any, robot: Any) -> None:
     Add the rotor inertia and friction of each drive to the efforts of the inward pass.
 
     Friction is an internal pair of moments at one joint, and does not propagate to the joints
-    below. This is the authors' form of 1980, tau = n . z + b qd. With LWP (22), (23) of 1979,
-    friction would propagate. A drive that also turns with the previous joint acts on both joints,
-    with equal power.
+    below. The authors published this form in 1980: tau = n . z + b qd. With LWP (22), (23) of
+    1979, friction would propagate. A drive that also turns with the previous joint acts on both
+    joints, with equal power.
 
     """
     for joint in range(len(tau)):
@@ -283,7 +283,7 @@ def clear(tau: Any) -> None:
 
 @compiled
 def check(tau: Any) -> int:
-    """Return `NOT_FINITE` if an effort is NaN or infinite, which happens if any input is."""
+    """Return `NOT_FINITE` if an effort is not finite, which is so if an input is not finite."""
     for joint in range(len(tau)):
         if tau[joint] - tau[joint] != 0.0:  # 0 for finite numbers only
             return NOT_FINITE

@@ -55,9 +55,9 @@ def regressor(
     """
     Compute the regressor of one state, for n joints and b bodies.
 
-    ``matrix`` receives n rows of 10 (b - 1) numbers. ``R_LZ`` contains the rotations, 9 numbers
-    for each body, from the frames of the table to the frames of the parameters. The other
-    arguments and the status are as in `newton_euler.inverse_dynamics`.
+    ``matrix`` receives n rows of 10 (b - 1) numbers. ``R_LZ`` contains 9 numbers for each body:
+    the rotation from its frame in the table to the frame of its parameters. The other arguments
+    and the status are as in `newton_euler.inverse_dynamics`.
 
     """
     n, b = int(robot[0][JOINT_COUNT]), len(robot)
@@ -109,11 +109,11 @@ def in_frame_of_parameters(R: Any, axes_Z: Axes, motion: Any) -> Any:
 @simd_inline
 def unit_twist(axes_L: Axes, z: Vector, arm: Vector, slides: Any) -> tuple[Vector, Vector]:
     """
-    Return angular velocity and origin velocity of a body, in its frame, at a unit joint rate.
+    Return a body's angular velocity and its origin's velocity at a unit rate of a joint.
 
-    ``axes_L`` are the axes of the body's frame, ``z`` is the axis of the joint, and ``arm`` points
-    from the joint's origin to the body's origin; all are in base coordinates. ``slides`` is 1.0
-    for a prismatic joint and 0.0 for a revolute joint.
+    Both are in the frame of the body. ``axes_L`` are the axes of this frame, ``z`` is the axis of
+    the joint, and ``arm`` points from the joint's origin to the body's origin; all are in base
+    coordinates. ``slides`` is 1.0 for a prismatic joint and 0.0 for a revolute joint.
 
     """
     axis, swept = in_frame(axes_L, z), in_frame(axes_L, cross(z, arm))
@@ -130,7 +130,7 @@ def unit_twist(axes_L: Axes, z: Vector, arm: Vector, slides: Any) -> tuple[Vecto
 @simd_inline
 def block(twist: tuple[Vector, Vector], motion: tuple[Vector, Vector, Vector]) -> Any:
     """
-    Return the ten factors of a body's parameters in the effort of a joint that moves the body.
+    Return the effort of a joint per unit of each parameter of a body that the joint moves.
 
     Let h be the first moment, and I the inertia about the origin. The net force is m accel +
     omega_dot x h + omega x (omega x h). The net moment about the origin is I omega_dot + omega x

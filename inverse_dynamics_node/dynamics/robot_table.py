@@ -3,7 +3,7 @@ The robot as a table of numbers with named columns; each row is a body, the base
 
 The frame of every body is rotated so that z is the axis of its joint. A row contains the
 properties of the body, the loads on it, and scratch space for the outward and inward passes. A
-vector occupies three columns; its name belongs to the first one.
+vector occupies three columns; the name of the vector is the number of the first column.
 """
 
 from __future__ import annotations
@@ -170,7 +170,7 @@ _UPPER = np.triu_indices(3)
 
 
 def table_of(robot: RobotModel) -> Floats:
-    """Make the table of a robot with b bodies, at rest, without gravity or loads: (b, COLUMNS)."""
+    """Make the table of b bodies at rest, without gravity or loads, shape (b, COLUMNS)."""
     table = np.zeros((len(robot.parent), COLUMNS))
     R_ZL = rotations_to_z(robot)
     R_ZL_of_parent = R_ZL[robot.parent]
@@ -191,7 +191,7 @@ def table_of(robot: RobotModel) -> Floats:
 
 
 def write_inertial(row: Floats, R_ZL: Floats, mass: float, com: Floats, inertia: Floats) -> None:
-    """Set mass, centre of mass and inertia of a body, which are given in its URDF frame."""
+    """Set the mass, centre of mass and inertia of a body from values in its URDF frame."""
     row[MASS] = mass
     row[COM : COM + 3] = R_ZL @ com
     row[INERTIA : INERTIA + 6] = (R_ZL @ inertia @ R_ZL.T)[_UPPER]
@@ -231,16 +231,17 @@ def write_base(row: Floats, motion: Floats, gravity: Floats) -> None:
 
 
 def write_external(row: Floats, R_ZL: Floats, wrenches: Sequence[tuple[Floats, Floats]]) -> None:
-    """Set the sum of the forces and moments on a body, which are given in its URDF frame."""
+    """Set the total external force and moment on a body from wrenches in its URDF frame."""
     store(row, EXTERNAL_FORCE, R_ZL @ sum((f for f, _ in wrenches), np.zeros(3)))
     store(row, EXTERNAL_MOMENT, R_ZL @ sum((n for _, n in wrenches), np.zeros(3)))
 
 
 def joints_before(robot: RobotModel) -> Integers:
     """
-    Return, for each of n joints, the index of the joint that moves its parent body, shape (n,).
+    Return the index of the joint before each of the n joints, shape (n,).
 
-    The index is -1 if the parent body is the base, or if it mimics a joint with a larger index.
+    The joint before moves the parent body. The index is -1 if the parent body is the base, or if
+    the joint of the parent body mimics a joint with a larger index.
 
     """
     before = np.full(len(robot.joint_names), -1)
@@ -253,12 +254,12 @@ def joints_before(robot: RobotModel) -> Integers:
 
 
 def rotations_to_z(robot: RobotModel) -> Floats:
-    """Return R_ZL of every body: from its URDF frame L to the frame Z with z on the joint axis."""
+    """Return rotations R_ZL from the URDF frame L of each body to Z, with z on the joint axis."""
     return np.array([_rotation_of_z_to(axis).T for axis in robot.axis])
 
 
 def _rotation_of_z_to(axis: Floats) -> Floats:
-    """Return a rotation of z onto a unit vector, which is exact for +-x, +-y and +-z."""
+    """Return a rotation of z onto a unit vector; the rotation is exact for +-x, +-y and +-z."""
     if not axis.any():  # the base has no joint
         return np.eye(3)
     if axis[2] < 0.0:  # half a turn about x first keeps the formula below well conditioned

@@ -15,7 +15,7 @@ from .inverse_dynamics import InverseDynamics
 MOST_NUMBERS = 2e7
 """Largest number of states times joints; larger results take gigabytes."""
 _FEWEST_TO_SMOOTH = 16
-"""Smallest number of points that `smooth` accepts; the padding of the filter is shorter."""
+"""Smallest number of points that `smooth` accepts; it pads with fewer points than it gets."""
 
 
 class Trajectory(NamedTuple):
@@ -29,18 +29,18 @@ class Trajectory(NamedTuple):
     velocities: Floats | None = None
     """Velocities of m joints at k times, shape (k, m) [rad/s or m/s]; None to derive them."""
     accelerations: Floats | None = None
-    """Accelerations, shaped like the velocities [rad/s^2 or m/s^2]; None to derive them."""
+    """Accelerations of m joints, shape (k, m) [rad/s^2 or m/s^2]; None to derive them."""
 
 
 def complete(trajectory: Trajectory) -> tuple[Trajectory, tuple[str, ...]]:
     """
-    Derive missing velocities and accelerations; return also a description of each of them.
+    Derive missing velocities and accelerations; return the trajectory, and what was derived.
 
     Missing velocities are derived from a cubic spline through the positions, at rest at both ends.
     Missing accelerations are derived from the same spline. If velocities are given, the
-    accelerations are those of the cubic spline through the velocities; its third derivative is
-    continuous at the first and last inner points. A single point is at rest. An invalid trajectory
-    raises a TrajectoryError.
+    accelerations are the derivative of the cubic spline through the velocities. The third
+    derivative of this spline is continuous at the first and last inner points. A single point is
+    at rest. An invalid trajectory raises a TrajectoryError.
 
     """
     _check(trajectory)
@@ -63,7 +63,7 @@ def complete(trajectory: Trajectory) -> tuple[Trajectory, tuple[str, ...]]:
 
 def refine(whole: Trajectory, longest_step: float) -> tuple[Trajectory, Integers]:
     """
-    Insert states between distant points of a trajectory; return also the indices of its points.
+    Insert states between distant points; return the new trajectory and the old points' indices.
 
     The longest time between two states of the result is ``longest_step`` [s]. Two points are
     connected by the quintic polynomial that matches position, velocity and acceleration at each
@@ -104,12 +104,13 @@ def refine(whole: Trajectory, longest_step: float) -> tuple[Trajectory, Integers
 
 def smooth(trajectory: Trajectory, cutoff: float) -> Trajectory:
     """
-    Derive velocities and accelerations from noisy measured positions, at evenly spaced times.
+    Smooth noisy measured positions, and derive velocities and accelerations from them.
 
-    Given velocities and accelerations are ignored. A second-order Butterworth low-pass filter with
-    the cut-off frequency [Hz] runs forwards and backwards, which causes no delay. Central
-    differences follow. Gravity efforts hardly change, because they depend only on positions. Too
-    few points, too low a rate, or an invalid trajectory raise a TrajectoryError.
+    The result has evenly spaced times. Given velocities and accelerations are ignored. A
+    second-order Butterworth low-pass filter with the cut-off frequency [Hz] runs forwards and
+    backwards over the positions, which causes no delay. Central differences give velocities and
+    accelerations. Gravity efforts hardly change, because they depend only on positions. Too few
+    points, too low a rate, or an invalid trajectory raise a TrajectoryError.
 
     """
     _check(trajectory)
@@ -138,10 +139,10 @@ def trajectory_efforts(
     """
     Compute the efforts at k points of a trajectory of m joints, shape (k, m) [N m or N].
 
-    The trajectory must have velocities and accelerations. Its joints may be in any order, which is
-    also the order of the efforts. The other joints of the robot rest at the positions ``others``,
-    shape (n,) for n joints [rad or m], by default zero. Unknown or repeated joint names raise a
-    TrajectoryError.
+    The trajectory must have velocities and accelerations. The efforts are in the order of its
+    joints, which may be any order. All other joints of the robot rest at their positions in
+    ``others``, shape (n,) for the n joints of the robot [rad or m]; by default at zero. Unknown or
+    repeated joint names raise a TrajectoryError.
 
     """
     states, index = whole_states(dynamics, trajectory, others)
@@ -222,7 +223,7 @@ def _check(trajectory: Trajectory) -> None:
 
 
 def joint_index(names: Sequence[str], known: Sequence[str]) -> list[int]:
-    """Return the index of each name in ``known``; a TrajectoryError reports invalid names."""
+    """Return the index in ``known`` of each name; a TrajectoryError reports invalid names."""
     if not names:
         raise TrajectoryError('the trajectory has no joint names')
     unknown = [name for name in names if name not in known]

@@ -29,10 +29,10 @@ _SMALLEST = 1e-6
 _DEPTH = 3
 """Largest number of times that a shape is halved."""
 _PRICE = 0.04
-"""An additional capsule must save this fraction of the size of a single capsule."""
+"""An additional capsule must save this fraction of the size of one capsule around the shape."""
 _CUTS = (0.35, 0.65)
 _STEPS = 10
-"""Number of steps in the search for the centre of points across an axis."""
+"""Number of steps in the search for the centre line of a capsule."""
 
 
 _Row = tuple[int, Floats, float, Floats]
@@ -67,7 +67,7 @@ class _Piece(NamedTuple):
 
     @property
     def size(self) -> float:
-        """Volume divided by pi, with half of each round end, because it overlaps a neighbour."""
+        """Volume divided by pi, with only half of each round end; neighbours overlap there."""
         length = float(np.linalg.norm(self.ends[1] - self.ends[0]))
         return self.radius**2 * (length + 2.0 / 3.0 * self.radius)
 
@@ -79,7 +79,7 @@ def body_capsules(
     Return capsules around all bodies of a robot; shapes and reasons are from `read_shapes`.
 
     Some bodies have an unreadable shape, or a mass without a shape around it. Such a body gets
-    capsules from its joint to its other points, with a radius of `ASSUMED_RADIUS`.
+    capsules of radius `ASSUMED_RADIUS` from its origin to its children, links and centre of mass.
 
     """
     rows: list[_Row] = []
@@ -116,7 +116,7 @@ def body_capsules(
 
 
 def _shapeless(robot: RobotModel, rows: Sequence[_Row], shaped: set[int]) -> dict[int, str]:
-    """Return bodies that have no shape around their mass, and why; ``shaped`` are links."""
+    """Return why bodies lack a shape around their mass; ``shaped`` are links that have shapes."""
     reasons = {}
     for body in range(len(robot.parent)):
         points = [row[-1] for row in rows if row[0] == body]
@@ -169,7 +169,7 @@ def _distances(points: Floats, ends: Floats) -> Floats:
 
 
 def _pieces(shape: Shape) -> list[_Piece]:
-    """Return pieces whose capsules contain the shape."""
+    """Cut a shape into pieces; their capsules together contain the shape."""
     # Details smaller than a cell do not matter; the radius makes up for their removal.
     cell = max(float(np.ptp(shape.vertices, axis=0).max()), _SMALLEST) / _CELLS
     rounded, index = np.unique(np.round(shape.vertices / cell), axis=0, return_inverse=True)
@@ -183,7 +183,7 @@ def _pieces(shape: Shape) -> list[_Piece]:
 
 
 def _best_cut(piece: _Piece, depth: int, price: float) -> tuple[float, list[_Piece]]:
-    """Cut a piece if that reduces the sum of sizes and prices; return the sum and the pieces."""
+    """Cut a piece if this reduces the sum of sizes and prices; return the sum and the pieces."""
     one = piece.size + price, [piece]
     if depth == 0 or piece.size < 2.0 * price:
         return one

@@ -36,7 +36,7 @@ def last_link(robot: RobotModel) -> str:
 
 
 def _without_fingers(robot: RobotModel, chain: Sequence[int]) -> int:
-    """Return the last body that is not part of a finger; ``chain`` is listed from the base."""
+    """Return the last body that is not part of a finger; ``chain`` starts at the base."""
     lengths = np.cumsum([float(np.linalg.norm(robot.p_PL[body])) for body in chain])
     end = len(chain) - 1
     for i in range(1, len(chain)):

@@ -16,7 +16,7 @@ _FAR_BEYOND = 50.0
 """A limit of this many times the moment of the robot's weight is a placeholder."""
 _FEWEST_EQUAL, _FRACTION_EQUAL = 3, 0.8
 _ROUND_LIMITS = (100.0, 1000.0, 10000.0, 100000.0)
-"""Effort limits [N m] that exporters write for all joints; such equal limits are not real."""
+"""Effort limits [N m] that exporters write for all joints instead of the real limits."""
 
 
 def limit_subject(joint: str, quantity: str) -> str:
@@ -25,7 +25,7 @@ def limit_subject(joint: str, quantity: str) -> str:
 
 
 def effort_limit_warnings(robot: RobotModel) -> tuple[ModelWarning, ...]:
-    """Return warnings about missing and unlikely effort limits that the loader has not given."""
+    """Return warnings about missing and unlikely effort limits that the loader does not report."""
     hint = 'write <limit effort="..."/>, or set the parameter effort_limits of the node'
     missing = (
         ModelWarning('missing', hint, limit_subject(name, 'effort'))
@@ -43,10 +43,9 @@ def _placeholders(robot: RobotModel) -> tuple[ModelWarning, ...]:
     """
     Return warnings about effort limits that look like placeholders.
 
-    Limits are compared with the moment of the weight of all moving bodies at the longest reach of
-    the robot. The wrist needs much less, but motors are not oversized by orders of magnitude.
-    Prismatic joints are not compared, because a gripper presses with many times the weight of its
-    fingers.
+    Each limit is compared with the effort that holds the whole robot stretched out. A wrist
+    joint needs much less, but motors are not oversized by orders of magnitude. Prismatic joints
+    are not compared, because a gripper presses with many times the weight of its fingers.
 
     """
     hint = 'write the largest effort of the joint, from the data sheet of its drive'
@@ -87,7 +86,7 @@ def _moment_of_weight(robot: RobotModel) -> float:
 _MARGIN = 0.1
 """Tolerated distance outside the limits, as a fraction of the range between the limits."""
 _LEAST_MARGINS = (0.1, 0.01)
-"""Smallest tolerated distance outside the limits: revolute joints [rad], prismatic joints [m]."""
+"""Smallest tolerated distance outside the limits of revolute [rad] and prismatic joints [m]."""
 _FULL_TURN = 2.0 * math.pi
 
 
@@ -122,9 +121,9 @@ def implausible_positions(
     """
     Find joints that are implausibly far outside their limits; report each joint once.
 
-    A tenth of the range, but at least 0.1 rad or 0.01 m, is tolerated, because encoder offsets and
-    soft limits often put a joint slightly outside. Joints without limits, or with equal limits
-    (usually placeholders), are not checked.
+    Encoder offsets and soft limits often put a joint slightly outside. A tenth of the range is
+    therefore tolerated, or 0.1 rad or 0.01 m if this is more. Joints without limits, or with equal
+    limits (usually placeholders), are not checked.
 
     ``positions`` are one or more configurations of n joints, shape (..., n) [rad or m]; NaN and
     infinite values are ignored. ``joint_names`` are the names of the columns, by default the
@@ -162,7 +161,7 @@ def implausible_positions(
 def position_warnings(
     robot: RobotModel, positions: ArrayLike, joint_names: Sequence[str] = ()
 ) -> tuple[ModelWarning, ...]:
-    """Return warnings about `implausible_positions`; those that look like degrees come first."""
+    """Return warnings about `implausible_positions`; positions in degrees come first."""
     hints = {
         True: 'convert the positions to radians',
         False: 'check units (rad, m), zero positions and the order of the joints, and that the '

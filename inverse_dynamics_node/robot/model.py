@@ -1,10 +1,10 @@
 """
-A robot as flat, read-only arrays, parents before children.
+A robot as flat, read-only arrays; parents come before their children.
 
 Links that fixed joints connect form one *body*. Body 0 is the base. Every other body has one joint
-that moves it. The URDF frame of this joint is the frame of the body, and its origin is on the
-axis. Frames are written in monogram notation: ``R_PL`` rotates vectors from body L to its parent
-P, and ``p_PL`` is the position of the origin of L in P.
+that moves it. The URDF frame of this joint is the frame of the body. The origin of the frame is on
+the axis of the joint. Frames are written in monogram notation: ``R_PL`` rotates vectors from body
+L to its parent P, and ``p_PL`` is the position of the origin of L in P.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Booleans = NDArray[np.bool_]
 @dataclass(frozen=True)
 class ModelWarning:
     """
-    A problem in a robot description that does not prevent its use.
+    A problem in a robot description; the description can be used nevertheless.
 
     ``str(warning)`` is one line with the line number, the subject and the text.
 
@@ -38,7 +38,7 @@ class ModelWarning:
     """How to correct the problem, or when it is harmless."""
     subject: str = ''
     """
-    The element with the problem, such as ``link 'hand' inertial``; empty if it is the whole robot.
+    The element with the problem, such as ``link 'hand' inertial``; empty for the whole robot.
     """
     line: int | None = None
     """Line of the robot description; None if no single line is the cause."""
@@ -80,13 +80,13 @@ class RobotModel:
     friction: Floats
     """Coulomb friction of the n joints and their mimic joints, shape (n,) [N m or N]."""
     is_continuous: Booleans
-    """Whether each of the n joints turns without limits: whole turns do not matter, shape (n,)."""
+    """Whether each of the n joints turns without limits, shape (n,); whole turns do not matter."""
 
     body_names: tuple[str, ...]
     """Name of the base link, then the name of the joint that moves each body; length b."""
     parent: Integers
     """
-    Indices of the parents of the b bodies, smaller than their own, shape (b,); -1 for the base.
+    Index of each body's parent, shape (b,); -1 for the base. Parents come before their children.
     """
     is_prismatic: Booleans
     """Whether each of the b bodies slides along its axis instead of turning, shape (b,)."""
@@ -99,7 +99,7 @@ class RobotModel:
     The position of a body is ``multiplier * q[joint_index] + offset``.
     """
     offset: Floats
-    """Position offsets of the b bodies, see ``multiplier``, shape (b,) [rad or m]."""
+    """Position offsets of the b bodies, shape (b,) [rad or m]; see ``multiplier``."""
     R_PL: Floats
     """Rotations from the frames of b bodies to their parents at position 0, shape (b, 3, 3)."""
     p_PL: Floats

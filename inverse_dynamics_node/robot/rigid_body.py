@@ -44,11 +44,11 @@ class RigidBody(NamedTuple):
     """Inertia about the centre of mass, along the axes of the frame, shape (3, 3) [kg m^2]."""
 
     def rotate(self, rotation: Floats) -> RigidBody:
-        """Express the body in new axes about the same origin; ``rotation`` is from old to new."""
+        """Express the body in new axes, same origin; ``rotation`` is from old to new axes."""
         return RigidBody(self.mass, rotation @ self.com, rotation @ self.inertia @ rotation.T)
 
     def shift(self, position: Floats) -> RigidBody:
-        """Express the body about a new origin; ``position`` [m] points to the old origin."""
+        """Express the body about a new origin; ``position`` [m] points from new to old origin."""
         return RigidBody(self.mass, position + self.com, self.inertia)
 
     def scale(self, factor: float) -> RigidBody:
@@ -133,7 +133,7 @@ def rigid_body(parameters: Floats) -> RigidBody:
 
 def moved_inside(parameters: Floats) -> Floats:
     """
-    Return the nearest parameters, shape (10,), of a body with extent in all directions.
+    Return parameters, shape (10,), of the nearest body that has extent in all directions.
 
     Point masses, impossible inertias and negative inertias are extended: the radius about the
     centre of mass becomes at least `SMALLEST_RADIUS` in every direction. Other bodies do not
@@ -154,11 +154,10 @@ def moved_inside(parameters: Floats) -> Floats:
 
 def transport(before: Floats, after: Floats) -> Floats:
     """
-    Return the matrix T nearest to the identity with ``T before T^T = after``.
+    Return T with ``T before T^T = after``: of these matrices, the one nearest to the identity.
 
     The arguments are positive definite pseudo-inertias of a body, shape (4, 4). If every part of
-    the body is changed to ``T part T^T``, the parts remain physical, and their sum is the changed
-    body.
+    the body is changed to ``T part T^T``, the parts remain physical, and their sum is ``after``.
 
     """
     root = _power(before, 0.5)

@@ -31,7 +31,7 @@ if IS_COMPILED:
 
 
 class Code(NamedTuple):
-    """The functions that `write_out` compiles; they return a status like `inverse_dynamics`."""
+    """The functions that `write_out` compiles; their status is as in `inverse_dynamics`."""
 
     in_block: Callable[[], int]
     in_arrays: Callable[[Any, Any, Any, Any], int]
@@ -58,8 +58,8 @@ def write_out(table: Floats, block: Floats) -> Code:
     Compile `newton_euler.inverse_dynamics` for one robot.
 
     ``table`` is from `robot_table`. ``block`` contains the rows q, qd, qdd and tau for
-    `Code.in_block`, one number per joint. The code contains the addresses of the two arrays, and
-    must not outlive them.
+    `Code.in_block`, one number per joint. The two arrays must exist as long as the code, which
+    contains their addresses.
 
     """
     n = block.shape[1]
@@ -98,7 +98,7 @@ def write_out_mass_matrix(table: Floats, acting: Any) -> Callable[[Any, Any], in
     """
     Compile `mass_matrix.mass_matrix` for one robot, as a function of q and the matrix.
 
-    At each call, the code reads the numbers of the table that ``acting`` marks. The table must
+    At each call, the code reads those numbers of the table that ``acting`` marks. The table must
     exist as long as the code, which contains its address.
 
     """
@@ -127,7 +127,7 @@ def write_out_mass_matrix(table: Floats, acting: Any) -> Callable[[Any, Any], in
 
 
 def _run_time_table(writer: Writer, table: Floats, acting: Any) -> list[list[Any]]:
-    """Return the rows of a table; an instruction loads each number that the mask marks."""
+    """Return the rows of a table; numbers that the mask marks are loaded at run time."""
     base = writer.integer(table.ctypes.data)
     robot: list[list[Any]] = table.tolist()
     for i, k in np.argwhere(acting):
@@ -142,7 +142,7 @@ def _compile(function: Callable[..., int], signature: str) -> Any:
 
 
 def _functions_that_write(writer: Writer, inputs: list[RunTimeNumber]) -> dict[str, Any]:
-    """Return the functions of the passes, changed to call the writer's functions."""
+    """Copy the functions of the passes, so that the copies emit instructions with the writer."""
     # Omitted products with zero do not propagate NaN or inf; therefore check the inputs, too.
     zero_if_finite = sum(x - x for x in inputs)
 
@@ -168,8 +168,8 @@ class RunTimeNumber:
     A number that is known only at run time: arithmetic on it emits an instruction.
 
     Sums with 0, and products with 0 or 1, emit no instruction. A `RunTimeNumber` never equals a
-    plain number. Where `newton_euler` compares it with zero, the code takes the branch for nonzero
-    numbers.
+    plain number. Where `newton_euler` compares such a number with zero, the code takes the branch
+    for nonzero numbers.
 
     """
 

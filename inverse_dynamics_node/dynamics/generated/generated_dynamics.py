@@ -32,7 +32,7 @@ DOES_NOT_FIT = -1
 
 
 def no_code(*_: Any) -> int:
-    """Replace generated code that does not fit the present loads."""
+    """Take the place of generated code that does not fit the present loads."""
     return DOES_NOT_FIT
 
 
@@ -44,9 +44,9 @@ class GeneratedDynamics:
     """
     Inverse dynamics with code generated for one robot, for use in a control loop.
 
-    The results equal those of `InverseDynamics` except for rounding, because multiplications and
-    additions are fused if the processor supports it. Changes of gravity, base motion, payloads,
-    wrenches, friction and armature in the dynamics apply at once, without another compilation.
+    The results equal those of `InverseDynamics` except for rounding: multiplications and
+    additions are fused if the processor can fuse them. A change of gravity, base motion, payloads,
+    wrenches, friction or armature in ``dynamics`` applies at once, without another compilation.
 
     The code omits loads that were zero when this object was made. If such a load becomes nonzero,
     for example because the base starts to rotate, `InverseDynamics` computes the efforts until the

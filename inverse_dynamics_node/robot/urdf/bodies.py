@@ -59,7 +59,7 @@ class _Placement(NamedTuple):
 
 
 class _Body(NamedTuple):
-    """A movable joint, and its pose at position 0 in the frame of the parent body."""
+    """A movable joint, and its pose in the frame of the parent body at joint position 0."""
 
     joint: Joint
     parent: int
@@ -125,7 +125,7 @@ def build_model(
 def _place(
     links: Sequence[Link], joints: Sequence[Joint]
 ) -> tuple[str, list[_Body], dict[str, _Placement]]:
-    """Return the root, the bodies (depth first, siblings in file order), and the links in them."""
+    """Return the root, the bodies (depth first, siblings in file order), and each link's place."""
     children: dict[str, list[Joint]] = {link.name: [] for link in links}
     for joint in joints:
         children[joint.parent].append(joint)
@@ -167,7 +167,7 @@ def _merge(
 
 
 def resolve_mimics(joints: Iterable[Joint]) -> dict[str, Mimic]:
-    """Make every joint depend directly on a joint that mimics no other."""
+    """Make every mimic joint follow a joint that does not mimic another one."""
     by_name = {joint.name: joint for joint in joints}
     resolved: dict[str, Mimic] = {}
     for start in by_name.values():
@@ -190,9 +190,9 @@ def _folded_friction(
     """
     Return damping and friction of the joints, including those of their mimic joints.
 
-    A mimic joint with multiplier m moves m times as fast as its master, and its effort acts on the
-    master m times. Viscous friction is therefore multiplied by m squared. Coulomb friction has the
-    same size at all speeds, and always opposes the motion. It is therefore multiplied by |m|.
+    A mimic joint with multiplier m moves m times as fast as its master, and m times its effort
+    acts on the master. Viscous friction is therefore multiplied by m squared. Coulomb friction has
+    the same size at all speeds, and always opposes the motion. It is therefore multiplied by |m|.
 
     """
     damping, friction = [0.0] * len(index), [0.0] * len(index)

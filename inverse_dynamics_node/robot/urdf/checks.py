@@ -79,7 +79,7 @@ def _by_name(root: Element, kind: str) -> dict[str, Element]:
 def _check_name(
     element: Element, problems: Problems, by_name: Mapping[str, Element] | None = None
 ) -> None:
-    """Check that an element has a name, and that the name is unique if a table is given."""
+    """Check that an element has a name, which must be unique if ``by_name`` is given."""
     kind, name = tag(element), element.get('name')
     if not name:
         problems.error(element, f'<{kind}> has no name')
@@ -269,7 +269,7 @@ def _with_most_common_value(values: Mapping[str, tuple[float, ...]]) -> list[str
 
 
 def _numbers_of(link: Element, kind: str, names: Sequence[str]) -> tuple[float, ...] | None:
-    """Return attributes of the inertial of a link; None unless all of them are numbers."""
+    """Return numbers from the inertial of a link, or None if one of them is not a number."""
     part = link.find(f'inertial/{kind}')
     if part is None:
         return None

@@ -60,8 +60,8 @@ def load_urdf(
     Notes
     -----
     The conventions are those of urdfdom, the parser of ROS. Lower and upper limits default to 0,
-    and the axis defaults to x. An effort or velocity limit of 0 means that the limit is unknown,
-    and becomes infinite. Versions 1.0 to 1.2 of the format are supported. The attribute
+    and the axis defaults to x. An effort or velocity limit of 0 means that the limit is unknown;
+    the limit becomes infinite. Versions 1.0 to 1.2 of the format are supported. The attribute
     ``quat_xyzw`` of an origin needs version 1.1 or later.
 
     """

@@ -1,8 +1,8 @@
 """
 Tables of the permitted contents of URDF elements, and checks of single links and joints.
 
-The format is that of urdfdom, but it is read more strictly. Where urdfdom logs a line and
-continues with a zero, this module reports an error, because a lost mass causes wrong efforts.
+The format is that of urdfdom, but this module is stricter. Where urdfdom logs a line and continues
+with a zero, this module reports an error, because a lost mass causes wrong efforts.
 """
 
 from __future__ import annotations
@@ -56,10 +56,10 @@ CHILDREN = {
 """Child elements that the dynamics need. Each may occur once; links and joints may repeat."""
 
 READ_ONCE = 'origin'
-"""If there are several elements of this kind, the first one is used."""
+"""If a parent has several elements of this kind, only the first one is used."""
 
 CHILDREN_OF_FIXED = ('parent', 'child', 'origin')
-"""Child elements of a fixed joint that are checked; others have no meaning there."""
+"""Child elements of a fixed joint that are checked; other elements have no meaning there."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Rule:
     required: tuple[str, ...] = ()
     not_negative: tuple[str, ...] = ()
     is_open: bool = False
-    """Whether other attributes are allowed; if not, an unknown one is probably misspelt."""
+    """Whether unlisted attributes are allowed; if not, such an attribute is probably misspelt."""
 
 
 def _scalars(*names: str) -> dict[str, int]:
@@ -112,7 +112,7 @@ RULES = {
 # Errors and warnings
 
 _MAX_LINE = 65535
-"""Largest line number of libxml2, which has 16 bits; all later lines have this number."""
+"""Largest line number in libxml2 (16 bits), which gives this number to all later lines, too."""
 
 
 class Problems:
@@ -277,7 +277,7 @@ def written(element: Element, name: str) -> str:
 UNIT_TOLERANCE = 1e-3
 """Tolerated error of a norm: a vector rounded to four digits is still a unit vector."""
 _QUATERNION_TOLERANCE = 0.1
-"""Tolerated error of a quaternion's norm: above rounding to one digit, below a typing error."""
+"""Tolerated error of a quaternion's norm: rounding to one digit passes, typing errors do not."""
 _MAX_RPY = 7.0
 """Slightly more than one turn [rad]; a larger angle is probably in degrees."""
 

@@ -27,8 +27,9 @@ def read_shapes(path_or_xml: str | os.PathLike[str]) -> tuple[list[Shape], dict[
     """
     Read the collision shapes of a robot, and the mesh files that they name.
 
-    `load_urdf` has accepted the argument. The first result contains the shapes that can be read.
-    The second result contains, by the name of the link, the reason why a shape cannot be read.
+    The argument must be a description that `load_urdf` accepts. The first result contains the
+    shapes that can be read. If a shape of a link cannot be read, the second result contains the
+    reason under the name of the link.
 
     """
     source = read_source(path_or_xml)

@@ -37,7 +37,7 @@ class Friction(NamedTuple):
 
 @dataclass
 class _Node:
-    """An element, with its positions in the text in bytes."""
+    """An element, and the positions of its tags, counted in bytes of the text."""
 
     kind: str
     attributes: dict[str, str]
@@ -61,9 +61,10 @@ def rewrite(
     """
     Replace inertials and friction in a URDF that `load_urdf` has accepted; return the text.
 
-    ``inertials`` are the new bodies by link name, in the frames of the links. An existing inertial
-    frame keeps its axes. ``friction`` is the new friction by joint name; a missing ``<dynamics>``
-    is added. The result has the encoding of the original, and numbers with 17 digits.
+    ``inertials`` maps names of links to new bodies, in the frames of the links. An existing
+    inertial frame keeps its axes. ``friction`` maps names of joints to new friction. A missing
+    ``<dynamics>`` is added. The result has the encoding of the original, and numbers with 17
+    digits.
 
     """
     source = read_source(path_or_xml)
@@ -130,7 +131,7 @@ def _inertial_edits(text: bytes, link: _Node, body: RigidBody) -> Iterator[tuple
 
 
 def _rotation(origin: _Node | None) -> Floats:
-    """Return the rotation of an inertial frame with this origin element."""
+    """Return the rotation that the <origin> of an <inertial> contains."""
     if origin is None:
         return np.eye(3)
     rpy = origin.attributes.get('rpy', '0 0 0')

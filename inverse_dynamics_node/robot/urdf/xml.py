@@ -17,10 +17,10 @@ Element = Any
 """An lxml element; lxml has no type annotations."""
 
 MAX_BYTES = 16 * 2**20
-"""Largest size: ten times the largest real robot descriptions; parsing takes seconds."""
+"""Largest size: ten times the largest real robot description. Parsing this much takes seconds."""
 
 MAX_LINKS = 1000
-"""Largest number of links; the largest real robots have several times fewer."""
+"""Largest number of links, several times more than the largest real robots have."""
 
 _FOREIGN_ROOTS = {'sdf': 'SDF', 'model': 'a part of SDF', 'mujoco': 'MJCF', 'html': 'HTML'}
 
@@ -37,7 +37,7 @@ class Source(NamedTuple):
     name: str
     data: bytes
     encoding: str | None
-    """Encoding of the bytes; None if a byte order mark or a declaration in them defines it."""
+    """Encoding of the bytes, or None if their byte order mark or declaration states it."""
 
 
 def read_source(path_or_xml: str | os.PathLike[str]) -> Source:
@@ -88,7 +88,7 @@ def shortened(text: str, length: int = 80) -> str:
 
 
 def parse(source: Source) -> tuple[Element, list[ModelWarning]]:
-    """Return the <robot> element and warnings about the XML; raise UrdfError for other input."""
+    """Parse XML into the <robot> element and warnings; raise UrdfError for an invalid document."""
     source, warnings = _without_odd_declaration(source)
     try:
         parser = _hardened_parser(source.encoding)
