@@ -216,5 +216,5 @@ def _massless(bodies: Sequence[_Body], parents: Sequence[int], mass: Floats) -> 
         text = 'no joint moves any mass: every gravity effort is zero'
         return [ModelWarning(text, 'write <inertial>; without masses, all efforts are zero')]
     text = 'moves no mass: its gravity effort is always zero'
-    hint = 'write <inertial> for the links that it moves, unless they are only frames'
+    hint = 'write <inertial> for the links that this joint moves, unless the links are only frames'
     return [ModelWarning(text, hint, f"joint '{name}'") for name in idle]

@@ -299,7 +299,7 @@ def _check_quaternion(
     version = version_of(origin)
     if version in VERSIONS and version not in VERSIONS_WITH_QUATERNIONS:
         # In these files, urdfdom ignores the attribute, and therefore the rotation.
-        text = f'quat_xyzw needs <robot version="1.1"> instead of {version}; otherwise write rpy'
+        text = f'quat_xyzw needs <robot version="1.1"> instead of {version}; or write rpy'
         problems.error(origin, f'{where}: {text}')
     if 'rpy' in origin.attrib:
         problems.error(origin, f'{where} has both rpy and quat_xyzw, expected one of them')
