@@ -30,7 +30,7 @@ _LOADS = ('include_gravity', *(each.name for each in fields(LoadSettings)))
 
 
 def make_loop(configuration: Configuration, robot: RobotModel, text: str) -> ControlLoop:
-    """Build and compile the control loop, and make those calls that are slow the first time."""
+    """Build and compile the control loop. Call functions once if their first call is slow."""
     loop = build_loop(configuration, robot, text)
     loop.dynamics.gravity_efforts(np.zeros(len(loop.robot.joint_names)))
     complete(Trajectory(('x',), np.arange(2.0), np.zeros((2, 1))))  # imports the splines

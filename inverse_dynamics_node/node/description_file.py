@@ -54,9 +54,9 @@ def load_file(given: str, on_missing_inertial: str) -> tuple[RobotModel, str]:
 
     `given` is an absolute path, a path relative to the working directory or to a home directory
     (``~``), ``file:///path`` or ``package://package/path``. A file whose name ends in ``.xacro``
-    is processed with xacro first; arguments ``name:=value`` may follow the name. Raise a
-    ConfigurationError if the file or the package does not exist, or xacro fails. Raise a UrdfError
-    if the file cannot be used.
+    is processed with xacro first; arguments ``name:=value`` may follow the file name. Raise
+    a ConfigurationError if the file or the package does not exist, or xacro fails. Raise a
+    UrdfError if the file cannot be used.
     """
     file, arguments = _split(given)
     try:
@@ -166,11 +166,11 @@ class DescriptionLoader:
 
     @property
     def is_loading(self) -> bool:
-        """Whether a description is being read, or its loop has not been taken yet."""
+        """Whether a description is being read, or has been read and waits for `take_loop`."""
         return self._loading is not None
 
     def poll(self) -> bool:
-        """Start to read a waiting description if possible; return whether a loop can be taken."""
+        """If possible, start to read a waiting description. Return whether to call `take_loop`."""
         is_ready = self._loading is not None and self._loading.done()
         if self._next is not None and (is_ready or self._loading is None):
             self._loading = self._worker.submit(load_robot, *self._next)
@@ -179,7 +179,7 @@ class DescriptionLoader:
         return is_ready
 
     def load(self, configuration: Configuration, description: str) -> None:
-        """Read this description next. It replaces any description that is being read or waits."""
+        """Read this description next; ignore older descriptions that wait or are being read."""
         self._next = configuration, description
         self.poll()
 
@@ -191,10 +191,10 @@ class DescriptionLoader:
         self, old: ControlLoop, configuration: Configuration, is_active: bool
     ) -> tuple[ControlLoop, list[str]]:
         """
-        Return the loop for the new description, and the removed links that had a payload.
+        Return the new loop, and the links that had a payload but are not in the new description.
 
         If `is_active`, the new loop continues from the last command of the old loop. Otherwise it
-        copies only inputs such as payloads. The parameters may have changed since `load`. Raise an
+        copies only inputs such as payloads. `configuration` may be newer than in `load`. Raise an
         InverseDynamicsError if the description cannot be used, or cannot replace the old one.
         """
         assert self._loading is not None

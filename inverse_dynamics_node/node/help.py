@@ -176,7 +176,7 @@ SERVICES = {
 
 
 _WORDS = {"''": 'empty', "['']": 'all', 'None': 'none'}
-"""Words for defaults that are hard to read."""
+"""Words to show in place of defaults that are hard to read."""
 
 
 def help_text() -> str:
@@ -224,7 +224,7 @@ def _describe(name: str, parameter: Parameter) -> str:
 
 
 def enclaves_for(arguments: Sequence[str]) -> tuple[Enclave, ...]:
-    """List the SROS 2 enclaves of a node with these arguments and of its surrounding programs."""
+    """List the SROS 2 enclaves of the node and the surrounding programs, for these arguments."""
     return enclaves(arguments, SUBSCRIBED, PUBLISHED, SERVICES)
 
 

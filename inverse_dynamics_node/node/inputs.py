@@ -42,7 +42,7 @@ class Inputs:
         self._checked_imu: tuple[ControlLoop, str] | None = None
         self._collector: JointStateCollector | None = None  # that the reader was made for
         self.last_joint_state = time.monotonic()
-        """Steady time of the last joint state, or of the start before any joint state [s]."""
+        """Steady time of the last joint state [s]; before the first one, the time of the start."""
         self._R_BS: Floats = np.eye(3)
         self.state_count = 0
         """Number of complete updates of the commanded joints since the start."""
@@ -73,7 +73,7 @@ class Inputs:
         )
 
     def _use_parameters(self, loop: ControlLoop) -> Configuration:
-        """Return the parameters; if any has changed, report the next messages again."""
+        """Return the parameters. After a change, check the IMU frame and report gravity again."""
         configuration = self._runner.configuration
         if configuration is not self._configuration:
             self._configuration = configuration
@@ -114,7 +114,7 @@ class Inputs:
             self._runner.step(now)
 
     def _measured_efforts(self, count: int, measured: Floats) -> Floats | tuple[()]:
-        """Return the measured efforts, NaN if missing; return () if no topic uses efforts."""
+        """Return measured efforts: NaN if the message has none, () if no topic needs efforts."""
         if not self._runner.outputs.uses_measured_efforts:
             return ()
         if len(measured) == count:

@@ -42,7 +42,7 @@ class BoundedLogger:
         return getattr(self._logger, name)
 
     def info(self, text: str, **options: Any) -> bool:
-        """Log a message; the logger of rclpy gets the options."""
+        """Log a message; `options` are passed to the logger of rclpy."""
         return bool(self._logger.info(shortened_lines(text), **options))
 
     def warning(self, text: str, **options: Any) -> bool:
@@ -76,7 +76,7 @@ class NodeLog:
         self._message_times: dict[str, deque[float]] = {}  # times of reports by topic
 
     def begin(self) -> None:
-        """Report the next activity even if it equals the last activity before the stop."""
+        """Report the next activity, even if the same activity was reported before the stop."""
         self._last_activity = None
         self._changes.clear()
 
@@ -87,7 +87,7 @@ class NodeLog:
 
     def report_message(self, topic: str, text: str, *, is_problem: bool = True) -> None:
         """
-        Report the consequence of a received message, as a warning if `is_problem`.
+        Log what a message has changed, or why it was dropped; log a warning if `is_problem`.
 
         A text is dropped if the same text was logged a moment ago, or if too many texts were
         logged for this topic.
@@ -127,11 +127,11 @@ class NodeLog:
         )
 
     def report_waiting(self, missing: Callable[[], list[str]]) -> None:
-        """Report the inputs that are missing for the first command."""
+        """Report which inputs must arrive before the first command."""
         self.warn('waiting', lambda: f'no command yet: waiting for {" and ".join(missing())}')
 
     def report_part(self, name: str, part: Part | None) -> None:
-        """Report a problem in a part of the status repeatedly, and its end a single time."""
+        """Report a problem in a part of the status every few seconds, then report its end once."""
         if part is None:
             return
         last = self._last_parts.get(name, (Level.OK, ''))
@@ -150,7 +150,7 @@ class NodeLog:
     def report_step(
         self, now: float, loop: ControlLoop, command: Command, *, is_dry_run: bool
     ) -> None:
-        """Report a change of activity, and repeat the reason while efforts are held at zero."""
+        """Report a change of activity. While efforts are held at zero, repeat the reason."""
         controller = loop.controller
         phase = controller.phase
         # The end of a ramp down is a change within a phase. The end of a ramp up is not reported.
@@ -167,7 +167,7 @@ class NodeLog:
             self.warn(('saturated', joints), lambda: _describe_saturated(loop, command))
 
     def report_lost_velocities(self, joints: Sequence[str], publishers: Sequence[str]) -> None:
-        """Warn about joints that have lost their velocities, and name the publishers."""
+        """Warn that new joint states lack velocities of these joints; name the publishers."""
         if self._is_due('velocities'):
             self._logger.warning(
                 f'joint_states: the velocities of {", ".join(joints)} are taken as zero: '
@@ -181,7 +181,7 @@ class NodeLog:
                 self._logger.warning(text)
 
     def _report_imu(self, now: float, loop: ControlLoop) -> None:
-        """Report lost IMU messages repeatedly, and their return a single time."""
+        """Report lost IMU messages every few seconds, then report once that they are back."""
         text = describe_lost_imu(now, loop)
         if text and self._is_due('imu'):
             self._has_reported_imu = True

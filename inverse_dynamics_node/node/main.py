@@ -236,7 +236,7 @@ def _unblock_output() -> None:
 
     If nobody reads the output, text is dropped and the writer continues. The logger of rclpy
     writes while it holds the global lock of Python. A blocked write would therefore stop all
-    threads, and no other thread could do the writing.
+    threads, and writing in a separate thread would not help.
     """
     for number, name in ((1, 'stdout'), (2, 'stderr')):
         try:
@@ -253,7 +253,7 @@ def _report(message: str) -> None:
 
 
 def _unblock(number: int) -> None:
-    """Reopen a pipe or terminal as non-blocking, so that other processes keep the old mode."""
+    """Reopen a pipe or terminal as non-blocking, but only for this process."""
     mode = os.fstat(number).st_mode
     if stat.S_ISSOCK(mode):  # cannot be opened again
         os.set_blocking(number, False)

@@ -49,8 +49,8 @@ class InverseDynamicsNode(LifecycleNode):
     """
     Publishes the joint efforts that produce the requested joint accelerations.
 
-    Publishers, subscriptions and services exist as long as the node. The control loop and its
-    timers exist only while the node is configured.
+    Publishers, subscriptions and services exist as long as the node exists. The control loop and
+    its timers exist only while the node is configured.
 
     `skip_ramp` returns whether to cut the stop ramp short. Create `scheduling` before the node.
     `worker` does long work; the default worker is a thread. Other arguments are passed to

@@ -23,7 +23,7 @@ TERM_TOPICS = ('inertial', 'velocity', 'gravity', 'friction', 'external')
 
 
 class Outputs:
-    """Publishes the commands, and explains them to subscribers; message objects are reused."""
+    """Publishes the commands and the topics that explain the commands; reuses message objects."""
 
     def __init__(self, node: LifecycleNode) -> None:
         def publisher(kind: Any, topic: str) -> Any:

@@ -118,7 +118,7 @@ class Parameter:
 
     kind: Kind
     default: Any
-    """Default value in the form of a parameter file."""
+    """Default value, as written in a parameter file."""
     summary: str
     """One or two short Markdown sentences for tables, without the last full stop."""
     details: str = ''
@@ -137,7 +137,7 @@ class Parameter:
 
     @property
     def description(self) -> str:
-        """The summary with the unit after its first sentence, then the details, as plain text."""
+        """Plain text: the summary, with the unit after its first sentence, then the details."""
         first, stop, rest = self.summary.partition('. ')
         unit = f' [{self.unit}]' if self.unit else ''
         text = f'{first}{unit}{stop}{rest}' + (f'. {self.details}' if self.details else '')

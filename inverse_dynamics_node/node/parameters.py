@@ -28,7 +28,7 @@ from .parameter_types import kind_of, NUMBER, Parameter, parameter
 from .scheduling import has_realtime_kernel
 
 VALUE_OF_URDF = -1.0
-"""Value of `damping` and `coulomb` that stands for the value in the robot description."""
+"""In `damping` and `coulomb`, this number stands for the value in the robot description."""
 
 
 class BaseMotion(Enum):

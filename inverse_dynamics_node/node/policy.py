@@ -44,7 +44,7 @@ class Enclave(NamedTuple):
     path: str
     namespace: str
     node: str
-    """Name of the node. It has no effect, because no other name is relative to it."""
+    """Name of the node. It has no effect, because all other names are absolute."""
     subscribe: tuple[str, ...]
     publish: tuple[str, ...]
     reply: tuple[str, ...] = ()

@@ -30,7 +30,7 @@ _HOME = re.compile(r'/root/|/home/[^/]+/')
 
 
 class NodeNames:
-    """Resolves the names of a node and its topics from the command line, as rcl does."""
+    """Applies the remap rules of a command line to names, as rcl does."""
 
     def __init__(self, arguments: Sequence[str]) -> None:
         self._rules = [rule.partition(':=')[::2] for rule in _remaps(arguments)]
@@ -130,7 +130,7 @@ def with_parameter_files(arguments: Sequence[str]) -> list[str]:
 
 def ineffective_files(arguments: Sequence[str], name: str) -> list[str]:
     """
-    Describe the parameter files that are only for other nodes: this node ignores their limits.
+    Describe the parameter files that this node ignores, because they are for other nodes only.
 
     `name` is the fully qualified name of the node. rcl must have accepted the command line.
     """
@@ -146,7 +146,7 @@ def ineffective_files(arguments: Sequence[str], name: str) -> list[str]:
 
 
 def _content(file: str) -> Any:
-    """Read a parameter file that rcl accepts; return None if PyYAML, which is stricter, fails."""
+    """Read a parameter file that rcl accepts; return None if the stricter PyYAML rejects it."""
     import yaml  # which rclpy needs too
 
     if not os.path.isfile(file):  # a pipe has been read already

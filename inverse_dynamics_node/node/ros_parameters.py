@@ -68,7 +68,7 @@ def is_own_parameter(name: str) -> bool:
 
 def changed_configuration(before: Configuration, values: dict[str, Any]) -> Configuration:
     """
-    Return all parameters with the new values, checked together.
+    Check new values together with the other parameters, and return all parameters.
 
     Raise a ConfigurationError that names every parameter with an invalid value.
     """
@@ -91,7 +91,7 @@ def unknown_parameters(node: Node, names: Iterable[str]) -> list[str]:
 
 
 def unknown_overrides(node: Node) -> list[str]:
-    """Describe each parameter given at the start that the node does not have."""
+    """Describe each parameter that was set at the start but that the node does not have."""
     later = f'{LOCKED}.', f'{_QOS}.'  # may be declared later
     return unknown_parameters(
         node, (name for name in _overrides(node) if not name.startswith(later))
@@ -125,7 +125,7 @@ def unused_qos_overrides(node: Node) -> list[str]:
 
 
 def _overrides(node: Node) -> dict[str, Any]:
-    """Map names to parameters from the command line and files, declared or not."""
+    """Return the parameters set on the command line and in files, by name, declared or not."""
     # The public method declares all of them: a mistyped name would become a parameter.
     overrides: dict[str, Any] = node._parameter_overrides
     return overrides

@@ -1,4 +1,4 @@
-"""Runs the control loop on joint states and timers, during a stop, and in a flood of messages."""
+"""Steps the control loop on time, also during a stop and while too many messages arrive."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ class LoopRunner:
     """
     Steps the control loop and publishes its commands.
 
-    The timers use `clock`, and `now` returns its time [s]. `skip_ramp` returns whether to cut the
-    stop ramp short. `worker` reads robot descriptions.
+    The timers use `clock`. `now` returns the time of this clock [s]. `skip_ramp` returns whether
+    to cut the stop ramp short. `worker` reads robot descriptions.
     """
 
     def __init__(
@@ -122,7 +122,7 @@ class LoopRunner:
         self.log.report_message(topic, f'message dropped: {reason}')
 
     def enable(self, *, is_enabled: bool) -> None:
-        """Let the efforts rise; or let them fall to zero, and drop the reference."""
+        """Let the efforts rise, or ramp the efforts down to zero and drop the reference."""
         assert self.loop is not None
         if is_enabled:
             self.loop.controller.resume()
@@ -244,7 +244,7 @@ class LoopRunner:
             self._watch.reset()
 
     def _switch_loop(self) -> None:
-        """Switch to a robot description that has been read, if it can be used."""
+        """If a new robot description has been read and can be used, switch to its loop."""
         assert self.loop is not None
         if not self.loader.poll():
             return
@@ -331,9 +331,9 @@ class Watchdog:
     Spins an executor so that it returns in time, even if its queue never becomes empty.
 
     The EventsExecutor of rclpy queues one event for each message that arrives, and timers queue
-    behind these events. Its time-out applies only if the queue is empty. Therefore a thread ends
-    the spin between two events, and the caller does all overdue work. The events stay in the
-    queue. A new executor would drop them, but with rclpy 7.1 services would then no longer answer.
+    behind these events. The time-out of a spin applies only if the queue is empty. Therefore a
+    thread ends the spin between two events, and the caller does all overdue work. The events stay
+    in the queue. A new executor would drop them, but services of rclpy 7.1 would stop answering.
     """
 
     def __init__(self) -> None:

@@ -46,9 +46,9 @@ class Scheduling:
     Lets the control loop and the middleware run before other programs.
 
     Create this object in the thread of the control loop, before the worker and the node. Threads
-    that already exist keep normal priority, for example threads of numerical libraries and the
-    log. All threads of the middleware get real-time priority, because each may hold a lock that
-    the loop waits for. A new thread inherits the priority of the thread that starts it.
+    that were started earlier keep normal priority, for example the threads of numerical libraries
+    and of the log. All threads of the middleware get real-time priority, because each may hold a
+    lock that the loop waits for. A new thread inherits the priority of the thread that starts it.
     """
 
     def __init__(self) -> None:
@@ -67,10 +67,10 @@ class Scheduling:
         """
         Set the priority and the CPUs of the threads, and lock the memory.
 
-        `priority` is the priority in SCHED_FIFO, from 1 to 99. Empty `cpus` stand for all CPUs.
-        `watchdog` is the native id of the watchdog thread. This thread gets a higher priority than
-        the loop, so that it runs even if the loop never sleeps. Return whether everything was
-        permitted, and one line for the log.
+        `priority` is the priority in SCHED_FIFO, from 1 to 99. If `cpus` is empty, every CPU
+        may be used. `watchdog` is the native id of the watchdog thread. This thread gets a higher
+        priority than the loop, so that it runs even if the loop never sleeps. Return whether
+        everything was permitted, and one line for the log.
         """
         problems, done = [], []
         self._priority, self._watchdog, self._problem = priority, watchdog, ''
@@ -113,7 +113,7 @@ class Scheduling:
 
     @contextlib.contextmanager
     def normal_priority(self) -> Iterator[None]:
-        """Run long work in the thread of the loop, such as compilation, at normal priority."""
+        """Run long work of the loop thread, such as compilation, at normal priority."""
         before = set(_thread_ids())
         if self._is_realtime:
             _schedule(self._loop, 0)
@@ -169,7 +169,7 @@ class Scheduling:
 
 
 def lock_memory() -> str:
-    """Lock each page of this process at its first use; return a log text or raise an OSError."""
+    """Lock each memory page at its first use; return a log text or raise an OSError."""
     libc = ctypes.CDLL(None, use_errno=True)
     _, limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     resource.setrlimit(resource.RLIMIT_MEMLOCK, (limit, limit))

@@ -1,4 +1,4 @@
-"""Services of the node, and the handling of errors in services that rclpy creates."""
+"""Offers the services of the node, and handles errors in the services of rclpy."""
 
 from __future__ import annotations
 
@@ -71,13 +71,13 @@ def contain_errors(node: LifecycleNode, keep_up: Callable[[], None]) -> None:
     """
     Catch the errors of the services and subscriptions that rclpy has created.
 
-    The executor of rclpy 7.1 raises an error for a parameter of an unknown type, a clock before
-    zero, or a lifecycle transition that is not possible now. The executor would survive the error,
-    but a client would wait for its answer forever.
+    The executor of rclpy 7.1 raises an error for a parameter of an unknown type, a time before
+    zero on /clock, or a lifecycle transition that is not possible now. The executor would
+    continue after the error, but a client would wait for its answer forever.
 
-    Call this function before the node creates entities of its own, because their errors must not
-    be hidden. `keep_up` is called after every request. Requests may fill the queue of the
-    executor, and each request takes as long as several commands.
+    Call this function before the node creates its own services and subscriptions, whose errors
+    must not be hidden. `keep_up` is called after every request, because many requests may be
+    waiting, and each request takes as long as several commands.
     """
     for service in node.services:
         callback = service.callback
@@ -129,7 +129,7 @@ def _set(node: LifecycleNode, parameters: Sequence[Any]) -> SetParametersResult:
 
 
 def _problem(node: LifecycleNode, parameters: Sequence[Any]) -> str:
-    """Return why parameters cannot be set; rclpy 7.1 does not name an unknown parameter."""
+    """Return why parameters cannot be set. Unlike rclpy 7.1, name an unknown parameter."""
     for parameter in parameters:
         if parameter.value.type not in _TYPES:
             return (

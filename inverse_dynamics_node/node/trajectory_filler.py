@@ -43,7 +43,7 @@ def fill(loop: ControlLoop, data: bytes) -> Filled:
     """
     Compute the efforts for a serialized trajectory, which may contain any joints of the robot.
 
-    The loop provides the dynamics, and the positions of the joints that the trajectory lacks.
+    The loop provides the dynamics, and the positions of joints that are not in the trajectory.
     Raise a TrajectoryError if the trajectory cannot be used.
     """
     message = deserialize_trajectory(data)
@@ -78,8 +78,8 @@ class TrajectoryFiller:
         """
         Publish a serialized trajectory with its efforts as soon as they have been computed.
 
-        The dynamics and joint positions are taken from the loop now. `reject` is called later if
-        the trajectory cannot be used. If `is_active`, a long trajectory is refused, because it
+        The worker gets a copy of the loop as it is now. `reject` is called later if the
+        trajectory cannot be used. If `is_active`, a long trajectory is refused, because it
         would delay commands. Raise a TrajectoryError if the trajectory is too long, too many
         trajectories wait, or there is no subscriber.
         """
@@ -152,7 +152,7 @@ def _read_trajectory(message: JointTrajectory) -> Trajectory:
 def _write_trajectory(
     message: JointTrajectory, trajectory: Trajectory, efforts: Floats
 ) -> JointTrajectory:
-    """Return a message with the efforts, and with header and times of the old message."""
+    """Return a message with the efforts; copy the header and the times from the old message."""
     result = JointTrajectory(header=message.header, joint_names=message.joint_names)
     rows = (trajectory.positions, trajectory.velocities, trajectory.accelerations, efforts)
     result.points = [

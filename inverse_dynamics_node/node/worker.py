@@ -28,20 +28,20 @@ class Worker:
     """
     Calls functions in a child process, one after the other.
 
-    A thread would hold the lock of the Python interpreter for milliseconds while it reads a
-    message or an XML file. On a busy machine this takes even longer, because the scheduler may
-    interrupt a thread of normal priority that holds the lock. The control loop would have to wait.
+    A thread that reads a message or an XML file would hold the lock of the Python interpreter for
+    milliseconds, and the control loop would have to wait. On a busy machine the loop would wait
+    even longer, because the scheduler may interrupt a normal-priority thread that holds the lock.
 
     The child process is a copy of this process. Create the worker before the node, so that the
     copy contains no ROS entities. Create the worker after the imports, so that both processes
-    share the memory of the libraries. Create `Scheduling` before the worker, because the threads
-    of the worker also hold the lock. Without `has_process`, or after the end of the child process,
-    a thread does the work.
+    share the memory of the libraries. Create `Scheduling` before the worker, so that the threads
+    of the worker get the priority of the loop: these threads hold the lock, too. Without
+    `has_process`, or after the end of the child process, a thread does the work.
     """
 
     def __init__(self, has_process: bool = False) -> None:
         self.problem = ''
-        """Reason why the requested child process does not exist; empty if there is no problem."""
+        """Why the child process could not be created; empty if there is no problem."""
         self._executor: Executor = ThreadPoolExecutor(1, 'worker')
         if has_process:
             try:
@@ -78,7 +78,7 @@ def prepare_to_load() -> None:
 
 
 def _prepare(parent: int) -> None:
-    """Make a child process end only with its parent, and run at normal priority."""
+    """Let a child process ignore signals, end with its parent, and run at normal priority."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # sent by a terminal or a service manager
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)

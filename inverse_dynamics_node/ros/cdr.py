@@ -1,10 +1,10 @@
 """
 Reads serialized joint states and writes serialized commands.
 
-Deserializing a message takes longer than the dynamics. However, a publisher always sends the same
-joint names. Therefore only its first message is deserialized. Later messages have the same layout,
-and their numbers are read in place. The layout also keeps the object that the receiver has made
-from the names.
+Deserializing a message takes longer than computing the efforts. However, a publisher always sends
+the same joint names. Therefore only its first message is deserialized. Later messages have the
+same layout, and their numbers are read in place. The layout also keeps the object that the
+receiver has made from the names.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def serialize_numbers(numbers: Floats) -> bytes:
 
 
 class _Layout(NamedTuple):
-    """Places of the arrays in a message, and the data that identify messages with this layout."""
+    """Where a message stores its arrays, and how to recognize messages with the same layout."""
 
     pattern: struct.Struct
     """Unpacks texts and array lengths; skips the stamp, padding and numbers."""

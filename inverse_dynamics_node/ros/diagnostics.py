@@ -1,8 +1,8 @@
 """
 Writes `NodeStatus` to ``/diagnostics`` in the format of REP-107, and reads it back.
 
-Each field of the status declares its key and format. A value that is read has only the precision
-of its text.
+Each field of the status declares its key and format. A value that is read back has only as many
+digits as its text.
 """
 
 from __future__ import annotations
@@ -157,8 +157,8 @@ def read_status(message: Any, node: str) -> NodeStatus | None:
     """
     Read the status of the node with the fully qualified name `node`.
 
-    The message may come from any node, also from another version of this package. The status lacks
-    the values that cannot be read. Return None if the message is from another node.
+    The message may come from any node, also from another version of this package. Values that
+    cannot be read keep their defaults. Return None if the message is from another node.
     """
     prefix = f'{node.strip("/")}: '
     parts = {

@@ -20,9 +20,9 @@ class Graph:
     """
     Queries the ROS graph for a node.
 
-    A query takes 1 to 50 us in a small graph and longer in a large one: use slow timers only.
-    `forms` are the publishers of the topics that may carry the commands. Reports mention the first
-    of these topics that has subscribers.
+    A query takes 1 to 50 us in a small graph and longer in a large graph. Therefore only slow
+    timers should make queries. `forms` are the publishers of the topics that may carry the
+    commands. Reports name the first of these topics that has a subscriber.
     """
 
     def __init__(self, node: LifecycleNode, *forms: Any) -> None:
@@ -37,12 +37,12 @@ class Graph:
         self.expect_discovery()
 
     def expect_discovery(self) -> None:
-        """Suppress reports of missing inputs for one second."""
+        """Suppress reports of missing inputs for one second, while publishers are discovered."""
         self._discovered_at = time.monotonic() + _DISCOVERY
 
     @property
     def is_discovered(self) -> bool:
-        """Whether publishers have had one second to be discovered."""
+        """Whether one second has passed since `expect_discovery`."""
         return time.monotonic() >= self._discovered_at
 
     @property
@@ -71,9 +71,9 @@ class Graph:
 
     def subscriber_change(self) -> str:
         """
-        Report the first subscriber to the commands, or the end of the last subscription.
+        Return a log text if the commands got their first subscriber or lost their last subscriber.
 
-        The text is empty if nothing has changed since the last call of this method or
+        Return an empty text if neither has happened since the last call of this method or of
         `with_subscribers`.
         """
         commands = self._commands
@@ -93,10 +93,10 @@ class Graph:
 
     def others(self) -> Others:
         """
-        Find nodes that interfere with this node and also existed at the previous call.
+        Find nodes that interfere with this node and were also found by the previous call.
 
-        Publishers are discovered before the names of their nodes, and a node that shuts down
-        disappears within a second.
+        One call is not enough. A publisher is discovered before the name of its node, and a node
+        that shuts down stays in the graph for up to a second.
         """
         rivals: set[str] = set()
         commands = self._commands
@@ -133,7 +133,7 @@ class Graph:
         )
 
     def _rivals(self, commands: Any) -> set[str]:
-        """Return the other nodes that publish on the same topic with the same type."""
+        """Return the other nodes that publish on the topic of `commands` with its message type."""
         kind = type_name(commands.msg_type)
         publishers = Counter(
             _name_of(info)

@@ -30,11 +30,10 @@ def start_ros(arguments: Sequence[str] | None = None) -> None:
     """
     Initialize rclpy, without its signal handlers and without shared memory.
 
-    Before the first message to a new subscriber, Fast DDS 2.14 opens a port in shared memory,
-    within the call of the publisher. A race between publisher and subscriber can block this call,
-    and thus a control loop, for 0.33 s (issue 6535 of Fast DDS). Therefore messages use UDP, also
-    within a machine. The environment variables for UDP are set in this process, and its children
-    inherit them.
+    When a publisher sends its first message to a new subscriber, Fast DDS 2.14 opens a port in
+    shared memory. A race between publisher and subscriber can then block the publisher, and thus a
+    control loop, for 0.33 s (issue 6535 of Fast DDS). Therefore messages use UDP, even within a
+    machine. The environment variables for UDP are set in this process and inherited by children.
 
     `arguments` are ROS arguments, by default those of the process. Raise a ConfigurationError if
     ROS would start without the security that the environment requests.
@@ -51,9 +50,9 @@ def check_security(rmw: str, environment: Mapping[str, str]) -> None:
     """
     Raise a ConfigurationError if ROS would silently start without the requested security.
 
-    ROS compares texts: ``True`` or ``1`` switches security off, and ``enforce`` does not enforce
-    it. Only implementations based on DDS read the enclave; rmw_zenoh ignores it. The error names
-    the setting and its possible values.
+    ROS compares exact texts: with ``True`` or ``1`` security is off, and with the strategy
+    ``enforce`` security is not enforced. Only implementations based on DDS read the enclave;
+    rmw_zenoh ignores it. The error names the setting and its possible values.
     """
     enabled, strategy = environment.get(_SECURITY, ''), environment.get(_STRATEGY, '')
     problems = []
@@ -102,9 +101,9 @@ def udp_settings(rmw: str, environment: Mapping[str, str]) -> dict[str, str]:
     Return the environment variables that keep Fast DDS from using shared memory.
 
     The result is empty for other middleware, and if the user has chosen other transports. With the
-    discovery range LOCALHOST, rmw_fastrtps requests shared memory whatever the user has chosen. In
-    this case, a profile replaces the range. With static peers no profile is used, because the
-    profile would have to list the peers.
+    discovery range LOCALHOST, rmw_fastrtps requests shared memory regardless of the chosen
+    transports. In this case, a profile replaces the range. If there are static peers, no profile
+    is used, because the profile would have to list the peers.
     """
     profiles = {environment.get(name) or LOCAL_PROFILE for name in _PROFILES}
     has_other_transports = environment.get(_TRANSPORTS) not in (None, '', 'UDPv4')

@@ -1,4 +1,4 @@
-"""Observes a running node, also on another machine, by subscribing to its topics."""
+"""Observes a running node, on this or another machine, by subscribing to its topics."""
 
 from __future__ import annotations
 
@@ -107,8 +107,8 @@ class Observer:
     """
     Collects the messages of the node with the fully qualified name `name`.
 
-    `poll` takes the messages from the middleware. An executor would call Python code for each of a
-    thousand messages per second.
+    `poll` takes the messages from the middleware. No executor spins the node, because an executor
+    would call Python code a thousand times per second, once for each message.
     """
 
     def __init__(self, node: Node, name: str) -> None:
@@ -168,10 +168,10 @@ class Observer:
     @property
     def state_rate(self) -> float | None:
         """
-        Highest rate of joint states in the last reports [Hz]; None before the second report.
+        Highest rate of joint states in the latest reports [Hz]; None before the second report.
 
-        A single report may include a time in which the robot was not connected yet, or this
-        machine was suspended.
+        The rate in a single report may be too low, because the robot was not connected yet or
+        this machine was suspended for part of the time.
         """
         return max(self._state_rates) if len(self._state_rates) > 1 else None
 
@@ -202,7 +202,7 @@ class Observer:
     def _take(
         self, subscription: Any, kind: Any, raw: bool = False
     ) -> Iterator[tuple[Any, float]]:
-        """Yield all messages in the queue, and the times at which they were received [s]."""
+        """Yield each message in the queue, and the time at which it was received [s]."""
         while True:
             with subscription.handle:
                 taken = subscription.handle.take_message(kind, raw)
@@ -242,7 +242,7 @@ class Observer:
         self._clear()
 
     def _follow_topics(self, status: NodeStatus) -> None:
-        """Subscribe to the topics of the joints under their remapped names."""
+        """Subscribe to the joint topics under the names that the diagnostics report."""
         states, efforts = status.joint_states, status.efforts
         for name, topic, profile in (
             ('joint_states', states.topic if states else '', _QUEUE),

@@ -1,4 +1,4 @@
-"""Publishes a payload to a running node, and waits until its diagnostics list it."""
+"""Publishes a payload to a running node, and waits until the node reports that payload."""
 
 from __future__ import annotations
 
