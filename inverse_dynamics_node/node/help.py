@@ -69,7 +69,7 @@ examples:
 _EXIT_CODES = """\
 exit code:
   0  ended by SIGINT, SIGTERM, SIGHUP or a shutdown transition, after the stop ramp
-  1  not started, because of a parameter, the robot description or ROS; or an error in the program
+  1  could not start because of a parameter, the robot description or ROS; or ended by an error
   2  invalid arguments"""
 
 _LOCKED_JOINT = f'{LOCKED}.<joint>'

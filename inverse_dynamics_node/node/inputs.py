@@ -170,7 +170,7 @@ class Inputs:
                     f"frame_id is '{shortened(frame)}', expected the base link '{loop.base_link}'"
                 )
             if loop.has_imu:
-                raise ConfigurationError("gravity is measured: parameter 'base_motion' is imu")
+                raise ConfigurationError('the IMU measures gravity: parameter base_motion is imu')
             gravity = _read_vector(message.vector)
             loop.loads.set_gravity(gravity)
             self._report_gravity(loop, gravity)

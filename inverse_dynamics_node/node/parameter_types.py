@@ -95,7 +95,7 @@ _KINDS = {
     bool: Kind('true or false', _flag),
     float: NUMBER,
     int: INTEGER,
-    tuple[int, ...]: Kind('-1, or an integer or a list of integers from 0', _cpus),
+    tuple[int, ...]: Kind('-1, a CPU number or a list of CPU numbers', _cpus),
     tuple[float, float, float]: Kind(
         'three finite numbers, all with a decimal point or all without', _vector, is_numeric=True
     ),

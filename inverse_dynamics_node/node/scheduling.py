@@ -179,7 +179,7 @@ def lock_memory() -> str:
         number = ctypes.get_errno()
         bound = f' (memlock limit {limit >> 10} kB)' if is_limited else ''
         raise OSError(number, f'memory cannot be locked: {os.strerror(number)}{bound}')
-    return 'memory in use at the start is locked' if is_limited else 'memory is locked'
+    return 'only the memory in use at the start is locked' if is_limited else 'memory is locked'
 
 
 def _thread_ids() -> list[int]:

@@ -250,7 +250,7 @@ def test_invalid_motions_of_the_base_are_dropped_with_a_reason(run_node, robot):
     gravity = stamped(Vector3Stamped, '', vector=Vector3(z=-9.8))
     cases = [
         ('/imu', imu((math.nan, 0.0, 0.0)), 'specific force is'),
-        ('gravity', gravity, 'gravity is measured'),
+        ('gravity', gravity, 'the IMU measures gravity'),
         ('/imu', UNMEASURED, unmeasured),
     ]
     drop_with_reason(robot, node, cases)

@@ -190,7 +190,7 @@ def test_invalid_values_prevent_the_start(run_node):
     node = run_node(thread_priority=100, cpu_affinity='abc')
     assert node.wait() == 1
     assert "parameter 'thread_priority' is 100, expected 1 to 99" in node.output
-    assert "parameter 'cpu_affinity' is 'abc', expected -1, or an integer or a list" in node.output
+    assert "parameter 'cpu_affinity' is 'abc', expected -1, a CPU number or a list" in node.output
 
 
 LOCK = """
