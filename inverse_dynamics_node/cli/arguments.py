@@ -1,4 +1,4 @@
-"""Parses the arguments of commands, defines those that several commands share, loads robots."""
+"""Parses the arguments of commands, defines arguments for several commands, and loads robots."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .console import waiting
 from .output_files import picture_path
 
 ROBOT, RESULT = 'robot and load', 'result'
-"""Titles of the groups of options that most commands have."""
+"""Titles of two groups of options; most commands have both groups."""
 
 
 class CommandParser(argparse.ArgumentParser):
@@ -28,8 +28,8 @@ class CommandParser(argparse.ArgumentParser):
     The parser of one command.
 
     The help is wrapped to the width of the terminal; paragraphs with indented lines stay as they
-    are. The help lists the options in groups: `ROBOT`, the options of this command (the title of
-    this group is `own`), and `RESULT`. The error for a mistyped option suggests another option.
+    are. The help lists three groups of options: `ROBOT`, the options of this command under the
+    title `own`, and `RESULT`. For a mistyped option, the error message suggests a correction.
     """
 
     def __init__(self, command: str, description: str, epilog: str, own: str = 'input') -> None:
@@ -48,7 +48,7 @@ class CommandParser(argparse.ArgumentParser):
         self.add_argument('-h', '--help', group='help', action='help', help='show this text')
 
     def add_argument(self, *names: str, group: str = '', **properties: Any) -> argparse.Action:
-        """Add an argument; an option may name its group, such as `RESULT`."""
+        """Add an argument; `group` is the title of an option's group, such as `RESULT`."""
         if not names[0].startswith('-'):
             return super().add_argument(*names, **properties)
         self._names += names
@@ -68,7 +68,7 @@ class CommandParser(argparse.ArgumentParser):
 
 
 def _fitting(text: str, width: int) -> str:
-    """Wrap the paragraphs of a text, except those with indented lines."""
+    """Wrap the paragraphs of a text; paragraphs with indented lines stay as they are."""
     paragraphs = text.strip('\n').split('\n\n')
     return '\n\n'.join(
         paragraph if '\n ' in paragraph else '\n'.join(wrapped(paragraph, width))
@@ -100,7 +100,7 @@ def add_gravity(parser: CommandParser) -> None:
 
 
 def add_link(parser: CommandParser, role: str = '') -> None:
-    """Add the option --link; `role` is text for its help that describes a second role."""
+    """Add the option --link; `role` is added to its help and describes another use."""
     text = 'link that carries the payload (default: tool0, or the end of the longest chain)'
     parser.add_argument('--link', group=ROBOT, help=text + role)
 
@@ -179,7 +179,7 @@ def add_strict(parser: CommandParser, condition: str) -> None:
 
 
 def add_at(parser: CommandParser, which: str) -> None:
-    """Add the option --at; the help describes the joints as "a joint that `which`"."""
+    """Add the option --at; in its help, `which` completes the words "position of a joint that"."""
     parser.add_argument(
         '--at',
         group=ROBOT,
@@ -250,7 +250,7 @@ def load_dynamics(path: Path | str, gravity: Floats | tuple[float, ...]) -> Inve
 
 
 def stem_of(path: Path) -> str:
-    """Return the stem of a path, or 'robot' for ``-``; names of output files begin with it."""
+    """Return how names of output files begin: with the stem of the path, or 'robot' for ``-``."""
     return 'robot' if str(path) == '-' else path.stem
 
 

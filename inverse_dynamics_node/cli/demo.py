@@ -61,7 +61,7 @@ exit code: 0 passed; 1 failed, or cannot be run; 2 invalid arguments."""
 CALIBRATE = 'calibrate'
 """The scenario that runs the robot twice, and identifies its parameters between the runs."""
 _FRACTION = 0.6
-"""Fraction of the limits that the motion uses; tracking errors of the first run need a reserve."""
+"""The motion uses this fraction of the limits; the rest is a reserve for tracking errors."""
 
 Draw = Callable[[Path], None]
 
@@ -221,7 +221,7 @@ class _Result(NamedTuple):
 def _run_identification(
     options: argparse.Namespace, stopped: Callable[[], bool]
 ) -> tuple[ScenarioResult, Draw]:
-    """Record a motion, identify the robot, and repeat the motion; see `_run_scenario`."""
+    """Record a motion, identify the robot, repeat the motion; return as `_run_scenario`."""
     urdf = str(options.urdf.resolve())
     robot = load_urdf(urdf)
     dynamics = InverseDynamics(robot)
@@ -308,7 +308,7 @@ def _description(urdf: str) -> list[str]:
 
 
 def _table(setup: DemoSetup, truth: UnknownRobot, result: _Result) -> Table:
-    """Return the errors of both runs, and the simulated and identified friction and rotors."""
+    """Return a table: errors of both runs; friction and rotors, both simulated and identified."""
     found = {joint.name: joint.terms for joint in result.identified.joints}
     rows = []
     for k, name in enumerate(setup.robot.joint_names):

@@ -260,7 +260,7 @@ def _limits(robot: RobotModel, source: Path | str, options: argparse.Namespace) 
 
 
 def _seconds_to_start(excitation: Excitation) -> float:
-    """Return a time [s] in which every joint can cross its range slowly."""
+    """Return a duration [s] that is long enough for every joint to cross its range slowly."""
     limits = excitation.limits
     longest = float(np.max(2.0 * limits.half / (_SLOW * limits.speeds)))
     return float(max(5.0, math.ceil(longest)))

@@ -55,7 +55,7 @@ class LiveView:
 
 
 def screen(observer: Observer, sample: Sample | None, agreement: Agreement, width: int) -> Any:
-    """Return the content of the screen as an object of rich; important lines come first."""
+    """Return the content of the screen for the library rich; important lines come first."""
     from rich.console import Group
 
     status = None if agreement.obstacle is Obstacle.NO_DIAGNOSTICS else observer.status
@@ -211,7 +211,7 @@ def node_lines(status: NodeStatus) -> list[tuple[str, str]]:
 
 
 def _payload(status: NodeStatus) -> str:
-    """List the payloads; the text is empty before the node has a robot."""
+    """List the payloads; the text is empty until the node has loaded a robot."""
     return ', '.join(map(str, status.model.payloads)) or 'none' if status.model else ''
 
 
@@ -300,7 +300,7 @@ def _status_json(status: NodeStatus) -> dict[str, Any]:
 
 
 def _text(*arguments: Any, **options: Any) -> Any:
-    """Return a text of rich; rich is imported late, because lines in a pipe do not need it."""
+    """Return a `rich.text.Text`; output to a pipe does not need rich, so rich is imported here."""
     from rich.text import Text
 
     return Text(*arguments, **options)

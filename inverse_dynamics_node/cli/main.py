@@ -37,7 +37,7 @@ _COMMANDS = {
     },
 }
 COMMANDS = tuple(name for group in _COMMANDS.values() for name in group)
-"""Each is a module with make_parser() and run(options); run returns the exit code."""
+"""Each command is a module with make_parser() and run(options); run returns the exit code."""
 
 _USAGE = """\
 usage: inverse_dynamics COMMAND [ARGUMENT]...

@@ -27,10 +27,11 @@ def node_name(text: str) -> str:
 
 def choose_node(node: Any, wanted: str | None, is_patient: bool) -> str:
     """
-    Return the full name of the wanted inverse dynamics node, or of the only one.
+    Return the full name of the inverse dynamics node that the user wants.
 
-    The wanted name may be only the end of the full name. Raise ConfigurationError if there are
-    several nodes, or if there is none after a while. A patient caller waits without a limit.
+    `wanted` is the full name or its last part; without it, there must be only one node. Raise a
+    ConfigurationError if several nodes fit, or if no node is found in time. If `is_patient`, wait
+    for a node without a time limit.
     """
     from ..ros.observer import find_nodes
 
@@ -54,7 +55,7 @@ def choose_node(node: Any, wanted: str | None, is_patient: bool) -> str:
 
 
 def only_one(names: list[str]) -> str:
-    """Return the only name, or an empty text if there is none; several names are an error."""
+    """Return the only name, or an empty text without names; raise an error for several names."""
     if len(names) > 1:
         raise ConfigurationError(
             f'there are {len(names)} nodes: {", ".join(names)}; choose one by its name, such as '

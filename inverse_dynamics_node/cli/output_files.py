@@ -2,7 +2,7 @@
 Writes the files of a command without destroying other files.
 
 An input is never replaced. Another file is replaced only with --force, or if it is an unchanged
-output of an earlier call. Outputs are recognized by a mark, an extended attribute with the hash of
+output of an earlier call. Outputs are recognized by a mark: an extended attribute with the hash of
 the content. On file systems without extended attributes, --force is always necessary.
 """
 
@@ -61,9 +61,9 @@ def check_outputs(
     """
     Check that the outputs of a command do not replace a file that must be kept.
 
-    The keys of `outputs` are options. Among the inputs, ``-`` is standard input. Raise OutputError
-    if an output is an input (or a link to one), or if two outputs are the same file. Without
-    `force`, also raise it if an existing file is not an unchanged output of an earlier call.
+    The keys of `outputs` are the options that give the paths. The input ``-`` is standard input.
+    Raise OutputError if an output is an input (or a link to an input), if two outputs are the same
+    file, or if a file exists that is not an unchanged output of an earlier call (unless `force`).
     """
     sources = {_identity(file): file for source in inputs for file in _files_of(source)}
     written: dict[object, str] = {}
@@ -89,7 +89,7 @@ def check_outputs(
 @contextmanager
 def new_file(path: Path) -> Iterator[Path]:
     """
-    Yield the path of a temporary file, which replaces the output when the body succeeds.
+    Yield the path of a temporary file, which replaces the output if the `with` body succeeds.
 
     If the body fails, an existing output is not changed. A symbolic link is kept: the file to
     which it points is replaced. Raise OSError with the path if the output cannot be written.
@@ -133,7 +133,7 @@ def _digest(path: Path) -> bytes:
 
 
 def _identity(path: Path) -> object:
-    """Return device and inode of a file, the same for links to it; without a file, its path."""
+    """Return device and inode, which a file shares with its links; if no file exists, the path."""
     try:
         status = os.fstat(sys.stdin.fileno()) if str(path) == '-' else path.stat()
     except (OSError, ValueError):  # no such file, or a closed standard input

@@ -1,4 +1,4 @@
-"""Reads recordings, and parameters that say what their efforts contain."""
+"""Reads recordings, and node parameters that say what the recorded efforts contain."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def read_recording(
 def measured_efforts(
     path: Path | None, joint_names: tuple[str, ...]
 ) -> tuple[GravityConvention, dict[str, float]]:
-    """Read from node parameters whether efforts contain gravity, and a factor for each joint."""
+    """Read node parameters: which efforts contain gravity, and factors of measured efforts."""
     given = {} if path is None else _node_parameters(path)
     try:
         in_commands = given.get('include_gravity', True)

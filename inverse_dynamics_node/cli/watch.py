@@ -135,7 +135,7 @@ class _Watch:
         self._cut: dict[str, float] = {}  # last time at which each effort was cut to its limit
 
     def run(self) -> int:
-        """Show the node until the end; return the exit code."""
+        """Show the node until the time is over; return the exit code."""
         if self.options.json or not sys.stdout.isatty():
             self._loop(self._print_line, _LINE)
         else:
@@ -174,7 +174,7 @@ class _Watch:
             only_one(self.find())
 
     def _end(self, now: float) -> float:
-        """Return the end of the duration, which begins when the state of the node is known."""
+        """Return the time of the end; the duration begins when the state of the node is known."""
         if not self.options.duration:
             return math.inf
         status, robot = self.observer.status, self.observer.robot
@@ -273,7 +273,7 @@ class _Watch:
 
 
 def _convention(status: NodeStatus) -> GravityConvention:
-    """Return which efforts contain gravity, according to the node."""
+    """Return whether commanded and measured efforts contain gravity, according to the node."""
     model, efforts = status.model or ModelStatus(), status.efforts or EffortsStatus()
     in_commands, in_measured = model.gravity is not None, efforts.measures_gravity
     return GravityConvention(in_commands, in_commands if in_measured is None else in_measured)

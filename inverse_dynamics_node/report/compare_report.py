@@ -46,7 +46,7 @@ def verdict(result: ComparisonResult) -> str:
 
 
 def _total(result: ComparisonResult, name: str) -> str:
-    """Write the RMS of the values of the moving joints, separately for revolute and prismatic."""
+    """Write the RMS over the moving joints: one for revolute and one for prismatic joints."""
     texts = []
     for is_prismatic in (False, True):
         values = [

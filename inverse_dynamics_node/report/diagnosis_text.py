@@ -45,7 +45,7 @@ def advice(fault: Fault) -> str:
 
 
 def _options(fault: Fault) -> str:
-    """Return options with which `compare` takes the fault into account, or an empty text."""
+    """Return the options that make `compare` allow for the fault, or an empty text."""
     if fault.interval is not None:
         return f'--from {fault.interval[0]:.1f} --to {fault.interval[1]:.1f}'
     numbers = [0.0 if abs(value) < 5e-4 or math.isnan(value) else value for value in fault.values]
@@ -171,7 +171,7 @@ _STARTS_WITH_JOINT = (FaultKind.SIGN, FaultKind.REVERSED_AXIS, FaultKind.ROTOR_I
 
 
 def _changes(fault: Fault) -> str:
-    """Write the residuals without and with a model of the fault; both include fitted friction."""
+    """Say how far a model of the fault reduces the residuals; friction is fitted in both cases."""
     changes = fault.changes[:MOST_CHANGES]
     if not changes:
         return ''

@@ -1,4 +1,4 @@
-"""Tables of an excitation motion, and of the standard errors to expect from its recording."""
+"""Tables that describe an excitation motion, and the standard errors to expect."""
 
 from __future__ import annotations
 
@@ -30,10 +30,11 @@ def excitation_tables(
     box: Extent,
 ) -> list[Table]:
     """
-    Describe an excitation motion, and the standard errors to expect from its recording.
+    Describe an excitation motion, and the standard errors to expect after recording it.
 
-    The trajectory is the written one, which may be slower than planned. The efforts are modelled,
-    shape (points, joints) [N m or N]. The box contains the moving links in all poses.
+    `trajectory` is what the command writes, and may be slower than planned. `efforts` are
+    the modelled efforts, shape (points, joints) [N m or N]. `box` contains the moving links in all
+    poses.
     """
     errors = expected_errors(excitation.unknowns, excitation.information)
     return [

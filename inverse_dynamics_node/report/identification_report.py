@@ -14,7 +14,7 @@ from .quantities import motion_notes, with_error
 from .tables import Table
 
 DETERMINED = 0.5
-"""A mass is determined if the recordings give at least this fraction of the information."""
+"""A mass is determined if at least this fraction of the information about it is recorded."""
 NOTED_CHANGE = 0.1
 """An undetermined mass gets a note if it changes by more than this fraction."""
 
@@ -193,7 +193,7 @@ def summary_lines(result: IdentificationResult) -> tuple[str, ...]:
 
 
 def notes_of(result: IdentificationResult) -> tuple[str, ...]:
-    """Return sentences, without full stops, about ignored, repaired and doubtful data."""
+    """Return notes about ignored, repaired and doubtful data, without full stops."""
     notes = [note for motion in result.signals for note in motion_notes(motion)]
     return tuple(dict.fromkeys(notes))
 

@@ -39,7 +39,7 @@ def fraction(effort: float, limit: float) -> str:
 
 
 def decimals(values: Floats, digits: int = 4) -> int:
-    """Return the number of decimals (1 to 6) with which the largest value has `digits` digits."""
+    """Return how many decimals (1 to 6) show the largest value with `digits` digits."""
     largest = float(np.max(np.abs(values), initial=0.0))
     if not 0.0 < largest < math.inf:
         return 1
@@ -55,7 +55,7 @@ def with_error(value: float, error: float) -> str:
 
 
 def motion_notes(motion: Motion) -> list[str]:
-    """Return sentences, without full stops, about ignored, repaired and doubtful data."""
+    """Return notes about ignored, repaired and doubtful data, without full stops."""
     notes = list(motion.notes)
     if motion.lags:
         late = ', '.join(f'{name} {1e3 * value:.0f} ms' for name, value in motion.lags.items())

@@ -169,7 +169,7 @@ def _at_rest(dynamics: InverseDynamics, q: Floats, limits: Floats) -> Table:
 def _limits(
     robot: RobotModel, commanded: Sequence[str], effort_limits: ArrayLike | None
 ) -> Floats:
-    """Return the limits of all joints; for commanded joints, `effort_limits` replaces them."""
+    """Return the effort limits of all joints; `effort_limits` belong to commanded joints."""
     indices = robot.joint_indices(commanded)
     limits: Floats = robot.effort_limits.copy()
     if effort_limits is not None:

@@ -68,7 +68,8 @@ def table_lines(table: Table, width: int = WIDTH, whole_names: bool = False) -> 
     """
     Format a table in lines of at most `width` characters.
 
-    With `whole_names`, for programs, no name is shortened; lines can then be longer than `width`.
+    With `whole_names`, no name is shortened, and lines can be longer than `width`: use it if a
+    program reads the lines.
     """
     lines = [Line(escaped(table.title), Style.TITLE)]
     if table.rows:
@@ -169,7 +170,7 @@ def all_shortened(names: Sequence[str], size: int) -> list[str]:
 
 
 def shortened(text: str, size: int) -> str:
-    """Shorten a text in its middle, because joint names differ at their start or end."""
+    """Replace the middle of a long text with "…": joint names differ at the start or end."""
     if len(text) <= size:
         return text
     stem = text.removesuffix('_joint')

@@ -18,9 +18,9 @@ from . import style
 
 _BINS = 80
 _HALF = 0.42
-"""Half of the largest height of a distribution, as a multiple of the row height."""
+"""A distribution extends at most this many row heights above and below the middle of its row."""
 _REACH = 1.12
-"""The axis of efforts ends at this multiple of the worst effort, on both sides."""
+"""The effort axis ends at this multiple of the worst effort, on both sides."""
 _MAX_RATIO = 1.2
 """Bars that are longer than this multiple of the limit are cut."""
 _NEGLIGIBLE = 1e-6
@@ -30,9 +30,9 @@ _MOST_BESIDE_ONE_VIEW = 14
 _MOST_NUMBERS = 12
 """With more joints than this, only the highlighted joint has a number."""
 _AROUND = ((0, 16), (0, -16), (24, 0), (-24, 0), (20, 14), (-20, 14), (0, 30), (0, -30))
-"""Offsets of the label of a joint [points]; the first free place is used."""
+"""Offsets to try for the label of a joint [points]; the label takes the first free place."""
 _LARGEST_MASS = 260.0
-"""Area of the largest disc that shows a mass [square points]."""
+"""Area of the disc that shows the largest mass [square points]."""
 
 
 def draw(
@@ -174,7 +174,7 @@ def draw_arm(
 
 
 def _frame(axes: Any, points: Floats) -> None:
-    """Show all points in a square, with equal scales of both axes."""
+    """Set both axes to the same scale, and show a square that contains all points."""
     low, high = np.min(points, axis=0), np.max(points, axis=0)
     half = 0.6 * max(0.1, float(np.max(high - low)))
     middle = 0.5 * (low + high)
@@ -185,7 +185,7 @@ def _frame(axes: Any, points: Floats) -> None:
 
 
 def _side_view(gravity: Floats, points: Floats, view: int) -> Floats:
-    """Return the projection to (across, up) that spreads the points most widely, shape (3, 2)."""
+    """Return the projection to (across, up), shape (3, 2); view 0 shows the widest spread."""
     size = float(np.linalg.norm(gravity))
     up = -gravity / size if size > 0.0 else np.array([0.0, 0.0, 1.0])
     spread = points - points[0]
@@ -238,7 +238,7 @@ def _draw_masses(axes: Any, robot: RobotModel, centres: Floats) -> None:
 def _draw_joints(
     axes: Any, robot: RobotModel, flat: Floats, joint: int
 ) -> list[tuple[Floats, list[int]]]:
-    """Draw the joints; return the place of each label, and its joint numbers (from 1)."""
+    """Draw the joints; return the place and the joint numbers (from 1) of each label."""
     many = len(robot.joint_names) > _MOST_NUMBERS
     apart = 0.07 * (float(np.max(np.ptp(flat, axis=0))) or 1.0)
     places: list[tuple[Floats, list[int]]] = []

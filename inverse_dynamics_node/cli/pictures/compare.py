@@ -98,7 +98,7 @@ def _small(pyplot: Any, result: ComparisonResult) -> tuple[Any, list[Any]]:
 
 
 def _draw_efforts(ax: Any, result: ComparisonResult, c: int) -> list[Any]:
-    """Draw the modelled efforts over a wide line, which shows the measured effort."""
+    """Draw the measured effort as a wide line, and the modelled efforts on top of this line."""
     times = result.motion.times
     signals = (
         (result.measured, {'color': style.GREY, 'linewidth': 3.2, 'alpha': 0.55}),

@@ -22,11 +22,11 @@ ACROSS = 115  # letters that fit on a line above the axes
 LEGEND, KEY = 120, 8  # width of the legend, and of a line sample in it [letters]
 JOINT_COLOURS = (*style.COLOURS, style.DARK)
 DASHES = ('-', (0, (5, 1.5)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)), (0, (8, 1.5, 1, 1.5, 1, 1.5)))
-"""Line styles; with the colours they distinguish 35 joints."""
+"""Line styles; together with the colours, they distinguish 35 joints."""
 MOST_IN_ONE = 10
 """With more joints than this, the efforts of each joint have their own row."""
 LEAST_FRACTION = 1e-3
-"""Efforts below this fraction of the limit, or of the largest effort, are drawn as almost zero."""
+"""Smallest scale of a joint: a fraction of its limit, or else of the largest effort."""
 MOST_LINES, LINE = 6, 0.19  # lines of the title, and the height of a line [inch]
 SHADES = ('#ffffff', '#fff1d6', '#e3f2e1', '#e8ecf7')
 
@@ -123,10 +123,10 @@ def _errors(axes: Any, robot: RobotModel, timeline: Timeline, history: History) 
 
 def _efforts(axes: Any, robot: RobotModel, timeline: Timeline, history: History) -> None:
     """
-    Draw all commands, even while joint states are missing; each joint has its own scale.
+    Draw all commanded efforts, even while joint states are missing; each joint has its own scale.
 
-    Efforts far below their limit are therefore legible, and efforts without a limit too. The
-    legend or the label of the row states the largest effort and the limit.
+    Therefore, efforts far below their limit and efforts without a limit are legible. The legend or
+    the label of the row states the largest effort and the limit.
     """
     times, rows = _thin(history.commands.times, history.commands.rows)
     largest = _largest(history)
@@ -201,7 +201,7 @@ def draw_identification(
     title: str,
     path: Path,
 ) -> None:
-    """Draw the errors in both runs over time, with the same scale, and their RMS values."""
+    """Draw the errors of both runs on the same scale, and the RMS error of each joint."""
     with style.styled_pyplot() as pyplot:
         figure = pyplot.figure(figsize=(style.WIDTH, max(5.2, 2.6 + 0.3 * len(names))))
         halves = figure.add_gridspec(1, 2, width_ratios=(1.7, 1.0))

@@ -22,11 +22,11 @@ _PARTS = {
 }
 _LABELS = {'inertial': 'inertia', 'coriolis': 'velocity'}
 _NAME_LETTERS = {1: 80, 2: 50, 3: 32}
-"""Largest number of letters in a name above a panel, by the number of columns."""
+"""Largest number of letters in a name above a panel, for each number of columns."""
 _NEGLIGIBLE = 1e-6
 """Efforts smaller than this fraction of the largest one are rounding errors."""
 _MOST_DRAWN = 1500
-"""Largest number of states to draw; more are not visible."""
+"""Largest number of states to draw; more states would not be visible."""
 
 
 def draw(

@@ -17,7 +17,7 @@ from . import style
 
 _VIEWS = (('side view', 0, 2), ('from above', 0, 1))
 _MOST_POINTS = 600
-"""Largest number of states to draw; more are not visible."""
+"""Largest number of states to draw; more states would not be visible."""
 
 
 def draw(
@@ -86,7 +86,7 @@ def _draw_view(
     across: int,
     up: int,
 ) -> None:
-    """Draw the box, the path of the hand, and the arm in its start pose."""
+    """Draw the box around all links, the path of the hand, and the arm in its start pose."""
     plane = [across, up]
     (left, bottom), (right, top) = box.lowest[plane], box.highest[plane]
     corners = np.array([[left, bottom], [right, bottom], [right, top], [left, top]])
@@ -120,7 +120,7 @@ def _draw_surroundings(axes: Any, clearance: Clearance, across: int, up: int) ->
 
 
 def _efforts_panel(efforts: Floats, limits: Floats) -> tuple[str, Floats]:
-    """Return a label, and efforts in percent of the limit, or of the peak if there is no limit."""
+    """Return a label, and efforts in percent of their limits (without a limit, of their peak)."""
     peak = np.maximum(np.max(np.abs(efforts), axis=0), 1e-9)
     has_limit = np.isfinite(limits)
     of = 'of limit used' if has_limit.all() else 'of limit used, or of peak'

@@ -176,5 +176,5 @@ def save(figure: Any, path: str | Path) -> None:
 
 
 def fitting(names: Sequence[str], longest: int = 26) -> list[str]:
-    """Shorten names in their middle, so that they fit beside an axis."""
+    """Replace the middle of long names by "…", so that the names fit beside an axis."""
     return all_shortened(names, longest)
