@@ -345,7 +345,7 @@ class _Fit:
         self.x = self._solution()
 
     def _assemble(self) -> None:
-        """Compute the products of columns for each block and joint; the gain is linearised."""
+        """Linearise the gains; compute the normal equations of each block and joint."""
         rows = self.rows
         gain = rows.arm + rows.payload @ _parameters(self.x)
         self.table[:, self.joint, self.gains] = gain

@@ -456,7 +456,7 @@ def _from_states(
     if not known:
         found_names = ', '.join(sorted({name for names in by_names for name in names}))
         raise TrajectoryError(
-            f'the joint states contain no joint of this robot, only {found_names or "none"}'
+            f'the joint states contain no joint of this robot, but {found_names or "no names"}'
         )
     names, found = max(known.items(), key=lambda item: len(item[1]))
     rising = [found[0]]

@@ -273,7 +273,7 @@ class JointStateCollector:
         return {self.joint_names[i]: float(now - self.times[i]) for i in np.flatnonzero(is_late)}
 
     def alternating(self) -> dict[str, tuple[float, float]]:
-        """Return the joints whose positions alternate too fast, each with two positions."""
+        """Return the last two positions of each joint whose position alternates too fast."""
         found = alternating(self._tracks)
         return {self.joint_names[i]: positions for i, positions in found.items()}
 

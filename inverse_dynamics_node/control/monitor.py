@@ -54,7 +54,7 @@ class Monitor:
         self.clamped: Counter[str] = Counter()
         """Number of commands since the start whose effort was cut to its limit, by joint."""
         self.slowed: Counter[str] = Counter()
-        """Number of commands since the start whose effort a rate limit slowed, by joint."""
+        """Number of commands since the start whose effort change was rate-limited, by joint."""
         self.overruns = 0
         """Number of commands since the start that came more than half a period late."""
         self.period = period

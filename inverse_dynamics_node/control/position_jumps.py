@@ -36,7 +36,7 @@ _LONGEST_STEP = 0.1  # [s]; a longer interval permits no more motion than this i
 @compiled
 def has_jumped(tracks: Any, i: int, position: float, elapsed: float) -> bool:
     """
-    Return whether a joint has moved further than it can; call this before `track`.
+    Return whether a joint has moved further than is possible; call this before `track`.
 
     ``tracks`` comes from `publisher_conflicts.make_tracks`, and ``i`` is the index of the joint.
     ``position`` is the reported position [rad or m]. ``elapsed`` is the time since the last report

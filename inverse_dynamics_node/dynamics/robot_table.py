@@ -137,7 +137,7 @@ def friction_of(row: Any) -> Any:
 
 @simd_inline
 def coupling_of(row: Any) -> Any:
-    """Read the turns of a drive per turn of the previous joint, and the index of that joint."""
+    """Read the coupling (drive turns per turn of the previous joint) and that joint's index."""
     return row[COUPLING], int(row[JOINT_BEFORE])
 
 

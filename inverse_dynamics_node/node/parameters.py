@@ -204,8 +204,8 @@ class Configuration(Settings, LoadSettings):
     drive_coupling: PerJoint = parameter(
         0.0,
         'Turn of the drive of a joint per turn of the joint before it, as in coupled wrists',
-        'Friction and `armature` follow the speed of the drive, and act on both joints. 0 for a '
-        'joint on the base link',
+        'Friction and `armature` are computed from the motion of the drive, and act on this joint '
+        'and the joint before it. Must be 0 for a joint on the base link',
         minimum=-100.0,
         maximum=100.0,
     )

@@ -122,10 +122,10 @@ class HandOver:
     """
     Decides whether the position controller or the commands move a simulated robot.
 
-    The commands take over when they have arrived for ``release`` seconds and have stopped rising.
-    If they took over any earlier, the robot would fall. The position controller ``drive`` takes
-    over when the commands stop, when `hold` requests it, or when a joint becomes too fast. After a
-    joint was too fast, commands are ignored until they pause. The brakes must be open.
+    The commands take over once they have been arriving for ``release`` seconds and have stopped
+    rising. If they took over any earlier, the robot would fall. The position controller ``drive``
+    takes over when the commands stop, when `hold` requests it, or when a joint becomes too fast.
+    After a joint was too fast, commands are ignored until they pause. The brakes must be open.
     """
 
     def __init__(

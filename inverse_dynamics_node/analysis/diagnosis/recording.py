@@ -98,7 +98,7 @@ class ComparisonResult:
     motion: Motion
     """The derived motion of all recorded joints."""
     compared: tuple[int, ...]
-    """Indices of the c joints in the motion that have a measured effort."""
+    """Indices, within the motion, of the c joints that have a measured effort."""
     joints: tuple[JointResidual, ...]
     """Residuals of the compared joints."""
     measured: Floats
