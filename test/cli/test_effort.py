@@ -520,7 +520,7 @@ def test_recordings_without_a_trajectory_are_rejected(record):
     def messages(recording):
         recording.write('/joint_states', recording.state(1.0, {'wheel': 0.0}), 1.0)
 
-    with pytest.raises(TrajectoryError, match='contain no joint of this robot, only wheel'):
+    with pytest.raises(TrajectoryError, match='contain no joint of this robot, but wheel'):
         read(record(messages))
 
 
