@@ -33,7 +33,8 @@ examples:
 
 The command samples poses over the ranges of all joints (one turn for a joint without limits), and
 searches for worse poses near the worst samples. The payload is a point mass at the origin of the
-link, held at rest. Moving the payload takes more effort, see `inverse_dynamics effort`.
+link, and the robot holds it at rest. Moving the payload takes larger efforts, see
+`inverse_dynamics effort`.
 
 exit code: 0 the description can be used; 1 it cannot be used; 2 invalid arguments; 3 there are
 warnings, and --strict was given."""
@@ -45,7 +46,7 @@ def make_parser() -> CommandParser:
     """Return the parser of the command."""
     parser = CommandParser(
         'check',
-        'Report on a robot description. A verdict comes first. Then the command prints the tree, '
+        'Report on a robot description. The command prints a verdict, the tree of joints with '
         'masses and limits, the gravity efforts over the workspace, the payload that the effort '
         'limits allow, and warnings with hints.',
         EPILOG,

@@ -44,11 +44,11 @@ has efforts. It can also be a .csv file with these columns: `time` [s] and, for 
 seconds are enough if every joint moves in both directions, at different speeds.
 
 The command can diagnose these differences: a swapped sign; a reversed axis; positions in degrees;
-efforts that are currents, in another unit, or late; gravity compensated by the driver; a different
-mounting of the base; a payload; joints in another order; inertia of rotors; an offset; a driver
-that does not measure; several wrong links. A load, a push or a tilt of the base may last for only
-a part of the recording. Friction is fitted separately; --parameters writes the friction for the
-node.
+efforts that are currents, have another unit, or are late; gravity compensated by the driver; a
+different mounting of the base; a payload; joints in another order; inertia of rotors; an offset; a
+driver that does not measure; several wrong links. A load, a push or a tilt of the base may last
+for only a part of the recording. Friction is fitted separately; --parameters writes the friction
+for the node.
 
 exit code: 0 compared; 1 the recording cannot be compared; 2 invalid arguments; 3 there are
 warnings, and --strict was given."""
@@ -86,7 +86,7 @@ def make_parser() -> CommandParser:
         type=float,
         metavar='SPEED',
         help='speed over which Coulomb friction is smoothed [rad/s, m/s] (default: fitted, or '
-        f'{FRICTION_WIDTH})',
+        f'{FRICTION_WIDTH} if it cannot be fitted)',
     )
     arguments.add_node_parameters(parser)
     parser.add_argument(

@@ -170,7 +170,7 @@ def _add_run(parser: CommandParser, scenarios: Iterable[str]) -> None:
         '--friction',
         action='store_true',
         help='simulate the friction of the URDF, and let the node compensate it; Coulomb friction '
-        'may hold a joint at rest away from its reference',
+        'may hold a resting joint away from its reference',
     )
 
 

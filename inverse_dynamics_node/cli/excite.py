@@ -64,9 +64,9 @@ def make_parser() -> CommandParser:
     """Return the parser of the command."""
     parser = CommandParser(
         'excite',
-        'Find the motion that, within the limits, identifies masses and friction '
-        'best. The command writes the motion as CSV and as JointTrajectory, draws a '
-        'picture, and reports the space of the motion and the standard errors to expect.',
+        'Find the motion within the limits from which masses and friction can be identified '
+        'best. The command writes the motion as CSV and as JointTrajectory, draws a picture, and '
+        'reports which space the motion needs and which standard errors to expect.',
         EPILOG,
         own='motion',
     )
@@ -95,7 +95,8 @@ def _add_limits(parser: CommandParser) -> None:
         default=[],
         type=_range,
         metavar='JOINT=LOW:HIGH',
-        help='range that the motion of a joint may use in full [rad, m]; may be repeated',
+        help='range in which the joint may move, not reduced by --fraction [rad, m]; may be '
+        'repeated',
     )
     arguments.add_at(parser, 'does not move, or of any joint before the motion')
     parser.add_argument(
@@ -145,7 +146,7 @@ def _add_motion(parser: CommandParser) -> None:
         type=_speed,
         default=1.0,
         metavar='FACTOR',
-        help='factor of the speed of the motion, up to 1; 0.2 for a rehearsal (default: 1)',
+        help='fraction of the full speed, up to 1, such as 0.2 for a rehearsal (default: 1)',
     )
     parser.add_argument(
         '--noise',

@@ -39,8 +39,8 @@ examples:
 A recording is a rosbag2 folder, .mcap, .db3 or .csv file with measured efforts; the help of
 `inverse_dynamics compare` describes it. Record motions of all joints at the same time, in varied
 poses, slowly and fast, in both directions, for 30 s or more; `inverse_dynamics excite` plans such
-a motion. Without --validate, blocks of the recordings are left out in turn, and the result is
-evaluated on them.
+a motion. Without --validate, each block of the recordings is left out of the fit in turn, and the
+result is evaluated on this block.
 
 Where the recordings give little information, the result stays close to the URDF. The result is
 always physical. If the identified model does not predict unseen data better than the URDF with

@@ -15,8 +15,9 @@ behind a forward_command_controller. When the commands stop, the position contro
 after 0.5 s.
 
 The velocities are supervised: if a joint exceeds twice its velocity limit (12.6 rad/s or 2 m/s if
-the URDF has none), the position controller brakes the robot and holds it. Commands are then
-ignored until they have paused for 0.5 s: set the parameter dry_run of the node to true and back.
+the URDF has none), the position controller brakes the robot and holds it. The robot then ignores
+commands until none has arrived for 0.5 s: set the parameter dry_run of the node to true, and back
+to false.
 
 Two topics change the robot without informing the node: ~/payload (geometry_msgs/InertiaStamped)
 attaches a load to a link, and ~/push (geometry_msgs/WrenchStamped) pushes the robot. The service
@@ -56,7 +57,7 @@ def make_parser() -> CommandParser:
     parser.add_argument(
         '--commands',
         metavar='TOPIC',
-        help='topic of the commands, in the order of the joints in the URDF '
+        help='topic of the commands, whose values are in the order of the joints in the URDF '
         f'(default: {TORQUES.commands}, or the topic of the driver)',
     )
     parser.add_argument('--namespace', default='', help='namespace of the topics (default: none)')

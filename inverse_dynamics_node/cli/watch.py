@@ -101,8 +101,8 @@ def make_parser() -> CommandParser:
         '--rate',
         type=_positive,
         metavar='HZ',
-        help='expected rate of the joint states; below 80 %% of it, they count as slow (without '
-        '--rate: below half of update_rate, or below 80 Hz if there is no update_rate)',
+        help='expected rate of joint states: below 80 %% of this rate, they are slow (without '
+        '--rate: below half of update_rate, or below 80 Hz if the node has no update_rate)',
     )
     return parser
 

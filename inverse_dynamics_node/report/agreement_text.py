@@ -34,7 +34,7 @@ def _headline(fault: Fault) -> str:
     text = headline(fault)
     if fault.kind is not FaultKind.PAYLOAD or all(map(math.isnan, fault.values[1:])):
         return text
-    return f'{text}, at {centre_of_mass(fault)} m in its frame'
+    return f'{text}, at {centre_of_mass(fault)} m in the frame of the link'
 
 
 def _agree(agreement: Agreement) -> str:
@@ -133,7 +133,7 @@ _OBSTACLES: dict[Obstacle, Callable[[Agreement], str]] = {
         'measured_gravity: excluded)'
     ),
     Obstacle.TOO_FEW_SAMPLES: lambda agreement: (
-        f'not compared yet: collecting samples, up to {DURATION:g} s'
+        f'not compared yet: collecting samples for up to {DURATION:g} s'
     ),
     Obstacle.SMALL_EFFORTS: _small_efforts,
 }

@@ -71,9 +71,9 @@ def comparison_table(result: ComparisonResult, notes: tuple[str, ...]) -> Table:
         'of the model with fitted friction. Corrected: residual of the model with fitted friction'
         f'{corrections}. Noise: noise that remains after smoothing; a residual below the noise '
         'needs no explanation. Explained: 1 - (corrected / measured)^2. Scale: the measured '
-        'effort is about scale * modelled effort + offset. Unless the friction of a joint is '
-        'unknown, samples at rest are not used, because dry friction at rest can have any value '
-        'up to its maximum.',
+        'effort is about scale * modelled effort + offset. Samples at rest are not used (except '
+        'for joints with unknown friction), because dry friction at rest can have any value up '
+        'to its maximum.',
         _quality(result.motion),
         *(f'{note[0].upper()}{note[1:]}.' for note in (*motion_notes(result.motion), *notes)),
     )

@@ -215,7 +215,7 @@ def _scale_evidence(fault: Fault) -> str:
 def _payload_evidence(fault: Fault) -> str:
     return (
         f'a point mass of {fault.values[0]:.3f} kg (standard error {fault.error:.2g}, which '
-        f'covers random errors only) at {centre_of_mass(fault)} m in its frame'
+        f'covers random errors only) at {centre_of_mass(fault)} m in the frame of the link'
     )
 
 
@@ -259,13 +259,13 @@ _EVIDENCE: Mapping[FaultKind, Callable[[Fault], str]] = MappingProxyType(
 def _sign_advice(fault: Fault) -> str:
     if fault.is_every_joint:
         return (
-            'The driver reports the effort of the joint on the drive, not of the drive on the '
-            'joint: change the sign of all efforts.'
+            'The driver reports the effort of the joint on the drive, not the effort of the drive '
+            'on the joint: change the sign of all efforts.'
         )
     return (
-        'Change the sign in the driver, or of the <axis> in the URDF if positions have the wrong '
-        'sign too. Until then, do not send efforts of the node to this joint: they would drive it '
-        'in the wrong direction.'
+        'Change the sign in the driver. If positions have the wrong sign too, change the sign of '
+        'the <axis> in the URDF instead. Until then, do not send efforts of the node to this '
+        'joint: they would drive the joint in the wrong direction.'
     )
 
 
@@ -321,8 +321,8 @@ def _gravity_compensated_advice(fault: Fault) -> str:
 def _gravity_measured_advice(fault: Fault) -> str:
     if fault.is_commanded:
         return (
-            'Set measured_gravity: as_commanded in the node; if the driver adds gravity to the '
-            'commands, set include_gravity: false and measured_gravity: included.'
+            'Set measured_gravity: as_commanded in the node. If the driver adds gravity to the '
+            'commands, set include_gravity: false and measured_gravity: included instead.'
         )
     return (
         'Is this intended? If the driver adds gravity to the commands, set measured_gravity: '
@@ -352,16 +352,17 @@ _ADVICE: Mapping[FaultKind, Callable[[Fault], str]] = MappingProxyType(
             'belong to this robot.'
         ),
         FaultKind.REVERSED_AXIS: _fixed(
-            'Change the sign of the <axis> in the URDF, or of positions, velocities and efforts '
-            'in the driver. Until then, do not send efforts of the node to this joint.'
+            'Change the sign of the <axis> in the URDF, or change the signs of positions, '
+            'velocities and efforts in the driver. Until then, do not send efforts of the node to '
+            'this joint.'
         ),
         FaultKind.DELAY: _fixed(
             'The driver may filter the efforts, or publish them later than the positions. '
             'inverse_dynamics identify takes the delay into account.'
         ),
         FaultKind.ORDER: _fixed(
-            'Compare the order of names and efforts in the driver. Compare the lists of joints in '
-            'all files of the driver.'
+            'Check that names and efforts have the same order in the driver, and that all files '
+            'of the driver list the joints in the same order.'
         ),
         FaultKind.GRAVITY_COMPENSATED: _gravity_compensated_advice,
         FaultKind.GRAVITY_MEASURED: _gravity_measured_advice,
@@ -375,8 +376,9 @@ _ADVICE: Mapping[FaultKind, Callable[[Fault], str]] = MappingProxyType(
             'inverse_dynamics identify URDF RUN --output calibrated.urdf'
         ),
         FaultKind.EXTERNAL_FORCE: _fixed(
-            'Somebody or something may have pushed the robot, or it touched its surroundings. '
-            'Leave this time out with --from and --to before you use the fitted friction.'
+            'Somebody or something may have pushed the robot, or the robot touched its '
+            'surroundings. Exclude this time with --from and --to before you use the fitted '
+            'friction.'
         ),
         FaultKind.ROTOR_INERTIA: _fixed(
             "Set these values as the parameter 'armature' of the node."

@@ -139,8 +139,8 @@ def _joints(robot: RobotModel, excitation: Excitation, errors: ExpectedErrors) -
             'within the limits',
             f'{errors.count} unknowns; log det of their information matrix: '
             f'{excitation.log_det + errors.count * math.log(count):.4g}',
-            f'the best of {CANDIDATES} random motions within the same limits has {gain:.2f} times '
-            'larger errors (geometric mean)',
+            f'with the best of {CANDIDATES} random motions within the same limits, errors are '
+            f'{gain:.2f} times as large (geometric mean)',
         ),
     )
 
@@ -156,8 +156,9 @@ def _bodies(errors: ExpectedErrors) -> Table:
         ('joint', 'mass [kg]', 'mass x distance [kg m]', 'inertia [kg m^2]'),
         tuple(rows),
         (
-            'each number is the largest error of its kind; parameters that act only in '
-            'combination are listed at one joint; "-" means that nothing is listed at this joint',
+            'each number is the largest error of all components; if the efforts show only a '
+            'combination of parameters, the error of the combination is listed at one joint; "-" '
+            'means that nothing is listed at this joint',
         ),
     )
 

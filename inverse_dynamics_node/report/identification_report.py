@@ -89,8 +89,9 @@ def _extra_notes(result: IdentificationResult) -> list[str]:
             )
         if terms.coupling:
             notes.append(
-                f'{joint.name}: the drive has the velocity of this joint + {terms.coupling:.3g} * '
-                f'the velocity of {joint.coupled_with[0]}, and acts on both joints.'
+                f'{joint.name}: the velocity of the drive is the velocity of this joint + '
+                f'{terms.coupling:.3g} * the velocity of {joint.coupled_with[0]}; the drive acts '
+                'on both joints.'
             )
     return notes
 
@@ -145,8 +146,9 @@ def body_table(result: IdentificationResult) -> Table:
     merged = [body for body in result.bodies if len(body.links) > 1]
     notes = [
         'On its own: how far the recordings determine this mass, whatever the other masses are; '
-        'the other information comes from the robot description. A mass that influences no effort '
-        'keeps its value. Centres of mass are in the frame of the joint that moves the link.',
+        'the rest of the information comes from the robot description. A mass that influences no '
+        'effort keeps its value. Centres of mass are in the frame of the joint that moves the '
+        'link.',
         *(
             [
                 '*: the recordings hardly determine this mass on its own. The mass changed '

@@ -26,7 +26,7 @@ def verdict(result: PayloadEstimate) -> str:
     if not result.is_certain:
         return (
             f"No payload can be seen on link '{result.link}': the measured mass is {mass}, "
-            'expected more than three standard errors.'
+            'which is not larger than three standard errors.'
         )
     text = f"Link '{result.link}' carries {mass}"
     if not result.unknown:

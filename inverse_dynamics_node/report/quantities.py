@@ -66,8 +66,8 @@ def motion_notes(motion: Motion) -> list[str]:
     if math.isfinite(motion.cut_off):
         notes.append(
             f'the efforts contain no signal and no noise above about {motion.cut_off:.0f} Hz: '
-            'they passed a low-pass filter before they were recorded (or were computed without '
-            'noise). This filter distorts the friction at reversals; record the efforts of the '
-            'driver without a filter'
+            'they passed a low-pass filter before they were recorded (or the efforts were '
+            'computed without noise). This filter distorts the friction at reversals; record the '
+            'efforts of the driver without a filter'
         )
     return notes

@@ -108,8 +108,8 @@ def _tree(robot: RobotModel, limits: Floats) -> Table:
         kind, axis = kind_of(robot, body), _axis(robot.axis[body])
         rows.append((prefixes[body] + name, kind, axis, *of_joint, f'{robot.mass[body]:.4g}'))
     notes += [
-        f'Joints that mimic the position q of {master}, and add their efforts to its effort: '
-        + ', '.join(rules)
+        f'Joints that mimic the position q of {master}; the effort of {master} includes their '
+        'efforts: ' + ', '.join(rules)
         for master, rules in followers.items()
     ]
     title = 'Joints, from the base outwards'

@@ -72,9 +72,9 @@ def test_swapped_sign_of_one_joint_is_named(joint, moves):
     assert agreement.faults[0].joints == (joint,)
     assert sentence(agreement).startswith(f'{joint} has its sign swapped; ')
     assert sentence(agreement).endswith(
-        ' N; do not go live. Change the sign in the driver, or of the <axis> in the URDF if '
-        'positions have the wrong sign too. Until then, do not send efforts of the node to this '
-        'joint: they would drive it in the wrong direction'
+        ' N; do not go live. Change the sign in the driver. If positions have the wrong sign too, '
+        'change the sign of the <axis> in the URDF instead. Until then, do not send efforts of '
+        'the node to this joint: they would drive the joint in the wrong direction'
     )
 
 
@@ -111,7 +111,7 @@ def test_unknown_payload_of_2_kg_is_weighed(name, moves):
     assert agreement.faults[0].values[0] == pytest.approx(2.0, rel=0.2)
     text, com = sentence(agreement), agreement.faults[0].values[1:]
     assert f"link '{link}' carries " in text
-    assert (' m in its frame; ' in text) == np.isfinite(com).any()
+    assert (' m in the frame of the link; ' in text) == np.isfinite(com).any()
 
 
 def test_payload_and_swapped_sign_are_both_reported():

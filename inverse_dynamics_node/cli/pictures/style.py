@@ -34,8 +34,8 @@ _TITLE_LETTERS = 105
 """Largest number of letters in a line of the title."""
 
 _HOW_TO_GET_PICTURES = (
-    "'sudo apt install python3-matplotlib', or 'pip install matplotlib' in a virtual environment, "
-    'enables pictures; --no-picture turns this note off.'
+    "To get pictures, run 'sudo apt install python3-matplotlib', or 'pip install matplotlib' in a "
+    'virtual environment; --no-picture turns this note off.'
 )
 
 _STYLE = {
