@@ -39,7 +39,7 @@ def fraction(effort: float, limit: float) -> str:
 
 
 def decimals(values: Floats, digits: int = 4) -> int:
-    """Return how many decimals (1 to 6) show the largest value with `digits` digits."""
+    """Return the number of decimals, 1 to 6, that shows `digits` digits of the largest value."""
     largest = float(np.max(np.abs(values), initial=0.0))
     if not 0.0 < largest < math.inf:
         return 1
