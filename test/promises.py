@@ -68,7 +68,7 @@ class Promises:
         self.speeds = np.clip(node.loop.robot.velocity_limits, 1.0, 30.0)
         self.largest = 0.5 * node.loop.robot.effort_limits
         self.applied, self.renewed = np.zeros(n), {}
-        self.limits = self.ceiling = np.zeros(n)
+        self.limits = self.ceiling = self.stop_limits = np.zeros(n)
         self.last, self.last_sent = np.zeros(n), None
         self.history = []
         self.fall_time, self.fallen = None, 0.0  # [s]; None while efforts do not fall
@@ -86,9 +86,10 @@ class Promises:
             self.applied = self.applied + np.abs(self._efforts_of_last() - before)
 
     def stop(self):
-        """Note a stop: its damping has the settings of this moment."""
+        """Note a stop: its damping has the settings and limits of this moment."""
         if self.node.loop.controller.phase in COMPUTING_PHASES:
             self.stopped_with = self.node.settings
+            self.stop_limits = self.node.loop.controller.limits
 
     def _efforts(self, q, inputs):
         """Return the efforts at some positions, with the other inputs of a command."""
@@ -133,6 +134,8 @@ class Promises:
             if self.fall_time is not None:
                 self.ceiling = np.maximum(self.ceiling, np.abs(self.left))
         bound = np.maximum(self.limits, self.ceiling)
+        if self.stopped_with is not None and controller.phase is Phase.STOPPED:
+            bound = np.maximum(bound, self.stop_limits)  # of damping, until the next stop
         require((np.abs(efforts) <= bound + ROUNDING).all(), 'beyond the limits', efforts, bound)
         settings = self.node.settings
         if controller.phase in COMPUTING_PHASES:
