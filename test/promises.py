@@ -136,6 +136,7 @@ class Promises:
         bound = np.maximum(self.limits, self.ceiling)
         if self.stopped_with is not None and controller.phase is Phase.STOPPED:
             bound = np.maximum(bound, self.stop_limits)  # of damping, until the next stop
+            self.ceiling = np.maximum(np.abs(efforts), np.abs(self.left))
         require((np.abs(efforts) <= bound + ROUNDING).all(), 'beyond the limits', efforts, bound)
         settings = self.node.settings
         if controller.phase in COMPUTING_PHASES:
