@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 from inverse_dynamics_node import load_urdf
-from inverse_dynamics_node.control.publisher_conflicts import (
+from inverse_dynamics_node.control.position_tracks import (
     alternating,
     forget_silent,
     LATENESS,

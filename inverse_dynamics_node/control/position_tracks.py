@@ -1,13 +1,13 @@
 """
-Detects positions that alternate faster than a joint can move: two publishers report one joint.
+Follows the reported positions of each joint, to detect two faults.
 
-The detector adds up the steps *back*, and subtracts the distance that the joint could cover
-meanwhile. A single jump, such as homing or an encoder reset, therefore adds nothing. A fast motion
-with several samples between its turning points also adds nothing. All times are times of arrival.
-Messages may arrive late, and several at once. A motion within the speed limit stays below the
-threshold as long as no message is later than `LATENESS`.
-
-Three kinds of small steps back are ignored, because they are not contradictions:
+**Positions that alternate faster than a joint can move**, because two publishers report one joint;
+see `track`. The detector adds up the steps *back*, and subtracts the distance that the joint could
+cover meanwhile. A single jump, such as homing or an encoder reset, therefore adds nothing. A fast
+motion with several samples between its turning points also adds nothing. Messages may arrive late,
+and several at once. A motion within the speed limit stays below the threshold as long as no
+message is later than `LATENESS`. Three kinds of small steps back are ignored, because they are not
+contradictions:
 
 - steps due to noise and coarse encoders
 - full turns of rotary joints
@@ -16,6 +16,17 @@ Three kinds of small steps back are ignored, because they are not contradictions
 Late positions from a relay lie behind by a fraction of the distance that the joint has just
 covered. If two publishers contradict each other, every step covers the whole distance between
 their positions.
+
+**Positions that change faster than a joint can move**, whatever the cause; see `has_jumped`.
+Examples of causes: two nodes report one joint, an encoder is reset, or a suspended process resumes
+and receives the messages of the whole pause within milliseconds. A joint may seem to move slightly
+faster than it can, because messages may be late. Each joint therefore has room for motion in
+either direction. The room grows with time at twice the speed limit, and shrinks as the joint moves
+into it. The room never exceeds the distance that a joint covers at twice the speed limit during
+the largest delay of a message. After a pause the room is zero, because messages of the pause may
+follow.
+
+All times are times of arrival.
 """
 
 from __future__ import annotations
@@ -30,7 +41,7 @@ from ..robot.model import Floats, RobotModel
 
 LATENESS = 1.0
 """Messages may be this late without causing an alarm [s]."""
-FACTOR = 2.0  # factor by which a joint may exceed its speed limit
+_FACTOR = 2.0  # factor by which a joint may exceed its speed limit
 _LEAST_COUNT = 4  # number of reversals before an alarm: A, B, A, B, A, B
 # Smallest plausible, default and largest plausible speed limit of revolute joints [rad/s], and of
 # prismatic joints [m/s].
@@ -41,17 +52,19 @@ _COUNTS = 2.5  # steps of an encoder up to this many times its smallest step are
 _LEAST_STEP = 1e-6  # [rad, m]; smaller steps may be rounding errors
 _WINDOW = 0.1  # [s]; `way` is the range in the last one or two windows
 _RELAYED = 0.5  # fraction of `way` that is ignored, so that relays may be up to 50 ms late
-LARGEST = 1e6  # [rad, m]; larger steps are cut to this
+_LARGEST = 1e6  # [rad, m]; larger steps are cut to this
+_DELAY = 0.03  # [s]; largest delay of a message for which `has_jumped` leaves room
+_LONGEST_STEP = 0.1  # [s]; a longer interval permits no more motion than this interval
 
 # Rows of tracks, with one column per joint. Constants:
 _CONSTANTS = 5
-SPEED, _IGNORED, _COARSE, IS_PRISMATIC, IS_CONTINUOUS = range(_CONSTANTS)
+_SPEED, _IGNORED, _COARSE, _IS_PRISMATIC, _IS_CONTINUOUS = range(_CONSTANTS)
 # Reported positions and steps:
-LAST, _STEP, _RAW_STEP, _EXCESS, _COUNT, _OTHER, _FLAG, _SMALLEST = range(5, 13)
+_LAST, _STEP, _RAW_STEP, _EXCESS, _COUNT, _OTHER, _FLAG, _SMALLEST = range(5, 13)
 # Smallest and largest positions relative to the last position, in this and in the last window:
 _LOW, _HIGH, _LAST_LOW, _LAST_HIGH, _AGE, _ANY_STEP = range(13, 19)
-# Room for the next step, see `position_jumps`:
-ROOM_ABOVE, ROOM_BELOW = range(19, 21)
+# Room for the next step, see `has_jumped`:
+_ROOM_ABOVE, _ROOM_BELOW = range(19, 21)
 _ROWS = 21
 
 
@@ -67,9 +80,9 @@ def make_tracks(n: int, robot: RobotModel | None = None) -> Floats:
     is_prismatic, limits = np.zeros(n, dtype=bool), np.full(n, math.inf)
     if robot is not None:
         is_prismatic, limits = robot.is_prismatic_joint, robot.velocity_limits
-        tracks[IS_PRISMATIC], tracks[IS_CONTINUOUS] = is_prismatic, robot.is_continuous
+        tracks[_IS_PRISMATIC], tracks[_IS_CONTINUOUS] = is_prismatic, robot.is_continuous
     slowest, usual, fastest = np.where(is_prismatic, *np.array(_SPEEDS)[::-1, :, None])
-    tracks[SPEED] = np.clip(np.where(np.isfinite(limits), limits, usual), slowest, fastest)
+    tracks[_SPEED] = np.clip(np.where(np.isfinite(limits), limits, usual), slowest, fastest)
     tracks[_IGNORED] = np.where(is_prismatic, _NOISE[1], _NOISE[0])
     tracks[_COARSE] = np.where(is_prismatic, _COARSEST[1], _COARSEST[0])
     tracks[_SMALLEST] = math.inf
@@ -84,14 +97,14 @@ def copy_track(target: Floats, i: int, source: Floats, k: int) -> None:
 def alternating(tracks: Floats) -> dict[int, tuple[float, float]]:
     """Return the joints whose positions alternate, each with its last two positions."""
     return {
-        int(i): (float(tracks[_OTHER, i]), float(tracks[LAST, i]))
+        int(i): (float(tracks[_OTHER, i]), float(tracks[_LAST, i]))
         for i in np.flatnonzero(tracks[_FLAG])
     }
 
 
 def forget_silent(tracks: Floats, ages: Floats) -> None:
     """End the alarms of joints that are no longer reported; the ages are in [s], shape (n,)."""
-    is_over = tracks[_EXCESS] <= FACTOR * tracks[SPEED] * ages
+    is_over = tracks[_EXCESS] <= _FACTOR * tracks[_SPEED] * ages
     tracks[_FLAG, is_over] = tracks[_COUNT, is_over] = tracks[_EXCESS, is_over] = 0.0
 
 
@@ -108,18 +121,18 @@ def track(tracks: Any, i: int, position: float, elapsed: float) -> bool:
     is zero, at most 1 s after the last step back.
 
     """
-    raw = min(max(position - tracks[LAST, i], -LARGEST), LARGEST)
-    other, tracks[LAST, i] = tracks[LAST, i], position
+    raw = min(max(position - tracks[_LAST, i], -_LARGEST), _LARGEST)
+    other, tracks[_LAST, i] = tracks[_LAST, i], position
     if elapsed < 0.0:
         tracks[_STEP, i] = 0.0
         return bool(tracks[_FLAG, i] != 0.0)
     step = raw
-    if tracks[IS_PRISMATIC, i] == 0.0:
+    if tracks[_IS_PRISMATIC, i] == 0.0:
         # Positions of revolute joints with limits may wrap, too.
         step = raw - 2.0 * math.pi * np.rint(raw / (2.0 * math.pi))
     ignored = max(ignored_step(tracks, i, step), _RELAYED * way(tracks, i, step, elapsed))
-    speed = tracks[SPEED, i]
-    excess = tracks[_EXCESS, i] - FACTOR * speed * elapsed
+    speed = tracks[_SPEED, i]
+    excess = tracks[_EXCESS, i] - _FACTOR * speed * elapsed
     if excess <= 0.0:
         excess = tracks[_COUNT, i] = tracks[_FLAG, i] = 0.0
     if abs(step) > ignored:
@@ -164,3 +177,31 @@ def way(tracks: Any, i: int, step: float, elapsed: float) -> float:
     lowest = min(tracks[_LOW, i], tracks[_LAST_LOW, i])
     highest = max(tracks[_HIGH, i], tracks[_LAST_HIGH, i])
     return float(highest - lowest)
+
+
+@compiled
+def has_jumped(tracks: Any, i: int, position: float, elapsed: float) -> bool:
+    """
+    Return whether a joint has moved further than is possible; call this before `track`.
+
+    ``tracks`` comes from `make_tracks`, and ``i`` is the index of the joint.
+    ``position`` is the reported position [rad or m]. ``elapsed`` is the time since the last report
+    of this joint [s]. It is inf if there was no report, and negative if the clock was set back.
+
+    """
+    speed = _FACTOR * tracks[_SPEED, i]
+    most = speed * _DELAY
+    if elapsed == math.inf:
+        tracks[_ROOM_ABOVE, i] = tracks[_ROOM_BELOW, i] = most
+        return False
+    step = min(max(position - tracks[_LAST, i], -_LARGEST), _LARGEST)
+    # A full turn of a joint that is not continuous would change the computed-torque feedback.
+    if abs(step) < _LARGEST and tracks[_IS_CONTINUOUS, i] != 0.0:
+        step -= 2.0 * math.pi * np.rint(step / (2.0 * math.pi))
+    if not 0.0 <= elapsed <= _LONGEST_STEP:
+        tracks[_ROOM_ABOVE, i] = tracks[_ROOM_BELOW, i] = most = 0.0
+    gained = speed * min(max(elapsed, 0.0), _LONGEST_STEP)
+    above, below = tracks[_ROOM_ABOVE, i] + gained - step, tracks[_ROOM_BELOW, i] + gained + step
+    tracks[_ROOM_ABOVE, i] = min(max(above, 0.0), most)
+    tracks[_ROOM_BELOW, i] = min(max(below, 0.0), most)
+    return bool(min(above, below) < 0.0)
