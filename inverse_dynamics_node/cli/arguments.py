@@ -207,6 +207,9 @@ def number(expected: str, is_valid: Callable[[float], bool]) -> Callable[[str], 
     return parse
 
 
+positive = number('a positive number', lambda value: 0.0 < value < math.inf)
+
+
 def _joint_position(text: str) -> tuple[str, float]:
     name, _, position = text.rpartition('=')
     try:

@@ -1,14 +1,18 @@
-"""The command `payload`: measures mass and centre of mass of a payload from recordings."""
+"""The command `payload`: measures mass and centre of mass of a payload from two recordings."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterator
+from contextlib import contextmanager
 import json
 from pathlib import Path
+import signal
+import sys
 
 from ..analysis.payload import measure_payload, PayloadEstimate
-from ..errors import ConfigurationError
+from ..control.status import NodeStatus
+from ..errors import ConfigurationError, RecordingError
 from ..report.payload_report import (
     as_json,
     inertia_table,
@@ -20,25 +24,32 @@ from ..report.payload_report import (
 from ..robot.end_effector import last_link
 from . import arguments
 from .arguments import CommandParser, RESULT
-from .console import say, show
+from .console import progress, say, show, waiting
 from .nodes import choose_node, node_name
-from .output_files import check_outputs, new_file
+from .output_files import check_outputs, new_file, output_path, OutputError
 from .pictures.payload import draw
-from .recordings import measured_efforts, read_recording
+from .recordings import measured_efforts, read_recording, reported_convention, scaled
 
 EPILOG = """\
 examples:
   inverse_dynamics payload my_arm.urdf loaded.mcap --empty empty.mcap --link tool0
   inverse_dynamics payload my_arm.urdf loaded.csv --empty empty.csv --apply
   inverse_dynamics payload my_arm.urdf loaded.csv --empty empty.csv --json | jq .mass
+  inverse_dynamics payload my_arm.urdf empty.csv --record 30
+  inverse_dynamics payload my_arm.urdf loaded.csv --record 30 --empty empty.csv --apply
 
 Record the same motion twice, without and with the payload: 20 s or more in which all joints move
 slowly, up and down, in both directions. Or let the arm rest in 6 to 8 poses for 2 s each, and
 approach each pose from the same side. The help of `inverse_dynamics compare` lists
 the formats of recordings.
 
+With --record, the command records the joint states of a running node, and then measures. Without
+--empty, it reports what the empty arm seems to carry. Ctrl-C ends the recording early: the file
+then contains what was recorded, and nothing is measured.
+
 exit code: 0 measured; 1 a recording cannot be used, or the node did not take the payload;
-2 invalid arguments; 3 the recordings do not show the mass, or not all of the centre of mass."""
+2 invalid arguments; 3 the recordings do not show the mass, or not all of the centre of mass;
+130 ended by Ctrl-C."""
 
 _NOT_SHOWN = 3
 _DEFAULT_NODE = '/inverse_dynamics'
@@ -56,10 +67,23 @@ def make_parser() -> CommandParser:
     arguments.add_urdf(parser)
     parser.add_argument(
         'loaded', type=Path, metavar='LOADED', help='recording with the payload: rosbag2 folder, '
-        '.mcap, .db3 or .csv file'
+        '.mcap, .db3 or .csv file; with --record, a .csv file to write'
     )  # fmt: skip
     parser.add_argument(
         '--empty', type=Path, metavar='RUN', help='the same motion, recorded without the payload'
+    )
+    parser.add_argument(
+        '--record',
+        type=arguments.positive,
+        metavar='SECONDS',
+        help='first record LOADED: the joint states that a running node receives in this time; '
+        'its diagnostics say what the efforts contain (needs ROS 2)',
+    )
+    parser.add_argument(
+        '--node',
+        type=node_name,
+        metavar='NODE',
+        help='node of --record and --apply (default: the only node)',
     )
     parser.add_argument(
         '--topic', help='topic of the joint states (default: the only one with efforts)'
@@ -78,7 +102,7 @@ def make_parser() -> CommandParser:
         type=node_name,
         metavar='NODE',
         help='publish the payload to a running node, and wait until the node has the payload '
-        '(needs ROS 2; default: the only node)',
+        '(needs ROS 2; default: that of --node)',
     )
     arguments.add_picture(parser)
     arguments.add_force(parser)
@@ -87,21 +111,28 @@ def make_parser() -> CommandParser:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
-    inputs = [options.urdf, options.loaded, options.empty, options.node_parameters]
-    check_outputs([*filter(None, inputs)], {'--picture': options.picture}, options.force)
+    _check_files(options)
     dynamics = arguments.load_dynamics(options.urdf, options.gravity)
     robot, link = dynamics.robot, options.link or last_link(dynamics.robot)
     robot.link_index(link)
-    convention, scale = measured_efforts(options.node_parameters, robot.joint_names)
-    if options.empty is None and not convention.in_measured:
-        raise ConfigurationError(
-            f'{options.node_parameters}: the recorded efforts do not contain gravity, so a '
-            'recording without the payload is needed: use --empty'
-        )
-    loaded, _ = read_recording(options.loaded, robot, options.topic, scale)
+    source = options.node_parameters
+    convention, scale = measured_efforts(source, robot.joint_names)
     empty = None
     if options.empty is not None:
-        empty, _ = read_recording(options.empty, robot, options.topic, scale)
+        empty, _ = read_recording(options.empty, robot, options.topic, {})
+    if options.record is not None:
+        options.node, status = _record(options, robot.joint_names)
+        if source is None:
+            source, convention = options.node, reported_convention(status)
+            scale = status.measured_scale()
+    if empty is None and not convention.in_measured:
+        raise ConfigurationError(
+            f'{source}: the recorded efforts do not contain gravity, so a recording without the '
+            'payload is needed: use --empty'
+        )
+    topic = options.topic if options.record is None else None
+    loaded, _ = read_recording(options.loaded, robot, topic, scale)
+    empty = empty and scaled(empty, scale)
     result = measure_payload(robot, loaded, empty, link, options.gravity)
     apparent = None
     if empty is not None and convention.in_measured:
@@ -121,19 +152,82 @@ def run(options: argparse.Namespace) -> int:
         with new_file(options.picture) as path:
             draw(result, title, verdict(result), path)
     if options.apply is not None and is_shown:
-        wanted = None if options.apply is True else options.apply
-        name = _apply(result, wanted, options.ros_arguments)
+        name = _apply(result, options)
         if not options.json:
             print(f'{name} has the payload')
     return 0 if is_shown else _NOT_SHOWN
 
 
-def _apply(result: PayloadEstimate, name: str | None, ros_arguments: Sequence[str]) -> str:
+def _check_files(options: argparse.Namespace) -> None:
+    """Check that the outputs can be written, and replace no files that must be kept."""
+    inputs = [options.urdf, options.empty, options.node_parameters]
+    outputs = {'--picture': options.picture}
+    if options.record is None:
+        inputs.append(options.loaded)
+    else:
+        if options.loaded.suffix != '.csv':
+            raise OutputError(f'{options.loaded}: expected the name of a .csv file to record')
+        try:
+            output_path(str(options.loaded))
+        except argparse.ArgumentTypeError as error:
+            raise OutputError(str(error)) from None
+        outputs['--record'] = options.loaded
+    check_outputs([*filter(None, inputs)], outputs, options.force)
+
+
+def _record(options: argparse.Namespace, joints: tuple[str, ...]) -> tuple[str, NodeStatus]:
+    """Record the joint states of a running node; return its name and its status."""
+    from ..ros.observer import Observer, observing_node  # needs ROS
+    from ..ros.recorder import JointStateRecorder
+
+    wanted = options.node or (None if options.apply is True else options.apply)
+    path, seconds = options.loaded, options.record
+    with observing_node(options.ros_arguments) as node:
+        observer = Observer(node, choose_node(node, wanted, is_patient=False))
+        recorder = JointStateRecorder(observer)
+        with waiting(f'waiting for the joint states of {observer.name}'):
+            recorder.wait(joints)
+        text = f'recording {recorder.topic} for {seconds:g} s'
+        print(text, file=sys.stderr, flush=True)
+        with _signals() as signals, new_file(path, is_replaceable=False) as new:
+            with progress(text) as report:
+                reason = recorder.record(new, seconds, lambda: bool(signals), report)
+            if signals and not recorder.count:
+                raise SystemExit(128 + signals[0])
+            if not recorder.count:
+                raise RecordingError(f'{path}: is not written, because no joint states arrived')
+    print(f'{path}: {recorder.count} joint states in {recorder.duration:.1f} s', file=sys.stderr)
+    if signals:
+        raise SystemExit(128 + signals[0])
+    if reason:
+        raise RecordingError(f'{path}: ends before {seconds:g} s: {reason}')
+    assert observer.status is not None
+    return observer.name, observer.status
+
+
+@contextmanager
+def _signals() -> Iterator[list[int]]:
+    """Collect the signals that end a process, so that a recording is complete before the end."""
+    received: list[int] = []
+    numbers = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
+    before = {
+        number: signal.signal(number, lambda number, _: received.append(number))
+        for number in numbers
+    }
+    try:
+        yield received
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _apply(result: PayloadEstimate, options: argparse.Namespace) -> str:
     """Publish the payload to a node, and wait until the node has it; return its full name."""
     from ..ros.observer import Observer, observing_node  # needs ROS
     from ..ros.payload import apply_payload
 
-    with observing_node(ros_arguments) as node:
+    name = options.node if options.apply is True else options.apply
+    with observing_node(options.ros_arguments) as node:
         found = choose_node(node, name, is_patient=False)
         apply_payload(node, Observer(node, found), result.link, result.body)
     return found

@@ -1,4 +1,4 @@
-"""Reads recordings, and node parameters that say what the recorded efforts contain."""
+"""Reads recordings, and what a node says about the efforts in them."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from ..analysis.diagnosis import GravityConvention
 from ..analysis.recordings.measured_states import read_measured_states
 from ..analysis.recordings.signals import Recording
 from ..control.settings import MeasuredGravity
+from ..control.status import EffortsStatus, ModelStatus, NodeStatus
 from ..errors import ConfigurationError
 from ..robot.model import RobotModel
 from .console import progress
@@ -25,8 +26,13 @@ def read_recording(
         recording, notes = read_measured_states(
             path, robot.joint_names, topic, report, robot.mimic_names
         )
+    return scaled(recording, scale), notes
+
+
+def scaled(recording: Recording, scale: Mapping[str, float]) -> Recording:
+    """Multiply the efforts of the joints by their factors."""
     factors = np.array([scale.get(name, 1.0) for name in recording.joint_names])
-    return recording._replace(efforts=factors * recording.efforts), notes
+    return recording._replace(efforts=factors * recording.efforts)
 
 
 def measured_efforts(
@@ -54,6 +60,13 @@ def measured_efforts(
     scale = dict(zip(joints, np.broadcast_to(values, len(joints)).tolist(), strict=True))
     in_measured = MeasuredGravity(name).is_included(in_commands)
     return GravityConvention(in_commands, in_measured), scale
+
+
+def reported_convention(status: NodeStatus) -> GravityConvention:
+    """Return which efforts contain gravity, according to the diagnostics of a running node."""
+    model, efforts = status.model or ModelStatus(), status.efforts or EffortsStatus()
+    in_commands, in_measured = model.gravity is not None, efforts.measures_gravity
+    return GravityConvention(in_commands, in_commands if in_measured is None else in_measured)
 
 
 def _node_parameters(path: Path) -> dict[str, Any]:

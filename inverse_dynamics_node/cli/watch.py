@@ -15,7 +15,6 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
-from ..analysis.diagnosis.fault import GravityConvention
 from ..analysis.diagnosis.live import (
     Agreement,
     check_agreement,
@@ -25,12 +24,13 @@ from ..analysis.diagnosis.live import (
     Outcome,
     StateRate,
 )
-from ..control.status import EffortsStatus, Level, ModelStatus, NodeStatus
+from ..control.status import EffortsStatus, Level, ModelStatus
 from ..report.agreement_text import sentence
 from . import arguments
 from .arguments import CommandParser, RESULT
 from .live_view import as_json, as_line, LiveView
 from .nodes import choose_node, MOST_DISCOVERY, node_name, only_one
+from .recordings import reported_convention
 
 if TYPE_CHECKING:
     from ..ros.observer import Observer, Sample
@@ -64,7 +64,6 @@ _POLL = 0.02  # [s]; time between two polls of the node
 _LINE = 1.0  # [s]; time between two lines of text, or two checks
 _FRAME = 0.25  # [s]; time between two updates of the screen
 _LOST = 3.5  # [s]; a node is lost after this time without diagnostics; they are sent once a second
-_positive = arguments.number('a positive number', lambda value: 0.0 < value < math.inf)
 
 
 def make_parser() -> CommandParser:
@@ -87,7 +86,7 @@ def make_parser() -> CommandParser:
         '--for',
         group=RESULT,
         dest='duration',
-        type=_positive,
+        type=arguments.positive,
         metavar='SECONDS',
         help='end after this time, with an exit code that says whether model and robot agree',
     )
@@ -99,7 +98,7 @@ def make_parser() -> CommandParser:
     )
     parser.add_argument(
         '--rate',
-        type=_positive,
+        type=arguments.positive,
         metavar='HZ',
         help='expected rate of joint states: below 80 %% of this rate, they are slow (without '
         '--rate: below half of update_rate, or below 80 Hz if the node has no update_rate)',
@@ -222,7 +221,7 @@ class _Watch:
             self._limits(),
             model.joints,
             [joint for joint, then in self._cut.items() if now < then + DURATION],
-            _convention(status),
+            reported_convention(status),
             self._payloads(),
         )
 
@@ -270,13 +269,6 @@ class _Watch:
             )
         else:
             print(as_line(self.observer, self.agreement), flush=True)
-
-
-def _convention(status: NodeStatus) -> GravityConvention:
-    """Return whether commanded and measured efforts contain gravity, according to the node."""
-    model, efforts = status.model or ModelStatus(), status.efforts or EffortsStatus()
-    in_commands, in_measured = model.gravity is not None, efforts.measures_gravity
-    return GravityConvention(in_commands, in_commands if in_measured is None else in_measured)
 
 
 def next_time(due: float, period: float, now: float) -> float:

@@ -27,6 +27,13 @@ _NUMBER = np.dtype('<f8')
 _MAX_LAYOUTS = 16  # with more layouts, the names seem to change with every message
 
 
+def stamp_of(data: bytes) -> int:
+    """Return the stamp [ns] of a serialized message that starts with a header."""
+    order = '<' if data[1] & 1 else '>'  # data[:4] is the encapsulation header of CDR
+    seconds, nanoseconds = struct.unpack_from(f'{order}iI', data, _HEADER)
+    return int(seconds) * 10**9 + int(nanoseconds)
+
+
 class JointStateArrays(NamedTuple):
     """Contents of a joint state; lengths and values are not checked."""
 

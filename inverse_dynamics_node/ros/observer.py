@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 import os
 import time
@@ -124,6 +124,8 @@ class Observer:
         """Reason why the robot description cannot be used; empty if it can be used."""
         self.log: deque[LogLine] = deque(maxlen=_MOST_WARNINGS)
         """The latest warnings and errors, in the order of their arrival."""
+        self.on_joint_state: Callable[[bytes, float], None] | None = None
+        """Called by `poll` with each serialized joint state, and the time of its arrival [s]."""
         self._diagnostics = self._subscribe(DiagnosticArray, self._diagnostics_topic(), qos.QUEUED)
         self._logs = self._subscribe(Log, '/rosout', _LOG)
         self._descriptions = self._subscribe(String, f'{name}/robot_description', qos.LATCHED)
@@ -259,6 +261,8 @@ class Observer:
         if 'joint_states' not in self._subscriptions:
             return
         for data, received in self._take(self._subscriptions['joint_states'], JointState, True):
+            if self.on_joint_state:
+                self.on_joint_state(data, received)
             if self._index:
                 self._store_state(data, received or time.monotonic())
 

@@ -6,6 +6,7 @@ from xml.etree import ElementTree
 
 from inverse_dynamics_node import load_urdf
 from inverse_dynamics_node.cli.main import main
+from inverse_dynamics_node.cli.output_files import new_file
 import numpy as np
 from payload_runs import Arm, motion_of, poses_of
 import pytest
@@ -88,3 +89,28 @@ def test_efforts_without_gravity_need_an_empty_run(here, capsys):
     (here / 'loaded.csv').write_text('')
     assert main(run) == 1
     assert 'do not contain gravity, so a recording without' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'words'),
+    [
+        ('loaded.csv', '--record loaded.csv: exists, and is not an unchanged output'),
+        ('loaded.csv --force --empty loaded.csv', 'is the input loaded.csv, which is never'),
+        ('loaded.mcap', 'loaded.mcap: expected the name of a .csv file'),
+        ('nowhere/loaded.csv', "nowhere/loaded.csv: folder 'nowhere' does not exist"),
+    ],
+)
+def test_a_recording_needs_a_new_file(arguments, words, here, capsys):
+    with new_file(here / 'loaded.csv', is_replaceable=False) as path:
+        path.write_text('the last recording')
+    assert main(['payload', str(URDF), '--record', '1', *arguments.split()]) == 2
+    assert words in capsys.readouterr().err
+    assert (here / 'loaded.csv').read_text() == 'the last recording'
+
+
+def test_a_bad_run_without_the_payload_is_found_before_the_recording(here, capsys):
+    (here / 'empty.csv').write_text('time\n')
+    run = ['payload', str(URDF), 'loaded.csv', '--record', '1', '--empty', 'empty.csv']
+    assert main(run) == 1
+    assert 'empty.csv: has no rows' in capsys.readouterr().err
+    assert not (here / 'loaded.csv').exists()

@@ -9,8 +9,9 @@ pytest.importorskip('rclpy')
 pytest.importorskip('mujoco')
 pytest.importorskip('rosbags')
 
+from inverse_dynamics_node.ros.cdr import stamp_of
 from inverse_dynamics_node.ros.qos import LATCHED
-from inverse_dynamics_node.simulation.demo.recorder import Recorder, stamp_of
+from inverse_dynamics_node.simulation.demo.recorder import Recorder
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node

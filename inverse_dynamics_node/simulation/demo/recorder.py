@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-import struct
 import time
 from typing import Any, Literal
 
@@ -16,6 +15,7 @@ from rclpy.node import Node
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
 
+from ...ros.cdr import stamp_of
 from ...ros.qos import LATCHED
 
 STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
@@ -88,10 +88,3 @@ class Recorder:
             for stamp, connection, data in rows:
                 writer.write(connection, stamp, data)
         return len(rows)
-
-
-def stamp_of(data: bytes) -> int:
-    """Return the stamp [ns] of a serialized message that starts with a header."""
-    order = '<' if data[1] & 1 else '>'  # data[:4] is the encapsulation header of CDR
-    seconds, nanoseconds = struct.unpack_from(f'{order}iI', data, 4)
-    return int(seconds) * 10**9 + int(nanoseconds)

@@ -1,0 +1,171 @@
+"""Records the joint states of a running node as a CSV file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+import csv
+import math
+from pathlib import Path
+import time
+
+from ..errors import ConfigurationError, JointStateError
+from .cdr import JointStateReader, stamp_of
+from .observer import Observer
+
+_QUANTITIES = 'position', 'velocity', 'effort'
+_PATIENCE = 10.0  # [s]; until all joints have arrived; diagnostics come once a second
+_LISTENING = 1.0  # [s]; in which every publisher of joint states publishes
+_SILENCE = 5.0  # [s]; the recording ends after this time without joint states
+_POLL = 0.02  # [s]
+
+
+class StateRows:
+    """
+    Converts serialized joint states to rows of a CSV file, which has the joints seen by `note`.
+
+    There may be several publishers, each with some of the joints. Cells without a value are empty.
+    """
+
+    def __init__(self) -> None:
+        self._reader = JointStateReader()
+        self.joints: dict[str, bool] = {}
+        """For each joint, whether it had an effort."""
+
+    def note(self, data: bytes) -> None:
+        """Note which joints a state contains, and which of them have efforts."""
+        for joint, *_, effort in self._values(data):
+            has_effort = effort is not None and math.isfinite(effort)
+            self.joints[joint] = has_effort or self.joints.get(joint, False)
+
+    def header(self) -> list[str]:
+        """Return the names of the columns."""
+        return ['time', *(f'{joint}.{x}' for joint in self.joints for x in _QUANTITIES)]
+
+    def row(self, data: bytes, received: float) -> list[float | str | None] | None:
+        """Return time stamp and values of a state; the time is `received` if the stamp is zero."""
+        values = {joint: values for joint, *values in self._values(data)}
+        if values.keys().isdisjoint(self.joints):
+            return None
+        nanoseconds = stamp_of(data) or round(1e9 * (received or time.time()))
+        stamp = f'{nanoseconds // 10**9}.{nanoseconds % 10**9:09d}'
+        return [stamp, *(x for joint in self.joints for x in values.get(joint, (None,) * 3))]
+
+    def _values(self, data: bytes) -> list[tuple[str, float | None, float | None, float | None]]:
+        try:
+            names, *arrays = self._reader.read(data)
+        except JointStateError:
+            return []
+        unknown = [None] * len(names)
+        values = (x.tolist() if len(x) == len(names) else unknown for x in arrays)
+        return list(zip(names, *values, strict=True))
+
+
+class JointStateRecorder:
+    """Records the joint states that the node of an observer uses: first `wait`, then `record`."""
+
+    def __init__(self, observer: Observer) -> None:
+        self._observer = observer
+        self._rows = StateRows()
+        self.count = 0
+        """Number of recorded states."""
+        self.duration = 0.0
+        """Duration of the recording [s]."""
+
+    @property
+    def topic(self) -> str:
+        """Topic of the joint states; empty if it is not known."""
+        status = self._observer.status
+        return status.joint_states.topic if status and status.joint_states else ''
+
+    def wait(self, joints: Sequence[str]) -> None:
+        """
+        Wait until all joints of the node have arrived.
+
+        Raise a ConfigurationError if there are no joint states, or if they have no effort of any
+        of the given joints.
+        """
+        self._observer.on_joint_state = lambda data, _: self._rows.note(data)
+        is_known, heard = False, math.inf
+        due = time.monotonic() + _PATIENCE
+        while (now := time.monotonic()) < due:
+            self._observer.poll()
+            if self.topic and not is_known:
+                is_known, due = True, now + _PATIENCE
+            if self._rows.joints:
+                heard = min(heard, now)
+            if self._has_all_joints() and now > heard + _LISTENING:
+                break
+            time.sleep(_POLL)
+        problem = self._problem(joints)
+        if problem:
+            raise ConfigurationError(problem)
+
+    def record(
+        self,
+        path: Path,
+        seconds: float,
+        is_stopped: Callable[[], bool],
+        progress: Callable[[float], None],
+    ) -> str:
+        """
+        Write the joint states to a file as they arrive; return why the recording ended early.
+
+        The reason is empty if it did not end early. `progress` is called with the fraction of the
+        time, 0 to 1.
+        """
+        began = last = time.monotonic()
+        with path.open('w', newline='', encoding='utf-8') as file:
+            writer = csv.writer(file)
+            writer.writerow(self._rows.header())
+
+            def write(data: bytes, received: float) -> None:
+                nonlocal last
+                row = self._rows.row(data, received)
+                if row:
+                    writer.writerow(row)
+                    self.count += 1
+                    last = time.monotonic()
+
+            self._observer.on_joint_state = write
+            reason = ''
+            while not reason and self.duration < seconds:
+                time.sleep(_POLL)
+                self._observer.poll()
+                file.flush()
+                now = time.monotonic()
+                self.duration = now - began
+                progress(min(1.0, self.duration / seconds))
+                if is_stopped():
+                    reason = 'the recording was stopped'
+                elif now > last + _SILENCE:
+                    reason = f'no joint states arrived on {self.topic} for {_SILENCE:g} s'
+        self._observer.on_joint_state = None
+        return reason
+
+    def _has_all_joints(self) -> bool:
+        status = self._observer.status
+        return bool(status and status.model and self._rows.joints.keys() >= {*status.model.joints})
+
+    def _problem(self, joints: Sequence[str]) -> str:
+        """Return why nothing can be recorded, or an empty text."""
+        name, status, found = self._observer.name, self._observer.status, self._rows.joints
+        if status is None:
+            return (
+                f'no diagnostics from {name} for {_PATIENCE:g} s: the node has ended, or cannot '
+                'be reached'
+            )
+        if not self.topic:
+            return f'{name} is {status.loop.state}, and has no joint states: configure the node'
+        if not found:
+            return (
+                f'no joint states on {self.topic} for {_PATIENCE:g} s: start the driver of the '
+                'robot'
+            )
+        if found.keys().isdisjoint(joints):
+            return f'{self.topic} has joints {", ".join(found)}; expected {", ".join(joints)}'
+        if not any(found.get(joint) for joint in joints):
+            return (
+                f'the joint states on {self.topic} have no efforts: let the driver publish '
+                'measured efforts, without which no payload can be measured'
+            )
+        return ''
