@@ -25,7 +25,7 @@ class UrdfError(InverseDynamicsError):
     source : str
         Path of the file, or ``'URDF'`` if the description was passed as text.
     problems : tuple of str
-        All problems in the order of the file; at least one.
+        All problems in the order of the file; there is at least one.
 
     """
 
@@ -74,13 +74,13 @@ def unknown_name(kind: str, name: str, names: Collection[str]) -> str:
 
 
 def listed(names: Collection[str], most: int = _MOST_LISTED) -> str:
-    """Join names with commas; if there are over ``most``, show the first ones and the total."""
+    """Join names with commas; of more than ``most`` names, show the first ones and the total."""
     shown = ', '.join(shortened(name) for name in islice(names, most))
     return f'{shown}, ... ({len(names)} in all)' if len(names) > most else shown
 
 
 def significant(value: float, digits: int = 3) -> str:
-    """Format a number with ``digits`` significant digits; large numbers keep the integer part."""
+    """Format a number with ``digits`` significant digits, and with all digits before the point."""
     text = f'{value:.{digits}g}'
     return f'{value:.0f}' if 'e+' in text else text
 

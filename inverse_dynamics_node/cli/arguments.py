@@ -1,4 +1,4 @@
-"""Parses the arguments of commands, defines arguments for several commands, and loads robots."""
+"""Parses the arguments of commands, defines arguments that commands share, and loads robots."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def add_gravity(parser: CommandParser) -> None:
 
 
 def add_link(parser: CommandParser, role: str = '') -> None:
-    """Add the option --link; `role` is added to its help and describes another use."""
+    """Add the option --link; `role` is appended to its help, to describe a further use."""
     text = 'link that carries the payload (default: tool0, or the end of the longest chain)'
     parser.add_argument('--link', group=ROBOT, help=text + role)
 
@@ -253,7 +253,7 @@ def load_dynamics(path: Path | str, gravity: Floats | tuple[float, ...]) -> Inve
 
 
 def stem_of(path: Path) -> str:
-    """Return how names of output files begin: with the stem of the path, or 'robot' for ``-``."""
+    """Return the start of names of output files: the stem of the path, or 'robot' for ``-``."""
     return 'robot' if str(path) == '-' else path.stem
 
 

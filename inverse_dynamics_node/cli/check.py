@@ -33,7 +33,7 @@ examples:
 
 The command samples poses over the ranges of all joints (one turn for a joint without limits), and
 searches for worse poses near the worst samples. The payload is a point mass at the origin of the
-link, and the robot holds it at rest. Moving the payload takes larger efforts, see
+link, and the robot holds it at rest. Moving the payload takes larger efforts: see
 `inverse_dynamics effort`.
 
 exit code: 0 the description can be used; 1 it cannot be used; 2 invalid arguments; 3 there are
@@ -176,7 +176,7 @@ def workspace_table(workspace: Workspace, payload: PayloadCapacity) -> Table:
     )
     if workspace.is_search_shortened:
         notes += (
-            'There are too many joints to search for their worst poses thoroughly: other poses '
+            'With this many joints, the search for the worst poses is not thorough: other poses '
             'may take more effort.',
         )
     if is_too_wide:

@@ -120,7 +120,7 @@ def escaped_lines(text: str) -> str:
 
 @contextmanager
 def escaped_output() -> Iterator[None]:
-    """Escape what is written to standard output and standard error within the body."""
+    """Escape the text that the body writes to standard output and standard error."""
     before = sys.stdout, sys.stderr
     sys.stdout, sys.stderr = (stream and EscapedOutput(stream) for stream in before)
     try:

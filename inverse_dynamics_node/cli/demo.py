@@ -108,11 +108,11 @@ class _Parser(CommandParser):
         name = options.scenario
         least = 5.0 if name == CALIBRATE else SCENARIOS[name].least_duration
         if not 50.0 <= options.rate <= 5000.0:
-            self.error(f'--rate {options.rate:g} is not from 50 to 5000 Hz')
+            self.error(f'--rate {options.rate:g} is outside 50 to 5000 Hz')
         if not least <= options.duration < math.inf:
             self.error(f'--duration {options.duration:g} is not {least:g} s or more')
         if options.domain is not None and not 0 <= options.domain <= 232:
-            self.error(f'--domain {options.domain} is not from 0 to 232')
+            self.error(f'--domain {options.domain} is outside 0 to 232')
         return options
 
 
@@ -221,7 +221,7 @@ class _Result(NamedTuple):
 def _run_identification(
     options: argparse.Namespace, stopped: Callable[[], bool]
 ) -> tuple[ScenarioResult, Draw]:
-    """Record a motion, identify the robot, repeat the motion; return as `_run_scenario`."""
+    """Record a motion, identify the robot, and repeat the motion; return as `_run_scenario`."""
     urdf = str(options.urdf.resolve())
     robot = load_urdf(urdf)
     dynamics = InverseDynamics(robot)
@@ -308,7 +308,7 @@ def _description(urdf: str) -> list[str]:
 
 
 def _table(setup: DemoSetup, truth: UnknownRobot, result: _Result) -> Table:
-    """Return a table: errors of both runs; friction and rotors, both simulated and identified."""
+    """Return a table of the errors of both runs, and of simulated and identified parameters."""
     found = {joint.name: joint.terms for joint in result.identified.joints}
     rows = []
     for k, name in enumerate(setup.robot.joint_names):

@@ -41,8 +41,8 @@ examples:
   inverse_dynamics effort my_arm.urdf rosbag2_2026_01_31/ --topic /joint_states --smooth 10
 
 Missing velocities are derived from a cubic spline through the positions, and missing accelerations
-from a cubic spline through the velocities. Points that are far apart are connected by polynomials
-of fifth degree, as in the joint_trajectory_controller of ros2_control. Accelerations that are
+from a cubic spline through the velocities. Quintic polynomials connect points that are far apart,
+as in the joint_trajectory_controller of ros2_control. Accelerations that are
 derived from measured states contain noise; --smooth 10 removes it.
 
 exit code: 0 done; 1 a file cannot be read or used; 2 invalid arguments; 3 a limit of effort, speed

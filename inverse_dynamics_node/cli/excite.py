@@ -47,7 +47,7 @@ The links stay 2 cm apart from each other, from the floor and from each --box, a
 collision shapes of the URDF. A payload has no shape: enclose it in a collision shape of the URDF.
 The straight way from the pose of --at to the start is checked too. Rehearse the motion with
 --speed 0.2: the path is the same, five times slower. The motion is a JointTrajectory without
-efforts, as a joint_trajectory_controller expects it. A second file moves the arm slowly to the
+efforts, as a joint_trajectory_controller expects. A second file moves the arm slowly to the
 start pose. Send this second file first. Record /joint_states during the motion.
 
 exit code: 0 done; 1 no safe motion was found, or a file cannot be read or written; 2 invalid
@@ -64,9 +64,9 @@ def make_parser() -> CommandParser:
     """Return the parser of the command."""
     parser = CommandParser(
         'excite',
-        'Find the motion within the limits from which masses and friction can be identified '
-        'best. The command writes the motion as CSV and as JointTrajectory, draws a picture, and '
-        'reports which space the motion needs and which standard errors to expect.',
+        'Find the motion within the limits that best determines masses and friction. The command '
+        'writes the motion as CSV and as JointTrajectory, draws a picture, and reports which '
+        'space the motion needs and which standard errors to expect.',
         EPILOG,
         own='motion',
     )

@@ -152,7 +152,7 @@ def _run(arguments: list[str]) -> int:
     if command in ('identify', 'payload'):
         # The matrices are small: threads would take longer to start than to compute.
         os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
-    # Imported here, because the import takes most of a second, and Ctrl-C must end it cleanly.
+    # Imported here: the import takes most of a second, and Ctrl-C must end the import cleanly.
     module = import_module(f'.{command}', __package__)
     others, ros_arguments = _split(others)
     options = module.make_parser().parse(others)

@@ -62,8 +62,9 @@ def check_outputs(
     Check that the outputs of a command do not replace a file that must be kept.
 
     The keys of `outputs` are the options that give the paths. The input ``-`` is standard input.
-    Raise OutputError if an output is an input (or a link to an input), if two outputs are the same
-    file, or if a file exists that is not an unchanged output of an earlier call (unless `force`).
+    Raise OutputError if an output is an input or a link to an input, or if two outputs are the
+    same file. Unless `force` is true, also raise OutputError if a file exists that is not an
+    unchanged output of an earlier call.
     """
     sources = {_identity(file): file for source in inputs for file in _files_of(source)}
     written: dict[object, str] = {}
@@ -135,7 +136,7 @@ def _digest(path: Path) -> bytes:
 
 
 def _identity(path: Path) -> object:
-    """Return device and inode, which a file shares with its links; if no file exists, the path."""
+    """Return device and inode, which a file shares with its links; without a file, the path."""
     try:
         status = os.fstat(sys.stdin.fileno()) if str(path) == '-' else path.stat()
     except (OSError, ValueError):  # no such file, or a closed standard input

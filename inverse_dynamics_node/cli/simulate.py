@@ -10,9 +10,9 @@ from .arguments import CommandParser
 
 EPILOG = """\
 The robot publishes joint_states with efforts. At first, a position controller holds the robot.
-When commands have arrived for 1.5 s and have stopped rising, the robot follows the commands, as
-behind a forward_command_controller. When the commands stop, the position controller takes over
-after 0.5 s.
+When commands have arrived for 1.5 s and have stopped rising, the robot follows the commands, like
+an arm behind a forward_command_controller. When the commands stop, the position controller takes
+over after 0.5 s.
 
 The velocities are supervised: if a joint exceeds twice its velocity limit (12.6 rad/s or 2 m/s if
 the URDF has none), the position controller brakes the robot and holds it. The robot then ignores
@@ -36,7 +36,7 @@ examples:
   inverse_dynamics simulate my_arm.urdf --namespace left --commands inverse_dynamics/commands
   inverse_dynamics simulate my_arm.urdf --ros-args -r imu:=/base/imu
 
-It runs until Ctrl-C, in the domain ROS_DOMAIN_ID; messages stay on this machine, unless
+The robot runs until Ctrl-C, in the domain ROS_DOMAIN_ID. Messages stay on this machine unless
 ROS_AUTOMATIC_DISCOVERY_RANGE is set.
 
 exit code: 0 stopped; 1 cannot be run; 2 invalid arguments."""
@@ -87,7 +87,7 @@ def make_parser() -> CommandParser:
 
 def run(options: argparse.Namespace) -> int:
     """Run the robot until SIGINT or SIGTERM; return the exit code."""
-    # Imported here, because only few commands need ROS.
+    # Imported here, because few commands need ROS.
     from ..simulation.demo.processes import stay_on_this_machine
     from ..simulation.robot import main
 

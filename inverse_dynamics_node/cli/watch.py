@@ -63,7 +63,7 @@ CODES = {
 _POLL = 0.02  # [s]; time between two polls of the node
 _LINE = 1.0  # [s]; time between two lines of text, or two checks
 _FRAME = 0.25  # [s]; time between two updates of the screen
-_LOST = 3.5  # [s]; a node is lost after this time without diagnostics; they are sent once a second
+_LOST = 3.5  # [s]; longest time without diagnostics, which are sent once a second
 
 
 def make_parser() -> CommandParser:
@@ -100,8 +100,8 @@ def make_parser() -> CommandParser:
         '--rate',
         type=arguments.positive,
         metavar='HZ',
-        help='expected rate of joint states: below 80 %% of this rate, they are slow (without '
-        '--rate: below half of update_rate, or below 80 Hz if the node has no update_rate)',
+        help='expected rate of joint states; less than 80 %% of this rate is slow (default: less '
+        'than half of update_rate is slow, or less than 80 Hz if the node has no update_rate)',
     )
     return parser
 
@@ -173,7 +173,7 @@ class _Watch:
             only_one(self.find())
 
     def _end(self, now: float) -> float:
-        """Return the time of the end; the duration begins when the state of the node is known."""
+        """Return the time at which to end; the duration begins when the node's state is known."""
         if not self.options.duration:
             return math.inf
         status, robot = self.observer.status, self.observer.robot

@@ -403,7 +403,7 @@ def compute_block(
 
 @simd_step
 def store_blocks(robot: Any, factors: Any, matrices: Any) -> None:
-    """Write the regressors of so few states at a time that they fit into the processor's cache."""
+    """Write the regressors of a few states at a time, which fit into the processor's cache."""
     for first in range(0, LANES, CACHE_LINE):
         last = first + CACHE_LINE
         for k in range(first, last):

@@ -27,7 +27,7 @@ the effort in base coordinates; (47) gives it in link coordinates.
 
 Gravity is not a separate term. The base has the acceleration -g (31), which every link inherits.
 
-A URDF and the paper have different frames. In the paper's Denavit-Hartenberg frames the
+A URDF and the paper define frames differently. In the paper's Denavit-Hartenberg frames, the
 axis of joint i + 1 is z of frame i. Here joint i turns about, or slides along, z of link i's own
 frame. The offset p from the parent's origin is therefore constant in the parent's frame, but a
 sliding joint adds its position along the axis. Moments are about the link's own origin. Terms with

@@ -72,8 +72,8 @@ class InverseDynamics:
 
     Notes
     -----
-    The first object on a machine takes a few seconds: code is compiled, and cached on disk.
-    Each thread needs its own object, because an object contains scratch space.
+    Creating the first object on a machine takes a few seconds: code is compiled, and cached on
+    disk. Each thread needs its own object, because an object contains scratch space.
 
     References
     ----------
@@ -118,7 +118,7 @@ class InverseDynamics:
 
     @property
     def gravity(self) -> Floats:
-        """Free-fall acceleration in the base frame, shape (3,) [m/s^2]; read-only."""
+        """Free-fall acceleration in the base frame, shape (3,) [m/s^2], read-only."""
         return self._gravity
 
     @property
@@ -443,8 +443,7 @@ class InverseDynamics:
         that do the same work. Force and moment are in base coordinates. A robot that exerts this
         force and moment on the world needs these efforts in addition. `set_external_wrench` has
         the opposite sign: its wrench is exerted by the world, and is in the link's frame. J does
-        not include the motion of the base. A mimic joint adds to the column of the joint that it
-        mimics.
+        not include the motion of the base. A mimic joint adds to the column of its master.
 
         """
         return self._of_link(self._jacobian, (6, len(self._zeros)), q, link, out)
@@ -659,8 +658,8 @@ class InverseDynamics:
         load_friction : array_like, shape (n,) or ()
             Coulomb friction eta per unit of the effort that loads the gear [-].
         sqrt_damping : array_like, shape (n,) or ()
-            Friction s per square root of the speed [N m (s/rad)^0.5 or N (s/m)^0.5]. At low
-            speeds, it describes gears with much grease.
+            Friction s per square root of the speed [N m (s/rad)^0.5 or N (s/m)^0.5]. Gears with
+            much grease have such friction at low speeds.
 
         Raises
         ------
@@ -669,10 +668,10 @@ class InverseDynamics:
 
         Notes
         -----
-        The effort that loads the gear moves and holds the links. It contains the inertial,
-        Coriolis, centrifugal and gravity efforts, and the efforts due to payloads, springs, base
-        motion and external wrenches. It does not contain armature and friction. Friction
-        proportional to this effort is the usual model of losses in gears [1]_.
+        The gear is loaded by the effort that moves and holds the links. This effort contains the
+        inertial, Coriolis, centrifugal and gravity efforts, and the efforts due to payloads,
+        springs, base motion and external wrenches. Armature and friction are not included.
+        Friction proportional to this effort is the usual model of losses in gears [1]_.
 
         References
         ----------
@@ -715,7 +714,7 @@ class InverseDynamics:
 
     def set_drive_coupling(self, coupling: ArrayLike) -> None:
         r"""
-        Couple drives to the previous joints, as in wrists with gears that run through a joint.
+        Couple drives to the previous joints, as in wrists whose gear trains pass through a joint.
 
         The speed of the drive of joint k is :math:`v_k = \dot q_k + g_k\,\dot q_{k-1}`. The
         effort due to friction and armature of this drive acts on joint k. The previous joint

@@ -167,7 +167,7 @@ def outward_pass(
     store_wrench(robot[0], (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     for i in range(1, len(robot)):
         link = robot[i]
-        # First, because values that are read before sine and cosine would have to be read again.
+        # Called first: values that are read before sine and cosine would have to be read again.
         c, s, length = place_link(link, q[int(link[JOINT])])
         parent, joint, multiplier, slides = joint_of(link)
         R, p = frame_of(link)
@@ -252,7 +252,7 @@ def drive_terms(tau: Any, robot: Any) -> None:
         effort = row[ARMATURE] * rate_dot + friction
         tau[joint] += effort
         if ratio != 0.0:
-            tau[before] += ratio * effort  # has its friction: joints are in order
+            tau[before] += ratio * effort  # after its own terms, because joints are in order
 
 
 @simd_inline
@@ -283,7 +283,7 @@ def clear(tau: Any) -> None:
 
 @compiled
 def check(tau: Any) -> int:
-    """Return `NOT_FINITE` if an effort is not finite, which is so if an input is not finite."""
+    """Return `NOT_FINITE` if an effort is not finite, for example because of an input."""
     for joint in range(len(tau)):
         if tau[joint] - tau[joint] != 0.0:  # 0 for finite numbers only
             return NOT_FINITE

@@ -111,9 +111,10 @@ def unit_twist(axes_L: Axes, z: Vector, arm: Vector, slides: Any) -> tuple[Vecto
     """
     Return a body's angular velocity and its origin's velocity at a unit rate of a joint.
 
-    Both are in the frame of the body. ``axes_L`` are the axes of this frame, ``z`` is the axis of
-    the joint, and ``arm`` points from the joint's origin to the body's origin; all are in base
-    coordinates. ``slides`` is 1.0 for a prismatic joint and 0.0 for a revolute joint.
+    Both velocities are in the frame of the body. ``axes_L`` are the axes of this frame, ``z`` is
+    the axis of the joint, and ``arm`` points from the joint's origin to the body's origin. All
+    arguments are in base coordinates. ``slides`` is 1.0 for a prismatic joint and 0.0 for a
+    revolute joint.
 
     """
     axis, swept = in_frame(axes_L, z), in_frame(axes_L, cross(z, arm))

@@ -1,5 +1,5 @@
 """
-The robot as a table of numbers with named columns; each row is a body, the base is first.
+The robot as a table of numbers with named columns and a row for each body, the base first.
 
 The frame of every body is rotated so that z is the axis of its joint. A row contains the
 properties of the body, the loads on it, and scratch space for the outward and inward passes. A
@@ -217,7 +217,7 @@ def write_friction(
     """Set the friction of all joints; Coulomb friction is smoothed over ``speeds``."""
     write_joints(table, DAMPING, damping)
     write_joints(table, COULOMB, coulomb)
-    # Zero where the width has no effect: generated code takes nonzero numbers for loads.
+    # Zero where the width has no effect: generated code treats nonzero numbers as loads.
     steps = coulomb + load_friction + sqrt_damping
     write_joints(table, INVERSE_WIDTH, np.where(steps > 0.0, 1.0 / speeds, 0.0))
     write_joints(table, LOAD_FRICTION, load_friction)
@@ -240,8 +240,8 @@ def joints_before(robot: RobotModel) -> Integers:
     """
     Return the index of the joint before each of the n joints, shape (n,).
 
-    The joint before moves the parent body. The index is -1 if the parent body is the base, or if
-    the joint of the parent body mimics a joint with a larger index.
+    The joint before a joint moves its parent body. The index is -1 if the parent body is the base,
+    or if the joint of the parent body mimics a joint with a larger index.
 
     """
     before = np.full(len(robot.joint_names), -1)

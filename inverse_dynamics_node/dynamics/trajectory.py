@@ -15,7 +15,7 @@ from .inverse_dynamics import InverseDynamics
 MOST_NUMBERS = 2e7
 """Largest number of states times joints; larger results take gigabytes."""
 _FEWEST_TO_SMOOTH = 16
-"""Smallest number of points that `smooth` accepts; it pads with fewer points than it gets."""
+"""Smallest number of points that `smooth` accepts; the padding needs fewer points."""
 
 
 class Trajectory(NamedTuple):
@@ -68,8 +68,8 @@ def refine(whole: Trajectory, longest_step: float) -> tuple[Trajectory, Integers
     The longest time between two states of the result is ``longest_step`` [s]. Two points are
     connected by the quintic polynomial that matches position, velocity and acceleration at each
     point, as in ros2_control's joint trajectory controller. If `complete` has derived velocities
-    and accelerations from the positions, the polynomial equals the cubic spline. Missing
-    velocities or accelerations, or too many states for the memory, raise a TrajectoryError.
+    and accelerations from the positions, the polynomial equals the cubic spline. A
+    TrajectoryError reports missing velocities or accelerations, or too many states for the memory.
 
     """
     times, velocities, accelerations = whole.times, whole.velocities, whole.accelerations

@@ -34,7 +34,7 @@ def body_frames(robot: RobotModel, q: Floats) -> tuple[Floats, Floats]:
 
 
 def rotation_about(axis: Floats, angle: float | Floats) -> Floats:
-    """Return rotation matrices about a unit vector, with Rodrigues' formula; angles in rad."""
+    """Return the matrices of rotations about a unit vector [rad], from Rodrigues' formula."""
     x, y, z = axis
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     angle = np.asarray(angle)[..., np.newaxis, np.newaxis]
@@ -65,9 +65,9 @@ def rpy_of_quaternion(text: str) -> str:
     values = [float(word) for word in text.split()]
     norm = math.hypot(*values)
     x, y, z, w = (value / norm for value in values)
-    # R = Rz(yaw) Ry(pitch) Rx(roll). Near a pitch of 90 degrees only the sum or the difference of
-    # roll and yaw is well defined. Any yaw is correct there, if the roll is computed from the
-    # rotation that remains after turning back by this yaw.
+    # R = Rz(yaw) Ry(pitch) Rx(roll). Near a pitch of 90 degrees, only the sum or the difference of
+    # roll and yaw is well defined. Any yaw is correct there, because the roll is computed from the
+    # rotation that remains without this yaw.
     r00, r10 = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)
     r01, r11 = 2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z)
     r02, r12, r20 = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 2.0 * (x * z - w * y)

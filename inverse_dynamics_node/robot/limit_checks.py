@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from .model import Floats, ModelWarning, RobotModel
 
 _FAR_BEYOND = 50.0
-"""A limit of this many times the moment of the robot's weight is a placeholder."""
+"""A limit above this multiple of the moment of the robot's weight is a placeholder."""
 _FEWEST_EQUAL, _FRACTION_EQUAL = 3, 0.8
 _ROUND_LIMITS = (100.0, 1000.0, 10000.0, 100000.0)
 """Effort limits [N m] that exporters write for all joints instead of the real limits."""
@@ -25,7 +25,7 @@ def limit_subject(joint: str, quantity: str) -> str:
 
 
 def effort_limit_warnings(robot: RobotModel) -> tuple[ModelWarning, ...]:
-    """Return warnings about missing and unlikely effort limits that the loader does not report."""
+    """Return warnings about missing and implausible effort limits, without those of the loader."""
     hint = 'write <limit effort="..."/>, or set the parameter effort_limits of the node'
     missing = (
         ModelWarning('missing', hint, limit_subject(name, 'effort'))
@@ -91,7 +91,7 @@ _FULL_TURN = 2.0 * math.pi
 
 
 class ImplausiblePosition(NamedTuple):
-    """A joint with a position that is implausibly far outside its limits."""
+    """A joint whose position is implausibly far outside its limits."""
 
     joint: str
     position: float
@@ -121,9 +121,9 @@ def implausible_positions(
     """
     Find joints that are implausibly far outside their limits; report each joint once.
 
-    Encoder offsets and soft limits often put a joint slightly outside. A tenth of the range is
-    therefore tolerated, or 0.1 rad or 0.01 m if this is more. Joints without limits, or with equal
-    limits (usually placeholders), are not checked.
+    Encoder offsets and soft limits often put a joint slightly outside its limits. A tenth of the
+    range is therefore tolerated, and at least 0.1 rad or 0.01 m. Joints without limits are not
+    checked. Joints with equal limits, which are usually placeholders, are not checked either.
 
     ``positions`` are one or more configurations of n joints, shape (..., n) [rad or m]; NaN and
     infinite values are ignored. ``joint_names`` are the names of the columns, by default the
@@ -149,7 +149,7 @@ def implausible_positions(
             continue
         looks_like_degrees = (
             not is_prismatic
-            and abs(worst) > _FULL_TURN  # a smaller one may well be an offset
+            and abs(worst) > _FULL_TURN  # a smaller position may be an offset
             and lower - margin <= math.radians(worst) <= upper + margin
         )
         found.append(
@@ -164,7 +164,7 @@ def position_warnings(
     """Return warnings about `implausible_positions`; positions in degrees come first."""
     hints = {
         True: 'convert the positions to radians',
-        False: 'check units (rad, m), zero positions and the order of the joints, and that the '
+        False: 'check units (rad, m), zero positions, the order of the joints, and whether the '
         'limits belong to this robot',
     }
     found = implausible_positions(robot, positions, joint_names)

@@ -1,7 +1,7 @@
 """
 A robot as flat, read-only arrays; parents come before their children.
 
-Links that fixed joints connect form one *body*. Body 0 is the base. Every other body has one joint
+Links connected by fixed joints form one *body*. Body 0 is the base. Every other body has one joint
 that moves it. The URDF frame of this joint is the frame of the body. The origin of the frame is on
 the axis of the joint. Frames are written in monogram notation: ``R_PL`` rotates vectors from body
 L to its parent P, and ``p_PL`` is the position of the origin of L in P.
@@ -26,7 +26,7 @@ Booleans = NDArray[np.bool_]
 @dataclass(frozen=True)
 class ModelWarning:
     """
-    A problem in a robot description; the description can be used nevertheless.
+    A problem in a robot description that can still be used.
 
     ``str(warning)`` is one line with the line number, the subject and the text.
 
@@ -91,7 +91,7 @@ class RobotModel:
     is_prismatic: Booleans
     """Whether each of the b bodies slides along its axis instead of turning, shape (b,)."""
     joint_index: Integers
-    """Index in ``joint_names`` of the joint of each of b bodies, shape (b,); -1 for the base."""
+    """Index in ``joint_names`` of each body's joint, shape (b,); -1 for the base."""
     multiplier: Floats
     """
     Multipliers of the b bodies, shape (b,); 1 unless the joint of the body mimics another.
@@ -124,9 +124,9 @@ class RobotModel:
     link_position: Floats
     """Origins of the k links in the frames of their bodies, shape (k, 3) [m]."""
     link_mass: Floats
-    """Masses of the k single links, shape (k,) [kg]; 0 for a link without ``<inertial>``."""
+    """Masses of the k individual links, shape (k,) [kg]; 0 for a link without ``<inertial>``."""
     link_com: Floats
-    """Centres of mass of the k single links in the links' frames, shape (k, 3) [m]."""
+    """Centres of mass of the k individual links in their frames, shape (k, 3) [m]."""
     link_inertia: Floats
     """Inertias of the k links about the centre of mass, in link axes, shape (k, 3, 3) [kg m^2]."""
 

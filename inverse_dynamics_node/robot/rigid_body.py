@@ -44,7 +44,7 @@ class RigidBody(NamedTuple):
     """Inertia about the centre of mass, along the axes of the frame, shape (3, 3) [kg m^2]."""
 
     def rotate(self, rotation: Floats) -> RigidBody:
-        """Express the body in new axes, same origin; ``rotation`` is from old to new axes."""
+        """Express the body in new axes, about the same origin; ``rotation`` is from old to new."""
         return RigidBody(self.mass, rotation @ self.com, rotation @ self.inertia @ rotation.T)
 
     def shift(self, position: Floats) -> RigidBody:
@@ -135,9 +135,9 @@ def moved_inside(parameters: Floats) -> Floats:
     """
     Return parameters, shape (10,), of the nearest body that has extent in all directions.
 
-    Point masses, impossible inertias and negative inertias are extended: the radius about the
-    centre of mass becomes at least `SMALLEST_RADIUS` in every direction. Other bodies do not
-    change. The mass must be above zero.
+    A body without extent, or with an impossible inertia, is enlarged: its radius of gyration
+    becomes at least `SMALLEST_RADIUS` in every direction. Other bodies do not change. The mass
+    must be above zero.
 
     """
     matrix = pseudo_inertias(parameters)
@@ -154,7 +154,7 @@ def moved_inside(parameters: Floats) -> Floats:
 
 def transport(before: Floats, after: Floats) -> Floats:
     """
-    Return T with ``T before T^T = after``: of these matrices, the one nearest to the identity.
+    Return the matrix T nearest to the identity for which ``T before T^T = after``.
 
     The arguments are positive definite pseudo-inertias of a body, shape (4, 4). If every part of
     the body is changed to ``T part T^T``, the parts remain physical, and their sum is ``after``.

@@ -26,7 +26,7 @@ STEADY = 0.5  # [s]: commands are steady if they change by less than 1 % in this
 LONGEST = 10.0  # [s]: after this time, unsteady commands take over too
 SPEED_FACTOR = 2.0  # ratio of the bound to the velocity limit: leaves room for overshoot
 NO_LIMIT = (4.0 * math.pi, 2.0)  # [rad/s], [m/s]: bounds if the URDF has no velocity limit
-# Higher limits in URDFs are placeholders; lower limits stop a robot that is pushed by hand.
+# Higher limits in URDFs are placeholders; lower bounds would stop a robot pushed by hand.
 LEAST, MOST = (1.0, 0.25), (40.0, 5.0)  # [rad/s], [m/s]
 BRAKING_MARGIN = 1.25  # factor on the bounds: a smooth stop needs time to slow the robot down
 LONGEST_STEP = 0.002  # [s]: with longer steps, the position controller is unstable
@@ -123,8 +123,8 @@ class HandOver:
     Decides whether the position controller or the commands move a simulated robot.
 
     The commands take over once they have been arriving for ``release`` seconds and have stopped
-    rising. If they took over any earlier, the robot would fall. The position controller ``drive``
-    takes over when the commands stop, when `hold` requests it, or when a joint becomes too fast.
+    rising. An earlier hand-over would drop the robot. The position controller ``drive`` takes over
+    when the commands stop, when `hold` requests the hand-over, or when a joint becomes too fast.
     After a joint was too fast, commands are ignored until they pause. The brakes must be open.
     """
 
@@ -166,7 +166,7 @@ class HandOver:
         self._actuation.command(command)
 
     def _compare(self, efforts: Floats, now: float) -> None:
-        """If the efforts have changed, measure from now on how long they stay steady."""
+        """Restart the time for which the efforts have been steady if the efforts have changed."""
         size = np.abs(efforts)
         tolerance = 0.01 * size + 0.002 * size.max(initial=0.0)
         if (np.abs(efforts - self._steady_efforts) > tolerance).any():
@@ -219,7 +219,7 @@ class HandOver:
         if now >= self._complaint_due:
             self._complaint_due = now + COMPLAINT_PERIOD
             self._log.error(
-                f'{excess}, although the position controller holds the robot: brakes stop it. '
+                f'{excess}, although the position controller holds the robot: the brakes stop it. '
                 'A payload or a push may be too large for the effort limits of the URDF'
             )
 

@@ -170,7 +170,7 @@ class Actuation:
         self.robot.command(efforts)
 
     def measured(self, efforts: Floats) -> Floats:
-        """Return the values that the driver reports for efforts of ``robot.state_names``."""
+        """Return the driver's values for the efforts of the joints ``robot.state_names``."""
         measured = efforts * self.driver.measured_unit
         if not self.driver.measures_gravity:
             measured[self._state_index] -= self.driver.measured_unit * self._gravity()

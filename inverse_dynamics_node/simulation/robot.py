@@ -2,7 +2,7 @@
 The simulated robot as a ROS process: publishes ``joint_states`` and applies ``commands``.
 
 The robot behaves like an arm with joint_state_broadcaster and forward_command_controller. It
-publishes joint states at a fixed rate, sorted by name. It applies the last complete, finite
+publishes joint states at a fixed rate, sorted by name. The robot applies the last complete, finite
 command until the next one.
 
 Brakes hold the robot until commands have arrived for a while, as on a real arm after power-on. A
@@ -12,9 +12,9 @@ unless the sensors are lost.
 
 With ``--drive``, a position controller replaces the brakes. The joint states then contain the
 efforts of this controller. The controller hands over to commands that have arrived for a while and
-have stopped rising. It takes over again when the commands stop, when a joint becomes too fast, and
-when the service ``~/hold`` asks for it. With ``--driver``, commands and measured efforts follow
-the conventions of a driver.
+have stopped rising. The controller takes over again when the commands stop, when a joint becomes
+too fast, and when the service ``~/hold`` is called. With ``--driver``, commands and measured
+efforts follow the conventions of a driver.
 
 Four topics disturb the robot:
 
@@ -265,8 +265,7 @@ def run(node: RobotNode, executor: Executor, rate: float, stop: Callable[[], boo
     Advance a simulated robot in step with the steady clock until ``stop`` returns True.
 
     After a pause of the machine, the simulation catches up at twice the normal speed and publishes
-    every state. If it published them in a burst, a subscriber that keeps only the latest state
-    would miss the others.
+    every state. In a burst, a subscriber that keeps only the latest state would miss the others.
     """
     period = 1.0 / rate
     due = time.monotonic()

@@ -17,7 +17,7 @@ from ..dynamics.inverse_dynamics import InverseDynamics
 from ..robot.model import Floats, RobotModel
 from .mujoco.model import SimulationError
 
-LARGEST_SWING = (0.5, 0.1)  # [rad], [m]: large enough to excite inertia, Coriolis and gravity
+LARGEST_SWING = (0.5, 0.1)  # [rad], [m]: large enough for inertial, Coriolis and gravity efforts
 FREQUENCIES = (0.20, 0.31, 0.24, 0.38, 0.28, 0.43, 0.34)  # [Hz]: adjacent joints differ
 ROOM_USED = 0.8  # fraction of the distance to the nearest position limit
 SPEED_USED = 0.5  # fraction of the velocity limit

@@ -176,7 +176,7 @@ class TestDemo:
             (['--scenario', 'dance'], "invalid choice: 'dance'"),
             (['--picture', 'run.jpeg2'], 'expected .png, .svg or .pdf'),
             (['--record', '.'], 'argument --record: .: already exists'),
-            (['--domain', '233'], '--domain 233 is not from 0 to 232'),
+            (['--domain', '233'], '--domain 233 is outside 0 to 232'),
         ],
     )
     def test_invalid_options_are_rejected(self, domain_id, arguments, words):

@@ -125,8 +125,8 @@ def _efforts(axes: Any, robot: RobotModel, timeline: Timeline, history: History)
     """
     Draw all commanded efforts, even while joint states are missing; each joint has its own scale.
 
-    Therefore, efforts far below their limit and efforts without a limit are legible. The legend or
-    the label of the row states the largest effort and the limit.
+    Efforts without a limit, or far below their limit, are therefore legible. The legend or the
+    label of the row states the largest effort and the limit.
     """
     times, rows = _thin(history.commands.times, history.commands.rows)
     largest = _largest(history)

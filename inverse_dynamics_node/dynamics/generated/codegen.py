@@ -143,7 +143,7 @@ def _compile(function: Callable[..., int], signature: str) -> Any:
 
 def _functions_that_write(writer: Writer, inputs: list[RunTimeNumber]) -> dict[str, Any]:
     """Copy the functions of the passes, so that the copies emit instructions with the writer."""
-    # Omitted products with zero do not propagate NaN or inf; therefore check the inputs, too.
+    # The inputs are checked too, because omitted products with zero do not propagate NaN or inf.
     zero_if_finite = sum(x - x for x in inputs)
 
     def check(tau: list[Any]) -> Any:

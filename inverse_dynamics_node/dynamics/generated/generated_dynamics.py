@@ -64,7 +64,7 @@ class GeneratedDynamics:
 
     Notes
     -----
-    The creation of an object takes a few tenths of a second. It always compiles, because the code
+    Creating an object takes a few tenths of a second. Code is always compiled, because the code
     contains array addresses. The first call of `mass_matrix` compiles again; make this call before
     the loop.
 

@@ -1,5 +1,5 @@
 """
-From links and joints to bodies: links that fixed joints connect form one body.
+Builds bodies from links and joints: links connected by fixed joints form one body.
 
 The values follow the conventions of URDF. The frame of a joint is the frame of its child link, and
 is given in the frame of the parent link.
@@ -76,8 +76,8 @@ def build_model(
     """
     Merge links into bodies, and resolve mimic joints.
 
-    ``links`` and ``joints`` are one tree, in file order. Warnings about joints that move no mass
-    are added to ``warnings``.
+    ``links`` and ``joints`` form one tree, and are in file order. Warnings about joints that move
+    no mass are added to ``warnings``.
 
     """
     root, bodies, placements = _place(links, joints)
@@ -191,8 +191,8 @@ def _folded_friction(
     Return damping and friction of the joints, including those of their mimic joints.
 
     A mimic joint with multiplier m moves m times as fast as its master, and m times its effort
-    acts on the master. Viscous friction is therefore multiplied by m squared. Coulomb friction has
-    the same size at all speeds, and always opposes the motion. It is therefore multiplied by |m|.
+    acts on the master. Viscous friction is therefore multiplied by m squared. Coulomb friction
+    has the same size at all speeds, and always opposes the motion. Its factor is therefore |m|.
 
     """
     damping, friction = [0.0] * len(index), [0.0] * len(index)

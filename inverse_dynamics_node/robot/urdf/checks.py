@@ -1,5 +1,5 @@
 """
-Checks of a URDF before its numbers are used: of each element, and of the tree of links.
+Checks a URDF before its numbers are used: each element, and the tree of links.
 
 All errors are collected. Each error contains its line, its element, and the value found.
 """
@@ -68,7 +68,7 @@ def _check_size(root: Element, problems: Problems) -> None:
 
 
 def _by_name(root: Element, kind: str) -> dict[str, Element]:
-    """Return the elements of a kind by name; if a name is repeated, return the first element."""
+    """Return the elements of a kind by name; only the first one if several have the same name."""
     found: dict[str, Element] = {}
     for element in root:
         if tag(element) == kind and element.get('name'):
@@ -203,7 +203,7 @@ def check_missing_inertials(
     are_required: bool,
 ) -> None:
     """
-    Report links with a shape but no inertial; this is an error if inertials are required.
+    Report links that have a shape but no inertial, as errors if ``are_required`` is true.
 
     Links without a shape are frames. The root link is not checked, because it may be the ground.
 
@@ -224,7 +224,7 @@ def check_missing_inertials(
 
 
 _FEWEST_ALIKE = 3
-"""Smallest number of equal links that causes a warning; two links may be equal parts."""
+"""Smallest number of equal links that causes a warning; two links may be identical parts."""
 _FRACTION_ALIKE = 0.8
 """If this fraction of the links with mass has equal values, the values are placeholders."""
 

@@ -1,5 +1,5 @@
 """
-From a URDF to a `RobotModel`: read, parse, check, strip, evaluate, merge.
+Loads a `RobotModel` from a URDF: read, parse, check, strip, evaluate, merge.
 
 The file is checked before yourdfpy reads the values, because yourdfpy is tolerant: it repairs
 broken XML, fills in missing inertias, and checks neither types nor references.
@@ -31,17 +31,18 @@ def load_urdf(
     """
     Load a robot from a URDF file or from URDF text.
 
-    Only this file is opened: no meshes, no network. Links without ``<inertial>`` have no mass.
-    Fixed joints merge their links. Mimic joints follow the joints that they mimic.
+    Only this file is opened; meshes and the network are not used. Links without ``<inertial>``
+    have no mass. Links connected by fixed joints are merged. Mimic joints follow the joints that
+    they mimic.
 
     Parameters
     ----------
     path_or_xml : str or path-like
         A path, or XML text. A str that starts with ``<`` is XML text; white space and a byte order
-        mark may precede it.
+        mark may precede the ``<``.
     on_missing_inertial : {'warn', 'refuse'}
         Whether a link with a shape but without ``<inertial>`` causes a warning or an error. The
-        root link causes neither.
+        root link never causes one.
 
     Returns
     -------
@@ -106,7 +107,7 @@ def _stripped(root: Element) -> bytes:
 
 
 def _values(clean: bytes) -> tuple[list[Link], list[Joint]]:
-    import yourdfpy  # takes half a second, which an invalid file does not need
+    import yourdfpy  # imported late, so that invalid files fail half a second earlier
 
     robot = yourdfpy.URDF.load(
         io.BytesIO(clean),
@@ -130,7 +131,7 @@ def _link(link: Any) -> Link:
 
 def _joint(joint: Any) -> Joint:
     origin = np.eye(4) if joint.origin is None else joint.origin
-    axis = joint.axis / np.abs(joint.axis).max()  # first: the norm of a large axis overflows
+    axis = joint.axis / np.abs(joint.axis).max()  # the norm of a large axis would overflow
     limit, dynamics, mimic = joint.limit, joint.dynamics, joint.mimic
     is_bounded = joint.type in ('revolute', 'prismatic')
     return Joint(

@@ -112,7 +112,7 @@ RULES = {
 # Errors and warnings
 
 _MAX_LINE = 65535
-"""Largest line number in libxml2 (16 bits), which gives this number to all later lines, too."""
+"""Largest line number in libxml2 (16 bits); all later lines get this number, too."""
 
 
 class Problems:
@@ -200,7 +200,7 @@ def check_children(
 def warn_if_misspelt(
     element: Element, where: str, kinds: tuple[str, ...], problems: Problems
 ) -> None:
-    """Warn if the name of an element is wrong only in upper and lower case."""
+    """Warn if the name of an element differs from a URDF name only in upper and lower case."""
     kind = tag(element)
     if kind not in kinds and kind.lower() in kinds:
         text = f'<{kind}> is ignored; URDF spells it <{kind.lower()}>'
@@ -323,8 +323,8 @@ _MAX_GYRATION = 10.0
 """Largest plausible radius of gyration [m]; above it, the inertia is not in kg m^2."""
 
 _TENSOR_HINT = (
-    'take the inertia about the centre of mass from CAD, in kg m^2; it affects only the '
-    'efforts due to accelerations'
+    'take the inertia about the centre of mass from CAD, in kg m^2; the inertia affects only '
+    'the efforts due to accelerations'
 )
 
 
@@ -389,7 +389,7 @@ def _warn_of_odd_inertia(
 _LIMITED_TYPES = ('revolute', 'prismatic')
 _UNSUPPORTED_TYPES = {
     'planar': 'use two prismatic joints and a continuous one, with massless links between them',
-    'floating': 'remove it: the motion of the base is an input',
+    'floating': 'remove this joint: the motion of the base is an input',
 }
 
 MIN_AXIS_LENGTH = 1e-6

@@ -1,4 +1,4 @@
-"""Parsing of URDF sources with a hardened parser: without DTD, network access and repair."""
+"""Parses URDF sources with a hardened parser: no DTD, no network access, no repair."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Source(NamedTuple):
 def read_source(path_or_xml: str | os.PathLike[str]) -> Source:
     """Read a file, or use XML text as it is."""
     if isinstance(path_or_xml, str) and path_or_xml.lstrip(f'{_BOM} \t\r\n').startswith('<'):
-        # Text has been decoded: an encoding that it declares does not apply to these bytes.
+        # The text is decoded already: the encoding that it declares does not apply to these bytes.
         data = path_or_xml.lstrip(_BOM).encode('utf-8', 'surrogatepass')
         source, kind, size = Source('URDF', data, 'utf-8'), 'text', len(data)
     elif isinstance(path_or_xml, str) and not path_or_xml.strip():
@@ -159,7 +159,7 @@ def blank_declaration(data: bytes) -> bytes:
 
 
 def _without_odd_declaration(source: Source) -> tuple[Source, list[ModelWarning]]:
-    """Blank out an XML declaration that only libxml2 rejects; return also a warning."""
+    """Blank out an XML declaration that only libxml2 rejects; also return a warning."""
     found = _DECLARATION.match(source.data)
     if not found or _SOUND_DECLARATION.match(source.data):
         return source, []

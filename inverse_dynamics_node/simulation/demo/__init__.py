@@ -1,1 +1,1 @@
-"""The demo: it runs the node with a simulated robot in several scenarios, and judges each run."""
+"""The demo runs the node with a simulated robot in several scenarios, and judges each run."""

@@ -117,7 +117,7 @@ def resolved_acceleration(
 
 class Commander(Node):
     """
-    Records the robot's motion, and sends references after it has received a trajectory.
+    Records the robot's motion, and sends references after the first call of `follow`.
 
     The joints are in the node's order. For every joint state, the commander sends 'accelerations',
     a 'reference', or no message if ``sends`` is empty.
@@ -170,7 +170,7 @@ class Commander(Node):
 
     def topics_without_subscriber(self) -> list[str]:
         """Return the advertised topics that no other node has subscribed to yet."""
-        own = [subscription.topic_name for subscription in self.subscriptions]  # and recorder's
+        own = [subscription.topic_name for subscription in self.subscriptions]  # recorder's too
         return [
             topic
             for topic, publisher in self._event_publishers.items()
@@ -197,7 +197,7 @@ class Commander(Node):
 
     @property
     def now(self) -> float:
-        """Time since the start of the trajectory [s]; it also advances without joint states."""
+        """Time since the start of the trajectory [s], which also advances without joint states."""
         waited = self.silence if self.silence > SILENT else 0.0
         self._now = max(self._now, self.time + waited)
         return self._now

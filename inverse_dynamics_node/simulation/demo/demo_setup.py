@@ -1,8 +1,8 @@
 """
 The set-up of a scenario: a robot in its start pose, with a suitable load and push.
 
-The sizes of load and push depend on the robot. They are large enough to deflect a joint visibly
-with the gains of the node, and small enough to leave every drive a reserve.
+The sizes of load and push depend on the robot. Load and push are large enough to deflect a joint
+visibly with the gains of the node, and small enough to leave every drive a reserve.
 """
 
 from __future__ import annotations

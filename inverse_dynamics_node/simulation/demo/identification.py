@@ -1,8 +1,8 @@
 """
 The scenario `calibrate`: a robot that differs from its URDF follows a given motion.
 
-The masses of the robot differ from the URDF, and the URDF leaves out friction and rotors. Friction
-and rotor inertia depend on the inertia of the joints, so that every robot can still move.
+The masses of the robot differ from those in the URDF, which leaves out friction and rotors.
+Friction and rotor inertia depend on the inertia of the joints, so that every robot can still move.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class UnknownRobot:
 
 
 def unknown_robot(setup: DemoSetup) -> UnknownRobot:
-    """Draw the true properties of a robot whose URDF is wrong; every run draws the same."""
+    """Draw the true properties of a robot whose URDF is wrong; they are the same in every run."""
     robot, rng = setup.robot, np.random.default_rng(_SEED)
     inertials = {}
     for k, name in enumerate(robot.link_names):

@@ -1,5 +1,5 @@
 """
-Record topics, and write the messages to a bag that ROS 2 tools can read.
+Records topics, and writes the messages to a bag that ROS 2 tools can read.
 
 Messages are kept in memory and written at the end, so that the disk cannot delay the control loop.
 """

@@ -1,4 +1,4 @@
-"""The results of the demo: measurements are compared with limits."""
+"""Judges the runs of the demo: measurements are compared with limits."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class ScenarioResult:
     failures: tuple[str, ...] = ()
     """Reasons why the run failed; empty if the run passed."""
     excuse: str = ''
-    """What outside the node may have caused the failures; empty if nothing is known."""
+    """Possible cause of the failures outside the node; empty if none is known."""
 
     def __str__(self) -> str:
         if self.failures:

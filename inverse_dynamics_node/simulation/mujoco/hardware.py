@@ -204,7 +204,7 @@ class MujocoRobot:
 
 
 def require_inertia(robot: RobotModel, mass_matrix: Floats) -> None:
-    """Raise a `SimulationError` if a joint has no inertia: efforts would have infinite effect."""
+    """Raise a `SimulationError` if a joint has no inertia: its acceleration would be infinite."""
     idle = _without_inertia(mass_matrix)
     if idle.any():
         names = ', '.join(repr(robot.joint_names[i]) for i in np.flatnonzero(idle))

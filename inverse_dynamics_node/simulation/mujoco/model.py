@@ -1,5 +1,5 @@
 """
-Compile a URDF to a MuJoCo model with exactly the same dynamics.
+Compiles a URDF to a MuJoCo model with exactly the same dynamics.
 
 MuJoCo parses the URDF itself, so that an error in our own loader appears as a tracking error. The
 URDF needs four changes:
@@ -154,7 +154,7 @@ def _set_options(model: Any) -> None:
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     # A diverging state must be an error, not a jump back to the start.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    # A mimicking joint stops with its master. Its own limits often contradict that.
+    # A mimicking joint stops with its master; its own limits often contradict the master's.
     model.jnt_limited[model.eq_obj1id] = False
     model.eq_solimp[:, :2] = STIFFEST
     model.eq_solref[:, 0] = 2.0 * LARGEST_STEP  # the smallest value that MuJoCo considers stable
