@@ -17,7 +17,6 @@ import shutil
 import signal
 import sys
 from tempfile import TemporaryDirectory
-from typing import NamedTuple
 
 import numpy as np
 
@@ -209,15 +208,6 @@ def _run_scenario(
     return result.outcome, draw
 
 
-class _Result(NamedTuple):
-    """The results of both runs, and of the identification between them."""
-
-    histories: tuple[History, History]
-    errors: tuple[Floats, Floats]
-    """RMS tracking error of each joint in both runs [rad or m]."""
-    identified: IdentificationResult
-
-
 def _run_identification(
     options: argparse.Namespace, stopped: Callable[[], bool]
 ) -> tuple[ScenarioResult, Draw]:
@@ -236,17 +226,18 @@ def _run_identification(
         'The masses and centres of mass of the simulated robot differ from the URDF. The robot '
         'also has friction and rotors, which the URDF does not contain.'
     )
-    result = _runs(setup, motion, truth, options, stopped)
-    outcome = check_identification(setup, *result.errors, result.identified.accepted)
-    outcome = replace(outcome, excuse=excuse(result.histories[1]))
+    before, after, result = _runs(setup, motion, truth, options, stopped)
+    errors = rms_errors(before, setup.duration), rms_errors(after, setup.duration)
+    outcome = check_identification(setup, *errors, result.accepted)
+    outcome = replace(outcome, excuse=excuse(after))
     print()
-    show(_table(setup, truth, result))
+    show(_table(setup, truth, errors, result))
 
     def draw(path: Path) -> None:
         from .pictures import demo as pictures
 
         title, names = f'{robot.name}: calibrate. {outcome}', robot.joint_names
-        pictures.draw_identification(names, result.histories, result.errors, title, path)
+        pictures.draw_identification(names, (before, after), errors, title, path)
 
     return outcome, draw
 
@@ -270,7 +261,7 @@ def _runs(
     truth: UnknownRobot,
     options: argparse.Namespace,
     stopped: Callable[[], bool],
-) -> _Result:
+) -> tuple[History, History, IdentificationResult]:
     """Follow the motion with the URDF, identify the robot, and follow the motion again."""
     with TemporaryDirectory() as name:
         folder = Path(name)
@@ -279,11 +270,11 @@ def _runs(
         actual.write_bytes(truth.urdf)
         robot = [str(actual), '--friction', '--armature', *(f'{x:.9f}' for x in truth.armature)]
 
-        def run(title: str, record: Path | None, *node: str) -> tuple[History, Floats]:
-            history = follow(setup, motion, robot, [*node], record, options, stopped, title)
-            return history, rms_errors(history, setup.duration)
+        def run(title: str, record: Path | None, urdf: str, *node: str) -> History:
+            node_arguments = [*node, '-p', f"robot_description_file:='{urdf}'"]
+            return follow(setup, motion, robot, node_arguments, record, options, stopped, title)
 
-        before, errors_before = run('with the URDF', recorded, *_description(setup.urdf))
+        before = run('with the URDF', recorded, setup.urdf)
         if options.record:
             shutil.copytree(recorded, options.record)
             print(f'recorded: {options.record}')
@@ -294,27 +285,24 @@ def _runs(
         say(f'{result.verdict}.')
         calibrated.write_bytes(calibrated_urdf(result, setup.urdf))
         parameters.write_text(identified_parameters(result), encoding='utf-8')
-        after, errors_after = run(
-            'with the calibrated URDF',
-            None,
-            *('--params-file', str(parameters)),
-            *_description(str(calibrated)),
-        )
-    return _Result((before, after), (errors_before, errors_after), result)
+        file = '--params-file', str(parameters)
+        after = run('with the calibrated URDF', None, str(calibrated), *file)
+    return before, after, result
 
 
-def _description(urdf: str) -> list[str]:
-    return ['-p', f"robot_description_file:='{urdf}'"]
-
-
-def _table(setup: DemoSetup, truth: UnknownRobot, result: _Result) -> Table:
+def _table(
+    setup: DemoSetup,
+    truth: UnknownRobot,
+    errors: tuple[Floats, Floats],
+    result: IdentificationResult,
+) -> Table:
     """Return a table of the errors of both runs, and of simulated and identified parameters."""
-    found = {joint.name: joint.terms for joint in result.identified.joints}
+    found = {joint.name: joint.terms for joint in result.joints}
     rows = []
     for k, name in enumerate(setup.robot.joint_names):
         is_slide, terms = setup.robot.is_prismatic_joint[k], found.get(name)
         units = ('mm  ', 'N  ', 'kg    ') if is_slide else ('mrad', 'N m', 'kg m^2')
-        before, after = (1000.0 * float(errors[k]) for errors in result.errors)
+        before, after = (1000.0 * float(error[k]) for error in errors)
         coulomb = f'{terms.coulomb:.3g}' if terms else '-'
         armature = f'{terms.armature:.3g}' if terms else '-'
         rows.append(

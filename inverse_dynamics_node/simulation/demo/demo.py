@@ -8,8 +8,7 @@ This process sends references to the node and records the motion.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 import gc
 import math
@@ -85,10 +84,9 @@ def run_demo(options: argparse.Namespace, stopped: Callable[[], bool]) -> DemoRe
     commands = commands_of(
         scenario, options.rate, [urdf, *friction, *scenario.robot], [], parameters
     )
-    with demo_run(scenario, timeline, view, commands, stopped, bool(options.record)) as run:
-        run.perform(setup.duration)
-        recorded = run.write(options.record, options.storage) if options.record else 0
-    history = run.commander.history
+    history, recorded = perform(
+        scenario, timeline, view, commands, options, stopped, options.record
+    )
     print()
     outcome = replace(timeline.check(history), excuse=excuse(history))
     if options.record:
@@ -144,34 +142,38 @@ def commands_of(
     }
 
 
-@contextmanager
-def demo_run(
+def perform(
     scenario: Scenario,
     timeline: Timeline,
     view: View,
     commands: Mapping[str, list[str]],
+    options: argparse.Namespace,
     stopped: Callable[[], bool],
-    records: bool,
-) -> Iterator[DemoRun]:
+    record: Path | None,
+    standing: Reference | None = None,
+) -> tuple[History, int]:
     """
-    Start robot and node for one run; end both and shut down ROS at the end of the context.
+    Start robot and node, follow the timeline, and end both.
 
     ``commands`` are the arguments of the processes, see `commands_of`. ``stopped`` returns whether
-    the user has asked to stop. With ``records``, the topics of the run are recorded. A live view
-    shows the output of the processes above its table.
+    the user has asked to stop. The topics are recorded to the folder ``record``, unless it is
+    None. ``standing`` is as in `DemoRun.perform`. A live view shows the output of the processes
+    above its table. The results are the history and the number of recorded messages.
     """
     with running(commands, view.log if view.is_live else None) as processes:
         start_ros([])
-        run = DemoRun(scenario, timeline, view, processes, stopped, records)
+        run = DemoRun(scenario, timeline, view, processes, stopped, record is not None)
         try:
-            yield run
+            run.perform(options.duration, standing)
+            recorded = run.recorder.write(record, options.storage) if record else 0
         finally:
             run.close()
             rclpy.shutdown()
+    return run.commander.history, recorded
 
 
 class DemoRun:
-    """One run of the demo, created by `demo_run`."""
+    """One run of the demo."""
 
     def __init__(
         self,
@@ -188,12 +190,12 @@ class DemoRun:
         self._processes, self._stopped = processes, stopped
         self._executor = EventsExecutor()
         self._executor.add_node(self.commander)
-        self._recorder: Any = None
+        self.recorder: Any = None
         if records:
             from .recorder import Recorder  # needs rosbags
 
             topics = topics_of(scenario, timeline)
-            self._recorder = Recorder(self.commander, topics, latched=('brakes',))
+            self.recorder = Recorder(self.commander, topics, latched=('brakes',))
 
     def close(self) -> None:
         """Destroy the ROS nodes of this process."""
@@ -201,12 +203,7 @@ class DemoRun:
         self._executor.shutdown()
         self.commander.destroy_node()
 
-    def write(self, folder: Path, storage: str) -> int:
-        """Write the recording of the run; return the number of messages."""
-        count: int = self._recorder.write(folder, storage)
-        return count
-
-    def perform(self, duration: float, standing: Reference | None = None) -> None:
+    def perform(self, duration: float, standing: Reference | None) -> None:
         """
         Wait for robot and node, and follow the timeline for a duration [s].
 
@@ -219,8 +216,8 @@ class DemoRun:
         gc.collect()
         gc.freeze()
         self._wait_until_ready(standing)
-        if self._recorder is not None:
-            self._recorder.begin()  # until now the brakes held the arm, and efforts had no effect
+        if self.recorder is not None:
+            self.recorder.begin()  # until now the brakes held the arm, and efforts had no effect
         with self._view.open():
             self._wait_for_topics()
             self._follow(duration)

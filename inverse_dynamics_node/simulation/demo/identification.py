@@ -19,7 +19,7 @@ from ...robot.rigid_body import RigidBody
 from ...robot.urdf.writer import Friction, rewrite
 from ..trajectory import Reference
 from .commander import History
-from .demo import commands_of, demo_run
+from .demo import commands_of, perform
 from .demo_setup import DemoSetup
 from .results import LEAST_FACTOR, result_of, ScenarioResult
 from .scenarios import COMPUTED_TORQUE, hold, PATIENT, Scenario, standing, Timeline
@@ -103,36 +103,17 @@ def follow(
     """
     Start a node and a simulated robot, let the robot follow a motion, and return the history.
 
-    Parameters
-    ----------
-    setup : DemoSetup
-        The robot as in its URDF, and the start and the duration of the motion.
-    motion : Reference
-        The motion; after the motion the robot rests.
-    robot_arguments : list of str
-        Path of the URDF and further arguments of the simulated robot.
-    node_arguments : list of str
-        Arguments of the node after ``--ros-args``.
-    record : pathlib.Path or None
-        Folder to create for a recording.
-    options : argparse.Namespace
-        Options of the demo.
-    stopped : callable
-        Returns whether the user has asked to stop.
-    title : str
-        Title of the live table, and description of the run.
-
+    ``robot_arguments`` are the path of the URDF and further arguments of the simulated robot.
+    ``node_arguments`` are those after ``--ros-args``. ``record`` is the folder to create for a
+    recording, or None. ``title`` describes the run. The other arguments are as in `perform`.
     """
     view = View(setup.robot, f'{setup.robot.name}: {title}')
     timeline = Timeline(motion, lambda history: ScenarioResult(title), begins=title)
     start = ['--start', *(f'{x:.9f}' for x in setup.start)]  # argparse rejects -1e-5
     commands = commands_of(_SCENARIO, options.rate, [*robot_arguments, *start], node_arguments, {})
-    with demo_run(_SCENARIO, timeline, view, commands, stopped, bool(record)) as run:
-        # The model is wrong: the robot would sink when the brakes open, unless the node holds it.
-        run.perform(setup.duration, standing(setup))
-        if record is not None:
-            run.write(record, options.storage)
-    return run.commander.history
+    # The model is wrong: the robot would sink when the brakes open, unless the node holds it.
+    held = standing(setup)
+    return perform(_SCENARIO, timeline, view, commands, options, stopped, record, held)[0]
 
 
 def rms_errors(history: History, duration: float) -> Floats:
